@@ -1,0 +1,2 @@
+//! The `joulebus` program.
+fn main() {}

@@ -1,0 +1,128 @@
+//! What each robot has drawn, and what it has left.
+
+/// Bits of [`Budget::flags`].
+pub mod budget_flag {
+    /// The platform's config describes a battery: energy left, usable and state of charge are known.
+    pub const BATTERY: u32 = 1 << 0;
+    /// Time to empty is known.
+    pub const TIME_TO_EMPTY: u32 = 1 << 1;
+    /// The ledger holds at least one sample.
+    pub const LEDGER: u32 = 1 << 2;
+}
+
+/// One robot's budget. 112 bytes.
+///
+/// The ledger part (`drawn_uj`, `drawn_remainder`, `metered_ns`, `unmetered_ns`, `stamp_ns`) is
+/// exact: `metered_ns + unmetered_ns` is the time from the first sample to `stamp_ns`. What follows
+/// is derived from it and widens with every unmetered second.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Budget {
+    /// Id of the robot.
+    pub robot: u32,
+    /// [`budget_flag`] bits.
+    pub flags: u32,
+    /// [`ChargeState`] code.
+    pub charge_state: u32,
+    /// Zero.
+    pub reserved: u32,
+    /// Energy drawn over the metered time, µJ.
+    pub drawn_uj: i64,
+    /// What is left of the integral below one µJ, in µW·ns · 2: carried so that nothing is rounded.
+    pub drawn_remainder: i64,
+    /// Energy that the forecasts expected over the same metered time, µJ.
+    pub forecast_uj: i64,
+    /// Time covered by readings, ns.
+    pub metered_ns: u64,
+    /// Time not covered by readings, ns.
+    pub unmetered_ns: u64,
+    /// Stamp of the newest sample in the ledger, monotonic ns.
+    pub stamp_ns: u64,
+    /// Until when this may be relied on, monotonic ns: `stamp_ns` plus the platform's `stale_after`.
+    pub valid_until_ns: u64,
+    /// Mean power over the last minutes (exponentially weighted), W.
+    pub mean_power_w: f32,
+    /// Energy left in the battery, best estimate, J.
+    pub left_j: f32,
+    /// Energy that may still be used above the reserve, best estimate, J.
+    pub usable_j: f32,
+    /// The same, on the safe side: unmetered time is charged at the greatest power of the platform, J.
+    pub usable_lo_j: f32,
+    /// State of charge, 0 to 1.
+    pub soc: f32,
+    /// State of charge, on the safe side.
+    pub soc_lo: f32,
+    /// Time until the reserve is reached at the mean power, s.
+    pub time_to_empty_s: f32,
+    /// The same, on the safe side, s.
+    pub time_to_empty_lo_s: f32,
+    /// The same, at the low end of the power, s.
+    pub time_to_empty_hi_s: f32,
+    /// Zero.
+    pub reserved2: u32,
+}
+
+impl Budget {
+    /// Energy drawn over the metered time, J.
+    #[must_use]
+    pub fn drawn_j(&self) -> f64 {
+        self.drawn_uj as f64 * 1e-6
+    }
+
+    /// The charge state.
+    #[must_use]
+    pub const fn charge_state(&self) -> ChargeState {
+        ChargeState::decode(self.charge_state)
+    }
+}
+
+/// Header of a frame of budgets.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct BudgetHeader {
+    /// [`crate::SCHEMA_VERSION`].
+    pub schema: u32,
+    /// Process id of the worker.
+    pub pid: u32,
+    /// As in [`crate::ForecastHeader::worker_epoch`].
+    pub worker_epoch: u64,
+    /// As in [`crate::ForecastHeader::tick`].
+    pub tick: u64,
+    /// When the frame was sent, monotonic ns.
+    pub sent_ns: u64,
+    /// When the frame was sent, Unix ns: relates stamps to the wall clock over a reboot.
+    pub sent_unix_ns: u64,
+}
+
+/// Whether the battery is filling.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ChargeState {
+    /// The robot runs on its battery.
+    Discharging,
+    /// The robot is on its charger.
+    Charging,
+    /// Not known, or written by something newer than this reader.
+    Unknown,
+}
+
+impl ChargeState {
+    /// The code in shared memory.
+    #[must_use]
+    pub const fn code(self) -> u32 {
+        match self {
+            Self::Unknown => 0,
+            Self::Discharging => 1,
+            Self::Charging => 2,
+        }
+    }
+
+    /// From shared memory.
+    #[must_use]
+    pub const fn decode(code: u32) -> Self {
+        match code {
+            1 => Self::Discharging,
+            2 => Self::Charging,
+            _ => Self::Unknown,
+        }
+    }
+}

@@ -1,0 +1,274 @@
+//! What the worker thinks of each robot's residuals.
+
+/// Bits of [`Diagnostic::flags`].
+pub mod diagnostic_flag {
+    /// `residual_w` and `residual_z` are of the sample `sample_seq`; otherwise they are NaN.
+    pub const RESIDUAL: u32 = 1 << 0;
+    /// At least one residual has been scored.
+    pub const SCORES: u32 = 1 << 1;
+}
+
+/// One robot's diagnostics. 128 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Diagnostic {
+    /// Id of the robot.
+    pub robot: u32,
+    /// [`diagnostic_flag`] bits.
+    pub flags: u32,
+    /// [`Level`] code.
+    pub level: u16,
+    /// [`Alarm`] code of the most important alarm.
+    pub alarm: u16,
+    /// All alarms that are raised: [`AlarmSet`] bits.
+    pub alarms: u32,
+    /// Reading minus the forecast made for it, W.
+    pub residual_w: f32,
+    /// The residual over the model's own residual standard deviation.
+    pub residual_z: f32,
+    /// Exponentially weighted mean of the residuals, W.
+    pub bias_w: f32,
+    /// Cumulative sum against an upward shift, in standard deviations.
+    pub cusum_up: f32,
+    /// Cumulative sum against a downward shift, in standard deviations.
+    pub cusum_down: f32,
+    /// Exponentially weighted mean of the squared whitened residual: 1 for a healthy robot.
+    pub noise_ratio: f32,
+    /// Share of readings that fell inside their interval, over the whole epoch.
+    pub coverage: f32,
+    /// The same, exponentially weighted: recent coverage.
+    pub coverage_recent: f32,
+    /// Residuals scored so far.
+    pub scored: u64,
+    /// Mean absolute residual, W.
+    pub mae_w: f64,
+    /// Coefficient of determination of the forecasts.
+    pub r2: f64,
+    /// Mean absolute error of persistence (the last reading again) on the same readings, W.
+    pub persistence_mae_w: f64,
+    /// Coefficient of determination of persistence.
+    pub persistence_r2: f64,
+    /// 1 − (squared error of the forecasts / squared error of persistence).
+    pub skill: f64,
+    /// [`crate::Sample::seq`] of the newest sample accepted.
+    pub sample_seq: u64,
+    /// [`crate::Sample::stamp_ns`] of that sample.
+    pub stamp_ns: u64,
+    /// [`crate::SampleHeader::source_epoch`] of that sample.
+    pub source_epoch: u64,
+    /// Samples of this robot that were refused in this epoch.
+    pub refused: u64,
+}
+
+impl Diagnostic {
+    /// The level.
+    #[must_use]
+    pub const fn level(&self) -> Level {
+        Level::decode(self.level)
+    }
+
+    /// The most important alarm.
+    #[must_use]
+    pub const fn alarm(&self) -> Alarm {
+        Alarm::decode(self.alarm)
+    }
+
+    /// All alarms that are raised.
+    #[must_use]
+    pub const fn alarms(&self) -> AlarmSet {
+        AlarmSet(self.alarms)
+    }
+}
+
+/// Header of a frame of diagnostics.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct DiagnosticHeader {
+    /// [`crate::SCHEMA_VERSION`].
+    pub schema: u32,
+    /// Process id of the worker.
+    pub pid: u32,
+    /// As in [`crate::ForecastHeader::worker_epoch`].
+    pub worker_epoch: u64,
+    /// As in [`crate::ForecastHeader::tick`].
+    pub tick: u64,
+}
+
+/// Levels as in ROS `diagnostic_msgs/DiagnosticStatus`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Level {
+    /// Nothing to say.
+    Ok,
+    /// Look at it.
+    Warn,
+    /// Do not rely on it.
+    Error,
+    /// Nothing is heard of it.
+    Stale,
+}
+
+impl Level {
+    /// The code in shared memory: 0 to 3, as in `diagnostic_msgs`.
+    #[must_use]
+    pub const fn code(self) -> u16 {
+        self as u16
+    }
+
+    /// From shared memory; an unknown code is [`Level::Error`]: never fine.
+    #[must_use]
+    pub const fn decode(code: u16) -> Self {
+        match code {
+            0 => Self::Ok,
+            1 => Self::Warn,
+            3 => Self::Stale,
+            _ => Self::Error,
+        }
+    }
+}
+
+/// Why a robot is not [`Level::Ok`], most important first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Alarm {
+    /// No sample for longer than `stale_after`.
+    NoData,
+    /// The last samples were refused: values outside the platform's limits.
+    OutOfRange,
+    /// The reading has not changed for longer than the platform's monitor can explain.
+    StuckSensor,
+    /// The same measurement has been repeated for too long.
+    HeldTooLong,
+    /// Drawing persistently more than forecast.
+    BiasHigh,
+    /// Drawing persistently less than forecast.
+    BiasLow,
+    /// Residuals scatter much more than in training.
+    NoiseHigh,
+    /// The forecasts are clearly worse than repeating the last reading.
+    ModelMismatch,
+    /// A feature lies outside the range the model was trained on.
+    OutOfTraining,
+    /// On the charger.
+    OfflineCharging,
+    /// The tick that made this started too late.
+    DeadlineMissed,
+    /// The robot's watchdog stopped it.
+    WatchdogStop,
+    /// No alarm.
+    None,
+    /// Written by something newer than this reader.
+    Unknown,
+}
+
+impl Alarm {
+    /// All alarms that can be raised, most important first.
+    pub const ALL: [Self; 12] = [
+        Self::NoData,
+        Self::OutOfRange,
+        Self::StuckSensor,
+        Self::HeldTooLong,
+        Self::BiasHigh,
+        Self::BiasLow,
+        Self::NoiseHigh,
+        Self::ModelMismatch,
+        Self::OutOfTraining,
+        Self::OfflineCharging,
+        Self::DeadlineMissed,
+        Self::WatchdogStop,
+    ];
+
+    /// The code in shared memory: 0 is [`Alarm::None`].
+    #[must_use]
+    pub const fn code(self) -> u16 {
+        match self {
+            Self::None => 0,
+            Self::Unknown => u16::MAX,
+            raised => raised as u16 + 1,
+        }
+    }
+
+    /// From shared memory.
+    #[must_use]
+    pub const fn decode(code: u16) -> Self {
+        if code == 0 {
+            Self::None
+        } else if code as usize <= Self::ALL.len() {
+            Self::ALL[code as usize - 1]
+        } else {
+            Self::Unknown
+        }
+    }
+
+    /// The name, as in the documentation and in JSON.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::NoData => "NoData",
+            Self::OutOfRange => "OutOfRange",
+            Self::StuckSensor => "StuckSensor",
+            Self::HeldTooLong => "HeldTooLong",
+            Self::BiasHigh => "BiasHigh",
+            Self::BiasLow => "BiasLow",
+            Self::NoiseHigh => "NoiseHigh",
+            Self::ModelMismatch => "ModelMismatch",
+            Self::OutOfTraining => "OutOfTraining",
+            Self::OfflineCharging => "OfflineCharging",
+            Self::DeadlineMissed => "DeadlineMissed",
+            Self::WatchdogStop => "WatchdogStop",
+            Self::None => "None",
+            Self::Unknown => "Unknown",
+        }
+    }
+
+    /// The level that this alarm means.
+    #[must_use]
+    pub const fn level(self) -> Level {
+        match self {
+            Self::None | Self::OfflineCharging => Level::Ok,
+            Self::NoData => Level::Stale,
+            Self::OutOfRange | Self::StuckSensor | Self::Unknown => Level::Error,
+            _ => Level::Warn,
+        }
+    }
+}
+
+/// A set of alarms, one bit each: bit `code − 1`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct AlarmSet(pub u32);
+
+impl AlarmSet {
+    /// With `alarm` raised.
+    #[must_use]
+    pub const fn with(self, alarm: Alarm) -> Self {
+        Self(self.0 | Self::bit(alarm))
+    }
+
+    /// Whether `alarm` is raised.
+    #[must_use]
+    pub const fn has(self, alarm: Alarm) -> bool {
+        self.0 & Self::bit(alarm) != 0
+    }
+
+    /// The most important alarm of the set.
+    #[must_use]
+    pub fn first(self) -> Alarm {
+        self.iter().next().unwrap_or(Alarm::None)
+    }
+
+    /// The worst level of the set.
+    #[must_use]
+    pub fn level(self) -> Level {
+        self.iter().map(Alarm::level).max().unwrap_or(Level::Ok)
+    }
+
+    /// The alarms of the set, most important first.
+    pub fn iter(self) -> impl Iterator<Item = Alarm> {
+        Alarm::ALL.into_iter().filter(move |alarm| self.has(*alarm))
+    }
+
+    const fn bit(alarm: Alarm) -> u32 {
+        match alarm {
+            Alarm::None | Alarm::Unknown => 0,
+            raised => 1 << (raised as u32),
+        }
+    }
+}

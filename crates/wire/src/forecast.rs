@@ -1,0 +1,172 @@
+//! What the worker forecasts.
+
+use crate::InvalidReason;
+
+/// Bits of [`Forecast::flags`].
+pub mod forecast_flag {
+    /// `power_w` is known.
+    pub const POWER: u32 = 1 << 0;
+    /// `lo_w` and `hi_w` are known.
+    pub const INTERVAL: u32 = 1 << 1;
+    /// `reading_w` and `reading_age_ns` are known.
+    pub const READING: u32 = 1 << 2;
+    /// `sample_seq`, `stamp_ns` and `target_ns` are known: a sample has been accepted.
+    pub const SAMPLE: u32 = 1 << 3;
+}
+
+/// One robot's forecast. 72 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Forecast {
+    /// Id of the robot.
+    pub robot: u32,
+    /// [`forecast_flag`] bits.
+    pub flags: u32,
+    /// [`Quality`] code.
+    pub quality: u16,
+    /// What goes with the quality: readings held so far, open-loop steps, or the reason.
+    pub quality_detail: u16,
+    /// The last accepted reading, W.
+    pub reading_w: f32,
+    /// Power expected at `target_ns`, W.
+    pub power_w: f32,
+    /// Lower end of the interval, W.
+    pub lo_w: f32,
+    /// Upper end of the interval, W.
+    pub hi_w: f32,
+    /// Times the robot's slot has changed its owner.
+    pub generation: u32,
+    /// [`crate::Sample::seq`] of the sample that this forecast answers.
+    pub sample_seq: u64,
+    /// [`crate::Sample::stamp_ns`] of that sample.
+    pub stamp_ns: u64,
+    /// Stamp at which the forecast reading is expected, monotonic ns.
+    pub target_ns: u64,
+    /// From the measurement of `reading_w` to `stamp_ns`, ns.
+    pub reading_age_ns: u64,
+    /// [`crate::SampleHeader::source_epoch`] of that sample.
+    pub source_epoch: u64,
+}
+
+impl Forecast {
+    /// The forecast's quality.
+    #[must_use]
+    pub const fn quality(&self) -> Quality {
+        Quality::decode(self.quality, self.quality_detail)
+    }
+
+    /// The power expected, W, if there is a forecast.
+    #[must_use]
+    pub const fn power_w(&self) -> Option<f32> {
+        if self.flags & forecast_flag::POWER != 0 {
+            Some(self.power_w)
+        } else {
+            None
+        }
+    }
+
+    /// Lower and upper end of the interval, W, if there is one.
+    #[must_use]
+    pub const fn interval_w(&self) -> Option<(f32, f32)> {
+        if self.flags & forecast_flag::INTERVAL != 0 {
+            Some((self.lo_w, self.hi_w))
+        } else {
+            None
+        }
+    }
+}
+
+/// How far a robot's output can be trusted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quality {
+    /// Made from a new measurement.
+    Fresh,
+    /// Made from a repeated measurement.
+    Held,
+    /// The lag window holds `have` of its five readings: no forecast yet.
+    Warmup {
+        /// Readings in the window.
+        have: u16,
+    },
+    /// No valid reading for `steps` sample periods: the model runs on its own forecasts.
+    OpenLoop {
+        /// Sample periods since the last reading.
+        steps: u16,
+    },
+    /// No forecast, and why.
+    Invalid(InvalidReason),
+    /// Written by something newer than this reader.
+    Unknown,
+}
+
+impl Quality {
+    /// Code and detail as they lie in shared memory.
+    #[must_use]
+    pub const fn encode(self) -> (u16, u16) {
+        match self {
+            Self::Unknown => (0, 0),
+            Self::Fresh => (1, 0),
+            Self::Held => (2, 0),
+            Self::Warmup { have } => (3, have),
+            Self::OpenLoop { steps } => (4, steps),
+            Self::Invalid(reason) => (5, reason.code()),
+        }
+    }
+
+    /// From shared memory; a code that this version does not know is [`Quality::Unknown`].
+    #[must_use]
+    pub const fn decode(code: u16, detail: u16) -> Self {
+        match code {
+            1 => Self::Fresh,
+            2 => Self::Held,
+            3 => Self::Warmup { have: detail },
+            4 => Self::OpenLoop { steps: detail },
+            5 => Self::Invalid(InvalidReason::decode(detail)),
+            _ => Self::Unknown,
+        }
+    }
+}
+
+/// Header of a frame of forecasts: what the tick was, and how the intake stands.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ForecastHeader {
+    /// [`crate::SCHEMA_VERSION`].
+    pub schema: u32,
+    /// Process id of the worker.
+    pub pid: u32,
+    /// When this run of the worker began, Unix ns: a restart has a greater one.
+    pub worker_epoch: u64,
+    /// Number of this tick within the epoch, from 1.
+    pub tick: u64,
+    /// Period of the tick, ns: a frame older than two of these is stale.
+    pub period_ns: u64,
+    /// Hash of the models in use, all platforms together.
+    pub model_hash: u64,
+    /// Robots that the worker has room for.
+    pub capacity: u32,
+    /// Frames of samples taken in this tick.
+    pub frames_taken: u32,
+    /// [`crate::SampleHeader::intended_ns`] of the first frame taken in this tick; 0 if none was.
+    pub first_intended_ns: u64,
+    /// [`crate::SampleHeader::sent_ns`] of that frame; 0 if none was taken.
+    pub first_sent_ns: u64,
+    /// When the worker took that frame, monotonic ns; 0 if none was taken.
+    pub first_taken_ns: u64,
+    /// When the tick began to compute, monotonic ns.
+    pub compute_start_ns: u64,
+    /// When the last forecast was written, monotonic ns.
+    pub compute_end_ns: u64,
+    /// When the frame was sent, monotonic ns.
+    pub sent_ns: u64,
+    /// When the frame was sent, Unix ns: a label.
+    pub sent_unix_ns: u64,
+    /// Ticks skipped in this epoch because the one before took too long.
+    pub ticks_skipped: u64,
+    /// Ticks in this epoch that started more than a tenth of a period after they were due.
+    pub ticks_late: u64,
+    /// Samples of this epoch: accepted.
+    pub samples_accepted: u64,
+    /// Samples of this epoch: dropped, by reason.
+    pub samples_dropped: crate::DropCounts,
+}

@@ -1,0 +1,31 @@
+//! What lies in shared memory: fixed-size payloads, codes, flags and service names.
+//!
+//! Everything here is read by other processes, and by other languages: `#[repr(C)]`, no implicit
+//! padding, no Rust enums or bools (another process could write an invalid one), SI units, `u64`
+//! nanoseconds for time. A value that is not known is NaN *and* has its flag cleared; it is never
+//! 0 or −1. Codes are decoded with [`Quality::decode`] and friends, which accept every bit pattern.
+//!
+//! ```
+//! use joulebus_wire::{Sample, sample_flag};
+//! let sample = Sample::new(7, 0, 1_000_000).command(0.1, 0.0).reading(3.65, 1_000_000);
+//! assert!(sample.flags & sample_flag::POWER != 0);
+//! ```
+#![deny(unsafe_code)]
+
+mod budget;
+mod diagnostic;
+mod forecast;
+mod marker;
+mod reason;
+mod sample;
+mod service;
+
+pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
+pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};
+pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
+pub use reason::{DropCounts, DropReason, InvalidReason};
+pub use sample::{Freshness, Sample, SampleHeader, sample_flag};
+pub use service::{Service, WakeEvent, service_name};
+
+/// Version of every payload in this crate. A frame with another version is refused and counted.
+pub const SCHEMA_VERSION: u32 = 1;

@@ -1,0 +1,188 @@
+//! Why a sample was not accepted, and why a robot has no forecast.
+
+/// Why a sample was dropped. Sent = accepted + dropped, summed over all reasons.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DropReason {
+    /// The robot belongs to no platform of the config.
+    UnknownRobot,
+    /// The fleet already has as many robots as its capacity.
+    OverCapacity,
+    /// Another source owns the robot.
+    ForeignSource,
+    /// From a run of the source that has been replaced by a newer one.
+    OldEpoch,
+    /// Accepted before: the same robot, epoch and sequence number.
+    Duplicate,
+    /// The sequence number is lower than one already accepted.
+    OutOfOrder,
+    /// The stamp does not advance, or jumps further than allowed.
+    BadTime,
+    /// NaN or infinite although its flag says that it is known.
+    NotFinite,
+    /// The power lies outside the platform's limits.
+    PowerOutOfRange,
+    /// The command lies outside the platform's limits.
+    CommandOutOfRange,
+    /// Flag bits that this version does not know, or a non-zero reserved field.
+    BadFlags,
+    /// More samples of one robot in one tick than allowed.
+    Backlog,
+    /// Overwritten in the buffer before the worker took them: known from the frame header.
+    Overflow,
+    /// The frame's schema version is not this one.
+    Schema,
+}
+
+impl DropReason {
+    /// All reasons; the position is the index into [`DropCounts`].
+    pub const ALL: [Self; 14] = [
+        Self::UnknownRobot,
+        Self::OverCapacity,
+        Self::ForeignSource,
+        Self::OldEpoch,
+        Self::Duplicate,
+        Self::OutOfOrder,
+        Self::BadTime,
+        Self::NotFinite,
+        Self::PowerOutOfRange,
+        Self::CommandOutOfRange,
+        Self::BadFlags,
+        Self::Backlog,
+        Self::Overflow,
+        Self::Schema,
+    ];
+
+    /// The name, as in the documentation and in JSON.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::UnknownRobot => "UnknownRobot",
+            Self::OverCapacity => "OverCapacity",
+            Self::ForeignSource => "ForeignSource",
+            Self::OldEpoch => "OldEpoch",
+            Self::Duplicate => "Duplicate",
+            Self::OutOfOrder => "OutOfOrder",
+            Self::BadTime => "BadTime",
+            Self::NotFinite => "NotFinite",
+            Self::PowerOutOfRange => "PowerOutOfRange",
+            Self::CommandOutOfRange => "CommandOutOfRange",
+            Self::BadFlags => "BadFlags",
+            Self::Backlog => "Backlog",
+            Self::Overflow => "Overflow",
+            Self::Schema => "Schema",
+        }
+    }
+}
+
+/// Samples dropped, one counter per [`DropReason`], with room for later reasons.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct DropCounts {
+    /// Indexed by the reason's position in [`DropReason::ALL`].
+    pub counts: [u64; 16],
+}
+
+impl DropCounts {
+    /// Counts `samples` more.
+    pub const fn add(&mut self, reason: DropReason, samples: u64) {
+        let count = &mut self.counts[reason as usize];
+        *count = count.saturating_add(samples);
+    }
+
+    /// Samples dropped for `reason`.
+    #[must_use]
+    pub const fn get(&self, reason: DropReason) -> u64 {
+        self.counts[reason as usize]
+    }
+
+    /// Samples dropped for any reason.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.counts
+            .iter()
+            .fold(0, |sum, count| sum.saturating_add(*count))
+    }
+
+    /// The reasons that occurred, with their counts.
+    pub fn iter(&self) -> impl Iterator<Item = (DropReason, u64)> + '_ {
+        DropReason::ALL
+            .into_iter()
+            .map(|reason| (reason, self.get(reason)))
+            .filter(|(_, count)| *count > 0)
+    }
+}
+
+/// Why a robot has no forecast.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum InvalidReason {
+    /// No sample for longer than `stale_after`.
+    Stale,
+    /// Its last sample was refused: NaN or infinite.
+    NotFinite,
+    /// Its last sample was refused: power outside the platform's limits.
+    PowerOutOfRange,
+    /// Its last sample was refused: command outside the platform's limits.
+    CommandOutOfRange,
+    /// Its last sample was refused: unknown flags.
+    BadFlags,
+    /// Its last sample was refused: a stamp that does not advance, or jumps.
+    BadTime,
+    /// The model needs velocities, and the samples carry none.
+    NoCommand,
+    /// Samples come, but no reading with them.
+    NoReading,
+    /// The model's output is not finite.
+    ModelOutput,
+    /// Written by something newer than this reader.
+    Unknown,
+}
+
+impl InvalidReason {
+    const ALL: [Self; 9] = [
+        Self::Stale,
+        Self::NotFinite,
+        Self::PowerOutOfRange,
+        Self::CommandOutOfRange,
+        Self::BadFlags,
+        Self::BadTime,
+        Self::NoCommand,
+        Self::NoReading,
+        Self::ModelOutput,
+    ];
+
+    /// The code in shared memory.
+    #[must_use]
+    pub const fn code(self) -> u16 {
+        match self {
+            Self::Unknown => u16::MAX,
+            known => known as u16 + 1,
+        }
+    }
+
+    /// From shared memory.
+    #[must_use]
+    pub const fn decode(code: u16) -> Self {
+        if code >= 1 && code as usize <= Self::ALL.len() {
+            Self::ALL[code as usize - 1]
+        } else {
+            Self::Unknown
+        }
+    }
+
+    /// The name, as in the documentation and in JSON.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Stale => "Stale",
+            Self::NotFinite => "NotFinite",
+            Self::PowerOutOfRange => "PowerOutOfRange",
+            Self::CommandOutOfRange => "CommandOutOfRange",
+            Self::BadFlags => "BadFlags",
+            Self::BadTime => "BadTime",
+            Self::NoCommand => "NoCommand",
+            Self::NoReading => "NoReading",
+            Self::ModelOutput => "ModelOutput",
+            Self::Unknown => "Unknown",
+        }
+    }
+}

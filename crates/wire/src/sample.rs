@@ -1,0 +1,160 @@
+//! What a fleet controller publishes.
+
+/// Bits of [`Sample::flags`]. A bit that is not listed here makes the sample refused.
+pub mod sample_flag {
+    /// `v_mps` is known.
+    pub const V: u32 = 1 << 0;
+    /// `omega_radps` is known.
+    pub const OMEGA: u32 = 1 << 1;
+    /// `power_w` and `measured_ns` are known.
+    pub const POWER: u32 = 1 << 2;
+    /// `voltage_v` is known.
+    pub const VOLTAGE: u32 = 1 << 3;
+    /// `current_a` is known.
+    pub const CURRENT: u32 = 1 << 4;
+    /// The reading repeats the previous one: the monitor has not measured again.
+    pub const HELD: u32 = 1 << 5;
+    /// The robot is on its charger.
+    pub const CHARGING: u32 = 1 << 6;
+    /// What came before has nothing to do with this sample (a recorded trial starts again):
+    /// the lag window starts empty.
+    pub const DISCONTINUITY: u32 = 1 << 7;
+    /// All bits that have a meaning.
+    pub const ALL: u32 = (1 << 8) - 1;
+}
+
+/// One robot's command and latest reading in one control tick. 56 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Sample {
+    /// Id of the robot, unique in the fleet.
+    pub robot: u32,
+    /// [`sample_flag`] bits.
+    pub flags: u32,
+    /// Number of this robot's sample within the source epoch; strictly rising.
+    pub seq: u64,
+    /// When the command was issued, monotonic ns. Strictly rising per robot.
+    pub stamp_ns: u64,
+    /// When the power was *measured*, monotonic ns; equal to the previous one for a held reading.
+    pub measured_ns: u64,
+    /// Linear velocity just commanded, after saturation, m/s.
+    pub v_mps: f32,
+    /// Angular velocity just commanded, after saturation, rad/s.
+    pub omega_radps: f32,
+    /// Electrical power just read, W. Negative where the platform regenerates.
+    pub power_w: f32,
+    /// Battery voltage, V.
+    pub voltage_v: f32,
+    /// Battery current, A, positive while discharging.
+    pub current_a: f32,
+    /// Zero.
+    pub reserved: u32,
+}
+
+impl Sample {
+    /// A sample that knows nothing yet: no command, no reading.
+    #[must_use]
+    pub const fn new(robot: u32, seq: u64, stamp_ns: u64) -> Self {
+        Self {
+            robot,
+            flags: 0,
+            seq,
+            stamp_ns,
+            measured_ns: 0,
+            v_mps: f32::NAN,
+            omega_radps: f32::NAN,
+            power_w: f32::NAN,
+            voltage_v: f32::NAN,
+            current_a: f32::NAN,
+            reserved: 0,
+        }
+    }
+
+    /// With the command just issued: m/s and rad/s.
+    #[must_use]
+    pub const fn command(mut self, v_mps: f32, omega_radps: f32) -> Self {
+        self.v_mps = v_mps;
+        self.omega_radps = omega_radps;
+        self.flags |= sample_flag::V | sample_flag::OMEGA;
+        self
+    }
+
+    /// With the power just read, W, and when it was measured, monotonic ns.
+    #[must_use]
+    pub const fn reading(mut self, power_w: f32, measured_ns: u64) -> Self {
+        self.power_w = power_w;
+        self.measured_ns = measured_ns;
+        self.flags |= sample_flag::POWER;
+        self
+    }
+
+    /// With the battery's voltage, V, and current, A (positive while discharging).
+    #[must_use]
+    pub const fn battery(mut self, voltage_v: f32, current_a: f32) -> Self {
+        self.voltage_v = voltage_v;
+        self.current_a = current_a;
+        self.flags |= sample_flag::VOLTAGE | sample_flag::CURRENT;
+        self
+    }
+
+    /// With further [`sample_flag`] bits set.
+    #[must_use]
+    pub const fn with(mut self, flags: u32) -> Self {
+        self.flags |= flags;
+        self
+    }
+
+    /// Whether all of `flags` are set.
+    #[must_use]
+    pub const fn has(&self, flags: u32) -> bool {
+        self.flags & flags == flags
+    }
+
+    /// How new the reading is.
+    #[must_use]
+    pub const fn freshness(&self) -> Freshness {
+        if !self.has(sample_flag::POWER) {
+            Freshness::Missing
+        } else if self.has(sample_flag::HELD) {
+            Freshness::Held
+        } else {
+            Freshness::Fresh
+        }
+    }
+}
+
+/// How new a reading is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Freshness {
+    /// A new measurement.
+    Fresh,
+    /// The last measurement again.
+    Held,
+    /// No measurement.
+    Missing,
+}
+
+/// Header of a frame of samples: one frame is what one source sends at once.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct SampleHeader {
+    /// [`crate::SCHEMA_VERSION`].
+    pub schema: u32,
+    /// Process id of the source.
+    pub pid: u32,
+    /// Who sends: stable over restarts (a hash of the source's name).
+    pub source_id: u64,
+    /// When this run of the source began, Unix ns: a restart has a greater one.
+    pub source_epoch: u64,
+    /// Number of this frame within the epoch, from 0.
+    pub frame_seq: u64,
+    /// Samples sent in this epoch before this frame: tells a reader how many it lost.
+    pub samples_before: u64,
+    /// When the frame was meant to be sent, monotonic ns; latency is counted from here, so that a
+    /// stalled source does not hide its own delay.
+    pub intended_ns: u64,
+    /// When the frame was sent, monotonic ns.
+    pub sent_ns: u64,
+    /// When the frame was sent, Unix ns: a label, never used for an interval.
+    pub sent_unix_ns: u64,
+}

@@ -1,0 +1,68 @@
+//! Names of the services in shared memory.
+
+/// A service of a fleet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Service {
+    /// Publish-subscribe, slices of [`crate::Sample`], header [`crate::SampleHeader`].
+    Samples,
+    /// Publish-subscribe, slices of [`crate::Forecast`], header [`crate::ForecastHeader`].
+    Forecasts,
+    /// Publish-subscribe, slices of [`crate::Diagnostic`], header [`crate::DiagnosticHeader`].
+    Diagnostics,
+    /// Publish-subscribe with history, slices of [`crate::Budget`], header [`crate::BudgetHeader`].
+    Budgets,
+    /// Event: sources wake the worker.
+    Arrivals,
+    /// Event: the worker wakes planners.
+    Wake,
+}
+
+impl Service {
+    /// All services.
+    pub const ALL: [Self; 6] = [
+        Self::Samples,
+        Self::Forecasts,
+        Self::Diagnostics,
+        Self::Budgets,
+        Self::Arrivals,
+        Self::Wake,
+    ];
+
+    /// The last part of the service's name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Samples => "samples",
+            Self::Forecasts => "forecasts",
+            Self::Diagnostics => "diagnostics",
+            Self::Budgets => "budgets",
+            Self::Arrivals => "arrivals",
+            Self::Wake => "wake",
+        }
+    }
+}
+
+/// The service's full name: `joulebus/<fleet>/<service>`.
+#[must_use]
+pub fn service_name(fleet: &str, service: Service) -> String {
+    format!("joulebus/{fleet}/{}", service.name())
+}
+
+/// Ids of the events on [`Service::Wake`] and [`Service::Arrivals`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WakeEvent {
+    /// A new frame can be read.
+    Frame,
+    /// The process on the other side has died.
+    Died,
+    /// The process on the other side has ended as it should.
+    Ended,
+}
+
+impl WakeEvent {
+    /// The event id.
+    #[must_use]
+    pub const fn id(self) -> usize {
+        self as usize
+    }
+}
