@@ -92,6 +92,15 @@ pub struct DiagnosticHeader {
     pub worker_epoch: u64,
     /// As in [`crate::ForecastHeader::tick`].
     pub tick: u64,
+    /// Who was refused of late and why; see [`DiagnosticHeader::refusals`].
+    pub refused: [crate::Refusal; 16],
+}
+
+impl DiagnosticHeader {
+    /// Robots refused of late, each with its reason: the newest 16 pairs, in no order.
+    pub fn refusals(&self) -> impl Iterator<Item = &crate::Refusal> {
+        self.refused.iter().filter(|refusal| refusal.reason != 0)
+    }
 }
 
 /// Levels as in ROS `diagnostic_msgs/DiagnosticStatus`.
@@ -151,7 +160,7 @@ pub enum Alarm {
     OfflineCharging,
     /// The tick that made this started too late.
     DeadlineMissed,
-    /// The robot's watchdog stopped it.
+    /// The robot's watchdog stopped it. Reserved: this version never raises it.
     WatchdogStop,
     /// No alarm.
     None,

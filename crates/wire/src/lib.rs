@@ -23,7 +23,7 @@ mod service;
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
 pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};
 pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
-pub use reason::{DropCounts, DropReason, InvalidReason};
+pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
 pub use sample::{Freshness, Sample, SampleHeader, sample_flag};
 pub use service::{Service, WakeEvent, service_name};
 

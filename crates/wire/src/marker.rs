@@ -30,8 +30,8 @@ macro_rules! payload {
 payload!(Sample, "joulebus.Sample.v1", 56);
 payload!(SampleHeader, "joulebus.SampleHeader.v1", 64);
 payload!(Forecast, "joulebus.Forecast.v1", 72);
-payload!(ForecastHeader, "joulebus.ForecastHeader.v1", 256);
+payload!(ForecastHeader, "joulebus.ForecastHeader.v1", 320);
 payload!(Diagnostic, "joulebus.Diagnostic.v1", 128);
-payload!(DiagnosticHeader, "joulebus.DiagnosticHeader.v1", 24);
+payload!(DiagnosticHeader, "joulebus.DiagnosticHeader.v1", 280);
 payload!(Budget, "joulebus.Budget.v1", 112);
 payload!(BudgetHeader, "joulebus.BudgetHeader.v1", 40);

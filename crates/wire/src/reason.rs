@@ -31,11 +31,15 @@ pub enum DropReason {
     Overflow,
     /// The frame's schema version is not this one.
     Schema,
+    /// Sent before the worker was there to take them: known from the frame header.
+    BeforeJoin,
+    /// More sources than the worker keeps account of.
+    TooManySources,
 }
 
 impl DropReason {
     /// All reasons; the position is the index into [`DropCounts`].
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 16] = [
         Self::UnknownRobot,
         Self::OverCapacity,
         Self::ForeignSource,
@@ -50,6 +54,8 @@ impl DropReason {
         Self::Backlog,
         Self::Overflow,
         Self::Schema,
+        Self::BeforeJoin,
+        Self::TooManySources,
     ];
 
     /// The name, as in the documentation and in JSON.
@@ -70,7 +76,32 @@ impl DropReason {
             Self::Backlog => "Backlog",
             Self::Overflow => "Overflow",
             Self::Schema => "Schema",
+            Self::BeforeJoin => "BeforeJoin",
+            Self::TooManySources => "TooManySources",
         }
+    }
+}
+
+/// One robot's refusals for one reason, as the worker names them to operators. 16 bytes.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Refusal {
+    /// Id of the robot that the samples claimed to be of.
+    pub robot: u32,
+    /// Position of the reason in [`DropReason::ALL`] plus 1; 0 for an empty place.
+    pub reason: u32,
+    /// Process id of the source that sent them.
+    pub pid: u32,
+    /// Samples refused, as far as this place has been held without a break.
+    pub count: u32,
+}
+
+impl Refusal {
+    /// The reason, if this place is taken by one that this version knows.
+    #[must_use]
+    pub fn reason(&self) -> Option<DropReason> {
+        let position = usize::try_from(self.reason).ok()?.checked_sub(1)?;
+        DropReason::ALL.get(position).copied()
     }
 }
 
@@ -79,7 +110,7 @@ impl DropReason {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DropCounts {
     /// Indexed by the reason's position in [`DropReason::ALL`].
-    pub counts: [u64; 16],
+    pub counts: [u64; 24],
 }
 
 impl DropCounts {

@@ -59,7 +59,7 @@ fn drops_are_counted_by_reason_and_in_total_without_wrapping() {
         counts.add(reason, index as u64);
         assert_eq!(counts.get(reason), index as u64);
     }
-    assert_eq!(counts.total(), (0..14).sum());
+    assert_eq!(counts.total(), (0..16).sum());
     counts.add(DropReason::Overflow, u64::MAX);
     assert_eq!(counts.total(), u64::MAX);
 }
