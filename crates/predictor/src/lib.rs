@@ -1,1 +1,27 @@
-//! joulebus-predictor
+//! The network that forecasts a robot's electrical power, and the baselines it has to beat.
+//!
+//! Pure: no clock, file, thread or shared memory. Bytes of a model file come in, forecasts in
+//! watt go out.
+//!
+//! - [`features`] builds one row of inputs in SI units.
+//! - [`Model::predict`] turns any number of rows into as many forecasts and allocates nothing.
+//! - [`Network`] is the model of arXiv 2603.13908, section 5: 11→64→64→32→1 with GELU.
+//!
+//! **One arithmetic.** A robot's forecast depends on that robot's row alone and has the same bits
+//! for every batch size, every position in the batch and every vector width; the scalar
+//! [`Network::predict_reference_f32`] is the definition that the kernels are tested against.
+
+mod error;
+mod features;
+mod file;
+mod gelu;
+#[allow(unsafe_code)] // Calls of functions compiled for CPU features that were detected.
+mod kernel;
+mod model;
+mod network;
+
+pub use error::ModelError;
+pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, LAGS, features};
+pub use kernel::Kernel;
+pub use model::{Model, Persistence, ResidualStats, TrainingRange};
+pub use network::{Card, HIDDEN, Layer, Network, Normalisation, Parameters, Scores};

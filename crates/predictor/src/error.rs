@@ -1,0 +1,95 @@
+//! Why a model was refused.
+
+use safetensors::SafeTensorError;
+use thiserror::Error;
+
+/// Why bytes or parameters are not a model that this build can run. The caller adds the file name.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum ModelError {
+    /// Far larger than any model of this kind.
+    #[error("the file has {found} bytes, a model has at most {allowed}; is it another file?")]
+    TooLarge {
+        /// Bytes found.
+        found: usize,
+        /// Bytes allowed.
+        allowed: usize,
+    },
+    /// The container itself is damaged or of another kind.
+    #[error("not a whole safetensors file ({0}); copy or train the model again")]
+    Container(#[from] SafeTensorError),
+    /// A metadata entry is absent.
+    #[error("metadata has no `{field}`; this is not a joulebus model")]
+    MissingField {
+        /// Name of the entry.
+        field: &'static str,
+    },
+    /// A value is not one that this build accepts.
+    #[error("`{field}` is {found}, allowed: {allowed}")]
+    Field {
+        /// Name of the metadata entry or parameter.
+        field: String,
+        /// The value found.
+        found: String,
+        /// What is accepted.
+        allowed: String,
+    },
+    /// A tensor is absent.
+    #[error("tensor `{tensor}` is missing")]
+    MissingTensor {
+        /// Name of the tensor.
+        tensor: String,
+    },
+    /// A tensor that no model of this kind has.
+    #[error("tensor `{tensor}` belongs to no layer; a model has exactly {allowed} tensors")]
+    UnexpectedTensor {
+        /// Name of the tensor.
+        tensor: String,
+        /// Number of tensors of a model.
+        allowed: usize,
+    },
+    /// A tensor has another type or shape.
+    #[error("tensor `{tensor}` is {found}, allowed: {allowed}")]
+    Shape {
+        /// Name of the tensor.
+        tensor: String,
+        /// Type and shape found.
+        found: String,
+        /// Type and shape accepted.
+        allowed: String,
+    },
+    /// A weight or bias is NaN or infinite.
+    #[error("tensor `{tensor}` has {value} at position {index}, allowed: finite numbers")]
+    NotFinite {
+        /// Name of the tensor.
+        tensor: String,
+        /// Position in row-major order.
+        index: usize,
+        /// The value found.
+        value: f32,
+    },
+    /// The contents are not those that were written.
+    #[error(
+        "contents have SHA-256 {found}, metadata says {stated}; the file was changed or damaged"
+    )]
+    Checksum {
+        /// Digest of the contents, hexadecimal.
+        found: String,
+        /// Digest stated in the metadata.
+        stated: String,
+    },
+}
+
+impl ModelError {
+    pub(crate) fn field(
+        field: impl Into<String>,
+        found: impl ToString,
+        allowed: impl Into<String>,
+    ) -> ModelError {
+        ModelError::Field {
+            field: field.into(),
+            found: found.to_string(),
+            allowed: allowed.into(),
+        }
+    }
+}

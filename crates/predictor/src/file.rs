@@ -1,0 +1,363 @@
+//! Model files: safetensors with everything that explains the model in its metadata.
+//!
+//! The header is written here instead of by the `safetensors` crate, which takes the metadata in an
+//! order that changes from run to run: the same model has to give the same bytes.
+
+use crate::model::leading_u64;
+use crate::network::layer_sizes;
+use crate::{
+    Card, FEATURE_NAMES, FEATURES, FeatureSet, Features, Layer, ModelError, Normalisation,
+    Parameters, ResidualStats, Scores, TrainingRange,
+};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use sha2::{Digest, Sha256};
+use std::collections::{BTreeMap, HashMap};
+use std::str::FromStr;
+
+const FORMAT: &str = "joulebus-model";
+const VERSION: &str = "1";
+const KIND: &str = "network";
+const ACTIVATION: &str = "gelu_erf";
+const CONVENTION: &str = "command in force and the readings up to now, newest first, forecast the \
+                          next reading; derivatives over the true time step";
+const MAX_BYTES: usize = 1 << 20;
+
+type Fields = BTreeMap<&'static str, String>;
+
+pub(crate) fn weight_name(layer: usize) -> String {
+    format!("layers.{layer}.weight")
+}
+
+pub(crate) fn bias_name(layer: usize) -> String {
+    format!("layers.{layer}.bias")
+}
+
+/// First eight bytes of the SHA-256 that the model file carries.
+pub(crate) fn content_hash(parameters: &Parameters, card: &Card) -> u64 {
+    let fields = fields(parameters, card);
+    let tensors = tensors(parameters);
+    leading_u64(&digest(
+        fields.iter().map(|(key, value)| (*key, value.as_str())),
+        tensors
+            .iter()
+            .map(|tensor| (tensor.name.as_str(), &tensor.shape[..], &tensor.data[..])),
+    ))
+}
+
+pub(crate) fn write(parameters: &Parameters, card: &Card) -> Result<Vec<u8>, ModelError> {
+    let mut fields = fields(parameters, card);
+    let tensors = tensors(parameters);
+    let sha256 = digest(
+        fields.iter().map(|(key, value)| (*key, value.as_str())),
+        tensors
+            .iter()
+            .map(|tensor| (tensor.name.as_str(), &tensor.shape[..], &tensor.data[..])),
+    );
+    fields.insert("sha256", hex(&sha256));
+
+    let mut header = serde_json::Map::new();
+    header.insert("__metadata__".to_owned(), serde_json::json!(fields));
+    let mut data = Vec::new();
+    for tensor in &tensors {
+        let start = data.len();
+        data.extend_from_slice(&tensor.data);
+        let entry = serde_json::json!({
+            "dtype": "F32", "shape": tensor.shape, "data_offsets": [start, data.len()],
+        });
+        header.insert(tensor.name.clone(), entry);
+    }
+    let mut header = serde_json::Value::Object(header).to_string().into_bytes();
+    header.resize(header.len().next_multiple_of(8), b' ');
+
+    let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
+    bytes.append(&mut header);
+    bytes.append(&mut data);
+    if bytes.len() > MAX_BYTES {
+        return Err(ModelError::TooLarge {
+            found: bytes.len(),
+            allowed: MAX_BYTES,
+        });
+    }
+    Ok(bytes)
+}
+
+pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, Card), ModelError> {
+    if bytes.len() > MAX_BYTES {
+        return Err(ModelError::TooLarge {
+            found: bytes.len(),
+            allowed: MAX_BYTES,
+        });
+    }
+    let (_, header) = SafeTensors::read_metadata(bytes)?;
+    let tensors = SafeTensors::deserialize(bytes)?;
+    let empty = HashMap::new();
+    let metadata = Metadata(header.metadata().as_ref().unwrap_or(&empty));
+
+    metadata.must_be("format", FORMAT)?;
+    metadata.must_be("format_version", VERSION)?;
+    check_digest(&metadata, &tensors)?;
+    metadata.must_be("kind", KIND)?;
+    metadata.must_be("activation", ACTIVATION)?;
+    metadata.must_be("convention", CONVENTION)?;
+    let set_name = metadata.text("feature_set")?;
+    let feature_set = FeatureSet::from_name(set_name)
+        .ok_or_else(|| ModelError::field("feature_set", set_name, "full, power_only"))?;
+    metadata.must_be("features", &FEATURE_NAMES[feature_set.first()..].join(","))?;
+
+    let parameters = Parameters {
+        feature_set,
+        normalisation: Normalisation {
+            feature_mean: metadata.per_feature("feature_mean", feature_set)?,
+            feature_std: metadata.per_feature("feature_std", feature_set)?,
+            power_mean_w: metadata.number("power_mean_w")?,
+            power_std_w: metadata.number("power_std_w")?,
+        },
+        layers: read_layers(&tensors, feature_set)?,
+    };
+    Ok((parameters, read_card(&metadata, feature_set)?))
+}
+
+fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<Card, ModelError> {
+    Ok(Card {
+        name: metadata.text("name")?.to_owned(),
+        source: metadata.text("source")?.to_owned(),
+        training_data: metadata.text("training_data")?.to_owned(),
+        training_data_sha256: metadata.text("training_data_sha256")?.to_owned(),
+        seed: metadata.number("seed")?,
+        training_range: TrainingRange {
+            feature_set,
+            min: metadata.per_feature("feature_min", feature_set)?,
+            max: metadata.per_feature("feature_max", feature_set)?,
+        },
+        residual: ResidualStats {
+            std_w: metadata.number("residual_std_w")?,
+            q05_w: metadata.number("residual_q05_w")?,
+            q95_w: metadata.number("residual_q95_w")?,
+        },
+        scores: Scores {
+            rows: metadata.number("score_rows")?,
+            network_r2: metadata.number("score_network_r2")?,
+            network_mae_w: metadata.number("score_network_mae_w")?,
+            persistence_r2: metadata.number("score_persistence_r2")?,
+            persistence_mae_w: metadata.number("score_persistence_mae_w")?,
+        },
+    })
+}
+
+fn fields(parameters: &Parameters, card: &Card) -> Fields {
+    let set = parameters.feature_set;
+    let normalisation = &parameters.normalisation;
+    let list = |values: &Features| {
+        let texts: Vec<String> = values[set.first()..].iter().map(f32::to_string).collect();
+        texts.join(",")
+    };
+    BTreeMap::from([
+        ("format", FORMAT.to_owned()),
+        ("format_version", VERSION.to_owned()),
+        ("kind", KIND.to_owned()),
+        ("activation", ACTIVATION.to_owned()),
+        ("convention", CONVENTION.to_owned()),
+        ("feature_set", set.name().to_owned()),
+        ("features", FEATURE_NAMES[set.first()..].join(",")),
+        ("feature_mean", list(&normalisation.feature_mean)),
+        ("feature_std", list(&normalisation.feature_std)),
+        ("power_mean_w", normalisation.power_mean_w.to_string()),
+        ("power_std_w", normalisation.power_std_w.to_string()),
+        ("name", card.name.clone()),
+        ("source", card.source.clone()),
+        ("training_data", card.training_data.clone()),
+        ("training_data_sha256", card.training_data_sha256.clone()),
+        ("seed", card.seed.to_string()),
+        ("feature_min", list(&card.training_range.min)),
+        ("feature_max", list(&card.training_range.max)),
+        ("residual_std_w", card.residual.std_w.to_string()),
+        ("residual_q05_w", card.residual.q05_w.to_string()),
+        ("residual_q95_w", card.residual.q95_w.to_string()),
+        ("score_rows", card.scores.rows.to_string()),
+        ("score_network_r2", card.scores.network_r2.to_string()),
+        ("score_network_mae_w", card.scores.network_mae_w.to_string()),
+        (
+            "score_persistence_r2",
+            card.scores.persistence_r2.to_string(),
+        ),
+        (
+            "score_persistence_mae_w",
+            card.scores.persistence_mae_w.to_string(),
+        ),
+    ])
+}
+
+struct Tensor {
+    name: String,
+    shape: Vec<usize>,
+    data: Vec<u8>,
+}
+
+fn tensors(parameters: &Parameters) -> Vec<Tensor> {
+    let sizes = layer_sizes(parameters.feature_set);
+    let bytes = |values: &[f32]| {
+        values
+            .iter()
+            .flat_map(|value| value.to_le_bytes())
+            .collect()
+    };
+    let mut tensors = Vec::new();
+    for (number, (layer, (inputs, outputs))) in parameters.layers.iter().zip(sizes).enumerate() {
+        let (bias, weights) = (bytes(&layer.bias), bytes(&layer.weights));
+        tensors.push(Tensor {
+            name: bias_name(number),
+            shape: vec![outputs],
+            data: bias,
+        });
+        let shape = vec![outputs, inputs];
+        tensors.push(Tensor {
+            name: weight_name(number),
+            shape,
+            data: weights,
+        });
+    }
+    tensors
+}
+
+fn read_layers(
+    tensors: &SafeTensors<'_>,
+    feature_set: FeatureSet,
+) -> Result<[Layer; 4], ModelError> {
+    let mut layers = [const {
+        Layer {
+            weights: Vec::new(),
+            bias: Vec::new(),
+        }
+    }; 4];
+    let sizes = layer_sizes(feature_set);
+    let belongs = |name: &&str| {
+        (0..sizes.len()).any(|number| **name == weight_name(number) || **name == bias_name(number))
+    };
+    if let Some(stranger) = tensors.names().into_iter().find(|name| !belongs(name)) {
+        let allowed = 2 * sizes.len();
+        return Err(ModelError::UnexpectedTensor {
+            tensor: stranger.to_owned(),
+            allowed,
+        });
+    }
+    for (number, (layer, (inputs, outputs))) in layers.iter_mut().zip(sizes).enumerate() {
+        layer.weights = read_tensor(tensors, weight_name(number), &[outputs, inputs])?;
+        layer.bias = read_tensor(tensors, bias_name(number), &[outputs])?;
+    }
+    Ok(layers)
+}
+
+fn read_tensor(
+    tensors: &SafeTensors<'_>,
+    name: String,
+    shape: &[usize],
+) -> Result<Vec<f32>, ModelError> {
+    let Ok(view) = tensors.tensor(&name) else {
+        return Err(ModelError::MissingTensor { tensor: name });
+    };
+    if view.dtype() != Dtype::F32 || view.shape() != shape {
+        return Err(ModelError::Shape {
+            tensor: name,
+            found: format!("{:?} {:?}", view.dtype(), view.shape()),
+            allowed: format!("{:?} {shape:?}", Dtype::F32),
+        });
+    }
+    let (words, _) = view.data().as_chunks::<4>();
+    Ok(words.iter().map(|word| f32::from_le_bytes(*word)).collect())
+}
+
+struct Metadata<'a>(&'a HashMap<String, String>);
+
+impl Metadata<'_> {
+    fn text(&self, field: &'static str) -> Result<&str, ModelError> {
+        self.0
+            .get(field)
+            .map(String::as_str)
+            .ok_or(ModelError::MissingField { field })
+    }
+
+    fn must_be(&self, field: &'static str, allowed: &str) -> Result<(), ModelError> {
+        let found = self.text(field)?;
+        if found == allowed {
+            Ok(())
+        } else {
+            Err(ModelError::field(field, found, allowed))
+        }
+    }
+
+    fn number<T: FromStr>(&self, field: &'static str) -> Result<T, ModelError> {
+        let text = self.text(field)?;
+        text.parse()
+            .map_err(|_| ModelError::field(field, text, "a number"))
+    }
+
+    fn per_feature(&self, field: &'static str, set: FeatureSet) -> Result<Features, ModelError> {
+        let text = self.text(field)?;
+        let allowed = || format!("{} numbers", set.inputs());
+        let numbers: Result<Vec<f32>, _> = text.split(',').map(f32::from_str).collect();
+        let numbers = numbers.map_err(|_| ModelError::field(field, text, allowed()))?;
+        if numbers.len() != set.inputs() {
+            let found = format!("{} numbers", numbers.len());
+            return Err(ModelError::field(field, found, allowed()));
+        }
+        let mut features = [0.0; FEATURES];
+        features[set.first()..].copy_from_slice(&numbers);
+        Ok(features)
+    }
+}
+
+fn check_digest(metadata: &Metadata<'_>, tensors: &SafeTensors<'_>) -> Result<(), ModelError> {
+    let stated = metadata.text("sha256")?;
+    let fields: BTreeMap<&str, &str> = metadata
+        .0
+        .iter()
+        .filter(|(key, _)| *key != "sha256")
+        .map(|(key, value)| (key.as_str(), value.as_str()))
+        .collect();
+    let views: BTreeMap<&str, TensorView<'_>> = tensors.iter().collect();
+    let found = hex(&digest(
+        fields.into_iter(),
+        views
+            .iter()
+            .map(|(name, view)| (*name, view.shape(), view.data())),
+    ));
+    if found == stated {
+        Ok(())
+    } else {
+        Err(ModelError::Checksum {
+            found,
+            stated: stated.to_owned(),
+        })
+    }
+}
+
+/// SHA-256 of metadata (without its own entry) and tensors, each ascending by name: every text and
+/// every list with its length before it, every number as a little-endian u64.
+fn digest<'a>(
+    fields: impl Iterator<Item = (&'a str, &'a str)>,
+    tensors: impl Iterator<Item = (&'a str, &'a [usize], &'a [u8])>,
+) -> Vec<u8> {
+    let mut digest = Sha256::new();
+    let mut add = |bytes: &[u8]| {
+        digest.update((bytes.len() as u64).to_le_bytes());
+        digest.update(bytes);
+    };
+    for (key, value) in fields {
+        add(key.as_bytes());
+        add(value.as_bytes());
+    }
+    for (name, shape, data) in tensors {
+        add(name.as_bytes());
+        let shape: Vec<u8> = shape
+            .iter()
+            .flat_map(|&n| (n as u64).to_le_bytes())
+            .collect();
+        add(&shape);
+        add(data);
+    }
+    digest.finalize().to_vec()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
