@@ -1,0 +1,267 @@
+//! A model file is read as it was written, or refused with a reason.
+
+#[allow(dead_code)] // Each test file uses its part.
+mod random;
+
+use joulebus_predictor::{FeatureSet, ModelError, Network};
+use random::{Noise, card, network, parameters};
+use safetensors::SafeTensors;
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+
+fn written(feature_set: FeatureSet) -> Vec<u8> {
+    network(1, feature_set)
+        .to_safetensors()
+        .expect("valid networks can be written")
+}
+
+fn header_end(bytes: &[u8]) -> usize {
+    8 + u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes")) as usize
+}
+
+#[test]
+fn a_network_survives_its_file_bit_for_bit() {
+    for feature_set in [FeatureSet::Full, FeatureSet::PowerOnly] {
+        let original = network(1, feature_set);
+        let bytes = written(feature_set);
+        let read = Network::from_safetensors(&bytes).expect("own files are read");
+        assert_eq!(read.parameters(), original.parameters());
+        assert_eq!(read.card(), original.card());
+        assert_eq!(read.hash(), original.hash());
+        assert_eq!(read.to_safetensors().expect("valid"), bytes);
+    }
+}
+
+#[test]
+fn the_hash_follows_weights_and_card() {
+    let original = network(1, FeatureSet::Full).hash();
+    let mut other = parameters(&mut Noise(1), FeatureSet::Full);
+    other.layers[2].weights[5] += 1e-6;
+    let other = Network::new(other, card(FeatureSet::Full)).expect("valid");
+    assert_ne!(other.hash(), original);
+    let mut renamed = card(FeatureSet::Full);
+    renamed.name.push('!');
+    let same = parameters(&mut Noise(1), FeatureSet::Full);
+    assert_ne!(Network::new(same, renamed).expect("valid").hash(), original);
+}
+
+#[test]
+fn every_truncation_is_refused() {
+    let bytes = written(FeatureSet::PowerOnly);
+    for length in 0..bytes.len() {
+        assert!(
+            Network::from_safetensors(&bytes[..length]).is_err(),
+            "{length} bytes"
+        );
+    }
+    let mut longer = bytes;
+    longer.push(0);
+    assert!(
+        Network::from_safetensors(&longer).is_err(),
+        "one byte too many"
+    );
+}
+
+#[test]
+fn every_flipped_bit_of_the_header_and_a_flipped_bit_in_every_byte_of_the_weights_is_refused() {
+    let mut bytes = written(FeatureSet::PowerOnly);
+    let header_end = header_end(&bytes);
+    for position in 0..bytes.len() {
+        let every_bit = (0..8).map(|bit| 1u8 << bit).chain([0xff]);
+        let masks: Vec<u8> = if position < header_end {
+            every_bit.collect()
+        } else {
+            vec![1 << (position % 8)]
+        };
+        for mask in masks {
+            bytes[position] ^= mask;
+            let refused = Network::from_safetensors(&bytes).is_err();
+            assert!(
+                refused,
+                "byte {position} of {} with mask {mask:#x}",
+                bytes.len()
+            );
+            bytes[position] ^= mask;
+        }
+    }
+}
+
+/// A file with the given contents and a digest that fits them, as a careful forger would write it.
+fn forged(
+    metadata: &BTreeMap<String, String>,
+    tensors: &[(String, Vec<usize>, Vec<u8>)],
+) -> Vec<u8> {
+    let mut digest = Sha256::new();
+    let mut add = |bytes: &[u8]| {
+        digest.update((bytes.len() as u64).to_le_bytes());
+        digest.update(bytes);
+    };
+    for (key, value) in metadata {
+        add(key.as_bytes());
+        add(value.as_bytes());
+    }
+    let mut header = serde_json::Map::new();
+    let mut data = Vec::new();
+    for (name, shape, values) in tensors {
+        add(name.as_bytes());
+        add(&shape
+            .iter()
+            .flat_map(|&n| (n as u64).to_le_bytes())
+            .collect::<Vec<u8>>());
+        add(values);
+        let offsets = [data.len(), data.len() + values.len()];
+        data.extend_from_slice(values);
+        let entry = serde_json::json!({"dtype": "F32", "shape": shape, "data_offsets": offsets});
+        header.insert(name.clone(), entry);
+    }
+    let mut metadata = metadata.clone();
+    let sha256 = digest
+        .finalize()
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
+    metadata.insert("sha256".to_owned(), sha256);
+    header.insert("__metadata__".to_owned(), serde_json::json!(metadata));
+    let header = serde_json::Value::Object(header).to_string().into_bytes();
+    let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
+    bytes.extend(header);
+    bytes.extend(data);
+    bytes
+}
+
+type Contents = (BTreeMap<String, String>, Vec<(String, Vec<usize>, Vec<u8>)>);
+
+fn contents() -> Contents {
+    let bytes = written(FeatureSet::Full);
+    let (_, header) = SafeTensors::read_metadata(&bytes).expect("own files are safetensors");
+    let metadata = header
+        .metadata()
+        .clone()
+        .expect("own files have metadata")
+        .into_iter();
+    let file = SafeTensors::deserialize(&bytes).expect("own files are safetensors");
+    let mut tensors: Vec<_> = file
+        .iter()
+        .map(|(name, view)| (name.to_owned(), view.shape().to_vec(), view.data().to_vec()))
+        .collect();
+    tensors.sort();
+    (
+        metadata.filter(|(key, _)| key != "sha256").collect(),
+        tensors,
+    )
+}
+
+#[test]
+fn a_forged_file_with_sound_contents_is_accepted_so_that_the_refusals_below_mean_something() {
+    let (metadata, tensors) = contents();
+    let read = Network::from_safetensors(&forged(&metadata, &tensors)).expect("sound");
+    assert_eq!(read.hash(), network(1, FeatureSet::Full).hash());
+}
+
+#[test]
+fn wrong_metadata_is_refused_by_name() {
+    for (field, value) in [
+        ("format", "other"),
+        ("format_version", "2"),
+        ("kind", "forest"),
+        ("activation", "gelu_tanh"),
+        ("convention", "oldest first"),
+        ("feature_set", "half"),
+        ("features", "v_mps"),
+        ("feature_mean", "1,2,3"),
+        ("feature_mean", "1,2,3,4,5,6,7,8,9,10,NaN"),
+        ("feature_std", "1,1,1,1,1,1,1,1,1,1,-1"),
+        ("feature_std", "1,1,1,1,1,1,1,1,1,1,inf"),
+        ("feature_std", "1,1,1,1,1,1,1,1,1,1,1e-45"),
+        ("feature_min", "9,9,9,9,9,9,9,9,9,9,9"),
+        ("power_mean_w", "inf"),
+        ("power_std_w", "0"),
+        ("power_std_w", "wide"),
+        ("residual_std_w", "-1"),
+        ("residual_q05_w", "7"),
+        ("score_network_r2", "NaN"),
+        ("score_rows", "-1"),
+        ("seed", "seven"),
+    ] {
+        let (mut metadata, tensors) = contents();
+        metadata.insert(field.to_owned(), value.to_owned());
+        let Err(error) = Network::from_safetensors(&forged(&metadata, &tensors)) else {
+            panic!("`{field}` = {value} was accepted");
+        };
+        assert!(
+            matches!(error, ModelError::Field { .. }),
+            "{field}: {error}"
+        );
+    }
+    let (metadata, tensors) = contents();
+    for field in metadata.keys() {
+        let mut metadata = metadata.clone();
+        metadata.remove(field);
+        let error = Network::from_safetensors(&forged(&metadata, &tensors)).err();
+        let named =
+            matches!(error, Some(ModelError::MissingField { field: named }) if named == field);
+        assert!(named, "{field}: {error:?}");
+    }
+}
+
+#[test]
+fn wrong_tensors_are_refused_by_name() {
+    let with_value = |value: f32| {
+        let (metadata, mut tensors) = contents();
+        tensors[3].2[8..12].copy_from_slice(&value.to_le_bytes());
+        Network::from_safetensors(&forged(&metadata, &tensors)).err()
+    };
+    for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        let error = with_value(value);
+        let named = matches!(&error, Some(ModelError::NotFinite { tensor, index: 2, .. })
+            if tensor == "layers.1.weight");
+        assert!(named, "{value}: {error:?}");
+    }
+
+    let (metadata, mut tensors) = contents();
+    tensors[3].1 = vec![4096];
+    let error = Network::from_safetensors(&forged(&metadata, &tensors)).err();
+    assert!(matches!(error, Some(ModelError::Shape { .. })), "{error:?}");
+
+    let (metadata, mut tensors) = contents();
+    tensors.pop();
+    let error = Network::from_safetensors(&forged(&metadata, &tensors)).err();
+    assert!(
+        matches!(error, Some(ModelError::MissingTensor { .. })),
+        "{error:?}"
+    );
+
+    let (metadata, mut tensors) = contents();
+    tensors.push(("stranger".to_owned(), vec![1], vec![0; 4]));
+    let error = Network::from_safetensors(&forged(&metadata, &tensors)).err();
+    assert!(
+        matches!(error, Some(ModelError::UnexpectedTensor { .. })),
+        "{error:?}"
+    );
+}
+
+#[test]
+fn a_file_of_another_size_class_is_refused_before_it_is_parsed() {
+    let error = Network::from_safetensors(&vec![0; 2 << 20]).err();
+    assert!(
+        matches!(
+            error,
+            Some(ModelError::TooLarge {
+                found: 2_097_152,
+                ..
+            })
+        ),
+        "{error:?}"
+    );
+}
+
+#[test]
+fn parameters_of_the_wrong_size_are_refused() {
+    let mut wrong = parameters(&mut Noise(1), FeatureSet::Full);
+    wrong.layers[0].bias.pop();
+    let error = Network::new(wrong, card(FeatureSet::Full)).err();
+    assert!(matches!(error, Some(ModelError::Shape { .. })), "{error:?}");
+    let right = parameters(&mut Noise(1), FeatureSet::Full);
+    let error = Network::new(right, card(FeatureSet::PowerOnly)).err();
+    assert!(matches!(error, Some(ModelError::Field { .. })), "{error:?}");
+}

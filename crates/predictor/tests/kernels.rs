@@ -1,0 +1,249 @@
+//! The promise of one arithmetic: every kernel, batch size and position gives the reference's bits.
+
+#[allow(dead_code)] // Each test file uses its part.
+mod random;
+
+use joulebus_predictor::{
+    FEATURES, FeatureSet, Features, Kernel, Model, Network, Persistence, ResidualStats, features,
+};
+use proptest::prelude::*;
+use random::{Noise, network, row};
+
+const SETS: [FeatureSet; 2] = [FeatureSet::Full, FeatureSet::PowerOnly];
+
+fn kernels(network: &Network) -> Vec<Network> {
+    Kernel::ALL
+        .into_iter()
+        .filter_map(|kernel| network.clone().with_kernel(kernel))
+        .collect()
+}
+
+fn reference(network: &Network, rows: &[Features]) -> Vec<u32> {
+    rows.iter()
+        .map(|row| network.predict_reference_f32(row).to_bits())
+        .collect()
+}
+
+fn batched(network: &Network, rows: &[Features]) -> Vec<u32> {
+    let mut out_w = vec![-1.0; rows.len()];
+    network.predict(rows, &mut out_w);
+    out_w.into_iter().map(f32::to_bits).collect()
+}
+
+#[test]
+fn every_batch_size_gives_the_reference_bits_on_every_kernel() {
+    for set in SETS {
+        let network = network(1, set);
+        let mut noise = Noise(2);
+        for count in (0..=70).chain([127, 128, 129, 1_000]) {
+            let rows: Vec<Features> = (0..count).map(|_| row(&mut noise)).collect();
+            let expected = reference(&network, &rows);
+            for network in kernels(&network) {
+                assert_eq!(
+                    batched(&network, &rows),
+                    expected,
+                    "{:?} {count}",
+                    network.kernel()
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_shorter_slice_decides_and_the_rest_is_left_alone() {
+    let rows: Vec<Features> = (0..40).map(|_| row(&mut Noise(3))).collect();
+    for network in kernels(&network(1, FeatureSet::Full)) {
+        let mut longer = [-1.0; 45];
+        network.predict(&rows, &mut longer);
+        assert!(longer[..40].iter().all(|w| *w != -1.0) && longer[40..] == [-1.0; 5]);
+        let mut shorter = [-1.0; 33];
+        network.predict(&rows, &mut shorter);
+        assert_eq!(shorter, longer[..33]);
+    }
+}
+
+/// Values that arithmetic finds hard, and any other bit pattern.
+fn value() -> impl Strategy<Value = f32> {
+    prop_oneof![
+        4 => -10.0f32..10.0,
+        1 => any::<u32>().prop_map(f32::from_bits),
+        1 => prop::sample::select(vec![
+            f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN,
+            f32::MIN_POSITIVE, 1e-45, -1e-45, 0.0, -0.0, 1e38, -1e38, 5.5, -5.5, 65_504.0,
+        ]),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn any_rows_give_the_reference_bits_on_every_kernel(
+        seed in 0u64..50,
+        rows in prop::collection::vec(prop::array::uniform11(value()), 0..70),
+    ) {
+        for set in SETS {
+            let network = network(seed, set);
+            let expected = reference(&network, &rows);
+            for network in kernels(&network) {
+                prop_assert_eq!(&batched(&network, &rows), &expected, "{:?}", network.kernel());
+            }
+        }
+    }
+
+    #[test]
+    fn a_poisoned_row_is_visible_and_changes_no_other_row(
+        count in 1usize..70,
+        position in any::<prop::sample::Index>(),
+        feature in 0usize..FEATURES,
+        poison in prop::sample::select(vec![f32::NAN, f32::INFINITY, f32::NEG_INFINITY]),
+    ) {
+        let mut noise = Noise(4);
+        let clean: Vec<Features> = (0..count).map(|_| row(&mut noise)).collect();
+        let position = position.index(count);
+        let mut poisoned = clean.clone();
+        poisoned[position][feature] = poison;
+        for set in SETS {
+            for network in kernels(&network(5, set)) {
+                let expected = batched(&network, &clean);
+                let found = batched(&network, &poisoned);
+                for (index, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                    if index == position && feature >= set.first() {
+                        prop_assert!(!f32::from_bits(*found).is_finite());
+                    } else {
+                        prop_assert_eq!(found, expected);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn kernels_stay_within_3e_6_of_the_output_scale_of_double_precision() {
+    let mut worst = 0.0f64;
+    for seed in 0..20 {
+        for set in SETS {
+            let network = network(seed, set);
+            let mut noise = Noise(seed + 100);
+            let rows: Vec<Features> = (0..500).map(|_| row(&mut noise)).collect();
+            let mut out_w = vec![0.0; rows.len()];
+            network.predict(&rows, &mut out_w);
+            let scale_w = f64::from(network.parameters().normalisation.power_std_w);
+            for (row, forecast_w) in rows.iter().zip(out_w) {
+                let error_w = f64::from(forecast_w) - network.predict_reference_f64(row);
+                worst = worst.max(error_w.abs() / scale_w);
+            }
+        }
+    }
+    println!("largest error: {worst:.2e} of the output scale");
+    assert!(worst <= 3e-6, "{worst:e}");
+}
+
+#[test]
+fn a_constant_feature_is_ignored() {
+    let mut parameters = random::parameters(&mut Noise(6), FeatureSet::Full);
+    parameters.normalisation.feature_std[3] = 0.0;
+    let network = Network::new(parameters, random::card(FeatureSet::Full)).expect("valid");
+    let mut rows = [row(&mut Noise(7)); 2];
+    rows[1][3] += 100.0;
+    let found = batched(&network, &rows);
+    assert_eq!(found[0], found[1]);
+}
+
+#[test]
+fn only_the_full_network_needs_velocities() {
+    let mut without = row(&mut Noise(8));
+    without[..6].fill(f32::NAN);
+    let residual = ResidualStats {
+        std_w: 0.1,
+        q05_w: -0.2,
+        q95_w: 0.2,
+    };
+    let persistence = Persistence::new(residual).expect("valid");
+    for (model, needs) in [
+        (Model::Network(network(9, FeatureSet::Full)), true),
+        (Model::Network(network(9, FeatureSet::PowerOnly)), false),
+        (Model::Persistence(persistence), false),
+    ] {
+        let mut out_w = [0.0];
+        model.predict(&[without], &mut out_w);
+        assert_eq!(model.needs_command(), needs);
+        assert_eq!(out_w[0].is_nan(), needs, "{}", model.name());
+    }
+}
+
+#[test]
+fn persistence_repeats_the_newest_reading_and_refuses_bad_residuals() {
+    let fine = ResidualStats {
+        std_w: 0.1,
+        q05_w: -0.2,
+        q95_w: 0.2,
+    };
+    let model = Model::Persistence(Persistence::new(fine).expect("valid"));
+    let row = features(0.1, 0.2, None, &[5.0, 4.0, 3.0, 2.0, 1.0]);
+    let mut out_w = [0.0];
+    model.predict(&[row], &mut out_w);
+    assert_eq!(out_w, [5.0]);
+    assert_eq!(model.residual(), fine);
+    assert!(model.training_range().is_none());
+    for bad in [
+        ResidualStats {
+            std_w: f32::NAN,
+            ..fine
+        },
+        ResidualStats {
+            std_w: -0.1,
+            ..fine
+        },
+        ResidualStats { q05_w: 0.3, ..fine },
+        ResidualStats {
+            q95_w: f32::INFINITY,
+            ..fine
+        },
+    ] {
+        assert!(Persistence::new(bad).is_err(), "{bad:?}");
+    }
+}
+
+#[test]
+fn features_are_differences_over_the_true_time_step() {
+    let lag_w = [5.0, 4.0, 3.0, 2.0, 1.0];
+    let first = features(-0.1, 2.0, None, &lag_w);
+    assert_eq!(
+        first,
+        [-0.1, 2.0, 0.0, 0.0, 0.1, 2.0, 5.0, 4.0, 3.0, 2.0, 1.0]
+    );
+    let next = features(0.15, -1.0, Some((-0.1, 2.0, 0.5)), &lag_w);
+    assert_eq!(
+        next,
+        [0.15, -1.0, 0.5, -6.0, 0.15, 1.0, 5.0, 4.0, 3.0, 2.0, 1.0]
+    );
+    for dt_s in [0.0, -0.1, f32::NAN] {
+        let row = features(0.15, -1.0, Some((-0.1, 2.0, dt_s)), &lag_w);
+        assert!(row[2].is_nan() && row[3].is_nan(), "{dt_s}");
+    }
+}
+
+#[test]
+fn the_training_range_names_the_first_feature_outside() {
+    let network = network(9, FeatureSet::PowerOnly);
+    let range = network.card().training_range;
+    let mut row = [0.0; FEATURES];
+    row[0] = f32::NAN;
+    assert_eq!(
+        range.outside(&row, 0.0),
+        None,
+        "a power-only network has no range of velocities"
+    );
+    for (value, outside) in [
+        (2.5, None),
+        (2.6, Some(8)),
+        (f32::NAN, Some(8)),
+        (-1.6, Some(8)),
+    ] {
+        row[8] = value;
+        assert_eq!(range.outside(&row, 0.0), outside, "{value}");
+    }
+    row[8] = 2.6;
+    assert_eq!(range.outside(&row, 0.1), None);
+}

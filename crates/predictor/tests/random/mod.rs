@@ -1,0 +1,97 @@
+//! Networks and rows drawn from a seed.
+
+use joulebus_predictor::{
+    Card, FEATURES, FeatureSet, Features, HIDDEN, Layer, Network, Normalisation, Parameters,
+    ResidualStats, Scores, TrainingRange,
+};
+
+pub(crate) struct Noise(pub(crate) u64);
+
+impl Noise {
+    pub(crate) fn next_u64(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        mixed ^ (mixed >> 31)
+    }
+
+    /// Uniform on [-1, 1).
+    pub(crate) fn next_f32(&mut self) -> f32 {
+        (self.next_u64() >> 40) as f32 / (1u64 << 23) as f32 - 1.0
+    }
+}
+
+pub(crate) fn parameters(noise: &mut Noise, feature_set: FeatureSet) -> Parameters {
+    let [first, second, third] = HIDDEN;
+    let mut layer = |inputs: usize, outputs: usize| {
+        let scale = (3.0 / inputs as f32).sqrt();
+        Layer {
+            weights: (0..inputs * outputs)
+                .map(|_| noise.next_f32() * scale)
+                .collect(),
+            bias: (0..outputs).map(|_| noise.next_f32() * 0.3).collect(),
+        }
+    };
+    let layers = [
+        layer(feature_set.inputs(), first),
+        layer(first, second),
+        layer(second, third),
+        layer(third, 1),
+    ];
+    let mut feature_mean = [0.0; FEATURES];
+    let mut feature_std = [0.0; FEATURES];
+    for i in feature_set.first()..FEATURES {
+        feature_mean[i] = noise.next_f32();
+        feature_std[i] = 0.5 + noise.next_f32().abs();
+    }
+    Parameters {
+        feature_set,
+        normalisation: Normalisation {
+            feature_mean,
+            feature_std,
+            power_mean_w: 3.65,
+            power_std_w: 0.375,
+        },
+        layers,
+    }
+}
+
+pub(crate) fn card(feature_set: FeatureSet) -> Card {
+    let mut min = [0.0; FEATURES];
+    let mut max = [0.0; FEATURES];
+    min[feature_set.first()..].fill(-1.5);
+    max[feature_set.first()..].fill(2.5);
+    Card {
+        name: "random".to_owned(),
+        source: "random weights".to_owned(),
+        training_data: "none, \"quoted\" and ünïcode".to_owned(),
+        training_data_sha256: "00".repeat(32),
+        seed: u64::MAX,
+        training_range: TrainingRange {
+            feature_set,
+            min,
+            max,
+        },
+        residual: ResidualStats {
+            std_w: 0.1,
+            q05_w: -0.15,
+            q95_w: 0.17,
+        },
+        scores: Scores {
+            rows: 1_000,
+            network_r2: 0.9,
+            network_mae_w: 0.05,
+            persistence_r2: 0.89,
+            persistence_mae_w: 0.06,
+        },
+    }
+}
+
+pub(crate) fn network(seed: u64, feature_set: FeatureSet) -> Network {
+    let parameters = parameters(&mut Noise(seed), feature_set);
+    Network::new(parameters, card(feature_set)).expect("random weights are a valid network")
+}
+
+pub(crate) fn row(noise: &mut Noise) -> Features {
+    std::array::from_fn(|_| 3.0 * noise.next_f32())
+}
