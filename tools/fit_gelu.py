@@ -25,6 +25,11 @@ def f32(x):
     return struct.unpack("<f", struct.pack("<f", x))[0]
 
 
+def literal(x):
+    """The shortest decimal that is this f32."""
+    return next(text for digits in range(10) if f32(float(text := f"{x:.{digits}e}")) == x)
+
+
 def chebyshev(function, degree):
     """Coefficients of the interpolant of function on [-1, 1] in Chebyshev polynomials."""
     n = degree + 1
@@ -54,7 +59,7 @@ def monomials(series):
 
 def main():
     limit = f32(float(sys.argv[1])) if len(sys.argv) > 1 else 5.5
-    degree = int(sys.argv[2]) if len(sys.argv) > 2 else 16
+    degree = int(sys.argv[2]) if len(sys.argv) > 2 else 17
     scale = f32(2.0 / limit)
     raw = monomials(chebyshev(lambda t: target((t + 1.0) / scale), degree))
     coefficients = [f32(c) for c in raw]
@@ -69,11 +74,11 @@ def main():
         worst = max(worst, abs(value - target(a)))
     print(f"// limit {limit}, degree {degree}: error {worst:.2e} inside, "
           f"{target(limit):.2e} past the limit, sum |c| {sum(map(abs, coefficients)):.2f}")
-    print(f"const GELU_LIMIT: f32 = {limit!r};")
-    print(f"const GELU_SCALE: f32 = {scale!r};")
+    print(f"const GELU_LIMIT: f32 = {literal(limit)};")
+    print(f"const GELU_SCALE: f32 = {literal(scale)};")
     print(f"const GELU_COEFFICIENTS: [f32; {degree + 1}] = [")
     for c in coefficients:
-        print(f"    {c:.9e},")
+        print(f"    {literal(c)},")
     print("];")
 
 

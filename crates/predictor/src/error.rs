@@ -83,7 +83,7 @@ pub enum ModelError {
 impl ModelError {
     pub(crate) fn field(
         field: impl Into<String>,
-        found: impl ToString,
+        found: &(impl ToString + ?Sized),
         allowed: impl Into<String>,
     ) -> ModelError {
         ModelError::Field {

@@ -101,7 +101,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, Card), ModelError> {
     metadata.must_be("convention", CONVENTION)?;
     let set_name = metadata.text("feature_set")?;
     let feature_set = FeatureSet::from_name(set_name)
-        .ok_or_else(|| ModelError::field("feature_set", set_name, "full, power_only"))?;
+        .ok_or_else(|| ModelError::field("feature_set", &set_name, "full, power_only"))?;
     metadata.must_be("features", &FEATURE_NAMES[feature_set.first()..].join(","))?;
 
     let parameters = Parameters {
@@ -281,24 +281,24 @@ impl Metadata<'_> {
         if found == allowed {
             Ok(())
         } else {
-            Err(ModelError::field(field, found, allowed))
+            Err(ModelError::field(field, &found, allowed))
         }
     }
 
     fn number<T: FromStr>(&self, field: &'static str) -> Result<T, ModelError> {
         let text = self.text(field)?;
         text.parse()
-            .map_err(|_| ModelError::field(field, text, "a number"))
+            .map_err(|_| ModelError::field(field, &text, "a number"))
     }
 
     fn per_feature(&self, field: &'static str, set: FeatureSet) -> Result<Features, ModelError> {
         let text = self.text(field)?;
         let allowed = || format!("{} numbers", set.inputs());
         let numbers: Result<Vec<f32>, _> = text.split(',').map(f32::from_str).collect();
-        let numbers = numbers.map_err(|_| ModelError::field(field, text, allowed()))?;
+        let numbers = numbers.map_err(|_| ModelError::field(field, &text, allowed()))?;
         if numbers.len() != set.inputs() {
             let found = format!("{} numbers", numbers.len());
-            return Err(ModelError::field(field, found, allowed()));
+            return Err(ModelError::field(field, &found, allowed()));
         }
         let mut features = [0.0; FEATURES];
         features[set.first()..].copy_from_slice(&numbers);

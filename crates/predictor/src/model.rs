@@ -21,7 +21,7 @@ impl ResidualStats {
         if !std_fine {
             return Err(ModelError::field(
                 "residual_std_w",
-                self.std_w,
+                &self.std_w,
                 "finite and >= 0",
             ));
         }
@@ -30,7 +30,7 @@ impl ResidualStats {
             let found = format!("{} to {}", self.q05_w, self.q95_w);
             return Err(ModelError::field(
                 "residual_q05_w to residual_q95_w",
-                found,
+                &found,
                 "ascending",
             ));
         }

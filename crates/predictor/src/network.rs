@@ -258,14 +258,14 @@ fn check_parameters(parameters: &Parameters) -> Result<(), ModelError> {
     for i in parameters.feature_set.first()..FEATURES {
         if !feature_mean[i].is_finite() {
             let field = format!("feature_mean of {}", FEATURE_NAMES[i]);
-            return Err(ModelError::field(field, feature_mean[i], "finite numbers"));
+            return Err(ModelError::field(field, &feature_mean[i], "finite numbers"));
         }
         let std_fine = feature_std[i] >= 0.0 && inverse_std(feature_std[i]).is_finite();
         if !(std_fine && feature_std[i].is_finite()) {
             let field = format!("feature_std of {}", FEATURE_NAMES[i]);
             return Err(ModelError::field(
                 field,
-                feature_std[i],
+                &feature_std[i],
                 "0, or 1e-38 to 3e38",
             ));
         }
@@ -273,7 +273,7 @@ fn check_parameters(parameters: &Parameters) -> Result<(), ModelError> {
     if !power_mean_w.is_finite() {
         return Err(ModelError::field(
             "power_mean_w",
-            power_mean_w,
+            &power_mean_w,
             "finite numbers",
         ));
     }
@@ -281,7 +281,7 @@ fn check_parameters(parameters: &Parameters) -> Result<(), ModelError> {
     if !power_std_fine {
         return Err(ModelError::field(
             "power_std_w",
-            power_std_w,
+            &power_std_w,
             "finite and > 0",
         ));
     }
@@ -327,7 +327,7 @@ fn check_card(card: &Card, feature_set: FeatureSet) -> Result<(), ModelError> {
             let field = format!("training range of {}", FEATURE_NAMES[i]);
             return Err(ModelError::field(
                 field,
-                format!("{} to {}", min[i], max[i]),
+                &format!("{} to {}", min[i], max[i]),
                 "ascending",
             ));
         }
@@ -346,7 +346,7 @@ fn check_card(card: &Card, feature_set: FeatureSet) -> Result<(), ModelError> {
         ("score_persistence_mae_w", persistence_mae_w),
     ] {
         if !value.is_finite() {
-            return Err(ModelError::field(field, value, "finite numbers"));
+            return Err(ModelError::field(field, &value, "finite numbers"));
         }
     }
     Ok(())
