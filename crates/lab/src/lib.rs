@@ -1,1 +1,4 @@
-//! joulebus-lab
+//! The laboratory: recorded trials, the simulated plant, training, evaluation.
+#![forbid(unsafe_code)]
+
+pub mod trial;

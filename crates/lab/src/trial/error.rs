@@ -1,0 +1,210 @@
+//! Why a file is not a trial.
+
+use std::io;
+use std::path::PathBuf;
+
+use super::{MAX_ROWS, MAX_TEXT_BYTES};
+
+/// Why a trial could not be read. Rows count from 1, the header of a CSV not included.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrialError {
+    /// The operating system could not open or read the file.
+    #[error("{path}: {source}", path = path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// The file has no bytes.
+    #[error("{path}: empty; expected a .npy array or a CSV with a header", path = path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file is something else.
+    #[error(
+        "{path}: found {found}; expected a .npy array of shape (n, 11), or a CSV, plain or .gz",
+        path = path.display()
+    )]
+    Kind {
+        /// The file.
+        path: PathBuf,
+        /// What it seems to be.
+        found: &'static str,
+    },
+    /// The file ends before its content does.
+    #[error(
+        "{path}: truncated: {missing} after {rows} whole rows; copy the file again",
+        path = path.display()
+    )]
+    Truncated {
+        /// The file.
+        path: PathBuf,
+        /// What should have followed.
+        missing: String,
+        /// Whole rows before the end.
+        rows: usize,
+    },
+    /// The compressed data contradict themselves.
+    #[error("{path}: damaged gzip data after {rows} whole rows: {detail}", path = path.display())]
+    Gzip {
+        /// The file.
+        path: PathBuf,
+        /// Whole rows before the damage.
+        rows: usize,
+        /// What the decoder said.
+        detail: String,
+    },
+    /// Too many rows.
+    #[error("{path}: more than {MAX_ROWS} rows; split the recording", path = path.display())]
+    TooManyRows {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Too much text, which a small compressed file can hold as well.
+    #[error(
+        "{path}: more than {MAX_TEXT_BYTES} bytes of text; split the recording",
+        path = path.display()
+    )]
+    TooLong {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The header of the array is not that of a plain array.
+    #[error("{path}: array header: {detail}", path = path.display())]
+    NpyHeader {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it, and what is allowed.
+        detail: String,
+    },
+    /// The array holds Python objects, that is a pickle: reading it would mean running it.
+    #[error(
+        "{path}: found an array of Python objects (a pickle), which is never read; save the table \
+         as a plain float64 array",
+        path = path.display()
+    )]
+    ObjectArray {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The elements of the array are not floats.
+    #[error("{path}: found elements of type {found}; allowed: f4 or f8", path = path.display())]
+    ElementType {
+        /// The file.
+        path: PathBuf,
+        /// The type in NumPy's notation.
+        found: String,
+    },
+    /// The array does not have eleven columns.
+    #[error("{path}: found shape ({found}); allowed: (n, 11) with n ≥ 2", path = path.display())]
+    Shape {
+        /// The file.
+        path: PathBuf,
+        /// The shape.
+        found: String,
+    },
+    /// The file is longer than its header says.
+    #[error(
+        "{path}: {found_bytes} bytes, but the header's {rows} rows end at {expected_bytes}; \
+         another file may have been appended",
+        path = path.display()
+    )]
+    TrailingBytes {
+        /// The file.
+        path: PathBuf,
+        /// Rows that the header states.
+        rows: usize,
+        /// Bytes in the file.
+        found_bytes: u64,
+        /// Bytes that header and rows need.
+        expected_bytes: u64,
+    },
+    /// A column that every trial needs is not there.
+    #[error(
+        "{path}: no column {expected}; found {found}",
+        path = path.display()
+    )]
+    MissingColumn {
+        /// The file.
+        path: PathBuf,
+        /// The names under which the column is looked for.
+        expected: String,
+        /// The columns of the header.
+        found: String,
+    },
+    /// Two columns mean the same.
+    #[error(
+        "{path}: columns {first} and {second} both mean {first}; keep one",
+        path = path.display()
+    )]
+    DuplicateColumn {
+        /// The file.
+        path: PathBuf,
+        /// Name of the first.
+        first: String,
+        /// Name of the second.
+        second: String,
+    },
+    /// A row has more or fewer fields than the header.
+    #[error(
+        "{path}: row {row}: found {found} fields, the header has {expected}",
+        path = path.display()
+    )]
+    FieldCount {
+        /// The file.
+        path: PathBuf,
+        /// Row, from 1.
+        row: usize,
+        /// Fields in the row.
+        found: usize,
+        /// Fields in the header.
+        expected: usize,
+    },
+    /// A value cannot be used.
+    #[error(
+        "{path}: row {row}, column {column}: found {found:?}; allowed: {allowed}",
+        path = path.display()
+    )]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Row, from 1.
+        row: usize,
+        /// Name of the column.
+        column: &'static str,
+        /// What stands there.
+        found: String,
+        /// What may stand there.
+        allowed: &'static str,
+    },
+    /// More than one robot in the file.
+    #[error(
+        "{path}: row {row}: robot {found:?} after robot {first:?}; a trial holds one robot, split \
+         the file",
+        path = path.display()
+    )]
+    SecondRobot {
+        /// The file.
+        path: PathBuf,
+        /// Row, from 1.
+        row: usize,
+        /// The first robot.
+        first: String,
+        /// The other robot.
+        found: String,
+    },
+    /// No row is later than the one before it.
+    #[error(
+        "{path}: {rows} rows, and no timestamp advances; a trial needs two rows at rising times",
+        path = path.display()
+    )]
+    NoPeriod {
+        /// The file.
+        path: PathBuf,
+        /// Rows in the file.
+        rows: usize,
+    },
+}

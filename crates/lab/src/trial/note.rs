@@ -1,0 +1,149 @@
+//! What is questionable about a trial although it can be read.
+
+use std::fmt;
+
+use super::sample::is_held;
+use super::{Column, Trial};
+
+/// What a reader of the trial should know. Nothing here is dropped from the trial; rows count from
+/// 1, the header of a CSV not included.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TrialNotes {
+    /// Rows in the file.
+    pub rows: usize,
+    /// Median rate, Hz.
+    pub rate_hz: f64,
+    /// Rows whose time is not later than that of every row before: the intake refuses their
+    /// samples.
+    pub not_advancing: Vec<usize>,
+    /// Rows that follow the latest time so far by more than 1.5 median periods.
+    pub gaps: Vec<Gap>,
+    /// Readings that repeat the one before.
+    pub held_readings: usize,
+    /// Rows without a power reading.
+    pub missing_readings: usize,
+    /// Columns that are not in the file, or hold nothing but NaN.
+    pub missing_columns: Vec<Column>,
+    /// Columns of the file that have no meaning here.
+    pub ignored_columns: Vec<String>,
+    /// The last line of a CSV has no line break: it may have been cut off.
+    pub no_final_line_break: bool,
+}
+
+/// A time without rows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Gap {
+    /// The row after it, from 1.
+    pub row: usize,
+    /// Time since the latest row before, ns.
+    pub length_ns: u64,
+}
+
+impl TrialNotes {
+    /// Whether there is nothing to say: every row advances, no gap, every reading there, every
+    /// column known, the file whole. Held readings and missing columns are no fault.
+    #[must_use]
+    pub fn is_clean(&self) -> bool {
+        self.not_advancing.is_empty()
+            && self.gaps.is_empty()
+            && self.missing_readings == 0
+            && self.ignored_columns.is_empty()
+            && !self.no_final_line_break
+    }
+}
+
+impl fmt::Display for TrialNotes {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{} rows at {:.2} Hz", self.rows, self.rate_hz)?;
+        write!(out, ", {} readings held", self.held_readings)?;
+        if self.missing_readings > 0 {
+            write!(out, ", {} readings missing", self.missing_readings)?;
+        }
+        if let Some(longest) = self.gaps.iter().max_by_key(|gap| gap.length_ns) {
+            let (count, row) = (self.gaps.len(), longest.row);
+            let seconds = longest.length_ns as f64 / 1e9;
+            write!(
+                out,
+                ", {count} gaps, the longest {seconds:.3} s before row {row}"
+            )?;
+        }
+        if let Some(first) = self.not_advancing.first() {
+            let count = self.not_advancing.len();
+            write!(
+                out,
+                ", {count} rows whose time does not advance, the first {first}"
+            )?;
+        }
+        if !self.missing_columns.is_empty() {
+            let names = self.missing_columns.iter().map(|column| column.name());
+            write!(out, ", without {}", names.collect::<Vec<_>>().join(" "))?;
+        }
+        if !self.ignored_columns.is_empty() {
+            write!(out, ", ignored {}", self.ignored_columns.join(" "))?;
+        }
+        if self.no_final_line_break {
+            write!(
+                out,
+                ", the last line has no line break: it may have been cut off"
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// Time of each row after the first one, rounded to whole ns. Times are bounded by the reader.
+pub(super) fn offsets_ns(timestamp_s: &[f64]) -> Vec<i64> {
+    let first_s = timestamp_s.first().copied().unwrap_or_default();
+    timestamp_s
+        .iter()
+        .map(|time_s| ((time_s - first_s) * 1e9).round() as i64)
+        .collect()
+}
+
+/// From the latest row so far to each row after the first, ns.
+fn steps_ns(offset_ns: &[i64]) -> impl Iterator<Item = i64> + '_ {
+    let mut latest_ns = offset_ns.first().copied().unwrap_or_default();
+    offset_ns.iter().skip(1).map(move |now_ns| {
+        let step_ns = now_ns - latest_ns;
+        latest_ns = latest_ns.max(*now_ns);
+        step_ns
+    })
+}
+
+/// Median of the steps that advance (of two in the middle, the shorter), if there is one.
+pub(super) fn median_step_ns(offset_ns: &[i64]) -> Option<u64> {
+    let mut steps = steps_ns(offset_ns)
+        .filter_map(|step_ns| u64::try_from(step_ns).ok())
+        .filter(|step_ns| *step_ns > 0)
+        .collect::<Vec<_>>();
+    let middle = steps.len().checked_sub(1)? / 2;
+    Some(*steps.select_nth_unstable(middle).1)
+}
+
+/// The notes that follow from the table itself.
+pub(super) fn take(trial: &Trial) -> TrialNotes {
+    let mut notes = TrialNotes {
+        rows: trial.rows(),
+        rate_hz: 1e9 / trial.period_ns as f64,
+        ..TrialNotes::default()
+    };
+    for (before, step_ns) in steps_ns(&trial.offset_ns).enumerate() {
+        let row = before + 2;
+        match u64::try_from(step_ns) {
+            Err(_) | Ok(0) => notes.not_advancing.push(row),
+            Ok(length_ns) if length_ns > trial.period_ns + trial.period_ns / 2 => {
+                notes.gaps.push(Gap { row, length_ns });
+            }
+            Ok(_) => {}
+        }
+    }
+    for row in 0..trial.rows() {
+        notes.held_readings += usize::from(is_held(trial, row));
+        notes.missing_readings += usize::from(trial.value(Column::Power, row).is_none());
+    }
+    notes.missing_columns = Column::ALL
+        .into_iter()
+        .filter(|column| trial.column(*column).is_none())
+        .collect();
+    notes
+}

@@ -1,0 +1,204 @@
+//! The same table as CSV with a header, plain or compressed.
+
+use std::io::{self, ErrorKind, Read};
+use std::path::Path;
+
+use csv::ByteRecord;
+use flate2::bufread::MultiGzDecoder;
+
+use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
+use super::{MAX_TEXT_BYTES, NPY_MAGIC, TrialError};
+
+/// Reads the table; `zipped` says that the bytes are gzip.
+pub(super) fn read(path: &Path, source: Box<dyn Read>, zipped: bool) -> Result<Table, TrialError> {
+    let source = if zipped {
+        Box::new(MultiGzDecoder::new(io::BufReader::new(source)))
+    } else {
+        source
+    };
+    let mut reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .flexible(true)
+        .from_reader(Meter {
+            source,
+            bytes: 0,
+            last: b'\n',
+            too_long: false,
+        });
+    let header = match reader.byte_headers() {
+        Ok(header) => header.clone(),
+        Err(error) => return Err(explain(path, zipped, reader.get_ref(), 0, error)),
+    };
+    if header.as_slice().starts_with(NPY_MAGIC) {
+        return Err(TrialError::Kind {
+            path: path.to_owned(),
+            found: "a compressed NumPy array (decompress it first)",
+        });
+    }
+    let (layout, mut table) = Layout::find(path, &header)?;
+    let mut record = ByteRecord::new();
+    loop {
+        let rows = table.timestamp_s.len();
+        match reader.read_byte_record(&mut record) {
+            Ok(true) => layout.take_row(path, &record, &mut table)?,
+            Ok(false) => break,
+            Err(error) => return Err(explain(path, zipped, reader.get_ref(), rows, error)),
+        }
+    }
+    table.no_final_line_break = !matches!(reader.get_ref().last, b'\n' | b'\r');
+    Ok(table)
+}
+
+/// Bounds what comes out of a small compressed file, and remembers how the text ends.
+struct Meter {
+    source: Box<dyn Read>,
+    bytes: u64,
+    last: u8,
+    too_long: bool,
+}
+
+impl Read for Meter {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let read = self.source.read(buffer)?;
+        self.bytes += read as u64;
+        if self.bytes > MAX_TEXT_BYTES {
+            self.too_long = true;
+            return Err(io::Error::other("too long"));
+        }
+        if let Some(last) = buffer[..read].last() {
+            self.last = *last;
+        }
+        Ok(read)
+    }
+}
+
+fn explain(path: &Path, zipped: bool, meter: &Meter, rows: usize, error: csv::Error) -> TrialError {
+    let path = path.to_owned();
+    if meter.too_long {
+        return TrialError::TooLong { path };
+    }
+    let source = io::Error::from(error);
+    match source.kind() {
+        ErrorKind::UnexpectedEof if zipped => TrialError::Truncated {
+            path,
+            missing: "the gzip stream has no end".to_owned(),
+            rows,
+        },
+        ErrorKind::InvalidInput | ErrorKind::InvalidData if zipped => TrialError::Gzip {
+            path,
+            rows,
+            detail: source.to_string(),
+        },
+        _ => TrialError::Io { path, source },
+    }
+}
+
+/// Where each column of the table stands in a row.
+struct Layout {
+    fields: usize,
+    robot: Option<usize>,
+    time: usize,
+    columns: Vec<(Column, usize)>,
+}
+
+impl Layout {
+    fn find(path: &Path, header: &ByteRecord) -> Result<(Self, Table), TrialError> {
+        let names = header
+            .iter()
+            .map(|name| String::from_utf8_lossy(name).into_owned())
+            .collect::<Vec<_>>();
+        let mut used = vec![false; names.len()];
+        let mut find = |wanted: &[&str]| {
+            let mut found = None;
+            for (position, name) in names.iter().enumerate() {
+                if !wanted.contains(&name.as_str()) {
+                    continue;
+                }
+                used[position] = true;
+                if let Some(first) = found.replace(position) {
+                    return Err(TrialError::DuplicateColumn {
+                        path: path.to_owned(),
+                        first: names[first].clone(),
+                        second: name.clone(),
+                    });
+                }
+            }
+            Ok(found)
+        };
+        let missing = |wanted: &[&str]| TrialError::MissingColumn {
+            path: path.to_owned(),
+            expected: wanted.join(" or "),
+            found: names.join(", ").chars().take(400).collect(),
+        };
+        let robot = find(ROBOT_NAMES)?;
+        let time = find(TIME_NAMES)?.ok_or_else(|| missing(TIME_NAMES))?;
+        let mut columns = Vec::new();
+        for column in Column::ALL {
+            match find(column.names())? {
+                Some(position) => columns.push((column, position)),
+                None if column == Column::Power => return Err(missing(column.names())),
+                None => {}
+            }
+        }
+        let layout = Self {
+            fields: names.len(),
+            robot,
+            time,
+            columns,
+        };
+        let ignored_columns = names
+            .into_iter()
+            .zip(used)
+            .filter_map(|(name, used)| (!used).then_some(name))
+            .collect();
+        let table = Table {
+            ignored_columns,
+            ..Table::default()
+        };
+        Ok((layout, table))
+    }
+
+    fn take_row(
+        &self,
+        path: &Path,
+        record: &ByteRecord,
+        table: &mut Table,
+    ) -> Result<(), TrialError> {
+        let row = table.timestamp_s.len() + 1;
+        if record.len() != self.fields {
+            return Err(TrialError::FieldCount {
+                path: path.to_owned(),
+                row,
+                found: record.len(),
+                expected: self.fields,
+            });
+        }
+        let cell = Cell { path, row };
+        if let Some(position) = self.robot {
+            let name = String::from_utf8_lossy(&record[position]);
+            let unknown = name.eq_ignore_ascii_case("nan");
+            table.push_robot(cell, if unknown { "" } else { &name })?;
+        }
+        let time_s = number(cell, TIME_NAMES[0], &record[self.time])?;
+        table.push_time(cell, time_s)?;
+        for (column, position) in &self.columns {
+            let value = number(cell, column.name(), &record[*position])?;
+            table.push(cell, *column, value)?;
+        }
+        Ok(())
+    }
+}
+
+fn number(cell: Cell<'_>, column: &'static str, field: &[u8]) -> Result<f64, TrialError> {
+    if field.is_empty() {
+        return Ok(f64::NAN);
+    }
+    std::str::from_utf8(field)
+        .ok()
+        .and_then(|text| text.parse().ok())
+        .ok_or_else(|| {
+            let found = String::from_utf8_lossy(field);
+            let found = found.chars().take(60).collect::<String>();
+            cell.refuse(column, found, "a number, NaN, or nothing")
+        })
+}
