@@ -125,7 +125,7 @@ fn check_header(path: &Path, header: &[u8]) -> Result<(), TrialError> {
         (once, text.iter().all(plain), opening, closing)
     else {
         let found = String::from_utf8_lossy(text);
-        let found = found.chars().take(200).collect::<String>();
+        let found = found.trim_end().chars().take(200).collect::<String>();
         let allowed = "{'descr': '<f8', 'fortran_order': False, 'shape': (n, 11), }";
         return Err(bad_header(
             path,

@@ -77,7 +77,11 @@ fn explain(path: &Path, zipped: bool, meter: &Meter, rows: usize, error: csv::Er
     if meter.too_long {
         return TrialError::TooLong { path };
     }
-    let source = io::Error::from(error);
+    let source = match error.into_kind() {
+        csv::ErrorKind::Io(source) => source,
+        // Neither arises: rows are read as bytes, and may have any length.
+        other => io::Error::other(format!("{other:?}")),
+    };
     match source.kind() {
         ErrorKind::UnexpectedEof if zipped => TrialError::Truncated {
             path,
