@@ -2,10 +2,34 @@
 //!
 //! No clock, file, thread or shared memory: time comes in as an argument, so that a live run, a
 //! replay and a simulation are the same code.
+//!
+//! A [`Fleet`] [takes](Fleet::take) frames of samples as they come, then [ticks](Fleet::tick), and
+//! then writes out [forecasts](Fleet::forecast), [diagnostics](Fleet::diagnostic) and
+//! [budgets](Fleet::budget), robot by robot, wherever the caller wants them: the worker has them
+//! written straight into shared memory. [`Schedule`] says when a tick is due.
+//!
+//! After [`Fleet::new`] nothing here allocates.
 #![forbid(unsafe_code)]
 
+mod detector;
+mod fleet;
+mod intake;
+mod interval;
+mod ledger;
+mod pass;
+mod refused;
+mod report;
+mod robot;
+mod schedule;
+mod scores;
 mod settings;
+mod sources;
+mod window;
 
+pub use fleet::{Fleet, TickIntake};
+pub use ledger::Ledger;
+pub use schedule::{Next, Schedule};
+pub use scores::Scores;
 pub use settings::{
     AlarmSettings, Battery, Intake, IntervalSettings, Platform, Policy, Settings, SettingsError,
 };

@@ -251,6 +251,12 @@ impl AlarmSet {
         Self(self.0 | Self::bit(alarm))
     }
 
+    /// Without `alarm`.
+    #[must_use]
+    pub const fn without(self, alarm: Alarm) -> Self {
+        Self(self.0 & !Self::bit(alarm))
+    }
+
     /// Whether `alarm` is raised.
     #[must_use]
     pub const fn has(self, alarm: Alarm) -> bool {

@@ -1,0 +1,264 @@
+//! Which alarms a robot raises: bias, noise, mismatch, and what its samples say about themselves.
+
+use joulebus_wire::{Alarm, AlarmSet};
+
+use crate::AlarmSettings;
+
+/// Serial correlation above which whitening would only amplify noise.
+const CORRELATION_MAX: f32 = 0.9;
+
+/// What is remembered of one robot's residuals.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Detector {
+    pub bias_w: f32,
+    pub cusum_up: f32,
+    pub cusum_down: f32,
+    pub noise_ratio: f32,
+    z_last: f32,
+    z_square: f32,
+    z_product: f32,
+    error_square: f32,
+    persistence_square: f32,
+    seen: u32,
+    raised: AlarmSet,
+    agreeing: [u16; Alarm::ALL.len()],
+}
+
+/// Alarms whose condition holds now, and alarms that stay raised if they are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Conditions {
+    pub raise: AlarmSet,
+    pub stay: AlarmSet,
+}
+
+impl Conditions {
+    /// A condition without a band between raising and clearing.
+    pub(crate) fn when(&mut self, holds: bool, alarm: Alarm) {
+        self.between(holds, holds, alarm);
+    }
+
+    fn between(&mut self, raise: bool, stay: bool, alarm: Alarm) {
+        if raise {
+            self.raise = self.raise.with(alarm);
+        }
+        if raise || stay {
+            self.stay = self.stay.with(alarm);
+        }
+    }
+}
+
+impl Detector {
+    pub(crate) fn new() -> Self {
+        Self {
+            bias_w: 0.0,
+            cusum_up: 0.0,
+            cusum_down: 0.0,
+            noise_ratio: 1.0,
+            z_last: 0.0,
+            z_square: 1.0,
+            z_product: 0.0,
+            error_square: 0.0,
+            persistence_square: 0.0,
+            seen: 0,
+            raised: AlarmSet::default(),
+            agreeing: [0; Alarm::ALL.len()],
+        }
+    }
+
+    /// Takes a residual and the change of the reading, W, both finite; `sigma_w` > 0 is the
+    /// residuals' standard deviation in training.
+    pub(crate) fn observe(
+        &mut self,
+        residual_w: f32,
+        change_w: f32,
+        sigma_w: f32,
+        settings: &AlarmSettings,
+    ) {
+        self.seen = self.seen.saturating_add(1);
+        self.bias_w += settings.bias_weight * (residual_w - self.bias_w);
+        let z = residual_w / sigma_w;
+        let white = self.whiten(z, settings.bias_weight);
+        let ceiling = 2.0 * settings.cusum_limit;
+        self.cusum_up = (self.cusum_up + white - settings.cusum_slack).clamp(0.0, ceiling);
+        self.cusum_down = (self.cusum_down - white - settings.cusum_slack).clamp(0.0, ceiling);
+        self.noise_ratio += settings.noise_weight * (white * white - self.noise_ratio);
+        self.error_square += settings.noise_weight * (residual_w * residual_w - self.error_square);
+        self.persistence_square +=
+            settings.noise_weight * (change_w * change_w - self.persistence_square);
+    }
+
+    /// Takes the serial correlation out of `z`: a cumulative sum of correlated residuals would
+    /// alarm on every slow wave.
+    fn whiten(&mut self, z: f32, weight: f32) -> f32 {
+        let correlation =
+            (self.z_product / self.z_square.max(f32::MIN_POSITIVE)).clamp(0.0, CORRELATION_MAX);
+        let white = (z - correlation * self.z_last) / (1.0 - correlation * correlation).sqrt();
+        self.z_square += weight * (z * z - self.z_square);
+        self.z_product += weight * (z * self.z_last - self.z_product);
+        self.z_last = z;
+        white
+    }
+
+    /// What the residuals say, once there are enough of them.
+    pub(crate) fn conditions(&self, settings: &AlarmSettings) -> Conditions {
+        let mut conditions = Conditions::default();
+        if self.seen < settings.settle_samples {
+            return conditions;
+        }
+        let bias = settings.cusum_limit;
+        conditions.between(
+            self.cusum_up > bias,
+            self.cusum_up > 0.5 * bias,
+            Alarm::BiasHigh,
+        );
+        conditions.between(
+            self.cusum_down > bias,
+            self.cusum_down > 0.5 * bias,
+            Alarm::BiasLow,
+        );
+        let noise = settings.noise_limit;
+        conditions.between(
+            self.noise_ratio > noise,
+            self.noise_ratio > 0.5 * noise,
+            Alarm::NoiseHigh,
+        );
+        let worst = settings.mismatch_limit * self.persistence_square;
+        let (error, floor) = (self.error_square, 0.9 * worst);
+        conditions.between(error > worst, error > floor, Alarm::ModelMismatch);
+        conditions
+    }
+
+    /// Raises and clears with hysteresis: an alarm changes only after its condition has agreed for
+    /// as many samples in a row as the settings ask.
+    pub(crate) fn decide(&mut self, conditions: Conditions, settings: &AlarmSettings) {
+        for (alarm, agreeing) in Alarm::ALL.into_iter().zip(&mut self.agreeing) {
+            let raised = self.raised.has(alarm);
+            let change = if raised {
+                !conditions.stay.has(alarm)
+            } else {
+                conditions.raise.has(alarm)
+            };
+            *agreeing = if change {
+                agreeing.saturating_add(1)
+            } else {
+                0
+            };
+            let needed = if raised {
+                settings.clear_samples
+            } else {
+                settings.raise_samples
+            };
+            if *agreeing >= needed {
+                self.raised = if raised {
+                    self.raised.without(alarm)
+                } else {
+                    self.raised.with(alarm)
+                };
+                *agreeing = 0;
+            }
+        }
+    }
+
+    pub(crate) fn raised(&self) -> AlarmSet {
+        self.raised
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SETTINGS: AlarmSettings = AlarmSettings {
+        bias_weight: 0.01,
+        cusum_slack: 0.5,
+        cusum_limit: 20.0,
+        noise_weight: 0.01,
+        noise_limit: 4.0,
+        mismatch_limit: 2.0,
+        settle_samples: 50,
+        raise_samples: 5,
+        clear_samples: 30,
+        training_margin: 0.1,
+    };
+
+    /// Sum of uniforms: near enough to normal, variance 1.
+    fn noise(state: &mut u64) -> f32 {
+        (0..12)
+            .map(|_| {
+                *state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1);
+                (*state >> 40) as f32 / (1 << 24) as f32
+            })
+            .sum::<f32>()
+            - 6.0
+    }
+
+    fn run(
+        detector: &mut Detector,
+        steps: usize,
+        mut residual: impl FnMut(f32) -> f32,
+        state: &mut u64,
+    ) {
+        for _ in 0..steps {
+            let unit = noise(state);
+            detector.observe(residual(unit), 1.0, 1.0, &SETTINGS);
+            detector.decide(detector.conditions(&SETTINGS), &SETTINGS);
+        }
+    }
+
+    #[test]
+    fn each_fault_raises_its_own_alarm_and_clears_when_it_ends() {
+        type Fault = fn(f32) -> f32;
+        let cases: [(Fault, Alarm); 3] = [
+            (|unit| unit + 2.0, Alarm::BiasHigh),
+            (|unit| unit - 2.0, Alarm::BiasLow),
+            (|unit| 4.0 * unit, Alarm::NoiseHigh),
+        ];
+        for (fault, alarm) in cases {
+            let (mut detector, mut state) = (Detector::new(), 1);
+            run(&mut detector, 5_000, |unit| unit, &mut state);
+            assert_eq!(
+                detector.raised(),
+                AlarmSet::default(),
+                "false alarm before {alarm:?}"
+            );
+            run(&mut detector, 300, fault, &mut state);
+            assert!(detector.raised().has(alarm), "{alarm:?}: {detector:?}");
+            run(&mut detector, 5_000, |unit| unit, &mut state);
+            assert_eq!(
+                detector.raised(),
+                AlarmSet::default(),
+                "{alarm:?} did not clear"
+            );
+        }
+    }
+
+    #[test]
+    fn an_alarm_that_flickers_is_neither_raised_nor_cleared() {
+        let mut detector = Detector::new();
+        let mut on = Conditions::default();
+        on.when(true, Alarm::StuckSensor);
+        for step in 0..100 {
+            let now = if step % 5 == 4 {
+                Conditions::default()
+            } else {
+                on
+            };
+            detector.decide(now, &SETTINGS);
+            assert!(!detector.raised().has(Alarm::StuckSensor));
+        }
+        for _ in 0..5 {
+            detector.decide(on, &SETTINGS);
+        }
+        for step in 0..100 {
+            let now = if step % 29 == 28 {
+                on
+            } else {
+                Conditions::default()
+            };
+            detector.decide(now, &SETTINGS);
+            assert!(detector.raised().has(Alarm::StuckSensor));
+        }
+    }
+}

@@ -1,0 +1,532 @@
+//! The fleet's state, and how samples get into it.
+
+use std::collections::HashMap;
+
+use joulebus_predictor::{Features, Model};
+use joulebus_wire::{DropCounts, DropReason, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
+
+use crate::detector::Detector;
+use crate::intake::{check_values, invalid};
+use crate::interval::Interval;
+use crate::refused::Refused;
+use crate::robot::{Departed, Last, Robot};
+use crate::sources::Sources;
+use crate::window::Window;
+use crate::{Ledger, Platform, Scores, Settings, SettingsError};
+
+/// The state of all robots, in columns indexed by slot, and everything one tick needs.
+///
+/// All memory is taken in [`Fleet::new`], for the configured capacity.
+#[derive(Debug)]
+pub struct Fleet {
+    pub(crate) settings: Settings,
+    pub(crate) kinds: Vec<Kind>,
+    /// Ranges of robot ids, ascending, with the platform they belong to.
+    ranges: Vec<(u32, u32, u16)>,
+
+    pub(crate) robots: Vec<Robot>,
+    pub(crate) windows: Vec<Window>,
+    pub(crate) ledgers: Vec<Ledger>,
+    pub(crate) intervals: Vec<Interval>,
+    pub(crate) scores: Vec<Scores>,
+    pub(crate) detectors: Vec<Detector>,
+    /// The sample that waits for the next pass, where `waiting` names the slot.
+    pub(crate) pending: Vec<Sample>,
+
+    /// Slots in use, ascending in the order of joining.
+    pub(crate) live: Vec<u32>,
+    free: Vec<u32>,
+    slot_of: HashMap<u32, u32>,
+    departed: HashMap<u32, Departed>,
+    /// Slot that the next sample is probably of: sources name their robots in the same order.
+    guess: usize,
+
+    pub(crate) batch: Batch,
+    sources: Sources,
+    pub(crate) refused: Refused,
+    drops: DropCounts,
+    accepted: u64,
+    reported: usize,
+    intake: TickIntake,
+    pub(crate) now_ns: u64,
+    pub(crate) deadline_missed: bool,
+}
+
+/// What belongs to one platform.
+#[derive(Debug)]
+pub(crate) struct Kind {
+    pub platform: Platform,
+    pub model: Model,
+    /// Standard deviation of the residuals in training, not below the monitor's resolution, W.
+    pub sigma_w: f32,
+    /// Sample periods that the model may run open loop.
+    pub longest_steps: u16,
+    /// Slots whose sample waits for the next pass.
+    pub waiting: Vec<u32>,
+}
+
+/// Rows on their way through a model.
+#[derive(Debug, Default)]
+pub(crate) struct Batch {
+    pub slots: Vec<u32>,
+    pub rows: Vec<Features>,
+    pub forecasts_w: Vec<f32>,
+}
+
+/// What one tick took in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct TickIntake {
+    /// Frames taken.
+    pub frames: u32,
+    /// When the first of them was meant to be sent, was sent, and was taken, monotonic ns.
+    pub first: Option<(u64, u64, u64)>,
+}
+
+impl Fleet {
+    /// A fleet without robots; `models[i]` is the model of `settings.platforms[i]`.
+    ///
+    /// # Errors
+    /// When the settings contradict themselves ([`Settings::check`]) or the models do not match.
+    pub fn new(settings: Settings, models: Vec<Model>) -> Result<Self, SettingsError> {
+        settings.check()?;
+        let platforms = settings.platforms.clone();
+        if platforms.len() != models.len() {
+            return Err(SettingsError::Models {
+                platforms: platforms.len(),
+                models: models.len(),
+            });
+        }
+        let capacity = settings.capacity as usize;
+        let kinds: Vec<Kind> = platforms
+            .into_iter()
+            .zip(models)
+            .map(|(platform, model)| Kind::new(platform, model, capacity))
+            .collect();
+        let robot = Robot {
+            id: 0,
+            present: false,
+            platform: 0,
+            generation: 0,
+            source_id: 0,
+            source_epoch: 0,
+            seq: None,
+            taken_ns: 0,
+            taken: 0,
+            refused: 0,
+            refused_run: 0,
+            invalid: None,
+            last: Last::NONE,
+        };
+        Ok(Self {
+            ranges: ranges(&kinds),
+            robots: vec![robot; capacity],
+            windows: vec![Window::EMPTY; capacity],
+            ledgers: vec![Ledger::default(); capacity],
+            intervals: vec![Interval::new(0.0, 0.0, 0.0, 0.0, 0.0); capacity],
+            scores: vec![Scores::default(); capacity],
+            detectors: vec![Detector::new(); capacity],
+            pending: vec![Sample::default(); capacity],
+            live: Vec::with_capacity(capacity),
+            free: (0..settings.capacity).rev().collect(),
+            // Twice the capacity: the map then never grows, however often robots come and go.
+            slot_of: HashMap::with_capacity(2 * capacity),
+            departed: HashMap::with_capacity(2 * capacity),
+            guess: 0,
+            batch: Batch::with_capacity(capacity),
+            sources: Sources::new(settings.intake.max_sources),
+            refused: Refused::default(),
+            drops: DropCounts::default(),
+            accepted: 0,
+            reported: 0,
+            intake: TickIntake::default(),
+            now_ns: 0,
+            deadline_missed: false,
+            kinds,
+            settings,
+        })
+    }
+
+    /// Goes on with the account of a robot that an earlier run wrote down. Call before the robot's
+    /// first sample. As many accounts as the capacity are kept; returns whether this one was.
+    pub fn restore(&mut self, robot: u32, ledger: Ledger) -> bool {
+        self.keep_account(
+            robot,
+            Departed {
+                ledger,
+                charged: false,
+            },
+        )
+    }
+
+    /// Takes a frame of samples, in the order in which they were sent; `now_ns` is the worker's
+    /// monotonic time. What is refused is counted, named, and harms no other robot.
+    pub fn take(&mut self, header: &SampleHeader, samples: &[Sample], now_ns: u64) {
+        self.intake.frames += 1;
+        self.intake
+            .first
+            .get_or_insert((header.intended_ns, header.sent_ns, now_ns));
+        let count = samples.len() as u64;
+        if header.schema != SCHEMA_VERSION {
+            self.drops.add(DropReason::Schema, count);
+            return;
+        }
+        if let Err(reason) = self.sources.frame(header, count, &mut self.drops) {
+            self.drops.add(reason, count);
+            return;
+        }
+        for sample in samples {
+            match self.accept(header, sample, now_ns) {
+                Ok(()) => self.accepted += 1,
+                Err(reason) => self.refuse(header, sample, reason),
+            }
+        }
+    }
+
+    /// Whether every robot whose next sample is due at `now_ns` has reported since the last tick.
+    #[must_use]
+    pub fn complete(&self, now_ns: u64) -> bool {
+        self.reported == self.live.len()
+            || self.live.iter().all(|slot| {
+                let robot = &self.robots[*slot as usize];
+                let platform = &self.kinds[usize::from(robot.platform)].platform;
+                let silent_ns = now_ns.saturating_sub(robot.taken_ns);
+                let due = silent_ns > platform.period_ns * 3 / 4;
+                robot.taken > 0 || !due || silent_ns > platform.stale_after_ns
+            })
+    }
+
+    /// What the tick in preparation has taken so far.
+    #[must_use]
+    pub fn intake(&self) -> TickIntake {
+        self.intake
+    }
+
+    /// Computes: residuals, ledgers, windows, forecasts, intervals, alarms. `deadline_missed` says
+    /// that the tick before this one was late or skipped others. Returns what was taken in.
+    pub fn tick(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
+        self.now_ns = now_ns;
+        self.deadline_missed = deadline_missed;
+        for kind in 0..self.kinds.len() {
+            self.pass(kind);
+            self.run_open(kind);
+        }
+        self.release_departed();
+        for slot in &self.live {
+            self.robots[*slot as usize].taken = 0;
+        }
+        self.reported = 0;
+        std::mem::take(&mut self.intake)
+    }
+
+    /// Robots in the fleet: the length of every frame that is written out.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.live.len()
+    }
+
+    /// Whether no robot has been heard of.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.live.is_empty()
+    }
+
+    /// Robots that there is room for.
+    #[must_use]
+    pub fn capacity(&self) -> u32 {
+        self.settings.capacity
+    }
+
+    /// Samples accepted so far.
+    #[must_use]
+    pub fn accepted(&self) -> u64 {
+        self.accepted
+    }
+
+    /// Samples dropped so far, by reason.
+    #[must_use]
+    pub fn drops(&self) -> DropCounts {
+        self.drops
+    }
+
+    /// Hash over the models of all platforms, in order.
+    #[must_use]
+    pub fn model_hash(&self) -> u64 {
+        self.kinds.iter().fold(0xcbf2_9ce4_8422_2325, |hash, kind| {
+            (hash ^ kind.model.hash())
+                .wrapping_mul(0x0000_0100_0000_01b3)
+                .rotate_left(23)
+        })
+    }
+
+    /// Scores of a robot, if it is in the fleet.
+    #[must_use]
+    pub fn scores(&self, robot: u32) -> Option<&Scores> {
+        self.slot_of
+            .get(&robot)
+            .map(|slot| &self.scores[*slot as usize])
+    }
+
+    /// Account of a robot, in the fleet or departed.
+    #[must_use]
+    pub fn ledger(&self, robot: u32) -> Option<&Ledger> {
+        let live = self
+            .slot_of
+            .get(&robot)
+            .map(|slot| &self.ledgers[*slot as usize]);
+        live.or_else(|| self.departed.get(&robot).map(|departed| &departed.ledger))
+    }
+
+    fn accept(
+        &mut self,
+        header: &SampleHeader,
+        sample: &Sample,
+        now_ns: u64,
+    ) -> Result<(), DropReason> {
+        let slot = self.slot(header, sample.robot, now_ns)?;
+        let renewed = self.identify(slot, header, sample.seq)?;
+        let most = self.settings.intake.max_samples_per_tick;
+        let robot = &self.robots[slot];
+        if robot.taken >= most {
+            return Err(DropReason::Backlog);
+        }
+        let kind = usize::from(robot.platform);
+        if robot.taken > 0 {
+            self.pass(kind);
+        }
+        check_values(sample, &self.kinds[kind].platform)?;
+        let mut sample = *sample;
+        if !self.in_time(slot, sample.stamp_ns) {
+            if !renewed {
+                return Err(DropReason::BadTime);
+            }
+            sample.flags |= sample_flag::DISCONTINUITY;
+        }
+        let robot = &mut self.robots[slot];
+        self.reported += usize::from(robot.taken == 0);
+        robot.taken += 1;
+        (robot.taken_ns, robot.invalid, robot.refused_run) = (now_ns, None, 0);
+        self.pending[slot] = sample;
+        self.kinds[kind].waiting.push(slot as u32);
+        Ok(())
+    }
+
+    /// Ownership, run and order: who may speak for the robot, once. Returns whether a new run of
+    /// the source has taken over.
+    fn identify(
+        &mut self,
+        slot: usize,
+        header: &SampleHeader,
+        seq: u64,
+    ) -> Result<bool, DropReason> {
+        let robot = &mut self.robots[slot];
+        if robot.source_id != header.source_id {
+            return Err(DropReason::ForeignSource);
+        }
+        if header.source_epoch < robot.source_epoch {
+            return Err(DropReason::OldEpoch);
+        }
+        let renewed = header.source_epoch > robot.source_epoch;
+        if renewed {
+            (robot.source_epoch, robot.seq) = (header.source_epoch, None);
+        }
+        match robot.seq {
+            Some(last) if seq == last => return Err(DropReason::Duplicate),
+            Some(last) if seq < last => return Err(DropReason::OutOfOrder),
+            _ => robot.seq = Some(seq),
+        }
+        Ok(renewed)
+    }
+
+    fn in_time(&self, slot: usize, stamp_ns: u64) -> bool {
+        let last = &self.robots[slot].last;
+        let longest = self.settings.intake.max_jump_ns;
+        !last.accepted || (stamp_ns > last.stamp_ns && stamp_ns - last.stamp_ns <= longest)
+    }
+
+    fn refuse(&mut self, header: &SampleHeader, sample: &Sample, reason: DropReason) {
+        self.drops.add(reason, 1);
+        self.refused.note(sample.robot, reason, header.pid);
+        let (Some(invalid), Some(slot)) = (invalid(reason), self.slot_of.get(&sample.robot)) else {
+            return;
+        };
+        let slot = *slot as usize;
+        let robot = &mut self.robots[slot];
+        robot.refused += 1;
+        robot.refused_run = robot.refused_run.saturating_add(1);
+        robot.invalid = Some(invalid);
+        self.judge(slot);
+    }
+
+    /// The robot's slot; a robot heard of for the first time is given one.
+    fn slot(
+        &mut self,
+        header: &SampleHeader,
+        robot: u32,
+        now_ns: u64,
+    ) -> Result<usize, DropReason> {
+        let guessed = self
+            .robots
+            .get(self.guess)
+            .filter(|guess| guess.present && guess.id == robot);
+        let found = match guessed {
+            Some(_) => Some(self.guess),
+            None => self.slot_of.get(&robot).map(|slot| *slot as usize),
+        };
+        if let Some(slot) = found {
+            self.guess = slot + 1;
+            return Ok(slot);
+        }
+        let kind = self.platform_of(robot).ok_or(DropReason::UnknownRobot)?;
+        let slot = self.free.pop().ok_or(DropReason::OverCapacity)?;
+        self.slot_of.insert(robot, slot);
+        self.live.push(slot);
+        let slot = slot as usize;
+        self.occupy(slot, robot, kind, header, now_ns);
+        Ok(slot)
+    }
+
+    fn occupy(&mut self, slot: usize, id: u32, kind: u16, header: &SampleHeader, now_ns: u64) {
+        let departed = self.departed.remove(&id);
+        self.robots[slot] = Robot {
+            id,
+            present: true,
+            platform: kind,
+            generation: self.robots[slot].generation,
+            source_id: header.source_id,
+            source_epoch: header.source_epoch,
+            seq: None,
+            taken_ns: now_ns,
+            taken: 0,
+            refused: 0,
+            refused_run: 0,
+            invalid: None,
+            last: Last {
+                charged: departed.is_some_and(|departed| departed.charged),
+                ..Last::NONE
+            },
+        };
+        let kind = &self.kinds[usize::from(kind)];
+        let residual = kind.model.residual();
+        self.windows[slot] = Window::EMPTY;
+        self.ledgers[slot] = departed.map_or_else(Ledger::default, |departed| departed.ledger);
+        self.intervals[slot] = Interval::new(
+            residual.q05_w,
+            residual.q95_w,
+            residual.std_w,
+            kind.platform.power_resolution_w,
+            self.settings.interval.coverage,
+        );
+        self.scores[slot] = Scores::default();
+        self.detectors[slot] = Detector::new();
+    }
+
+    fn platform_of(&self, robot: u32) -> Option<u16> {
+        let after = self.ranges.partition_point(|(start, _, _)| *start <= robot);
+        let (_, end, kind) = self.ranges.get(after.checked_sub(1)?)?;
+        (robot <= *end).then_some(*kind)
+    }
+
+    /// Frees the slots of robots that have been silent for too long; their accounts are kept.
+    fn release_departed(&mut self) {
+        let leave_after_ns = self.settings.intake.leave_after_ns;
+        let gone = |robot: &Robot| self.now_ns.saturating_sub(robot.taken_ns) > leave_after_ns;
+        let Some(first) = self
+            .live
+            .iter()
+            .position(|slot| gone(&self.robots[*slot as usize]))
+        else {
+            return;
+        };
+        let mut kept = first;
+        for at in first..self.live.len() {
+            let slot = self.live[at];
+            let index = slot as usize;
+            let robot = &mut self.robots[index];
+            if self.now_ns.saturating_sub(robot.taken_ns) <= leave_after_ns {
+                self.live[kept] = slot;
+                kept += 1;
+                continue;
+            }
+            robot.present = false;
+            robot.generation = robot.generation.wrapping_add(1);
+            let (id, charged) = (robot.id, robot.last.charged);
+            self.slot_of.remove(&id);
+            self.free.push(slot);
+            self.keep_account(
+                id,
+                Departed {
+                    ledger: self.ledgers[index],
+                    charged,
+                },
+            );
+        }
+        self.live.truncate(kept);
+    }
+
+    fn keep_account(&mut self, robot: u32, departed: Departed) -> bool {
+        let room = self.departed.len() < self.settings.capacity as usize;
+        if room || self.departed.contains_key(&robot) {
+            self.departed.insert(robot, departed);
+        }
+        room
+    }
+}
+
+impl Kind {
+    fn new(platform: Platform, model: Model, capacity: usize) -> Self {
+        let sigma_w = model.residual().std_w.max(platform.power_resolution_w);
+        // `Settings::check` has bounded the quotient by 1000.
+        let longest_steps = (platform.stale_after_ns / platform.period_ns) as u16;
+        Self {
+            platform,
+            model,
+            sigma_w,
+            longest_steps,
+            waiting: Vec::with_capacity(capacity),
+        }
+    }
+}
+
+impl Batch {
+    fn with_capacity(capacity: usize) -> Self {
+        Self {
+            slots: Vec::with_capacity(capacity),
+            rows: Vec::with_capacity(capacity),
+            forecasts_w: vec![0.0; capacity],
+        }
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.slots.clear();
+        self.rows.clear();
+    }
+
+    pub(crate) fn push(&mut self, slot: u32, row: Features) {
+        self.slots.push(slot);
+        self.rows.push(row);
+    }
+
+    /// Runs the rows through the model; gives each slot with its forecast, W.
+    pub(crate) fn infer(&mut self, model: &Model) -> impl Iterator<Item = (usize, f32)> + '_ {
+        let forecasts_w = &mut self.forecasts_w[..self.rows.len()];
+        model.predict(&self.rows, forecasts_w);
+        self.slots
+            .iter()
+            .map(|slot| *slot as usize)
+            .zip(forecasts_w.iter().copied())
+    }
+}
+
+fn ranges(kinds: &[Kind]) -> Vec<(u32, u32, u16)> {
+    let mut ranges: Vec<(u32, u32, u16)> = Vec::new();
+    for (index, kind) in kinds.iter().enumerate() {
+        let spans = kind
+            .platform
+            .robots
+            .iter()
+            .map(|range| (*range.start(), *range.end(), index as u16));
+        ranges.extend(spans);
+    }
+    ranges.sort_unstable();
+    ranges
+}

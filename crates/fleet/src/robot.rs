@@ -1,0 +1,102 @@
+//! Who holds a slot, and what came of its last sample.
+
+use joulebus_wire::{InvalidReason, Quality, Sample, sample_flag};
+
+use crate::Ledger;
+
+/// Time over which the mean power is taken, s.
+const MEAN_POWER_S: f32 = 60.0;
+
+/// Identity and bookkeeping of a robot in its slot.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Robot {
+    pub id: u32,
+    /// Whether the slot is in use.
+    pub present: bool,
+    pub platform: u16,
+    pub generation: u32,
+    pub source_id: u64,
+    pub source_epoch: u64,
+    /// Highest sequence number taken or refused in the epoch, if any.
+    pub seq: Option<u64>,
+    /// When the worker last took a sample of it, monotonic ns of the worker.
+    pub taken_ns: u64,
+    /// Samples taken in this tick.
+    pub taken: u16,
+    pub refused: u64,
+    /// Samples refused in a row for what was in them.
+    pub refused_run: u16,
+    /// Why the last sample was refused, if it was.
+    pub invalid: Option<InvalidReason>,
+    pub last: Last,
+}
+
+/// What is kept of the last accepted sample.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Last {
+    pub accepted: bool,
+    pub quality: Quality,
+    pub seq: u64,
+    pub stamp_ns: u64,
+    pub reading_w: f32,
+    pub measured_ns: u64,
+    /// NaN where there was no forecast for it or no reading in it.
+    pub residual_w: f32,
+    /// Stamp since which new measurements have all been equal to `reading_w`.
+    pub equal_since_ns: u64,
+    pub outside_training: bool,
+    pub charging: bool,
+    /// Whether the robot has ever been seen charging: its state of charge is then not known.
+    pub charged: bool,
+    pub mean_power_w: f32,
+}
+
+impl Last {
+    pub(crate) const NONE: Self = Self {
+        accepted: false,
+        quality: Quality::Warmup { have: 0 },
+        seq: 0,
+        stamp_ns: 0,
+        reading_w: f32::NAN,
+        measured_ns: 0,
+        residual_w: f32::NAN,
+        equal_since_ns: 0,
+        outside_training: false,
+        charging: false,
+        charged: false,
+        mean_power_w: f32::NAN,
+    };
+
+    /// Takes what does not depend on the forecast.
+    pub(crate) fn accept(&mut self, sample: &Sample) {
+        let elapsed_s = (sample.stamp_ns.saturating_sub(self.stamp_ns) as f64 * 1e-9) as f32;
+        let first = !self.accepted;
+        self.accepted = true;
+        self.seq = sample.seq;
+        self.stamp_ns = sample.stamp_ns;
+        self.charging = sample.has(sample_flag::CHARGING);
+        self.charged |= self.charging;
+        if !sample.has(sample_flag::POWER) {
+            return;
+        }
+        let fresh = !sample.has(sample_flag::HELD);
+        if fresh && sample.power_w.to_bits() != self.reading_w.to_bits() {
+            self.equal_since_ns = sample.stamp_ns;
+        }
+        self.reading_w = sample.power_w;
+        self.measured_ns = sample.measured_ns;
+        if first || self.mean_power_w.is_nan() {
+            self.mean_power_w = sample.power_w;
+        } else {
+            let weight = elapsed_s / (MEAN_POWER_S + elapsed_s);
+            self.mean_power_w += weight * (sample.power_w - self.mean_power_w);
+        }
+    }
+}
+
+/// A robot that has left, or that was written down by an earlier run: its account goes on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Departed {
+    pub ledger: Ledger,
+    pub charged: bool,
+}

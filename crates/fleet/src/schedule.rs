@@ -1,0 +1,166 @@
+//! When a tick is due. Pure: the shell asks, waits, and tells.
+
+use crate::Policy;
+
+/// Two ticks of the `OnFrame` policy are at least this share of a period apart: a source whose
+/// clock runs a little fast is then followed instead of held back by up to a period.
+const CLOSEST: (u64, u64) = (4, 5);
+
+/// What to do now.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Next {
+    /// Tick; it was due at `due_ns`.
+    Tick {
+        /// When it was due, monotonic ns.
+        due_ns: u64,
+    },
+    /// Wait for a frame, at most until `until_ns`.
+    Wait {
+        /// When to ask again, monotonic ns.
+        until_ns: u64,
+    },
+}
+
+/// Decides when ticks happen, and counts the ones that did not.
+///
+/// At most one tick per period; one that cannot happen is counted and never made up for.
+#[derive(Debug, Clone)]
+pub struct Schedule {
+    policy: Policy,
+    period_ns: u64,
+    /// Start of the last tick, or of the schedule.
+    started_ns: u64,
+    grid_ns: u64,
+    /// Ticks that did not happen because the one before took too long.
+    pub skipped: u64,
+    /// Ticks that started more than a tenth of a period after they were due.
+    pub late: u64,
+}
+
+impl Schedule {
+    /// A schedule that begins at `now_ns`; `period_ns` > 0.
+    #[must_use]
+    pub fn new(policy: Policy, period_ns: u64, now_ns: u64) -> Self {
+        let period_ns = period_ns.max(1);
+        Self {
+            policy,
+            period_ns,
+            started_ns: now_ns,
+            grid_ns: now_ns + period_ns,
+            skipped: 0,
+            late: 0,
+        }
+    }
+
+    /// What to do at `now_ns`. `first_taken_ns`: when the first frame since the last tick was taken;
+    /// `complete`: whether every robot whose sample is due has reported since then.
+    #[must_use]
+    pub fn next(&self, now_ns: u64, first_taken_ns: Option<u64>, complete: bool) -> Next {
+        let due_ns = match (self.policy, first_taken_ns) {
+            (Policy::Timer, _) => self.grid_ns,
+            (Policy::OnFrame { deadline_ns }, Some(taken_ns)) => {
+                let ready_ns = if complete {
+                    taken_ns
+                } else {
+                    taken_ns + deadline_ns
+                };
+                ready_ns.max(self.started_ns + self.period_ns * CLOSEST.0 / CLOSEST.1)
+            }
+            // Without samples the tick still goes on: planners must see robots go stale, and that
+            // the worker lives.
+            (Policy::OnFrame { .. }, None) => self.started_ns + self.period_ns + self.period_ns / 2,
+        };
+        if now_ns >= due_ns {
+            Next::Tick { due_ns }
+        } else {
+            Next::Wait { until_ns: due_ns }
+        }
+    }
+
+    /// A tick that was due at `due_ns` has run from `start_ns` to `end_ns`. Returns whether it
+    /// missed its deadline: started late or took longer than a period.
+    pub fn ticked(&mut self, due_ns: u64, start_ns: u64, end_ns: u64) -> bool {
+        let late = start_ns.saturating_sub(due_ns) > self.period_ns / 10;
+        let skipped = match self.policy {
+            Policy::Timer => end_ns.saturating_sub(self.grid_ns) / self.period_ns,
+            Policy::OnFrame { .. } => end_ns.saturating_sub(start_ns) / self.period_ns,
+        };
+        self.grid_ns += (1 + skipped) * self.period_ns;
+        self.started_ns = start_ns;
+        self.skipped += skipped;
+        self.late += u64::from(late);
+        late || skipped > 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: u64 = 33;
+
+    #[test]
+    fn on_frame_ticks_at_once_when_complete_and_at_the_deadline_when_not() {
+        let schedule = Schedule::new(Policy::OnFrame { deadline_ns: 5 }, PERIOD, 0);
+        assert_eq!(schedule.next(30, Some(30), true), Next::Tick { due_ns: 30 });
+        assert_eq!(
+            schedule.next(30, Some(30), false),
+            Next::Wait { until_ns: 35 }
+        );
+        assert_eq!(
+            schedule.next(36, Some(30), false),
+            Next::Tick { due_ns: 35 }
+        );
+        assert_eq!(
+            schedule.next(20, Some(20), true),
+            Next::Wait { until_ns: 26 }
+        );
+    }
+
+    #[test]
+    fn on_frame_goes_on_ticking_without_frames() {
+        let mut schedule = Schedule::new(Policy::OnFrame { deadline_ns: 5 }, PERIOD, 0);
+        assert_eq!(schedule.next(0, None, true), Next::Wait { until_ns: 49 });
+        assert_eq!(schedule.next(49, None, true), Next::Tick { due_ns: 49 });
+        assert!(!schedule.ticked(49, 49, 50));
+        assert_eq!(schedule.next(50, None, true), Next::Wait { until_ns: 98 });
+    }
+
+    #[test]
+    fn the_timer_keeps_its_grid_and_counts_what_it_skips() {
+        let mut schedule = Schedule::new(Policy::Timer, PERIOD, 0);
+        assert_eq!(
+            schedule.next(32, Some(1), true),
+            Next::Wait { until_ns: 33 }
+        );
+        assert_eq!(schedule.next(34, None, false), Next::Tick { due_ns: 33 });
+        assert!(!schedule.ticked(33, 34, 40));
+        assert_eq!(schedule.next(40, None, false), Next::Wait { until_ns: 66 });
+        assert!(schedule.ticked(66, 70, 66 + 2 * PERIOD + 1));
+        assert_eq!((schedule.skipped, schedule.late), (2, 1));
+        assert_eq!(
+            schedule.next(140, None, false),
+            Next::Wait {
+                until_ns: 66 + 3 * PERIOD
+            }
+        );
+    }
+
+    #[test]
+    fn skipped_ticks_are_counted_and_never_queued() {
+        for policy in [Policy::Timer, Policy::OnFrame { deadline_ns: 5 }] {
+            let mut schedule = Schedule::new(policy, PERIOD, 0);
+            let mut now = 0;
+            for _ in 0..100 {
+                now = match schedule.next(now, Some(now), true) {
+                    Next::Wait { until_ns } => until_ns,
+                    Next::Tick { .. } => now,
+                };
+                let start = now;
+                now += 3 * PERIOD;
+                schedule.ticked(start, start, now);
+            }
+            assert!(schedule.skipped >= 199, "{policy:?}: {}", schedule.skipped);
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! Account of what each source sent, so that sent = accepted + dropped to zero.
+
+use joulebus_wire::{DropCounts, DropReason, SampleHeader};
+
+/// One run of one source.
+#[derive(Debug, Clone, Copy)]
+struct Source {
+    id: u64,
+    epoch: u64,
+    /// Samples of this epoch accounted for: taken, refused or lost.
+    accounted: u64,
+}
+
+/// The sources heard so far.
+#[derive(Debug)]
+pub(crate) struct Sources {
+    sources: Vec<Source>,
+    most: usize,
+    /// Whether a source seen for the first time may have sent before the worker was there.
+    newest: usize,
+}
+
+impl Sources {
+    pub(crate) fn new(most: u16) -> Self {
+        let most = usize::from(most);
+        Self {
+            sources: Vec::with_capacity(most),
+            most,
+            newest: 0,
+        }
+    }
+
+    /// Takes a frame's header and the number of samples in it. Counts what was lost before it, and
+    /// refuses a frame of an older run, a frame seen before, and a source too many.
+    pub(crate) fn frame(
+        &mut self,
+        header: &SampleHeader,
+        samples: u64,
+        drops: &mut DropCounts,
+    ) -> Result<(), DropReason> {
+        let at = match self.find(header.source_id) {
+            Some(at) => at,
+            None if self.sources.len() == self.most => return Err(DropReason::TooManySources),
+            None => {
+                self.sources.push(Source {
+                    id: header.source_id,
+                    epoch: header.source_epoch,
+                    accounted: 0,
+                });
+                self.sources.len() - 1
+            }
+        };
+        let source = &mut self.sources[at];
+        if header.source_epoch < source.epoch {
+            return Err(DropReason::OldEpoch);
+        }
+        if header.source_epoch > source.epoch {
+            *source = Source {
+                accounted: 0,
+                epoch: header.source_epoch,
+                ..*source
+            };
+        }
+        if header.samples_before < source.accounted {
+            return Err(DropReason::Duplicate);
+        }
+        let lost = header.samples_before - source.accounted;
+        let reason = if source.accounted == 0 {
+            DropReason::BeforeJoin
+        } else {
+            DropReason::Overflow
+        };
+        drops.add(reason, lost);
+        source.accounted = header.samples_before.saturating_add(samples);
+        Ok(())
+    }
+
+    /// The last one found is looked at first: frames of one source follow each other.
+    fn find(&mut self, id: u64) -> Option<usize> {
+        if self
+            .sources
+            .get(self.newest)
+            .is_some_and(|source| source.id == id)
+        {
+            return Some(self.newest);
+        }
+        let at = self.sources.iter().position(|source| source.id == id)?;
+        self.newest = at;
+        Some(at)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(source_id: u64, source_epoch: u64, samples_before: u64) -> SampleHeader {
+        SampleHeader {
+            source_id,
+            source_epoch,
+            samples_before,
+            ..SampleHeader::default()
+        }
+    }
+
+    #[test]
+    fn what_is_lost_before_and_between_frames_is_counted() {
+        let (mut sources, mut drops) = (Sources::new(2), DropCounts::default());
+        let mut frame = |id, epoch, before, drops: &mut DropCounts| {
+            sources.frame(&header(id, epoch, before), 10, drops)
+        };
+        assert_eq!(frame(1, 5, 30, &mut drops), Ok(()));
+        assert_eq!(drops.get(DropReason::BeforeJoin), 30);
+        assert_eq!(frame(1, 5, 40, &mut drops), Ok(()));
+        assert_eq!(frame(1, 5, 70, &mut drops), Ok(()));
+        assert_eq!(drops.get(DropReason::Overflow), 20);
+        assert_eq!(frame(1, 5, 70, &mut drops), Err(DropReason::Duplicate));
+        assert_eq!(frame(1, 4, 0, &mut drops), Err(DropReason::OldEpoch));
+        assert_eq!(frame(1, 6, 0, &mut drops), Ok(()));
+        assert_eq!(frame(2, 1, 0, &mut drops), Ok(()));
+        assert_eq!(frame(3, 1, 0, &mut drops), Err(DropReason::TooManySources));
+        assert_eq!(drops.total(), 50);
+    }
+}

@@ -1,0 +1,303 @@
+//! The lag window of one robot: what the model sees next.
+
+use joulebus_predictor::{Features, LAGS, features};
+
+/// The last readings, newest first, and the forecast made from them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Lags {
+    pub lag_w: [f32; LAGS],
+    /// NaN where there is none.
+    pub forecast_w: f32,
+}
+
+impl Lags {
+    const EMPTY: Self = Self {
+        lag_w: [f32::NAN; LAGS],
+        forecast_w: f32::NAN,
+    };
+
+    /// Moves the window on by one sample period.
+    fn push(&mut self, power_w: f32) {
+        self.lag_w.rotate_right(1);
+        self.lag_w[0] = power_w;
+        self.forecast_w = f32::NAN;
+    }
+}
+
+/// What came between the last sample and this one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Gap {
+    /// Nothing is missing.
+    None,
+    /// So many sample periods are missing; the model bridges them with its own forecasts.
+    Bridge(u16),
+    /// Too many are missing, or there was no forecast to bridge with: the window starts empty.
+    Break,
+}
+
+/// The lag window. It advances by the robot's *samples*; what the worker's clock adds in between
+/// (`open`) is provisional and never changes what a sample leads to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Window {
+    /// After the last sample.
+    closed: Lags,
+    /// After `open_steps` further periods without one.
+    open: Lags,
+    open_steps: u16,
+    /// Readings in the window.
+    have: u8,
+    /// Sample periods since the last valid reading, as of the last sample.
+    pub unread_steps: u16,
+    command: Option<(f32, f32)>,
+    stamp_ns: u64,
+}
+
+impl Window {
+    pub(crate) const EMPTY: Self = Self {
+        closed: Lags::EMPTY,
+        open: Lags::EMPTY,
+        open_steps: 0,
+        have: 0,
+        unread_steps: 0,
+        command: None,
+        stamp_ns: 0,
+    };
+
+    /// The newest reading in the window, W; NaN when it is empty.
+    pub(crate) fn last_w(&self) -> f32 {
+        self.closed.lag_w[0]
+    }
+
+    pub(crate) fn have(&self) -> u8 {
+        self.have
+    }
+
+    pub(crate) fn is_full(&self) -> bool {
+        usize::from(self.have) == LAGS
+    }
+
+    /// The forecast to show now, W, and the open-loop steps it rests on.
+    pub(crate) fn shown(&self) -> (f32, u16) {
+        let steps = self.unread_steps.saturating_add(self.open_steps);
+        (
+            if self.open_steps > 0 {
+                self.open.forecast_w
+            } else {
+                self.closed.forecast_w
+            },
+            steps,
+        )
+    }
+
+    /// What lies between the last sample and one stamped `stamp_ns`.
+    pub(crate) fn gap_before(&self, stamp_ns: u64, period_ns: u64, longest_steps: u16) -> Gap {
+        let missing = missing_steps(stamp_ns.saturating_sub(self.stamp_ns), period_ns);
+        if missing == 0 || self.have == 0 {
+            return Gap::None;
+        }
+        let within = u64::from(longest_steps) >= missing + u64::from(self.unread_steps);
+        if within && self.is_full() && self.closed.forecast_w.is_finite() {
+            return Gap::Bridge(missing as u16);
+        }
+        Gap::Break
+    }
+
+    /// Begins to run open loop towards `steps` periods after the last sample. Returns the row to
+    /// infer next, or `None` when it is there already or there is nothing to go on with. What the
+    /// worker's clock had run further than `steps` is undone.
+    pub(crate) fn open_towards(&mut self, steps: u16) -> Option<Features> {
+        if self.open_steps > steps {
+            self.open_steps = 0;
+        }
+        if self.open_steps == steps {
+            return None;
+        }
+        if self.open_steps == 0 {
+            self.open = self.closed;
+        }
+        let forecast_w = self.open.forecast_w;
+        if !forecast_w.is_finite() {
+            return None;
+        }
+        self.open.push(forecast_w);
+        self.open_steps += 1;
+        Some(self.row(&self.open, None))
+    }
+
+    /// The forecast for the row that [`Window::open_towards`] gave.
+    pub(crate) fn opened(&mut self, forecast_w: f32) {
+        self.open.forecast_w = forecast_w;
+    }
+
+    /// Makes what was run open loop part of the window, up to the sample that now arrives.
+    /// Returns the forecast made for that sample, W; NaN where there is none.
+    pub(crate) fn close(&mut self, gap: Gap) -> f32 {
+        match gap {
+            Gap::None => {}
+            Gap::Bridge(steps) if self.open_steps == steps && self.open.forecast_w.is_finite() => {
+                self.closed = self.open;
+                self.unread_steps += steps;
+            }
+            Gap::Bridge(_) | Gap::Break => self.restart(),
+        }
+        self.open_steps = 0;
+        self.closed.forecast_w
+    }
+
+    /// Starts empty, as for a robot never seen before.
+    pub(crate) fn restart(&mut self) {
+        *self = Self {
+            stamp_ns: self.stamp_ns,
+            ..Self::EMPTY
+        };
+    }
+
+    /// Takes a sample's reading, W: corrected mode.
+    pub(crate) fn read(&mut self, power_w: f32) {
+        self.closed.push(power_w);
+        self.have = (self.have + 1).min(LAGS as u8);
+        self.unread_steps = 0;
+    }
+
+    /// Takes a sample without a reading: open loop, if there is a forecast to go on with and no
+    /// more than `longest_steps` have gone by; otherwise the window starts empty.
+    pub(crate) fn miss(&mut self, longest_steps: u16) {
+        let forecast_w = self.closed.forecast_w;
+        if !forecast_w.is_finite() || self.unread_steps >= longest_steps {
+            self.restart();
+            return;
+        }
+        self.closed.push(forecast_w);
+        self.unread_steps += 1;
+    }
+
+    /// Takes a sample's stamp and command, and gives the row for the forecast of the next reading,
+    /// if the window is full and the command known or not `needed`.
+    pub(crate) fn next_row(
+        &mut self,
+        stamp_ns: u64,
+        command: Option<(f32, f32)>,
+        needed: bool,
+    ) -> Option<Features> {
+        let elapsed_s = (stamp_ns.saturating_sub(self.stamp_ns) as f64 * 1e-9) as f32;
+        let previous = self
+            .command
+            .filter(|_| elapsed_s > 0.0)
+            .map(|(v, omega)| (v, omega, elapsed_s));
+        (self.stamp_ns, self.command) = (stamp_ns, command);
+        let ready = self.is_full() && (command.is_some() || !needed);
+        ready.then(|| self.row(&self.closed, previous))
+    }
+
+    /// The forecast for the row that [`Window::next_row`] gave, W; NaN is none.
+    pub(crate) fn forecast(&mut self, forecast_w: f32) {
+        self.closed.forecast_w = forecast_w;
+    }
+
+    fn row(&self, lags: &Lags, previous: Option<(f32, f32, f32)>) -> Features {
+        let (v_mps, omega_radps) = self.command.unwrap_or((f32::NAN, f32::NAN));
+        features(v_mps, omega_radps, previous, &lags.lag_w)
+    }
+}
+
+/// Sample periods that are missing when `elapsed_ns` lie between two samples: none until the next
+/// one is overdue by more than half a period.
+pub(crate) fn missing_steps(elapsed_ns: u64, period_ns: u64) -> u64 {
+    if elapsed_ns <= period_ns + period_ns / 2 {
+        return 0;
+    }
+    ((elapsed_ns - period_ns) + period_ns / 2) / period_ns
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gap_is_declared_past_half_a_period_and_counted_by_rounding() {
+        let cases = [
+            (0, 0),
+            (10, 0),
+            (15, 0),
+            (16, 1),
+            (20, 1),
+            (24, 1),
+            (25, 2),
+            (34, 2),
+            (35, 3),
+        ];
+        for (elapsed, missing) in cases {
+            assert_eq!(
+                missing_steps(elapsed, 10),
+                missing,
+                "after {elapsed} of period 10"
+            );
+        }
+        assert_eq!(missing_steps(u64::MAX, 1), u64::MAX - 1);
+    }
+
+    fn full() -> Window {
+        let mut window = Window::EMPTY;
+        for step in 0..5u8 {
+            window.read(f32::from(step));
+            window.next_row(u64::from(step) * 10, Some((0.1, 0.0)), true);
+        }
+        window.forecast(4.5);
+        window
+    }
+
+    /// Stands in for the model: any function of the row will do.
+    fn infer(row: &Features) -> f32 {
+        row[6] * 0.5 + row[7] * 0.25 + 1.0
+    }
+
+    fn open(window: &mut Window, steps: u16) {
+        while let Some(row) = window.open_towards(steps) {
+            window.opened(infer(&row));
+        }
+    }
+
+    #[test]
+    fn what_the_clock_ran_ahead_never_changes_what_a_sample_leads_to() {
+        for missing in 1..6 {
+            let mut reference = full();
+            open(&mut reference, missing);
+            let forecast = reference.close(Gap::Bridge(missing));
+            for ahead in 0..8 {
+                let mut window = full();
+                open(&mut window, ahead);
+                open(&mut window, missing);
+                let again = window.close(Gap::Bridge(missing));
+                assert_eq!(
+                    again.to_bits(),
+                    forecast.to_bits(),
+                    "{missing} missing, {ahead} ahead"
+                );
+                assert_eq!(window.closed, reference.closed);
+            }
+        }
+    }
+
+    #[test]
+    fn the_window_is_newest_first_and_starts_empty_after_a_break() {
+        let mut window = full();
+        assert_eq!(window.closed.lag_w, [4.0, 3.0, 2.0, 1.0, 0.0]);
+        assert_eq!(window.gap_before(40 + 10 * 31, 10, 30), Gap::Bridge(30));
+        assert_eq!(window.gap_before(40 + 10 * 32, 10, 30), Gap::Break);
+        assert!(window.close(Gap::Break).is_nan());
+        assert_eq!(window.have(), 0);
+        assert_eq!(window.gap_before(1_000_000, 10, 30), Gap::None);
+    }
+
+    #[test]
+    fn open_loop_ends_after_the_longest_gap() {
+        let mut window = full();
+        for step in 1..=30 {
+            window.miss(30);
+            assert_eq!(window.unread_steps, step);
+            window.forecast(3.0);
+        }
+        window.miss(30);
+        assert_eq!((window.have(), window.unread_steps), (0, 0));
+    }
+}
