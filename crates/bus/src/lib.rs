@@ -1,1 +1,61 @@
-//! joulebus-bus
+//! The bus: everything that happens in shared memory, and the only crate that names iceoryx2.
+//!
+//! A [`Domain`] says where a fleet's shared memory lives. A process joins it with [`Bus::join`],
+//! opens the ports it needs, and leaves by dropping them. Limits are the same for every process of
+//! a fleet; whoever comes first creates a service.
+//!
+//! | port | direction | payload |
+//! |---|---|---|
+//! | [`SampleWriter`] → [`SampleReader`] | sources → worker | [`joulebus_wire::Sample`] |
+//! | [`ForecastWriter`] → [`ForecastReader`] | worker → planners | [`joulebus_wire::Forecast`] |
+//! | [`DiagnosticWriter`] → [`DiagnosticReader`] | worker → planners | [`joulebus_wire::Diagnostic`] |
+//! | [`BudgetWriter`] → [`BudgetReader`] | worker → planners | [`joulebus_wire::Budget`], history 1 |
+//! | [`Waker`] → [`Waiter`] | sources → worker, worker → planners | events |
+//!
+//! Ports, the [`Bus`] and the [`Waiter`] belong to the thread that made them. Every member has a
+//! small keeper thread that removes what dead processes leave behind ([`Bus::housekeeping`]).
+//! When the last member leaves, nothing of the domain is left, neither in `/dev/shm` nor in the
+//! root directory.
+//!
+//! Facts of iceoryx2 0.10.0 that this crate answers for, each with a test:
+//! - Who opens a shared-memory object of length zero waits for it for ever, not only while
+//!   joining: a process killed between creating and sizing a connection stops living members in
+//!   their next send or receive too. So each keeper removes such files, as long as nobody holds
+//!   them open.
+//! - A connection that could not be made is never tried again until the list of ports changes:
+//!   readers make their port anew.
+//! - The object that counts nodes (`…global_mgmt`) is readable and writable by every user of the
+//!   host: [`Bus::join`] takes that right away.
+#![deny(unsafe_code)]
+
+mod bus;
+pub mod clock;
+mod config;
+mod domain;
+mod inspect;
+mod keeper;
+mod leftovers;
+mod limits;
+mod membership;
+mod memory;
+mod port;
+mod room;
+mod wait;
+mod worker_lock;
+
+pub use bus::Bus;
+pub use config::ConfigError;
+pub use domain::{Domain, DomainError, DomainWarning, RootError};
+pub use inspect::{InspectError, Inspection, NodeInfo, RootInfo, inspect};
+pub use keeper::Housekeeping;
+pub use leftovers::{SweepError, SweepReport, sweep};
+pub use limits::{Limits, LimitsError};
+pub use membership::JoinError;
+pub use port::{
+    BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
+    Frame, FrameBuf, Loan, OpenError, Reader, ReceiveError, SampleReader, SampleWriter, SendError,
+    Writer,
+};
+pub use room::{Ports, RoomError, RoomReport, check_room};
+pub use wait::{PeerWatch, WaitError, Waiter, Waker, Woken, set_timer_slack};
+pub use worker_lock::{WorkerLock, WorkerLockError};

@@ -1,0 +1,33 @@
+//! The clocks of this host.
+
+use rustix::time::{ClockId, Timespec, clock_gettime};
+
+/// Time on the monotonic clock, ns since boot, the time asleep not counted. The same clock in
+/// every process of the host.
+#[must_use]
+pub fn monotonic_ns() -> u64 {
+    nanoseconds(clock_gettime(ClockId::Monotonic))
+}
+
+/// Wall-clock time, ns since 1970. May jump: a label, never the end of an interval.
+#[must_use]
+pub fn unix_ns() -> u64 {
+    nanoseconds(clock_gettime(ClockId::Realtime))
+}
+
+/// The id of this boot: monotonic times of different boots cannot be compared.
+///
+/// # Errors
+/// When `/proc` cannot be read.
+pub fn boot_id() -> std::io::Result<String> {
+    Ok(std::fs::read_to_string("/proc/sys/kernel/random/boot_id")?
+        .trim()
+        .to_owned())
+}
+
+fn nanoseconds(time: Timespec) -> u64 {
+    u64::try_from(time.tv_sec)
+        .unwrap_or(0)
+        .saturating_mul(1_000_000_000)
+        .saturating_add(u64::try_from(time.tv_nsec).unwrap_or(0))
+}

@@ -1,0 +1,130 @@
+//! iceoryx2's configuration: written for each domain, loaded as the global one, and checked.
+
+use std::io::Write;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+use std::{fs, io};
+
+use iceoryx2::config::Config;
+use iceoryx2::prelude::{FileName, FilePath, Path as BusPath, SemanticString};
+
+use crate::Domain;
+
+/// What iceoryx2 must be set to for `domain`.
+pub(crate) fn wanted(domain: &Domain) -> Result<Config, ConfigError> {
+    let refused = |what: &'static str| ConfigError::Refused {
+        what,
+        domain: Box::new(domain.clone()),
+    };
+    let mut config = Config::default();
+    config.global.prefix =
+        FileName::new(domain.shm_prefix().as_bytes()).map_err(|_| refused("prefix"))?;
+    let directory = domain.directory();
+    let root =
+        BusPath::new(directory.as_os_str().as_encoded_bytes()).map_err(|_| refused("root path"))?;
+    config.global.set_root_path(&root);
+    Ok(config)
+}
+
+/// Writes the domain's file and makes it this process's global configuration.
+///
+/// The global one must be it: when the details of a dead node are missing, iceoryx2 cleans up by
+/// the global configuration, and would look in the wrong place.
+pub(crate) fn load(domain: &Domain) -> Result<&'static Config, ConfigError> {
+    let wanted = wanted(domain)?;
+    let path = domain.config_file();
+    write(&path, &text(domain)).map_err(|source| ConfigError::Write {
+        path: path.clone(),
+        source,
+    })?;
+    let file =
+        FilePath::new(path.as_os_str().as_encoded_bytes()).map_err(|_| ConfigError::Refused {
+            what: "path of the configuration file",
+            domain: Box::new(domain.clone()),
+        })?;
+    let loaded =
+        Config::setup_global_config_from_file(&file).map_err(|reason| ConfigError::Load {
+            path,
+            reason: reason.to_string(),
+        })?;
+    // Unknown keys are ignored in silence and an earlier configuration stays: compare.
+    if *loaded == wanted {
+        Ok(loaded)
+    } else {
+        Err(ConfigError::AnotherDomain {
+            wanted: domain.shm_prefix().to_owned(),
+            wanted_root: domain.directory(),
+            found: loaded.global.prefix.to_string(),
+            found_root: loaded.global.root_path().to_string(),
+        })
+    }
+}
+
+fn text(domain: &Domain) -> String {
+    // Both values are checked by `Domain::new`: no character needs quoting.
+    format!(
+        "# Written by joulebus; the same for every process of the fleet {fleet:?}.\n\
+         [global]\nprefix = \"{prefix}\"\nroot-path = \"{root}\"\n",
+        fleet = domain.fleet(),
+        prefix = domain.shm_prefix(),
+        root = domain.directory().display(),
+    )
+}
+
+/// Other members read the file while we write: it appears whole or not at all.
+fn write(path: &Path, text: &str) -> io::Result<()> {
+    let draft = path.with_extension(format!("toml.{}", std::process::id()));
+    let mut file = fs::OpenOptions::new()
+        .write(true)
+        .create(true)
+        .truncate(true)
+        .mode(0o600)
+        .open(&draft)?;
+    file.write_all(text.as_bytes())?;
+    drop(file);
+    fs::rename(&draft, path)
+}
+
+/// Why iceoryx2 could not be set to a domain.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// iceoryx2 does not take the name.
+    #[error("iceoryx2 refuses the {what} of {domain:?}; choose a shorter `root` and `fleet`")]
+    Refused {
+        /// Which name.
+        what: &'static str,
+        /// The domain.
+        domain: Box<Domain>,
+    },
+    /// The file could not be written.
+    #[error("cannot write {path:?}: {source}")]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// iceoryx2 could not read its file.
+    #[error("iceoryx2 cannot load {path:?}: {reason}")]
+    Load {
+        /// The file.
+        path: PathBuf,
+        /// What iceoryx2 said.
+        reason: String,
+    },
+    /// This process already works in another domain.
+    #[error(
+        "this process already uses iceoryx2 with prefix {found:?} and root {found_root:?}, wanted \
+         are {wanted:?} and {wanted_root:?}: one process, one domain"
+    )]
+    AnotherDomain {
+        /// The prefix wanted.
+        wanted: String,
+        /// The root wanted.
+        wanted_root: PathBuf,
+        /// The prefix in use.
+        found: String,
+        /// The root in use.
+        found_root: String,
+    },
+}

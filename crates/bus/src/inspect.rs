@@ -1,0 +1,165 @@
+//! What a domain looks like, for `doctor`.
+
+use std::fs;
+use std::io;
+use std::os::unix::fs::MetadataExt;
+use std::path::PathBuf;
+
+use iceoryx2::node::{Node, NodeState, NodeView};
+use iceoryx2::prelude::{CallbackProgression, ipc};
+
+use crate::config::{self, ConfigError};
+use crate::domain::{effective_uid, filesystem, is_memory};
+use crate::leftovers::{is_stillborn, objects};
+use crate::room::{RoomError, measure};
+use crate::{Domain, RoomReport, RootError, WorkerLock};
+
+/// The state of a domain. Looking changes nothing.
+#[derive(Debug)]
+pub struct Inspection {
+    /// The root directory, if it exists.
+    pub root: Option<RootInfo>,
+    /// Why the root cannot be used, if so.
+    pub root_error: Option<RootError>,
+    /// Nodes that iceoryx2 knows of.
+    pub nodes: Vec<NodeInfo>,
+    /// Process id of the worker, if one runs.
+    pub worker_pid: Option<u32>,
+    /// Zero-length objects that somebody may be waiting for.
+    pub stillborn: Vec<PathBuf>,
+    /// Objects with our prefix that belong to another user.
+    pub foreign: Vec<PathBuf>,
+    /// Objects of the domain in shared memory.
+    pub objects: u64,
+    /// Their sizes together, bytes; only what has been written takes memory.
+    pub object_bytes: u64,
+    /// Shared memory and file descriptors of the host and this process.
+    pub room: RoomReport,
+}
+
+/// A process's node.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NodeInfo {
+    /// Its name; empty when its details are missing.
+    pub name: String,
+    /// Its process.
+    pub pid: Option<u32>,
+    /// Its program; empty when its details are missing.
+    pub executable: String,
+    /// Whether the process lives. `None` when that cannot be told.
+    pub alive: Option<bool>,
+}
+
+/// The root directory.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RootInfo {
+    /// Where.
+    pub path: PathBuf,
+    /// Owner's uid.
+    pub owner: u32,
+    /// The uid it must have: ours.
+    pub expected_owner: u32,
+    /// Permission bits; 0700 is expected.
+    pub mode: u32,
+    /// The filesystem's magic number.
+    pub filesystem: u64,
+    /// Whether it lies in memory, as it should.
+    pub in_memory: bool,
+}
+
+/// Looks at a domain without joining it. May be called from any thread.
+///
+/// # Errors
+/// [`InspectError`] when the system does not answer; what is wrong with the domain itself is in
+/// the result.
+pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
+    let root = root_info(domain)?;
+    let root_error = match &root {
+        Some(_) => crate::domain::check_private(domain.root()).err(),
+        None => None,
+    };
+    let objects = objects(domain)?;
+    let (mine, others): (Vec<_>, Vec<_>) = objects
+        .into_iter()
+        .partition(|object| object.owner == effective_uid());
+    Ok(Inspection {
+        nodes: nodes(domain)?,
+        worker_pid: WorkerLock::owner(domain).unwrap_or_default(),
+        stillborn: mine
+            .iter()
+            .filter(|object| is_stillborn(object))
+            .map(|object| object.path.clone())
+            .collect(),
+        foreign: others.into_iter().map(|object| object.path).collect(),
+        objects: mine.len() as u64,
+        object_bytes: mine.iter().map(|object| object.bytes).sum(),
+        room: measure()?,
+        root,
+        root_error,
+    })
+}
+
+fn root_info(domain: &Domain) -> Result<Option<RootInfo>, InspectError> {
+    let path = domain.root();
+    let metadata = match fs::symlink_metadata(path) {
+        Ok(metadata) => metadata,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(RootError::io(path, error).into()),
+    };
+    let filesystem = filesystem(path)?;
+    Ok(Some(RootInfo {
+        path: path.to_owned(),
+        owner: metadata.uid(),
+        expected_owner: effective_uid(),
+        mode: metadata.mode() & 0o7777,
+        filesystem,
+        in_memory: is_memory(filesystem),
+    }))
+}
+
+fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
+    let config = config::wanted(domain)?;
+    let mut found = Vec::new();
+    Node::<ipc::Service>::list(&config, |node| {
+        let (details, alive) = match &node {
+            NodeState::Alive(view) => (view.details().as_ref(), Some(true)),
+            NodeState::Dead(view) => (view.details().as_ref(), Some(false)),
+            NodeState::Inaccessible(_) | NodeState::Undefined(_) => (None, None),
+        };
+        found.push(NodeInfo {
+            name: details
+                .map(|node| node.name().to_string())
+                .unwrap_or_default(),
+            pid: details.and_then(|node| u32::try_from(node.process_id().value()).ok()),
+            executable: details
+                .map(|node| node.executable().to_string())
+                .unwrap_or_default(),
+            alive,
+        });
+        CallbackProgression::Continue
+    })
+    .map_err(|reason| InspectError::Nodes {
+        reason: reason.to_string(),
+    })?;
+    Ok(found)
+}
+
+/// Why a domain could not be looked at.
+#[derive(Debug, thiserror::Error)]
+pub enum InspectError {
+    /// A directory could not be read.
+    #[error(transparent)]
+    Root(#[from] RootError),
+    /// iceoryx2 does not take the domain's names.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The system did not tell what room there is.
+    #[error(transparent)]
+    Room(#[from] RoomError),
+    /// iceoryx2 could not list its nodes.
+    #[error("cannot list nodes: {reason}")]
+    Nodes {
+        /// What iceoryx2 said.
+        reason: String,
+    },
+}

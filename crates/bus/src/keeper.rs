@@ -1,0 +1,121 @@
+//! The keeper: a thread of each member that removes what dead processes leave behind.
+
+use std::io;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use iceoryx2::config::Config;
+
+use crate::Domain;
+use crate::leftovers::{SweepReport, remove_dead_nodes, remove_stillborn};
+
+/// Somebody may be waiting for an unfinished object: look often, it costs 20 µs.
+const STILLBORN_EVERY: Duration = Duration::from_millis(250);
+/// Dead nodes are looked for each so many rounds: once a second.
+const DEAD_NODES_EVERY: u64 = 4;
+
+/// What this process has removed since it joined.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Housekeeping {
+    /// Nodes of dead processes removed.
+    pub dead_nodes: u64,
+    /// Attempts at dead nodes that failed; another member may have been faster.
+    pub failed_nodes: u64,
+    /// Zero-length objects removed.
+    pub stillborn: u64,
+}
+
+#[derive(Default)]
+struct Shared {
+    stop: Mutex<bool>,
+    stopped: Condvar,
+    dead_nodes: AtomicU64,
+    failed_nodes: AtomicU64,
+    stillborn: AtomicU64,
+}
+
+pub(crate) struct Keeper {
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Keeper {
+    pub(crate) fn start(domain: &Domain, config: &'static Config) -> io::Result<Self> {
+        let shared = Arc::new(Shared::default());
+        let (domain, inside) = (domain.clone(), Arc::clone(&shared));
+        let thread = std::thread::Builder::new()
+            .name("joulebus-keeper".to_owned())
+            .spawn(move || inside.run(&domain, config))?;
+        Ok(Self {
+            shared,
+            thread: Some(thread),
+        })
+    }
+
+    pub(crate) fn counts(&self) -> Housekeeping {
+        let shared = &self.shared;
+        Housekeeping {
+            dead_nodes: shared.dead_nodes.load(Ordering::Relaxed),
+            failed_nodes: shared.failed_nodes.load(Ordering::Relaxed),
+            stillborn: shared.stillborn.load(Ordering::Relaxed),
+        }
+    }
+
+    pub(crate) fn stop(&mut self) {
+        *self
+            .shared
+            .stop
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner) = true;
+        self.shared.stopped.notify_all();
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::warn!("the keeper thread panicked");
+        }
+    }
+}
+
+impl Shared {
+    fn run(&self, domain: &Domain, config: &Config) {
+        for round in 1_u64.. {
+            if self.wait() {
+                return;
+            }
+            if let Ok(removed) = remove_stillborn(domain) {
+                self.stillborn.fetch_add(removed, Ordering::Relaxed);
+                if removed > 0 {
+                    tracing::info!(removed, "removed unfinished objects of dead processes");
+                }
+            }
+            if round % DEAD_NODES_EVERY == 0 {
+                self.remove_dead_nodes(config);
+            }
+        }
+    }
+
+    fn remove_dead_nodes(&self, config: &Config) {
+        let mut report = SweepReport::default();
+        remove_dead_nodes(config, &mut report);
+        self.dead_nodes
+            .fetch_add(report.dead_nodes, Ordering::Relaxed);
+        self.failed_nodes
+            .fetch_add(report.failed_nodes, Ordering::Relaxed);
+        if report.dead_nodes > 0 {
+            let nodes = report.dead_nodes;
+            tracing::info!(nodes, "removed nodes of dead processes");
+        }
+    }
+
+    /// Sleeps for a round; whether to stop.
+    fn wait(&self) -> bool {
+        let stop = self.stop.lock().unwrap_or_else(PoisonError::into_inner);
+        let (stop, _) = self
+            .stopped
+            .wait_timeout_while(stop, STILLBORN_EVERY, |stop| !*stop)
+            .unwrap_or_else(PoisonError::into_inner);
+        *stop
+    }
+}

@@ -1,0 +1,139 @@
+//! How much of everything a fleet's services hold.
+
+/// Limits of a fleet's services. Every process of the fleet must use the same: whoever opens a
+/// service first fixes them, and a later one that differs gets an error that shows both.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Robots: the longest frame that can be sent. 1 to 1,000,000.
+    pub capacity: usize,
+    /// Processes that may publish samples at once. 1 to 1,024.
+    pub max_sources: usize,
+    /// Processes that may read forecasts at once. 1 to 256.
+    pub max_planners: usize,
+    /// Frames of samples that wait for the worker, per source; older ones are overwritten. 1 to 256.
+    pub sample_frames: usize,
+    /// Frames of forecasts and diagnostics that wait for a planner. 1 to 64.
+    pub forecast_frames: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            capacity: 1_000,
+            max_sources: 8,
+            max_planners: 8,
+            sample_frames: 8,
+            forecast_frames: 2,
+        }
+    }
+}
+
+/// Ports a service must have room for beyond those in use: a killed process holds its ports until
+/// somebody cleans up, and its successor comes sooner.
+const SPARE: usize = 2;
+
+impl Limits {
+    /// The limits, if each lies in its range.
+    ///
+    /// # Errors
+    /// [`LimitsError`] names the first that does not.
+    pub fn checked(self) -> Result<Self, LimitsError> {
+        for (name, found, max) in [
+            ("capacity", self.capacity, 1_000_000),
+            ("max_sources", self.max_sources, 1_024),
+            ("max_planners", self.max_planners, 256),
+            ("sample_frames", self.sample_frames, 256),
+            ("forecast_frames", self.forecast_frames, 64),
+        ] {
+            if found < 1 || found > max {
+                return Err(LimitsError { name, found, max });
+            }
+        }
+        Ok(self)
+    }
+
+    /// As it is written into each service, so that others can compare.
+    pub(crate) fn describe(&self) -> String {
+        format!(
+            "capacity={} max_sources={} max_planners={} sample_frames={} forecast_frames={}",
+            self.capacity,
+            self.max_sources,
+            self.max_planners,
+            self.sample_frames,
+            self.forecast_frames
+        )
+    }
+
+    pub(crate) const fn nodes(&self) -> usize {
+        2 * (self.max_sources + self.max_planners + SPARE)
+    }
+
+    pub(crate) const fn samples(&self) -> Shape {
+        Shape {
+            publishers: self.max_sources + SPARE,
+            // The worker, its successor, and somebody who records.
+            subscribers: 1 + SPARE,
+            buffer: self.sample_frames,
+            borrowed: 1,
+            history: 0,
+        }
+    }
+
+    pub(crate) const fn forecasts(&self) -> Shape {
+        Shape {
+            publishers: 1 + SPARE,
+            subscribers: self.max_planners + SPARE,
+            buffer: self.forecast_frames,
+            // The newest is looked for while the one before is held.
+            borrowed: 2,
+            history: 0,
+        }
+    }
+
+    pub(crate) const fn budgets(&self) -> Shape {
+        Shape {
+            buffer: 1,
+            history: 1,
+            ..self.forecasts()
+        }
+    }
+
+    /// Listeners and notifiers of the sources' event.
+    pub(crate) const fn arrivals(&self) -> (usize, usize) {
+        (1 + SPARE, self.max_sources + SPARE)
+    }
+
+    /// Listeners and notifiers of the worker's event.
+    pub(crate) const fn wake(&self) -> (usize, usize) {
+        (self.max_planners + SPARE, 1 + SPARE)
+    }
+}
+
+/// The size of one publish-subscribe service.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Shape {
+    pub(crate) publishers: usize,
+    pub(crate) subscribers: usize,
+    pub(crate) buffer: usize,
+    pub(crate) borrowed: usize,
+    pub(crate) history: usize,
+}
+
+impl Shape {
+    /// Frames that one publisher keeps memory for, as iceoryx2 counts them with one loan.
+    pub(crate) const fn frames(&self) -> usize {
+        self.subscribers * (self.buffer + self.borrowed) + self.history + 1
+    }
+}
+
+/// A limit that lies outside its range.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{name} = {found}: allowed are 1 to {max}")]
+pub struct LimitsError {
+    /// Which limit.
+    pub name: &'static str,
+    /// Its value.
+    pub found: usize,
+    /// The greatest value allowed.
+    pub max: usize,
+}

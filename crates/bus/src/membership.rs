@@ -1,0 +1,228 @@
+//! Who is alive: every member holds a shared lock on one file for as long as it lives.
+//!
+//! The kernel drops the lock with the process, however that ends. Who gets it exclusively knows
+//! that nobody is alive, and may remove everything.
+
+use std::fs::{self, File};
+use std::io;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use rustix::fs::{FlockOperation, OFlags, flock};
+
+use crate::config::{self, ConfigError};
+use crate::domain::effective_uid;
+use crate::keeper::Keeper;
+use crate::leftovers::{SweepError, SweepReport, is_same, objects, remove_all};
+use crate::{Domain, RootError};
+
+/// How long a join may take before it is given up.
+pub(crate) const JOIN_LIMIT: Duration = Duration::from_secs(5);
+const RETRY_EVERY: Duration = Duration::from_millis(2);
+
+/// The file that members lock.
+pub(crate) struct MembersLock {
+    file: File,
+}
+
+impl MembersLock {
+    pub(crate) fn open(domain: &Domain) -> io::Result<Self> {
+        let file = fs::OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .mode(0o600)
+            .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
+            .open(domain.members_file())?;
+        Ok(Self { file })
+    }
+
+    /// Whether nobody else holds it; then we do, exclusively.
+    pub(crate) fn try_exclusive(&self) -> io::Result<bool> {
+        self.lock(FlockOperation::NonBlockingLockExclusive)
+    }
+
+    fn try_shared(&self) -> io::Result<bool> {
+        self.lock(FlockOperation::NonBlockingLockShared)
+    }
+
+    fn lock(&self, operation: FlockOperation) -> io::Result<bool> {
+        match flock(&self.file, operation) {
+            Ok(()) => Ok(true),
+            Err(rustix::io::Errno::WOULDBLOCK | rustix::io::Errno::INTR) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn is_current(&self, domain: &Domain) -> io::Result<bool> {
+        is_same(&self.file, &domain.members_file())
+    }
+
+    /// Removes the file and the directories around it, as far as they are empty. The caller holds
+    /// the lock exclusively; who opened the file meanwhile sees that it is gone and starts again.
+    pub(crate) fn remove(self, domain: &Domain) {
+        if self.is_current(domain).unwrap_or(false) {
+            let _ = fs::remove_file(domain.members_file());
+            let _ = fs::remove_dir(domain.directory());
+            domain.remove_root();
+        }
+    }
+}
+
+/// A process's stay in a domain. Ports share it, so that it outlives them.
+pub(crate) struct Membership {
+    pub(crate) domain: Domain,
+    pub(crate) keeper: Keeper,
+    lock: Option<MembersLock>,
+}
+
+impl Membership {
+    /// Takes the lock, cleans up if nobody is alive, sets iceoryx2 up and starts the keeper.
+    pub(crate) fn join(domain: &Domain) -> Result<(Self, SweepReport), JoinError> {
+        let mut report = SweepReport::default();
+        let lock = Self::lock(domain, &mut report)?;
+        for object in objects(domain)? {
+            if object.owner != effective_uid() {
+                return Err(JoinError::ForeignObject {
+                    path: object.path,
+                    owner: object.owner,
+                    expected: effective_uid(),
+                });
+            }
+        }
+        let config = config::load(domain)?;
+        let keeper = Keeper::start(domain, config).map_err(JoinError::Keeper)?;
+        Ok((
+            Self {
+                domain: domain.clone(),
+                keeper,
+                lock: Some(lock),
+            },
+            report,
+        ))
+    }
+
+    fn lock(domain: &Domain, report: &mut SweepReport) -> Result<MembersLock, JoinError> {
+        let begin = Instant::now();
+        loop {
+            match Self::try_lock(domain, report) {
+                Ok(Some(lock)) => return Ok(lock),
+                // Somebody cleans up, or has just removed the directory under us.
+                Ok(None) => {}
+                Err(JoinError::Root(error)) if error.vanished() => {}
+                Err(JoinError::Lock { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
+                }
+                Err(error) => return Err(error),
+            }
+            if begin.elapsed() > JOIN_LIMIT {
+                return Err(JoinError::Timeout {
+                    path: domain.members_file(),
+                    waited_s: JOIN_LIMIT.as_secs(),
+                });
+            }
+            std::thread::sleep(RETRY_EVERY);
+        }
+    }
+
+    fn try_lock(
+        domain: &Domain,
+        report: &mut SweepReport,
+    ) -> Result<Option<MembersLock>, JoinError> {
+        let failed = |source| JoinError::Lock {
+            path: domain.members_file(),
+            source,
+        };
+        domain.prepare()?;
+        let lock = MembersLock::open(domain).map_err(failed)?;
+        if lock.try_exclusive().map_err(failed)? && lock.is_current(domain).map_err(failed)? {
+            remove_all(domain, report)?;
+        }
+        // Nothing of ours exists yet: whoever gets the lock while we change ours may clean up too.
+        let mine = lock.try_shared().map_err(failed)? && lock.is_current(domain).map_err(failed)?;
+        Ok(mine.then_some(lock))
+    }
+}
+
+impl Drop for Membership {
+    fn drop(&mut self) {
+        self.keeper.stop();
+        let Some(lock) = self.lock.take() else { return };
+        // Asking for the exclusive lock gives up the shared one, granted or not: of several that
+        // leave at once exactly the last gets it.
+        match lock.try_exclusive() {
+            Ok(true) if lock.is_current(&self.domain).unwrap_or(false) => {
+                let mut report = SweepReport::default();
+                if let Err(error) = remove_all(&self.domain, &mut report) {
+                    tracing::warn!(%error, "the last member could not clean up");
+                }
+                lock.remove(&self.domain);
+            }
+            Ok(_) => {}
+            Err(error) => tracing::warn!(%error, "the members' lock could not be read"),
+        }
+    }
+}
+
+/// Why a process could not join.
+#[derive(Debug, thiserror::Error)]
+pub enum JoinError {
+    /// The root directory is not private.
+    #[error(transparent)]
+    Root(#[from] RootError),
+    /// iceoryx2 could not be set to the domain.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Leftovers could not be removed.
+    #[error("{0}; run `joulebus doctor --fix`")]
+    Sweep(#[from] SweepError),
+    /// The members' lock could not be taken.
+    #[error("cannot lock {path:?}: {source}")]
+    Lock {
+        /// The lock file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Somebody holds the members' lock exclusively for too long.
+    #[error(
+        "{path:?} has been locked for {waited_s} s by a process that cleans up; is one stopped? \
+         Run `joulebus doctor --fix`"
+    )]
+    Timeout {
+        /// The lock file.
+        path: PathBuf,
+        /// Seconds waited.
+        waited_s: u64,
+    },
+    /// Another user has put something in our way.
+    #[error(
+        "{path:?} belongs to uid {owner}, expected uid {expected}; have its owner remove it, or \
+         set another `root` or `prefix`"
+    )]
+    ForeignObject {
+        /// The object in shared memory.
+        path: PathBuf,
+        /// Its owner.
+        owner: u32,
+        /// The effective uid of this process.
+        expected: u32,
+    },
+    /// The keeper thread could not be started.
+    #[error("cannot start the keeper thread: {0}")]
+    Keeper(io::Error),
+    /// The node's name.
+    #[error("node name {name:?}: allowed are 1 to 128 bytes")]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// iceoryx2 could not create a node.
+    #[error("iceoryx2 cannot create a node below {root:?} ({reason}); run `joulebus doctor --fix`")]
+    Node {
+        /// iceoryx2's root path.
+        root: PathBuf,
+        /// What iceoryx2 said.
+        reason: String,
+    },
+}

@@ -1,0 +1,185 @@
+//! Whether there is room: shared memory and file descriptors, before anything is created.
+
+use std::io;
+
+use joulebus_wire as wire;
+use rustix::process::{Resource, getrlimit};
+
+use crate::Limits;
+use crate::domain::SHM_DIR;
+use crate::limits::Shape;
+
+/// iceoryx2's own header of a frame with its padding, generously.
+const FRAME_OVERHEAD: usize = 128;
+/// A publisher's bookkeeping per segment: allocator and headers, generously.
+const SEGMENT_OVERHEAD: usize = 16 * 1024;
+/// One connection between two ports: two index queues and the list of used chunks.
+const CONNECTION_BYTES: usize = 16 * 1024;
+/// Services, nodes, events and what rounding to pages costs, per process.
+const PROCESS_BYTES: usize = 192 * 1024;
+/// Descriptors of a process before it connects to anybody: node, locks, six services.
+const BASE_DESCRIPTORS: u64 = 64;
+/// Descriptors of one connection, both data and bookkeeping.
+const CONNECTION_DESCRIPTORS: u64 = 4;
+
+/// How many of each process will create their ports.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Ports {
+    /// Processes that publish samples.
+    pub sources: usize,
+    /// Workers.
+    pub workers: usize,
+    /// Planners.
+    pub planners: usize,
+}
+
+/// Room needed and found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RoomReport {
+    /// Shared memory that the ports will take at most, bytes.
+    pub needed_bytes: u64,
+    /// Free in `/dev/shm`, bytes.
+    pub free_bytes: u64,
+    /// Size of `/dev/shm`, bytes.
+    pub total_bytes: u64,
+    /// File descriptors that the worker, the process with the most connections, will need.
+    pub descriptors_needed: u64,
+    /// File descriptors this process may have open.
+    pub descriptors_limit: u64,
+    /// File descriptors this process has open.
+    pub descriptors_used: u64,
+}
+
+/// Checks that the ports of `ports` fit, before any of them is created: writing to shared memory
+/// that does not fit is a SIGBUS, not an error.
+///
+/// # Errors
+/// [`RoomError`] with what is needed and what there is.
+pub fn check_room(limits: &Limits, ports: Ports) -> Result<RoomReport, RoomError> {
+    let report = RoomReport {
+        needed_bytes: needed_bytes(limits, ports),
+        descriptors_needed: descriptors(limits),
+        ..measure()?
+    };
+    if report.needed_bytes > report.free_bytes {
+        return Err(RoomError::Memory {
+            needed: report.needed_bytes,
+            free: report.free_bytes,
+        });
+    }
+    let descriptors = report.descriptors_needed + report.descriptors_used;
+    if descriptors > report.descriptors_limit {
+        return Err(RoomError::Descriptors {
+            needed: descriptors,
+            used: report.descriptors_used,
+            limit: report.descriptors_limit,
+        });
+    }
+    Ok(report)
+}
+
+/// The state of this host and process, with nothing needed.
+pub(crate) fn measure() -> Result<RoomReport, RoomError> {
+    let (free_bytes, total_bytes) = shared_memory()?;
+    let limit = getrlimit(Resource::Nofile).current;
+    let used = std::fs::read_dir("/proc/self/fd").map_err(RoomError::Look)?;
+    Ok(RoomReport {
+        needed_bytes: 0,
+        free_bytes,
+        total_bytes,
+        descriptors_needed: 0,
+        descriptors_limit: limit.unwrap_or(u64::MAX),
+        // The directory that is being read is one of them.
+        descriptors_used: used.count().saturating_sub(1) as u64,
+    })
+}
+
+/// Free bytes and total bytes of `/dev/shm`.
+pub(crate) fn shared_memory() -> Result<(u64, u64), RoomError> {
+    let shm = rustix::fs::statvfs(SHM_DIR).map_err(|error| RoomError::Look(error.into()))?;
+    Ok((
+        shm.f_bavail.saturating_mul(shm.f_frsize),
+        shm.f_blocks.saturating_mul(shm.f_frsize),
+    ))
+}
+
+/// Bytes of the memory that one publisher writes its frames to.
+pub(crate) const fn segment_bytes(
+    shape: Shape,
+    header: usize,
+    element: usize,
+    capacity: usize,
+) -> u64 {
+    (shape.frames() * (FRAME_OVERHEAD + header + element * capacity) + SEGMENT_OVERHEAD) as u64
+}
+
+fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
+    let samples = segment_bytes(
+        limits.samples(),
+        size_of::<wire::SampleHeader>(),
+        size_of::<wire::Sample>(),
+        limits.capacity,
+    );
+    let forecasts = segment_bytes(
+        limits.forecasts(),
+        size_of::<wire::ForecastHeader>(),
+        size_of::<wire::Forecast>(),
+        limits.capacity,
+    );
+    let diagnostics = segment_bytes(
+        limits.forecasts(),
+        size_of::<wire::DiagnosticHeader>(),
+        size_of::<wire::Diagnostic>(),
+        limits.capacity,
+    );
+    let budgets = segment_bytes(
+        limits.budgets(),
+        size_of::<wire::BudgetHeader>(),
+        size_of::<wire::Budget>(),
+        limits.capacity,
+    );
+    let connections = ports.workers * (ports.sources + 3 * ports.planners);
+    let processes = ports.sources + ports.workers + ports.planners;
+    let small = connections * CONNECTION_BYTES + processes * PROCESS_BYTES;
+    ports.sources as u64 * samples
+        + ports.workers as u64 * (forecasts + diagnostics + budgets)
+        + small as u64
+}
+
+fn descriptors(limits: &Limits) -> u64 {
+    let connections = limits.samples().publishers + 4 * limits.forecasts().subscribers;
+    BASE_DESCRIPTORS + CONNECTION_DESCRIPTORS * connections as u64
+}
+
+/// Why the ports would not fit.
+#[derive(Debug, thiserror::Error)]
+pub enum RoomError {
+    /// Too little shared memory.
+    #[error(
+        "shared memory: {needed} bytes needed, {free} free in {SHM_DIR}; lower `capacity` or \
+         `max_planners`, enlarge it (`mount -o remount,size=… {SHM_DIR}`, in a container \
+         `--shm-size`), or remove leftovers with `joulebus doctor --fix`"
+    )]
+    Memory {
+        /// Bytes needed.
+        needed: u64,
+        /// Bytes free.
+        free: u64,
+    },
+    /// Too few file descriptors.
+    #[error(
+        "file descriptors: {needed} needed ({used} of them in use), {limit} allowed; raise the \
+         limit (`ulimit -n {needed}`)"
+    )]
+    Descriptors {
+        /// Needed in all.
+        needed: u64,
+        /// In use.
+        used: u64,
+        /// Allowed.
+        limit: u64,
+    },
+    /// The system did not say.
+    #[error("cannot look for room: {0}")]
+    Look(io::Error),
+}

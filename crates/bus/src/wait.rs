@@ -1,0 +1,230 @@
+//! Waking others, and being woken: a descriptor and `poll`, nanosecond deadlines, no allocation.
+#![allow(unsafe_code)]
+
+use std::io;
+use std::num::NonZeroU64;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::rc::Rc;
+
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::prelude::{EventId, FileDescriptorBased, ipc};
+use joulebus_wire::WakeEvent;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
+use rustix::process::{Pid, PidfdFlags, pidfd_open};
+
+use crate::clock;
+use crate::membership::Membership;
+
+/// The longest sleep without a look. A notification that races with the emptying of the listener
+/// can leave its descriptor silent although events are pending, and a signal may arrive just before
+/// the sleep: this bounds both.
+const LONGEST_SLEEP_NS: u64 = 100_000_000;
+
+/// Wakes those who wait on a service.
+pub struct Waker {
+    notifier: Notifier<ipc::Service>,
+    // After the port: it must be gone before the process leaves.
+    _member: Rc<Membership>,
+}
+
+impl Waker {
+    pub(crate) const fn new(notifier: Notifier<ipc::Service>, member: Rc<Membership>) -> Self {
+        Self {
+            notifier,
+            _member: member,
+        }
+    }
+
+    /// Tells all waiters. About 1 µs for each that sleeps; no allocation unless waiters have come
+    /// or gone. Returns how many were told.
+    ///
+    /// # Errors
+    /// [`WaitError::Notify`].
+    pub fn wake(&self, event: WakeEvent) -> Result<usize, WaitError> {
+        self.notifier
+            .notify_with_custom_event_id(EventId::new(event.id()))
+            .map_err(|reason| WaitError::Notify {
+                reason: reason.to_string(),
+            })
+    }
+}
+
+/// Why [`Waiter::wait_until`] returned. Nothing set: the deadline has passed, or it is just time
+/// to look around (at least ten times a second).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Woken {
+    /// A frame can be read.
+    pub frame: bool,
+    /// A process on the other side was found dead.
+    pub died: bool,
+    /// A process on the other side has ended as it should.
+    pub ended: bool,
+    /// The watched process is gone.
+    pub peer_gone: bool,
+    /// A signal came.
+    pub interrupted: bool,
+}
+
+impl Woken {
+    /// Whether nothing happened.
+    #[must_use]
+    pub fn is_nothing(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Waits to be woken.
+pub struct Waiter {
+    listener: Listener<ipc::Service>,
+    // After the port: it must be gone before the process leaves.
+    _member: Rc<Membership>,
+}
+
+impl Waiter {
+    pub(crate) const fn new(listener: Listener<ipc::Service>, member: Rc<Membership>) -> Self {
+        Self {
+            listener,
+            _member: member,
+        }
+    }
+
+    /// Sleeps until woken, until `deadline_ns` (monotonic), until `peer` is gone, or until a signal
+    /// comes; at most 100 ms. Events that came before are found at once. Allocates nothing.
+    ///
+    /// # Errors
+    /// [`WaitError::Listen`] when the listener is broken, [`WaitError::Poll`] when the system
+    /// refuses.
+    pub fn wait_until(
+        &mut self,
+        deadline_ns: Option<u64>,
+        peer: Option<&PeerWatch>,
+    ) -> Result<Woken, WaitError> {
+        let mut woken = self.drain()?;
+        if !woken.is_nothing() {
+            woken.peer_gone = peer.is_some_and(PeerWatch::is_gone);
+            return Ok(woken);
+        }
+        let sleep_ns = deadline_ns.map_or(LONGEST_SLEEP_NS, |deadline| {
+            deadline
+                .saturating_sub(clock::monotonic_ns())
+                .min(LONGEST_SLEEP_NS)
+        });
+        let timeout = Timespec {
+            tv_sec: 0,
+            tv_nsec: sleep_ns.cast_signed() as _,
+        };
+        let mine = self.descriptor();
+        let watched = peer.map_or(mine, PeerWatch::as_fd);
+        let mut polled = [
+            PollFd::from_borrowed_fd(mine, PollFlags::IN),
+            PollFd::from_borrowed_fd(watched, PollFlags::IN),
+        ];
+        let used = if peer.is_some() { 2 } else { 1 };
+        let interrupted = match poll(&mut polled[..used], Some(&timeout)) {
+            Ok(_) => false,
+            Err(Errno::INTR) => true,
+            Err(error) => return Err(WaitError::Poll(error.into())),
+        };
+        let peer_gone = used == 2 && !polled[1].revents().is_empty();
+        Ok(Woken {
+            peer_gone,
+            interrupted,
+            ..self.drain()?
+        })
+    }
+
+    /// Takes all events that are pending, so that the descriptor falls silent.
+    fn drain(&self) -> Result<Woken, WaitError> {
+        let mut woken = Woken::default();
+        loop {
+            let taken = self.listener.try_wait(|event| match event.id.as_value() {
+                id if id == WakeEvent::Died.id() => woken.died = true,
+                id if id == WakeEvent::Ended.id() => woken.ended = true,
+                _ => woken.frame = true,
+            });
+            match taken {
+                Ok(0) => return Ok(woken),
+                Ok(_) => {}
+                Err(reason) => {
+                    return Err(WaitError::Listen {
+                        reason: reason.to_string(),
+                    });
+                }
+            }
+        }
+    }
+
+    fn descriptor(&self) -> BorrowedFd<'_> {
+        // SAFETY: the descriptor is open for as long as the listener lives, and the borrow ends
+        // with that of `self`; nobody closes or keeps it.
+        unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }
+    }
+}
+
+/// Watches a process for its end.
+#[derive(Debug)]
+pub struct PeerWatch {
+    descriptor: OwnedFd,
+}
+
+impl PeerWatch {
+    /// Watches the process `pid`. `None` when there is no such process, or when the system cannot
+    /// watch (Linux before 5.3, some sandboxes).
+    ///
+    /// A pid may have been given to another process already: read it again from a fresh frame
+    /// after opening.
+    #[must_use]
+    pub fn open(pid: u32) -> Option<Self> {
+        let pid = Pid::from_raw(i32::try_from(pid).ok()?)?;
+        let descriptor = pidfd_open(pid, PidfdFlags::empty()).ok()?;
+        Some(Self { descriptor })
+    }
+
+    /// Whether the process has ended, its parent having waited for it or not.
+    #[must_use]
+    pub fn is_gone(&self) -> bool {
+        let mut polled = [PollFd::new(&self.descriptor, PollFlags::IN)];
+        let now = Timespec {
+            tv_sec: 0,
+            tv_nsec: 0,
+        };
+        matches!(poll(&mut polled, Some(&now)), Ok(ready) if ready > 0)
+    }
+}
+
+impl AsFd for PeerWatch {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.descriptor.as_fd()
+    }
+}
+
+/// Lets the sleeps of the calling thread end on time: the kernel otherwise delays them by up to
+/// 50 µs to save power. For the worker.
+///
+/// # Errors
+/// When the system refuses; then sleeps stay as they were.
+pub fn set_timer_slack() -> io::Result<()> {
+    rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).map_err(Into::into)
+}
+
+/// Why waiting or waking failed.
+#[derive(Debug, thiserror::Error)]
+pub enum WaitError {
+    /// iceoryx2 could not notify.
+    #[error("cannot wake the others: {reason}")]
+    Notify {
+        /// What iceoryx2 said.
+        reason: String,
+    },
+    /// iceoryx2 could not read the listener.
+    #[error("cannot read what woke us: {reason}; join again")]
+    Listen {
+        /// What iceoryx2 said.
+        reason: String,
+    },
+    /// The system could not wait.
+    #[error("cannot wait: {0}")]
+    Poll(io::Error),
+}

@@ -1,0 +1,159 @@
+//! One worker per fleet.
+
+use std::fs::{self, File};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use rustix::fs::{FlockOperation, OFlags, flock};
+use rustix::io::Errno;
+
+use crate::leftovers::is_same;
+use crate::{Domain, RootError, clock};
+
+/// The right to be a fleet's worker, for as long as it lives. The kernel takes it back with the
+/// process, however that ends.
+#[derive(Debug)]
+pub struct WorkerLock {
+    file: File,
+    domain: Domain,
+}
+
+impl WorkerLock {
+    /// Takes the lock.
+    ///
+    /// # Errors
+    /// [`WorkerLockError::AlreadyRunning`] with the owner's pid while another worker lives.
+    pub fn acquire(domain: &Domain) -> Result<Self, WorkerLockError> {
+        loop {
+            match Self::try_acquire(domain) {
+                Ok(Some(lock)) => return Ok(lock),
+                // The last owner has just removed the file, or the directory around it.
+                Ok(None) => {}
+                Err(WorkerLockError::Io { source, .. })
+                    if source.kind() == io::ErrorKind::NotFound => {}
+                Err(WorkerLockError::Root(error)) if error.vanished() => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    /// The pid of the worker that holds the lock of `domain`, if any does.
+    ///
+    /// # Errors
+    /// When the lock file cannot be read.
+    pub fn owner(domain: &Domain) -> io::Result<Option<u32>> {
+        let path = domain.worker_file();
+        let mut file = match fs::OpenOptions::new().read(true).open(&path) {
+            Ok(file) => file,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        match flock(&file, FlockOperation::NonBlockingLockShared) {
+            Ok(()) => Ok(None),
+            Err(Errno::WOULDBLOCK) => Ok(Some(read(&mut file)?.0)),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn try_acquire(domain: &Domain) -> Result<Option<Self>, WorkerLockError> {
+        domain.prepare_root()?;
+        let path = domain.worker_file();
+        let failed = |source| WorkerLockError::Io {
+            path: path.clone(),
+            source,
+        };
+        let mut file = fs::OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .mode(0o600)
+            .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
+            .open(&path)
+            .map_err(failed)?;
+        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) => {}
+            Err(Errno::INTR) => return Ok(None),
+            Err(Errno::WOULDBLOCK) => {
+                let (pid, since_unix_ns) = read(&mut file).map_err(failed)?;
+                return Err(WorkerLockError::AlreadyRunning {
+                    fleet: domain.fleet().to_owned(),
+                    pid,
+                    since_unix_ns,
+                });
+            }
+            Err(error) => return Err(failed(error.into())),
+        }
+        if !is_same(&file, &path).map_err(failed)? {
+            return Ok(None);
+        }
+        let owner = format!("{} {}\n", std::process::id(), clock::unix_ns());
+        file.set_len(0)
+            .and_then(|()| file.write_all(owner.as_bytes()))
+            .map_err(failed)?;
+        Ok(Some(Self {
+            file,
+            domain: domain.clone(),
+        }))
+    }
+}
+
+impl Drop for WorkerLock {
+    fn drop(&mut self) {
+        let path = self.domain.worker_file();
+        // Only what we locked: the path may have been cleared by hand.
+        if is_same(&self.file, &path).unwrap_or(false) {
+            let _ = fs::remove_file(&path);
+        }
+        self.domain.remove_root();
+    }
+}
+
+/// Pid and start of the owner. It writes them right after locking: wait a little for that.
+fn read(file: &mut File) -> io::Result<(u32, u64)> {
+    for _ in 0..50 {
+        let mut text = String::new();
+        file.seek(SeekFrom::Start(0))?;
+        file.read_to_string(&mut text)?;
+        let mut words = text.split_ascii_whitespace();
+        if text.ends_with('\n')
+            && let Some(pid) = words.next().and_then(|word| word.parse().ok())
+            && let Some(since) = words.next().and_then(|word| word.parse().ok())
+        {
+            return Ok((pid, since));
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    Ok((0, 0))
+}
+
+/// Why a process may not be the worker.
+#[derive(Debug, thiserror::Error)]
+pub enum WorkerLockError {
+    /// There is one.
+    #[error(
+        "fleet {fleet:?} already has a worker, pid {pid}; stop it first (`kill {pid}`), or run \
+         this one for another fleet"
+    )]
+    AlreadyRunning {
+        /// Name of the fleet.
+        fleet: String,
+        /// Its process id; 0 if it has not said.
+        pid: u32,
+        /// When it took the lock, Unix ns.
+        since_unix_ns: u64,
+    },
+    /// The root directory is not private.
+    #[error(transparent)]
+    Root(#[from] RootError),
+    /// The system refused.
+    #[error("cannot lock {path:?}: {source}")]
+    Io {
+        /// The lock file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
