@@ -1,1 +1,46 @@
-//! joulebus-config
+//! One file sets everything for every process of a fleet.
+//!
+//! [`Config::load`] reads the fleet's file and the platform files that it names, checks every key
+//! against one table ([`KEYS`]), and refuses what is unknown, out of range or contradictory: all of
+//! it at once, each with file, line and remedy. What is left is plain values: [`Config::settings`]
+//! for the tick, [`Config::root`], [`Config::prefix`] and [`Config::fleet`] for shared memory.
+//!
+//! ```
+//! let text = r#"
+//! [fleet]
+//! name = "lab"
+//! [[platform]]
+//! file = "builtin:rover"
+//! robots = ["0-9", 12]
+//! "#;
+//! let config = joulebus_config::Config::parse(text, std::path::Path::new("."))?;
+//! assert_eq!(config.settings().platforms[0].robots, [0..=9, 12..=12]);
+//!
+//! let wrong = text.replace("name", "nmae");
+//! let refused = joulebus_config::Config::parse(&wrong, std::path::Path::new(".")).unwrap_err();
+//! assert!(refused.to_string().contains("`fleet.name`"));
+//! # Ok::<(), joulebus_config::ConfigError>(())
+//! ```
+#![forbid(unsafe_code)]
+
+mod builtin;
+mod config;
+mod contradictions;
+mod document;
+mod explain;
+mod files;
+mod key;
+mod keys;
+mod problem;
+mod remedy;
+mod robots;
+mod shared_memory;
+mod show;
+mod values;
+
+pub use builtin::{Demo, builtin_model, builtin_models, builtin_platform, builtin_platforms};
+pub use config::{Config, ModelSource};
+pub use explain::{Explanation, UnknownKey, explain, explanations};
+pub use key::{File, Key, Kind, Preset, TextRule};
+pub use keys::KEYS;
+pub use problem::{ConfigError, Problem};

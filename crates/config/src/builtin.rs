@@ -1,0 +1,89 @@
+//! What ships inside the program, so that it works from any directory.
+
+use std::path::PathBuf;
+
+use toml_edit::{DocumentMut, Item, value};
+
+/// The fleet's file that ships.
+pub(crate) const FLEET: &str = include_str!("../../../configs/fleet.toml");
+
+const PLATFORMS: &[(&str, &str)] = &[
+    (
+        "gternal",
+        include_str!("../../../configs/platforms/gternal.toml"),
+    ),
+    (
+        "robotino",
+        include_str!("../../../configs/platforms/robotino.toml"),
+    ),
+    (
+        "husky",
+        include_str!("../../../configs/platforms/husky.toml"),
+    ),
+    (
+        "rover",
+        include_str!("../../../configs/platforms/rover.toml"),
+    ),
+];
+
+const MODELS: &[(&str, &[u8])] = &[];
+
+/// Names of the platforms that ship, for `file = "builtin:<name>"`.
+pub fn builtin_platforms() -> impl Iterator<Item = &'static str> {
+    PLATFORMS.iter().map(|(name, _)| *name)
+}
+
+/// The annotated file of a platform that ships.
+#[must_use]
+pub fn builtin_platform(name: &str) -> Option<&'static str> {
+    PLATFORMS
+        .iter()
+        .find_map(|(known, text)| (*known == name).then_some(*text))
+}
+
+/// Names of the models that ship, for `model = "builtin:<name>"`.
+pub fn builtin_models() -> impl Iterator<Item = &'static str> {
+    MODELS.iter().map(|(name, _)| *name)
+}
+
+/// The bytes of a model file that ships, with its name.
+#[must_use]
+pub fn builtin_model(name: &str) -> Option<(&'static str, &'static [u8])> {
+    MODELS.iter().copied().find(|(known, _)| *known == name)
+}
+
+/// A fleet of simulated GTernal robots, configured by the files that ship.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Demo {
+    /// Name of the fleet.
+    pub fleet: String,
+    /// Private directory for its shared memory, absolute.
+    pub root: PathBuf,
+    /// First letters of its names in shared memory.
+    pub prefix: String,
+    /// Robots, with ids from 0. 1 to 1,000,000.
+    pub robots: u32,
+}
+
+impl Demo {
+    /// The annotated file of the fleet, for every process of it; [`crate::Config::load`] checks it.
+    #[must_use]
+    pub fn toml(&self) -> String {
+        // The text ships in the program, and the tests parse it.
+        let mut file: DocumentMut = FLEET.parse().expect("the shipped fleet file is TOML");
+        file["fleet"]["name"] = value(self.fleet.as_str());
+        file["fleet"]["capacity"] = value(i64::from(self.robots));
+        file["domain"]["root"] = value(self.root.to_string_lossy().as_ref());
+        file["domain"]["prefix"] = value(self.prefix.as_str());
+        let ids = 0..=self.robots.saturating_sub(1);
+        if let Some(platform) = file
+            .get_mut("platform")
+            .and_then(Item::as_array_of_tables_mut)
+            .and_then(|platforms| platforms.get_mut(0))
+        {
+            platform["file"] = value("builtin:gternal");
+            platform["robots"] = value(toml_edit::Array::from_iter([format!("0-{}", ids.end())]));
+        }
+        file.to_string()
+    }
+}

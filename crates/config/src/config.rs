@@ -1,0 +1,330 @@
+//! A checked config.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use joulebus_fleet::{
+    AlarmSettings, Battery, Intake, IntervalSettings, Platform, Policy, Settings,
+};
+
+use crate::contradictions;
+use crate::document::{FleetFile, Source};
+use crate::problem::{ConfigError, Problem};
+use crate::values::Values;
+use crate::{files, show};
+
+/// What forecasts a platform's power.
+#[derive(Clone, PartialEq)]
+pub enum ModelSource {
+    /// A model file, existing when the config was read.
+    File(PathBuf),
+    /// A model that ships: its name and the bytes of its file.
+    Builtin(&'static str, &'static [u8]),
+    /// The last reading again.
+    Persistence {
+        /// Standard deviation of the difference of two readings in a row, W.
+        residual_std_w: f32,
+    },
+}
+
+impl fmt::Debug for ModelSource {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(path) => write!(out, "File({})", path.display()),
+            Self::Builtin(name, bytes) => write!(out, "Builtin({name}, {} bytes)", bytes.len()),
+            Self::Persistence { residual_std_w } => {
+                write!(out, "Persistence({residual_std_w} W)")
+            }
+        }
+    }
+}
+
+/// A config that was read whole and found free of contradictions.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Config {
+    fleet: String,
+    root: PathBuf,
+    prefix: String,
+    settings: Settings,
+    policy: Policy,
+    tick_period_ns: u64,
+    models: Vec<ModelSource>,
+    buffer_frames: usize,
+    max_planners: usize,
+    checkpoint: Option<PathBuf>,
+    checkpoint_every_ns: u64,
+    shown: String,
+    warnings: Vec<Problem>,
+}
+
+impl Config {
+    /// Reads a fleet's file and the platform files that it names.
+    ///
+    /// # Errors
+    /// The file cannot be read, or something in it or in a platform's file is refused: everything
+    /// that is wrong, each with file, line and remedy.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
+        let path = path.as_ref();
+        let text = files::read(path).map_err(|source| ConfigError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        let directory = path.parent().unwrap_or(Path::new(""));
+        Self::read(&text, &path.display().to_string(), directory)
+    }
+
+    /// Reads the text of a fleet's file; paths in it are relative to `base_dir`.
+    ///
+    /// # Errors
+    /// As [`Config::load`]; the text is called `<config>`.
+    pub fn parse(text: &str, base_dir: &Path) -> Result<Self, ConfigError> {
+        Self::read(text, "<config>", base_dir)
+    }
+
+    fn read(text: &str, name: &str, directory: &Path) -> Result<Self, ConfigError> {
+        let source = Source {
+            text,
+            name: Arc::from(name),
+            directory: Some(Arc::new(directory.to_owned())),
+        };
+        let mut problems = Vec::new();
+        let mut warnings = Vec::new();
+        let mut read = source.fleet(&mut problems);
+        // A text that is no TOML says nothing of what it lacks.
+        if problems.iter().all(|problem| !problem.key.is_empty()) {
+            files::platforms(&mut read, &mut problems);
+            contradictions::check(&read, &source.name, &mut problems, &mut warnings);
+        }
+        let built = if problems.is_empty() {
+            Self::build(&read, &mut problems)
+        } else {
+            None
+        };
+        match built {
+            Some(config) if problems.is_empty() => Ok(Self { warnings, ..config }),
+            _ => {
+                problems
+                    .sort_by(|one, other| (&one.file, one.line).cmp(&(&other.file, other.line)));
+                Err(ConfigError::Refused(problems))
+            }
+        }
+    }
+
+    /// None only together with a problem: every key has been checked before.
+    fn build(read: &FleetFile, problems: &mut Vec<Problem>) -> Option<Self> {
+        let values = &read.values;
+        let built = Builder::config(read);
+        let complaint = match &built {
+            Some(config) => config.settings.check().err().map(|error| error.to_string()),
+            None => Some("a value is missing".to_owned()),
+        };
+        if let Some(what) = complaint {
+            let place = values.place("fleet.name");
+            problems.push(Problem {
+                file: place.map_or_else(String::new, |place| place.file.to_string()),
+                line: None,
+                key: String::new(),
+                what,
+                remedy: "See `config explain`".to_owned(),
+            });
+        }
+        built
+    }
+
+    /// Name of the fleet.
+    #[must_use]
+    pub fn fleet(&self) -> &str {
+        &self.fleet
+    }
+
+    /// Private directory of the fleet's shared memory, absolute, `{uid}` replaced.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// First letters of every name in shared memory.
+    #[must_use]
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// What the tick is told; has passed [`Settings::check`].
+    #[must_use]
+    pub const fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// When a tick is due.
+    #[must_use]
+    pub const fn policy(&self) -> Policy {
+        self.policy
+    }
+
+    /// Least time between two ticks, ns.
+    #[must_use]
+    pub const fn tick_period_ns(&self) -> u64 {
+        self.tick_period_ns
+    }
+
+    /// What forecasts each platform of [`Config::settings`], in the same order.
+    #[must_use]
+    pub fn models(&self) -> &[ModelSource] {
+        &self.models
+    }
+
+    /// Frames of each source that wait in shared memory for a slow worker.
+    #[must_use]
+    pub const fn buffer_frames(&self) -> usize {
+        self.buffer_frames
+    }
+
+    /// Planners, watchers and recorders that can be connected at the same time.
+    #[must_use]
+    pub const fn max_planners(&self) -> usize {
+        self.max_planners
+    }
+
+    /// File of the energy ledger, if it is to be kept.
+    #[must_use]
+    pub fn checkpoint(&self) -> Option<&Path> {
+        self.checkpoint.as_deref()
+    }
+
+    /// Time between two checkpoints, ns.
+    #[must_use]
+    pub const fn checkpoint_every_ns(&self) -> u64 {
+        self.checkpoint_every_ns
+    }
+
+    /// What is allowed but doubtful.
+    #[must_use]
+    pub fn warnings(&self) -> &[Problem] {
+        &self.warnings
+    }
+
+    /// The whole config as one file: defaults, platforms and paths filled in, each value with
+    /// where it comes from. Reading it gives the same config.
+    #[must_use]
+    pub fn to_toml(&self) -> &str {
+        &self.shown
+    }
+}
+
+/// Seconds to ns; every time in a config is positive and below 2^63 ns.
+fn ns(seconds: f64) -> u64 {
+    (seconds * 1e9).round() as u64
+}
+
+/// Makes plain values of checked keys; none where one is missing, which the checks rule out.
+struct Builder<'a>(&'a Values);
+
+impl Builder<'_> {
+    fn config(read: &FleetFile) -> Option<Config> {
+        let fleet = Builder(&read.values);
+        let platforms: Option<Vec<Platform>> = read
+            .platforms
+            .iter()
+            .map(|(values, _)| Builder(values).platform())
+            .collect();
+        let models: Option<Vec<ModelSource>> = read
+            .platforms
+            .iter()
+            .map(|(values, _)| files::model(values))
+            .collect();
+        let checkpoint = files::resolve(&read.values, "ledger.checkpoint")?;
+        Some(Config {
+            fleet: fleet.0.text("fleet.name")?,
+            root: root(&fleet.0.text("domain.root")?),
+            prefix: fleet.0.text("domain.prefix")?,
+            settings: fleet.settings(platforms?)?,
+            policy: fleet.policy()?,
+            tick_period_ns: ns(1.0 / fleet.0.number("tick.rate_hz")?),
+            models: models?,
+            buffer_frames: fleet.0.integer("intake.buffer_frames")?,
+            max_planners: fleet.0.integer("readers.max_planners")?,
+            checkpoint: (!checkpoint.as_os_str().is_empty()).then_some(checkpoint),
+            checkpoint_every_ns: ns(fleet.0.number("ledger.every_s")?),
+            shown: show::toml(read),
+            warnings: Vec::new(),
+        })
+    }
+
+    fn settings(&self, platforms: Vec<Platform>) -> Option<Settings> {
+        let number = |path| Some(self.0.number(path)? as f32);
+        Some(Settings {
+            capacity: self.0.integer("fleet.capacity")?,
+            intake: Intake {
+                max_samples_per_tick: self.0.integer("intake.max_samples_per_tick")?,
+                max_jump_ns: ns(self.0.number("intake.max_jump_s")?),
+                leave_after_ns: ns(self.0.number("intake.leave_after_s")?),
+                max_sources: self.0.integer("intake.max_sources")?,
+            },
+            interval: IntervalSettings {
+                coverage: number("interval.coverage")?,
+                rate: number("interval.rate")?,
+            },
+            alarms: AlarmSettings {
+                bias_weight: number("alarms.bias_weight")?,
+                cusum_slack: number("alarms.cusum_slack")?,
+                cusum_limit: number("alarms.cusum_limit")?,
+                noise_weight: number("alarms.noise_weight")?,
+                noise_limit: number("alarms.noise_limit")?,
+                mismatch_limit: number("alarms.mismatch_limit")?,
+                settle_samples: self.0.integer("alarms.settle_samples")?,
+                raise_samples: self.0.integer("alarms.raise_samples")?,
+                clear_samples: self.0.integer("alarms.clear_samples")?,
+                training_margin: number("alarms.training_margin")?,
+            },
+            platforms,
+        })
+    }
+
+    fn policy(&self) -> Option<Policy> {
+        let deadline_ns = ns(self.0.number("tick.deadline_ms")? * 1e-3);
+        match self.0.text("tick.policy")?.as_str() {
+            "timer" => Some(Policy::Timer),
+            _ => Some(Policy::OnFrame { deadline_ns }),
+        }
+    }
+
+    fn platform(&self) -> Option<Platform> {
+        let number = |path| Some(self.0.number(path)? as f32);
+        let time_ns = |path| Some(ns(self.0.number(path)?));
+        let battery = if self.0.names_any("platform.battery.") {
+            Some(self.battery()?)
+        } else {
+            None
+        };
+        Some(Platform {
+            name: self.0.text("platform.name")?,
+            robots: self.0.robots(),
+            period_ns: ns(1.0 / self.0.number("platform.rate_hz")?),
+            stale_after_ns: time_ns("platform.stale_after_s")?,
+            hold_max_ns: time_ns("platform.hold_max_s")?,
+            stuck_after_ns: time_ns("platform.stuck_after_s")?,
+            power_min_w: number("platform.power_min_w")?,
+            power_max_w: number("platform.power_max_w")?,
+            v_max_mps: number("platform.v_max_mps")?,
+            omega_max_radps: number("platform.omega_max_radps")?,
+            power_resolution_w: number("platform.power_resolution_w")?,
+            battery,
+        })
+    }
+
+    fn battery(&self) -> Option<Battery> {
+        Some(Battery {
+            capacity_j: self.0.number("platform.battery.capacity_wh")? * 3600.0,
+            reserve: self.0.number("platform.battery.reserve")?,
+            initial_soc: self.0.number("platform.battery.initial_soc")?,
+            initial_soc_lo: self.0.number("platform.battery.initial_soc_lo")?,
+        })
+    }
+}
+
+/// The root directory, with the user's number filled in.
+pub(crate) fn root(text: &str) -> PathBuf {
+    let uid = rustix::process::geteuid().as_raw();
+    PathBuf::from(text.replace("{uid}", &uid.to_string()))
+}

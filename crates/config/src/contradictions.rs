@@ -1,0 +1,467 @@
+//! Keys that are each in range but do not go together.
+
+use std::ops::RangeInclusive;
+use std::sync::Arc;
+
+use crate::document::FleetFile;
+use crate::files::{check_model, complaint};
+use crate::key::{File, Key, Preset};
+use crate::keys::KEYS;
+use crate::problem::Problem;
+use crate::robots;
+use crate::values::{Place, Values};
+
+/// Names everything that does not go together; what is merely doubtful goes to `warnings`.
+pub(crate) fn check(
+    read: &FleetFile,
+    file: &Arc<str>,
+    problems: &mut Vec<Problem>,
+    warnings: &mut Vec<Problem>,
+) {
+    let fleet = &read.values;
+    missing(fleet, file, None, problems);
+    if read.platforms.is_empty() && !problems.iter().any(|problem| problem.key == "platform") {
+        problems.push(Problem {
+            file: file.to_string(),
+            line: None,
+            key: "platform".to_owned(),
+            what: "is missing: there is no [[platform]]".to_owned(),
+            remedy: "Write [[platform]] with `file` and `robots`, or start from configs/fleet.toml"
+                .to_owned(),
+        });
+    }
+    tick(fleet, problems);
+    intake(fleet, problems, warnings);
+    for (values, place) in &read.platforms {
+        // What a file that could not be read would have said is not missing.
+        if !problems
+            .iter()
+            .any(|problem| same_line(problem, values, "platform.file"))
+        {
+            missing(values, file, Some(place), problems);
+        }
+        check_model(values, problems);
+        model(values, problems, warnings);
+        times(values, fleet, problems);
+        limits(values, problems);
+        battery(values, problems);
+    }
+    names(read, problems);
+    ids(read, problems);
+    capacity(read, warnings);
+    for problem in problems.iter_mut().chain(warnings) {
+        if problem.file.is_empty() {
+            problem.file = file.to_string();
+        }
+    }
+}
+
+fn same_line(problem: &Problem, values: &Values, key: &str) -> bool {
+    problem.key == key
+        && values
+            .place(key)
+            .is_some_and(|place| *place.file == *problem.file && Some(place.line) == problem.line)
+}
+
+fn missing(values: &Values, file: &Arc<str>, header: Option<&Place>, problems: &mut Vec<Problem>) {
+    let of_platform = header.is_some();
+    let wanted = |key: &&Key| {
+        key.default == Preset::Required
+            && key.path.starts_with("platform.") == of_platform
+            && !values.names(key.path)
+            && (!key.path.starts_with("platform.battery.") || values.names_any("platform.battery."))
+    };
+    for key in KEYS.iter().filter(wanted) {
+        // A platform's own keys are best mended in the platform's file.
+        let place = match key.file {
+            File::Platform => values.place("platform.name").or(header),
+            File::Fleet => header,
+        };
+        problems.push(Problem {
+            file: place.map_or(file, |place| &place.file).to_string(),
+            line: place.map(|place| place.line),
+            key: key.path.to_owned(),
+            what: "is missing".to_owned(),
+            remedy: format!("{} ({})", key.doc, key.facts()),
+        });
+    }
+}
+
+/// A contradiction, at the first of the two keys that a file sets.
+fn contradiction(keys: [(&Values, &str); 2], what: &str, remedy: &str) -> Problem {
+    let [first, second] = keys;
+    let (values, key) = if first.0.names(first.1) {
+        first
+    } else {
+        second
+    };
+    complaint(
+        values,
+        key,
+        format!("contradicts: {what}"),
+        remedy.to_owned(),
+    )
+}
+
+fn tick(fleet: &Values, problems: &mut Vec<Problem>) {
+    let (Some(policy), Some(rate_hz), Some(deadline_ms)) = (
+        fleet.text("tick.policy"),
+        fleet.number("tick.rate_hz"),
+        fleet.number("tick.deadline_ms"),
+    ) else {
+        return;
+    };
+    if policy == "on_frame" && !(deadline_ms * rate_hz < 1000.0) {
+        problems.push(contradiction(
+            [(fleet, "tick.deadline_ms"), (fleet, "tick.rate_hz")],
+            &format!(
+                "{} is not below the period of {}, {} ms",
+                fleet.quote("tick.deadline_ms"),
+                fleet.quote("tick.rate_hz"),
+                1000.0 / rate_hz
+            ),
+            "Lower the deadline or the rate: the next tick would be due before this one",
+        ));
+    }
+}
+
+fn intake(fleet: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Problem>) {
+    let (Some(jump_s), Some(leave_s)) = (
+        fleet.number("intake.max_jump_s"),
+        fleet.number("intake.leave_after_s"),
+    ) else {
+        return;
+    };
+    let (jump, leave) = ("intake.max_jump_s", "intake.leave_after_s");
+    if jump_s < leave_s {
+        warnings.push(complaint(
+            fleet,
+            if fleet.names(jump) { jump } else { leave },
+            format!(
+                "is doubtful: {} is below {}",
+                fleet.quote(jump),
+                fleet.quote(leave)
+            ),
+            "A robot back in between is refused until it has left: raise max_jump_s".to_owned(),
+        ));
+    }
+    let (Some(every_s), Some(rate_hz)) =
+        (fleet.number("ledger.every_s"), fleet.number("tick.rate_hz"))
+    else {
+        return;
+    };
+    if every_s * rate_hz < 1.0
+        && fleet
+            .text("ledger.checkpoint")
+            .is_some_and(|path| !path.is_empty())
+    {
+        problems.push(contradiction(
+            [(fleet, "ledger.every_s"), (fleet, "tick.rate_hz")],
+            &format!(
+                "{} is below one period of {}",
+                fleet.quote("ledger.every_s"),
+                fleet.quote("tick.rate_hz")
+            ),
+            "Between two ticks there is nothing new to save: raise every_s",
+        ));
+    }
+}
+
+fn model(values: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Problem>) {
+    let (model, scale) = ("platform.model", "platform.residual_std_w");
+    let persistence = values.text(model).is_some_and(|text| text == "persistence");
+    if persistence && !values.names(scale) {
+        problems.push(complaint(
+            values,
+            model,
+            "is \"persistence\", and `residual_std_w` is missing".to_owned(),
+            "Add residual_std_w: the standard deviation of the difference of two readings in a row, W"
+                .to_owned(),
+        ));
+    }
+    if !persistence && values.text(model).is_some() && values.names(scale) {
+        warnings.push(complaint(
+            values,
+            scale,
+            format!("is not used: {} brings its own", values.quote(model)),
+            "Take it out, or write model = \"persistence\"".to_owned(),
+        ));
+    }
+}
+
+/// Two times of a platform that must be in order.
+fn times(values: &Values, fleet: &Values, problems: &mut Vec<Problem>) {
+    let Some(rate_hz) = values.number("platform.rate_hz") else {
+        return;
+    };
+    let rate = values.quote("platform.rate_hz");
+    let mut in_periods = |key: &'static str, least: f64, most: f64, remedy: &str| {
+        let Some(time_s) = values.number(key) else {
+            return;
+        };
+        let periods = time_s * rate_hz;
+        // 1e-9: `2.0 / rate` as written in decimals counts as two periods.
+        if !(least * (1.0 - 1e-9) <= periods && periods <= most * (1.0 + 1e-9)) {
+            let what = format!(
+                "{} is {periods:.3} sample periods of {rate}, allowed are {least} to {most}",
+                values.quote(key)
+            );
+            problems.push(contradiction(
+                [(values, key), (values, "platform.rate_hz")],
+                &what,
+                remedy,
+            ));
+        }
+    };
+    in_periods(
+        "platform.stale_after_s",
+        2.0,
+        1000.0,
+        "One late sample must not make a robot Invalid, nor a gap be bridged for ever: change one of them",
+    );
+    in_periods(
+        "platform.hold_max_s",
+        1.0,
+        f64::MAX,
+        "Every sample would raise HeldTooLong: raise hold_max_s",
+    );
+    in_periods(
+        "platform.stuck_after_s",
+        2.0,
+        f64::MAX,
+        "Two equal readings would raise StuckSensor: raise stuck_after_s",
+    );
+    let ordered = [
+        (
+            (values, "platform.hold_max_s"),
+            (values, "platform.stuck_after_s"),
+            "A monitor that may hold that long cannot be called stuck sooner: raise stuck_after_s",
+        ),
+        (
+            (values, "platform.stale_after_s"),
+            (fleet, "intake.leave_after_s"),
+            "A robot would leave before it is stale: raise leave_after_s",
+        ),
+        (
+            (values, "platform.stale_after_s"),
+            (fleet, "intake.max_jump_s"),
+            "A gap that the model may still bridge would be refused: raise max_jump_s",
+        ),
+    ];
+    for (shorter, longer, remedy) in ordered {
+        let (Some(short_s), Some(long_s)) =
+            (shorter.0.number(shorter.1), longer.0.number(longer.1))
+        else {
+            continue;
+        };
+        if short_s > long_s {
+            let what = format!(
+                "{} is below {}",
+                longer.0.quote(longer.1),
+                shorter.0.quote(shorter.1)
+            );
+            problems.push(contradiction([longer, shorter], &what, remedy));
+        }
+    }
+    backlog(values, fleet, rate_hz, problems);
+}
+
+fn backlog(values: &Values, fleet: &Values, rate_hz: f64, problems: &mut Vec<Problem>) {
+    let (Some(tick_hz), Some(most)) = (
+        fleet.number("tick.rate_hz"),
+        fleet.number("intake.max_samples_per_tick"),
+    ) else {
+        return;
+    };
+    if rate_hz > tick_hz * most {
+        let what = format!(
+            "{} is more than {} with {} can take",
+            values.quote("platform.rate_hz"),
+            fleet.quote("tick.rate_hz"),
+            fleet.quote("intake.max_samples_per_tick")
+        );
+        problems.push(contradiction(
+            [
+                (values, "platform.rate_hz"),
+                (fleet, "intake.max_samples_per_tick"),
+            ],
+            &what,
+            "Samples would be dropped at every tick: raise max_samples_per_tick or the tick's rate",
+        ));
+    }
+}
+
+fn limits(values: &Values, problems: &mut Vec<Problem>) {
+    let (min, max, step) = (
+        "platform.power_min_w",
+        "platform.power_max_w",
+        "platform.power_resolution_w",
+    );
+    let (Some(min_w), Some(max_w)) = (values.number(min), values.number(max)) else {
+        return;
+    };
+    if !(min_w < max_w) {
+        let what = format!("{} is not below {}", values.quote(min), values.quote(max));
+        problems.push(contradiction(
+            [(values, min), (values, max)],
+            &what,
+            "No reading could be true: change one of them",
+        ));
+        return;
+    }
+    if values
+        .number(step)
+        .is_some_and(|step_w| !(step_w < max_w - min_w))
+    {
+        let what = format!(
+            "{} is not below the span from {} to {}",
+            values.quote(step),
+            values.quote(min),
+            values.quote(max)
+        );
+        problems.push(contradiction(
+            [(values, step), (values, max)],
+            &what,
+            "The monitor could tell nothing: change one of them",
+        ));
+    }
+}
+
+fn battery(values: &Values, problems: &mut Vec<Problem>) {
+    if !values.names_any("platform.battery.") {
+        return;
+    }
+    let (reserve, soc, low) = (
+        "platform.battery.reserve",
+        "platform.battery.initial_soc",
+        "platform.battery.initial_soc_lo",
+    );
+    let (Some(reserve_share), Some(soc_share)) = (values.number(reserve), values.number(soc))
+    else {
+        return;
+    };
+    if values
+        .number(low)
+        .is_some_and(|low_share| low_share > soc_share)
+    {
+        let what = format!("{} is above {}", values.quote(low), values.quote(soc));
+        problems.push(contradiction(
+            [(values, low), (values, soc)],
+            &what,
+            "The safe side is the lower one: change one of them",
+        ));
+    }
+    if !(reserve_share < soc_share) {
+        let what = format!(
+            "{} is not below {}",
+            values.quote(reserve),
+            values.quote(soc)
+        );
+        problems.push(contradiction(
+            [(values, reserve), (values, soc)],
+            &what,
+            "Nothing would be usable from the start: change one of them",
+        ));
+    }
+}
+
+fn names(read: &FleetFile, problems: &mut Vec<Problem>) {
+    let name = "platform.name";
+    for (index, (values, header)) in read.platforms.iter().enumerate() {
+        let Some(text) = values.text(name) else {
+            continue;
+        };
+        let earlier = read.platforms[..index]
+            .iter()
+            .find(|(earlier, _)| earlier.text(name).as_ref() == Some(&text));
+        if let Some((_, first)) = earlier {
+            problems.push(Problem {
+                file: header.file.to_string(),
+                line: Some(header.line),
+                key: "platform".to_owned(),
+                what: format!("contradicts: the platform {text:?} stands here and at {first}"),
+                remedy: "List its robots in one [[platform]], or give one of them another `name`"
+                    .to_owned(),
+            });
+        }
+    }
+}
+
+fn ids(read: &FleetFile, problems: &mut Vec<Problem>) {
+    let key = "platform.robots";
+    let mut ranges: Vec<(RangeInclusive<u32>, &Values)> = read
+        .platforms
+        .iter()
+        .flat_map(|(values, _)| {
+            values
+                .robots()
+                .into_iter()
+                .map(move |range| (range, values))
+        })
+        .collect();
+    ranges.sort_by_key(|(range, _)| (*range.start(), *range.end()));
+    let mut reach: Option<(RangeInclusive<u32>, &Values)> = None;
+    for (range, values) in ranges {
+        let shared = reach
+            .as_ref()
+            .filter(|(before, _)| range.start() <= before.end());
+        if let Some((before, earlier)) = shared {
+            let place =
+                |values: &Values| values.place(key).map_or_else(String::new, Place::to_string);
+            let what = format!(
+                "contradicts: {} ({}) and {} ({}) share robot {}",
+                robots::text(before),
+                place(earlier),
+                robots::text(&range),
+                place(values),
+                range.start()
+            );
+            problems.push(complaint(
+                values,
+                key,
+                what,
+                "Take it out of one of them: a robot belongs to at most one platform, once"
+                    .to_owned(),
+            ));
+        }
+        if reach
+            .as_ref()
+            .is_none_or(|(before, _)| range.end() > before.end())
+        {
+            reach = Some((range, values));
+        }
+    }
+    for (values, _) in &read.platforms {
+        if values.place(key).is_some() && values.get(key).is_some() && values.robots().is_empty() {
+            problems.push(complaint(
+                values,
+                key,
+                "is empty".to_owned(),
+                "Name at least one robot, or take the [[platform]] out".to_owned(),
+            ));
+        }
+    }
+}
+
+fn capacity(read: &FleetFile, warnings: &mut Vec<Problem>) {
+    let Some(room) = read.values.number("fleet.capacity") else {
+        return;
+    };
+    let listed: u64 = read
+        .platforms
+        .iter()
+        .flat_map(|(values, _)| values.robots())
+        .map(|range| robots::count(&range))
+        .sum();
+    if listed as f64 > room {
+        warnings.push(complaint(
+            &read.values,
+            "fleet.capacity",
+            format!(
+                "is doubtful: {} is below the {listed} robots listed under `platform.robots`",
+                read.values.quote("fleet.capacity")
+            ),
+            "Those that come last will be refused: raise the capacity".to_owned(),
+        ));
+    }
+}

@@ -1,0 +1,333 @@
+//! A TOML text to checked values, every complaint with its line.
+
+use std::ops::Range;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use toml_edit::{Document, Item, Key as TomlKey, TableLike};
+
+use crate::key::{File, Key, Kind};
+use crate::keys::{self, KEYS};
+use crate::problem::Problem;
+use crate::remedy;
+use crate::robots;
+use crate::values::{Place, Value, Values};
+
+/// A text, and how to name it.
+pub(crate) struct Source<'a> {
+    pub(crate) text: &'a str,
+    pub(crate) name: Arc<str>,
+    pub(crate) directory: Option<Arc<PathBuf>>,
+}
+
+/// What the fleet's file says.
+#[derive(Debug, Default)]
+pub(crate) struct FleetFile {
+    pub(crate) values: Values,
+    /// One for each `[[platform]]`, with the place of its header.
+    pub(crate) platforms: Vec<(Values, Place)>,
+}
+
+impl Source<'_> {
+    /// Reads the file of a fleet.
+    pub(crate) fn fleet(&self, problems: &mut Vec<Problem>) -> FleetFile {
+        let mut read = FleetFile::default();
+        let Some(document) = self.document(problems) else {
+            return read;
+        };
+        let mut walk = Walk {
+            source: self,
+            file: File::Fleet,
+            problems,
+        };
+        for (key, item) in entries(document.as_table()) {
+            if key.get() != "platform" {
+                walk.item(key, item, key.get(), &mut read.values);
+                continue;
+            }
+            let place = walk.source.place(key.span());
+            let Some(tables) = tables(item) else {
+                walk.wrong(
+                    &place,
+                    "platform",
+                    "is a single table".to_owned(),
+                    "Write [[platform]], with two brackets: there is one for each platform"
+                        .to_owned(),
+                );
+                continue;
+            };
+            for (table, span) in tables {
+                let mut values = Values::default();
+                walk.table(table, "platform", &mut values);
+                let place = walk.source.place(span.or_else(|| key.span()));
+                read.platforms.push((values, place));
+            }
+        }
+        read
+    }
+
+    /// Reads a platform's file.
+    pub(crate) fn platform(&self, problems: &mut Vec<Problem>) -> Values {
+        let mut values = Values::default();
+        let Some(document) = self.document(problems) else {
+            return values;
+        };
+        let mut walk = Walk {
+            source: self,
+            file: File::Platform,
+            problems,
+        };
+        walk.table(document.as_table(), "platform", &mut values);
+        values
+    }
+
+    fn document(&self, problems: &mut Vec<Problem>) -> Option<Document<&str>> {
+        match Document::parse(self.text) {
+            Ok(document) => Some(document),
+            Err(error) => {
+                problems.push(self.syntax(&error));
+                None
+            }
+        }
+    }
+
+    fn place(&self, span: Option<Range<usize>>) -> Place {
+        Place {
+            file: Arc::clone(&self.name),
+            directory: self.directory.clone(),
+            line: line_of(self.text, span.map_or(0, |span| span.start)),
+        }
+    }
+
+    fn syntax(&self, error: &toml_edit::TomlError) -> Problem {
+        let place = self.place(error.span());
+        let message = error.message().trim().replace('\n', "; ");
+        let (key, what, remedy) = if message.contains("duplicate key") {
+            let key = error
+                .span()
+                .and_then(|span| self.text.get(span))
+                .unwrap_or("");
+            let first = first_of(self.text, place.line)
+                .map_or_else(|| "before".to_owned(), |line| format!("in line {line}"));
+            let what = format!("is set again; it was set {first}");
+            (key.trim().to_owned(), what, "Keep one of the two")
+        } else {
+            let what = format!("this is no TOML: {message}");
+            (
+                String::new(),
+                what,
+                "Mend the line; the rest of the file was not checked",
+            )
+        };
+        Problem {
+            file: place.file.to_string(),
+            line: Some(place.line),
+            key,
+            what,
+            remedy: remedy.to_owned(),
+        }
+    }
+}
+
+/// The line, from 1, of a byte offset.
+fn line_of(text: &str, offset: usize) -> usize {
+    let upto = &text.as_bytes()[..offset.min(text.len())];
+    1 + upto.iter().filter(|byte| **byte == b'\n').count()
+}
+
+/// The line before `line` that sets the same key or opens the same section.
+fn first_of(text: &str, line: usize) -> Option<usize> {
+    let head = |line: &str| -> Option<String> {
+        let end = line.find(if line.trim_start().starts_with('[') {
+            ']'
+        } else {
+            '='
+        })?;
+        Some(line[..=end].split_whitespace().collect())
+    };
+    let lines: Vec<&str> = text.lines().collect();
+    let wanted = head(lines.get(line.checked_sub(1)?)?)?;
+    let before = lines[..line - 1].iter().enumerate().rev();
+    let mut same_section = before
+        .take_while(|(_, text)| wanted.starts_with('[') || !text.trim_start().starts_with('['));
+    let (index, _) = same_section.find(|(_, text)| head(text).as_ref() == Some(&wanted))?;
+    Some(index + 1)
+}
+
+fn entries<'t>(table: &'t dyn TableLike) -> impl Iterator<Item = (&'t TomlKey, &'t Item)> {
+    table
+        .iter()
+        .filter_map(|(name, _)| table.get_key_value(name))
+}
+
+type Spanned<'t> = (&'t dyn TableLike, Option<Range<usize>>);
+
+/// The tables of `[[platform]]`, or of an array of inline tables.
+fn tables(item: &Item) -> Option<Vec<Spanned<'_>>> {
+    if let Some(tables) = item.as_array_of_tables() {
+        let spanned = |table: &'_ toml_edit::Table| table.span();
+        return Some(
+            tables
+                .iter()
+                .map(|table| (table as &dyn TableLike, spanned(table)))
+                .collect(),
+        );
+    }
+    let array = item.as_array()?;
+    array
+        .iter()
+        .map(|value| {
+            let table = value.as_inline_table()?;
+            Some((table as &dyn TableLike, value.span()))
+        })
+        .collect()
+}
+
+/// One file being walked through.
+struct Walk<'a> {
+    source: &'a Source<'a>,
+    file: File,
+    problems: &'a mut Vec<Problem>,
+}
+
+impl Walk<'_> {
+    fn table(&mut self, table: &dyn TableLike, path: &str, values: &mut Values) {
+        for (key, item) in entries(table) {
+            self.item(key, item, &format!("{path}.{}", key.get()), values);
+        }
+    }
+
+    fn item(&mut self, key: &TomlKey, item: &Item, path: &str, values: &mut Values) {
+        let place = self.source.place(key.span());
+        let section = format!("{path}.");
+        if KEYS.iter().any(|key| key.path.starts_with(&section)) {
+            match item.as_table_like() {
+                Some(table) => self.table(table, path, values),
+                None => self.wrong(
+                    &place,
+                    path,
+                    format!("is {}, but it is the name of a section", found(item)),
+                    format!(
+                        "Write [{path}] on a line of its own, and the keys of the section below it"
+                    ),
+                ),
+            }
+            return;
+        }
+        let Some(known) = keys::find(path).filter(|key| self.allows(key)) else {
+            self.unknown(&place, path, item);
+            return;
+        };
+        let value = match self.value(known, item) {
+            Ok(value) => Some(value),
+            Err((what, remedy)) => {
+                self.wrong(&place, self.shown(path), what, remedy);
+                None
+            }
+        };
+        values.set(known, value, place);
+    }
+
+    /// A fleet's file may hold every key, a platform's file its own alone.
+    fn allows(&self, key: &Key) -> bool {
+        self.file == File::Fleet || key.file == File::Platform
+    }
+
+    fn shown<'p>(&self, path: &'p str) -> &'p str {
+        match self.file {
+            File::Fleet => path,
+            File::Platform => path.strip_prefix("platform.").unwrap_or(path),
+        }
+    }
+
+    fn unknown(&mut self, place: &Place, path: &str, item: &Item) {
+        let file = (self.file == File::Platform).then_some(File::Platform);
+        let value = item
+            .as_float()
+            .or_else(|| item.as_integer().map(|value| value as f64));
+        let remedy = remedy::unknown_key(file, path, value);
+        let what = if item.is_table_like() {
+            "is no section that is known"
+        } else {
+            "is no key that is known"
+        };
+        self.wrong(place, self.shown(path), what.to_owned(), remedy);
+    }
+
+    fn wrong(&mut self, place: &Place, path: &str, what: String, remedy: String) {
+        self.problems.push(Problem {
+            file: place.file.to_string(),
+            line: Some(place.line),
+            key: path.to_owned(),
+            what,
+            remedy,
+        });
+    }
+
+    /// The value if the key's kind and range allow it, else what was found and what to do.
+    fn value(&self, key: &Key, item: &Item) -> Result<Value, (String, String)> {
+        let refused = |what: String, advice: Option<String>| {
+            let advice = advice.map_or_else(String::new, |advice| format!("{advice}. "));
+            (what, format!("{advice}Allowed: {}", key.facts()))
+        };
+        let mistaken = || {
+            let advice = item
+                .as_str()
+                .and_then(|text| remedy::number_in_text(key, text));
+            refused(format!("is {}", found(item)), advice)
+        };
+        match key.kind {
+            Kind::Integer { min, max } => {
+                let value = item.as_integer().ok_or_else(mistaken)?;
+                if !(min..=max).contains(&value) {
+                    let advice = remedy::other_unit(key, value as f64);
+                    return Err(refused(format!("is {value}, out of its range"), advice));
+                }
+                Ok(Value::Integer(value))
+            }
+            Kind::Number { min, max } => {
+                let whole = || item.as_integer().map(|value| value as f64);
+                let value = item.as_float().or_else(whole).ok_or_else(mistaken)?;
+                if !(min <= value && value <= max) {
+                    let advice = remedy::other_unit(key, value);
+                    return Err(refused(format!("is {value}, out of its range"), advice));
+                }
+                Ok(Value::Number(value))
+            }
+            Kind::Choice(words) => {
+                let text = item.as_str().ok_or_else(mistaken)?;
+                if words.contains(&text) {
+                    return Ok(Value::Text(text.to_owned()));
+                }
+                let near = words.iter().max_by(|one, other| {
+                    strsim::jaro_winkler(one, text).total_cmp(&strsim::jaro_winkler(other, text))
+                });
+                let advice = near.map(|word| format!("The nearest word is {word:?}"));
+                Err(refused(format!("is {text:?}"), advice))
+            }
+            Kind::Text(rule) => {
+                let text = item.as_str().ok_or_else(mistaken)?;
+                if !rule.allows(text) {
+                    return Err(refused(format!("is {text:?}"), None));
+                }
+                Ok(Value::Text(text.to_owned()))
+            }
+            Kind::Robots => {
+                let list = item.as_array().ok_or_else(mistaken)?;
+                let ranges: Result<Vec<_>, String> = list.iter().map(robots::parse).collect();
+                Ok(Value::Robots(ranges.map_err(|what| refused(what, None))?))
+            }
+        }
+    }
+}
+
+/// What stands there, in words.
+fn found(item: &Item) -> String {
+    match item {
+        Item::Value(value) => {
+            let text: String = value.to_string().trim().chars().take(60).collect();
+            format!("{text} ({})", value.type_name())
+        }
+        other => format!("a {}", other.type_name()),
+    }
+}

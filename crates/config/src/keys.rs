@@ -1,0 +1,147 @@
+//! The one table of keys: explanations, range checks and the comments in the shipped files come
+//! from it.
+
+use crate::key::{
+    File::{Fleet, Platform},
+    Key, Kind, Preset, TextRule,
+};
+
+const fn key(
+    path: &'static str,
+    kind: Kind,
+    unit: &'static str,
+    default: Preset,
+    doc: &'static str,
+) -> Key {
+    Key {
+        path,
+        file: Fleet,
+        kind,
+        unit,
+        default,
+        doc,
+    }
+}
+
+const fn of_platform(mut key: Key) -> Key {
+    key.file = Platform;
+    key
+}
+
+const fn int(min: i64, max: i64) -> Kind {
+    Kind::Integer { min, max }
+}
+
+const fn num(min: f64, max: f64) -> Kind {
+    Kind::Number { min, max }
+}
+
+/// Every key, in the order of the shipped files.
+#[rustfmt::skip]
+pub const KEYS: &[Key] = &[
+    key("fleet.name", Kind::Text(TextRule::Name), "", Preset::Required,
+        "Name of the fleet: part of every service's name, so that fleets keep apart."),
+    key("fleet.capacity", int(1, 1_000_000), "robots", Preset::Integer(1000),
+        "Robots that there is room for; those past it are refused, counted and named."),
+
+    key("domain.root", Kind::Text(TextRule::Root), "", Preset::Text("/dev/shm/joulebus-{uid}"),
+        "Private directory that holds the fleet's shared memory; keep it on a tmpfs."),
+    key("domain.prefix", Kind::Text(TextRule::Prefix), "", Preset::Text("jb_"),
+        "First letters of every name in shared memory: tells our files from others."),
+
+    key("tick.policy", Kind::Choice(&["on_frame", "timer"]), "", Preset::Text("on_frame"),
+        "When a tick is due: as soon as every robot that is due has reported, or on a fixed grid."),
+    key("tick.rate_hz", num(0.1, 1000.0), "Hz", Preset::Number(30.0),
+        "Most ticks per second, whatever the policy."),
+    key("tick.deadline_ms", num(0.1, 10_000.0), "ms", Preset::Number(10.0),
+        "With on_frame: how long to wait for the others after the first sample of a tick."),
+
+    key("intake.max_samples_per_tick", int(1, 1024), "samples", Preset::Integer(8),
+        "Samples of one robot that one tick takes; the rest is dropped and counted as Backlog."),
+    key("intake.max_jump_s", num(0.01, 604_800.0), "s", Preset::Number(60.0),
+        "A stamp further than this after the robot's last one is refused."),
+    key("intake.leave_after_s", num(0.01, 604_800.0), "s", Preset::Number(30.0),
+        "A robot silent for longer than this has left: its place is free for another."),
+    key("intake.max_sources", int(1, 4096), "sources", Preset::Integer(64),
+        "Sources that the worker keeps account of."),
+    key("intake.buffer_frames", int(2, 256), "frames", Preset::Integer(8),
+        "Frames of each source that wait in shared memory for a slow worker; then the oldest is lost."),
+
+    key("interval.coverage", num(0.5, 0.99), "share", Preset::Number(0.9),
+        "Share of readings that are to fall inside the interval around their forecast."),
+    key("interval.rate", num(0.001, 0.5), "share", Preset::Number(0.02),
+        "How fast the interval follows, as a share of the residuals' scale per reading."),
+
+    key("alarms.bias_weight", num(1e-4, 0.5), "share", Preset::Number(0.005),
+        "Weight of the newest residual in the running bias."),
+    key("alarms.cusum_slack", num(0.0, 5.0), "standard deviations", Preset::Number(1.0),
+        "Shift of the residuals that the cumulative sums ignore."),
+    key("alarms.cusum_limit", num(1.0, 1000.0), "standard deviations", Preset::Number(50.0),
+        "Cumulative sum at which BiasHigh or BiasLow is raised; cleared below half of it."),
+    key("alarms.noise_weight", num(1e-4, 0.5), "share", Preset::Number(0.005),
+        "Weight of the newest squared residual in the noise ratio."),
+    key("alarms.noise_limit", num(1.5, 100.0), "ratio", Preset::Number(15.0),
+        "Noise ratio (1 = as in training) at which NoiseHigh is raised; cleared below half of it."),
+    key("alarms.mismatch_limit", num(1.0, 100.0), "ratio", Preset::Number(1.5),
+        "Squared error over that of persistence at which ModelMismatch is raised; cleared below 0.9 of it."),
+    key("alarms.settle_samples", int(1, 1_000_000), "samples", Preset::Integer(300),
+        "Residuals of a robot before any alarm on them is raised."),
+    key("alarms.raise_samples", int(1, 10_000), "samples", Preset::Integer(15),
+        "Samples in a row that must agree before an alarm is raised."),
+    key("alarms.clear_samples", int(1, 10_000), "samples", Preset::Integer(90),
+        "Samples in a row that must agree before an alarm is cleared."),
+    key("alarms.training_margin", num(0.0, 10.0), "share", Preset::Number(0.1),
+        "How far outside the training range a feature may lie, as a share of that range."),
+
+    key("ledger.checkpoint", Kind::Text(TextRule::OptionalPath), "", Preset::Text(""),
+        "File that the energy ledger is saved to and restored from; empty: the ledger ends with the worker."),
+    key("ledger.every_s", num(0.05, 3600.0), "s", Preset::Number(1.0),
+        "Time between two checkpoints: a killed worker loses at most this much of the ledger."),
+
+    key("readers.max_planners", int(1, 256), "readers", Preset::Integer(16),
+        "Planners, watchers and recorders that can be connected at the same time."),
+
+    key("platform.file", Kind::Text(TextRule::PlatformFile), "", Preset::Unset,
+        "The platform's file. Its keys may stand here as well, and then win over the file's."),
+    key("platform.robots", Kind::Robots, "ids", Preset::Required,
+        "The robots that are of this platform; each robot belongs to at most one."),
+
+    of_platform(key("platform.name", Kind::Text(TextRule::Name), "", Preset::Required,
+        "Name of the platform, for messages.")),
+    of_platform(key("platform.model", Kind::Text(TextRule::Model), "", Preset::Required,
+        "What forecasts the power: a model file, a model that ships, or the last reading again.")),
+    of_platform(key("platform.residual_std_w", num(1e-6, 1e6), "W", Preset::Unset,
+        "With model = \"persistence\": standard deviation of the difference of two readings in a row.")),
+    of_platform(key("platform.rate_hz", num(0.1, 1000.0), "Hz", Preset::Required,
+        "Samples per second of each robot.")),
+    of_platform(key("platform.stale_after_s", num(0.002, 3600.0), "s", Preset::Number(0.5),
+        "Silence after which a robot is Invalid; a longer gap empties its lag window.")),
+    of_platform(key("platform.hold_max_s", num(0.002, 3600.0), "s", Preset::Number(0.5),
+        "Age of a measurement past which HeldTooLong is raised.")),
+    of_platform(key("platform.stuck_after_s", num(0.01, 86_400.0), "s", Preset::Number(10.0),
+        "Time over which new measurements may all be equal before StuckSensor is raised.")),
+    of_platform(key("platform.power_min_w", num(-1e6, 1e6), "W", Preset::Required,
+        "Least power that can be true; negative where the robot regenerates.")),
+    of_platform(key("platform.power_max_w", num(0.0, 1e6), "W", Preset::Required,
+        "Greatest power that can be true; also what unmetered time is charged at, on the safe side.")),
+    of_platform(key("platform.power_resolution_w", num(1e-9, 1e6), "W", Preset::Required,
+        "Smallest step of the power monitor: no residual scale is taken to be finer.")),
+    of_platform(key("platform.v_max_mps", num(0.0, 1000.0), "m/s", Preset::Required,
+        "Greatest |v| that can be commanded; 0 for robots that report no velocity.")),
+    of_platform(key("platform.omega_max_radps", num(0.0, 1000.0), "rad/s", Preset::Required,
+        "Greatest |omega| that can be commanded; 0 for robots that report no velocity.")),
+
+    of_platform(key("platform.battery.capacity_wh", num(0.001, 1e6), "Wh", Preset::Required,
+        "Energy of the battery from full to empty. Leave [battery] out where it is not known.")),
+    of_platform(key("platform.battery.reserve", num(0.0, 1.0), "share", Preset::Number(0.1),
+        "Share of the capacity that is never counted as usable.")),
+    of_platform(key("platform.battery.initial_soc", num(0.0, 1.0), "share", Preset::Number(1.0),
+        "State of charge when the ledger starts, best estimate.")),
+    of_platform(key("platform.battery.initial_soc_lo", num(0.0, 1.0), "share", Preset::Required,
+        "The same, on the safe side; at most initial_soc.")),
+];
+
+/// The key at `path`, if there is one.
+pub(crate) fn find(path: &str) -> Option<&'static Key> {
+    KEYS.iter().find(|key| key.path == path)
+}

@@ -1,0 +1,195 @@
+//! What a user probably meant: nearest keys, and numbers in another unit.
+
+use crate::key::{File, Key, Kind};
+use crate::keys::KEYS;
+
+/// Units by what they measure, and their size in the first unit of their group.
+const UNITS: &[(&str, &[(&str, f64)])] = &[
+    (
+        "time",
+        &[
+            ("s", 1.0),
+            ("ms", 1e-3),
+            ("us", 1e-6),
+            ("µs", 1e-6),
+            ("ns", 1e-9),
+            ("min", 60.0),
+            ("h", 3600.0),
+        ],
+    ),
+    ("rate", &[("hz", 1.0), ("khz", 1e3)]),
+    ("power", &[("w", 1.0), ("mw", 1e-3), ("kw", 1e3)]),
+    (
+        "energy",
+        &[
+            ("wh", 1.0),
+            ("mwh", 1e-3),
+            ("kwh", 1e3),
+            ("j", 1.0 / 3600.0),
+            ("kj", 1.0 / 3.6),
+        ],
+    ),
+    (
+        "speed",
+        &[
+            ("m/s", 1.0),
+            ("mps", 1.0),
+            ("mm/s", 1e-3),
+            ("cm/s", 1e-2),
+            ("km/h", 1.0 / 3.6),
+        ],
+    ),
+    (
+        "turn rate",
+        &[
+            ("rad/s", 1.0),
+            ("radps", 1.0),
+            ("deg/s", std::f64::consts::PI / 180.0),
+            ("degps", std::f64::consts::PI / 180.0),
+        ],
+    ),
+    ("share", &[("share", 1.0), ("%", 0.01), ("percent", 0.01)]),
+];
+
+/// What a unit measures, and its size.
+fn unit(name: &str) -> Option<(&'static str, f64)> {
+    let name = name.trim().to_lowercase();
+    UNITS.iter().find_map(|(what, units)| {
+        let (_, size) = units.iter().find(|(unit, _)| *unit == name)?;
+        Some((*what, *size))
+    })
+}
+
+/// `value` in unit `from`, told in unit `to`; a time and a rate are each other's reciprocal.
+fn convert(value: f64, from: &str, to: &str) -> Option<f64> {
+    let (from_what, from_size) = unit(from)?;
+    let (to_what, to_size) = unit(to)?;
+    let plain = value * from_size;
+    let told = match (from_what, to_what) {
+        (same, other) if same == other => plain / to_size,
+        ("time", "rate") | ("rate", "time") if plain != 0.0 => 1.0 / plain / to_size,
+        _ => return None,
+    };
+    // Nine digits: a conversion is not to be told with the noise of its arithmetic.
+    told.is_finite()
+        .then(|| format!("{told:.9e}").parse().ok())
+        .flatten()
+}
+
+fn within(key: &Key, value: f64) -> bool {
+    match key.kind {
+        Kind::Integer { min, max } => {
+            value.fract() == 0.0 && min as f64 <= value && value <= max as f64
+        }
+        Kind::Number { min, max } => min <= value && value <= max,
+        Kind::Choice(_) | Kind::Text(_) | Kind::Robots => false,
+    }
+}
+
+/// A text like `33ms` where a number belongs: what to write instead.
+pub(crate) fn number_in_text(key: &Key, text: &str) -> Option<String> {
+    let text = text.trim();
+    let end = text
+        .find(|letter: char| !(letter.is_ascii_digit() || matches!(letter, '.' | '-' | '+')))
+        .unwrap_or(text.len());
+    let (number, suffix) = text.split_at(end);
+    let value: f64 = number.parse().ok()?;
+    let suffix = suffix.trim();
+    if suffix.is_empty() {
+        return within(key, value).then(|| format!("Write {value} without quotes"));
+    }
+    let told = convert(value, suffix, key.unit)?;
+    if !within(key, told) {
+        return None;
+    }
+    Some(format!(
+        "{text} is {told} {unit}: write {told}, without quotes; the unit is always {unit}",
+        unit = key.unit
+    ))
+}
+
+/// A number out of range that would be in range had it been meant in another unit.
+pub(crate) fn other_unit(key: &Key, value: f64) -> Option<String> {
+    let candidates: &[&str] = match key.unit {
+        "s" => &["ms", "Hz", "us", "ns"],
+        "ms" => &["s", "us", "ns", "Hz"],
+        "Hz" => &["s", "ms"],
+        "W" => &["mW", "kW"],
+        "Wh" => &["mWh", "J"],
+        "m/s" => &["mm/s"],
+        "rad/s" => &["deg/s"],
+        "share" => &["%"],
+        _ => &[],
+    };
+    candidates.iter().find_map(|from| {
+        let told = convert(value, from, key.unit).filter(|told| within(key, *told))?;
+        Some(format!(
+            "If {value} was meant in {from}, write {told}: the unit is {}",
+            key.unit
+        ))
+    })
+}
+
+/// Ends of key names that tell a unit.
+const SUFFIXES: &[(&str, &str)] = &[
+    ("_s", "s"),
+    ("_ms", "ms"),
+    ("_us", "us"),
+    ("_ns", "ns"),
+    ("_hz", "Hz"),
+    ("_w", "W"),
+    ("_mw", "mW"),
+    ("_kw", "kW"),
+    ("_wh", "Wh"),
+    ("_kwh", "kWh"),
+    ("_j", "J"),
+    ("_mps", "m/s"),
+    ("_radps", "rad/s"),
+    ("_degps", "deg/s"),
+];
+
+fn split_unit(name: &str) -> (&str, Option<&'static str>) {
+    SUFFIXES
+        .iter()
+        .find_map(|(suffix, unit)| Some((name.strip_suffix(suffix)?, Some(*unit))))
+        .unwrap_or((name, None))
+}
+
+/// The key of `file` that is nearest to `path`, if any is near.
+pub(crate) fn nearest(file: Option<File>, path: &str) -> Option<&'static Key> {
+    let name = |path: &str| path.rsplit('.').next().unwrap_or(path).to_lowercase();
+    let wanted = name(path);
+    let stem = |name: &str| split_unit(name).0.to_owned();
+    let likeness = |key: &Key| {
+        let whole = strsim::normalized_damerau_levenshtein(key.path, &path.to_lowercase());
+        let last = strsim::normalized_damerau_levenshtein(key.name(), &wanted);
+        let stems = strsim::normalized_damerau_levenshtein(&stem(key.name()), &stem(&wanted));
+        // The whole path decides between keys of the same name.
+        last.max(0.95 * stems).max(0.9 * whole) + 0.01 * whole
+    };
+    KEYS.iter()
+        .filter(|key| file.is_none_or(|file| key.file == file))
+        .map(|key| (likeness(key), key))
+        .filter(|(likeness, _)| *likeness >= 0.5)
+        .max_by(|(one, _), (other, _)| one.total_cmp(other))
+        .map(|(_, key)| key)
+}
+
+/// What to do about an unknown key.
+pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) -> String {
+    let Some(key) = nearest(file, path) else {
+        return "Nothing is called like that: take it out, or see `config explain`".to_owned();
+    };
+    let mut advice = format!("The nearest key is `{}`", key.path);
+    let name = path.rsplit('.').next().unwrap_or(path);
+    let (stem, given) = split_unit(name);
+    let (key_stem, _) = split_unit(key.name());
+    if let (Some(given), Some(value), true) = (given, value, stem == key_stem)
+        && let Some(told) = convert(value, given, key.unit)
+    {
+        advice += &format!(", in {}: {value} {given} is {told} {}", key.unit, key.unit);
+    } else if name == key.name() {
+        advice += ": move it there";
+    }
+    advice + &format!(" ({})", key.facts())
+}

@@ -1,0 +1,38 @@
+//! Lists of robot ids.
+
+use std::ops::RangeInclusive;
+
+use toml_edit::Value;
+
+/// One entry of the list: an id, or `"a-b"` with both ends included. The error says what is wrong.
+pub(crate) fn parse(entry: &Value) -> Result<RangeInclusive<u32>, String> {
+    let wrong = || format!("has the entry {}", entry.to_string().trim());
+    if let Some(id) = entry.as_integer() {
+        let id = u32::try_from(id).map_err(|_| wrong())?;
+        return Ok(id..=id);
+    }
+    let text = entry.as_str().ok_or_else(wrong)?;
+    let id = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
+    let (first, last) = match text.split_once('-') {
+        Some((first, last)) => (id(first)?, id(last)?),
+        None => (id(text)?, id(text)?),
+    };
+    if first > last {
+        return Err(format!("{}, which ends before it begins", wrong()));
+    }
+    Ok(first..=last)
+}
+
+/// The range as written in a config.
+pub(crate) fn text(range: &RangeInclusive<u32>) -> String {
+    if range.start() == range.end() {
+        format!("\"{}\"", range.start())
+    } else {
+        format!("\"{}-{}\"", range.start(), range.end())
+    }
+}
+
+/// Robots in the range; a full range has one more than fits in `u32`.
+pub(crate) fn count(range: &RangeInclusive<u32>) -> u64 {
+    u64::from(*range.end()) - u64::from(*range.start()) + 1
+}

@@ -1,0 +1,32 @@
+//! Where the fleet's shared memory lies and how much of it there is, for the bus.
+
+use joulebus_bus::{Domain, DomainError, Limits};
+
+use crate::Config;
+
+/// Frames of forecasts that wait for a planner: it wants the newest, and a few to tell a gap from
+/// a late look.
+const FORECAST_FRAMES: usize = 4;
+
+impl Config {
+    /// The fleet's domain in shared memory.
+    ///
+    /// # Errors
+    /// The root is too long or not absolute, or the prefix or the name has letters that shared
+    /// memory cannot take.
+    pub fn domain(&self) -> Result<Domain, DomainError> {
+        Domain::new(self.fleet(), self.root(), self.prefix())
+    }
+
+    /// What every process of the fleet must agree on.
+    #[must_use]
+    pub fn limits(&self) -> Limits {
+        Limits {
+            capacity: self.settings().capacity as usize,
+            max_sources: self.settings().intake.max_sources.into(),
+            max_planners: self.max_planners(),
+            sample_frames: self.buffer_frames(),
+            forecast_frames: FORECAST_FRAMES,
+        }
+    }
+}

@@ -1,0 +1,76 @@
+//! The effective config, written out whole.
+
+use std::fmt::Write as _;
+
+use crate::config::{ModelSource, root};
+use crate::document::FleetFile;
+use crate::files;
+use crate::key::Key;
+use crate::keys::KEYS;
+use crate::values::{Place, Value, Values};
+
+/// Every key with its value and where it comes from; a config file itself.
+pub(crate) fn toml(read: &FleetFile) -> String {
+    let mut text =
+        "# The effective config: every key, with where its value comes from.\n".to_owned();
+    let mut section = "";
+    for key in KEYS.iter().filter(|key| !key.path.starts_with("platform.")) {
+        let of_key = section_of(key);
+        if of_key != section {
+            section = of_key;
+            // Writing to a String cannot fail, here and below.
+            let _ = writeln!(text, "\n[{section}]");
+        }
+        line(&mut text, &read.values, key);
+    }
+    for (values, _) in &read.platforms {
+        text += "\n[[platform]]\n";
+        let (battery, plain): (Vec<&Key>, Vec<&Key>) = KEYS
+            .iter()
+            .filter(|key| key.path.starts_with("platform.") && key.path != "platform.file")
+            .partition(|key| key.path.starts_with("platform.battery."));
+        plain.iter().for_each(|key| line(&mut text, values, key));
+        if values.names_any("platform.battery.") {
+            text += "\n[platform.battery]\n";
+            battery.iter().for_each(|key| line(&mut text, values, key));
+        }
+    }
+    text
+}
+
+fn section_of(key: &Key) -> &'static str {
+    key.path.split('.').next().unwrap_or(key.path)
+}
+
+fn line(text: &mut String, values: &Values, key: &Key) {
+    let place = values
+        .place(key.path)
+        .map_or_else(|| "default".to_owned(), Place::to_string)
+        // A control character in a file's name would end the comment.
+        .replace(char::is_control, "?");
+    let _ = match resolved(values, key) {
+        Some(value) => writeln!(text, "{} = {value} # {place}", key.name()),
+        None => writeln!(text, "# {} is not set", key.name()),
+    };
+}
+
+/// The value with paths made independent of the file that they stand in.
+fn resolved(values: &Values, key: &Key) -> Option<Value> {
+    let path = match key.path {
+        "domain.root" => root(&values.text(key.path)?),
+        "ledger.checkpoint" => files::resolve(values, key.path)?,
+        "platform.model" => match files::model(values)? {
+            ModelSource::File(path) => path,
+            ModelSource::Builtin(..) | ModelSource::Persistence { .. } => {
+                return values.get(key.path);
+            }
+        },
+        _ => return values.get(key.path),
+    };
+    if path.as_os_str().is_empty() {
+        return values.get(key.path);
+    }
+    // Where there is no current directory the path stays as it is.
+    let path = std::path::absolute(&path).unwrap_or(path);
+    Some(Value::Text(path.to_string_lossy().into_owned()))
+}

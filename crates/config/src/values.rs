@@ -1,0 +1,153 @@
+//! Checked values of the keys, with where each was set.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::ops::RangeInclusive;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use crate::key::{Key, Preset};
+use crate::keys;
+
+/// A file and a line of it, from 1.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Place {
+    pub(crate) file: Arc<str>,
+    /// Directory that paths in the file are relative to; none for what ships in the program.
+    pub(crate) directory: Option<Arc<PathBuf>>,
+    pub(crate) line: usize,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}:{}", self.file, self.line)
+    }
+}
+
+/// A value that keeps its key's range.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Value {
+    Integer(i64),
+    Number(f64),
+    Text(String),
+    Robots(Vec<RangeInclusive<u32>>),
+}
+
+impl fmt::Display for Value {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Integer(value) => write!(out, "{value}"),
+            Self::Number(value) => write!(out, "{value:?}"),
+            Self::Text(text) => write!(out, "{}", toml_edit::Value::from(text.as_str())),
+            Self::Robots(ranges) => {
+                let ranges: Vec<String> = ranges.iter().map(crate::robots::text).collect();
+                write!(out, "[{}]", ranges.join(", "))
+            }
+        }
+    }
+}
+
+/// What a file says about one key.
+#[derive(Debug, Clone)]
+struct Entry {
+    /// None where it was refused: nothing further is to be concluded from it.
+    value: Option<Value>,
+    place: Place,
+}
+
+/// What one file, or a platform's file and what overrides it, says.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Values {
+    entries: BTreeMap<&'static str, Entry>,
+}
+
+impl Values {
+    pub(crate) fn set(&mut self, key: &Key, value: Option<Value>, place: Place) {
+        self.entries.insert(key.path, Entry { value, place });
+    }
+
+    /// Takes over what `stronger` says.
+    pub(crate) fn override_with(&mut self, stronger: Self) {
+        self.entries.extend(stronger.entries);
+    }
+
+    /// Whether a file names the key, rightly or wrongly.
+    pub(crate) fn names(&self, path: &str) -> bool {
+        self.entries.contains_key(path)
+    }
+
+    /// Whether a file names any key that begins so.
+    pub(crate) fn names_any(&self, prefix: &str) -> bool {
+        self.entries.keys().any(|path| path.starts_with(prefix))
+    }
+
+    pub(crate) fn place(&self, path: &str) -> Option<&Place> {
+        self.entries.get(path).map(|entry| &entry.place)
+    }
+
+    /// The value set, else the default; none where it is missing or was refused.
+    pub(crate) fn get(&self, path: &str) -> Option<Value> {
+        match self.entries.get(path) {
+            Some(entry) => entry.value.clone(),
+            None => preset(keys::find(path)?),
+        }
+    }
+
+    pub(crate) fn number(&self, path: &str) -> Option<f64> {
+        match self.get(path)? {
+            Value::Number(value) => Some(value),
+            Value::Integer(value) => Some(value as f64),
+            Value::Text(_) | Value::Robots(_) => None,
+        }
+    }
+
+    /// A whole number within the range of `T`.
+    pub(crate) fn integer<T: TryFrom<i64>>(&self, path: &str) -> Option<T> {
+        match self.get(path)? {
+            Value::Integer(value) => T::try_from(value).ok(),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn text(&self, path: &str) -> Option<String> {
+        match self.get(path)? {
+            Value::Text(text) => Some(text),
+            _ => None,
+        }
+    }
+
+    pub(crate) fn robots(&self) -> Vec<RangeInclusive<u32>> {
+        match self.get("platform.robots") {
+            Some(Value::Robots(ranges)) => ranges,
+            _ => Vec::new(),
+        }
+    }
+
+    /// The key with its value and where it was set, for messages.
+    pub(crate) fn quote(&self, path: &str) -> String {
+        let Some(key) = keys::find(path) else {
+            return format!("`{path}`");
+        };
+        let value = self
+            .get(path)
+            .map_or_else(|| "not set".to_owned(), |value| value.to_string());
+        let unit = if key.unit.is_empty() {
+            String::new()
+        } else {
+            format!(" {}", key.unit)
+        };
+        let place = self
+            .place(path)
+            .map_or_else(|| "default".to_owned(), Place::to_string);
+        format!("`{}` = {value}{unit} ({place})", key.path_in_file())
+    }
+}
+
+fn preset(key: &Key) -> Option<Value> {
+    match key.default {
+        Preset::Required | Preset::Unset => None,
+        Preset::Integer(value) => Some(Value::Integer(value)),
+        Preset::Number(value) => Some(Value::Number(value)),
+        Preset::Text(text) => Some(Value::Text(text.to_owned())),
+    }
+}
