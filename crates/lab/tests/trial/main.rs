@@ -1,9 +1,11 @@
-//! Recorded trials: what is read, what is refused, what is said, and what is sent.
+//! Recorded trials: what is read, what is refused, what is said, what is sent, and what comes of it.
 
 #![allow(clippy::unwrap_used)] // A test that cannot write or read its own files has failed.
 
+mod evaluation;
 mod files;
 mod fleet;
+mod model;
 mod read;
 mod recordings;
 mod samples;

@@ -8,7 +8,7 @@ use joulebus_lab::trial::{Column, Trial};
 use joulebus_wire::sample_flag::{OMEGA, POWER, V};
 
 /// The recordings of a platform in order of their names; `None` where they are not at hand.
-fn recordings(platform: &str) -> Option<Vec<PathBuf>> {
+pub(crate) fn recordings(platform: &str) -> Option<Vec<PathBuf>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let Ok(entries) = std::fs::read_dir(root.join(platform)) else {
         let in_ci = std::env::var("CI").is_ok_and(|value| value == "true");

@@ -1,0 +1,251 @@
+//! An evaluation for people and for programs.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use joulebus_fleet::Scores;
+use joulebus_wire::Quality;
+use serde::Serialize;
+
+use super::{Evaluation, RobotEvaluation};
+
+/// An evaluation without its steps. `Display` is a table; numbers that are not known are null in
+/// JSON.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EvaluationReport {
+    /// One entry a platform and model, by name.
+    pub platforms: Vec<PlatformReport>,
+    /// One entry a trial, in order.
+    pub robots: Vec<RobotReport>,
+}
+
+/// How good forecasts were, beside persistence.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ScoreReport {
+    /// Readings scored.
+    pub scored: u64,
+    /// Mean absolute residual, W.
+    pub mae_w: f64,
+    /// Coefficient of determination.
+    pub r2: f64,
+    /// Mean absolute error of persistence on the same readings, W.
+    pub persistence_mae_w: f64,
+    /// Coefficient of determination of persistence.
+    pub persistence_r2: f64,
+    /// 1 − squared error over that of persistence: above 0 is better than persistence.
+    pub skill: f64,
+}
+
+/// All trials of a platform, their readings pooled: R² is against the mean over all of them.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PlatformReport {
+    /// Name of the platform.
+    pub platform: String,
+    /// Name of the model.
+    pub model: String,
+    /// Trials.
+    pub trials: usize,
+    /// Samples accepted.
+    pub accepted: u64,
+    /// Samples dropped.
+    pub dropped: u64,
+    /// The pooled scores.
+    #[serde(flatten)]
+    pub scores: ScoreReport,
+}
+
+/// One trial.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RobotReport {
+    /// Id of the robot.
+    pub robot: u32,
+    /// The trial's file.
+    pub file: String,
+    /// Name of the platform.
+    pub platform: String,
+    /// Name of the model.
+    pub model: String,
+    /// What is to be known about the trial, in a line.
+    pub notes: String,
+    /// Samples accepted.
+    pub accepted: u64,
+    /// Samples dropped, by reason.
+    pub dropped: BTreeMap<&'static str, u64>,
+    /// Samples by the quality of the forecast they led to.
+    pub qualities: BTreeMap<String, u64>,
+    /// The scores.
+    #[serde(flatten)]
+    pub scores: ScoreReport,
+    /// Share of scored readings inside their interval.
+    pub coverage: f32,
+    /// Energy drawn over the metered time, J.
+    pub drawn_j: f64,
+    /// Metered time, s.
+    pub metered_s: f64,
+    /// Unmetered time, s.
+    pub unmetered_s: f64,
+}
+
+impl Evaluation {
+    /// The evaluation without its steps.
+    #[must_use]
+    pub fn report(&self) -> EvaluationReport {
+        let mut groups = BTreeMap::<_, Vec<_>>::new();
+        for robot in &self.robots {
+            let key = (&robot.platform, &robot.model);
+            groups.entry(key).or_default().push(robot);
+        }
+        EvaluationReport {
+            platforms: groups
+                .values()
+                .map(|robots| platform_report(robots))
+                .collect(),
+            robots: self.robots.iter().map(robot_report).collect(),
+        }
+    }
+}
+
+fn platform_report(robots: &[&RobotEvaluation]) -> PlatformReport {
+    let mut pooled = Scores::default();
+    for robot in robots {
+        robot.pool_into(&mut pooled);
+    }
+    let name = |of: fn(&RobotEvaluation) -> &String| robots.first().map(|robot| of(robot).clone());
+    PlatformReport {
+        platform: name(|robot| &robot.platform).unwrap_or_default(),
+        model: name(|robot| &robot.model).unwrap_or_default(),
+        trials: robots.len(),
+        accepted: robots.iter().map(|robot| robot.accepted).sum(),
+        dropped: robots.iter().map(|robot| robot.drops.total()).sum(),
+        scores: (&pooled).into(),
+    }
+}
+
+fn robot_report(robot: &RobotEvaluation) -> RobotReport {
+    let mut qualities = BTreeMap::new();
+    for step in &robot.steps {
+        *qualities.entry(quality_name(step.quality)).or_default() += 1;
+    }
+    let ledger = &robot.ledger;
+    RobotReport {
+        robot: robot.robot,
+        file: robot.path.display().to_string(),
+        platform: robot.platform.clone(),
+        model: robot.model.clone(),
+        notes: robot.notes.to_string(),
+        accepted: robot.accepted,
+        dropped: robot
+            .drops
+            .iter()
+            .map(|(reason, count)| (reason.name(), count))
+            .collect(),
+        qualities,
+        scores: (&robot.scores).into(),
+        coverage: robot.coverage,
+        drawn_j: ledger.drawn_uj as f64 / 1e6,
+        metered_s: ledger.metered_ns as f64 / 1e9,
+        unmetered_s: ledger.unmetered_ns as f64 / 1e9,
+    }
+}
+
+fn quality_name(quality: Quality) -> String {
+    match quality {
+        Quality::Fresh => "Fresh".to_owned(),
+        Quality::Held => "Held".to_owned(),
+        Quality::Warmup { .. } => "Warmup".to_owned(),
+        Quality::OpenLoop { .. } => "OpenLoop".to_owned(),
+        Quality::Invalid(reason) => format!("Invalid({})", reason.name()),
+        Quality::Unknown => "Unknown".to_owned(),
+    }
+}
+
+impl From<&Scores> for ScoreReport {
+    fn from(scores: &Scores) -> Self {
+        Self {
+            scored: scores.count,
+            mae_w: scores.mae_w(),
+            r2: scores.r2(),
+            persistence_mae_w: scores.persistence_mae_w(),
+            persistence_r2: scores.persistence_r2(),
+            skill: scores.skill(),
+        }
+    }
+}
+
+impl fmt::Display for EvaluationReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            out,
+            "{:>8}  {:<16} {:<20} {SCORE_TITLE}  energy     file",
+            "robot", "platform", "model"
+        )?;
+        for robot in &self.robots {
+            let scores = ScoreColumns(&robot.scores);
+            let RobotReport {
+                robot,
+                file,
+                platform,
+                model,
+                drawn_j,
+                ..
+            } = robot;
+            writeln!(
+                out,
+                "{robot:>8}  {platform:<16} {model:<20} {scores}  {drawn_j:>8.1} J {file}"
+            )?;
+        }
+        for robot in &self.robots {
+            let without = robot.qualities.iter();
+            for (quality, count) in without.filter(|(name, _)| name.starts_with("Invalid")) {
+                writeln!(
+                    out,
+                    "robot {}: {count} samples without forecast: {quality}",
+                    robot.robot
+                )?;
+            }
+            for (reason, count) in &robot.dropped {
+                writeln!(
+                    out,
+                    "robot {}: {count} samples dropped: {reason}",
+                    robot.robot
+                )?;
+            }
+        }
+        for platform in &self.platforms {
+            let scores = ScoreColumns(&platform.scores);
+            let PlatformReport {
+                platform,
+                model,
+                trials,
+                ..
+            } = platform;
+            writeln!(
+                out,
+                "{:>8}  {platform:<16} {model:<20} {scores}  {trials} trials",
+                "all"
+            )?;
+        }
+        Ok(())
+    }
+}
+
+const SCORE_TITLE: &str = "  scored   MAE W      R²  persistence: MAE W      R²   skill";
+
+struct ScoreColumns<'a>(&'a ScoreReport);
+
+impl fmt::Display for ScoreColumns<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ScoreReport {
+            scored,
+            mae_w,
+            r2,
+            persistence_mae_w,
+            persistence_r2,
+            skill,
+        } = self.0;
+        write!(
+            out,
+            "{scored:>8} {mae_w:>7.3} {r2:>7.4} {persistence_mae_w:>19.3} {persistence_r2:>7.4} {skill:>7.4}"
+        )
+    }
+}

@@ -1,0 +1,138 @@
+//! Settings of the three recorded platforms, and networks drawn from a seed.
+
+use joulebus_fleet::{AlarmSettings, Intake, IntervalSettings, Platform, Settings};
+use joulebus_predictor::{
+    Card, FEATURES, FeatureSet, HIDDEN, Layer, Model, Network, Normalisation, Parameters,
+    Persistence, ResidualStats, Scores, TrainingRange,
+};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+pub(crate) const ROBOTINO: u32 = 1_000;
+pub(crate) const HUSKY: u32 = 2_000;
+pub(crate) const ROVER: u32 = 3_000;
+
+pub(crate) fn settings() -> Settings {
+    let platform = |name: &str, first: u32, period_ns: u64| Platform {
+        name: name.to_owned(),
+        robots: vec![first..=first + 999],
+        period_ns,
+        stale_after_ns: 5 * period_ns,
+        hold_max_ns: 1_000_000_000,
+        stuck_after_ns: 10_000_000_000,
+        power_min_w: -2_000.0,
+        power_max_w: 5_000.0,
+        v_max_mps: 5.0,
+        omega_max_radps: 10.0,
+        power_resolution_w: 0.01,
+        battery: None,
+    };
+    Settings {
+        capacity: 1_000,
+        intake: Intake {
+            max_samples_per_tick: 1_024,
+            max_jump_ns: 10_000_000_000,
+            leave_after_ns: 1_000_000_000_000,
+            max_sources: 4,
+        },
+        interval: IntervalSettings {
+            coverage: 0.9,
+            rate: 0.05,
+        },
+        alarms: AlarmSettings {
+            bias_weight: 0.01,
+            cusum_slack: 0.5,
+            cusum_limit: 20.0,
+            noise_weight: 0.01,
+            noise_limit: 4.0,
+            mismatch_limit: 2.0,
+            settle_samples: 100,
+            raise_samples: 10,
+            clear_samples: 30,
+            training_margin: 0.1,
+        },
+        platforms: vec![
+            platform("robotino", ROBOTINO, 31_250_000),
+            platform("husky", HUSKY, 153_846_154),
+            platform("rover", ROVER, 33_333_333),
+        ],
+    }
+}
+
+const RESIDUAL: ResidualStats = ResidualStats {
+    std_w: 1.0,
+    q05_w: -1.5,
+    q95_w: 1.5,
+};
+
+pub(crate) fn persistence() -> Model {
+    Model::Persistence(Persistence::new(RESIDUAL).unwrap())
+}
+
+/// A network with random weights around the powers of a platform.
+pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> Model {
+    let mut random = Pcg64::seed_from_u64(seed);
+    let [first, second, third] = HIDDEN;
+    let mut layer = |inputs: usize, outputs: usize| {
+        let scale = (3.0 / inputs as f32).sqrt();
+        let mut draw = |count| {
+            (0..count)
+                .map(|_| random.random_range(-scale..scale))
+                .collect()
+        };
+        Layer {
+            weights: draw(inputs * outputs),
+            bias: draw(outputs),
+        }
+    };
+    let layers = [
+        layer(feature_set.inputs(), first),
+        layer(first, second),
+        layer(second, third),
+        layer(third, 1),
+    ];
+    let mut feature_mean = [0.1; FEATURES];
+    feature_mean[6..].fill(power_mean_w);
+    let mut feature_std = [0.5; FEATURES];
+    feature_std[6..].fill(power_mean_w / 4.0);
+    let parameters = Parameters {
+        feature_set,
+        normalisation: Normalisation {
+            feature_mean,
+            feature_std,
+            power_mean_w,
+            power_std_w: power_mean_w / 4.0,
+        },
+        layers,
+    };
+    let card = Card {
+        name: format!("random {seed}"),
+        source: "random weights".to_owned(),
+        training_data: "none".to_owned(),
+        training_data_sha256: "00".repeat(32),
+        seed,
+        training_range: TrainingRange {
+            feature_set,
+            min: [-10.0; FEATURES],
+            max: [1_000.0; FEATURES],
+        },
+        residual: RESIDUAL,
+        scores: Scores {
+            rows: 1,
+            network_r2: 0.5,
+            network_mae_w: 1.0,
+            persistence_r2: 0.5,
+            persistence_mae_w: 1.0,
+        },
+    };
+    Model::Network(Network::new(parameters, card).unwrap())
+}
+
+/// Networks for the platforms in the order of [`settings`]; the rover's needs no velocities.
+pub(crate) fn networks() -> Vec<Model> {
+    vec![
+        network(1, FeatureSet::Full, 30.0),
+        network(2, FeatureSet::Full, 300.0),
+        network(3, FeatureSet::PowerOnly, 10.0),
+    ]
+}
