@@ -4,4 +4,5 @@
 pub mod evaluate;
 mod noise;
 pub mod plant;
+pub mod train;
 pub mod trial;

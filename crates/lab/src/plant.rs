@@ -1,6 +1,6 @@
 //! Simulated GTernal robots: what they are told to do and the electrical power that they draw.
 //!
-//! A robot's power is the sum of named parts (see [`electrical`](self::electrical)'s constants):
+//! A robot's power is the sum of named parts (the constants of `electrical.rs`):
 //! electronics with a spread from manufacturing, slow thermal drift, processor load, motors with
 //! friction, radio bursts and rare inrush. What the controller sees of it passes through a power
 //! monitor that is polled at 10 Hz, in steps of 10 mW, and held in between.

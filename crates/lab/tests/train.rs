@@ -1,0 +1,259 @@
+//! Training is repeatable, learns, refuses bad data; and what ships is what it claims to be.
+
+use joulebus_lab::train::{
+    Dataset, Epoch, Row, Settings, SimulatedData, TrainError, Trained, dataset_from_plant, scored,
+    train,
+};
+use joulebus_predictor::{FEATURES, FeatureSet, Kernel, Network};
+use std::path::Path;
+
+/// The seed in the documented command.
+const SHIPPED_SEED: u64 = 7;
+
+fn tiny_data() -> Dataset {
+    dataset_from_plant(SimulatedData {
+        seed: 11,
+        training_robots: 4,
+        validation_robots: 2,
+        held_out_robots: 2,
+        ticks: 300,
+    })
+}
+
+fn tiny_settings(feature_set: FeatureSet) -> Settings {
+    Settings {
+        max_epochs: 4,
+        ..Settings::new("tiny", "simulation", feature_set, 12)
+    }
+}
+
+fn tiny(feature_set: FeatureSet) -> Trained {
+    train(&tiny_data(), &tiny_settings(feature_set), |_| ()).expect("sound data")
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_on_every_machine() {
+    for (feature_set, hash) in [
+        (FeatureSet::Full, FULL_HASH),
+        (FeatureSet::PowerOnly, POWER_ONLY_HASH),
+    ] {
+        let bytes = |trained: Trained| trained.network.to_safetensors().expect("valid");
+        assert_eq!(bytes(tiny(feature_set)), bytes(tiny(feature_set)));
+        let found = tiny(feature_set).network.hash();
+        assert_eq!(
+            found, hash,
+            "{found:#018x}: if plant or trainer were changed on purpose, put the new hash here and \
+             train the models that ship again"
+        );
+    }
+    let settings = Settings {
+        seed: 13,
+        ..tiny_settings(FeatureSet::Full)
+    };
+    let other = train(&tiny_data(), &settings, |_| ()).expect("sound data");
+    assert_ne!(other.network.hash(), FULL_HASH);
+}
+
+#[test]
+fn training_tells_its_progress_and_the_losses_fall() {
+    let mut told: Vec<Epoch> = Vec::new();
+    let settings = tiny_settings(FeatureSet::Full);
+    let trained = train(&tiny_data(), &settings, |epoch| told.push(epoch)).expect("sound data");
+    assert_eq!(told, trained.epochs);
+    let (first, last) = (told[0], told[told.len() - 1]);
+    assert!(last.training_loss < 0.7 * first.training_loss, "{told:?}");
+    assert!(last.validation_loss < first.validation_loss, "{told:?}");
+}
+
+#[test]
+fn training_stops_early_and_keeps_the_best_epoch() {
+    let mut data = tiny_data();
+    data.training.truncate(256);
+    let settings = Settings {
+        patience: 2,
+        max_epochs: 5_000,
+        dropout: 0.0,
+        ..tiny_settings(FeatureSet::PowerOnly)
+    };
+    let trained = train(&data, &settings, |_| ()).expect("sound data");
+    let best = trained
+        .epochs
+        .iter()
+        .rposition(|epoch| epoch.best)
+        .expect("the first is best");
+    assert_eq!(
+        trained.epochs.len(),
+        best + 3,
+        "two epochs without progress end it"
+    );
+    let (scores, _) = scored(&trained.network, &data.validation);
+    let loss = (1.0 - f64::from(scores.network_r2)) * variance(&data.validation);
+    let scale = f64::from(trained.network.parameters().normalisation.power_std_w);
+    let expected = trained.epochs[best].validation_loss;
+    assert!(
+        (loss / (scale * scale) - expected).abs() < 1e-3 * expected,
+        "{loss} {expected}"
+    );
+}
+
+fn variance(rows: &[Row]) -> f64 {
+    let count = rows.len() as f64;
+    let mean = rows.iter().map(|row| f64::from(row.target_w)).sum::<f64>() / count;
+    rows.iter()
+        .map(|row| (f64::from(row.target_w) - mean).powi(2))
+        .sum::<f64>()
+        / count
+}
+
+#[test]
+fn data_that_can_teach_nothing_is_refused_with_its_place() {
+    let data = tiny_data();
+    let refused = |data: &Dataset, settings: &Settings| {
+        train(data, settings, |_| ())
+            .expect_err("must be refused")
+            .to_string()
+    };
+    let full = tiny_settings(FeatureSet::Full);
+
+    let mut short = data.clone();
+    short.training.truncate(255);
+    assert!(refused(&short, &full).contains("255 rows, at least 256"));
+
+    let mut poisoned = data.clone();
+    poisoned.validation[3].features[1] = f32::NAN;
+    let message = refused(&poisoned, &full);
+    assert!(
+        message.contains("row 3 of the validation part has NaN as omega_radps"),
+        "{message}"
+    );
+    let power_only = tiny_settings(FeatureSet::PowerOnly);
+    assert!(
+        train(&poisoned, &power_only, |_| ()).is_ok(),
+        "velocities are not read"
+    );
+
+    let mut constant = data.clone();
+    constant
+        .training
+        .iter_mut()
+        .for_each(|row| row.target_w = 3.0);
+    let result = train(&constant, &full, |_| ());
+    assert!(
+        matches!(result, Err(TrainError::ConstantPower { rows: 1_180, .. })),
+        "{result:?}"
+    );
+
+    for dropout in [-0.1, 1.0, f64::NAN] {
+        let settings = Settings {
+            dropout,
+            ..full.clone()
+        };
+        assert!(refused(&data, &settings).contains("dropout"), "{dropout}");
+    }
+}
+
+#[test]
+fn a_row_pairs_the_command_and_readings_of_a_tick_with_the_next_reading() {
+    use joulebus_lab::plant::Plant;
+    let data = dataset_from_plant(SimulatedData {
+        seed: 14,
+        training_robots: 1,
+        validation_robots: 0,
+        held_out_robots: 0,
+        ticks: 60,
+    });
+    let mut plant = Plant::new(14, 1);
+    let readings: Vec<_> = (0..60).map(|_| plant.step(1.0 / 30.0)[0]).collect();
+    assert_eq!(data.training.len(), 55);
+    for (row, window) in data.training.iter().zip(readings.windows(6)) {
+        assert_eq!(row.target_w, window[5].power_w);
+        assert_eq!(row.features[0], window[4].v_mps);
+        assert_eq!(row.features[1], window[4].omega_radps);
+        let lag_w: Vec<f32> = window[..5]
+            .iter()
+            .rev()
+            .map(|reading| reading.power_w)
+            .collect();
+        assert_eq!(row.features[6..], lag_w);
+    }
+}
+
+fn shipped(name: &str) -> Network {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/models");
+    let bytes = std::fs::read(folder.join(name)).expect("the model is in the repository");
+    Network::from_safetensors(&bytes).expect("the model passes every check")
+}
+
+#[test]
+fn the_models_that_ship_say_that_they_come_from_this_simulation() {
+    let expected = dataset_from_plant(SimulatedData::shipped(SHIPPED_SEED));
+    for (name, feature_set) in [
+        ("gternal-sim.safetensors", FeatureSet::Full),
+        ("gternal-sim-power.safetensors", FeatureSet::PowerOnly),
+    ] {
+        let network = shipped(name);
+        let card = network.card();
+        assert_eq!(network.feature_set(), feature_set);
+        assert_eq!(card.source, "simulation");
+        assert_eq!(card.seed, SHIPPED_SEED);
+        assert_eq!(card.training_data, expected.description);
+        assert_eq!(
+            card.training_data_sha256,
+            expected.sha256(),
+            "{name} is older than the plant"
+        );
+        let (scores, residual) = scored(&network, &expected.held_out);
+        assert_eq!((card.scores, card.residual), (scores, residual));
+    }
+}
+
+#[test]
+fn the_models_that_ship_beat_persistence_on_robots_that_nobody_saw() {
+    let fresh = dataset_from_plant(SimulatedData {
+        seed: 1_007,
+        training_robots: 0,
+        validation_robots: 0,
+        held_out_robots: 30,
+        ticks: 900,
+    });
+    for name in ["gternal-sim.safetensors", "gternal-sim-power.safetensors"] {
+        let (scores, residual) = scored(&shipped(name), &fresh.held_out);
+        println!("{name}: {scores:?} {residual:?}");
+        assert!(
+            scores.network_r2 > scores.persistence_r2 + 0.005,
+            "{scores:?}"
+        );
+    }
+}
+
+#[test]
+fn trained_weights_keep_every_kernel_within_3e_6_of_double_precision() {
+    let rows = tiny_data().held_out;
+    for name in ["gternal-sim.safetensors", "gternal-sim-power.safetensors"] {
+        let network = shipped(name);
+        let scale_w = f64::from(network.parameters().normalisation.power_std_w);
+        let inputs: Vec<[f32; FEATURES]> = rows.iter().map(|row| row.features).collect();
+        for kernel in Kernel::ALL {
+            let Some(network) = network.clone().with_kernel(kernel) else {
+                continue;
+            };
+            let mut forecasts_w = vec![0.0; inputs.len()];
+            network.predict(&inputs, &mut forecasts_w);
+            for (row, forecast_w) in inputs.iter().zip(forecasts_w) {
+                assert_eq!(
+                    forecast_w.to_bits(),
+                    network.predict_reference_f32(row).to_bits()
+                );
+                let error_w = f64::from(forecast_w) - network.predict_reference_f64(row);
+                assert!(
+                    error_w.abs() <= 3e-6 * scale_w,
+                    "{kernel:?} {name} {error_w:e}"
+                );
+            }
+        }
+    }
+}
+
+/// Hashes of the tiny networks, from this trainer on x86-64.
+const FULL_HASH: u64 = 0x6ce6_ea06_582b_2e95;
+const POWER_ONLY_HASH: u64 = 0x7211_a2a2_fbf2_2541;
