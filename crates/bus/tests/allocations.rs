@@ -1,0 +1,101 @@
+//! After warm-up the thread that uses the ports allocates nothing of its own: one allocation a
+//! loan is iceoryx2's.
+#![allow(unsafe_code, reason = "a counting allocator")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::path::Path;
+
+use joulebus_bus::{Bus, Domain, FrameBuf, Limits, clock};
+use joulebus_wire::{Forecast, ForecastHeader, Sample, SampleHeader, WakeEvent};
+
+struct Counting;
+
+thread_local! {
+    /// Of this thread alone: the keeper may allocate, it is no part of a tick.
+    static COUNT: Cell<u64> = const { Cell::new(0) };
+}
+
+// SAFETY: hands everything to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let _ = COUNT.try_with(|count| count.set(count.get() + 1));
+        // SAFETY: the caller's promise, passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise, passed on.
+        unsafe { System.dealloc(memory, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn allocations(work: impl FnOnce()) -> u64 {
+    let before = COUNT.get();
+    work();
+    COUNT.get() - before
+}
+
+#[test]
+fn only_loans_allocate_and_only_once() {
+    let root = format!("/dev/shm/joulebus-allocations-{}", std::process::id());
+    let domain = Domain::new("test", Path::new(&root), "jbt_").unwrap();
+    let limits = Limits {
+        capacity: 100,
+        ..Limits::default()
+    };
+    let bus = Bus::join(&domain, "test").unwrap();
+    let mut source = bus.sample_writer(&limits, 100).unwrap();
+    let mut samples = bus.sample_reader(&limits).unwrap();
+    let mut arrivals = bus.arrivals_waiter(&limits).unwrap();
+    let mut forecasts = bus.forecast_writer(&limits).unwrap();
+    let mut planner = bus.forecast_reader(&limits).unwrap();
+    let waker = bus.planner_waker(&limits).unwrap();
+    let mut wake = bus.planner_waiter(&limits).unwrap();
+    let mut frame = FrameBuf::new(100);
+
+    for round in 0..200_u64 {
+        let header = SampleHeader::default();
+        let sent = allocations(|| {
+            source
+                .send(header, 100, |i| Sample::new(i as u32, round, 1))
+                .unwrap();
+        });
+        let waited = allocations(|| {
+            assert!(arrivals.wait_until(None, None).unwrap().frame);
+            let soon_ns = clock::monotonic_ns() + 100_000;
+            assert!(
+                arrivals
+                    .wait_until(Some(soon_ns), None)
+                    .unwrap()
+                    .is_nothing()
+            );
+        });
+        let taken = allocations(|| {
+            assert!(samples.take(&mut frame).unwrap());
+            assert!(!samples.take(&mut frame).unwrap());
+        });
+        let answered = allocations(|| {
+            let mut loan = forecasts.loan(100).unwrap();
+            *loan.header_mut() = ForecastHeader::default();
+            loan.fill(Forecast::default());
+            assert_eq!(loan.send().unwrap(), 1);
+            waker.wake(WakeEvent::Frame).unwrap();
+        });
+        let read = allocations(|| {
+            assert!(wake.wait_until(None, None).unwrap().frame);
+            assert_eq!(planner.take_latest().unwrap().unwrap().len(), 100);
+            assert!(planner.take_latest().unwrap().is_none());
+        });
+        if round >= 10 {
+            assert_eq!(
+                [sent, waited, taken, answered, read],
+                [1, 0, 0, 1, 0],
+                "round {round}"
+            );
+        }
+    }
+}

@@ -1,0 +1,481 @@
+//! Real processes for tests: the test binary starts itself as members that obey commands.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(
+    unreachable_pub,
+    reason = "a module of test binaries, which export nothing"
+)]
+
+use std::fs;
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::Duration;
+
+use joulebus_bus::{
+    BudgetReader, BudgetWriter, Bus, DiagnosticReader, DiagnosticWriter, Domain, ForecastReader,
+    ForecastWriter, FrameBuf, Limits, PeerWatch, SampleReader, SampleWriter, Waiter, Waker,
+    WorkerLock, clock,
+};
+use joulebus_wire::{
+    Budget, BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, Sample, SampleHeader,
+    WakeEvent,
+};
+
+/// Marks the answers among what the test runner prints.
+const MARK: &str = "@ ";
+const CHILD: &str = "JOULEBUS_TEST_CHILD";
+/// A member that does not answer for so long hangs.
+const PATIENCE: Duration = Duration::from_secs(20);
+static PLACES: AtomicU32 = AtomicU32::new(0);
+
+/// A domain of one test, removed with it.
+pub struct Place {
+    pub domain: Domain,
+}
+
+impl Place {
+    pub fn new() -> Self {
+        let number = PLACES.fetch_add(1, Ordering::Relaxed);
+        let root = format!("/dev/shm/joulebus-test-{}-{number}", std::process::id());
+        let domain = Domain::new("test", Path::new(&root), "jbt_").unwrap();
+        Self { domain }
+    }
+
+    /// Objects in shared memory with the domain's prefix.
+    pub fn objects(&self) -> Vec<PathBuf> {
+        fs::read_dir("/dev/shm")
+            .unwrap()
+            .flatten()
+            .filter(|entry| {
+                let name = entry.file_name();
+                name.to_string_lossy().starts_with(self.domain.shm_prefix())
+            })
+            .map(|entry| entry.path())
+            .collect()
+    }
+
+    pub fn assert_nothing_left(&self) {
+        assert_eq!(self.objects(), Vec::<PathBuf>::new());
+        assert!(
+            !self.domain.root().exists(),
+            "{:?}",
+            tree(self.domain.root())
+        );
+    }
+
+    pub fn member(&self) -> Member {
+        Member::spawn(self.command())
+    }
+
+    /// A member, run by another program, such as `strace`.
+    pub fn member_under(&self, program: &str, arguments: &[&str]) -> Member {
+        let mine = self.command();
+        let mut command = Command::new(program);
+        command
+            .args(arguments)
+            .arg(mine.get_program())
+            .args(mine.get_args());
+        command.env(CHILD, self.domain.root());
+        Member::spawn(command)
+    }
+
+    fn command(&self) -> Command {
+        let mut command = Command::new(std::env::current_exe().unwrap());
+        command.args(["--exact", "member", "--nocapture", "--test-threads=1"]);
+        command.env(CHILD, self.domain.root());
+        command
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        for object in self.objects() {
+            let _ = fs::remove_file(object);
+        }
+        let _ = fs::remove_dir_all(self.domain.root());
+    }
+}
+
+fn tree(path: &Path) -> Vec<PathBuf> {
+    let mut found = vec![path.to_owned()];
+    for entry in fs::read_dir(path).into_iter().flatten().flatten() {
+        found.extend(tree(&entry.path()));
+    }
+    found
+}
+
+/// A member in a process of its own.
+pub struct Member {
+    child: Child,
+    answers: Receiver<String>,
+}
+
+impl Member {
+    fn spawn(mut command: Command) -> Self {
+        let mut child = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::inherit())
+            .spawn()
+            .unwrap();
+        let (send, answers) = channel();
+        let output = BufReader::new(child.stdout.take().unwrap());
+        std::thread::spawn(move || {
+            for line in output.lines().map_while(Result::ok) {
+                // The runner may have begun the line.
+                if let Some(at) = line.find(MARK) {
+                    let _ = send.send(line[at + MARK.len()..].to_owned());
+                }
+            }
+        });
+        Self { child, answers }
+    }
+
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Gives a command without waiting for the answer.
+    pub fn tell(&mut self, command: &str) {
+        let input = self.child.stdin.as_mut().unwrap();
+        // It may have been killed already: then the answer is missing, which is noticed.
+        let _ = writeln!(input, "{command}");
+    }
+
+    pub fn answer(&mut self) -> Result<String, RecvTimeoutError> {
+        self.answers.recv_timeout(PATIENCE)
+    }
+
+    pub fn try_ask(&mut self, command: &str) -> Result<String, RecvTimeoutError> {
+        self.tell(command);
+        self.answer()
+    }
+
+    pub fn ask(&mut self, command: &str) -> String {
+        match self.try_ask(command) {
+            Ok(answer) => answer,
+            Err(error) => panic!("{command:?}: {error}"),
+        }
+    }
+
+    /// Gives a command that must succeed; what it answers.
+    pub fn must(&mut self, command: &str) -> String {
+        let answer = self.ask(command);
+        match answer.strip_prefix("ok ") {
+            Some(answer) => answer.to_owned(),
+            None => panic!("{command:?}: {answer}"),
+        }
+    }
+
+    pub fn signal(&self, signal: rustix::process::Signal) {
+        let pid = rustix::process::Pid::from_raw(self.child.id().cast_signed()).unwrap();
+        rustix::process::kill_process(pid, signal).unwrap();
+    }
+
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    /// Lets it leave, and waits for it.
+    pub fn quit(mut self) {
+        self.tell("quit");
+        assert!(self.child.wait().unwrap().success());
+    }
+
+    pub fn wait(&mut self) -> ExitStatus {
+        self.child.wait().unwrap()
+    }
+}
+
+impl Drop for Member {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+pub fn limits() -> Limits {
+    Limits {
+        capacity: 64,
+        max_sources: 3,
+        max_planners: 3,
+        ..Limits::default()
+    }
+}
+
+/// Obeys the parent if this process was started by one.
+pub fn run_member() {
+    let Some(root) = std::env::var_os(CHILD) else {
+        return;
+    };
+    let domain = Domain::new("test", Path::new(&root), "jbt_").unwrap();
+    let mut ports = Ports::new(domain);
+    for line in std::io::stdin().lines() {
+        let line = line.unwrap();
+        if line == "quit" {
+            break;
+        }
+        match ports.obey(&line) {
+            Ok(answer) => println!("{MARK}ok {answer}"),
+            Err(error) => println!("{MARK}err {error}"),
+        }
+    }
+}
+
+/// Declared so that ports go before the bus.
+struct Ports {
+    sources: Option<SampleWriter>,
+    samples: Option<SampleReader>,
+    arrivals: Option<Waiter>,
+    forecasts: Option<ForecastWriter>,
+    diagnostics: Option<DiagnosticWriter>,
+    budgets: Option<BudgetWriter>,
+    wake: Option<Waker>,
+    forecast_reader: Option<ForecastReader>,
+    diagnostic_reader: Option<DiagnosticReader>,
+    budget_reader: Option<BudgetReader>,
+    planner: Option<Waiter>,
+    peer: Option<PeerWatch>,
+    worker_lock: Option<WorkerLock>,
+    bus: Option<Bus>,
+    domain: Domain,
+    limits: Limits,
+    frame: FrameBuf,
+    sent: u64,
+}
+
+type Answer = Result<String, Box<dyn std::error::Error>>;
+
+impl Ports {
+    fn new(domain: Domain) -> Self {
+        Self {
+            sources: None,
+            samples: None,
+            arrivals: None,
+            forecasts: None,
+            diagnostics: None,
+            budgets: None,
+            wake: None,
+            forecast_reader: None,
+            diagnostic_reader: None,
+            budget_reader: None,
+            planner: None,
+            peer: None,
+            worker_lock: None,
+            bus: None,
+            domain,
+            limits: limits(),
+            frame: FrameBuf::new(limits().capacity),
+            sent: 0,
+        }
+    }
+
+    fn obey(&mut self, line: &str) -> Answer {
+        let (command, argument) = line.split_once(' ').unwrap_or((line, "0"));
+        let number: u64 = argument.parse()?;
+        match command {
+            "join" => {
+                let bus = Bus::join(&self.domain, "test")?;
+                let answer = format!("{:?}", bus.joined());
+                self.bus = Some(bus);
+                Ok(answer)
+            }
+            "capacity" => {
+                self.limits.capacity = number as usize;
+                Ok(String::new())
+            }
+            "source" => self.open_source(),
+            "worker" => self.open_worker(),
+            "planner" => self.open_planner(),
+            "send" => self.send(number),
+            "take" => self.take(),
+            "tick" => self.tick(number),
+            "latest" => self.latest(),
+            "count" => self.count(),
+            "wait" => self.wait(number),
+            "watch" => {
+                self.peer = PeerWatch::open(number as u32);
+                Ok(self.peer.is_some().to_string())
+            }
+            "lock" => {
+                self.worker_lock = Some(WorkerLock::acquire(&self.domain)?);
+                Ok(String::new())
+            }
+            "unlock" => {
+                self.worker_lock = None;
+                Ok(String::new())
+            }
+            "housekeeping" => Ok(format!("{:?}", self.bus()?.housekeeping())),
+            "leave" => {
+                *self = Self::new(self.domain.clone());
+                Ok(String::new())
+            }
+            _ => Err(format!("no such command {line:?}").into()),
+        }
+    }
+
+    fn bus(&self) -> Result<&Bus, &'static str> {
+        self.bus.as_ref().ok_or("not joined")
+    }
+
+    fn open_source(&mut self) -> Answer {
+        let writer = self
+            .bus()?
+            .sample_writer(&self.limits, self.limits.capacity)?;
+        self.sources = Some(writer);
+        Ok(String::new())
+    }
+
+    fn open_worker(&mut self) -> Answer {
+        let limits = self.limits;
+        let bus = self.bus.as_ref().ok_or("not joined")?;
+        self.samples = Some(bus.sample_reader(&limits)?);
+        self.arrivals = Some(bus.arrivals_waiter(&limits)?);
+        self.forecasts = Some(bus.forecast_writer(&limits)?);
+        self.diagnostics = Some(bus.diagnostic_writer(&limits)?);
+        self.budgets = Some(bus.budget_writer(&limits)?);
+        self.wake = Some(bus.planner_waker(&limits)?);
+        Ok(String::new())
+    }
+
+    fn open_planner(&mut self) -> Answer {
+        let limits = self.limits;
+        let bus = self.bus.as_ref().ok_or("not joined")?;
+        self.forecast_reader = Some(bus.forecast_reader(&limits)?);
+        self.diagnostic_reader = Some(bus.diagnostic_reader(&limits)?);
+        self.budget_reader = Some(bus.budget_reader(&limits)?);
+        self.planner = Some(bus.planner_waiter(&limits)?);
+        Ok(String::new())
+    }
+
+    /// Sends a frame of so many samples; sample `i` of frame `n` draws `n + i / 100` W.
+    fn send(&mut self, len: u64) -> Answer {
+        let number = self.sent;
+        let header = SampleHeader {
+            frame_seq: number,
+            pid: std::process::id(),
+            ..SampleHeader::default()
+        };
+        let sent = self
+            .sources
+            .as_mut()
+            .ok_or("no port")?
+            .send(header, len as usize, |i| {
+                let power_w = number as f32 + i as f32 / 100.0;
+                Sample::new(i as u32, number, 1).reading(power_w, 1)
+            })?;
+        self.sent += 1;
+        Ok(sent.to_string())
+    }
+
+    fn take(&mut self) -> Answer {
+        let reader = self.samples.as_mut().ok_or("no port")?;
+        if !reader.take(&mut self.frame)? {
+            return Ok("none".to_owned());
+        }
+        let number = self.frame.header().frame_seq;
+        for (i, sample) in self.frame.samples().iter().enumerate() {
+            assert_eq!(sample.robot, i as u32);
+            assert_eq!(sample.power_w, number as f32 + i as f32 / 100.0);
+        }
+        Ok(format!("{number}:{}", self.frame.samples().len()))
+    }
+
+    /// Sends so many ticks of forecasts, diagnostics and budgets of three robots.
+    fn tick(&mut self, ticks: u64) -> Answer {
+        for _ in 0..ticks {
+            self.sent += 1;
+            let tick = self.sent;
+            let forecasts = self.forecasts.as_mut().ok_or("no port")?;
+            let mut loan = forecasts.loan(3)?;
+            loan.header_mut().tick = tick;
+            loan.header_mut().pid = std::process::id();
+            for (robot, forecast) in loan.iter_mut().enumerate() {
+                *forecast = Forecast {
+                    robot: robot as u32,
+                    power_w: tick as f32,
+                    ..Forecast::default()
+                };
+            }
+            loan.send()?;
+            let diagnostics = DiagnosticHeader {
+                tick,
+                ..DiagnosticHeader::default()
+            };
+            self.diagnostics
+                .as_mut()
+                .ok_or("no port")?
+                .send(diagnostics, 3, |_| Default::default())?;
+            let budgets = BudgetHeader {
+                tick,
+                ..BudgetHeader::default()
+            };
+            self.budgets
+                .as_mut()
+                .ok_or("no port")?
+                .send(budgets, 1, |_| Budget {
+                    drawn_uj: tick.cast_signed(),
+                    ..Budget::default()
+                })?;
+            self.wake
+                .as_ref()
+                .ok_or("no port")?
+                .wake(WakeEvent::Frame)?;
+        }
+        Ok(self.sent.to_string())
+    }
+
+    /// The newest ticks of forecasts, diagnostics and budgets.
+    fn latest(&mut self) -> Answer {
+        if let Some(budgets) = &mut self.budgets {
+            budgets.update();
+            return Ok(String::new());
+        }
+        let mut ticks = Vec::new();
+        let reader = self.forecast_reader.as_mut().ok_or("no port")?;
+        ticks.push(reader.take_latest()?.map(|frame| {
+            let header: &ForecastHeader = frame.header();
+            assert!(
+                frame
+                    .iter()
+                    .all(|forecast| forecast.power_w == header.tick as f32)
+            );
+            assert_eq!(frame.len(), 3);
+            header.tick
+        }));
+        let reader = self.diagnostic_reader.as_mut().ok_or("no port")?;
+        ticks.push(reader.take_latest()?.map(|frame| frame.header().tick));
+        let reader = self.budget_reader.as_mut().ok_or("no port")?;
+        ticks.push(reader.take_latest()?.map(|frame| {
+            assert_eq!(frame[0].drawn_uj, frame.header().tick.cast_signed());
+            frame.header().tick
+        }));
+        Ok(format!("{ticks:?}"))
+    }
+
+    /// The ticks of all forecasts that wait, in order.
+    fn count(&mut self) -> Answer {
+        let reader = self.forecast_reader.as_mut().ok_or("no port")?;
+        let mut ticks = Vec::new();
+        while let Some(frame) = reader.take_next()? {
+            ticks.push(frame.header().tick);
+        }
+        Ok(format!("{ticks:?}"))
+    }
+
+    /// Waits up to so many milliseconds for something to happen.
+    fn wait(&mut self, millis: u64) -> Answer {
+        let waiter = self.arrivals.as_mut().or(self.planner.as_mut());
+        let waiter = waiter.ok_or("no port")?;
+        let deadline_ns = clock::monotonic_ns() + millis * 1_000_000;
+        loop {
+            let woken = waiter.wait_until(Some(deadline_ns), self.peer.as_ref())?;
+            if !woken.is_nothing() || clock::monotonic_ns() >= deadline_ns {
+                return Ok(format!("{woken:?}"));
+            }
+        }
+    }
+}

@@ -1,0 +1,487 @@
+//! What members of a domain promise one another, on real processes.
+
+mod harness;
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use harness::{Member, Place};
+use joulebus_bus::{Ports, check_room, inspect, sweep};
+use rustix::process::Signal;
+
+/// Not a test of its own: what the others start.
+#[test]
+fn member() {
+    harness::run_member();
+}
+
+fn joined(place: &Place, role: &str) -> Member {
+    let mut member = place.member();
+    member.must("join");
+    member.must(role);
+    member
+}
+
+#[test]
+fn samples_and_forecasts_cross_processes() {
+    let place = Place::new();
+    let mut source = joined(&place, "source");
+    let mut worker = joined(&place, "worker");
+    let mut planner = joined(&place, "planner");
+
+    assert_eq!(source.must("send 64"), "1");
+    assert!(worker.must("wait 5000").contains("frame: true"));
+    assert_eq!(worker.must("take"), "0:64");
+    assert_eq!(worker.must("take"), "none");
+    assert!(
+        source
+            .ask("send 65")
+            .contains("65 elements, allowed are 64")
+    );
+
+    worker.must("tick 1");
+    assert!(planner.must("wait 5000").contains("frame: true"));
+    assert_eq!(planner.must("latest"), "[Some(1), Some(1), Some(1)]");
+    assert_eq!(planner.must("latest"), "[None, None, None]");
+
+    for member in [source, worker, planner] {
+        member.quit();
+    }
+    place.assert_nothing_left();
+}
+
+#[test]
+fn whoever_comes_first_everybody_joins() {
+    let roles = ["source", "worker", "planner"];
+    for order in [
+        [0, 1, 2],
+        [0, 2, 1],
+        [1, 0, 2],
+        [1, 2, 0],
+        [2, 0, 1],
+        [2, 1, 0],
+    ] {
+        let place = Place::new();
+        let mut members: Vec<_> = order
+            .iter()
+            .map(|role| (*role, joined(&place, roles[*role])))
+            .collect();
+        members.sort_by_key(|(role, _)| *role);
+        let mut members = members.into_iter().map(|(_, member)| member);
+        let (mut source, mut worker, mut planner) = (
+            members.next().unwrap(),
+            members.next().unwrap(),
+            members.next().unwrap(),
+        );
+        source.must("send 3");
+        assert_eq!(worker.must("take"), "0:3", "{order:?}");
+        worker.must("tick 2");
+        assert_eq!(
+            planner.must("latest"),
+            "[Some(2), Some(2), Some(2)]",
+            "{order:?}"
+        );
+        // The first to come is the first to leave.
+        source.quit();
+        worker.quit();
+        planner.quit();
+        place.assert_nothing_left();
+    }
+}
+
+#[test]
+fn many_start_and_leave_at_once() {
+    let place = Place::new();
+    for _ in 0..3 {
+        let mut members: Vec<_> = (0..6).map(|_| place.member()).collect();
+        for (i, member) in members.iter_mut().enumerate() {
+            member.tell("join");
+            member.tell(["source", "planner"][i % 2]);
+        }
+        for member in &mut members {
+            for _ in 0..2 {
+                let answer = member.answer().unwrap();
+                assert!(answer.starts_with("ok"), "{answer}");
+            }
+        }
+        for member in &mut members {
+            member.tell("quit");
+        }
+        for mut member in members {
+            assert!(member.wait().success());
+        }
+        place.assert_nothing_left();
+    }
+}
+
+#[test]
+fn a_newcomer_gets_the_newest_budgets() {
+    let place = Place::new();
+    let mut worker = joined(&place, "worker");
+    worker.must("tick 5");
+    let mut planner = joined(&place, "planner");
+    // History goes out with the next send or update of the worker.
+    worker.must("latest");
+    assert_eq!(planner.must("latest"), "[None, None, Some(5)]");
+}
+
+#[test]
+fn differing_limits_are_told_with_both_values() {
+    let place = Place::new();
+    let _source = joined(&place, "source");
+    let mut worker = place.member();
+    worker.must("join");
+    worker.must("capacity 65");
+    let answer = worker.ask("worker");
+    assert!(answer.contains("capacity=64"), "{answer}");
+    assert!(answer.contains("capacity=65"), "{answer}");
+}
+
+#[test]
+fn a_stopped_planner_costs_nobody_anything_and_resumes_at_the_newest() {
+    let place = Place::new();
+    let mut worker = joined(&place, "worker");
+    let mut stuck = joined(&place, "planner");
+    let mut other = joined(&place, "planner");
+    worker.must("tick 1");
+    for planner in [&mut stuck, &mut other] {
+        assert_eq!(planner.must("count"), "[1]");
+    }
+    stuck.signal(Signal::STOP);
+    for tick in 2..=200 {
+        assert_eq!(worker.must("tick 1"), tick.to_string());
+        assert_eq!(other.must("count"), format!("[{tick}]"));
+    }
+    stuck.signal(Signal::CONT);
+    // Two frames wait, as the limits say; what lies between is the gap.
+    assert_eq!(stuck.must("count"), "[199, 200]");
+    worker.must("tick 1");
+    assert_eq!(stuck.must("count"), "[201]");
+}
+
+#[test]
+fn a_planner_sees_at_once_that_the_worker_is_gone() {
+    let place = Place::new();
+    let worker = joined(&place, "worker");
+    let mut planner = joined(&place, "planner");
+    if planner.must(&format!("watch {}", worker.pid())) != "true" {
+        println!("skipped: this system cannot watch processes");
+        return;
+    }
+    planner.tell("wait 10000");
+    worker.kill();
+    assert!(planner.answer().unwrap().contains("peer_gone: true"));
+}
+
+#[test]
+fn the_living_clean_up_after_the_dead() {
+    let place = Place::new();
+    let mut planner = joined(&place, "planner");
+    joined(&place, "worker").kill();
+    // Told by whoever cleans up, within a second or so.
+    assert!(planner.must("wait 10000").contains("died: true"));
+    let dead = |node: &joulebus_bus::NodeInfo| node.alive != Some(true);
+    for _ in 0..100 {
+        if !inspect(&place.domain).unwrap().nodes.iter().any(dead) {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    let nodes = inspect(&place.domain).unwrap().nodes;
+    assert_eq!(nodes.len(), 1, "{nodes:?}");
+    assert_eq!(nodes[0].pid, Some(planner.pid()));
+    assert!(planner.must("housekeeping").contains("dead_nodes: 1"));
+    planner.quit();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn killed_twenty_times_at_the_start_and_the_next_one_joins() {
+    let place = Place::new();
+    let mut source = joined(&place, "source");
+    for round in 0..20_u64 {
+        let mut member = place.member();
+        member.tell("join");
+        member.tell("worker");
+        member.tell("planner");
+        // Spread over the start of the program.
+        std::thread::sleep(Duration::from_micros(500 * round));
+        member.kill();
+    }
+    let mut worker = joined(&place, "worker");
+    source.must("send 7");
+    assert!(worker.must("wait 5000").contains("frame: true"));
+    assert!(worker.must("take").ends_with(":7"));
+    source.quit();
+    worker.quit();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn with_everybody_dead_the_next_start_removes_all_and_with_anybody_alive_nothing() {
+    let place = Place::new();
+    let mut source = joined(&place, "source");
+    let worker = joined(&place, "worker");
+    let before = place.objects().len();
+    assert!(before > 5);
+
+    worker.kill();
+    let report = place.member().must("join");
+    assert!(report.contains("cold: false"), "{report}");
+    assert!(!sweep(&place.domain).unwrap().cold);
+    assert_eq!(
+        source.must("send 1"),
+        "0",
+        "the living must not be disturbed"
+    );
+
+    source.kill();
+    let mut next = place.member();
+    let report = next.must("join");
+    assert!(report.contains("cold: true"), "{report}");
+    assert!(!report.contains("objects: 0"), "{report}");
+    next.quit();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_sweep_after_everybody_died_leaves_nothing() {
+    let place = Place::new();
+    let members = ["source", "worker", "planner"].map(|role| joined(&place, role));
+    for member in members {
+        member.kill();
+    }
+    assert!(!place.objects().is_empty());
+    // In a process of its own it would be a supervisor; here it is this one, once.
+    let report = sweep(&place.domain).unwrap();
+    assert!(
+        report.cold && report.objects > 0 && report.bytes > 0,
+        "{report:?}"
+    );
+    place.assert_nothing_left();
+    assert!(sweep(&place.domain).unwrap().is_clean());
+}
+
+#[test]
+fn an_object_without_a_size_holds_nobody_up() {
+    let place = Place::new();
+    let source = joined(&place, "source");
+    // What a process leaves that is killed between creating and sizing: iceoryx2 waits for it for
+    // ever. Every joiner opens this one.
+    let counter = place
+        .objects()
+        .into_iter()
+        .find(|path| path.to_string_lossy().ends_with("global_mgmt"))
+        .unwrap();
+    fs::OpenOptions::new()
+        .write(true)
+        .truncate(true)
+        .open(counter)
+        .unwrap();
+    let worker = joined(&place, "worker");
+    source.quit();
+    worker.quit();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn an_object_without_a_size_that_somebody_holds_open_stays() {
+    let place = Place::new();
+    let member = joined(&place, "source");
+    let name = format!("{}slow.connection", place.domain.shm_prefix());
+    let path = std::path::Path::new("/dev/shm").join(name);
+    let creator = fs::File::create(&path).unwrap();
+    std::thread::sleep(Duration::from_millis(800));
+    assert!(path.exists(), "its creator is only slow");
+    assert_eq!(
+        inspect(&place.domain).unwrap().stillborn,
+        std::slice::from_ref(&path)
+    );
+    drop(creator);
+    for _ in 0..100 {
+        if !path.exists() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    assert!(!path.exists(), "nobody will ever size it");
+    member.quit();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn killed_at_every_sizing_of_an_object_and_the_next_one_is_ready() {
+    if let Some(killed) = killed_at_every(&["ftruncate"]) {
+        assert!(killed >= 5, "{killed}");
+    }
+}
+
+#[test]
+#[ignore = "takes a minute"]
+fn killed_at_every_call_of_a_start_and_the_next_one_is_ready() {
+    let calls = [
+        "openat",
+        "ftruncate",
+        "fchmod",
+        "chmod",
+        "fcntl",
+        "flock",
+        "write",
+        "rename",
+        "unlink",
+        "rmdir",
+        "mkdir",
+        "socket",
+        "bind",
+        "mmap",
+        "munmap",
+        "close",
+        "fallocate",
+        "madvise",
+        "clone3",
+        "newfstatat",
+        "fstat",
+        "lseek",
+        "getdents64",
+        "sendto",
+        "futex",
+    ];
+    if let Some(killed) = killed_at_every(&calls) {
+        assert!(killed >= 200, "{killed}");
+    }
+}
+
+/// Kills a worker at the first, second, … of each of `calls`, until it gets through, a source being
+/// alive. At how many; `None` without the means.
+fn killed_at_every(calls: &[&str]) -> Option<u32> {
+    let works = Command::new("strace")
+        .args(["-qq", "-e", "trace=none", "true"])
+        .output();
+    if !works.is_ok_and(|output| output.status.success()) {
+        println!("skipped: needs strace with the right to trace");
+        return None;
+    }
+    let place = Place::new();
+    let mut source = joined(&place, "source");
+    let mut killed = 0;
+    let mut slowest = Duration::ZERO;
+    for call in calls {
+        for number in 1.. {
+            let trace = format!("trace={call}");
+            let inject = format!("inject={call}:signal=SIGKILL:when={number}");
+            let options = ["-f", "-qq", "-e", &trace, "-e", &inject, "-o", "/dev/null"];
+            let mut victim = place.member_under("strace", &options);
+            for command in ["join", "worker", "quit"] {
+                victim.tell(command);
+            }
+            if victim.wait().success() {
+                break;
+            }
+            killed += 1;
+            // The living must not be held up either: its next send connects to the newcomer.
+            let begin = Instant::now();
+            let mut next = joined(&place, "worker");
+            source.must("send 2");
+            slowest = slowest.max(begin.elapsed());
+            assert!(
+                next.must("take").ends_with(":2"),
+                "killed at {call} {number}"
+            );
+            next.quit();
+        }
+    }
+    println!("killed at {killed} calls, the next one ready after at most {slowest:?}");
+    source.quit();
+    place.assert_nothing_left();
+    Some(killed)
+}
+
+#[test]
+fn one_worker_per_fleet_and_the_second_is_told_the_pid() {
+    let place = Place::new();
+    let mut first = place.member();
+    let mut second = place.member();
+    first.must("lock");
+    let answer = second.ask("lock");
+    assert!(answer.contains(&format!("pid {}", first.pid())), "{answer}");
+    assert_eq!(
+        inspect(&place.domain).unwrap().worker_pid,
+        Some(first.pid())
+    );
+    first.kill();
+    second.must("lock");
+    second.must("unlock");
+    second.must("lock");
+    second.quit();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn nobody_else_can_read_or_write_what_members_share() {
+    let place = Place::new();
+    let _source = joined(&place, "source");
+    let _worker = joined(&place, "worker");
+    for object in place.objects() {
+        let mode = fs::metadata(&object).unwrap().permissions().mode();
+        assert_eq!(mode & 0o077, 0, "{object:?} has mode {mode:o}");
+    }
+    let root = inspect(&place.domain).unwrap().root.unwrap();
+    assert_eq!(root.mode, 0o700);
+    assert!(root.in_memory);
+}
+
+#[test]
+fn what_is_asked_of_shared_memory_covers_what_is_taken() {
+    use std::os::unix::fs::MetadataExt;
+    let place = Place::new();
+    let ports = Ports {
+        sources: 2,
+        workers: 1,
+        planners: 3,
+    };
+    let needed = check_room(&harness::limits(), ports).unwrap().needed_bytes;
+    let roles = [
+        "source", "source", "worker", "planner", "planner", "planner",
+    ];
+    let mut members = roles.map(|role| joined(&place, role));
+    members[0].must("send 64");
+    members[2].must("tick 10");
+    let taken: u64 = place
+        .objects()
+        .iter()
+        .map(|object| fs::metadata(object).unwrap().blocks() * 512)
+        .sum();
+    println!("needed {needed}, taken {taken} bytes");
+    assert!(taken <= needed, "{taken} {needed}");
+    assert!(needed < 4 * taken, "{taken} {needed}");
+}
+
+#[test]
+fn too_little_shared_memory_is_an_error_and_no_signal() {
+    let works = Command::new("unshare")
+        .args([
+            "-m", "mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", "/dev/shm",
+        ])
+        .output();
+    if !works.is_ok_and(|output| output.status.success()) {
+        println!("skipped: needs the right to mount");
+        return;
+    }
+    let place = Place::new();
+    let script = "mount -t tmpfs -o size=4m tmpfs /dev/shm && exec \"$0\" \"$@\"";
+    let mut member = place.member_under("unshare", &["-m", "sh", "-c", script]);
+    member.must("join");
+    member.must("worker");
+    let mut crowded = place.member_under("unshare", &["-m", "sh", "-c", script]);
+    crowded.must("capacity 10000");
+    crowded.must("join");
+    let answer = crowded.ask("worker");
+    assert!(
+        answer.contains("bytes needed") && answer.contains("free"),
+        "{answer}"
+    );
+    crowded.quit();
+    member.quit();
+}

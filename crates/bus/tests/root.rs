@@ -1,0 +1,133 @@
+//! Roots that are not private are refused, and so is what does not fit.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+use std::fs;
+use std::os::unix::fs::{PermissionsExt, chown, symlink};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use joulebus_bus::{Domain, Limits, Ports, RoomError, RootError, WorkerLock, check_room};
+
+static PLACES: AtomicU32 = AtomicU32::new(0);
+
+struct Root(PathBuf);
+
+impl Root {
+    fn new() -> Self {
+        let number = PLACES.fetch_add(1, Ordering::Relaxed);
+        let name = format!("/dev/shm/joulebus-root-{}-{number}", std::process::id());
+        Self(name.into())
+    }
+
+    fn domain(&self) -> Domain {
+        Domain::new("test", &self.0, "jbt_").unwrap()
+    }
+}
+
+impl Drop for Root {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.0);
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+#[test]
+fn a_root_that_others_may_enter_is_refused_with_its_mode() {
+    for mode in [0o755, 0o710, 0o701, 0o1777] {
+        let root = Root::new();
+        fs::create_dir(&root.0).unwrap();
+        fs::set_permissions(&root.0, fs::Permissions::from_mode(mode)).unwrap();
+        let error = root.domain().prepare().unwrap_err();
+        assert!(
+            matches!(error, RootError::Mode { found, .. } if found == mode),
+            "{error}"
+        );
+        assert!(error.to_string().contains("chmod 700"), "{error}");
+        assert!(WorkerLock::acquire(&root.domain()).is_err());
+    }
+}
+
+#[test]
+fn a_root_of_somebody_else_is_refused_with_both_owners() {
+    if !rustix::process::geteuid().is_root() {
+        println!("skipped: only root can give a directory away");
+        return;
+    }
+    let root = Root::new();
+    fs::create_dir(&root.0).unwrap();
+    fs::set_permissions(&root.0, fs::Permissions::from_mode(0o700)).unwrap();
+    chown(&root.0, Some(12_345), None).unwrap();
+    let error = root.domain().prepare().unwrap_err();
+    let told = matches!(
+        error,
+        RootError::Owner {
+            found: 12_345,
+            expected: 0,
+            ..
+        }
+    );
+    assert!(told, "{error}");
+}
+
+#[test]
+fn a_link_and_a_file_are_refused() {
+    let root = Root::new();
+    symlink("/dev/shm", &root.0).unwrap();
+    assert!(matches!(
+        root.domain().prepare(),
+        Err(RootError::Symlink { .. })
+    ));
+    fs::remove_file(&root.0).unwrap();
+    fs::write(&root.0, "").unwrap();
+    assert!(matches!(
+        root.domain().prepare(),
+        Err(RootError::NotADirectory { .. })
+    ));
+}
+
+#[test]
+fn a_fleet_below_a_private_root_must_be_private_too() {
+    let root = Root::new();
+    fs::create_dir(&root.0).unwrap();
+    fs::set_permissions(&root.0, fs::Permissions::from_mode(0o700)).unwrap();
+    symlink("/tmp", root.0.join("test")).unwrap();
+    assert!(matches!(
+        root.domain().prepare(),
+        Err(RootError::Symlink { .. })
+    ));
+}
+
+#[test]
+fn what_does_not_fit_is_refused_with_bytes_needed_and_free() {
+    let ports = Ports {
+        sources: 1_024,
+        workers: 1,
+        planners: 256,
+    };
+    let huge = Limits {
+        capacity: 1_000_000,
+        max_sources: 1_024,
+        max_planners: 256,
+        sample_frames: 256,
+        forecast_frames: 64,
+    };
+    let Err(RoomError::Memory { needed, free }) = check_room(&huge.checked().unwrap(), ports)
+    else {
+        panic!("terabytes cannot fit");
+    };
+    assert!(needed > free && needed > 1 << 40, "{needed} {free}");
+
+    let one = Ports {
+        sources: 1,
+        workers: 1,
+        planners: 1,
+    };
+    let small = check_room(&Limits::default(), one).unwrap();
+    let ten_times = Limits {
+        capacity: 10_000,
+        ..Limits::default()
+    };
+    let big = check_room(&ten_times, one).unwrap();
+    assert!(small.needed_bytes < big.needed_bytes / 5);
+    assert!(small.descriptors_used > 2 && small.descriptors_used < small.descriptors_limit);
+}
