@@ -1,1 +1,21 @@
-//! joulebus-predictor-worker
+//! The predictor-worker: samples from shared memory, through the pure tick, forecasts back into it.
+//!
+//! [`Worker::open`] takes everything that can fail (models, memory, the right to be the fleet's only
+//! worker); [`Worker::run`] then ticks until told to stop. What the tick says is written straight
+//! into memory borrowed from shared memory. After warm-up the loop allocates nothing of its own
+//! (iceoryx2 0.10 allocates once for each of the three frames that a tick sends), locks nothing,
+//! logs nothing and waits for nothing but samples and its schedule. Logging and the ledger's
+//! checkpoints are the [clerk's](clerk), a thread that reads the worker's frames like any planner.
+#![forbid(unsafe_code)]
+
+mod checkpoint;
+mod clerk;
+mod models;
+mod report;
+mod worker;
+
+pub use checkpoint::{Checkpoint, CheckpointError};
+pub use clerk::ClerkError;
+pub use models::{ModelsError, load_models};
+pub use report::Report;
+pub use worker::{OpenError, RunError, Worker};

@@ -134,6 +134,20 @@ impl DropCounts {
             .fold(0, |sum, count| sum.saturating_add(*count))
     }
 
+    /// What was counted since `earlier`; all of it when `earlier` is of another run.
+    #[must_use]
+    pub fn since(&self, earlier: &Self) -> Self {
+        let mut newer = Self::default();
+        for (newer, (now, before)) in newer
+            .counts
+            .iter_mut()
+            .zip(self.counts.iter().zip(&earlier.counts))
+        {
+            *newer = now.checked_sub(*before).unwrap_or(*now);
+        }
+        newer
+    }
+
     /// The reasons that occurred, with their counts.
     pub fn iter(&self) -> impl Iterator<Item = (DropReason, u64)> + '_ {
         DropReason::ALL

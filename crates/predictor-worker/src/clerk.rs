@@ -1,0 +1,251 @@
+//! The clerk: a thread that reads the worker's own frames, as a planner would, and does what the
+//! tick must not: writes the ledger's checkpoints and logs what was refused.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use joulebus_bus::{
+    BudgetReader, Bus, DiagnosticReader, Domain, ForecastReader, JoinError, OpenError, clock,
+};
+use joulebus_config::Config;
+use joulebus_wire::{DropCounts, DropReason};
+
+use crate::checkpoint::{Checkpoint, CheckpointError};
+
+/// How often the clerk looks around.
+const ROUND: Duration = Duration::from_millis(200);
+/// Rounds between two looks at what was refused.
+const LOOK_EVERY: u64 = 5;
+
+/// Why the clerk could not begin.
+#[derive(Debug, thiserror::Error)]
+pub enum ClerkError {
+    /// It could not join.
+    #[error(transparent)]
+    Join(#[from] JoinError),
+    /// A port could not be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// The thread could not be started, or the machine's run is not known.
+    #[error("the worker's clerk cannot start: {0}")]
+    Start(#[from] std::io::Error),
+    /// The thread died before it was ready.
+    #[error("the worker's clerk died at start")]
+    Died,
+}
+
+/// Failures of the worker's loop, counted by it and logged by the clerk.
+#[derive(Debug, Default)]
+pub(crate) struct Failures {
+    pub unsent: AtomicU64,
+    pub receive: AtomicU64,
+}
+
+/// The running thread; stops when dropped.
+#[derive(Debug)]
+pub(crate) struct Clerk {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Clerk {
+    /// Starts the thread and waits until it reads. `before` is what an earlier run wrote down.
+    pub(crate) fn start(
+        domain: &Domain,
+        config: &Config,
+        before: Checkpoint,
+        failures: Arc<Failures>,
+    ) -> Result<Self, ClerkError> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let (stopped, domain, config) = (Arc::clone(&stop), domain.clone(), config.clone());
+        let (ready, started) = std::sync::mpsc::sync_channel(1);
+        let thread = std::thread::Builder::new()
+            .name("joulebus-clerk".to_owned())
+            .spawn(move || {
+                match Desk::open(&domain, &config, before, failures) {
+                    Ok(desk) => {
+                        // The worker waits on the other end.
+                        let _ = ready.send(Ok(()));
+                        desk.work(&stopped);
+                    }
+                    Err(error) => {
+                        let _ = ready.send(Err(error));
+                    }
+                }
+            })?;
+        started.recv().map_err(|_| ClerkError::Died)??;
+        Ok(Self {
+            stop,
+            thread: Some(thread),
+        })
+    }
+
+    /// Writes the last checkpoint and ends.
+    pub(crate) fn finish(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.thread().unpark();
+            if thread.join().is_err() {
+                tracing::error!("the worker's clerk panicked");
+            }
+        }
+    }
+}
+
+impl Drop for Clerk {
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
+
+/// What the clerk works with; belongs to its thread.
+struct Desk {
+    // Before the bus: ports go first.
+    budgets: BudgetReader,
+    diagnostics: DiagnosticReader,
+    forecasts: ForecastReader,
+    _bus: Bus,
+    failures: Arc<Failures>,
+    checkpoint: Checkpoint,
+    path: Option<PathBuf>,
+    every: u64,
+    changed: bool,
+    drops: DropCounts,
+    failed: (u64, u64),
+}
+
+impl Desk {
+    fn open(
+        domain: &Domain,
+        config: &Config,
+        checkpoint: Checkpoint,
+        failures: Arc<Failures>,
+    ) -> Result<Self, ClerkError> {
+        let bus = Bus::join(domain, "clerk")?;
+        let limits = config.limits();
+        let every = config
+            .checkpoint_every_ns()
+            .div_ceil(ROUND.as_nanos() as u64);
+        Ok(Self {
+            budgets: bus.budget_reader(&limits)?,
+            diagnostics: bus.diagnostic_reader(&limits)?,
+            forecasts: bus.forecast_reader(&limits)?,
+            _bus: bus,
+            failures,
+            checkpoint,
+            path: config.checkpoint().map(ToOwned::to_owned),
+            every: every.max(1),
+            changed: false,
+            drops: DropCounts::default(),
+            failed: (0, 0),
+        })
+    }
+
+    fn work(mut self, stop: &AtomicBool) {
+        for round in 1_u64.. {
+            let last = stop.load(Ordering::Relaxed);
+            self.read_budgets();
+            if last || round % self.every == 0 {
+                self.write();
+            }
+            if last || round % LOOK_EVERY == 0 {
+                self.log();
+            }
+            if last {
+                return;
+            }
+            std::thread::park_timeout(ROUND);
+        }
+    }
+
+    fn read_budgets(&mut self) {
+        match self.budgets.take_latest() {
+            Ok(Some(frame)) => {
+                self.checkpoint.take(&frame);
+                self.checkpoint.written_ns = frame.header().sent_ns;
+                self.checkpoint.written_unix_ns = frame.header().sent_unix_ns;
+                self.changed = true;
+            }
+            Ok(None) => {}
+            Err(error) => tracing::warn!(%error, "the clerk cannot read budgets"),
+        }
+    }
+
+    fn write(&mut self) {
+        let Some(path) = self.path.as_deref().filter(|_| self.changed) else {
+            return;
+        };
+        match self.checkpoint.write(path) {
+            Ok(()) => self.changed = false,
+            Err(error) => tracing::error!(%error, "the ledger was not written down"),
+        }
+    }
+
+    fn log(&mut self) {
+        match self.forecasts.take_latest() {
+            Ok(Some(frame)) => {
+                let drops = frame.header().samples_dropped;
+                let (newer, robots) = (drops.since(&self.drops), frame.len());
+                self.drops = drops;
+                drop(frame);
+                if newer.total() > 0 {
+                    self.log_drops(&newer, robots);
+                }
+            }
+            Ok(None) => {}
+            Err(error) => tracing::warn!(%error, "the clerk cannot read forecasts"),
+        }
+        let failed = (
+            self.failures.unsent.load(Ordering::Relaxed),
+            self.failures.receive.load(Ordering::Relaxed),
+        );
+        if failed != self.failed {
+            tracing::warn!(
+                unsent = failed.0,
+                receive = failed.1,
+                "frames failed so far"
+            );
+            self.failed = failed;
+        }
+    }
+
+    fn log_drops(&mut self, newer: &DropCounts, robots: usize) {
+        let named = match self.diagnostics.take_latest() {
+            Ok(Some(frame)) => frame
+                .header()
+                .refusals()
+                .filter(|refusal| refusal.reason().is_some_and(|reason| newer.get(reason) > 0))
+                .map(|refusal| {
+                    let reason = refusal.reason().map_or("unknown", DropReason::name);
+                    format!("robot {} of pid {}: {reason}", refusal.robot, refusal.pid)
+                })
+                .collect::<Vec<String>>()
+                .join(", "),
+            _ => String::new(),
+        };
+        for (reason, count) in newer.iter() {
+            tracing::warn!(reason = reason.name(), count, robots, "samples dropped");
+        }
+        if !named.is_empty() {
+            tracing::warn!("refused of late: {named}");
+        }
+    }
+}
+
+/// What an earlier run wrote down for this fleet, made to fit the machine's present run.
+pub(crate) fn recall(config: &Config) -> Result<Checkpoint, CheckpointError> {
+    let io = |source| CheckpointError::Io {
+        path: "/proc/sys/kernel/random/boot_id".into(),
+        source,
+    };
+    let boot_id = clock::boot_id().map_err(io)?;
+    let read = match config.checkpoint() {
+        Some(path) => Checkpoint::read(path, config.fleet())?,
+        None => None,
+    };
+    let before = read.unwrap_or_else(|| Checkpoint::new(config.fleet(), &boot_id));
+    Ok(before.carried_over(&boot_id, clock::monotonic_ns(), clock::unix_ns()))
+}

@@ -1,0 +1,82 @@
+//! Models as the config names them, ready to run.
+
+use std::path::PathBuf;
+
+use joulebus_config::{Config, ModelSource};
+use joulebus_predictor::{Model, ModelError, Network, Persistence, ResidualStats};
+
+/// Standard normal quantile of 95 %: where the interval of a model without residual quantiles
+/// begins, before it adapts.
+const NORMAL_95: f32 = 1.645;
+
+/// Why a platform's model cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelsError {
+    /// The file cannot be read.
+    #[error("model {path} of platform {platform}: {source}")]
+    Read {
+        /// The platform.
+        platform: String,
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// What is in it is refused.
+    #[error("model {model} of platform {platform} is refused: {source}")]
+    Refused {
+        /// The platform.
+        platform: String,
+        /// Its file or name.
+        model: String,
+        /// What was found and what is allowed.
+        source: ModelError,
+    },
+}
+
+/// The models of all platforms, in the order of [`joulebus_fleet::Settings::platforms`].
+///
+/// # Errors
+/// The first model that cannot be read or is refused.
+pub fn load_models(config: &Config) -> Result<Vec<Model>, ModelsError> {
+    let platforms = config.settings().platforms.iter();
+    platforms
+        .zip(config.models())
+        .map(|(platform, source)| load(&platform.name, source))
+        .collect()
+}
+
+fn load(platform: &str, source: &ModelSource) -> Result<Model, ModelsError> {
+    let (name, loaded) = match source {
+        ModelSource::File(path) => {
+            let bytes = std::fs::read(path).map_err(|source| ModelsError::Read {
+                platform: platform.to_owned(),
+                path: path.clone(),
+                source,
+            })?;
+            let network = Network::from_safetensors(&bytes).map(Model::Network);
+            (path.display().to_string(), network)
+        }
+        ModelSource::Builtin(name, bytes) => {
+            let network = Network::from_safetensors(bytes).map(Model::Network);
+            ((*name).to_owned(), network)
+        }
+        ModelSource::Persistence { residual_std_w } => {
+            let end_w = NORMAL_95 * residual_std_w;
+            let residual = ResidualStats {
+                std_w: *residual_std_w,
+                q05_w: -end_w,
+                q95_w: end_w,
+            };
+            (
+                "persistence".to_owned(),
+                Persistence::new(residual).map(Model::Persistence),
+            )
+        }
+    };
+    loaded.map_err(|source| ModelsError::Refused {
+        platform: platform.to_owned(),
+        model: name,
+        source,
+    })
+}

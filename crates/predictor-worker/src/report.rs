@@ -1,0 +1,70 @@
+//! What a run of the worker came to.
+
+use std::collections::BTreeMap;
+
+use hdrhistogram::Histogram;
+use joulebus_wire::DropCounts;
+use serde::Serialize;
+
+/// What a run of the worker came to.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// Name of the fleet.
+    pub fleet: String,
+    /// Ticks done.
+    pub ticks: u64,
+    /// Ticks that did not happen because the one before took too long.
+    pub ticks_skipped: u64,
+    /// Ticks that started more than a tenth of a period late.
+    pub ticks_late: u64,
+    /// Robots in the fleet at the end.
+    pub robots: usize,
+    /// Samples accepted.
+    pub samples_accepted: u64,
+    /// Samples dropped, by reason.
+    pub samples_dropped: BTreeMap<&'static str, u64>,
+    /// Frames that could not be sent.
+    pub frames_unsent: u64,
+    /// Failures to receive.
+    pub receive_errors: u64,
+    /// From the start of a tick to its last frame sent.
+    pub tick: Spread,
+}
+
+/// Distribution of a time.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Spread {
+    /// Values.
+    pub count: u64,
+    /// Median, µs.
+    pub p50_us: f64,
+    /// 99th percentile, µs.
+    pub p99_us: f64,
+    /// 99.9th percentile, µs.
+    pub p999_us: f64,
+    /// Greatest, µs.
+    pub max_us: f64,
+}
+
+impl Spread {
+    /// From a histogram of ns.
+    #[must_use]
+    pub fn of(histogram: &Histogram<u64>) -> Self {
+        let us = |quantile| histogram.value_at_quantile(quantile) as f64 * 1e-3;
+        Self {
+            count: histogram.len(),
+            p50_us: us(0.5),
+            p99_us: us(0.99),
+            p999_us: us(0.999),
+            max_us: histogram.max() as f64 * 1e-3,
+        }
+    }
+}
+
+/// Drops by the name of their reason.
+pub(crate) fn by_name(drops: &DropCounts) -> BTreeMap<&'static str, u64> {
+    drops
+        .iter()
+        .map(|(reason, count)| (reason.name(), count))
+        .collect()
+}
