@@ -26,7 +26,16 @@ const PLATFORMS: &[(&str, &str)] = &[
     ),
 ];
 
-const MODELS: &[(&str, &[u8])] = &[];
+const MODELS: &[(&str, &[u8])] = &[
+    (
+        "gternal-sim",
+        include_bytes!("../../../configs/models/gternal-sim.safetensors"),
+    ),
+    (
+        "gternal-sim-power",
+        include_bytes!("../../../configs/models/gternal-sim-power.safetensors"),
+    ),
+];
 
 /// Names of the platforms that ship, for `file = "builtin:<name>"`.
 pub fn builtin_platforms() -> impl Iterator<Item = &'static str> {

@@ -10,9 +10,10 @@ use joulebus_fleet::{
 
 use crate::contradictions;
 use crate::document::{FleetFile, Source};
+use crate::key::Kind;
 use crate::problem::{ConfigError, Problem};
 use crate::values::Values;
-use crate::{files, show};
+use crate::{files, keys, show};
 
 /// What forecasts a platform's power.
 #[derive(Clone, PartialEq)]
@@ -91,8 +92,7 @@ impl Config {
         let mut problems = Vec::new();
         let mut warnings = Vec::new();
         let mut read = source.fleet(&mut problems);
-        // A text that is no TOML says nothing of what it lacks.
-        if problems.iter().all(|problem| !problem.key.is_empty()) {
+        if !read.cut_short {
             files::platforms(&mut read, &mut problems);
             contradictions::check(&read, &source.name, &mut problems, &mut warnings);
         }
@@ -226,12 +226,12 @@ impl Builder<'_> {
         let platforms: Option<Vec<Platform>> = read
             .platforms
             .iter()
-            .map(|(values, _)| Builder(values).platform())
+            .map(|listed| Builder(&listed.values).platform())
             .collect();
         let models: Option<Vec<ModelSource>> = read
             .platforms
             .iter()
-            .map(|(values, _)| files::model(values))
+            .map(|listed| files::model(&listed.values))
             .collect();
         let checkpoint = files::resolve(&read.values, "ledger.checkpoint")?;
         Some(Config {
@@ -252,7 +252,7 @@ impl Builder<'_> {
     }
 
     fn settings(&self, platforms: Vec<Platform>) -> Option<Settings> {
-        let number = |path| Some(self.0.number(path)? as f32);
+        let number = |path| self.single(path);
         Some(Settings {
             capacity: self.0.integer("fleet.capacity")?,
             intake: Intake {
@@ -281,6 +281,18 @@ impl Builder<'_> {
         })
     }
 
+    /// A number in single precision. Ends of ranges like 0.99 lie between two `f32`: the one
+    /// inside the range is taken.
+    fn single(&self, path: &str) -> Option<f32> {
+        let value = self.0.number(path)?;
+        let narrow = value as f32;
+        match keys::find(path)?.kind {
+            Kind::Number { max, .. } if f64::from(narrow) > max => Some(narrow.next_down()),
+            Kind::Number { min, .. } if f64::from(narrow) < min => Some(narrow.next_up()),
+            _ => Some(narrow),
+        }
+    }
+
     fn policy(&self) -> Option<Policy> {
         let deadline_ns = ns(self.0.number("tick.deadline_ms")? * 1e-3);
         match self.0.text("tick.policy")?.as_str() {
@@ -290,7 +302,7 @@ impl Builder<'_> {
     }
 
     fn platform(&self) -> Option<Platform> {
-        let number = |path| Some(self.0.number(path)? as f32);
+        let number = |path| self.single(path);
         let time_ns = |path| Some(ns(self.0.number(path)?));
         let battery = if self.0.names_any("platform.battery.") {
             Some(self.battery()?)

@@ -1,9 +1,11 @@
 //! Keys that are each in range but do not go together.
+//!
+//! The values have passed their range checks: none is NaN or infinite.
 
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-use crate::document::FleetFile;
+use crate::document::{FleetFile, Listed};
 use crate::files::{check_model, complaint};
 use crate::key::{File, Key, Preset};
 use crate::keys::KEYS;
@@ -32,13 +34,10 @@ pub(crate) fn check(
     }
     tick(fleet, problems);
     intake(fleet, problems, warnings);
-    for (values, place) in &read.platforms {
-        // What a file that could not be read would have said is not missing.
-        if !problems
-            .iter()
-            .any(|problem| same_line(problem, values, "platform.file"))
-        {
-            missing(values, file, Some(place), problems);
+    for listed in &read.platforms {
+        let values = &listed.values;
+        if !listed.cut_short {
+            missing(values, file, Some(&listed.header), problems);
         }
         check_model(values, problems);
         model(values, problems, warnings);
@@ -54,13 +53,6 @@ pub(crate) fn check(
             problem.file = file.to_string();
         }
     }
-}
-
-fn same_line(problem: &Problem, values: &Values, key: &str) -> bool {
-    problem.key == key
-        && values
-            .place(key)
-            .is_some_and(|place| *place.file == *problem.file && Some(place.line) == problem.line)
 }
 
 fn missing(values: &Values, file: &Arc<str>, header: Option<&Place>, problems: &mut Vec<Problem>) {
@@ -111,7 +103,7 @@ fn tick(fleet: &Values, problems: &mut Vec<Problem>) {
     ) else {
         return;
     };
-    if policy == "on_frame" && !(deadline_ms * rate_hz < 1000.0) {
+    if policy == "on_frame" && deadline_ms * rate_hz >= 1000.0 {
         problems.push(contradiction(
             [(fleet, "tick.deadline_ms"), (fleet, "tick.rate_hz")],
             &format!(
@@ -300,7 +292,7 @@ fn limits(values: &Values, problems: &mut Vec<Problem>) {
     let (Some(min_w), Some(max_w)) = (values.number(min), values.number(max)) else {
         return;
     };
-    if !(min_w < max_w) {
+    if min_w >= max_w {
         let what = format!("{} is not below {}", values.quote(min), values.quote(max));
         problems.push(contradiction(
             [(values, min), (values, max)],
@@ -311,7 +303,7 @@ fn limits(values: &Values, problems: &mut Vec<Problem>) {
     }
     if values
         .number(step)
-        .is_some_and(|step_w| !(step_w < max_w - min_w))
+        .is_some_and(|step_w| step_w >= max_w - min_w)
     {
         let what = format!(
             "{} is not below the span from {} to {}",
@@ -351,7 +343,7 @@ fn battery(values: &Values, problems: &mut Vec<Problem>) {
             "The safe side is the lower one: change one of them",
         ));
     }
-    if !(reserve_share < soc_share) {
+    if reserve_share >= soc_share {
         let what = format!(
             "{} is not below {}",
             values.quote(reserve),
@@ -367,14 +359,14 @@ fn battery(values: &Values, problems: &mut Vec<Problem>) {
 
 fn names(read: &FleetFile, problems: &mut Vec<Problem>) {
     let name = "platform.name";
-    for (index, (values, header)) in read.platforms.iter().enumerate() {
+    for (index, Listed { values, header, .. }) in read.platforms.iter().enumerate() {
         let Some(text) = values.text(name) else {
             continue;
         };
         let earlier = read.platforms[..index]
             .iter()
-            .find(|(earlier, _)| earlier.text(name).as_ref() == Some(&text));
-        if let Some((_, first)) = earlier {
+            .find(|earlier| earlier.values.text(name).as_ref() == Some(&text));
+        if let Some(Listed { header: first, .. }) = earlier {
             problems.push(Problem {
                 file: header.file.to_string(),
                 line: Some(header.line),
@@ -387,52 +379,15 @@ fn names(read: &FleetFile, problems: &mut Vec<Problem>) {
     }
 }
 
+/// A range of ids and the platform that lists it.
+type Owned<'a> = (RangeInclusive<u32>, &'a Values);
+
 fn ids(read: &FleetFile, problems: &mut Vec<Problem>) {
     let key = "platform.robots";
-    let mut ranges: Vec<(RangeInclusive<u32>, &Values)> = read
-        .platforms
-        .iter()
-        .flat_map(|(values, _)| {
-            values
-                .robots()
-                .into_iter()
-                .map(move |range| (range, values))
-        })
-        .collect();
-    ranges.sort_by_key(|(range, _)| (*range.start(), *range.end()));
-    let mut reach: Option<(RangeInclusive<u32>, &Values)> = None;
-    for (range, values) in ranges {
-        let shared = reach
-            .as_ref()
-            .filter(|(before, _)| range.start() <= before.end());
-        if let Some((before, earlier)) = shared {
-            let place =
-                |values: &Values| values.place(key).map_or_else(String::new, Place::to_string);
-            let what = format!(
-                "contradicts: {} ({}) and {} ({}) share robot {}",
-                robots::text(before),
-                place(earlier),
-                robots::text(&range),
-                place(values),
-                range.start()
-            );
-            problems.push(complaint(
-                values,
-                key,
-                what,
-                "Take it out of one of them: a robot belongs to at most one platform, once"
-                    .to_owned(),
-            ));
-        }
-        if reach
-            .as_ref()
-            .is_none_or(|(before, _)| range.end() > before.end())
-        {
-            reach = Some((range, values));
-        }
-    }
-    for (values, _) in &read.platforms {
-        if values.place(key).is_some() && values.get(key).is_some() && values.robots().is_empty() {
+    let mut ranges: Vec<Owned<'_>> = Vec::new();
+    for Listed { values, .. } in &read.platforms {
+        let listed = values.robots();
+        if values.get(key).is_some() && listed.is_empty() {
             problems.push(complaint(
                 values,
                 key,
@@ -440,7 +395,45 @@ fn ids(read: &FleetFile, problems: &mut Vec<Problem>) {
                 "Name at least one robot, or take the [[platform]] out".to_owned(),
             ));
         }
+        ranges.extend(listed.into_iter().map(|range| (range, values)));
     }
+    ranges.sort_by_key(|(range, _)| (*range.start(), *range.end()));
+    // The range that reaches furthest so far: the next one must begin past it.
+    let mut reach: Option<Owned<'_>> = None;
+    for owned in ranges {
+        let (end, start) = (*owned.0.end(), *owned.0.start());
+        if let Some(before) = reach.as_ref().filter(|(before, _)| start <= *before.end()) {
+            problems.push(shared(before, &owned));
+        }
+        if reach.as_ref().is_none_or(|(before, _)| end > *before.end()) {
+            reach = Some(owned);
+        }
+    }
+}
+
+/// Two ranges that share a robot, complained about at the one that comes later in the file.
+fn shared(one: &Owned<'_>, other: &Owned<'_>) -> Problem {
+    let key = "platform.robots";
+    let line = |owned: &Owned<'_>| owned.1.place(key).map_or(0, |place| place.line);
+    let quote = |owned: &Owned<'_>| {
+        let place = owned
+            .1
+            .place(key)
+            .map_or_else(String::new, Place::to_string);
+        format!("{} ({place})", robots::text(&owned.0))
+    };
+    let later = if line(one) > line(other) { one } else { other };
+    complaint(
+        later.1,
+        key,
+        format!(
+            "contradicts: {} and {} share robot {}",
+            quote(one),
+            quote(other),
+            other.0.start()
+        ),
+        "Take it out of one of them: a robot belongs to at most one platform, once".to_owned(),
+    )
 }
 
 fn capacity(read: &FleetFile, warnings: &mut Vec<Problem>) {
@@ -450,7 +443,7 @@ fn capacity(read: &FleetFile, warnings: &mut Vec<Problem>) {
     let listed: u64 = read
         .platforms
         .iter()
-        .flat_map(|(values, _)| values.robots())
+        .flat_map(|listed| listed.values.robots())
         .map(|range| robots::count(&range))
         .sum();
     if listed as f64 > room {

@@ -24,8 +24,19 @@ pub(crate) struct Source<'a> {
 #[derive(Debug, Default)]
 pub(crate) struct FleetFile {
     pub(crate) values: Values,
-    /// One for each `[[platform]]`, with the place of its header.
-    pub(crate) platforms: Vec<(Values, Place)>,
+    pub(crate) platforms: Vec<Listed>,
+    /// The text could not be read to its end: what it lacks is not known.
+    pub(crate) cut_short: bool,
+}
+
+/// One `[[platform]]`.
+#[derive(Debug)]
+pub(crate) struct Listed {
+    pub(crate) values: Values,
+    /// Where it begins.
+    pub(crate) header: Place,
+    /// Its own file could not be read: what it lacks is not known.
+    pub(crate) cut_short: bool,
 }
 
 impl Source<'_> {
@@ -33,6 +44,7 @@ impl Source<'_> {
     pub(crate) fn fleet(&self, problems: &mut Vec<Problem>) -> FleetFile {
         let mut read = FleetFile::default();
         let Some(document) = self.document(problems) else {
+            read.cut_short = true;
             return read;
         };
         let mut walk = Walk {
@@ -59,26 +71,27 @@ impl Source<'_> {
             for (table, span) in tables {
                 let mut values = Values::default();
                 walk.table(table, "platform", &mut values);
-                let place = walk.source.place(span.or_else(|| key.span()));
-                read.platforms.push((values, place));
+                read.platforms.push(Listed {
+                    values,
+                    header: walk.source.place(span.or_else(|| key.span())),
+                    cut_short: false,
+                });
             }
         }
         read
     }
 
-    /// Reads a platform's file.
-    pub(crate) fn platform(&self, problems: &mut Vec<Problem>) -> Values {
+    /// Reads a platform's file; none where it is no TOML.
+    pub(crate) fn platform(&self, problems: &mut Vec<Problem>) -> Option<Values> {
         let mut values = Values::default();
-        let Some(document) = self.document(problems) else {
-            return values;
-        };
+        let document = self.document(problems)?;
         let mut walk = Walk {
             source: self,
             file: File::Platform,
             problems,
         };
         walk.table(document.as_table(), "platform", &mut values);
-        values
+        Some(values)
     }
 
     fn document(&self, problems: &mut Vec<Problem>) -> Option<Document<&str>> {
@@ -154,7 +167,7 @@ fn first_of(text: &str, line: usize) -> Option<usize> {
     Some(index + 1)
 }
 
-fn entries<'t>(table: &'t dyn TableLike) -> impl Iterator<Item = (&'t TomlKey, &'t Item)> {
+fn entries(table: &dyn TableLike) -> impl Iterator<Item = (&TomlKey, &Item)> {
     table
         .iter()
         .filter_map(|(name, _)| table.get_key_value(name))

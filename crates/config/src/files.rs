@@ -28,16 +28,20 @@ pub(crate) fn read(path: &Path) -> io::Result<String> {
 
 /// Reads the file of each platform; what stands in the fleet's file wins over it.
 pub(crate) fn platforms(fleet: &mut FleetFile, problems: &mut Vec<Problem>) {
-    for (values, _) in &mut fleet.platforms {
-        if values.text("platform.file").is_none() {
+    for listed in &mut fleet.platforms {
+        if !listed.values.names("platform.file") {
             continue;
         }
-        match platform(values, problems) {
-            Ok(mut of_file) => {
-                of_file.override_with(std::mem::take(values));
-                *values = of_file;
+        match platform(&listed.values, problems) {
+            Ok(Some(mut of_file)) => {
+                of_file.override_with(std::mem::take(&mut listed.values));
+                listed.values = of_file;
             }
-            Err((what, remedy)) => problems.push(complaint(values, "platform.file", what, remedy)),
+            Ok(None) => listed.cut_short = true,
+            Err((what, remedy)) => {
+                listed.cut_short = true;
+                problems.push(complaint(&listed.values, "platform.file", what, remedy));
+            }
         }
     }
     // Complaints about a file that two platforms share would come twice.
@@ -49,8 +53,14 @@ pub(crate) fn platforms(fleet: &mut FleetFile, problems: &mut Vec<Problem>) {
     });
 }
 
-fn platform(values: &Values, problems: &mut Vec<Problem>) -> Result<Values, (String, String)> {
-    let file = values.text("platform.file").unwrap_or_default();
+/// What the platform's file says; none where a problem tells why not.
+fn platform(
+    values: &Values,
+    problems: &mut Vec<Problem>,
+) -> Result<Option<Values>, (String, String)> {
+    let Some(file) = values.text("platform.file") else {
+        return Ok(None);
+    };
     if let Some(name) = file.strip_prefix("builtin:") {
         let text = builtin::builtin_platform(name).ok_or_else(|| {
             let known: Vec<&str> = builtin::builtin_platforms().collect();

@@ -157,22 +157,34 @@ fn split_unit(name: &str) -> (&str, Option<&'static str>) {
 
 /// The key of `file` that is nearest to `path`, if any is near.
 pub(crate) fn nearest(file: Option<File>, path: &str) -> Option<&'static Key> {
-    let name = |path: &str| path.rsplit('.').next().unwrap_or(path).to_lowercase();
-    let wanted = name(path);
-    let stem = |name: &str| split_unit(name).0.to_owned();
-    let likeness = |key: &Key| {
-        let whole = strsim::normalized_damerau_levenshtein(key.path, &path.to_lowercase());
-        let last = strsim::normalized_damerau_levenshtein(key.name(), &wanted);
-        let stems = strsim::normalized_damerau_levenshtein(&stem(key.name()), &stem(&wanted));
-        // The whole path decides between keys of the same name.
-        last.max(0.95 * stems).max(0.9 * whole) + 0.01 * whole
-    };
+    let wanted = path.to_lowercase();
     KEYS.iter()
         .filter(|key| file.is_none_or(|file| key.file == file))
-        .map(|key| (likeness(key), key))
+        .map(|key| (likeness(key, &wanted), key))
         .filter(|(likeness, _)| *likeness >= 0.5)
         .max_by(|(one, _), (other, _)| one.total_cmp(other))
         .map(|(_, key)| key)
+}
+
+/// How like the key's path is to another, about 0 to 1.
+fn likeness(key: &Key, wanted: &str) -> f64 {
+    let alike = strsim::normalized_damerau_levenshtein;
+    let (section, name) = wanted.rsplit_once('.').unwrap_or(("", wanted));
+    let key_section = key.path.rsplit_once('.').map_or("", |(section, _)| section);
+    let sorted = |name: &str| {
+        let mut words: Vec<&str> = name.split('_').collect();
+        words.sort_unstable();
+        words.join("_")
+    };
+    let whole = alike(key.path, wanted);
+    // The right name in the wrong order of words, or with another unit, is nearly right.
+    let best = alike(key.name(), name)
+        .max(0.95 * alike(&sorted(key.name()), &sorted(name)))
+        .max(0.95 * alike(split_unit(key.name()).0, split_unit(name).0))
+        .max(0.9 * whole);
+    // The section, then the whole path, decide between names that are about as near.
+    let same_section = if section == key_section { 0.05 } else { 0.0 };
+    best + same_section + 0.01 * whole
 }
 
 /// What to do about an unknown key.

@@ -23,7 +23,7 @@ pub(crate) fn toml(read: &FleetFile) -> String {
         }
         line(&mut text, &read.values, key);
     }
-    for (values, _) in &read.platforms {
+    for values in read.platforms.iter().map(|listed| &listed.values) {
         text += "\n[[platform]]\n";
         let (battery, plain): (Vec<&Key>, Vec<&Key>) = KEYS
             .iter()
