@@ -30,7 +30,7 @@ pub enum ModelsError {
         /// Its file or name.
         model: String,
         /// What was found and what is allowed.
-        source: ModelError,
+        source: Box<ModelError>,
     },
 }
 
@@ -77,6 +77,6 @@ fn load(platform: &str, source: &ModelSource) -> Result<Model, ModelsError> {
     loaded.map_err(|source| ModelsError::Refused {
         platform: platform.to_owned(),
         model: name,
-        source,
+        source: Box::new(source),
     })
 }

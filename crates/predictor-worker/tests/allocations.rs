@@ -1,0 +1,129 @@
+//! The worker's loop, intake and publishing included, allocates nothing of its own after warm-up:
+//! only iceoryx2 0.10 does, once for each of the three frames that a tick sends.
+#![allow(unsafe_code)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use joulebus_bus::{Bus, Domain, clock};
+use joulebus_config::Config;
+use joulebus_predictor_worker::Worker;
+use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
+
+/// Counts what the calling thread allocates, and passes it on to the system's allocator.
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+fn count() {
+    // A thread that is being torn down has no counter any more.
+    let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
+}
+
+// SAFETY: every call is passed on to the system's allocator unchanged; counting touches only a
+// thread-local integer and never allocates.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promise about `layout` is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: `pointer` came from `System` through this allocator, with this layout.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: `pointer` came from `System` through this allocator, with this layout.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+const ROBOTS: u32 = 40;
+
+fn config(root: &PathBuf, policy: &str) -> Config {
+    let text = format!(
+        "[fleet]\nname = \"alloc\"\ncapacity = 64\n\
+         [domain]\nroot = \"{}\"\nprefix = \"t_\"\n\
+         [tick]\npolicy = \"{policy}\"\nrate_hz = 200.0\ndeadline_ms = 2.0\n\
+         [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-63\"]\n",
+        root.display()
+    );
+    Config::parse(&text, &root.join("nowhere")).unwrap()
+}
+
+/// Sends frames in which robots go missing, are refused, unknown, late and without a reading.
+fn feed(domain: &Domain, config: &Config, stop: &AtomicBool) {
+    let bus = Bus::join(domain, "source").unwrap();
+    let mut writer = bus.sample_writer(&config.limits(), 64).unwrap();
+    let mut header = SampleHeader {
+        schema: SCHEMA_VERSION,
+        source_id: 1,
+        source_epoch: clock::unix_ns(),
+        ..SampleHeader::default()
+    };
+    while !stop.load(Ordering::Relaxed) {
+        let (seq, now_ns) = (header.frame_seq, clock::monotonic_ns());
+        (header.sent_ns, header.intended_ns) = (now_ns, now_ns);
+        let sample = |place: usize| {
+            let robot = place as u32 + u32::from((seq / 7).is_multiple_of(2));
+            let sample = Sample::new(robot, seq, now_ns);
+            match (seq + place as u64) % 50 {
+                0 => sample.command(0.1, 0.5).reading(f32::NAN, now_ns),
+                1 => sample.command(0.1, 0.5),
+                2 => sample.reading(3.5, now_ns),
+                3 => Sample::new(900, seq, now_ns),
+                _ => sample.command(0.1, 0.5).reading(3.5 + (seq % 9) as f32 * 0.01, now_ns),
+            }
+        };
+        writer.send(header, ROBOTS as usize, sample).unwrap();
+        header.frame_seq += 1;
+        header.samples_before += u64::from(ROBOTS);
+        std::thread::sleep(Duration::from_millis(if seq.is_multiple_of(40) { 60 } else { 5 }));
+    }
+}
+
+fn measure(policy: &str) {
+    let root = PathBuf::from(format!("/dev/shm/joulebus-test-alloc-{}", std::process::id()));
+    let config = config(&root, policy);
+    let domain = config.domain().unwrap();
+    let stop = AtomicBool::new(false);
+    let mut worker = Worker::open(&config).unwrap();
+    std::thread::scope(|scope| {
+        scope.spawn(|| feed(&domain, &config, &stop));
+        let mut tick = |ticks: u32| {
+            let mut done = 0;
+            while done < ticks {
+                done += u32::from(worker.turn().unwrap());
+            }
+        };
+        tick(200);
+        let before = ALLOCATIONS.get();
+        tick(300);
+        let allocated = ALLOCATIONS.get() - before;
+        stop.store(true, Ordering::Relaxed);
+        assert_eq!(allocated, 3 * 300, "policy {policy}: three a tick are iceoryx2's");
+    });
+    let report = worker.finish();
+    assert!(report.samples_accepted > 5_000, "{report:?}");
+    assert!(report.samples_dropped["UnknownRobot"] > 0, "{report:?}");
+    assert!(report.samples_dropped["NotFinite"] > 0, "{report:?}");
+    let _ = std::fs::remove_dir(&root);
+    assert!(!root.exists(), "left behind: {root:?}");
+}
+
+#[test]
+fn after_warm_up_the_worker_allocates_nothing_of_its_own() {
+    measure("on_frame");
+    measure("timer");
+}
