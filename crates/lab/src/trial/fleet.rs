@@ -158,8 +158,6 @@ struct Player {
     repeat: bool,
     pass: u64,
     next: usize,
-    /// The latest stamp so far: a sample whose time does not advance is due with the one before.
-    latest_ns: u64,
 }
 
 impl Player {
@@ -173,13 +171,12 @@ impl Player {
             repeat: playback.repeat,
             pass: 0,
             next: 0,
-            latest_ns: 0,
         }
     }
 
     fn due_ns(&self) -> Option<u64> {
         let stamp_ns = self.samples.get(self.next)?.stamp_ns;
-        Some(stamp_ns.saturating_add(self.shift_ns()).max(self.latest_ns))
+        Some(stamp_ns.saturating_add(self.shift_ns()))
     }
 
     fn shift_ns(&self) -> u64 {
@@ -187,8 +184,8 @@ impl Player {
     }
 
     fn take_until(&mut self, until_ns: u64, frame: &mut Vec<Sample>) {
-        while let Some(due_ns) = self.due_ns().filter(|due_ns| *due_ns <= until_ns) {
-            self.latest_ns = due_ns;
+        // A sample whose time does not advance follows at once: the one before it was due.
+        while self.due_ns().is_some_and(|due_ns| due_ns <= until_ns) {
             frame.push(self.sample());
             self.next += 1;
             if self.repeat && self.next == self.samples.len() {
