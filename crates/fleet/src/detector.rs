@@ -7,6 +7,10 @@ use crate::AlarmSettings;
 /// Serial correlation above which whitening would only amplify noise.
 const CORRELATION_MAX: f32 = 0.9;
 
+/// Largest residual, W, and standardised residual that are believed: without a bound, one absurd
+/// forecast would turn the sums into NaN, and no alarm would ever be raised again.
+const RESIDUAL_MAX: f32 = 1e6;
+
 /// What is remembered of one robot's residuals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Detector {
@@ -74,9 +78,10 @@ impl Detector {
         sigma_w: f32,
         settings: &AlarmSettings,
     ) {
+        let residual_w = residual_w.clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
         self.seen = self.seen.saturating_add(1);
         self.bias_w += settings.bias_weight * (residual_w - self.bias_w);
-        let z = residual_w / sigma_w;
+        let z = (residual_w / sigma_w).clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
         let white = self.whiten(z, settings.bias_weight);
         let ceiling = 2.0 * settings.cusum_limit;
         self.cusum_up = (self.cusum_up + white - settings.cusum_slack).clamp(0.0, ceiling);

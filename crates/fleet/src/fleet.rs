@@ -109,6 +109,8 @@ impl Fleet {
             generation: 0,
             source_id: 0,
             source_epoch: 0,
+            renewed: false,
+            waiting: false,
             seq: None,
             taken_ns: 0,
             taken: 0,
@@ -171,7 +173,9 @@ impl Fleet {
             return;
         }
         if let Err(reason) = self.sources.frame(header, count, &mut self.drops) {
-            self.drops.add(reason, count);
+            for sample in samples {
+                self.refuse(header, sample, reason);
+            }
             return;
         }
         for sample in samples {
@@ -283,20 +287,20 @@ impl Fleet {
         now_ns: u64,
     ) -> Result<(), DropReason> {
         let slot = self.slot(header, sample.robot, now_ns)?;
-        let renewed = self.identify(slot, header, sample.seq)?;
+        self.identify(slot, header, sample.seq)?;
         let most = self.settings.intake.max_samples_per_tick;
         let robot = &self.robots[slot];
         if robot.taken >= most {
             return Err(DropReason::Backlog);
         }
         let kind = usize::from(robot.platform);
-        if robot.taken > 0 {
+        if robot.waiting {
             self.pass(kind);
         }
         check_values(sample, &self.kinds[kind].platform)?;
         let mut sample = *sample;
         if !self.in_time(slot, sample.stamp_ns) {
-            if !renewed {
+            if !self.robots[slot].renewed {
                 return Err(DropReason::BadTime);
             }
             sample.flags |= sample_flag::DISCONTINUITY;
@@ -304,20 +308,15 @@ impl Fleet {
         let robot = &mut self.robots[slot];
         self.reported += usize::from(robot.taken == 0);
         robot.taken += 1;
+        (robot.renewed, robot.waiting) = (false, true);
         (robot.taken_ns, robot.invalid, robot.refused_run) = (now_ns, None, 0);
         self.pending[slot] = sample;
         self.kinds[kind].waiting.push(slot as u32);
         Ok(())
     }
 
-    /// Ownership, run and order: who may speak for the robot, once. Returns whether a new run of
-    /// the source has taken over.
-    fn identify(
-        &mut self,
-        slot: usize,
-        header: &SampleHeader,
-        seq: u64,
-    ) -> Result<bool, DropReason> {
+    /// Ownership, run and order: who may speak for the robot, once.
+    fn identify(&mut self, slot: usize, header: &SampleHeader, seq: u64) -> Result<(), DropReason> {
         let robot = &mut self.robots[slot];
         if robot.source_id != header.source_id {
             return Err(DropReason::ForeignSource);
@@ -325,16 +324,16 @@ impl Fleet {
         if header.source_epoch < robot.source_epoch {
             return Err(DropReason::OldEpoch);
         }
-        let renewed = header.source_epoch > robot.source_epoch;
-        if renewed {
+        if header.source_epoch > robot.source_epoch {
             (robot.source_epoch, robot.seq) = (header.source_epoch, None);
+            robot.renewed = true;
         }
         match robot.seq {
             Some(last) if seq == last => return Err(DropReason::Duplicate),
             Some(last) if seq < last => return Err(DropReason::OutOfOrder),
             _ => robot.seq = Some(seq),
         }
-        Ok(renewed)
+        Ok(())
     }
 
     fn in_time(&self, slot: usize, stamp_ns: u64) -> bool {
@@ -394,6 +393,8 @@ impl Fleet {
             generation: self.robots[slot].generation,
             source_id: header.source_id,
             source_epoch: header.source_epoch,
+            renewed: false,
+            waiting: false,
             seq: None,
             taken_ns: now_ns,
             taken: 0,
@@ -465,10 +466,11 @@ impl Fleet {
 
     fn keep_account(&mut self, robot: u32, departed: Departed) -> bool {
         let room = self.departed.len() < self.settings.capacity as usize;
-        if room || self.departed.contains_key(&robot) {
+        let keep = room || self.departed.contains_key(&robot);
+        if keep {
             self.departed.insert(robot, departed);
         }
-        room
+        keep
     }
 }
 

@@ -28,6 +28,7 @@ impl Fleet {
             }
         }
         for slot in &waiting {
+            self.robots[*slot as usize].waiting = false;
             self.judge(*slot as usize);
         }
         self.kinds[kind].waiting = waiting;

@@ -15,13 +15,12 @@ impl Fleet {
         let (slot, robot, platform) = self.at(place);
         let last = &robot.last;
         let (power_w, open_steps) = self.windows[slot].shown();
-        let quality = self.quality(robot, open_steps);
-        let usable = matches!(
+        let quality = self.quality(robot, power_w, open_steps);
+        let known = matches!(
             quality,
             Quality::Fresh | Quality::Held | Quality::OpenLoop { .. }
         );
         let (lo_w, hi_w) = self.intervals[slot].around(power_w, open_steps);
-        let known = usable && power_w.is_finite();
         let (code, detail) = quality.encode();
         // A robot that runs open loop by the worker's clock is forecast further ahead.
         let ahead = 1 + u64::from(open_steps.saturating_sub(self.windows[slot].unread_steps));
@@ -170,6 +169,8 @@ impl Fleet {
         // On the safe side, nobody looked: the robot may have drawn all that it can.
         let worst_w = f64::from(platform.power_max_w).max(0.0);
         let left_lo_j = capacity_j * battery.initial_soc_lo - drawn_j - unmetered_s * worst_w;
+        // Regeneration fills a battery no further than full.
+        let (left_j, left_lo_j) = (left_j.min(capacity_j), left_lo_j.min(capacity_j));
         let reserve_j = capacity_j * battery.reserve;
         let share = |joules: f64| (joules / capacity_j).clamp(0.0, 1.0) as f32;
         let usable_j = (left_j - reserve_j).max(0.0);
@@ -180,8 +181,9 @@ impl Fleet {
         budget.usable_lo_j = usable_lo_j as f32;
         (budget.soc, budget.soc_lo) = (share(left_j), share(left_lo_j));
         let (lo_w, hi_w) = self.intervals[slot].around(budget.mean_power_w, 0);
-        let (lo_w, hi_w) = (f64::from(lo_w), f64::from(hi_w));
-        if mean_w > 0.0 && hi_w > 0.0 {
+        // Under a lasting bias the interval lies beside the forecast; the safe side stays safe.
+        let (lo_w, hi_w) = (f64::from(lo_w).min(mean_w), f64::from(hi_w).max(mean_w));
+        if mean_w > 0.0 {
             budget.flags |= budget_flag::TIME_TO_EMPTY;
             budget.time_to_empty_s = (usable_j / mean_w) as f32;
             budget.time_to_empty_lo_s = (usable_lo_j / hi_w) as f32;
@@ -215,7 +217,7 @@ impl Fleet {
         self.now_ns.saturating_sub(robot.taken_ns) > platform.stale_after_ns
     }
 
-    fn quality(&self, robot: &Robot, open_steps: u16) -> Quality {
+    fn quality(&self, robot: &Robot, power_w: f32, open_steps: u16) -> Quality {
         if self.is_stale(robot) {
             return Quality::Invalid(InvalidReason::Stale);
         }
@@ -224,6 +226,7 @@ impl Fleet {
         }
         match robot.last.quality {
             quality @ (Quality::Warmup { .. } | Quality::Invalid(_) | Quality::Unknown) => quality,
+            _ if !power_w.is_finite() => Quality::Invalid(InvalidReason::ModelOutput),
             _ if open_steps > 0 => Quality::OpenLoop { steps: open_steps },
             quality => quality,
         }

@@ -17,6 +17,10 @@ pub(crate) struct Robot {
     pub generation: u32,
     pub source_id: u64,
     pub source_epoch: u64,
+    /// Whether a new run of the source has taken over and none of its samples was accepted yet.
+    pub renewed: bool,
+    /// Whether a sample of it waits for the next pass.
+    pub waiting: bool,
     /// Highest sequence number taken or refused in the epoch, if any.
     pub seq: Option<u64>,
     /// When the worker last took a sample of it, monotonic ns of the worker.
@@ -79,8 +83,10 @@ impl Last {
         if !sample.has(sample_flag::POWER) {
             return;
         }
-        let fresh = !sample.has(sample_flag::HELD);
-        if fresh && sample.power_w.to_bits() != self.reading_w.to_bits() {
+        // The first reading counts as new, or a robot that joins while its reading is held would
+        // have been stuck since the beginning of time.
+        let new = !sample.has(sample_flag::HELD) || self.reading_w.is_nan();
+        if new && sample.power_w.to_bits() != self.reading_w.to_bits() {
             self.equal_since_ns = sample.stamp_ns;
         }
         self.reading_w = sample.power_w;

@@ -1,0 +1,266 @@
+//! A small fleet for tests: settings, models, sources, and outputs as bits.
+#![allow(dead_code)] // Each test file uses its own part.
+
+#[path = "../../../predictor/tests/random/mod.rs"]
+pub(crate) mod random;
+
+use joulebus_fleet::{AlarmSettings, Battery, Fleet, Intake, IntervalSettings, Platform, Settings};
+use joulebus_predictor::{FeatureSet, Model, Persistence, ResidualStats};
+use joulebus_wire::{Budget, Diagnostic, Forecast, Quality, SCHEMA_VERSION, Sample, SampleHeader};
+
+pub(crate) const MS: u64 = 1_000_000;
+/// Sample period of robots 0 to 99, whose model needs velocities.
+pub(crate) const PERIOD_NS: u64 = 33_333_333;
+/// Sample period of robots 100 to 199, whose model reads powers alone.
+pub(crate) const SLOW_NS: u64 = 50 * MS;
+
+pub(crate) fn battery() -> Battery {
+    Battery {
+        capacity_j: 10_000.0,
+        reserve: 0.1,
+        initial_soc: 0.9,
+        initial_soc_lo: 0.8,
+    }
+}
+
+fn platform(name: &str, first: u32, period_ns: u64) -> Platform {
+    Platform {
+        name: name.to_owned(),
+        robots: vec![first..=first + 49, first + 50..=first + 99],
+        period_ns,
+        stale_after_ns: 30 * period_ns,
+        hold_max_ns: 400 * MS,
+        stuck_after_ns: 2_000 * MS,
+        power_min_w: 0.0,
+        power_max_w: 20.0,
+        v_max_mps: 0.5,
+        omega_max_radps: 3.0,
+        power_resolution_w: 0.01,
+        battery: None,
+    }
+}
+
+/// Robots 0 to 99 need velocities and have a battery, 100 to 199 need none and regenerate, 200 to
+/// 299 repeat their last reading.
+pub(crate) fn settings(capacity: u32) -> Settings {
+    Settings {
+        capacity,
+        intake: Intake {
+            max_samples_per_tick: 4,
+            max_jump_ns: 5_000 * MS,
+            leave_after_ns: 2_500 * MS,
+            max_sources: 4,
+        },
+        interval: IntervalSettings {
+            coverage: 0.9,
+            rate: 0.05,
+        },
+        alarms: AlarmSettings {
+            bias_weight: 0.01,
+            cusum_slack: 0.5,
+            cusum_limit: 20.0,
+            noise_weight: 0.01,
+            noise_limit: 4.0,
+            mismatch_limit: 2.0,
+            settle_samples: 20,
+            raise_samples: 3,
+            clear_samples: 10,
+            training_margin: 0.1,
+        },
+        platforms: vec![
+            Platform {
+                battery: Some(battery()),
+                ..platform("wheeled", 0, PERIOD_NS)
+            },
+            Platform {
+                power_min_w: -10.0,
+                battery: Some(battery()),
+                ..platform("regenerating", 100, SLOW_NS)
+            },
+            platform("bare", 200, PERIOD_NS),
+        ],
+    }
+}
+
+pub(crate) fn models() -> Vec<Model> {
+    let residual = ResidualStats {
+        std_w: 0.1,
+        q05_w: -0.15,
+        q95_w: 0.17,
+    };
+    vec![
+        Model::Network(random::network(1, FeatureSet::Full)),
+        Model::Network(random::network(2, FeatureSet::PowerOnly)),
+        Model::Persistence(Persistence::new(residual).expect("finite and in order")),
+    ]
+}
+
+pub(crate) fn fleet(capacity: u32) -> Fleet {
+    Fleet::new(settings(capacity), models()).expect("the settings agree with themselves")
+}
+
+/// Numbers the frames of one run of one source as a publisher does.
+#[derive(Debug, Clone)]
+pub(crate) struct Source {
+    pub header: SampleHeader,
+}
+
+impl Source {
+    pub(crate) fn new(id: u64, epoch: u64) -> Self {
+        Self {
+            header: SampleHeader {
+                schema: SCHEMA_VERSION,
+                pid: 1000 + id as u32,
+                source_id: id,
+                source_epoch: epoch,
+                ..SampleHeader::default()
+            },
+        }
+    }
+
+    /// The header of the next frame, of so many samples.
+    pub(crate) fn frame(&mut self, samples: usize) -> SampleHeader {
+        let header = self.header;
+        self.header.frame_seq += 1;
+        self.header.samples_before += samples as u64;
+        header
+    }
+
+    pub(crate) fn send(&mut self, fleet: &mut Fleet, samples: &[Sample], now_ns: u64) {
+        let header = self.frame(samples.len());
+        fleet.take(&header, samples, now_ns);
+    }
+}
+
+/// What a healthy robot sends as its `step`-th sample: wandering command and power, a new
+/// measurement every third sample.
+pub(crate) fn healthy(robot: u32, step: u64, stamp_ns: u64, period_ns: u64) -> Sample {
+    let phase = |rate: f64| ((step as f64 + f64::from(robot) * 7.3) * rate).sin() as f32;
+    let since = step % 3;
+    let power_w = 3.6
+        + 0.4 * {
+            let measured = (step - since) as f64 + f64::from(robot);
+            (measured * 0.31).sin() as f32
+        };
+    let sample = Sample::new(robot, step, stamp_ns)
+        .command(0.2 * phase(0.11), 1.5 * phase(0.07))
+        .reading(power_w, stamp_ns.saturating_sub(since * period_ns));
+    if since == 0 {
+        sample
+    } else {
+        sample.with(joulebus_wire::sample_flag::HELD)
+    }
+}
+
+/// Everything that one robot is told, with floats as their bits.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Bits {
+    pub forecast: Vec<u64>,
+    pub diagnostic: Vec<u64>,
+    pub budget: Vec<u64>,
+}
+
+/// Outputs of a robot; `None` when it is not in the fleet. The slot's generation is left out: it
+/// belongs to the slot, not to the robot.
+pub(crate) fn bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
+    let place = place(fleet, robot)?;
+    Some(Bits {
+        forecast: forecast_bits(&fleet.forecast(place)),
+        diagnostic: diagnostic_bits(&fleet.diagnostic(place)),
+        budget: budget_bits(&fleet.budget(place)),
+    })
+}
+
+pub(crate) fn place(fleet: &Fleet, robot: u32) -> Option<usize> {
+    (0..fleet.len()).find(|place| fleet.forecast(*place).robot == robot)
+}
+
+pub(crate) fn forecast(fleet: &Fleet, robot: u32) -> Forecast {
+    fleet.forecast(place(fleet, robot).expect("the robot is in the fleet"))
+}
+
+pub(crate) fn diagnostic(fleet: &Fleet, robot: u32) -> Diagnostic {
+    fleet.diagnostic(place(fleet, robot).expect("the robot is in the fleet"))
+}
+
+pub(crate) fn budget(fleet: &Fleet, robot: u32) -> Budget {
+    fleet.budget(place(fleet, robot).expect("the robot is in the fleet"))
+}
+
+pub(crate) fn quality(fleet: &Fleet, robot: u32) -> Quality {
+    forecast(fleet, robot).quality()
+}
+
+fn word(value: f32) -> u64 {
+    value.to_bits().into()
+}
+
+fn forecast_bits(it: &Forecast) -> Vec<u64> {
+    vec![
+        it.robot.into(),
+        it.flags.into(),
+        it.quality.into(),
+        it.quality_detail.into(),
+        word(it.reading_w),
+        word(it.power_w),
+        word(it.lo_w),
+        word(it.hi_w),
+        it.sample_seq,
+        it.stamp_ns,
+        it.target_ns,
+        it.reading_age_ns,
+        it.source_epoch,
+    ]
+}
+
+fn diagnostic_bits(it: &Diagnostic) -> Vec<u64> {
+    vec![
+        it.robot.into(),
+        it.flags.into(),
+        it.level.into(),
+        it.alarm.into(),
+        it.alarms.into(),
+        word(it.residual_w),
+        word(it.residual_z),
+        word(it.bias_w),
+        word(it.cusum_up),
+        word(it.cusum_down),
+        word(it.noise_ratio),
+        word(it.coverage),
+        word(it.coverage_recent),
+        it.scored,
+        it.mae_w.to_bits(),
+        it.r2.to_bits(),
+        it.persistence_mae_w.to_bits(),
+        it.persistence_r2.to_bits(),
+        it.skill.to_bits(),
+        it.sample_seq,
+        it.stamp_ns,
+        it.source_epoch,
+        it.refused,
+    ]
+}
+
+fn budget_bits(it: &Budget) -> Vec<u64> {
+    vec![
+        it.robot.into(),
+        it.flags.into(),
+        it.charge_state.into(),
+        it.drawn_uj as u64,
+        it.drawn_remainder as u64,
+        it.forecast_uj as u64,
+        it.metered_ns,
+        it.unmetered_ns,
+        it.stamp_ns,
+        it.valid_until_ns,
+        word(it.mean_power_w),
+        word(it.left_j),
+        word(it.usable_j),
+        word(it.usable_lo_j),
+        word(it.soc),
+        word(it.soc_lo),
+        word(it.time_to_empty_s),
+        word(it.time_to_empty_lo_s),
+        word(it.time_to_empty_hi_s),
+    ]
+}
