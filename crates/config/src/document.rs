@@ -258,11 +258,12 @@ impl Walk<'_> {
         let value = item
             .as_float()
             .or_else(|| item.as_integer().map(|value| value as f64));
-        let remedy = remedy::unknown_key(file, path, value);
-        let what = if item.is_table_like() {
-            "is no section that is known"
+        let (what, remedy) = if item.is_table_like() {
+            let remedy = remedy::unknown_section(file, path);
+            ("is no section that is known", remedy)
         } else {
-            "is no key that is known"
+            let remedy = remedy::unknown_key(file, path, value);
+            ("is no key that is known", remedy)
         };
         self.wrong(place, self.shown(path), what.to_owned(), remedy);
     }

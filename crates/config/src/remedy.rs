@@ -189,6 +189,8 @@ fn likeness(key: &Key, wanted: &str) -> f64 {
 
 /// What to do about an unknown key.
 pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) -> String {
+    // A period is told as a rate here, and converted like a time in another unit.
+    let path = &path.replace("period", "rate");
     let Some(key) = nearest(file, path) else {
         return "Nothing is called like that: take it out, or see `config explain`".to_owned();
     };
@@ -204,4 +206,20 @@ pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) ->
         advice += ": move it there";
     }
     advice + &format!(" ({})", key.facts())
+}
+
+/// What to do about an unknown section.
+pub(crate) fn unknown_section(file: Option<File>, path: &str) -> String {
+    let sections = KEYS
+        .iter()
+        .filter(|key| file.is_none_or(|file| key.file == file))
+        .filter_map(|key| Some(key.path.rsplit_once('.')?.0));
+    let alike = |section: &&str| strsim::normalized_damerau_levenshtein(section, path);
+    let nearest = sections
+        .max_by(|one, other| alike(one).total_cmp(&alike(other)))
+        .filter(|section| alike(section) >= 0.5);
+    match nearest {
+        Some(section) => format!("The nearest section is `{section}`"),
+        None => unknown_key(file, path, None),
+    }
 }

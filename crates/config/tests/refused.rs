@@ -134,7 +134,12 @@ fn typos_are_refused_with_the_nearest_key() {
             "platform.battery.resreve",
             &["`platform.battery.reserve`"],
         ),
-        ("[interval]", "[intervall]", "intervall", &["no section"]),
+        (
+            "[interval]",
+            "[intervall]",
+            "intervall",
+            &["no section", "`interval`"],
+        ),
         (
             "cusum_limit =",
             "Cusum_limit =",
@@ -165,7 +170,7 @@ fn assert_refused_among(from: &str, to: &str, key: &str, says: &[&str]) {
     let refused = parse(&text).expect_err("taken in silence");
     let found = refused.problems().iter().find(|problem| problem.key == key);
     let found = found.unwrap_or_else(|| panic!("{refused}"));
-    let line = 1 + WHOLE[..WHOLE.find(from).unwrap()].matches('\n').count();
+    let line = line_of(WHOLE, from);
     assert_eq!(found.line, Some(line), "{found}");
     for part in says {
         assert!(found.to_string().contains(part), "no {part:?} in: {found}");
@@ -378,6 +383,12 @@ fn a_key_in_another_unit_is_told_in_the_right_one() {
             "hold_max_ns = 500000000",
             "platform.hold_max_ns",
             &["is 0.5 s"],
+        ),
+        (
+            "hold_max_s = 0.5",
+            "period_ms = 40\nhold_max_s = 0.5",
+            "platform.period_ms",
+            &["`platform.rate_hz`", "40 ms is 25 Hz"],
         ),
     ];
     for (from, to, key, says) in cases {
@@ -600,7 +611,7 @@ fn what_is_doubtful_is_taken_with_a_warning() {
 
 /// Whole text with one number of it replaced by `value`.
 fn with_value(path: &str, value: f64) -> String {
-    let (section, name) = path.rsplit_once('.').unwrap();
+    let (section, name) = path.rsplit_once('.').expect("a section");
     let header = match section {
         "platform" => "[[platform]]\n".to_owned(),
         section => format!("[{section}]\n"),

@@ -5,10 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use joulebus_config::{
-    Config, ConfigError, Demo, File, KEYS, ModelSource, builtin_models, builtin_platforms, explain,
-    explanations,
+    Config, ConfigError, Demo, File, KEYS, ModelSource, builtin_model, builtin_models,
+    builtin_platforms, explain, explanations,
 };
 use joulebus_fleet::Policy;
+use joulebus_predictor::{FeatureSet, Network};
 
 fn configs() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs")
@@ -167,12 +168,21 @@ fn the_root_is_the_users_own() {
 }
 
 #[test]
-fn models_that_ship_are_model_files() {
+fn models_that_ship_can_be_loaded_under_their_own_names() {
+    assert_eq!(builtin_models().count(), 2);
     for name in builtin_models() {
-        let (_, bytes) = joulebus_config::builtin_model(name).unwrap();
-        let path = configs().join(format!("models/{name}.safetensors"));
-        assert_eq!(fs::read(path).unwrap(), bytes, "{name}");
+        let (_, bytes) = builtin_model(name).unwrap();
+        let network = Network::from_safetensors(bytes).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(network.card().name, name);
+        let needs_no_command = name.ends_with("-power");
+        assert_eq!(
+            network.feature_set() == FeatureSet::PowerOnly,
+            needs_no_command
+        );
     }
+    let (name, bytes) = builtin_model("gternal-sim").unwrap();
+    let shipped = load("fleet.toml").unwrap();
+    assert_eq!(shipped.models(), [ModelSource::Builtin(name, bytes)]);
 }
 
 #[test]
