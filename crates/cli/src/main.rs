@@ -1,2 +1,8 @@
 //! The `joulebus` program.
-fn main() {}
+#![forbid(unsafe_code)]
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    joulebus_cli::main()
+}

@@ -1,0 +1,51 @@
+//! The verbs and what goes for all of them.
+
+use clap::{Parser, Subcommand};
+
+use crate::output::Format;
+use crate::{completions, config, demo, doctor, eval, publish, run, train, watch};
+
+/// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
+/// planners, one host.
+///
+/// Without a verb: `demo`, a simulated fleet with everything that belongs to it.
+#[derive(Debug, Parser)]
+#[command(
+    name = "joulebus",
+    version,
+    after_help = "Examples:\n  \
+        joulebus                                    20 simulated robots, worker, planner, 20 s\n  \
+        joulebus run --config configs/fleet.toml    the worker\n  \
+        joulebus publish sim --robots 20            a simulated fleet for it\n  \
+        joulebus watch                              what it forecasts\n  \
+        joulebus doctor                             why it does not work\n\n\
+        Results go to stdout, the rest to stderr. Units are SI and stand in the names: power_w, \
+        stamp_ns.\n\
+        Exit codes: 0 done; 1 failed; 2 wrong usage or config; 3 finished, but data was lost or \
+        differs.\n\
+        JOULEBUS_LOG sets what is logged, like RUST_LOG: JOULEBUS_LOG=debug."
+)]
+pub(crate) struct Cli {
+    /// How results are written
+    #[arg(long, global = true, value_enum, default_value_t = Format::Text)]
+    pub(crate) format: Format,
+    /// Log more to stderr: once for what happens, twice for details, three times for everything
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub(crate) verbose: u8,
+    #[command(subcommand)]
+    pub(crate) command: Option<Command>,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    Demo(demo::Args),
+    Run(run::Args),
+    Publish(publish::Args),
+    Watch(watch::Args),
+    Doctor(doctor::Args),
+    Config(config::Args),
+    Train(train::Args),
+    Eval(eval::Args),
+    Completions(completions::Args),
+}

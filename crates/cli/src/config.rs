@@ -1,0 +1,185 @@
+//! `joulebus config`: check, show and explain configs.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use clap::Subcommand;
+use joulebus_config::{Config, ConfigError, Explanation, Problem, explain, explanations};
+use serde::Serialize;
+
+use crate::config_file::ConfigFile;
+use crate::exit::{Outcome, UsageError};
+use crate::output::{self, Format, Output, say};
+
+/// Check, show and explain configs
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus config check configs/*.toml\n  \
+    joulebus config show configs/fleet.toml    every key, with where its value comes from\n  \
+    joulebus config explain tick               the keys of a section, with unit, range, default")]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Check fleets' configs and the platform files they name; exit 2 if one is refused
+    #[command(after_help = "Example:\n  joulebus config check configs/fleet.toml")]
+    Check {
+        /// Configs of fleets [default: configs/fleet.toml, or the one that ships]
+        #[arg(value_name = "FILE")]
+        files: Vec<PathBuf>,
+    },
+    /// Show the whole config, defaults included; the output is a config itself
+    #[command(after_help = "Example:\n  joulebus config show configs/mixed.toml > whole.toml")]
+    Show {
+        /// The fleet's config [default: configs/fleet.toml, or the one that ships]
+        #[arg(value_name = "FILE")]
+        file: Option<PathBuf>,
+    },
+    /// Explain a key, a section, or everything: unit, range, default
+    #[command(after_help = "Examples:\n  \
+        joulebus config explain tick.rate_hz\n  \
+        joulebus config explain platform.battery")]
+    Explain {
+        /// A key (tick.rate_hz) or a section (tick) [default: all]
+        key: Option<String>,
+    },
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    match &args.what {
+        What::Check { files } => check(files, output),
+        What::Show { file } => show(file.clone(), output),
+        What::Explain { key } => explain_key(key.as_deref(), output),
+    }
+}
+
+/// What came of checking configs.
+#[derive(Debug, Serialize)]
+struct CheckReport {
+    files: Vec<Checked>,
+}
+
+#[derive(Debug, Serialize)]
+struct Checked {
+    file: String,
+    accepted: bool,
+    fleet: Option<String>,
+    /// Robots that there is room for.
+    capacity: Option<u32>,
+    platforms: Vec<String>,
+    /// Why the file could not be read, if so.
+    error: Option<String>,
+    problems: Vec<Problem>,
+    warnings: Vec<Problem>,
+}
+
+impl Checked {
+    fn new(file: String, result: Result<Config, ConfigError>) -> Self {
+        let mut checked = Self {
+            file,
+            accepted: result.is_ok(),
+            fleet: None,
+            capacity: None,
+            platforms: Vec::new(),
+            error: None,
+            problems: Vec::new(),
+            warnings: Vec::new(),
+        };
+        match result {
+            Ok(config) => {
+                let settings = config.settings();
+                checked.fleet = Some(config.fleet().to_owned());
+                checked.capacity = Some(settings.capacity);
+                let names = settings.platforms.iter().map(|platform| platform.name.clone());
+                checked.platforms = names.collect();
+                checked.warnings = config.warnings().to_vec();
+            }
+            Err(error) if error.problems().is_empty() => checked.error = Some(error.to_string()),
+            Err(error) => checked.problems = error.problems().to_vec(),
+        }
+        checked
+    }
+}
+
+impl fmt::Display for CheckReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for checked in self.files.iter().filter(|checked| checked.accepted) {
+            let fleet = checked.fleet.as_deref().unwrap_or_default();
+            let capacity = checked.capacity.unwrap_or_default();
+            let platforms = checked.platforms.join(", ");
+            let file = &checked.file;
+            writeln!(out, "{file}: ok: fleet {fleet}, room for {capacity} robots, {platforms}")?;
+        }
+        Ok(())
+    }
+}
+
+fn check(files: &[PathBuf], output: Output) -> anyhow::Result<Outcome> {
+    let checked = if files.is_empty() {
+        let chosen = ConfigFile { config: None };
+        vec![Checked::new(chosen.name(), chosen.read())]
+    } else {
+        let check = |path: &PathBuf| Checked::new(path.display().to_string(), Config::load(path));
+        files.iter().map(check).collect()
+    };
+    for checked in &checked {
+        for problem in &checked.problems {
+            say(&format!("error: {problem}"));
+        }
+        if let Some(error) = &checked.error {
+            say(&format!("error: {error}"));
+        }
+        for warning in &checked.warnings {
+            say(&format!("warning: {warning}"));
+        }
+    }
+    let refused = checked.iter().filter(|checked| !checked.accepted).count();
+    let of = checked.len();
+    let report = CheckReport { files: checked };
+    if output.format() == Format::Json || refused < of {
+        output.report(&report)?;
+    }
+    if refused > 0 {
+        return Err(UsageError(format!("{refused} of {of} configs refused")).into());
+    }
+    Ok(Outcome::Done)
+}
+
+/// The effective config as a config file.
+#[derive(Debug, Serialize)]
+struct Shown<'a> {
+    file: String,
+    fleet: &'a str,
+    toml: &'a str,
+}
+
+impl fmt::Display for Shown<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(self.toml)
+    }
+}
+
+fn show(file: Option<PathBuf>, output: Output) -> anyhow::Result<Outcome> {
+    let chosen = ConfigFile { config: file };
+    let config = chosen.load()?;
+    output.report(&Shown {
+        file: chosen.name(),
+        fleet: config.fleet(),
+        toml: config.to_toml(),
+    })?;
+    Ok(Outcome::Done)
+}
+
+fn explain_key(key: Option<&str>, output: Output) -> anyhow::Result<Outcome> {
+    match output.format() {
+        Format::Text => output::text(&explain(key)?)?,
+        Format::Json => {
+            let keys: Vec<Explanation> = explanations(key)?;
+            output::text(&serde_json::to_string_pretty(&keys)?)?;
+        }
+    }
+    Ok(Outcome::Done)
+}

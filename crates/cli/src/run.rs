@@ -1,0 +1,83 @@
+//! `joulebus run`: the worker.
+
+use std::fmt;
+
+use joulebus_config::{Config, ModelSource};
+use joulebus_predictor_worker::{Report, Worker};
+use serde::Serialize;
+
+use crate::config_file::ConfigFile;
+use crate::exit::Outcome;
+use crate::output::{Output, say};
+use crate::stop::Stop;
+
+/// Run the predictor-worker of a fleet until SIGINT or SIGTERM, then report
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus run --config configs/fleet.toml\n  \
+    joulebus run --format json > report.json &\n\n\
+    A fleet has one worker; a second one ends with the pid of the first. Times in the report are \
+    in µs.")]
+pub(crate) struct Args {
+    #[command(flatten)]
+    config: ConfigFile,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    // Before anything is created: who is told to stop while starting cleans up as well.
+    let stop = Stop::on_signals()?;
+    let config = args.config.load()?;
+    let worker = Worker::open(&config)?;
+    say(&ready(&config));
+    let report = worker.run(stop.flag())?;
+    output.report(&RunReport(report))?;
+    Ok(Outcome::Done)
+}
+
+fn ready(config: &Config) -> String {
+    let platforms = config.settings().platforms.iter().zip(config.models());
+    let models: Vec<String> = platforms
+        .map(|(platform, model)| format!("{} by {}", platform.name, model_name(model)))
+        .collect();
+    let (fleet, capacity) = (config.fleet(), config.settings().capacity);
+    let (models, pid) = (models.join(", "), std::process::id());
+    format!("ready: fleet {fleet}, {capacity} robots capacity, model {models}, pid {pid}")
+}
+
+fn model_name(model: &ModelSource) -> String {
+    match model {
+        ModelSource::File(path) => path.display().to_string(),
+        ModelSource::Builtin(name, _) => (*name).to_owned(),
+        ModelSource::Persistence { .. } => "persistence".to_owned(),
+    }
+}
+
+/// The worker's report with its text.
+#[derive(Debug, Serialize)]
+#[serde(transparent)]
+struct RunReport(Report);
+
+impl fmt::Display for RunReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let report = &self.0;
+        let (done, skipped, late) = (report.ticks, report.ticks_skipped, report.ticks_late);
+        writeln!(out, "fleet {}: {} robots", report.fleet, report.robots)?;
+        writeln!(out, "ticks: {done} done, {skipped} skipped, {late} late")?;
+        let tick = &report.tick;
+        writeln!(
+            out,
+            "tick time: p50 {:.1} µs, p99 {:.1} µs, p99.9 {:.1} µs, max {:.1} µs",
+            tick.p50_us, tick.p99_us, tick.p999_us, tick.max_us
+        )?;
+        let dropped: u64 = report.samples_dropped.values().sum();
+        writeln!(out, "samples: {} accepted, {dropped} dropped", report.samples_accepted)?;
+        for (reason, count) in &report.samples_dropped {
+            writeln!(out, "  {reason}: {count}")?;
+        }
+        if report.frames_unsent > 0 || report.receive_errors > 0 {
+            let (unsent, receive) = (report.frames_unsent, report.receive_errors);
+            writeln!(out, "trouble: {unsent} frames unsent, {receive} failures to receive")?;
+        }
+        Ok(())
+    }
+}

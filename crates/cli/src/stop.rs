@@ -1,0 +1,52 @@
+//! SIGINT and SIGTERM.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use joulebus_bus::clock;
+use signal_hook::consts::{SIGINT, SIGTERM};
+
+/// How long a sleep may delay the end.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// Set by SIGINT and SIGTERM. A second signal changes nothing: who is asked twice still cleans up.
+#[derive(Debug, Clone)]
+pub(crate) struct Stop {
+    asked: Arc<AtomicBool>,
+}
+
+impl Stop {
+    /// From now on the two signals ask to stop instead of killing.
+    pub(crate) fn on_signals() -> anyhow::Result<Self> {
+        let asked = Arc::new(AtomicBool::new(false));
+        for signal in [SIGINT, SIGTERM] {
+            signal_hook::flag::register(signal, Arc::clone(&asked))
+                .with_context(|| format!("cannot handle signal {signal}"))?;
+        }
+        Ok(Self { asked })
+    }
+
+    /// Whether to stop.
+    pub(crate) fn is_asked(&self) -> bool {
+        self.asked.load(Ordering::Relaxed)
+    }
+
+    /// For who waits elsewhere.
+    pub(crate) fn flag(&self) -> &AtomicBool {
+        &self.asked
+    }
+
+    /// Sleeps until `deadline_ns` (monotonic) or until asked to stop; whether to go on.
+    pub(crate) fn sleep_until(&self, deadline_ns: u64) -> bool {
+        while !self.is_asked() {
+            let left = Duration::from_nanos(deadline_ns.saturating_sub(clock::monotonic_ns()));
+            if left.is_zero() {
+                return true;
+            }
+            std::thread::sleep(left.min(LOOK_EVERY));
+        }
+        false
+    }
+}

@@ -1,0 +1,91 @@
+//! One process, its pipes and its end.
+
+use std::io::{self, BufRead as _, BufReader, Read as _};
+use std::os::unix::process::CommandExt as _;
+use std::path::Path;
+use std::process::{Command, ExitStatus, Stdio};
+use std::sync::mpsc::Sender;
+use std::thread::JoinHandle;
+
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::{LEASH, Task};
+
+pub(super) struct Child {
+    process: std::process::Child,
+    stdout: Option<JoinHandle<String>>,
+    stderr: Option<JoinHandle<()>>,
+}
+
+impl Child {
+    /// Starts `program`; lines that it writes to stderr go to `say`.
+    pub(super) fn start(
+        program: &Path,
+        task: &Task,
+        say: Sender<(&'static str, String)>,
+    ) -> io::Result<Self> {
+        let mut process = Command::new(program)
+            .args(&task.arguments)
+            .arg(LEASH)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .process_group(0)
+            .spawn()?;
+        let stdout = process.stdout.take().map(|mut pipe| {
+            std::thread::spawn(move || {
+                let mut bytes = Vec::new();
+                // What came before an error is still worth something.
+                let _ = pipe.read_to_end(&mut bytes);
+                String::from_utf8_lossy(&bytes).into_owned()
+            })
+        });
+        let name = task.name;
+        let stderr = process.stderr.take().map(|pipe| {
+            std::thread::spawn(move || {
+                for line in BufReader::new(pipe).split(b'\n').map_while(Result::ok) {
+                    let line = String::from_utf8_lossy(&line).into_owned();
+                    // Nobody listens any more: the pipe must be read all the same.
+                    let _ = say.send((name, line));
+                }
+            })
+        });
+        Ok(Self {
+            process,
+            stdout,
+            stderr,
+        })
+    }
+
+    pub(super) fn pid(&self) -> u32 {
+        self.process.id()
+    }
+
+    /// Asks it to end.
+    pub(super) fn terminate(&mut self) {
+        drop(self.process.stdin.take());
+        // Not waited for yet, so the id is still its own; it may have ended all the same.
+        if let Some(pid) = Pid::from_raw(self.process.id().cast_signed()) {
+            let _ = kill_process(pid, Signal::TERM);
+        }
+    }
+
+    pub(super) fn kill(&mut self) {
+        // Fails only when it has ended.
+        let _ = self.process.kill();
+    }
+
+    /// How it ended, once it has; then it is no zombie any more.
+    pub(super) fn try_wait(&mut self) -> Option<ExitStatus> {
+        self.process.try_wait().ok().flatten()
+    }
+
+    /// What it wrote to stdout, once it has ended.
+    pub(super) fn stdout(mut self) -> String {
+        let text = self.stdout.take().and_then(|reader| reader.join().ok());
+        if let Some(reader) = self.stderr.take() {
+            let _ = reader.join();
+        }
+        text.unwrap_or_default()
+    }
+}

@@ -1,0 +1,376 @@
+//! Starts the processes of a fleet, waits for every one of them (a zombie counts as alive, and
+//! its shared memory stays), restarts the ones that die, and ends them all.
+//!
+//! Children run in process groups of their own, so that Ctrl-C reaches only the supervisor, which
+//! ends them in order. Their stdin is a pipe that closes with the supervisor, killed or not
+//! ([`end_with_stdin`]).
+
+mod child;
+mod course;
+mod leash;
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+use std::process::ExitStatus;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use joulebus_bus::clock;
+
+use child::Child;
+use course::{Course, Step};
+
+pub(crate) use leash::end_with_stdin;
+
+/// Hidden flag of every verb: end when stdin closes.
+const LEASH: &str = "--exit-with-stdin";
+/// How often the end of a process is looked for while waiting for nothing else.
+const LOOK_EVERY: Duration = Duration::from_millis(5);
+/// What processes have for their end when everything ends at once.
+const GRACE: Duration = Duration::from_secs(3);
+
+/// A process that is to run: this program with a verb.
+#[derive(Debug, Clone)]
+pub(crate) struct Task {
+    /// What it is called in messages.
+    pub(crate) name: &'static str,
+    /// Verb and arguments.
+    pub(crate) arguments: Vec<OsString>,
+}
+
+/// What happened to the processes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Event {
+    /// One runs.
+    Started {
+        /// Its task.
+        name: &'static str,
+        /// Its process id.
+        pid: u32,
+    },
+    /// One wrote a line to stderr.
+    Said {
+        /// Its task.
+        name: &'static str,
+        /// The line.
+        line: String,
+    },
+    /// One ended unasked, or could not be started, and starts again after a rest.
+    Died {
+        /// Its task.
+        name: &'static str,
+        /// Its process id; none if it was never one.
+        pid: Option<u32>,
+        /// How it ended.
+        how: String,
+        /// The rest before the next start.
+        rest: Duration,
+    },
+}
+
+impl std::fmt::Display for Event {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Started { name, pid } => write!(out, "{name} runs as process {pid}"),
+            Self::Said { name, line } => write!(out, "{name}: {line}"),
+            Self::Died {
+                name,
+                pid,
+                how,
+                rest,
+            } => {
+                let pid = pid.map_or_else(String::new, |pid| format!(" (process {pid})"));
+                let rest_ms = rest.as_millis();
+                write!(out, "{name}{pid} {how}, starts again in {rest_ms} ms")
+            }
+        }
+    }
+}
+
+/// How a process ended that was asked to.
+#[derive(Debug)]
+pub(crate) struct Ended {
+    /// Its exit status; none when it was not running.
+    pub(crate) status: Option<ExitStatus>,
+    /// What it wrote to stdout.
+    pub(crate) stdout: String,
+}
+
+struct Job {
+    task: Task,
+    course: Course,
+    child: Option<Child>,
+    ended: Option<Ended>,
+    /// What runs that died had written to stdout.
+    died_with: Vec<String>,
+}
+
+/// The processes of a fleet. Dropping it ends them all and waits for them.
+pub(crate) struct Supervisor {
+    program: PathBuf,
+    jobs: Vec<Job>,
+    lines: Receiver<(&'static str, String)>,
+    say: Sender<(&'static str, String)>,
+}
+
+impl Supervisor {
+    /// One without processes; they will be runs of this very program.
+    ///
+    /// # Errors
+    /// When the system does not say which program this is.
+    pub(crate) fn new() -> anyhow::Result<Self> {
+        let program = std::env::current_exe().context("cannot find the program's own file")?;
+        let (say, lines) = channel();
+        Ok(Self {
+            program,
+            jobs: Vec::new(),
+            lines,
+            say,
+        })
+    }
+
+    /// Adds a task; [`Supervisor::poll`] starts it.
+    pub(crate) fn add(&mut self, task: Task) {
+        self.jobs.push(Job {
+            task,
+            course: Course::new(clock::monotonic_ns()),
+            child: None,
+            ended: None,
+            died_with: Vec::new(),
+        });
+    }
+
+    /// Waits for those that have ended, starts those whose time has come, and tells what happened.
+    /// To be called often.
+    pub(crate) fn poll(&mut self) -> Vec<Event> {
+        let now_ns = clock::monotonic_ns();
+        let mut events = Vec::new();
+        for job in &mut self.jobs {
+            job.reap(now_ns, &mut events);
+            match job.course.step(now_ns) {
+                Step::Nothing => {}
+                Step::Start => job.start(&self.program, &self.say, now_ns, &mut events),
+                Step::Kill => {
+                    if let Some(child) = &mut job.child {
+                        child.kill();
+                    }
+                }
+            }
+        }
+        events.extend(
+            self.lines
+                .try_iter()
+                .map(|(name, line)| Event::Said { name, line }),
+        );
+        events
+    }
+
+    /// Whether the task has a process that runs.
+    pub(crate) fn is_running(&self, name: &str) -> bool {
+        self.job(name).is_some_and(|job| job.course.is_running())
+    }
+
+    /// What runs of the task that died had written to stdout, in order.
+    pub(crate) fn died_with(&self, name: &str) -> &[String] {
+        self.job(name).map_or(&[], |job| &job.died_with)
+    }
+
+    /// Asks the task's process to end, kills it after `grace`, waits for it, and returns what it
+    /// leaves; meanwhile the others go on being looked after.
+    pub(crate) fn end(&mut self, name: &str, grace: Duration, events: &mut Vec<Event>) -> Ended {
+        self.ask_to_end(|task| task == name, grace);
+        loop {
+            events.extend(self.poll());
+            let job = self.jobs.iter_mut().find(|job| job.task.name == name);
+            match job {
+                Some(job) if !job.course.is_over() => std::thread::sleep(LOOK_EVERY),
+                Some(job) => return job.ended.take().unwrap_or(Ended::NEVER),
+                None => return Ended::NEVER,
+            }
+        }
+    }
+
+    /// Ends all processes and waits for them.
+    pub(crate) fn end_all(&mut self) -> Vec<Event> {
+        let mut events = Vec::new();
+        self.ask_to_end(|_| true, GRACE);
+        while !self.jobs.iter().all(|job| job.course.is_over()) {
+            events.extend(self.poll());
+            std::thread::sleep(LOOK_EVERY);
+        }
+        events.extend(self.poll());
+        events
+    }
+
+    fn job(&self, name: &str) -> Option<&Job> {
+        self.jobs.iter().find(|job| job.task.name == name)
+    }
+
+    fn ask_to_end(&mut self, which: impl Fn(&str) -> bool, grace: Duration) {
+        let (now_ns, grace_ns) = (clock::monotonic_ns(), grace.as_nanos() as u64);
+        for job in &mut self.jobs {
+            if which(job.task.name) {
+                if let Some(child) = job.child.as_mut().filter(|_| job.course.is_running()) {
+                    child.terminate();
+                }
+                job.course.ask_to_end(now_ns, grace_ns);
+            }
+        }
+    }
+}
+
+impl Drop for Supervisor {
+    fn drop(&mut self) {
+        self.end_all();
+    }
+}
+
+impl Ended {
+    const NEVER: Self = Self {
+        status: None,
+        stdout: String::new(),
+    };
+}
+
+impl Job {
+    fn start(
+        &mut self,
+        program: &std::path::Path,
+        say: &Sender<(&'static str, String)>,
+        now_ns: u64,
+        events: &mut Vec<Event>,
+    ) {
+        let name = self.task.name;
+        match Child::start(program, &self.task, say.clone()) {
+            Ok(child) => {
+                let pid = child.pid();
+                self.child = Some(child);
+                self.course.started(now_ns);
+                events.push(Event::Started { name, pid });
+            }
+            Err(error) => {
+                let how = format!("could not be started: {error}");
+                self.died(None, how, now_ns, events);
+            }
+        }
+    }
+
+    fn reap(&mut self, now_ns: u64, events: &mut Vec<Event>) {
+        let Some(status) = self.child.as_mut().and_then(Child::try_wait) else {
+            return;
+        };
+        // There is one: it has just told its status.
+        let Some(child) = self.child.take() else {
+            return;
+        };
+        let pid = child.pid();
+        let stdout = child.stdout();
+        if self.course.is_running() {
+            self.died_with.push(stdout);
+            self.died(Some(pid), format!("ended with {status}"), now_ns, events);
+        } else {
+            self.ended = Some(Ended {
+                status: Some(status),
+                stdout,
+            });
+            self.course.ended(now_ns);
+        }
+    }
+
+    fn died(&mut self, pid: Option<u32>, how: String, now_ns: u64, events: &mut Vec<Event>) {
+        if let Some(rest_ns) = self.course.ended(now_ns) {
+            events.push(Event::Died {
+                name: self.task.name,
+                pid,
+                how,
+                rest: Duration::from_nanos(rest_ns),
+            });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shell(script: &str) -> Supervisor {
+        let (say, lines) = channel();
+        let mut supervisor = Supervisor {
+            program: PathBuf::from("/bin/sh"),
+            jobs: Vec::new(),
+            lines,
+            say,
+        };
+        // The flag that comes after the arguments is the script's $0.
+        let arguments = vec![OsString::from("-c"), OsString::from(script)];
+        supervisor.add(Task {
+            name: "shell",
+            arguments,
+        });
+        supervisor
+    }
+
+    fn poll_until(supervisor: &mut Supervisor, done: impl Fn(&[Event]) -> bool) -> Vec<Event> {
+        let mut events = Vec::new();
+        for _ in 0..2_000 {
+            events.extend(supervisor.poll());
+            if done(&events) {
+                return events;
+            }
+            std::thread::sleep(LOOK_EVERY);
+        }
+        panic!("not within 10 s: {events:?}");
+    }
+
+    fn said(events: &[Event], text: &str) -> usize {
+        let is = |event: &&Event| matches!(event, Event::Said { line, .. } if line == text);
+        events.iter().filter(is).count()
+    }
+
+    #[test]
+    fn who_dies_is_waited_for_and_started_again() {
+        let mut supervisor = shell("echo out; echo up >&2; exit 7");
+        let events = poll_until(&mut supervisor, |events| said(events, "up") >= 2);
+        let died = events
+            .iter()
+            .find_map(|event| match event {
+                Event::Died { pid, how, rest, .. } => Some((pid.unwrap(), how, rest)),
+                _ => None,
+            })
+            .unwrap();
+        assert!(died.1.contains('7'), "{}", died.1);
+        assert_eq!(*died.2, Duration::from_millis(100));
+        assert!(!std::path::Path::new(&format!("/proc/{}", died.0)).exists());
+        assert_eq!(supervisor.died_with("shell")[0], "out\n");
+    }
+
+    #[test]
+    fn who_ends_when_asked_leaves_its_output() {
+        let mut supervisor =
+            shell("trap 'echo bye; exit 0' TERM; echo up >&2; while :; do sleep 0.01; done");
+        let mut events = poll_until(&mut supervisor, |events| said(events, "up") == 1);
+        let ended = supervisor.end("shell", Duration::from_secs(10), &mut events);
+        assert!(ended.status.unwrap().success());
+        assert_eq!(ended.stdout, "bye\n");
+        assert!(!supervisor.is_running("shell"));
+    }
+
+    #[test]
+    fn who_does_not_end_when_asked_is_killed() {
+        let mut supervisor = shell("trap '' TERM; echo up >&2; while :; do sleep 0.01; done");
+        let mut events = poll_until(&mut supervisor, |events| said(events, "up") == 1);
+        let ended = supervisor.end("shell", Duration::from_millis(20), &mut events);
+        let status = ended.status.unwrap();
+        assert_eq!(std::os::unix::process::ExitStatusExt::signal(&status), Some(9));
+    }
+
+    #[test]
+    fn stdin_closes_with_the_supervisor() {
+        // `cat` ends at the end of its input although TERM is ignored, long before the kill.
+        let mut supervisor = shell("trap '' TERM; echo up >&2; cat; exit 3");
+        let mut events = poll_until(&mut supervisor, |events| said(events, "up") == 1);
+        let ended = supervisor.end("shell", Duration::from_secs(60), &mut events);
+        assert_eq!(ended.status.unwrap().code(), Some(3));
+    }
+}
