@@ -1,0 +1,263 @@
+//! The connection of a source to its fleet.
+
+use std::path::Path;
+
+use joulebus_bus::{Bus, DomainError, JoinError, OpenError, SampleWriter, SendError, clock};
+use joulebus_config::{Config, ConfigError};
+use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
+
+use crate::RobotState;
+use crate::state::Registry;
+
+/// A source of samples: a fleet controller, a bridge, a simulation, a recording.
+///
+/// Stays connected while the worker goes and comes. Belongs to one thread.
+pub struct Publisher {
+    writer: SampleWriter,
+    registry: Registry,
+    // Kept for its memory.
+    samples: Vec<Sample>,
+    header: SampleHeader,
+    // Frames begun, sent or not: tells a robot that comes twice from one that was refused before.
+    attempts: u64,
+    frames_sent: u64,
+    samples_sent: u64,
+    // After the port: it must be gone before the process leaves.
+    _bus: Bus,
+}
+
+/// A frame that was sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sent {
+    /// Processes that can read it: 0 means that no worker runs.
+    pub readers: usize,
+    /// Samples in it.
+    pub samples: usize,
+    /// Its number within this run of the source, from 0.
+    pub frame_seq: u64,
+}
+
+impl Publisher {
+    /// Joins the fleet of the config file at `config_path` as `source_name`. The worker need not
+    /// run.
+    ///
+    /// `source_name`, 1 to 128 bytes, tells the sources of a fleet apart and must stay the same
+    /// over restarts: the worker lets the robots of a source be spoken for by its next run. The
+    /// runs are told apart by the wall clock at their beginning, so that must not have been set
+    /// back in between.
+    ///
+    /// # Errors
+    /// [`ConnectError`] says what is in the way and what to do.
+    pub fn connect(config_path: impl AsRef<Path>, source_name: &str) -> Result<Self, ConnectError> {
+        Self::with_config(&Config::load(config_path)?, source_name)
+    }
+
+    /// As [`Publisher::connect`], with a config that has been read.
+    ///
+    /// # Errors
+    /// [`ConnectError`].
+    pub fn with_config(config: &Config, source_name: &str) -> Result<Self, ConnectError> {
+        let limits = config.limits();
+        let bus = Bus::join(&config.domain()?, source_name)?;
+        let writer = bus.sample_writer(&limits, limits.capacity)?;
+        let header = SampleHeader {
+            schema: SCHEMA_VERSION,
+            pid: std::process::id(),
+            source_id: source_id(source_name),
+            source_epoch: clock::unix_ns(),
+            ..SampleHeader::default()
+        };
+        Ok(Self {
+            writer,
+            registry: Registry::default(),
+            samples: Vec::new(),
+            header,
+            attempts: 0,
+            frames_sent: 0,
+            samples_sent: 0,
+            _bus: bus,
+        })
+    }
+
+    /// Sends one frame: each robot at most once, numbered and stamped with the present time.
+    ///
+    /// # Errors
+    /// [`PublishError`]; except for [`SendError::Wake`] nothing was sent.
+    pub fn publish(
+        &mut self,
+        robots: impl IntoIterator<Item = RobotState>,
+    ) -> Result<Sent, PublishError> {
+        self.publish_intended(clock::monotonic_ns(), robots)
+    }
+
+    /// As [`Publisher::publish`], for a frame that should have been sent at `intended_ns`
+    /// (monotonic): [`crate::Slot::intended_ns`]. Latencies are counted from there, so that a
+    /// stalled source does not hide its own delay.
+    ///
+    /// # Errors
+    /// [`PublishError`]; except for [`SendError::Wake`] nothing was sent.
+    pub fn publish_intended(
+        &mut self,
+        intended_ns: u64,
+        robots: impl IntoIterator<Item = RobotState>,
+    ) -> Result<Sent, PublishError> {
+        let allowed = self.writer.max_len();
+        let now_ns = clock::monotonic_ns();
+        self.attempts += 1;
+        self.samples.clear();
+        let mut robots = robots.into_iter();
+        while let Some(state) = robots.next() {
+            if self.samples.len() == allowed {
+                let found = allowed + 1 + robots.count();
+                return Err(PublishError::TooMany { found, allowed });
+            }
+            let Some(sample) = self.registry.sample(&state, self.attempts, now_ns) else {
+                return Err(PublishError::Twice { robot: state.robot });
+            };
+            self.samples.push(sample);
+        }
+        let samples = std::mem::take(&mut self.samples);
+        let sent = self.publish_samples(intended_ns, &samples);
+        self.samples = samples;
+        sent
+    }
+
+    /// Sends samples as they are, with the caller's own numbers and stamps: for recordings and
+    /// simulations. `intended_ns` as in [`Publisher::publish_intended`]. Do not mix with
+    /// [`Publisher::publish`] for the same robot: `seq` and `stamp_ns` of each must rise strictly.
+    ///
+    /// # Errors
+    /// [`PublishError`]; except for [`SendError::Wake`] nothing was sent.
+    pub fn publish_samples(
+        &mut self,
+        intended_ns: u64,
+        samples: &[Sample],
+    ) -> Result<Sent, PublishError> {
+        let allowed = self.writer.max_len();
+        if samples.len() > allowed {
+            let found = samples.len();
+            return Err(PublishError::TooMany { found, allowed });
+        }
+        let header = SampleHeader {
+            frame_seq: self.frames_sent,
+            samples_before: self.samples_sent,
+            intended_ns,
+            sent_ns: clock::monotonic_ns(),
+            sent_unix_ns: clock::unix_ns(),
+            ..self.header
+        };
+        let result = self.writer.send(header, samples.len(), |i| samples[i]);
+        if matches!(result, Ok(_) | Err(SendError::Wake(_))) {
+            self.frames_sent += 1;
+            self.samples_sent += samples.len() as u64;
+        }
+        Ok(Sent {
+            readers: result?,
+            samples: samples.len(),
+            frame_seq: header.frame_seq,
+        })
+    }
+
+    /// Frames sent in this run.
+    #[must_use]
+    pub const fn frames_sent(&self) -> u64 {
+        self.frames_sent
+    }
+
+    /// Samples sent in this run: what the worker accepts and drops adds up to it.
+    #[must_use]
+    pub const fn samples_sent(&self) -> u64 {
+        self.samples_sent
+    }
+
+    /// Samples that one frame may hold: the fleet's capacity.
+    #[must_use]
+    pub const fn capacity(&self) -> usize {
+        self.writer.max_len()
+    }
+
+    /// Who sends, as in [`SampleHeader::source_id`]: the FNV-1a hash, 64 bits, of the source's
+    /// name.
+    #[must_use]
+    pub const fn source_id(&self) -> u64 {
+        self.header.source_id
+    }
+
+    /// When this run of the source began, Unix ns.
+    #[must_use]
+    pub const fn source_epoch(&self) -> u64 {
+        self.header.source_epoch
+    }
+
+    /// Connections to workers that could not be made, or broke: they miss frames.
+    #[must_use]
+    pub fn degraded(&self) -> u64 {
+        self.writer.degraded()
+    }
+}
+
+/// FNV-1a, 64 bits: the same in every build and language.
+fn source_id(name: &str) -> u64 {
+    name.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+    })
+}
+
+/// Why a source could not join its fleet.
+#[derive(Debug, thiserror::Error)]
+pub enum ConnectError {
+    /// The config was not read, or refused.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The config names a domain that shared memory cannot hold.
+    #[error(transparent)]
+    Domain(#[from] DomainError),
+    /// The fleet could not be joined.
+    #[error(transparent)]
+    Join(#[from] JoinError),
+    /// The port for samples could not be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+}
+
+/// Why a frame was not sent.
+#[derive(Debug, thiserror::Error)]
+pub enum PublishError {
+    /// More robots than the fleet has room for.
+    #[error(
+        "a frame of {found} samples, allowed are {allowed}; raise `fleet.capacity` in the config \
+         of all processes of the fleet"
+    )]
+    TooMany {
+        /// Samples in the frame.
+        found: usize,
+        /// Samples allowed.
+        allowed: usize,
+    },
+    /// One robot twice in a frame.
+    #[error("robot {robot} is in the frame twice; give each robot its own id, once a frame")]
+    Twice {
+        /// The robot.
+        robot: u32,
+    },
+    /// The bus did not take the frame.
+    #[error(transparent)]
+    Send(#[from] SendError),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::source_id;
+
+    #[test]
+    fn ids_of_sources_never_change() {
+        // The published test vectors of FNV-1a.
+        for (name, id) in [
+            ("", 0xcbf2_9ce4_8422_2325),
+            ("a", 0xaf63_dc4c_8601_ec8c),
+            ("foobar", 0x8594_4171_f739_67e8),
+        ] {
+            assert_eq!(source_id(name), id, "{name:?}");
+        }
+    }
+}

@@ -1,0 +1,242 @@
+//! What a controller knows of a robot, and how it becomes a sample.
+
+use std::collections::HashMap;
+
+use joulebus_wire::{Sample, sample_flag};
+
+/// One robot in one control tick: the command just issued, and the reading just received. `None`
+/// means not known.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[must_use]
+pub struct RobotState {
+    /// Id of the robot, unique in the fleet.
+    pub robot: u32,
+    /// Linear velocity just commanded, after saturation, m/s.
+    pub v_mps: Option<f32>,
+    /// Angular velocity just commanded, after saturation, rad/s.
+    pub omega_radps: Option<f32>,
+    /// Electrical power just read, W; negative where the platform regenerates.
+    pub power_w: Option<f32>,
+    /// When the power was measured, monotonic ns. `None`: when the frame is published, or, for a
+    /// held reading, when the reading that it repeats was measured.
+    pub measured_ns: Option<u64>,
+    /// Battery voltage, V.
+    pub voltage_v: Option<f32>,
+    /// Battery current, A, positive while discharging.
+    pub current_a: Option<f32>,
+    /// The reading repeats the previous one: the monitor has not measured again.
+    pub held: bool,
+    /// The robot is on its charger.
+    pub charging: bool,
+}
+
+impl RobotState {
+    /// A robot of which nothing is known.
+    pub fn new(robot: u32) -> Self {
+        Self {
+            robot,
+            ..Self::default()
+        }
+    }
+
+    /// With the command just issued: m/s and rad/s.
+    pub const fn command(mut self, v_mps: f32, omega_radps: f32) -> Self {
+        self.v_mps = Some(v_mps);
+        self.omega_radps = Some(omega_radps);
+        self
+    }
+
+    /// With the power just measured, W.
+    pub const fn reading(mut self, power_w: f32) -> Self {
+        self.power_w = Some(power_w);
+        self.measured_ns = None;
+        self.held = false;
+        self
+    }
+
+    /// With a power measured at `measured_ns` (monotonic), W.
+    pub const fn reading_of(mut self, power_w: f32, measured_ns: u64) -> Self {
+        self.power_w = Some(power_w);
+        self.measured_ns = Some(measured_ns);
+        self.held = false;
+        self
+    }
+
+    /// With the previous power once more, W: the monitor has not measured again.
+    pub const fn held_reading(mut self, power_w: f32) -> Self {
+        self.power_w = Some(power_w);
+        self.measured_ns = None;
+        self.held = true;
+        self
+    }
+
+    /// With the battery's voltage, V, and current, A (positive while discharging).
+    pub const fn battery(mut self, voltage_v: f32, current_a: f32) -> Self {
+        self.voltage_v = Some(voltage_v);
+        self.current_a = Some(current_a);
+        self
+    }
+
+    /// With word of the charger.
+    pub const fn charging(mut self, charging: bool) -> Self {
+        self.charging = charging;
+        self
+    }
+}
+
+/// What has been said of each robot: its numbers and times go on from there.
+#[derive(Debug, Default)]
+pub(crate) struct Registry {
+    robots: HashMap<u32, Last>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Last {
+    seq: u64,
+    stamp_ns: u64,
+    measured_ns: Option<u64>,
+    frame: u64,
+}
+
+impl Registry {
+    /// The sample of `state` in frame `frame`, issued at `now_ns`. Allocates for robots that are
+    /// new. `None` when the frame has the robot already.
+    pub(crate) fn sample(&mut self, state: &RobotState, frame: u64, now_ns: u64) -> Option<Sample> {
+        let before = self.robots.get(&state.robot).copied();
+        if before.is_some_and(|last| last.frame == frame) {
+            return None;
+        }
+        let seq = before.map_or(0, |last| last.seq + 1);
+        // Stamps must rise, and a clock may tell the same time twice.
+        let stamp_ns = before.map_or(now_ns, |last| now_ns.max(last.stamp_ns + 1));
+        let repeated_ns = before.and_then(|last| last.measured_ns);
+        let measured_ns = state
+            .measured_ns
+            .or(repeated_ns.filter(|_| state.held))
+            .unwrap_or(stamp_ns);
+        let last = Last {
+            seq,
+            stamp_ns,
+            measured_ns: state.power_w.map(|_| measured_ns).or(repeated_ns),
+            frame,
+        };
+        self.robots.insert(state.robot, last);
+        Some(sample(state, seq, stamp_ns, measured_ns))
+    }
+}
+
+fn sample(state: &RobotState, seq: u64, stamp_ns: u64, measured_ns: u64) -> Sample {
+    let mut sample = Sample::new(state.robot, seq, stamp_ns);
+    if let Some(power_w) = state.power_w {
+        sample = sample.reading(power_w, measured_ns);
+        if state.held {
+            sample = sample.with(sample_flag::HELD);
+        }
+    }
+    for (value, place, flag) in [
+        (state.v_mps, &mut sample.v_mps, sample_flag::V),
+        (
+            state.omega_radps,
+            &mut sample.omega_radps,
+            sample_flag::OMEGA,
+        ),
+        (state.voltage_v, &mut sample.voltage_v, sample_flag::VOLTAGE),
+        (state.current_a, &mut sample.current_a, sample_flag::CURRENT),
+    ] {
+        if let Some(value) = value {
+            *place = value;
+            sample.flags |= flag;
+        }
+    }
+    if state.charging {
+        sample.flags |= sample_flag::CHARGING;
+    }
+    sample
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_robot_has_its_own_rising_numbers_and_stamps() {
+        let mut registry = Registry::default();
+        let mut told = |robot, frame, now_ns| {
+            let sample = registry.sample(&RobotState::new(robot), frame, now_ns);
+            sample.map(|sample| (sample.seq, sample.stamp_ns))
+        };
+        assert_eq!(told(1, 0, 100), Some((0, 100)));
+        assert_eq!(told(2, 0, 100), Some((0, 100)));
+        assert_eq!(told(1, 0, 100), None, "twice in one frame");
+        assert_eq!(told(1, 1, 200), Some((1, 200)));
+        assert_eq!(told(1, 2, 200), Some((2, 201)), "the clock stood still");
+        assert_eq!(told(1, 3, 150), Some((3, 202)), "the clock went back");
+        assert_eq!(
+            told(2, 9, 900),
+            Some((1, 900)),
+            "robot 2 was silent for a while"
+        );
+    }
+
+    #[test]
+    fn a_held_reading_keeps_the_time_of_the_measurement_it_repeats() {
+        let mut registry = Registry::default();
+        let fresh = RobotState::new(1).reading(3.5);
+        let held = RobotState::new(1).held_reading(3.5);
+        let silent = RobotState::new(1).command(0.1, 0.0);
+        for (frame, state, now_ns, measured_ns) in [
+            (0, fresh, 100, 100),
+            (1, held, 200, 100),
+            (2, silent, 300, 0),
+            (3, held, 400, 100),
+            (4, RobotState::new(1).reading_of(3.6, 450), 500, 450),
+            (5, held, 600, 450),
+            (6, fresh, 700, 700),
+        ] {
+            let sample = registry.sample(&state, frame, now_ns).unwrap();
+            assert_eq!(sample.measured_ns, measured_ns, "frame {frame}");
+        }
+        let held = registry.sample(&RobotState::new(2).held_reading(1.0), 7, 800);
+        assert_eq!(held.unwrap().measured_ns, 800, "nothing to repeat");
+    }
+
+    #[test]
+    fn what_is_not_known_is_nan_and_not_flagged() {
+        use sample_flag::{CHARGING, CURRENT, HELD, OMEGA, POWER, V, VOLTAGE};
+        let new = RobotState::new(1);
+        let only_v = RobotState {
+            v_mps: Some(0.0),
+            ..new
+        };
+        for (state, flags) in [
+            (new, 0),
+            (only_v, V),
+            (new.command(0.0, 0.0), V | OMEGA),
+            (new.reading(0.0), POWER),
+            (new.held_reading(0.0), POWER | HELD),
+            (new.battery(0.0, 0.0), VOLTAGE | CURRENT),
+            (new.charging(true), CHARGING),
+            // Nothing is repeated where nothing is read.
+            (RobotState { held: true, ..new }, 0),
+        ] {
+            let sample = Registry::default().sample(&state, 0, 5).unwrap();
+            assert_eq!(sample.flags, flags, "{state:?}");
+            for (value, flag) in [
+                (sample.v_mps, V),
+                (sample.omega_radps, OMEGA),
+                (sample.power_w, POWER),
+                (sample.voltage_v, VOLTAGE),
+                (sample.current_a, CURRENT),
+            ] {
+                assert_eq!(value.is_nan(), !sample.has(flag), "{state:?}");
+            }
+        }
+        let claimed = Registry::default()
+            .sample(&new.reading(f32::NAN), 0, 5)
+            .unwrap();
+        assert!(
+            claimed.has(POWER) && claimed.power_w.is_nan(),
+            "the worker refuses it"
+        );
+    }
+}
