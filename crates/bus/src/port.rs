@@ -6,6 +6,7 @@ use std::ops::{Deref, DerefMut};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
@@ -18,9 +19,9 @@ use iceoryx2::sample::Sample as Borrowed;
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::Service as _;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue, AttributeVerifier};
-use iceoryx2::service::builder::event::{EventOpenError, EventOpenOrCreateError};
+use iceoryx2::service::builder::event::{EventCreateError, EventOpenError, EventOpenOrCreateError};
 use iceoryx2::service::builder::publish_subscribe::{
-    PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
+    PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
 use iceoryx2::service::port_factory::event::PortFactory as EventFactory;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
@@ -29,6 +30,9 @@ use joulebus_wire::{
     SampleHeader, Service, WakeEvent, service_name,
 };
 
+use crate::leftovers::{
+    SweepReport, remove_abandoned_service, remove_dead_nodes, remove_stillborn,
+};
 use crate::limits::Shape;
 use crate::membership::Membership;
 use crate::room::{segment_bytes, shared_memory};
@@ -39,6 +43,9 @@ use crate::{Bus, Limits, RoomError, clock, memory};
 const LIMITS_KEY: &[u8] = b"joulebus.limits";
 /// How long a reader waits before it makes its port anew, ns.
 const HEAL_EVERY_NS: u64 = 1_000_000_000;
+/// For how long a service is tried to be opened, ns.
+const OPEN_LIMIT_NS: u64 = 4_000_000_000;
+const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
 
 /// The worker's port for forecasts.
 pub type ForecastWriter = Writer<ForecastHeader, Forecast>;
@@ -217,6 +224,26 @@ where
         Ok(latest.map(Frame::new))
     }
 
+    /// Whether a frame waits, without taking it.
+    ///
+    /// # Errors
+    /// [`ReceiveError`]; the next call may succeed.
+    pub fn has_next(&mut self) -> Result<bool, ReceiveError> {
+        let Some(subscriber) = &self.subscriber else {
+            self.heal()?;
+            return Ok(false);
+        };
+        let waits = subscriber
+            .has_samples()
+            .map_err(|reason| ReceiveError::Receive {
+                reason: reason.to_string(),
+            })?;
+        if !waits {
+            self.check_connections()?;
+        }
+        Ok(waits)
+    }
+
     /// Connections to writers that could not be made, or broke.
     #[must_use]
     pub fn degraded(&self) -> u64 {
@@ -233,15 +260,23 @@ where
             .map_err(|reason| ReceiveError::Receive {
                 reason: reason.to_string(),
             })?;
-        if received.is_none() && self.degraded() != self.degraded_seen {
-            self.degraded_seen = self.degraded();
-            self.subscriber = None;
-            self.healed_ns = clock::monotonic_ns();
-            return Err(ReceiveError::Degraded {
-                connections: self.degraded_seen,
-            });
+        if received.is_none() {
+            self.check_connections()?;
         }
         Ok(received)
+    }
+
+    /// Gives the port up, to be made anew, when a connection has failed since the last look.
+    fn check_connections(&mut self) -> Result<(), ReceiveError> {
+        if self.degraded() == self.degraded_seen {
+            return Ok(());
+        }
+        self.degraded_seen = self.degraded();
+        self.subscriber = None;
+        self.healed_ns = clock::monotonic_ns();
+        Err(ReceiveError::Degraded {
+            connections: self.degraded_seen,
+        })
     }
 
     /// iceoryx2 does not try a failed connection again: only a new port does.
@@ -550,28 +585,30 @@ where
     T: Debug + ZeroCopySend + 'static,
 {
     let name = name(bus, service)?;
-    bus.node
-        .service_builder(&name)
-        .publish_subscribe::<[T]>()
-        .user_header::<H>()
-        .max_publishers(shape.publishers)
-        .max_subscribers(shape.subscribers)
-        .max_nodes(limits.nodes())
-        .subscriber_max_buffer_size(shape.buffer)
-        .subscriber_max_borrowed_samples(shape.borrowed)
-        .history_size(shape.history)
-        .enable_safe_overflow(true)
-        .open_or_create_with_attributes(&verifier(limits))
-        .map_err(|reason| {
-            let differs = matches!(
-                reason,
-                PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
-                    PublishSubscribeOpenError::IncompatibleAttributes
-                )
-            );
-            let pattern = MessagingPattern::PublishSubscribe;
-            refused(bus, service, limits, pattern, differs, reason)
-        })
+    let open = || {
+        bus.node
+            .service_builder(&name)
+            .publish_subscribe::<[T]>()
+            .user_header::<H>()
+            .max_publishers(shape.publishers)
+            .max_subscribers(shape.subscribers)
+            .max_nodes(limits.nodes())
+            .subscriber_max_buffer_size(shape.buffer)
+            .subscriber_max_borrowed_samples(shape.borrowed)
+            .history_size(shape.history)
+            .enable_safe_overflow(true)
+            .open_or_create_with_attributes(&verifier(limits))
+    };
+    retry(bus, &name, open, is_passing).map_err(|reason| {
+        let differs = matches!(
+            reason,
+            PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
+                PublishSubscribeOpenError::IncompatibleAttributes
+            )
+        );
+        let pattern = MessagingPattern::PublishSubscribe;
+        refused(bus, service, limits, pattern, differs, reason)
+    })
 }
 
 fn open_event(
@@ -581,29 +618,105 @@ fn open_event(
     (listeners, notifiers): (usize, usize),
 ) -> Result<EventFactory<ipc::Service>, OpenError> {
     let name = name(bus, service)?;
-    bus.node
-        .service_builder(&name)
-        .event()
-        .max_listeners(listeners)
-        .max_notifiers(notifiers)
-        .max_nodes(limits.nodes())
-        .event_id_max_value(WakeEvent::Ended.id())
-        .notifier_dead_event(EventId::new(WakeEvent::Died.id()))
-        .open_or_create_with_attributes(&verifier(limits))
-        .map_err(|reason| {
-            let differs = matches!(
-                reason,
-                EventOpenOrCreateError::EventOpenError(EventOpenError::IncompatibleAttributes)
-            );
-            refused(
-                bus,
-                service,
-                limits,
-                MessagingPattern::Event,
-                differs,
-                reason,
+    let open = || {
+        bus.node
+            .service_builder(&name)
+            .event()
+            .max_listeners(listeners)
+            .max_notifiers(notifiers)
+            .max_nodes(limits.nodes())
+            .event_id_max_value(WakeEvent::Ended.id())
+            .notifier_dead_event(EventId::new(WakeEvent::Died.id()))
+            .open_or_create_with_attributes(&verifier(limits))
+    };
+    retry(bus, &name, open, is_passing_event).map_err(|reason| {
+        let differs = matches!(
+            reason,
+            EventOpenOrCreateError::EventOpenError(EventOpenError::IncompatibleAttributes)
+        );
+        let pattern = MessagingPattern::Event;
+        refused(bus, service, limits, pattern, differs, reason)
+    })
+}
+
+/// Opens a service. What comes of somebody having been killed while creating or leaving it passes
+/// once that is cleaned up.
+fn retry<S, E: Debug>(
+    bus: &Bus,
+    name: &ServiceName,
+    open: impl Fn() -> Result<S, E>,
+    is_passing: impl Fn(&E) -> bool,
+) -> Result<S, E> {
+    let limit_ns = clock::monotonic_ns() + OPEN_LIMIT_NS;
+    loop {
+        let error = match open() {
+            Err(error) if is_passing(&error) => error,
+            result => return result,
+        };
+        if clock::monotonic_ns() > limit_ns {
+            return Err(error);
+        }
+        let mut report = SweepReport::default();
+        remove_dead_nodes(bus.node.config(), &mut report);
+        report.stillborn = remove_stillborn(bus.domain()).unwrap_or(0)
+            + remove_abandoned_service(bus.domain(), name.as_str());
+        tracing::info!(
+            service = name.as_str(),
+            ?error,
+            ?report,
+            "opening a service again"
+        );
+        std::thread::sleep(OPEN_AGAIN_AFTER);
+    }
+}
+
+const fn is_passing(error: &PublishSubscribeOpenOrCreateError) -> bool {
+    use PublishSubscribeCreateError as Create;
+    use PublishSubscribeOpenError as Open;
+    use PublishSubscribeOpenOrCreateError as Error;
+    matches!(
+        error,
+        Error::SystemInFlux
+            | Error::PublishSubscribeOpenError(
+                Open::HangsInCreation
+                    | Open::IsMarkedForDestruction
+                    | Open::DoesNotExist
+                    | Open::ServiceInCorruptedState
+                    | Open::ExceedsMaxNumberOfNodes
+                    | Open::Interrupt
             )
-        })
+            | Error::PublishSubscribeCreateError(
+                Create::HangsInCreation
+                    | Create::IsBeingCreatedByAnotherInstance
+                    | Create::AlreadyExists
+                    | Create::ServiceInCorruptedState
+                    | Create::Interrupt
+            )
+    )
+}
+
+const fn is_passing_event(error: &EventOpenOrCreateError) -> bool {
+    use EventCreateError as Create;
+    use EventOpenError as Open;
+    use EventOpenOrCreateError as Error;
+    matches!(
+        error,
+        Error::SystemInFlux
+            | Error::EventOpenError(
+                Open::HangsInCreation
+                    | Open::IsMarkedForDestruction
+                    | Open::DoesNotExist
+                    | Open::ServiceInCorruptedState
+                    | Open::ExceedsMaxNumberOfNodes
+                    | Open::Interrupt
+            )
+            | Error::EventCreateError(
+                Create::IsBeingCreatedByAnotherInstance
+                    | Create::AlreadyExists
+                    | Create::ServiceInCorruptedState
+                    | Create::Interrupt
+            )
+    )
 }
 
 fn name(bus: &Bus, service: Service) -> Result<ServiceName, OpenError> {
