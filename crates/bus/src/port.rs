@@ -188,7 +188,9 @@ where
 
 /// Reads frames in place.
 pub struct Reader<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
-    // Before the factory, and both before the membership: the order in which they must go.
+    // Before the port, it before the factory, and all before the membership: the order in which
+    // they must go.
+    held: Option<Borrowed<ipc::Service, [T], H>>,
     subscriber: Option<Subscriber<ipc::Service, [T], H>>,
     factory: PortFactory<ipc::Service, [T], H>,
     buffer: usize,
@@ -224,24 +226,37 @@ where
         Ok(latest.map(Frame::new))
     }
 
-    /// Whether a frame waits, without taking it.
+    /// Takes all frames that wait and keeps the last that is `newer` than the one kept before;
+    /// returns whether there was one. The frame is held in shared memory until a newer one is kept
+    /// or the reader goes: [`Reader::held`]. Not to be mixed with the other ways to take.
     ///
     /// # Errors
-    /// [`ReceiveError`]; the next call may succeed.
-    pub fn has_next(&mut self) -> Result<bool, ReceiveError> {
-        let Some(subscriber) = &self.subscriber else {
-            self.heal()?;
-            return Ok(false);
-        };
-        let waits = subscriber
-            .has_samples()
-            .map_err(|reason| ReceiveError::Receive {
-                reason: reason.to_string(),
-            })?;
-        if !waits {
-            self.check_connections()?;
+    /// [`ReceiveError`] when nothing newer was found; the next call may succeed.
+    pub fn hold_latest(
+        &mut self,
+        mut newer: impl FnMut(&H) -> bool,
+    ) -> Result<bool, ReceiveError> {
+        let mut found = false;
+        loop {
+            match self.receive() {
+                Ok(Some(frame)) if newer(frame.user_header()) => {
+                    self.held = Some(frame);
+                    found = true;
+                }
+                Ok(Some(_)) => {}
+                Ok(None) => return Ok(found),
+                Err(_) if found => return Ok(true),
+                Err(error) => return Err(error),
+            }
         }
-        Ok(waits)
+    }
+
+    /// The frame that [`Reader::hold_latest`] keeps: its header and its slice. Its writer could
+    /// still change it (it does not): who must be sure copies first.
+    #[must_use]
+    pub fn held(&self) -> Option<(&H, &[T])> {
+        let held = self.held.as_ref()?;
+        Some((held.user_header(), held.payload()))
     }
 
     /// Connections to writers that could not be made, or broke.
@@ -537,6 +552,7 @@ where
     let subscriber = subscribe(&factory, shape.buffer, &degraded)
         .map_err(|reason| OpenError::port(service, reason))?;
     Ok(Reader {
+        held: None,
         subscriber: Some(subscriber),
         factory,
         buffer: shape.buffer,

@@ -1,0 +1,103 @@
+//! Frames as planners see them.
+
+use std::cell::RefCell;
+use std::ops::Deref;
+
+use joulebus_bus::clock;
+use joulebus_wire::{Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader};
+
+use crate::Arrival;
+use crate::index::RobotIndex;
+
+/// A frame in shared memory, borrowed from the reader that holds it: the robots by dereferencing
+/// to a slice, in no particular order.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame<'a, H, T> {
+    header: &'a H,
+    robots: &'a [T],
+    number: u64,
+    id: fn(&T) -> u32,
+    index: &'a RefCell<RobotIndex>,
+}
+
+/// A frame of diagnostics.
+pub type Diagnostics<'a> = Frame<'a, DiagnosticHeader, Diagnostic>;
+/// A frame of budgets.
+pub type Budgets<'a> = Frame<'a, BudgetHeader, Budget>;
+
+impl<'a, H, T> Frame<'a, H, T> {
+    pub(crate) const fn new(
+        (header, robots): (&'a H, &'a [T]),
+        number: u64,
+        id: fn(&T) -> u32,
+        index: &'a RefCell<RobotIndex>,
+    ) -> Self {
+        Self {
+            header,
+            robots,
+            number,
+            id,
+            index,
+        }
+    }
+
+    /// The frame's header.
+    #[must_use]
+    pub const fn header(&self) -> &'a H {
+        self.header
+    }
+
+    /// All robots of the frame.
+    #[must_use]
+    pub const fn robots(&self) -> &'a [T] {
+        self.robots
+    }
+
+    /// The robot with the id `robot`, if the frame has it. Usually one look-up in a table that is
+    /// kept from frame to frame; when a robot has moved or is missing, one pass over the frame,
+    /// at most once a frame.
+    #[must_use]
+    pub fn robot(&self, robot: u32) -> Option<&'a T> {
+        let id = |position: usize| (self.id)(&self.robots[position]);
+        // Nobody else has it: it is borrowed only here, and `id` does not come back.
+        let mut index = self.index.borrow_mut();
+        let position = index.position(robot, self.number, self.robots.len(), id)?;
+        self.robots.get(position)
+    }
+}
+
+impl<T, H> Deref for Frame<'_, H, T> {
+    type Target = [T];
+
+    fn deref(&self) -> &[T] {
+        self.robots
+    }
+}
+
+/// A frame of forecasts, and how it came.
+#[derive(Debug, Clone, Copy)]
+pub struct Forecasts<'a> {
+    frame: Frame<'a, ForecastHeader, Forecast>,
+    /// What lies between this frame and the one before.
+    pub arrival: Arrival,
+}
+
+impl<'a> Forecasts<'a> {
+    pub(crate) const fn new(frame: Frame<'a, ForecastHeader, Forecast>, arrival: Arrival) -> Self {
+        Self { frame, arrival }
+    }
+
+    /// Time since the frame was sent, ns, on the monotonic clock.
+    #[must_use]
+    pub fn age_ns(&self) -> u64 {
+        clock::monotonic_ns().saturating_sub(self.header().sent_ns)
+    }
+}
+
+impl<'a> Deref for Forecasts<'a> {
+    type Target = Frame<'a, ForecastHeader, Forecast>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.frame
+    }
+}

@@ -1,0 +1,344 @@
+//! What a planner knows of the worker, from frames, events and the time: without a clock.
+
+use joulebus_wire::ForecastHeader;
+
+/// How the worker stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WorkerState {
+    /// No frame has come yet.
+    Waiting,
+    /// The newest frame is at most two tick periods old.
+    Alive,
+    /// The newest frame is older than that: do not rely on it.
+    Stale {
+        /// Time since it was sent, ns.
+        age_ns: u64,
+    },
+    /// The worker is gone.
+    Gone(End),
+}
+
+/// How a worker went, and how that was noticed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum End {
+    /// It said that it ends.
+    Ended,
+    /// Its process has ended without a word: seen at once.
+    Exited,
+    /// Another process found it dead: where processes cannot be watched.
+    FoundDead,
+}
+
+/// How a frame of forecasts came.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Arrival {
+    /// Ticks of this worker whose frames were passed over or lost since the last frame that this
+    /// planner was given. 0 for the first frame of all.
+    pub ticks_missed: u64,
+    /// The frame is the first of another run of the worker than the frame before.
+    pub restarted: bool,
+}
+
+/// What a planner has been given so far.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counts {
+    /// Frames.
+    pub frames: u64,
+    /// Times that ticks were missing between two frames.
+    pub gaps: u64,
+    /// Ticks missing, in all gaps.
+    pub ticks_missed: u64,
+    /// Runs of the worker seen.
+    pub workers: u64,
+}
+
+/// A frame's place in time: later ones are greater.
+pub(crate) type Place = (u64, u64);
+
+pub(crate) const fn place(header: &ForecastHeader) -> Place {
+    (header.worker_epoch, header.tick)
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Last {
+    place: Place,
+    sent_ns: u64,
+    period_ns: u64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Told {
+    Nothing,
+    Stale,
+    Gone,
+}
+
+#[derive(Debug)]
+pub(crate) struct Tracker {
+    last: Option<Last>,
+    // How and when the run of `last` was found to be over.
+    over: Option<(End, u64)>,
+    told: Told,
+    counts: Counts,
+}
+
+impl Tracker {
+    pub(crate) const fn new() -> Self {
+        Self {
+            last: None,
+            over: None,
+            told: Told::Nothing,
+            counts: Counts {
+                frames: 0,
+                gaps: 0,
+                ticks_missed: 0,
+                workers: 0,
+            },
+        }
+    }
+
+    /// The place of the newest frame.
+    pub(crate) fn place(&self) -> Option<Place> {
+        self.last.map(|last| last.place)
+    }
+
+    /// A frame later than all before.
+    pub(crate) fn frame(&mut self, header: &ForecastHeader) -> Arrival {
+        let (epoch, tick) = place(header);
+        let arrival = match self.place() {
+            None => Arrival::default(),
+            Some((before, last)) if before == epoch => Arrival {
+                ticks_missed: tick.saturating_sub(last).saturating_sub(1),
+                restarted: false,
+            },
+            // Ticks count from 1.
+            Some(_) => Arrival {
+                ticks_missed: tick.saturating_sub(1),
+                restarted: true,
+            },
+        };
+        self.counts.frames += 1;
+        self.counts.workers += u64::from(self.last.is_none() || arrival.restarted);
+        self.counts.gaps += u64::from(arrival.ticks_missed > 0);
+        self.counts.ticks_missed = self
+            .counts
+            .ticks_missed
+            .saturating_add(arrival.ticks_missed);
+        // What a run has sent before its end does not bring it back; what it sends after shows
+        // that it had not ended, whatever was seen (a process of another container, perhaps).
+        let lives = |(_, over_ns): (End, u64)| arrival.restarted || header.sent_ns > over_ns;
+        if self.over.is_none_or(lives) {
+            self.over = None;
+            self.told = Told::Nothing;
+        }
+        self.last = Some(Last {
+            place: (epoch, tick),
+            sent_ns: header.sent_ns,
+            period_ns: header.period_ns,
+        });
+        arrival
+    }
+
+    /// The run of the newest frame is over. Of several reasons the first counts.
+    pub(crate) fn over(&mut self, end: End, now_ns: u64) {
+        if self.last.is_some() {
+            self.over.get_or_insert((end, now_ns));
+        }
+    }
+
+    pub(crate) fn state(&self, now_ns: u64) -> WorkerState {
+        match (&self.last, self.over) {
+            (None, _) => WorkerState::Waiting,
+            (Some(_), Some((end, _))) => WorkerState::Gone(end),
+            (Some(last), None) if now_ns >= stale_ns(last) => WorkerState::Stale {
+                age_ns: now_ns - last.sent_ns,
+            },
+            (Some(_), None) => WorkerState::Alive,
+        }
+    }
+
+    /// The state, if it has become worse since it was last told.
+    pub(crate) fn change(&mut self, now_ns: u64) -> Option<WorkerState> {
+        let state = self.state(now_ns);
+        let telling = match state {
+            WorkerState::Waiting | WorkerState::Alive => return None,
+            WorkerState::Stale { .. } => Told::Stale,
+            WorkerState::Gone(_) => Told::Gone,
+        };
+        let changed = telling != self.told;
+        self.told = telling;
+        changed.then_some(state)
+    }
+
+    /// When there will be a change for the lack of frames, monotonic ns.
+    pub(crate) fn change_due_ns(&self) -> Option<u64> {
+        let last = self.last.as_ref()?;
+        (self.over.is_none() && self.told == Told::Nothing).then_some(stale_ns(last))
+    }
+
+    pub(crate) const fn counts(&self) -> Counts {
+        self.counts
+    }
+}
+
+/// The first moment at which the frame is older than two periods.
+const fn stale_ns(last: &Last) -> u64 {
+    last.sent_ns
+        .saturating_add(last.period_ns.saturating_mul(2))
+        .saturating_add(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD_NS: u64 = 100;
+
+    fn header(epoch: u64, tick: u64, sent_ns: u64) -> ForecastHeader {
+        ForecastHeader {
+            worker_epoch: epoch,
+            tick,
+            sent_ns,
+            period_ns: PERIOD_NS,
+            ..ForecastHeader::default()
+        }
+    }
+
+    #[test]
+    fn gaps_are_counted_once_and_ticks_one_by_one() {
+        let mut tracker = Tracker::new();
+        for (epoch, tick, missed, restarted, gaps) in [
+            // Who comes late has missed nothing.
+            (7, 40, 0, false, 0),
+            (7, 41, 0, false, 0),
+            (7, 45, 3, false, 1),
+            (7, 46, 0, false, 1),
+            // A new run counts its ticks from 1.
+            (8, 1, 0, true, 1),
+            (8, 2, 0, false, 1),
+            (9, 3, 2, true, 2),
+            (9, u64::MAX, u64::MAX - 4, false, 3),
+        ] {
+            let arrival = tracker.frame(&header(epoch, tick, 1_000));
+            assert_eq!(
+                (arrival.ticks_missed, arrival.restarted),
+                (missed, restarted),
+                "{epoch}:{tick}"
+            );
+            assert_eq!(tracker.counts().gaps, gaps, "{epoch}:{tick}");
+        }
+        let expected = Counts {
+            frames: 8,
+            gaps: 3,
+            ticks_missed: u64::MAX - 4 + 5,
+            workers: 3,
+        };
+        assert_eq!(tracker.counts(), expected);
+    }
+
+    #[test]
+    fn a_frame_older_than_two_periods_is_stale_and_told_once() {
+        let mut tracker = Tracker::new();
+        assert_eq!(tracker.state(5_000), WorkerState::Waiting);
+        assert_eq!(tracker.change(5_000), None);
+        assert_eq!(tracker.change_due_ns(), None);
+        tracker.frame(&header(1, 1, 1_000));
+        assert_eq!(tracker.change_due_ns(), Some(1_201));
+        let stale = |age_ns| WorkerState::Stale { age_ns };
+        for (now_ns, state, change) in [
+            // Sent by a clock that is read a little later than ours.
+            (999, WorkerState::Alive, false),
+            (1_200, WorkerState::Alive, false),
+            (1_201, stale(201), true),
+            (1_300, stale(300), false),
+            (9_000, stale(8_000), false),
+        ] {
+            assert_eq!(tracker.state(now_ns), state, "{now_ns}");
+            assert_eq!(tracker.change(now_ns), change.then_some(state), "{now_ns}");
+        }
+        assert_eq!(tracker.change_due_ns(), None, "told already");
+        tracker.frame(&header(1, 2, 9_100));
+        assert_eq!(tracker.state(9_100), WorkerState::Alive);
+        assert_eq!(tracker.change(9_301), Some(stale(201)), "told again");
+    }
+
+    #[test]
+    fn an_end_is_told_once_and_outlasts_what_was_sent_before() {
+        for end in [End::Ended, End::Exited, End::FoundDead] {
+            let mut tracker = Tracker::new();
+            // Of whom nothing was heard nobody is missed.
+            tracker.over(end, 900);
+            assert_eq!(tracker.state(900), WorkerState::Waiting);
+            tracker.frame(&header(1, 1, 1_000));
+            tracker.over(end, 1_050);
+            let gone = WorkerState::Gone(end);
+            assert_eq!(tracker.state(1_050), gone);
+            // The last frame is read after the end was seen.
+            tracker.frame(&header(1, 2, 1_040));
+            assert_eq!(tracker.change(1_060), Some(gone));
+            assert_eq!(tracker.change(1_060), None);
+            assert_eq!(tracker.change(9_999), None, "gone, therefore not stale");
+            assert_eq!(tracker.change_due_ns(), None);
+        }
+    }
+
+    #[test]
+    fn the_first_reason_of_an_end_stays() {
+        let mut tracker = Tracker::new();
+        tracker.frame(&header(1, 1, 1_000));
+        tracker.over(End::Ended, 1_010);
+        tracker.over(End::Exited, 1_020);
+        assert_eq!(tracker.state(1_020), WorkerState::Gone(End::Ended));
+    }
+
+    #[test]
+    fn a_new_run_or_a_later_frame_brings_the_worker_back() {
+        for (epoch, tick, sent_ns, back) in [
+            // A new run, even if its first frame was sent before the old one's end was noticed.
+            (2, 1, 1_020, true),
+            (2, 1, 1_090, true),
+            (1, 2, 1_051, true),
+            (1, 2, 1_050, false),
+        ] {
+            let mut tracker = Tracker::new();
+            tracker.frame(&header(1, 1, 1_000));
+            tracker.over(End::Exited, 1_050);
+            assert!(tracker.change(1_060).is_some());
+            tracker.frame(&header(epoch, tick, sent_ns));
+            let alive = tracker.state(1_100) == WorkerState::Alive;
+            assert_eq!(alive, back, "{epoch}:{tick} {sent_ns}");
+            tracker.over(End::Exited, 1_110);
+            assert_eq!(tracker.change(1_120).is_some(), back, "told anew");
+        }
+    }
+
+    #[test]
+    fn a_stale_worker_can_still_be_gone() {
+        let mut tracker = Tracker::new();
+        tracker.frame(&header(1, 1, 1_000));
+        assert!(matches!(
+            tracker.change(1_500),
+            Some(WorkerState::Stale { age_ns: 500 })
+        ));
+        tracker.over(End::Exited, 1_600);
+        assert_eq!(tracker.change(1_600), Some(WorkerState::Gone(End::Exited)));
+    }
+
+    #[test]
+    fn senseless_headers_do_not_panic() {
+        let mut tracker = Tracker::new();
+        let mut wild = header(1, 0, u64::MAX);
+        wild.period_ns = u64::MAX;
+        tracker.frame(&wild);
+        assert_eq!(tracker.state(0), WorkerState::Alive);
+        // At the very end of time everything is stale: never fine.
+        assert!(matches!(
+            tracker.state(u64::MAX),
+            WorkerState::Stale { age_ns: 0 }
+        ));
+        wild.period_ns = 0;
+        wild.sent_ns = 10;
+        tracker.frame(&wild);
+        assert_eq!(tracker.state(11), WorkerState::Stale { age_ns: 1 });
+    }
+}
