@@ -1,0 +1,260 @@
+//! Which samples must be taken, and which refused for what: membership, ownership, order, values.
+
+use std::collections::BTreeMap;
+
+use joulebus_fleet::{Platform, Settings};
+use joulebus_predictor::Model;
+use joulebus_wire::{DropReason, InvalidReason, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
+
+use crate::robot::{Account, Robot};
+
+/// A robot in the fleet, with what its admission rests on.
+#[derive(Debug)]
+pub(crate) struct Member {
+    pub robot: Robot,
+    pub kind: usize,
+    owner: u64,
+    epoch: u64,
+    seqs: Vec<u64>,
+    fresh_run: bool,
+    pub heard_ns: u64,
+    /// Its number among all that ever joined.
+    joined: usize,
+    taken: u16,
+    pub refused: u64,
+    pub invalid: Option<InvalidReason>,
+}
+
+pub(crate) struct Oracle {
+    settings: Settings,
+    pub models: Vec<Model>,
+    pub members: BTreeMap<u32, Member>,
+    pub departed: BTreeMap<u32, Account>,
+    /// Source id to epoch and samples accounted for.
+    sources: BTreeMap<u64, (u64, u64)>,
+    pub accepted: u64,
+    pub drops: BTreeMap<&'static str, u64>,
+    joined: usize,
+}
+
+impl Oracle {
+    pub(crate) fn new(settings: Settings, models: Vec<Model>) -> Self {
+        Self {
+            settings,
+            models,
+            members: BTreeMap::new(),
+            departed: BTreeMap::new(),
+            sources: BTreeMap::new(),
+            accepted: 0,
+            drops: BTreeMap::new(),
+            joined: 0,
+        }
+    }
+
+    pub(crate) fn keeps_account_of(&self, source_id: u64) -> bool {
+        self.sources.contains_key(&source_id)
+    }
+
+    fn drop(&mut self, reason: DropReason, count: u64) {
+        if count > 0 {
+            *self.drops.entry(reason.name()).or_default() += count;
+        }
+    }
+
+    pub(crate) fn take(&mut self, header: &SampleHeader, samples: &[Sample], now_ns: u64) {
+        if let Err(reason) = self.frame(header, samples.len() as u64) {
+            self.drop(reason, samples.len() as u64);
+            return;
+        }
+        for sample in samples {
+            match self.sample(header, sample, now_ns) {
+                Ok(()) => self.accepted += 1,
+                Err(reason) => self.refuse(sample.robot, reason),
+            }
+        }
+    }
+
+    fn frame(&mut self, header: &SampleHeader, count: u64) -> Result<(), DropReason> {
+        if header.schema != SCHEMA_VERSION {
+            return Err(DropReason::Schema);
+        }
+        let known = self.sources.get(&header.source_id).copied();
+        if known.is_none() && self.sources.len() == usize::from(self.settings.intake.max_sources) {
+            return Err(DropReason::TooManySources);
+        }
+        let (epoch, accounted) = known.unwrap_or((header.source_epoch, 0));
+        if header.source_epoch < epoch {
+            return Err(DropReason::OldEpoch);
+        }
+        let accounted = if header.source_epoch > epoch {
+            0
+        } else {
+            accounted
+        };
+        self.sources
+            .insert(header.source_id, (header.source_epoch, accounted));
+        if header.samples_before < accounted {
+            return Err(DropReason::Duplicate);
+        }
+        let reason = if accounted == 0 {
+            DropReason::BeforeJoin
+        } else {
+            DropReason::Overflow
+        };
+        self.drop(reason, header.samples_before - accounted);
+        self.sources.insert(
+            header.source_id,
+            (header.source_epoch, header.samples_before + count),
+        );
+        Ok(())
+    }
+
+    fn kind_of(&self, id: u32) -> Option<usize> {
+        self.settings
+            .platforms
+            .iter()
+            .position(|platform| platform.robots.iter().any(|range| range.contains(&id)))
+    }
+
+    fn join(&mut self, header: &SampleHeader, id: u32, now_ns: u64) -> Result<(), DropReason> {
+        if self.members.contains_key(&id) {
+            return Ok(());
+        }
+        let kind = self.kind_of(id).ok_or(DropReason::UnknownRobot)?;
+        if self.members.len() == self.settings.capacity as usize {
+            return Err(DropReason::OverCapacity);
+        }
+        let account = self.departed.remove(&id).unwrap_or_default();
+        let member = Member {
+            robot: Robot::new(self.settings.platforms[kind].clone(), account),
+            kind,
+            owner: header.source_id,
+            epoch: header.source_epoch,
+            seqs: Vec::new(),
+            fresh_run: false,
+            heard_ns: now_ns,
+            joined: self.joined,
+            taken: 0,
+            refused: 0,
+            invalid: None,
+        };
+        self.members.insert(id, member);
+        self.joined += 1;
+        Ok(())
+    }
+
+    fn sample(
+        &mut self,
+        header: &SampleHeader,
+        sample: &Sample,
+        now_ns: u64,
+    ) -> Result<(), DropReason> {
+        self.join(header, sample.robot, now_ns)?;
+        let intake = self.settings.intake;
+        let member = self.members.get_mut(&sample.robot).expect("it has joined");
+        if member.owner != header.source_id {
+            return Err(DropReason::ForeignSource);
+        }
+        if header.source_epoch < member.epoch {
+            return Err(DropReason::OldEpoch);
+        }
+        if header.source_epoch > member.epoch {
+            member.epoch = header.source_epoch;
+            member.seqs.clear();
+            member.fresh_run = true;
+        }
+        let highest = member.seqs.iter().max().copied();
+        if highest == Some(sample.seq) {
+            return Err(DropReason::Duplicate);
+        }
+        if highest > Some(sample.seq) {
+            return Err(DropReason::OutOfOrder);
+        }
+        member.seqs.push(sample.seq);
+        if member.taken >= intake.max_samples_per_tick {
+            return Err(DropReason::Backlog);
+        }
+        values(sample, &member.robot.platform)?;
+        let mut sample = *sample;
+        if let Some(last) = member.robot.last {
+            let later = sample.stamp_ns > last.stamp_ns;
+            let near = sample.stamp_ns.saturating_sub(last.stamp_ns) <= intake.max_jump_ns;
+            if !(later && near) {
+                if !member.fresh_run {
+                    return Err(DropReason::BadTime);
+                }
+                sample.flags |= sample_flag::DISCONTINUITY;
+            }
+        }
+        member.fresh_run = false;
+        member.taken += 1;
+        (member.heard_ns, member.invalid) = (now_ns, None);
+        member.robot.accept(&sample, &self.models[member.kind]);
+        Ok(())
+    }
+
+    fn refuse(&mut self, id: u32, reason: DropReason) {
+        self.drop(reason, 1);
+        let invalid = match reason {
+            DropReason::NotFinite => InvalidReason::NotFinite,
+            DropReason::PowerOutOfRange => InvalidReason::PowerOutOfRange,
+            DropReason::CommandOutOfRange => InvalidReason::CommandOutOfRange,
+            DropReason::BadFlags => InvalidReason::BadFlags,
+            DropReason::BadTime => InvalidReason::BadTime,
+            _ => return,
+        };
+        let member = self.members.get_mut(&id).expect("it has joined");
+        member.refused += 1;
+        member.invalid = Some(invalid);
+    }
+
+    /// The tick is over: robots that have been silent for too long leave.
+    pub(crate) fn tick(&mut self, now_ns: u64) {
+        let leave_after_ns = self.settings.intake.leave_after_ns;
+        let mut gone: Vec<u32> = self
+            .members
+            .iter()
+            .filter(|(_, member)| now_ns - member.heard_ns > leave_after_ns)
+            .map(|(id, _)| *id)
+            .collect();
+        gone.sort_by_key(|id| self.members[id].joined);
+        for id in gone {
+            let member = self.members.remove(&id).expect("it was just found");
+            // As many accounts are kept as there is room for robots.
+            if self.departed.len() < self.settings.capacity as usize {
+                self.departed.insert(id, member.robot.account);
+            }
+        }
+        for member in self.members.values_mut() {
+            member.taken = 0;
+        }
+    }
+}
+
+fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
+    if sample.flags > 0xff || sample.reserved != 0 {
+        return Err(DropReason::BadFlags);
+    }
+    let known = |flag, value: f32| sample.has(flag).then_some(value);
+    let v = known(sample_flag::V, sample.v_mps);
+    let omega = known(sample_flag::OMEGA, sample.omega_radps);
+    let power = known(sample_flag::POWER, sample.power_w);
+    let voltage = known(sample_flag::VOLTAGE, sample.voltage_v);
+    let current = known(sample_flag::CURRENT, sample.current_a);
+    let all = [v, omega, power, voltage, current];
+    if all.into_iter().flatten().any(|value| !value.is_finite()) {
+        return Err(DropReason::NotFinite);
+    }
+    if power.is_some_and(|p| p < platform.power_min_w || p > platform.power_max_w) {
+        return Err(DropReason::PowerOutOfRange);
+    }
+    if v.is_some_and(|v| v.abs() > platform.v_max_mps)
+        || omega.is_some_and(|omega| omega.abs() > platform.omega_max_radps)
+    {
+        return Err(DropReason::CommandOutOfRange);
+    }
+    if power.is_some() && sample.measured_ns > sample.stamp_ns {
+        return Err(DropReason::BadTime);
+    }
+    Ok(())
+}

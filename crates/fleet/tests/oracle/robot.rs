@@ -1,0 +1,272 @@
+//! What must come of one robot's samples, written as plainly as possible: every step and every
+//! score is kept, nothing is updated in place that can be summed up again.
+
+use joulebus_fleet::Platform;
+use joulebus_predictor::{Features, Model};
+use joulebus_wire::{Freshness, InvalidReason, Quality, Sample, sample_flag};
+
+use crate::world::random::Noise;
+
+/// The window and its forecast: readings (or forecasts in their place), oldest first.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Run {
+    pub powers_w: Vec<f32>,
+    pub forecast_w: Option<f32>,
+    pub command: Option<(f32, f32)>,
+    /// Steps at the end that are no readings.
+    pub unread: u64,
+}
+
+impl Run {
+    pub(crate) fn is_full(&self) -> bool {
+        self.powers_w.len() >= 5
+    }
+
+    /// One period without a sample: the forecast takes the reading's place. Says whether that was
+    /// possible.
+    fn advance(&mut self, model: &Model) -> bool {
+        let Some(forecast_w) = self.forecast_w else {
+            return false;
+        };
+        self.powers_w.push(forecast_w);
+        self.unread += 1;
+        self.forecast_w = predict(model, &self.row(self.command, 0.0, 0.0));
+        self.forecast_w.is_some()
+    }
+
+    /// The window as it is after so many periods without a sample.
+    pub(crate) fn ahead(&self, model: &Model, steps: u64) -> Option<Self> {
+        let mut run = self.clone();
+        (0..steps).all(|_| run.advance(model)).then_some(run)
+    }
+
+    fn row(&self, command: Option<(f32, f32)>, dv: f32, domega: f32) -> Features {
+        let (v, omega) = command.unwrap_or((f32::NAN, f32::NAN));
+        let lag = |back: usize| self.powers_w[self.powers_w.len() - back];
+        [
+            v,
+            omega,
+            dv,
+            domega,
+            v.abs(),
+            omega.abs(),
+            lag(1),
+            lag(2),
+            lag(3),
+            lag(4),
+            lag(5),
+        ]
+    }
+}
+
+fn predict(model: &Model, row: &Features) -> Option<f32> {
+    let forecast_w = match model {
+        Model::Network(network) => network.predict_reference_f32(row),
+        Model::Persistence(_) => row[6],
+    };
+    forecast_w.is_finite().then_some(forecast_w)
+}
+
+/// How many sample instants lie empty between two samples.
+pub(crate) fn missing(elapsed_ns: u64, period_ns: u64) -> u64 {
+    if elapsed_ns <= period_ns + period_ns / 2 {
+        return 0;
+    }
+    // To the nearest whole number of periods, less the one that is always there.
+    let periods = (2 * elapsed_ns + period_ns) / (2 * period_ns);
+    periods - 1
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Scored {
+    pub reading_w: f32,
+    pub residual_w: f32,
+    pub previous_w: f32,
+}
+
+/// The account of a robot; it outlives the robot's stay in the fleet.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Account {
+    /// Twice the integral of the power, µW · ns.
+    pub drawn: i128,
+    pub expected: i128,
+    pub metered_ns: u64,
+    pub unmetered_ns: u64,
+    /// Time between all samples, ns; a clock that goes back adds none.
+    pub elapsed_ns: u64,
+    pub last: Option<(u64, Option<f32>)>,
+}
+
+fn microwatts(power_w: f32) -> i128 {
+    (f64::from(power_w) * 1e6).round() as i128
+}
+
+impl Account {
+    fn meter(
+        &mut self,
+        stamp_ns: u64,
+        power_w: Option<f32>,
+        forecast_w: Option<f32>,
+        period_ns: u64,
+    ) {
+        if let Some((last_ns, before_w)) = self.last {
+            let elapsed_ns = stamp_ns.saturating_sub(last_ns);
+            self.elapsed_ns += elapsed_ns;
+            match (before_w, power_w) {
+                (Some(a), Some(b)) if missing(elapsed_ns, period_ns) == 0 => {
+                    let both = microwatts(a) + microwatts(b);
+                    self.drawn += both * i128::from(elapsed_ns);
+                    self.expected += forecast_w.map_or(both, |watts| 2 * microwatts(watts))
+                        * i128::from(elapsed_ns);
+                    self.metered_ns += elapsed_ns;
+                }
+                _ => self.unmetered_ns += elapsed_ns,
+            }
+        }
+        self.last = Some((stamp_ns, power_w));
+    }
+}
+
+/// One robot during one stay in the fleet.
+#[derive(Debug, Clone)]
+pub(crate) struct Robot {
+    pub platform: Platform,
+    pub run: Run,
+    pub account: Account,
+    pub scored: Vec<Scored>,
+    pub last: Option<Sample>,
+    pub residual_w: Option<f32>,
+    pub quality: Quality,
+}
+
+impl Robot {
+    pub(crate) fn new(platform: Platform, account: Account) -> Self {
+        Self {
+            platform,
+            run: Run::default(),
+            account,
+            scored: Vec::new(),
+            last: None,
+            residual_w: None,
+            quality: Quality::Warmup { have: 0 },
+        }
+    }
+
+    fn longest(&self) -> u64 {
+        self.platform.stale_after_ns / self.platform.period_ns
+    }
+
+    pub(crate) fn accept(&mut self, sample: &Sample, model: &Model) {
+        let gap = self.bridge(sample, model);
+        let forecast_w = self.run.forecast_w;
+        let reading_w = sample.has(sample_flag::POWER).then_some(sample.power_w);
+        let one_step = !gap && self.run.unread == 0;
+        let scorable_w = forecast_w.filter(|_| one_step);
+        let period_ns = self.platform.period_ns;
+        self.account
+            .meter(sample.stamp_ns, reading_w, scorable_w, period_ns);
+        self.residual_w = reading_w.zip(forecast_w).map(|(y, f)| y - f);
+        if let (Some(reading_w), Some(forecast_w)) = (reading_w, scorable_w) {
+            self.scored.push(Scored {
+                reading_w,
+                residual_w: reading_w - forecast_w,
+                previous_w: *self.run.powers_w.last().expect("it made a forecast"),
+            });
+        }
+        self.read(reading_w);
+        self.forecast(sample, model);
+        self.last = Some(*sample);
+    }
+
+    /// Fills the periods between the last sample and this one. Says whether there were any.
+    fn bridge(&mut self, sample: &Sample, model: &Model) -> bool {
+        if sample.has(sample_flag::DISCONTINUITY) {
+            self.run = Run::default();
+            return true;
+        }
+        let Some(last) = self.last else { return false };
+        let steps = missing(sample.stamp_ns - last.stamp_ns, self.platform.period_ns);
+        if steps == 0 || self.run.powers_w.is_empty() {
+            return false;
+        }
+        let short = self.run.unread + steps <= self.longest();
+        self.run = Some(steps)
+            .filter(|_| short && self.run.is_full())
+            .and_then(|steps| self.run.ahead(model, steps))
+            .unwrap_or_default();
+        true
+    }
+
+    fn read(&mut self, reading_w: Option<f32>) {
+        match (reading_w, self.run.forecast_w) {
+            (Some(reading_w), _) => {
+                self.run.powers_w.push(reading_w);
+                self.run.unread = 0;
+            }
+            (None, Some(forecast_w)) if self.run.unread < self.longest() => {
+                self.run.powers_w.push(forecast_w);
+                self.run.unread += 1;
+            }
+            (None, _) => self.run = Run::default(),
+        }
+    }
+
+    fn forecast(&mut self, sample: &Sample, model: &Model) {
+        let known = sample.has(sample_flag::V) && sample.has(sample_flag::OMEGA);
+        let command = known.then_some((sample.v_mps, sample.omega_radps));
+        let (mut dv, mut domega) = (0.0, 0.0);
+        if let (Some(last), Some(before), Some(now)) = (self.last, self.run.command, command) {
+            let dt_s = ((sample.stamp_ns - last.stamp_ns) as f64 * 1e-9) as f32;
+            (dv, domega) = ((now.0 - before.0) / dt_s, (now.1 - before.1) / dt_s);
+        }
+        self.run.command = command;
+        self.run.forecast_w = None;
+        let full = self.run.is_full();
+        let runs = full && (known || !model.needs_command());
+        if runs {
+            self.run.forecast_w = predict(model, &self.run.row(command, dv, domega));
+        }
+        self.quality = match sample.freshness() {
+            Freshness::Missing if !full => Quality::Invalid(InvalidReason::NoReading),
+            _ if !full => Quality::Warmup {
+                have: self.run.powers_w.len() as u16,
+            },
+            _ if !runs => Quality::Invalid(InvalidReason::NoCommand),
+            _ if self.run.forecast_w.is_none() => Quality::Invalid(InvalidReason::ModelOutput),
+            Freshness::Missing => Quality::OpenLoop {
+                steps: self.run.unread as u16,
+            },
+            Freshness::Held => Quality::Held,
+            Freshness::Fresh => Quality::Fresh,
+        };
+    }
+
+    /// What is shown after `silent_ns` without a sample by the worker's clock.
+    pub(crate) fn shown(&self, model: &Model, silent_ns: u64) -> (Quality, Option<f32>) {
+        if silent_ns > self.platform.stale_after_ns {
+            return (Quality::Invalid(InvalidReason::Stale), None);
+        }
+        let fine = matches!(
+            self.quality,
+            Quality::Fresh | Quality::Held | Quality::OpenLoop { .. }
+        );
+        if !fine {
+            return (self.quality, None);
+        }
+        let steps = missing(silent_ns, self.platform.period_ns)
+            .min(self.longest().saturating_sub(self.run.unread));
+        match self.run.ahead(model, steps) {
+            Some(run) if steps > 0 => {
+                let steps = run.unread as u16;
+                (Quality::OpenLoop { steps }, run.forecast_w)
+            }
+            Some(run) => (self.quality, run.forecast_w),
+            None => (Quality::Invalid(InvalidReason::ModelOutput), None),
+        }
+    }
+}
+
+/// One chance in `of`.
+pub(crate) fn rarely(noise: &mut Noise, of: u64) -> bool {
+    noise.next_u64().is_multiple_of(of)
+}
