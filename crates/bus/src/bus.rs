@@ -8,9 +8,10 @@ use joulebus_wire::Service;
 use rustix::fs::Mode;
 
 use crate::keeper::Housekeeping;
-use crate::leftovers::{SweepReport, objects, remove_dead_nodes, remove_stillborn};
+use crate::leftovers::{SweepReport, remove_dead_nodes};
 use crate::membership::Membership;
 use crate::port::{self, OpenError};
+use crate::stillborn::{objects, remove_stillborn};
 use crate::wait::{Waiter, Waker};
 use crate::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, Domain, ForecastReader,

@@ -3,12 +3,17 @@
 use std::io::Write;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 use std::{fs, io};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{FileName, FilePath, Path as BusPath, SemanticString};
 
 use crate::Domain;
+
+/// How long iceoryx2 waits for another process that is creating something; then we look whether that
+/// process is dead, and try again.
+const CREATION_TIMEOUT_MS: u64 = 300;
 
 /// What iceoryx2 must be set to for `domain`.
 pub(crate) fn wanted(domain: &Domain) -> Result<Config, ConfigError> {
@@ -23,6 +28,7 @@ pub(crate) fn wanted(domain: &Domain) -> Result<Config, ConfigError> {
     let root =
         BusPath::new(directory.as_os_str().as_encoded_bytes()).map_err(|_| refused("root path"))?;
     config.global.set_root_path(&root);
+    config.global.creation_timeout = Duration::from_millis(CREATION_TIMEOUT_MS);
     Ok(config)
 }
 
@@ -64,7 +70,9 @@ fn text(domain: &Domain) -> String {
     // Both values are checked by `Domain::new`: no character needs quoting.
     format!(
         "# Written by joulebus; the same for every process of the fleet {fleet:?}.\n\
-         [global]\nprefix = \"{prefix}\"\nroot-path = \"{root}\"\n",
+         [global]\nprefix = \"{prefix}\"\nroot-path = \"{root}\"\n\
+         [global.creation-timeout]\nsecs = 0\nnanos = {nanos}\n",
+        nanos = CREATION_TIMEOUT_MS * 1_000_000,
         fleet = domain.fleet(),
         prefix = domain.shm_prefix(),
         root = domain.directory().display(),

@@ -10,8 +10,8 @@ use iceoryx2::prelude::{CallbackProgression, ipc};
 
 use crate::config::{self, ConfigError};
 use crate::domain::{effective_uid, filesystem, is_memory};
-use crate::leftovers::{is_stillborn, objects};
 use crate::room::{RoomError, measure};
+use crate::stillborn::{objects, unfinished};
 use crate::{Domain, RoomReport, RootError, WorkerLock};
 
 /// The state of a domain. Looking changes nothing.
@@ -25,7 +25,7 @@ pub struct Inspection {
     pub nodes: Vec<NodeInfo>,
     /// Process id of the worker, if one runs.
     pub worker_pid: Option<u32>,
-    /// Zero-length objects that somebody may be waiting for.
+    /// Unfinished objects that somebody may be waiting for.
     pub stillborn: Vec<PathBuf>,
     /// Objects with our prefix that belong to another user.
     pub foreign: Vec<PathBuf>,
@@ -85,11 +85,7 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     Ok(Inspection {
         nodes: nodes(domain)?,
         worker_pid: WorkerLock::owner(domain).unwrap_or_default(),
-        stillborn: mine
-            .iter()
-            .filter(|object| is_stillborn(object))
-            .map(|object| object.path.clone())
-            .collect(),
+        stillborn: unfinished(domain)?,
         foreign: others.into_iter().map(|object| object.path).collect(),
         objects: mine.len() as u64,
         object_bytes: mine.iter().map(|object| object.bytes).sum(),

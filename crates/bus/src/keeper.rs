@@ -9,7 +9,8 @@ use std::time::Duration;
 use iceoryx2::config::Config;
 
 use crate::Domain;
-use crate::leftovers::{SweepReport, remove_dead_nodes, remove_stillborn};
+use crate::leftovers::{SweepReport, remove_dead_nodes};
+use crate::stillborn::remove_stillborn;
 
 /// Somebody may be waiting for an unfinished object: look often, it costs 20 µs.
 const STILLBORN_EVERY: Duration = Duration::from_millis(250);
@@ -23,7 +24,7 @@ pub struct Housekeeping {
     pub dead_nodes: u64,
     /// Attempts at dead nodes that failed; another member may have been faster.
     pub failed_nodes: u64,
-    /// Zero-length objects removed.
+    /// Unfinished objects, services and nodes removed.
     pub stillborn: u64,
 }
 

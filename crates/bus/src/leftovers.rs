@@ -4,20 +4,16 @@ use std::fs::{self, File};
 use std::io;
 use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
 
 use iceoryx2::config::Config;
 use iceoryx2::node::{Node, NodeState};
 use iceoryx2::prelude::{CallbackProgression, ipc};
 
 use crate::config::{self, ConfigError};
-use crate::domain::{SHM_DIR, check_private, effective_uid};
+use crate::domain::{check_private, effective_uid};
 use crate::membership::MembersLock;
+use crate::stillborn::{objects, remove_stillborn};
 use crate::{Domain, RootError};
-
-/// How long an object may stay without a size before it counts as left behind. Creating one takes
-/// microseconds.
-pub(crate) const STILLBORN_AGE: Duration = Duration::from_millis(250);
 
 /// What was removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -26,7 +22,7 @@ pub struct SweepReport {
     pub dead_nodes: u64,
     /// Nodes of dead processes that could not be removed; they go with the last member.
     pub failed_nodes: u64,
-    /// Zero-length objects in shared memory.
+    /// Objects, services and nodes that were created but never finished.
     pub stillborn: u64,
     /// Objects in shared memory removed because no member was alive.
     pub objects: u64,
@@ -57,9 +53,18 @@ impl SweepReport {
 /// # Errors
 /// [`SweepError`]; what could be removed has been.
 pub fn sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
+    loop {
+        match try_sweep(domain) {
+            // The last member has just removed the directory under us.
+            Err(error) if error.vanished() => {}
+            result => return result,
+        }
+    }
+}
+
+fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
     let mut report = SweepReport::default();
-    let directory = domain.directory();
-    if fs::symlink_metadata(&directory).is_err() && objects(domain)?.is_empty() {
+    if fs::symlink_metadata(domain.directory()).is_err() && objects(domain)?.is_empty() {
         domain.remove_root();
         return Ok(report);
     }
@@ -74,83 +79,6 @@ pub fn sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
         remove_dead_nodes(config, &mut report);
     }
     Ok(report)
-}
-
-/// One object of a domain in shared memory.
-pub(crate) struct Object {
-    pub(crate) path: PathBuf,
-    pub(crate) bytes: u64,
-    pub(crate) owner: u32,
-    pub(crate) mode: u32,
-    modified: Option<SystemTime>,
-}
-
-/// All objects whose names begin with the domain's prefix, whoever owns them.
-pub(crate) fn objects(domain: &Domain) -> Result<Vec<Object>, RootError> {
-    let read = |error| RootError::io(Path::new(SHM_DIR), error);
-    let mut found = Vec::new();
-    for entry in fs::read_dir(SHM_DIR).map_err(read)? {
-        let entry = entry.map_err(read)?;
-        let name = entry.file_name();
-        if !name
-            .as_encoded_bytes()
-            .starts_with(domain.shm_prefix().as_bytes())
-        {
-            continue;
-        }
-        // It may go away between listing and looking: then it is none of ours any more.
-        let Ok(metadata) = entry.metadata() else {
-            continue;
-        };
-        if metadata.is_file() {
-            found.push(Object {
-                path: entry.path(),
-                bytes: metadata.size(),
-                owner: metadata.uid(),
-                mode: metadata.mode() & 0o7777,
-                modified: metadata.modified().ok(),
-            });
-        }
-    }
-    Ok(found)
-}
-
-/// Removes objects that were created but never sized: who opens one waits for it for ever.
-///
-/// Only our own, only those older than [`STILLBORN_AGE`], and only if no process holds them open:
-/// a creator that is merely slow, or stopped, does.
-pub(crate) fn remove_stillborn(domain: &Domain) -> Result<u64, RootError> {
-    let mut removed = 0;
-    for object in objects(domain)? {
-        if is_stillborn(&object) && !is_open(&object.path) {
-            // Sized in the meantime, then it is somebody's.
-            let empty = fs::metadata(&object.path).is_ok_and(|now| now.len() == 0);
-            if empty && fs::remove_file(&object.path).is_ok() {
-                removed += 1;
-            }
-        }
-    }
-    Ok(removed)
-}
-
-pub(crate) fn is_stillborn(object: &Object) -> bool {
-    let age = object.modified.and_then(|at| at.elapsed().ok());
-    object.bytes == 0
-        && object.owner == effective_uid()
-        && age.is_some_and(|age| age > STILLBORN_AGE)
-}
-
-/// Whether a process of this user has `path` open. Objects are 0600: nobody else can have.
-fn is_open(path: &Path) -> bool {
-    let Ok(processes) = fs::read_dir("/proc") else {
-        return true;
-    };
-    let ids = processes
-        .flatten()
-        .filter(|process| process.file_name().as_encoded_bytes()[0].is_ascii_digit());
-    ids.filter_map(|process| fs::read_dir(process.path().join("fd")).ok())
-        .flat_map(|descriptors| descriptors.flatten())
-        .any(|descriptor| fs::read_link(descriptor.path()).is_ok_and(|target| target == path))
 }
 
 /// Lets iceoryx2 remove the nodes of dead processes. 1 to 25 ms when there is work.
@@ -261,4 +189,17 @@ pub enum SweepError {
         /// What the system said.
         source: io::Error,
     },
+}
+
+impl SweepError {
+    fn vanished(&self) -> bool {
+        let source = match self {
+            Self::Root(error) => return error.vanished(),
+            Self::Config(ConfigError::Write { source, .. })
+            | Self::Lock(source)
+            | Self::Remove { source, .. } => source,
+            Self::Config(_) => return false,
+        };
+        source.kind() == io::ErrorKind::NotFound
+    }
 }

@@ -40,6 +40,7 @@ mod membership;
 mod memory;
 mod port;
 mod room;
+mod stillborn;
 mod wait;
 mod worker_lock;
 

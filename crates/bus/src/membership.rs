@@ -14,7 +14,8 @@ use rustix::fs::{FlockOperation, OFlags, flock};
 use crate::config::{self, ConfigError};
 use crate::domain::effective_uid;
 use crate::keeper::Keeper;
-use crate::leftovers::{SweepError, SweepReport, is_same, objects, remove_all};
+use crate::leftovers::{SweepError, SweepReport, is_same, remove_all};
+use crate::stillborn::objects;
 use crate::{Domain, RootError};
 
 /// How long a join may take before it is given up.

@@ -30,12 +30,11 @@ use joulebus_wire::{
     SampleHeader, Service, WakeEvent, service_name,
 };
 
-use crate::leftovers::{
-    SweepReport, remove_abandoned_service, remove_dead_nodes, remove_stillborn,
-};
+use crate::leftovers::{SweepReport, remove_dead_nodes};
 use crate::limits::Shape;
 use crate::membership::Membership;
 use crate::room::{segment_bytes, shared_memory};
+use crate::stillborn::{remove_abandoned_service, remove_stillborn};
 use crate::wait::{WaitError, Waiter, Waker};
 use crate::{Bus, Limits, RoomError, clock, memory};
 
@@ -232,10 +231,7 @@ where
     ///
     /// # Errors
     /// [`ReceiveError`] when nothing newer was found; the next call may succeed.
-    pub fn hold_latest(
-        &mut self,
-        mut newer: impl FnMut(&H) -> bool,
-    ) -> Result<bool, ReceiveError> {
+    pub fn hold_latest(&mut self, mut newer: impl FnMut(&H) -> bool) -> Result<bool, ReceiveError> {
         let mut found = false;
         loop {
             match self.receive() {

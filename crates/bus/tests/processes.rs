@@ -380,6 +380,7 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
                 break;
             }
             killed += 1;
+            assert!(number < 300, "each death makes the next start longer");
             // The living must not be held up either: its next send connects to the newcomer.
             let begin = Instant::now();
             let mut next = joined(&place, "worker");

@@ -1,0 +1,220 @@
+//! What was begun and never finished, because its creator was killed: objects, services, nodes.
+//!
+//! iceoryx2 removes nodes of dead processes, but only finished ones, and it cannot tell an
+//! unfinished object from one that is just being made. The kernel can: whoever makes or uses
+//! something has its file open.
+
+use std::collections::{BTreeMap, HashSet};
+use std::fs;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+use crate::domain::{SHM_DIR, effective_uid};
+use crate::{Domain, RootError};
+
+/// How long something may stay unfinished before it counts as left behind. Creating it takes
+/// microseconds.
+const OLD: Duration = Duration::from_millis(250);
+/// An object, and a node's context, get this right when they are finished.
+const OWNER_READ: u32 = 0o400;
+/// A service's description loses this right when it is finished.
+const OWNER_WRITE: u32 = 0o200;
+/// The files of a node's monitor: `<prefix><id>.node_monitor<suffix>`.
+const MONITOR: &str = ".node_monitor";
+const CONTEXT: &str = "_context";
+const OWNER_LOCK: &str = "_owner_lock";
+
+/// A file of a domain.
+#[derive(Clone)]
+pub(crate) struct Object {
+    pub(crate) path: PathBuf,
+    pub(crate) bytes: u64,
+    pub(crate) owner: u32,
+    pub(crate) mode: u32,
+    modified: Option<SystemTime>,
+    identity: Identity,
+}
+
+/// Device and inode: the same file, whatever path leads to it.
+type Identity = (u64, u64);
+
+impl Object {
+    fn new(path: PathBuf) -> Option<Self> {
+        let metadata = fs::symlink_metadata(&path).ok()?;
+        metadata.is_file().then(|| Self {
+            path,
+            bytes: metadata.size(),
+            owner: metadata.uid(),
+            mode: metadata.mode() & 0o7777,
+            modified: metadata.modified().ok(),
+            identity: (metadata.dev(), metadata.ino()),
+        })
+    }
+
+    fn is_old(&self) -> bool {
+        let age = self.modified.and_then(|at| at.elapsed().ok());
+        self.owner == effective_uid() && age.is_some_and(|age| age > OLD)
+    }
+
+    /// Of an object in shared memory: without a size, or without its final rights.
+    fn is_unfinished(&self) -> bool {
+        self.bytes == 0 || self.mode & OWNER_READ == 0
+    }
+}
+
+/// All objects in shared memory whose names begin with the domain's prefix, whoever owns them.
+pub(crate) fn objects(domain: &Domain) -> Result<Vec<Object>, RootError> {
+    let read = |error| RootError::io(Path::new(SHM_DIR), error);
+    let mut found = Vec::new();
+    for entry in fs::read_dir(SHM_DIR).map_err(read)? {
+        let entry = entry.map_err(read)?;
+        let name = entry.file_name();
+        if name
+            .as_encoded_bytes()
+            .starts_with(domain.shm_prefix().as_bytes())
+        {
+            found.extend(Object::new(entry.path()));
+        }
+    }
+    Ok(found)
+}
+
+/// Objects in shared memory that were not finished in time; their creators may be alive.
+pub(crate) fn unfinished(domain: &Domain) -> Result<Vec<PathBuf>, RootError> {
+    let unfinished = |object: &Object| object.is_unfinished() && object.is_old();
+    let found = objects(domain)?.into_iter().filter(unfinished);
+    Ok(found.map(|object| object.path).collect())
+}
+
+/// Removes what was created but never finished: who opens an object without a size waits for it for
+/// ever, a service half created stays so, and nobody cleans up after half a node.
+///
+/// Only our own, only what is older than 250 ms, and only if no process holds it open. Returns how
+/// many were removed.
+pub(crate) fn remove_stillborn(domain: &Domain) -> Result<u64, RootError> {
+    let mut objects = objects(domain)?;
+    objects.retain(|object| object.is_unfinished() && object.is_old());
+    let mut services = services(domain);
+    services.retain(|service| service.mode & OWNER_WRITE != 0 && service.is_old());
+    let nodes = unfinished_nodes(domain);
+    if objects.is_empty() && services.is_empty() && nodes.is_empty() {
+        return Ok(0);
+    }
+    // Looked at after the candidates: a creator that lives has them open ever since.
+    let open = open_files();
+    let mut removed = 0;
+    objects.retain(|object| !open.contains(&object.identity));
+    for object in objects {
+        // Finished in the meantime, then it is somebody's.
+        let still = Object::new(object.path)
+            .is_some_and(|object| object.is_unfinished() && fs::remove_file(&object.path).is_ok());
+        removed += u64::from(still);
+    }
+    removed += remove_unless_open(services, &open);
+    for node in nodes {
+        if !node.files.iter().any(|file| open.contains(&file.identity)) {
+            removed += u64::from(node.remove());
+        }
+    }
+    Ok(removed)
+}
+
+/// Removes the description of service `name` if nobody uses it any more: its creator was killed
+/// before its shared memory existed, or its last user before the description was removed.
+pub(crate) fn remove_abandoned_service(domain: &Domain, name: &str) -> u64 {
+    let mut services = services(domain);
+    services.retain(|service| {
+        let text = fs::read(&service.path).unwrap_or_default();
+        let mut parts = text.windows(name.len());
+        service.is_old() && parts.any(|part| part == name.as_bytes())
+    });
+    remove_unless_open(services, &open_files())
+}
+
+fn remove_unless_open(files: Vec<Object>, open: &HashSet<Identity>) -> u64 {
+    let abandoned = files
+        .into_iter()
+        .filter(|file| !open.contains(&file.identity));
+    abandoned
+        .filter(|file| fs::remove_file(&file.path).is_ok())
+        .count() as u64
+}
+
+/// The descriptions of the domain's services.
+fn services(domain: &Domain) -> Vec<Object> {
+    list(&domain.directory().join("services"))
+        .into_iter()
+        .filter_map(Object::new)
+        .collect()
+}
+
+fn list(directory: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(directory).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).collect()
+}
+
+/// A node on disk: the directory of its details, and the files of its monitor.
+#[derive(Default)]
+struct HalfNode {
+    directory: Option<PathBuf>,
+    files: Vec<Object>,
+    /// Monitor, finished context, and owner lock: three make a node that iceoryx2 can handle.
+    parts: u32,
+}
+
+impl HalfNode {
+    fn remove(self) -> bool {
+        let files = self
+            .files
+            .iter()
+            .all(|file| fs::remove_file(&file.path).is_ok());
+        let directory = self
+            .directory
+            .is_none_or(|path| fs::remove_dir(path).is_ok());
+        files && directory
+    }
+}
+
+/// Nodes whose creator, or cleaner, was killed half-way: they hold no port yet, or no more.
+fn unfinished_nodes(domain: &Domain) -> Vec<HalfNode> {
+    let mut nodes: BTreeMap<String, HalfNode> = BTreeMap::new();
+    for path in list(&domain.directory().join("nodes")) {
+        let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
+            continue;
+        };
+        let Some(object) = Object::new(path.clone()) else {
+            let node = nodes.entry(name.to_owned()).or_default();
+            node.files
+                .extend(list(&path).into_iter().filter_map(Object::new));
+            node.directory = Some(path);
+            continue;
+        };
+        let Some((id, part)) = name
+            .strip_prefix(domain.shm_prefix())
+            .and_then(|name| name.split_once(MONITOR))
+        else {
+            continue;
+        };
+        let is_whole = match part {
+            "" | OWNER_LOCK => true,
+            CONTEXT => object.mode & 0o700 == OWNER_READ,
+            _ => continue,
+        };
+        let node = nodes.entry(id.to_owned()).or_default();
+        node.parts += u32::from(is_whole);
+        node.files.push(object);
+    }
+    let unfinished = |node: &HalfNode| node.parts < 3 && node.files.iter().all(Object::is_old);
+    nodes.into_values().filter(unfinished).collect()
+}
+
+/// All files that processes of this user have open. Others cannot have ours: they are 0600.
+fn open_files() -> HashSet<Identity> {
+    list(Path::new("/proc"))
+        .into_iter()
+        .flat_map(|process| list(&process.join("fd")))
+        .filter_map(|descriptor| fs::metadata(descriptor).ok())
+        .map(|file| (file.dev(), file.ino()))
+        .collect()
+}
