@@ -30,7 +30,9 @@
 //! **Errors** say what to do: [`ConnectError`] at the start, [`PublishError`] for a frame; after
 //! the latter the publisher may be used again.
 //!
-//! **Leaving** is dropping. A [`Publisher`] belongs to the thread that connected it, and all
+//! **Leaving** is dropping. A running worker still gets the frames that were sent before, unless
+//! the source had come only after the worker last woke up: a program that sends for less than a
+//! few milliseconds stays a moment longer. A [`Publisher`] belongs to the thread that connected it, and all
 //! publishers of one process to one fleet.
 #![forbid(unsafe_code)]
 

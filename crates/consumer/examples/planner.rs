@@ -1,0 +1,39 @@
+//! A planner: `cargo run -p joulebus-consumer --example planner configs/fleet.toml`
+
+use std::error::Error;
+use std::path::Path;
+use std::time::Duration;
+
+use joulebus_consumer::{Event, Planner, wire::Forecast};
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let config = std::env::args().nth(1);
+    run(
+        config.as_deref().unwrap_or("configs/fleet.toml").as_ref(),
+        300,
+    )
+}
+
+/// Shows `frames` frames of forecasts, and whatever happens to the worker meanwhile.
+pub(crate) fn run(config: &Path, frames: u64) -> Result<(), Box<dyn Error>> {
+    let mut planner = Planner::connect(config)?;
+    while planner.counts().frames < frames {
+        match planner.wait_next(Duration::from_secs(1))? {
+            Event::Frame(frame) => {
+                let tick = frame.header().tick;
+                let fleet_w: f32 = frame.iter().filter_map(Forecast::power_w).sum();
+                match frame.robot(7).and_then(Forecast::interval_w) {
+                    Some((lo, hi)) => {
+                        println!("tick {tick}: fleet {fleet_w:.1} W, robot 7 {lo:.2} to {hi:.2} W");
+                    }
+                    None => println!("tick {tick}: fleet {fleet_w:.1} W, robot 7 not known"),
+                }
+            }
+            Event::Gone(end) => println!("the worker is gone ({end:?}): rely on nothing"),
+            Event::Stale { age_ns } => println!("nothing new for {} ms", age_ns / 1_000_000),
+            Event::Interrupted => break,
+            Event::TimedOut => println!("waiting for the worker"),
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,37 @@
+//! A fleet controller: `cargo run -p joulebus-publisher --example controller configs/fleet.toml`
+
+use std::error::Error;
+use std::path::Path;
+use std::time::Duration;
+
+use joulebus_publisher::{Pace, Publisher, RobotState};
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let config = std::env::args().nth(1);
+    let config = config.as_deref().unwrap_or("configs/fleet.toml");
+    let sent = run(config.as_ref(), 300)?;
+    println!("{sent} samples sent");
+    Ok(())
+}
+
+/// Publishes twenty robots 30 times a second, `ticks` times; how many samples that were.
+pub(crate) fn run(config: &Path, ticks: u32) -> Result<u64, Box<dyn Error>> {
+    let mut publisher = Publisher::connect(config, "example-controller")?;
+    let mut pace = Pace::every(Duration::from_nanos(33_333_333));
+    for tick in 0..ticks {
+        let slot = pace.wait();
+        // Here a controller reads its robots, decides, and sends the commands.
+        let robots = (0..20_u32).map(|robot| {
+            let v_mps = 0.1 + 0.05 * (tick as f32 * 0.02 + robot as f32).sin();
+            let power_w = 2.8 + 9.0 * v_mps;
+            let state = RobotState::new(robot).command(v_mps, 0.0);
+            // The monitor measures every third time, and repeats itself in between.
+            match tick % 3 {
+                0 => state.reading(power_w),
+                _ => state.held_reading(power_w),
+            }
+        });
+        publisher.publish_intended(slot.intended_ns, robots)?;
+    }
+    Ok(publisher.samples_sent())
+}
