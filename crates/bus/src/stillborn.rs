@@ -18,7 +18,7 @@ use crate::{Domain, RootError};
 const OLD: Duration = Duration::from_millis(250);
 /// An object, and a node's context, get this right when they are finished.
 const OWNER_READ: u32 = 0o400;
-/// A service's description loses this right when it is finished.
+/// A description (of a service, a node, a port of a node) loses this right when it is finished.
 const OWNER_WRITE: u32 = 0o200;
 /// The files of a node's monitor: `<prefix><id>.node_monitor<suffix>`.
 const MONITOR: &str = ".node_monitor";
@@ -88,17 +88,19 @@ pub(crate) fn unfinished(domain: &Domain) -> Result<Vec<PathBuf>, RootError> {
 }
 
 /// Removes what was created but never finished: who opens an object without a size waits for it for
-/// ever, a service half created stays so, and nobody cleans up after half a node.
+/// ever, a service half created stays so, nobody cleans up after half a node, and a dead node with a
+/// half-written tag of a port or service cannot be removed.
 ///
 /// Only our own, only what is older than 250 ms, and only if no process holds it open. Returns how
 /// many were removed.
 pub(crate) fn remove_stillborn(domain: &Domain) -> Result<u64, RootError> {
     let mut objects = objects(domain)?;
     objects.retain(|object| object.is_unfinished() && object.is_old());
-    let mut services = services(domain);
-    services.retain(|service| service.mode & OWNER_WRITE != 0 && service.is_old());
+    let mut descriptions = services(domain);
+    descriptions.extend(node_details(domain));
+    descriptions.retain(|file| file.mode & OWNER_WRITE != 0 && file.is_old());
     let nodes = unfinished_nodes(domain);
-    if objects.is_empty() && services.is_empty() && nodes.is_empty() {
+    if objects.is_empty() && descriptions.is_empty() && nodes.is_empty() {
         return Ok(0);
     }
     // Looked at after the candidates: a creator that lives has them open ever since.
@@ -111,7 +113,7 @@ pub(crate) fn remove_stillborn(domain: &Domain) -> Result<u64, RootError> {
             .is_some_and(|object| object.is_unfinished() && fs::remove_file(&object.path).is_ok());
         removed += u64::from(still);
     }
-    removed += remove_unless_open(services, &open);
+    removed += remove_unless_open(descriptions, &open);
     for node in nodes {
         if !node.files.iter().any(|file| open.contains(&file.identity)) {
             removed += u64::from(node.remove());
@@ -145,6 +147,15 @@ fn remove_unless_open(files: Vec<Object>, open: &HashSet<Identity>) -> u64 {
 fn services(domain: &Domain) -> Vec<Object> {
     list(&domain.directory().join("services"))
         .into_iter()
+        .filter_map(Object::new)
+        .collect()
+}
+
+/// What nodes say about themselves: their details, and tags of their services and ports.
+fn node_details(domain: &Domain) -> Vec<Object> {
+    list(&domain.directory().join("nodes"))
+        .into_iter()
+        .flat_map(|node| list(&node))
         .filter_map(Object::new)
         .collect()
 }
