@@ -23,7 +23,6 @@ pub(crate) struct Detector {
     z_product: f32,
     error_square: f32,
     persistence_square: f32,
-    seen: u32,
     raised: AlarmSet,
     agreeing: [u16; Alarm::ALL.len()],
 }
@@ -63,7 +62,6 @@ impl Detector {
             z_product: 0.0,
             error_square: 0.0,
             persistence_square: 0.0,
-            seen: 0,
             raised: AlarmSet::default(),
             agreeing: [0; Alarm::ALL.len()],
         }
@@ -79,7 +77,6 @@ impl Detector {
         settings: &AlarmSettings,
     ) {
         let residual_w = residual_w.clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
-        self.seen = self.seen.saturating_add(1);
         self.bias_w += settings.bias_weight * (residual_w - self.bias_w);
         let z = (residual_w / sigma_w).clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
         let white = self.whiten(z, settings.bias_weight);
@@ -104,10 +101,10 @@ impl Detector {
         white
     }
 
-    /// What the residuals say, once there are enough of them.
-    pub(crate) fn conditions(&self, settings: &AlarmSettings) -> Conditions {
+    /// What the residuals say, once as many as need be were `observed`.
+    pub(crate) fn conditions(&self, observed: u64, settings: &AlarmSettings) -> Conditions {
         let mut conditions = Conditions::default();
-        if self.seen < settings.settle_samples {
+        if observed < settings.settle_samples.into() {
             return conditions;
         }
         let bias = settings.cusum_limit;
@@ -205,10 +202,10 @@ mod tests {
         mut residual: impl FnMut(f32) -> f32,
         state: &mut u64,
     ) {
-        for _ in 0..steps {
+        for step in 0..steps {
             let unit = noise(state);
             detector.observe(residual(unit), 1.0, 1.0, &SETTINGS);
-            detector.decide(detector.conditions(&SETTINGS), &SETTINGS);
+            detector.decide(detector.conditions(step as u64, &SETTINGS), &SETTINGS);
         }
     }
 

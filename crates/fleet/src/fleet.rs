@@ -1,18 +1,37 @@
 //! The fleet's state, and how samples get into it.
 
 use std::collections::HashMap;
+use std::ops::RangeInclusive;
 
 use joulebus_predictor::{Features, Model};
 use joulebus_wire::{DropCounts, DropReason, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
+use crate::departed::{Account, Departed};
 use crate::detector::Detector;
 use crate::intake::{check_values, invalid};
 use crate::interval::Interval;
 use crate::refused::Refused;
-use crate::robot::{Departed, Last, Robot};
+use crate::robot::{Last, Pending, Robot};
 use crate::sources::Sources;
 use crate::window::Window;
 use crate::{Ledger, Platform, Scores, Settings, SettingsError};
+
+/// A robot in the fleet takes at most 512 bytes: these columns, two lists of slots, and up to 41
+/// bytes in the map of ids. The account of one that has left takes up to 113 more.
+const _: () = assert!(
+    size_of::<Robot>()
+        + size_of::<Window>()
+        + size_of::<Ledger>()
+        + size_of::<Interval>()
+        + size_of::<Scores>()
+        + size_of::<Detector>()
+        + size_of::<Pending>()
+        <= 512 - 2 * size_of::<u32>() - 41
+);
+const _: () = assert!(size_of::<Account>() <= 72);
+
+/// Robots that go through a model together: their rows stay in the core's own cache.
+pub(crate) const TILE: usize = 1024;
 
 /// The state of all robots, in columns indexed by slot, and everything one tick needs.
 ///
@@ -31,13 +50,13 @@ pub struct Fleet {
     pub(crate) scores: Vec<Scores>,
     pub(crate) detectors: Vec<Detector>,
     /// The sample that waits for the next pass, where `waiting` names the slot.
-    pub(crate) pending: Vec<Sample>,
+    pub(crate) pending: Vec<Pending>,
 
     /// Slots in use, ascending in the order of joining.
     pub(crate) live: Vec<u32>,
     free: Vec<u32>,
     slot_of: HashMap<u32, u32>,
-    departed: HashMap<u32, Departed>,
+    departed: Departed,
     /// Slot that the next sample is probably of: sources name their robots in the same order.
     guess: usize,
 
@@ -127,14 +146,14 @@ impl Fleet {
             intervals: vec![Interval::new(0.0, 0.0, 0.0, 0.0, 0.0); capacity],
             scores: vec![Scores::default(); capacity],
             detectors: vec![Detector::new(); capacity],
-            pending: vec![Sample::default(); capacity],
+            pending: vec![Pending::default(); capacity],
             live: Vec::with_capacity(capacity),
             free: (0..settings.capacity).rev().collect(),
             // Twice the capacity: the map then never grows, however often robots come and go.
             slot_of: HashMap::with_capacity(2 * capacity),
-            departed: HashMap::with_capacity(2 * capacity),
+            departed: Departed::new(settings.capacity),
             guess: 0,
-            batch: Batch::with_capacity(capacity),
+            batch: Batch::with_capacity(capacity.min(TILE)),
             sources: Sources::new(settings.intake.max_sources),
             refused: Refused::default(),
             drops: DropCounts::default(),
@@ -151,13 +170,11 @@ impl Fleet {
     /// Goes on with the account of a robot that an earlier run wrote down. Call before the robot's
     /// first sample. As many accounts as the capacity are kept; returns whether this one was.
     pub fn restore(&mut self, robot: u32, ledger: Ledger) -> bool {
-        self.keep_account(
+        self.departed.keep(Account {
             robot,
-            Departed {
-                ledger,
-                charged: false,
-            },
-        )
+            charged: false,
+            ledger,
+        })
     }
 
     /// Takes a frame of samples, in the order in which they were sent; `now_ns` is the worker's
@@ -277,7 +294,7 @@ impl Fleet {
             .slot_of
             .get(&robot)
             .map(|slot| &self.ledgers[*slot as usize]);
-        live.or_else(|| self.departed.get(&robot).map(|departed| &departed.ledger))
+        live.or_else(|| self.departed.ledger(robot))
     }
 
     fn accept(
@@ -310,7 +327,7 @@ impl Fleet {
         robot.taken += 1;
         (robot.renewed, robot.waiting) = (false, true);
         (robot.taken_ns, robot.invalid, robot.refused_run) = (now_ns, None, 0);
-        self.pending[slot] = sample;
+        self.pending[slot] = Pending::new(&sample);
         self.kinds[kind].waiting.push(slot as u32);
         Ok(())
     }
@@ -385,7 +402,7 @@ impl Fleet {
     }
 
     fn occupy(&mut self, slot: usize, id: u32, kind: u16, header: &SampleHeader, now_ns: u64) {
-        let departed = self.departed.remove(&id);
+        let departed = self.departed.take(id);
         self.robots[slot] = Robot {
             id,
             present: true,
@@ -453,29 +470,21 @@ impl Fleet {
             let (id, charged) = (robot.id, robot.last.charged);
             self.slot_of.remove(&id);
             self.free.push(slot);
-            self.keep_account(
-                id,
-                Departed {
-                    ledger: self.ledgers[index],
-                    charged,
-                },
-            );
+            self.departed.keep(Account {
+                robot: id,
+                charged,
+                ledger: self.ledgers[index],
+            });
         }
         self.live.truncate(kept);
-    }
-
-    fn keep_account(&mut self, robot: u32, departed: Departed) -> bool {
-        let room = self.departed.len() < self.settings.capacity as usize;
-        let keep = room || self.departed.contains_key(&robot);
-        if keep {
-            self.departed.insert(robot, departed);
-        }
-        keep
     }
 }
 
 impl Kind {
     fn new(platform: Platform, model: Model, capacity: usize) -> Self {
+        let ids =
+            |range: &RangeInclusive<u32>| range.end().saturating_sub(*range.start()) as usize + 1;
+        let most = platform.robots.iter().map(ids).sum::<usize>();
         let sigma_w = model.residual().std_w.max(platform.power_resolution_w);
         // `Settings::check` has bounded the quotient by 1000.
         let longest_steps = (platform.stale_after_ns / platform.period_ns) as u16;
@@ -484,7 +493,7 @@ impl Kind {
             model,
             sigma_w,
             longest_steps,
-            waiting: Vec::with_capacity(capacity),
+            waiting: Vec::with_capacity(most.min(capacity)),
         }
     }
 }

@@ -18,7 +18,6 @@ pub(crate) struct Interval {
     pub above_w: f32,
     scale_w: f32,
     covered: u64,
-    total: u64,
     recent: f32,
 }
 
@@ -30,7 +29,6 @@ impl Interval {
             above_w: q95_w.max(floor_w),
             scale_w: std_w.max(floor_w),
             covered: 0,
-            total: 0,
             recent: coverage,
         }
     }
@@ -39,7 +37,6 @@ impl Interval {
     pub(crate) fn observe(&mut self, residual_w: f32, floor_w: f32, settings: &IntervalSettings) {
         let (over, under) = (residual_w > self.above_w, residual_w < -self.below_w);
         let covered = !over && !under;
-        self.total += 1;
         self.covered += u64::from(covered);
         self.recent += RECENT_WEIGHT * (f32::from(u8::from(covered)) - self.recent);
         let tail = 0.5 * (1.0 - settings.coverage);
@@ -55,15 +52,12 @@ impl Interval {
         self.scale_w += RECENT_WEIGHT * (residual_w.abs().max(floor_w) - self.scale_w);
     }
 
-    /// Share of readings inside, over all and of late; NaN before the first.
-    pub(crate) fn coverage(&self) -> (f32, f32) {
-        if self.total == 0 {
+    /// Share inside of the `observed` readings, over all and of late; NaN before the first.
+    pub(crate) fn coverage(&self, observed: u64) -> (f32, f32) {
+        if observed == 0 {
             return (f32::NAN, f32::NAN);
         }
-        (
-            (self.covered as f64 / self.total as f64) as f32,
-            self.recent,
-        )
+        ((self.covered as f64 / observed as f64) as f32, self.recent)
     }
 
     /// The interval around `forecast_w`, `open_steps` sample periods after the last reading: it
@@ -101,7 +95,7 @@ mod tests {
                 let drift = if step > 20_000 { shift } else { 0.0 };
                 interval.observe(scale * (uniform + drift), 0.0, &SETTINGS);
             }
-            let (all, recent) = interval.coverage();
+            let (all, recent) = interval.coverage(40_000);
             prop_assert!((0.88..=0.92).contains(&all), "{all}");
             prop_assert!((0.8..=0.98).contains(&recent), "{recent}");
         }

@@ -8,7 +8,7 @@ const UNITS_PER_UJ: i128 = 2_000_000_000;
 /// Exact: `metered_ns + unmetered_ns` is always the time between the first stamp and the last, and
 /// the integral loses nothing to rounding (what is below one µJ is carried). A total in `f32` would
 /// be 3.6 % wrong after 30 days.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ledger {
     /// Energy drawn over the metered time, µJ.
     pub drawn_uj: i64,
@@ -22,8 +22,25 @@ pub struct Ledger {
     pub unmetered_ns: u64,
     /// Stamp of the newest sample, ns; `None` before the first.
     pub stamp_ns: Option<u64>,
-    last_power_uw: Option<i64>,
-    forecast_remainder: i64,
+    /// Bits of the last reading in W; of NaN where there is none.
+    last_power: u32,
+    /// As `drawn_remainder`.
+    forecast_remainder: u32,
+}
+
+impl Default for Ledger {
+    fn default() -> Self {
+        Self {
+            drawn_uj: 0,
+            drawn_remainder: 0,
+            forecast_uj: 0,
+            metered_ns: 0,
+            unmetered_ns: 0,
+            stamp_ns: None,
+            last_power: f32::NAN.to_bits(),
+            forecast_remainder: 0,
+        }
+    }
 }
 
 impl Ledger {
@@ -43,8 +60,7 @@ impl Ledger {
             metered_ns,
             unmetered_ns,
             stamp_ns: Some(stamp_ns),
-            last_power_uw: None,
-            forecast_remainder: 0,
+            ..Self::default()
         }
     }
 
@@ -59,47 +75,42 @@ impl Ledger {
         forecast_w: Option<f32>,
         longest_ns: u64,
     ) {
-        let power_uw = power_w.map(microwatts);
+        let before_w = Some(f32::from_bits(self.last_power)).filter(|watts| !watts.is_nan());
         let elapsed_ns = self
             .stamp_ns
             .map_or(0, |last| stamp_ns.saturating_sub(last));
-        match (self.last_power_uw, power_uw) {
+        match (before_w, power_w) {
             (Some(before), Some(now)) if elapsed_ns <= longest_ns => {
                 self.metered_ns = self.metered_ns.saturating_add(elapsed_ns);
-                let both = i128::from(before) + i128::from(now);
-                let expected = forecast_w.map_or(both, |watts| 2 * i128::from(microwatts(watts)));
-                integrate(
-                    &mut self.drawn_uj,
-                    &mut self.drawn_remainder,
-                    both,
-                    elapsed_ns,
-                );
-                integrate(
-                    &mut self.forecast_uj,
-                    &mut self.forecast_remainder,
-                    expected,
-                    elapsed_ns,
-                );
+                let both = microwatts(before) + microwatts(now);
+                let expected = forecast_w.map_or(both, |watts| 2 * microwatts(watts));
+                let (uj, rest) = integral(self.drawn_remainder, both, elapsed_ns);
+                self.drawn_uj = self.drawn_uj.saturating_add(uj);
+                self.drawn_remainder = rest.into();
+                let (uj, rest) = integral(self.forecast_remainder.into(), expected, elapsed_ns);
+                self.forecast_uj = self.forecast_uj.saturating_add(uj);
+                self.forecast_remainder = rest;
             }
             _ => self.unmetered_ns = self.unmetered_ns.saturating_add(elapsed_ns),
         }
         self.stamp_ns = Some(stamp_ns);
-        self.last_power_uw = power_uw;
+        self.last_power = power_w.unwrap_or(f32::NAN).to_bits();
     }
 }
 
-fn integrate(total_uj: &mut i64, remainder: &mut i64, twice_power_uw: i128, elapsed_ns: u64) {
-    let sum = twice_power_uw * i128::from(elapsed_ns) + i128::from(*remainder);
+/// Whole µJ of a trapezoid and the remainder before it, and the remainder after it.
+fn integral(remainder: i64, twice_power_uw: i128, elapsed_ns: u64) -> (i64, u32) {
+    let sum = twice_power_uw * i128::from(elapsed_ns) + i128::from(remainder);
     let whole = sum
         .div_euclid(UNITS_PER_UJ)
         .clamp(i64::MIN.into(), i64::MAX.into());
-    *total_uj = total_uj.saturating_add(whole as i64);
-    *remainder = sum.rem_euclid(UNITS_PER_UJ) as i64;
+    // Below 2,000,000,000: it fits.
+    (whole as i64, sum.rem_euclid(UNITS_PER_UJ) as u32)
 }
 
-/// Rounded to the nearest µW; powers have been checked to be finite and below a megawatt.
-fn microwatts(power_w: f32) -> i64 {
-    (f64::from(power_w) * 1e6).round() as i64
+/// Rounded to the nearest µW; an absurd forecast saturates.
+fn microwatts(power_w: f32) -> i128 {
+    ((f64::from(power_w) * 1e6).round() as i64).into()
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use joulebus_predictor::Features;
 use joulebus_wire::{Alarm, Freshness, InvalidReason, Quality, Sample, sample_flag};
 
 use crate::Fleet;
+use crate::fleet::TILE;
 use crate::window::{Gap, missing_steps};
 
 impl Fleet {
@@ -13,9 +14,17 @@ impl Fleet {
             return;
         }
         let waiting = std::mem::take(&mut self.kinds[kind].waiting);
-        self.bridge(kind, &waiting);
+        for tile in waiting.chunks(TILE) {
+            self.pass_tile(kind, tile);
+        }
+        self.kinds[kind].waiting = waiting;
+        self.kinds[kind].waiting.clear();
+    }
+
+    fn pass_tile(&mut self, kind: usize, waiting: &[u32]) {
+        self.bridge(kind, waiting);
         self.batch.clear();
-        for slot in &waiting {
+        for slot in waiting {
             if let Some(row) = self.absorb(kind, *slot as usize) {
                 self.batch.push(*slot, row);
             }
@@ -27,12 +36,10 @@ impl Fleet {
                 self.robots[slot].last.quality = Quality::Invalid(InvalidReason::ModelOutput);
             }
         }
-        for slot in &waiting {
+        for slot in waiting {
             self.robots[*slot as usize].waiting = false;
             self.judge(*slot as usize);
         }
-        self.kinds[kind].waiting = waiting;
-        self.kinds[kind].waiting.clear();
     }
 
     /// Runs robots with a gap before their waiting sample open loop up to it, a step per round.
@@ -56,9 +63,16 @@ impl Fleet {
     /// Shows robots whose sample is overdue what the model expects: provisional, undone by the
     /// sample if it says otherwise.
     pub(crate) fn run_open(&mut self, kind: usize) {
+        for start in (0..self.live.len()).step_by(TILE) {
+            self.run_open_tile(kind, start);
+        }
+    }
+
+    fn run_open_tile(&mut self, kind: usize, start: usize) {
+        let end = self.live.len().min(start + TILE);
         loop {
             self.batch.clear();
-            for slot in &self.live {
+            for slot in &self.live[start..end] {
                 let index = *slot as usize;
                 let robot = &self.robots[index];
                 if usize::from(robot.platform) != kind {
@@ -94,7 +108,7 @@ impl Fleet {
     }
 
     fn gap(&self, kind: usize, slot: usize) -> Gap {
-        let sample = &self.pending[slot];
+        let sample = self.pending[slot].sample(self.robots[slot].id);
         if sample.has(sample_flag::DISCONTINUITY) {
             return Gap::Break;
         }
@@ -107,7 +121,7 @@ impl Fleet {
     fn absorb(&mut self, kind: usize, slot: usize) -> Option<Features> {
         let gap = self.gap(kind, slot);
         let forecast_w = self.windows[slot].close(gap);
-        let sample = self.pending[slot];
+        let sample = self.pending[slot].sample(self.robots[slot].id);
         let reading_w = sample.has(sample_flag::POWER).then_some(sample.power_w);
         // Only forecasts one step ahead are scored: the ones over a gap are of another kind.
         let one_step = gap == Gap::None && self.windows[slot].unread_steps == 0;
@@ -178,7 +192,8 @@ impl Fleet {
             &robot.last,
             &self.kinds[usize::from(robot.platform)].platform,
         );
-        let mut conditions = self.detectors[slot].conditions(&self.settings.alarms);
+        let mut conditions =
+            self.detectors[slot].conditions(self.scores[slot].count, &self.settings.alarms);
         let age_ns = last.stamp_ns.saturating_sub(last.measured_ns);
         let equal_ns = last.measured_ns.saturating_sub(last.equal_since_ns);
         let read = last.measured_ns > 0;

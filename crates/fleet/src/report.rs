@@ -66,7 +66,7 @@ impl Fleet {
         let (last, scores, detector) = (&robot.last, &self.scores[slot], &self.detectors[slot]);
         let kind = &self.kinds[usize::from(robot.platform)];
         let alarms = self.alarms(slot, robot);
-        let (coverage, coverage_recent) = self.intervals[slot].coverage();
+        let (coverage, coverage_recent) = self.intervals[slot].coverage(scores.count);
         let mut flags = 0;
         flags |= if last.residual_w.is_nan() {
             0

@@ -2,8 +2,6 @@
 
 use joulebus_wire::{InvalidReason, Quality, Sample, sample_flag};
 
-use crate::Ledger;
-
 /// Time over which the mean power is taken, s.
 const MEAN_POWER_S: f32 = 60.0;
 
@@ -100,9 +98,40 @@ impl Last {
     }
 }
 
-/// A robot that has left, or that was written down by an earlier run: its account goes on.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Departed {
-    pub ledger: Ledger,
-    pub charged: bool,
+/// A sample that waits for the next pass: what the checks have left to be used.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Pending {
+    seq: u64,
+    stamp_ns: u64,
+    measured_ns: u64,
+    v_mps: f32,
+    omega_radps: f32,
+    power_w: f32,
+    flags: u32,
+}
+
+impl Pending {
+    pub(crate) fn new(sample: &Sample) -> Self {
+        Self {
+            seq: sample.seq,
+            stamp_ns: sample.stamp_ns,
+            measured_ns: sample.measured_ns,
+            v_mps: sample.v_mps,
+            omega_radps: sample.omega_radps,
+            power_w: sample.power_w,
+            flags: sample.flags & !(sample_flag::VOLTAGE | sample_flag::CURRENT),
+        }
+    }
+
+    /// The sample without its voltage and current.
+    pub(crate) fn sample(&self, robot: u32) -> Sample {
+        Sample {
+            flags: self.flags,
+            measured_ns: self.measured_ns,
+            v_mps: self.v_mps,
+            omega_radps: self.omega_radps,
+            power_w: self.power_w,
+            ..Sample::new(robot, self.seq, self.stamp_ns)
+        }
+    }
 }

@@ -6,7 +6,7 @@ use joulebus_fleet::Fleet;
 use joulebus_wire::{InvalidReason, Quality, Sample, forecast_flag, sample_flag};
 use proptest::prelude::*;
 use world::random::Noise;
-use world::{Bits, MS, PERIOD_NS, SLOW_NS, Source, bits, fleet, forecast, healthy, place};
+use world::{Bits, MS, PERIOD_NS, SLOW_NS, Source, bits, fleet, forecast, healthy, place, quality};
 
 const START_NS: u64 = 60_000 * MS;
 const ROBOT: u32 = 7;
@@ -286,4 +286,40 @@ fn a_robot_without_a_place_gets_one_when_another_leaves() {
     }
     assert!(place(&fleet, 1).is_none());
     assert!(forecast(&fleet, 2).power_w().is_some());
+}
+
+#[test]
+fn a_robot_of_a_fleet_of_several_tiles_is_told_the_same_as_alone() {
+    const ROBOTS: u32 = 2_200;
+    let build = |capacity: u32| {
+        let mut settings = world::settings(capacity);
+        settings.platforms.truncate(1);
+        settings.platforms[0].robots = vec![0..=ROBOTS];
+        let models = world::models().into_iter().take(1).collect();
+        Fleet::new(settings, models).expect("the settings agree with themselves")
+    };
+    let play = |fleet: &mut Fleet, robots: &[u32]| {
+        let mut source = Source::new(1, 1);
+        for step in 0..30 {
+            let now_ns = START_NS + step * PERIOD_NS;
+            // A gap in the middle, silence at the end.
+            let speaks =
+                |robot: &&u32| !((12..15).contains(&step) && robot.is_multiple_of(5) || step > 25);
+            let frame: Vec<Sample> = robots
+                .iter()
+                .filter(speaks)
+                .map(|robot| healthy(*robot, step, now_ns, PERIOD_NS))
+                .collect();
+            source.send(fleet, &frame, now_ns);
+            fleet.tick(now_ns, false);
+        }
+    };
+    let mut together = build(ROBOTS);
+    play(&mut together, &(0..ROBOTS).collect::<Vec<u32>>());
+    for robot in [0, 5, 1_022, 1_023, 1_024, 1_025, 2_047, 2_048, 2_195, 2_199] {
+        let mut alone = build(1);
+        play(&mut alone, &[robot]);
+        assert_eq!(quality(&alone, robot), Quality::OpenLoop { steps: 3 });
+        assert_eq!(bits(&together, robot), bits(&alone, robot), "robot {robot}");
+    }
 }

@@ -1,0 +1,145 @@
+//! After warm-up nothing in the tick allocates; and what is allocated at start is as promised.
+#![allow(unsafe_code)] // A global allocator that counts cannot be written without.
+
+mod world;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use joulebus_fleet::Fleet;
+use joulebus_wire::{Budget, Diagnostic, Forecast, Sample, sample_flag};
+use world::{MS, PERIOD_NS, SLOW_NS, Source, healthy, models, settings};
+
+thread_local! {
+    /// Calls and bytes of this thread: other tests run beside this one.
+    static CALLS: Cell<u64> = const { Cell::new(0) };
+    static BYTES: Cell<u64> = const { Cell::new(0) };
+}
+
+struct Counting;
+
+fn count(bytes: usize) {
+    CALLS.with(|calls| calls.set(calls.get() + 1));
+    BYTES.with(|total| total.set(total.get() + bytes as u64));
+}
+
+// SAFETY: every call goes to the system's allocator unchanged; counting touches only constant
+// thread-locals without destructors, which neither allocate nor unwind.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count(layout.size());
+        // SAFETY: the caller keeps the contract of `alloc`, which is the system's too.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        count(layout.size());
+        // SAFETY: as above.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count(size);
+        // SAFETY: `block` came from the system's allocator, as all blocks of this one do.
+        unsafe { System.realloc(block, layout, size) }
+    }
+
+    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
+        // SAFETY: `block` came from the system's allocator, as all blocks of this one do.
+        unsafe { System.dealloc(block, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const START_NS: u64 = 60_000 * MS;
+const ROBOTS: u32 = 100;
+
+/// A frame in which something is wrong with most robots at one time or another: gaps, refused
+/// values, missing readings, bursts, more robots than there is room for, and comings and goings
+/// that wander through the ids.
+fn fill(frame: &mut Vec<Sample>, step: u64, now_ns: u64) {
+    frame.clear();
+    for place in 0..u64::from(ROBOTS) + 5 {
+        let id = ((place + step / 200 * 9) % 300) as u32;
+        let period_ns = if id / 100 == 1 { SLOW_NS } else { PERIOD_NS };
+        let mut sample = healthy(id, 2 * step, now_ns, period_ns);
+        match (step * 31 + place * 17) % 23 {
+            0 => continue,
+            1 => sample.power_w = f32::NAN,
+            2 => sample.flags &= !sample_flag::POWER,
+            3 => sample.v_mps = 9.0,
+            4 => sample.robot += 1_000,
+            5 => {
+                let mut earlier = sample;
+                earlier.seq -= 1;
+                earlier.stamp_ns -= period_ns / 3;
+                earlier.measured_ns = earlier.measured_ns.min(earlier.stamp_ns);
+                frame.push(earlier);
+            }
+            _ => {}
+        }
+        frame.push(sample);
+    }
+}
+
+#[test]
+fn taking_ticking_and_writing_out_allocate_nothing() {
+    let mut fleet = Fleet::new(settings(ROBOTS), models()).expect("the settings are fine");
+    let mut source = Source::new(1, 1);
+    let mut frame = Vec::with_capacity(4 * ROBOTS as usize);
+    let mut forecasts = vec![Forecast::default(); ROBOTS as usize];
+    let mut diagnostics = vec![Diagnostic::default(); ROBOTS as usize];
+    let mut budgets = vec![Budget::default(); ROBOTS as usize];
+    let mut least_and_most = (usize::MAX, 0);
+    for step in 1..4_000u64 {
+        let now_ns = START_NS + step * PERIOD_NS;
+        // Every now and then all are silent for so long that they leave.
+        let silent = step % 1_000 > 900;
+        fill(&mut frame, step, now_ns);
+        let before = CALLS.get();
+        if !silent {
+            source.send(&mut fleet, &frame, now_ns);
+        }
+        fleet.tick(now_ns, step % 50 == 0);
+        for place in 0..fleet.len() {
+            forecasts[place] = fleet.forecast(place);
+            diagnostics[place] = fleet.diagnostic(place);
+            budgets[place] = fleet.budget(place);
+        }
+        assert_eq!(CALLS.get() - before, 0, "allocations in tick {step}");
+        if step > 1_000 {
+            let (least, most) = least_and_most;
+            least_and_most = (fleet.len().min(least), fleet.len().max(most));
+        }
+    }
+    assert_eq!(least_and_most, (0, ROBOTS as usize), "robots came and went");
+    assert!(fleet.drops().iter().count() >= 4, "{:?}", fleet.drops());
+}
+
+/// 512 for a robot in the fleet and 113 for the account of one that has left, of which there are as
+/// many; each at the capacity at which the maps of ids are emptiest.
+#[test]
+fn a_robot_takes_at_most_512_bytes_and_the_account_of_one_that_has_left_113() {
+    let bytes = |capacity: u32| {
+        let (settings, models) = (settings(capacity), models());
+        let before = BYTES.get();
+        let fleet = Fleet::new(settings, models).expect("the settings are fine");
+        let taken = BYTES.get() - before;
+        assert_eq!(fleet.capacity(), capacity);
+        taken
+    };
+    // What does not grow with the fleet: the batch of one tile, the lists of the platforms.
+    let fixed = 2 * bytes(16_384) - bytes(32_768);
+    for capacity in [5_000u32, 10_000, 14_337, 16_384, 57_345, 100_000] {
+        let each = (bytes(capacity) - fixed) / u64::from(capacity);
+        println!("{each} bytes a robot at a capacity of {capacity}");
+        assert!(
+            each <= 512 + 113,
+            "{each} bytes a robot at a capacity of {capacity}"
+        );
+    }
+    println!("{fixed} bytes for the fleet");
+    assert!(fixed < 200_000, "{fixed} bytes for the fleet");
+}
