@@ -93,7 +93,10 @@ impl Checked {
                 let settings = config.settings();
                 checked.fleet = Some(config.fleet().to_owned());
                 checked.capacity = Some(settings.capacity);
-                let names = settings.platforms.iter().map(|platform| platform.name.clone());
+                let names = settings
+                    .platforms
+                    .iter()
+                    .map(|platform| platform.name.clone());
                 checked.platforms = names.collect();
                 checked.warnings = config.warnings().to_vec();
             }
@@ -111,7 +114,10 @@ impl fmt::Display for CheckReport {
             let capacity = checked.capacity.unwrap_or_default();
             let platforms = checked.platforms.join(", ");
             let file = &checked.file;
-            writeln!(out, "{file}: ok: fleet {fleet}, room for {capacity} robots, {platforms}")?;
+            writeln!(
+                out,
+                "{file}: ok: fleet {fleet}, room for {capacity} robots, {platforms}"
+            )?;
         }
         Ok(())
     }

@@ -70,13 +70,20 @@ impl fmt::Display for RunReport {
             tick.p50_us, tick.p99_us, tick.p999_us, tick.max_us
         )?;
         let dropped: u64 = report.samples_dropped.values().sum();
-        writeln!(out, "samples: {} accepted, {dropped} dropped", report.samples_accepted)?;
+        writeln!(
+            out,
+            "samples: {} accepted, {dropped} dropped",
+            report.samples_accepted
+        )?;
         for (reason, count) in &report.samples_dropped {
             writeln!(out, "  {reason}: {count}")?;
         }
         if report.frames_unsent > 0 || report.receive_errors > 0 {
             let (unsent, receive) = (report.frames_unsent, report.receive_errors);
-            writeln!(out, "trouble: {unsent} frames unsent, {receive} failures to receive")?;
+            writeln!(
+                out,
+                "trouble: {unsent} frames unsent, {receive} failures to receive"
+            )?;
         }
         Ok(())
     }

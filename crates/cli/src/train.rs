@@ -68,12 +68,21 @@ impl From<Choice> for FeatureSet {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let What::Sim(sim) = &args.what;
     // Minutes of work should not be lost to a directory that is not there.
-    let folder = sim.out.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = sim
+        .out
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder {
-        anyhow::ensure!(folder.is_dir(), "there is no directory {}", folder.display());
+        anyhow::ensure!(
+            folder.is_dir(),
+            "there is no directory {}",
+            folder.display()
+        );
     }
     let start = Instant::now();
-    let trained = train_sim(sim.seed, sim.features.into(), |epoch| progress(epoch, start))?;
+    let trained = train_sim(sim.seed, sim.features.into(), |epoch| {
+        progress(epoch, start)
+    })?;
     write(&sim.out, &trained.network.to_safetensors()?)?;
     let epochs = trained.epochs.len();
     output.report(&TrainReport::new(&sim.out, &trained.network, epochs, start))?;
@@ -107,7 +116,9 @@ fn progress(epoch: Epoch, start: Instant) {
 /// The file appears whole or not at all.
 fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let failed = || format!("cannot write the model {}", path.display());
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
     let mut draft = tempfile::Builder::new()
         .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644))
         .tempfile_in(folder.unwrap_or(Path::new(".")))

@@ -103,7 +103,9 @@ fn assign(
     }
     if assigned.len() < found {
         let (name, taken) = (path.display(), assigned.len());
-        say(&format!("{name}: {taken} of {found} recordings are played: there are no more ids"));
+        say(&format!(
+            "{name}: {taken} of {found} recordings are played: there are no more ids"
+        ));
     }
     Ok(assigned)
 }
@@ -131,9 +133,14 @@ fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(directory).with_context(failed)? {
         let path = entry.with_context(failed)?.path();
-        let is_recording = path.file_name().and_then(|name| name.to_str()).is_some_and(|name| {
-            [".npy", ".csv", ".csv.gz"].iter().any(|ending| name.ends_with(ending))
-        });
+        let is_recording = path
+            .file_name()
+            .and_then(|name| name.to_str())
+            .is_some_and(|name| {
+                [".npy", ".csv", ".csv.gz"]
+                    .iter()
+                    .any(|ending| name.ends_with(ending))
+            });
         if is_recording && path.is_file() {
             files.push(path);
         }
@@ -186,13 +193,20 @@ impl Ids {
 /// The platform of that name.
 pub(crate) fn platform<'a>(settings: &'a Settings, name: &str) -> Result<&'a Platform, UsageError> {
     let mut platforms = settings.platforms.iter();
-    platforms.find(|platform| platform.name == name).ok_or_else(|| {
-        let known = names(&settings.platforms);
-        UsageError(format!("{name:?} is no platform of the config; those are: {known}"))
-    })
+    platforms
+        .find(|platform| platform.name == name)
+        .ok_or_else(|| {
+            let known = names(&settings.platforms);
+            UsageError(format!(
+                "{name:?} is no platform of the config; those are: {known}"
+            ))
+        })
 }
 
 fn names(platforms: &[Platform]) -> String {
-    let names: Vec<&str> = platforms.iter().map(|platform| platform.name.as_str()).collect();
+    let names: Vec<&str> = platforms
+        .iter()
+        .map(|platform| platform.name.as_str())
+        .collect();
     names.join(", ")
 }

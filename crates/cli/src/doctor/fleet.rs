@@ -1,0 +1,232 @@
+//! The fleet's models, its shared memory and who is in it.
+
+use std::path::Path;
+
+use joulebus_bus::{Domain, Inspection, NodeInfo, Ports, RoomError, check_room};
+use joulebus_config::Config;
+use joulebus_predictor_worker::load_models;
+use rustix::fs::{Access, access, statfs};
+
+use super::{Check, Status};
+
+const SHARED_MEMORY: &str = "/dev/shm";
+/// The filesystem's magic number of a tmpfs.
+const TMPFS: u64 = 0x0102_1994;
+const FIX: &str = "run `joulebus doctor --fix`";
+
+/// Whether the models can be loaded.
+pub(super) fn models(config: &Config) -> Check {
+    match load_models(config) {
+        Ok(models) => {
+            let platforms = config.settings().platforms.iter().zip(&models);
+            let names: Vec<String> = platforms
+                .map(|(platform, model)| {
+                    format!(
+                        "{} by {} ({:016x})",
+                        platform.name,
+                        model.name(),
+                        model.hash()
+                    )
+                })
+                .collect();
+            Check::ok("models", names.join(", "))
+        }
+        Err(error) => {
+            let remedy = "name another `model` in the platform's file";
+            Check::new("models", Status::Fail, error.to_string(), remedy)
+        }
+    }
+}
+
+/// Whether a worker, a source and a planner have room, or the fleet's further processes if a worker
+/// runs already.
+pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
+    let limits = config.limits();
+    let ports = |sources, planners| Ports {
+        sources,
+        workers: usize::from(inspection.worker_pid.is_none()),
+        planners,
+    };
+    let room = match check_room(&limits, ports(1, 1)) {
+        Ok(room) => room,
+        Err(error) => {
+            let name = match error {
+                RoomError::Descriptors { .. } => "descriptors",
+                RoomError::Memory { .. } | RoomError::Look(_) => "shared memory",
+            };
+            return Check::new(name, Status::Fail, error.to_string(), "");
+        }
+    };
+    let mebi = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+    let found = format!(
+        "{:.1} MiB needed, {:.1} MiB of {:.1} MiB free; {} file descriptors needed, {} of {} used",
+        mebi(room.needed_bytes),
+        mebi(room.free_bytes),
+        mebi(room.total_bytes),
+        room.descriptors_needed,
+        room.descriptors_used,
+        room.descriptors_limit,
+    );
+    match check_room(&limits, ports(limits.max_sources, limits.max_planners)) {
+        Err(RoomError::Memory { needed, free }) => {
+            let what = format!(
+                "with all {} sources and {} planners it would be {:.1} MiB of {:.1} MiB",
+                limits.max_sources,
+                limits.max_planners,
+                mebi(needed),
+                mebi(free)
+            );
+            let remedy =
+                "lower `capacity`, `max_sources` or `max_planners`, if they are not needed";
+            Check::new(
+                "shared memory",
+                Status::Warn,
+                format!("{found}; {what}"),
+                remedy,
+            )
+        }
+        _ => Check::ok("shared memory", found),
+    }
+}
+
+/// Whether shared memory may be created at all.
+pub(super) fn memory_rights() -> Check {
+    match access(SHARED_MEMORY, Access::WRITE_OK | Access::EXEC_OK) {
+        Ok(()) => Check::ok("rights", format!("{SHARED_MEMORY} can be written")),
+        Err(error) => {
+            let remedy = format!("mount a tmpfs there that this user may write: {SHARED_MEMORY}");
+            let found = format!("{SHARED_MEMORY} cannot be written: {error}");
+            Check::new("rights", Status::Fail, found, remedy)
+        }
+    }
+}
+
+/// The private directory.
+pub(super) fn root(domain: &Domain, inspection: &Inspection) -> Check {
+    let name = "root";
+    if let Some(error) = &inspection.root_error {
+        return Check::new(name, Status::Fail, error.to_string(), FIX);
+    }
+    let slow = "keep `root` on a tmpfs, below /dev/shm or /run/user: on a disk starts are slower and \
+                leftovers more likely";
+    let Some(root) = &inspection.root else {
+        return missing_root(domain.root(), slow);
+    };
+    let found = format!(
+        "{}: owner uid {}, mode {:04o}, filesystem {:#x}",
+        root.path.display(),
+        root.owner,
+        root.mode,
+        root.filesystem
+    );
+    if root.in_memory {
+        Check::ok(name, found)
+    } else {
+        Check::new(name, Status::Warn, found, slow)
+    }
+}
+
+/// The directory above must let us create it.
+fn missing_root(root: &Path, slow: &str) -> Check {
+    let name = "root";
+    let above = root.parent().unwrap_or(Path::new("/"));
+    let found = format!("{} will be created", root.display());
+    if let Err(error) = access(above, Access::WRITE_OK | Access::EXEC_OK) {
+        let found = format!(
+            "{} cannot be created: {}: {error}",
+            root.display(),
+            above.display()
+        );
+        let remedy = "set another `root`, or create the directory above it";
+        return Check::new(name, Status::Fail, found, remedy);
+    }
+    #[allow(clippy::unnecessary_cast, reason = "the width depends on the platform")]
+    let on_tmpfs = statfs(above).is_ok_and(|found| found.f_type as u64 == TMPFS);
+    if on_tmpfs {
+        Check::ok(name, found)
+    } else {
+        Check::new(name, Status::Warn, format!("{found}, not on a tmpfs"), slow)
+    }
+}
+
+/// The worker.
+pub(super) fn worker(inspection: &Inspection) -> Check {
+    match inspection.worker_pid {
+        Some(pid) => Check::ok("worker", format!("runs, pid {pid}")),
+        None => Check::ok("worker", "none runs (`joulebus run` starts one)"),
+    }
+}
+
+/// The processes of the fleet.
+pub(super) fn nodes(inspection: &Inspection) -> Check {
+    let name = "processes";
+    let list = |alive| -> Vec<String> {
+        let nodes = inspection.nodes.iter();
+        nodes
+            .filter(|node| node.alive == alive)
+            .map(node_name)
+            .collect()
+    };
+    let (alive, dead, unknown) = (list(Some(true)), list(Some(false)), list(None));
+    let found = if alive.is_empty() {
+        "none is alive".to_owned()
+    } else {
+        format!("{} alive: {}", alive.len(), alive.join(", "))
+    };
+    if !dead.is_empty() {
+        let found = format!("{found}; {} dead: {}", dead.len(), dead.join(", "));
+        let remedy = format!("{FIX}; a living process of the fleet does it by itself in a second");
+        Check::new(name, Status::Warn, found, remedy)
+    } else if !unknown.is_empty() {
+        let found = format!("{found}; of {} it cannot be told", unknown.len());
+        Check::new(name, Status::Warn, found, FIX)
+    } else {
+        Check::ok(name, found)
+    }
+}
+
+fn node_name(node: &NodeInfo) -> String {
+    let name = if node.name.is_empty() {
+        "?"
+    } else {
+        &node.name
+    };
+    match node.pid {
+        Some(pid) => format!("{name} (pid {pid})"),
+        None => name.to_owned(),
+    }
+}
+
+/// What nobody uses any more, or nobody of ours.
+pub(super) fn leftovers(inspection: &Inspection) -> Check {
+    let name = "leftovers";
+    if let Some(first) = inspection.foreign.first() {
+        let (count, first) = (inspection.foreign.len(), first.display());
+        let found = format!("{count} objects of another user under our names, one is {first}");
+        let remedy = "have their owner remove them, or set another `root` or `prefix`";
+        return Check::new(name, Status::Fail, found, remedy);
+    }
+    if let Some(first) = inspection.stillborn.first() {
+        let (count, first) = (inspection.stillborn.len(), first.display());
+        let found = format!("{count} unfinished objects, one is {first}: who opens one hangs");
+        return Check::new(name, Status::Fail, found, FIX);
+    }
+    let alive = inspection
+        .nodes
+        .iter()
+        .any(|node| node.alive != Some(false));
+    let (objects, bytes) = (inspection.objects, inspection.object_bytes);
+    let found = format!("{objects} objects in shared memory, {bytes} bytes");
+    if objects > 0 && !alive {
+        let found = format!("{found}, and nobody is alive to use them");
+        return Check::new(name, Status::Warn, found, FIX);
+    }
+    Check::ok(
+        name,
+        if objects == 0 {
+            "none".to_owned()
+        } else {
+            format!("none; {found} in use")
+        },
+    )
+}

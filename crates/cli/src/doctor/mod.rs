@@ -1,0 +1,141 @@
+//! `joulebus doctor`: whether this host and this fleet are as they should be.
+
+mod fleet;
+mod host;
+mod mend;
+
+use std::fmt;
+
+use joulebus_bus::inspect;
+use serde::Serialize;
+
+use crate::config_file::ConfigFile;
+use crate::exit::Outcome;
+use crate::output::Output;
+
+/// Check this host and a fleet's shared memory; exit 1 if something fails
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus doctor --config configs/fleet.toml\n  \
+    joulebus doctor --fix            removes what dead processes left, corrects rights\n  \
+    joulebus doctor --format json\n\n\
+    Looking changes nothing. --fix never touches what living processes use.")]
+pub(crate) struct Args {
+    #[command(flatten)]
+    config: ConfigFile,
+    /// Mend what can be mended
+    #[arg(long)]
+    fix: bool,
+}
+
+/// How a check came out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Status {
+    Ok,
+    Warn,
+    Fail,
+}
+
+/// One thing looked at.
+#[derive(Debug, Serialize)]
+struct Check {
+    name: &'static str,
+    status: Status,
+    /// What was found.
+    found: String,
+    /// What to do; empty if nothing.
+    remedy: String,
+}
+
+impl Check {
+    fn ok(name: &'static str, found: impl Into<String>) -> Self {
+        Self::new(name, Status::Ok, found, "")
+    }
+
+    fn new(
+        name: &'static str,
+        status: Status,
+        found: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        Self {
+            name,
+            status,
+            found: found.into(),
+            remedy: remedy.into(),
+        }
+    }
+}
+
+/// All that was looked at.
+#[derive(Debug, Serialize)]
+struct DoctorReport {
+    status: Status,
+    checks: Vec<Check>,
+    /// What `--fix` has done.
+    mended: Vec<String>,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let config = args.config.load()?;
+    let domain = config.domain()?;
+    let mended = if args.fix {
+        mend::mend(&domain)?
+    } else {
+        Vec::new()
+    };
+    let inspection = inspect(&domain)?;
+    let mut checks = vec![
+        host::versions(),
+        Check::ok(
+            "config",
+            format!("{}: fleet {}", args.config.name(), config.fleet()),
+        ),
+        fleet::models(&config),
+        fleet::memory(&config, &inspection),
+        fleet::memory_rights(),
+        fleet::root(&domain, &inspection),
+        fleet::worker(&inspection),
+        fleet::nodes(&inspection),
+        fleet::leftovers(&inspection),
+    ];
+    checks.extend(host::clocks());
+    let has = |status| checks.iter().any(|check| check.status == status);
+    let status = if has(Status::Fail) {
+        Status::Fail
+    } else if has(Status::Warn) {
+        Status::Warn
+    } else {
+        Status::Ok
+    };
+    output.report(&DoctorReport {
+        status,
+        checks,
+        mended,
+    })?;
+    Ok(match status {
+        Status::Fail => Outcome::Failed,
+        Status::Ok | Status::Warn => Outcome::Done,
+    })
+}
+
+impl fmt::Display for DoctorReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for done in &self.mended {
+            writeln!(out, "mended  {done}")?;
+        }
+        for check in &self.checks {
+            let status = match check.status {
+                Status::Ok => "ok  ",
+                Status::Warn => "warn",
+                Status::Fail => "FAIL",
+            };
+            writeln!(out, "{status}  {:<14} {}", check.name, check.found)?;
+            if !check.remedy.is_empty() {
+                writeln!(out, "{:21} → {}", "", check.remedy)?;
+            }
+        }
+        Ok(())
+    }
+}

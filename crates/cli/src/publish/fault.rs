@@ -1,0 +1,81 @@
+//! Faults of simulated robots, as they stand on the command line.
+
+use std::str::FromStr;
+
+use joulebus_lab::plant::Fault;
+
+use super::number;
+
+/// What `--fault` allows.
+pub(super) const HELP: &str = "ROBOT=KIND[@SECONDS]";
+
+/// Gives a simulated robot a fault from a time on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct FaultArgument {
+    /// Id of the robot.
+    pub(super) robot: u32,
+    /// What it does.
+    pub(super) fault: Fault,
+    /// When it begins, s after the start.
+    pub(super) from_s: f64,
+}
+
+impl FromStr for FaultArgument {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let shape = || format!("{text:?}: write {HELP}, for example 3=load:1.5@10");
+        let (robot, rest) = text.split_once('=').ok_or_else(shape)?;
+        let (kind, from) = rest.split_once('@').unwrap_or((rest, "0"));
+        let robot = robot
+            .parse()
+            .map_err(|_| format!("{robot:?} is no id of a robot"))?;
+        let fault = match kind.split_once(':') {
+            Some(("load", value)) => Fault::ExtraLoad {
+                power_w: number(value, -1e6, 1e6, "W")?,
+            },
+            Some(("noise", value)) => Fault::Noise {
+                std_w: number(value, 0.0, 1e6, "W")?,
+            },
+            None if kind == "stuck" => Fault::StuckSensor,
+            _ => {
+                let known = "load:WATT, noise:WATT (standard deviation), stuck";
+                return Err(format!("{kind:?} is no fault; those are: {known}"));
+            }
+        };
+        Ok(Self {
+            robot,
+            fault,
+            from_s: number(from, 0.0, 1e8, "s")?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_are_read_as_they_are_explained() {
+        let load = Fault::ExtraLoad { power_w: 1.5 };
+        for (text, expected) in [
+            ("3=load:1.5@10", Some((3, load, 10.0))),
+            ("3=load:1.5", Some((3, load, 0.0))),
+            ("0=stuck@0.5", Some((0, Fault::StuckSensor, 0.5))),
+            ("7=noise:0.2", Some((7, Fault::Noise { std_w: 0.2 }, 0.0))),
+            ("7=noise:-0.2", None),
+            ("7=load", None),
+            ("7=load:NaN", None),
+            ("7=stuck:1", None),
+            ("7=broken", None),
+            ("stuck", None),
+            ("-1=stuck", None),
+            ("7=stuck@-1", None),
+            ("7=stuck@", None),
+        ] {
+            let read = text.parse::<FaultArgument>().ok();
+            let read = read.map(|read| (read.robot, read.fault, read.from_s));
+            assert_eq!(read, expected, "{text}");
+        }
+    }
+}

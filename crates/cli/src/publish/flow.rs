@@ -1,0 +1,171 @@
+//! Listening to the worker, so that it is not sent more than it can take.
+
+use joulebus_bus::{Bus, Domain, ForecastReader, Limits, PeerWatch, Waiter, WorkerLock, clock};
+use joulebus_wire::{SCHEMA_VERSION, Sample, forecast_flag};
+
+use super::window::Window;
+use crate::output::say;
+use crate::stop::Stop;
+
+/// How long nothing may be heard before it is mentioned, ns.
+const PATIENCE_NS: u64 = 2_000_000_000;
+/// How long to sleep at most while nothing is heard, ns.
+const LOOK_EVERY_NS: u64 = 50_000_000;
+
+/// What a source hears of the worker.
+pub(super) struct Flow {
+    window: Window,
+    // Ports before the bus: the order in which they must go.
+    forecasts: ForecastReader,
+    waiter: Waiter,
+    _bus: Bus,
+    domain: Domain,
+    source_epoch: u64,
+    worker: Option<HeardWorker>,
+    /// Frames that died with a worker.
+    pub(super) unanswered: u64,
+}
+
+struct HeardWorker {
+    epoch: u64,
+    process: Option<PeerWatch>,
+}
+
+/// Whether there is room for a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Room {
+    /// There is.
+    Free,
+    /// There is no worker any more.
+    NoWorker,
+    /// A signal came first.
+    Stopped,
+}
+
+impl Flow {
+    /// Listens to the worker of `domain` on behalf of the source that began at `source_epoch`.
+    pub(super) fn open(
+        domain: &Domain,
+        limits: &Limits,
+        window: Window,
+        source_epoch: u64,
+    ) -> anyhow::Result<Self> {
+        let bus = Bus::join(domain, "flow-control")?;
+        Ok(Self {
+            window,
+            forecasts: bus.forecast_reader(limits)?,
+            waiter: bus.planner_waiter(limits)?,
+            _bus: bus,
+            domain: domain.clone(),
+            source_epoch,
+            worker: None,
+            unanswered: 0,
+        })
+    }
+
+    /// Waits until the worker has answered enough for `frame`.
+    pub(super) fn room(&mut self, frame: &[Sample], stop: &Stop) -> anyhow::Result<Room> {
+        self.wait(stop, None, |window| window.has_room(frame))
+    }
+
+    /// Waits until everything is answered, at most until `until_ns` (monotonic).
+    pub(super) fn settle(&mut self, stop: &Stop, until_ns: u64) -> anyhow::Result<()> {
+        self.wait(stop, Some(until_ns), |window| window.len() == 0)?;
+        self.unanswered += self.window.forget();
+        Ok(())
+    }
+
+    /// A frame was sent.
+    pub(super) fn sent(&mut self, frame: &[Sample]) {
+        self.window.sent(frame, clock::monotonic_ns());
+    }
+
+    fn wait(
+        &mut self,
+        stop: &Stop,
+        until_ns: Option<u64>,
+        enough: impl Fn(&Window) -> bool,
+    ) -> anyhow::Result<Room> {
+        let mut mention_ns = clock::monotonic_ns() + PATIENCE_NS;
+        loop {
+            self.hear()?;
+            if enough(&self.window) {
+                return Ok(Room::Free);
+            }
+            let now_ns = clock::monotonic_ns();
+            if stop.is_asked() {
+                // What is on its way arrives all the same: nothing of it is lost.
+                self.window.forget();
+                return Ok(Room::Stopped);
+            }
+            if self.is_gone()? {
+                self.unanswered += self.window.forget();
+                self.worker = None;
+                return Ok(Room::NoWorker);
+            }
+            if until_ns.is_some_and(|until_ns| now_ns >= until_ns) {
+                return Ok(Room::Free);
+            }
+            if now_ns >= mention_ns {
+                say("the worker runs, but has answered nothing for 2 s; waiting for it");
+                mention_ns = u64::MAX;
+            }
+            let process = self
+                .worker
+                .as_ref()
+                .and_then(|worker| worker.process.as_ref());
+            self.waiter
+                .wait_until(Some(now_ns + LOOK_EVERY_NS), process)?;
+        }
+    }
+
+    /// Takes the newest forecasts, if there are new ones.
+    fn hear(&mut self) -> anyhow::Result<()> {
+        let frame = match self.forecasts.take_latest() {
+            Ok(Some(frame)) => frame,
+            Ok(None) => return Ok(()),
+            Err(error) => {
+                // The port makes itself anew; the next look may succeed.
+                tracing::warn!(%error, "forecasts could not be read");
+                return Ok(());
+            }
+        };
+        let header = *frame.header();
+        anyhow::ensure!(
+            header.schema == SCHEMA_VERSION,
+            "the worker writes schema {}, this program reads {SCHEMA_VERSION}: use one version",
+            header.schema
+        );
+        if self
+            .worker
+            .as_ref()
+            .is_none_or(|worker| worker.epoch != header.worker_epoch)
+        {
+            if self.worker.is_some() {
+                self.unanswered += self.window.forget();
+            }
+            self.worker = Some(HeardWorker {
+                epoch: header.worker_epoch,
+                process: PeerWatch::open(header.pid),
+            });
+        }
+        let answers = frame.iter().filter(|forecast| {
+            forecast.flags & forecast_flag::SAMPLE != 0
+                && forecast.source_epoch == self.source_epoch
+        });
+        let answers = answers.map(|forecast| (forecast.robot, forecast.sample_seq));
+        self.window.answered(header.compute_start_ns, answers);
+        Ok(())
+    }
+
+    fn is_gone(&self) -> anyhow::Result<bool> {
+        let process = self
+            .worker
+            .as_ref()
+            .and_then(|worker| worker.process.as_ref());
+        match process {
+            Some(process) => Ok(process.is_gone()),
+            None => Ok(WorkerLock::owner(&self.domain)?.is_none()),
+        }
+    }
+}

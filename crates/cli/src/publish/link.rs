@@ -1,0 +1,114 @@
+//! The way to a worker: publishing, and finding out whether somebody reads it.
+
+use joulebus_bus::{Domain, WorkerLock, clock};
+use joulebus_config::Config;
+use joulebus_publisher::{PublishError, Publisher};
+use joulebus_wire::Sample;
+
+use super::report::PublishReport;
+use crate::output::say;
+use crate::stop::Stop;
+
+/// How often to look for a worker, ns.
+const LOOK_EVERY_NS: u64 = 100_000_000;
+
+/// A source of the fleet.
+pub(super) struct Link {
+    publisher: Publisher,
+    domain: Domain,
+}
+
+/// What became of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Fate {
+    /// A worker can read it.
+    Sent,
+    /// Nobody was there to read it.
+    Unheard,
+    /// It could not be sent.
+    Failed,
+}
+
+impl Link {
+    pub(super) fn open(config: &Config, name: &str) -> anyhow::Result<Self> {
+        Ok(Self {
+            publisher: Publisher::with_config(config, name)?,
+            domain: config.domain()?,
+        })
+    }
+
+    pub(super) const fn domain(&self) -> &Domain {
+        &self.domain
+    }
+
+    /// Samples that one frame may hold.
+    pub(super) const fn capacity(&self) -> usize {
+        self.publisher.capacity()
+    }
+
+    /// When this run of the source began, Unix ns.
+    pub(super) const fn epoch(&self) -> u64 {
+        self.publisher.source_epoch()
+    }
+
+    /// Sends a frame and counts it. A frame that the bus does not take is no reason to end: a
+    /// controller would not either.
+    ///
+    /// # Errors
+    /// The frame itself cannot be sent, now or later.
+    pub(super) fn send(
+        &mut self,
+        intended_ns: u64,
+        frame: &[Sample],
+        report: &mut PublishReport,
+    ) -> Result<Fate, PublishError> {
+        match self.publisher.publish_samples(intended_ns, frame) {
+            Ok(sent) => {
+                report.frames_sent += 1;
+                report.samples_sent += frame.len() as u64;
+                if sent.readers > 0 {
+                    return Ok(Fate::Sent);
+                }
+                report.frames_unheard += 1;
+                Ok(Fate::Unheard)
+            }
+            Err(PublishError::Send(error)) => {
+                report.frames_failed += 1;
+                tracing::warn!(%error, "a frame was not sent");
+                Ok(Fate::Failed)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Whether a worker runs and can read what is sent: a frame without samples tells.
+    pub(super) fn has_worker(&mut self) -> anyhow::Result<bool> {
+        if WorkerLock::owner(&self.domain)?.is_none() {
+            return Ok(false);
+        }
+        match self.publisher.publish_samples(clock::monotonic_ns(), &[]) {
+            Ok(sent) => Ok(sent.readers > 0),
+            Err(PublishError::Send(_)) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Waits for a worker; false at a signal.
+    pub(super) fn wait_for_worker(&mut self, stop: &Stop) -> anyhow::Result<bool> {
+        if self.has_worker()? {
+            return Ok(true);
+        }
+        say("no worker runs; waiting for one (`joulebus run` starts it)");
+        while !self.has_worker()? {
+            if !stop.sleep_until(clock::monotonic_ns() + LOOK_EVERY_NS) {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// Says that frames go nowhere for now.
+pub(super) fn say_nobody_reads() {
+    say("no worker runs: what is sent before one comes is lost (`joulebus run` starts it)");
+}

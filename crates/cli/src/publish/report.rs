@@ -1,0 +1,102 @@
+//! What was published.
+
+use std::fmt;
+
+use serde::Serialize;
+
+/// What a source has published.
+#[derive(Debug, Default, Serialize)]
+pub(super) struct PublishReport {
+    /// Name of the fleet.
+    pub(super) fleet: String,
+    /// Name of the source.
+    pub(super) source: String,
+    /// Robots of the source.
+    pub(super) robots: usize,
+    /// From the first frame to the end.
+    pub(super) duration_s: f64,
+    /// Frames sent.
+    pub(super) frames_sent: u64,
+    /// Samples sent: what the worker accepts and drops adds up to it.
+    pub(super) samples_sent: u64,
+    /// Frames sent while no worker was there to read them.
+    pub(super) frames_unheard: u64,
+    /// Frames that could not be sent.
+    pub(super) frames_failed: u64,
+    /// Frames that went to a worker which did not answer them.
+    pub(super) frames_unanswered: u64,
+    /// Places on the grid that were passed over because the source was stalled.
+    pub(super) ticks_skipped: u64,
+    /// Time by which the playback was held up, s.
+    pub(super) held_up_s: f64,
+    /// Recorded time played, over the time that it took; none for a simulation.
+    pub(super) speed: Option<f64>,
+    /// The recordings.
+    pub(super) trials: Vec<PlayedTrial>,
+}
+
+/// One recording.
+#[derive(Debug, Serialize)]
+pub(super) struct PlayedTrial {
+    pub(super) robot: u32,
+    pub(super) file: String,
+    /// Samples sent of it.
+    pub(super) samples: u64,
+    /// What is to be known about it.
+    pub(super) notes: String,
+    /// Whether there is nothing questionable about it.
+    pub(super) clean: bool,
+}
+
+impl PublishReport {
+    /// Whether something did not reach a worker that was meant to.
+    pub(super) const fn has_lost(&self) -> bool {
+        self.frames_failed > 0 || self.frames_unanswered > 0
+    }
+}
+
+impl fmt::Display for PublishReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            fleet,
+            source,
+            robots,
+            duration_s,
+            frames_sent,
+            samples_sent,
+            ..
+        } = self;
+        writeln!(
+            out,
+            "{source} to fleet {fleet}: {samples_sent} samples of {robots} robots in {frames_sent} \
+             frames, {duration_s:.1} s"
+        )?;
+        for (count, what) in [
+            (self.frames_unheard, "frames sent while no worker was there"),
+            (self.frames_failed, "frames could not be sent"),
+            (
+                self.frames_unanswered,
+                "frames were not answered by the worker",
+            ),
+            (self.ticks_skipped, "ticks skipped: the source was stalled"),
+        ] {
+            if count > 0 {
+                writeln!(out, "{count} {what}")?;
+            }
+        }
+        if let Some(speed) = self.speed {
+            writeln!(out, "played at {speed:.2} times the recorded speed")?;
+        }
+        if self.held_up_s > 0.0 {
+            writeln!(out, "held up for {:.1} s", self.held_up_s)?;
+        }
+        for trial in self.trials.iter().filter(|trial| !trial.clean) {
+            writeln!(
+                out,
+                "robot {}: {}: {}",
+                trial.robot, trial.file, trial.notes
+            )?;
+        }
+        Ok(())
+    }
+}

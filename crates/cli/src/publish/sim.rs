@@ -1,0 +1,235 @@
+//! `joulebus publish sim`: a simulated fleet.
+
+use std::time::Duration;
+
+use joulebus_bus::{clock, set_timer_slack};
+use joulebus_config::Config;
+use joulebus_fleet::Platform;
+use joulebus_lab::plant::{Plant, SimReading};
+use joulebus_publisher::{Grid, PublishError};
+use joulebus_wire::{Sample, sample_flag};
+
+use super::fault::{self, FaultArgument};
+use super::link::{Link, say_nobody_reads};
+use super::report::PublishReport;
+use super::{Hertz, seconds};
+use crate::config_file::ConfigFile;
+use crate::exit::{Outcome, UsageError};
+use crate::output::Output;
+use crate::stop::Stop;
+use crate::trials::platform;
+
+/// The plant takes no longer step, ns.
+const LONGEST_STEP_NS: u64 = 1_000_000_000;
+
+/// Publish a simulated fleet of GTernal robots until SIGINT or SIGTERM, then report
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus publish sim --robots 20 --seed 7\n  \
+    joulebus publish sim --robots 5 --duration 60 --fault 3=load:1.5@20 --fault 4=stuck\n\n\
+    Faults: load:WATT (more power than the model knows of), noise:WATT (standard deviation), stuck \
+    (the monitor repeats its last value). The same seed gives the same robots.")]
+pub(crate) struct Args {
+    #[command(flatten)]
+    config: ConfigFile,
+    /// Robots
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    robots: u32,
+    /// Seed of the robots and their missions
+    #[arg(long, value_name = "N", default_value_t = 7)]
+    seed: u64,
+    /// End after this time, s [default: at a signal]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    duration: Option<Duration>,
+    /// Control ticks per second, Hz, 0.1 to 1000 [default: the platform's rate]
+    #[arg(long, value_name = "HZ")]
+    rate: Option<Hertz>,
+    /// Gives a robot a fault, from a time on if one is given; may be repeated
+    #[arg(long = "fault", value_name = fault::HELP)]
+    faults: Vec<FaultArgument>,
+    /// Platform of the config whose ids the robots get, lowest first [default: the first]
+    #[arg(long, value_name = "NAME")]
+    platform: Option<String>,
+    /// Id of the first robot; the others count on [default: the platform's ids]
+    #[arg(long, value_name = "ID")]
+    first_robot: Option<u32>,
+    /// Name of the source; a second source of the same name replaces the first [default: sim and
+    /// the first robot's id]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let stop = Stop::on_signals()?;
+    let config = args.config.load()?;
+    let platform = args.platform(&config)?;
+    let ids = args.ids(platform)?;
+    let plant = args.plant(&ids)?;
+    let name = match &args.name {
+        Some(name) => name.clone(),
+        None => format!("sim-{}", ids[0]),
+    };
+    let mut link = Link::open(&config, &name)?;
+    if !link.has_worker()? {
+        say_nobody_reads();
+    }
+    let mut source = Source {
+        link,
+        plant,
+        robots: ids.into_iter().map(Robot::new).collect(),
+        frame: Vec::new(),
+        report: PublishReport {
+            fleet: config.fleet().to_owned(),
+            source: name,
+            robots: args.robots as usize,
+            ..PublishReport::default()
+        },
+    };
+    let period_ns = args.rate.map_or(platform.period_ns, Hertz::period_ns);
+    source.play(period_ns, args.duration, &stop)?;
+    output.report(&source.report)?;
+    Ok(Outcome::unless_lost(source.report.has_lost()))
+}
+
+impl Args {
+    fn platform<'a>(&self, config: &'a Config) -> Result<&'a Platform, UsageError> {
+        let settings = config.settings();
+        match (&self.platform, settings.platforms.first()) {
+            (Some(name), _) => platform(settings, name),
+            (None, Some(first)) => Ok(first),
+            (None, None) => Err(UsageError("the config has no platform".to_owned())),
+        }
+    }
+
+    /// Ids of the robots; as many as asked for, at least one.
+    fn ids(&self, platform: &Platform) -> Result<Vec<u32>, UsageError> {
+        let wanted = self.robots as usize;
+        let ids: Vec<u32> = match self.first_robot {
+            Some(first) => (first..=u32::MAX).take(wanted).collect(),
+            None => platform
+                .robots
+                .iter()
+                .cloned()
+                .flatten()
+                .take(wanted)
+                .collect(),
+        };
+        if ids.len() < wanted {
+            let (found, name) = (ids.len(), &platform.name);
+            return Err(UsageError(format!(
+                "{wanted} robots asked for, ids for {found}: enlarge the `robots` of platform \
+                 {name} in the config, or give --first-robot"
+            )));
+        }
+        Ok(ids)
+    }
+
+    fn plant(&self, ids: &[u32]) -> anyhow::Result<Plant> {
+        let mut plant = Plant::new(self.seed, ids.len());
+        for FaultArgument {
+            robot,
+            fault,
+            from_s,
+        } in &self.faults
+        {
+            let place = ids.iter().position(|id| id == robot).ok_or_else(|| {
+                let (first, last) = (ids[0], ids[ids.len() - 1]);
+                UsageError(format!(
+                    "--fault for robot {robot}; the robots are {first} to {last}"
+                ))
+            })?;
+            plant = plant.with_fault(place, *fault, *from_s)?;
+        }
+        Ok(plant)
+    }
+}
+
+struct Robot {
+    id: u32,
+    seq: u64,
+    /// When the reading sent last was measured, ns since the plant's start.
+    measured_ns: Option<u64>,
+}
+
+impl Robot {
+    const fn new(id: u32) -> Self {
+        Self {
+            id,
+            seq: 0,
+            measured_ns: None,
+        }
+    }
+
+    /// What the controller sends of the robot at `stamp_ns`; the plant began at `base_ns`.
+    fn sample(&mut self, reading: &SimReading, stamp_ns: u64, base_ns: u64) -> Sample {
+        let sample = Sample::new(self.id, self.seq, stamp_ns)
+            .command(reading.v_mps, reading.omega_radps)
+            .reading(reading.power_w, base_ns.saturating_add(reading.measured_ns))
+            .battery(reading.voltage_v, reading.current_a);
+        // Not the plant's own word: after skipped ticks the last reading that was *sent* counts.
+        let held = self.measured_ns == Some(reading.measured_ns);
+        self.measured_ns = Some(reading.measured_ns);
+        self.seq += 1;
+        sample.with(if held { sample_flag::HELD } else { 0 })
+    }
+}
+
+struct Source {
+    link: Link,
+    plant: Plant,
+    robots: Vec<Robot>,
+    frame: Vec<Sample>,
+    report: PublishReport,
+}
+
+impl Source {
+    /// A frame at each place of the grid, until the time is over or a signal comes.
+    fn play(
+        &mut self,
+        period_ns: u64,
+        duration: Option<Duration>,
+        stop: &Stop,
+    ) -> Result<(), PublishError> {
+        if let Err(error) = set_timer_slack() {
+            tracing::warn!(%error, "frames may be sent 50 µs late");
+        }
+        let base_ns = clock::monotonic_ns();
+        let end_ns = duration.map_or(u64::MAX, |duration| {
+            base_ns.saturating_add(u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX))
+        });
+        let mut grid = Grid::new(base_ns.saturating_add(period_ns), period_ns);
+        while grid.due_ns() <= end_ns && stop.sleep_until(grid.due_ns()) {
+            let Some(slot) = grid.take(clock::monotonic_ns()) else {
+                continue;
+            };
+            // After a stall the newest place is sent; those before it are passed over.
+            let passed_ns = slot.skipped.saturating_mul(period_ns);
+            let stamp_ns = slot.intended_ns.saturating_add(passed_ns);
+            self.advance(stamp_ns - base_ns);
+            self.send(slot.intended_ns, stamp_ns, base_ns)?;
+        }
+        self.report.ticks_skipped = grid.skipped();
+        self.report.duration_s = clock::monotonic_ns().saturating_sub(base_ns) as f64 / 1e9;
+        Ok(())
+    }
+
+    /// Lets the robots run up to `until_ns` after the plant's start.
+    fn advance(&mut self, until_ns: u64) {
+        loop {
+            let left_ns = until_ns.saturating_sub(self.plant.now_ns());
+            if left_ns == 0 {
+                return;
+            }
+            self.plant.step(left_ns.min(LONGEST_STEP_NS) as f64 / 1e9);
+        }
+    }
+
+    fn send(&mut self, intended_ns: u64, stamp_ns: u64, base_ns: u64) -> Result<(), PublishError> {
+        self.frame.clear();
+        let robots = self.robots.iter_mut().zip(self.plant.step(0.0));
+        self.frame
+            .extend(robots.map(|(robot, reading)| robot.sample(reading, stamp_ns, base_ns)));
+        self.link.send(intended_ns, &self.frame, &mut self.report)?;
+        Ok(())
+    }
+}

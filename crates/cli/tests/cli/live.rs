@@ -1,0 +1,233 @@
+//! Worker and sources together.
+
+use std::fs;
+
+use rustix::process::Signal;
+
+use crate::fleet::{Fleet, Program, code, json, stderr, stdout};
+
+#[test]
+fn every_sample_played_as_fast_as_possible_is_accepted() {
+    let fleet = Fleet::new();
+    let (rows, robots, passes) = (200, 4, 2);
+    let files: Vec<_> = (0..robots)
+        .map(|robot| fleet.recording(&format!("{robot}.csv"), rows))
+        .collect();
+    let worker = fleet.worker();
+    let mut play =
+        fleet.joulebus("publish trial --rate max --loop=2 --first-robot 3 --format json");
+    let played = play.args(&files).output().unwrap();
+    assert_eq!(code(&played), 0, "{}", stderr(&played));
+    let played = json(&played);
+    let sent = u64::from(rows * robots * passes);
+    assert_eq!(played["samples_sent"], sent);
+    assert_eq!(played["robots"], robots);
+    for (place, trial) in played["trials"].as_array().unwrap().iter().enumerate() {
+        assert_eq!(trial["robot"], 3 + place);
+        assert_eq!(trial["samples"], rows * passes);
+    }
+    let speed = played["speed"].as_f64().unwrap();
+    assert!(speed > 1.0, "{speed}");
+
+    let worker = worker.end(Signal::TERM);
+    assert_eq!(code(&worker), 0, "{}", stderr(&worker));
+    let report = json(&worker);
+    assert_eq!(report["samples_accepted"], sent, "{report}");
+    assert_eq!(report["samples_dropped"], serde_json::json!({}), "{report}");
+    assert!(fleet.leftovers().is_empty());
+}
+
+#[test]
+fn a_file_gets_the_robot_or_the_platform_that_stands_after_it() {
+    let fleet = Fleet::new();
+    fs::create_dir(fleet.path("rovers")).unwrap();
+    let rovers = [
+        fleet.recording("rovers/b.csv", 20),
+        fleet.recording("rovers/a.csv", 20),
+    ];
+    fs::write(fleet.path("rovers/notes.txt"), "no recording").unwrap();
+    let one = fleet.recording("one.csv", 20);
+    let mut play = fleet.joulebus("publish trial --no-wait --rate 1000 --format json");
+    play.arg(format!("{}@7", one.display()));
+    play.arg(format!("{}@rover", fleet.path("rovers").display()));
+    let played = play.output().unwrap();
+    assert_eq!(code(&played), 0, "{}", stderr(&played));
+    assert!(
+        stderr(&played).contains("no worker runs"),
+        "{}",
+        stderr(&played)
+    );
+    let played = json(&played);
+    let trial = |robot: u32, file: &std::path::Path| (robot, file.display().to_string());
+    let found: Vec<_> = played["trials"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|trial| {
+            let robot = u32::try_from(trial["robot"].as_u64().unwrap()).unwrap();
+            (robot, trial["file"].as_str().unwrap().to_owned())
+        })
+        .collect();
+    let expected = [
+        trial(7, &one),
+        trial(100, &rovers[1]),
+        trial(101, &rovers[0]),
+    ];
+    assert_eq!(found, expected);
+    assert_eq!(played["frames_unheard"], played["frames_sent"]);
+    assert!(fleet.leftovers().is_empty());
+}
+
+#[test]
+fn a_trial_waits_for_the_worker_and_loses_nothing() {
+    let fleet = Fleet::new();
+    let file = fleet.recording("a.csv", 60);
+    let mut play = fleet.joulebus("publish trial --first-robot 0 --rate 4 --format json");
+    play.arg(&file);
+    let mut play = Program::start(play);
+    play.wait_for_stderr("waiting for one");
+    let worker = fleet.worker();
+    let played = play.wait();
+    assert_eq!(code(&played), 0, "{}", stderr(&played));
+    assert_eq!(json(&played)["samples_sent"], 60);
+    let report = json(&worker.end(Signal::INT));
+    assert_eq!(report["samples_accepted"], 60, "{report}");
+    assert!(fleet.leftovers().is_empty());
+}
+
+#[test]
+fn a_worker_killed_under_a_fast_source_costs_at_most_the_window() {
+    let fleet = Fleet::new();
+    let file = fleet.recording("a.csv", 600);
+    let worker = fleet.worker();
+    let mut play =
+        fleet.joulebus("publish trial --first-robot 0 --rate max --window 3 --format json");
+    play.arg(&file);
+    let mut play = Program::start(play);
+    std::thread::sleep(std::time::Duration::from_millis(700));
+    let killed = worker.end(Signal::KILL);
+    assert_eq!(killed.status.code(), None);
+    play.wait_for_stderr("waiting for one");
+    let worker = fleet.worker();
+    let played = play.wait();
+    let report = json(&played);
+    let lost =
+        report["frames_unanswered"].as_u64().unwrap() + report["frames_unheard"].as_u64().unwrap();
+    assert!(lost <= 4, "{report}");
+    assert_eq!(
+        code(&played),
+        if report["frames_unanswered"] == 0 {
+            0
+        } else {
+            3
+        },
+        "{report}"
+    );
+    assert_eq!(report["samples_sent"], 600);
+    assert_eq!(code(&worker.end(Signal::TERM)), 0);
+    assert!(fleet.leftovers().is_empty());
+}
+
+#[test]
+fn a_second_worker_ends_with_the_pid_of_the_first() {
+    let fleet = Fleet::new();
+    let worker = fleet.worker();
+    let second = fleet.output("run");
+    assert_eq!(code(&second), 1);
+    assert!(
+        stderr(&second).contains(&format!("pid {}", worker.pid())),
+        "{}",
+        stderr(&second)
+    );
+    assert_eq!(stdout(&second), "");
+    let doctor = json(&fleet.output("doctor --format json"));
+    let found = doctor["checks"].to_string();
+    assert!(
+        found.contains(&format!("runs, pid {}", worker.pid())),
+        "{found}"
+    );
+    assert_eq!(code(&worker.end(Signal::TERM)), 0);
+    assert!(fleet.leftovers().is_empty());
+}
+
+#[test]
+fn a_simulated_fleet_is_accepted_whole() {
+    let fleet = Fleet::new();
+    let worker = fleet.worker();
+    let sim =
+        fleet.output("publish sim --robots 5 --duration 1.5 --fault 2=load:1.5@0.5 --format json");
+    assert_eq!(code(&sim), 0, "{}", stderr(&sim));
+    let sim = json(&sim);
+    let (frames, skipped) = (&sim["frames_sent"], &sim["ticks_skipped"]);
+    assert_eq!(
+        frames.as_u64().unwrap() + skipped.as_u64().unwrap(),
+        45,
+        "{sim}"
+    );
+    assert_eq!(
+        sim["samples_sent"].as_u64().unwrap(),
+        5 * frames.as_u64().unwrap()
+    );
+    let report = json(&worker.end(Signal::TERM));
+    let dropped = report["samples_dropped"].as_object().unwrap().values();
+    let dropped: u64 = dropped.map(|count| count.as_u64().unwrap()).sum();
+    let accepted = report["samples_accepted"].as_u64().unwrap();
+    assert_eq!(
+        accepted + dropped,
+        sim["samples_sent"].as_u64().unwrap(),
+        "{report}"
+    );
+    assert!(fleet.leftovers().is_empty());
+}
+
+#[test]
+fn a_signal_ends_a_source_cleanly() {
+    for (verb, signal) in [
+        ("publish sim --robots 3 --format json", Signal::INT),
+        (
+            "publish trial --loop --no-wait --first-robot 0 --format json",
+            Signal::TERM,
+        ),
+        // Still waiting for a worker.
+        (
+            "publish trial --loop --first-robot 0 --format json",
+            Signal::TERM,
+        ),
+    ] {
+        let fleet = Fleet::new();
+        let mut source = fleet.joulebus(verb);
+        if verb.contains("trial") {
+            source.arg(fleet.recording("a.csv", 30));
+        }
+        let mut source = Program::start(source);
+        source.wait_for_stderr("no worker runs");
+        let ended = source.end(signal);
+        assert_eq!(code(&ended), 0, "{verb}: {}", stderr(&ended));
+        assert_eq!(json(&ended)["fleet"], "cli", "{verb}");
+        assert!(fleet.leftovers().is_empty(), "{verb}");
+    }
+}
+
+#[test]
+fn trials_are_evaluated_offline() {
+    let fleet = Fleet::new();
+    let file = fleet.recording("a.csv", 300);
+    let mut eval = fleet.joulebus("eval --first-robot 0 --format json");
+    let report = json(&eval.arg(&file).output().unwrap());
+    let robot = &report["robots"][0];
+    assert_eq!(
+        (&robot["robot"], &robot["accepted"]),
+        (&0.into(), &300.into()),
+        "{report}"
+    );
+    assert!(
+        robot["persistence_mae_w"].as_f64().unwrap() > 0.0,
+        "{report}"
+    );
+    let mut eval = fleet.joulebus("eval --first-robot 0");
+    let text = eval.arg(&file).output().unwrap();
+    assert!(stdout(&text).contains("gternal"), "{}", stdout(&text));
+    let mut eval = fleet.joulebus("eval --first-robot 0 --model");
+    let refused = eval.arg(&file).arg(&file).output().unwrap();
+    assert_eq!(code(&refused), 1, "a recording is no model");
+}

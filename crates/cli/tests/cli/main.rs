@@ -1,0 +1,289 @@
+//! The program as its users meet it: real processes, exit codes, what goes where.
+
+mod fleet;
+mod live;
+
+use std::fs;
+use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
+use std::process::Stdio;
+use std::time::Duration;
+
+use fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
+use joulebus_config::Config;
+
+const VERBS: [&str; 15] = [
+    "demo",
+    "run",
+    "publish",
+    "publish sim",
+    "publish trial",
+    "watch",
+    "doctor",
+    "config",
+    "config check",
+    "config show",
+    "config explain",
+    "train",
+    "train sim",
+    "eval",
+    "completions",
+];
+
+#[test]
+fn every_verb_teaches_itself() {
+    let help = output(["--help"]);
+    assert_eq!(code(&help), 0);
+    assert!(stdout(&help).contains("Exit codes"));
+    for verb in VERBS {
+        let top = verb.split_whitespace().next().unwrap();
+        assert!(
+            stdout(&help).contains(&format!("\n  {top} ")),
+            "{verb} is not listed"
+        );
+        let help = output(verb.split_whitespace().chain(["--help"]));
+        assert_eq!(code(&help), 0, "{verb}");
+        assert!(stdout(&help).contains("Usage: joulebus"), "{verb}");
+    }
+}
+
+#[test]
+fn wrong_usage_ends_with_2_and_without_a_result() {
+    let fleet = Fleet::new();
+    let recording = fleet.recording("a.csv", 10).display().to_string();
+    let config = fleet.config().display().to_string();
+    for (arguments, says) in [
+        (vec!["frobnicate"], "frobnicate"),
+        (vec!["--format", "xml", "doctor"], "xml"),
+        (vec!["publish"], "Usage"),
+        (vec!["publish", "trial"], "PATH"),
+        (vec!["publish", "sim", "--robots", "0"], "--robots"),
+        (
+            vec!["publish", "sim", "--rate", "0.01"],
+            "allowed are 0.1 to 1000 Hz",
+        ),
+        (vec!["publish", "sim", "--fault", "3=melted"], "stuck"),
+        (
+            vec!["publish", "sim", "--config", &config, "--robots", "11"],
+            "ids for 10",
+        ),
+        (
+            vec!["publish", "sim", "--config", &config, "--platform", "huksy"],
+            "gternal, rover",
+        ),
+        (
+            vec![
+                "publish", "sim", "--config", &config, "--robots", "2", "--fault", "9=stuck",
+            ],
+            "0 to 1",
+        ),
+        (
+            vec!["publish", "trial", &recording, "--rate", "fast"],
+            "is no number",
+        ),
+        (
+            vec!["publish", "trial", &recording, "--rate", "NaN"],
+            "allowed are",
+        ),
+        (vec!["publish", "trial", &recording, "--loop=0"], "from 1"),
+        // Two platforms: whose robot is it?
+        (
+            vec!["publish", "trial", &recording, "--config", &config],
+            "--platform NAME",
+        ),
+        (
+            vec!["eval", &recording, "--config", &config],
+            "gternal, rover",
+        ),
+        (vec!["config", "explain", "tick.rate_hx"], "tick.rate_hz"),
+        (vec!["completions", "cmd"], "bash"),
+        (vec!["run", "--config", "/nowhere/fleet.toml"], "--config"),
+    ] {
+        let refused = output(&arguments);
+        assert_eq!(code(&refused), 2, "{arguments:?}: {}", stderr(&refused));
+        assert_eq!(stdout(&refused), "", "{arguments:?}");
+        assert!(
+            stderr(&refused).contains(says),
+            "{arguments:?}: {}",
+            stderr(&refused)
+        );
+    }
+    assert_eq!(fleet.leftovers(), Vec::<std::path::PathBuf>::new());
+}
+
+#[test]
+fn a_typo_in_a_config_is_refused_with_its_line_and_the_nearest_key() {
+    let fleet = Fleet::new();
+    let path = fleet.path("typo.toml");
+    let text = fs::read_to_string(fleet.config()).unwrap();
+    fs::write(&path, text.replace("capacity", "capcity")).unwrap();
+    let path = path.display().to_string();
+    for arguments in [
+        vec!["config", "check", &path],
+        vec!["config", "show", &path],
+        vec!["run", "--config", &path],
+        vec!["publish", "sim", "--config", &path],
+        vec!["doctor", "--config", &path],
+    ] {
+        let refused = output(&arguments);
+        assert_eq!(code(&refused), 2, "{arguments:?}");
+        let said = stderr(&refused);
+        assert!(said.contains("typo.toml:3:"), "{arguments:?}: {said}");
+        assert!(
+            said.contains("capcity") && said.contains("`fleet.capacity`"),
+            "{said}"
+        );
+    }
+    let good = fleet.config().display().to_string();
+    let checked = output(["config", "check", &good, &path, "--format", "json"]);
+    assert_eq!(code(&checked), 2);
+    let files = &json(&checked)["files"];
+    assert_eq!(
+        (&files[0]["accepted"], &files[1]["accepted"]),
+        (&true.into(), &false.into())
+    );
+    assert_eq!(files[1]["problems"][0]["line"], 3);
+}
+
+#[test]
+fn what_is_shown_of_a_config_is_the_same_config() {
+    let fleet = Fleet::new();
+    let config = fleet.config().display().to_string();
+    let shown = output(["config", "show", &config]);
+    assert_eq!(code(&shown), 0, "{}", stderr(&shown));
+    let again = Config::parse(&stdout(&shown), fleet.path("").as_path()).unwrap();
+    let first = Config::load(fleet.config()).unwrap();
+    assert_eq!(again.settings(), first.settings());
+    assert_eq!(again.models(), first.models());
+    assert_eq!((again.fleet(), again.root()), (first.fleet(), first.root()));
+    let as_json = json(&output(["config", "show", &config, "--format", "json"]));
+    assert_eq!(as_json["toml"], stdout(&shown).as_str());
+    // Without a file: the one that ships, from any directory.
+    let shipped = joulebus(["config", "show"])
+        .current_dir("/")
+        .output()
+        .unwrap();
+    assert_eq!(code(&shipped), 0, "{}", stderr(&shipped));
+    Config::parse(&stdout(&shipped), std::path::Path::new("/")).unwrap();
+}
+
+#[test]
+fn keys_are_explained_for_people_and_for_programs() {
+    let text = stdout(&output(["config", "explain", "tick.rate_hz"]));
+    assert!(text.contains("Hz") && text.contains("default 30"), "{text}");
+    let keys = json(&output(["config", "explain", "tick", "--format", "json"]));
+    let names: Vec<&str> = keys
+        .as_array()
+        .unwrap()
+        .iter()
+        .flat_map(|key| key["key"].as_str())
+        .collect();
+    assert_eq!(names, ["tick.policy", "tick.rate_hz", "tick.deadline_ms"]);
+}
+
+#[test]
+fn completions_name_the_verbs() {
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let script = output(["completions", shell]);
+        assert_eq!(code(&script), 0, "{shell}");
+        for verb in ["publish", "doctor", "completions"] {
+            assert!(stdout(&script).contains(verb), "{shell}: {verb}");
+        }
+    }
+}
+
+#[test]
+fn a_closed_stdout_is_no_error_and_no_panic() {
+    for arguments in [
+        vec!["config", "explain"],
+        vec!["--help"],
+        vec!["completions", "zsh"],
+    ] {
+        let (read, write) = std::io::pipe().unwrap();
+        drop(read);
+        let ended = joulebus(&arguments)
+            .stdout(write)
+            .stderr(Stdio::piped())
+            .output()
+            .unwrap();
+        assert_eq!(code(&ended), 0, "{arguments:?}: {}", stderr(&ended));
+        assert_eq!(stderr(&ended), "", "{arguments:?}");
+    }
+}
+
+#[test]
+fn doctor_finds_a_fresh_place_well_and_leaves_nothing() {
+    let fleet = Fleet::new();
+    let healthy = fleet.output("doctor --format json");
+    assert_eq!(code(&healthy), 0, "{}", stdout(&healthy));
+    let report = json(&healthy);
+    let checks = report["checks"].as_array().unwrap();
+    let about = |name: &str| {
+        let check = checks.iter().find(|check| check["name"] == name);
+        check.unwrap_or_else(|| panic!("no {name}"))["found"]
+            .as_str()
+            .unwrap()
+            .to_owned()
+    };
+    assert!(about("versions").contains("iceoryx2 0.10.0"));
+    assert!(about("shared memory").contains("MiB needed"));
+    assert!(about("models").contains("gternal"));
+    assert!(about("worker").contains("none runs"));
+    assert_eq!(about("leftovers"), "none");
+    assert!(fleet.leftovers().is_empty());
+    assert_eq!(code(&fleet.output("doctor --fix")), 0);
+    assert!(fleet.leftovers().is_empty());
+}
+
+#[test]
+fn doctor_finds_what_dead_runs_left_and_mends_it() {
+    let fleet = Fleet::new();
+    let unfinished = format!("/dev/shm/{}dead.connection", fleet.prefix());
+    fs::write(&unfinished, "").unwrap();
+    fs::create_dir(fleet.root()).unwrap();
+    fs::set_permissions(fleet.root(), fs::Permissions::from_mode(0o755)).unwrap();
+    // Younger ones may be in the making.
+    std::thread::sleep(Duration::from_millis(400));
+
+    let ill = fleet.output("doctor --format json");
+    assert_eq!(code(&ill), 1, "{}", stdout(&ill));
+    let report = json(&ill);
+    assert_eq!(report["status"], "fail");
+    let failed: Vec<&str> = report["checks"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|check| check["status"] == "fail")
+        .map(|check| check["name"].as_str().unwrap())
+        .collect();
+    assert_eq!(failed, ["root", "leftovers"]);
+    let mode = |path| fs::metadata(path).unwrap().mode() & 0o777;
+    assert_eq!(mode(fleet.root()), 0o755, "looking changes nothing");
+
+    let mended = fleet.output("doctor --fix");
+    assert_eq!(code(&mended), 0, "{}", stdout(&mended));
+    assert!(
+        stdout(&mended).contains("0755 changed to 0700"),
+        "{}",
+        stdout(&mended)
+    );
+    assert!(!fs::exists(&unfinished).unwrap());
+    assert!(fleet.leftovers().is_empty());
+}
+
+#[test]
+fn training_does_not_begin_where_its_result_cannot_be_written() {
+    let refused = output([
+        "train",
+        "sim",
+        "--seed",
+        "7",
+        "--out",
+        "/nowhere/model.safetensors",
+    ]);
+    assert_eq!(code(&refused), 1);
+    assert!(
+        stderr(&refused).contains("/nowhere"),
+        "{}",
+        stderr(&refused)
+    );
+}
