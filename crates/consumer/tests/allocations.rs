@@ -1,0 +1,111 @@
+//! After warm-up neither a source nor a planner allocates anything of its own: one allocation a
+//! frame sent is iceoryx2's.
+#![allow(unsafe_code, reason = "a counting allocator")]
+
+#[path = "../../publisher/tests/harness/mod.rs"]
+mod harness;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::time::Duration;
+
+use joulebus_bus::{Bus, clock};
+use joulebus_consumer::{Config, Event, Planner};
+use joulebus_publisher::{Publisher, RobotState};
+use joulebus_wire::{Budget, BudgetHeader, Forecast, ForecastHeader, SCHEMA_VERSION, WakeEvent};
+
+struct Counting;
+
+thread_local! {
+    /// Of this thread alone: the keeper may allocate.
+    static COUNT: Cell<u64> = const { Cell::new(0) };
+}
+
+// SAFETY: hands everything to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let _ = COUNT.try_with(|count| count.set(count.get() + 1));
+        // SAFETY: the caller's promise, passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise, passed on.
+        unsafe { System.dealloc(memory, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn allocations(work: impl FnOnce()) -> u64 {
+    let before = COUNT.get();
+    work();
+    COUNT.get() - before
+}
+
+#[test]
+fn only_loans_allocate_and_only_once() {
+    let place = harness::Place::new();
+    let config = Config::load(place.config()).unwrap();
+    let limits = config.limits();
+    let mut publisher = Publisher::connect(place.config(), "source").unwrap();
+    let mut planner = Planner::connect(place.config()).unwrap();
+    let mut budgets = planner.budgets().unwrap();
+    let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();
+    // Somebody to send to: the buffer overflows on and on.
+    let _samples = bus.sample_reader(&limits).unwrap();
+    let mut forecasts = bus.forecast_writer(&limits).unwrap();
+    let mut budget_writer = bus.budget_writer(&limits).unwrap();
+    let waker = bus.planner_waker(&limits).unwrap();
+
+    for round in 1..200_u64 {
+        let published = allocations(|| {
+            let robots = (0..64).map(|robot| RobotState::new(robot).reading(3.0));
+            publisher.publish(robots).unwrap();
+        });
+        let header = ForecastHeader {
+            schema: SCHEMA_VERSION,
+            pid: std::process::id(),
+            worker_epoch: 1,
+            tick: round,
+            period_ns: 1_000_000_000,
+            sent_ns: clock::monotonic_ns(),
+            ..ForecastHeader::default()
+        };
+        // Every tick the robots stand elsewhere: the table of places is made anew.
+        let row = |i| Forecast {
+            robot: ((i as u64 + round) % 64) as u32,
+            ..Forecast::default()
+        };
+        forecasts.send(header, 64, row).unwrap();
+        let header = BudgetHeader {
+            schema: SCHEMA_VERSION,
+            tick: round,
+            ..BudgetHeader::default()
+        };
+        budget_writer
+            .send(header, 64, |_| Budget::default())
+            .unwrap();
+        waker.wake(WakeEvent::Frame).unwrap();
+        let read = allocations(|| {
+            let budgets = budgets.latest().unwrap().unwrap();
+            assert!(budgets.robot(0).is_some());
+            let Event::Frame(frame) = planner.wait_next(Duration::from_secs(60)).unwrap() else {
+                panic!("no frame");
+            };
+            assert_eq!(frame.robot(17).unwrap().robot, 17);
+        });
+        let waited = allocations(|| {
+            let event = planner.wait_next(Duration::from_micros(100)).unwrap();
+            assert!(matches!(event, Event::TimedOut));
+            assert!(planner.latest().unwrap().is_some());
+        });
+        if round > 10 {
+            assert_eq!([published, read, waited], [1, 0, 0], "round {round}");
+        }
+    }
+    drop((publisher, planner, budgets));
+    drop((_samples, forecasts, budget_writer, waker, bus));
+    place.assert_nothing_left();
+}

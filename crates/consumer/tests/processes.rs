@@ -1,0 +1,443 @@
+//! What a planner sees of a worker, between real processes. The worker here is a stand-in that
+//! obeys: it sends the ticks it is told to.
+
+#[path = "../../publisher/tests/harness/mod.rs"]
+mod harness;
+#[path = "../examples/planner.rs"]
+#[allow(dead_code, reason = "its `main`")]
+mod planner;
+
+use std::path::Path;
+use std::time::Duration;
+
+use harness::{Member, Place, run_member, say, told};
+use joulebus_bus::{Bus, clock};
+use joulebus_consumer::{BudgetFeed, Config, DiagnosticFeed, Event, Planner, WorkerState};
+use joulebus_wire::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, SCHEMA_VERSION,
+    WakeEvent, forecast_flag,
+};
+use rustix::process::Signal;
+
+/// So long that nothing becomes stale while a test runs.
+const HOUR_NS: u64 = 3_600_000_000_000;
+
+/// Not a test of its own: what the others start.
+#[test]
+fn member() {
+    run_member(|role, config| match role {
+        "worker" => worker(config),
+        "planner" => plan(config),
+        "example" => {
+            planner::run(config, 3).unwrap();
+            say("seen");
+        }
+        _ => panic!("no such role: {role}"),
+    });
+}
+
+/// Commands: `ticks FROM TO`, `period NS`, `schema N`, `update`, `end`.
+fn worker(config: &Path) {
+    let config = Config::load(config).unwrap();
+    let limits = config.limits();
+    let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();
+    let mut forecasts = bus.forecast_writer(&limits).unwrap();
+    let mut diagnostics = bus.diagnostic_writer(&limits).unwrap();
+    let mut budgets = bus.budget_writer(&limits).unwrap();
+    let waker = bus.planner_waker(&limits).unwrap();
+    let mut header = ForecastHeader {
+        schema: SCHEMA_VERSION,
+        pid: std::process::id(),
+        worker_epoch: clock::unix_ns(),
+        period_ns: HOUR_NS,
+        ..ForecastHeader::default()
+    };
+    say("ready");
+    while let Some(line) = told() {
+        let mut words = line.split(' ');
+        let command = words.next().unwrap();
+        let numbers: Vec<u64> = words.map(|word| word.parse().unwrap()).collect();
+        match (command, &numbers[..]) {
+            ("period", [period_ns]) => header.period_ns = *period_ns,
+            ("schema", [schema]) => header.schema = u32::try_from(*schema).unwrap(),
+            ("update", []) => budgets.update(),
+            ("end", []) => {
+                waker.wake(WakeEvent::Ended).unwrap();
+            }
+            ("ticks", [from, to]) => {
+                for tick in *from..=*to {
+                    header.tick = tick;
+                    header.sent_ns = clock::monotonic_ns();
+                    // Robots change their places from tick to tick.
+                    forecasts
+                        .send(header, 64, |i| forecast((i as u64 + tick) % 64, tick))
+                        .unwrap();
+                    let of_tick = DiagnosticHeader {
+                        schema: header.schema,
+                        worker_epoch: header.worker_epoch,
+                        tick,
+                        ..DiagnosticHeader::default()
+                    };
+                    let row = |i| Diagnostic {
+                        robot: i as u32,
+                        ..Diagnostic::default()
+                    };
+                    diagnostics.send(of_tick, 64, row).unwrap();
+                    let of_tick = BudgetHeader {
+                        schema: header.schema,
+                        worker_epoch: header.worker_epoch,
+                        tick,
+                        ..BudgetHeader::default()
+                    };
+                    let row = |i| Budget {
+                        robot: i as u32,
+                        drawn_uj: i as i64,
+                        ..Budget::default()
+                    };
+                    budgets.send(of_tick, 64, row).unwrap();
+                    waker.wake(WakeEvent::Frame).unwrap();
+                }
+            }
+            _ => panic!("no such command: {line}"),
+        }
+        say(command);
+    }
+}
+
+fn forecast(robot: u64, tick: u64) -> Forecast {
+    Forecast {
+        robot: robot as u32,
+        flags: forecast_flag::POWER | forecast_flag::INTERVAL,
+        power_w: power_w(robot, tick),
+        lo_w: 1.0,
+        hi_w: 2.0,
+        ..Forecast::default()
+    }
+}
+
+fn power_w(robot: u64, tick: u64) -> f32 {
+    (robot * 10_000 + tick) as f32
+}
+
+/// Commands: `next MS`, `latest`, `worker`, `counts`, `feeds`, `hold`.
+fn plan(config: &Path) {
+    let mut planner = Planner::connect(config).unwrap();
+    let mut feeds: Option<(DiagnosticFeed, BudgetFeed)> = None;
+    say("ready");
+    while let Some(line) = told() {
+        match line.split_once(' ').unwrap_or((&line, "")) {
+            ("next", ms) => {
+                let timeout = Duration::from_millis(ms.parse().unwrap());
+                say(match planner.wait_next(timeout) {
+                    Ok(event) => describe(&event),
+                    Err(error) => error.to_string(),
+                });
+            }
+            ("latest", _) => match planner.latest().unwrap() {
+                Some(frame) => say(describe(&Event::Frame(frame))),
+                None => say("none"),
+            },
+            ("worker", _) => say(match planner.worker() {
+                WorkerState::Stale { .. } => "Stale".to_owned(),
+                state => format!("{state:?}"),
+            }),
+            ("counts", _) => {
+                let counts = planner.counts();
+                say(format!(
+                    "{} frames, {} gaps, {} ticks, {} workers",
+                    counts.frames, counts.gaps, counts.ticks_missed, counts.workers
+                ));
+            }
+            ("feeds", _) => {
+                let (diagnostics, budgets) = feeds.get_or_insert_with(|| {
+                    (planner.diagnostics().unwrap(), planner.budgets().unwrap())
+                });
+                let diagnostics = diagnostics.latest().unwrap();
+                let budgets = budgets.latest().unwrap();
+                // All three are borrowed at once.
+                let forecasts = planner.newest().map(|frame| frame.header().tick);
+                let diagnosed = diagnostics.map(|frame| {
+                    assert_eq!(frame.robot(63).unwrap().robot, 63);
+                    frame.header().tick
+                });
+                let budgeted = budgets.map(|frame| {
+                    assert_eq!(frame.robot(63).unwrap().drawn_uj, 63);
+                    frame.header().tick
+                });
+                say(format!("{forecasts:?} {diagnosed:?} {budgeted:?}"));
+            }
+            _ => panic!("no such command: {line}"),
+        }
+    }
+}
+
+fn describe(event: &Event<'_>) -> String {
+    match event {
+        Event::Frame(frame) => {
+            let tick = frame.header().tick;
+            assert_eq!(frame.robots().len(), 64);
+            for robot in 0..64 {
+                let found = frame.robot(robot).unwrap();
+                assert_eq!(found.power_w(), Some(power_w(robot.into(), tick)));
+            }
+            assert!(frame.robot(64).is_none());
+            let arrival = frame.arrival;
+            format!(
+                "tick {tick}, missed {}{}",
+                arrival.ticks_missed,
+                if arrival.restarted { ", restarted" } else { "" }
+            )
+        }
+        Event::Stale { age_ns } => {
+            assert!(*age_ns > 0);
+            "Stale".to_owned()
+        }
+        other => format!("{other:?}"),
+    }
+}
+
+fn ready(place: &Place, role: &str) -> Member {
+    let mut member = place.start(role);
+    assert_eq!(member.hear(), "ready");
+    member
+}
+
+#[test]
+fn a_planner_may_come_before_the_worker_and_after() {
+    let place = Place::new();
+    let mut early = ready(&place, "planner");
+    assert_eq!(early.ask("next 0"), "TimedOut");
+    assert_eq!(early.ask("latest"), "none");
+    assert_eq!(early.ask("worker"), "Waiting");
+    early.tell("next 60000");
+    let mut worker = ready(&place, "worker");
+    worker.ask("ticks 1 1");
+    assert_eq!(early.hear(), "tick 1, missed 0");
+    assert_eq!(early.ask("worker"), "Alive");
+
+    let mut late = ready(&place, "planner");
+    worker.ask("ticks 2 9");
+    worker.ask("ticks 10 10");
+    // Who comes late has missed nothing, and gets the newest.
+    assert_eq!(late.ask("next 60000"), "tick 10, missed 0");
+    assert_eq!(early.ask("latest"), "tick 10, missed 8");
+    assert_eq!(early.ask("latest"), "tick 10, missed 8", "the same again");
+    assert_eq!(early.ask("next 0"), "TimedOut", "it was given before");
+    assert_eq!(early.ask("counts"), "2 frames, 1 gaps, 8 ticks, 1 workers");
+    for member in [worker, early, late] {
+        member.finish();
+    }
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_killed_worker_is_gone_at_once_and_its_successor_takes_over() {
+    let place = Place::new();
+    let mut planner = ready(&place, "planner");
+    for life in 0..4 {
+        let mut worker = ready(&place, "worker");
+        worker.ask("ticks 1 1");
+        let expected = match life {
+            0 => "tick 1, missed 0",
+            _ => "tick 1, missed 0, restarted",
+        };
+        assert_eq!(planner.ask("next 60000"), expected, "life {life}");
+        assert_eq!(planner.ask("next 0"), "TimedOut", "life {life}");
+        // It sleeps, or is about to, when the worker dies; its frame is good for another hour.
+        planner.tell("next 60000");
+        worker.kill();
+        assert_eq!(planner.hear(), "Gone(Exited)", "life {life}");
+        assert_eq!(planner.ask("worker"), "Gone(Exited)", "life {life}");
+        assert_eq!(planner.ask("next 0"), "TimedOut", "told once");
+    }
+    assert_eq!(
+        planner.ask("counts"),
+        "4 frames, 0 gaps, 0 ticks, 4 workers"
+    );
+    planner.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn what_a_worker_sent_before_its_death_is_given_first() {
+    let place = Place::new();
+    let mut planner = ready(&place, "planner");
+    let mut worker = ready(&place, "worker");
+    worker.ask("ticks 1 1");
+    assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
+    worker.ask("ticks 2 3");
+    worker.kill();
+    assert_eq!(planner.ask("next 60000"), "tick 3, missed 1");
+    assert_eq!(planner.ask("next 60000"), "Gone(Exited)");
+    planner.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_worker_that_ends_says_so() {
+    let place = Place::new();
+    let mut planner = ready(&place, "planner");
+    let mut worker = ready(&place, "worker");
+    worker.ask("ticks 1 1");
+    assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
+    // Its last tick and its farewell come together.
+    worker.ask("ticks 2 2");
+    worker.ask("end");
+    assert_eq!(planner.ask("next 60000"), "tick 2, missed 0");
+    assert_eq!(planner.ask("next 60000"), "Gone(Ended)");
+    worker.finish();
+    assert_eq!(planner.ask("next 200"), "TimedOut", "told once");
+    assert_eq!(planner.ask("worker"), "Gone(Ended)");
+    planner.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_worker_that_falls_silent_is_stale_until_it_goes_on() {
+    let place = Place::new();
+    let mut planner = ready(&place, "planner");
+    let mut worker = ready(&place, "worker");
+    worker.ask("period 50000000");
+    worker.ask("ticks 1 1");
+    assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
+    worker.signal(Signal::STOP);
+    assert_eq!(planner.ask("next 60000"), "Stale");
+    assert_eq!(planner.ask("worker"), "Stale");
+    assert_eq!(planner.ask("next 200"), "TimedOut", "told once");
+    worker.signal(Signal::CONT);
+    worker.ask(&format!("period {HOUR_NS}"));
+    worker.ask("ticks 2 2");
+    assert_eq!(planner.ask("next 60000"), "tick 2, missed 0");
+    assert_eq!(planner.ask("worker"), "Alive");
+    worker.finish();
+    planner.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_stopped_planner_resumes_at_the_newest_frame_with_one_gap() {
+    let place = Place::new();
+    let mut planner = ready(&place, "planner");
+    let mut other = ready(&place, "planner");
+    let mut worker = ready(&place, "worker");
+    worker.ask("ticks 1 1");
+    assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
+    planner.signal(Signal::STOP);
+    planner.tell("next 60000");
+    for tick in 2..=500 {
+        worker.ask(&format!("ticks {tick} {tick}"));
+        if tick % 100 == 0 {
+            let newest = other.ask("latest");
+            assert!(newest.starts_with(&format!("tick {tick},")), "{newest}");
+        }
+    }
+    planner.signal(Signal::CONT);
+    assert_eq!(planner.hear(), "tick 500, missed 498");
+    worker.ask("ticks 501 501");
+    assert_eq!(planner.ask("next 60000"), "tick 501, missed 0");
+    assert_eq!(
+        planner.ask("counts"),
+        "3 frames, 1 gaps, 498 ticks, 1 workers"
+    );
+    for member in [worker, planner, other] {
+        member.finish();
+    }
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_killed_planner_gives_back_what_it_held() {
+    let place = Place::new();
+    let mut witness = ready(&place, "planner");
+    let mut worker = ready(&place, "worker");
+    let mut tick = 0;
+    // More lives than there is room for planners, each holding a frame of each kind.
+    for life in 0..8 {
+        let mut planner = ready(&place, "planner");
+        planner.ask("feeds");
+        for _ in 0..3 {
+            tick += 1;
+            worker.ask(&format!("ticks {tick} {tick}"));
+            let held = planner.ask("next 60000");
+            assert!(
+                held.starts_with(&format!("tick {tick},")),
+                "life {life}: {held}"
+            );
+            assert_eq!(
+                planner.ask("feeds"),
+                format!("Some({tick}) Some({tick}) Some({tick})"),
+                "life {life}"
+            );
+        }
+        planner.kill();
+        // The worker panics when it gets no memory.
+        worker.ask(&format!("ticks {} {}", tick + 1, tick + 50));
+        tick += 50;
+        let newest = witness.ask("next 60000");
+        assert!(
+            newest.starts_with(&format!("tick {tick},")),
+            "life {life}: {newest}"
+        );
+    }
+    worker.finish();
+    witness.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn budgets_reach_a_newcomer_without_a_new_tick() {
+    let place = Place::new();
+    let mut worker = ready(&place, "worker");
+    worker.ask("ticks 1 3");
+    let mut planner = ready(&place, "planner");
+    assert_eq!(planner.ask("feeds"), "None None None");
+    worker.ask("update");
+    assert_eq!(planner.ask("feeds"), "None None Some(3)");
+    worker.ask("ticks 4 4");
+    assert_eq!(planner.ask("feeds"), "None Some(4) Some(4)");
+    assert_eq!(planner.ask("next 60000"), "tick 4, missed 0");
+    assert_eq!(planner.ask("feeds"), "Some(4) Some(4) Some(4)");
+    worker.finish();
+    planner.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_worker_of_another_version_is_refused_by_both_numbers() {
+    let place = Place::new();
+    let mut planner = ready(&place, "planner");
+    let mut worker = ready(&place, "worker");
+    worker.ask("schema 99");
+    worker.ask("ticks 1 1");
+    let refused = planner.ask("next 60000");
+    assert!(
+        refused.contains("99") && refused.contains("allowed is 1"),
+        "{refused}"
+    );
+    worker.ask("schema 1");
+    worker.ask("ticks 2 2");
+    assert_eq!(planner.ask("next 60000"), "tick 2, missed 0");
+    worker.finish();
+    planner.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn the_example_shows_what_comes() {
+    let place = Place::new();
+    let mut worker = ready(&place, "worker");
+    let mut example = place.start("example");
+    let (send, ended) = std::sync::mpsc::channel();
+    let listener = std::thread::spawn(move || {
+        send.send(example.hear()).unwrap();
+        example.finish();
+    });
+    let seen = (1..).find_map(|tick| {
+        worker.ask(&format!("ticks {tick} {tick}"));
+        ended.recv_timeout(Duration::from_millis(20)).ok()
+    });
+    assert_eq!(seen.as_deref(), Some("seen"));
+    listener.join().unwrap();
+    worker.finish();
+    place.assert_nothing_left();
+}
