@@ -237,6 +237,18 @@ mod tests {
     }
 
     #[test]
+    fn one_absurd_residual_does_not_blind_the_detector_for_ever() {
+        for absurd in [f32::MAX, -f32::MAX] {
+            let (mut detector, mut state) = (Detector::new(), 1);
+            detector.observe(absurd, 1.0, 1e-6, &SETTINGS);
+            run(&mut detector, 10_000, |unit| unit, &mut state);
+            assert_eq!(detector.raised(), AlarmSet::default(), "{detector:?}");
+            run(&mut detector, 300, |unit| unit + 2.0, &mut state);
+            assert!(detector.raised().has(Alarm::BiasHigh), "{detector:?}");
+        }
+    }
+
+    #[test]
     fn an_alarm_that_flickers_is_neither_raised_nor_cleared() {
         let mut detector = Detector::new();
         let mut on = Conditions::default();

@@ -482,3 +482,29 @@ fn a_robot_that_joins_while_its_reading_is_held_is_not_called_stuck() {
         assert!(!alarms.has(Alarm::StuckSensor), "step {step}");
     }
 }
+
+/// What the model bridges on its own counts from the last reading, not from the last sample.
+#[test]
+fn samples_without_readings_and_silence_together_are_bridged_no_longer_than_stale_after() {
+    for (missing, expected) in [
+        (25, Quality::Fresh),
+        (26, Quality::Warmup { have: 1 }),
+        (29, Quality::Warmup { have: 1 }),
+    ] {
+        let (mut fleet, mut source) = warm();
+        for step in 8..13 {
+            let now_ns = NOW + (step - 7) * PERIOD_NS;
+            let mut sample = healthy(ROBOT, step, now_ns, PERIOD_NS);
+            sample.flags &= !(sample_flag::POWER | sample_flag::HELD);
+            source.send(&mut fleet, &[sample], now_ns);
+            fleet.tick(now_ns, false);
+            let steps = step as u16 - 7;
+            assert_eq!(quality(&fleet, ROBOT), Quality::OpenLoop { steps });
+        }
+        let now_ns = NOW + (5 + missing + 1) * PERIOD_NS;
+        let sample = healthy(ROBOT, 15, now_ns, PERIOD_NS);
+        source.send(&mut fleet, &[sample], now_ns);
+        fleet.tick(now_ns, false);
+        assert_eq!(quality(&fleet, ROBOT), expected, "{missing} missing");
+    }
+}

@@ -93,8 +93,13 @@ impl Sender {
 
     fn send(&mut self, rates: Rates, noise: &mut Noise) {
         let now_ns = self.due_ns;
-        self.due_ns +=
-            self.period_ns - self.period_ns / 8 + noise.next_u64() % (self.period_ns / 4);
+        // Mostly steady; now and then up to the edge of what counts as a gap, and past it.
+        let jitter_ns = if rarely(noise, 8) {
+            self.period_ns * 5 / 4
+        } else {
+            self.period_ns / 4
+        };
+        self.due_ns += self.period_ns - jitter_ns / 2 + noise.next_u64() % jitter_ns;
         if now_ns < self.silent_until_ns {
             return;
         }
