@@ -1,0 +1,30 @@
+//! A fleet controller: a real publisher with known samples.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use joulebus_config::Config;
+use joulebus_publisher::{Pace, Publisher, clock};
+use joulebus_tests::{SourceLine, steady};
+
+use crate::{Done, stop_with_stdin, tell};
+
+pub(crate) fn run(config: &Config, name: &str, first: u32, robots: u32, rate_hz: f64) -> Done {
+    let stop = stop_with_stdin();
+    let mut publisher = Publisher::with_config(config, name)?;
+    tell(&SourceLine::Ready {
+        source_epoch: publisher.source_epoch(),
+    })?;
+    let mut pace = Pace::every(Duration::from_secs_f64(1.0 / rate_hz));
+    let mut seq = 0;
+    while !stop.load(Ordering::Relaxed) {
+        let slot = pace.wait();
+        let stamp_ns = clock::monotonic_ns();
+        let samples: Vec<_> = (first..first + robots)
+            .map(|robot| steady(robot, seq, stamp_ns))
+            .collect();
+        publisher.publish_samples(slot.intended_ns, &samples)?;
+        seq += 1;
+    }
+    Ok(())
+}

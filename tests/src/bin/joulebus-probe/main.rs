@@ -1,0 +1,72 @@
+//! The tests' own source, controller, planner and recorder: what they do in shared memory happens
+//! in this process, and is told in JSON lines.
+#![forbid(unsafe_code)]
+
+mod controller;
+mod intruder;
+mod reader;
+mod source;
+
+use std::error::Error;
+use std::io::Write as _;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use joulebus_config::Config;
+use serde::Serialize;
+
+type Done = Result<(), Box<dyn Error>>;
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match run(&arguments) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &[&str]) -> Done {
+    match *arguments {
+        ["source", name, config] => source::run(&Config::load(config)?, name),
+        ["controller", name, first, robots, rate_hz, config] => controller::run(
+            &Config::load(config)?,
+            name,
+            first.parse()?,
+            robots.parse()?,
+            rate_hz.parse()?,
+        ),
+        ["planner", config] => reader::plan(&Config::load(config)?, false),
+        ["holder", config] => reader::plan(&Config::load(config)?, true),
+        ["recorder", config] => reader::record(&Config::load(config)?),
+        ["intruder", config] => intruder::run(&Config::load(config)?),
+        _ => Err(format!("not understood: {arguments:?}").into()),
+    }
+}
+
+/// Writes a line. Nobody reading it is the end.
+fn tell(line: &impl Serialize) -> Done {
+    let mut text = serde_json::to_string(line)?;
+    text.push('\n');
+    std::io::stdout().write_all(text.as_bytes())?;
+    Ok(())
+}
+
+/// Set when stdin ends: the test has had enough, or is no more.
+fn stop_with_stdin() -> Arc<AtomicBool> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let asked = Arc::clone(&stop);
+    std::thread::spawn(move || {
+        for line in std::io::stdin().lines() {
+            if line.is_err() {
+                break;
+            }
+        }
+        asked.store(true, Ordering::Relaxed);
+    });
+    stop
+}

@@ -1,0 +1,129 @@
+//! Readers that tell all that they read.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use joulebus_bus::{
+    BudgetReader, Bus, DiagnosticReader, ForecastReader, FrameBuf, PeerWatch, clock,
+};
+use joulebus_config::Config;
+use joulebus_tests::{BudgetFrame, DiagnosticFrame, ForecastFrame, ReaderLine, is_whole};
+
+use crate::{Done, stop_with_stdin, tell};
+
+const LOOK_EVERY_NS: u64 = 20_000_000;
+
+/// A planner; with `holds` it keeps its first frame until it is killed.
+pub(crate) fn plan(config: &Config, holds: bool) -> Done {
+    let stop = stop_with_stdin();
+    let limits = config.limits();
+    let bus = Bus::join(&config.domain()?, "planner")?;
+    let mut waiter = bus.planner_waiter(&limits)?;
+    let mut ports = Ports {
+        forecasts: bus.forecast_reader(&limits)?,
+        diagnostics: bus.diagnostic_reader(&limits)?,
+        budgets: bus.budget_reader(&limits)?,
+    };
+    tell(&ReaderLine::Ready)?;
+    if holds {
+        return hold(&mut ports.forecasts, &stop);
+    }
+    let mut worker: Option<(u32, PeerWatch)> = None;
+    while !stop.load(Ordering::Relaxed) {
+        let until_ns = clock::monotonic_ns() + LOOK_EVERY_NS;
+        let watched = worker.as_ref().map(|(_, watch)| watch);
+        let woken = waiter.wait_until(Some(until_ns), watched)?;
+        let now_ns = clock::monotonic_ns();
+        let newest = ports.tell()?;
+        if woken.ended {
+            tell(&ReaderLine::Ended)?;
+        }
+        if woken.peer_gone
+            && let Some((pid, _)) = worker.take()
+        {
+            tell(&ReaderLine::Gone { pid, at_ns: now_ns })?;
+            continue;
+        }
+        let known = worker.as_ref().map(|(pid, _)| *pid);
+        if let Some(pid) = newest.filter(|pid| Some(*pid) != known) {
+            worker = PeerWatch::open(pid).map(|watch| (pid, watch));
+        }
+    }
+    Ok(())
+}
+
+fn hold(forecasts: &mut ForecastReader, stop: &AtomicBool) -> Done {
+    while !stop.load(Ordering::Relaxed) {
+        if let Some(_held) = forecasts.take_next()? {
+            tell(&ReaderLine::Holds)?;
+            while !stop.load(Ordering::Relaxed) {
+                std::thread::park_timeout(std::time::Duration::from_millis(50));
+            }
+        }
+        std::thread::yield_now();
+    }
+    Ok(())
+}
+
+struct Ports {
+    forecasts: ForecastReader,
+    diagnostics: DiagnosticReader,
+    budgets: BudgetReader,
+}
+
+impl Ports {
+    /// Tells everything that waits; the pid of the worker that sent the newest frame.
+    fn tell(&mut self) -> Result<Option<u32>, Box<dyn std::error::Error>> {
+        let mut newest = None;
+        while let Some(frame) = self.forecasts.take_next()? {
+            newest = Some(frame.header().pid);
+            let line = ForecastFrame::new(frame.header(), &frame, clock::monotonic_ns());
+            tell(&ReaderLine::Forecasts(line))?;
+        }
+        while let Some(frame) = self.diagnostics.take_next()? {
+            let line = DiagnosticFrame::new(frame.header(), &frame);
+            tell(&ReaderLine::Diagnostics(line))?;
+        }
+        while let Some(frame) = self.budgets.take_next()? {
+            tell(&ReaderLine::Budgets(BudgetFrame::new(
+                frame.header(),
+                &frame,
+            )))?;
+        }
+        Ok(newest)
+    }
+}
+
+/// Reads samples beside the worker, and tells whether they are whole.
+pub(crate) fn record(config: &Config) -> Done {
+    let stop = stop_with_stdin();
+    let limits = config.limits();
+    let bus = Bus::join(&config.domain()?, "recorder")?;
+    let mut waiter = bus.arrivals_waiter(&limits)?;
+    let mut samples = bus.sample_reader(&limits)?;
+    let mut frame = FrameBuf::new(limits.capacity);
+    tell(&ReaderLine::Ready)?;
+    while !stop.load(Ordering::Relaxed) {
+        waiter.wait_until(Some(clock::monotonic_ns() + LOOK_EVERY_NS), None)?;
+        loop {
+            match samples.take(&mut frame) {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(error) => {
+                    tell(&ReaderLine::Failed(error.to_string()))?;
+                    break;
+                }
+            }
+            let torn = frame
+                .samples()
+                .iter()
+                .filter(|sample| !is_whole(sample))
+                .count();
+            tell(&ReaderLine::Samples {
+                pid: frame.header().pid,
+                samples: frame.samples().len(),
+                torn: torn + frame.truncated(),
+            })?;
+        }
+    }
+    Ok(())
+}

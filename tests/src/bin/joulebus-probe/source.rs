@@ -1,0 +1,58 @@
+//! A source that sends what it is told, lies included.
+
+use joulebus_bus::{Bus, clock};
+use joulebus_config::Config;
+use joulebus_tests::{FrameLine, SourceLine};
+use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
+
+use crate::{Done, tell};
+
+pub(crate) fn run(config: &Config, name: &str) -> Done {
+    let limits = config.limits();
+    let bus = Bus::join(&config.domain()?, name)?;
+    let mut writer = bus.sample_writer(&limits, limits.capacity)?;
+    let source_id = name.bytes().fold(7, |id: u64, byte| {
+        id.wrapping_mul(0x0100_0000_01b3) ^ u64::from(byte)
+    });
+    let mut header = SampleHeader {
+        schema: SCHEMA_VERSION,
+        pid: std::process::id(),
+        source_id,
+        source_epoch: clock::unix_ns(),
+        ..SampleHeader::default()
+    };
+    tell(&SourceLine::Ready {
+        source_epoch: header.source_epoch,
+    })?;
+    for line in std::io::stdin().lines() {
+        let frames: Vec<FrameLine> = serde_json::from_str(&line?)?;
+        let mut readers = 0;
+        for frame in frames {
+            let now_ns = clock::monotonic_ns();
+            (header.intended_ns, header.sent_ns) = (now_ns, now_ns);
+            header.sent_unix_ns = clock::unix_ns();
+            let forged = SampleHeader {
+                schema: frame.forge.schema.unwrap_or(header.schema),
+                source_epoch: frame.forge.source_epoch.unwrap_or(header.source_epoch),
+                samples_before: frame.forge.samples_before.unwrap_or(header.samples_before),
+                ..header
+            };
+            let samples = frame.samples;
+            readers = match writer.send(forged, samples.len(), |place| Sample::from(samples[place]))
+            {
+                Ok(readers) => readers,
+                Err(error) => {
+                    tell(&SourceLine::Failed(error.to_string()))?;
+                    return Err(error.into());
+                }
+            };
+            header.frame_seq += 1;
+            header.samples_before += samples.len() as u64;
+        }
+        tell(&SourceLine::Sent {
+            readers,
+            samples: header.samples_before,
+        })?;
+    }
+    Ok(())
+}

@@ -1,0 +1,296 @@
+//! Real processes: started, signalled, always waited for.
+
+use std::io::{BufRead as _, BufReader, Read, Write as _};
+use std::os::unix::process::ExitStatusExt as _;
+use std::process::{ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::PATIENCE;
+
+/// A process. Killed and waited for when dropped; what it wrote is shown when a test fails.
+#[derive(Debug)]
+pub struct Child {
+    name: String,
+    process: std::process::Child,
+    stdin: Option<ChildStdin>,
+    stdout: Output,
+    stderr: Output,
+    ended: Option<ExitStatus>,
+    started: Instant,
+}
+
+/// How a process ended, and all that it wrote.
+#[derive(Debug, Clone)]
+pub struct Ended {
+    /// Exit code or signal.
+    pub status: ExitStatus,
+    /// Lines on stdout.
+    pub stdout: Vec<String>,
+    /// Lines on stderr.
+    pub stderr: Vec<String>,
+}
+
+impl Ended {
+    /// Exit code, none when killed by a signal.
+    #[must_use]
+    pub fn code(&self) -> Option<i32> {
+        self.status.code()
+    }
+
+    /// Signal that killed it.
+    #[must_use]
+    pub fn signal(&self) -> Option<i32> {
+        self.status.signal()
+    }
+
+    /// All of stderr.
+    #[must_use]
+    pub fn errors(&self) -> String {
+        self.stderr.join("\n")
+    }
+
+    /// All of stdout.
+    #[must_use]
+    pub fn text(&self) -> String {
+        self.stdout.join("\n")
+    }
+
+    /// stdout read as one JSON value.
+    #[must_use]
+    pub fn json(&self) -> serde_json::Value {
+        let text = self.text();
+        serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error} in {text:?}"))
+    }
+}
+
+impl Child {
+    /// Starts a program; `name` is what messages call it.
+    #[must_use]
+    pub fn spawn(name: &str, mut command: Command) -> Self {
+        let started = Instant::now();
+        let mut process = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap_or_else(|error| panic!("cannot start {command:?}: {error}"));
+        Self {
+            name: name.to_owned(),
+            stdin: process.stdin.take(),
+            stdout: Output::read(process.stdout.take()),
+            stderr: Output::read(process.stderr.take()),
+            process,
+            ended: None,
+            started,
+        }
+    }
+
+    /// Its pid.
+    #[must_use]
+    pub fn pid(&self) -> u32 {
+        self.process.id()
+    }
+
+    /// When it was started.
+    #[must_use]
+    pub const fn started(&self) -> Instant {
+        self.started
+    }
+
+    /// Sends a signal. One that has ended already gets none.
+    pub fn signal(&mut self, signal: Signal) {
+        if self.is_running()
+            && let Some(pid) = Pid::from_raw(self.process.id().cast_signed())
+        {
+            // It may end in between: until it is waited for its pid is nobody else's.
+            let _ = kill_process(pid, signal);
+        }
+    }
+
+    /// Whether it has not ended.
+    pub fn is_running(&mut self) -> bool {
+        if self.ended.is_none() {
+            self.ended = self.process.try_wait().unwrap_or_default();
+        }
+        self.ended.is_none()
+    }
+
+    /// Kills it with SIGKILL and waits for it.
+    pub fn kill(&mut self) -> Ended {
+        self.signal(Signal::KILL);
+        self.wait()
+    }
+
+    /// Asks it to end with SIGTERM and waits for it; it must end well.
+    pub fn stop(&mut self) -> Ended {
+        self.signal(Signal::TERM);
+        let ended = self.wait();
+        assert_eq!(ended.code(), Some(0), "{}: {ended:?}", self.name);
+        ended
+    }
+
+    /// Closes its stdin and waits for it; it must end well.
+    pub fn finish(&mut self) -> Ended {
+        self.stdin = None;
+        let ended = self.wait();
+        assert_eq!(ended.code(), Some(0), "{}: {ended:?}", self.name);
+        ended
+    }
+
+    /// Waits for its end.
+    pub fn wait(&mut self) -> Ended {
+        let begin = Instant::now();
+        while self.is_running() {
+            assert!(
+                begin.elapsed() < PATIENCE,
+                "{} does not end: {}",
+                self.name,
+                self.tail()
+            );
+            std::thread::sleep(Duration::from_micros(500));
+        }
+        Ended {
+            status: self.ended.unwrap_or_default(),
+            stdout: self.stdout.whole(),
+            stderr: self.stderr.whole(),
+        }
+    }
+
+    /// Waits until a line on stderr contains `part`; the line.
+    pub fn says(&mut self, part: &str) -> String {
+        match self.try_says(part, PATIENCE) {
+            Some(line) => line,
+            None => panic!("{} has not said {part:?}: {}", self.name, self.tail()),
+        }
+    }
+
+    /// Like [`Self::says`]; `None` when it ends or the time is over without having said it.
+    pub fn try_says(&mut self, part: &str, within: Duration) -> Option<String> {
+        self.stderr
+            .find(within, |line| line.contains(part).then(|| line.to_owned()))
+    }
+
+    /// Writes a line to its stdin. One that has ended does not read it.
+    pub fn tell(&mut self, line: &str) {
+        if let Some(stdin) = &mut self.stdin {
+            let _ = writeln!(stdin, "{line}");
+        }
+    }
+
+    /// Lines of stdout from `from` on; waits for at least one. Empty at the end of the output, or
+    /// when the time is over.
+    #[must_use]
+    pub fn lines(&self, from: usize, within: Duration) -> Vec<String> {
+        self.stdout.after(from, within)
+    }
+
+    /// The end of what it has written.
+    #[must_use]
+    pub fn tail(&self) -> String {
+        let mut text = format!("what {} (pid {}) wrote:", self.name, self.pid());
+        for output in [&self.stdout, &self.stderr] {
+            let lines = output.lock().lines.clone();
+            for line in lines.iter().rev().take(20).rev() {
+                let shown: String = line.chars().take(400).collect();
+                text.push_str("\n  ");
+                text.push_str(&shown);
+            }
+        }
+        text
+    }
+}
+
+impl Drop for Child {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            eprintln!("{}", self.tail());
+        }
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// Lines that a thread reads.
+#[derive(Debug)]
+struct Output {
+    shared: Arc<(Mutex<Lines>, Condvar)>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug, Default)]
+struct Lines {
+    lines: Vec<String>,
+    ended: bool,
+}
+
+impl Output {
+    fn read(source: Option<impl Read + Send + 'static>) -> Self {
+        let shared = Arc::new((Mutex::new(Lines::default()), Condvar::new()));
+        let inside = Arc::clone(&shared);
+        let thread = source.map(|source| {
+            std::thread::spawn(move || {
+                let mut source = BufReader::new(source);
+                let mut line = Vec::new();
+                // Bytes: what a killed process wrote last may be cut anywhere.
+                while source
+                    .read_until(b'\n', &mut line)
+                    .is_ok_and(|length| length > 0)
+                {
+                    let text = String::from_utf8_lossy(&line).trim_end().to_owned();
+                    line.clear();
+                    lock(&inside.0).lines.push(text);
+                    inside.1.notify_all();
+                }
+                lock(&inside.0).ended = true;
+                inside.1.notify_all();
+            })
+        });
+        Self { shared, thread }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Lines> {
+        lock(&self.shared.0)
+    }
+
+    /// Waits until a line gives something.
+    fn find<T>(&self, within: Duration, mut look: impl FnMut(&str) -> Option<T>) -> Option<T> {
+        let begin = Instant::now();
+        let mut at = 0;
+        loop {
+            let lines = self.after(at, within.saturating_sub(begin.elapsed()));
+            at += lines.len();
+            if let Some(found) = lines.iter().find_map(|line| look(line)) {
+                return Some(found);
+            }
+            if lines.is_empty() {
+                return None;
+            }
+        }
+    }
+
+    fn after(&self, from: usize, within: Duration) -> Vec<String> {
+        let nothing_new = |lines: &mut Lines| lines.lines.len() <= from && !lines.ended;
+        let (lines, _) = self
+            .shared
+            .1
+            .wait_timeout_while(self.lock(), within, nothing_new)
+            .unwrap_or_else(PoisonError::into_inner);
+        lines.lines.get(from..).unwrap_or_default().to_vec()
+    }
+
+    /// Everything, once the process has ended.
+    fn whole(&mut self) -> Vec<String> {
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+        self.lock().lines.clone()
+    }
+}
+
+fn lock(lines: &Mutex<Lines>) -> MutexGuard<'_, Lines> {
+    lines.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,150 @@
+//! A planner that tells a test all that it reads.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use joulebus_wire::{Quality, Sample};
+
+use crate::{Child, Ended, ForecastFrame, PATIENCE, ReaderLine, Source};
+
+/// First answers to samples, by robot and sample number: quality code and detail, and the bits of
+/// forecast, interval and reading.
+pub type Answers = BTreeMap<(u32, u64), ((u16, u16), [u32; 4])>;
+
+/// A planner, or a recorder, in a process of its own.
+#[derive(Debug)]
+pub struct Planner {
+    /// The process.
+    pub child: Child,
+    lines: Vec<ReaderLine>,
+    at: usize,
+}
+
+impl Planner {
+    /// For a process that speaks like the probe's readers; nothing is waited for.
+    #[must_use]
+    pub const fn new(child: Child) -> Self {
+        Self {
+            child,
+            lines: Vec::new(),
+            at: 0,
+        }
+    }
+
+    pub(crate) fn ready(child: Child) -> Self {
+        let mut planner = Self::new(child);
+        planner.until("it has joined", |line| {
+            (*line == ReaderLine::Ready).then_some(())
+        });
+        planner
+    }
+
+    /// Reads on until a line gives something, and returns that. Later calls go on after that line.
+    pub fn until<T>(&mut self, what: &str, mut look: impl FnMut(&ReaderLine) -> Option<T>) -> T {
+        let begin = Instant::now();
+        loop {
+            while self.at < self.lines.len() {
+                self.at += 1;
+                if let Some(found) = look(&self.lines[self.at - 1]) {
+                    return found;
+                }
+            }
+            let left = PATIENCE.saturating_sub(begin.elapsed());
+            if left.is_zero() || self.fetch(left) == 0 {
+                panic!(
+                    "not in {:?}: {what}; {}",
+                    begin.elapsed(),
+                    self.child.tail()
+                );
+            }
+        }
+    }
+
+    /// Reads on until a frame of forecasts gives something.
+    pub fn forecast<T>(
+        &mut self,
+        what: &str,
+        mut look: impl FnMut(&ForecastFrame) -> Option<T>,
+    ) -> T {
+        self.until(what, |line| match line {
+            ReaderLine::Forecasts(frame) => look(frame),
+            _ => None,
+        })
+    }
+
+    /// Reads on until a robot has a quality that `is_it`.
+    pub fn quality(&mut self, what: &str, robot: u32, is_it: impl Fn(Quality) -> bool) {
+        self.forecast(what, |frame| {
+            is_it(frame.robot(robot)?.quality()).then_some(())
+        });
+    }
+
+    /// Reads on until each of `samples` is the newest that its robot's forecast answers.
+    pub fn answered(&mut self, samples: &[Sample]) -> ForecastFrame {
+        self.forecast("the samples are answered", |frame| {
+            let is_answered = |sample: &Sample| {
+                let line = frame.robot(sample.robot);
+                line.is_some_and(|line| line.seq == sample.seq && line.stamp_ns == sample.stamp_ns)
+            };
+            samples.iter().all(is_answered).then(|| frame.clone())
+        })
+    }
+
+    /// Sends frame after frame, each when the one before has been answered.
+    pub fn play(&mut self, source: &mut Source, frames: &[Vec<Sample>]) {
+        for frame in frames {
+            source.send(frame);
+            self.answered(frame);
+        }
+    }
+
+    /// All that it has read so far.
+    pub fn seen(&mut self) -> &[ReaderLine] {
+        self.fetch(std::time::Duration::ZERO);
+        &self.lines
+    }
+
+    /// All frames of forecasts so far.
+    pub fn forecasts(&mut self) -> impl Iterator<Item = &ForecastFrame> {
+        self.seen().iter().filter_map(|line| match line {
+            ReaderLine::Forecasts(frame) => Some(frame),
+            _ => None,
+        })
+    }
+
+    /// First answers to samples in corrected mode, of the robots that `is_one`. What the worker's
+    /// clock adds while nothing comes is provisional, and left out.
+    pub fn answers(&mut self, is_one: impl Fn(u32) -> bool) -> Answers {
+        let mut answers = Answers::new();
+        for line in self.forecasts().flat_map(|frame| &frame.robots) {
+            let answered = matches!(
+                line.quality(),
+                Quality::Fresh | Quality::Held | Quality::Warmup { .. }
+            );
+            if answered && line.stamp_ns > 0 && is_one(line.robot) {
+                answers
+                    .entry((line.robot, line.seq))
+                    .or_insert((line.code, line.bits));
+            }
+        }
+        answers
+    }
+
+    /// Lets it leave, and waits for it.
+    pub fn leave(mut self) -> Ended {
+        self.child.finish()
+    }
+
+    fn fetch(&mut self, within: std::time::Duration) -> usize {
+        let lines = self.child.lines(self.lines.len(), within);
+        for line in &lines {
+            // What a killed reader wrote last may be cut: its last line does not count.
+            let Ok(line) = serde_json::from_str(line) else {
+                assert!(!self.child.is_running(), "not understood: {line:?}");
+                break;
+            };
+            self.lines.push(line);
+        }
+        lines.len()
+    }
+}
