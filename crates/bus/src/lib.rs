@@ -22,6 +22,10 @@
 //!   joining: a process killed between creating and sizing a connection stops living members in
 //!   their next send or receive too. So each keeper removes such files, as long as nobody holds
 //!   them open.
+//! - A creator killed half-way leaves a service that fails with `HangsInCreation` for ever, or a node
+//!   that counts as starting and is never removed; a half-written tag keeps a dead node from being
+//!   removed. Whoever makes or uses something has its file open: what is unfinished, old, and open
+//!   in no process is removed.
 //! - A connection that could not be made is never tried again until the list of ports changes:
 //!   readers make their port anew.
 //! - The object that counts nodes (`…global_mgmt`) is readable and writable by every user of the
