@@ -10,7 +10,8 @@ use rustix::fs::Mode;
 use crate::keeper::Housekeeping;
 use crate::leftovers::{SweepReport, remove_dead_nodes};
 use crate::membership::Membership;
-use crate::port::{self, OpenError};
+use crate::open::OpenError;
+use crate::port;
 use crate::stillborn::{objects, remove_stillborn};
 use crate::wait::{Waiter, Waker};
 use crate::{

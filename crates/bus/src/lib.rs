@@ -42,6 +42,7 @@ mod leftovers;
 mod limits;
 mod membership;
 mod memory;
+mod open;
 mod port;
 mod room;
 mod stillborn;
@@ -56,10 +57,10 @@ pub use keeper::Housekeeping;
 pub use leftovers::{SweepError, SweepReport, sweep};
 pub use limits::{Limits, LimitsError};
 pub use membership::JoinError;
+pub use open::OpenError;
 pub use port::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, FrameBuf, Loan, OpenError, Reader, ReceiveError, SampleReader, SampleWriter, SendError,
-    Writer,
+    Frame, FrameBuf, Loan, Reader, ReceiveError, SampleReader, SampleWriter, SendError, Writer,
 };
 pub use room::{Ports, RoomError, RoomReport, check_room};
 pub use wait::{PeerWatch, WaitError, Waiter, Waker, Woken, set_timer_slack};

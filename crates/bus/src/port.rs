@@ -6,45 +6,29 @@ use std::ops::{Deref, DerefMut};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
 
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::port::{DegradationAction, LoanError};
-use iceoryx2::prelude::{
-    AllocationStrategy, EventId, MessagingPattern, SemanticString, ServiceName, ZeroCopySend, ipc,
-};
+use iceoryx2::prelude::{AllocationStrategy, EventId, ZeroCopySend, ipc};
 use iceoryx2::sample::Sample as Borrowed;
 use iceoryx2::sample_mut::SampleMut;
-use iceoryx2::service::Service as _;
-use iceoryx2::service::attribute::{AttributeKey, AttributeValue, AttributeVerifier};
-use iceoryx2::service::builder::event::{EventCreateError, EventOpenError, EventOpenOrCreateError};
-use iceoryx2::service::builder::publish_subscribe::{
-    PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
-};
-use iceoryx2::service::port_factory::event::PortFactory as EventFactory;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
-    SampleHeader, Service, WakeEvent, service_name,
+    SampleHeader, Service, WakeEvent,
 };
 
-use crate::leftovers::{SweepReport, remove_dead_nodes};
 use crate::limits::Shape;
 use crate::membership::Membership;
+use crate::open::{OpenError, open, open_event};
 use crate::room::{segment_bytes, shared_memory};
-use crate::stillborn::{remove_abandoned_service, remove_stillborn};
 use crate::wait::{WaitError, Waiter, Waker};
 use crate::{Bus, Limits, RoomError, clock, memory};
 
-/// Under which name the limits are written into each service.
-const LIMITS_KEY: &[u8] = b"joulebus.limits";
 /// How long a reader waits before it makes its port anew, ns.
 const HEAL_EVERY_NS: u64 = 1_000_000_000;
-/// For how long a service is tried to be opened, ns.
-const OPEN_LIMIT_NS: u64 = 4_000_000_000;
-const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
 
 /// The worker's port for forecasts.
 pub type ForecastWriter = Writer<ForecastHeader, Forecast>;
@@ -584,249 +568,6 @@ pub(crate) fn waiter(
         .create()
         .map_err(|reason| OpenError::port(service, reason))?;
     Ok(Waiter::new(listener, Rc::clone(&bus.member)))
-}
-
-fn open<H, T>(
-    bus: &Bus,
-    service: Service,
-    limits: &Limits,
-    shape: Shape,
-) -> Result<PortFactory<ipc::Service, [T], H>, OpenError>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
-    let name = name(bus, service)?;
-    let open = || {
-        bus.node
-            .service_builder(&name)
-            .publish_subscribe::<[T]>()
-            .user_header::<H>()
-            .max_publishers(shape.publishers)
-            .max_subscribers(shape.subscribers)
-            .max_nodes(limits.nodes())
-            .subscriber_max_buffer_size(shape.buffer)
-            .subscriber_max_borrowed_samples(shape.borrowed)
-            .history_size(shape.history)
-            .enable_safe_overflow(true)
-            .open_or_create_with_attributes(&verifier(limits))
-    };
-    retry(bus, &name, open, is_passing).map_err(|reason| {
-        let differs = matches!(
-            reason,
-            PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
-                PublishSubscribeOpenError::IncompatibleAttributes
-            )
-        );
-        let pattern = MessagingPattern::PublishSubscribe;
-        refused(bus, service, limits, pattern, differs, reason)
-    })
-}
-
-fn open_event(
-    bus: &Bus,
-    service: Service,
-    limits: &Limits,
-    (listeners, notifiers): (usize, usize),
-) -> Result<EventFactory<ipc::Service>, OpenError> {
-    let name = name(bus, service)?;
-    let open = || {
-        bus.node
-            .service_builder(&name)
-            .event()
-            .max_listeners(listeners)
-            .max_notifiers(notifiers)
-            .max_nodes(limits.nodes())
-            .event_id_max_value(WakeEvent::Ended.id())
-            .notifier_dead_event(EventId::new(WakeEvent::Died.id()))
-            .open_or_create_with_attributes(&verifier(limits))
-    };
-    retry(bus, &name, open, is_passing_event).map_err(|reason| {
-        let differs = matches!(
-            reason,
-            EventOpenOrCreateError::EventOpenError(EventOpenError::IncompatibleAttributes)
-        );
-        let pattern = MessagingPattern::Event;
-        refused(bus, service, limits, pattern, differs, reason)
-    })
-}
-
-/// Opens a service. What comes of somebody having been killed while creating or leaving it passes
-/// once that is cleaned up.
-fn retry<S, E: Debug>(
-    bus: &Bus,
-    name: &ServiceName,
-    open: impl Fn() -> Result<S, E>,
-    is_passing: impl Fn(&E) -> bool,
-) -> Result<S, E> {
-    let limit_ns = clock::monotonic_ns() + OPEN_LIMIT_NS;
-    loop {
-        let error = match open() {
-            Err(error) if is_passing(&error) => error,
-            result => return result,
-        };
-        if clock::monotonic_ns() > limit_ns {
-            return Err(error);
-        }
-        let mut report = SweepReport::default();
-        remove_dead_nodes(bus.node.config(), &mut report);
-        report.stillborn = remove_stillborn(bus.domain()).unwrap_or(0)
-            + remove_abandoned_service(bus.domain(), name.as_str());
-        tracing::info!(
-            service = name.as_str(),
-            ?error,
-            ?report,
-            "opening a service again"
-        );
-        std::thread::sleep(OPEN_AGAIN_AFTER);
-    }
-}
-
-const fn is_passing(error: &PublishSubscribeOpenOrCreateError) -> bool {
-    use PublishSubscribeCreateError as Create;
-    use PublishSubscribeOpenError as Open;
-    use PublishSubscribeOpenOrCreateError as Error;
-    matches!(
-        error,
-        Error::SystemInFlux
-            | Error::PublishSubscribeOpenError(
-                Open::HangsInCreation
-                    | Open::IsMarkedForDestruction
-                    | Open::DoesNotExist
-                    | Open::ServiceInCorruptedState
-                    | Open::ExceedsMaxNumberOfNodes
-                    | Open::Interrupt
-            )
-            | Error::PublishSubscribeCreateError(
-                Create::HangsInCreation
-                    | Create::IsBeingCreatedByAnotherInstance
-                    | Create::AlreadyExists
-                    | Create::ServiceInCorruptedState
-                    | Create::Interrupt
-            )
-    )
-}
-
-const fn is_passing_event(error: &EventOpenOrCreateError) -> bool {
-    use EventCreateError as Create;
-    use EventOpenError as Open;
-    use EventOpenOrCreateError as Error;
-    matches!(
-        error,
-        Error::SystemInFlux
-            | Error::EventOpenError(
-                Open::HangsInCreation
-                    | Open::IsMarkedForDestruction
-                    | Open::DoesNotExist
-                    | Open::ServiceInCorruptedState
-                    | Open::ExceedsMaxNumberOfNodes
-                    | Open::Interrupt
-            )
-            | Error::EventCreateError(
-                Create::IsBeingCreatedByAnotherInstance
-                    | Create::AlreadyExists
-                    | Create::ServiceInCorruptedState
-                    | Create::Interrupt
-            )
-    )
-}
-
-fn name(bus: &Bus, service: Service) -> Result<ServiceName, OpenError> {
-    ServiceName::new(&service_name(bus.domain().fleet(), service))
-        .map_err(|reason| OpenError::port(service, reason))
-}
-
-fn verifier(limits: &Limits) -> AttributeVerifier {
-    let key = AttributeKey::new(LIMITS_KEY);
-    let value = AttributeValue::new(limits.describe().as_bytes());
-    let (Ok(key), Ok(value)) = (key, value) else {
-        // Never: the key is constant, and five numbers of at most 20 digits stay below 256 bytes.
-        return AttributeVerifier::new();
-    };
-    // One attribute always fits.
-    AttributeVerifier::new()
-        .require(&key, &value)
-        .unwrap_or_default()
-}
-
-fn refused(
-    bus: &Bus,
-    service: Service,
-    limits: &Limits,
-    pattern: MessagingPattern,
-    differs: bool,
-    reason: impl Debug,
-) -> OpenError {
-    if differs
-        && let Ok(name) = name(bus, service)
-        && let Ok(Some(details)) = ipc::Service::details(&name, bus.node.config(), pattern)
-        && let Ok(key) = AttributeKey::new(LIMITS_KEY)
-        && let Some(found) = details.static_details.attributes().key_value(&key, 0)
-    {
-        return OpenError::Limits {
-            service: service.name(),
-            found: found.to_string(),
-            wanted: limits.describe(),
-        };
-    }
-    OpenError::port(service, format_args!("{reason:?}"))
-}
-
-/// Why a port could not be opened.
-#[derive(Debug, thiserror::Error)]
-pub enum OpenError {
-    /// Another process of the fleet runs with other limits.
-    #[error(
-        "service {service:?} runs with limits {found}, wanted are {wanted}; use one config for \
-         all processes of a fleet, and restart those with the old one"
-    )]
-    Limits {
-        /// The service.
-        service: &'static str,
-        /// Limits in use.
-        found: String,
-        /// Limits of this process.
-        wanted: String,
-    },
-    /// Frames longer than the capacity, or empty ones only.
-    #[error("frames of up to {found} samples: allowed are 1 to {allowed}, the fleet's capacity")]
-    Length {
-        /// Length wanted.
-        found: usize,
-        /// The capacity.
-        allowed: usize,
-    },
-    /// Too little shared memory.
-    #[error(transparent)]
-    Room(#[from] RoomError),
-    /// The memory was there a moment ago, and could not be taken.
-    #[error("cannot take {needed} bytes of shared memory: {source}")]
-    Memory {
-        /// Bytes needed.
-        needed: u64,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// iceoryx2 refused.
-    #[error(
-        "service {service:?}: {reason}; are all processes of the same version, and are there more \
-         than the limits allow? `joulebus doctor` lists them"
-    )]
-    Port {
-        /// The service.
-        service: &'static str,
-        /// What iceoryx2 said.
-        reason: String,
-    },
-}
-
-impl OpenError {
-    fn port(service: Service, reason: impl std::fmt::Display) -> Self {
-        Self::Port {
-            service: service.name(),
-            reason: reason.to_string(),
-        }
-    }
 }
 
 /// Why a frame was not sent.
