@@ -1,6 +1,7 @@
 //! After warm-up neither a source nor a planner allocates anything of its own: one allocation a
 //! frame sent is iceoryx2's.
 #![allow(unsafe_code, reason = "a counting allocator")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 #[path = "../../publisher/tests/harness/mod.rs"]
 mod harness;
@@ -54,7 +55,7 @@ fn only_loans_allocate_and_only_once() {
     let mut budgets = planner.budgets().unwrap();
     let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();
     // Somebody to send to: the buffer overflows on and on.
-    let _samples = bus.sample_reader(&limits).unwrap();
+    let samples = bus.sample_reader(&limits).unwrap();
     let mut forecasts = bus.forecast_writer(&limits).unwrap();
     let mut budget_writer = bus.budget_writer(&limits).unwrap();
     let waker = bus.planner_waker(&limits).unwrap();
@@ -106,6 +107,6 @@ fn only_loans_allocate_and_only_once() {
         }
     }
     drop((publisher, planner, budgets));
-    drop((_samples, forecasts, budget_writer, waker, bus));
+    drop((samples, forecasts, budget_writer, waker, bus));
     place.assert_nothing_left();
 }

@@ -1,5 +1,6 @@
 //! What a planner sees of a worker, between real processes. The worker here is a stand-in that
 //! obeys: it sends the ticks it is told to.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 #[path = "../../publisher/tests/harness/mod.rs"]
 mod harness;
@@ -17,7 +18,6 @@ use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, SCHEMA_VERSION,
     WakeEvent, forecast_flag,
 };
-use rustix::process::Signal;
 
 /// So long that nothing becomes stale while a test runs.
 const HOUR_NS: u64 = 3_600_000_000_000;
@@ -119,7 +119,7 @@ fn power_w(robot: u64, tick: u64) -> f32 {
     (robot * 10_000 + tick) as f32
 }
 
-/// Commands: `next MS`, `latest`, `worker`, `counts`, `feeds`, `hold`.
+/// Commands: `next MS`, `latest`, `worker`, `counts`, `feeds`.
 fn plan(config: &Path) {
     let mut planner = Planner::connect(config).unwrap();
     let mut feeds: Option<(DiagnosticFeed, BudgetFeed)> = None;
@@ -300,11 +300,11 @@ fn a_worker_that_falls_silent_is_stale_until_it_goes_on() {
     worker.ask("period 50000000");
     worker.ask("ticks 1 1");
     assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
-    worker.signal(Signal::STOP);
+    worker.stop();
     assert_eq!(planner.ask("next 60000"), "Stale");
     assert_eq!(planner.ask("worker"), "Stale");
     assert_eq!(planner.ask("next 200"), "TimedOut", "told once");
-    worker.signal(Signal::CONT);
+    worker.go_on();
     worker.ask(&format!("period {HOUR_NS}"));
     worker.ask("ticks 2 2");
     assert_eq!(planner.ask("next 60000"), "tick 2, missed 0");
@@ -322,8 +322,8 @@ fn a_stopped_planner_resumes_at_the_newest_frame_with_one_gap() {
     let mut worker = ready(&place, "worker");
     worker.ask("ticks 1 1");
     assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
-    planner.signal(Signal::STOP);
     planner.tell("next 60000");
+    planner.stop();
     for tick in 2..=500 {
         worker.ask(&format!("ticks {tick} {tick}"));
         if tick % 100 == 0 {
@@ -331,7 +331,7 @@ fn a_stopped_planner_resumes_at_the_newest_frame_with_one_gap() {
             assert!(newest.starts_with(&format!("tick {tick},")), "{newest}");
         }
     }
-    planner.signal(Signal::CONT);
+    planner.go_on();
     assert_eq!(planner.hear(), "tick 500, missed 498");
     worker.ask("ticks 501 501");
     assert_eq!(planner.ask("next 60000"), "tick 501, missed 0");

@@ -17,6 +17,7 @@ use std::time::Duration;
 
 use joulebus_bus::Domain;
 use joulebus_config::Config;
+use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
 
 /// Marks what members say among what the test runner prints.
 const MARK: &str = "@ ";
@@ -142,9 +143,20 @@ impl Member {
         self.hear()
     }
 
-    pub fn signal(&self, signal: rustix::process::Signal) {
-        let pid = rustix::process::Pid::from_raw(self.child.id().cast_signed()).unwrap();
-        rustix::process::kill_process(pid, signal).unwrap();
+    /// Stops it; it has stopped when this returns.
+    pub fn stop(&self) {
+        kill_process(self.pid(), Signal::STOP).unwrap();
+        let stopped = waitpid(Some(self.pid()), WaitOptions::UNTRACED).unwrap();
+        assert!(stopped.unwrap().1.stopped());
+    }
+
+    /// Lets it go on.
+    pub fn go_on(&self) {
+        kill_process(self.pid(), Signal::CONT).unwrap();
+    }
+
+    fn pid(&self) -> Pid {
+        Pid::from_raw(self.child.id().cast_signed()).unwrap()
     }
 
     pub fn kill(mut self) {
