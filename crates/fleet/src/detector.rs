@@ -241,6 +241,7 @@ mod tests {
         for absurd in [f32::MAX, -f32::MAX] {
             let (mut detector, mut state) = (Detector::new(), 1);
             detector.observe(absurd, 1.0, 1e-6, &SETTINGS);
+            assert!(detector.error_square.is_finite(), "{detector:?}");
             run(&mut detector, 10_000, |unit| unit, &mut state);
             assert_eq!(detector.raised(), AlarmSet::default(), "{detector:?}");
             run(&mut detector, 300, |unit| unit + 2.0, &mut state);
