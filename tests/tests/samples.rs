@@ -1,0 +1,626 @@
+//! Rows 7, 8, 9 and 21: what is wrong with one sample, or with one source, harms no other robot.
+
+use std::collections::BTreeMap;
+
+use joulebus_tests::{
+    Answers, Arena, Dice, ForecastFrame, Forge, FrameLine, Planner, ReaderLine, Setup, figure,
+    sample, script,
+};
+use joulebus_wire::{DropReason, InvalidReason, Quality, Sample};
+
+const ROBOTS: [u32; 6] = [0, 1, 2, 3, 4, 5];
+
+/// Plays `frames` to a fleet of its own, one answered after the other; the first answers.
+fn clean_run(setup: &Setup, frames: &[Vec<Sample>]) -> Answers {
+    let arena = Arena::new(setup);
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut source = arena.source("fleet");
+    planner.play(&mut source, frames);
+    let answers = planner.answers(|_| true);
+    source.leave();
+    planner.leave();
+    worker.stop();
+    arena.close();
+    answers
+}
+
+/// Every answer is the one of the clean run; how many were compared. What a busy machine shows only
+/// provisionally is not among the answers, hence the share.
+fn assert_same(clean: &Answers, found: &Answers, of: usize) -> usize {
+    for (key, answer) in found {
+        assert_eq!(
+            clean.get(key),
+            Some(answer),
+            "robot {} sample {}",
+            key.0,
+            key.1
+        );
+    }
+    assert!(
+        found.len() * 10 >= of * 9,
+        "{} answers of {of}",
+        found.len()
+    );
+    found.len()
+}
+
+type Spoil = fn(Sample) -> Sample;
+
+/// What can be wrong with the values of a sample, why it is refused, and what its robot is then.
+const POISON: &[(&str, Spoil, DropReason, InvalidReason)] = {
+    use joulebus_wire::DropReason as D;
+    use joulebus_wire::InvalidReason as I;
+    &[
+        (
+            "NaN power",
+            |s| Sample {
+                power_w: f32::NAN,
+                ..s
+            },
+            D::NotFinite,
+            I::NotFinite,
+        ),
+        (
+            "infinite power",
+            |s| Sample {
+                power_w: f32::INFINITY,
+                ..s
+            },
+            D::NotFinite,
+            I::NotFinite,
+        ),
+        (
+            "minus infinite power",
+            |s| Sample {
+                power_w: f32::NEG_INFINITY,
+                ..s
+            },
+            D::NotFinite,
+            I::NotFinite,
+        ),
+        (
+            "NaN speed",
+            |s| Sample {
+                v_mps: f32::NAN,
+                ..s
+            },
+            D::NotFinite,
+            I::NotFinite,
+        ),
+        (
+            "NaN turn",
+            |s| Sample {
+                omega_radps: f32::NAN,
+                ..s
+            },
+            D::NotFinite,
+            I::NotFinite,
+        ),
+        (
+            "NaN voltage",
+            |s| s.battery(f32::NAN, 1.0),
+            D::NotFinite,
+            I::NotFinite,
+        ),
+        (
+            "infinite current",
+            |s| s.battery(3.7, f32::INFINITY),
+            D::NotFinite,
+            I::NotFinite,
+        ),
+        (
+            "negative power",
+            |s| Sample { power_w: -0.5, ..s },
+            D::PowerOutOfRange,
+            I::PowerOutOfRange,
+        ),
+        (
+            "huge power",
+            |s| Sample { power_w: 1e30, ..s },
+            D::PowerOutOfRange,
+            I::PowerOutOfRange,
+        ),
+        (
+            "huge speed",
+            |s| Sample { v_mps: 1e30, ..s },
+            D::CommandOutOfRange,
+            I::CommandOutOfRange,
+        ),
+        (
+            "huge turn",
+            |s| Sample {
+                omega_radps: -1e30,
+                ..s
+            },
+            D::CommandOutOfRange,
+            I::CommandOutOfRange,
+        ),
+        (
+            "unknown flag",
+            |s| Sample {
+                flags: s.flags | 1 << 31,
+                ..s
+            },
+            D::BadFlags,
+            I::BadFlags,
+        ),
+        (
+            "reserved field",
+            |s| Sample { reserved: 1, ..s },
+            D::BadFlags,
+            I::BadFlags,
+        ),
+        (
+            "measured after its stamp",
+            |s| Sample {
+                measured_ns: s.stamp_ns + 1,
+                ..s
+            },
+            D::BadTime,
+            I::BadTime,
+        ),
+        (
+            "stamp goes back",
+            |s| Sample {
+                stamp_ns: 5,
+                measured_ns: 5,
+                ..s
+            },
+            D::BadTime,
+            I::BadTime,
+        ),
+        (
+            "stamp jumps ahead",
+            |s| Sample {
+                stamp_ns: u64::MAX,
+                ..s
+            },
+            D::BadTime,
+            I::BadTime,
+        ),
+    ]
+};
+
+#[test]
+fn row_7_a_poisoned_robot_is_invalid_with_its_reason_and_no_other_robot_changes_by_a_bit() {
+    const VICTIM: u32 = 3;
+    let setup = Setup::default();
+    // Each poison twice: with a full window, and right after a good sample.
+    let frames = script(&ROBOTS, 10 + 4 * POISON.len() as u64, setup.period_ns());
+    let clean = clean_run(&setup, &frames);
+
+    let arena = Arena::new(&setup);
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut source = arena.source("fleet");
+    let mut expected: BTreeMap<&str, u64> = BTreeMap::new();
+    for (at, frame) in frames.iter().enumerate() {
+        let poison = at
+            .checked_sub(10)
+            .filter(|at| at % 2 == 0)
+            .map(|at| &POISON[at / 2 % POISON.len()]);
+        let Some((what, spoil, reason, invalid)) = poison else {
+            source.send(frame);
+            let answered = planner.answered(frame);
+            let quality = answered.robot(VICTIM).unwrap().quality();
+            assert!(
+                !matches!(quality, Quality::Invalid(_)),
+                "recovers with a good sample: {quality:?}"
+            );
+            continue;
+        };
+        let mut spoiled = frame.clone();
+        spoiled[VICTIM as usize] = spoil(spoiled[VICTIM as usize]);
+        source.send(&spoiled);
+        let others: Vec<Sample> = frame
+            .iter()
+            .filter(|sample| sample.robot != VICTIM)
+            .copied()
+            .collect();
+        let answered = planner.answered(&others);
+        *expected.entry(reason.name()).or_default() += 1;
+        assert_eq!(
+            answered.robot(VICTIM).unwrap().quality(),
+            Quality::Invalid(*invalid),
+            "{what}"
+        );
+        assert_eq!(
+            answered.robot(VICTIM).unwrap().flags & 0b11,
+            0,
+            "{what}: no forecast"
+        );
+        assert_eq!(answered.dropped(*reason), expected[reason.name()], "{what}");
+        let alarmed = planner.until("diagnostics", |line| match line {
+            ReaderLine::Diagnostics(frame) if frame.tick >= answered.tick => Some(frame.clone()),
+            _ => None,
+        });
+        let named = alarmed.refused.iter().any(|refusal| {
+            refusal.robot == VICTIM
+                && refusal.reason == reason.name()
+                && refusal.pid == source.child.pid()
+        });
+        assert!(named, "{what}: {:?}", alarmed.refused);
+    }
+    let others = planner.answers(|robot| robot != VICTIM);
+    let compared = assert_same(&clean, &others, frames.len() * (ROBOTS.len() - 1));
+    figure(
+        "row 7, contaminated rows",
+        format_args!(
+            "0 of {compared} compared to the bit, {} poisons",
+            2 * POISON.len()
+        ),
+    );
+    source.leave();
+    planner.leave();
+    worker.stop();
+    arena.close();
+}
+
+#[test]
+fn row_8_unknown_robots_and_a_second_source_are_counted_and_named_and_change_nothing() {
+    let setup = Setup {
+        robots: "0-9",
+        ..Setup::default()
+    };
+    let frames = script(&ROBOTS, 40, setup.period_ns());
+    let clean = clean_run(&setup, &frames);
+
+    let arena = Arena::new(&setup);
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut owner = arena.source("owner");
+    let mut second = arena.source("second");
+    let (first, rest) = frames.split_first().unwrap();
+    planner.play(&mut owner, std::slice::from_ref(first));
+    let mut last = None;
+    for frame in rest {
+        // The second source claims robots that are owned, with other values and later stamps, and
+        // two that nobody knows.
+        let mut claims: Vec<Sample> = frame
+            .iter()
+            .take(3)
+            .map(|claim| Sample {
+                seq: claim.seq + 1000,
+                stamp_ns: claim.stamp_ns + 1,
+                power_w: 9.0,
+                ..*claim
+            })
+            .collect();
+        claims.push(sample(10, frame[0].seq, setup.period_ns()));
+        claims.push(sample(u32::MAX, frame[0].seq, setup.period_ns()));
+        second.send(&claims);
+        owner.send(frame);
+        let answered = planner.answered(frame);
+        assert_eq!(
+            answered.robots.len(),
+            ROBOTS.len(),
+            "the unknown get no place"
+        );
+        last = Some(answered);
+    }
+    let rounds = rest.len() as u64;
+    let accounted = rounds * 5 + frames.len() as u64 * 6;
+    let counted = await_accounted(&mut planner, last.unwrap(), accounted);
+    assert_eq!(counted.dropped(DropReason::ForeignSource), 3 * rounds);
+    assert_eq!(counted.dropped(DropReason::UnknownRobot), 2 * rounds);
+    assert_eq!(counted.accepted, frames.len() as u64 * 6);
+    let named = planner.until("diagnostics", |line| match line {
+        ReaderLine::Diagnostics(frame) if frame.tick >= counted.tick => Some(frame.refused.clone()),
+        _ => None,
+    });
+    for (robot, reason) in [
+        (0, "ForeignSource"),
+        (2, "ForeignSource"),
+        (10, "UnknownRobot"),
+    ] {
+        let is_it = |refusal: &joulebus_tests::RefusalLine| {
+            refusal.robot == robot && refusal.reason == reason && refusal.pid == second.child.pid()
+        };
+        assert!(named.iter().any(is_it), "{robot} {reason}: {named:?}");
+    }
+    let answers = planner.answers(|_| true);
+    let compared = assert_same(&clean, &answers, frames.len() * ROBOTS.len());
+    figure(
+        "row 8, cross-talk",
+        format_args!("0 of {compared} answers compared to the bit"),
+    );
+    owner.leave();
+    second.leave();
+    planner.leave();
+    worker.stop();
+    arena.close();
+}
+
+/// The first frame in which so many samples are accounted for; `newest` has been read already.
+fn await_accounted(planner: &mut Planner, newest: ForecastFrame, samples: u64) -> ForecastFrame {
+    if newest.accounted() >= samples {
+        assert_eq!(newest.accounted(), samples);
+        return newest;
+    }
+    let what = format!("{samples} samples are accounted for");
+    let frame = planner.forecast(&what, |frame| {
+        (frame.accounted() >= samples).then(|| frame.clone())
+    });
+    assert_eq!(
+        frame.accounted(),
+        samples,
+        "sent = accepted + dropped: {frame:?}"
+    );
+    frame
+}
+
+/// What one robot's account must come to: a slow, obvious reading of the rules.
+#[derive(Default)]
+struct Oracle {
+    last: Option<Sample>,
+    seq: Option<u64>,
+    accepted: u64,
+    metered_ns: u64,
+    unmetered_ns: u64,
+    drawn: i128,
+}
+
+impl Oracle {
+    fn take(&mut self, sample: &Sample, period_ns: u64) {
+        if self.seq.is_some_and(|seq| sample.seq <= seq) {
+            return;
+        }
+        self.seq = Some(sample.seq);
+        self.accepted += 1;
+        if let Some(last) = self.last.replace(*sample) {
+            let elapsed_ns = sample.stamp_ns - last.stamp_ns;
+            if elapsed_ns <= period_ns * 3 / 2 {
+                self.metered_ns += elapsed_ns;
+                let uw = |watts: f32| (f64::from(watts) * 1e6).round() as i128;
+                self.drawn += (uw(last.power_w) + uw(sample.power_w)) * i128::from(elapsed_ns);
+            } else {
+                self.unmetered_ns += elapsed_ns;
+            }
+        }
+    }
+}
+
+#[test]
+fn row_9_out_of_order_twice_missing_and_late_samples_are_accepted_once_and_the_ledger_is_exact() {
+    let mut dice = Dice::roll();
+    let setup = Setup::default();
+    let arena = Arena::new(&setup);
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut source = arena.source("fleet");
+    let mut oracles: Vec<Oracle> = ROBOTS.iter().map(|_| Oracle::default()).collect();
+    let (mut sent, mut tail) = (0, 0);
+    let mut late: Vec<Sample> = Vec::new();
+    for seq in 0..150 {
+        let mut frame: Vec<Sample> = Vec::new();
+        for robot in ROBOTS {
+            let now = sample(robot, seq, setup.period_ns());
+            match dice.below(10) {
+                0 => {}
+                1 => late.push(now),
+                2 => frame.extend([now, now]),
+                _ => frame.push(now),
+            }
+        }
+        // Late ones come some frames later, in any order: out of order unless nothing came between.
+        while !late.is_empty() && dice.chance(0.4) {
+            let at = dice.below(late.len() as u64) as usize;
+            let place = dice.below(frame.len() as u64 + 1) as usize;
+            frame.insert(place, late.swap_remove(at));
+        }
+        if frame.is_empty() {
+            continue;
+        }
+        for sample in &frame {
+            oracles[sample.robot as usize].take(sample, setup.period_ns());
+        }
+        source.send(&frame);
+        sent += frame.len() as u64;
+        tail = seq;
+        // One after the other, so that no sample is lost to a burst and the oracle knows them all.
+        let accounted = sent;
+        planner.forecast("the frame is accounted for", |frame| {
+            (frame.accounted() >= accounted).then_some(())
+        });
+    }
+    // A frame that is sent twice is dropped whole.
+    let again = script(&ROBOTS, tail + 2, setup.period_ns()).pop().unwrap();
+    for _ in 0..2 {
+        let forge = Forge {
+            samples_before: Some(sent),
+            ..Forge::default()
+        };
+        source.send_forged(&again, forge);
+    }
+    for sample in &again {
+        oracles[sample.robot as usize].take(sample, setup.period_ns());
+    }
+    let total = sent + 2 * again.len() as u64;
+    let frame = planner.forecast("all is accounted for", |frame| {
+        (frame.accounted() >= total).then(|| frame.clone())
+    });
+    assert_eq!(frame.accounted(), total, "{frame:?}");
+    assert_eq!(
+        frame.accepted,
+        oracles.iter().map(|oracle| oracle.accepted).sum::<u64>()
+    );
+    let refused =
+        [DropReason::Duplicate, DropReason::OutOfOrder].map(|reason| frame.dropped(reason));
+    assert!(refused[0] > 50 && refused[1] > 20, "{refused:?}");
+    assert_eq!(refused[0] + refused[1] + frame.accepted, total);
+    let budgets = planner.until("budgets", |line| match line {
+        ReaderLine::Budgets(budgets) if budgets.tick >= frame.tick => Some(budgets.clone()),
+        _ => None,
+    });
+    for (robot, oracle) in ROBOTS.iter().zip(&oracles) {
+        let found = budgets.robot(*robot).unwrap();
+        let expected = (oracle.metered_ns, oracle.unmetered_ns, oracle.drawn);
+        assert_eq!(
+            (found.metered_ns, found.unmetered_ns, found.drawn_exact()),
+            expected,
+            "robot {robot}"
+        );
+        assert!(found.unmetered_ns > 0, "gaps become unmetered time");
+    }
+    figure(
+        "row 9, ledger difference",
+        format_args!(
+            "0 µJ over {} robots, {total} samples = {} accepted + {} twice + {} out of order",
+            ROBOTS.len(),
+            frame.accepted,
+            refused[0],
+            refused[1]
+        ),
+    );
+    source.leave();
+    planner.leave();
+    worker.stop();
+    arena.close();
+}
+
+#[test]
+fn row_9_in_bursts_what_was_sent_is_what_was_accepted_and_dropped_by_reason() {
+    let setup = Setup {
+        buffer_frames: 4,
+        tick_hz: 50.0,
+        ..Setup::default()
+    };
+    let arena = Arena::new(&setup);
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut sources = [arena.source("one"), arena.source("two")];
+    let frames = script(&[0, 1, 2], 600, setup.period_ns());
+    for burst in frames.chunks(150) {
+        for (source, shift) in sources.iter_mut().zip([0, 10]) {
+            let lines: Vec<FrameLine> = burst
+                .iter()
+                .map(|frame| FrameLine {
+                    samples: frame
+                        .iter()
+                        .map(|sample| {
+                            Sample {
+                                robot: sample.robot + shift,
+                                ..*sample
+                            }
+                            .into()
+                        })
+                        .collect(),
+                    forge: Forge::default(),
+                })
+                .collect();
+            source.send_all(&lines);
+        }
+    }
+    // What the last frames lost is known from the next frame's header.
+    let last: Vec<Sample> = [0, 1, 2]
+        .map(|robot| sample(robot, 600, setup.period_ns()))
+        .to_vec();
+    sources[0].send(&last);
+    let other: Vec<Sample> = last
+        .iter()
+        .map(|sample| Sample {
+            robot: sample.robot + 10,
+            ..*sample
+        })
+        .collect();
+    sources[1].send(&other);
+    let total = 2 * 3 * 601;
+    let frame = planner.forecast("all is accounted for", |frame| {
+        (frame.accounted() >= total).then(|| frame.clone())
+    });
+    assert_eq!(
+        frame.accounted(),
+        total,
+        "sent = accepted + dropped: {frame:?}"
+    );
+    let budgets = planner.until("budgets", |line| match line {
+        ReaderLine::Budgets(budgets) if budgets.tick >= frame.tick => Some(budgets.clone()),
+        _ => None,
+    });
+    let line = |robot| *budgets.robot(robot).unwrap();
+    for robot in [0, 1, 2, 10, 11, 12].map(line) {
+        let elapsed_ns = robot.metered_ns + robot.unmetered_ns;
+        assert_eq!(elapsed_ns % setup.period_ns(), 0);
+        assert!(elapsed_ns <= 600 * setup.period_ns());
+    }
+    let report = {
+        for source in sources {
+            source.leave();
+        }
+        planner.leave();
+        worker.stop().json()
+    };
+    figure(
+        "row 9, bursts",
+        format_args!(
+            "{total} sent = {} accepted + {:?}",
+            frame.accepted, frame.dropped
+        ),
+    );
+    assert_eq!(report["receive_errors"], 0);
+    arena.close();
+}
+
+#[test]
+fn row_21_robots_past_the_capacity_are_refused_and_named_and_the_first_do_not_change_by_a_bit() {
+    let setup = Setup {
+        capacity: 6,
+        ..Setup::default()
+    };
+    let frames = script(&ROBOTS, 40, setup.period_ns());
+    let clean = clean_run(&setup, &frames);
+
+    let arena = Arena::new(&setup);
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut source = arena.source("fleet");
+    let mut crowd = arena.source("crowd");
+    planner.play(&mut source, &frames[..1]);
+    for frame in &frames[1..] {
+        let extra: Vec<Sample> = [20, 21, 22]
+            .map(|robot| sample(robot, frame[0].seq, setup.period_ns()))
+            .to_vec();
+        crowd.send(&extra);
+        source.send(frame);
+        assert_eq!(planner.answered(frame).robots.len(), 6);
+    }
+    let total = 40 * 6 + 39 * 3;
+    source.send(&[sample(0, 40, setup.period_ns())]);
+    let frame = planner.forecast("all is accounted for", |frame| {
+        (frame.accounted() > total).then(|| frame.clone())
+    });
+    assert_eq!(frame.dropped(DropReason::OverCapacity), 39 * 3);
+    let named = planner.until("diagnostics", |line| match line {
+        ReaderLine::Diagnostics(found) if found.tick >= frame.tick => Some(found.refused.clone()),
+        _ => None,
+    });
+    for robot in [20, 21, 22] {
+        let is_it = |refusal: &joulebus_tests::RefusalLine| {
+            refusal.robot == robot
+                && refusal.reason == "OverCapacity"
+                && refusal.pid == crowd.child.pid()
+        };
+        assert!(named.iter().any(is_it), "{robot}: {named:?}");
+    }
+    let answers = planner.answers(|_| true);
+    let answers: Answers = answers
+        .into_iter()
+        .filter(|((_, seq), _)| *seq < 40)
+        .collect();
+    let compared = assert_same(&clean, &answers, 40 * 6);
+    figure(
+        "row 21, difference of the first robots",
+        format_args!("0 of {compared} answers compared to the bit"),
+    );
+    source.leave();
+    crowd.leave();
+    planner.leave();
+    let ended = worker.stop();
+    assert!(
+        ended.errors().contains("OverCapacity"),
+        "operators read it in the log: {}",
+        ended.errors()
+    );
+    arena.close();
+}
