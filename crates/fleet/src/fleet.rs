@@ -133,6 +133,7 @@ impl Fleet {
             seq: None,
             taken_ns: 0,
             taken: 0,
+            heard: false,
             refused: 0,
             refused_run: 0,
             invalid: None,
@@ -168,11 +169,12 @@ impl Fleet {
     }
 
     /// Goes on with the account of a robot that an earlier run wrote down. Call before the robot's
-    /// first sample. As many accounts as the capacity are kept; returns whether this one was.
-    pub fn restore(&mut self, robot: u32, ledger: Ledger) -> bool {
+    /// first sample. `charged`: it has been on its charger since, so that what is in its battery is
+    /// not known. As many accounts as the capacity are kept; returns whether this one was.
+    pub fn restore(&mut self, robot: u32, ledger: Ledger, charged: bool) -> bool {
         self.departed.keep(Account {
             robot,
-            charged: false,
+            charged,
             ledger,
         })
     }
@@ -212,7 +214,7 @@ impl Fleet {
                 let platform = &self.kinds[usize::from(robot.platform)].platform;
                 let silent_ns = now_ns.saturating_sub(robot.taken_ns);
                 let due = silent_ns > platform.period_ns * 3 / 4;
-                robot.taken > 0 || !due || silent_ns > platform.stale_after_ns
+                robot.heard || !due || silent_ns > platform.stale_after_ns
             })
     }
 
@@ -233,7 +235,8 @@ impl Fleet {
         }
         self.release_departed();
         for slot in &self.live {
-            self.robots[*slot as usize].taken = 0;
+            let robot = &mut self.robots[*slot as usize];
+            (robot.taken, robot.heard) = (0, false);
         }
         self.reported = 0;
         std::mem::take(&mut self.intake)
@@ -323,7 +326,8 @@ impl Fleet {
             sample.flags |= sample_flag::DISCONTINUITY;
         }
         let robot = &mut self.robots[slot];
-        self.reported += usize::from(robot.taken == 0);
+        self.reported += usize::from(!robot.heard);
+        robot.heard = true;
         robot.taken += 1;
         (robot.renewed, robot.waiting) = (false, true);
         (robot.taken_ns, robot.invalid, robot.refused_run) = (now_ns, None, 0);
@@ -367,6 +371,9 @@ impl Fleet {
         };
         let slot = *slot as usize;
         let robot = &mut self.robots[slot];
+        // Nothing better will come of it in this tick: the others need not wait for it.
+        self.reported += usize::from(!robot.heard);
+        robot.heard = true;
         robot.refused += 1;
         robot.refused_run = robot.refused_run.saturating_add(1);
         robot.invalid = Some(invalid);
@@ -415,6 +422,7 @@ impl Fleet {
             seq: None,
             taken_ns: now_ns,
             taken: 0,
+            heard: false,
             refused: 0,
             refused_run: 0,
             invalid: None,

@@ -126,7 +126,11 @@ impl Fleet {
         // Only forecasts one step ahead are scored: the ones over a gap are of another kind.
         let one_step = gap == Gap::None && self.windows[slot].unread_steps == 0;
         let expected_w = (one_step && forecast_w.is_finite()).then_some(forecast_w);
-        let longest_ns = self.kinds[kind].platform.period_ns * 3 / 2;
+        let longest_ns = match gap {
+            // What lies between two recordings was never drawn.
+            Gap::Break => 0,
+            _ => self.kinds[kind].platform.period_ns * 3 / 2,
+        };
         self.ledgers[slot].meter(sample.stamp_ns, reading_w, expected_w, longest_ns);
         if let (Some(reading_w), Some(expected_w)) = (reading_w, expected_w) {
             self.score(kind, slot, reading_w, reading_w - expected_w);

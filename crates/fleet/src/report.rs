@@ -117,7 +117,12 @@ impl Fleet {
         };
         let budget = Budget {
             robot: robot.id,
-            flags: ledger.stamp_ns.map_or(0, |_| budget_flag::LEDGER),
+            flags: ledger.stamp_ns.map_or(0, |_| budget_flag::LEDGER)
+                | if last.charged {
+                    budget_flag::CHARGED
+                } else {
+                    0
+                },
             charge_state: charge_state.code(),
             reserved: 0,
             drawn_uj: ledger.drawn_uj,

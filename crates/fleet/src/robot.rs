@@ -25,6 +25,8 @@ pub(crate) struct Robot {
     pub taken_ns: u64,
     /// Samples taken in this tick.
     pub taken: u16,
+    /// Whether a sample has come in this tick, taken or refused.
+    pub heard: bool,
     pub refused: u64,
     /// Samples refused in a row for what was in them.
     pub refused_run: u16,

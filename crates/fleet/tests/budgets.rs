@@ -222,12 +222,12 @@ fn a_restored_account_goes_on_and_the_time_between_is_charged_at_the_greatest_po
         saved.unmetered_ns,
         saved.stamp_ns,
     );
-    assert!(fleet.restore(ROBOT, account));
+    assert!(fleet.restore(ROBOT, account, false));
     assert!(
-        fleet.restore(ROBOT, account),
+        fleet.restore(ROBOT, account, false),
         "an account that is kept can be replaced"
     );
-    assert!(!fleet.restore(8, account), "there is room for one");
+    assert!(!fleet.restore(8, account, false), "there is room for one");
     let back = send(&mut fleet, &mut Source::new(1, 2), at(129));
     assert_eq!(
         (back.drawn_uj, back.drawn_remainder),

@@ -508,3 +508,32 @@ fn samples_without_readings_and_silence_together_are_bridged_no_longer_than_stal
         assert_eq!(quality(&fleet, ROBOT), expected, "{missing} missing");
     }
 }
+
+#[test]
+fn a_refused_sample_does_not_make_the_others_wait_for_the_deadline() {
+    let (mut fleet, mut source) = warm();
+    assert!(
+        !fleet.complete(NEXT),
+        "robot 7 is due and has not been heard"
+    );
+    let mut poisoned = good();
+    poisoned.power_w = f32::NAN;
+    source.send(&mut fleet, &[poisoned], NEXT);
+    assert!(fleet.complete(NEXT));
+    fleet.tick(NEXT, false);
+    assert!(
+        !fleet.complete(NEXT + PERIOD_NS),
+        "the next tick asks again"
+    );
+}
+
+#[test]
+fn what_lies_between_two_recordings_is_not_metered() {
+    let (mut fleet, mut source) = warm();
+    let before = *fleet.ledger(ROBOT).unwrap();
+    source.send(&mut fleet, &[good().with(sample_flag::DISCONTINUITY)], NEXT);
+    fleet.tick(NEXT, false);
+    let after = *fleet.ledger(ROBOT).unwrap();
+    assert_eq!(after.drawn_uj, before.drawn_uj);
+    assert_eq!(after.unmetered_ns, before.unmetered_ns + PERIOD_NS);
+}

@@ -37,6 +37,8 @@ pub struct Account {
     metered_ns: u64,
     unmetered_ns: u64,
     stamp_ns: u64,
+    /// As [`budget_flag::CHARGED`].
+    charged: bool,
 }
 
 /// Why a checkpoint could not be read or written.
@@ -163,6 +165,7 @@ impl Checkpoint {
                 metered_ns: budget.metered_ns,
                 unmetered_ns: budget.unmetered_ns,
                 stamp_ns: budget.stamp_ns,
+                charged: budget.flags & budget_flag::CHARGED != 0,
             };
             self.robots.insert(budget.robot, account);
         }
@@ -188,8 +191,8 @@ impl Checkpoint {
         self
     }
 
-    /// The accounts as ledgers.
-    pub fn ledgers(&self) -> impl Iterator<Item = (u32, Ledger)> + '_ {
+    /// The accounts as ledgers, each with its robot and whether that has been on its charger.
+    pub fn ledgers(&self) -> impl Iterator<Item = (u32, Ledger, bool)> + '_ {
         self.robots.iter().map(|(robot, account)| {
             let drawn = (account.drawn_uj, account.drawn_remainder);
             let (metered_ns, unmetered_ns) = (account.metered_ns, account.unmetered_ns);
@@ -200,7 +203,7 @@ impl Checkpoint {
                 unmetered_ns,
                 account.stamp_ns,
             );
-            (*robot, ledger)
+            (*robot, ledger, account.charged)
         })
     }
 }

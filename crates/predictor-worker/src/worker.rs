@@ -99,8 +99,8 @@ impl Worker {
         let limits = config.limits();
         let lock = WorkerLock::acquire(&domain)?;
         let before = recall(config)?;
-        for (robot, ledger) in before.ledgers() {
-            fleet.restore(robot, ledger);
+        for (robot, ledger, charged) in before.ledgers() {
+            fleet.restore(robot, ledger, charged);
         }
         check_room(
             &limits,

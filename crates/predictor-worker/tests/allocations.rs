@@ -83,18 +83,27 @@ fn feed(domain: &Domain, config: &Config, stop: &AtomicBool) {
                 1 => sample.command(0.1, 0.5),
                 2 => sample.reading(3.5, now_ns),
                 3 => Sample::new(900, seq, now_ns),
-                _ => sample.command(0.1, 0.5).reading(3.5 + (seq % 9) as f32 * 0.01, now_ns),
+                _ => sample
+                    .command(0.1, 0.5)
+                    .reading(3.5 + (seq % 9) as f32 * 0.01, now_ns),
             }
         };
         writer.send(header, ROBOTS as usize, sample).unwrap();
         header.frame_seq += 1;
         header.samples_before += u64::from(ROBOTS);
-        std::thread::sleep(Duration::from_millis(if seq.is_multiple_of(40) { 60 } else { 5 }));
+        std::thread::sleep(Duration::from_millis(if seq.is_multiple_of(40) {
+            60
+        } else {
+            5
+        }));
     }
 }
 
 fn measure(policy: &str) {
-    let root = PathBuf::from(format!("/dev/shm/joulebus-test-alloc-{}", std::process::id()));
+    let root = PathBuf::from(format!(
+        "/dev/shm/joulebus-test-alloc-{}",
+        std::process::id()
+    ));
     let config = config(&root, policy);
     let domain = config.domain().unwrap();
     let stop = AtomicBool::new(false);
@@ -112,7 +121,11 @@ fn measure(policy: &str) {
         tick(300);
         let allocated = ALLOCATIONS.get() - before;
         stop.store(true, Ordering::Relaxed);
-        assert_eq!(allocated, 3 * 300, "policy {policy}: three a tick are iceoryx2's");
+        assert_eq!(
+            allocated,
+            3 * 300,
+            "policy {policy}: three a tick are iceoryx2's"
+        );
     });
     let report = worker.finish();
     assert!(report.samples_accepted > 5_000, "{report:?}");

@@ -8,6 +8,9 @@ pub mod budget_flag {
     pub const TIME_TO_EMPTY: u32 = 1 << 1;
     /// The ledger holds at least one sample.
     pub const LEDGER: u32 = 1 << 2;
+    /// The robot has been on its charger since the ledger began: how much energy is in its battery
+    /// is not known.
+    pub const CHARGED: u32 = 1 << 3;
 }
 
 /// One robot's budget. 112 bytes.

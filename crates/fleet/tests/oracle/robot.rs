@@ -102,6 +102,13 @@ fn microwatts(power_w: f32) -> i128 {
 }
 
 impl Account {
+    /// What comes next does not follow on the last reading.
+    fn forget_reading(&mut self) {
+        if let Some((_, power_w)) = &mut self.last {
+            *power_w = None;
+        }
+    }
+
     fn meter(
         &mut self,
         stamp_ns: u64,
@@ -163,6 +170,9 @@ impl Robot {
         let one_step = !gap && self.run.unread == 0;
         let scorable_w = forecast_w.filter(|_| one_step);
         let period_ns = self.platform.period_ns;
+        if sample.has(sample_flag::DISCONTINUITY) {
+            self.account.forget_reading();
+        }
         self.account
             .meter(sample.stamp_ns, reading_w, scorable_w, period_ns);
         self.residual_w = reading_w.zip(forecast_w).map(|(y, f)| y - f);
