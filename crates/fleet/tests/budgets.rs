@@ -177,7 +177,8 @@ fn once_charged_the_battery_is_unknown_and_stays_so_over_leaving() {
 }
 
 fn assert_unknown(budget: &Budget) {
-    assert_eq!(budget.flags, budget_flag::LEDGER, "{budget:?}");
+    let flags = budget_flag::LEDGER | budget_flag::CHARGED;
+    assert_eq!(budget.flags, flags, "{budget:?}");
     let figures = [
         budget.left_j,
         budget.usable_j,
