@@ -19,6 +19,7 @@ const MAX_EPOCHS: u32 = 100;
 
 /// Train a model
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  joulebus train sim --seed 7 --out gternal-sim.safetensors")]
 pub(crate) struct Args {
     #[command(subcommand)]
     what: What,
@@ -81,7 +82,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let start = Instant::now();
     let trained = train_sim(sim.seed, sim.features.into(), |epoch| {
-        progress(epoch, start)
+        progress(epoch, start);
     })?;
     write(&sim.out, &trained.network.to_safetensors()?)?;
     let epochs = trained.epochs.len();

@@ -80,10 +80,10 @@ struct DoctorReport {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let config = args.config.load()?;
     let domain = config.domain()?;
-    let mended = if args.fix {
-        mend::mend(&domain)?
-    } else {
-        Vec::new()
+    let (mended, trouble) = match args.fix.then(|| mend::mend(&domain)) {
+        None => (Vec::new(), None),
+        Some(Ok(mended)) => (mended, None),
+        Some(Err(error)) => (Vec::new(), Some(error)),
     };
     let inspection = inspect(&domain)?;
     let mut checks = vec![
@@ -101,6 +101,15 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         fleet::leftovers(&inspection),
     ];
     checks.extend(host::clocks());
+    if let Some(error) = trouble {
+        let found = format!("{error:#}");
+        checks.push(Check::new(
+            "mending",
+            Status::Fail,
+            found,
+            "see the checks above",
+        ));
+    }
     let has = |status| checks.iter().any(|check| check.status == status);
     let status = if has(Status::Fail) {
         Status::Fail

@@ -4,6 +4,9 @@ use std::fmt;
 
 use serde::Serialize;
 
+/// Notes on recordings in the text.
+const MOST_NOTES: usize = 5;
+
 /// What a source has published.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct PublishReport {
@@ -90,11 +93,19 @@ impl fmt::Display for PublishReport {
         if self.held_up_s > 0.0 {
             writeln!(out, "held up for {:.1} s", self.held_up_s)?;
         }
-        for trial in self.trials.iter().filter(|trial| !trial.clean) {
+        let questionable = self.trials.iter().filter(|trial| !trial.clean);
+        let more = questionable.clone().count().saturating_sub(MOST_NOTES);
+        for trial in questionable.take(MOST_NOTES) {
             writeln!(
                 out,
                 "robot {}: {}: {}",
                 trial.robot, trial.file, trial.notes
+            )?;
+        }
+        if more > 0 {
+            writeln!(
+                out,
+                "{more} more recordings have gaps or other oddities: see --format json"
             )?;
         }
         Ok(())

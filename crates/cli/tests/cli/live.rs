@@ -227,7 +227,8 @@ fn trials_are_evaluated_offline() {
     let mut eval = fleet.joulebus("eval --first-robot 0");
     let text = eval.arg(&file).output().unwrap();
     assert!(stdout(&text).contains("gternal"), "{}", stdout(&text));
-    let mut eval = fleet.joulebus("eval --first-robot 0 --model");
-    let refused = eval.arg(&file).arg(&file).output().unwrap();
+    let mut eval = fleet.joulebus("eval --first-robot 0");
+    eval.arg(&file).arg("--model").arg(&file);
+    let refused = eval.output().unwrap();
     assert_eq!(code(&refused), 1, "a recording is no model");
 }
