@@ -32,6 +32,9 @@ pub(crate) struct Cli {
     /// Log more to stderr: once for what happens, twice for details, three times for everything
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub(crate) verbose: u8,
+    /// End when stdin closes: set by a supervisor, so that nobody outlives it
+    #[arg(long, global = true, hide = true)]
+    pub(crate) exit_with_stdin: bool,
     #[command(subcommand)]
     pub(crate) command: Option<Command>,
 }
@@ -48,4 +51,27 @@ pub(crate) enum Command {
     Train(train::Args),
     Eval(eval::Args),
     Completions(completions::Args),
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::Cli;
+
+    #[test]
+    fn the_arguments_do_not_contradict_each_other() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn every_verb_shows_examples() {
+        let mut verbs = vec![Cli::command()];
+        while let Some(verb) = verbs.pop() {
+            verbs.extend(verb.get_subcommands().cloned());
+            let help = verb.get_after_help().map(ToString::to_string);
+            let help = help.unwrap_or_default();
+            assert!(help.contains("joulebus"), "{}: {help:?}", verb.get_name());
+        }
+    }
 }

@@ -17,8 +17,10 @@ mod output;
 mod publish;
 mod run;
 mod stop;
+mod supervisor;
 mod train;
 mod trials;
+mod view;
 mod watch;
 
 use std::process::ExitCode;
@@ -45,6 +47,10 @@ pub fn main() -> ExitCode {
 fn parse() -> Result<(Command, Output), clap::Error> {
     let cli = Cli::try_parse()?;
     logging::start(cli.verbose);
+    if cli.exit_with_stdin {
+        supervisor::end_with_stdin()
+            .map_err(|error| clap::Error::raw(clap::error::ErrorKind::Io, format!("{error:#}\n")))?;
+    }
     let command = match cli.command {
         Some(command) => command,
         None => Command::Demo(default_demo()?),

@@ -1,12 +1,281 @@
-//! `joulebus demo`.
+//! `joulebus demo`: a simulated fleet, a worker and a planner as real processes.
+
+mod account;
+mod place;
+mod show;
+mod summary;
+
+use std::time::Duration;
+
+use anyhow::Context as _;
+use joulebus_bus::clock;
 
 use crate::exit::Outcome;
-use crate::output::Output;
+use crate::output::{Format, Output, say};
+use crate::stop::Stop;
+use crate::supervisor::{Event, Supervisor, Task};
+use crate::view::{Board, Feed};
+use crate::watch::PlannerReport;
+
+use account::{Account, SourceRun, WorkerAccount};
+use place::Place;
+use summary::{Planted, Summary};
+
+const WORKER: &str = "worker";
+const SOURCE: &str = "source";
+const PLANNER: &str = "planner";
+
+/// How long the worker may take for its first frame.
+const START_LIMIT_NS: u64 = 15_000_000_000;
+/// How long the last samples may take through the worker.
+const DRAIN_LIMIT_NS: u64 = 1_000_000_000;
+/// What each process has for its end.
+const GRACE: Duration = Duration::from_secs(5);
+const LOOK_EVERY: Duration = Duration::from_millis(10);
 
 /// Run a simulated fleet, a worker and a planner, and show what they do
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {}
+#[command(after_help = "Examples:\n  \
+    joulebus demo\n  \
+    joulebus demo --robots 200 --duration 60\n  \
+    joulebus demo --format json > demo.json\n\n\
+    Needs nothing and leaves nothing. Two robots get a fault, so that there is something to find. \
+    Exit code 3 if a sample that was sent is not accounted for.")]
+pub(crate) struct Args {
+    /// Simulated GTernal robots
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    robots: u32,
+    /// Seed of the robots, their missions and their noise
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// How long samples are sent, s
+    #[arg(long, value_name = "SECONDS", default_value_t = 20.0, value_parser = duration)]
+    duration: f64,
+    /// A line a second instead of the live view
+    #[arg(long)]
+    plain: bool,
+}
 
-pub(crate) fn run(_: &Args, _: Output) -> anyhow::Result<Outcome> {
-    anyhow::bail!("`demo` is not part of this build yet")
+fn duration(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text
+        .parse()
+        .map_err(|_| format!("{text:?} is no number (s)"))?;
+    if (0.1..=1e7).contains(&seconds) {
+        Ok(seconds)
+    } else {
+        Err(format!("{seconds} s: allowed are 0.1 to 10000000 s"))
+    }
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    // Before anything is created: who is told to stop while starting cleans up as well.
+    let stop = Stop::on_signals()?;
+    let place = Place::make(args.robots)?;
+    // After the place, so that it goes first: all processes are waited for before the sweep.
+    let mut demo = Demo {
+        planted: planted(args.robots, args.duration),
+        args,
+        supervisor: Supervisor::new()?,
+        lines_to_stdout: output.format() == Format::Text,
+        events: Vec::new(),
+    };
+    let played = demo.play(&place, &stop);
+    let events = demo.supervisor.end_all();
+    if played.is_err() {
+        for event in demo.events.iter().chain(&events) {
+            say(&event.to_string());
+        }
+    }
+    drop(demo);
+    let left_behind = place.clear()?;
+    let mut summary = played?;
+    summary.left_behind = left_behind;
+    output.report(&summary)?;
+    Ok(Outcome::unless_lost(!summary.is_whole()))
+}
+
+/// The robots that get a fault: enough of them must be left to compare with.
+fn planted(robots: u32, duration_s: f64) -> Vec<Planted> {
+    if robots < 3 {
+        return Vec::new();
+    }
+    // Alarms need ten seconds to settle: in a short run the faults are there from the start.
+    let from_s = |share: f64| (share * (duration_s - 15.0)).clamp(0.0, 60.0).round();
+    vec![
+        Planted {
+            robot: robots / 4,
+            fault: "load:3",
+            means: "draws 3 W more than its commands explain",
+            from_s: from_s(0.8),
+        },
+        Planted {
+            robot: robots / 2,
+            fault: "stuck",
+            means: "its power monitor repeats one value",
+            from_s: from_s(0.4),
+        },
+    ]
+}
+
+struct Demo<'a> {
+    args: &'a Args,
+    planted: Vec<Planted>,
+    supervisor: Supervisor,
+    /// Lines on the way are results only where they do not stand between the JSON.
+    lines_to_stdout: bool,
+    events: Vec<Event>,
+}
+
+impl Demo<'_> {
+    /// Starts, shows and ends everything in order.
+    fn play(&mut self, place: &Place, stop: &Stop) -> anyhow::Result<Summary> {
+        self.supervisor.add(task(WORKER, place, &["run"]));
+        self.supervisor
+            .add(task(PLANNER, place, &["watch", "--summary"]));
+        let feed = Feed::start(place.config(), "demo", true)?;
+        self.wait_for_worker(&feed, stop)?;
+        feed.board().begin(clock::monotonic_ns());
+        self.supervisor.add(self.source(place));
+        let began_ns = clock::monotonic_ns();
+        if !stop.is_asked() {
+            self.show(&feed, stop, began_ns)?;
+        }
+        self.finish(feed)
+    }
+
+    fn source(&self, place: &Place) -> Task {
+        let mut task = task(SOURCE, place, &["publish", "sim"]);
+        let (robots, seed) = (self.args.robots.to_string(), self.args.seed.to_string());
+        for argument in ["--robots", &robots, "--seed", &seed] {
+            task.arguments.push(argument.into());
+        }
+        for planted in &self.planted {
+            task.arguments.push("--fault".into());
+            task.arguments.push(planted.argument().into());
+        }
+        task
+    }
+
+    /// Looks after the processes; what happened goes onto the board.
+    fn look_after(&mut self, feed: &Feed) {
+        let now_ns = clock::monotonic_ns();
+        let events = self.supervisor.poll();
+        for event in &events {
+            // What a process says of itself is of interest only when something goes wrong.
+            if !matches!(event, Event::Said { .. }) {
+                feed.board().note(event.to_string(), now_ns);
+            }
+        }
+        self.events.extend(events);
+    }
+
+    /// Until the worker's first frame: from then on nothing that is sent is lost.
+    fn wait_for_worker(&mut self, feed: &Feed, stop: &Stop) -> anyhow::Result<()> {
+        let give_up_ns = clock::monotonic_ns() + START_LIMIT_NS;
+        while feed.board().header().is_none() && !stop.is_asked() {
+            self.look_after(feed);
+            anyhow::ensure!(feed.is_reading(), "the demo's own planner has ended");
+            anyhow::ensure!(
+                clock::monotonic_ns() < give_up_ns,
+                "the worker has sent nothing for {} s; what the processes said stands above",
+                START_LIMIT_NS / 1_000_000_000
+            );
+            std::thread::sleep(LOOK_EVERY);
+        }
+        Ok(())
+    }
+
+    /// The source first, then what is on its way, then the planner, then the worker.
+    fn finish(&mut self, feed: Feed) -> anyhow::Result<Summary> {
+        let source = self.supervisor.end(SOURCE, GRACE, &mut self.events);
+        let duration_s = feed.board().seconds(clock::monotonic_ns());
+        let told = samples_sent(&source.stdout);
+        let give_up_ns = clock::monotonic_ns() + DRAIN_LIMIT_NS;
+        loop {
+            self.look_after(&feed);
+            let account = self.account(&feed.board(), told);
+            // What is on its way when a worker dies waits for the next one.
+            let drained = account.difference == 0 && self.supervisor.is_running(WORKER);
+            if drained || clock::monotonic_ns() >= give_up_ns {
+                break;
+            }
+            std::thread::sleep(LOOK_EVERY);
+        }
+        let planner = self.supervisor.end(PLANNER, GRACE, &mut self.events);
+        let board = feed.finish()?;
+        self.supervisor.end(WORKER, GRACE, &mut self.events);
+        let planner: Option<PlannerReport> = match planner.status {
+            None => None,
+            Some(status) => Some(
+                serde_json::from_str(&planner.stdout)
+                    .with_context(|| format!("the planner ended with {status} and no report"))?,
+            ),
+        };
+        Ok(Summary::new(
+            &board,
+            self.account(&board, told),
+            planner,
+            &self.planted,
+            (self.args.seed, duration_s),
+            self.deaths(),
+        ))
+    }
+
+    /// `told` is what the last run of the source said that it has sent.
+    fn account(&self, board: &Board, told: Option<u64>) -> Account {
+        let frame = u64::from(self.args.robots);
+        let mut sources: Vec<SourceRun> = board
+            .sent
+            .iter()
+            .map(|(epoch, sent)| SourceRun {
+                epoch: *epoch,
+                sent: *sent,
+                unsure: frame,
+            })
+            .collect();
+        match (sources.last_mut(), told) {
+            (Some(last), Some(told)) => (last.sent, last.unsure) = (told, 0),
+            // The run that told was heard by nobody.
+            (None, Some(told)) if told > 0 => sources.push(SourceRun {
+                epoch: 0,
+                sent: told,
+                unsure: 0,
+            }),
+            _ => {}
+        }
+        let workers: Vec<WorkerAccount> = board
+            .runs
+            .iter()
+            .map(|run| WorkerAccount {
+                accepted: run.header.samples_accepted,
+                dropped: run.dropped(),
+                first_source_epoch: run.first_source_epoch,
+            })
+            .collect();
+        Account::new(&sources, &workers)
+    }
+
+    /// Processes that died and were started again.
+    fn deaths(&self) -> Vec<String> {
+        let died = |event: &&Event| matches!(event, Event::Died { .. });
+        self.events
+            .iter()
+            .filter(died)
+            .map(ToString::to_string)
+            .collect()
+    }
+}
+
+/// A process of the demonstration.
+fn task(name: &'static str, place: &Place, verb: &[&str]) -> Task {
+    let mut arguments: Vec<std::ffi::OsString> = verb.iter().map(Into::into).collect();
+    arguments.extend(["--config".into(), place.file().into()]);
+    arguments.extend(["--format".into(), "json".into()]);
+    Task { name, arguments }
+}
+
+/// What a source says that it has sent.
+fn samples_sent(report: &str) -> Option<u64> {
+    let report: serde_json::Value = serde_json::from_str(report).ok()?;
+    report.get("samples_sent")?.as_u64()
 }

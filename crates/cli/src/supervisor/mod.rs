@@ -102,8 +102,6 @@ struct Job {
     course: Course,
     child: Option<Child>,
     ended: Option<Ended>,
-    /// What runs that died had written to stdout.
-    died_with: Vec<String>,
 }
 
 /// The processes of a fleet. Dropping it ends them all and waits for them.
@@ -137,7 +135,6 @@ impl Supervisor {
             course: Course::new(clock::monotonic_ns()),
             child: None,
             ended: None,
-            died_with: Vec::new(),
         });
     }
 
@@ -168,12 +165,8 @@ impl Supervisor {
 
     /// Whether the task has a process that runs.
     pub(crate) fn is_running(&self, name: &str) -> bool {
-        self.job(name).is_some_and(|job| job.course.is_running())
-    }
-
-    /// What runs of the task that died had written to stdout, in order.
-    pub(crate) fn died_with(&self, name: &str) -> &[String] {
-        self.job(name).map_or(&[], |job| &job.died_with)
+        let job = self.jobs.iter().find(|job| job.task.name == name);
+        job.is_some_and(|job| job.course.is_running())
     }
 
     /// Asks the task's process to end, kills it after `grace`, waits for it, and returns what it
@@ -201,10 +194,6 @@ impl Supervisor {
         }
         events.extend(self.poll());
         events
-    }
-
-    fn job(&self, name: &str) -> Option<&Job> {
-        self.jobs.iter().find(|job| job.task.name == name)
     }
 
     fn ask_to_end(&mut self, which: impl Fn(&str) -> bool, grace: Duration) {
@@ -267,7 +256,6 @@ impl Job {
         let pid = child.pid();
         let stdout = child.stdout();
         if self.course.is_running() {
-            self.died_with.push(stdout);
             self.died(Some(pid), format!("ended with {status}"), now_ns, events);
         } else {
             self.ended = Some(Ended {
@@ -330,7 +318,7 @@ mod tests {
 
     #[test]
     fn who_dies_is_waited_for_and_started_again() {
-        let mut supervisor = shell("echo out; echo up >&2; exit 7");
+        let mut supervisor = shell("echo up >&2; exit 7");
         let events = poll_until(&mut supervisor, |events| said(events, "up") >= 2);
         let died = events
             .iter()
@@ -342,7 +330,6 @@ mod tests {
         assert!(died.1.contains('7'), "{}", died.1);
         assert_eq!(*died.2, Duration::from_millis(100));
         assert!(!std::path::Path::new(&format!("/proc/{}", died.0)).exists());
-        assert_eq!(supervisor.died_with("shell")[0], "out\n");
     }
 
     #[test]
@@ -362,7 +349,10 @@ mod tests {
         let mut events = poll_until(&mut supervisor, |events| said(events, "up") == 1);
         let ended = supervisor.end("shell", Duration::from_millis(20), &mut events);
         let status = ended.status.unwrap();
-        assert_eq!(std::os::unix::process::ExitStatusExt::signal(&status), Some(9));
+        assert_eq!(
+            std::os::unix::process::ExitStatusExt::signal(&status),
+            Some(9)
+        );
     }
 
     #[test]

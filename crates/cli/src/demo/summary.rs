@@ -1,0 +1,316 @@
+//! What a demonstration comes to.
+
+use std::fmt;
+
+use joulebus_wire::Level;
+use serde::Serialize;
+
+use super::account::Account;
+use super::place::LeftBehind;
+use crate::view::{Board, Raised, Scores, count, level};
+use crate::watch::PlannerReport;
+
+/// A fault that a robot of the demonstration was given.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Planted {
+    /// The robot.
+    pub(super) robot: u32,
+    /// The fault, as `publish sim --fault` has it.
+    pub(super) fault: &'static str,
+    /// In words.
+    #[serde(skip)]
+    pub(super) means: &'static str,
+    /// When it began, s.
+    pub(super) from_s: f64,
+}
+
+impl Planted {
+    /// For `publish sim --fault`.
+    pub(super) fn argument(&self) -> String {
+        format!("{}={}@{}", self.robot, self.fault, self.from_s)
+    }
+}
+
+/// A robot that stood out.
+#[derive(Debug, Clone, Serialize)]
+struct StandsOut {
+    robot: u32,
+    /// Level at the end.
+    level: &'static str,
+    /// Reasons, in the order in which they were seen.
+    reasons: Vec<Reason>,
+    /// Mean of the residuals at the end, W; positive: it draws more than forecast.
+    bias_w: Option<f64>,
+    /// Fault that it was given, if it was.
+    planted: Option<Planted>,
+}
+
+#[derive(Debug, Clone, Serialize)]
+struct Reason {
+    reason: &'static str,
+    /// When it was first seen, s.
+    at_s: f64,
+}
+
+/// Ticks of all workers.
+#[derive(Debug, Clone, Serialize)]
+struct Ticks {
+    done: u64,
+    skipped: u64,
+    late: u64,
+}
+
+/// What a demonstration comes to.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Summary {
+    robots: usize,
+    seed: u64,
+    /// From the start of the source to its end, s.
+    duration_s: f64,
+    /// Runs of the worker: more than one if it died.
+    workers: usize,
+    ticks: Ticks,
+    samples: Account,
+    /// Whether every sample is accounted for.
+    adds_up: bool,
+    /// What the planner's process measured; none if it did not run at the end.
+    planner: Option<PlannerReport>,
+    /// Of the last worker.
+    scores: Scores,
+    stand_out: Vec<StandsOut>,
+    /// Faults that nobody has noticed.
+    unnoticed: Vec<Planted>,
+    /// Processes that died and were started again.
+    deaths: Vec<String>,
+    pub(super) left_behind: LeftBehind,
+}
+
+impl Summary {
+    pub(super) fn new(
+        board: &Board,
+        samples: Account,
+        planner: Option<PlannerReport>,
+        planted: &[Planted],
+        (seed, duration_s): (u64, f64),
+        deaths: Vec<String>,
+    ) -> Self {
+        let (done, skipped, late) = board.ticks();
+        let stand_out: Vec<StandsOut> = board
+            .raised
+            .iter()
+            .filter(|(_, raised)| {
+                raised
+                    .iter()
+                    .any(|raised| raised.alarm.level() != Level::Ok)
+            })
+            .map(|(robot, raised)| stands_out(board, *robot, raised, planted))
+            .collect();
+        let noticed = |planted: &&Planted| stand_out.iter().all(|out| out.robot != planted.robot);
+        Self {
+            robots: board.rows.len(),
+            seed,
+            duration_s,
+            workers: board.runs.len(),
+            ticks: Ticks {
+                done,
+                skipped,
+                late,
+            },
+            adds_up: samples.adds_up(),
+            samples,
+            planner,
+            scores: board.scores(),
+            unnoticed: planted.iter().filter(noticed).cloned().collect(),
+            stand_out,
+            deaths,
+            left_behind: LeftBehind::default(),
+        }
+    }
+
+    /// Whether every sample is accounted for and nothing stays.
+    pub(super) const fn is_whole(&self) -> bool {
+        self.adds_up && self.left_behind.is_nothing()
+    }
+
+    fn samples_text(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let samples = &self.samples;
+        let dropped: u64 = samples.dropped.values().sum();
+        write!(
+            out,
+            "samples    {} sent = {} accepted + {} dropped",
+            count(samples.sent),
+            count(samples.accepted),
+            count(dropped)
+        )?;
+        if samples.lost_between_workers > 0 {
+            write!(out, " + {} lost", count(samples.lost_between_workers))?;
+        }
+        match (self.adds_up, samples.difference) {
+            (true, 0) => writeln!(out, "   adds up")?,
+            (true, off) => writeln!(out, "   {off} off: a killed source could not tell")?,
+            (false, off) => writeln!(out, "   DOES NOT ADD UP: {off} unaccounted for")?,
+        }
+        for (reason, dropped) in &samples.dropped {
+            writeln!(out, "             {reason}: {}", count(*dropped))?;
+        }
+        if samples.lost_between_workers > 0 {
+            writeln!(
+                out,
+                "             lost: sent while no worker ran, or taken by one that was killed \
+                 before it could tell"
+            )?;
+        }
+        Ok(())
+    }
+
+    fn scores_text(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let scores = &self.scores;
+        let number = |value: Option<f64>| {
+            value.map_or_else(|| format!("{:>9}", "–"), |value| format!("{value:>9.4}"))
+        };
+        writeln!(
+            out,
+            "forecasts  {} readings scored{}",
+            count(scores.scored),
+            if self.workers > 1 {
+                " by the last worker"
+            } else {
+                ""
+            }
+        )?;
+        let line = "persistence";
+        writeln!(out, "  {:<18}{:>9} {line:>12}", "", "forecast")?;
+        for (name, ours, theirs) in [
+            ("MAE, W", scores.mae_w, scores.persistence_mae_w),
+            (
+                "MAE, W, median",
+                scores.median_mae_w,
+                scores.median_persistence_mae_w,
+            ),
+            ("R²", scores.r2, scores.persistence_r2),
+            ("R², median", scores.median_r2, scores.median_persistence_r2),
+        ] {
+            writeln!(out, "  {name:<18}{}    {}", number(ours), number(theirs))?;
+        }
+        writeln!(
+            out,
+            "  Two of three readings repeat the one before (a 10 Hz monitor, 30 ticks a second): \
+             there\n  persistence is exact."
+        )?;
+        if let Some(coverage) = scores.coverage {
+            writeln!(
+                out,
+                "  {:.1} % of the readings lay inside the interval of their forecast",
+                100.0 * coverage
+            )?;
+        }
+        Ok(())
+    }
+
+    fn robots_text(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.stand_out.is_empty() {
+            writeln!(out, "robots     none stood out")?;
+        } else {
+            writeln!(out, "robots     {} stood out", self.stand_out.len())?;
+        }
+        for robot in &self.stand_out {
+            let reasons: Vec<String> = robot
+                .reasons
+                .iter()
+                .map(|reason| format!("{} at {:.1} s", reason.reason, reason.at_s))
+                .collect();
+            writeln!(
+                out,
+                "  {:>4}  {:<6} {}",
+                robot.robot,
+                robot.level,
+                reasons.join(", ")
+            )?;
+            if let Some(planted) = &robot.planted {
+                let (means, from_s) = (planted.means, planted.from_s);
+                writeln!(out, "               planted: {means}, from {from_s} s on")?;
+            }
+        }
+        for planted in &self.unnoticed {
+            let Planted {
+                robot,
+                means,
+                from_s,
+                ..
+            } = planted;
+            writeln!(
+                out,
+                "  {robot:>4}  not noticed: {means}, from {from_s} s on"
+            )?;
+        }
+        Ok(())
+    }
+}
+
+fn stands_out(board: &Board, robot: u32, raised: &[Raised], planted: &[Planted]) -> StandsOut {
+    let row = board.rows.get(&robot);
+    let diagnostic = row.and_then(|row| row.diagnostic);
+    let bias_w = diagnostic.map(|diagnostic| f64::from(diagnostic.bias_w));
+    StandsOut {
+        robot,
+        level: row.map_or("gone", |row| level(row.level())),
+        reasons: raised
+            .iter()
+            .map(|raised| Reason {
+                reason: raised.alarm.name(),
+                at_s: raised.at_s,
+            })
+            .collect(),
+        bias_w: bias_w.filter(|bias_w| bias_w.is_finite()),
+        planted: planted
+            .iter()
+            .find(|planted| planted.robot == robot)
+            .cloned(),
+    }
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (robots, seed, duration_s) = (self.robots, self.seed, self.duration_s);
+        writeln!(
+            out,
+            "\ndemo       {robots} robots, seed {seed}, {duration_s:.1} s"
+        )?;
+        let Ticks {
+            done,
+            skipped,
+            late,
+        } = self.ticks;
+        writeln!(
+            out,
+            "ticks      {} done, {skipped} skipped, {late} late",
+            count(done)
+        )?;
+        self.samples_text(out)?;
+        match &self.planner {
+            Some(planner) => write!(
+                out,
+                "latency    {} frames read by the planner, {} missed\n{}",
+                count(planner.frames),
+                planner.frames_missed,
+                planner.latency
+            )?,
+            None => writeln!(out, "latency    the planner did not run at the end")?,
+        }
+        self.scores_text(out)?;
+        self.robots_text(out)?;
+        for death in &self.deaths {
+            writeln!(out, "died       {death}")?;
+        }
+        let left = &self.left_behind;
+        if left.is_nothing() {
+            writeln!(out, "memory     nothing left behind")
+        } else {
+            let (objects, nodes) = (left.objects, left.nodes);
+            writeln!(
+                out,
+                "memory     LEFT BEHIND: {objects} objects, {nodes} nodes"
+            )
+        }
+    }
+}

@@ -1,0 +1,455 @@
+//! What a planner knows of a fleet: the newest of every robot, and what became of the workers.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use joulebus_wire::{
+    Alarm, Budget, Diagnostic, DropCounts, Forecast, ForecastHeader, Level, forecast_flag,
+};
+
+use super::scores::{Pooled, Scores};
+use super::stages::Stages;
+
+/// Ticks that a robot's track and the run of latencies hold: eight seconds at 30 Hz.
+const TRACK_TICKS: usize = 240;
+/// Robots whose tracks are kept; beyond them there is too much to look at anyway.
+const TRACKED_ROBOTS: usize = 512;
+/// Things that happened that are kept.
+const NOTES: usize = 200;
+
+/// How the worker is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Link {
+    /// None has been heard of.
+    Waiting,
+    /// Frames come.
+    Live,
+    /// Its process is there, but its last frame is older than two ticks.
+    Stale,
+    /// Its process is gone, unasked.
+    Gone,
+    /// It ended as it should.
+    Ended,
+}
+
+impl Link {
+    /// In one word.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Live => "live",
+            Self::Stale => "stale",
+            Self::Gone => "gone",
+            Self::Ended => "ended",
+        }
+    }
+}
+
+/// One run of a worker, from the headers of its frames.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct WorkerRun {
+    /// The newest header.
+    pub(crate) header: ForecastHeader,
+    /// Run of the source that its first samples came from; none before it has had any.
+    pub(crate) first_source_epoch: Option<u64>,
+}
+
+impl WorkerRun {
+    /// Samples of this run that were dropped.
+    pub(crate) const fn dropped(&self) -> DropCounts {
+        self.header.samples_dropped
+    }
+}
+
+/// A reading with the forecast that had been made for it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Point {
+    /// The reading, W; NaN if there was none.
+    pub(crate) reading_w: f32,
+    /// The forecast for it, W; NaN if there was none.
+    pub(crate) forecast_w: f32,
+    /// The interval around that, W; NaN if there was none.
+    pub(crate) interval_w: (f32, f32),
+}
+
+/// An alarm of a robot and when it was first seen, s after the beginning.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Raised {
+    /// The alarm.
+    pub(crate) alarm: Alarm,
+    /// When it was first seen.
+    pub(crate) at_s: f64,
+}
+
+/// What is known of one robot.
+#[derive(Debug, Clone)]
+pub(crate) struct Row {
+    /// The newest forecast.
+    pub(crate) forecast: Forecast,
+    /// The newest diagnostics.
+    pub(crate) diagnostic: Option<Diagnostic>,
+    /// The newest budget.
+    pub(crate) budget: Option<Budget>,
+    /// Readings and their forecasts, oldest first.
+    pub(crate) track: VecDeque<Point>,
+    tick: u64,
+}
+
+/// Everything a view shows. Pure: time comes as an argument.
+#[derive(Debug, Clone)]
+pub(crate) struct Board {
+    began_ns: u64,
+    /// How the worker is.
+    pub(crate) link: Link,
+    /// Robots by id.
+    pub(crate) rows: BTreeMap<u32, Row>,
+    /// Alarms of each robot in the order in which they were first seen, cleared or not.
+    pub(crate) raised: BTreeMap<u32, Vec<Raised>>,
+    /// Runs of workers, oldest first.
+    pub(crate) runs: Vec<WorkerRun>,
+    /// Latencies, all frames.
+    pub(crate) stages: Stages,
+    /// Latencies of the newest frames, µs, oldest first.
+    pub(crate) recent_us: VecDeque<u64>,
+    /// Samples that each run of a source has sent, by its epoch; empty without a tap.
+    pub(crate) sent: BTreeMap<u64, u64>,
+    /// Frames seen.
+    pub(crate) frames: u64,
+    /// Frames that were overwritten before this planner looked.
+    pub(crate) frames_missed: u64,
+    /// What happened, s after the beginning, oldest first.
+    pub(crate) notes: VecDeque<(f64, String)>,
+    pooled: Pooled,
+}
+
+impl Board {
+    /// An empty board; times are counted from `now_ns` (monotonic).
+    ///
+    /// # Errors
+    /// Never: the histograms' bounds are fixed.
+    pub(crate) fn new(now_ns: u64) -> Result<Self, hdrhistogram::CreationError> {
+        Ok(Self {
+            began_ns: now_ns,
+            link: Link::Waiting,
+            rows: BTreeMap::new(),
+            raised: BTreeMap::new(),
+            runs: Vec::new(),
+            stages: Stages::new()?,
+            recent_us: VecDeque::new(),
+            sent: BTreeMap::new(),
+            frames: 0,
+            frames_missed: 0,
+            notes: VecDeque::new(),
+            pooled: Pooled::default(),
+        })
+    }
+
+    /// Seconds since the beginning.
+    pub(crate) fn seconds(&self, now_ns: u64) -> f64 {
+        now_ns.saturating_sub(self.began_ns) as f64 * 1e-9
+    }
+
+    /// Counts time from now on; what happened before was at 0.
+    pub(crate) fn begin(&mut self, now_ns: u64) {
+        self.began_ns = now_ns;
+        for (at_s, _) in &mut self.notes {
+            *at_s = 0.0;
+        }
+    }
+
+    /// The newest header.
+    pub(crate) fn header(&self) -> Option<&ForecastHeader> {
+        self.runs.last().map(|run| &run.header)
+    }
+
+    /// Keeps a note of something that happened.
+    pub(crate) fn note(&mut self, text: String, now_ns: u64) {
+        let at_s = self.seconds(now_ns);
+        self.notes.push_back((at_s, text));
+        if self.notes.len() > NOTES {
+            self.notes.pop_front();
+        }
+    }
+
+    /// How the worker is; a change is noted.
+    pub(crate) fn set_link(&mut self, link: Link, now_ns: u64) {
+        if self.link == link {
+            return;
+        }
+        let note = match (link, self.header()) {
+            (Link::Live, Some(header)) if self.link == Link::Stale => {
+                format!("worker {} goes on", header.pid)
+            }
+            (Link::Stale, Some(header)) => format!("worker {} is late", header.pid),
+            (Link::Gone, Some(header)) => format!("worker {} is gone", header.pid),
+            (Link::Ended, Some(header)) => format!("worker {} has ended", header.pid),
+            _ => String::new(),
+        };
+        self.link = link;
+        if !note.is_empty() {
+            self.note(note, now_ns);
+        }
+    }
+
+    /// Takes a frame of forecasts that could be read at `readable_ns`.
+    pub(crate) fn forecasts(
+        &mut self,
+        header: &ForecastHeader,
+        forecasts: &[Forecast],
+        readable_ns: u64,
+    ) {
+        let in_a_row = self.run(header, readable_ns);
+        self.frames += 1;
+        if let Some(total_ns) = self.stages.observe(header, readable_ns) {
+            keep(&mut self.recent_us, total_ns / 1_000);
+        }
+        for forecast in forecasts {
+            self.forecast(forecast, header.tick, in_a_row);
+        }
+        if self.rows.len() > forecasts.len() {
+            self.rows.retain(|_, row| row.tick == header.tick);
+        }
+        let heard = forecasts
+            .iter()
+            .filter(|forecast| forecast.flags & forecast_flag::SAMPLE != 0)
+            .map(|forecast| forecast.source_epoch);
+        if let Some(run) = self.runs.last_mut()
+            && run.first_source_epoch.is_none()
+        {
+            run.first_source_epoch = heard.min();
+        }
+    }
+
+    /// Takes the header; whether the frame before was of the same run.
+    fn run(&mut self, header: &ForecastHeader, now_ns: u64) -> bool {
+        let before = self.header().copied();
+        let before = before.filter(|before| before.worker_epoch == header.worker_epoch);
+        if let (Some(before), Some(run)) = (before, self.runs.last_mut()) {
+            let missed = header.tick.saturating_sub(before.tick).saturating_sub(1);
+            self.frames_missed += missed;
+            run.header = *header;
+            return true;
+        }
+        self.runs.push(WorkerRun {
+            header: *header,
+            first_source_epoch: None,
+        });
+        self.note(format!("worker {} serves the fleet", header.pid), now_ns);
+        false
+    }
+
+    fn forecast(&mut self, forecast: &Forecast, tick: u64, in_a_row: bool) {
+        let tracked = self.rows.len() <= TRACKED_ROBOTS;
+        let Some(row) = self.rows.get_mut(&forecast.robot) else {
+            self.rows.insert(forecast.robot, Row::new(*forecast, tick));
+            return;
+        };
+        let before = row.forecast;
+        if in_a_row {
+            self.pooled.observe(&before, forecast);
+        }
+        let (lo_w, hi_w) = before.interval_w().unwrap_or((f32::NAN, f32::NAN));
+        if tracked && (forecast.sample_seq != before.sample_seq || !in_a_row) {
+            keep(
+                &mut row.track,
+                Point {
+                    reading_w: forecast.reading_w,
+                    forecast_w: before.power_w().filter(|_| in_a_row).unwrap_or(f32::NAN),
+                    interval_w: if in_a_row {
+                        (lo_w, hi_w)
+                    } else {
+                        (f32::NAN, f32::NAN)
+                    },
+                },
+            );
+        }
+        row.forecast = *forecast;
+        row.tick = tick;
+    }
+
+    /// Takes a frame of diagnostics.
+    pub(crate) fn diagnostics(&mut self, diagnostics: &[Diagnostic], now_ns: u64) {
+        let at_s = self.seconds(now_ns);
+        for diagnostic in diagnostics {
+            let Some(row) = self.rows.get_mut(&diagnostic.robot) else {
+                continue;
+            };
+            row.diagnostic = Some(*diagnostic);
+            for alarm in diagnostic.alarms().iter() {
+                let raised = self.raised.entry(diagnostic.robot).or_default();
+                if raised.iter().all(|raised| raised.alarm != alarm) {
+                    raised.push(Raised { alarm, at_s });
+                    let note = format!("robot {}: {}", diagnostic.robot, alarm.name());
+                    self.notes.push_back((at_s, note));
+                }
+            }
+        }
+        while self.notes.len() > NOTES {
+            self.notes.pop_front();
+        }
+    }
+
+    /// Takes a frame of budgets.
+    pub(crate) fn budgets(&mut self, budgets: &[Budget]) {
+        for budget in budgets {
+            if let Some(row) = self.rows.get_mut(&budget.robot) {
+                row.budget = Some(*budget);
+            }
+        }
+    }
+
+    /// How good the forecasts are.
+    pub(crate) fn scores(&self) -> Scores {
+        let diagnostics = self.rows.values().filter_map(|row| row.diagnostic.as_ref());
+        Scores::of(diagnostics, &self.pooled)
+    }
+
+    /// Samples accepted by all workers.
+    pub(crate) fn accepted(&self) -> u64 {
+        self.runs
+            .iter()
+            .map(|run| run.header.samples_accepted)
+            .sum()
+    }
+
+    /// Samples dropped by all workers, by reason.
+    pub(crate) fn dropped(&self) -> DropCounts {
+        let mut sum = DropCounts::default();
+        for run in &self.runs {
+            for (reason, count) in run.dropped().iter() {
+                sum.add(reason, count);
+            }
+        }
+        sum
+    }
+
+    /// Ticks done, skipped and late, all workers.
+    pub(crate) fn ticks(&self) -> (u64, u64, u64) {
+        self.runs.iter().fold((0, 0, 0), |sum, run| {
+            let header = &run.header;
+            (
+                sum.0 + header.tick,
+                sum.1 + header.ticks_skipped,
+                sum.2 + header.ticks_late,
+            )
+        })
+    }
+
+    /// Robots at each level: ok, warn, error, stale.
+    pub(crate) fn levels(&self) -> [usize; 4] {
+        let mut counts = [0; 4];
+        for row in self.rows.values() {
+            counts[usize::from(row.level().code())] += 1;
+        }
+        counts
+    }
+}
+
+impl Row {
+    fn new(forecast: Forecast, tick: u64) -> Self {
+        Self {
+            forecast,
+            diagnostic: None,
+            budget: None,
+            track: VecDeque::new(),
+            tick,
+        }
+    }
+
+    /// The level; a robot without diagnostics has none to be relied on.
+    pub(crate) fn level(&self) -> Level {
+        self.diagnostic
+            .map_or(Level::Stale, |diagnostic| diagnostic.level())
+    }
+}
+
+fn keep<T>(track: &mut VecDeque<T>, value: T) {
+    if track.len() == TRACK_TICKS {
+        track.pop_front();
+    }
+    track.push_back(value);
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_wire::{AlarmSet, DropReason};
+
+    use super::*;
+
+    fn header(worker_epoch: u64, tick: u64) -> ForecastHeader {
+        ForecastHeader {
+            worker_epoch,
+            tick,
+            pid: 7,
+            ..ForecastHeader::default()
+        }
+    }
+
+    fn output(robot: u32, seq: u64, reading_w: f32, power_w: f32) -> Forecast {
+        Forecast {
+            robot,
+            flags: forecast_flag::POWER | forecast_flag::READING | forecast_flag::SAMPLE,
+            sample_seq: seq,
+            reading_w,
+            power_w,
+            source_epoch: 3,
+            ..Forecast::default()
+        }
+    }
+
+    #[test]
+    fn missed_frames_are_counted_within_a_run_and_runs_are_kept_apart() {
+        let mut board = Board::new(0).unwrap();
+        for (epoch, tick) in [(1, 1), (1, 2), (1, 5), (2, 1), (2, 4)] {
+            let mut header = header(epoch, tick);
+            header.samples_accepted = tick;
+            header.samples_dropped.add(DropReason::Backlog, 1);
+            board.forecasts(&header, &[], 0);
+        }
+        assert_eq!(board.frames_missed, 4);
+        assert_eq!(board.runs.len(), 2);
+        assert_eq!(board.ticks(), (9, 0, 0));
+        assert_eq!(board.accepted(), 9);
+        assert_eq!(board.dropped().get(DropReason::Backlog), 2);
+    }
+
+    #[test]
+    fn a_point_pairs_a_reading_with_the_forecast_made_for_it() {
+        let mut board = Board::new(0).unwrap();
+        board.forecasts(&header(1, 1), &[output(4, 0, 3.0, 3.5)], 0);
+        board.forecasts(&header(1, 2), &[output(4, 0, 3.0, 3.5)], 0);
+        board.forecasts(&header(1, 3), &[output(4, 1, 4.0, 4.5)], 0);
+        let track = &board.rows[&4].track;
+        assert_eq!(track.len(), 1);
+        assert_eq!((track[0].reading_w, track[0].forecast_w), (4.0, 3.5));
+        assert_eq!(board.runs[0].first_source_epoch, Some(3));
+        // Another worker's forecast was not made for the reading that follows.
+        board.forecasts(&header(2, 1), &[output(4, 2, 5.0, 5.0)], 0);
+        assert!(board.rows[&4].track[1].forecast_w.is_nan());
+    }
+
+    #[test]
+    fn robots_that_left_go_and_alarms_are_noted_once() {
+        let mut board = Board::new(0).unwrap();
+        board.forecasts(
+            &header(1, 1),
+            &[output(4, 0, 3.0, 3.5), output(5, 0, 3.0, 3.0)],
+            0,
+        );
+        let stuck = Diagnostic {
+            robot: 4,
+            alarms: AlarmSet::default().with(Alarm::StuckSensor).0,
+            level: Level::Error.code(),
+            ..Diagnostic::default()
+        };
+        board.diagnostics(&[stuck], 2_000_000_000);
+        board.diagnostics(&[stuck], 3_000_000_000);
+        let raised = Raised {
+            alarm: Alarm::StuckSensor,
+            at_s: 2.0,
+        };
+        assert_eq!(board.raised[&4], [raised]);
+        assert_eq!(board.levels(), [0, 0, 1, 1]);
+        board.forecasts(&header(1, 2), &[output(5, 1, 3.0, 3.0)], 0);
+        assert_eq!(board.rows.keys().copied().collect::<Vec<u32>>(), [5]);
+    }
+}

@@ -1,0 +1,142 @@
+//! What is known of a robot, as text: the same words in every view.
+
+use joulebus_wire::{Level, Quality, budget_flag, diagnostic_flag, forecast_flag};
+
+use super::board::Row;
+
+/// What stands where nothing is known.
+const UNKNOWN: &str = "–";
+
+/// Column heads, in the order of [`cells`], and the width of each column.
+pub(crate) const HEADS: [(&str, u16); 12] = [
+    ("robot", 5),
+    ("quality", 12),
+    ("read W", 7),
+    ("forecast W", 10),
+    ("interval W", 13),
+    ("off by W", 8),
+    ("MAE W", 6),
+    ("skill", 6),
+    ("inside", 6),
+    ("drawn J", 8),
+    ("charge", 6),
+    ("state", 20),
+];
+
+/// A robot's cells.
+pub(crate) fn cells(robot: u32, row: &Row) -> [String; 12] {
+    let (forecast, diagnostic, budget) = (&row.forecast, &row.diagnostic, &row.budget);
+    let read = forecast.flags & forecast_flag::READING != 0;
+    let scored = diagnostic.filter(|diagnostic| diagnostic.flags & diagnostic_flag::SCORES != 0);
+    let residual =
+        diagnostic.filter(|diagnostic| diagnostic.flags & diagnostic_flag::RESIDUAL != 0);
+    let metered = budget.filter(|budget| budget.flags & budget_flag::LEDGER != 0);
+    let battery = budget.filter(|budget| budget.flags & budget_flag::BATTERY != 0);
+    let watts = |value: f64| format!("{value:.2}");
+    [
+        robot.to_string(),
+        quality(forecast.quality()),
+        or_unknown(read.then(|| watts(forecast.reading_w.into()))),
+        or_unknown(forecast.power_w().map(|power_w| watts(power_w.into()))),
+        or_unknown(
+            forecast
+                .interval_w()
+                .map(|(lo, hi)| format!("{lo:.2} – {hi:.2}")),
+        ),
+        or_unknown(residual.map(|diagnostic| format!("{:+.2}", diagnostic.residual_w))),
+        or_unknown(scored.map(|diagnostic| format!("{:.3}", diagnostic.mae_w))),
+        or_unknown(scored.and_then(|diagnostic| skill(diagnostic.skill))),
+        or_unknown(scored.map(|diagnostic| percent(diagnostic.coverage.into()))),
+        or_unknown(metered.map(|budget| format!("{:.1}", budget.drawn_j()))),
+        or_unknown(battery.map(|budget| percent(budget.soc.into()))),
+        state(row),
+    ]
+}
+
+fn or_unknown(text: Option<String>) -> String {
+    text.unwrap_or_else(|| UNKNOWN.to_owned())
+}
+
+fn skill(skill: f64) -> Option<String> {
+    skill.is_finite().then(|| format!("{skill:+.2}"))
+}
+
+/// A share, in percent.
+pub(crate) fn percent(share: f64) -> String {
+    format!("{:.0} %", 100.0 * share)
+}
+
+/// A quality in a word or two.
+pub(crate) fn quality(quality: Quality) -> String {
+    match quality {
+        Quality::Fresh => "fresh".to_owned(),
+        Quality::Held => "held".to_owned(),
+        Quality::Warmup { have } => format!("warmup {have}/5"),
+        Quality::OpenLoop { steps } => format!("open loop {steps}"),
+        Quality::Invalid(reason) => format!("✗ {}", reason.name()),
+        Quality::Unknown => "unknown".to_owned(),
+    }
+}
+
+/// The word for a level.
+pub(crate) const fn level(level: Level) -> &'static str {
+    match level {
+        Level::Ok => "ok",
+        Level::Warn => "warn",
+        Level::Error => "error",
+        Level::Stale => "stale",
+    }
+}
+
+/// Level and the most important alarm, with the number of the others.
+fn state(row: &Row) -> String {
+    let Some(diagnostic) = &row.diagnostic else {
+        return UNKNOWN.to_owned();
+    };
+    let alarms = diagnostic.alarms();
+    let word = level(diagnostic.level());
+    match alarms.iter().count() {
+        0 => word.to_owned(),
+        1 => format!("{word} {}", alarms.first().name()),
+        more => format!("{word} {} +{}", alarms.first().name(), more - 1),
+    }
+}
+
+/// A count with a gap between thousands.
+pub(crate) fn count(value: u64) -> String {
+    let digits = value.to_string();
+    let mut text = String::new();
+    for (place, digit) in digits.chars().enumerate() {
+        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+            text.push('\u{202f}');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// A time in µs, in the unit that reads best.
+pub(crate) fn micros(us: f64) -> String {
+    match us {
+        us if us < 10.0 => format!("{us:.1} µs"),
+        us if us < 1_000.0 => format!("{us:.0} µs"),
+        us if us < 1_000_000.0 => format!("{:.1} ms", us * 1e-3),
+        us => format!("{:.1} s", us * 1e-6),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_well() {
+        assert_eq!(count(7), "7");
+        assert_eq!(count(1234), "1\u{202f}234");
+        assert_eq!(count(123_456_789), "123\u{202f}456\u{202f}789");
+        assert_eq!(micros(9.94), "9.9 µs");
+        assert_eq!(micros(118.4), "118 µs");
+        assert_eq!(micros(12_340.0), "12.3 ms");
+        assert_eq!(micros(2_000_000.0), "2.0 s");
+    }
+}

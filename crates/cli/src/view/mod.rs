@@ -1,0 +1,21 @@
+//! What planners see: a board kept up to date from shared memory, as a live view, lines or JSON.
+
+mod board;
+mod cells;
+mod feed;
+mod plain;
+mod record;
+mod scores;
+mod screen;
+mod stages;
+mod terminal;
+
+pub(crate) use board::{Board, Link, Raised};
+pub(crate) use cells::{count, level};
+pub(crate) use feed::{Feed, Reading};
+pub(crate) use plain::{line, table};
+pub(crate) use record::FrameRecord;
+pub(crate) use scores::Scores;
+pub(crate) use screen::Screen;
+pub(crate) use stages::Latency;
+pub(crate) use terminal::show;

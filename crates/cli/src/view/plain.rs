@@ -1,0 +1,70 @@
+//! The board as plain text.
+
+use std::fmt::Write as _;
+
+use joulebus_wire::Level;
+
+use super::board::{Board, Row};
+use super::cells::{HEADS, cells, level, micros};
+
+/// Robots that a line names.
+const NAMED: usize = 4;
+
+/// The state of the fleet in one line.
+pub(crate) fn line(board: &Board, now_ns: u64) -> String {
+    let (done, skipped, late) = board.ticks();
+    let (accepted, dropped) = (board.accepted(), board.dropped().total());
+    let total = board.stages.latency().total;
+    let (p50, p99) = (micros(total.p50_us), micros(total.p99_us));
+    let mut text = format!(
+        "{:>6.1} s  {:<7}  ticks {done} ({skipped} skipped, {late} late)  samples {accepted} \
+         ({dropped} dropped)  p50 {p50}, p99 {p99}",
+        board.seconds(now_ns),
+        board.link.name(),
+    );
+    let scores = board.scores();
+    if let (Some(ours), Some(theirs)) = (scores.mae_w, scores.persistence_mae_w) {
+        let _ = write!(text, "  MAE {ours:.3} W (persistence {theirs:.3})");
+    }
+    let standing_out: Vec<(&u32, &Row)> = board
+        .rows
+        .iter()
+        .filter(|(_, row)| row.level() != Level::Ok && row.diagnostic.is_some())
+        .collect();
+    for (robot, row) in standing_out.iter().take(NAMED) {
+        let alarm = row
+            .diagnostic
+            .map_or("", |diagnostic| diagnostic.alarm().name());
+        let _ = write!(text, "  [{robot} {} {alarm}]", level(row.level()));
+    }
+    if standing_out.len() > NAMED {
+        let _ = write!(text, "  and {} more", standing_out.len() - NAMED);
+    }
+    text
+}
+
+/// The robots as a table; all of them, or one.
+pub(crate) fn table(board: &Board, only: Option<u32>) -> String {
+    let mut text = String::new();
+    let heads = HEADS.map(|(head, _)| head.to_owned());
+    push_row(&mut text, &heads);
+    for (robot, row) in &board.rows {
+        if only.is_none_or(|only| only == *robot) {
+            push_row(&mut text, &cells(*robot, row));
+        }
+    }
+    text
+}
+
+fn push_row(text: &mut String, cells: &[String; 12]) {
+    let columns = HEADS.iter().zip(cells).map(|((head, width), cell)| {
+        let width = usize::from(*width);
+        match *head {
+            "quality" | "state" => format!("{cell:<width$}"),
+            _ => format!("{cell:>width$}"),
+        }
+    });
+    let row = columns.collect::<Vec<String>>().join(" ");
+    text.push_str(row.trim_end());
+    text.push('\n');
+}

@@ -1,0 +1,168 @@
+//! The board as JSON: one object for each frame. What is not known is null.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use joulebus_wire::{Diagnostic, Quality, budget_flag, diagnostic_flag, forecast_flag};
+use serde::Serialize;
+
+use super::board::{Board, Row};
+use super::cells::level;
+use super::scores::known;
+
+/// A frame of forecasts with what belongs to it.
+#[derive(Debug, Serialize)]
+pub(crate) struct FrameRecord {
+    worker_epoch: u64,
+    worker_pid: u32,
+    tick: u64,
+    sent_ns: u64,
+    sent_unix_ns: u64,
+    model_hash: u64,
+    ticks_skipped: u64,
+    ticks_late: u64,
+    samples_accepted: u64,
+    samples_dropped: BTreeMap<&'static str, u64>,
+    /// Frames that were overwritten before this planner looked, since it began.
+    frames_missed: u64,
+    robots: Vec<RobotRecord>,
+}
+
+/// One robot. Units stand in the names.
+#[derive(Debug, Serialize)]
+struct RobotRecord {
+    robot: u32,
+    quality: &'static str,
+    /// Readings in the window, open-loop steps, or the reason.
+    quality_detail: Option<String>,
+    sample_seq: Option<u64>,
+    stamp_ns: Option<u64>,
+    target_ns: Option<u64>,
+    reading_w: Option<f64>,
+    reading_age_ns: Option<u64>,
+    power_w: Option<f64>,
+    lo_w: Option<f64>,
+    hi_w: Option<f64>,
+    residual_w: Option<f64>,
+    bias_w: Option<f64>,
+    scored: u64,
+    mae_w: Option<f64>,
+    persistence_mae_w: Option<f64>,
+    r2: Option<f64>,
+    persistence_r2: Option<f64>,
+    skill: Option<f64>,
+    coverage: Option<f64>,
+    level: Option<&'static str>,
+    alarms: Vec<&'static str>,
+    drawn_j: Option<f64>,
+    metered_s: Option<f64>,
+    unmetered_s: Option<f64>,
+    mean_power_w: Option<f64>,
+    soc: Option<f64>,
+    soc_lo: Option<f64>,
+    usable_j: Option<f64>,
+    usable_lo_j: Option<f64>,
+    time_to_empty_s: Option<f64>,
+}
+
+impl FrameRecord {
+    /// The newest frame on the board, if there is one: all robots, or one.
+    pub(crate) fn newest(board: &Board, only: Option<u32>) -> Option<Self> {
+        let header = board.header()?;
+        let robots = board
+            .rows
+            .iter()
+            .filter(|(robot, _)| only.is_none_or(|only| only == **robot))
+            .map(|(robot, row)| RobotRecord::of(*robot, row))
+            .collect();
+        Some(Self {
+            worker_epoch: header.worker_epoch,
+            worker_pid: header.pid,
+            tick: header.tick,
+            sent_ns: header.sent_ns,
+            sent_unix_ns: header.sent_unix_ns,
+            model_hash: header.model_hash,
+            ticks_skipped: header.ticks_skipped,
+            ticks_late: header.ticks_late,
+            samples_accepted: header.samples_accepted,
+            samples_dropped: header
+                .samples_dropped
+                .iter()
+                .map(|(reason, count)| (reason.name(), count))
+                .collect(),
+            frames_missed: board.frames_missed,
+            robots,
+        })
+    }
+}
+
+impl RobotRecord {
+    fn of(robot: u32, row: &Row) -> Self {
+        let forecast = &row.forecast;
+        let (quality, quality_detail) = quality(forecast.quality());
+        let heard = forecast.flags & forecast_flag::SAMPLE != 0;
+        let read = forecast.flags & forecast_flag::READING != 0;
+        let interval_w = forecast.interval_w();
+        let diagnostic = row.diagnostic.as_ref();
+        let residual = diagnostic.filter(|d| d.flags & diagnostic_flag::RESIDUAL != 0);
+        let scores = diagnostic.filter(|d| d.flags & diagnostic_flag::SCORES != 0);
+        let score = |value: fn(&Diagnostic) -> f64| scores.and_then(|d| known(value(d)));
+        let budget = row.budget.as_ref();
+        let ledger = budget.filter(|b| b.flags & budget_flag::LEDGER != 0);
+        let battery = budget.filter(|b| b.flags & budget_flag::BATTERY != 0);
+        let lasting = budget.filter(|b| b.flags & budget_flag::TIME_TO_EMPTY != 0);
+        let seconds = |ns: u64| ns as f64 * 1e-9;
+        Self {
+            robot,
+            quality,
+            quality_detail,
+            sample_seq: heard.then_some(forecast.sample_seq),
+            stamp_ns: heard.then_some(forecast.stamp_ns),
+            target_ns: heard.then_some(forecast.target_ns),
+            reading_w: read.then(|| forecast.reading_w.into()),
+            reading_age_ns: read.then_some(forecast.reading_age_ns),
+            power_w: forecast.power_w().map(f64::from),
+            lo_w: interval_w.map(|(lo_w, _)| lo_w.into()),
+            hi_w: interval_w.map(|(_, hi_w)| hi_w.into()),
+            residual_w: residual.and_then(|d| known(d.residual_w.into())),
+            bias_w: scores.and_then(|d| known(d.bias_w.into())),
+            scored: diagnostic.map_or(0, |d| d.scored),
+            mae_w: score(|d| d.mae_w),
+            persistence_mae_w: score(|d| d.persistence_mae_w),
+            r2: score(|d| d.r2),
+            persistence_r2: score(|d| d.persistence_r2),
+            skill: score(|d| d.skill),
+            coverage: score(|d| d.coverage.into()),
+            level: diagnostic.map(|d| level(d.level())),
+            alarms: diagnostic.map_or_else(Vec::new, |d| {
+                d.alarms().iter().map(joulebus_wire::Alarm::name).collect()
+            }),
+            drawn_j: ledger.map(joulebus_wire::Budget::drawn_j),
+            metered_s: ledger.map(|b| seconds(b.metered_ns)),
+            unmetered_s: ledger.map(|b| seconds(b.unmetered_ns)),
+            mean_power_w: ledger.and_then(|b| known(b.mean_power_w.into())),
+            soc: battery.and_then(|b| known(b.soc.into())),
+            soc_lo: battery.and_then(|b| known(b.soc_lo.into())),
+            usable_j: battery.and_then(|b| known(b.usable_j.into())),
+            usable_lo_j: battery.and_then(|b| known(b.usable_lo_j.into())),
+            time_to_empty_s: lasting.and_then(|b| known(b.time_to_empty_s.into())),
+        }
+    }
+}
+
+fn quality(quality: Quality) -> (&'static str, Option<String>) {
+    match quality {
+        Quality::Fresh => ("Fresh", None),
+        Quality::Held => ("Held", None),
+        Quality::Warmup { have } => ("Warmup", Some(have.to_string())),
+        Quality::OpenLoop { steps } => ("OpenLoop", Some(steps.to_string())),
+        Quality::Invalid(reason) => ("Invalid", Some(reason.name().to_owned())),
+        Quality::Unknown => ("Unknown", None),
+    }
+}
+
+impl fmt::Display for FrameRecord {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "tick {} of worker {}", self.tick, self.worker_pid)
+    }
+}

@@ -1,0 +1,189 @@
+//! How good the forecasts of the whole fleet were, as far as a planner can see.
+
+use joulebus_wire::{Diagnostic, Forecast, diagnostic_flag, forecast_flag};
+use serde::Serialize;
+
+/// Sums over all readings of the fleet whose forecast this planner has seen.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Pooled {
+    count: u64,
+    sum_sq_w2: f64,
+    persistence_sum_sq_w2: f64,
+    mean_w: f64,
+    scatter_w2: f64,
+}
+
+impl Pooled {
+    /// Takes two outputs of one robot in a row; counts when the later one's reading is that of the
+    /// sample right after the one that the earlier answers.
+    pub(crate) fn observe(&mut self, before: &Forecast, after: &Forecast) {
+        let Some((residual_w, step_w)) = residual(before, after) else {
+            return;
+        };
+        let reading_w = f64::from(after.reading_w);
+        self.count += 1;
+        self.sum_sq_w2 += residual_w * residual_w;
+        self.persistence_sum_sq_w2 += step_w * step_w;
+        let from_mean = reading_w - self.mean_w;
+        self.mean_w += from_mean / self.count as f64;
+        self.scatter_w2 += from_mean * (reading_w - self.mean_w);
+    }
+}
+
+/// Reading minus forecast, and reading minus the reading before, W.
+fn residual(before: &Forecast, after: &Forecast) -> Option<(f64, f64)> {
+    let read = forecast_flag::READING | forecast_flag::SAMPLE;
+    let follows = before.flags & read == read
+        && after.flags & read == read
+        && before.source_epoch == after.source_epoch
+        && before.generation == after.generation
+        && before.sample_seq.checked_add(1) == Some(after.sample_seq);
+    let forecast_w = before.power_w().filter(|_| follows)?;
+    let reading_w = f64::from(after.reading_w);
+    Some((
+        reading_w - f64::from(forecast_w),
+        reading_w - f64::from(before.reading_w),
+    ))
+}
+
+/// Scores of a fleet; what cannot be known yet is none.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub(crate) struct Scores {
+    /// Readings scored by the worker, all robots together.
+    pub(crate) scored: u64,
+    /// Mean absolute error of the forecasts over all readings, W.
+    pub(crate) mae_w: Option<f64>,
+    /// The same of persistence (the last reading again), W.
+    pub(crate) persistence_mae_w: Option<f64>,
+    /// Coefficient of determination over all readings that this planner saw.
+    pub(crate) r2: Option<f64>,
+    /// The same of persistence.
+    pub(crate) persistence_r2: Option<f64>,
+    /// Median over the robots of their mean absolute errors, W.
+    pub(crate) median_mae_w: Option<f64>,
+    /// The same of persistence, W.
+    pub(crate) median_persistence_mae_w: Option<f64>,
+    /// Median over the robots of their coefficients of determination.
+    pub(crate) median_r2: Option<f64>,
+    /// The same of persistence.
+    pub(crate) median_persistence_r2: Option<f64>,
+    /// Share of readings inside the interval of their forecast.
+    pub(crate) coverage: Option<f64>,
+}
+
+impl Scores {
+    /// From the newest diagnostics of all robots and the planner's own sums.
+    pub(crate) fn of<'a>(
+        diagnostics: impl Iterator<Item = &'a Diagnostic>,
+        pooled: &Pooled,
+    ) -> Self {
+        let scored: Vec<&Diagnostic> = diagnostics
+            .filter(|diagnostic| diagnostic.flags & diagnostic_flag::SCORES != 0)
+            .collect();
+        let count: u64 = scored.iter().map(|diagnostic| diagnostic.scored).sum();
+        let mean = |value: fn(&Diagnostic) -> f64| {
+            let sum: f64 = scored
+                .iter()
+                .map(|diagnostic| value(diagnostic) * diagnostic.scored as f64)
+                .sum();
+            known(sum / count as f64)
+        };
+        let middle = |value: fn(&Diagnostic) -> f64| {
+            median(scored.iter().map(|diagnostic| value(diagnostic)).collect())
+        };
+        let explained = |error: f64| known(1.0 - error / pooled.scatter_w2);
+        Self {
+            scored: count,
+            mae_w: mean(|diagnostic| diagnostic.mae_w),
+            persistence_mae_w: mean(|diagnostic| diagnostic.persistence_mae_w),
+            r2: explained(pooled.sum_sq_w2),
+            persistence_r2: explained(pooled.persistence_sum_sq_w2),
+            median_mae_w: middle(|diagnostic| diagnostic.mae_w),
+            median_persistence_mae_w: middle(|diagnostic| diagnostic.persistence_mae_w),
+            median_r2: middle(|diagnostic| diagnostic.r2),
+            median_persistence_r2: middle(|diagnostic| diagnostic.persistence_r2),
+            coverage: mean(|diagnostic| f64::from(diagnostic.coverage)),
+        }
+    }
+}
+
+/// A number, unless it is none.
+pub(crate) fn known(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.retain(|value| value.is_finite());
+    values.sort_by(f64::total_cmp);
+    let middle = values.len() / 2;
+    let upper = *values.get(middle)?;
+    Some(if values.len() % 2 == 1 {
+        upper
+    } else {
+        0.5 * (values[middle - 1] + upper)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn output(seq: u64, reading_w: f32, power_w: f32) -> Forecast {
+        Forecast {
+            flags: forecast_flag::POWER | forecast_flag::READING | forecast_flag::SAMPLE,
+            sample_seq: seq,
+            reading_w,
+            power_w,
+            ..Forecast::default()
+        }
+    }
+
+    #[test]
+    fn the_fleets_r2_is_that_of_the_two_pass_formula_and_gaps_do_not_count() {
+        let outputs = [
+            output(0, 3.0, 4.0),
+            output(1, 4.0, 4.5),
+            output(2, 5.0, 5.0),
+            output(4, 9.0, 9.0),
+            output(5, 7.0, 7.0),
+        ];
+        let mut pooled = Pooled::default();
+        for pair in outputs.windows(2) {
+            pooled.observe(&pair[0], &pair[1]);
+        }
+        let scores = Scores::of([].iter(), &pooled);
+        // Readings 4, 5, 7 with residuals 0, 0.5, -2 and steps 1, 1, -2.
+        let scatter = (16.0 + 25.0 + 49.0) - 256.0 / 3.0;
+        assert_eq!(pooled.count, 3);
+        assert!((scores.r2.unwrap() - (1.0 - 4.25 / scatter)).abs() < 1e-12);
+        assert!((scores.persistence_r2.unwrap() - (1.0 - 6.0 / scatter)).abs() < 1e-12);
+        assert_eq!(scores.mae_w, None);
+    }
+
+    #[test]
+    fn robots_count_by_their_readings_in_the_mean_and_alike_in_the_median() {
+        let diagnostic = |scored, mae_w, r2| Diagnostic {
+            flags: if scored > 0 {
+                diagnostic_flag::SCORES
+            } else {
+                0
+            },
+            scored,
+            mae_w,
+            r2,
+            ..Diagnostic::default()
+        };
+        let fleet = [
+            diagnostic(10, 1.0, 0.5),
+            diagnostic(30, 2.0, f64::NAN),
+            diagnostic(0, f64::NAN, f64::NAN),
+            diagnostic(10, 6.0, 0.7),
+        ];
+        let scores = Scores::of(fleet.iter(), &Pooled::default());
+        assert_eq!(scores.scored, 50);
+        assert_eq!(scores.mae_w, Some(2.6));
+        assert_eq!(scores.median_mae_w, Some(2.0));
+        assert_eq!(scores.median_r2, Some(0.6));
+        assert_eq!(scores.r2, None);
+    }
+}

@@ -1,0 +1,95 @@
+//! The terminal: taken over for the live view and always given back.
+
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+
+use super::board::Board;
+use super::feed::Feed;
+use super::screen::Screen;
+use crate::stop::Stop;
+
+/// How often the processes and the end are looked after.
+const LOOK_EVERY: Duration = Duration::from_millis(30);
+/// How often the view is drawn.
+const DRAW_EVERY: Duration = Duration::from_millis(100);
+
+/// The terminal in the view's hands; given back when dropped, and by a hook when somebody panics.
+struct Taken {
+    terminal: ratatui::DefaultTerminal,
+}
+
+impl Taken {
+    fn take() -> anyhow::Result<Self> {
+        let terminal = ratatui::try_init().context("cannot use the terminal; try --plain")?;
+        Ok(Self { terminal })
+    }
+}
+
+impl Drop for Taken {
+    fn drop(&mut self) {
+        ratatui::restore();
+    }
+}
+
+/// Shows the board until `q`, a signal, the end of the feed, or until `look` says that it is over.
+/// `look` is called often; it returns how far the run is, or none when it is over.
+///
+/// # Errors
+/// What `look` said, or the terminal.
+pub(crate) fn show(
+    feed: &Feed,
+    screen: &mut Screen,
+    stop: &Stop,
+    mut look: impl FnMut() -> anyhow::Result<Option<String>>,
+) -> anyhow::Result<()> {
+    let mut taken = Taken::take()?;
+    let mut drawn: Option<Instant> = None;
+    while !stop.is_asked() && feed.is_reading() {
+        let Some(progress) = look()? else {
+            return Ok(());
+        };
+        screen.progress = progress;
+        if drawn.is_none_or(|drawn| drawn.elapsed() >= DRAW_EVERY) {
+            drawn = Some(Instant::now());
+            let terminal = &mut taken.terminal;
+            terminal
+                .draw(|frame| screen.draw(frame, &feed.board()))
+                .context("cannot draw")?;
+        }
+        if event::poll(LOOK_EVERY).context("cannot read keys")? {
+            let event = event::read().context("cannot read keys")?;
+            if act(&event, screen, &feed.board()) {
+                return Ok(());
+            }
+            drawn = None;
+        }
+    }
+    Ok(())
+}
+
+/// Does what a key asks for; whether it asks for the end.
+fn act(event: &Event, screen: &mut Screen, board: &Board) -> bool {
+    let Event::Key(KeyEvent {
+        code,
+        modifiers,
+        kind: KeyEventKind::Press | KeyEventKind::Repeat,
+        ..
+    }) = event
+    else {
+        return false;
+    };
+    match code {
+        KeyCode::Char('q') | KeyCode::Esc => return true,
+        // The terminal does not make a signal of it any more.
+        KeyCode::Char('c') if modifiers.contains(KeyModifiers::CONTROL) => return true,
+        KeyCode::Down | KeyCode::Char('j') => screen.step(board, 1),
+        KeyCode::Up | KeyCode::Char('k') => screen.step(board, -1),
+        KeyCode::PageDown => screen.step(board, 10),
+        KeyCode::PageUp => screen.step(board, -10),
+        KeyCode::Char('a') => screen.step_to_alarm(board),
+        _ => {}
+    }
+    false
+}

@@ -1,0 +1,191 @@
+//! `joulebus watch`: what the worker of a fleet forecasts.
+
+mod summary;
+
+use std::cell::RefCell;
+use std::io::IsTerminal as _;
+use std::time::Duration;
+
+use joulebus_bus::clock;
+use joulebus_config::Config;
+
+use crate::config_file::ConfigFile;
+use crate::exit::Outcome;
+use crate::output::{Format, Output, say, text};
+use crate::stop::Stop;
+use crate::view::{Board, Feed, FrameRecord, Link, Reading, Screen, line, show, table};
+
+pub(crate) use summary::PlannerReport;
+
+/// How long `--once` waits for a worker.
+const PATIENCE_NS: u64 = 3_000_000_000;
+/// How often a plain line is written, ns.
+const LINE_EVERY_NS: u64 = 1_000_000_000;
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// Show what the worker of a fleet forecasts, live, as lines or as JSON
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus watch --config configs/fleet.toml\n  \
+    joulebus watch --once\n  \
+    joulebus watch --robot 3 --format json | jq .robots[0].power_w\n\n\
+    May begin before the worker does, and goes on when it is restarted. In a terminal: the live \
+    view; otherwise one line a second. --format json: one object for each frame, in one line.")]
+pub(crate) struct Args {
+    #[command(flatten)]
+    config: ConfigFile,
+    /// Only this robot; in the live view: selected from the start
+    #[arg(long, value_name = "ID")]
+    robot: Option<u32>,
+    /// Show the newest frame and end; exit code 1 if there is no worker within 3 s
+    #[arg(long, conflicts_with_all = ["duration", "summary"])]
+    once: bool,
+    /// End after this time, s [default: at a signal]
+    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(f64))]
+    duration: Option<f64>,
+    /// Lines also in a terminal
+    #[arg(long)]
+    plain: bool,
+    /// Show nothing on the way, but latencies and gaps at the end
+    #[arg(long)]
+    summary: bool,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let stop = Stop::on_signals()?;
+    let config = args.config.load()?;
+    let end_ns = args.end_ns();
+    if args.once {
+        return args.once(&config, output, &stop);
+    }
+    if args.summary {
+        return summary::run(&config, output, &stop, end_ns);
+    }
+    if output.format() == Format::Json {
+        return args.stream(&config, output, &stop, end_ns);
+    }
+    args.live(&config, &stop, end_ns)
+}
+
+impl Args {
+    fn end_ns(&self) -> u64 {
+        let wanted_s = self.duration.filter(|duration| *duration >= 0.0);
+        let duration_ns = wanted_s.map_or(u64::MAX, |duration_s| (duration_s * 1e9) as u64);
+        clock::monotonic_ns().saturating_add(duration_ns)
+    }
+
+    /// The newest frame.
+    fn once(&self, config: &Config, output: Output, stop: &Stop) -> anyhow::Result<Outcome> {
+        let board = RefCell::new(Board::new(clock::monotonic_ns())?);
+        let mut reading = Reading::open(config, "watch", false)?;
+        let give_up_ns = clock::monotonic_ns() + PATIENCE_NS;
+        while !stop.is_asked() && clock::monotonic_ns() < give_up_ns {
+            // The first frames may be of a fleet that nobody has reported of yet.
+            reading.turn(|| board.borrow_mut())?;
+            let board = board.borrow();
+            let diagnosed = board.rows.values().any(|row| row.diagnostic.is_some());
+            if diagnosed
+                && self
+                    .robot
+                    .is_none_or(|robot| board.rows.contains_key(&robot))
+            {
+                break;
+            }
+        }
+        let board = board.borrow();
+        let Some(record) = FrameRecord::newest(&board, self.robot) else {
+            say(&format!(
+                "no worker serves fleet {} of {}: start one with `joulebus run`, or name the \
+                 fleet's config with --config; `joulebus doctor` looks further",
+                config.fleet(),
+                self.config.name()
+            ));
+            return Ok(Outcome::Failed);
+        };
+        if let Some(robot) = self.robot.filter(|robot| !board.rows.contains_key(robot)) {
+            say(&format!("the worker has not heard of robot {robot}"));
+            return Ok(Outcome::Failed);
+        }
+        match output.format() {
+            Format::Json => output.line(&record)?,
+            Format::Text => text(&format!(
+                "{}\n{}",
+                line(&board, clock::monotonic_ns()).trim_start(),
+                table(&board, self.robot)
+            ))?,
+        }
+        Ok(Outcome::Done)
+    }
+
+    /// One object for each frame.
+    fn stream(
+        &self,
+        config: &Config,
+        output: Output,
+        stop: &Stop,
+        end_ns: u64,
+    ) -> anyhow::Result<Outcome> {
+        let board = RefCell::new(Board::new(clock::monotonic_ns())?);
+        let mut reading = Reading::open(config, "watch", false)?;
+        let mut said = Said::default();
+        while !stop.is_asked() && clock::monotonic_ns() < end_ns {
+            let came = reading.turn(|| board.borrow_mut())?;
+            let board = board.borrow();
+            said.say_news(&board);
+            if let Some(record) = FrameRecord::newest(&board, self.robot).filter(|_| came) {
+                output.line(&record)?;
+            }
+        }
+        Ok(Outcome::Done)
+    }
+
+    /// The live view, or a line a second.
+    fn live(&self, config: &Config, stop: &Stop, end_ns: u64) -> anyhow::Result<Outcome> {
+        let feed = Feed::start(config, "watch", false)?;
+        let began_ns = clock::monotonic_ns();
+        if !self.plain && std::io::stdout().is_terminal() && std::io::stdin().is_terminal() {
+            let mut screen = Screen::new(config.fleet(), self.robot);
+            show(&feed, &mut screen, stop, || {
+                let now_ns = clock::monotonic_ns();
+                let seconds = (now_ns - began_ns) as f64 * 1e-9;
+                Ok((now_ns < end_ns).then(|| format!("{seconds:.0} s")))
+            })?;
+        } else {
+            let mut said = Said::default();
+            let mut next_ns = began_ns + LINE_EVERY_NS;
+            while !stop.is_asked() && feed.is_reading() && clock::monotonic_ns() < end_ns {
+                std::thread::sleep(LOOK_EVERY);
+                let now_ns = clock::monotonic_ns();
+                said.say_news(&feed.board());
+                if now_ns >= next_ns {
+                    next_ns += LINE_EVERY_NS;
+                    let line = line(&feed.board(), now_ns);
+                    text(&line)?;
+                }
+            }
+        }
+        feed.finish()?;
+        Ok(Outcome::Done)
+    }
+}
+
+/// What has been said of the worker on stderr.
+#[derive(Debug, Default)]
+struct Said {
+    link: Option<Link>,
+    noted_s: f64,
+}
+
+impl Said {
+    /// Says what is new.
+    fn say_news(&mut self, board: &Board) {
+        if self.link != Some(board.link) && board.link == Link::Waiting {
+            say("waiting for a worker: `joulebus run` starts one");
+        }
+        self.link = Some(board.link);
+        for (at_s, note) in board.notes.iter().filter(|(at_s, _)| *at_s > self.noted_s) {
+            say(&format!("{at_s:>6.1} s  {note}"));
+        }
+        self.noted_s = board.notes.back().map_or(self.noted_s, |(at_s, _)| *at_s);
+    }
+}
