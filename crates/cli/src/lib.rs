@@ -48,8 +48,9 @@ fn parse() -> Result<(Command, Output), clap::Error> {
     let cli = Cli::try_parse()?;
     logging::start(cli.verbose);
     if cli.exit_with_stdin {
-        supervisor::end_with_stdin()
-            .map_err(|error| clap::Error::raw(clap::error::ErrorKind::Io, format!("{error:#}\n")))?;
+        supervisor::end_with_stdin().map_err(|error| {
+            clap::Error::raw(clap::error::ErrorKind::Io, format!("{error:#}\n"))
+        })?;
     }
     let command = match cli.command {
         Some(command) => command,
