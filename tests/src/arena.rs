@@ -237,6 +237,12 @@ impl Arena {
         Planner::ready(Child::spawn("planner", self.probe(&["planner"])))
     }
 
+    /// Starts a planner that uses the consumer library, and waits until it has joined.
+    #[must_use]
+    pub fn consumer(&self) -> Planner {
+        Planner::ready(Child::spawn("consumer", self.probe(&["consumer"])))
+    }
+
     /// Starts a reader of samples, beside the worker, and waits until it has joined.
     #[must_use]
     pub fn recorder(&self) -> Planner {

@@ -126,6 +126,31 @@ pub enum ReaderLine {
         /// Of these, not whole.
         torn: usize,
     },
+    /// A frame that the consumer library gave to a planner.
+    Given {
+        /// Run of the worker.
+        worker_epoch: u64,
+        /// Tick.
+        tick: u64,
+        /// Ticks passed over before it.
+        ticks_missed: u64,
+        /// Whether it is the first of another run.
+        restarted: bool,
+        /// Gaps counted so far.
+        gaps: u64,
+    },
+    /// The consumer library says that the worker is gone.
+    WorkerGone {
+        /// How.
+        end: String,
+        /// When it was noticed, monotonic ns.
+        at_ns: u64,
+    },
+    /// The consumer library says that the newest frame is too old.
+    Stale {
+        /// Its age, ns.
+        age_ns: u64,
+    },
     /// A frame could not be read.
     Failed(String),
 }

@@ -2,6 +2,7 @@
 //! in this process, and is told in JSON lines.
 #![forbid(unsafe_code)]
 
+mod consumer;
 mod controller;
 mod intruder;
 mod reader;
@@ -41,6 +42,7 @@ fn run(arguments: &[&str]) -> Done {
             rate_hz.parse()?,
         ),
         ["planner", config] => reader::plan(&Config::load(config)?, false),
+        ["consumer", config] => consumer::run(&Config::load(config)?),
         ["holder", config] => reader::plan(&Config::load(config)?, true),
         ["recorder", config] => reader::record(&Config::load(config)?),
         ["intruder", config] => intruder::run(&Config::load(config)?),

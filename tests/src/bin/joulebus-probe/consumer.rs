@@ -1,0 +1,38 @@
+//! A planner as a stranger would write it, with the consumer library.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use joulebus_config::Config;
+use joulebus_consumer::{Event, Planner, clock};
+use joulebus_tests::ReaderLine;
+
+use crate::{Done, stop_with_stdin, tell};
+
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+pub(crate) fn run(config: &Config) -> Done {
+    let stop = stop_with_stdin();
+    let mut planner = Planner::with_config(config, "consumer")?;
+    tell(&ReaderLine::Ready)?;
+    while !stop.load(Ordering::Relaxed) {
+        let gaps = planner.counts().gaps;
+        let line = match planner.wait_next(LOOK_EVERY)? {
+            Event::Frame(frame) => ReaderLine::Given {
+                worker_epoch: frame.header().worker_epoch,
+                tick: frame.header().tick,
+                ticks_missed: frame.arrival.ticks_missed,
+                restarted: frame.arrival.restarted,
+                gaps: gaps + u64::from(frame.arrival.ticks_missed > 0),
+            },
+            Event::Gone(end) => ReaderLine::WorkerGone {
+                end: format!("{end:?}"),
+                at_ns: clock::monotonic_ns(),
+            },
+            Event::Stale { age_ns } => ReaderLine::Stale { age_ns },
+            Event::Interrupted | Event::TimedOut => continue,
+        };
+        tell(&line)?;
+    }
+    Ok(())
+}
