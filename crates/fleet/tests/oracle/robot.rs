@@ -73,8 +73,9 @@ pub(crate) fn missing(elapsed_ns: u64, period_ns: u64) -> u64 {
         return 0;
     }
     // To the nearest whole number of periods, less the one that is always there.
+    let (elapsed_ns, period_ns) = (u128::from(elapsed_ns), u128::from(period_ns));
     let periods = (2 * elapsed_ns + period_ns) / (2 * period_ns);
-    periods - 1
+    (periods - 1) as u64
 }
 
 #[derive(Debug, Clone, Copy)]
