@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use joulebus_bus::clock;
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 /// How long a sleep may delay the end.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
@@ -26,6 +26,13 @@ impl Stop {
                 .with_context(|| format!("cannot handle signal {signal}"))?;
         }
         Ok(Self { asked })
+    }
+
+    /// Stops when the terminal is closed as well: for who shows something in it.
+    pub(crate) fn or_hangup(self) -> anyhow::Result<Self> {
+        signal_hook::flag::register(SIGHUP, Arc::clone(&self.asked))
+            .context("cannot handle the end of the terminal")?;
+        Ok(self)
     }
 
     /// Whether to stop.

@@ -69,7 +69,7 @@ fn duration(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     // Before anything is created: who is told to stop while starting cleans up as well.
-    let stop = Stop::on_signals()?;
+    let stop = Stop::on_signals()?.or_hangup()?;
     let place = Place::make(args.robots)?;
     // After the place, so that it goes first: all processes are waited for before the sweep.
     let mut demo = Demo {

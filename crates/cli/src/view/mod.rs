@@ -3,6 +3,9 @@
 mod board;
 mod cells;
 mod feed;
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+mod look;
 mod plain;
 mod record;
 mod scores;

@@ -190,7 +190,8 @@ impl Screen {
         let all = || reading.iter().chain(&forecast).map(|(_, y)| *y);
         let least = all().fold(f64::INFINITY, f64::min) - 0.15;
         let greatest = all().fold(f64::NEG_INFINITY, f64::max) + 0.15;
-        if !(least < greatest) {
+        let known = least < greatest;
+        if !known {
             frame.render_widget(boxed(title), area);
             return;
         }

@@ -1,0 +1,132 @@
+#!/usr/bin/env python3
+"""Turns a terminal capture with colours into an SVG picture. Needs nothing but Python 3.9.
+
+    tmux new-session -d -s view -x 120 -y 40 'target/release/joulebus demo'
+    sleep 18; tmux capture-pane -t view -p -e | tools/ansi_svg.py > docs/demo.svg
+    tmux capture-pane -t view -p > docs/demo.txt
+"""
+
+import re
+import sys
+import unicodedata
+from xml.sax.saxutils import escape
+
+CELL_W, CELL_H, FONT_PX, PAD = 8.4, 18, 14, 14
+BACKGROUND, FOREGROUND = "#11151c", "#d5dbe3"
+# Normal and bright: black, red, green, yellow, blue, magenta, cyan, white.
+PALETTE = [
+    "#11151c", "#ff6b6b", "#6bd08b", "#f2c14e", "#6ea8fe", "#d58cf0", "#4fc7d9", "#d5dbe3",
+    "#6b7685", "#ff8787", "#8ce0a5", "#f7d070", "#8dbcff", "#e2a8f7", "#76d9e8", "#ffffff",
+]
+ESCAPE = re.compile(r"\x1b\[([0-9;]*)m")
+
+
+def indexed(code):
+    """Colour of the 256-colour table."""
+    if code < 16:
+        return PALETTE[code]
+    if code >= 232:
+        level = 8 + 10 * (code - 232)
+        return f"#{level:02x}{level:02x}{level:02x}"
+    code -= 16
+    levels = [0, 95, 135, 175, 215, 255]
+    return "#%02x%02x%02x" % (levels[code // 36], levels[code // 6 % 6], levels[code % 6])
+
+
+class Style:
+    def __init__(self):
+        self.reset()
+
+    def reset(self):
+        self.fg, self.bg, self.bold, self.reverse = None, None, False, False
+
+    def apply(self, codes):
+        codes = [int(code or 0) for code in codes.split(";")]
+        while codes:
+            code = codes.pop(0)
+            if code == 0:
+                self.reset()
+            elif code == 1:
+                self.bold = True
+            elif code == 22:
+                self.bold = False
+            elif code in (7, 27):
+                self.reverse = code == 7
+            elif code in (38, 48):
+                kind = codes.pop(0)
+                if kind == 5:
+                    color = indexed(codes.pop(0))
+                else:
+                    color = "#%02x%02x%02x" % tuple(codes.pop(0) for _ in range(3))
+                if code == 38:
+                    self.fg = color
+                else:
+                    self.bg = color
+            elif code == 39:
+                self.fg = None
+            elif code == 49:
+                self.bg = None
+            elif 30 <= code <= 37 or 90 <= code <= 97:
+                self.fg = PALETTE[code - 30 if code < 90 else code - 82]
+            elif 40 <= code <= 47 or 100 <= code <= 107:
+                self.bg = PALETTE[code - 40 if code < 100 else code - 92]
+
+    def key(self):
+        fg, bg = self.fg or FOREGROUND, self.bg
+        if self.reverse:
+            fg, bg = bg or BACKGROUND, fg
+        return fg, bg, self.bold
+
+
+def runs(line, style):
+    """(column, text, style) for each stretch of one style; the style lasts over line ends."""
+    column, place = 0, 0
+    found = []
+    for match in list(ESCAPE.finditer(line)) + [None]:
+        text = line[place : match.start() if match else len(line)]
+        if text:
+            found.append((column, text, style.key()))
+            column += sum(2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text)
+        if match:
+            style.apply(match.group(1))
+            place = match.end()
+    return found, column
+
+
+def main():
+    lines = sys.stdin.read().rstrip("\n").split("\n")
+    style, rows, width = Style(), [], 0
+    for line in lines:
+        found, columns = runs(line, style)
+        rows.append(found)
+        width = max(width, columns)
+    w, h = width * CELL_W + 2 * PAD, len(rows) * CELL_H + 2 * PAD
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{w:.0f}" height="{h:.0f}" '
+        f'viewBox="0 0 {w:.0f} {h:.0f}">',
+        f'<rect width="100%" height="100%" rx="8" fill="{BACKGROUND}"/>',
+        f'<g font-family="ui-monospace, \'DejaVu Sans Mono\', Menlo, Consolas, monospace" '
+        f'font-size="{FONT_PX}" xml:space="preserve">',
+    ]
+    for row, found in enumerate(rows):
+        top = PAD + row * CELL_H
+        for column, text, (fg, bg, bold) in found:
+            x, wide = PAD + column * CELL_W, len(text) * CELL_W
+            if bg:
+                out.append(
+                    f'<rect x="{x:.1f}" y="{top}" width="{wide:.1f}" height="{CELL_H}" fill="{bg}"/>'
+                )
+            if not text.strip():
+                continue
+            weight = ' font-weight="bold"' if bold else ""
+            # The length keeps columns in line whatever font the reader has.
+            out.append(
+                f'<text x="{x:.1f}" y="{top + 13.5}" fill="{fg}"{weight} '
+                f'textLength="{wide:.1f}" lengthAdjust="spacingAndGlyphs">{escape(text)}</text>'
+            )
+    out.append("</g></svg>")
+    print("\n".join(out))
+
+
+if __name__ == "__main__":
+    main()
