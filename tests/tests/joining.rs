@@ -1,0 +1,190 @@
+//! Rows 10 and 11: robots join late, leave, and come back.
+
+use joulebus_tests::{Arena, ForecastLine, Planner, Setup, Source, Spread, figure, sample};
+use joulebus_wire::{Quality, Sample};
+
+/// Readings that a lag window holds.
+const WINDOW: u64 = 5;
+
+/// Sends the frame and waits for its answer; the lines of `robots` in it, and its tick.
+fn answer(
+    planner: &mut Planner,
+    source: &mut Source,
+    frame: &[Sample],
+) -> (u64, Vec<ForecastLine>) {
+    source.send(frame);
+    let answered = planner.answered(frame);
+    (answered.tick, answered.robots)
+}
+
+fn line(lines: &[ForecastLine], robot: u32) -> ForecastLine {
+    *lines
+        .iter()
+        .find(|line| line.robot == robot)
+        .expect("it is answered")
+}
+
+#[test]
+fn row_10_a_late_joiner_warms_up_visibly_and_is_forecast_with_its_fifth_sample() {
+    const JOINERS: u32 = 20;
+    let setup = Setup {
+        capacity: 32,
+        ..Setup::default()
+    };
+    let arena = Arena::new(&setup);
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut source = arena.source("fleet");
+    let fleet: Vec<u32> = (0..4).collect();
+    let (mut seq, mut ticks) = (0, Spread::default());
+    let mut most_ticks = 0;
+    for joiner in 10..10 + JOINERS {
+        let mut joined_tick = None;
+        for own in 0..=WINDOW {
+            let mut frame: Vec<Sample> = fleet
+                .iter()
+                .map(|robot| sample(*robot, seq, setup.period_ns()))
+                .collect();
+            frame.push(sample(joiner, own, setup.period_ns()));
+            seq += 1;
+            let before = planner.forecasts().last().map_or(0, |frame| frame.tick);
+            let (tick, lines) = answer(&mut planner, &mut source, &frame);
+            let found = line(&lines, joiner);
+            let expected = if own + 1 < WINDOW {
+                Quality::Warmup {
+                    have: own as u16 + 1,
+                }
+            } else {
+                Quality::Fresh
+            };
+            assert_eq!(found.quality(), expected, "robot {joiner} sample {own}");
+            assert_eq!(
+                found.flags & 1 != 0,
+                own + 1 >= WINDOW,
+                "a forecast exactly when it can be made"
+            );
+            // In the very tick that takes its first sample it is shown.
+            let first = *joined_tick.get_or_insert(tick);
+            assert!(own > 0 || tick > before || before == 0);
+            if own + 1 == WINDOW {
+                most_ticks = most_ticks.max(tick - first);
+            }
+        }
+        let read = |seq: u64| {
+            move |frame: &&joulebus_tests::ForecastFrame| {
+                frame
+                    .robot(joiner)
+                    .is_some_and(|line| line.seq >= seq && line.stamp_ns > 0)
+            }
+        };
+        let joined_ns = planner.forecasts().find(read(0)).expect("answered").read_ns;
+        let forecast_ns = planner
+            .forecasts()
+            .find(read(WINDOW - 1))
+            .expect("answered")
+            .read_ns;
+        ticks.add_ns(forecast_ns - joined_ns);
+    }
+    figure(
+        "row 10, join to first forecast",
+        format_args!("{WINDOW} samples, at most {most_ticks} ticks after the joining one; {ticks}"),
+    );
+    source.leave();
+    planner.leave();
+    worker.stop();
+    arena.close();
+}
+
+#[test]
+fn row_11_a_place_that_is_taken_over_carries_nothing_of_its_previous_owner() {
+    const STAYS: u64 = 8;
+    const SAMPLES: u64 = 8;
+    let setup = Setup {
+        capacity: 4,
+        stale_after_s: 0.2,
+        leave_after_s: 0.3,
+        ..Setup::default()
+    };
+    let arena = Arena::new(&setup);
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut source = arena.source("fleet");
+    let stayers = [2, 3];
+    let mut seq = 0;
+    let mut stayers_frame = || {
+        seq += 1;
+        stayers
+            .map(|robot| sample(robot, seq, setup.period_ns()))
+            .to_vec()
+    };
+    let mut first_stay: Vec<Vec<ForecastLine>> = Vec::new();
+    let (mut compared, mut generations) = (0, Vec::new());
+    for stay in 0..STAYS {
+        // Two robots in turn in the same two places.
+        let visitors = if stay % 2 == 0 { [0, 1] } else { [4, 5] };
+        for own in 0..SAMPLES {
+            let mut frame = stayers_frame();
+            frame.extend(visitors.map(|robot| sample(robot, own, setup.period_ns())));
+            let (_, lines) = answer(&mut planner, &mut source, &frame);
+            assert_eq!(lines.len(), 4);
+            let found = visitors.map(|robot| line(&lines, robot));
+            if own + 1 < WINDOW {
+                let expected = Quality::Warmup {
+                    have: own as u16 + 1,
+                };
+                assert_eq!(
+                    found.map(|line| line.quality()),
+                    [expected; 2],
+                    "stay {stay}: an old lag"
+                );
+            }
+            let at = (stay % 2 * SAMPLES + own) as usize;
+            match first_stay.get(at) {
+                None => first_stay.push(found.to_vec()),
+                Some(first) => {
+                    for (first, again) in first.iter().zip(&found) {
+                        // What a busy machine shows only provisionally does not count.
+                        if !matches!(again.quality(), Quality::OpenLoop { .. }) {
+                            assert_eq!(
+                                (first.code, first.bits),
+                                (again.code, again.bits),
+                                "stay {stay} sample {own}"
+                            );
+                            compared += 1;
+                        }
+                    }
+                }
+            }
+            if own == 0 {
+                generations.push(found[0].generation);
+            }
+        }
+        // The visitors fall silent; the others go on until the places are free.
+        loop {
+            let frame = stayers_frame();
+            let (_, lines) = answer(&mut planner, &mut source, &frame);
+            if lines.len() == 2 {
+                break;
+            }
+            assert_eq!(
+                lines.len(),
+                4,
+                "both leave in the same tick, being silent for as long"
+            );
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+    }
+    assert!(
+        generations.windows(2).all(|pair| pair[0] < pair[1]),
+        "a new owner, a new generation: {generations:?}"
+    );
+    assert!(compared as u64 >= (STAYS - 2) * SAMPLES, "{compared}");
+    figure(
+        "row 11, stale reads",
+        format_args!("0 of {compared} answers after {STAYS} changes of owner, compared to the bit"),
+    );
+    source.leave();
+    planner.leave();
+    worker.stop();
+    arena.close();
+}

@@ -1,0 +1,192 @@
+//! Row 19: another user of the host can neither read, nor inject, nor squat.
+//!
+//! Needs the right to become another user; says so and passes where there is none, but fails
+//! where CI=true.
+
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::CommandExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use joulebus_tests::{Arena, Child, Setup, figure, program, sample};
+
+/// `nobody`.
+const STRANGER: u32 = 65_534;
+
+/// Copies of the programs where a stranger can run them.
+struct Programs(PathBuf);
+
+impl Programs {
+    /// `None` where a stranger cannot be had.
+    fn copy(arena: &Arena) -> Option<Self> {
+        let name = arena.files().file_name()?.to_owned();
+        let directory = std::env::temp_dir().join(name);
+        std::fs::create_dir(&directory).expect("no other test has the name");
+        let programs = Self(directory);
+        std::fs::set_permissions(&programs.0, PermissionsExt::from_mode(0o755)).ok()?;
+        for name in ["joulebus-probe", "joulebus-under-test"] {
+            std::fs::copy(program(name), programs.0.join(name)).expect("there is room");
+        }
+        let works = programs
+            .command("joulebus-under-test", &["--version"])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status();
+        if works.is_ok_and(|status| status.success()) {
+            return Some(programs);
+        }
+        assert_ne!(
+            std::env::var("CI").as_deref(),
+            Ok("true"),
+            "cannot become another user"
+        );
+        println!("skipped: cannot become another user");
+        None
+    }
+
+    fn command(&self, program: &str, arguments: &[&str]) -> Command {
+        let mut command = as_stranger(&self.0.join(program));
+        command.args(arguments);
+        command
+    }
+}
+
+impl Drop for Programs {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn as_stranger(program: &Path) -> Command {
+    let mut command = Command::new(program);
+    command.uid(STRANGER).gid(STRANGER).current_dir("/");
+    command
+}
+
+/// Runs a shell line as the stranger; it must work.
+fn stranger_does(line: &str) {
+    let status = as_stranger(Path::new("/bin/sh"))
+        .args(["-c", line])
+        .status()
+        .expect("a shell");
+    assert!(status.success(), "{line}");
+}
+
+#[test]
+fn row_19_a_stranger_can_neither_read_nor_inject_nor_clean_up() {
+    let setup = Setup::default();
+    let arena = Arena::new(&setup);
+    let Some(programs) = Programs::copy(&arena) else {
+        return arena.close();
+    };
+    let config = arena.config().display().to_string();
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut source = arena.source("fleet");
+    let mut controller = arena.controller("controller", 20, 2, 30.0);
+    planner.forecast("all are there", |frame| frame.robot(20).map(|_| ()));
+
+    let mut intruder = Child::spawn(
+        "intruder",
+        programs.command("joulebus-probe", &["intruder", &config]),
+    );
+    let ended = intruder.wait();
+    assert_eq!(ended.code(), Some(0), "{ended:?}");
+    let (tried, worked): (u32, Vec<String>) = serde_json::from_str(&ended.text()).unwrap();
+    assert_eq!(worked, Vec::<String>::new());
+    assert!(tried > 30, "{tried} attempts");
+    let before = arena.leftovers();
+    for arguments in [
+        &["planner"][..],
+        &["source", "fleet"],
+        &["recorder"],
+        &["controller", "fleet", "0", "4", "30"],
+    ] {
+        let mut arguments = arguments.to_vec();
+        arguments.push(&config);
+        let ended = Child::spawn("stranger", programs.command("joulebus-probe", &arguments)).wait();
+        assert_eq!(ended.code(), Some(1), "{arguments:?}: {ended:?}");
+        assert!(
+            ended.errors().contains("belongs to uid"),
+            "{arguments:?}: {ended:?}"
+        );
+    }
+    for arguments in [&["run"][..], &["doctor", "--fix"]] {
+        let mut arguments = arguments.to_vec();
+        arguments.extend(["--config", &config]);
+        let ended = Child::spawn(
+            "stranger",
+            programs.command("joulebus-under-test", &arguments),
+        )
+        .wait();
+        assert_eq!(ended.code(), Some(1), "{arguments:?}: {ended:?}");
+    }
+    assert!(
+        before.iter().all(|path| path.exists()),
+        "a stranger removed something"
+    );
+    for seq in 0..10 {
+        planner.play(&mut source, &[vec![sample(0, seq, setup.period_ns())]]);
+    }
+    figure(
+        "row 19, leaks and injections",
+        format_args!("0 in {tried} attempts on objects, directories and sockets"),
+    );
+    controller.finish();
+    source.leave();
+    planner.leave();
+    worker.stop();
+    arena.close();
+}
+
+#[test]
+fn row_19_a_stranger_who_was_there_first_is_named_and_nothing_of_his_is_used() {
+    let arena = Arena::new(&Setup::default());
+    let Some(_programs) = Programs::copy(&arena) else {
+        return arena.close();
+    };
+    let root = arena.domain().root().display().to_string();
+    let object = format!("/dev/shm/{}squat", arena.domain().shm_prefix());
+    let (uid, link) = (format!("uid {STRANGER}"), "symbolic link".to_owned());
+    for (what, line, undo, shows) in [
+        (
+            "an open directory",
+            format!("mkdir -m 777 {root}"),
+            "rmdir",
+            &uid,
+        ),
+        (
+            "a private directory",
+            format!("mkdir -m 700 {root}"),
+            "rmdir",
+            &uid,
+        ),
+        ("a file", format!("touch {root}"), "rm", &uid),
+        ("a link", format!("ln -s /tmp {root}"), "rm", &link),
+        (
+            "an object in shared memory",
+            format!("touch {object}"),
+            "rm",
+            &uid,
+        ),
+    ] {
+        stranger_does(&line);
+        let ended = arena.run(&["run"]);
+        assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
+        let named =
+            ended.errors().contains(shows.as_str()) || ended.errors().contains("not a directory");
+        assert!(named, "{what}: {}", ended.errors());
+        let ended = Child::spawn("source", arena.probe(&["source", "fleet"])).wait();
+        assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
+        let doctor = arena.run(&["doctor"]);
+        assert_eq!(doctor.code(), Some(1), "{what}: {doctor:?}");
+        let place = if what.contains("object") {
+            &object
+        } else {
+            &root
+        };
+        stranger_does(&format!("{undo} {place}"));
+    }
+    arena.worker().stop();
+    arena.close();
+}
