@@ -1,0 +1,336 @@
+//! The live path and the offline path are one arithmetic: recorded trials of three platforms, played
+//! through publisher, shared memory and worker, give the bits of the offline evaluation.
+//!
+//! Real processes; real recordings under `../shared/data`.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use joulebus_bus::Bus;
+use joulebus_config::Config;
+use joulebus_lab::evaluate::{Evaluation, RobotEvaluation, Step, evaluate};
+use joulebus_lab::trial::Trial;
+use joulebus_predictor_worker::load_models;
+use joulebus_wire::{Diagnostic, Forecast, Quality};
+use rustix::process::{Pid, Signal, kill_process};
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_joulebus-under-test");
+/// Longer than any of this takes on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(240);
+
+/// Files of a folder of recordings, sorted; none when the recordings are not there.
+fn recordings(folder: &str) -> Vec<PathBuf> {
+    let directory = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../shared/data")
+        .join(folder);
+    let Ok(entries) = std::fs::read_dir(directory) else {
+        return Vec::new();
+    };
+    let mut files: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    files.retain(|path| path.extension().is_some_and(|extension| extension == "gz"));
+    files.sort();
+    files
+}
+
+/// 100 Robotino trials, 12 of the Husky and 12 of the rover, with the ids of the config below.
+fn fleet() -> Vec<(u32, PathBuf)> {
+    let numbered = |first: u32, files: Vec<PathBuf>| (first..).zip(files);
+    let robotino: Vec<PathBuf> = recordings("robotino")
+        .into_iter()
+        .step_by(6)
+        .take(100)
+        .collect();
+    // The shortest: a recording of minutes shows no more than one of seconds.
+    let mut husky = recordings("borealtc_husky");
+    husky.sort_by_key(|path| path.metadata().unwrap().len());
+    let rover = recordings("ase_rover").into_iter().step_by(5);
+    let fleet = numbered(0, robotino).chain(numbered(100, husky.into_iter().take(12).collect()));
+    fleet
+        .chain(numbered(200, rover.take(12).collect()))
+        .collect()
+}
+
+/// A network that needs velocities, persistence, and a network that needs none; two of the rovers
+/// are given the network that needs what they lack.
+fn config(root: &Path) -> String {
+    format!(
+        r#"
+[fleet]
+name = "bits"
+capacity = 128
+[domain]
+root = "{}"
+prefix = "t_"
+[tick]
+rate_hz = 500.0
+deadline_ms = 1.0
+[intake]
+leave_after_s = 600.0
+max_jump_s = 600.0
+[[platform]]
+file = "builtin:robotino"
+robots = ["0-99"]
+model = "builtin:gternal-sim"
+[[platform]]
+file = "builtin:husky"
+robots = ["100-111"]
+[[platform]]
+file = "builtin:rover"
+robots = ["200-209"]
+model = "builtin:gternal-sim-power"
+[[platform]]
+file = "builtin:rover"
+name = "rover-with-the-wrong-model"
+robots = ["210-211"]
+model = "builtin:gternal-sim"
+"#,
+        root.display()
+    )
+}
+
+/// Ends its process when dropped, whatever became of the test.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// What the worker published: by robot and sample, and the last of each robot.
+#[derive(Default)]
+struct Published {
+    forecasts: HashMap<(u32, u64), Forecast>,
+    diagnostics: HashMap<(u32, u64), Diagnostic>,
+    last: HashMap<u32, Diagnostic>,
+}
+
+impl Published {
+    /// Reads frames until the source has ended and everything it sent is answered.
+    fn read(config: &Config, ended: &AtomicBool) -> Self {
+        let bus = Bus::join(&config.domain().unwrap(), "planner").unwrap();
+        let limits = config.limits();
+        let mut waiter = bus.planner_waiter(&limits).unwrap();
+        let mut forecasts = bus.forecast_reader(&limits).unwrap();
+        let mut diagnostics = bus.diagnostic_reader(&limits).unwrap();
+        let mut published = Self::default();
+        let mut rounds_after = 0;
+        let begun = Instant::now();
+        while rounds_after < 20 {
+            assert!(begun.elapsed() < PATIENCE, "the source has not ended");
+            waiter.wait_until(None, None).unwrap();
+            rounds_after += u32::from(ended.load(Ordering::Relaxed));
+            while let Some(frame) = forecasts.take_next().unwrap() {
+                for forecast in frame.iter() {
+                    let live = !matches!(forecast.quality(), Quality::OpenLoop { .. });
+                    // Open loop by the worker's clock is provisional: no part of the promise.
+                    if live {
+                        published
+                            .forecasts
+                            .insert((forecast.robot, forecast.sample_seq), *forecast);
+                    }
+                }
+            }
+            while let Some(frame) = diagnostics.take_next().unwrap() {
+                for diagnostic in frame.iter() {
+                    published
+                        .diagnostics
+                        .insert((diagnostic.robot, diagnostic.sample_seq), *diagnostic);
+                    published.last.insert(diagnostic.robot, *diagnostic);
+                }
+            }
+        }
+        published
+    }
+}
+
+fn bits(watts: Option<f32>) -> Option<u32> {
+    watts.map(f32::to_bits)
+}
+
+/// Compares one published forecast with its step; a robot is stale once its recording has ended.
+fn same_forecast(robot: u32, live: &Forecast, step: &Step) {
+    if live.quality() == Quality::Invalid(joulebus_wire::InvalidReason::Stale) {
+        return;
+    }
+    let place = format!("robot {robot}, sample {}", step.sample_seq);
+    assert_eq!(live.quality(), step.quality, "{place}");
+    assert_eq!(bits(live.power_w()), bits(step.power_w), "{place}");
+    assert_eq!(
+        bits(live.interval_w().map(|(lo_w, _)| lo_w)),
+        bits(step.lo_w),
+        "{place}"
+    );
+    assert_eq!(
+        bits(live.interval_w().map(|(_, hi_w)| hi_w)),
+        bits(step.hi_w),
+        "{place}"
+    );
+}
+
+fn same_residual(robot: u32, live: &Diagnostic, step: &Step) {
+    let residual_w = Some(live.residual_w).filter(|residual_w| !residual_w.is_nan());
+    let place = format!("robot {robot}, sample {}", step.sample_seq);
+    assert_eq!(bits(residual_w), bits(step.residual_w), "{place}");
+}
+
+fn same_scores(live: &Diagnostic, offline: &RobotEvaluation) {
+    let (robot, scores) = (offline.robot, &offline.scores);
+    assert_eq!(
+        live.scored, scores.count,
+        "readings scored of robot {robot}"
+    );
+    for (name, live, offline) in [
+        ("MAE", live.mae_w, scores.mae_w()),
+        ("R²", live.r2, scores.r2()),
+        (
+            "MAE of persistence",
+            live.persistence_mae_w,
+            scores.persistence_mae_w(),
+        ),
+        (
+            "R² of persistence",
+            live.persistence_r2,
+            scores.persistence_r2(),
+        ),
+        ("skill", live.skill, scores.skill()),
+    ] {
+        assert_eq!(
+            live.to_bits(),
+            offline.to_bits(),
+            "{name} of robot {robot}: {live} and {offline}"
+        );
+    }
+    assert_eq!(
+        live.coverage.to_bits(),
+        offline.coverage.to_bits(),
+        "coverage of robot {robot}"
+    );
+}
+
+/// Compares all that was published. Returns how many forecasts and residuals.
+fn compare(published: &Published, offline: &Evaluation) -> (usize, usize) {
+    let (mut forecasts, mut residuals) = (0, 0);
+    for robot in &offline.robots {
+        for step in robot.steps.iter().filter(|step| step.accepted) {
+            let key = (robot.robot, step.sample_seq);
+            if let Some(live) = published.forecasts.get(&key) {
+                same_forecast(robot.robot, live, step);
+                forecasts += 1;
+            }
+            if let Some(live) = published.diagnostics.get(&key) {
+                same_residual(robot.robot, live, step);
+                residuals += 1;
+            }
+        }
+        same_scores(&published.last[&robot.robot], robot);
+    }
+    (forecasts, residuals)
+}
+
+fn start_worker(config: &Path) -> Process {
+    let mut command = Command::new(PROGRAM);
+    let child = command
+        .args(["run", "--config"])
+        .arg(config)
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    Process(child)
+}
+
+fn start_source(config: &Path, fleet: &[(u32, PathBuf)]) -> Process {
+    let mut command = Command::new(PROGRAM);
+    command.args([
+        "publish",
+        "trial",
+        "--rate",
+        "max",
+        "--window",
+        "1",
+        "--frame-rate",
+        "100",
+        "--config",
+    ]);
+    command.arg(config);
+    command.args(
+        fleet
+            .iter()
+            .map(|(robot, path)| format!("{}@{robot}", path.display())),
+    );
+    Process(command.stdout(Stdio::null()).spawn().unwrap())
+}
+
+/// Ends the worker as an operator does.
+fn end(mut worker: Process) {
+    let pid = Pid::from_raw(i32::try_from(worker.0.id()).unwrap()).unwrap();
+    kill_process(pid, Signal::TERM).unwrap();
+    assert!(worker.0.wait().unwrap().success());
+}
+
+#[test]
+fn a_recorded_fleet_gives_the_same_bits_live_and_offline() {
+    let fleet = fleet();
+    if fleet.is_empty() {
+        assert!(
+            std::env::var_os("CI").is_none(),
+            "the recordings under ../shared/data are missing"
+        );
+        println!("skipped: the recordings under ../shared/data are not there");
+        return;
+    }
+    let root = PathBuf::from(format!("/dev/shm/jbt-bits-{}", std::process::id()));
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("fleet.toml");
+    std::fs::write(&path, config(&root)).unwrap();
+    let config = Config::load(&path).unwrap();
+    let models = load_models(&config).unwrap();
+    let read = |(robot, path): &(u32, PathBuf)| (*robot, Trial::read(path).unwrap());
+    let trials: Vec<(u32, Trial)> = fleet.iter().map(read).collect();
+    let offline = evaluate(config.settings(), &models, &trials).unwrap();
+
+    let worker = start_worker(&path);
+    let mut source = start_source(&path, &fleet);
+    let ended = AtomicBool::new(false);
+    let published = std::thread::scope(|scope| {
+        let reader = scope.spawn(|| Published::read(&config, &ended));
+        let status = source.0.wait().unwrap();
+        ended.store(true, Ordering::Relaxed);
+        assert!(status.success(), "the source ended with {status}");
+        reader.join().unwrap()
+    });
+    end(worker);
+
+    let (forecasts, residuals) = compare(&published, &offline);
+    let steps: usize = offline.robots.iter().map(|robot| robot.steps.len()).sum();
+    println!(
+        "figure: {forecasts} forecasts and {residuals} residuals of {steps} samples compared, 0 differ"
+    );
+    assert!(
+        forecasts > steps / 2,
+        "only {forecasts} of {steps} forecasts were seen"
+    );
+    assert!(
+        residuals > steps / 2,
+        "only {residuals} of {steps} residuals were seen"
+    );
+    let blind = offline
+        .robots
+        .iter()
+        .find(|robot| robot.robot == 210)
+        .unwrap();
+    let no_command = Quality::Invalid(joulebus_wire::InvalidReason::NoCommand);
+    assert!(
+        blind
+            .steps
+            .iter()
+            .skip(5)
+            .all(|step| step.quality == no_command),
+        "a rover has no velocities"
+    );
+    assert!(!root.exists(), "left behind: {}", root.display());
+}
