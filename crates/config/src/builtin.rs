@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use toml_edit::{DocumentMut, Item, value};
+use toml_edit::{DocumentMut, Item, Table, value};
 
 /// The fleet's file that ships.
 pub(crate) const FLEET: &str = include_str!("../../../configs/fleet.toml");
@@ -91,8 +91,24 @@ impl Demo {
             .and_then(|platforms| platforms.get_mut(0))
         {
             platform["file"] = value("builtin:gternal");
+            platform["battery"] = Item::Table(battery());
             platform["robots"] = value(toml_edit::Array::from_iter([format!("0-{}", ids.end())]));
         }
         file.to_string()
     }
+}
+
+/// A battery for the simulated robots, so that their budgets can be seen: 10 Wh, assumed, for no
+/// source gives that of GTernal.
+fn battery() -> Table {
+    let mut battery = Table::new();
+    for (key, figure) in [
+        ("capacity_wh", 10.0),
+        ("reserve", 0.1),
+        ("initial_soc", 1.0),
+        ("initial_soc_lo", 0.9),
+    ] {
+        battery[key] = value(figure);
+    }
+    battery
 }

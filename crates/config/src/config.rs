@@ -116,20 +116,28 @@ impl Config {
         let values = &read.values;
         let built = Builder::config(read);
         let complaint = match &built {
-            Some(config) => config.settings.check().err().map(|error| error.to_string()),
-            None => Some("a value is missing".to_owned()),
+            Some(config) => config.complaint(),
+            None => Some(("fleet.name", "a value is missing".to_owned())),
         };
-        if let Some(what) = complaint {
-            let place = values.place("fleet.name");
+        if let Some((key, what)) = complaint {
+            let place = values.place(key).or_else(|| values.place("fleet.name"));
             problems.push(Problem {
                 file: place.map_or_else(String::new, |place| place.file.to_string()),
-                line: None,
-                key: String::new(),
+                line: place.map(|place| place.line),
+                key: key.to_owned(),
                 what,
                 remedy: "See `config explain`".to_owned(),
             });
         }
         built
+    }
+
+    /// What the tick or the bus would refuse although every key by itself is fine, and the key to
+    /// look at.
+    fn complaint(&self) -> Option<(&'static str, String)> {
+        let tick = self.settings.check().err();
+        let tick = tick.map(|error| ("fleet.name", error.to_string()));
+        tick.or_else(|| Some(("domain.root", self.domain().err()?.to_string())))
     }
 
     /// Name of the fleet.

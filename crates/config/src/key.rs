@@ -63,11 +63,11 @@ pub enum Kind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TextRule {
-    /// 1 to 64 letters, digits, `-` and `_`.
+    /// 1 to 32 letters, digits, `-` and `_`.
     Name,
-    /// 1 to 16 lower-case letters, digits and `_`.
+    /// 1 to 8 lower-case letters, digits and `_`.
     Prefix,
-    /// An absolute path of at most 200 bytes; `{uid}` stands for the user's number.
+    /// An absolute path of at most 60 bytes; `{uid}` stands for the user's number.
     Root,
     /// A path, relative to the file that it stands in, or empty.
     OptionalPath,
@@ -155,9 +155,9 @@ impl TextRule {
     #[must_use]
     pub const fn words(self) -> &'static str {
         match self {
-            Self::Name => "1 to 64 letters, digits, - and _",
-            Self::Prefix => "1 to 16 lower-case letters, digits and _",
-            Self::Root => "absolute path of at most 200 bytes; {uid} stands for the user's number",
+            Self::Name => "1 to 32 letters, digits, - and _",
+            Self::Prefix => "1 to 8 lower-case letters, digits and _",
+            Self::Root => "absolute path of at most 60 bytes; {uid} stands for the user's number",
             Self::OptionalPath => "path, relative to this file, or empty",
             Self::PlatformFile => "path, relative to this file, or \"builtin:<name>\"",
             Self::Model => "\"persistence\", \"builtin:<name>\", or a path relative to this file",
@@ -173,15 +173,15 @@ impl TextRule {
         match self {
             Self::Name => made_of(
                 |letter| letter.is_ascii_alphanumeric() || matches!(letter, '-' | '_'),
-                64,
+                32,
             ),
             Self::Prefix => made_of(
                 |letter| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == '_',
-                16,
+                8,
             ),
             Self::Root => {
                 text.starts_with('/')
-                    && text.len() <= 200
+                    && text.len() <= 60
                     && !text.contains('\0')
                     && !text.split('/').any(|part| part == "..")
                     && text

@@ -140,7 +140,7 @@ fn the_demo_needs_no_file_but_its_own() {
     for robots in [1, 20, 100_000] {
         let demo = Demo {
             fleet: "demo-7".to_owned(),
-            root: PathBuf::from("/dev/shm/joulebus-demo \"7\""),
+            root: PathBuf::from("/dev/shm/joulebus-demo-7"),
             prefix: "jbd7_".to_owned(),
             robots,
         };
@@ -240,4 +240,45 @@ fn explanations_cover_keys_sections_and_everything() {
         unknown.to_string().contains("`tick.deadline_ms`"),
         "{unknown}"
     );
+}
+
+#[test]
+fn a_root_that_shared_memory_cannot_take_is_refused_with_its_line() {
+    let demo = |root: &str| Demo {
+        fleet: "demo".to_owned(),
+        root: PathBuf::from(root),
+        prefix: "jb_".to_owned(),
+        robots: 1,
+    };
+    for root in [
+        "/dev/shm/a b",
+        "/dev/shm/0123456789-0123456789-0123456789-0123456789",
+    ] {
+        let text = demo(root).toml();
+        let line = 1 + text
+            .lines()
+            .position(|line| line.starts_with("root ="))
+            .unwrap();
+        let error = Config::parse(&text, Path::new("/nowhere")).unwrap_err();
+        let problem = &error.problems()[0];
+        assert_eq!(
+            (problem.key.as_str(), problem.line),
+            ("domain.root", Some(line)),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn the_demos_robots_have_a_battery() {
+    let root = PathBuf::from("/dev/shm/joulebus-demo-7");
+    let demo = Demo {
+        fleet: "demo".to_owned(),
+        root,
+        prefix: "jb_".to_owned(),
+        robots: 2,
+    };
+    let config = Config::parse(&demo.toml(), Path::new("/nowhere")).unwrap();
+    let battery = config.settings().platforms[0].battery.unwrap();
+    assert_eq!(battery.capacity_j, 36_000.0);
 }
