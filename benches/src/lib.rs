@@ -4,7 +4,8 @@
 use std::fs;
 
 use hdrhistogram::Histogram;
-use serde::{Deserialize, Serialize};
+pub use joulebus_predictor_worker::Spread;
+use serde::Serialize;
 
 /// The machine and the build that a figure belongs to.
 #[derive(Debug, Clone, Serialize)]
@@ -52,47 +53,17 @@ impl Machine {
     }
 }
 
-/// Distribution of a time, µs.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub struct Spread {
-    /// Values.
-    pub count: u64,
-    /// Median.
-    pub p50: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// 99.9th percentile.
-    pub p999: f64,
-    /// Greatest.
-    pub max: f64,
-}
-
-impl Spread {
-    /// From a histogram of ns.
-    #[must_use]
-    pub fn of(histogram: &Histogram<u64>) -> Self {
-        let us = |quantile| histogram.value_at_quantile(quantile) as f64 * 1e-3;
-        Self {
-            count: histogram.len(),
-            p50: us(0.5),
-            p99: us(0.99),
-            p999: us(0.999),
-            max: histogram.max() as f64 * 1e-3,
-        }
-    }
-}
-
-impl std::fmt::Display for Spread {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self {
-            p50,
-            p99,
-            p999,
-            max,
-            ..
-        } = self;
-        write!(f, "{p50:>9.1} {p99:>9.1} {p999:>9.1} {max:>9.1}")
-    }
+/// A distribution in one line, µs: p50, p99, p99.9, max.
+#[must_use]
+pub fn line(spread: &Spread) -> String {
+    let Spread {
+        p50_us,
+        p99_us,
+        p999_us,
+        max_us,
+        ..
+    } = spread;
+    format!("{p50_us:>9.1} {p99_us:>9.1} {p999_us:>9.1} {max_us:>9.1}")
 }
 
 /// A histogram of ns up to a minute, three digits.

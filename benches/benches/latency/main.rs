@@ -1,4 +1,4 @@
-//! From sample sent to forecast readable, between real processes, beside two raw iceoryx2 hops of
+//! From sample due to forecast readable, between real processes, beside two raw iceoryx2 hops of
 //! the same frames paced the same way, and the bare kernel, all in one run.
 //!
 //! `cargo bench -p joulebus-benches --bench latency -- --seconds 20 --json bench-results/latency.json`
@@ -13,7 +13,7 @@ use std::process::{Child, Command, Stdio};
 
 use anyhow::{Context, bail};
 use clap::{Parser, Subcommand};
-use joulebus_benches::{Machine, Spread};
+use joulebus_benches::{Machine, Spread, line};
 use joulebus_predictor::{Model, Network};
 use serde::Serialize;
 
@@ -66,6 +66,8 @@ struct Row {
     robots: usize,
     /// From the frame's intended time to the forecast readable.
     end_to_end_us: Spread,
+    /// From the frame's intended time to its sending: the source's own share.
+    source_us: Spread,
     /// From the frame's sending to the worker's taking.
     one_way_us: Spread,
     /// From the tick's start to the last forecast written.
@@ -144,9 +146,10 @@ fn row(model: &Model, robots: usize, rate_hz: u64, frames: u64) -> anyhow::Resul
     let kernel = kernel::measure(model, robots, rate_hz, frames.min(5 * rate_hz));
     Ok(Row {
         robots,
-        ratio_p50: through.end_to_end_us.p50 / (raw.p50 + kernel.p50),
-        ratio_p99: through.end_to_end_us.p99 / (raw.p99 + kernel.p99),
+        ratio_p50: through.end_to_end_us.p50_us / (raw.p50_us + kernel.p50_us),
+        ratio_p99: through.end_to_end_us.p99_us / (raw.p99_us + kernel.p99_us),
         end_to_end_us: through.end_to_end_us,
+        source_us: through.source_us,
         one_way_us: through.one_way_us,
         compute_us: through.compute_us,
         tick_us: through.tick_us,
@@ -160,14 +163,15 @@ fn row(model: &Model, robots: usize, rate_hz: u64, frames: u64) -> anyhow::Resul
 fn print(row: &Row) {
     println!("\n{} robots ({} frames missed)", row.robots, row.missed);
     for (name, spread) in [
-        ("sample sent → forecast readable", &row.end_to_end_us),
+        ("sample due → forecast readable", &row.end_to_end_us),
+        ("  the source wakes and writes", &row.source_us),
         ("  sample sent → taken by the worker", &row.one_way_us),
         ("  compute", &row.compute_us),
         ("whole tick", &row.tick_us),
         ("two raw hops of the same frames", &row.raw_two_hops_us),
         ("bare kernel after the same sleep", &row.kernel_us),
     ] {
-        println!("{name:<36}{spread}");
+        println!("{name:<36}{}", line(spread));
     }
     println!(
         "end to end / (raw + kernel): p50 {:.2}, p99 {:.2}",

@@ -32,6 +32,7 @@ pub(crate) fn measure(robots: usize, rate_hz: u64, frames: u64) -> anyhow::Resul
     std::fs::create_dir_all(&root)?;
     let spread = run(Path::new(&root), robots, rate_hz, frames);
     std::fs::remove_dir_all(&root)?;
+    remove_segments()?;
     spread
 }
 
@@ -60,6 +61,17 @@ fn run(root: &Path, robots: usize, rate_hz: u64, frames: u64) -> anyhow::Result<
     relay.kill()?;
     relay.wait()?;
     spread
+}
+
+/// iceoryx2 leaves a segment of its own behind, and the relay is killed.
+fn remove_segments() -> anyhow::Result<()> {
+    for entry in std::fs::read_dir("/dev/shm")? {
+        let entry = entry?;
+        if entry.file_name().to_string_lossy().starts_with("jbraw_") {
+            std::fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
 }
 
 pub(crate) fn relay(root: &Path, robots: usize) -> anyhow::Result<()> {

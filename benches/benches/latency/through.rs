@@ -22,6 +22,7 @@ const WARM_UP: u64 = 30;
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Figures {
     pub end_to_end_us: Spread,
+    pub source_us: Spread,
     pub one_way_us: Spread,
     pub compute_us: Spread,
     pub missed: u64,
@@ -118,14 +119,7 @@ pub(crate) fn worker(path: &Path) -> anyhow::Result<()> {
         told.store(true, std::sync::atomic::Ordering::Relaxed);
     });
     let report = worker.run(&stop)?;
-    let tick = report.tick;
-    let tick_us = Spread {
-        count: tick.count,
-        p50: tick.p50_us,
-        p99: tick.p99_us,
-        p999: tick.p999_us,
-        max: tick.max_us,
-    };
+    let tick_us = report.tick;
     println!(
         "{}",
         serde_json::to_string(&WorkerFigures {
@@ -157,7 +151,8 @@ pub(crate) fn planner(path: &Path, frames: u64) -> anyhow::Result<()> {
     let mut waiter = bus.planner_waiter(&limits)?;
     let mut reader = bus.forecast_reader(&limits)?;
     println!("ready");
-    let (mut end_to_end, mut one_way, mut compute) = (histogram(), histogram(), histogram());
+    let (mut end_to_end, mut source) = (histogram(), histogram());
+    let (mut one_way, mut compute) = (histogram(), histogram());
     let (mut seen, mut last_tick, mut missed) = (0, 0, 0);
     while seen < WARM_UP + frames {
         waiter.wait_until(None, None)?;
@@ -175,6 +170,11 @@ pub(crate) fn planner(path: &Path, frames: u64) -> anyhow::Result<()> {
             missed += header.tick - last_tick - 1;
             last_tick = header.tick;
             end_to_end.saturating_record(now_ns.saturating_sub(header.first_intended_ns));
+            source.saturating_record(
+                header
+                    .first_sent_ns
+                    .saturating_sub(header.first_intended_ns),
+            );
             one_way.saturating_record(header.first_taken_ns.saturating_sub(header.first_sent_ns));
             compute.saturating_record(
                 header
@@ -185,6 +185,7 @@ pub(crate) fn planner(path: &Path, frames: u64) -> anyhow::Result<()> {
     }
     let figures = Figures {
         end_to_end_us: Spread::of(&end_to_end),
+        source_us: Spread::of(&source),
         one_way_us: Spread::of(&one_way),
         compute_us: Spread::of(&compute),
         missed,

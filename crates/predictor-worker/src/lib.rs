@@ -17,5 +17,5 @@ mod worker;
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use clerk::ClerkError;
 pub use models::{ModelsError, load_models};
-pub use report::Report;
+pub use report::{Report, Spread};
 pub use worker::{OpenError, RunError, Worker};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use hdrhistogram::Histogram;
 use joulebus_wire::DropCounts;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// What a run of the worker came to.
 #[derive(Debug, Clone, Serialize)]
@@ -32,7 +32,7 @@ pub struct Report {
 }
 
 /// Distribution of a time.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Values.
     pub count: u64,

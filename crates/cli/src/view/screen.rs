@@ -1,5 +1,6 @@
 //! The live view: draws a board.
 
+use joulebus_predictor_worker::Spread;
 use joulebus_wire::Level;
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -12,8 +13,7 @@ use ratatui::widgets::{
 };
 
 use super::board::{Board, Link, Point, Row};
-use super::cells::{HEADS, cells, count, micros, percent};
-use super::stages::Spread;
+use super::cells::{HEADS, cells, count, fitting, micros, percent};
 
 const ACCENT: Color = Color::Cyan;
 const FORECAST: Color = Color::Magenta;
@@ -140,7 +140,10 @@ impl Screen {
             return;
         }
         self.table.select(Some(self.place(board).unwrap_or(0)));
-        let heads = HEADS.iter().map(|(head, _)| right_or_left(head, head));
+        let places = fitting(area.width.saturating_sub(2));
+        let heads = places.iter().map(|place| HEADS[*place]);
+        let widths = heads.clone().map(|(_, width)| Constraint::Length(width));
+        let heads = heads.map(|(head, _)| right_or_left(head, head));
         // Only what can be seen is turned into text: a fleet may have thousands of robots.
         let seen = usize::from(area.height);
         let from = self.table.selected().unwrap_or(0).saturating_sub(seen);
@@ -148,10 +151,9 @@ impl Screen {
             if place < from || place > from + 2 * seen {
                 TableRow::default()
             } else {
-                table_row(*robot, row)
+                table_row(*robot, row, &places)
             }
         });
-        let widths = HEADS.map(|(_, width)| Constraint::Length(width));
         let table = Table::new(rows, widths)
             .header(TableRow::new(heads).style(QUIET))
             .row_highlight_style(
@@ -232,13 +234,14 @@ fn right_or_left(head: &str, text: &str) -> Cell<'static> {
     })
 }
 
-fn table_row(robot: u32, row: &Row) -> TableRow<'static> {
+fn table_row(robot: u32, row: &Row, places: &[usize]) -> TableRow<'static> {
     let texts = cells(robot, row);
     let level = row.level();
     let known = row.forecast.power_w().is_some();
-    let cells = HEADS.iter().zip(&texts).map(|((head, _), text)| {
-        let cell = right_or_left(head, text);
-        match *head {
+    let cells = places.iter().map(|place| {
+        let head = HEADS[*place].0;
+        let cell = right_or_left(head, &texts[*place]);
+        match head {
             "read W" => cell.fg(ACCENT),
             "forecast W" => cell.fg(FORECAST),
             "quality" if !known => cell.fg(Color::Yellow),

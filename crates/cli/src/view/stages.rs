@@ -3,6 +3,7 @@
 use std::fmt;
 
 use hdrhistogram::Histogram;
+use joulebus_predictor_worker::Spread;
 use joulebus_wire::ForecastHeader;
 use serde::{Deserialize, Serialize};
 
@@ -99,35 +100,6 @@ impl Latency {
             ("sent → readable", self.sent_to_readable),
             ("sample → forecast", self.total),
         ]
-    }
-}
-
-/// Distribution of a time.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Spread {
-    /// Values.
-    pub(crate) count: u64,
-    /// Median, µs.
-    pub(crate) p50_us: f64,
-    /// 99th percentile, µs.
-    pub(crate) p99_us: f64,
-    /// 99.9th percentile, µs.
-    pub(crate) p999_us: f64,
-    /// Greatest, µs.
-    pub(crate) max_us: f64,
-}
-
-impl Spread {
-    /// From a histogram of ns.
-    pub(crate) fn of(histogram: &Histogram<u64>) -> Self {
-        let us = |quantile| histogram.value_at_quantile(quantile) as f64 * 1e-3;
-        Self {
-            count: histogram.len(),
-            p50_us: us(0.5),
-            p99_us: us(0.99),
-            p999_us: us(0.999),
-            max_us: histogram.max() as f64 * 1e-3,
-        }
     }
 }
 
