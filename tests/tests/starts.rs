@@ -1,0 +1,183 @@
+//! Rows 20 and 24: what cannot work is refused at the start, in words, and leaves nothing.
+
+use std::process::Command;
+
+use joulebus_tests::{Arena, Child, Ended, Setup, figure, program};
+
+/// What is wrong in the config, how (a line replaced, or lines added), and what the message must
+/// show.
+struct Wrong {
+    what: &'static str,
+    from: &'static str,
+    to: &'static str,
+    shows: &'static [&'static str],
+}
+
+const WRONG: &[Wrong] = &[
+    Wrong {
+        what: "a typo in a key",
+        from: "capacity =",
+        to: "capasity =",
+        shows: &["fleet.toml:3", "capasity", "fleet.capacity", "robots"],
+    },
+    Wrong {
+        what: "a typo in a section",
+        from: "[tick]",
+        to: "[tik]",
+        shows: &["fleet.toml:7", "tik", "tick"],
+    },
+    Wrong {
+        what: "a typo in a platform's key",
+        from: "stale_after_s =",
+        to: "stale_after =",
+        shows: &["stale_after", "stale_after_s"],
+    },
+    Wrong {
+        what: "another unit",
+        from: "deadline_ms =",
+        to: "deadline_s =",
+        shows: &["deadline_s", "deadline_ms", "ms"],
+    },
+    Wrong {
+        what: "out of range",
+        from: "rate_hz = 200.0",
+        to: "rate_hz = 2000.0",
+        shows: &["fleet.toml:9", "2000", "1000", "Hz"],
+    },
+    Wrong {
+        what: "not a number",
+        from: "rate_hz = 200.0",
+        to: "rate_hz = nan",
+        shows: &["fleet.toml:9", "NaN", "0.1 to 1000", "Hz"],
+    },
+    Wrong {
+        what: "text for a number",
+        from: "rate_hz = 200.0",
+        to: "rate_hz = \"200 Hz\"",
+        shows: &["fleet.toml:9", "rate_hz"],
+    },
+    Wrong {
+        what: "a choice that there is not",
+        from: "\"on_frame\"",
+        to: "\"on_fram\"",
+        shows: &["on_fram", "on_frame"],
+    },
+    Wrong {
+        what: "a key twice",
+        from: "policy =",
+        to: "rate_hz = 1.0\npolicy =",
+        shows: &["rate_hz"],
+    },
+    Wrong {
+        what: "contradictory times",
+        from: "leave_after_s = 60.0",
+        to: "leave_after_s = 0.5",
+        shows: &["leave_after_s", "stale_after_s", "0.5"],
+    },
+    Wrong {
+        what: "no TOML at all",
+        from: "[fleet]",
+        to: "[fleet",
+        shows: &["fleet.toml:1"],
+    },
+    Wrong {
+        what: "a platform that does not ship",
+        from: "builtin:gternal",
+        to: "builtin:gternel",
+        shows: &["gternel", "gternal"],
+    },
+    Wrong {
+        what: "a prefix in capitals",
+        from: "\"jbt_\"",
+        to: "\"JBT_\"",
+        shows: &["prefix", "JBT_"],
+    },
+    Wrong {
+        what: "robots that are none",
+        from: "[\"0-99\"]",
+        to: "[\"99-0\"]",
+        shows: &["robots", "99-0"],
+    },
+];
+
+#[test]
+fn row_20_a_wrong_config_is_refused_with_line_key_nearest_key_and_unit_and_exit_code_2() {
+    let arena = Arena::new(&Setup::default());
+    let good = std::fs::read_to_string(arena.config()).unwrap();
+    arena.worker().stop();
+    let mut missed: Vec<String> = Vec::new();
+    for wrong in WRONG {
+        assert!(
+            good.contains(wrong.from),
+            "{}: {:?} in {good}",
+            wrong.what,
+            wrong.from
+        );
+        std::fs::write(arena.config(), good.replacen(wrong.from, wrong.to, 1)).unwrap();
+        let mut check = Command::new(program("joulebus-under-test"));
+        check.args(["config", "check"]).arg(arena.config());
+        for (verb, command) in [
+            ("run", arena.command(&["run"])),
+            ("doctor", arena.command(&["doctor"])),
+            ("config check", check),
+        ] {
+            let ended = Child::spawn(verb, command).wait();
+            if ended.code() != Some(2) {
+                missed.push(format!("{}: {verb}: {ended:?}", wrong.what));
+            }
+            let errors = ended.errors();
+            for part in wrong.shows {
+                if !errors.contains(part) {
+                    missed.push(format!("{}: {verb}: no {part:?} in {errors}", wrong.what));
+                }
+            }
+        }
+        assert_eq!(
+            arena.leftovers(),
+            Vec::<std::path::PathBuf>::new(),
+            "{}",
+            wrong.what
+        );
+    }
+    assert!(missed.is_empty(), "{}", missed.join("\n"));
+    figure(
+        "row 20, silent acceptances",
+        format_args!("0 of {} wrong configs, each by three verbs", WRONG.len()),
+    );
+    arena.close();
+}
+
+#[test]
+fn row_24_too_little_shared_memory_is_refused_at_the_start_with_needed_and_free_bytes() {
+    let arena = Arena::new(&Setup {
+        capacity: 1_000_000,
+        max_planners: 256,
+        max_sources: 256,
+        buffer_frames: 256,
+        ..Setup::default()
+    });
+    let refused = |name: &str, ended: &Ended| {
+        assert_eq!(ended.signal(), None, "{name}: no SIGBUS: {ended:?}");
+        assert_eq!(ended.code(), Some(1), "{name}: {ended:?}");
+        let errors = ended.errors();
+        let words: Vec<&str> = errors.split_whitespace().collect();
+        let before = |word: &str| -> u64 {
+            let at = words.iter().position(|found| *found == word).expect(word);
+            words[at - 1]
+                .parse()
+                .unwrap_or_else(|_| words[at - 2].parse().expect(&errors))
+        };
+        let (needed, free) = (before("needed,"), before("free"));
+        assert!(needed > free && free > 0, "{name}: {errors}");
+        (needed, free)
+    };
+    let (needed, free) = refused("worker", &arena.run(&["run"]));
+    let mut source = Child::spawn("source", arena.probe(&["source", "fleet"]));
+    refused("source", &source.wait());
+    assert_eq!(arena.leftovers(), Vec::<std::path::PathBuf>::new());
+    figure(
+        "row 24, SIGBUS",
+        format_args!("0; worker refused: {needed} bytes needed, {free} free"),
+    );
+    arena.close();
+}
