@@ -13,7 +13,7 @@ use crate::config::{self, ConfigError};
 use crate::domain::{check_private, effective_uid};
 use crate::membership::MembersLock;
 use crate::stillborn::{objects, remove_stillborn};
-use crate::{Domain, RootError};
+use crate::{Domain, RootError, WorkerLock};
 
 /// What was removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -65,6 +65,7 @@ pub fn sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
 fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
     let mut report = SweepReport::default();
     if fs::symlink_metadata(domain.directory()).is_err() && objects(domain)?.is_empty() {
+        WorkerLock::remove_stale(domain);
         domain.remove_root();
         return Ok(report);
     }

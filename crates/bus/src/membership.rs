@@ -16,7 +16,7 @@ use crate::domain::effective_uid;
 use crate::keeper::Keeper;
 use crate::leftovers::{SweepError, SweepReport, is_same, remove_all};
 use crate::stillborn::objects;
-use crate::{Domain, RootError};
+use crate::{Domain, RootError, WorkerLock};
 
 /// How long a join may take before it is given up.
 pub(crate) const JOIN_LIMIT: Duration = Duration::from_secs(5);
@@ -60,12 +60,14 @@ impl MembersLock {
         is_same(&self.file, &domain.members_file())
     }
 
-    /// Removes the file and the directories around it, as far as they are empty. The caller holds
+    /// Removes the file, that of a killed worker, and the directories around them, as far as they
+    /// are empty. The caller holds
     /// the lock exclusively; who opened the file meanwhile sees that it is gone and starts again.
     pub(crate) fn remove(self, domain: &Domain) {
         if self.is_current(domain).unwrap_or(false) {
             let _ = fs::remove_file(domain.members_file());
             let _ = fs::remove_dir(domain.directory());
+            WorkerLock::remove_stale(domain);
             domain.remove_root();
         }
     }

@@ -57,6 +57,18 @@ impl WorkerLock {
         }
     }
 
+    /// Removes the file of a worker that was killed; not one that is held. Whoever takes the lock at
+    /// this moment sees that the file is gone, and starts again.
+    pub(crate) fn remove_stale(domain: &Domain) {
+        let path = domain.worker_file();
+        if let Ok(file) = fs::OpenOptions::new().read(true).open(&path)
+            && flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok()
+            && is_same(&file, &path).unwrap_or(false)
+        {
+            let _ = fs::remove_file(&path);
+        }
+    }
+
     fn try_acquire(domain: &Domain) -> Result<Option<Self>, WorkerLockError> {
         domain.prepare_root()?;
         let path = domain.worker_file();
@@ -78,6 +90,9 @@ impl WorkerLock {
             Err(Errno::INTR) => return Ok(None),
             Err(Errno::WOULDBLOCK) => {
                 let (pid, since_unix_ns) = read(&mut file).map_err(failed)?;
+                if !is_same(&file, &path).map_err(failed)? {
+                    return Ok(None);
+                }
                 return Err(WorkerLockError::AlreadyRunning {
                     fleet: domain.fleet().to_owned(),
                     pid,
