@@ -35,6 +35,17 @@ pub(crate) struct UsageError(pub(crate) String);
 #[error("stdout was closed")]
 pub(crate) struct StdoutClosed;
 
+/// The error and its causes, each said once: many of ours quote their cause already.
+fn in_words(error: &anyhow::Error) -> String {
+    let mut words = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !words.contains(&cause) {
+            words = format!("{words}: {cause}");
+        }
+    }
+    words
+}
+
 /// The exit code; says on stderr what went wrong.
 pub(crate) fn code(result: anyhow::Result<Outcome>) -> ExitCode {
     match result {
@@ -43,7 +54,7 @@ pub(crate) fn code(result: anyhow::Result<Outcome>) -> ExitCode {
         Ok(Outcome::Incomplete) => ExitCode::from(3),
         Err(error) if error.is::<StdoutClosed>() => ExitCode::SUCCESS,
         Err(error) => {
-            crate::output::say(&format!("error: {error:#}"));
+            crate::output::say(&format!("error: {}", in_words(&error)));
             let is_usage = error.chain().any(|cause| {
                 cause.is::<UsageError>() || cause.is::<ConfigError>() || cause.is::<UnknownKey>()
             });
