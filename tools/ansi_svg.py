@@ -11,7 +11,7 @@ import sys
 import unicodedata
 from xml.sax.saxutils import escape
 
-CELL_W, CELL_H, FONT_PX, PAD = 8.4, 18, 14, 14
+CELL_W, CELL_H, FONT_PX, PAD = 8.4, 17, 14, 14
 BACKGROUND, FOREGROUND = "#11151c", "#d5dbe3"
 # Normal and bright: black, red, green, yellow, blue, magenta, cyan, white.
 PALETTE = [
@@ -121,7 +121,7 @@ def main():
             weight = ' font-weight="bold"' if bold else ""
             # The length keeps columns in line whatever font the reader has.
             out.append(
-                f'<text x="{x:.1f}" y="{top + 13.5}" fill="{fg}"{weight} '
+                f'<text x="{x:.1f}" y="{top + 13}" fill="{fg}"{weight} '
                 f'textLength="{wide:.1f}" lengthAdjust="spacingAndGlyphs">{escape(text)}</text>'
             )
     out.append("</g></svg>")

@@ -7,7 +7,6 @@ mod summary;
 
 use std::time::Duration;
 
-use anyhow::Context as _;
 use joulebus_bus::clock;
 
 use crate::exit::Outcome;
@@ -204,17 +203,15 @@ impl Demo<'_> {
         let planner = self.supervisor.end(PLANNER, GRACE, &mut self.events);
         let board = feed.finish()?;
         self.supervisor.end(WORKER, GRACE, &mut self.events);
-        let planner: Option<PlannerReport> = match planner.status {
-            None => None,
-            Some(status) => Some(
-                serde_json::from_str(&planner.stdout)
-                    .with_context(|| format!("the planner ended with {status} and no report"))?,
-            ),
-        };
+        // One that was ended before it was ready has nothing to report.
+        let report: Option<PlannerReport> = serde_json::from_str(&planner.stdout).ok();
+        if let (None, Some(status)) = (&report, planner.status) {
+            say(&format!("the planner left no report: {status}"));
+        }
         Ok(Summary::new(
             &board,
             self.account(&board, told),
-            planner,
+            report,
             &self.planted,
             (self.args.seed, duration_s),
             self.deaths(),

@@ -78,7 +78,7 @@ pub(super) struct Summary {
     /// Of the last worker.
     scores: Scores,
     stand_out: Vec<StandsOut>,
-    /// Faults that nobody has noticed.
+    /// Faults that began and that nobody has noticed.
     unnoticed: Vec<Planted>,
     /// Processes that died and were started again.
     deaths: Vec<String>,
@@ -105,7 +105,10 @@ impl Summary {
             })
             .map(|(robot, raised)| stands_out(board, *robot, raised, planted))
             .collect();
-        let noticed = |planted: &&Planted| stand_out.iter().all(|out| out.robot != planted.robot);
+        let unnoticed = |planted: &&Planted| {
+            let begun = planted.from_s < duration_s;
+            begun && stand_out.iter().all(|out| out.robot != planted.robot)
+        };
         Self {
             robots: board.rows.len(),
             seed,
@@ -120,7 +123,7 @@ impl Summary {
             samples,
             planner,
             scores: board.scores(),
-            unnoticed: planted.iter().filter(noticed).cloned().collect(),
+            unnoticed: planted.iter().filter(unnoticed).cloned().collect(),
             stand_out,
             deaths,
             left_behind: LeftBehind::default(),

@@ -23,6 +23,30 @@ pub(crate) const HEADS: [(&str, u16); 12] = [
     ("state", 20),
 ];
 
+/// Columns that a narrow view does without, first the first.
+const DISPENSABLE: [&str; 7] = [
+    "charge",
+    "drawn J",
+    "inside",
+    "skill",
+    "interval W",
+    "off by W",
+    "MAE W",
+];
+
+/// Places of the columns that fit into `width`, with one column between any two.
+pub(crate) fn fitting(width: u16) -> Vec<usize> {
+    let mut places: Vec<usize> = (0..HEADS.len()).collect();
+    for dispensable in DISPENSABLE {
+        let taken: u16 = places.iter().map(|place| HEADS[*place].1 + 1).sum();
+        if taken <= width.saturating_add(1) {
+            break;
+        }
+        places.retain(|place| HEADS[*place].0 != dispensable);
+    }
+    places
+}
+
 /// A robot's cells.
 pub(crate) fn cells(robot: u32, row: &Row) -> [String; 12] {
     let (forecast, diagnostic, budget) = (&row.forecast, &row.diagnostic, &row.budget);
@@ -128,6 +152,34 @@ pub(crate) fn micros(us: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_narrow_view_does_without_columns_instead_of_cutting_them() {
+        let heads =
+            |width| -> Vec<&str> { fitting(width).iter().map(|place| HEADS[*place].0).collect() };
+        assert_eq!(heads(118).len(), HEADS.len());
+        assert_eq!(
+            heads(117),
+            HEADS
+                .map(|(head, _)| head)
+                .into_iter()
+                .filter(|head| *head != "charge")
+                .collect::<Vec<_>>()
+        );
+        assert_eq!(
+            heads(78),
+            [
+                "robot",
+                "quality",
+                "read W",
+                "forecast W",
+                "off by W",
+                "MAE W",
+                "state"
+            ]
+        );
+        assert_eq!(heads(0).len(), HEADS.len() - DISPENSABLE.len());
+    }
 
     #[test]
     fn numbers_read_well() {
