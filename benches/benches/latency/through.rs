@@ -3,10 +3,10 @@
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use joulebus_benches::{Spread, histogram};
 use joulebus_bus::{Bus, clock};
 use joulebus_config::{Config, Demo};
@@ -112,20 +112,23 @@ pub(crate) fn worker(path: &Path) -> anyhow::Result<()> {
     println!("ready");
     let stop = Arc::new(AtomicBool::new(false));
     let told = Arc::clone(&stop);
-    // The benchmark closes our input when it is done.
-    std::thread::spawn(move || {
+    // The benchmark closes our input when it is done; what the worker holds is measured before it
+    // gives it back.
+    let measuring = std::thread::spawn(move || {
         let mut line = String::new();
         let _ = BufReader::new(std::io::stdin()).read_line(&mut line);
-        told.store(true, std::sync::atomic::Ordering::Relaxed);
+        let own_bytes = own_bytes();
+        told.store(true, Ordering::Relaxed);
+        own_bytes
     });
     let report = worker.run(&stop)?;
     let tick_us = report.tick;
+    let own_bytes = measuring
+        .join()
+        .map_err(|_| anyhow!("measuring panicked"))??;
     println!(
         "{}",
-        serde_json::to_string(&WorkerFigures {
-            tick_us,
-            own_bytes: own_bytes()?
-        })?
+        serde_json::to_string(&WorkerFigures { tick_us, own_bytes })?
     );
     Ok(())
 }
