@@ -261,8 +261,8 @@ fn draw_boxes(frame: &mut Frame, area: Rect, board: &Board) {
     let [ticks, samples, latency, scores] = Layout::horizontal([
         Constraint::Length(18),
         Constraint::Length(22),
-        Constraint::Fill(1),
-        Constraint::Length(34),
+        Constraint::Min(if area.width < 112 { 38 } else { 46 }),
+        Constraint::Max(34),
     ])
     .areas(area);
     let (done, skipped, late) = board.ticks();
@@ -349,13 +349,18 @@ fn draw_scores(frame: &mut Frame, area: Rect, board: &Board) {
     let scores = board.scores();
     let unknown = || "–".to_owned();
     let number = |value: Option<f64>| value.map_or_else(unknown, |value| format!("{value:.3}"));
+    let versus = if area.width < 32 {
+        "  vs "
+    } else {
+        "  persistence "
+    };
     let line = |name: &str, ours, theirs| {
         Line::from(vec![
             Span::styled(format!(" {name:<6}"), QUIET),
             Span::from(format!("{:>6}", number(ours)))
                 .fg(FORECAST)
                 .bold(),
-            Span::styled("  persistence ", QUIET),
+            Span::styled(versus, QUIET),
             Span::from(number(theirs)),
         ])
     };
@@ -364,7 +369,7 @@ fn draw_scores(frame: &mut Frame, area: Rect, board: &Board) {
         line("MAE W", scores.mae_w, scores.persistence_mae_w),
         line("R²", scores.r2, scores.persistence_r2),
         Line::from(vec![
-            Span::styled(" inside the interval ", QUIET),
+            Span::styled(inside, QUIET),
             Span::from(coverage).bold(),
         ]),
     ];

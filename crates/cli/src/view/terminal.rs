@@ -1,9 +1,12 @@
 //! The terminal: taken over for the live view and always given back.
 
+use std::mem::ManuallyDrop;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
 
 use super::board::Board;
 use super::feed::Feed;
@@ -17,19 +20,25 @@ const DRAW_EVERY: Duration = Duration::from_millis(100);
 
 /// The terminal in the view's hands; given back when dropped, and by a hook when somebody panics.
 struct Taken {
-    terminal: ratatui::DefaultTerminal,
+    terminal: ManuallyDrop<ratatui::DefaultTerminal>,
 }
 
 impl Taken {
     fn take() -> anyhow::Result<Self> {
         let terminal = ratatui::try_init().context("cannot use the terminal; try --plain")?;
-        Ok(Self { terminal })
+        Ok(Self {
+            terminal: ManuallyDrop::new(terminal),
+        })
     }
 }
 
 impl Drop for Taken {
     fn drop(&mut self) {
-        ratatui::restore();
+        // The terminal's own drop shows the cursor, and panics when there is nobody to complain to:
+        // a terminal that is gone is left alone.
+        if ratatui::try_restore().is_ok() {
+            let _ = self.terminal.show_cursor();
+        }
     }
 }
 
@@ -58,7 +67,10 @@ pub(crate) fn show(
                 .draw(|frame| screen.draw(frame, &feed.board()))
                 .context("cannot draw")?;
         }
-        if event::poll(LOOK_EVERY).context("cannot read keys")? {
+        if is_closed(LOOK_EVERY)? {
+            return Ok(());
+        }
+        if event::poll(Duration::ZERO).context("cannot read keys")? {
             let event = event::read().context("cannot read keys")?;
             if act(&event, screen, &feed.board()) {
                 return Ok(());
@@ -67,6 +79,26 @@ pub(crate) fn show(
         }
     }
     Ok(())
+}
+
+/// Waits for a key; whether the terminal is gone instead. Crossterm would wait for ever for the
+/// keys of one that is.
+fn is_closed(patience: Duration) -> anyhow::Result<bool> {
+    let stdin = std::io::stdin();
+    let mut polled = [PollFd::new(&stdin, PollFlags::IN)];
+    let timeout = Timespec {
+        tv_sec: 0,
+        tv_nsec: patience.subsec_nanos().into(),
+    };
+    match poll(&mut polled, Some(&timeout)) {
+        Ok(_) => {
+            let gone = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;
+            Ok(polled[0].revents().intersects(gone))
+        }
+        // A signal: whoever asked for the end is seen in the next round.
+        Err(Errno::INTR) => Ok(false),
+        Err(error) => Err(error).context("cannot wait for keys"),
+    }
 }
 
 /// Does what a key asks for; whether it asks for the end.
