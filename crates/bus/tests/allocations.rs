@@ -1,43 +1,14 @@
 //! After warm-up the thread that uses the ports allocates nothing of its own: one allocation a
 //! loan is iceoryx2's.
-#![allow(unsafe_code, reason = "a counting allocator")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+#[path = "../../../tests/counting.rs"]
+mod counting;
+
 use std::path::Path;
 
+use counting::allocations;
 use joulebus_bus::{Bus, Domain, FrameBuf, Limits, clock};
 use joulebus_wire::{Forecast, ForecastHeader, Sample, SampleHeader, WakeEvent};
-
-struct Counting;
-
-thread_local! {
-    /// Of this thread alone: the keeper may allocate, it is no part of a tick.
-    static COUNT: Cell<u64> = const { Cell::new(0) };
-}
-
-// SAFETY: hands everything to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let _ = COUNT.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller's promise, passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise, passed on.
-        unsafe { System.dealloc(memory, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-fn allocations(work: impl FnOnce()) -> u64 {
-    let before = COUNT.get();
-    work();
-    COUNT.get() - before
-}
 
 #[test]
 fn only_loans_allocate_and_only_once() {

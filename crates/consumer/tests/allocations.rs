@@ -1,49 +1,20 @@
 //! After warm-up neither a source nor a planner allocates anything of its own: one allocation a
 //! frame sent is iceoryx2's.
-#![allow(unsafe_code, reason = "a counting allocator")]
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 #[path = "../../publisher/tests/harness/mod.rs"]
 mod harness;
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+#[path = "../../../tests/counting.rs"]
+mod counting;
+
 use std::time::Duration;
 
+use counting::allocations;
 use joulebus_bus::{Bus, clock};
 use joulebus_consumer::{Config, Event, Planner};
 use joulebus_publisher::{Publisher, RobotState};
 use joulebus_wire::{Budget, BudgetHeader, Forecast, ForecastHeader, SCHEMA_VERSION, WakeEvent};
-
-struct Counting;
-
-thread_local! {
-    /// Of this thread alone: the keeper may allocate.
-    static COUNT: Cell<u64> = const { Cell::new(0) };
-}
-
-// SAFETY: hands everything to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        let _ = COUNT.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller's promise, passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise, passed on.
-        unsafe { System.dealloc(memory, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-fn allocations(work: impl FnOnce()) -> u64 {
-    let before = COUNT.get();
-    work();
-    COUNT.get() - before
-}
 
 #[test]
 fn only_loans_allocate_and_only_once() {

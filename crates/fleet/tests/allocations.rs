@@ -1,57 +1,12 @@
 //! After warm-up nothing in the tick allocates; and what is allocated at start is as promised.
-#![allow(unsafe_code)] // A global allocator that counts cannot be written without.
 
+#[path = "../../../tests/counting.rs"]
+mod counting;
 mod world;
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 
 use joulebus_fleet::Fleet;
 use joulebus_wire::{Budget, Diagnostic, Forecast, Sample, sample_flag};
 use world::{MS, PERIOD_NS, SLOW_NS, Source, healthy, models, settings};
-
-thread_local! {
-    /// Calls and bytes of this thread: other tests run beside this one.
-    static CALLS: Cell<u64> = const { Cell::new(0) };
-    static BYTES: Cell<u64> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-fn count(bytes: usize) {
-    CALLS.with(|calls| calls.set(calls.get() + 1));
-    BYTES.with(|total| total.set(total.get() + bytes as u64));
-}
-
-// SAFETY: every call goes to the system's allocator unchanged; counting touches only constant
-// thread-locals without destructors, which neither allocate nor unwind.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count(layout.size());
-        // SAFETY: the caller keeps the contract of `alloc`, which is the system's too.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        count(layout.size());
-        // SAFETY: as above.
-        unsafe { System.alloc_zeroed(layout) }
-    }
-
-    unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count(size);
-        // SAFETY: `block` came from the system's allocator, as all blocks of this one do.
-        unsafe { System.realloc(block, layout, size) }
-    }
-
-    unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
-        // SAFETY: `block` came from the system's allocator, as all blocks of this one do.
-        unsafe { System.dealloc(block, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 const START_NS: u64 = 60_000 * MS;
 const ROBOTS: u32 = 100;
@@ -98,7 +53,7 @@ fn taking_ticking_and_writing_out_allocate_nothing() {
         // Every now and then all are silent for so long that they leave.
         let silent = step % 1_000 > 900;
         fill(&mut frame, step, now_ns);
-        let before = CALLS.get();
+        let before = counting::calls();
         if !silent {
             source.send(&mut fleet, &frame, now_ns);
         }
@@ -108,7 +63,7 @@ fn taking_ticking_and_writing_out_allocate_nothing() {
             diagnostics[place] = fleet.diagnostic(place);
             budgets[place] = fleet.budget(place);
         }
-        assert_eq!(CALLS.get() - before, 0, "allocations in tick {step}");
+        assert_eq!(counting::calls() - before, 0, "allocations in tick {step}");
         if step > 1_000 {
             let (least, most) = least_and_most;
             least_and_most = (fleet.len().min(least), fleet.len().max(most));
@@ -124,9 +79,9 @@ fn taking_ticking_and_writing_out_allocate_nothing() {
 fn a_robot_takes_at_most_512_bytes_and_the_account_of_one_that_has_left_113() {
     let bytes = |capacity: u32| {
         let (settings, models) = (settings(capacity), models());
-        let before = BYTES.get();
+        let before = counting::bytes();
         let fleet = Fleet::new(settings, models).expect("the settings are fine");
-        let taken = BYTES.get() - before;
+        let taken = counting::bytes() - before;
         assert_eq!(fleet.capacity(), capacity);
         taken
     };
