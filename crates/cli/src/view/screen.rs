@@ -349,10 +349,10 @@ fn draw_scores(frame: &mut Frame, area: Rect, board: &Board) {
     let scores = board.scores();
     let unknown = || "–".to_owned();
     let number = |value: Option<f64>| value.map_or_else(unknown, |value| format!("{value:.3}"));
-    let versus = if area.width < 32 {
-        "  vs "
+    let (versus, inside) = if area.width < 32 {
+        (" vs ", " inside ")
     } else {
-        "  persistence "
+        ("  persistence ", " inside the interval ")
     };
     let line = |name: &str, ours, theirs| {
         Line::from(vec![
