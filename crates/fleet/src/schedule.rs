@@ -2,7 +2,7 @@
 
 use crate::Policy;
 
-/// Two ticks of the `OnFrame` policy are at least this share of a period apart: a source whose
+/// Two ticks with frames of the `OnFrame` policy are at least this share of a period apart: a source whose
 /// clock runs a little fast is then followed instead of held back by up to a period.
 const CLOSEST: (u64, u64) = (4, 5);
 
@@ -30,6 +30,8 @@ pub struct Schedule {
     period_ns: u64,
     /// Start of the last tick, or of the schedule.
     started_ns: u64,
+    /// Earliest next tick with frames, `OnFrame`: ticks without any do not hold frames back.
+    spaced_ns: u64,
     grid_ns: u64,
     /// Ticks that did not happen because the one before took too long.
     pub skipped: u64,
@@ -46,6 +48,7 @@ impl Schedule {
             policy,
             period_ns,
             started_ns: now_ns,
+            spaced_ns: now_ns,
             grid_ns: now_ns + period_ns,
             skipped: 0,
             late: 0,
@@ -64,7 +67,7 @@ impl Schedule {
                 } else {
                     taken_ns + deadline_ns
                 };
-                ready_ns.max(self.started_ns + self.period_ns * CLOSEST.0 / CLOSEST.1)
+                ready_ns.max(self.spaced_ns)
             }
             // Without samples the tick still goes on: planners must see robots go stale, and that
             // the worker lives.
@@ -77,9 +80,9 @@ impl Schedule {
         }
     }
 
-    /// A tick that was due at `due_ns` has run from `start_ns` to `end_ns`. Returns whether it
-    /// missed its deadline: started late or took longer than a period.
-    pub fn ticked(&mut self, due_ns: u64, start_ns: u64, end_ns: u64) -> bool {
+    /// A tick that was due at `due_ns` has run from `start_ns` to `end_ns`, with or without
+    /// `frames`. Returns whether it missed its deadline: started late or took longer than a period.
+    pub fn ticked(&mut self, due_ns: u64, start_ns: u64, end_ns: u64, frames: bool) -> bool {
         let late = start_ns.saturating_sub(due_ns) > self.period_ns / 10;
         let skipped = match self.policy {
             Policy::Timer => end_ns.saturating_sub(self.grid_ns) / self.period_ns,
@@ -87,6 +90,9 @@ impl Schedule {
         };
         self.grid_ns += (1 + skipped) * self.period_ns;
         self.started_ns = start_ns;
+        if frames {
+            self.spaced_ns = start_ns + self.period_ns * CLOSEST.0 / CLOSEST.1;
+        }
         self.skipped += skipped;
         self.late += u64::from(late);
         late || skipped > 0
@@ -111,10 +117,19 @@ mod tests {
             schedule.next(36, Some(30), false),
             Next::Tick { due_ns: 35 }
         );
+    }
+
+    #[test]
+    fn ticks_with_frames_keep_their_distance_and_idle_ones_hold_nothing_back() {
+        let mut schedule = Schedule::new(Policy::OnFrame { deadline_ns: 5 }, PERIOD, 0);
+        schedule.ticked(0, 0, 1, true);
         assert_eq!(
             schedule.next(20, Some(20), true),
             Next::Wait { until_ns: 26 }
         );
+        assert_eq!(schedule.next(49, None, true), Next::Tick { due_ns: 49 });
+        schedule.ticked(49, 49, 50, false);
+        assert_eq!(schedule.next(51, Some(51), true), Next::Tick { due_ns: 51 });
     }
 
     #[test]
@@ -122,7 +137,7 @@ mod tests {
         let mut schedule = Schedule::new(Policy::OnFrame { deadline_ns: 5 }, PERIOD, 0);
         assert_eq!(schedule.next(0, None, true), Next::Wait { until_ns: 49 });
         assert_eq!(schedule.next(49, None, true), Next::Tick { due_ns: 49 });
-        assert!(!schedule.ticked(49, 49, 50));
+        assert!(!schedule.ticked(49, 49, 50, false));
         assert_eq!(schedule.next(50, None, true), Next::Wait { until_ns: 98 });
     }
 
@@ -134,9 +149,9 @@ mod tests {
             Next::Wait { until_ns: 33 }
         );
         assert_eq!(schedule.next(34, None, false), Next::Tick { due_ns: 33 });
-        assert!(!schedule.ticked(33, 34, 40));
+        assert!(!schedule.ticked(33, 34, 40, true));
         assert_eq!(schedule.next(40, None, false), Next::Wait { until_ns: 66 });
-        assert!(schedule.ticked(66, 70, 66 + 2 * PERIOD + 1));
+        assert!(schedule.ticked(66, 70, 66 + 2 * PERIOD + 1, true));
         assert_eq!((schedule.skipped, schedule.late), (2, 1));
         assert_eq!(
             schedule.next(140, None, false),
@@ -158,7 +173,7 @@ mod tests {
                 };
                 let start = now;
                 now += 3 * PERIOD;
-                schedule.ticked(start, start, now);
+                schedule.ticked(start, start, now, true);
             }
             assert!(schedule.skipped >= 199, "{policy:?}: {}", schedule.skipped);
         }

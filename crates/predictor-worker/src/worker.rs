@@ -247,7 +247,8 @@ impl Worker {
         self.send_diagnostics();
         self.send_budgets();
         let end_ns = clock::monotonic_ns();
-        self.missed = self.schedule.ticked(due_ns, start_ns, end_ns);
+        let frames = intake.frames > 0;
+        self.missed = self.schedule.ticked(due_ns, start_ns, end_ns, frames);
         self.ticks_ns
             .saturating_record(end_ns.saturating_sub(start_ns));
     }
