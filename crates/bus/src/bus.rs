@@ -1,7 +1,9 @@
 //! A process's membership in a domain, and the ports it opens.
 
 use std::rc::Rc;
+use std::time::{Duration, Instant};
 
+use iceoryx2::config::Config;
 use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::prelude::{NodeName, SignalHandlingMode, ipc};
 use joulebus_wire::Service;
@@ -18,6 +20,10 @@ use crate::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, Domain, ForecastReader,
     ForecastWriter, JoinError, Limits, SampleReader, SampleWriter,
 };
+
+/// For how long a node is tried to be created.
+const NODE_LIMIT: Duration = Duration::from_secs(2);
+const NODE_AGAIN_AFTER: Duration = Duration::from_millis(10);
 
 /// Membership in a domain. Dropping it and all ports leaves; the last member to leave removes
 /// everything.
@@ -46,18 +52,10 @@ impl Bus {
             tracing::warn!("{warning}");
         }
         let (member, mut joined) = Membership::join(domain)?;
-        let config = iceoryx2::config::Config::global_config();
+        let config = Config::global_config();
         joined.stillborn += remove_stillborn(domain)?;
         remove_dead_nodes(config, &mut joined);
-        let node = NodeBuilder::new()
-            .name(&node_name)
-            .config(config)
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create::<ipc::Service>()
-            .map_err(|reason| JoinError::Node {
-                root: domain.directory(),
-                reason: reason.to_string(),
-            })?;
+        let node = create_node(domain, &node_name)?;
         make_private(domain)?;
         if !joined.is_clean() {
             let report = joined;
@@ -190,6 +188,31 @@ impl Bus {
     /// [`OpenError`].
     pub fn planner_waiter(&self, limits: &Limits) -> Result<Waiter, OpenError> {
         port::waiter(self, Service::Wake, limits, limits.wake())
+    }
+}
+
+/// Creates the node. About once in 300 starts next to a process killed at its own start, while
+/// members clean up, iceoryx2 answers `InternalError`: that passes.
+fn create_node(domain: &Domain, name: &NodeName) -> Result<Node<ipc::Service>, JoinError> {
+    let begin = Instant::now();
+    loop {
+        let created = NodeBuilder::new()
+            .name(name)
+            .config(Config::global_config())
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<ipc::Service>();
+        let reason = match created {
+            Ok(node) => return Ok(node),
+            Err(reason) => reason,
+        };
+        if begin.elapsed() > NODE_LIMIT {
+            return Err(JoinError::Node {
+                root: domain.directory(),
+                reason: reason.to_string(),
+            });
+        }
+        tracing::info!(%reason, "creating a node again");
+        std::thread::sleep(NODE_AGAIN_AFTER);
     }
 }
 
