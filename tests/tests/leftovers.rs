@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use joulebus_tests::{Arena, Child, PATIENCE, Setup, Spread, eventually, figure};
+use joulebus_tests::{Arena, Child, PATIENCE, ReaderLine, Setup, Spread, eventually, figure};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -26,8 +26,9 @@ fn killed_fleet(arena: &Arena) {
 }
 
 /// Starts a worker, a controller and a planner, and waits until the planner is told of the
-/// controller's robots; then all leave. How long that took from the start of the worker.
-fn works(arena: &Arena, first: u32) -> Duration {
+/// controller's robots; then all leave. How long that took from the start of the worker, and what
+/// they have logged.
+fn works(arena: &Arena, first: u32) -> (Duration, String) {
     let begin = Instant::now();
     let mut worker = arena.worker();
     let mut controller = arena.controller(&format!("fresh-{first}"), first, 2, 60.0);
@@ -38,10 +39,8 @@ fn works(arena: &Arena, first: u32) -> Duration {
         |frame| (frame.pid == pid && frame.robot(first).is_some()).then_some(()),
     );
     let elapsed = begin.elapsed();
-    controller.finish();
-    planner.leave();
-    worker.stop();
-    elapsed
+    let ended = [controller.finish(), planner.leave(), worker.stop()];
+    (elapsed, ended.map(|ended| ended.errors()).join("\n"))
 }
 
 fn check<'a>(report: &'a Value, name: &str) -> &'a Value {
@@ -163,13 +162,13 @@ fn trap_1_files_of_length_zero_hold_nobody_up_whether_somebody_lives_or_not() {
             .unwrap();
     }
     let planted = plant("0.connection");
-    let cold = works(&arena, 0);
+    let (cold, _) = works(&arena, 0);
     assert!(!planted.exists());
 
     let mut controller = arena.controller("living", 10, 2, 60.0);
     assert!(!controller.lines(0, PATIENCE).is_empty());
     let planted = plant("1.connection");
-    let warm = works(&arena, 20);
+    let (warm, _) = works(&arena, 20);
     eventually("the living remove it", || !planted.exists());
     controller.finish();
     figure(
@@ -280,7 +279,8 @@ fn killed_while_joining(name: &str, somebody_lives: bool) {
         assert!(!controller.lines(0, PATIENCE).is_empty());
         (controller, arena.planner())
     });
-    let (mut killed, mut passed, mut total, mut ready) = (0, 0, 0, Spread::default());
+    let (mut killed, mut passed, mut total, mut again) = (0, 0, 0, 0);
+    let (mut ready, mut disturbed) = (Spread::default(), 0);
     for joiner in &JOINERS {
         let points = points(&arena, joiner);
         works(&arena, 0);
@@ -301,27 +301,33 @@ fn killed_while_joining(name: &str, somebody_lives: bool) {
             }
             victim.wait();
             killed += 1;
-            ready.add(works(&arena, 10));
+            println!("{} killed at {call} {number}", joiner.name);
+            let (elapsed, log) = works(&arena, 10);
+            ready.add(elapsed);
+            again += log.matches("creating a node again").count();
+            again += log.matches("opening a service again").count();
         }
     }
     if let Some((mut controller, mut planner)) = living.take() {
-        assert!(
-            controller.is_running() && planner.child.is_running(),
-            "the living were not disturbed"
-        );
+        assert!(controller.is_running(), "{}", controller.tail());
+        assert!(planner.child.is_running(), "{}", planner.child.tail());
         let mut worker = arena.worker();
         let pid = worker.pid();
         planner.forecast("the living work on", |frame| {
             (frame.pid == pid && frame.robot(90).is_some()).then_some(())
         });
-        controller.finish();
+        let is_failure = |line: &&ReaderLine| matches!(line, ReaderLine::Failed(_));
+        disturbed += planner.seen().iter().filter(is_failure).count();
+        let told = controller.finish().stdout;
+        disturbed += told.iter().filter(|line| line.contains("Failed")).count();
         planner.leave();
         worker.stop();
     }
     figure(
         &format!("traps 11 and 12, {name}, bad crash points"),
         format_args!(
-            "0 of {killed} of {total} system calls ({passed} not reached); then ready: {ready}"
+            "0 of {killed} of {total} system calls ({passed} not reached); then ready: {ready}; \
+             {again} attempts to join repeated, {disturbed} passing failures of the living"
         ),
     );
     arena.close();

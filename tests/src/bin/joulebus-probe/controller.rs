@@ -23,7 +23,10 @@ pub(crate) fn run(config: &Config, name: &str, first: u32, robots: u32, rate_hz:
         let samples: Vec<_> = (first..first + robots)
             .map(|robot| steady(robot, seq, stamp_ns))
             .collect();
-        publisher.publish_samples(slot.intended_ns, &samples)?;
+        // The publisher may be used again: a controller that gives up at once would be none.
+        if let Err(error) = publisher.publish_samples(slot.intended_ns, &samples) {
+            tell(&SourceLine::Failed(error.to_string()))?;
+        }
         seq += 1;
     }
     Ok(())

@@ -33,7 +33,14 @@ pub(crate) fn plan(config: &Config, holds: bool) -> Done {
         let watched = worker.as_ref().map(|(_, watch)| watch);
         let woken = waiter.wait_until(Some(until_ns), watched)?;
         let now_ns = clock::monotonic_ns();
-        let newest = ports.tell()?;
+        // The next call may succeed: a planner that gives up at once would be none.
+        let newest = match ports.tell() {
+            Ok(newest) => newest,
+            Err(error) => {
+                tell(&ReaderLine::Failed(error.to_string()))?;
+                None
+            }
+        };
         if woken.ended {
             tell(&ReaderLine::Ended)?;
         }
