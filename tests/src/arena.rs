@@ -50,7 +50,7 @@ pub struct Setup {
 impl Default for Setup {
     fn default() -> Self {
         Self {
-            capacity: 16,
+            capacity: 100,
             policy: "on_frame",
             tick_hz: 200.0,
             leave_after_s: 60.0,

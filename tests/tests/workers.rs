@@ -1,7 +1,7 @@
 //! Rows 2 and 17: the worker is killed at any point, and there is never a second one.
 
 use std::collections::BTreeMap;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use joulebus_bus::clock;
 use joulebus_tests::{
@@ -100,7 +100,12 @@ fn row_2_killed_workers_are_seen_at_once_and_the_ledger_goes_on_exactly_from_its
         );
         epochs.push(epoch);
         let budgets = planner.until("budgets", |line| match line {
-            ReaderLine::Budgets(frame) if frame.worker_epoch == epoch => Some(frame.clone()),
+            // The first ticks may have been before the first sample.
+            ReaderLine::Budgets(frame)
+                if frame.worker_epoch == epoch && !frame.robots.is_empty() =>
+            {
+                Some(frame.clone())
+            }
             _ => None,
         });
         for (robot, account) in &before {
@@ -236,9 +241,7 @@ fn row_17_of_eight_workers_at_once_one_serves_and_after_its_death_another_may() 
     let rounds = Dice::rounds("JOULEBUS_RACES", 4);
     let arena = Arena::new(&Setup::default());
     let mut planner = arena.planner();
-    let mut after_death = Spread::default();
     for _ in 0..rounds {
-        let begin = Instant::now();
         let mut racers: Vec<Child> = (0..RACERS).map(|_| arena.spawn_worker()).collect();
         eventually("all but one give up", || {
             racers
@@ -250,7 +253,6 @@ fn row_17_of_eight_workers_at_once_one_serves_and_after_its_death_another_may() 
         let at = racers.iter_mut().position(Child::is_running).expect("one");
         let mut owner = racers.swap_remove(at);
         owner.says("ready:");
-        after_death.add(begin.elapsed());
         for mut loser in racers {
             let ended = loser.wait();
             assert_eq!(ended.code(), Some(1), "{ended:?}");
