@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::io::Errno;
+use rustix::process::{Pid, test_kill_process};
 
 use crate::leftovers::is_same;
 use crate::{Domain, RootError, clock};
@@ -126,8 +127,10 @@ impl Drop for WorkerLock {
     }
 }
 
-/// Pid and start of the owner. It writes them right after locking: wait a little for that.
+/// Pid and start of the owner. It writes them right after locking; until then the file may still
+/// name one that was killed: wait a little for that.
 fn read(file: &mut File) -> io::Result<(u32, u64)> {
+    let mut found = (0, 0);
     for _ in 0..50 {
         let mut text = String::new();
         file.seek(SeekFrom::Start(0))?;
@@ -137,11 +140,20 @@ fn read(file: &mut File) -> io::Result<(u32, u64)> {
             && let Some(pid) = words.next().and_then(|word| word.parse().ok())
             && let Some(since) = words.next().and_then(|word| word.parse().ok())
         {
-            return Ok((pid, since));
+            found = (pid, since);
+            if is_alive(pid) {
+                break;
+            }
         }
         std::thread::sleep(Duration::from_millis(2));
     }
-    Ok((0, 0))
+    Ok(found)
+}
+
+/// Whether there is such a process here; one of another container is not seen.
+fn is_alive(pid: u32) -> bool {
+    let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
+    pid.is_some_and(|pid| !matches!(test_kill_process(pid), Err(Errno::SRCH)))
 }
 
 /// Why a process may not be the worker.
