@@ -66,6 +66,8 @@ struct Row {
     robots: usize,
     /// From the frame's intended time to the forecast readable.
     end_to_end_us: Spread,
+    /// From the frame's sending to the forecast readable: the broker's share.
+    sent_to_readable_us: Spread,
     /// From the frame's intended time to its sending: the source's own share.
     source_us: Spread,
     /// From the frame's sending to the worker's taking.
@@ -149,6 +151,7 @@ fn row(model: &Model, robots: usize, rate_hz: u64, frames: u64) -> anyhow::Resul
         ratio_p50: through.end_to_end_us.p50_us / (raw.p50_us + kernel.p50_us),
         ratio_p99: through.end_to_end_us.p99_us / (raw.p99_us + kernel.p99_us),
         end_to_end_us: through.end_to_end_us,
+        sent_to_readable_us: through.sent_to_readable_us,
         source_us: through.source_us,
         one_way_us: through.one_way_us,
         compute_us: through.compute_us,
@@ -165,8 +168,12 @@ fn print(row: &Row) {
     for (name, spread) in [
         ("sample due → forecast readable", &row.end_to_end_us),
         ("  the source wakes and writes", &row.source_us),
-        ("  sample sent → taken by the worker", &row.one_way_us),
-        ("  compute", &row.compute_us),
+        (
+            "  sample sent → forecast readable",
+            &row.sent_to_readable_us,
+        ),
+        ("    sample sent → taken by the worker", &row.one_way_us),
+        ("    compute", &row.compute_us),
         ("whole tick", &row.tick_us),
         ("two raw hops of the same frames", &row.raw_two_hops_us),
         ("bare kernel after the same sleep", &row.kernel_us),

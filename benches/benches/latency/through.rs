@@ -22,6 +22,7 @@ const WARM_UP: u64 = 30;
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Figures {
     pub end_to_end_us: Spread,
+    pub sent_to_readable_us: Spread,
     pub source_us: Spread,
     pub one_way_us: Spread,
     pub compute_us: Spread,
@@ -154,7 +155,8 @@ pub(crate) fn planner(path: &Path, frames: u64) -> anyhow::Result<()> {
     let mut waiter = bus.planner_waiter(&limits)?;
     let mut reader = bus.forecast_reader(&limits)?;
     println!("ready");
-    let (mut end_to_end, mut source) = (histogram(), histogram());
+    let (mut end_to_end, mut sent_to_readable) = (histogram(), histogram());
+    let mut source = histogram();
     let (mut one_way, mut compute) = (histogram(), histogram());
     let (mut seen, mut last_tick, mut missed) = (0, 0, 0);
     while seen < WARM_UP + frames {
@@ -173,6 +175,7 @@ pub(crate) fn planner(path: &Path, frames: u64) -> anyhow::Result<()> {
             missed += header.tick - last_tick - 1;
             last_tick = header.tick;
             end_to_end.saturating_record(now_ns.saturating_sub(header.first_intended_ns));
+            sent_to_readable.saturating_record(now_ns.saturating_sub(header.first_sent_ns));
             source.saturating_record(
                 header
                     .first_sent_ns
@@ -188,6 +191,7 @@ pub(crate) fn planner(path: &Path, frames: u64) -> anyhow::Result<()> {
     }
     let figures = Figures {
         end_to_end_us: Spread::of(&end_to_end),
+        sent_to_readable_us: Spread::of(&sent_to_readable),
         source_us: Spread::of(&source),
         one_way_us: Spread::of(&one_way),
         compute_us: Spread::of(&compute),

@@ -13,13 +13,13 @@ use crate::keeper::Housekeeping;
 use crate::leftovers::{SweepReport, remove_dead_nodes};
 use crate::membership::Membership;
 use crate::open::OpenError;
-use crate::port;
 use crate::stillborn::{objects, remove_stillborn};
 use crate::wait::{Waiter, Waker};
 use crate::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, Domain, ForecastReader,
     ForecastWriter, JoinError, Limits, SampleReader, SampleWriter,
 };
+use crate::{port, reader, writer};
 
 /// For how long a node is tried to be created.
 const NODE_LIMIT: Duration = Duration::from_secs(2);
@@ -96,7 +96,7 @@ impl Bus {
         limits: &Limits,
         max_len: usize,
     ) -> Result<SampleWriter, OpenError> {
-        port::sample_writer(self, limits, max_len)
+        writer::sample_writer(self, limits, max_len)
     }
 
     /// The worker's port for samples of all sources.
@@ -104,7 +104,7 @@ impl Bus {
     /// # Errors
     /// [`OpenError`].
     pub fn sample_reader(&self, limits: &Limits) -> Result<SampleReader, OpenError> {
-        port::reader(self, Service::Samples, limits, limits.samples()).map(SampleReader::new)
+        reader::reader(self, Service::Samples, limits, limits.samples()).map(SampleReader::new)
     }
 
     /// The worker's port for forecasts.
@@ -113,7 +113,7 @@ impl Bus {
     /// [`OpenError`].
     pub fn forecast_writer(&self, limits: &Limits) -> Result<ForecastWriter, OpenError> {
         let shape = limits.forecasts();
-        port::writer(self, Service::Forecasts, limits, shape, limits.capacity)
+        writer::writer(self, Service::Forecasts, limits, shape, limits.capacity)
     }
 
     /// The worker's port for diagnostics.
@@ -122,7 +122,7 @@ impl Bus {
     /// [`OpenError`].
     pub fn diagnostic_writer(&self, limits: &Limits) -> Result<DiagnosticWriter, OpenError> {
         let shape = limits.forecasts();
-        port::writer(self, Service::Diagnostics, limits, shape, limits.capacity)
+        writer::writer(self, Service::Diagnostics, limits, shape, limits.capacity)
     }
 
     /// The worker's port for budgets.
@@ -131,7 +131,7 @@ impl Bus {
     /// [`OpenError`].
     pub fn budget_writer(&self, limits: &Limits) -> Result<BudgetWriter, OpenError> {
         let shape = limits.budgets();
-        port::writer(self, Service::Budgets, limits, shape, limits.capacity)
+        writer::writer(self, Service::Budgets, limits, shape, limits.capacity)
     }
 
     /// A planner's port for forecasts.
@@ -139,7 +139,7 @@ impl Bus {
     /// # Errors
     /// [`OpenError`].
     pub fn forecast_reader(&self, limits: &Limits) -> Result<ForecastReader, OpenError> {
-        port::reader(self, Service::Forecasts, limits, limits.forecasts())
+        reader::reader(self, Service::Forecasts, limits, limits.forecasts())
     }
 
     /// A planner's port for diagnostics.
@@ -147,7 +147,7 @@ impl Bus {
     /// # Errors
     /// [`OpenError`].
     pub fn diagnostic_reader(&self, limits: &Limits) -> Result<DiagnosticReader, OpenError> {
-        port::reader(self, Service::Diagnostics, limits, limits.forecasts())
+        reader::reader(self, Service::Diagnostics, limits, limits.forecasts())
     }
 
     /// A planner's port for budgets; the newest frame comes at once.
@@ -155,7 +155,7 @@ impl Bus {
     /// # Errors
     /// [`OpenError`].
     pub fn budget_reader(&self, limits: &Limits) -> Result<BudgetReader, OpenError> {
-        port::reader(self, Service::Budgets, limits, limits.budgets())
+        reader::reader(self, Service::Budgets, limits, limits.budgets())
     }
 
     /// Wakes the worker: for those who send samples not with [`SampleWriter`], which does it itself.

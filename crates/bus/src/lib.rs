@@ -44,10 +44,12 @@ mod membership;
 mod memory;
 mod open;
 mod port;
+mod reader;
 mod room;
 mod stillborn;
 mod wait;
 mod worker_lock;
+mod writer;
 
 pub use bus::Bus;
 pub use config::ConfigError;
@@ -60,8 +62,9 @@ pub use membership::JoinError;
 pub use open::OpenError;
 pub use port::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, FrameBuf, Loan, Reader, ReceiveError, SampleReader, SampleWriter, SendError, Writer,
 };
+pub use reader::{Frame, FrameBuf, Reader, ReceiveError, SampleReader};
 pub use room::{Ports, RoomError, RoomReport, check_room};
 pub use wait::{PeerWatch, WaitError, Waiter, Waker, Woken, set_timer_slack};
 pub use worker_lock::{WorkerLock, WorkerLockError};
+pub use writer::{Loan, SampleWriter, SendError, Writer};

@@ -1,10 +1,11 @@
 //! The worker's loop, intake and publishing included, allocates nothing of its own after warm-up:
 //! only iceoryx2 0.10 does, once for each of the three frames that a tick sends.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 #[path = "../../../tests/counting.rs"]
 mod counting;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -15,7 +16,7 @@ use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
 
 const ROBOTS: u32 = 40;
 
-fn config(root: &PathBuf, policy: &str) -> Config {
+fn config(root: &Path, policy: &str) -> Config {
     let text = format!(
         "[fleet]\nname = \"alloc\"\ncapacity = 64\n\
          [domain]\nroot = \"{}\"\nprefix = \"t_\"\n\

@@ -1,0 +1,332 @@
+//! Reading frames in place, or into a process's own memory.
+
+use std::fmt::Debug;
+use std::marker::PhantomData;
+use std::ops::Deref;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::{ZeroCopySend, ipc};
+use iceoryx2::sample::Sample as Borrowed;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use joulebus_wire::{Sample, SampleHeader, Service};
+
+use crate::limits::Shape;
+use crate::membership::Membership;
+use crate::open::{OpenError, open};
+use crate::port::count_degradation;
+use crate::{Bus, Limits, clock};
+
+/// How often a reader makes its port anew at most, ns.
+const HEAL_EVERY_NS: u64 = 1_000_000_000;
+
+/// Reads frames in place.
+pub struct Reader<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
+    // Before the port, it before the factory, and all before the membership: the order in which
+    // they must go.
+    held: Option<Borrowed<ipc::Service, [T], H>>,
+    subscriber: Option<Subscriber<ipc::Service, [T], H>>,
+    factory: PortFactory<ipc::Service, [T], H>,
+    buffer: usize,
+    degraded: Arc<AtomicU64>,
+    degraded_seen: u64,
+    /// Whether a connection has failed since the port was made.
+    broken: bool,
+    heal_from_ns: u64,
+    _member: Rc<Membership>,
+}
+
+impl<H, T> Reader<H, T>
+where
+    H: Debug + ZeroCopySend + 'static,
+    T: Debug + ZeroCopySend + 'static,
+{
+    /// The oldest frame that waits, in order; `None` when there is none. Frames that were
+    /// overwritten before are known by the numbers in the headers.
+    ///
+    /// # Errors
+    /// [`ReceiveError`]; the next call may succeed.
+    pub fn take_next(&mut self) -> Result<Option<Frame<'_, H, T>>, ReceiveError> {
+        Ok(self.receive()?.map(Frame::new))
+    }
+
+    /// The newest frame, older ones passed over; `None` when none has come since the last call.
+    ///
+    /// # Errors
+    /// [`ReceiveError`]; the next call may succeed.
+    pub fn take_latest(&mut self) -> Result<Option<Frame<'_, H, T>>, ReceiveError> {
+        let mut latest = None;
+        while let Some(newer) = self.receive()? {
+            latest = Some(newer);
+        }
+        Ok(latest.map(Frame::new))
+    }
+
+    /// Takes all frames that wait and keeps the last that is `newer` than the one kept before;
+    /// returns whether there was one. The frame is held in shared memory until a newer one is kept
+    /// or the reader goes: [`Reader::held`]. Not to be mixed with the other ways to take.
+    ///
+    /// # Errors
+    /// [`ReceiveError`] when nothing newer was found; the next call may succeed.
+    pub fn hold_latest(&mut self, mut newer: impl FnMut(&H) -> bool) -> Result<bool, ReceiveError> {
+        let mut found = false;
+        loop {
+            match self.receive() {
+                Ok(Some(frame)) if newer(frame.user_header()) => {
+                    self.held = Some(frame);
+                    found = true;
+                }
+                Ok(Some(_)) => {}
+                Ok(None) => return Ok(found),
+                Err(_) if found => return Ok(true),
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    /// The frame that [`Reader::hold_latest`] keeps: its header and its slice. Its writer could
+    /// still change it (it does not): who must be sure copies first.
+    #[must_use]
+    pub fn held(&self) -> Option<(&H, &[T])> {
+        let held = self.held.as_ref()?;
+        Some((held.user_header(), held.payload()))
+    }
+
+    /// Connections to writers that could not be made, or broke.
+    #[must_use]
+    pub fn degraded(&self) -> u64 {
+        self.degraded.load(Ordering::Relaxed)
+    }
+
+    fn receive(&mut self) -> Result<Option<Borrowed<ipc::Service, [T], H>>, ReceiveError> {
+        if self.broken {
+            self.heal()?;
+        }
+        let Some(subscriber) = &self.subscriber else {
+            return Ok(None);
+        };
+        let received = subscriber
+            .receive()
+            .map_err(|reason| ReceiveError::Receive {
+                reason: reason.to_string(),
+            })?;
+        if received.is_none() {
+            self.check_connections()?;
+        }
+        Ok(received)
+    }
+
+    /// Has the port made anew when a connection has failed since the last look. Until then it
+    /// stays: a writer that died while it connected is no reason to miss the others.
+    fn check_connections(&mut self) -> Result<(), ReceiveError> {
+        if self.degraded() == self.degraded_seen {
+            return Ok(());
+        }
+        self.degraded_seen = self.degraded();
+        self.broken = true;
+        Err(ReceiveError::Degraded {
+            connections: self.degraded_seen,
+        })
+    }
+
+    /// iceoryx2 does not try a failed connection again: only a new port does. What waits in the old
+    /// one has been read by then. The first time at once, then no more than once a second: a writer
+    /// that can never be connected to must not cost the frames of the others.
+    fn heal(&mut self) -> Result<(), ReceiveError> {
+        let now_ns = clock::monotonic_ns();
+        if now_ns < self.heal_from_ns {
+            return Ok(());
+        }
+        self.heal_from_ns = now_ns.saturating_add(HEAL_EVERY_NS);
+        // The old one first: the service may have no room for both.
+        self.subscriber = None;
+        self.subscriber = Some(subscribe(&self.factory, self.buffer, &self.degraded)?);
+        self.broken = false;
+        Ok(())
+    }
+}
+
+fn subscribe<H, T>(
+    factory: &PortFactory<ipc::Service, [T], H>,
+    buffer: usize,
+    degraded: &Arc<AtomicU64>,
+) -> Result<Subscriber<ipc::Service, [T], H>, ReceiveError>
+where
+    H: Debug + ZeroCopySend + 'static,
+    T: Debug + ZeroCopySend + 'static,
+{
+    let counted = Arc::clone(degraded);
+    factory
+        .subscriber_builder()
+        .buffer_size(buffer)
+        .set_degradation_handler(move |_, _| count_degradation(&counted))
+        .create()
+        .map_err(|reason| ReceiveError::Receive {
+            reason: reason.to_string(),
+        })
+}
+
+/// A frame in shared memory, held for as long as this lives: the slice by dereferencing.
+///
+/// Its writer could still change it (it does not): who must be sure copies first.
+pub struct Frame<'a, H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
+    sample: Borrowed<ipc::Service, [T], H>,
+    reader: PhantomData<&'a mut Reader<H, T>>,
+}
+
+impl<H, T> Frame<'_, H, T>
+where
+    H: Debug + ZeroCopySend + 'static,
+    T: Debug + ZeroCopySend + 'static,
+{
+    const fn new(sample: Borrowed<ipc::Service, [T], H>) -> Self {
+        Self {
+            sample,
+            reader: PhantomData,
+        }
+    }
+
+    /// The frame's header.
+    #[must_use]
+    pub fn header(&self) -> &H {
+        self.sample.user_header()
+    }
+}
+
+impl<H, T> Deref for Frame<'_, H, T>
+where
+    H: Debug + ZeroCopySend + 'static,
+    T: Debug + ZeroCopySend + 'static,
+{
+    type Target = [T];
+
+    fn deref(&self) -> &[T] {
+        self.sample.payload()
+    }
+}
+
+/// The worker's port for samples of all sources.
+pub struct SampleReader {
+    reader: Reader<SampleHeader, Sample>,
+}
+
+impl SampleReader {
+    pub(crate) const fn new(reader: Reader<SampleHeader, Sample>) -> Self {
+        Self { reader }
+    }
+
+    /// Copies the next frame into `frame`; whether there was one. Take until there is none: the
+    /// sources come one after the other. Each byte is read from shared memory once, so what is
+    /// checked afterwards cannot change any more.
+    ///
+    /// # Errors
+    /// [`ReceiveError`]; the next call may succeed.
+    pub fn take(&mut self, frame: &mut FrameBuf) -> Result<bool, ReceiveError> {
+        let Some(received) = self.reader.receive()? else {
+            return Ok(false);
+        };
+        let samples = received.payload();
+        let kept = samples.len().min(frame.capacity);
+        frame.header = *received.user_header();
+        frame.truncated = samples.len() - kept;
+        frame.samples.clear();
+        frame.samples.extend_from_slice(&samples[..kept]);
+        Ok(true)
+    }
+
+    /// Connections to sources that could not be made, or broke.
+    #[must_use]
+    pub fn degraded(&self) -> u64 {
+        self.reader.degraded()
+    }
+}
+
+/// A process's own copy of a frame of samples. Allocates when made, then never.
+#[derive(Debug, Clone)]
+pub struct FrameBuf {
+    header: SampleHeader,
+    samples: Vec<Sample>,
+    truncated: usize,
+    capacity: usize,
+}
+
+impl FrameBuf {
+    /// Room for frames of up to `capacity` samples.
+    #[must_use]
+    pub fn new(capacity: usize) -> Self {
+        Self {
+            header: SampleHeader::default(),
+            samples: Vec::with_capacity(capacity),
+            truncated: 0,
+            capacity,
+        }
+    }
+
+    /// The header.
+    #[must_use]
+    pub const fn header(&self) -> &SampleHeader {
+        &self.header
+    }
+
+    /// The samples, at most the capacity.
+    #[must_use]
+    pub fn samples(&self) -> &[Sample] {
+        &self.samples
+    }
+
+    /// Samples of the frame past the capacity, which were not copied.
+    #[must_use]
+    pub const fn truncated(&self) -> usize {
+        self.truncated
+    }
+}
+
+pub(crate) fn reader<H, T>(
+    bus: &Bus,
+    service: Service,
+    limits: &Limits,
+    shape: Shape,
+) -> Result<Reader<H, T>, OpenError>
+where
+    H: Debug + ZeroCopySend + 'static,
+    T: Debug + ZeroCopySend + 'static,
+{
+    let factory = open::<H, T>(bus, service, limits, shape)?;
+    let degraded = Arc::new(AtomicU64::new(0));
+    let subscriber = subscribe(&factory, shape.buffer, &degraded)
+        .map_err(|reason| OpenError::port(service, reason))?;
+    Ok(Reader {
+        held: None,
+        subscriber: Some(subscriber),
+        factory,
+        buffer: shape.buffer,
+        degraded,
+        degraded_seen: 0,
+        broken: false,
+        heal_from_ns: 0,
+        _member: Rc::clone(&bus.member),
+    })
+}
+
+/// Why no frame could be read.
+#[derive(Debug, thiserror::Error)]
+pub enum ReceiveError {
+    /// A writer could not be connected to; its frames are missing. The port is made anew within a
+    /// second or two.
+    #[error(
+        "{connections} connections to writers failed so far; are there file descriptors left \
+         (`ulimit -n`), and shared memory? `joulebus doctor` tells"
+    )]
+    Degraded {
+        /// Connections failed since the port was opened.
+        connections: u64,
+    },
+    /// iceoryx2 refused.
+    #[error("cannot receive: {reason}")]
+    Receive {
+        /// What iceoryx2 said.
+        reason: String,
+    },
+}

@@ -1,0 +1,280 @@
+//! Sending frames: a header and a slice, written where readers read it.
+
+use std::fmt::Debug;
+use std::marker::PhantomData;
+use std::ops::{Deref, DerefMut};
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use iceoryx2::port::LoanError;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::{AllocationStrategy, ZeroCopySend, ipc};
+use iceoryx2::sample_mut::SampleMut;
+use joulebus_wire::{Sample, SampleHeader, Service, WakeEvent};
+
+use crate::limits::Shape;
+use crate::membership::Membership;
+use crate::open::{OpenError, open};
+use crate::port::{count_degradation, waker};
+use crate::room::{segment_bytes, shared_memory};
+use crate::wait::{WaitError, Waker};
+use crate::{Bus, Limits, RoomError, memory};
+
+/// Sends frames: a header `H` and a slice of `T`, written where readers read it.
+pub struct Writer<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
+    publisher: Publisher<ipc::Service, [T], H>,
+    max_len: usize,
+    degraded: Arc<AtomicU64>,
+    // After the port: it must be gone before the process leaves.
+    _member: Rc<Membership>,
+}
+
+impl<H, T> Writer<H, T>
+where
+    H: Debug + Copy + Default + ZeroCopySend + 'static,
+    T: Debug + Copy + Default + ZeroCopySend + 'static,
+{
+    /// Sends a frame of `len` elements, element `i` being `element(i)`, written straight into
+    /// shared memory. Returns how many readers got it. iceoryx2 allocates once.
+    ///
+    /// # Errors
+    /// [`SendError`]; nothing was sent.
+    pub fn send(
+        &mut self,
+        header: H,
+        len: usize,
+        element: impl FnMut(usize) -> T,
+    ) -> Result<usize, SendError> {
+        self.check(len)?;
+        let mut loan = self
+            .publisher
+            .loan_slice_uninit(len)
+            .map_err(SendError::loan)?;
+        *loan.user_header_mut() = header;
+        loan.write_from_fn(element).send().map_err(SendError::send)
+    }
+
+    /// Borrows memory for a frame of `len` elements, all default, to compute into; the frame goes
+    /// with [`Loan::send`], or comes to nothing when dropped. iceoryx2 allocates once.
+    ///
+    /// # Errors
+    /// [`SendError`].
+    pub fn loan(&mut self, len: usize) -> Result<Loan<'_, H, T>, SendError> {
+        self.check(len)?;
+        let mut sample = self.publisher.loan_slice(len).map_err(SendError::loan)?;
+        *sample.user_header_mut() = H::default();
+        Ok(Loan {
+            sample,
+            writer: PhantomData,
+        })
+    }
+
+    /// Connects to readers that have come since the last frame: they get the history. Cheap when
+    /// none have.
+    pub fn update(&mut self) {
+        // Failures are counted by the handler of degradations.
+        let _ = self.publisher.update_connections();
+    }
+
+    /// Elements that one frame may hold.
+    #[must_use]
+    pub const fn max_len(&self) -> usize {
+        self.max_len
+    }
+
+    /// Connections to readers that could not be made, or broke: they miss frames.
+    #[must_use]
+    pub fn degraded(&self) -> u64 {
+        self.degraded.load(Ordering::Relaxed)
+    }
+
+    const fn check(&self, len: usize) -> Result<(), SendError> {
+        if len > self.max_len {
+            return Err(SendError::TooLong {
+                found: len,
+                allowed: self.max_len,
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Memory of a frame to be sent: the slice by dereferencing.
+pub struct Loan<'a, H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
+    sample: SampleMut<ipc::Service, [T], H>,
+    writer: PhantomData<&'a mut Writer<H, T>>,
+}
+
+impl<H, T> Loan<'_, H, T>
+where
+    H: Debug + ZeroCopySend + 'static,
+    T: Debug + ZeroCopySend + 'static,
+{
+    /// The frame's header.
+    pub fn header_mut(&mut self) -> &mut H {
+        self.sample.user_header_mut()
+    }
+
+    /// Sends the frame. Returns how many readers got it.
+    ///
+    /// # Errors
+    /// [`SendError`].
+    pub fn send(self) -> Result<usize, SendError> {
+        self.sample.send().map_err(SendError::send)
+    }
+}
+
+impl<H, T> Deref for Loan<'_, H, T>
+where
+    H: Debug + ZeroCopySend + 'static,
+    T: Debug + ZeroCopySend + 'static,
+{
+    type Target = [T];
+
+    fn deref(&self) -> &[T] {
+        self.sample.payload()
+    }
+}
+
+impl<H, T> DerefMut for Loan<'_, H, T>
+where
+    H: Debug + ZeroCopySend + 'static,
+    T: Debug + ZeroCopySend + 'static,
+{
+    fn deref_mut(&mut self) -> &mut [T] {
+        self.sample.payload_mut()
+    }
+}
+
+/// A source's port: sends frames of samples and wakes the worker.
+pub struct SampleWriter {
+    writer: Writer<SampleHeader, Sample>,
+    waker: Waker,
+}
+
+impl SampleWriter {
+    /// Sends a frame of `len` samples, sample `i` being `sample(i)`, written straight into shared
+    /// memory, and wakes the worker. Returns how many readers got it: 0 means that no worker runs.
+    ///
+    /// # Errors
+    /// [`SendError`]; [`SendError::Wake`] if the frame was sent but the worker not woken.
+    pub fn send(
+        &mut self,
+        header: SampleHeader,
+        len: usize,
+        sample: impl FnMut(usize) -> Sample,
+    ) -> Result<usize, SendError> {
+        let readers = self.writer.send(header, len, sample)?;
+        self.waker.wake(WakeEvent::Frame).map_err(SendError::Wake)?;
+        Ok(readers)
+    }
+
+    /// Samples that one frame may hold.
+    #[must_use]
+    pub const fn max_len(&self) -> usize {
+        self.writer.max_len()
+    }
+
+    /// Connections to readers that could not be made, or broke.
+    #[must_use]
+    pub fn degraded(&self) -> u64 {
+        self.writer.degraded()
+    }
+}
+
+pub(crate) fn sample_writer(
+    bus: &Bus,
+    limits: &Limits,
+    max_len: usize,
+) -> Result<SampleWriter, OpenError> {
+    if max_len < 1 || max_len > limits.capacity {
+        return Err(OpenError::Length {
+            found: max_len,
+            allowed: limits.capacity,
+        });
+    }
+    Ok(SampleWriter {
+        writer: writer(bus, Service::Samples, limits, limits.samples(), max_len)?,
+        waker: waker(bus, Service::Arrivals, limits, limits.arrivals())?,
+    })
+}
+
+pub(crate) fn writer<H, T>(
+    bus: &Bus,
+    service: Service,
+    limits: &Limits,
+    shape: Shape,
+    max_len: usize,
+) -> Result<Writer<H, T>, OpenError>
+where
+    H: Debug + ZeroCopySend + 'static,
+    T: Debug + ZeroCopySend + 'static,
+{
+    let needed = segment_bytes(shape, size_of::<H>(), size_of::<T>(), max_len);
+    let (free, _) = shared_memory()?;
+    if needed > free {
+        return Err(RoomError::Memory { needed, free }.into());
+    }
+    let degraded = Arc::new(AtomicU64::new(0));
+    let counted = Arc::clone(&degraded);
+    let publisher = open::<H, T>(bus, service, limits, shape)?
+        .publisher_builder()
+        .initial_max_slice_len(max_len)
+        .max_loaned_samples(1)
+        .allocation_strategy(AllocationStrategy::Static)
+        .set_degradation_handler(move |_, _| count_degradation(&counted))
+        .create()
+        .map_err(|reason| OpenError::port(service, reason))?;
+    memory::take(&publisher.id().value().to_string())
+        .map_err(|source| OpenError::Memory { needed, source })?;
+    Ok(Writer {
+        publisher,
+        max_len,
+        degraded,
+        _member: Rc::clone(&bus.member),
+    })
+}
+
+/// Why a frame was not sent.
+#[derive(Debug, thiserror::Error)]
+pub enum SendError {
+    /// The frame is longer than the port was opened for.
+    #[error("a frame of {found} elements, allowed are {allowed}")]
+    TooLong {
+        /// Elements in the frame.
+        found: usize,
+        /// Elements allowed.
+        allowed: usize,
+    },
+    /// No memory for the frame: readers hold more than they may.
+    #[error("no memory for a frame: {reason}")]
+    Loan {
+        /// What iceoryx2 said.
+        reason: String,
+    },
+    /// The frame could not be delivered to anybody.
+    #[error("cannot send a frame: {reason}; join again")]
+    Send {
+        /// What iceoryx2 said.
+        reason: String,
+    },
+    /// The frame was sent, but the worker was not woken.
+    #[error("the frame was sent, but {0}")]
+    Wake(WaitError),
+}
+
+impl SendError {
+    fn loan(reason: LoanError) -> Self {
+        Self::Loan {
+            reason: reason.to_string(),
+        }
+    }
+
+    fn send(reason: iceoryx2::port::SendError) -> Self {
+        Self::Send {
+            reason: reason.to_string(),
+        }
+    }
+}
