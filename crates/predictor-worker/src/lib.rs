@@ -5,7 +5,7 @@
 //! into memory borrowed from shared memory. After warm-up the loop allocates nothing of its own
 //! (iceoryx2 0.10 allocates once for each of the three frames that a tick sends), locks nothing,
 //! logs nothing and waits for nothing but samples and its schedule. Logging and the ledger's
-//! checkpoints are the [clerk's](clerk), a thread that reads the worker's frames like any planner.
+//! checkpoints are the clerk's, a thread that reads the worker's frames like any planner.
 #![forbid(unsafe_code)]
 
 mod checkpoint;
