@@ -11,6 +11,7 @@
 //! After [`Fleet::new`] nothing here allocates.
 #![forbid(unsafe_code)]
 
+mod admission;
 mod departed;
 mod detector;
 mod fleet;

@@ -99,8 +99,16 @@ impl Worker {
         let limits = config.limits();
         let lock = WorkerLock::acquire(&domain)?;
         let before = recall(config)?;
-        for (robot, ledger, charged) in before.ledgers() {
-            fleet.restore(robot, ledger, charged);
+        let kept = before
+            .ledgers()
+            .filter(|(robot, ledger, charged)| fleet.restore(*robot, *ledger, *charged));
+        let (kept, written) = (kept.count(), before.robots.len());
+        if kept < written {
+            tracing::warn!(
+                kept,
+                written,
+                "more accounts written down than the fleet has room for: raise `capacity`"
+            );
         }
         check_room(
             &limits,
