@@ -13,7 +13,7 @@ mod screen;
 mod stages;
 mod terminal;
 
-pub(crate) use board::{Board, Link, Raised};
+pub(crate) use board::{Board, Link, Raised, Row};
 pub(crate) use cells::{count, level};
 pub(crate) use feed::{Feed, Reading};
 pub(crate) use plain::{line, table};

@@ -13,7 +13,7 @@ use crate::config_file::ConfigFile;
 use crate::exit::Outcome;
 use crate::output::{Format, Output, say, text};
 use crate::stop::Stop;
-use crate::view::{Board, Feed, FrameRecord, Link, Reading, Screen, line, show, table};
+use crate::view::{Board, Feed, FrameRecord, Link, Reading, Row, Screen, line, show, table};
 
 pub(crate) use summary::PlannerReport;
 
@@ -83,8 +83,8 @@ impl Args {
             // The first frames may be of a fleet that nobody has reported of yet.
             reading.turn(|| board.borrow_mut())?;
             let board = board.borrow();
-            let diagnosed = board.rows.values().any(|row| row.diagnostic.is_some());
-            if diagnosed
+            let whole = |row: &Row| row.diagnostic.is_some() && row.budget.is_some();
+            if board.rows.values().any(whole)
                 && self
                     .robot
                     .is_none_or(|robot| board.rows.contains_key(&robot))
