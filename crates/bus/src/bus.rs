@@ -158,14 +158,6 @@ impl Bus {
         reader::reader(self, Service::Budgets, limits, limits.budgets())
     }
 
-    /// Wakes the worker: for those who send samples not with [`SampleWriter`], which does it itself.
-    ///
-    /// # Errors
-    /// [`OpenError`].
-    pub fn arrivals_waker(&self, limits: &Limits) -> Result<Waker, OpenError> {
-        port::waker(self, Service::Arrivals, limits, limits.arrivals())
-    }
-
     /// Waits for samples: the worker.
     ///
     /// # Errors

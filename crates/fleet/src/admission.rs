@@ -35,9 +35,7 @@ impl Fleet {
             }
             sample.flags |= sample_flag::DISCONTINUITY;
         }
-        let robot = &mut self.robots[slot];
-        self.reported += usize::from(!robot.heard);
-        robot.heard = true;
+        let robot = self.hear(slot);
         robot.taken += 1;
         (robot.renewed, robot.waiting) = (false, true);
         (robot.taken_ns, robot.invalid, robot.refused_run) = (now_ns, None, 0);
@@ -80,14 +78,20 @@ impl Fleet {
             return;
         };
         let slot = *slot as usize;
-        let robot = &mut self.robots[slot];
         // Nothing better will come of it in this tick: the others need not wait for it.
-        self.reported += usize::from(!robot.heard);
-        robot.heard = true;
+        let robot = self.hear(slot);
         robot.refused += 1;
         robot.refused_run = robot.refused_run.saturating_add(1);
         robot.invalid = Some(invalid);
         self.judge(slot);
+    }
+
+    /// Takes note that a sample of the robot has come in this tick.
+    fn hear(&mut self, slot: usize) -> &mut Robot {
+        let robot = &mut self.robots[slot];
+        self.reported += usize::from(!robot.heard);
+        robot.heard = true;
+        robot
     }
 
     /// The robot's slot; a robot heard of for the first time is given one.

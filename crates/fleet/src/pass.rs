@@ -108,13 +108,17 @@ impl Fleet {
     }
 
     fn gap(&self, kind: usize, slot: usize) -> Gap {
-        let sample = self.pending[slot].sample(self.robots[slot].id);
-        if sample.has(sample_flag::DISCONTINUITY) {
+        let pending = &self.pending[slot];
+        if pending.flags & sample_flag::DISCONTINUITY != 0 {
             return Gap::Break;
         }
         let Self { kinds, windows, .. } = self;
         let kind = &kinds[kind];
-        windows[slot].gap_before(sample.stamp_ns, kind.platform.period_ns, kind.longest_steps)
+        windows[slot].gap_before(
+            pending.stamp_ns,
+            kind.platform.period_ns,
+            kind.longest_steps,
+        )
     }
 
     /// Takes the waiting sample of a slot. Returns the row for its next forecast, if it gets one.

@@ -104,12 +104,12 @@ impl Last {
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Pending {
     seq: u64,
-    stamp_ns: u64,
+    pub stamp_ns: u64,
     measured_ns: u64,
     v_mps: f32,
     omega_radps: f32,
     power_w: f32,
-    flags: u32,
+    pub flags: u32,
 }
 
 impl Pending {
