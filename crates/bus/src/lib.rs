@@ -45,6 +45,7 @@ mod memory;
 mod open;
 mod port;
 mod reader;
+mod repair;
 mod room;
 mod stillborn;
 mod wait;

@@ -17,10 +17,8 @@ use crate::limits::Shape;
 use crate::membership::Membership;
 use crate::open::{OpenError, open};
 use crate::port::count_degradation;
+use crate::repair::{Look, Repair};
 use crate::{Bus, Limits, clock};
-
-/// How often a reader makes its port anew at most, ns.
-const HEAL_EVERY_NS: u64 = 1_000_000_000;
 
 /// Reads frames in place.
 pub struct Reader<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
@@ -31,10 +29,7 @@ pub struct Reader<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + '
     factory: PortFactory<ipc::Service, [T], H>,
     buffer: usize,
     degraded: Arc<AtomicU64>,
-    degraded_seen: u64,
-    /// Whether a connection has failed since the port was made.
-    broken: bool,
-    heal_from_ns: u64,
+    repair: Repair,
     _member: Rc<Membership>,
 }
 
@@ -100,51 +95,50 @@ where
         self.degraded.load(Ordering::Relaxed)
     }
 
+    /// A writer that dies while it is connected to leaves a connection that fails, and one that
+    /// waits for nobody: the port is made anew, quietly. Only what fails again a second later is
+    /// an error.
     fn receive(&mut self) -> Result<Option<Borrowed<ipc::Service, [T], H>>, ReceiveError> {
-        if self.broken {
-            self.heal()?;
+        loop {
+            if self.repair.is_due(clock::monotonic_ns) {
+                self.renew()?;
+            }
+            let Some(subscriber) = &self.subscriber else {
+                return Ok(None);
+            };
+            let received = subscriber
+                .receive()
+                .map_err(|reason| ReceiveError::Receive {
+                    reason: reason.to_string(),
+                })?;
+            if received.is_some() {
+                return Ok(received);
+            }
+            match self.repair.look(self.degraded(), clock::monotonic_ns) {
+                Look::Whole => return Ok(None),
+                Look::Renew => {}
+                Look::Failing { connections } => {
+                    return Err(ReceiveError::Degraded { connections });
+                }
+            }
         }
-        let Some(subscriber) = &self.subscriber else {
-            return Ok(None);
-        };
-        let received = subscriber
-            .receive()
-            .map_err(|reason| ReceiveError::Receive {
-                reason: reason.to_string(),
-            })?;
-        if received.is_none() {
-            self.check_connections()?;
-        }
-        Ok(received)
-    }
-
-    /// Has the port made anew when a connection has failed since the last look. Until then it
-    /// stays: a writer that died while it connected is no reason to miss the others.
-    fn check_connections(&mut self) -> Result<(), ReceiveError> {
-        if self.degraded() == self.degraded_seen {
-            return Ok(());
-        }
-        self.degraded_seen = self.degraded();
-        self.broken = true;
-        Err(ReceiveError::Degraded {
-            connections: self.degraded_seen,
-        })
     }
 
     /// iceoryx2 does not try a failed connection again: only a new port does. What waits in the old
-    /// one has been read by then. The first time at once, then no more than once a second: a writer
-    /// that can never be connected to must not cost the frames of the others.
-    fn heal(&mut self) -> Result<(), ReceiveError> {
-        let now_ns = clock::monotonic_ns();
-        if now_ns < self.heal_from_ns {
-            return Ok(());
-        }
-        self.heal_from_ns = now_ns.saturating_add(HEAL_EVERY_NS);
-        // The old one first: the service may have no room for both.
+    /// one has been read by then, and the old one goes first: the service may have no room for both.
+    fn renew(&mut self) -> Result<(), ReceiveError> {
         self.subscriber = None;
-        self.subscriber = Some(subscribe(&self.factory, self.buffer, &self.degraded)?);
-        self.broken = false;
-        Ok(())
+        match subscribe(&self.factory, self.buffer, &self.degraded) {
+            Ok(subscriber) => {
+                self.subscriber = Some(subscriber);
+                Ok(())
+            }
+            Err(error) if self.repair.failed(clock::monotonic_ns()) => Err(error),
+            Err(error) => {
+                tracing::debug!(%error, "a port could not be made anew yet");
+                Ok(())
+            }
+        }
     }
 }
 
@@ -303,9 +297,7 @@ where
         factory,
         buffer: shape.buffer,
         degraded,
-        degraded_seen: 0,
-        broken: false,
-        heal_from_ns: 0,
+        repair: Repair::default(),
         _member: Rc::clone(&bus.member),
     })
 }
@@ -313,8 +305,8 @@ where
 /// Why no frame could be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReceiveError {
-    /// A writer could not be connected to; its frames are missing. The port is made anew within a
-    /// second or two.
+    /// A writer could not be connected to for a second and more; its frames are missing. The port
+    /// is made anew each second. A writer that died meanwhile is no error.
     #[error(
         "{connections} connections to writers failed so far; are there file descriptors left \
          (`ulimit -n`), and shared memory? `joulebus doctor` tells"

@@ -1,0 +1,144 @@
+//! When a port is made anew, and when its failing is an error.
+
+/// How often a port is made anew at most, ns; a failure that outlasts it is an error.
+const RENEW_EVERY_NS: u64 = 1_000_000_000;
+/// While there is no port at all, ns.
+const RETRY_EVERY_NS: u64 = 20_000_000;
+
+/// What a look at a port's failed connections has found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Look {
+    /// Nothing new has failed.
+    Whole,
+    /// A connection has failed: make the port anew and receive again.
+    Renew,
+    /// Connections still fail a second after the first one did.
+    Failing {
+        /// Connections failed since the port was opened.
+        connections: u64,
+    },
+}
+
+/// The state of a port that may have to be made anew. Times are monotonic ns.
+#[derive(Debug, Default)]
+pub(crate) struct Repair {
+    /// Failed connections, when they were last looked at.
+    seen: u64,
+    /// Whether a connection has failed since the port was made.
+    broken: bool,
+    /// Since when it has been failing.
+    failing_since_ns: Option<u64>,
+    /// No new port before this.
+    renew_from_ns: u64,
+}
+
+impl Repair {
+    /// Whether the port is to be made anew now; the caller does. The clock is asked only when
+    /// something is broken.
+    pub(crate) fn is_due(&mut self, now_ns: impl FnOnce() -> u64) -> bool {
+        if !self.broken {
+            return false;
+        }
+        let now_ns = now_ns();
+        if now_ns < self.renew_from_ns {
+            return false;
+        }
+        self.renew_from_ns = now_ns.saturating_add(RENEW_EVERY_NS);
+        self.broken = false;
+        true
+    }
+
+    /// Looks at the count of failed connections, when the port has nothing more to give.
+    pub(crate) fn look(&mut self, degraded: u64, now_ns: impl FnOnce() -> u64) -> Look {
+        if degraded == self.seen {
+            if !self.broken {
+                self.failing_since_ns = None;
+            }
+            return Look::Whole;
+        }
+        self.seen = degraded;
+        self.broken = true;
+        let now_ns = now_ns();
+        if self.outlasted(now_ns) {
+            return Look::Failing {
+                connections: degraded,
+            };
+        }
+        if now_ns < self.renew_from_ns {
+            return Look::Whole;
+        }
+        Look::Renew
+    }
+
+    /// The port could not be made anew. Returns whether that has gone on for long enough to be an
+    /// error.
+    pub(crate) fn failed(&mut self, now_ns: u64) -> bool {
+        self.broken = true;
+        self.renew_from_ns = now_ns.saturating_add(RETRY_EVERY_NS);
+        self.outlasted(now_ns)
+    }
+
+    fn outlasted(&mut self, now_ns: u64) -> bool {
+        let since_ns = *self.failing_since_ns.get_or_insert(now_ns);
+        now_ns.saturating_sub(since_ns) >= RENEW_EVERY_NS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    fn at(now_ns: u64) -> impl FnOnce() -> u64 {
+        move || now_ns
+    }
+
+    #[test]
+    fn a_connection_that_fails_once_is_made_anew_at_once_and_is_no_error() {
+        let mut repair = Repair::default();
+        assert!(!repair.is_due(at(0)));
+        assert_eq!(repair.look(1, at(5 * MS)), Look::Renew);
+        assert!(repair.is_due(at(5 * MS)));
+        assert_eq!(repair.look(1, at(5 * MS)), Look::Whole);
+        assert!(!repair.is_due(at(9_000 * MS)), "it is whole again");
+        assert_eq!(repair.look(2, at(9_000 * MS)), Look::Renew, "long after");
+    }
+
+    #[test]
+    fn one_that_still_fails_a_second_later_is_an_error_and_tried_once_a_second() {
+        let mut repair = Repair::default();
+        assert_eq!(repair.look(1, at(0)), Look::Renew);
+        assert!(repair.is_due(at(0)));
+        assert_eq!(repair.look(2, at(MS)), Look::Whole, "too soon to try again");
+        for now_ms in [2, 500, 999] {
+            assert!(!repair.is_due(at(now_ms * MS)), "at {now_ms} ms");
+            assert_eq!(repair.look(2, at(now_ms * MS)), Look::Whole);
+        }
+        for second in 1..4 {
+            let now_ns = second * 1_000 * MS;
+            assert!(repair.is_due(at(now_ns)));
+            let connections = 2 + second;
+            assert_eq!(
+                repair.look(connections, at(now_ns)),
+                Look::Failing { connections }
+            );
+        }
+        assert!(repair.is_due(at(4_000 * MS)));
+        assert_eq!(repair.look(5, at(4_000 * MS)), Look::Whole, "healed");
+        assert_eq!(repair.look(6, at(6_000 * MS)), Look::Renew, "a new failure");
+    }
+
+    #[test]
+    fn a_port_that_cannot_be_made_is_tried_again_soon_and_an_error_after_a_second() {
+        let mut repair = Repair::default();
+        assert_eq!(repair.look(1, at(0)), Look::Renew);
+        assert!(repair.is_due(at(0)));
+        assert!(!repair.failed(0));
+        assert!(!repair.is_due(at(19 * MS)));
+        assert!(repair.is_due(at(20 * MS)));
+        assert!(!repair.failed(20 * MS));
+        assert!(repair.is_due(at(1_000 * MS)));
+        assert!(repair.failed(1_000 * MS));
+    }
+}
