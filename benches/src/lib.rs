@@ -1,6 +1,8 @@
 //! What every benchmark prints first: the machine, the build, and what is measured.
 #![forbid(unsafe_code)]
 
+pub mod latency;
+
 use std::fs;
 
 use hdrhistogram::Histogram;

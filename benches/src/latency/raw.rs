@@ -1,11 +1,10 @@
 //! Two raw iceoryx2 hops: source → relay → sink, frames of the same sizes, an event each, nothing
 //! computed. What no broker on iceoryx2 can be faster than.
 
-use std::io::Read;
-use std::path::Path;
-use std::time::Duration;
+use std::path::{Path, PathBuf};
+use std::process::Child;
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
@@ -14,56 +13,75 @@ use iceoryx2::prelude::{
     Config, FileName, Node, NodeBuilder, Path as IoxPath, SemanticString, SignalHandlingMode,
     ZeroCopySend, ipc,
 };
-use joulebus_benches::{Spread, histogram};
 use joulebus_bus::clock;
-use joulebus_publisher::Pace;
+use joulebus_predictor_worker::Spread;
 use joulebus_wire::{Forecast, ForecastHeader, Sample, SampleHeader};
 
-use crate::{finish, start};
-
-/// Frames before the figures count.
-const WARM_UP: u64 = 30;
+use super::{Launcher, WARM_UP, finish, record_places};
+use crate::histogram;
 
 type End<T, H> = (Publisher<ipc::Service, [T], H>, Notifier<ipc::Service>);
 type Start<T, H> = (Subscriber<ipc::Service, [T], H>, Listener<ipc::Service>);
 
-pub(crate) fn measure(robots: usize, rate_hz: u64, frames: u64) -> anyhow::Result<Spread> {
-    let root = format!("/dev/shm/joulebus-bench-raw-{}", std::process::id());
-    std::fs::create_dir_all(&root)?;
-    let spread = run(Path::new(&root), robots, rate_hz, frames);
-    std::fs::remove_dir_all(&root)?;
-    remove_segments()?;
-    spread
+/// The source's end of the two hops, and the processes behind it.
+pub(super) struct Way {
+    // Before the node: ports go first.
+    publisher: Publisher<ipc::Service, [Sample], SampleHeader>,
+    notifier: Notifier<ipc::Service>,
+    _node: Node<ipc::Service>,
+    relay: Child,
+    sink: Child,
+    root: PathBuf,
+    robots: usize,
 }
 
-fn run(root: &Path, robots: usize, rate_hz: u64, frames: u64) -> anyhow::Result<Spread> {
-    let name = root.display().to_string();
-    let mut relay = start(&["relay".into(), name.clone(), robots.to_string()])?;
-    let mut sink = start(&["sink".into(), name, robots.to_string(), frames.to_string()])?;
-    for child in [&mut relay, &mut sink] {
-        let stdout = child.stdout.as_mut().context("not piped")?;
-        stdout
-            .read_exact(&mut [0; 6])
-            .context("the child ended before it was ready")?;
+impl Way {
+    pub(super) fn open(launcher: &Launcher, robots: usize, period_ns: u64) -> anyhow::Result<Self> {
+        let root = PathBuf::from(format!(
+            "/dev/shm/joulebus-bench-raw-{}",
+            std::process::id()
+        ));
+        std::fs::create_dir_all(&root)?;
+        let (name, size) = (root.display().to_string(), robots.to_string());
+        let relay = launcher.start(&["relay".into(), name.clone(), size.clone()])?;
+        let sink = launcher.start(&["sink".into(), name, size, period_ns.to_string()])?;
+        let node = node(&root)?;
+        let (publisher, notifier) = sending::<Sample, SampleHeader>(&node, "samples", robots)?;
+        Ok(Self {
+            publisher,
+            notifier,
+            _node: node,
+            relay,
+            sink,
+            root,
+            robots,
+        })
     }
-    let node = node(root)?;
-    let (publisher, notifier) = sending::<Sample, SampleHeader>(&node, "samples", robots)?;
-    let mut pace = Pace::every(Duration::from_nanos(1_000_000_000 / rate_hz));
-    for _ in 0..WARM_UP + frames + 1 {
-        let slot = pace.wait();
-        let mut loan = publisher.loan_slice_uninit(robots)?;
-        loan.user_header_mut().sent_ns = slot.intended_ns;
+
+    /// Sends a frame that was due at `intended_ns`; 0 ends the measurement.
+    pub(super) fn send(&mut self, intended_ns: u64) -> anyhow::Result<()> {
+        let mut loan = self.publisher.loan_slice_uninit(self.robots)?;
+        loan.user_header_mut().intended_ns = intended_ns;
+        loan.user_header_mut().sent_ns = clock::monotonic_ns();
         loan.write_from_fn(|robot| Sample::new(robot as u32, 0, 0))
             .send()?;
-        notifier.notify()?;
+        self.notifier.notify()?;
+        Ok(())
     }
-    let spread = finish(sink);
-    relay.kill()?;
-    relay.wait()?;
-    spread
+
+    /// Ends the processes; the time from due to read.
+    pub(super) fn finish(mut self) -> anyhow::Result<Spread> {
+        self.send(0)?;
+        let spread = finish(self.sink)?;
+        self.relay.wait()?;
+        drop((self.publisher, self.notifier, self._node));
+        std::fs::remove_dir_all(&self.root)?;
+        remove_segments()?;
+        Ok(spread)
+    }
 }
 
-/// iceoryx2 leaves a segment of its own behind, and the relay is killed.
+/// iceoryx2 leaves a segment of its own behind.
 fn remove_segments() -> anyhow::Result<()> {
     for entry in std::fs::read_dir("/dev/shm")? {
         let entry = entry?;
@@ -74,7 +92,7 @@ fn remove_segments() -> anyhow::Result<()> {
     Ok(())
 }
 
-pub(crate) fn relay(root: &Path, robots: usize) -> anyhow::Result<()> {
+pub(super) fn relay(root: &Path, robots: usize) -> anyhow::Result<()> {
     let node = node(root)?;
     let (publisher, notifier) = sending::<Forecast, ForecastHeader>(&node, "forecasts", robots)?;
     let (subscriber, listener) = receiving::<Sample, SampleHeader>(&node, "samples")?;
@@ -85,7 +103,9 @@ pub(crate) fn relay(root: &Path, robots: usize) -> anyhow::Result<()> {
             .map_err(|error| anyhow!("{error:?}"))?;
         while let Some(frame) = subscriber.receive()? {
             let mut loan = publisher.loan_slice_uninit(robots)?;
-            loan.user_header_mut().sent_ns = frame.user_header().sent_ns;
+            let intended_ns = frame.user_header().intended_ns;
+            loan.user_header_mut().first_intended_ns = intended_ns;
+            loan.user_header_mut().first_sent_ns = frame.user_header().sent_ns;
             let payload = frame.payload();
             let forecast = |place: usize| Forecast {
                 robot: payload[place].robot,
@@ -93,30 +113,37 @@ pub(crate) fn relay(root: &Path, robots: usize) -> anyhow::Result<()> {
             };
             loan.write_from_fn(forecast).send()?;
             notifier.notify()?;
+            if intended_ns == 0 {
+                return Ok(());
+            }
         }
     }
 }
 
-pub(crate) fn sink(root: &Path, robots: usize, frames: u64) -> anyhow::Result<()> {
+pub(super) fn sink(root: &Path, robots: usize, period_ns: u64) -> anyhow::Result<()> {
     let node = node(root)?;
     let (subscriber, listener) = receiving::<Forecast, ForecastHeader>(&node, "forecasts")?;
     println!("ready");
     let (mut times, mut seen) = (histogram(), 0);
-    while seen < WARM_UP + frames {
+    loop {
         listener
             .blocking_wait(|_| {})
             .map_err(|error| anyhow!("{error:?}"))?;
         while let Some(frame) = subscriber.receive()? {
             let now_ns = clock::monotonic_ns();
             anyhow::ensure!(frame.payload().len() == robots, "a frame of another size");
+            let header = frame.user_header();
+            let (intended_ns, sent_ns) = (header.first_intended_ns, header.first_sent_ns);
+            if intended_ns == 0 {
+                println!("{}", serde_json::to_string(&Spread::of(&times))?);
+                return Ok(());
+            }
             seen += 1;
             if seen > WARM_UP {
-                times.saturating_record(now_ns.saturating_sub(frame.user_header().sent_ns));
+                record_places(&mut times, (intended_ns, sent_ns, now_ns), period_ns, 1);
             }
         }
     }
-    println!("{}", serde_json::to_string(&Spread::of(&times))?);
-    Ok(())
 }
 
 fn node(root: &Path) -> anyhow::Result<Node<ipc::Service>> {
