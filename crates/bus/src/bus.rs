@@ -17,7 +17,7 @@ use crate::stillborn::{objects, remove_stillborn};
 use crate::wait::{Waiter, Waker};
 use crate::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, Domain, ForecastReader,
-    ForecastWriter, JoinError, Limits, SampleReader, SampleWriter,
+    ForecastWriter, JoinError, Limits, SampleReader, SampleWriter, StateReader, StateWriter,
 };
 use crate::{port, reader, writer};
 
@@ -156,6 +156,25 @@ impl Bus {
     /// [`OpenError`].
     pub fn budget_reader(&self, limits: &Limits) -> Result<BudgetReader, OpenError> {
         reader::reader(self, Service::Budgets, limits, limits.budgets())
+    }
+
+    /// The worker's port for keyframes; a piece holds [`Writer::max_len`](crate::Writer::max_len)
+    /// bytes.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn state_writer(&self, limits: &Limits) -> Result<StateWriter, OpenError> {
+        let shape = limits.state();
+        let piece = limits.state_piece_bytes();
+        writer::writer(self, Service::State, limits, shape, piece)
+    }
+
+    /// A recorder's port for keyframes. While it is open, the worker sends them.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn state_reader(&self, limits: &Limits) -> Result<StateReader, OpenError> {
+        reader::reader(self, Service::State, limits, limits.state())
     }
 
     /// Waits for samples: the worker.

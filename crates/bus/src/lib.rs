@@ -10,6 +10,7 @@
 //! | [`ForecastWriter`] → [`ForecastReader`] | worker → planners | [`joulebus_wire::Forecast`] |
 //! | [`DiagnosticWriter`] → [`DiagnosticReader`] | worker → planners | [`joulebus_wire::Diagnostic`] |
 //! | [`BudgetWriter`] → [`BudgetReader`] | worker → planners | [`joulebus_wire::Budget`], history 1 |
+//! | [`StateWriter`] → [`StateReader`] | worker → recorders | bytes of keyframes |
 //! | [`Waker`] → [`Waiter`] | sources → worker, worker → planners | events |
 //!
 //! Ports, the [`Bus`] and the [`Waiter`] belong to the thread that made them. Every member has a
@@ -63,6 +64,7 @@ pub use membership::JoinError;
 pub use open::OpenError;
 pub use port::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
+    StateReader, StateWriter,
 };
 pub use reader::{Frame, FrameBuf, Reader, ReceiveError, SampleReader};
 pub use room::{Ports, RoomError, RoomReport, check_room};

@@ -32,6 +32,12 @@ impl Default for Limits {
 /// somebody cleans up, and its successor comes sooner.
 const SPARE: usize = 2;
 
+/// Bytes in one piece of a keyframe: a robot takes about 350.
+const STATE_BYTES_PER_ROBOT: usize = 512;
+const STATE_PIECE_BYTES: (usize, usize) = (4 * 1024, 64 * 1024);
+/// Pieces of a keyframe that wait for a reader; older ones are overwritten.
+const STATE_PIECES: usize = 8;
+
 impl Limits {
     /// The limits, if each lies in its range.
     ///
@@ -96,6 +102,25 @@ impl Limits {
             history: 1,
             ..self.forecasts()
         }
+    }
+
+    /// Keyframes, in pieces: who reads takes what waits at every tick.
+    pub(crate) const fn state(&self) -> Shape {
+        Shape {
+            publishers: 1 + SPARE,
+            // Somebody who records, and two more.
+            subscribers: 1 + SPARE,
+            buffer: STATE_PIECES,
+            borrowed: 1,
+            history: 0,
+        }
+    }
+
+    pub(crate) fn state_piece_bytes(&self) -> usize {
+        let (least, most) = STATE_PIECE_BYTES;
+        self.capacity
+            .saturating_mul(STATE_BYTES_PER_ROBOT)
+            .clamp(least, most)
     }
 
     /// Listeners and notifiers of the sources' event.

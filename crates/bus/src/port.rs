@@ -7,7 +7,7 @@ use iceoryx2::port::DegradationAction;
 use iceoryx2::prelude::EventId;
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Service,
-    WakeEvent,
+    StateHeader, WakeEvent,
 };
 
 use crate::open::{OpenError, open_event};
@@ -28,6 +28,10 @@ pub type ForecastReader = Reader<ForecastHeader, Forecast>;
 pub type DiagnosticReader = Reader<DiagnosticHeader, Diagnostic>;
 /// A planner's port for budgets.
 pub type BudgetReader = Reader<BudgetHeader, Budget>;
+/// The worker's port for keyframes.
+pub type StateWriter = Writer<StateHeader, u8>;
+/// A recorder's port for keyframes.
+pub type StateReader = Reader<StateHeader, u8>;
 
 /// Counts instead of failing at once: failing would leave the ports after this one unconnected
 /// too, and nothing would try them again. The reader turns the count into an error.

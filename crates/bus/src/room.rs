@@ -17,7 +17,7 @@ const SEGMENT_OVERHEAD: usize = 16 * 1024;
 const CONNECTION_BYTES: usize = 16 * 1024;
 /// Services, nodes, events and what rounding to pages costs, per process.
 const PROCESS_BYTES: usize = 192 * 1024;
-/// Descriptors of a process before it connects to anybody: node, locks, six services.
+/// Descriptors of a process before it connects to anybody: node, locks, seven services.
 const BASE_DESCRIPTORS: u64 = 64;
 /// Descriptors of one connection, both data and bookkeeping.
 const CONNECTION_DESCRIPTORS: u64 = 4;
@@ -138,11 +138,17 @@ fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
         size_of::<wire::Budget>(),
         limits.capacity,
     );
+    let state = segment_bytes(
+        limits.state(),
+        size_of::<wire::StateHeader>(),
+        1,
+        limits.state_piece_bytes(),
+    );
     let connections = ports.workers * (ports.sources + 3 * ports.planners);
     let processes = ports.sources + ports.workers + ports.planners;
     let small = connections * CONNECTION_BYTES + processes * PROCESS_BYTES;
     ports.sources as u64 * samples
-        + ports.workers as u64 * (forecasts + diagnostics + budgets)
+        + ports.workers as u64 * (forecasts + diagnostics + budgets + state)
         + small as u64
 }
 

@@ -12,6 +12,8 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::{AllocationStrategy, ZeroCopySend, ipc};
 use iceoryx2::sample_mut::SampleMut;
+use iceoryx2::service::port_factory::PortFactory as _;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use joulebus_wire::{Sample, SampleHeader, Service, WakeEvent};
 
 use crate::limits::Shape;
@@ -24,7 +26,9 @@ use crate::{Bus, Limits, RoomError, memory};
 
 /// Sends frames: a header `H` and a slice of `T`, written where readers read it.
 pub struct Writer<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
+    // The port before its factory: the order in which they must go.
     publisher: Publisher<ipc::Service, [T], H>,
+    factory: PortFactory<ipc::Service, [T], H>,
     max_len: usize,
     degraded: Arc<AtomicU64>,
     // After the port: it must be gone before the process leaves.
@@ -76,6 +80,13 @@ where
     pub fn update(&mut self) {
         // Failures are counted by the handler of degradations.
         let _ = self.publisher.update_connections();
+    }
+
+    /// Readers of the service, wherever they are; one that was killed counts until the next
+    /// cleaning up.
+    #[must_use]
+    pub fn readers(&self) -> usize {
+        self.factory.dynamic_config().number_of_subscribers()
     }
 
     /// Elements that one frame may hold.
@@ -219,7 +230,8 @@ where
     }
     let degraded = Arc::new(AtomicU64::new(0));
     let counted = Arc::clone(&degraded);
-    let publisher = open::<H, T>(bus, service, limits, shape)?
+    let factory = open::<H, T>(bus, service, limits, shape)?;
+    let publisher = factory
         .publisher_builder()
         .initial_max_slice_len(max_len)
         .max_loaned_samples(1)
@@ -231,6 +243,7 @@ where
         .map_err(|source| OpenError::Memory { needed, source })?;
     Ok(Writer {
         publisher,
+        factory,
         max_len,
         degraded,
         _member: Rc::clone(&bus.member),

@@ -19,6 +19,7 @@ mod marker;
 mod reason;
 mod sample;
 mod service;
+mod state;
 
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
 pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};
@@ -26,6 +27,7 @@ pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
 pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
 pub use sample::{Freshness, Sample, SampleHeader, sample_flag};
 pub use service::{Service, WakeEvent, service_name};
+pub use state::StateHeader;
 
 /// Version of every payload in this crate. A frame with another version is refused and counted.
 pub const SCHEMA_VERSION: u32 = 1;

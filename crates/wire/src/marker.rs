@@ -5,7 +5,7 @@ use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
 use crate::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
-    SampleHeader,
+    SampleHeader, StateHeader,
 };
 
 /// Marks a payload: its name, its size, and that its fields fill it without padding.
@@ -35,3 +35,4 @@ payload!(Diagnostic, "joulebus.Diagnostic.v1", 128);
 payload!(DiagnosticHeader, "joulebus.DiagnosticHeader.v1", 280);
 payload!(Budget, "joulebus.Budget.v1", 112);
 payload!(BudgetHeader, "joulebus.BudgetHeader.v1", 40);
+payload!(StateHeader, "joulebus.StateHeader.v1", 64);

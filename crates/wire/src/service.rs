@@ -11,6 +11,8 @@ pub enum Service {
     Diagnostics,
     /// Publish-subscribe with history, slices of [`crate::Budget`], header [`crate::BudgetHeader`].
     Budgets,
+    /// Publish-subscribe, slices of bytes, header [`crate::StateHeader`]: keyframes.
+    State,
     /// Event: sources wake the worker.
     Arrivals,
     /// Event: the worker wakes planners.
@@ -19,11 +21,12 @@ pub enum Service {
 
 impl Service {
     /// All services.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Samples,
         Self::Forecasts,
         Self::Diagnostics,
         Self::Budgets,
+        Self::State,
         Self::Arrivals,
         Self::Wake,
     ];
@@ -36,6 +39,7 @@ impl Service {
             Self::Forecasts => "forecasts",
             Self::Diagnostics => "diagnostics",
             Self::Budgets => "budgets",
+            Self::State => "state",
             Self::Arrivals => "arrivals",
             Self::Wake => "wake",
         }
