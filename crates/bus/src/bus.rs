@@ -17,7 +17,8 @@ use crate::stillborn::{objects, remove_stillborn};
 use crate::wait::{Waiter, Waker};
 use crate::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, Domain, ForecastReader,
-    ForecastWriter, JoinError, Limits, SampleReader, SampleWriter, StateReader, StateWriter,
+    ForecastWriter, JoinError, Limits, SampleReader, SampleTap, SampleWriter, StateReader,
+    StateWriter, TickReader, TickWriter,
 };
 use crate::{port, reader, writer};
 
@@ -132,6 +133,31 @@ impl Bus {
     pub fn budget_writer(&self, limits: &Limits) -> Result<BudgetWriter, OpenError> {
         let shape = limits.budgets();
         writer::writer(self, Service::Budgets, limits, shape, limits.capacity)
+    }
+
+    /// The worker's port for its journal; frames of up to [`Limits::listed_frames`].
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn tick_writer(&self, limits: &Limits) -> Result<TickWriter, OpenError> {
+        let (shape, listed) = (limits.ticks(), limits.listed_frames());
+        writer::writer(self, Service::Ticks, limits, shape, listed)
+    }
+
+    /// A recorder's port for the worker's journal.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn tick_reader(&self, limits: &Limits) -> Result<TickReader, OpenError> {
+        reader::reader(self, Service::Ticks, limits, limits.ticks())
+    }
+
+    /// A recorder's port for samples of all sources.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn sample_tap(&self, limits: &Limits) -> Result<SampleTap, OpenError> {
+        reader::reader(self, Service::Samples, limits, limits.samples())
     }
 
     /// A planner's port for forecasts.

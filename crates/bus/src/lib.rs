@@ -11,6 +11,7 @@
 //! | [`DiagnosticWriter`] → [`DiagnosticReader`] | worker → planners | [`joulebus_wire::Diagnostic`] |
 //! | [`BudgetWriter`] → [`BudgetReader`] | worker → planners | [`joulebus_wire::Budget`], history 1 |
 //! | [`StateWriter`] → [`StateReader`] | worker → recorders | bytes of keyframes |
+//! | [`TickWriter`] → [`TickReader`] | worker → recorders | [`joulebus_wire::TakenFrame`] |
 //! | [`Waker`] → [`Waiter`] | sources → worker, worker → planners | events |
 //!
 //! Ports, the [`Bus`] and the [`Waiter`] belong to the thread that made them. Every member has a
@@ -64,7 +65,7 @@ pub use membership::JoinError;
 pub use open::OpenError;
 pub use port::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    StateReader, StateWriter,
+    SampleTap, StateReader, StateWriter, TickReader, TickWriter,
 };
 pub use reader::{Frame, FrameBuf, Reader, ReceiveError, SampleReader};
 pub use room::{Ports, RoomError, RoomReport, check_room};

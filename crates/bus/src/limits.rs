@@ -31,6 +31,12 @@ impl Default for Limits {
 /// Ports a service must have room for beyond those in use: a killed process holds its ports until
 /// somebody cleans up, and its successor comes sooner.
 const SPARE: usize = 2;
+/// Processes that may record a fleet at once.
+const RECORDERS: usize = 2;
+/// Journals that wait for a recorder: a second at 30 Hz.
+const TICK_FRAMES: usize = 32;
+/// Frames that a journal lists at most, whatever the limits: 160 KiB.
+const MOST_LISTED: usize = 4_096;
 
 /// Bytes in one piece of a keyframe: a robot takes about 350.
 const STATE_BYTES_PER_ROBOT: usize = 512;
@@ -74,11 +80,23 @@ impl Limits {
         2 * (self.max_sources + self.max_planners + SPARE)
     }
 
+    /// Frames of samples that a tick's journal has room for: all that can wait when a tick begins,
+    /// up to 4,096.
+    #[must_use]
+    pub const fn listed_frames(&self) -> usize {
+        let waiting = self.max_sources * self.sample_frames;
+        if waiting < MOST_LISTED {
+            waiting
+        } else {
+            MOST_LISTED
+        }
+    }
+
     pub(crate) const fn samples(&self) -> Shape {
         Shape {
             publishers: self.max_sources + SPARE,
-            // The worker, its successor, and somebody who records.
-            subscribers: 1 + SPARE,
+            // The worker, and who records.
+            subscribers: 1 + RECORDERS + SPARE,
             buffer: self.sample_frames,
             borrowed: 1,
             history: 0,
@@ -108,9 +126,18 @@ impl Limits {
     pub(crate) const fn state(&self) -> Shape {
         Shape {
             publishers: 1 + SPARE,
-            // Somebody who records, and two more.
-            subscribers: 1 + SPARE,
+            subscribers: RECORDERS + SPARE,
             buffer: STATE_PIECES,
+            borrowed: 1,
+            history: 0,
+        }
+    }
+
+    pub(crate) const fn ticks(&self) -> Shape {
+        Shape {
+            publishers: 1 + SPARE,
+            subscribers: RECORDERS + SPARE,
+            buffer: TICK_FRAMES,
             borrowed: 1,
             history: 0,
         }

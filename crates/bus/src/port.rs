@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use iceoryx2::port::DegradationAction;
 use iceoryx2::prelude::EventId;
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Service,
-    StateHeader, WakeEvent,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
+    SampleHeader, Service, StateHeader, TakenFrame, TickHeader, WakeEvent,
 };
 
 use crate::open::{OpenError, open_event};
@@ -22,6 +22,8 @@ pub type ForecastWriter = Writer<ForecastHeader, Forecast>;
 pub type DiagnosticWriter = Writer<DiagnosticHeader, Diagnostic>;
 /// The worker's port for budgets.
 pub type BudgetWriter = Writer<BudgetHeader, Budget>;
+/// The worker's port for its journal.
+pub type TickWriter = Writer<TickHeader, TakenFrame>;
 /// A planner's port for forecasts.
 pub type ForecastReader = Reader<ForecastHeader, Forecast>;
 /// A planner's port for diagnostics.
@@ -32,6 +34,10 @@ pub type BudgetReader = Reader<BudgetHeader, Budget>;
 pub type StateWriter = Writer<StateHeader, u8>;
 /// A recorder's port for keyframes.
 pub type StateReader = Reader<StateHeader, u8>;
+/// A recorder's port for samples: reads what the worker reads, without being it.
+pub type SampleTap = Reader<SampleHeader, Sample>;
+/// A recorder's port for the worker's journal.
+pub type TickReader = Reader<TickHeader, TakenFrame>;
 
 /// Counts instead of failing at once: failing would leave the ports after this one unconnected
 /// too, and nothing would try them again. The reader turns the count into an error.

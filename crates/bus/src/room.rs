@@ -17,7 +17,7 @@ const SEGMENT_OVERHEAD: usize = 16 * 1024;
 const CONNECTION_BYTES: usize = 16 * 1024;
 /// Services, nodes, events and what rounding to pages costs, per process.
 const PROCESS_BYTES: usize = 192 * 1024;
-/// Descriptors of a process before it connects to anybody: node, locks, seven services.
+/// Descriptors of a process before it connects to anybody: node, locks, eight services.
 const BASE_DESCRIPTORS: u64 = 64;
 /// Descriptors of one connection, both data and bookkeeping.
 const CONNECTION_DESCRIPTORS: u64 = 4;
@@ -144,11 +144,17 @@ fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
         1,
         limits.state_piece_bytes(),
     );
+    let ticks = segment_bytes(
+        limits.ticks(),
+        size_of::<wire::TickHeader>(),
+        size_of::<wire::TakenFrame>(),
+        limits.listed_frames(),
+    );
     let connections = ports.workers * (ports.sources + 3 * ports.planners);
     let processes = ports.sources + ports.workers + ports.planners;
     let small = connections * CONNECTION_BYTES + processes * PROCESS_BYTES;
     ports.sources as u64 * samples
-        + ports.workers as u64 * (forecasts + diagnostics + budgets + state)
+        + ports.workers as u64 * (forecasts + diagnostics + budgets + state + ticks)
         + small as u64
 }
 

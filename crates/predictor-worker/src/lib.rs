@@ -3,13 +3,14 @@
 //! [`Worker::open`] takes everything that can fail (models, memory, the right to be the fleet's only
 //! worker); [`Worker::run`] then ticks until told to stop. What the tick says is written straight
 //! into memory borrowed from shared memory. After warm-up the loop allocates nothing of its own
-//! (iceoryx2 0.10 allocates once for each of the three frames that a tick sends), locks nothing,
+//! (iceoryx2 0.10 allocates once for each of the four frames that a tick sends), locks nothing,
 //! logs nothing and waits for nothing but samples and its schedule. Logging and the ledger's
 //! checkpoints are the clerk's, a thread that reads the worker's frames like any planner.
 #![forbid(unsafe_code)]
 
 mod checkpoint;
 mod clerk;
+mod journal;
 mod models;
 mod report;
 mod worker;

@@ -15,6 +15,7 @@ use joulebus_wire::{BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSI
 
 use crate::checkpoint::CheckpointError;
 use crate::clerk::{Clerk, ClerkError, Failures, recall};
+use crate::journal::Journal;
 use crate::models::{ModelsError, load_models};
 use crate::report::{Report, Spread, by_name};
 
@@ -30,6 +31,7 @@ pub struct Worker {
     forecasts: ForecastWriter,
     diagnostics: DiagnosticWriter,
     budgets: BudgetWriter,
+    journal: Journal,
     waiter: Waiter,
     planners: Waker,
     clerk: Clerk,
@@ -122,6 +124,7 @@ impl Worker {
         let forecasts = bus.forecast_writer(&limits)?;
         let diagnostics = bus.diagnostic_writer(&limits)?;
         let budgets = bus.budget_writer(&limits)?;
+        let journal = Journal::open(&bus, &limits)?;
         let planners = bus.planner_waker(&limits)?;
         let failures = Arc::new(Failures::default());
         let clerk = Clerk::start(&domain, config, before, Arc::clone(&failures))?;
@@ -153,6 +156,7 @@ impl Worker {
             forecasts,
             diagnostics,
             budgets,
+            journal,
             waiter,
             planners,
             clerk,
@@ -236,6 +240,7 @@ impl Worker {
             match self.samples.take(&mut self.frame) {
                 Ok(true) => {
                     let now_ns = clock::monotonic_ns();
+                    self.journal.note(&self.frame, now_ns);
                     self.fleet
                         .take(self.frame.header(), self.frame.samples(), now_ns);
                 }
@@ -249,11 +254,15 @@ impl Worker {
     }
 
     fn tick(&mut self, due_ns: u64, start_ns: u64) {
-        let intake = self.fleet.tick(start_ns, self.missed);
+        let missed = self.missed;
+        let intake = self.fleet.tick(start_ns, missed);
         self.header.tick += 1;
         self.send_forecasts(intake, start_ns);
         self.send_diagnostics();
         self.send_budgets();
+        let place = (self.header.worker_epoch, self.header.tick);
+        self.journal
+            .send(place, start_ns, missed, &self.failures.unsent);
         let end_ns = clock::monotonic_ns();
         let frames = intake.frames > 0;
         self.missed = self.schedule.ticked(due_ns, start_ns, end_ns, frames);

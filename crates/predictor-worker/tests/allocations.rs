@@ -1,5 +1,5 @@
 //! The worker's loop, intake and publishing included, allocates nothing of its own after warm-up:
-//! only iceoryx2 0.10 does, once for each of the three frames that a tick sends.
+//! only iceoryx2 0.10 does, once for each of the four frames that a tick sends.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 #[path = "../../../tests/counting.rs"]
@@ -88,8 +88,8 @@ fn measure(policy: &str) {
         stop.store(true, Ordering::Relaxed);
         assert_eq!(
             allocated,
-            3 * 300,
-            "policy {policy}: three a tick are iceoryx2's"
+            4 * 300,
+            "policy {policy}: four a tick are iceoryx2's"
         );
     });
     let report = worker.finish();

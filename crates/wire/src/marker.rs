@@ -5,7 +5,7 @@ use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
 use crate::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
-    SampleHeader, StateHeader,
+    SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 
 /// Marks a payload: its name, its size, and that its fields fill it without padding.
@@ -36,3 +36,5 @@ payload!(DiagnosticHeader, "joulebus.DiagnosticHeader.v1", 280);
 payload!(Budget, "joulebus.Budget.v1", 112);
 payload!(BudgetHeader, "joulebus.BudgetHeader.v1", 40);
 payload!(StateHeader, "joulebus.StateHeader.v1", 64);
+payload!(TakenFrame, "joulebus.TakenFrame.v1", 40);
+payload!(TickHeader, "joulebus.TickHeader.v1", 48);

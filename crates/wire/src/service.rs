@@ -11,6 +11,9 @@ pub enum Service {
     Diagnostics,
     /// Publish-subscribe with history, slices of [`crate::Budget`], header [`crate::BudgetHeader`].
     Budgets,
+    /// Publish-subscribe, slices of [`crate::TakenFrame`], header [`crate::TickHeader`]: the worker's
+    /// journal.
+    Ticks,
     /// Publish-subscribe, slices of bytes, header [`crate::StateHeader`]: keyframes.
     State,
     /// Event: sources wake the worker.
@@ -21,11 +24,12 @@ pub enum Service {
 
 impl Service {
     /// All services.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Samples,
         Self::Forecasts,
         Self::Diagnostics,
         Self::Budgets,
+        Self::Ticks,
         Self::State,
         Self::Arrivals,
         Self::Wake,
@@ -39,6 +43,7 @@ impl Service {
             Self::Forecasts => "forecasts",
             Self::Diagnostics => "diagnostics",
             Self::Budgets => "budgets",
+            Self::Ticks => "ticks",
             Self::State => "state",
             Self::Arrivals => "arrivals",
             Self::Wake => "wake",

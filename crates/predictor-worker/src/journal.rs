@@ -1,0 +1,73 @@
+//! The worker's journal: which frames each tick took, in which order, at which time.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use joulebus_bus::{Bus, FrameBuf, Limits, OpenError, TickWriter, clock};
+use joulebus_wire::{SCHEMA_VERSION, TakenFrame, TickHeader, tick_flag};
+
+/// Collects what the intake takes, and sends it after each tick.
+pub(crate) struct Journal {
+    writer: TickWriter,
+    taken: Vec<TakenFrame>,
+    unlisted: u32,
+}
+
+impl Journal {
+    /// Opens the port. The list gets its memory here, and never again.
+    pub(crate) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
+        let writer = bus.tick_writer(limits)?;
+        Ok(Self {
+            taken: Vec::with_capacity(writer.max_len()),
+            writer,
+            unlisted: 0,
+        })
+    }
+
+    /// Notes a frame that goes into the intake, which is told `now_ns`.
+    pub(crate) fn note(&mut self, frame: &FrameBuf, now_ns: u64) {
+        if self.taken.len() == self.writer.max_len() {
+            self.unlisted = self.unlisted.saturating_add(1);
+            return;
+        }
+        let header = frame.header();
+        // Both counts are bounded by the capacity of a frame, far below 2^32.
+        self.taken.push(TakenFrame {
+            source_id: header.source_id,
+            source_epoch: header.source_epoch,
+            frame_seq: header.frame_seq,
+            taken_ns: now_ns,
+            samples: frame.samples().len() as u32,
+            truncated: frame.truncated() as u32,
+        });
+    }
+
+    /// Sends the journal of the tick `tick` of the worker's run `worker_epoch`, and begins the next
+    /// one. Failures are counted in `unsent`.
+    pub(crate) fn send(
+        &mut self,
+        (worker_epoch, tick): (u64, u64),
+        start_ns: u64,
+        deadline_missed: bool,
+        unsent: &AtomicU64,
+    ) {
+        let header = TickHeader {
+            schema: SCHEMA_VERSION,
+            pid: std::process::id(),
+            worker_epoch,
+            tick,
+            start_ns,
+            sent_ns: clock::monotonic_ns(),
+            flags: if deadline_missed {
+                tick_flag::DEADLINE_MISSED
+            } else {
+                0
+            },
+            unlisted: self.unlisted,
+        };
+        let taken = &self.taken;
+        let sent = self.writer.send(header, taken.len(), |place| taken[place]);
+        unsent.fetch_add(u64::from(sent.is_err()), Ordering::Relaxed);
+        self.taken.clear();
+        self.unlisted = 0;
+    }
+}
