@@ -93,3 +93,37 @@ impl ModelError {
         }
     }
 }
+
+/// Why candidates can't be rolled out.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum RolloutError {
+    /// The time between two steps is no time.
+    #[error("step_s is {found}, allowed: positive and finite seconds")]
+    Step {
+        /// The value found.
+        found: f32,
+    },
+    /// Lanes that do not exist.
+    #[error(
+        "lanes {start}..{end} were asked for, allowed: parts of 0..{allowed} (robots x candidates)"
+    )]
+    Lanes {
+        /// First lane asked for.
+        start: usize,
+        /// Lane past the last one asked for.
+        end: usize,
+        /// Number of lanes.
+        allowed: usize,
+    },
+    /// A slice of another length than the shape says.
+    #[error("{column} has {found} values, allowed: {allowed}")]
+    Length {
+        /// Name of the slice.
+        column: &'static str,
+        /// Values found.
+        found: usize,
+        /// Values that the shape asks for.
+        allowed: usize,
+    },
+}

@@ -19,9 +19,11 @@ mod gelu;
 mod kernel;
 mod model;
 mod network;
+mod rollout;
 
-pub use error::ModelError;
+pub use error::{ModelError, RolloutError};
 pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, LAGS, features};
 pub use kernel::Kernel;
 pub use model::{Model, Persistence, ResidualStats, TrainingRange};
 pub use network::{Card, HIDDEN, Layer, Network, Normalisation, Parameters, Scores};
+pub use rollout::{RolloutStart, Rollouts};

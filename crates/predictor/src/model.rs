@@ -1,6 +1,6 @@
 //! A model as the tick sees it: the network or a baseline.
 
-use crate::{FEATURES, FeatureSet, Features, ModelError, Network};
+use crate::{FEATURE_NAMES, FEATURES, FeatureSet, Features, ModelError, Network};
 use sha2::{Digest, Sha256};
 
 /// How far a model's forecasts were off on data that it was not trained on.
@@ -124,6 +124,33 @@ impl Model {
                     *forecast_w = row[FeatureSet::PowerOnly.first()];
                 }
             }
+        }
+    }
+
+    /// As [`Model::predict`], with one column for each feature, in the order of [`Features`]:
+    /// `features[f][i]` is feature `f` of row `i`. The same bits.
+    ///
+    /// Columns of features that the model does not read ([`Model::needs_command`]) may be empty.
+    ///
+    /// # Panics
+    /// If a column that is read, or is not empty, has another length than `forecasts_w`.
+    pub fn predict_columns(&self, features: [&[f32]; FEATURES], forecasts_w: &mut [f32]) {
+        let count = forecasts_w.len();
+        let first_read = match self {
+            Model::Network(network) => network.feature_set().first(),
+            Model::Persistence(_) => FeatureSet::PowerOnly.first(),
+        };
+        for (feature, column) in features.iter().enumerate() {
+            assert!(
+                column.len() == count || (column.is_empty() && feature < first_read),
+                "column {} has {} values, allowed: {count}, as many as forecasts_w",
+                FEATURE_NAMES[feature],
+                column.len(),
+            );
+        }
+        match self {
+            Model::Network(network) => network.predict_columns(features, forecasts_w),
+            Model::Persistence(_) => forecasts_w.copy_from_slice(features[first_read]),
         }
     }
 

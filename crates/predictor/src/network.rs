@@ -157,6 +157,20 @@ impl Network {
         self.kernel.run(&self.packed, inputs, out_w);
     }
 
+    /// Columns have the length of `out_w`, or are empty and not read.
+    pub(crate) fn predict_columns(&self, columns: [&[f32]; FEATURES], out_w: &mut [f32]) {
+        let mut rows = [[0.0; FEATURES]; 64];
+        for (tile, out_w) in out_w.chunks_mut(rows.len()).enumerate() {
+            let start = tile * rows.len();
+            for (feature, column) in columns.iter().enumerate() {
+                for (row, value) in rows.iter_mut().zip(column.iter().skip(start)) {
+                    row[feature] = *value;
+                }
+            }
+            self.predict(&rows, out_w);
+        }
+    }
+
     /// One forecast in watt by plain loops: the definition of the network's bits. Allocates.
     pub fn predict_reference_f32(&self, row: &Features) -> f32 {
         let Normalisation {
