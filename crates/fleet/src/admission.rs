@@ -118,6 +118,7 @@ impl Fleet {
         self.slot_of.insert(robot, slot);
         self.live.push(slot);
         let slot = slot as usize;
+        self.used = self.used.max(slot + 1);
         self.occupy(slot, robot, kind, header, now_ns);
         Ok(slot)
     }
@@ -160,7 +161,7 @@ impl Fleet {
         self.detectors[slot] = Detector::new();
     }
 
-    fn platform_of(&self, robot: u32) -> Option<u16> {
+    pub(crate) fn platform_of(&self, robot: u32) -> Option<u16> {
         let after = self.ranges.partition_point(|(start, _, _)| *start <= robot);
         let (_, end, kind) = self.ranges.get(after.checked_sub(1)?)?;
         (robot <= *end).then_some(*kind)

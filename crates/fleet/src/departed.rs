@@ -2,10 +2,12 @@
 
 use std::collections::HashMap;
 
+use serde::{Deserialize, Serialize};
+
 use crate::Ledger;
 
 /// One robot's account.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(crate) struct Account {
     pub robot: u32,
     /// Whether it has ever been seen charging.
@@ -56,6 +58,19 @@ impl Departed {
             self.place_of.insert(moved.robot, place);
         }
         Some(account)
+    }
+
+    pub(crate) fn accounts(&self) -> &[Account] {
+        &self.accounts
+    }
+
+    /// Keeps `accounts` instead of those kept so far.
+    pub(crate) fn replace(&mut self, accounts: &[Account]) {
+        self.accounts.clear();
+        self.place_of.clear();
+        for account in accounts {
+            self.keep(*account);
+        }
     }
 
     pub(crate) fn ledger(&self, robot: u32) -> Option<&Ledger> {

@@ -1,8 +1,10 @@
 //! Which alarms a robot raises: bias, noise, mismatch, and what its samples say about themselves.
 
 use joulebus_wire::{Alarm, AlarmSet};
+use serde::{Deserialize, Serialize};
 
 use crate::AlarmSettings;
+use crate::state::alarm_set;
 
 /// Serial correlation above which whitening would only amplify noise.
 const CORRELATION_MAX: f32 = 0.9;
@@ -12,7 +14,7 @@ const CORRELATION_MAX: f32 = 0.9;
 const RESIDUAL_MAX: f32 = 1e6;
 
 /// What is remembered of one robot's residuals.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Detector {
     pub bias_w: f32,
     pub cusum_up: f32,
@@ -23,6 +25,7 @@ pub(crate) struct Detector {
     z_product: f32,
     error_square: f32,
     persistence_square: f32,
+    #[serde(with = "alarm_set")]
     raised: AlarmSet,
     agreeing: [u16; Alarm::ALL.len()],
 }

@@ -5,12 +5,13 @@ use std::ops::RangeInclusive;
 
 use joulebus_predictor::{Features, Model};
 use joulebus_wire::{DropCounts, DropReason, SCHEMA_VERSION, Sample, SampleHeader};
+use serde::{Deserialize, Serialize};
 
 use crate::departed::{Account, Departed};
 use crate::detector::Detector;
 use crate::interval::Interval;
 use crate::refused::Refused;
-use crate::robot::{Last, Pending, Robot};
+use crate::robot::{Pending, Robot};
 use crate::sources::Sources;
 use crate::window::Window;
 use crate::{Ledger, Platform, Scores, Settings, SettingsError};
@@ -38,6 +39,7 @@ pub(crate) const TILE: usize = 1024;
 #[derive(Debug)]
 pub struct Fleet {
     pub(crate) settings: Settings,
+    pub(crate) settings_hash: u64,
     pub(crate) kinds: Vec<Kind>,
     /// Ranges of robot ids, ascending, with the platform they belong to.
     pub(crate) ranges: Vec<(u32, u32, u16)>,
@@ -54,19 +56,21 @@ pub struct Fleet {
     /// Slots in use, ascending in the order of joining.
     pub(crate) live: Vec<u32>,
     pub(crate) free: Vec<u32>,
+    /// Slots that have ever been in use: all below.
+    pub(crate) used: usize,
     pub(crate) slot_of: HashMap<u32, u32>,
     pub(crate) departed: Departed,
     /// Slot that the next sample is probably of: sources name their robots in the same order.
     pub(crate) guess: usize,
 
     pub(crate) batch: Batch,
-    sources: Sources,
+    pub(crate) sources: Sources,
     pub(crate) refused: Refused,
     pub(crate) drops: DropCounts,
-    accepted: u64,
+    pub(crate) accepted: u64,
     /// Robots heard of in this tick.
     pub(crate) reported: usize,
-    intake: TickIntake,
+    pub(crate) intake: TickIntake,
     pub(crate) now_ns: u64,
     pub(crate) deadline_missed: bool,
 }
@@ -93,7 +97,7 @@ pub(crate) struct Batch {
 }
 
 /// What one tick took in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct TickIntake {
     /// Frames taken.
     pub frames: u32,
@@ -121,27 +125,9 @@ impl Fleet {
             .zip(models)
             .map(|(platform, model)| Kind::new(platform, model, capacity))
             .collect();
-        let robot = Robot {
-            id: 0,
-            present: false,
-            platform: 0,
-            generation: 0,
-            source_id: 0,
-            source_epoch: 0,
-            renewed: false,
-            waiting: false,
-            seq: None,
-            taken_ns: 0,
-            taken: 0,
-            heard: false,
-            refused: 0,
-            refused_run: 0,
-            invalid: None,
-            last: Last::NONE,
-        };
         Ok(Self {
             ranges: ranges(&kinds),
-            robots: vec![robot; capacity],
+            robots: vec![Robot::ABSENT; capacity],
             windows: vec![Window::EMPTY; capacity],
             ledgers: vec![Ledger::default(); capacity],
             intervals: vec![Interval::new(0.0, 0.0, 0.0, 0.0, 0.0); capacity],
@@ -150,6 +136,8 @@ impl Fleet {
             pending: vec![Pending::default(); capacity],
             live: Vec::with_capacity(capacity),
             free: (0..settings.capacity).rev().collect(),
+            used: 0,
+            settings_hash: settings.fingerprint(),
             // Twice the capacity: the map then never grows, however often robots come and go.
             slot_of: HashMap::with_capacity(2 * capacity),
             departed: Departed::new(settings.capacity),

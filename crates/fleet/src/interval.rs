@@ -4,13 +4,15 @@
 //! one when it does not, so that in the long run the wanted share of readings lies inside, whatever
 //! the residuals do (Angelopoulos, Candès, Tibshirani, "Conformal PID control", 2023, section 2).
 
+use serde::{Deserialize, Serialize};
+
 use crate::IntervalSettings;
 
 /// Weight of the newest residual in the scale of the steps and in the recent coverage.
 const RECENT_WEIGHT: f32 = 0.005;
 
 /// The interval of one robot, as distances from its forecast.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Interval {
     /// Distance of the lower end below the forecast, W.
     pub below_w: f32,

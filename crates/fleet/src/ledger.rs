@@ -1,5 +1,7 @@
 //! The exact account of one robot's energy, in integers.
 
+use serde::{Deserialize, Serialize};
+
 /// µW·ns in one µJ, times 2: the trapezoid is summed without being halved.
 const UNITS_PER_UJ: i128 = 2_000_000_000;
 
@@ -8,7 +10,7 @@ const UNITS_PER_UJ: i128 = 2_000_000_000;
 /// Exact: `metered_ns + unmetered_ns` is always the time between the first stamp and the last, and
 /// the integral loses nothing to rounding (what is below one µJ is carried). A total in `f32` would
 /// be 3.6 % wrong after 30 days.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ledger {
     /// Energy drawn over the metered time, µJ.
     pub drawn_uj: i64,

@@ -26,6 +26,7 @@ mod schedule;
 mod scores;
 mod settings;
 mod sources;
+mod state;
 mod window;
 
 pub use fleet::{Fleet, TickIntake};
@@ -35,3 +36,4 @@ pub use scores::Scores;
 pub use settings::{
     AlarmSettings, Battery, Intake, IntervalSettings, Platform, Policy, Settings, SettingsError,
 };
+pub use state::{FleetState, StateError};

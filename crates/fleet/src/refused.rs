@@ -1,12 +1,16 @@
 //! Names of the robots refused of late, for operators.
 
 use joulebus_wire::{DropReason, Refusal};
+use serde::{Deserialize, Serialize};
+
+use crate::state::refusals;
 
 /// The newest distinct (robot, reason, source) that were refused, in a fixed number of places.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Refused {
+    #[serde(with = "refusals")]
     places: [Refusal; 16],
-    next: usize,
+    next: u8,
 }
 
 impl Refused {
@@ -20,13 +24,13 @@ impl Refused {
             place.count = place.count.saturating_add(1);
             return;
         }
-        self.places[self.next] = Refusal {
+        self.places[usize::from(self.next) % self.places.len()] = Refusal {
             robot,
             reason: code,
             pid,
             count: 1,
         };
-        self.next = (self.next + 1) % self.places.len();
+        self.next = (self.next + 1) % self.places.len() as u8;
     }
 
     pub(crate) fn places(&self) -> [Refusal; 16] {

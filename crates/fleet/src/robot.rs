@@ -1,12 +1,15 @@
 //! Who holds a slot, and what came of its last sample.
 
 use joulebus_wire::{InvalidReason, Quality, Sample, sample_flag};
+use serde::{Deserialize, Serialize};
+
+use crate::state::{invalid_reason, quality};
 
 /// Time over which the mean power is taken, s.
 const MEAN_POWER_S: f32 = 60.0;
 
 /// Identity and bookkeeping of a robot in its slot.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(crate) struct Robot {
     pub id: u32,
     /// Whether the slot is in use.
@@ -31,14 +34,16 @@ pub(crate) struct Robot {
     /// Samples refused in a row for what was in them.
     pub refused_run: u16,
     /// Why the last sample was refused, if it was.
+    #[serde(with = "invalid_reason")]
     pub invalid: Option<InvalidReason>,
     pub last: Last,
 }
 
 /// What is kept of the last accepted sample.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(crate) struct Last {
     pub accepted: bool,
+    #[serde(with = "quality")]
     pub quality: Quality,
     pub seq: u64,
     pub stamp_ns: u64,
@@ -53,6 +58,28 @@ pub(crate) struct Last {
     /// Whether the robot has ever been seen charging: its state of charge is then not known.
     pub charged: bool,
     pub mean_power_w: f32,
+}
+
+impl Robot {
+    /// Nobody: the slot has never been in use.
+    pub(crate) const ABSENT: Self = Self {
+        id: 0,
+        present: false,
+        platform: 0,
+        generation: 0,
+        source_id: 0,
+        source_epoch: 0,
+        renewed: false,
+        waiting: false,
+        seq: None,
+        taken_ns: 0,
+        taken: 0,
+        heard: false,
+        refused: 0,
+        refused_run: 0,
+        invalid: None,
+        last: Last::NONE,
+    };
 }
 
 impl Last {
@@ -101,7 +128,7 @@ impl Last {
 }
 
 /// A sample that waits for the next pass: what the checks have left to be used.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(crate) struct Pending {
     seq: u64,
     pub stamp_ns: u64,

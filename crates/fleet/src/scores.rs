@@ -1,7 +1,9 @@
 //! How good the forecasts have been, beside persistence.
 
+use serde::{Deserialize, Serialize};
+
 /// Running scores of one robot; sums in `f64`, in the order of its samples.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Scores {
     /// Readings scored.
     pub count: u64,

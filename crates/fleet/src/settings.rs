@@ -2,8 +2,10 @@
 
 use std::ops::RangeInclusive;
 
+use serde::Serialize;
+
 /// Everything the tick needs to know but the models.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Settings {
     /// Robots that there is room for; the ones past it are refused and named. 1 to 1,000,000.
     pub capacity: u32,
@@ -18,7 +20,7 @@ pub struct Settings {
 }
 
 /// How samples are taken in.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Intake {
     /// Samples of one robot that one tick takes; the rest is dropped as `Backlog`. 1 to 1024.
     pub max_samples_per_tick: u16,
@@ -31,7 +33,7 @@ pub struct Intake {
 }
 
 /// The intervals around forecasts.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct IntervalSettings {
     /// Share of readings that are to fall inside. 0.5 to 0.99.
     pub coverage: f32,
@@ -40,7 +42,7 @@ pub struct IntervalSettings {
 }
 
 /// When residuals raise an alarm. Provisional until calibrated on recordings.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AlarmSettings {
     /// Weight of the newest residual in the bias. 0.0001 to 0.5.
     pub bias_weight: f32,
@@ -66,7 +68,7 @@ pub struct AlarmSettings {
 }
 
 /// A kind of robot.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Platform {
     /// Its name, for messages.
     pub name: String,
@@ -96,7 +98,7 @@ pub struct Platform {
 }
 
 /// A battery.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Battery {
     /// Energy from full to empty, J.
     pub capacity_j: f64,
@@ -258,6 +260,17 @@ impl Settings {
             .iter()
             .try_for_each(|platform| platform.check(intake))?;
         self.check_robots_apart()
+    }
+
+    /// A number that differs where the settings do, the same on every machine: FNV-1a over every
+    /// value, bit for bit.
+    #[must_use]
+    pub fn fingerprint(&self) -> u64 {
+        // Never an error: a vector grows, and every length is known.
+        let bytes = postcard::to_allocvec(self).unwrap_or_default();
+        bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+            (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3)
+        })
     }
 
     fn check_robots_apart(&self) -> Result<(), SettingsError> {

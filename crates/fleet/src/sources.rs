@@ -1,10 +1,11 @@
 //! Account of what each source sent, so that sent = accepted + dropped to zero.
 
 use joulebus_wire::{DropCounts, DropReason, SampleHeader};
+use serde::{Deserialize, Serialize};
 
 /// One run of one source.
-#[derive(Debug, Clone, Copy)]
-struct Source {
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+pub(crate) struct Source {
     id: u64,
     epoch: u64,
     /// Samples of this epoch accounted for: taken, refused or lost.
@@ -73,6 +74,17 @@ impl Sources {
         drops.add(reason, lost);
         source.accounted = header.samples_before.saturating_add(samples);
         Ok(())
+    }
+
+    pub(crate) fn all(&self) -> &[Source] {
+        &self.sources
+    }
+
+    /// Goes on with `sources`, at most as many as there is room for.
+    pub(crate) fn replace(&mut self, sources: &[Source]) {
+        self.sources.clear();
+        self.sources.extend_from_slice(sources);
+        self.newest = 0;
     }
 
     /// The last one found is looked at first: frames of one source follow each other.

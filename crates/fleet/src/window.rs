@@ -1,9 +1,12 @@
 //! The lag window of one robot: what the model sees next.
 
 use joulebus_predictor::{Features, LAGS, features};
+use serde::{Deserialize, Serialize};
+
+use crate::StateError;
 
 /// The last readings, newest first, and the forecast made from them.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Lags {
     pub lag_w: [f32; LAGS],
     /// NaN where there is none.
@@ -37,7 +40,7 @@ pub(crate) enum Gap {
 
 /// The lag window. It advances by the robot's *samples*; what the worker's clock adds in between
 /// (`open`) is provisional and never changes what a sample leads to.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Window {
     /// After the last sample.
     closed: Lags,
@@ -62,6 +65,18 @@ impl Window {
         command: None,
         stamp_ns: 0,
     };
+
+    /// Refuses a window that was never filled like this: of one that was written down.
+    pub(crate) fn check(&self) -> Result<(), StateError> {
+        if usize::from(self.have) > LAGS {
+            return Err(StateError::Corrupt {
+                what: "readings in a window",
+                found: self.have.into(),
+                allowed: LAGS as u64,
+            });
+        }
+        Ok(())
+    }
 
     /// The newest reading in the window, W; NaN when it is empty.
     pub(crate) fn last_w(&self) -> f32 {

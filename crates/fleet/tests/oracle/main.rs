@@ -3,6 +3,7 @@
 mod faults;
 mod intake;
 mod robot;
+mod state;
 #[path = "../world/mod.rs"]
 mod world;
 
@@ -84,17 +85,21 @@ fn the_injector_produces_every_fault() {
 
 type Seen = (Vec<&'static str>, Vec<String>);
 
-fn simulate(seed: u64, rates: Rates, jitter_ns: u64, ticks: u64) -> Result<Seen, TestCaseError> {
-    let mut noise = Noise(seed);
-    let mut fleet = world::fleet(CAPACITY);
-    let mut oracle = Oracle::new(world::settings(CAPACITY), world::models());
-    let mut senders = [
+fn senders() -> [Sender; 5] {
+    [
         Sender::new(1, &[1, 2, 3, 201], false, START_NS),
         Sender::new(2, &[101, 102, 103], true, START_NS),
         Sender::new(3, &[4, 2, 202], false, START_NS + 20 * PERIOD_NS),
         Sender::new(4, &[104], true, START_NS),
         Sender::new(5, &[5], false, START_NS + 40 * PERIOD_NS),
-    ];
+    ]
+}
+
+fn simulate(seed: u64, rates: Rates, jitter_ns: u64, ticks: u64) -> Result<Seen, TestCaseError> {
+    let mut noise = Noise(seed);
+    let mut fleet = world::fleet(CAPACITY);
+    let mut oracle = Oracle::new(world::settings(CAPACITY), world::models());
+    let mut senders = senders();
     let (mut now_ns, mut sent) = (START_NS, 0);
     let mut qualities = Vec::new();
     for _ in 0..ticks {

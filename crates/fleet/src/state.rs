@@ -1,0 +1,468 @@
+//! The state of a fleet as a value: to be kept, written down, and gone on with.
+
+mod codes;
+
+use serde::{Deserialize, Serialize};
+
+use crate::departed::Account;
+use crate::detector::Detector;
+use crate::fleet::TickIntake;
+use crate::interval::Interval;
+use crate::refused::Refused;
+use crate::robot::{Pending, Robot};
+use crate::sources::Source;
+use crate::window::Window;
+use crate::{Fleet, Ledger, Scores, Settings};
+
+pub(crate) use codes::{alarm_set, drop_counts, invalid_reason, quality, refusals};
+
+/// First bytes of the encoded form. The last of them is its version: one more whenever a column
+/// gains, loses or moves a field.
+const MAGIC: [u8; 8] = *b"jbstate\x01";
+
+/// Everything that a tick depends on but the settings and the models, bit for bit: who is in the
+/// fleet and where, windows, ledgers, intervals, scores, detectors, accounts of robots that have
+/// left, sources, what was refused and dropped.
+///
+/// A fleet that is [given](Fleet::restore_state) it goes on as the one that it was
+/// [taken](Fleet::state) of would have.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FleetState {
+    capacity: u32,
+    platforms: u32,
+    settings_hash: u64,
+    model_hash: u64,
+    counters: Counters,
+    columns: Columns,
+    live: Vec<u32>,
+    /// Slots that have been in use and are free again; the ones after the columns are free too.
+    free: Vec<u32>,
+    /// Per platform, the slots whose sample waits for the next pass.
+    waiting: Vec<Vec<u32>>,
+    departed: Vec<Account>,
+    sources: Vec<Source>,
+    refused: Refused,
+}
+
+/// What is counted once for all robots.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+struct Counters {
+    #[serde(with = "drop_counts")]
+    drops: joulebus_wire::DropCounts,
+    accepted: u64,
+    reported: u32,
+    intake: TickIntake,
+    now_ns: u64,
+    deadline_missed: bool,
+}
+
+/// The slots that have ever been in use.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+struct Columns {
+    robots: Vec<Robot>,
+    windows: Vec<Window>,
+    ledgers: Vec<Ledger>,
+    intervals: Vec<Interval>,
+    scores: Vec<Scores>,
+    detectors: Vec<Detector>,
+    pending: Vec<Pending>,
+}
+
+/// Why a state was refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum StateError {
+    /// Not a state, or one of another version.
+    #[error(
+        "not a fleet's state in version {expected}: it begins with {found:02x?}; read it with the \
+         version of joulebus that wrote it"
+    )]
+    Version {
+        /// Its first bytes.
+        found: Vec<u8>,
+        /// The version that this program reads.
+        expected: u8,
+    },
+    /// The bytes end too early or make no sense.
+    #[error("a fleet's state of {bytes} bytes cannot be read: {reason}")]
+    Malformed {
+        /// Bytes given.
+        bytes: usize,
+        /// What the decoder said.
+        reason: String,
+    },
+    /// Taken of a fleet with room for another number of robots.
+    #[error("a state of a fleet with capacity {found}, expected {expected}; use the same config")]
+    Capacity {
+        /// Capacity in the state.
+        found: u32,
+        /// Capacity of this fleet.
+        expected: u32,
+    },
+    /// Taken of a fleet with other platforms.
+    #[error("a state of a fleet with {found} platforms, expected {expected}; use the same config")]
+    Platforms {
+        /// Platforms in the state.
+        found: u32,
+        /// Platforms of this fleet.
+        expected: u32,
+    },
+    /// Taken under other settings.
+    #[error(
+        "a state taken under settings {found:016x}, these are {expected:016x}; use the same config"
+    )]
+    Settings {
+        /// Hash of the settings in the state.
+        found: u64,
+        /// Hash of this fleet's.
+        expected: u64,
+    },
+    /// Taken with other models.
+    #[error(
+        "a state taken with models {found:016x}, these are {expected:016x}; use the same models"
+    )]
+    Models {
+        /// Hash of the models in the state.
+        found: u64,
+        /// Hash of this fleet's.
+        expected: u64,
+    },
+    /// It contradicts itself.
+    #[error("the state contradicts itself: {what} is {found}, allowed is {allowed}")]
+    Corrupt {
+        /// What.
+        what: &'static str,
+        /// What it is.
+        found: u64,
+        /// What it may be at most.
+        allowed: u64,
+    },
+}
+
+impl FleetState {
+    /// Memory for the state of a fleet of `capacity` robots, taken and touched, so that
+    /// [`Fleet::state_into`] neither allocates nor faults. Its content is that of no fleet.
+    #[must_use]
+    pub fn with_room_for(settings: &Settings) -> Self {
+        let robots = settings.capacity as usize;
+        Self {
+            capacity: 0,
+            platforms: 0,
+            settings_hash: 0,
+            model_hash: 0,
+            counters: Counters::default(),
+            columns: Columns {
+                robots: room(robots, Robot::ABSENT),
+                windows: room(robots, Window::EMPTY),
+                ledgers: room(robots, Ledger::default()),
+                intervals: room(robots, Interval::new(0.0, 0.0, 0.0, 0.0, 0.0)),
+                scores: room(robots, Scores::default()),
+                detectors: room(robots, Detector::new()),
+                pending: room(robots, Pending::default()),
+            },
+            live: room(robots, u32::MAX),
+            free: room(robots, u32::MAX),
+            waiting: settings
+                .platforms
+                .iter()
+                .map(|_| room(robots, u32::MAX))
+                .collect(),
+            departed: room(
+                robots,
+                Account {
+                    robot: 0,
+                    charged: false,
+                    ledger: Ledger::default(),
+                },
+            ),
+            sources: room(settings.intake.max_sources.into(), Source::default()),
+            refused: Refused::default(),
+        }
+    }
+
+    /// As bytes: eight that say what it is, then [postcard](https://postcard.jamesmunns.com).
+    /// About 350 for a robot. Replaces what is in `bytes`.
+    pub fn encode_into(&self, bytes: &mut Vec<u8>) {
+        bytes.clear();
+        bytes.extend_from_slice(&MAGIC);
+        let encoded = postcard::to_extend(self, std::mem::take(bytes));
+        // Never an error: a vector grows, and every length is known.
+        *bytes = encoded.unwrap_or_default();
+    }
+
+    /// From bytes.
+    ///
+    /// # Errors
+    /// [`StateError::Version`] or [`StateError::Malformed`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, StateError> {
+        let Some(encoded) = bytes.strip_prefix(&MAGIC) else {
+            return Err(StateError::Version {
+                found: bytes.iter().take(MAGIC.len()).copied().collect(),
+                expected: MAGIC[7],
+            });
+        };
+        let malformed = |reason: String| StateError::Malformed {
+            bytes: bytes.len(),
+            reason,
+        };
+        match postcard::take_from_bytes(encoded) {
+            Ok((state, [])) => Ok(state),
+            Ok((_, more)) => Err(malformed(format!("{} bytes are left over", more.len()))),
+            Err(error) => Err(malformed(error.to_string())),
+        }
+    }
+
+    /// Robots in the fleet.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.live.len()
+    }
+
+    /// Whether no robot is in the fleet.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.live.is_empty()
+    }
+
+    /// As [`Fleet::model_hash`].
+    #[must_use]
+    pub fn model_hash(&self) -> u64 {
+        self.model_hash
+    }
+
+    /// Refuses what belongs to another fleet.
+    fn check_kin(&self, fleet: &Fleet) -> Result<(), StateError> {
+        let (capacity, platforms) = (fleet.capacity(), fleet.kinds.len() as u32);
+        if self.capacity != capacity {
+            return Err(StateError::Capacity {
+                found: self.capacity,
+                expected: capacity,
+            });
+        }
+        if self.platforms != platforms || self.waiting.len() != fleet.kinds.len() {
+            return Err(StateError::Platforms {
+                found: self.platforms,
+                expected: platforms,
+            });
+        }
+        if self.settings_hash != fleet.settings_hash {
+            return Err(StateError::Settings {
+                found: self.settings_hash,
+                expected: fleet.settings_hash,
+            });
+        }
+        if self.model_hash != fleet.model_hash() {
+            return Err(StateError::Models {
+                found: self.model_hash,
+                expected: fleet.model_hash(),
+            });
+        }
+        Ok(())
+    }
+
+    /// Refuses what no fleet can have come to: the tick relies on it.
+    fn check_sound(&self, fleet: &Fleet) -> Result<(), StateError> {
+        let columns = &self.columns;
+        let slots = columns.robots.len();
+        at_most("slots in use", slots, self.capacity as usize)?;
+        for (what, length) in [
+            ("length of the windows", columns.windows.len()),
+            ("length of the ledgers", columns.ledgers.len()),
+            ("length of the intervals", columns.intervals.len()),
+            ("length of the scores", columns.scores.len()),
+            ("length of the detectors", columns.detectors.len()),
+            ("length of the waiting samples", columns.pending.len()),
+            ("robots and free slots", self.live.len() + self.free.len()),
+        ] {
+            exactly(what, length, slots)?;
+        }
+        at_most("accounts", self.departed.len(), self.capacity as usize)?;
+        let most = fleet.settings.intake.max_sources;
+        at_most("sources", self.sources.len(), most.into())?;
+        at_most("robots heard", self.counters.reported as usize, slots)?;
+        self.check_slots(fleet)
+    }
+
+    /// Each slot is either in use, by a robot of its platform, or free.
+    fn check_slots(&self, fleet: &Fleet) -> Result<(), StateError> {
+        let robots = &self.columns.robots;
+        let mut seen = vec![false; robots.len()];
+        for (slots, present) in [(&self.live, true), (&self.free, false)] {
+            for slot in slots {
+                let index = *slot as usize;
+                at_most("slot", index, robots.len().saturating_sub(1))?;
+                exactly("times a slot is listed", 1 + usize::from(seen[index]), 1)?;
+                seen[index] = true;
+                exactly("slot in use", robots[index].present.into(), present.into())?;
+            }
+        }
+        let mut ids = std::collections::HashSet::new();
+        for slot in &self.live {
+            let robot = &robots[*slot as usize];
+            exactly(
+                "times a robot is listed",
+                2 - usize::from(ids.insert(robot.id)),
+                1,
+            )?;
+            let platform = fleet.platform_of(robot.id).map_or(usize::MAX, usize::from);
+            exactly("platform of a robot", robot.platform.into(), platform)?;
+            self.columns.windows[*slot as usize].check()?;
+        }
+        for (kind, slots) in self.waiting.iter().enumerate() {
+            for slot in slots {
+                let index = *slot as usize;
+                at_most("slot that waits", index, robots.len().saturating_sub(1))?;
+                let robot = &robots[index];
+                exactly(
+                    "platform of a robot that waits",
+                    robot.platform.into(),
+                    kind,
+                )?;
+                exactly(
+                    "robot that waits",
+                    usize::from(robot.present && robot.waiting),
+                    1,
+                )?;
+            }
+        }
+        let waiting = robots.iter().filter(|robot| robot.waiting).count();
+        exactly(
+            "robots that wait",
+            waiting,
+            self.waiting.iter().map(Vec::len).sum(),
+        )
+    }
+}
+
+impl Fleet {
+    /// The fleet's state as it is now. Allocates.
+    #[must_use]
+    pub fn state(&self) -> FleetState {
+        let mut state = FleetState::with_room_for(&self.settings);
+        self.state_into(&mut state);
+        state
+    }
+
+    /// As [`Fleet::state`], into memory of [`FleetState::with_room_for`] the same settings: copies
+    /// and allocates nothing. Takes as long as copying all slots ever used.
+    pub fn state_into(&self, state: &mut FleetState) {
+        let used = self.used;
+        state.capacity = self.settings.capacity;
+        state.platforms = self.kinds.len() as u32;
+        (state.settings_hash, state.model_hash) = (self.settings_hash, self.model_hash());
+        state.counters = Counters {
+            drops: self.drops,
+            accepted: self.accepted,
+            reported: self.reported as u32,
+            intake: self.intake,
+            now_ns: self.now_ns,
+            deadline_missed: self.deadline_missed,
+        };
+        let columns = &mut state.columns;
+        copy(&mut columns.robots, &self.robots[..used]);
+        copy(&mut columns.windows, &self.windows[..used]);
+        copy(&mut columns.ledgers, &self.ledgers[..used]);
+        copy(&mut columns.intervals, &self.intervals[..used]);
+        copy(&mut columns.scores, &self.scores[..used]);
+        copy(&mut columns.detectors, &self.detectors[..used]);
+        copy(&mut columns.pending, &self.pending[..used]);
+        copy(&mut state.live, &self.live);
+        // Below lie the slots that were never in use, untouched.
+        copy(
+            &mut state.free,
+            &self.free[self.settings.capacity as usize - used..],
+        );
+        state.waiting.resize_with(self.kinds.len(), Vec::new);
+        for (to, kind) in state.waiting.iter_mut().zip(&self.kinds) {
+            copy(to, &kind.waiting);
+        }
+        copy(&mut state.departed, self.departed.accounts());
+        copy(&mut state.sources, self.sources.all());
+        state.refused.clone_from(&self.refused);
+    }
+
+    /// Goes on from `state`, which replaces all that this fleet has come to. It must have been
+    /// taken of a fleet with the same settings and models.
+    ///
+    /// # Errors
+    /// [`StateError`]; the fleet is as it was.
+    pub fn restore_state(&mut self, state: &FleetState) -> Result<(), StateError> {
+        state.check_kin(self)?;
+        state.check_sound(self)?;
+        let Columns {
+            robots,
+            windows,
+            ledgers,
+            intervals,
+            scores,
+            detectors,
+            pending,
+        } = &state.columns;
+        let used = robots.len();
+        self.robots[..used].copy_from_slice(robots);
+        self.robots[used..].fill(Robot::ABSENT);
+        self.windows[..used].copy_from_slice(windows);
+        self.ledgers[..used].copy_from_slice(ledgers);
+        self.intervals[..used].copy_from_slice(intervals);
+        self.scores[..used].copy_from_slice(scores);
+        self.detectors[..used].copy_from_slice(detectors);
+        self.pending[..used].copy_from_slice(pending);
+        self.used = used;
+        copy(&mut self.live, &state.live);
+        self.free.clear();
+        self.free.extend((used as u32..state.capacity).rev());
+        self.free.extend_from_slice(&state.free);
+        self.slot_of.clear();
+        self.slot_of.extend(
+            state
+                .live
+                .iter()
+                .map(|slot| (robots[*slot as usize].id, *slot)),
+        );
+        self.guess = 0;
+        for (kind, waiting) in self.kinds.iter_mut().zip(&state.waiting) {
+            copy(&mut kind.waiting, waiting);
+        }
+        self.departed.replace(&state.departed);
+        self.sources.replace(&state.sources);
+        self.refused.clone_from(&state.refused);
+        let counters = state.counters;
+        (self.drops, self.accepted) = (counters.drops, counters.accepted);
+        (self.reported, self.intake) = (counters.reported as usize, counters.intake);
+        (self.now_ns, self.deadline_missed) = (counters.now_ns, counters.deadline_missed);
+        Ok(())
+    }
+}
+
+/// An empty vector with room for `length` items, all of it written to once.
+fn room<T: Clone>(length: usize, item: T) -> Vec<T> {
+    let mut items = vec![item; length];
+    items.clear();
+    items
+}
+
+fn copy<T: Copy>(to: &mut Vec<T>, from: &[T]) {
+    to.clear();
+    to.extend_from_slice(from);
+}
+
+fn at_most(what: &'static str, found: usize, allowed: usize) -> Result<(), StateError> {
+    if found > allowed {
+        return Err(corrupt(what, found, allowed));
+    }
+    Ok(())
+}
+
+fn exactly(what: &'static str, found: usize, allowed: usize) -> Result<(), StateError> {
+    if found != allowed {
+        return Err(corrupt(what, found, allowed));
+    }
+    Ok(())
+}
+
+fn corrupt(what: &'static str, found: usize, allowed: usize) -> StateError {
+    StateError::Corrupt {
+        what,
+        found: found as u64,
+        allowed: allowed as u64,
+    }
+}

@@ -1,0 +1,90 @@
+//! How what belongs to `wire` is written down: by the codes that it has in shared memory.
+
+/// A quality, as code and detail.
+pub(crate) mod quality {
+    use joulebus_wire::Quality;
+    use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};
+
+    pub(crate) fn serialize<S: Serializer>(quality: &Quality, to: S) -> Result<S::Ok, S::Error> {
+        quality.encode().serialize(to)
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Quality, D::Error> {
+        <(u16, u16)>::deserialize(from).map(|(code, detail)| Quality::decode(code, detail))
+    }
+}
+
+/// Why a robot has no forecast, if there is a reason, as its code.
+pub(crate) mod invalid_reason {
+    use joulebus_wire::InvalidReason;
+    use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};
+
+    pub(crate) fn serialize<S: Serializer>(
+        reason: &Option<InvalidReason>,
+        to: S,
+    ) -> Result<S::Ok, S::Error> {
+        reason.map(InvalidReason::code).serialize(to)
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
+        from: D,
+    ) -> Result<Option<InvalidReason>, D::Error> {
+        Ok(Option::deserialize(from)?.map(InvalidReason::decode))
+    }
+}
+
+/// A set of alarms, as its bits.
+pub(crate) mod alarm_set {
+    use joulebus_wire::AlarmSet;
+    use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};
+
+    pub(crate) fn serialize<S: Serializer>(set: &AlarmSet, to: S) -> Result<S::Ok, S::Error> {
+        set.0.serialize(to)
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<AlarmSet, D::Error> {
+        u32::deserialize(from).map(AlarmSet)
+    }
+}
+
+/// Counts by reason.
+pub(crate) mod drop_counts {
+    use joulebus_wire::DropCounts;
+    use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};
+
+    pub(crate) fn serialize<S: Serializer>(drops: &DropCounts, to: S) -> Result<S::Ok, S::Error> {
+        drops.counts.serialize(to)
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<DropCounts, D::Error> {
+        Ok(DropCounts {
+            counts: <[u64; 24]>::deserialize(from)?,
+        })
+    }
+}
+
+/// The places for names of refused robots.
+pub(crate) mod refusals {
+    use joulebus_wire::Refusal;
+    use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};
+
+    pub(crate) fn serialize<S: Serializer>(
+        places: &[Refusal; 16],
+        to: S,
+    ) -> Result<S::Ok, S::Error> {
+        let fields = |place: &Refusal| [place.robot, place.reason, place.pid, place.count];
+        places.each_ref().map(fields).serialize(to)
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
+        from: D,
+    ) -> Result<[Refusal; 16], D::Error> {
+        let places = <[[u32; 4]; 16]>::deserialize(from)?;
+        Ok(places.map(|[robot, reason, pid, count]| Refusal {
+            robot,
+            reason,
+            pid,
+            count,
+        }))
+    }
+}
