@@ -49,6 +49,7 @@ mod port;
 mod reader;
 mod repair;
 mod room;
+mod scheduling;
 mod stillborn;
 mod wait;
 mod worker_lock;
@@ -69,6 +70,7 @@ pub use port::{
 };
 pub use reader::{Frame, FrameBuf, Reader, ReceiveError, SampleReader};
 pub use room::{Ports, RoomError, RoomReport, check_room};
+pub use scheduling::{Rights, Scheduling, SchedulingError, page_faults};
 pub use wait::{PeerWatch, WaitError, Waiter, Waker, Woken, set_timer_slack};
 pub use worker_lock::{WorkerLock, WorkerLockError};
 pub use writer::{Loan, SampleWriter, SendError, Writer};

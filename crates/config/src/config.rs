@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use joulebus_bus::Scheduling;
 use joulebus_fleet::{
     AlarmSettings, Battery, Intake, IntervalSettings, Platform, Policy, Settings,
 };
@@ -13,7 +14,7 @@ use crate::document::{FleetFile, Source};
 use crate::key::Kind;
 use crate::problem::{ConfigError, Problem};
 use crate::values::Values;
-use crate::{files, keys, show};
+use crate::{cpus, files, keys, show};
 
 /// What forecasts a platform's power.
 #[derive(Clone, PartialEq)]
@@ -55,6 +56,7 @@ pub struct Config {
     max_planners: usize,
     checkpoint: Option<PathBuf>,
     checkpoint_every_ns: u64,
+    scheduling: Scheduling,
     shown: String,
     warnings: Vec<Problem>,
 }
@@ -206,6 +208,12 @@ impl Config {
         self.checkpoint_every_ns
     }
 
+    /// What the worker asks of the system for the threads of the tick.
+    #[must_use]
+    pub const fn scheduling(&self) -> &Scheduling {
+        &self.scheduling
+    }
+
     /// What is allowed but doubtful.
     #[must_use]
     pub fn warnings(&self) -> &[Problem] {
@@ -254,6 +262,7 @@ impl Builder<'_> {
             max_planners: fleet.0.integer("readers.max_planners")?,
             checkpoint: (!checkpoint.as_os_str().is_empty()).then_some(checkpoint),
             checkpoint_every_ns: ns(fleet.0.number("ledger.every_s")?),
+            scheduling: fleet.scheduling()?,
             shown: show::toml(read),
             warnings: Vec::new(),
         })
@@ -307,6 +316,15 @@ impl Builder<'_> {
             "timer" => Some(Policy::Timer),
             _ => Some(Policy::OnFrame { deadline_ns }),
         }
+    }
+
+    fn scheduling(&self) -> Option<Scheduling> {
+        Some(Scheduling {
+            cpus: cpus::parse(&self.0.text("worker.cpus")?)?,
+            priority: self.0.integer("worker.priority")?,
+            lock_memory: self.0.text("worker.memory")? == "locked",
+            required: self.0.text("worker.if_refused")? == "stop",
+        })
     }
 
     fn platform(&self) -> Option<Platform> {

@@ -34,6 +34,7 @@ pub(crate) fn check(
     }
     tick(fleet, problems);
     intake(fleet, problems, warnings);
+    worker(fleet, warnings);
     for listed in &read.platforms {
         let values = &listed.values;
         if !listed.cut_short {
@@ -155,6 +156,47 @@ fn intake(fleet: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
                 fleet.quote("tick.rate_hz")
             ),
             "Between two ticks there is nothing new to save: raise every_s",
+        ));
+    }
+}
+
+/// The kernel's own interrupt threads run at 50.
+const INTERRUPTS: f64 = 50.0;
+
+fn worker(fleet: &Values, warnings: &mut Vec<Problem>) {
+    let (cpus, priority, memory) = ("worker.cpus", "worker.priority", "worker.memory");
+    let Some(asked) = fleet.number(priority) else {
+        return;
+    };
+    if asked >= INTERRUPTS {
+        warnings.push(complaint(
+            fleet,
+            priority,
+            format!(
+                "is doubtful: {} does not yield to the kernel's interrupt threads, which have 50",
+                fleet.quote(priority)
+            ),
+            "Take one from 1 to 49: the tick waits for what these threads deliver".to_owned(),
+        ));
+    }
+    let nothing = asked == 0.0
+        && fleet.text(cpus).is_some_and(|list| list.trim().is_empty())
+        && fleet.text(memory).is_some_and(|word| word == "unlocked");
+    if nothing
+        && fleet
+            .text("worker.if_refused")
+            .is_some_and(|word| word == "stop")
+    {
+        warnings.push(complaint(
+            fleet,
+            "worker.if_refused",
+            format!(
+                "is not used: {}, {} and {} ask for nothing",
+                fleet.quote(cpus),
+                fleet.quote(priority),
+                fleet.quote(memory)
+            ),
+            "Set one of them, or take it out".to_owned(),
         ));
     }
 }

@@ -4,6 +4,8 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 
+use crate::cpus;
+
 /// A key of a config file: what it means and what it may be.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Key {
@@ -75,6 +77,8 @@ pub enum TextRule {
     PlatformFile,
     /// `persistence`, `builtin:` and a name, or the path of a model file.
     Model,
+    /// CPUs and ranges of them, each once, or empty.
+    Cpus,
 }
 
 /// The value of a key that is left out.
@@ -160,6 +164,7 @@ impl TextRule {
             Self::Root => "absolute path of at most 60 bytes; {uid} stands for the user's number",
             Self::OptionalPath => "path, relative to this file, or empty",
             Self::PlatformFile => "path, relative to this file, or \"builtin:<name>\"",
+            Self::Cpus => "CPUs like \"1\" or \"2-3,6\", each once, or empty",
             Self::Model => "\"persistence\", \"builtin:<name>\", or a path relative to this file",
         }
     }
@@ -190,6 +195,7 @@ impl TextRule {
                         .all(|letter| !matches!(letter, '{' | '}'))
             }
             Self::OptionalPath => !text.contains('\0'),
+            Self::Cpus => cpus::parse(text).is_some(),
             Self::PlatformFile | Self::Model => !text.is_empty() && !text.contains('\0'),
         }
     }

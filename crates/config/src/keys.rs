@@ -98,6 +98,15 @@ pub const KEYS: &[Key] = &[
     key("ledger.every_s", num(0.05, 3600.0), "s", Preset::Number(1.0),
         "Time between two checkpoints: a killed worker loses at most this much of the ledger."),
 
+    key("worker.cpus", Kind::Text(TextRule::Cpus), "", Preset::Text(""),
+        "CPUs that the tick's threads stay on, one each, the tick's own first; empty: wherever the system puts them."),
+    key("worker.priority", int(0, 99), "", Preset::Integer(0),
+        "Real-time priority (SCHED_FIFO) of the tick's threads; 0: ordinary threads."),
+    key("worker.memory", Kind::Choice(&["unlocked", "locked"]), "", Preset::Text("unlocked"),
+        "locked: all memory of the worker stays in memory (mlockall) and is touched at the start."),
+    key("worker.if_refused", Kind::Choice(&["warn", "stop"]), "", Preset::Text("warn"),
+        "Where the system refuses one of these three: go on with a warning, or not start."),
+
     key("readers.max_planners", int(1, 256), "readers", Preset::Integer(16),
         "Planners, watchers and recorders that can be connected at the same time."),
 

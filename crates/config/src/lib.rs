@@ -26,6 +26,7 @@
 mod builtin;
 mod config;
 mod contradictions;
+mod cpus;
 mod document;
 mod explain;
 mod files;

@@ -27,6 +27,8 @@ coverage = 0.9
 cusum_limit = 50.0
 [ledger]
 every_s = 1.0
+[worker]
+cpus = "1"
 [[platform]]
 robots = ["0-9", 20]
 name = "one"
@@ -191,6 +193,12 @@ fn wrong_kinds_and_units_are_refused() {
             "stuck_after_s = \"33ms\"",
             "platform.stuck_after_s",
             &["write 0.033", "the unit is always s"],
+        ),
+        (
+            "cpus = \"1\"",
+            "cpus = \"1,1\"",
+            "worker.cpus",
+            &["each once"],
         ),
         (
             "max_jump_s = 60.0",
@@ -598,6 +606,8 @@ fn what_is_doubtful_is_taken_with_a_warning() {
             "max_jump_s = 20.0",
             "intake.max_jump_s",
         ),
+        ("cpus = \"1\"", "priority = 50", "worker.priority"),
+        ("cpus = \"1\"", "if_refused = \"stop\"", "worker.if_refused"),
     ] {
         let config = parse(&WHOLE.replace(from, to)).unwrap_or_else(|error| panic!("{error}"));
         let keys: Vec<&str> = config

@@ -132,6 +132,7 @@ fn the_effective_config_is_the_same_config() {
         assert_eq!(again.max_planners(), config.max_planners());
         assert_eq!(again.checkpoint_every_ns(), config.checkpoint_every_ns());
         assert_eq!(again.tick_period_ns(), config.tick_period_ns());
+        assert_eq!(again.scheduling(), config.scheduling());
     }
 }
 

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use hdrhistogram::Histogram;
 use joulebus_bus::{
     BudgetWriter, Bus, DiagnosticWriter, DomainError, ForecastWriter, FrameBuf, JoinError, Ports,
-    RoomError, SampleReader, WaitError, Waiter, Waker, WorkerLock, WorkerLockError, check_room,
-    clock, set_timer_slack,
+    RoomError, SampleReader, SchedulingError, WaitError, Waiter, Waker, WorkerLock,
+    WorkerLockError, check_room, clock, set_timer_slack,
 };
 use joulebus_config::Config;
 use joulebus_fleet::{Fleet, Next, Schedule, SettingsError, TickIntake};
@@ -75,6 +75,9 @@ pub enum OpenError {
     /// The clerk could not begin.
     #[error(transparent)]
     Clerk(#[from] ClerkError),
+    /// The system refused what the config requires of it.
+    #[error("{0} (`worker.if_refused = \"stop\"` in the config)")]
+    Scheduling(#[from] SchedulingError),
     /// The histogram of tick times.
     #[error("the histogram of tick times: {0}")]
     Histogram(#[from] hdrhistogram::CreationError),
@@ -128,6 +131,10 @@ impl Worker {
         let planners = bus.planner_waker(&limits)?;
         let failures = Arc::new(Failures::default());
         let clerk = Clerk::start(&domain, config, before, Arc::clone(&failures))?;
+        // After the threads that must not have it: they inherit what their maker has.
+        for refused in config.scheduling().apply()? {
+            tracing::warn!("{refused}");
+        }
         // Last: from here on samples come in, and everything is there to take them.
         let waiter = bus.arrivals_waiter(&limits)?;
         let samples = bus.sample_reader(&limits)?;

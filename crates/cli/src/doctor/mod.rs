@@ -3,6 +3,7 @@
 mod fleet;
 mod host;
 mod mend;
+mod rights;
 
 use std::fmt;
 
@@ -101,6 +102,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         fleet::leftovers(&inspection),
     ];
     checks.extend(host::clocks());
+    checks.push(rights::scheduling(config.scheduling()));
     if let Some(error) = trouble {
         let found = format!("{error:#}");
         checks.push(Check::new(

@@ -1,0 +1,57 @@
+//! Lists of processors, as the kernel writes them.
+
+use std::ops::RangeInclusive;
+
+/// Processors that Linux can be asked for.
+const MOST: usize = 1024;
+
+/// The processors in the order of the list, each once: `"2-3,6"`. `None` where it is no such list.
+pub(crate) fn parse(text: &str) -> Option<Vec<usize>> {
+    if text.trim().is_empty() {
+        return Some(Vec::new());
+    }
+    let mut cpus: Vec<usize> = Vec::new();
+    for cpu in text.split(',').map(range).collect::<Option<Vec<_>>>()? {
+        for cpu in cpu {
+            if cpus.contains(&cpu) {
+                return None;
+            }
+            cpus.push(cpu);
+        }
+    }
+    Some(cpus)
+}
+
+fn range(text: &str) -> Option<RangeInclusive<usize>> {
+    let cpu = |text: &str| text.trim().parse().ok().filter(|cpu| *cpu < MOST);
+    let (first, last) = match text.split_once('-') {
+        Some((first, last)) => (cpu(first)?, cpu(last)?),
+        None => (cpu(text)?, cpu(text)?),
+    };
+    (first <= last).then_some(first..=last)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::parse;
+
+    #[test]
+    fn lists_of_processors_are_taken_in_their_order_and_each_once() {
+        for (text, expected) in [
+            ("", Some(vec![])),
+            (" ", Some(vec![])),
+            ("1", Some(vec![1])),
+            ("2-4, 0", Some(vec![2, 3, 4, 0])),
+            ("1023", Some(vec![1023])),
+            ("1024", None),
+            ("1,1", None),
+            ("0-2,2", None),
+            ("3-2", None),
+            ("-1", None),
+            ("1,", None),
+            ("all", None),
+        ] {
+            assert_eq!(parse(text), expected, "{text:?}");
+        }
+    }
+}
