@@ -24,6 +24,7 @@
 #![forbid(unsafe_code)]
 
 mod builtin;
+mod bundle;
 mod config;
 mod contradictions;
 mod cpus;
@@ -40,6 +41,7 @@ mod show;
 mod values;
 
 pub use builtin::{Demo, builtin_model, builtin_models, builtin_platform, builtin_platforms};
+pub use bundle::{Bundle, BundleError};
 pub use config::{Config, ModelSource};
 pub use explain::{Explanation, UnknownKey, explain, explanations};
 pub use key::{File, Key, Kind, Preset, TextRule};

@@ -1,0 +1,236 @@
+//! What a capture carries beside its messages, so that it can be replayed on its own.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use joulebus_bus::clock;
+use joulebus_config::{BundleError, Config};
+use sha2::{Digest as _, Sha256};
+
+use crate::Clock;
+
+/// Name of the metadata record that says what the file is.
+const ABOUT: &str = "joulebus";
+/// Name of the metadata record with the hash of each attachment.
+const HASHES: &str = "joulebus.sha256";
+/// Version of the format, as a whole: topics, attachments, metadata.
+const FORMAT: &str = "1";
+/// Name of a fleet's config among its files.
+const CONFIG: &str = "config.toml";
+
+/// A file in a capture.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Attached {
+    /// `<fleet>/config.toml`, `<fleet>/models/…`, `build.json`.
+    pub name: String,
+    /// What it is, as a MIME type.
+    pub media_type: String,
+    /// Its bytes.
+    pub bytes: Vec<u8>,
+}
+
+/// Files and metadata of a capture.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Attachments {
+    /// The files.
+    pub files: Vec<Attached>,
+    /// Metadata by the name of its record.
+    pub metadata: BTreeMap<String, BTreeMap<String, String>>,
+    /// When they were put together, Unix ns.
+    pub created_unix_ns: u64,
+}
+
+/// Why the files could not be put together.
+#[derive(Debug, thiserror::Error)]
+pub enum AttachError {
+    /// A model could not be read, or the config not made independent of its files.
+    #[error(transparent)]
+    Bundle(#[from] BundleError),
+    /// Two fleets of the same name: their channels could not be told apart.
+    #[error("two configs of a fleet named {fleet:?}; give them different names to record both")]
+    TwoOfAName {
+        /// The name.
+        fleet: String,
+    },
+}
+
+impl Attachments {
+    /// The configs with everything that they name, and what build this is. `clock` goes into the
+    /// metadata.
+    ///
+    /// # Errors
+    /// [`AttachError`].
+    pub fn of(configs: &[Config], clock: Clock) -> Result<Self, AttachError> {
+        let mut attachments = Self {
+            created_unix_ns: clock::unix_ns(),
+            ..Self::default()
+        };
+        for config in configs {
+            if attachments.config(config.fleet()).is_some() {
+                return Err(AttachError::TwoOfAName {
+                    fleet: config.fleet().to_owned(),
+                });
+            }
+            attachments.add_config(config)?;
+        }
+        attachments.add("build.json".to_owned(), "application/json", build());
+        let mut about = BTreeMap::new();
+        about.insert("format".to_owned(), FORMAT.to_owned());
+        about.insert("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned());
+        about.insert("clock_offset_ns".to_owned(), clock.offset_ns.to_string());
+        about.insert("boot_id".to_owned(), clock::boot_id().unwrap_or_default());
+        let fleets: Vec<&str> = configs.iter().map(Config::fleet).collect();
+        about.insert("fleets".to_owned(), fleets.join(" "));
+        attachments.metadata.insert(ABOUT.to_owned(), about);
+        Ok(attachments)
+    }
+
+    fn add_config(&mut self, config: &Config) -> Result<(), AttachError> {
+        let (bundle, fleet) = (config.bundle()?, config.fleet());
+        let text = bundle.toml.into_bytes();
+        self.add(format!("{fleet}/{CONFIG}"), "application/toml", text);
+        for (name, bytes) in bundle.files {
+            let media_type = "application/octet-stream";
+            self.add(format!("{fleet}/{name}"), media_type, bytes);
+        }
+        Ok(())
+    }
+
+    /// Adds a file.
+    pub fn add(&mut self, name: String, media_type: &str, bytes: Vec<u8>) {
+        self.files.push(Attached {
+            name,
+            media_type: media_type.to_owned(),
+            bytes,
+        });
+    }
+
+    /// With something to say about this file in particular.
+    pub fn tell(&mut self, key: &str, value: String) {
+        let about = self.metadata.entry(ABOUT.to_owned()).or_default();
+        about.insert(key.to_owned(), value);
+    }
+
+    /// What the file says about itself under `key`.
+    #[must_use]
+    pub fn about(&self, key: &str) -> Option<&str> {
+        Some(self.metadata.get(ABOUT)?.get(key)?.as_str())
+    }
+
+    /// The fleets whose configs are attached.
+    pub fn fleets(&self) -> impl Iterator<Item = &str> {
+        let suffix = "/config.toml";
+        let names = self.files.iter().map(|file| file.name.as_str());
+        names.filter_map(move |name| name.strip_suffix(suffix))
+    }
+
+    /// The config of `fleet`, independent of any file but those attached.
+    #[must_use]
+    pub fn config(&self, fleet: &str) -> Option<&str> {
+        let name = format!("{fleet}/{CONFIG}");
+        let file = self.files.iter().find(|file| file.name == name)?;
+        std::str::from_utf8(&file.bytes).ok()
+    }
+
+    /// How the capture's times relate to the monotonic clock of the host that it was recorded on.
+    #[must_use]
+    pub fn clock(&self) -> Option<Clock> {
+        let offset_ns = self.about("clock_offset_ns")?.parse().ok()?;
+        Some(Clock { offset_ns })
+    }
+
+    /// Writes the files of `fleet` below `directory`, and returns the path of its config, ready for
+    /// [`Config::load`]. None if the capture has no config of this fleet.
+    ///
+    /// # Errors
+    /// A file could not be written, or has a name that would leave the directory.
+    pub fn unpack(&self, fleet: &str, directory: &Path) -> io::Result<Option<PathBuf>> {
+        let prefix = format!("{fleet}/");
+        for file in &self.files {
+            let Some(name) = file.name.strip_prefix(&prefix) else {
+                continue;
+            };
+            let path = below(directory, name)?;
+            if let Some(parent) = path.parent() {
+                std::fs::create_dir_all(parent)?;
+            }
+            std::fs::write(path, &file.bytes)?;
+        }
+        let found = self.config(fleet).is_some();
+        Ok(found.then(|| directory.join(CONFIG)))
+    }
+
+    /// Attachments whose bytes are not those that were hashed when the capture was written, or that
+    /// have no hash.
+    #[must_use]
+    pub fn altered(&self) -> Vec<&str> {
+        let hashes = self.metadata.get(HASHES);
+        let is_altered = |file: &&Attached| {
+            let hash = hashes.and_then(|hashes| hashes.get(&file.name));
+            hash != Some(&hex(&file.bytes))
+        };
+        let altered = self.files.iter().filter(is_altered);
+        altered.map(|file| file.name.as_str()).collect()
+    }
+
+    pub(crate) fn metadata_records(&self) -> Vec<mcap::write::Metadata> {
+        let mut records = self.metadata.clone();
+        let files = self.files.iter();
+        let hashes = files.map(|file| (file.name.clone(), hex(&file.bytes)));
+        records.insert(HASHES.to_owned(), hashes.collect());
+        let records = records.into_iter();
+        records
+            .map(|(name, metadata)| mcap::write::Metadata { name, metadata })
+            .collect()
+    }
+}
+
+impl Attached {
+    pub(crate) fn record(&self, unix_ns: u64) -> mcap::Attachment<'_> {
+        mcap::Attachment {
+            log_time: unix_ns,
+            create_time: unix_ns,
+            name: self.name.clone(),
+            media_type: self.media_type.clone(),
+            data: Cow::Borrowed(&self.bytes),
+        }
+    }
+}
+
+/// A path below `directory`, whatever a capture of strangers calls its files.
+fn below(directory: &Path, name: &str) -> io::Result<PathBuf> {
+    let is_plain =
+        |part: &str| !part.is_empty() && part != "." && part != ".." && !part.contains('\\');
+    if !name.split('/').all(is_plain) {
+        let what = format!("attachment {name:?} would leave the directory");
+        return Err(io::Error::other(what));
+    }
+    Ok(directory.join(name))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    let mut text = String::with_capacity(64);
+    for byte in Sha256::digest(bytes) {
+        // Writing to a String cannot fail.
+        let _ = write!(text, "{byte:02x}");
+    }
+    text
+}
+
+/// What program this is, and what it runs on.
+fn build() -> Vec<u8> {
+    let program = std::env::current_exe().and_then(std::fs::read);
+    let build = serde_json::json!({
+        "program": "joulebus",
+        "version": env!("CARGO_PKG_VERSION"),
+        "profile": if cfg!(debug_assertions) { "debug" } else { "release" },
+        "arch": std::env::consts::ARCH,
+        "os": std::env::consts::OS,
+        "schema": joulebus_wire::SCHEMA_VERSION,
+        "program_sha256": program.map(|bytes| hex(&bytes)).ok(),
+    });
+    build.to_string().into_bytes()
+}

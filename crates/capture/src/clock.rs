@@ -1,0 +1,35 @@
+//! How the times in a capture relate to the clocks of the host.
+
+use joulebus_bus::clock;
+
+/// The monotonic clock as Unix time: an offset that is fixed once, so that what is in order on one
+/// is in order on the other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Clock {
+    /// What is added to monotonic ns to get Unix ns.
+    pub offset_ns: i64,
+}
+
+impl Clock {
+    /// As the clocks of this host stand now.
+    #[must_use]
+    pub fn now() -> Self {
+        let (unix_ns, monotonic_ns) = (clock::unix_ns(), clock::monotonic_ns());
+        // Either is below 2^63 ns for the next 200 years.
+        Self {
+            offset_ns: unix_ns.wrapping_sub(monotonic_ns) as i64,
+        }
+    }
+
+    /// Monotonic ns to Unix ns.
+    #[must_use]
+    pub const fn unix_ns(self, monotonic_ns: u64) -> u64 {
+        monotonic_ns.saturating_add_signed(self.offset_ns)
+    }
+
+    /// Unix ns, as in a capture, to monotonic ns.
+    #[must_use]
+    pub const fn monotonic_ns(self, unix_ns: u64) -> u64 {
+        unix_ns.saturating_add_signed(self.offset_ns.saturating_neg())
+    }
+}

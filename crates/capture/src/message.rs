@@ -1,0 +1,288 @@
+//! Messages of a capture: what went through shared memory, frame by frame.
+
+use std::sync::Arc;
+
+use joulebus_wire::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
+    SampleHeader, StateHeader, TakenFrame, TickHeader,
+};
+use prost::Message as _;
+
+use crate::convert::OutOfRange;
+use crate::proto;
+
+/// What a message is.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Message {
+    /// A frame of samples.
+    Samples(SampleHeader, Vec<Sample>),
+    /// A tick's forecasts.
+    Forecasts(ForecastHeader, Vec<Forecast>),
+    /// A tick's diagnostics.
+    Diagnostics(DiagnosticHeader, Vec<Diagnostic>),
+    /// A tick's budgets.
+    Budgets(BudgetHeader, Vec<Budget>),
+    /// A tick's journal.
+    Ticks(TickHeader, Vec<TakenFrame>),
+    /// A piece of a keyframe.
+    State(StateHeader, Vec<u8>),
+    /// One robot's sample again, for plots.
+    RobotSample(Sample),
+    /// One robot's forecast again, for plots.
+    RobotForecast(Forecast),
+    /// One robot's diagnostics again, for plots.
+    RobotDiagnostic(Diagnostic),
+    /// One robot's budget again, for plots.
+    RobotBudget(Budget),
+    /// Something else: not written by this program.
+    Other {
+        /// Name of its schema; empty if it has none.
+        schema: Arc<str>,
+        /// Its bytes.
+        data: Vec<u8>,
+    },
+}
+
+/// What messages of a channel are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Kind {
+    /// [`Message::Samples`].
+    Samples,
+    /// [`Message::Forecasts`].
+    Forecasts,
+    /// [`Message::Diagnostics`].
+    Diagnostics,
+    /// [`Message::Budgets`].
+    Budgets,
+    /// [`Message::Ticks`].
+    Ticks,
+    /// [`Message::State`].
+    State,
+    /// [`Message::RobotSample`].
+    RobotSample,
+    /// [`Message::RobotForecast`].
+    RobotForecast,
+    /// [`Message::RobotDiagnostic`].
+    RobotDiagnostic,
+    /// [`Message::RobotBudget`].
+    RobotBudget,
+}
+
+impl Kind {
+    /// All kinds; first those with a channel of their own for the whole fleet.
+    pub const ALL: [Self; 10] = [
+        Self::Samples,
+        Self::Forecasts,
+        Self::Diagnostics,
+        Self::Budgets,
+        Self::Ticks,
+        Self::State,
+        Self::RobotSample,
+        Self::RobotForecast,
+        Self::RobotDiagnostic,
+        Self::RobotBudget,
+    ];
+
+    /// Kinds that are recorded of a fleet, one channel each.
+    pub const OF_FLEET: [Self; 6] = [
+        Self::Samples,
+        Self::Forecasts,
+        Self::Diagnostics,
+        Self::Budgets,
+        Self::Ticks,
+        Self::State,
+    ];
+
+    /// The last part of the topic.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Samples => "samples",
+            Self::Forecasts => "forecasts",
+            Self::Diagnostics => "diagnostics",
+            Self::Budgets => "budgets",
+            Self::Ticks => "ticks",
+            Self::State => "state",
+            Self::RobotSample => "sample",
+            Self::RobotForecast => "forecast",
+            Self::RobotDiagnostic => "diagnostic",
+            Self::RobotBudget => "budget",
+        }
+    }
+
+    /// The name of the schema.
+    #[must_use]
+    pub const fn schema(self) -> &'static str {
+        match self {
+            Self::Samples => "joulebus.Samples",
+            Self::Forecasts => "joulebus.Forecasts",
+            Self::Diagnostics => "joulebus.Diagnostics",
+            Self::Budgets => "joulebus.Budgets",
+            Self::Ticks => "joulebus.Ticks",
+            Self::State => "joulebus.State",
+            Self::RobotSample => "joulebus.Sample",
+            Self::RobotForecast => "joulebus.Forecast",
+            Self::RobotDiagnostic => "joulebus.Diagnostic",
+            Self::RobotBudget => "joulebus.Budget",
+        }
+    }
+
+    /// The protobuf file set that describes the messages: the schema's data.
+    #[must_use]
+    pub fn descriptors(self) -> Vec<u8> {
+        crate::schema::descriptors(self.schema())
+    }
+
+    /// The kind with this schema.
+    #[must_use]
+    pub fn of_schema(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.schema() == name)
+    }
+
+    /// The channel's topic; `robot` counts only for kinds of single robots.
+    #[must_use]
+    pub fn topic(self, fleet: &str, robot: u32) -> String {
+        let name = self.name();
+        match self {
+            Self::RobotSample | Self::RobotForecast | Self::RobotDiagnostic | Self::RobotBudget => {
+                format!("joulebus/{fleet}/robot/{robot}/{name}")
+            }
+            _ => format!("joulebus/{fleet}/{name}"),
+        }
+    }
+}
+
+impl Message {
+    /// What it is; none for what is not ours.
+    #[must_use]
+    pub const fn kind(&self) -> Option<Kind> {
+        Some(match self {
+            Self::Samples(..) => Kind::Samples,
+            Self::Forecasts(..) => Kind::Forecasts,
+            Self::Diagnostics(..) => Kind::Diagnostics,
+            Self::Budgets(..) => Kind::Budgets,
+            Self::Ticks(..) => Kind::Ticks,
+            Self::State(..) => Kind::State,
+            Self::RobotSample(_) => Kind::RobotSample,
+            Self::RobotForecast(_) => Kind::RobotForecast,
+            Self::RobotDiagnostic(_) => Kind::RobotDiagnostic,
+            Self::RobotBudget(_) => Kind::RobotBudget,
+            Self::Other { .. } => return None,
+        })
+    }
+
+    /// The robot that it is about, if it is about one.
+    #[must_use]
+    pub const fn robot(&self) -> Option<u32> {
+        match self {
+            Self::RobotSample(row) => Some(row.robot),
+            Self::RobotForecast(row) => Some(row.robot),
+            Self::RobotDiagnostic(row) => Some(row.robot),
+            Self::RobotBudget(row) => Some(row.robot),
+            _ => None,
+        }
+    }
+
+    /// When it was sent, monotonic ns, if it says so. Diagnostics and single robots do not.
+    #[must_use]
+    pub const fn sent_ns(&self) -> Option<u64> {
+        match self {
+            Self::Samples(header, _) => Some(header.sent_ns),
+            Self::Forecasts(header, _) => Some(header.sent_ns),
+            Self::Budgets(header, _) => Some(header.sent_ns),
+            Self::Ticks(header, _) => Some(header.sent_ns),
+            Self::State(header, _) => Some(header.sent_ns),
+            _ => None,
+        }
+    }
+
+    /// Appends it as protobuf.
+    pub fn encode(&self, out: &mut Vec<u8>) {
+        // Writing to a vector cannot fail for want of room.
+        let _ = match self {
+            Self::Samples(header, rows) => proto::Samples::new(header, rows).encode(out),
+            Self::Forecasts(header, rows) => proto::Forecasts::new(header, rows).encode(out),
+            Self::Diagnostics(header, rows) => proto::Diagnostics::new(header, rows).encode(out),
+            Self::Budgets(header, rows) => proto::Budgets::new(header, rows).encode(out),
+            Self::Ticks(header, rows) => proto::Ticks::new(header, rows).encode(out),
+            Self::State(header, bytes) => proto::State::new(header, bytes).encode(out),
+            Self::RobotSample(row) => proto::Sample::from(row).encode(out),
+            Self::RobotForecast(row) => proto::Forecast::from(row).encode(out),
+            Self::RobotDiagnostic(row) => proto::Diagnostic::from(row).encode(out),
+            Self::RobotBudget(row) => proto::Budget::from(row).encode(out),
+            Self::Other { data, .. } => {
+                out.extend_from_slice(data);
+                Ok(())
+            }
+        };
+    }
+
+    /// From protobuf.
+    ///
+    /// # Errors
+    /// The bytes are not a message of this kind, or have a number that its field cannot hold.
+    pub fn decode(kind: Kind, data: &[u8]) -> Result<Self, DecodeError> {
+        Ok(match kind {
+            Kind::Samples => {
+                let read = proto::Samples::decode(data)?;
+                Self::Samples(read.header()?, read.rows()?)
+            }
+            Kind::Forecasts => {
+                let read = proto::Forecasts::decode(data)?;
+                Self::Forecasts(read.header()?, read.rows()?)
+            }
+            Kind::Diagnostics => {
+                let read = proto::Diagnostics::decode(data)?;
+                Self::Diagnostics(read.header()?, read.rows()?)
+            }
+            Kind::Budgets => {
+                let read = proto::Budgets::decode(data)?;
+                Self::Budgets(read.header()?, read.rows()?)
+            }
+            Kind::Ticks => {
+                let read = proto::Ticks::decode(data)?;
+                Self::Ticks(read.header()?, read.rows()?)
+            }
+            Kind::State => {
+                let read = proto::State::decode(data)?;
+                Self::State(read.header()?, read.bytes)
+            }
+            Kind::RobotSample => Self::RobotSample((&proto::Sample::decode(data)?).try_into()?),
+            Kind::RobotForecast => {
+                Self::RobotForecast((&proto::Forecast::decode(data)?).try_into()?)
+            }
+            Kind::RobotDiagnostic => {
+                Self::RobotDiagnostic((&proto::Diagnostic::decode(data)?).try_into()?)
+            }
+            Kind::RobotBudget => Self::RobotBudget((&proto::Budget::decode(data)?).try_into()?),
+        })
+    }
+}
+
+/// Why bytes are not a message.
+#[derive(Debug, thiserror::Error)]
+pub enum DecodeError {
+    /// Not protobuf, or not of this kind.
+    #[error(transparent)]
+    Protobuf(#[from] prost::DecodeError),
+    /// A number that its field cannot hold.
+    #[error(transparent)]
+    OutOfRange(#[from] OutOfRange),
+}
+
+/// A message with its place in a capture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Entry {
+    /// Topic of its channel: `joulebus/<fleet>/<service>`.
+    pub topic: Arc<str>,
+    /// The fleet; empty for what is not ours.
+    pub fleet: Arc<str>,
+    /// When the recorder knew of it, Unix ns.
+    pub log_time_ns: u64,
+    /// When it was sent, Unix ns.
+    pub publish_time_ns: u64,
+    /// Its number in the channel, from 0; goes on over split files and wraps after 2^32.
+    pub sequence: u32,
+    /// What it is.
+    pub message: Message,
+}

@@ -1,0 +1,235 @@
+//! Reads captures, one message at a time.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use std::sync::Arc;
+
+use mcap::McapError;
+use mcap::records::{MessageHeader, Record};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use crate::{Attached, Attachments, DecodeError, Entry, Kind, Message};
+
+/// A record or a chunk longer than this is taken for damage, bytes.
+const MOST_BYTES: usize = 256 << 20;
+/// Bytes read at once at most.
+const MOST_AT_ONCE: usize = 1 << 18;
+
+/// Reads a capture from its beginning, in memory of about its largest chunk. Messages come in the
+/// order of the file, which in captures of this program is that of their log time.
+///
+/// A file without its end (the recorder was killed, the disk was full) is read up to there; then
+/// [`ReadError::Truncated`] says so.
+pub struct Reader<S> {
+    source: S,
+    mcap: LinearReader,
+    schemas: HashMap<u16, Arc<str>>,
+    channels: HashMap<u16, Channel>,
+    attachments: Attachments,
+    /// The first message, found while looking for attachments.
+    first: Option<(MessageHeader, Vec<u8>)>,
+    read_bytes: u64,
+    done: bool,
+}
+
+struct Channel {
+    topic: Arc<str>,
+    fleet: Arc<str>,
+    schema: Arc<str>,
+    kind: Option<Kind>,
+}
+
+impl Reader<File> {
+    /// Opens a file and reads what comes before the first message.
+    ///
+    /// # Errors
+    /// [`ReadError`].
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, ReadError> {
+        Self::new(File::open(path)?)
+    }
+}
+
+impl<S: Read> Reader<S> {
+    /// Reads what comes before the first message: attachments and metadata are known then.
+    ///
+    /// # Errors
+    /// [`ReadError`].
+    pub fn new(source: S) -> Result<Self, ReadError> {
+        let options = LinearReaderOptions::default()
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(MOST_BYTES);
+        let mut reader = Self {
+            source,
+            mcap: LinearReader::new_with_options(options),
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+            attachments: Attachments::default(),
+            first: None,
+            read_bytes: 0,
+            done: false,
+        };
+        reader.first = match reader.advance() {
+            Ok(found) => found,
+            // What came before the end is of use.
+            Err(ReadError::Truncated { .. }) if reader.read_bytes > 0 => None,
+            Err(error) => return Err(error),
+        };
+        Ok(reader)
+    }
+
+    /// Config, models and build, and what the file says about itself; of files of other programs
+    /// only what comes before the first message.
+    #[must_use]
+    pub const fn attachments(&self) -> &Attachments {
+        &self.attachments
+    }
+
+    /// The next message; none at the end of a file that is whole.
+    ///
+    /// # Errors
+    /// [`ReadError`]; after [`ReadError::Message`] the next message can be read, after others
+    /// nothing can.
+    pub fn next_entry(&mut self) -> Result<Option<Entry>, ReadError> {
+        let found = match self.first.take() {
+            Some(found) => Some(found),
+            None if self.done => None,
+            None => self.advance().inspect_err(|_| self.done = true)?,
+        };
+        match found {
+            Some((header, data)) => self.entry(header, &data).map(Some),
+            None => {
+                self.done = true;
+                Ok(None)
+            }
+        }
+    }
+
+    fn entry(&self, header: MessageHeader, data: &[u8]) -> Result<Entry, ReadError> {
+        let Some(channel) = self.channels.get(&header.channel_id) else {
+            let (sequence, id) = (header.sequence, header.channel_id);
+            return Err(McapError::UnknownChannel(sequence, id).into());
+        };
+        let message = match channel.kind {
+            Some(kind) => Message::decode(kind, data).map_err(|source| ReadError::Message {
+                topic: channel.topic.to_string(),
+                sequence: header.sequence,
+                source,
+            })?,
+            None => Message::Other {
+                schema: Arc::clone(&channel.schema),
+                data: data.to_vec(),
+            },
+        };
+        Ok(Entry {
+            topic: Arc::clone(&channel.topic),
+            fleet: Arc::clone(&channel.fleet),
+            log_time_ns: header.log_time,
+            publish_time_ns: header.publish_time,
+            sequence: header.sequence,
+            message,
+        })
+    }
+
+    /// Goes on to the next message.
+    fn advance(&mut self) -> Result<Option<(MessageHeader, Vec<u8>)>, ReadError> {
+        while let Some(event) = self.mcap.next_event() {
+            let (opcode, data) = match event.map_err(|error| damage(error, self.read_bytes))? {
+                LinearReadEvent::ReadRequest(wanted) => {
+                    let room = self.mcap.insert(wanted.clamp(1, MOST_AT_ONCE));
+                    let read = self.source.read(room)?;
+                    self.mcap.notify_read(read);
+                    self.read_bytes += read as u64;
+                    continue;
+                }
+                LinearReadEvent::Record { opcode, data } => (opcode, data),
+            };
+            let record =
+                mcap::parse_record(opcode, data).map_err(|error| damage(error, self.read_bytes))?;
+            match record {
+                Record::Message { header, data } => return Ok(Some((header, data.into_owned()))),
+                Record::Schema { header, .. } => {
+                    self.schemas.insert(header.id, header.name.into());
+                }
+                Record::Channel(channel) => {
+                    let schema = self.schemas.get(&channel.schema_id).cloned();
+                    let channel_of = Channel::new(&channel, schema.unwrap_or_default());
+                    self.channels.insert(channel.id, channel_of);
+                }
+                Record::Attachment { header, data, .. } => {
+                    self.attachments.created_unix_ns = header.create_time;
+                    self.attachments.files.push(Attached {
+                        name: header.name,
+                        media_type: header.media_type,
+                        bytes: data.into_owned(),
+                    });
+                }
+                Record::Metadata(metadata) => {
+                    let records = &mut self.attachments.metadata;
+                    records.insert(metadata.name, metadata.metadata);
+                }
+                _ => {}
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl<S: Read> Iterator for Reader<S> {
+    type Item = Result<Entry, ReadError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.next_entry().transpose()
+    }
+}
+
+impl Channel {
+    fn new(channel: &mcap::records::Channel, schema: Arc<str>) -> Self {
+        let kind = Kind::of_schema(&schema).filter(|_| channel.message_encoding == "protobuf");
+        let fleet = channel.metadata.get("fleet").filter(|_| kind.is_some());
+        Self {
+            topic: channel.topic.as_str().into(),
+            fleet: fleet.map_or("", String::as_str).into(),
+            schema,
+            kind,
+        }
+    }
+}
+
+fn damage(error: McapError, read_bytes: u64) -> ReadError {
+    match error {
+        McapError::UnexpectedEof => ReadError::Truncated { bytes: read_bytes },
+        error => ReadError::Mcap(error),
+    }
+}
+
+/// Why a capture could not be read, or not further.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// The file could not be opened or read.
+    #[error("cannot read the capture: {0}")]
+    Io(#[from] std::io::Error),
+    /// The file has no end: its recorder was killed, or its disk full. All messages before are fine.
+    #[error(
+        "the capture ends after {bytes} bytes without its last records; `joulebus recover` makes it \
+         whole"
+    )]
+    Truncated {
+        /// Bytes of the file.
+        bytes: u64,
+    },
+    /// The file is damaged, or none of ours.
+    #[error("the capture is damaged: {0}; `joulebus recover` saves what can be read")]
+    Mcap(#[from] McapError),
+    /// A message is not what its channel says. The next one can be read.
+    #[error("message {sequence} of {topic} cannot be read: {source}")]
+    Message {
+        /// Its topic.
+        topic: String,
+        /// Its number.
+        sequence: u32,
+        /// What is wrong.
+        source: DecodeError,
+    },
+}

@@ -1,0 +1,36 @@
+//! Schemas as they lie in a capture: a file set of protobuf descriptors with everything imported.
+
+use prost::Message as _;
+use prost_types::{FileDescriptorProto, FileDescriptorSet};
+
+/// What a protobuf compiler makes of `proto/joulebus/*.proto`; a test makes it again.
+const DESCRIPTORS: &[u8] = include_bytes!("../proto/joulebus.binpb");
+
+/// The files that declare the message `name` (`joulebus.Samples`), imported ones first. Empty for
+/// a name that is not ours.
+pub(crate) fn descriptors(name: &str) -> Vec<u8> {
+    // Ours, and tested; whoever cannot read it reads messages without a schema.
+    let all = FileDescriptorSet::decode(DESCRIPTORS).unwrap_or_default();
+    let short = name.strip_prefix("joulebus.").unwrap_or(name);
+    let declares = |file: &&FileDescriptorProto| {
+        let mut messages = file.message_type.iter();
+        file.package() == "joulebus" && messages.any(|message| message.name() == short)
+    };
+    let mut file = Vec::new();
+    if let Some(declaring) = all.file.iter().find(declares) {
+        gather(&all, declaring.name(), &mut file);
+    }
+    FileDescriptorSet { file }.encode_to_vec()
+}
+
+fn gather(all: &FileDescriptorSet, name: &str, found: &mut Vec<FileDescriptorProto>) {
+    if found.iter().any(|file| file.name() == name) {
+        return;
+    }
+    if let Some(file) = all.file.iter().find(|file| file.name() == name) {
+        for imported in &file.dependency {
+            gather(all, imported, found);
+        }
+        found.push(file.clone());
+    }
+}

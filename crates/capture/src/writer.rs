@@ -1,0 +1,336 @@
+//! Writes captures.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use mcap::records::MessageHeader;
+use mcap::write::NoSeek;
+
+use crate::output::Output;
+use crate::{Attachments, Kind, Message, Settings};
+
+/// Channels that one file may have: their numbers are u16, and 0 is left free.
+const MOST_CHANNELS: usize = 65_535;
+
+/// When a message was recorded and sent, both Unix ns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Times {
+    /// When the recorder knew of it. Must not fall.
+    pub log_ns: u64,
+    /// When it was sent.
+    pub publish_ns: u64,
+}
+
+/// Writes a capture, chunk by chunk: a chunk goes to the file whole when it spans
+/// [`Settings::chunk_ns`], when [`Writer::flush`] is called, and at the end. What has gone to the file
+/// can be read whatever happens afterwards.
+///
+/// Dropping it without [`Writer::finish`] leaves a file that may lack its end.
+pub struct Writer<W: Write> {
+    mcap: mcap::Writer<NoSeek<Output<W>>>,
+    settings: Settings,
+    schemas: HashMap<Kind, u16>,
+    channels: HashMap<(Kind, u32), Vec<Channel>>,
+    opened: usize,
+    sequences: Sequences,
+    chunk_from_ns: Option<u64>,
+    log_ns: u64,
+    messages: u64,
+    encoded: u64,
+    failed: bool,
+    scratch: Vec<u8>,
+}
+
+/// An open channel.
+struct Channel {
+    fleet: Arc<str>,
+    id: u16,
+    sequence: u32,
+}
+
+/// The next number of each channel, by topic: goes on in the next file.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Sequences(BTreeMap<String, u32>);
+
+/// What was written.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Written {
+    /// Messages.
+    pub messages: u64,
+    /// Messages by topic.
+    pub by_topic: BTreeMap<String, u64>,
+    /// Bytes of the file.
+    pub bytes: u64,
+    /// Bytes of the messages before compression.
+    pub encoded_bytes: u64,
+}
+
+impl Writer<File> {
+    /// Creates the file; one that exists is not touched.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn create(
+        path: &Path,
+        settings: Settings,
+        attachments: &Attachments,
+    ) -> Result<Self, WriteError> {
+        let file = File::create_new(path).map_err(|source| WriteError::Create {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::new(file, settings, attachments)
+    }
+}
+
+impl<W: Write> Writer<W> {
+    /// Begins a capture: header, metadata and attachments go to `out` at once.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn new(out: W, settings: Settings, attachments: &Attachments) -> Result<Self, WriteError> {
+        Self::go_on(out, settings, attachments, Sequences::default())
+    }
+
+    /// Begins the next file of a capture whose channels go on where the last file ended.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn go_on(
+        out: W,
+        settings: Settings,
+        attachments: &Attachments,
+        sequences: Sequences,
+    ) -> Result<Self, WriteError> {
+        let mut mcap = settings.options().create(NoSeek::new(Output::new(out)))?;
+        for record in attachments.metadata_records() {
+            mcap.write_metadata(&record)?;
+        }
+        for file in &attachments.files {
+            mcap.attach(&file.record(attachments.created_unix_ns))?;
+        }
+        mcap.flush()?;
+        Ok(Self {
+            mcap,
+            settings,
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+            opened: 0,
+            sequences,
+            chunk_from_ns: None,
+            log_ns: 0,
+            messages: 0,
+            encoded: 0,
+            failed: false,
+            scratch: Vec::new(),
+        })
+    }
+
+    /// Appends a message of `fleet`. Its log time is raised to that of the message before if it is
+    /// less: a capture is in order.
+    ///
+    /// # Errors
+    /// [`WriteError`]; after a failure to write every further call fails.
+    pub fn write(
+        &mut self,
+        fleet: &str,
+        times: Times,
+        message: &Message,
+    ) -> Result<(), WriteError> {
+        let Some(kind) = message.kind() else {
+            return Err(WriteError::NotOurs);
+        };
+        self.check()?;
+        let written = self.append(fleet, times, kind, message);
+        self.failed = matches!(&written, Err(WriteError::Mcap(_)));
+        written
+    }
+
+    fn append(
+        &mut self,
+        fleet: &str,
+        times: Times,
+        kind: Kind,
+        message: &Message,
+    ) -> Result<(), WriteError> {
+        let log_ns = times.log_ns.max(self.log_ns);
+        self.log_ns = log_ns;
+        if let Some(from_ns) = self.chunk_from_ns
+            && log_ns.saturating_sub(from_ns) >= self.settings.chunk_ns
+        {
+            self.flush()?;
+        }
+        self.chunk_from_ns.get_or_insert(log_ns);
+        let robot = message.robot().unwrap_or(0);
+        let (channel_id, sequence) = self.next_place(fleet, kind, robot)?;
+        self.scratch.clear();
+        message.encode(&mut self.scratch);
+        let header = MessageHeader {
+            channel_id,
+            sequence,
+            log_time: log_ns,
+            publish_time: times.publish_ns,
+        };
+        self.mcap.write_to_known_channel(&header, &self.scratch)?;
+        self.messages += 1;
+        self.encoded += self.scratch.len() as u64;
+        Ok(())
+    }
+
+    /// Writes the open chunk to the file.
+    ///
+    /// # Errors
+    /// [`WriteError`]; after a failure to write every further call fails.
+    pub fn flush(&mut self) -> Result<(), WriteError> {
+        self.check()?;
+        self.chunk_from_ns = None;
+        let flushed = self.mcap.flush();
+        self.failed = flushed.is_err();
+        Ok(flushed?)
+    }
+
+    /// Ends the file with its summary, and returns what was written, the numbers with which the
+    /// channels go on, and where it went.
+    ///
+    /// # Errors
+    /// [`WriteError`]: the summary is not whole.
+    pub fn finish(mut self) -> Result<(Written, Sequences, W), WriteError> {
+        self.check()?;
+        let (mut written, sequences) = (self.written(), self.sequences());
+        self.mcap.finish()?;
+        let output = self.mcap.into_inner().into_inner();
+        written.bytes = output.bytes();
+        Ok((written, sequences, output.into_inner()))
+    }
+
+    /// What was written so far; bytes are known at the end.
+    #[must_use]
+    pub fn written(&self) -> Written {
+        let channels = self.channels.iter();
+        let by_topic = channels.flat_map(|((kind, robot), channels)| {
+            channels.iter().map(|channel| {
+                let topic = kind.topic(&channel.fleet, *robot);
+                let before = self.sequences.0.get(&topic).copied().unwrap_or(0);
+                let count = channel.sequence.wrapping_sub(before);
+                (topic, u64::from(count))
+            })
+        });
+        Written {
+            messages: self.messages,
+            by_topic: by_topic.collect(),
+            bytes: 0,
+            encoded_bytes: self.encoded,
+        }
+    }
+
+    fn sequences(&self) -> Sequences {
+        let mut sequences = self.sequences.clone();
+        for ((kind, robot), channels) in &self.channels {
+            for channel in channels {
+                let topic = kind.topic(&channel.fleet, *robot);
+                sequences.0.insert(topic, channel.sequence);
+            }
+        }
+        sequences
+    }
+
+    const fn check(&self) -> Result<(), WriteError> {
+        if self.failed {
+            return Err(WriteError::Stopped);
+        }
+        Ok(())
+    }
+
+    /// The channel's id, and the number of its next message.
+    fn next_place(
+        &mut self,
+        fleet: &str,
+        kind: Kind,
+        robot: u32,
+    ) -> Result<(u16, u32), WriteError> {
+        let known = self.channels.entry((kind, robot)).or_default();
+        // One fleet as a rule, a few at most.
+        let place = known.iter().position(|channel| &*channel.fleet == fleet);
+        let place = match place {
+            Some(place) => place,
+            None => self.open(fleet, kind, robot)?,
+        };
+        let channels = self.channels.entry((kind, robot)).or_default();
+        let channel = &mut channels[place];
+        let sequence = channel.sequence;
+        channel.sequence = sequence.wrapping_add(1);
+        Ok((channel.id, sequence))
+    }
+
+    /// Opens the channel and returns its place among those of its kind and robot.
+    fn open(&mut self, fleet: &str, kind: Kind, robot: u32) -> Result<usize, WriteError> {
+        if self.opened == MOST_CHANNELS {
+            return Err(WriteError::TooManyChannels {
+                allowed: MOST_CHANNELS,
+            });
+        }
+        let schema = match self.schemas.get(&kind) {
+            Some(schema) => *schema,
+            None => {
+                let data = kind.descriptors();
+                let schema = self.mcap.add_schema(kind.schema(), "protobuf", &data)?;
+                self.schemas.insert(kind, schema);
+                schema
+            }
+        };
+        let topic = kind.topic(fleet, robot);
+        let metadata = BTreeMap::from([("fleet".to_owned(), fleet.to_owned())]);
+        let id = self
+            .mcap
+            .add_channel(schema, &topic, "protobuf", &metadata)?;
+        self.opened += 1;
+        let channels = self.channels.entry((kind, robot)).or_default();
+        channels.push(Channel {
+            fleet: Arc::from(fleet),
+            id,
+            sequence: self.sequences.0.get(&topic).copied().unwrap_or(0),
+        });
+        Ok(channels.len() - 1)
+    }
+}
+
+/// Why something was not written.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    /// The file could not be created.
+    #[error("cannot create {path:?}: {source}")]
+    Create {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Writing failed: what is in the file so far can be recovered.
+    #[error("cannot write the capture: {}", in_words(.0))]
+    Mcap(#[from] mcap::McapError),
+    /// An earlier write failed.
+    #[error("the capture has stopped: an earlier write failed")]
+    Stopped,
+    /// The message is of a kind that only other programs write.
+    #[error("only messages of this program's own kinds can be written")]
+    NotOurs,
+    /// More channels than a file can have.
+    #[error(
+        "more than {allowed} channels in one file; record fewer robots with channels of their own"
+    )]
+    TooManyChannels {
+        /// Channels that a file may have.
+        allowed: usize,
+    },
+}
+
+/// Says what the system said, which mcap's own words leave out.
+fn in_words(error: &mcap::McapError) -> String {
+    match error {
+        mcap::McapError::Io(reason) => reason.to_string(),
+        error => error.to_string(),
+    }
+}

@@ -1,0 +1,80 @@
+//! A config with everything that it names, independent of the files it was read from.
+
+use std::path::PathBuf;
+
+use toml_edit::{DocumentMut, Item, value};
+
+use crate::{Config, ModelSource};
+
+/// A config as one text, and the files that it names by paths relative to it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Bundle {
+    /// The config: defaults and platforms filled in, each value with where it came from.
+    pub toml: String,
+    /// Relative path and bytes of each file that it names.
+    pub files: Vec<(String, Vec<u8>)>,
+}
+
+/// Why a config could not be made independent of its files.
+#[derive(Debug, thiserror::Error)]
+pub enum BundleError {
+    /// A model could not be read.
+    #[error("cannot read model {path:?}: {source}")]
+    Model {
+        /// The model.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The config's own text was not understood.
+    #[error("the config cannot be written out: {0}")]
+    Text(#[from] toml_edit::TomlError),
+}
+
+impl Config {
+    /// The config with its models, also those that ship. It gives the same forecasts wherever it
+    /// is read, but keeps no ledger: who replays it must not write into the fleet's own.
+    ///
+    /// # Errors
+    /// A model that was there when the config was read cannot be read any more.
+    pub fn bundle(&self) -> Result<Bundle, BundleError> {
+        let mut document: DocumentMut = self.to_toml().parse()?;
+        let mut files = Vec::new();
+        for (place, source) in self.models().iter().enumerate() {
+            let Some((name, bytes)) = model(source)? else {
+                continue;
+            };
+            let path = format!("models/{place}-{name}");
+            let platforms = document
+                .get_mut("platform")
+                .and_then(Item::as_array_of_tables_mut);
+            if let Some(platform) = platforms.and_then(|platforms| platforms.get_mut(place)) {
+                platform["model"] = value(path.as_str());
+            }
+            files.push((path, bytes));
+        }
+        document["ledger"]["checkpoint"] = value("");
+        Ok(Bundle {
+            toml: document.to_string(),
+            files,
+        })
+    }
+}
+
+/// Name and bytes of the model's file, if it has one.
+fn model(source: &ModelSource) -> Result<Option<(String, Vec<u8>)>, BundleError> {
+    match source {
+        ModelSource::File(path) => {
+            let bytes = std::fs::read(path).map_err(|source| BundleError::Model {
+                path: path.clone(),
+                source,
+            })?;
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            Ok(Some((name.into_owned(), bytes)))
+        }
+        ModelSource::Builtin(name, bytes) => {
+            Ok(Some((format!("{name}.safetensors"), bytes.to_vec())))
+        }
+        ModelSource::Persistence { .. } => Ok(None),
+    }
+}
