@@ -6,6 +6,7 @@
 //! which the frame was *meant* to be sent. A place that a stalled source passed over is counted too,
 //! up to the moment at which the next frame's answer could be read.
 
+mod figures;
 mod kernel;
 mod raw;
 mod table;
@@ -28,6 +29,9 @@ const WARM_UP: u64 = 30;
 const SHARES: u64 = 3;
 /// How long the processes of a measurement may take to start.
 const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Fleets measured by default.
+pub const ROBOTS: [usize; 5] = [1, 20, 100, 1_000, 10_000];
 
 /// What is to be measured.
 #[derive(Debug, Clone)]

@@ -1,59 +1,35 @@
-//! What every benchmark prints first: the machine, the build, and what is measured.
+//! Measurements that a stranger can run: `joulebus bench` and `cargo bench -p joulebus-benches` call
+//! the same functions.
+//!
+//! Every figure has a name that ends in its unit, a case, and the [`Distribution`] of its
+//! repetitions. A [`Suite`] adds the machine, the build and the input, is written as text and as
+//! JSON, and is [compared](Comparison) with an earlier one.
 #![forbid(unsafe_code)]
 
+mod command;
+mod compare;
+mod distribution;
+mod figure;
+mod input;
+mod kernel;
 pub mod latency;
-
-use std::fs;
+mod machine;
+mod options;
+mod peak;
+mod report;
+mod rounds;
+mod threads;
 
 use hdrhistogram::Histogram;
 pub use joulebus_predictor_worker::Spread;
-use serde::Serialize;
 
-/// The machine and the build that a figure belongs to.
-#[derive(Debug, Clone, Serialize)]
-pub struct Machine {
-    /// Model name of the processor.
-    pub processor: String,
-    /// Processors that this process may use.
-    pub processors: usize,
-    /// Frequency governor, where the system tells.
-    pub governor: String,
-    /// Kernel.
-    pub kernel: String,
-    /// Version of joulebus.
-    pub version: &'static str,
-    /// Build profile.
-    pub profile: &'static str,
-    /// Kernel of the model that was dispatched.
-    pub dispatched: String,
-}
-
-impl Machine {
-    /// This machine; `dispatched` names the model's kernel.
-    #[must_use]
-    pub fn here(dispatched: String) -> Self {
-        let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-        let processor = cpuinfo
-            .lines()
-            .find_map(|line| line.strip_prefix("model name")?.split(": ").nth(1))
-            .unwrap_or("unknown");
-        let read = |path: &str| fs::read_to_string(path).map(|text| text.trim().to_owned());
-        Self {
-            processor: processor.to_owned(),
-            processors: std::thread::available_parallelism().map_or(1, usize::from),
-            governor: read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
-                .unwrap_or_else(|_| "not told".to_owned()),
-            kernel: read("/proc/sys/kernel/osrelease").unwrap_or_default(),
-            version: env!("CARGO_PKG_VERSION"),
-            profile: if cfg!(debug_assertions) {
-                "dev"
-            } else {
-                "release"
-            },
-            dispatched,
-        }
-    }
-}
+pub use command::{Benchmark, Command, Ended, bench_target};
+pub use compare::{Change, CompareError, Comparison, Verdict};
+pub use distribution::Distribution;
+pub use figure::{Better, Figure};
+pub use machine::{Build, Machine};
+pub use options::Options;
+pub use report::{Report, SCHEMA, Suite};
 
 /// A distribution in one line, µs: p50, p99, p99.9, max.
 #[must_use]

@@ -159,7 +159,7 @@ fn dependencies_point_one_way() {
     for (place, name) in order.iter().enumerate() {
         let manifest = manifest(name);
         let dependencies = manifest.split("[dev-dependencies]").next().unwrap();
-        for later in order[place + 1..].iter().chain(&["lab"]) {
+        for later in order[place + 1..].iter().chain(&["lab", "benches"]) {
             let dependency = format!("joulebus-{later}.");
             assert!(
                 !dependencies.contains(&dependency),
@@ -181,6 +181,27 @@ fn dependencies_point_one_way() {
                 "{glue} depends on {other}"
             );
         }
+    }
+}
+
+#[test]
+fn measurements_stand_beside_the_program_and_below_nothing_else() {
+    let root = crates().parent().unwrap().to_owned();
+    let dependencies = |manifest: PathBuf| {
+        let manifest = fs::read_to_string(manifest).unwrap();
+        let normal = manifest.split("[dev-dependencies]").next().unwrap();
+        normal.to_owned()
+    };
+    for name in names().iter().filter(|name| *name != "cli") {
+        let dependencies = dependencies(crates().join(name).join("Cargo.toml"));
+        assert!(
+            !dependencies.contains("joulebus-benches"),
+            "{name} depends on benches"
+        );
+    }
+    let benches = dependencies(root.join("benches/Cargo.toml"));
+    for above in ["\njoulebus.workspace", "joulebus-lab"] {
+        assert!(!benches.contains(above), "benches depends on {above}");
     }
 }
 

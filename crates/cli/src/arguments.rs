@@ -3,7 +3,7 @@
 use clap::{Parser, Subcommand};
 
 use crate::output::Format;
-use crate::{completions, config, demo, doctor, eval, publish, run, train, watch};
+use crate::{bench, completions, config, demo, doctor, eval, publish, run, train, watch};
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
 /// planners, one host.
@@ -50,6 +50,9 @@ pub(crate) enum Command {
     Config(config::Args),
     Train(train::Args),
     Eval(eval::Args),
+    Bench(bench::Args),
+    #[command(hide = true)]
+    BenchRole(bench::RoleArgs),
     Completions(completions::Args),
 }
 
@@ -68,7 +71,8 @@ mod tests {
     fn every_verb_shows_examples() {
         let mut verbs = vec![Cli::command()];
         while let Some(verb) = verbs.pop() {
-            verbs.extend(verb.get_subcommands().cloned());
+            let shown = verb.get_subcommands().filter(|verb| !verb.is_hide_set());
+            verbs.extend(shown.cloned());
             let help = verb.get_after_help().map(ToString::to_string);
             let help = help.unwrap_or_default();
             assert!(help.contains("joulebus"), "{}: {help:?}", verb.get_name());

@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 mod arguments;
+mod bench;
 mod completions;
 mod config;
 mod config_file;
@@ -75,6 +76,8 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Config(args) => config::run(args, output),
         Command::Train(args) => train::run(args, output),
         Command::Eval(args) => eval::run(args, output),
+        Command::Bench(args) => bench::run(args, output),
+        Command::BenchRole(args) => bench::play(args, output),
         Command::Completions(args) => completions::run(args, output),
     }
 }

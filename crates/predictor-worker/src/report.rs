@@ -36,8 +36,14 @@ pub struct Report {
 pub struct Spread {
     /// Values.
     pub count: u64,
+    /// Least, µs.
+    pub min_us: f64,
+    /// First quartile, µs.
+    pub p25_us: f64,
     /// Median, µs.
     pub p50_us: f64,
+    /// Third quartile, µs.
+    pub p75_us: f64,
     /// 99th percentile, µs.
     pub p99_us: f64,
     /// 99.9th percentile, µs.
@@ -53,7 +59,10 @@ impl Spread {
         let us = |quantile| histogram.value_at_quantile(quantile) as f64 * 1e-3;
         Self {
             count: histogram.len(),
+            min_us: histogram.min() as f64 * 1e-3,
+            p25_us: us(0.25),
             p50_us: us(0.5),
+            p75_us: us(0.75),
             p99_us: us(0.99),
             p999_us: us(0.999),
             max_us: histogram.max() as f64 * 1e-3,

@@ -1,0 +1,131 @@
+//! What repetitions of one measurement came to.
+
+use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
+
+/// Distribution of one figure over its repetitions, in the figure's unit.
+///
+/// Quantiles are nearest ranks: each is a value that was measured. Of fewer than 1000 repetitions
+/// `p999` is the greatest, of fewer than 100 `p99` as well.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Distribution {
+    /// Repetitions.
+    pub count: u64,
+    /// Least.
+    pub min: f64,
+    /// First quartile.
+    pub p25: f64,
+    /// Median.
+    pub p50: f64,
+    /// Third quartile.
+    pub p75: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// 99.9th percentile.
+    pub p999: f64,
+    /// Greatest.
+    pub max: f64,
+}
+
+impl Distribution {
+    /// Of values that were measured; `None` without any, or if one is not finite.
+    #[must_use]
+    pub fn of(values: &[f64]) -> Option<Self> {
+        if values.is_empty() || !values.iter().all(|value| value.is_finite()) {
+            return None;
+        }
+        let mut sorted = values.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let at = |quantile: f64| {
+            let rank = (quantile * sorted.len() as f64).ceil() as usize;
+            sorted[rank.clamp(1, sorted.len()) - 1]
+        };
+        Some(Self {
+            count: sorted.len() as u64,
+            min: at(0.0),
+            p25: at(0.25),
+            p50: at(0.5),
+            p75: at(0.75),
+            p99: at(0.99),
+            p999: at(0.999),
+            max: at(1.0),
+        })
+    }
+
+    /// Of a histogram, each value times `scale`; `None` if nothing was recorded.
+    #[must_use]
+    pub fn of_histogram(histogram: &Histogram<u64>, scale: f64) -> Option<Self> {
+        let at = |quantile| histogram.value_at_quantile(quantile) as f64 * scale;
+        (!histogram.is_empty()).then(|| Self {
+            count: histogram.len(),
+            min: histogram.min() as f64 * scale,
+            p25: at(0.25),
+            p50: at(0.5),
+            p75: at(0.75),
+            p99: at(0.99),
+            p999: at(0.999),
+            max: histogram.max() as f64 * scale,
+        })
+    }
+
+    /// Of one value, measured or counted once.
+    #[must_use]
+    pub fn once(value: f64) -> Option<Self> {
+        Self::of(&[value])
+    }
+
+    /// Whether the middle halves of the two have no value in common: more than noise.
+    #[must_use]
+    pub fn differs_from(&self, other: &Self) -> bool {
+        self.p25 > other.p75 || other.p25 > self.p75
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_values_that_were_measured() {
+        let values: Vec<f64> = (1..=1000).rev().map(f64::from).collect();
+        let all = Distribution::of(&values).expect("there are values");
+        let found = [
+            all.min, all.p25, all.p50, all.p75, all.p99, all.p999, all.max,
+        ];
+        assert_eq!(found, [1.0, 250.0, 500.0, 750.0, 990.0, 999.0, 1000.0]);
+        let one = Distribution::once(7.0).expect("there is a value");
+        assert_eq!((one.count, one.min, one.p999, one.max), (1, 7.0, 7.0, 7.0));
+    }
+
+    #[test]
+    fn nothing_measured_and_nothing_finite_is_no_figure() {
+        assert_eq!(Distribution::of(&[]), None);
+        assert_eq!(Distribution::of(&[1.0, f64::NAN]), None);
+        assert_eq!(Distribution::once(f64::INFINITY), None);
+    }
+
+    #[test]
+    fn a_histogram_gives_the_same_as_its_values() {
+        let mut histogram = crate::histogram();
+        let values: Vec<f64> = (1..=100).map(f64::from).collect();
+        for value in &values {
+            histogram.saturating_record(*value as u64);
+        }
+        let (binned, exact) = (
+            Distribution::of_histogram(&histogram, 1.0),
+            Distribution::of(&values),
+        );
+        assert_eq!(binned, exact);
+    }
+
+    #[test]
+    fn middle_halves_that_touch_do_not_differ() {
+        let of = |from: i32, to: i32| {
+            let values: Vec<f64> = (from..=to).map(f64::from).collect();
+            Distribution::of(&values).expect("there are values")
+        };
+        assert!(!of(0, 100).differs_from(&of(50, 150)));
+        assert!(of(0, 100).differs_from(&of(80, 180)));
+        assert!(of(80, 180).differs_from(&of(0, 100)));
+    }
+}

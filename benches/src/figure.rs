@@ -1,0 +1,96 @@
+//! One measured figure.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Distribution;
+
+/// Which way a figure gets better.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Better {
+    /// Times, bytes, instructions.
+    Less,
+    /// Throughputs, shares of a peak, speed-ups.
+    More,
+}
+
+/// One measured figure: the same name and case mean the same measurement in another run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Figure {
+    /// What was measured, the unit last: `avx512_ns_per_robot`.
+    pub name: String,
+    /// On how much of it: `100 robots`.
+    pub case: String,
+    /// The unit: `ns`, `GMAC/s`, `bytes`; `1` for ratios.
+    pub unit: String,
+    /// Which way it gets better.
+    pub better: Better,
+    /// Its repetitions.
+    #[serde(flatten)]
+    pub spread: Distribution,
+}
+
+impl Figure {
+    /// A figure that is better when it is less, like a time.
+    #[must_use]
+    pub fn less(name: &str, case: &str, unit: &str, spread: Distribution) -> Self {
+        Self::new(name, case, unit, Better::Less, spread)
+    }
+
+    /// A figure that is better when it is more, like a throughput.
+    #[must_use]
+    pub fn more(name: &str, case: &str, unit: &str, spread: Distribution) -> Self {
+        Self::new(name, case, unit, Better::More, spread)
+    }
+
+    fn new(name: &str, case: &str, unit: &str, better: Better, spread: Distribution) -> Self {
+        Self {
+            name: name.to_owned(),
+            case: case.to_owned(),
+            unit: unit.to_owned(),
+            better,
+            spread,
+        }
+    }
+}
+
+/// A count for people: `100,000`.
+#[must_use]
+pub(crate) fn grouped(count: u64) -> String {
+    let digits = count.to_string();
+    let mut text = String::new();
+    for (place, digit) in digits.chars().enumerate() {
+        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// The case of a fleet or batch of a size.
+#[must_use]
+pub(crate) fn robots(count: usize) -> String {
+    let plural = if count == 1 { "" } else { "s" };
+    format!("{} robot{plural}", grouped(count as u64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_are_grouped_by_thousands() {
+        for (count, text) in [
+            (0, "0"),
+            (999, "999"),
+            (1_000, "1,000"),
+            (300_000, "300,000"),
+            (1_234_567, "1,234,567"),
+        ] {
+            assert_eq!(grouped(count), text);
+        }
+        assert_eq!(robots(1), "1 robot");
+        assert_eq!(robots(7), "7 robots");
+    }
+}

@@ -1,0 +1,65 @@
+//! The report in the form that all benchmarks share.
+
+use joulebus_predictor_worker::Spread;
+
+use super::{Report, Row};
+use crate::figure::robots;
+use crate::{Distribution, Figure};
+
+impl Report {
+    /// The same figures with names and cases, for text, JSON and comparison.
+    #[must_use]
+    pub fn figures(&self) -> crate::Report {
+        let mut report = crate::Report::new("latency").with_input("input", &self.input);
+        for (name, of) in TIMES {
+            let figures = self.rows.iter().filter_map(|row| {
+                let spread = distribution(of(row))?;
+                Some(Figure::less(name, &robots(row.robots), "µs", spread))
+            });
+            report.figures.extend(figures);
+        }
+        for (name, unit, of) in ONCE {
+            for row in &self.rows {
+                report.push(Figure::less, name, &robots(row.robots), unit, &[of(row)]);
+            }
+        }
+        report
+    }
+}
+
+type Time = (&'static str, fn(&Row) -> &Spread);
+type Once = (&'static str, &'static str, fn(&Row) -> f64);
+
+const TIMES: [Time; 8] = [
+    ("due_to_readable_us", |row| &row.end_to_end_us),
+    ("due_to_sent_us", |row| &row.source_us),
+    ("sent_to_readable_us", |row| &row.sent_to_readable_us),
+    ("sent_to_taken_us", |row| &row.one_way_us),
+    ("compute_us", |row| &row.compute_us),
+    ("whole_tick_us", |row| &row.tick_us),
+    ("two_raw_hops_us", |row| &row.raw_two_hops_us),
+    ("kernel_after_sleep_us", |row| &row.kernel_us),
+];
+
+const ONCE: [Once; 5] = [
+    ("over_hops_and_kernel_at_p50", "1", |row| row.ratio_p50),
+    ("over_hops_and_kernel_at_p99", "1", |row| row.ratio_p99),
+    ("worker_memory_bytes", "bytes", |row| {
+        row.worker_bytes as f64
+    }),
+    ("missed_frames", "frames", |row| row.missed as f64),
+    ("passed_over_frames", "frames", |row| row.passed_over as f64),
+];
+
+fn distribution(spread: &Spread) -> Option<Distribution> {
+    (spread.count > 0).then_some(Distribution {
+        count: spread.count,
+        min: spread.min_us,
+        p25: spread.p25_us,
+        p50: spread.p50_us,
+        p75: spread.p75_us,
+        p99: spread.p99_us,
+        p999: spread.p999_us,
+        max: spread.max_us,
+    })
+}

@@ -1,0 +1,170 @@
+//! The machine and the build that figures belong to.
+
+use std::fmt;
+use std::fs;
+
+use serde::{Deserialize, Serialize};
+
+/// The workspace pins it.
+const ICEORYX2: &str = "0.10.0";
+/// What stands where the system does not tell.
+const NOT_TOLD: &str = "not told";
+
+/// The machine.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Machine {
+    /// Model name of the processor.
+    pub processor: String,
+    /// Processors that this process may use.
+    pub processors: usize,
+    /// Operating system's kernel.
+    pub kernel: String,
+    /// Frequency governor, where the system tells.
+    pub governor: String,
+    /// Whether the processor may raise its clock, where the system tells: `on`, `off`.
+    pub turbo: String,
+    /// Whether a hypervisor stands between: figures of a shared machine are noisy.
+    pub virtual_machine: bool,
+}
+
+/// The build.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Build {
+    /// Version of joulebus.
+    pub joulebus: String,
+    /// Version of the compiler.
+    pub rustc: String,
+    /// Version of iceoryx2.
+    pub iceoryx2: String,
+    /// `release` or `dev`, with the optimisation level.
+    pub profile: String,
+    /// Target triple.
+    pub target: String,
+    /// CPU features that the whole program was compiled for; kernels are dispatched beyond them.
+    pub target_features: String,
+}
+
+impl Machine {
+    /// This machine, as far as Linux tells.
+    #[must_use]
+    pub fn here() -> Self {
+        let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+        let field = |name: &str| {
+            let line = cpuinfo.lines().find(|line| line.starts_with(name))?;
+            Some(line.split_once(':')?.1.trim().to_owned())
+        };
+        let flags = field("flags").unwrap_or_default();
+        let cpu = "/sys/devices/system/cpu";
+        Self {
+            processor: field("model name").unwrap_or_else(|| NOT_TOLD.to_owned()),
+            processors: std::thread::available_parallelism().map_or(1, usize::from),
+            kernel: told("/proc/sys/kernel/osrelease"),
+            governor: told(&format!("{cpu}/cpu0/cpufreq/scaling_governor")),
+            turbo: turbo(
+                &told(&format!("{cpu}/cpufreq/boost")),
+                &told(&format!("{cpu}/intel_pstate/no_turbo")),
+            ),
+            virtual_machine: flags.split_whitespace().any(|flag| flag == "hypervisor"),
+        }
+    }
+}
+
+impl Build {
+    /// This program.
+    #[must_use]
+    pub fn here() -> Self {
+        let profile = if cfg!(debug_assertions) {
+            "dev"
+        } else {
+            "release"
+        };
+        Self {
+            joulebus: env!("CARGO_PKG_VERSION").to_owned(),
+            rustc: env!("BENCH_RUSTC").to_owned(),
+            iceoryx2: ICEORYX2.to_owned(),
+            profile: format!("{profile}, opt-level {}", env!("BENCH_OPT_LEVEL")),
+            target: env!("BENCH_TARGET").to_owned(),
+            target_features: env!("BENCH_TARGET_FEATURES").to_owned(),
+        }
+    }
+}
+
+fn told(path: &str) -> String {
+    fs::read_to_string(path).map_or_else(|_| NOT_TOLD.to_owned(), |text| text.trim().to_owned())
+}
+
+/// The two drivers say it in opposite words.
+fn turbo(boost: &str, no_turbo: &str) -> String {
+    match (boost, no_turbo) {
+        ("1", _) | (_, "0") => "on",
+        ("0", _) | (_, "1") => "off",
+        _ => NOT_TOLD,
+    }
+    .to_owned()
+}
+
+impl fmt::Display for Machine {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            processor,
+            processors,
+            kernel,
+            governor,
+            turbo,
+            virtual_machine,
+        } = self;
+        write!(
+            out,
+            "{processor}, {processors} processors, Linux {kernel}, governor {governor}, turbo {turbo}"
+        )?;
+        if *virtual_machine {
+            write!(out, ", virtual machine")?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Build {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            joulebus,
+            rustc,
+            iceoryx2,
+            profile,
+            target,
+            target_features,
+        } = self;
+        write!(
+            out,
+            "joulebus {joulebus}, {rustc}, iceoryx2 {iceoryx2}, {profile}, {target} \
+             ({target_features})"
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_drivers_are_understood() {
+        for (boost, no_turbo, found) in [
+            ("1", NOT_TOLD, "on"),
+            ("0", NOT_TOLD, "off"),
+            (NOT_TOLD, "0", "on"),
+            (NOT_TOLD, "1", "off"),
+            (NOT_TOLD, NOT_TOLD, NOT_TOLD),
+        ] {
+            assert_eq!(turbo(boost, no_turbo), found);
+        }
+    }
+
+    #[test]
+    fn the_build_names_its_compiler() {
+        let build = Build::here();
+        assert!(build.rustc.starts_with("rustc 1."), "{}", build.rustc);
+        assert!(build.target.contains('-'), "{}", build.target);
+        let manifest = include_str!("../../Cargo.toml");
+        assert!(manifest.contains(&format!("iceoryx2 = {{ version = \"={}\"", build.iceoryx2)));
+    }
+}
