@@ -484,7 +484,7 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
             "robots = [\"30-39\"]",
             "robots = [\"5-39\"]",
             "platform.robots",
-            &["\"0-9\" (<config>:22)", "\"5-39\" (<config>:42)", "robot 5"],
+            &["\"0-9\" (<config>:24)", "\"5-39\" (<config>:44)", "robot 5"],
         ),
         (
             "[\"0-9\", 20]",
