@@ -63,6 +63,7 @@ pub use keeper::Housekeeping;
 pub use leftovers::{SweepError, SweepReport, sweep};
 pub use limits::{Limits, LimitsError};
 pub use membership::JoinError;
+pub use memory::touch_own_memory;
 pub use open::OpenError;
 pub use port::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,

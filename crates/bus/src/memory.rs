@@ -10,6 +10,9 @@ use rustix::mm::{Advice, madvise};
 
 use crate::domain::SHM_DIR;
 
+/// Memory that is mapped at once while ticks go on, bytes: some milliseconds.
+const MOST_AT_ONCE: usize = 64 << 20;
+
 /// Takes all memory of the objects in shared memory that this process has mapped for writing and
 /// whose name contains `part`, and maps it now: no SIGBUS and no page fault later.
 ///
@@ -19,7 +22,7 @@ pub(crate) fn take(part: &str) -> io::Result<u64> {
     let maps = fs::read_to_string("/proc/self/maps")?;
     let mut bytes = 0;
     for mapping in maps.lines().filter_map(Mapping::parse) {
-        if mapping.is_writable && mapping.path.contains(part) {
+        if mapping.is_writable && mapping.is_shared() && mapping.path.contains(part) {
             mapping.take()?;
             bytes += mapping.len as u64;
         }
@@ -27,10 +30,41 @@ pub(crate) fn take(part: &str) -> io::Result<u64> {
     Ok(bytes)
 }
 
+/// Maps all pages of the objects in shared memory whose name contains `part` and that this process
+/// reads: no page fault later. Best effort; more than 64 MiB is left to be mapped as it is used, for
+/// that would take longer than a frame may.
+pub(crate) fn map(part: &str) {
+    let Ok(maps) = fs::read_to_string("/proc/self/maps") else {
+        return;
+    };
+    let of_part = |mapping: &Mapping<'_>| {
+        mapping.is_shared() && mapping.path.contains(part) && mapping.len <= MOST_AT_ONCE
+    };
+    for mapping in maps.lines().filter_map(Mapping::parse).filter(of_part) {
+        mapping.populate(Advice::LinuxPopulateRead);
+    }
+}
+
+/// Touches all memory of this process's own, allocated and never used memory included, so that its
+/// first use takes no page fault: about 0.2 s a GiB. To be called after everything large has been
+/// allocated, and before threads are started, whose stacks would be touched too. Best effort: kernels
+/// before 5.14 cannot.
+pub fn touch_own_memory() {
+    let Ok(maps) = fs::read_to_string("/proc/self/maps") else {
+        return;
+    };
+    for mapping in maps.lines().filter_map(Mapping::parse) {
+        if mapping.is_writable && matches!(mapping.path, "" | "[heap]") {
+            mapping.populate(Advice::LinuxPopulateWrite);
+        }
+    }
+}
+
 struct Mapping<'a> {
     start: usize,
     len: usize,
     is_writable: bool,
+    /// Empty where there is none.
     path: &'a str,
 }
 
@@ -40,15 +74,19 @@ impl<'a> Mapping<'a> {
         let mut words = line.split_ascii_whitespace();
         let (start, end) = words.next()?.split_once('-')?;
         let permissions = words.next()?;
-        let path = words.nth(3)?;
+        let path = words.nth(3).unwrap_or_default();
         let start = usize::from_str_radix(start, 16).ok()?;
         let end = usize::from_str_radix(end, 16).ok()?;
-        (path.starts_with(SHM_DIR)).then_some(Self {
+        Some(Self {
             start,
             len: end.checked_sub(start)?,
             is_writable: permissions.starts_with("rw"),
             path,
         })
+    }
+
+    fn is_shared(&self) -> bool {
+        self.path.starts_with(SHM_DIR)
     }
 
     fn take(&self) -> io::Result<()> {
@@ -57,17 +95,21 @@ impl<'a> Mapping<'a> {
             .open(Path::new(self.path))?;
         let len = file.metadata()?.len();
         fallocate(&file, FallocateFlags::empty(), 0, len)?;
+        self.populate(Advice::LinuxPopulateWrite);
+        Ok(())
+    }
+
+    fn populate(&self, advice: Advice) {
         // SAFETY: populating changes neither the content nor the protection of a mapping; the
         // range was just read from the list of this process's mappings, and if it has been
         // unmapped since, the call fails.
         let populated = unsafe {
             let start = std::ptr::without_provenance_mut(self.start);
-            madvise(start, self.len, Advice::LinuxPopulateWrite)
+            madvise(start, self.len, advice)
         };
         if let Err(error) = populated {
             // Kernels before 5.14 cannot; then the first frames fault, and nothing worse.
             tracing::debug!(%error, path = self.path, "memory was not mapped in advance");
         }
-        Ok(())
     }
 }

@@ -15,6 +15,7 @@ use joulebus_wire::{Sample, SampleHeader, Service};
 
 use crate::limits::Shape;
 use crate::membership::Membership;
+use crate::memory;
 use crate::open::{OpenError, open};
 use crate::port::count_degradation;
 use crate::repair::{Look, Repair};
@@ -201,14 +202,22 @@ where
     }
 }
 
+/// Sources whose memory a [`SampleReader`] remembers to have mapped.
+const MAPPED: usize = 256;
+
 /// The worker's port for samples of all sources.
 pub struct SampleReader {
     reader: Reader<SampleHeader, Sample>,
+    /// Ports of sources whose memory has been mapped whole.
+    mapped: Vec<u128>,
 }
 
 impl SampleReader {
-    pub(crate) const fn new(reader: Reader<SampleHeader, Sample>) -> Self {
-        Self { reader }
+    pub(crate) fn new(reader: Reader<SampleHeader, Sample>) -> Self {
+        Self {
+            reader,
+            mapped: Vec::with_capacity(MAPPED),
+        }
     }
 
     /// Copies the next frame into `frame`; whether there was one. Take until there is none: the
@@ -221,6 +230,15 @@ impl SampleReader {
         let Some(received) = self.reader.receive()? else {
             return Ok(false);
         };
+        let source = received.header().publisher_id().value();
+        if !self.mapped.contains(&source) {
+            // Sources come and go for months: forgetting costs one more look.
+            if self.mapped.len() == MAPPED {
+                self.mapped.clear();
+            }
+            self.mapped.push(source);
+            memory::map(&source.to_string());
+        }
         let samples = received.payload();
         let kept = samples.len().min(frame.capacity);
         frame.header = *received.user_header();
@@ -252,7 +270,7 @@ impl FrameBuf {
     pub fn new(capacity: usize) -> Self {
         Self {
             header: SampleHeader::default(),
-            samples: Vec::with_capacity(capacity),
+            samples: touched(capacity),
             truncated: 0,
             capacity,
         }
@@ -275,6 +293,13 @@ impl FrameBuf {
     pub const fn truncated(&self) -> usize {
         self.truncated
     }
+}
+
+/// Room for `capacity` samples, every page of it touched: the first long frame takes no page fault.
+fn touched(capacity: usize) -> Vec<Sample> {
+    let mut samples = vec![Sample::new(0, 0, 0); capacity];
+    samples.clear();
+    samples
 }
 
 pub(crate) fn reader<H, T>(

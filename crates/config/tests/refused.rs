@@ -421,8 +421,8 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
             "stale_after_s = 0.06",
             "platform.stale_after_s",
             &[
-                "`stale_after_s` = 0.06 s (<config>:27)",
-                "`rate_hz` = 30.0 Hz (<config>:26)",
+                "`stale_after_s` = 0.06 s (<config>:29)",
+                "`rate_hz` = 30.0 Hz (<config>:28)",
                 "1.800",
             ],
         ),
@@ -455,8 +455,8 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
             "power_min_w = 20",
             "platform.power_min_w",
             &[
-                "`power_min_w` = 20.0 W (<config>:30)",
-                "`power_max_w` = 20.0 W (<config>:31)",
+                "`power_min_w` = 20.0 W (<config>:32)",
+                "`power_max_w` = 20.0 W (<config>:33)",
             ],
         ),
         (

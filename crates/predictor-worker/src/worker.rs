@@ -7,7 +7,7 @@ use hdrhistogram::Histogram;
 use joulebus_bus::{
     BudgetWriter, Bus, DiagnosticWriter, DomainError, ForecastWriter, FrameBuf, JoinError, Ports,
     RoomError, SampleReader, SchedulingError, WaitError, Waiter, Waker, WorkerLock,
-    WorkerLockError, check_room, clock, set_timer_slack,
+    WorkerLockError, check_room, clock, set_timer_slack, touch_own_memory,
 };
 use joulebus_config::Config;
 use joulebus_fleet::{Fleet, Next, Schedule, SettingsError, TickIntake};
@@ -115,6 +115,10 @@ impl Worker {
                 "more accounts written down than the fleet has room for: raise `capacity`"
             );
         }
+        let frame = FrameBuf::new(limits.capacity);
+        let ticks_ns = Histogram::new_with_bounds(1, LONGEST_TICK_NS, 3)?;
+        // Before the other threads: their stacks need not be touched.
+        touch_own_memory();
         check_room(
             &limits,
             Ports {
@@ -153,8 +157,8 @@ impl Worker {
             clock::monotonic_ns(),
         );
         Ok(Self {
-            frame: FrameBuf::new(limits.capacity),
-            ticks_ns: Histogram::new_with_bounds(1, LONGEST_TICK_NS, 3)?,
+            frame,
+            ticks_ns,
             name: config.fleet().to_owned(),
             missed: false,
             fleet,
