@@ -14,9 +14,12 @@ use joulebus_config::Config;
 use joulebus_wire::{DropCounts, DropReason};
 
 use crate::checkpoint::{Checkpoint, CheckpointError};
+use crate::keyframes::{KeyframeOrders, KeyframeSender};
 
 /// How often the clerk looks around.
 const ROUND: Duration = Duration::from_millis(200);
+/// Looks for a keyframe in a round while one is on its way.
+const GLANCES: u32 = 10;
 /// Rounds between two looks at what was refused.
 const LOOK_EVERY: u64 = 5;
 
@@ -58,6 +61,7 @@ impl Clerk {
         config: &Config,
         before: Checkpoint,
         failures: Arc<Failures>,
+        orders: KeyframeOrders,
     ) -> Result<Self, ClerkError> {
         let stop = Arc::new(AtomicBool::new(false));
         let (stopped, domain, config) = (Arc::clone(&stop), domain.clone(), config.clone());
@@ -65,7 +69,7 @@ impl Clerk {
         let thread = std::thread::Builder::new()
             .name("joulebus-clerk".to_owned())
             .spawn(move || {
-                match Desk::open(&domain, &config, before, failures) {
+                match Desk::open(&domain, &config, before, failures, orders) {
                     Ok(desk) => {
                         // The worker waits on the other end.
                         let _ = ready.send(Ok(()));
@@ -107,6 +111,7 @@ struct Desk {
     budgets: BudgetReader,
     diagnostics: DiagnosticReader,
     forecasts: ForecastReader,
+    keyframes: KeyframeSender,
     _bus: Bus,
     failures: Arc<Failures>,
     checkpoint: Checkpoint,
@@ -123,6 +128,7 @@ impl Desk {
         config: &Config,
         checkpoint: Checkpoint,
         failures: Arc<Failures>,
+        orders: KeyframeOrders,
     ) -> Result<Self, ClerkError> {
         let bus = Bus::join(domain, "clerk")?;
         let limits = config.limits();
@@ -133,6 +139,7 @@ impl Desk {
             budgets: bus.budget_reader(&limits)?,
             diagnostics: bus.diagnostic_reader(&limits)?,
             forecasts: bus.forecast_reader(&limits)?,
+            keyframes: KeyframeSender::open(&bus, &limits, config.settings(), orders)?,
             _bus: bus,
             failures,
             checkpoint,
@@ -157,7 +164,19 @@ impl Desk {
             if last {
                 return;
             }
-            std::thread::park_timeout(ROUND);
+            self.rest();
+        }
+    }
+
+    /// Until the next round; with an eye on a keyframe that is on its way.
+    fn rest(&mut self) {
+        self.keyframes.look();
+        if !self.keyframes.is_busy() {
+            return std::thread::park_timeout(ROUND);
+        }
+        for _ in 0..GLANCES {
+            std::thread::park_timeout(ROUND / GLANCES);
+            self.keyframes.look();
         }
     }
 

@@ -11,6 +11,7 @@
 mod checkpoint;
 mod clerk;
 mod journal;
+mod keyframes;
 mod models;
 mod report;
 mod worker;

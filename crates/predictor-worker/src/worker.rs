@@ -16,6 +16,7 @@ use joulebus_wire::{BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSI
 use crate::checkpoint::CheckpointError;
 use crate::clerk::{Clerk, ClerkError, Failures, recall};
 use crate::journal::Journal;
+use crate::keyframes::{Keyframes, keyframes};
 use crate::models::{ModelsError, load_models};
 use crate::report::{Report, Spread, by_name};
 
@@ -32,6 +33,7 @@ pub struct Worker {
     diagnostics: DiagnosticWriter,
     budgets: BudgetWriter,
     journal: Journal,
+    keyframes: Keyframes,
     waiter: Waiter,
     planners: Waker,
     clerk: Clerk,
@@ -134,7 +136,8 @@ impl Worker {
         let journal = Journal::open(&bus, &limits)?;
         let planners = bus.planner_waker(&limits)?;
         let failures = Arc::new(Failures::default());
-        let clerk = Clerk::start(&domain, config, before, Arc::clone(&failures))?;
+        let (keyframes, orders) = keyframes();
+        let clerk = Clerk::start(&domain, config, before, Arc::clone(&failures), orders)?;
         // After the threads that must not have it: they inherit what their maker has.
         for refused in config.scheduling().apply()? {
             tracing::warn!("{refused}");
@@ -151,6 +154,7 @@ impl Worker {
             capacity: fleet.capacity(),
             ..ForecastHeader::default()
         };
+        keyframes.offer(&fleet, (header.worker_epoch, 0));
         let schedule = Schedule::new(
             config.policy(),
             config.tick_period_ns(),
@@ -168,6 +172,7 @@ impl Worker {
             diagnostics,
             budgets,
             journal,
+            keyframes,
             waiter,
             planners,
             clerk,
@@ -274,6 +279,7 @@ impl Worker {
         let place = (self.header.worker_epoch, self.header.tick);
         self.journal
             .send(place, start_ns, missed, &self.failures.unsent);
+        self.keyframes.offer(&self.fleet, place);
         let end_ns = clock::monotonic_ns();
         let frames = intake.frames > 0;
         self.missed = self.schedule.ticked(due_ns, start_ns, end_ns, frames);

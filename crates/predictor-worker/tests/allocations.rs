@@ -1,5 +1,5 @@
-//! The worker's loop, intake and publishing included, allocates nothing of its own after warm-up:
-//! only iceoryx2 0.10 does, once for each of the four frames that a tick sends.
+//! The worker's loop, intake and publishing included, allocates nothing of its own after warm-up, not
+//! even when somebody records: only iceoryx2 0.10 does, once for each of the four frames of a tick.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 #[path = "../../../tests/counting.rs"]
@@ -64,6 +64,21 @@ fn feed(domain: &Domain, config: &Config, stop: &AtomicBool) {
     }
 }
 
+/// Reads keyframes until told to stop; returns how many came whole.
+fn record(domain: &Domain, config: &Config, stop: &AtomicBool) -> u32 {
+    let bus = Bus::join(domain, "recorder").unwrap();
+    let mut states = bus.state_reader(&config.limits()).unwrap();
+    let (mut bytes, mut keyframes) = (0, 0);
+    while !stop.load(Ordering::Relaxed) {
+        while let Some(piece) = states.take_next().unwrap() {
+            bytes = if piece.header().offset == 0 { 0 } else { bytes } + piece.len() as u64;
+            keyframes += u32::from(bytes == piece.header().total_bytes);
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    keyframes
+}
+
 fn measure(policy: &str) {
     let root = PathBuf::from(format!(
         "/dev/shm/joulebus-test-alloc-{}",
@@ -83,13 +98,19 @@ fn measure(policy: &str) {
         };
         tick(200);
         let before = counting::calls();
+        let recorder = scope.spawn(|| record(&domain, &config, &stop));
+        let spawned = counting::calls() - before;
         tick(300);
-        let allocated = counting::calls() - before;
+        let allocated = counting::calls() - before - spawned;
         stop.store(true, Ordering::Relaxed);
         assert_eq!(
             allocated,
             4 * 300,
             "policy {policy}: four a tick are iceoryx2's"
+        );
+        assert!(
+            recorder.join().unwrap() > 0,
+            "no keyframe was taken meanwhile"
         );
     });
     let report = worker.finish();

@@ -1,0 +1,241 @@
+//! Who reads keyframes and journals can compute every tick again, from the first one or from the
+//! middle, bit for bit; and nobody else costs anything.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use joulebus_bus::{Bus, FrameBuf, clock};
+use joulebus_config::Config;
+use joulebus_fleet::{Fleet, FleetState};
+use joulebus_predictor_worker::{Worker, load_models};
+use joulebus_wire::{
+    Budget, Forecast, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
+    tick_flag,
+};
+
+const ROBOTS: u32 = 300;
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn config(root: &Path) -> Config {
+    let text = format!(
+        "[fleet]\nname = \"keyframes\"\ncapacity = {ROBOTS}\n\
+         [domain]\nroot = \"{}\"\nprefix = \"t_\"\n\
+         [tick]\nrate_hz = 100.0\ndeadline_ms = 5.0\n\
+         [intake]\nbuffer_frames = 64\n\
+         [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-{}\"]\n",
+        root.display(),
+        ROBOTS - 1
+    );
+    Config::parse(&text, &root.join("nowhere")).unwrap()
+}
+
+/// What went through shared memory.
+#[derive(Default)]
+struct Recorded {
+    samples: HashMap<(u64, u64), (SampleHeader, Vec<Sample>)>,
+    ticks: BTreeMap<u64, (TickHeader, Vec<TakenFrame>)>,
+    forecasts: BTreeMap<u64, Vec<Forecast>>,
+    budgets: BTreeMap<u64, Vec<Budget>>,
+    keyframes: BTreeMap<u64, FleetState>,
+}
+
+fn record(config: &Config, ready: &AtomicBool, stop: &AtomicBool) -> Recorded {
+    let (domain, limits) = (config.domain().unwrap(), config.limits());
+    let bus = Bus::join(&domain, "recorder").unwrap();
+    let mut waiter = bus.planner_waiter(&limits).unwrap();
+    let mut samples = bus.sample_reader(&limits).unwrap();
+    let mut ticks = bus.tick_reader(&limits).unwrap();
+    let mut forecasts = bus.forecast_reader(&limits).unwrap();
+    let mut budgets = bus.budget_reader(&limits).unwrap();
+    let mut states = bus.state_reader(&limits).unwrap();
+    let mut frame = FrameBuf::new(limits.capacity);
+    let (mut recorded, mut pieces) = (Recorded::default(), Vec::new());
+    ready.store(true, Ordering::Relaxed);
+    while !stop.load(Ordering::Relaxed) {
+        while samples.take(&mut frame).unwrap() {
+            let key = (frame.header().source_epoch, frame.header().frame_seq);
+            let kept = (*frame.header(), frame.samples().to_vec());
+            recorded.samples.insert(key, kept);
+        }
+        while let Some(frame) = ticks.take_next().unwrap() {
+            let tick = frame.header().tick;
+            recorded
+                .ticks
+                .insert(tick, (*frame.header(), frame.to_vec()));
+        }
+        while let Some(frame) = forecasts.take_next().unwrap() {
+            recorded
+                .forecasts
+                .insert(frame.header().tick, frame.to_vec());
+        }
+        while let Some(frame) = budgets.take_next().unwrap() {
+            recorded.budgets.insert(frame.header().tick, frame.to_vec());
+        }
+        while let Some(piece) = states.take_next().unwrap() {
+            add_piece(piece.header(), &piece, &mut pieces, &mut recorded);
+        }
+        waiter.wait_until(None, None).unwrap();
+    }
+    recorded
+}
+
+fn add_piece(header: &StateHeader, piece: &[u8], pieces: &mut Vec<u8>, recorded: &mut Recorded) {
+    if header.offset == 0 {
+        pieces.clear();
+    }
+    if header.offset != pieces.len() as u64 {
+        return; // A piece is missing: the next keyframe comes.
+    }
+    pieces.extend_from_slice(piece);
+    if pieces.len() as u64 == header.total_bytes {
+        let state = FleetState::decode(pieces).unwrap();
+        recorded.keyframes.insert(header.tick, state);
+    }
+}
+
+/// Sends healthy and broken samples until told to stop.
+fn feed(config: &Config, stop: &AtomicBool) {
+    let bus = Bus::join(&config.domain().unwrap(), "source").unwrap();
+    let limits = config.limits();
+    let mut writer = bus.sample_writer(&limits, ROBOTS as usize).unwrap();
+    let mut header = SampleHeader {
+        schema: SCHEMA_VERSION,
+        source_id: 1,
+        source_epoch: clock::unix_ns(),
+        ..SampleHeader::default()
+    };
+    while !stop.load(Ordering::Relaxed) {
+        let (seq, now_ns) = (header.frame_seq, clock::monotonic_ns());
+        (header.sent_ns, header.intended_ns) = (now_ns, now_ns);
+        let sample = |place: usize| {
+            let sample = Sample::new(place as u32, seq, now_ns);
+            match (seq * 7 + place as u64) % 40 {
+                0 => sample.command(0.1, 0.5).reading(f32::NAN, now_ns),
+                1 => sample.command(0.1, 0.5),
+                2 => sample.command(9.0, 0.5),
+                _ => {
+                    let power_w = 3.5 + (seq % 9) as f32 * 0.01 + place as f32 * 1e-3;
+                    sample.command(0.1, 0.5).reading(power_w, now_ns)
+                }
+            }
+        };
+        writer.send(header, ROBOTS as usize, sample).unwrap();
+        header.frame_seq += 1;
+        header.samples_before += u64::from(ROBOTS);
+        std::thread::sleep(Duration::from_millis(10 + 40 * u64::from(seq % 30 == 0)));
+    }
+}
+
+/// Computes on from the keyframe of `from` and compares; returns the ticks compared.
+fn verify(config: &Config, recorded: &Recorded, from: u64) -> usize {
+    let models = load_models(config).unwrap();
+    let mut fleet = Fleet::new(config.settings().clone(), models).unwrap();
+    fleet.restore_state(&recorded.keyframes[&from]).unwrap();
+    let mut compared = 0;
+    for tick in from + 1.. {
+        let Some((header, taken)) = recorded.ticks.get(&tick) else {
+            break;
+        };
+        for taken in taken {
+            let key = (taken.source_epoch, taken.frame_seq);
+            let Some((header, samples)) = recorded.samples.get(&key) else {
+                return compared; // The recorder was too slow: no part of this test.
+            };
+            fleet.take(header, samples, taken.taken_ns);
+        }
+        fleet.tick(
+            header.start_ns,
+            header.flags & tick_flag::DEADLINE_MISSED != 0,
+        );
+        for (place, forecast) in recorded
+            .forecasts
+            .get(&tick)
+            .into_iter()
+            .flatten()
+            .enumerate()
+        {
+            let again = fleet.forecast(place);
+            assert_eq!(format!("{forecast:?}"), format!("{again:?}"), "tick {tick}");
+            assert_eq!(
+                forecast.power_w.to_bits(),
+                again.power_w.to_bits(),
+                "tick {tick}"
+            );
+            compared += 1;
+        }
+        for (place, budget) in recorded
+            .budgets
+            .get(&tick)
+            .into_iter()
+            .flatten()
+            .enumerate()
+        {
+            let again = fleet.budget(place);
+            assert_eq!(format!("{budget:?}"), format!("{again:?}"), "tick {tick}");
+        }
+    }
+    compared
+}
+
+#[test]
+fn every_tick_can_be_computed_again_from_the_first_keyframe_and_from_a_later_one() {
+    let root = format!("/dev/shm/joulebus-test-keyframes-{}", std::process::id());
+    let root = PathBuf::from(root);
+    let config = config(&root);
+    let [ready, stop, later] = [const { AtomicBool::new(false) }; 3];
+    let (early, late) = std::thread::scope(|scope| {
+        let early = scope.spawn(|| record(&config, &ready, &stop));
+        while !ready.load(Ordering::Relaxed) {
+            std::thread::yield_now();
+        }
+        let mut worker = Worker::open(&config).unwrap();
+        scope.spawn(|| feed(&config, &stop));
+        let mut run = |ticks: u32| {
+            let mut done = 0;
+            while done < ticks {
+                done += u32::from(worker.turn().unwrap());
+            }
+        };
+        run(150);
+        let late = scope.spawn(|| record(&config, &later, &stop));
+        let begun = Instant::now();
+        while !later.load(Ordering::Relaxed) && begun.elapsed() < PATIENCE {
+            run(1);
+        }
+        run(300);
+        stop.store(true, Ordering::Relaxed);
+        let _ = worker.finish();
+        (early.join().unwrap(), late.join().unwrap())
+    });
+    assert!(
+        early.keyframes.contains_key(&0),
+        "the state before the first tick"
+    );
+    let compared = verify(&config, &early, 0);
+    assert!(
+        compared > 100 * ROBOTS as usize,
+        "{compared} forecasts compared"
+    );
+    let first = *late
+        .keyframes
+        .keys()
+        .next()
+        .expect("who comes later gets a keyframe at once");
+    assert!(first > 0);
+    let compared = verify(&config, &late, first);
+    assert!(
+        compared > 20 * ROBOTS as usize,
+        "{compared} forecasts compared"
+    );
+    // What the early one got at the same tick is the same.
+    let both = early
+        .keyframes
+        .keys()
+        .filter(|tick| late.keyframes.contains_key(tick));
+    assert!(both.count() > 0, "all who read get the same keyframes");
+    let _ = std::fs::remove_dir(&root);
+    assert!(!root.exists(), "left behind: {root:?}");
+}
