@@ -11,7 +11,7 @@ use clap::{Parser, ValueEnum};
 use serde::Serialize;
 
 use crate::latency::{self, Launcher, Role};
-use crate::{Comparison, Options, Report, Suite, kernel};
+use crate::{Comparison, Options, Report, Suite, kernel, rollout};
 
 /// Exit code of figures that are worse than allowed.
 const WORSE: u8 = 3;
@@ -21,6 +21,8 @@ const WORSE: u8 = 3;
 pub enum Benchmark {
     /// The network alone: ns a robot by batch, share of the processor's peak
     Kernel,
+    /// Many candidate command sequences, many steps ahead, in one call
+    Rollout,
     /// From sample due to forecast readable, between real processes
     Latency,
     /// Everything, one after the other
@@ -95,6 +97,7 @@ fn measure(
 ) -> anyhow::Result<Vec<Report>> {
     let of = |benchmark| match benchmark {
         Benchmark::Kernel => kernel::measure(options),
+        Benchmark::Rollout => rollout::measure(options),
         Benchmark::Latency | Benchmark::All => {
             let report = latency::run(&latency::Options {
                 robots: options.sizes(&latency::ROBOTS),
@@ -106,7 +109,7 @@ fn measure(
         }
     };
     match benchmark {
-        Benchmark::All => [Benchmark::Kernel, Benchmark::Latency]
+        Benchmark::All => [Benchmark::Kernel, Benchmark::Rollout, Benchmark::Latency]
             .into_iter()
             .map(of)
             .collect(),

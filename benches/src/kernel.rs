@@ -17,7 +17,7 @@ pub(crate) const BATCHES: [usize; 7] = [1, 7, 20, 100, 1_000, 10_000, 100_000];
 /// Batches below it are not worth a second thread.
 const WORTH_SHARING: usize = 1_000;
 /// Robots past which a kernel without vector instructions takes seconds a call.
-const MOST_BASELINE: usize = 1_000;
+const MOST_SLOW: usize = 1_000;
 
 /// Measures each kernel on each batch, and the peak, in turns.
 ///
@@ -36,7 +36,8 @@ pub(crate) fn measure(options: &Options) -> anyhow::Result<Report> {
     for kernel in &kernels {
         let network = on(&network, *kernel)?;
         for batch in &batches {
-            if *kernel == Kernel::Baseline && Kernel::best() != *kernel && *batch > MOST_BASELINE {
+            let slow = isa(*kernel).is_none() && *kernel != Kernel::best();
+            if slow && *batch > MOST_SLOW {
                 continue;
             }
             cases.push(Case::new(&network, *kernel, *batch, options.seed));
@@ -54,8 +55,8 @@ pub(crate) fn measure(options: &Options) -> anyhow::Result<Report> {
         format!(
             "A robot takes {sum} multiply-adds; shares are of the peak measured in the same round."
         ),
-        "Hot: the same rows again and again. `baseline` computes fused multiply-adds in software \
-         where the target's baseline has none; past 1,000 robots it is left out."
+        "Hot: the same rows again and again. A kernel without vector instructions computes fused \
+         multiply-adds in software; past 1,000 robots it is left out."
             .to_owned(),
     ];
     Ok(report)
@@ -90,12 +91,13 @@ pub(crate) fn on(network: &Network, kernel: Kernel) -> anyhow::Result<Network> {
     on.with_context(|| format!("this processor cannot run the kernel {}", name(kernel)))
 }
 
+/// Whose peak a kernel is held against; `None` for one that computes value by value.
 fn isa(kernel: Kernel) -> Option<Isa> {
-    match kernel {
-        Kernel::Avx512 => Some(Isa::Avx512),
-        Kernel::Avx2 => Some(Isa::Avx2),
-        Kernel::Baseline if cfg!(target_arch = "aarch64") => Some(Isa::Neon),
-        Kernel::Baseline => None,
+    match name(kernel).as_str() {
+        "avx512" => Some(Isa::Avx512),
+        "avx2" => Some(Isa::Avx2),
+        "neon" => Some(Isa::Neon),
+        _ => None,
     }
 }
 
@@ -179,38 +181,19 @@ fn alone(report: &mut Report, cases: &mut [Case], options: &Options) {
     }
 }
 
-/// One thread and several pinned ones on the same batch, in turns.
+/// One pinned thread and several on the same batch, in turns.
 fn shared(report: &mut Report, network: &Network, batch: usize, options: &Options) {
-    let threads = options.threads;
-    let part = batch.div_ceil(threads);
-    let mut parts: Vec<Case> = (0..threads)
-        .map(|place| {
-            let len = part.min(batch - (place * part).min(batch));
-            Case::new(network, network.kernel(), len.max(1), options.seed)
-        })
-        .collect();
-    let mut whole = Case::new(network, network.kernel(), batch, options.seed);
-    let (mut one, mut several, mut speed_up) = (Vec::new(), Vec::new(), Vec::new());
-    let blocks = options.repetitions().clamp(1, 20);
-    let each = options.each().as_nanos() as f64 / blocks as f64;
-    let repetitions = (each / (whole.run() * batch as f64)).clamp(1.0, 100.0) as usize;
-    for _ in 0..blocks {
-        let alone_ns = threads::side_by_side(&mut [Box::new(|| whole.call())], repetitions);
-        let works = parts.iter_mut();
-        let mut works: Vec<Box<dyn FnMut() + Send + '_>> = works
-            .map(|case| Box::new(|| case.call()) as Box<dyn FnMut() + Send + '_>)
-            .collect();
-        let shared_ns = threads::side_by_side(&mut works, repetitions);
-        let per_robot = |ns: &f64| ns / batch as f64;
-        one.extend(alone_ns.iter().map(per_robot));
-        several.extend(shared_ns.iter().map(per_robot));
-        let median = |values: &[f64]| Distribution::of(values).map_or(f64::NAN, |all| all.p50);
-        speed_up.push(median(&alone_ns) / median(&shared_ns));
-    }
+    let new = |batch| Case::new(network, network.kernel(), batch, options.seed);
+    let each = batch.div_ceil(options.threads);
+    let part = |place: usize| ((place + 1) * each).min(batch) - (place * each).min(batch);
+    let mut parts: Vec<Case> = (0..options.threads).map(|place| new(part(place))).collect();
+    let pinned = threads::compare(&mut [new(batch)], &mut parts, Case::call, options);
     let (kernel, case) = (name(network.kernel()), robots(batch));
-    let pinned = |count| format!("{kernel}_{count}_pinned_ns_per_robot");
-    report.push(Figure::less, &pinned(1), &case, "ns", &one);
-    report.push(Figure::less, &pinned(threads), &case, "ns", &several);
-    let title = format!("{kernel}_{threads}_over_1_pinned_speed_up");
-    report.push(Figure::more, &title, &case, "1", &speed_up);
+    for (threads, all_us) in [(1, &pinned.one_us), (options.threads, &pinned.several_us)] {
+        let per_robot: Vec<f64> = all_us.iter().map(|us| us * 1e3 / batch as f64).collect();
+        let title = format!("{kernel}_pinned_{threads}_ns_per_robot");
+        report.push(Figure::less, &title, &case, "ns", &per_robot);
+    }
+    let title = format!("{kernel}_pinned_{}_over_1_speed_up", options.threads);
+    report.push(Figure::more, &title, &case, "1", &pinned.speed_up);
 }

@@ -17,6 +17,7 @@ mod machine;
 mod options;
 mod peak;
 mod report;
+mod rollout;
 mod rounds;
 mod threads;
 

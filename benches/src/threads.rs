@@ -5,6 +5,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::Instant;
 
+use crate::options::Options;
+use crate::Distribution;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// The processors that this process may use, ascending; empty if the system does not tell.
@@ -24,60 +26,104 @@ pub(crate) fn pin(processor: usize) -> bool {
     sched_setaffinity(None, &only).is_ok()
 }
 
-/// Runs `works` side by side, `repetitions` times, each on a thread of its own that is pinned to a
-/// processor of its own as far as there are enough. Returns ns from the start of each repetition to
-/// the end of its last part. The threads spin in between, as workers of a busy tick do.
-pub(crate) fn side_by_side(
-    works: &mut [Box<dyn FnMut() + Send + '_>],
+/// Calls all `works` side by side, `repetitions` times, each on a thread of its own that is pinned
+/// to a processor of its own as far as there are enough. Returns µs from the start of each
+/// repetition to the end of its last part. The threads spin in between, as those of a busy tick do.
+fn side_by_side<W: Send>(
+    works: &mut [W],
+    call: impl Fn(&mut W) + Copy + Send,
     repetitions: usize,
 ) -> Vec<f64> {
     let processors = processors();
     let (round, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
-    let ready = Barrier::new(works.len() + 1);
     let parts = works.len();
-    let starter = thread::scope(|scope| {
-        let mut handles = Vec::new();
-        for (place, work) in works.iter_mut().enumerate() {
-            let (round, done, ready) = (&round, &done, &ready);
-            let processor = processors.get(place).copied();
-            handles.push(scope.spawn(move || {
-                processor.map(pin);
-                ready.wait();
-                let mut times = Vec::with_capacity(repetitions);
-                for repetition in 1..=repetitions {
-                    times.push(one(place, parts, repetition, (round, done), work));
-                }
-                times
-            }));
+    let ready = Barrier::new(parts);
+    thread::scope(|scope| {
+        let handles: Vec<_> = works
+            .iter_mut()
+            .enumerate()
+            .map(|(place, work)| {
+                let (round, done, ready) = (&round, &done, &ready);
+                let processor = processors.get(place).copied();
+                scope.spawn(move || {
+                    processor.map(pin);
+                    ready.wait();
+                    let run = |repetition| {
+                        let start = Instant::now();
+                        begin(place, repetition, round);
+                        call(work);
+                        end(place, repetition * parts, done);
+                        start.elapsed().as_nanos() as f64 * 1e-3
+                    };
+                    (1..=repetitions).map(run).collect::<Vec<f64>>()
+                })
+            })
+            .collect();
+        let times = handles.into_iter().map(thread::ScopedJoinHandle::join);
+        // The first thread's clock counts; a panic of any part ends the measurement.
+        let times: Result<Vec<_>, _> = times.collect();
+        match times {
+            Ok(times) => times.into_iter().next().unwrap_or_default(),
+            Err(panic) => std::panic::resume_unwind(panic),
         }
-        ready.wait();
-        let mut handles = handles.into_iter();
-        let first = handles.next().map(thread::ScopedJoinHandle::join);
-        first.and_then(Result::ok)
-    });
-    starter.unwrap_or_default()
+    })
 }
 
-/// The first thread starts the round and ends it; the others join in. ns that the round took.
-fn one(
-    place: usize,
-    parts: usize,
-    repetition: usize,
-    (round, done): (&AtomicUsize, &AtomicUsize),
-    work: &mut Box<dyn FnMut() + Send + '_>,
-) -> f64 {
-    let start = Instant::now();
+/// The first thread begins the round; the others follow.
+fn begin(place: usize, repetition: usize, round: &AtomicUsize) {
     if place == 0 {
         round.store(repetition, Ordering::Release);
     } else {
         spin_until(|| round.load(Ordering::Acquire) >= repetition);
     }
-    work();
+}
+
+/// The first thread waits for the others; they go on to wait for the next round.
+fn end(place: usize, all: usize, done: &AtomicUsize) {
     done.fetch_add(1, Ordering::AcqRel);
     if place == 0 {
-        spin_until(|| done.load(Ordering::Acquire) == repetition * parts);
+        spin_until(|| done.load(Ordering::Acquire) == all);
     }
-    start.elapsed().as_nanos() as f64
+}
+
+/// One thread and several on the same work.
+pub(crate) struct Compared {
+    /// Each repetition on one pinned thread, µs.
+    pub(crate) one_us: Vec<f64>,
+    /// Each repetition on several, µs.
+    pub(crate) several_us: Vec<f64>,
+    /// Median of the one over that of the several, turn by turn.
+    pub(crate) speed_up: Vec<f64>,
+}
+
+/// Lets one pinned thread with all of the work and several with a part each take turns.
+pub(crate) fn compare<W: Send>(
+    whole: &mut [W; 1],
+    parts: &mut [W],
+    call: impl Fn(&mut W) + Copy + Send,
+    options: &Options,
+) -> Compared {
+    const TURNS: usize = 20;
+    let turns = options.repetitions().clamp(1, TURNS);
+    let start = Instant::now();
+    call(&mut whole[0]);
+    let each_s = options.each().as_secs_f64() / turns as f64;
+    let repetitions = (each_s / start.elapsed().as_secs_f64().max(1e-9)).clamp(1.0, 100.0) as usize;
+    let mut compared = Compared {
+        one_us: Vec::new(),
+        several_us: Vec::new(),
+        speed_up: Vec::new(),
+    };
+    for _ in 0..turns {
+        let one_us = side_by_side(whole, call, repetitions);
+        let several_us = side_by_side(parts, call, repetitions);
+        let median = |values: &[f64]| Distribution::of(values).map_or(f64::NAN, |all| all.p50);
+        let speed_up = median(&one_us) / median(&several_us);
+        compared.one_us.extend(one_us);
+        compared.several_us.extend(several_us);
+        compared.speed_up.push(speed_up);
+    }
+    compared
 }
 
 /// Gives way now and then: with more threads than processors the others have to run, too.
@@ -99,19 +145,10 @@ mod tests {
 
     #[test]
     fn every_part_runs_once_in_every_round() {
-        let counts: Vec<AtomicUsize> = (0..3).map(|_| AtomicUsize::new(0)).collect();
-        let mut works: Vec<Box<dyn FnMut() + Send + '_>> = Vec::new();
-        for count in &counts {
-            works.push(Box::new(move || {
-                count.fetch_add(1, Ordering::Relaxed);
-            }));
-        }
-        let times_ns = side_by_side(&mut works, 50);
-        assert_eq!(times_ns.len(), 50);
-        drop(works);
-        for count in counts {
-            assert_eq!(count.into_inner(), 50);
-        }
+        let mut counts = [0, 0, 0];
+        let times_us = side_by_side(&mut counts, |count| *count += 1, 50);
+        assert_eq!(times_us.len(), 50);
+        assert_eq!(counts, [50; 3]);
     }
 
     #[test]
