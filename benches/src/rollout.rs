@@ -77,11 +77,17 @@ struct Work {
 }
 
 impl Work {
-    fn new(network: &Network, (robots, candidates, steps): (usize, usize, usize), seed: u64) -> Self {
+    fn new(
+        network: &Network,
+        (robots, candidates, steps): (usize, usize, usize),
+        seed: u64,
+    ) -> Self {
         let lanes = robots * candidates;
         let command = |rows: &[Features], name: &str| -> Vec<f32> {
             let feature = FEATURE_NAMES.iter().position(|other| *other == name);
-            rows.iter().map(|row| feature.map_or(0.0, |feature| row[feature])).collect()
+            rows.iter()
+                .map(|row| feature.map_or(0.0, |feature| row[feature]))
+                .collect()
         };
         let commands = input::rows(network, seed, lanes * steps);
         let starts = input::rows(network, seed + 1, robots);
@@ -172,26 +178,35 @@ fn alone(report: &mut Report, network: &Network, works: &mut [Work], options: &O
         report.push(Figure::less, "step_over_kernel", case, "1", &over);
     }
     let case = format!("{} rows", grouped(KERNEL_ROWS as u64));
-    report.push(Figure::less, "kernel_ns_per_robot", &case, "ns", turns[0].values());
+    report.push(
+        Figure::less,
+        "kernel_ns_per_robot",
+        &case,
+        "ns",
+        turns[0].values(),
+    );
 }
 
 /// One pinned thread and several on the same candidates, in turns.
-fn shared(
-    report: &mut Report,
-    network: &Network,
-    case: (usize, usize, usize),
-    options: &Options,
-) {
+fn shared(report: &mut Report, network: &Network, case: (usize, usize, usize), options: &Options) {
     let new = || Work::new(network, case, options.seed);
     let lanes = case.0 * case.1;
     let each = lanes.div_ceil(options.threads);
     let part = |place: usize| (place * each).min(lanes)..((place + 1) * each).min(lanes);
     let mut whole = [new()];
-    let mut parts: Vec<Work> = (0..options.threads).map(|place| new().part(part(place))).collect();
+    let mut parts: Vec<Work> = (0..options.threads)
+        .map(|place| new().part(part(place)))
+        .collect();
     let pinned = threads::compare(&mut whole, &mut parts, Work::call, options);
     let (name, case) = (options.threads, title(case));
     report.push(Figure::less, "pinned_1_us", &case, "µs", &pinned.one_us);
-    report.push(Figure::less, &format!("pinned_{name}_us"), &case, "µs", &pinned.several_us);
+    report.push(
+        Figure::less,
+        &format!("pinned_{name}_us"),
+        &case,
+        "µs",
+        &pinned.several_us,
+    );
     let title = format!("pinned_{name}_over_1_speed_up");
     report.push(Figure::more, &title, &case, "1", &pinned.speed_up);
 }
