@@ -48,6 +48,17 @@ where
         Ok(self.receive()?.map(Frame::new))
     }
 
+    /// Hands all frames that wait to `each`, in order.
+    ///
+    /// # Errors
+    /// [`ReceiveError`]; the next call may succeed.
+    pub fn take_all(&mut self, mut each: impl FnMut(&H, &[T])) -> Result<(), ReceiveError> {
+        while let Some(frame) = self.receive()? {
+            each(frame.user_header(), frame.payload());
+        }
+        Ok(())
+    }
+
     /// The newest frame, older ones passed over; `None` when none has come since the last call.
     ///
     /// # Errors

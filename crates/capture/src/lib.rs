@@ -10,6 +10,7 @@
 //! |---|---|
 //! | [`Writer`] | messages to a file; what was written survives whatever happens next |
 //! | [`Reader`] | a file to messages, in little memory however long it is |
+//! | [`record`] | shared memory to files, whatever the disk does |
 //! | [`Attachments`] | config, models and build, so that the file can be replayed on its own |
 //!
 //! **Bits.** Every field of the payloads in [`joulebus_wire`] is in the message, and comes back as
@@ -28,6 +29,7 @@ mod message;
 mod output;
 mod proto;
 mod reader;
+pub mod record;
 mod schema;
 mod settings;
 mod writer;
@@ -38,4 +40,4 @@ pub use convert::OutOfRange;
 pub use message::{DecodeError, Entry, Kind, Message};
 pub use reader::{ReadError, Reader};
 pub use settings::{Preset, Settings};
-pub use writer::{Times, WriteError, Writer, Written};
+pub use writer::{Sequences, Times, WriteError, Writer, Written};

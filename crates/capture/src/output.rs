@@ -1,6 +1,8 @@
 //! Where a capture's bytes go: gathered, and handed on in one piece.
 
 use std::io::{self, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Bytes that are gathered before they are handed on without being asked to.
 const MOST_GATHERED: usize = 1 << 20;
@@ -11,23 +13,19 @@ const MOST_GATHERED: usize = 1 << 20;
 pub(crate) struct Output<W> {
     inner: W,
     gathered: Vec<u8>,
-    handed_on: u64,
+    bytes: Arc<AtomicU64>,
     failed: bool,
 }
 
 impl<W: Write> Output<W> {
-    pub(crate) const fn new(inner: W) -> Self {
+    /// `bytes` counts what has gone in, handed on or not.
+    pub(crate) const fn new(inner: W, bytes: Arc<AtomicU64>) -> Self {
         Self {
             inner,
             gathered: Vec::new(),
-            handed_on: 0,
+            bytes,
             failed: false,
         }
-    }
-
-    /// Bytes so far, handed on or not.
-    pub(crate) const fn bytes(&self) -> u64 {
-        self.handed_on + self.gathered.len() as u64
     }
 
     pub(crate) fn into_inner(self) -> W {
@@ -39,7 +37,6 @@ impl<W: Write> Output<W> {
             return Err(io::Error::other("an earlier write failed"));
         }
         let handed_on = self.inner.write_all(&self.gathered);
-        self.handed_on += self.gathered.len() as u64;
         self.gathered.clear();
         self.failed = handed_on.is_err();
         handed_on
@@ -52,6 +49,7 @@ impl<W: Write> Write for Output<W> {
             return Err(io::Error::other("an earlier write failed"));
         }
         self.gathered.extend_from_slice(bytes);
+        self.bytes.fetch_add(bytes.len() as u64, Ordering::Relaxed);
         if self.gathered.len() > MOST_GATHERED {
             self.hand_on()?;
         }

@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
@@ -13,7 +14,7 @@ use crate::output::Output;
 use crate::{Attachments, Kind, Message, Settings};
 
 /// Channels that one file may have: their numbers are u16, and 0 is left free.
-const MOST_CHANNELS: usize = 65_535;
+pub(crate) const MOST_CHANNELS: usize = 65_535;
 
 /// When a message was recorded and sent, both Unix ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -40,6 +41,7 @@ pub struct Writer<W: Write> {
     log_ns: u64,
     messages: u64,
     encoded: u64,
+    bytes: Arc<AtomicU64>,
     failed: bool,
     scratch: Vec<u8>,
 }
@@ -105,7 +107,9 @@ impl<W: Write> Writer<W> {
         attachments: &Attachments,
         sequences: Sequences,
     ) -> Result<Self, WriteError> {
-        let mut mcap = settings.options().create(NoSeek::new(Output::new(out)))?;
+        let bytes = Arc::default();
+        let output = Output::new(out, Arc::clone(&bytes));
+        let mut mcap = settings.options().create(NoSeek::new(output))?;
         for record in attachments.metadata_records() {
             mcap.write_metadata(&record)?;
         }
@@ -124,6 +128,7 @@ impl<W: Write> Writer<W> {
             log_ns: 0,
             messages: 0,
             encoded: 0,
+            bytes,
             failed: false,
             scratch: Vec::new(),
         })
@@ -199,14 +204,33 @@ impl<W: Write> Writer<W> {
     /// [`WriteError`]: the summary is not whole.
     pub fn finish(mut self) -> Result<(Written, Sequences, W), WriteError> {
         self.check()?;
-        let (mut written, sequences) = (self.written(), self.sequences());
         self.mcap.finish()?;
+        let (written, sequences) = (self.written(), self.sequences());
         let output = self.mcap.into_inner().into_inner();
-        written.bytes = output.bytes();
         Ok((written, sequences, output.into_inner()))
     }
 
-    /// What was written so far; bytes are known at the end.
+    /// Bytes of the file so far, but for the open chunk.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    /// Writes the open chunk to the file if it spans [`Settings::chunk_ns`] at `now_ns` (Unix): to be
+    /// called when no messages come.
+    ///
+    /// # Errors
+    /// As [`Writer::flush`].
+    pub fn flush_if_due(&mut self, now_ns: u64) -> Result<(), WriteError> {
+        match self.chunk_from_ns {
+            Some(from_ns) if now_ns.saturating_sub(from_ns) >= self.settings.chunk_ns => {
+                self.flush()
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// What was written so far.
     #[must_use]
     pub fn written(&self) -> Written {
         let channels = self.channels.iter();
@@ -221,7 +245,7 @@ impl<W: Write> Writer<W> {
         Written {
             messages: self.messages,
             by_topic: by_topic.collect(),
-            bytes: 0,
+            bytes: self.bytes(),
             encoded_bytes: self.encoded,
         }
     }

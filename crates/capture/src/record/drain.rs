@@ -1,0 +1,178 @@
+//! Empties a fleet's services in shared memory, often enough that nothing is overwritten.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use joulebus_bus::{
+    BudgetReader, Bus, DiagnosticReader, ForecastReader, JoinError, OpenError, ReceiveError,
+    SampleTap, StateReader, TickReader, clock,
+};
+use joulebus_config::Config;
+
+use super::{Item, Shared};
+use crate::{Clock, Kind, Message, Times};
+
+/// How often shared memory is looked at, at least.
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+/// Time between two words about failures to receive, ns.
+const SAY_EVERY_NS: u64 = 1_000_000_000;
+
+/// Why the services could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum DrainError {
+    /// The config's domain.
+    #[error(transparent)]
+    Domain(#[from] joulebus_bus::DomainError),
+    /// The domain could not be joined.
+    #[error(transparent)]
+    Join(#[from] JoinError),
+    /// A port could not be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+}
+
+/// The ports of one fleet. Belongs to the thread that opened it.
+pub(crate) struct Drain {
+    // Before the bus: ports go first.
+    samples: Option<SampleTap>,
+    forecasts: Option<ForecastReader>,
+    diagnostics: Option<DiagnosticReader>,
+    budgets: Option<BudgetReader>,
+    ticks: Option<TickReader>,
+    state: Option<StateReader>,
+    _bus: Bus,
+    fleet: Arc<str>,
+    clock: Clock,
+    look_every: Duration,
+    log_ns: u64,
+    say_from_ns: u64,
+    batch: Vec<Message>,
+}
+
+impl Drain {
+    /// Joins, and opens a port for each kind that is `wanted`.
+    pub(crate) fn open(
+        config: &Config,
+        clock: Clock,
+        wanted: impl Fn(Kind) -> bool,
+    ) -> Result<Self, DrainError> {
+        let bus = Bus::join(&config.domain()?, "recorder")?;
+        let limits = config.limits();
+        let open = |kind| wanted(kind).then_some(&bus);
+        // A quarter of what waits in shared memory passes between two looks.
+        let frames = limits.forecast_frames.min(limits.sample_frames) as u64;
+        let most_ns = config.tick_period_ns().saturating_mul(frames) / 4;
+        Ok(Self {
+            samples: open(Kind::Samples)
+                .map(|bus| bus.sample_tap(&limits))
+                .transpose()?,
+            forecasts: open(Kind::Forecasts)
+                .map(|bus| bus.forecast_reader(&limits))
+                .transpose()?,
+            diagnostics: open(Kind::Diagnostics)
+                .map(|bus| bus.diagnostic_reader(&limits))
+                .transpose()?,
+            budgets: open(Kind::Budgets)
+                .map(|bus| bus.budget_reader(&limits))
+                .transpose()?,
+            ticks: open(Kind::Ticks)
+                .map(|bus| bus.tick_reader(&limits))
+                .transpose()?,
+            state: open(Kind::State)
+                .map(|bus| bus.state_reader(&limits))
+                .transpose()?,
+            _bus: bus,
+            fleet: Arc::from(config.fleet()),
+            clock,
+            look_every: LOOK_EVERY.min(Duration::from_nanos(most_ns)),
+            log_ns: 0,
+            say_from_ns: 0,
+            batch: Vec::new(),
+        })
+    }
+
+    /// Hands on what comes until told to stop. Does not listen for events: a listener more would
+    /// cost the worker time in every tick.
+    pub(crate) fn work(mut self, shared: &Shared) {
+        while !shared.is_stopping() {
+            self.look(shared);
+            std::thread::sleep(self.look_every);
+        }
+        self.look(shared);
+    }
+
+    fn look(&mut self, shared: &Shared) {
+        if let Err(error) = self.take_all() {
+            self.complain(&error);
+        }
+        let now_ns = self.clock.unix_ns(clock::monotonic_ns());
+        self.batch.sort_by_key(place);
+        for message in self.batch.drain(..) {
+            let sent_ns = message.sent_ns().map(|sent_ns| self.clock.unix_ns(sent_ns));
+            // Nobody can have sent after now, and what is written is in order.
+            let publish_ns = sent_ns.unwrap_or(now_ns).min(now_ns);
+            self.log_ns = self.log_ns.max(publish_ns);
+            let times = Times {
+                log_ns: self.log_ns,
+                publish_ns,
+            };
+            shared.hand_on(Item {
+                fleet: Arc::clone(&self.fleet),
+                times,
+                message,
+            });
+        }
+    }
+
+    /// Effects before their causes: when a tick's journal is here, the samples that it took are
+    /// taken after it, and so are here too. A service that fails does not keep the others waiting.
+    fn take_all(&mut self) -> Result<(), ReceiveError> {
+        let batch = &mut self.batch;
+        let state = self.state.as_mut().map_or(Ok(()), |reader| {
+            reader.take_all(|header, rows| batch.push(Message::State(*header, rows.to_vec())))
+        });
+        let ticks = self.ticks.as_mut().map_or(Ok(()), |reader| {
+            reader.take_all(|header, rows| batch.push(Message::Ticks(*header, rows.to_vec())))
+        });
+        let budgets = self.budgets.as_mut().map_or(Ok(()), |reader| {
+            reader.take_all(|header, rows| batch.push(Message::Budgets(*header, rows.to_vec())))
+        });
+        let diagnostics = self.diagnostics.as_mut().map_or(Ok(()), |reader| {
+            reader.take_all(|header, rows| batch.push(Message::Diagnostics(*header, rows.to_vec())))
+        });
+        let forecasts = self.forecasts.as_mut().map_or(Ok(()), |reader| {
+            reader.take_all(|header, rows| batch.push(Message::Forecasts(*header, rows.to_vec())))
+        });
+        let samples = self.samples.as_mut().map_or(Ok(()), |reader| {
+            reader.take_all(|header, rows| batch.push(Message::Samples(*header, rows.to_vec())))
+        });
+        state
+            .and(ticks)
+            .and(budgets)
+            .and(diagnostics)
+            .and(forecasts)
+            .and(samples)
+    }
+
+    fn complain(&mut self, error: &ReceiveError) {
+        let now_ns = clock::monotonic_ns();
+        if now_ns >= self.say_from_ns {
+            self.say_from_ns = now_ns.saturating_add(SAY_EVERY_NS);
+            tracing::warn!(%error, "the recorder cannot receive");
+        }
+    }
+}
+
+/// Causes before effects: samples first, then tick by tick. What cannot be told apart stays in the
+/// order in which it was sent.
+fn place(message: &Message) -> (u8, u64, u64, u8) {
+    match message {
+        Message::Samples(header, _) => (0, header.sent_ns, 0, 0),
+        Message::Ticks(header, _) => (1, header.worker_epoch, header.tick, 0),
+        Message::Forecasts(header, _) => (1, header.worker_epoch, header.tick, 1),
+        Message::Diagnostics(header, _) => (1, header.worker_epoch, header.tick, 2),
+        Message::Budgets(header, _) => (1, header.worker_epoch, header.tick, 3),
+        Message::State(header, _) => (1, header.worker_epoch, header.tick, 4),
+        _ => (2, 0, 0, 0),
+    }
+}

@@ -1,0 +1,283 @@
+//! Where recorded messages go: one file, several that go on from each other, or memory that is
+//! written down when something happens.
+
+use std::collections::{HashMap, VecDeque};
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::{Item, Options, Snapshot};
+use crate::{Attachments, Kind, Message, Sequences, WriteError, Writer, Written};
+
+/// Any place that bytes go to.
+type Out = Box<dyn Write + Send>;
+
+/// Where a capture goes.
+pub enum Target {
+    /// A file; further ones beside it when it is split.
+    File(PathBuf),
+    /// A pipe, or what else takes bytes; never split.
+    Stream(Box<dyn Write + Send>),
+}
+
+/// Files of a capture, open and done.
+pub(crate) struct Files {
+    target: Target,
+    attachments: Attachments,
+    options: Options,
+    chosen: HashMap<(Arc<str>, Kind, u32), bool>,
+    open: Option<Open>,
+    kept: Kept,
+    sequences: Sequences,
+    /// Files that were ended, with what is in them.
+    pub(crate) done: Vec<(PathBuf, Written)>,
+    parts: u32,
+}
+
+struct Open {
+    path: PathBuf,
+    writer: Writer<Out>,
+    from_ns: Option<u64>,
+}
+
+impl Files {
+    /// Begins the first file, unless it is to be a snapshot.
+    pub(crate) fn begin(
+        target: Target,
+        attachments: Attachments,
+        options: Options,
+    ) -> Result<Self, WriteError> {
+        let mut files = Self {
+            target,
+            attachments,
+            kept: Kept::default(),
+            options,
+            chosen: HashMap::new(),
+            open: None,
+            sequences: Sequences::default(),
+            done: Vec::new(),
+            parts: 0,
+        };
+        if files.options.snapshot.is_none() {
+            files.open()?;
+        }
+        Ok(files)
+    }
+
+    /// Takes a message: into the file, or into memory.
+    pub(crate) fn take(&mut self, item: Item) -> Result<(), WriteError> {
+        if let Some(snapshot) = self.options.snapshot {
+            let alarm = self.kept.keep(item, snapshot);
+            return if alarm && snapshot.on_alarm {
+                self.write_down()
+            } else {
+                Ok(())
+            };
+        }
+        if self.is_full(item.times.log_ns) {
+            self.end()?;
+            self.open()?;
+        }
+        self.write(&item)
+    }
+
+    /// Writes down what is kept in memory, if this is a snapshot and there is anything.
+    pub(crate) fn write_down(&mut self) -> Result<(), WriteError> {
+        if self.kept.items.is_empty() {
+            return Ok(());
+        }
+        self.open()?;
+        for item in std::mem::take(&mut self.kept.items) {
+            self.write(&item)?;
+        }
+        self.kept.bytes = 0;
+        self.end()
+    }
+
+    /// Writes the open chunk if it is due.
+    pub(crate) fn look(&mut self, now_ns: u64) -> Result<(), WriteError> {
+        match &mut self.open {
+            Some(open) => open.writer.flush_if_due(now_ns),
+            None => Ok(()),
+        }
+    }
+
+    /// Ends the open file with its summary.
+    pub(crate) fn end(&mut self) -> Result<(), WriteError> {
+        let Some(open) = self.open.take() else {
+            return Ok(());
+        };
+        let so_far = open.writer.written();
+        match open.writer.finish() {
+            Ok((written, sequences, _)) => {
+                self.sequences = sequences;
+                self.done.push((open.path, written));
+                Ok(())
+            }
+            Err(error) => {
+                self.done.push((open.path, so_far));
+                Err(error)
+            }
+        }
+    }
+
+    /// What is in the open file so far, and in those that were ended.
+    pub(crate) fn written(&self) -> Vec<(PathBuf, Written)> {
+        let mut all = self.done.clone();
+        if let Some(open) = &self.open {
+            all.push((open.path.clone(), open.writer.written()));
+        }
+        all
+    }
+
+    fn is_full(&mut self, log_ns: u64) -> bool {
+        let (Some(open), Target::File(_)) = (&mut self.open, &self.target) else {
+            return false;
+        };
+        let from_ns = *open.from_ns.get_or_insert(log_ns);
+        let is_long = log_ns.saturating_sub(from_ns) >= self.options.max_file_ns;
+        is_long || open.writer.bytes() >= self.options.max_file_bytes
+    }
+
+    fn open(&mut self) -> Result<(), WriteError> {
+        let settings = self.options.settings;
+        let path = match &self.target {
+            Target::File(path) => part(path, self.parts),
+            Target::Stream(_) => PathBuf::from("-"),
+        };
+        let out: Out = match &mut self.target {
+            Target::File(_) => {
+                Box::new(
+                    File::create_new(&path).map_err(|source| WriteError::Create {
+                        path: path.clone(),
+                        source,
+                    })?,
+                )
+            }
+            Target::Stream(out) => std::mem::replace(out, Box::new(std::io::sink())),
+        };
+        self.attachments.tell("part", self.parts.to_string());
+        let sequences = self.sequences.clone();
+        let writer = Writer::go_on(out, settings, &self.attachments, sequences)?;
+        self.parts += 1;
+        self.open = Some(Open {
+            path,
+            writer,
+            from_ns: None,
+        });
+        Ok(())
+    }
+
+    fn write(&mut self, item: &Item) -> Result<(), WriteError> {
+        if let Some(kind) = item.message.kind()
+            && self.is_chosen(item, kind, 0)
+            && let Some(open) = &mut self.open
+        {
+            open.writer.write(&item.fleet, item.times, &item.message)?;
+        }
+        if self.options.per_robot {
+            self.write_robots(item)?;
+        }
+        Ok(())
+    }
+
+    fn write_robots(&mut self, item: &Item) -> Result<(), WriteError> {
+        match &item.message {
+            Message::Samples(_, rows) => {
+                self.write_rows(item, rows, |row| Message::RobotSample(*row))
+            }
+            Message::Forecasts(_, rows) => {
+                self.write_rows(item, rows, |row| Message::RobotForecast(*row))
+            }
+            Message::Diagnostics(_, rows) => {
+                self.write_rows(item, rows, |row| Message::RobotDiagnostic(*row))
+            }
+            Message::Budgets(_, rows) => {
+                self.write_rows(item, rows, |row| Message::RobotBudget(*row))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn write_rows<T>(
+        &mut self,
+        item: &Item,
+        rows: &[T],
+        message: impl Fn(&T) -> Message,
+    ) -> Result<(), WriteError> {
+        for message in rows.iter().map(message) {
+            let (Some(kind), Some(robot)) = (message.kind(), message.robot()) else {
+                continue;
+            };
+            if self.is_chosen(item, kind, robot)
+                && let Some(open) = &mut self.open
+            {
+                open.writer.write(&item.fleet, item.times, &message)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn is_chosen(&mut self, item: &Item, kind: Kind, robot: u32) -> bool {
+        let key = (Arc::clone(&item.fleet), kind, robot);
+        let choose = &self.options.choose;
+        *self
+            .chosen
+            .entry(key)
+            .or_insert_with(|| choose(&kind.topic(&item.fleet, robot)))
+    }
+}
+
+/// The name of the part with this number: `run.mcap`, `run_1.mcap`, `run_2.mcap`.
+fn part(path: &Path, number: u32) -> PathBuf {
+    if number == 0 {
+        return path.to_owned();
+    }
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let name = match path.extension() {
+        Some(extension) => format!("{stem}_{number}.{}", extension.to_string_lossy()),
+        None => format!("{stem}_{number}"),
+    };
+    path.with_file_name(name)
+}
+
+/// The last seconds, in memory.
+#[derive(Debug, Default)]
+struct Kept {
+    items: VecDeque<Item>,
+    bytes: usize,
+    alarms: HashMap<(Arc<str>, u32), u32>,
+}
+
+impl Kept {
+    /// Keeps the item and forgets what has become too old or too much; whether it raises an alarm.
+    fn keep(&mut self, item: Item, snapshot: Snapshot) -> bool {
+        let now_ns = item.times.log_ns;
+        let alarm = self.raises_alarm(&item);
+        self.bytes += item.bytes();
+        self.items.push_back(item);
+        while let Some(oldest) = self.items.front() {
+            let is_old = now_ns.saturating_sub(oldest.times.log_ns) > snapshot.keep_ns;
+            if !is_old && self.bytes <= snapshot.max_bytes {
+                break;
+            }
+            self.bytes -= oldest.bytes();
+            self.items.pop_front();
+        }
+        alarm
+    }
+
+    fn raises_alarm(&mut self, item: &Item) -> bool {
+        let Message::Diagnostics(_, rows) = &item.message else {
+            return false;
+        };
+        let mut raised = false;
+        for row in rows {
+            let key = (Arc::clone(&item.fleet), row.robot);
+            let before = self.alarms.insert(key, row.alarms).unwrap_or(0);
+            raised |= row.alarms & !before != 0;
+        }
+        raised
+    }
+}
