@@ -3,7 +3,7 @@
 use clap::{Parser, Subcommand};
 
 use crate::output::Format;
-use crate::{bench, completions, config, demo, doctor, eval, publish, run, train, watch};
+use crate::{bench, completions, config, demo, doctor, eval, publish, record, run, train, watch};
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
 /// planners, one host.
@@ -18,6 +18,7 @@ use crate::{bench, completions, config, demo, doctor, eval, publish, run, train,
         joulebus run --config configs/fleet.toml    the worker\n  \
         joulebus publish sim --robots 20            a simulated fleet for it\n  \
         joulebus watch                              what it forecasts\n  \
+        joulebus record -o run.mcap                 all of it, into a file\n  \
         joulebus doctor                             why it does not work\n\n\
         Results go to stdout, the rest to stderr. Units are SI and stand in the names: power_w, \
         stamp_ns.\n\
@@ -45,6 +46,7 @@ pub(crate) enum Command {
     Demo(demo::Args),
     Run(run::Args),
     Publish(publish::Args),
+    Record(record::Args),
     Watch(watch::Args),
     Doctor(doctor::Args),
     Config(config::Args),

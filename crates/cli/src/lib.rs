@@ -16,6 +16,7 @@ mod exit;
 mod logging;
 mod output;
 mod publish;
+mod record;
 mod run;
 mod stop;
 mod supervisor;
@@ -71,6 +72,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Demo(args) => demo::run(args, output),
         Command::Run(args) => run::run(args, output),
         Command::Publish(args) => publish::run(args, output),
+        Command::Record(args) => record::run(args, output),
         Command::Watch(args) => watch::run(args, output),
         Command::Doctor(args) => doctor::run(args, output),
         Command::Config(args) => config::run(args, output),

@@ -142,6 +142,11 @@ impl Files {
 
     fn open(&mut self) -> Result<(), WriteError> {
         let settings = self.options.settings;
+        if let (Target::File(path), true) = (&self.target, self.options.go_on) {
+            while part(path, self.parts).exists() {
+                self.parts += 1;
+            }
+        }
         let path = match &self.target {
             Target::File(path) => part(path, self.parts),
             Target::Stream(_) => PathBuf::from("-"),

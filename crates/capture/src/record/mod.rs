@@ -53,6 +53,8 @@ pub struct Options {
     /// A file that spans this time is ended, and the next one begun, ns. The index of a file is kept
     /// in memory until its end: about 30 MB an hour.
     pub max_file_ns: u64,
+    /// Where the file exists, the next part that does not is begun, instead of an error.
+    pub go_on: bool,
     /// Keep the last seconds in memory instead of writing everything.
     pub snapshot: Option<Snapshot>,
     /// Messages that wait for the disk, bytes in memory; those that come on top are lost.
@@ -80,6 +82,7 @@ impl Default for Options {
             choose: Arc::new(|_| true),
             max_file_bytes: u64::MAX,
             max_file_ns: 3_600_000_000_000,
+            go_on: false,
             snapshot: None,
             queue_bytes: 128 << 20,
         }

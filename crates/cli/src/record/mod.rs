@@ -1,0 +1,235 @@
+//! `joulebus record`: what goes through a fleet's shared memory, into a file.
+
+mod choice;
+mod others;
+mod report;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::Context as _;
+use joulebus_bus::clock;
+use joulebus_capture::record::{Options, Recorder, Snapshot, Summary, Target};
+use joulebus_capture::{Attachments, Clock, Preset, Settings};
+use joulebus_config::Config;
+use signal_hook::consts::SIGUSR1;
+
+use crate::config_file::ConfigFile;
+use crate::exit::{Outcome, UsageError};
+use crate::output::{Format, Output, say};
+use crate::stop::Stop;
+
+use choice::Choice;
+use others::Others;
+use report::Report;
+
+/// How often it is looked whether to end.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Time between two lines about the progress, ns.
+const PROGRESS_EVERY_NS: u64 = 5_000_000_000;
+/// What a snapshot takes in memory at most, bytes.
+const SNAPSHOT_BYTES: usize = 512 << 20;
+/// The name that stands for stdout.
+const STDOUT: &str = "-";
+
+/// Record what goes through a fleet's shared memory, into an MCAP file that Foxglove and PlotJuggler
+/// open
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus record -o run.mcap\n  \
+    joulebus record -o run.mcap --topics samples ticks --preset zstd_small\n  \
+    joulebus record -o plots.mcap -e '/robot/(3|4)/' --per-robot --duration 60\n  \
+    joulebus record -o alarm.mcap --snapshot 30\n  \
+    joulebus record --config a.toml --config b.toml -o both.mcap\n\n\
+    Ends with SIGINT or SIGTERM. Config, models and build are attached. A slow disk costs messages, \
+    which are counted, never a tick. Killed, it loses less than 100 ms of data (zstd_small: about \
+    1 s); `joulebus recover` makes such a file whole.\n\
+    Exit codes: 1 if the file could not be written on (what was written can be recovered); 3 if \
+    messages were lost.")]
+pub(crate) struct Args {
+    /// The fleet's config; several times for several fleets in one file [default: configs/fleet.toml,
+    /// or the one that ships in the program if there is no such file]
+    #[arg(long, value_name = "FILE")]
+    config: Vec<PathBuf>,
+    /// The file; further parts are run_1.mcap, run_2.mcap …; - for stdout
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Begin with the next part instead of refusing when the file exists
+    #[arg(long)]
+    go_on: bool,
+    /// Record these topics only: names of services (samples, forecasts, diagnostics, budgets, ticks,
+    /// state) or whole topics
+    #[arg(long, value_name = "TOPIC", num_args = 1..)]
+    topics: Vec<String>,
+    /// Record topics that match, in addition to --topics
+    #[arg(short = 'e', long, value_name = "REGEX")]
+    regex: Option<String>,
+    /// A channel for each robot's sample, forecast, diagnostics and budget as well, for plots
+    #[arg(long)]
+    per_robot: bool,
+    /// How much work goes into making the file small
+    #[arg(long, value_name = "PRESET", default_value = Preset::default().name(), value_parser = preset)]
+    preset: Preset,
+    /// End a file that has become this long and begin the next, bytes; 0: never
+    #[arg(long, value_name = "BYTES", default_value_t = 0)]
+    max_bag_size: u64,
+    /// End a file that spans this time and begin the next, s; 0: never. The index of a file is kept in
+    /// memory until its end, about 30 MB an hour
+    #[arg(long, value_name = "SECONDS", default_value_t = 3_600.0, value_parser = seconds)]
+    max_bag_duration: f64,
+    /// Keep the last seconds in memory, and write them down when a robot raises an alarm or when
+    /// SIGUSR1 comes: each time a file of its own
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    snapshot: Option<f64>,
+    /// With --snapshot: write down on SIGUSR1 only
+    #[arg(long, requires = "snapshot")]
+    no_alarm: bool,
+    /// End after this time, s
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    duration: Option<f64>,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text
+        .parse()
+        .map_err(|_| format!("{text:?} is no number (s)"))?;
+    if (0.0..=1e9).contains(&seconds) {
+        Ok(seconds)
+    } else {
+        Err(format!("{seconds} s: allowed are 0 to 1000000000 s"))
+    }
+}
+
+fn preset(text: &str) -> Result<Preset, String> {
+    let found = Preset::ALL.into_iter().find(|preset| preset.name() == text);
+    let names = Preset::ALL.map(Preset::name).join(", ");
+    found.ok_or_else(|| format!("{text:?} is none of {names}"))
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    // Before anything is created: who is told to stop while starting ends the file as well.
+    let stop = Stop::on_signals()?;
+    let write_down = Arc::new(AtomicBool::new(false));
+    signal_hook::flag::register(SIGUSR1, Arc::clone(&write_down))
+        .context("cannot handle SIGUSR1")?;
+    let configs = args.configs()?;
+    let clock = Clock::now();
+    let attachments = Attachments::of(&configs, clock)?;
+    let began_ns = clock::monotonic_ns();
+    let mut others = Others::start(&args.config, &args.output)?;
+    let recorder = Recorder::start(
+        &configs[0],
+        others.streams(),
+        clock,
+        attachments,
+        args.target(),
+        args.options()?,
+    )?;
+    let names: Vec<&str> = configs.iter().map(Config::fleet).collect();
+    let file = args.output.display();
+    say(&format!("recording {} into {file}", names.join(", ")));
+    let end_ns = args
+        .duration
+        .map(|seconds| began_ns.saturating_add(ns(seconds)));
+    wait(&recorder, &stop, &write_down, end_ns);
+    // Their captures end before ours does.
+    others.end();
+    let summary = recorder.finish();
+    let duration_s = (clock::monotonic_ns() - began_ns) as f64 * 1e-9;
+    let (failed, lost) = (summary.failure.is_some(), summary.messages_lost() > 0);
+    args.report(&Report::new(&summary, duration_s), output)?;
+    if failed {
+        return Ok(Outcome::Failed);
+    }
+    Ok(Outcome::unless_lost(lost))
+}
+
+/// Until a signal, the end of the time, or a failure.
+fn wait(recorder: &Recorder, stop: &Stop, write_down: &AtomicBool, end_ns: Option<u64>) {
+    let begin_ns = clock::monotonic_ns();
+    let mut tell_ns = begin_ns.saturating_add(PROGRESS_EVERY_NS);
+    loop {
+        let now_ns = clock::monotonic_ns();
+        if recorder.is_over() || end_ns.is_some_and(|end_ns| now_ns >= end_ns) {
+            return;
+        }
+        if write_down.swap(false, Ordering::Relaxed) {
+            recorder.write_down();
+        }
+        if now_ns >= tell_ns {
+            tell_ns = now_ns.saturating_add(PROGRESS_EVERY_NS);
+            say(&progress(&recorder.summary(), now_ns - begin_ns));
+        }
+        if !stop.sleep_until(now_ns + LOOK_EVERY.as_nanos() as u64) {
+            return;
+        }
+    }
+}
+
+fn progress(summary: &Summary, for_ns: u64) -> String {
+    let (messages, bytes) = (summary.messages(), summary.bytes());
+    let lost = summary.messages_lost();
+    let (seconds, megabytes) = (for_ns as f64 * 1e-9, bytes as f64 * 1e-6);
+    format!("{seconds:.0} s: {messages} messages, {megabytes:.1} MB, {lost} lost")
+}
+
+impl Args {
+    fn configs(&self) -> anyhow::Result<Vec<Config>> {
+        let given = self.config.iter().map(|path| Some(path.clone()));
+        let files: Vec<Option<PathBuf>> = if self.config.is_empty() {
+            vec![None]
+        } else {
+            given.collect()
+        };
+        let load = |config| ConfigFile { config }.load();
+        files.into_iter().map(load).collect()
+    }
+
+    fn options(&self) -> anyhow::Result<Options> {
+        let choice = Choice::new(&self.topics, self.regex.as_deref())?;
+        let or_never = |limit: u64| if limit == 0 { u64::MAX } else { limit };
+        if self.snapshot == Some(0.0) {
+            return Err(UsageError("--snapshot 0 keeps nothing".to_owned()).into());
+        }
+        Ok(Options {
+            settings: Settings::of(self.preset),
+            per_robot: self.per_robot,
+            choose: Arc::new(move |topic| choice.has(topic)),
+            max_file_bytes: or_never(self.max_bag_size),
+            max_file_ns: or_never(ns(self.max_bag_duration)),
+            go_on: self.go_on,
+            snapshot: self.snapshot.map(|seconds| Snapshot {
+                keep_ns: ns(seconds),
+                max_bytes: SNAPSHOT_BYTES,
+                on_alarm: !self.no_alarm,
+            }),
+            ..Options::default()
+        })
+    }
+
+    fn target(&self) -> Target {
+        if self.output == Path::new(STDOUT) {
+            Target::Stream(Box::new(std::io::stdout()))
+        } else {
+            Target::File(self.output.clone())
+        }
+    }
+
+    /// To stdout, unless that is where the capture goes.
+    fn report(&self, report: &Report, output: Output) -> anyhow::Result<()> {
+        if self.output != Path::new(STDOUT) {
+            return output.report(report);
+        }
+        match output.format() {
+            Format::Text => say(report.to_string().trim_end()),
+            Format::Json => say(&serde_json::to_string(report)?),
+        }
+        Ok(())
+    }
+}
+
+fn ns(seconds: f64) -> u64 {
+    (seconds * 1e9) as u64
+}

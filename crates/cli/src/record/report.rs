@@ -1,0 +1,104 @@
+//! What a recording came to.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use joulebus_capture::record::Summary;
+use serde::Serialize;
+
+/// What a recording came to.
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    /// From its start to its end, s.
+    duration_s: f64,
+    files: Vec<File>,
+    messages: u64,
+    bytes: u64,
+    /// Messages by topic, channels of single robots left out.
+    topics: BTreeMap<String, u64>,
+    /// Messages lost by topic; topics that lost nothing are left out.
+    lost: BTreeMap<String, Lost>,
+    messages_lost: u64,
+    /// Why it stopped by itself, if it did.
+    failure: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct File {
+    path: String,
+    messages: u64,
+    bytes: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct Lost {
+    /// Overwritten in shared memory before the recorder came round to them.
+    overwritten: u64,
+    /// The disk was too slow or full.
+    unwritten: u64,
+}
+
+impl Report {
+    pub(super) fn new(summary: &Summary, duration_s: f64) -> Self {
+        let files = summary.files.iter().map(|(path, written)| File {
+            path: path.display().to_string(),
+            messages: written.messages,
+            bytes: written.bytes,
+        });
+        let mut topics = BTreeMap::new();
+        for (topic, count) in summary.files.iter().flat_map(|(_, file)| &file.by_topic) {
+            if !topic.contains("/robot/") {
+                *topics.entry(topic.clone()).or_default() += count;
+            }
+        }
+        let lost = summary.lost.iter().map(|(topic, lost)| {
+            let lost = Lost {
+                overwritten: lost.overwritten,
+                unwritten: lost.unwritten,
+            };
+            (topic.clone(), lost)
+        });
+        Self {
+            duration_s,
+            files: files.collect(),
+            messages: summary.messages(),
+            bytes: summary.bytes(),
+            topics,
+            lost: lost.collect(),
+            messages_lost: summary.messages_lost(),
+            failure: summary.failure.clone(),
+        }
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let per_hour = self.bytes as f64 * 1e-9 * 3_600.0 / self.duration_s.max(1e-9);
+        writeln!(
+            out,
+            "recorded {:.1} s: {} messages, {:.3} MB ({per_hour:.2} GB an hour), {} lost",
+            self.duration_s,
+            self.messages,
+            self.bytes as f64 * 1e-6,
+            self.messages_lost
+        )?;
+        for (topic, count) in &self.topics {
+            writeln!(out, "  {topic}: {count}")?;
+        }
+        for (topic, lost) in &self.lost {
+            let (overwritten, unwritten) = (lost.overwritten, lost.unwritten);
+            writeln!(
+                out,
+                "  LOST of {topic}: {overwritten} overwritten in shared memory, {unwritten} by the disk"
+            )?;
+        }
+        for file in &self.files {
+            let (path, messages, bytes) = (&file.path, file.messages, file.bytes);
+            writeln!(out, "file {path}: {messages} messages, {bytes} bytes")?;
+        }
+        if let Some(failure) = &self.failure {
+            writeln!(out, "stopped: {failure}")?;
+        }
+        Ok(())
+    }
+}
