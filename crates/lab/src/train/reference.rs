@@ -1,7 +1,8 @@
-//! The network in double precision, forwards and backwards, one row at a time.
+//! The network in double precision, forwards and backwards, one row at a time: slow and obvious.
+//! The tests hold the trainer against it.
 
 use crate::noise::Noise;
-use joulebus_predictor::{HIDDEN, Layer};
+use joulebus_predictor::HIDDEN;
 
 const LAYERS: usize = HIDDEN.len() + 1;
 const WIDEST: usize = HIDDEN[0];
@@ -58,25 +59,18 @@ impl Weights {
         Weights { values, shapes }
     }
 
-    /// As the predictor has them: f32, output by output.
-    pub(super) fn layers(&self) -> [Layer; LAYERS] {
-        self.shapes.map(|shape| {
-            let (weights, bias) = shape.split(&self.values);
-            let place =
-                |output: usize, input: usize| weights[input * shape.outputs + output] as f32;
-            Layer {
-                weights: (0..shape.outputs)
-                    .flat_map(|output| (0..shape.inputs).map(move |input| place(output, input)))
-                    .collect(),
-                bias: bias.iter().map(|&bias| bias as f32).collect(),
-            }
-        })
+    /// The trainer's weights, which lie in the same order.
+    pub(super) fn from_f32(inputs: usize, values: &[f32]) -> Weights {
+        let mut weights = Weights::initial(inputs, &mut Noise::new(0, 0));
+        assert_eq!(weights.values.len(), values.len());
+        weights.values = values.iter().map(|value| f64::from(*value)).collect();
+        weights
     }
 }
 
 /// Everything that a row leaves behind on its way through the network.
 pub(super) struct Workspace {
-    /// Gradients of the summed loss of the rows since [`Workspace::clear`], placed as the weights are.
+    /// Gradients of the summed loss of the rows since they were last zeroed, placed as the weights are.
     pub(super) gradients: Vec<f64>,
     /// What each hidden value is multiplied with: 0 if dropped, else what keeps the mean.
     kept: [[f64; WIDEST]; HIDDEN.len()],
@@ -94,19 +88,11 @@ impl Workspace {
         }
     }
 
-    pub(super) fn clear(&mut self) {
-        self.gradients.fill(0.0);
-    }
-
-    pub(super) fn keep_everything(&mut self) {
-        self.kept = [[1.0; WIDEST]; HIDDEN.len()];
-    }
-
-    pub(super) fn draw_dropout(&mut self, share: f64, noise: &mut Noise) {
-        let scale = 1.0 / (1.0 - share);
-        for (kept, width) in self.kept.iter_mut().zip(HIDDEN) {
-            for kept in &mut kept[..width] {
-                *kept = if noise.uniform() < share { 0.0 } else { scale };
+    /// Sets what value `j` of a hidden layer is multiplied with: `kept(layer, j)`.
+    pub(super) fn keep(&mut self, mut kept: impl FnMut(usize, usize) -> f64) {
+        for (layer, width) in HIDDEN.into_iter().enumerate() {
+            for j in 0..width {
+                self.kept[layer][j] = kept(layer, j);
             }
         }
     }
@@ -208,10 +194,11 @@ mod tests {
         let mut weights = Weights::initial(11, &mut noise);
         let mut workspace = Workspace::new(&weights);
         for share in [0.0, 0.3] {
-            workspace.draw_dropout(share, &mut noise);
+            let scale = 1.0 / (1.0 - share);
+            workspace.keep(|_, _| if noise.uniform() < share { 0.0 } else { scale });
             let inputs: Vec<f64> = (0..11).map(|_| noise.normal()).collect();
             let target = noise.normal();
-            workspace.clear();
+            workspace.gradients.fill(0.0);
             workspace.accumulate(&weights, &inputs, target);
             let gradients = workspace.gradients.clone();
             let mut not_zero = 0;
@@ -237,36 +224,5 @@ mod tests {
             }
             assert!(not_zero > 100, "{not_zero} gradients were worth a look");
         }
-    }
-
-    #[test]
-    fn layers_are_the_same_network_as_the_predictor_sees_it() {
-        let weights = Weights::initial(5, &mut Noise::new(2, 0));
-        let layers = weights.layers();
-        let mut workspace = Workspace::new(&weights);
-        let inputs = [0.3, -0.2, 1.1, 0.7, -1.4];
-        let mut values: Vec<f64> = inputs.to_vec();
-        for (number, layer) in layers.iter().enumerate() {
-            values = layer
-                .weights
-                .chunks(values.len())
-                .zip(&layer.bias)
-                .map(|(weights, &bias)| {
-                    let products = weights.iter().zip(&values).map(|(&w, x)| f64::from(w) * x);
-                    let sum = f64::from(bias) + products.sum::<f64>();
-                    if number < HIDDEN.len() {
-                        gelu_and_slope(sum).0
-                    } else {
-                        sum
-                    }
-                })
-                .collect();
-        }
-        let forecast = workspace.forward(&weights, &inputs);
-        assert!(
-            (forecast - values[0]).abs() < 1e-6,
-            "{forecast} and {}",
-            values[0]
-        );
     }
 }

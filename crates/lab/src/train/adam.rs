@@ -1,0 +1,47 @@
+//! The optimiser.
+
+/// Adam (Kingma and Ba 2015, algorithm 1) with its bias corrections.
+#[derive(Clone, Debug)]
+pub(super) struct Adam {
+    pub first: Vec<f32>,
+    pub second: Vec<f32>,
+    /// Steps taken.
+    pub steps: u64,
+}
+
+/// The optimiser's knobs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pace {
+    pub learning_rate: f64,
+    pub first_moment: f64,
+    pub second_moment: f64,
+    pub epsilon: f64,
+}
+
+impl Adam {
+    pub(super) fn new(parameters: usize) -> Self {
+        Self {
+            first: vec![0.0; parameters],
+            second: vec![0.0; parameters],
+            steps: 0,
+        }
+    }
+
+    /// One step against the mean gradient: the sum of `gradients` times `share`.
+    pub(super) fn step(&mut self, values: &mut [f32], gradients: &[f32], share: f32, pace: Pace) {
+        self.steps += 1;
+        let left = |moment: f64| 1.0 - libm::pow(moment, self.steps as f64);
+        let rate = (pace.learning_rate / left(pace.first_moment)) as f32;
+        let scale = (1.0 / libm::sqrt(left(pace.second_moment))) as f32;
+        let epsilon = pace.epsilon as f32;
+        let (keep_first, keep_second) = (pace.first_moment as f32, pace.second_moment as f32);
+        let (new_first, new_second) = (1.0 - keep_first, 1.0 - keep_second);
+        let moments = self.first.iter_mut().zip(&mut self.second);
+        for ((value, gradient), (first, second)) in values.iter_mut().zip(gradients).zip(moments) {
+            let gradient = gradient * share;
+            *first = keep_first * *first + new_first * gradient;
+            *second = keep_second * *second + new_second * gradient * gradient;
+            *value -= rate * *first / (second.sqrt() * scale + epsilon);
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! Rows to learn from, and what is done to them before anything is learned.
+
+use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet, Features, Normalisation};
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use super::TrainError;
+use super::chunk::{Example, INPUTS};
+
+/// One forecast to learn from: what is known, and the reading that followed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row {
+    /// Raw features in SI units; those that the feature set leaves out may be NaN.
+    pub features: Features,
+    /// The next reading in watt.
+    pub target_w: f32,
+}
+
+/// Rows split by robot or trial, never by row: neighbouring rows know each other's answers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dataset {
+    /// Rows that decide the weights and the normalisation.
+    pub training: Vec<Row>,
+    /// Rows that decide when to stop.
+    pub validation: Vec<Row>,
+    /// Rows that decide nothing and give scores and residuals.
+    pub held_out: Vec<Row>,
+    /// Where the rows come from, for the model file.
+    pub description: String,
+}
+
+impl Dataset {
+    /// SHA-256 of all rows, hexadecimal: each part with its length before it, numbers little-endian.
+    pub fn sha256(&self) -> String {
+        let mut digest = Sha256::new();
+        for rows in [&self.training, &self.validation, &self.held_out] {
+            digest.update((rows.len() as u64).to_le_bytes());
+            for row in rows {
+                for value in row.features.iter().chain([&row.target_w]) {
+                    digest.update(value.to_le_bytes());
+                }
+            }
+        }
+        digest
+            .finalize()
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect()
+    }
+}
+
+/// What was found in the data and worked around. Nothing is left out in silence.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Findings {
+    /// Rows left out because a number that is read is NaN or infinite: training, validation,
+    /// held out.
+    pub unusable_rows: [usize; 3],
+    /// Features that never change in the training rows: the network gets 0 for them.
+    pub constant_features: Vec<&'static str>,
+    /// Rows that were learned from.
+    pub training_rows: usize,
+    /// Whether there are fewer training rows than weights: what was learned may be by heart.
+    pub few_rows: bool,
+}
+
+/// The rows that can be used.
+pub(super) fn usable(dataset: &Dataset, feature_set: FeatureSet) -> (Dataset, [usize; 3]) {
+    let finite = |row: &&Row| {
+        let read = row.features.iter().skip(feature_set.first());
+        read.chain([&row.target_w]).all(|value| value.is_finite())
+    };
+    let keep = |rows: &[Row]| -> Vec<Row> { rows.iter().filter(finite).copied().collect() };
+    let kept = Dataset {
+        training: keep(&dataset.training),
+        validation: keep(&dataset.validation),
+        held_out: keep(&dataset.held_out),
+        description: dataset.description.clone(),
+    };
+    let unusable = [
+        dataset.training.len() - kept.training.len(),
+        dataset.validation.len() - kept.validation.len(),
+        dataset.held_out.len() - kept.held_out.len(),
+    ];
+    (kept, unusable)
+}
+
+/// Names of the features without any spread.
+pub(super) fn constant_features(
+    normalisation: &Normalisation,
+    feature_set: FeatureSet,
+) -> Vec<&'static str> {
+    (feature_set.first()..FEATURES)
+        .filter(|i| !(normalisation.feature_std[*i] > 0.0))
+        .map(|i| FEATURE_NAMES[i])
+        .collect()
+}
+
+impl Example {
+    pub(super) fn new(row: &Row, normalisation: &Normalisation, feature_set: FeatureSet) -> Self {
+        let Normalisation {
+            feature_mean,
+            feature_std,
+            power_mean_w,
+            power_std_w,
+        } = normalisation;
+        let scaled = |value: f32, mean: f32, std: f32| {
+            if std > 0.0 {
+                ((f64::from(value) - f64::from(mean)) / f64::from(std)) as f32
+            } else {
+                0.0
+            }
+        };
+        let mut inputs = [0.0; INPUTS];
+        for (input, i) in inputs.iter_mut().zip(feature_set.first()..FEATURES) {
+            *input = scaled(row.features[i], feature_mean[i], feature_std[i]);
+        }
+        Self {
+            inputs,
+            target: scaled(row.target_w, *power_mean_w, *power_std_w),
+        }
+    }
+}
+
+pub(super) fn normalisation(
+    rows: &[Row],
+    feature_set: FeatureSet,
+) -> Result<Normalisation, TrainError> {
+    let mut feature_mean = [0.0; FEATURES];
+    let mut feature_std = [0.0; FEATURES];
+    for i in feature_set.first()..FEATURES {
+        (feature_mean[i], feature_std[i]) = mean_and_std(rows.iter().map(|row| row.features[i]));
+    }
+    let (power_mean_w, power_std_w) = mean_and_std(rows.iter().map(|row| row.target_w));
+    if power_std_w > 0.0 {
+        Ok(Normalisation {
+            feature_mean,
+            feature_std,
+            power_mean_w,
+            power_std_w,
+        })
+    } else {
+        Err(TrainError::ConstantPower {
+            rows: rows.len(),
+            power_w: power_mean_w,
+        })
+    }
+}
+
+/// In two passes; the deviation of equal values is exactly 0.
+pub(super) fn mean_and_std(values: impl Iterator<Item = f32> + Clone) -> (f32, f32) {
+    let count = values.clone().count() as f64;
+    let mean = values.clone().map(f64::from).sum::<f64>() / count;
+    let first = values.clone().next();
+    if values.clone().all(|value| Some(value) == first) {
+        return (mean as f32, 0.0);
+    }
+    let squares = values.map(|value| (f64::from(value) - mean) * (f64::from(value) - mean));
+    (mean as f32, libm::sqrt(squares.sum::<f64>() / count) as f32)
+}
