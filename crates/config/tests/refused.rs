@@ -514,7 +514,7 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
     );
     let twice = WHOLE.replace("name = \"one\"", "name = \"rover\"");
     assert!(
-        problem(&twice).what.contains("<config>:21"),
+        problem(&twice).what.contains("<config>:23"),
         "{}",
         problem(&twice)
     );
