@@ -103,6 +103,7 @@ fn measure(
                 robots: options.sizes(&latency::ROBOTS),
                 seconds: options.seconds_or(10),
                 rate_hz: options.rate_hz,
+                scheduling: options.scheduling(),
                 launcher: launcher.clone(),
             })?;
             Ok(report.figures())

@@ -8,9 +8,11 @@
 
 mod figures;
 mod kernel;
-mod raw;
+pub mod raw;
 mod table;
-mod through;
+pub mod through;
+
+pub use figures::distribution;
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
@@ -18,13 +20,14 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use hdrhistogram::Histogram;
+use joulebus_bus::Scheduling;
 use joulebus_predictor::{Model, Network};
 use joulebus_predictor_worker::Spread;
 use joulebus_publisher::Pace;
 use serde::{Deserialize, Serialize};
 
 /// Frames before the figures count.
-const WARM_UP: u64 = 30;
+pub const WARM_UP: u64 = 30;
 /// What shares the grid: the way through the worker, the raw hops, the kernel.
 const SHARES: u64 = 3;
 /// How long the processes of a measurement may take to start.
@@ -42,6 +45,8 @@ pub struct Options {
     pub seconds: u64,
     /// Frames a second, 1 to 1000.
     pub rate_hz: u64,
+    /// What the worker asks of the system for the tick's thread.
+    pub scheduling: Scheduling,
     /// How this program is started in a [`Role`].
     pub launcher: Launcher,
 }
@@ -68,7 +73,10 @@ impl Launcher {
     }
 
     /// Starts the program in a role and waits until it says that it is ready.
-    fn start(&self, role: &[String]) -> anyhow::Result<Child> {
+    ///
+    /// # Errors
+    /// It cannot be started, or ends before it is ready.
+    pub fn start(&self, role: &[String]) -> anyhow::Result<Child> {
         let mut child = Command::new(&self.program)
             .args(&self.arguments)
             .args(role)
@@ -111,6 +119,9 @@ pub enum Role {
         robots: usize,
         /// From one frame to the next, ns.
         period_ns: u64,
+        /// Whether to print a byte for each frame.
+        #[arg(long)]
+        acknowledge: bool,
     },
 }
 
@@ -127,7 +138,8 @@ pub fn play(role: &Role) -> anyhow::Result<()> {
             root,
             robots,
             period_ns,
-        } => raw::sink(root, *robots, *period_ns),
+            acknowledge,
+        } => raw::sink(root, *robots, *period_ns, *acknowledge),
     }
 }
 
@@ -194,8 +206,10 @@ pub fn run(options: &Options) -> anyhow::Result<Report> {
         input: format!(
             "{} frames a second for {} s a size, built-in GTernal model, policy on_frame; the way \
              through the worker, two raw hops and the kernel take turns; times from the place on \
-             the grid at which a frame was due, places passed over included",
-            options.rate_hz, options.seconds
+             the grid at which a frame was due, places passed over included; {}",
+            options.rate_hz,
+            options.seconds,
+            asked_for(&options.scheduling)
         ),
         rows: rows?,
     })
@@ -204,8 +218,9 @@ pub fn run(options: &Options) -> anyhow::Result<Report> {
 fn row(model: &Model, robots: usize, options: &Options) -> anyhow::Result<Row> {
     let frames = options.rate_hz * options.seconds;
     let period_ns = 1_000_000_000 / options.rate_hz;
-    let mut through = through::Way::open(&options.launcher, robots, period_ns)?;
-    let mut raw = raw::Way::open(&options.launcher, robots, period_ns)?;
+    let mut through =
+        through::Way::open(&options.launcher, robots, period_ns, &options.scheduling)?;
+    let mut raw = raw::Way::open(&options.launcher, robots, period_ns, false)?;
     let mut kernel = kernel::Alone::new(model, robots);
     let mut pace = Pace::every(Duration::from_nanos(period_ns / SHARES));
     for frame in 0..WARM_UP + frames {
@@ -236,6 +251,22 @@ fn row(model: &Model, robots: usize, options: &Options) -> anyhow::Result<Row> {
     })
 }
 
+fn asked_for(scheduling: &Scheduling) -> String {
+    if scheduling.is_nothing() {
+        return "the worker is an ordinary process".to_owned();
+    }
+    format!(
+        "the worker has CPUs {:?}, SCHED_FIFO priority {}, memory {}",
+        scheduling.cpus,
+        scheduling.priority,
+        if scheduling.lock_memory {
+            "locked"
+        } else {
+            "unlocked"
+        }
+    )
+}
+
 fn model() -> anyhow::Result<Model> {
     let (_, bytes) = joulebus_config::builtin_model("gternal-sim").context("no built-in model")?;
     Ok(Model::Network(Network::from_safetensors(bytes)?))
@@ -244,7 +275,7 @@ fn model() -> anyhow::Result<Model> {
 /// The places on the grid that one answer stands for: `frames` that were sent, and those between the
 /// first's intended time and its sending that a stalled source passed over. Records for each the
 /// time up to `now_ns`.
-fn record_places(
+pub fn record_places(
     times: &mut Histogram<u64>,
     (intended_ns, sent_ns, now_ns): (u64, u64, u64),
     period_ns: u64,
@@ -278,13 +309,19 @@ fn ready(child: &mut Child) -> anyhow::Result<()> {
     }
 }
 
-/// Waits for a child's line of JSON.
-fn finish<T: serde::de::DeserializeOwned>(child: Child) -> anyhow::Result<T> {
+/// Waits for a child's line of JSON, the last that it prints.
+///
+/// # Errors
+/// It failed, or said something else.
+pub fn finish<T: serde::de::DeserializeOwned>(child: Child) -> anyhow::Result<T> {
     let output = child.wait_with_output()?;
     if !output.status.success() {
         bail!("a process of the measurement ended with {}", output.status);
     }
-    Ok(serde_json::from_slice(&output.stdout)?)
+    let last = output.stdout.trim_ascii().rsplit(|byte| *byte == b'\n');
+    Ok(serde_json::from_slice(
+        last.into_iter().next().unwrap_or_default(),
+    )?)
 }
 
 #[cfg(test)]

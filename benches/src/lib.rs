@@ -20,6 +20,7 @@ mod report;
 mod rollout;
 mod rounds;
 mod threads;
+pub mod wait;
 
 use hdrhistogram::Histogram;
 pub use joulebus_predictor_worker::Spread;

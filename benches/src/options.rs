@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use joulebus_bus::Scheduling;
+
 /// What and how much is measured.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Options {
@@ -30,12 +32,32 @@ pub struct Options {
     /// Only this kernel, like avx2 [default: all that the processor has]
     #[arg(long, value_name = "NAME")]
     pub kernel: Option<String>,
+    /// Latency: CPUs that the worker's tick stays on
+    #[arg(long, value_name = "CPU,…", value_delimiter = ',')]
+    pub worker_cpus: Vec<usize>,
+    /// Latency: real-time priority of the worker's tick; 0: none
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=99))]
+    pub worker_priority: u8,
+    /// Latency: the worker's memory stays in memory
+    #[arg(long)]
+    pub worker_locked: bool,
     /// Threads that share large batches, beside one
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = threads)]
     pub threads: usize,
 }
 
 impl Options {
+    /// What the worker of the latency benchmark asks of the system, and must get.
+    #[must_use]
+    pub fn scheduling(&self) -> Scheduling {
+        Scheduling {
+            cpus: self.worker_cpus.clone(),
+            priority: self.worker_priority,
+            lock_memory: self.worker_locked,
+            required: true,
+        }
+    }
+
     /// Sizes to measure: those asked for, or the benchmark's own.
     #[must_use]
     pub fn sizes(&self, own: &[usize]) -> Vec<usize> {

@@ -51,7 +51,9 @@ const ONCE: [Once; 5] = [
     ("passed_over_frames", "frames", |row| row.passed_over as f64),
 ];
 
-fn distribution(spread: &Spread) -> Option<Distribution> {
+/// The same distribution, µs; `None` if nothing was measured.
+#[must_use]
+pub fn distribution(spread: &Spread) -> Option<Distribution> {
     (spread.count > 0).then_some(Distribution {
         count: spread.count,
         min: spread.min_us,

@@ -1,10 +1,11 @@
 //! Two raw iceoryx2 hops: source → relay → sink, frames of the same sizes, an event each, nothing
 //! computed. What no broker on iceoryx2 can be faster than.
 
+use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::Child;
 
-use anyhow::anyhow;
+use anyhow::{Context as _, anyhow};
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
@@ -24,7 +25,7 @@ type End<T, H> = (Publisher<ipc::Service, [T], H>, Notifier<ipc::Service>);
 type Start<T, H> = (Subscriber<ipc::Service, [T], H>, Listener<ipc::Service>);
 
 /// The source's end of the two hops, and the processes behind it.
-pub(super) struct Way {
+pub struct Way {
     // Before the node: ports go first.
     publisher: Publisher<ipc::Service, [Sample], SampleHeader>,
     notifier: Notifier<ipc::Service>,
@@ -36,7 +37,17 @@ pub(super) struct Way {
 }
 
 impl Way {
-    pub(super) fn open(launcher: &Launcher, robots: usize, period_ns: u64) -> anyhow::Result<Self> {
+    /// Starts the relay and the sink, and connects. With `acknowledge` the sink tells of each frame:
+    /// [`Way::acknowledged`].
+    ///
+    /// # Errors
+    /// A process or a port could not be had.
+    pub fn open(
+        launcher: &Launcher,
+        robots: usize,
+        period_ns: u64,
+        acknowledge: bool,
+    ) -> anyhow::Result<Self> {
         let root = PathBuf::from(format!(
             "/dev/shm/joulebus-bench-raw-{}",
             std::process::id()
@@ -44,7 +55,9 @@ impl Way {
         std::fs::create_dir_all(&root)?;
         let (name, size) = (root.display().to_string(), robots.to_string());
         let relay = launcher.start(&["relay".into(), name.clone(), size.clone()])?;
-        let sink = launcher.start(&["sink".into(), name, size, period_ns.to_string()])?;
+        let mut role = vec!["sink".into(), name, size, period_ns.to_string()];
+        role.extend(acknowledge.then(|| "--acknowledge".to_owned()));
+        let sink = launcher.start(&role)?;
         let node = node(&root)?;
         let (publisher, notifier) = sending::<Sample, SampleHeader>(&node, "samples", robots)?;
         Ok(Self {
@@ -58,8 +71,20 @@ impl Way {
         })
     }
 
+    /// Waits until the sink has read one more frame.
+    ///
+    /// # Errors
+    /// The sink is gone, or was not told to acknowledge.
+    pub fn acknowledged(&mut self) -> anyhow::Result<()> {
+        let output = self.sink.stdout.as_mut().context("no output of the sink")?;
+        Ok(output.read_exact(&mut [0])?)
+    }
+
     /// Sends a frame that was due at `intended_ns`; 0 ends the measurement.
-    pub(super) fn send(&mut self, intended_ns: u64) -> anyhow::Result<()> {
+    ///
+    /// # Errors
+    /// iceoryx2 refuses.
+    pub fn send(&mut self, intended_ns: u64) -> anyhow::Result<()> {
         let mut loan = self.publisher.loan_slice_uninit(self.robots)?;
         loan.user_header_mut().intended_ns = intended_ns;
         loan.user_header_mut().sent_ns = clock::monotonic_ns();
@@ -70,7 +95,10 @@ impl Way {
     }
 
     /// Ends the processes; the time from due to read.
-    pub(super) fn finish(mut self) -> anyhow::Result<Spread> {
+    ///
+    /// # Errors
+    /// A process did not do its part, or something is left that cannot be removed.
+    pub fn finish(mut self) -> anyhow::Result<Spread> {
         self.send(0)?;
         let spread = finish(self.sink)?;
         self.relay.wait()?;
@@ -92,7 +120,11 @@ fn remove_segments() -> anyhow::Result<()> {
     Ok(())
 }
 
-pub(super) fn relay(root: &Path, robots: usize) -> anyhow::Result<()> {
+/// The relay's process.
+///
+/// # Errors
+/// iceoryx2 refuses.
+pub fn relay(root: &Path, robots: usize) -> anyhow::Result<()> {
     let node = node(root)?;
     let (publisher, notifier) = sending::<Forecast, ForecastHeader>(&node, "forecasts", robots)?;
     let (subscriber, listener) = receiving::<Sample, SampleHeader>(&node, "samples")?;
@@ -120,10 +152,15 @@ pub(super) fn relay(root: &Path, robots: usize) -> anyhow::Result<()> {
     }
 }
 
-pub(super) fn sink(root: &Path, robots: usize, period_ns: u64) -> anyhow::Result<()> {
+/// The sink's process: prints the times it has seen. `acknowledge`: a byte for each frame before.
+///
+/// # Errors
+/// iceoryx2 refuses.
+pub fn sink(root: &Path, robots: usize, period_ns: u64, acknowledge: bool) -> anyhow::Result<()> {
     let node = node(root)?;
     let (subscriber, listener) = receiving::<Forecast, ForecastHeader>(&node, "forecasts")?;
     println!("ready");
+    let mut stdout = std::io::stdout();
     let (mut times, mut seen) = (histogram(), 0);
     loop {
         listener
@@ -135,12 +172,16 @@ pub(super) fn sink(root: &Path, robots: usize, period_ns: u64) -> anyhow::Result
             let header = frame.user_header();
             let (intended_ns, sent_ns) = (header.first_intended_ns, header.first_sent_ns);
             if intended_ns == 0 {
-                println!("{}", serde_json::to_string(&Spread::of(&times))?);
+                println!("\n{}", serde_json::to_string(&Spread::of(&times))?);
                 return Ok(());
             }
             seen += 1;
             if seen > WARM_UP {
                 record_places(&mut times, (intended_ns, sent_ns, now_ns), period_ns, 1);
+            }
+            if acknowledge {
+                stdout.write_all(b".")?;
+                stdout.flush()?;
             }
         }
     }

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, anyhow};
 use hdrhistogram::Histogram;
-use joulebus_bus::{Bus, clock};
+use joulebus_bus::{Bus, Scheduling, clock};
 use joulebus_config::{Config, Demo};
 use joulebus_predictor_worker::{Spread, Worker};
 use joulebus_publisher::{Publisher, RobotState};
@@ -18,8 +18,13 @@ use serde::{Deserialize, Serialize};
 use super::{Launcher, WARM_UP, finish, record_places};
 use crate::histogram;
 
+/// What the planner and the worker have seen; names as in [`super::Row`].
 #[derive(Debug, Serialize, Deserialize)]
-pub(super) struct Figures {
+#[allow(
+    missing_docs,
+    reason = "the same names, with documentation, are in `Row`"
+)]
+pub struct Figures {
     pub end_to_end_us: Spread,
     pub sent_to_readable_us: Spread,
     pub source_us: Spread,
@@ -39,7 +44,7 @@ struct WorkerFigures {
 }
 
 /// The source's end of the way, and the processes behind it.
-pub(super) struct Way {
+pub struct Way {
     publisher: Publisher,
     worker: Child,
     planner: Child,
@@ -49,8 +54,17 @@ pub(super) struct Way {
 }
 
 impl Way {
-    pub(super) fn open(launcher: &Launcher, robots: usize, period_ns: u64) -> anyhow::Result<Self> {
-        let path = config_file(robots)?;
+    /// Starts the worker and the planner, and connects.
+    ///
+    /// # Errors
+    /// A process could not be started, or the fleet not be joined.
+    pub fn open(
+        launcher: &Launcher,
+        robots: usize,
+        period_ns: u64,
+        scheduling: &Scheduling,
+    ) -> anyhow::Result<Self> {
+        let path = config_file(robots, scheduling)?;
         let config = Config::load(&path)?;
         let name = path.display().to_string();
         let worker = launcher.start(&["worker".into(), name.clone()])?;
@@ -66,7 +80,10 @@ impl Way {
     }
 
     /// Sends the frame that was due at `intended_ns`.
-    pub(super) fn send(&mut self, intended_ns: u64, frame: u64) -> anyhow::Result<()> {
+    ///
+    /// # Errors
+    /// The publisher refuses.
+    pub fn send(&mut self, intended_ns: u64, frame: u64) -> anyhow::Result<()> {
         let state = |robot: usize| {
             let power_w = 3.5 + ((robot as u64 + frame) % 100) as f32 * 0.001;
             RobotState::new(robot as u32)
@@ -79,7 +96,10 @@ impl Way {
     }
 
     /// Ends the worker, and with it the planner.
-    pub(super) fn finish(mut self) -> anyhow::Result<Figures> {
+    ///
+    /// # Errors
+    /// One of them did not do its part.
+    pub fn finish(mut self) -> anyhow::Result<Figures> {
         drop(self.worker.stdin.take());
         let worker: WorkerFigures = finish(self.worker)?;
         let mut figures: Figures = finish(self.planner)?;
@@ -93,7 +113,7 @@ impl Way {
 }
 
 /// A private fleet, as the demo makes it, at a rate that leaves the source in command.
-fn config_file(robots: usize) -> anyhow::Result<PathBuf> {
+fn config_file(robots: usize, scheduling: &Scheduling) -> anyhow::Result<PathBuf> {
     let demo = Demo {
         fleet: "bench".into(),
         root: format!("/dev/shm/joulebus-bench-{}", std::process::id()).into(),
@@ -104,11 +124,41 @@ fn config_file(robots: usize) -> anyhow::Result<PathBuf> {
         "joulebus-bench-{}-{robots}.toml",
         std::process::id()
     ));
-    std::fs::write(&path, demo.toml())?;
+    std::fs::write(&path, with_scheduling(demo.toml(), scheduling))?;
     Ok(path)
 }
 
-pub(super) fn worker(path: &Path) -> anyhow::Result<()> {
+/// The file with what the worker is to ask of the system; it must get it.
+fn with_scheduling(toml: String, scheduling: &Scheduling) -> String {
+    if scheduling.is_nothing() {
+        return toml;
+    }
+    let cpus: Vec<String> = scheduling.cpus.iter().map(ToString::to_string).collect();
+    let memory = if scheduling.lock_memory {
+        "locked"
+    } else {
+        "unlocked"
+    };
+    [
+        ("cpus = \"\"", format!("cpus = \"{}\"", cpus.join(","))),
+        (
+            "priority = 0",
+            format!("priority = {}", scheduling.priority),
+        ),
+        ("memory = \"unlocked\"", format!("memory = {memory:?}")),
+        ("if_refused = \"warn\"", "if_refused = \"stop\"".to_owned()),
+    ]
+    .into_iter()
+    .fold(toml, |toml, (from, to)| {
+        toml.replacen(&format!("\n{from}"), &format!("\n{to}"), 1)
+    })
+}
+
+/// The worker's process.
+///
+/// # Errors
+/// It cannot begin or go on.
+pub fn worker(path: &Path) -> anyhow::Result<()> {
     let config = Config::load(path)?;
     let worker = Worker::open(&config)?;
     println!("ready");
@@ -149,7 +199,11 @@ fn own_bytes() -> anyhow::Result<u64> {
     Ok(kilobytes * 1024)
 }
 
-pub(super) fn planner(path: &Path, period_ns: u64) -> anyhow::Result<()> {
+/// The planner's process: prints what it has seen.
+///
+/// # Errors
+/// It cannot join or go on.
+pub fn planner(path: &Path, period_ns: u64) -> anyhow::Result<()> {
     let config = Config::load(path)?;
     let limits = config.limits();
     let bus = Bus::join(&config.domain()?, "planner")?;
