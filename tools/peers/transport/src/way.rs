@@ -1,0 +1,63 @@
+//! What the ways have in common, and those that the benchmarks of joulebus bring.
+
+use std::io::Read as _;
+use std::process::Child;
+
+use anyhow::{Context as _, bail};
+use joulebus_benches::Spread;
+use joulebus_benches::latency::{raw, through};
+
+/// A way from a source to a sink, by another process in the middle.
+pub trait Way {
+    /// Sends a frame that was due at `due_ns`, monotonic; 0 ends the measurement.
+    fn send(&mut self, due_ns: u64) -> anyhow::Result<()>;
+
+    /// Waits until the sink has read one more frame.
+    fn acknowledged(&mut self) -> anyhow::Result<()>;
+
+    /// Ends the processes; the times from due to read.
+    fn finish(self: Box<Self>) -> anyhow::Result<Spread>;
+}
+
+impl Way for raw::Way {
+    fn send(&mut self, due_ns: u64) -> anyhow::Result<()> {
+        Self::send(self, due_ns)
+    }
+
+    fn acknowledged(&mut self) -> anyhow::Result<()> {
+        Self::acknowledged(self)
+    }
+
+    fn finish(self: Box<Self>) -> anyhow::Result<Spread> {
+        Self::finish(*self)
+    }
+}
+
+/// Through joulebus' worker.
+pub struct Joulebus {
+    /// The way.
+    pub way: through::Way,
+    /// Frames sent.
+    pub frames: u64,
+}
+
+impl Way for Joulebus {
+    fn send(&mut self, due_ns: u64) -> anyhow::Result<()> {
+        self.frames += 1;
+        self.way.send(due_ns, self.frames)
+    }
+
+    fn acknowledged(&mut self) -> anyhow::Result<()> {
+        bail!("the worker ticks at its rate, not as fast as frames come")
+    }
+
+    fn finish(self: Box<Self>) -> anyhow::Result<Spread> {
+        Ok(self.way.finish()?.end_to_end_us)
+    }
+}
+
+/// Waits for one byte of a child's output.
+pub fn await_byte(child: &mut Child) -> anyhow::Result<()> {
+    let output = child.stdout.as_mut().context("no output of the sink")?;
+    Ok(output.read_exact(&mut [0])?)
+}
