@@ -1,0 +1,461 @@
+//! Reading any MCAP file from its first byte to its last, whatever its state.
+//!
+//! [`Scan`] yields every record with the place where it stands. It trusts nothing in the file: no
+//! length makes it allocate more than [`MAX_RECORD_BYTES`], chunks are decompressed as a stream,
+//! and where something is wrong the error names the byte. After an error, [`Scan::resume`] goes on
+//! at the next place that looks like a record.
+
+mod chunk;
+mod error;
+mod resume;
+mod source;
+
+use std::fmt;
+use std::io::{Read, Seek};
+
+use mcap::records::{self, ChunkHeader, op};
+use serde::Serialize;
+
+use chunk::Chunk;
+pub use error::ScanError;
+pub use resume::Skipped;
+use source::Source;
+
+/// Longest record that is read into memory, bytes; longer ones are passed over and reported.
+/// Chunks may be longer: they are read as a stream.
+pub const MAX_RECORD_BYTES: u64 = 64 << 20;
+
+/// Opcode and length before every record, bytes.
+const HEAD_BYTES: u64 = 9;
+const MAGIC_BYTES: u64 = mcap::MAGIC.len() as u64;
+
+/// Where a record stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Place {
+    /// Bytes before the record, or before the chunk that it is in.
+    pub offset: u64,
+    /// Bytes before the record in the decompressed chunk, if it is in one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub in_chunk: Option<u64>,
+}
+
+impl Place {
+    const fn top(offset: u64) -> Self {
+        Self {
+            offset,
+            in_chunk: None,
+        }
+    }
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.in_chunk {
+            None => write!(out, "byte {}", self.offset),
+            Some(inner) => write!(out, "chunk at byte {}, byte {inner} in it", self.offset),
+        }
+    }
+}
+
+/// A checksum in the file and the one of the bytes found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Crc {
+    /// As written in the file; 0 means that none was written.
+    pub saved: u32,
+    /// Of the bytes in the file.
+    pub found: u32,
+}
+
+impl Crc {
+    /// Whether the file says something else than its bytes.
+    #[must_use]
+    pub const fn is_wrong(&self) -> bool {
+        self.saved != 0 && self.saved != self.found
+    }
+}
+
+/// What a scan comes across.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// A record, at top level or in a chunk.
+    Record(Raw<'a>),
+    /// The records of a chunk follow.
+    ChunkBegins(ChunkFrame),
+    /// All records of the chunk have been read.
+    ChunkEnds {
+        /// The chunk.
+        frame: ChunkFrame,
+        /// Of its records, decompressed.
+        crc: Crc,
+    },
+    /// A record that is longer than [`MAX_RECORD_BYTES`]; it was passed over.
+    TooLong {
+        /// Where it stands.
+        place: Place,
+        /// Its opcode.
+        opcode: u8,
+        /// Its length without its head.
+        bytes: u64,
+    },
+}
+
+/// A record that has not been parsed.
+#[derive(Debug)]
+pub struct Raw<'a> {
+    /// Where it stands.
+    pub place: Place,
+    /// Its opcode, see [`mcap::records::op`].
+    pub opcode: u8,
+    /// What comes after opcode and length.
+    pub body: &'a [u8],
+    /// Of the data section in its DataEnd, of the summary in the footer, if all of it was read;
+    /// nothing elsewhere.
+    pub crc: Option<Crc>,
+}
+
+impl<'a> Raw<'a> {
+    /// The record with its fields.
+    ///
+    /// # Errors
+    /// [`ScanError::Record`]: its fields do not fit its length, text is no UTF-8, or the checksum
+    /// of an attachment is wrong.
+    pub fn parse(&self) -> Result<records::Record<'a>, ScanError> {
+        let refuse = |detail: String| ScanError::Record {
+            place: self.place,
+            what: kind_name(self.opcode),
+            detail,
+        };
+        // The library subtracts without looking.
+        if self.opcode == op::ATTACHMENT && attachment_rest(self.body).is_none() {
+            return Err(refuse("its fields do not fit its length".to_owned()));
+        }
+        mcap::parse_record(self.opcode, self.body).map_err(|error| refuse(in_words(&error)))
+    }
+}
+
+/// What is left of an attachment after its names: data and checksum.
+fn attachment_rest(body: &[u8]) -> Option<&[u8]> {
+    let mut rest = body.get(16..)?;
+    for _ in 0..2 {
+        let (length, tail) = rest.split_first_chunk::<4>()?;
+        rest = tail.get(usize::try_from(u32::from_le_bytes(*length)).ok()?..)?;
+    }
+    (rest.len() >= 12).then_some(rest)
+}
+
+/// The error with its cause, on one line.
+fn in_words(error: &dyn std::error::Error) -> String {
+    let mut words = error.to_string();
+    if let Some(source) = error.source() {
+        words = format!("{words}: {source}");
+    }
+    words.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// The head of a chunk and where it stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ChunkFrame {
+    /// Bytes before the chunk's record.
+    pub offset: u64,
+    /// Length of the whole record with its head, bytes.
+    pub bytes: u64,
+    /// Its fields.
+    pub header: ChunkHeader,
+}
+
+/// A scan over a file.
+pub struct Scan<R> {
+    state: State<R>,
+    buffer: Vec<u8>,
+    /// Where the last error was, and what follows it.
+    failed: Option<resume::Failure>,
+    file_bytes: u64,
+}
+
+/// Where the scan stands. The source moves into the decompressor and back.
+enum State<R> {
+    Top(Source<R>),
+    Chunk(Box<Chunk<R>>),
+    /// Only while the source moves, or when a decompressor has kept it.
+    Gone,
+}
+
+/// What a record's head says.
+#[derive(Debug, Clone, Copy)]
+struct Head {
+    offset: u64,
+    opcode: u8,
+    bytes: u64,
+}
+
+impl Head {
+    /// The first byte after the record; `None` beyond what a file can have.
+    fn end(self) -> Option<u64> {
+        self.offset.checked_add(HEAD_BYTES)?.checked_add(self.bytes)
+    }
+}
+
+impl<R: Read + Seek> Scan<R> {
+    /// Begins to read a file.
+    ///
+    /// # Errors
+    /// [`ScanError::NotMcap`] if it does not begin as an MCAP file, [`ScanError::Io`].
+    pub fn new(input: R) -> Result<Self, ScanError> {
+        let mut source = Source::new(input)?;
+        let file_bytes = source.file_bytes();
+        let mut magic = Vec::new();
+        source.read_up_to(MAGIC_BYTES, &mut magic)?;
+        if magic != mcap::MAGIC {
+            return Err(ScanError::NotMcap { found: magic });
+        }
+        Ok(Self {
+            state: State::Top(source),
+            buffer: Vec::new(),
+            failed: None,
+            file_bytes,
+        })
+    }
+
+    /// Length of the file, bytes.
+    #[must_use]
+    pub fn file_bytes(&self) -> u64 {
+        self.file_bytes
+    }
+
+    /// The next thing in the file; `None` after the last byte of a complete one.
+    ///
+    /// # Errors
+    /// [`ScanError`]. The scan has ended then, unless [`Scan::resume`] is called.
+    pub fn next(&mut self) -> Result<Option<Event<'_>>, ScanError> {
+        if self.failed.is_some() {
+            return Ok(None);
+        }
+        match std::mem::replace(&mut self.state, State::Gone) {
+            State::Top(source) => self.next_at_top(source),
+            State::Chunk(chunk) => self.next_in_chunk(chunk),
+            State::Gone => Ok(None),
+        }
+    }
+
+    fn next_at_top(&mut self, mut source: Source<R>) -> Result<Option<Event<'_>>, ScanError> {
+        let head = match head(&mut source) {
+            Ok(head) => head,
+            Err(error) => return Err(self.fail(source, error)),
+        };
+        match head.opcode {
+            op::CHUNK => match Chunk::begin(source, head) {
+                Ok(chunk) => {
+                    let frame = chunk.frame().clone();
+                    self.state = State::Chunk(chunk);
+                    Ok(Some(Event::ChunkBegins(frame)))
+                }
+                Err((Some(source), error)) => Err(self.fail(source, error)),
+                Err((None, error)) => Err(error),
+            },
+            op::FOOTER => self.footer(source, head),
+            _ => self.record(source, head),
+        }
+    }
+
+    fn record(&mut self, mut source: Source<R>, head: Head) -> Result<Option<Event<'_>>, ScanError> {
+        let place = Place::top(head.offset);
+        let crc = source.crc();
+        let read = if head.bytes > MAX_RECORD_BYTES {
+            source.skip(HEAD_BYTES + head.bytes)
+        } else {
+            source
+                .skip(HEAD_BYTES)
+                .and_then(|()| source.read_up_to(head.bytes, &mut self.buffer))
+        };
+        if let Err(error) = read {
+            return Err(self.fail(source, error));
+        }
+        if head.bytes > MAX_RECORD_BYTES {
+            self.state = State::Top(source);
+            let (opcode, bytes) = (head.opcode, head.bytes);
+            return Ok(Some(Event::TooLong { place, opcode, bytes }));
+        }
+        let mut found = None;
+        if head.opcode == op::DATA_END {
+            source.restart_crc();
+            found = checked(&self.buffer, 0, crc);
+        }
+        self.state = State::Top(source);
+        Ok(Some(Event::Record(Raw {
+            place,
+            opcode: head.opcode,
+            body: &self.buffer,
+            crc: found,
+        })))
+    }
+
+    /// The footer's checksum covers the summary and the footer up to the checksum.
+    fn footer(&mut self, mut source: Source<R>, head: Head) -> Result<Option<Event<'_>>, ScanError> {
+        const FOOTER_BYTES: u64 = 20;
+        let place = Place::top(head.offset);
+        if head.bytes != FOOTER_BYTES {
+            let detail = format!("it is {} bytes long, not {FOOTER_BYTES}", head.bytes);
+            let what = kind_name(op::FOOTER);
+            return Err(self.fail(source, ScanError::Record { place, what, detail }));
+        }
+        let mut covered = Vec::new();
+        let read = source
+            .skip(HEAD_BYTES)
+            .and_then(|()| source.read_up_to(FOOTER_BYTES - 4, &mut covered))
+            .map(|()| source.crc())
+            .and_then(|crc| Ok((crc, source.read_up_to(4, &mut self.buffer)?)))
+            .and_then(|(crc, ())| Ok((crc, end_magic(&mut source)?)));
+        let (found, ()) = match read {
+            Ok(read) => read,
+            Err(error) => return Err(self.fail(source, error)),
+        };
+        covered.extend_from_slice(&self.buffer);
+        self.buffer = covered;
+        // Nothing comes after the magic: `Gone` ends the scan.
+        self.state = State::Gone;
+        Ok(Some(Event::Record(Raw {
+            place,
+            opcode: head.opcode,
+            body: &self.buffer,
+            crc: checked(&self.buffer, 16, found),
+        })))
+    }
+
+    fn next_in_chunk(&mut self, mut chunk: Box<Chunk<R>>) -> Result<Option<Event<'_>>, ScanError> {
+        match chunk.next(&mut self.buffer) {
+            Ok(chunk::Step::Record { place, opcode }) => {
+                self.state = State::Chunk(chunk);
+                Ok(Some(Event::Record(Raw {
+                    place,
+                    opcode,
+                    body: &self.buffer,
+                    crc: None,
+                })))
+            }
+            Ok(chunk::Step::TooLong {
+                place,
+                opcode,
+                bytes,
+            }) => {
+                self.state = State::Chunk(chunk);
+                Ok(Some(Event::TooLong {
+                    place,
+                    opcode,
+                    bytes,
+                }))
+            }
+            Ok(chunk::Step::End { crc }) => {
+                let frame = chunk.frame().clone();
+                match chunk.end() {
+                    Ok(source) => {
+                        self.state = State::Top(source);
+                        Ok(Some(Event::ChunkEnds { frame, crc }))
+                    }
+                    Err((source, error)) => Err(self.fail(source, error)),
+                }
+            }
+            Err(error) => {
+                let frame = chunk.frame();
+                let failure = resume::Failure::in_chunk(frame, self.file_bytes);
+                self.state = State::Top(chunk.into_source());
+                self.failed = Some(failure);
+                Err(error)
+            }
+        }
+    }
+
+    fn fail(&mut self, source: Source<R>, error: ScanError) -> ScanError {
+        self.state = State::Top(source);
+        self.failed = Some(resume::Failure::at_top(error.place().offset));
+        error
+    }
+}
+
+/// Reads the head of the record that comes next, without passing over it.
+fn head<R: Read + Seek>(source: &mut Source<R>) -> Result<Head, ScanError> {
+    let offset = source.offset();
+    let place = Place::top(offset);
+    let rest = source.file_bytes().saturating_sub(offset);
+    let bytes = source.peek(HEAD_BYTES)?;
+    let Some((&opcode, length)) = bytes.split_first() else {
+        let what = "file, without its footer";
+        return Err(ScanError::EndsEarly { place, what, missing: None });
+    };
+    let Ok(length) = <[u8; 8]>::try_from(length) else {
+        let what = "head of a record";
+        let missing = Some(HEAD_BYTES - rest);
+        return Err(ScanError::EndsEarly { place, what, missing });
+    };
+    if !is_opcode(opcode) {
+        return Err(ScanError::Opcode { place, found: opcode });
+    }
+    let head = Head {
+        offset,
+        opcode,
+        bytes: u64::from_le_bytes(length),
+    };
+    match head.end() {
+        Some(end) if end <= source.file_bytes() || opcode == op::CHUNK => Ok(head),
+        end => {
+            let missing = end.map(|end| end - source.file_bytes());
+            let what = kind_name(opcode);
+            Err(ScanError::EndsEarly { place, what, missing })
+        }
+    }
+}
+
+fn end_magic<R: Read + Seek>(source: &mut Source<R>) -> Result<(), ScanError> {
+    let place = Place::top(source.offset());
+    let mut magic = Vec::new();
+    source.read_up_to(MAGIC_BYTES, &mut magic)?;
+    if magic.len() < mcap::MAGIC.len() && mcap::MAGIC.starts_with(&magic) {
+        let what = "bytes that end an MCAP file";
+        let missing = Some(MAGIC_BYTES - magic.len() as u64);
+        return Err(ScanError::EndsEarly { place, what, missing });
+    }
+    if magic != mcap::MAGIC {
+        return Err(ScanError::EndMagic { place, found: magic });
+    }
+    match source.file_bytes() - source.offset() {
+        0 => Ok(()),
+        bytes => Err(ScanError::Trailing {
+            place: Place::top(source.offset()),
+            bytes,
+        }),
+    }
+}
+
+/// The checksum that a body has at a place, and that of what was read.
+fn checked(body: &[u8], at: usize, found: Option<u32>) -> Option<Crc> {
+    let saved = u32::from_le_bytes(*body.get(at..)?.first_chunk::<4>()?);
+    let found = found?;
+    Some(Crc { saved, found })
+}
+
+/// 0 is none; all others are either known, or kept for later versions and applications.
+const fn is_opcode(opcode: u8) -> bool {
+    opcode != 0
+}
+
+/// What a record is, in words.
+#[must_use]
+pub const fn kind_name(opcode: u8) -> &'static str {
+    match opcode {
+        op::HEADER => "header",
+        op::FOOTER => "footer",
+        op::SCHEMA => "schema",
+        op::CHANNEL => "channel",
+        op::MESSAGE => "message",
+        op::CHUNK => "chunk",
+        op::MESSAGE_INDEX => "message index",
+        op::CHUNK_INDEX => "chunk index",
+        op::ATTACHMENT => "attachment",
+        op::ATTACHMENT_INDEX => "attachment index",
+        op::STATISTICS => "statistics",
+        op::METADATA => "metadata",
+        op::METADATA_INDEX => "metadata index",
+        op::SUMMARY_OFFSET => "summary offset",
+        op::DATA_END => "end of data",
+        _ => "record of an unknown kind",
+    }
+}

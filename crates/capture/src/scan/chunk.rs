@@ -1,0 +1,316 @@
+//! The records in a chunk, decompressed as a stream.
+
+use std::io::{self, Read, Seek, Take};
+
+use mcap::records::ChunkHeader;
+
+use super::source::{Source, fill};
+use super::{ChunkFrame, Crc, HEAD_BYTES, Head, MAX_RECORD_BYTES, Place, ScanError};
+
+/// Fields of a chunk's head without the name of its compression, bytes.
+const FIXED_BYTES: u64 = 40;
+/// Longest name of a compression that is looked at, bytes.
+const MAX_NAME_BYTES: u64 = 64;
+/// Largest window of a zstd frame, as a power of two: 32 MiB, more than levels up to 19 use.
+const MAX_WINDOW_LOG: u32 = 25;
+
+/// A chunk that is being read.
+pub(super) struct Chunk<R> {
+    frame: ChunkFrame,
+    body: Body<R>,
+    crc: crc32fast::Hasher,
+    /// Decompressed bytes read.
+    read: u64,
+}
+
+enum Body<R> {
+    Plain(Take<Source<R>>),
+    Zstd(zstd::Decoder<'static, Take<Source<R>>>),
+    Lz4(lz4::Decoder<Take<Source<R>>>),
+}
+
+/// What comes next in a chunk.
+pub(super) enum Step {
+    /// A record, its body in the buffer.
+    Record { place: Place, opcode: u8 },
+    TooLong { place: Place, opcode: u8, bytes: u64 },
+    End { crc: Crc },
+}
+
+impl<R: Read> Read for Body<R> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::Plain(body) => body.read(into),
+            Self::Zstd(body) => body.read(into),
+            Self::Lz4(body) => body.read(into),
+        }
+    }
+}
+
+impl<R: Read> Body<R> {
+    fn into_source(self) -> Source<R> {
+        match self {
+            Self::Plain(body) => body,
+            Self::Zstd(body) => body.finish(),
+            Self::Lz4(body) => body.finish().0,
+        }
+        .into_inner()
+    }
+}
+
+impl<R: Read + Seek> Chunk<R> {
+    /// Reads the head of the chunk. The source comes back where the chunk cannot be read, unless
+    /// the system had no memory for a decompressor.
+    pub(super) fn begin(
+        mut source: Source<R>,
+        head: Head,
+    ) -> Result<Box<Self>, (Option<Source<R>>, ScanError)> {
+        let frame = match frame(&mut source, head) {
+            Ok(frame) => frame,
+            Err(error) => return Err((Some(source), error)),
+        };
+        let limit = frame.header.compressed_size;
+        let no_memory = |error: io::Error| (None, failed(&frame, 0, &error));
+        let body = match frame.header.compression.as_str() {
+            "" => Body::Plain(source.take(limit)),
+            "zstd" => Body::Zstd(zstd_decoder(source.take(limit)).map_err(no_memory)?),
+            "lz4" => Body::Lz4(lz4::Decoder::new(source.take(limit)).map_err(no_memory)?),
+            other => {
+                let error = ScanError::Compression {
+                    place: Place::top(frame.offset),
+                    found: other.to_owned(),
+                };
+                return Err((Some(source), error));
+            }
+        };
+        Ok(Box::new(Self {
+            frame,
+            body,
+            crc: crc32fast::Hasher::new(),
+            read: 0,
+        }))
+    }
+
+    pub(super) fn frame(&self) -> &ChunkFrame {
+        &self.frame
+    }
+
+    /// The next record; its body goes to `buffer`.
+    pub(super) fn next(&mut self, buffer: &mut Vec<u8>) -> Result<Step, ScanError> {
+        let size = self.frame.header.uncompressed_size;
+        if self.read == size {
+            let (saved, crc) = (self.frame.header.uncompressed_crc, self.crc.clone());
+            return Ok(Step::End {
+                crc: Crc {
+                    saved,
+                    found: crc.finalize(),
+                },
+            });
+        }
+        let place = self.place();
+        self.take(HEAD_BYTES, buffer)?;
+        let (opcode, bytes) = match buffer.split_first() {
+            Some((&opcode, rest)) => match <[u8; 8]>::try_from(rest) {
+                Ok(length) => (opcode, u64::from_le_bytes(length)),
+                Err(_) => return Err(self.ends_early(place)),
+            },
+            None => return Err(self.ends_early(place)),
+        };
+        let left = size.saturating_sub(self.read);
+        if !super::is_opcode(opcode) {
+            return Err(ScanError::Opcode {
+                place,
+                found: opcode,
+            });
+        }
+        if bytes > left {
+            return Err(ScanError::PastChunk {
+                place,
+                found: bytes,
+                left,
+            });
+        }
+        if bytes > MAX_RECORD_BYTES {
+            self.pass_over(bytes, buffer, place)?;
+            return Ok(Step::TooLong {
+                place,
+                opcode,
+                bytes,
+            });
+        }
+        self.take(bytes, buffer)?;
+        if buffer.len() as u64 != bytes {
+            return Err(self.ends_early(place));
+        }
+        Ok(Step::Record { place, opcode })
+    }
+
+    /// Takes up to `bytes` of what is decompressed.
+    fn take(&mut self, bytes: u64, buffer: &mut Vec<u8>) -> Result<(), ScanError> {
+        let filled = fill(&mut self.body, bytes, buffer);
+        self.crc.update(buffer);
+        self.read += buffer.len() as u64;
+        filled.map_err(|error| {
+            if self.is_cut() {
+                self.ends_early(self.place())
+            } else {
+                failed(&self.frame, self.read, &error)
+            }
+        })
+    }
+
+    fn pass_over(
+        &mut self,
+        bytes: u64,
+        buffer: &mut Vec<u8>,
+        place: Place,
+    ) -> Result<(), ScanError> {
+        let mut left = bytes;
+        while left > 0 {
+            self.take(left.min(MAX_RECORD_BYTES), buffer)?;
+            if buffer.is_empty() {
+                return Err(self.ends_early(place));
+            }
+            left -= buffer.len() as u64;
+        }
+        buffer.clear();
+        Ok(())
+    }
+
+    fn place(&self) -> Place {
+        Place {
+            offset: self.frame.offset,
+            in_chunk: Some(self.read),
+        }
+    }
+
+    /// Whether the file ends before the chunk does.
+    fn is_cut(&self) -> bool {
+        let file_bytes = match &self.body {
+            Body::Plain(body) => body.get_ref().file_bytes(),
+            Body::Zstd(body) => body.get_ref().get_ref().file_bytes(),
+            Body::Lz4(body) => body.reader().get_ref().file_bytes(),
+        };
+        self.frame.offset.saturating_add(self.frame.bytes) > file_bytes
+    }
+
+    /// The decompressed records end before the head says so.
+    fn ends_early(&self, place: Place) -> ScanError {
+        if self.is_cut() {
+            return ScanError::EndsEarly {
+                place,
+                what: "chunk",
+                missing: None,
+            };
+        }
+        let size = self.frame.header.uncompressed_size;
+        let detail = format!("found {} bytes of records, its head says {size}", self.read);
+        ScanError::ChunkHeader { place, detail }
+    }
+
+    /// Passes over what the chunk has after its records.
+    pub(super) fn end(self: Box<Self>) -> Result<Source<R>, (Source<R>, ScanError)> {
+        let end = self.frame.offset + self.frame.bytes;
+        let place = self.place();
+        let mut source = self.body.into_source();
+        let missing = end.saturating_sub(source.file_bytes());
+        let rest = end - source.offset();
+        match source.skip(rest) {
+            Ok(()) if missing == 0 => Ok(source),
+            Ok(()) => {
+                let error = ScanError::EndsEarly {
+                    place,
+                    what: "chunk",
+                    missing: Some(missing),
+                };
+                Err((source, error))
+            }
+            Err(error) => Err((source, error)),
+        }
+    }
+
+    pub(super) fn into_source(self: Box<Self>) -> Source<R> {
+        self.body.into_source()
+    }
+}
+
+fn zstd_decoder<R: Read>(
+    limited: Take<Source<R>>,
+) -> io::Result<zstd::Decoder<'static, Take<Source<R>>>> {
+    let mut decoder = zstd::Decoder::with_buffer(limited)?;
+    decoder.window_log_max(MAX_WINDOW_LOG)?;
+    Ok(decoder)
+}
+
+fn failed(frame: &ChunkFrame, read: u64, error: &io::Error) -> ScanError {
+    ScanError::Decompress {
+        place: Place {
+            offset: frame.offset,
+            in_chunk: Some(read),
+        },
+        detail: error.to_string(),
+    }
+}
+
+/// Takes the head of a chunk and checks that its lengths agree.
+fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFrame, ScanError> {
+    let place = Place::top(head.offset);
+    let refuse = |detail: String| ScanError::ChunkHeader { place, detail };
+    let header = header(source.peek(HEAD_BYTES + FIXED_BYTES + MAX_NAME_BYTES)?)
+        .map_err(|detail| match detail {
+            Some(detail) => refuse(detail),
+            None => ScanError::EndsEarly {
+                place,
+                what: "chunk",
+                missing: None,
+            },
+        })?;
+    let header_bytes = FIXED_BYTES + header.compression.len() as u64;
+    let fits = header
+        .compressed_size
+        .checked_add(header_bytes)
+        .is_some_and(|bytes| bytes <= head.bytes);
+    if !fits || head.end().is_none() {
+        return Err(refuse(format!(
+            "{header_bytes} bytes of head and {} of records do not fit its {} bytes",
+            header.compressed_size, head.bytes
+        )));
+    }
+    source.skip(HEAD_BYTES + header_bytes)?;
+    Ok(ChunkFrame {
+        offset: head.offset,
+        bytes: HEAD_BYTES + head.bytes,
+        header,
+    })
+}
+
+/// The fields of a chunk's head; without a reason where the bytes end.
+pub(super) fn header(bytes: &[u8]) -> Result<ChunkHeader, Option<String>> {
+    fn number<const N: usize>(bytes: &mut &[u8]) -> Result<[u8; N], Option<String>> {
+        let (number, rest) = bytes.split_first_chunk::<N>().ok_or(None)?;
+        *bytes = rest;
+        Ok(*number)
+    }
+    let mut rest = bytes.get(HEAD_BYTES as usize..).ok_or(None)?;
+    let message_start_time = u64::from_le_bytes(number(&mut rest)?);
+    let message_end_time = u64::from_le_bytes(number(&mut rest)?);
+    let uncompressed_size = u64::from_le_bytes(number(&mut rest)?);
+    let uncompressed_crc = u32::from_le_bytes(number(&mut rest)?);
+    let name_bytes = u32::from_le_bytes(number(&mut rest)?);
+    if u64::from(name_bytes) > MAX_NAME_BYTES {
+        let detail = format!("the name of its compression has {name_bytes} bytes; allowed are {MAX_NAME_BYTES}");
+        return Err(Some(detail));
+    }
+    let (name, mut rest) = rest.split_at_checked(name_bytes as usize).ok_or(None)?;
+    let compression = String::from_utf8(name.to_vec())
+        .map_err(|_| Some("the name of its compression is no UTF-8".to_owned()))?;
+    let compressed_size = u64::from_le_bytes(number(&mut rest)?);
+    Ok(ChunkHeader {
+        message_start_time,
+        message_end_time,
+        uncompressed_size,
+        uncompressed_crc,
+        compression,
+        compressed_size,
+    })
+}
