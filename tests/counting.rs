@@ -10,6 +10,9 @@ thread_local! {
     /// Calls and bytes of this thread alone: keepers, clerks and other tests run beside it.
     static CALLS: Cell<u64> = const { Cell::new(0) };
     static BYTES: Cell<u64> = const { Cell::new(0) };
+    /// What is allocated now, and the most that was, bytes.
+    static LIVE: Cell<i64> = const { Cell::new(0) };
+    static PEAK: Cell<i64> = const { Cell::new(0) };
 }
 
 struct Counting;
@@ -18,6 +21,17 @@ fn count(bytes: usize) {
     // A thread that is being torn down has no counters any more.
     let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
     let _ = BYTES.try_with(|total| total.set(total.get() + bytes as u64));
+    hold(bytes as i64);
+}
+
+fn hold(bytes: i64) {
+    let Ok(live) = LIVE.try_with(|live| {
+        live.set(live.get() + bytes);
+        live.get()
+    }) else {
+        return;
+    };
+    let _ = PEAK.try_with(|peak| peak.set(peak.get().max(live)));
 }
 
 // SAFETY: every call goes to the system's allocator unchanged; counting touches only constant
@@ -37,11 +51,13 @@ unsafe impl GlobalAlloc for Counting {
 
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count(size);
+        hold(-(layout.size() as i64));
         // SAFETY: `block` came from the system's allocator, as all blocks of this one do.
         unsafe { System.realloc(block, layout, size) }
     }
 
     unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
+        hold(-(layout.size() as i64));
         // SAFETY: `block` came from the system's allocator, as all blocks of this one do.
         unsafe { System.dealloc(block, layout) }
     }
@@ -65,4 +81,12 @@ pub(crate) fn allocations(work: impl FnOnce()) -> u64 {
     let before = calls();
     work();
     calls() - before
+}
+
+/// What `work` returns, and the most bytes that this thread held at once for it.
+pub(crate) fn peak<T>(work: impl FnOnce() -> T) -> (T, u64) {
+    let before = LIVE.get();
+    PEAK.set(before);
+    let done = work();
+    (done, u64::try_from(PEAK.get() - before).unwrap_or_default())
 }

@@ -7,6 +7,7 @@
 
 mod chunk;
 mod error;
+mod layout;
 mod resume;
 mod source;
 
@@ -125,22 +126,12 @@ impl<'a> Raw<'a> {
             what: kind_name(self.opcode),
             detail,
         };
-        // The library subtracts without looking.
-        if self.opcode == op::ATTACHMENT && attachment_rest(self.body).is_none() {
+        // The library allocates what a length says, and subtracts without looking.
+        if !layout::fits(self.opcode, self.body) {
             return Err(refuse("its fields do not fit its length".to_owned()));
         }
         mcap::parse_record(self.opcode, self.body).map_err(|error| refuse(in_words(&error)))
     }
-}
-
-/// What is left of an attachment after its names: data and checksum.
-fn attachment_rest(body: &[u8]) -> Option<&[u8]> {
-    let mut rest = body.get(16..)?;
-    for _ in 0..2 {
-        let (length, tail) = rest.split_first_chunk::<4>()?;
-        rest = tail.get(usize::try_from(u32::from_le_bytes(*length)).ok()?..)?;
-    }
-    (rest.len() >= 12).then_some(rest)
 }
 
 /// The error with its cause, on one line.
@@ -222,6 +213,19 @@ impl<R: Read + Seek> Scan<R> {
         self.file_bytes
     }
 
+    /// Goes on at `offset`, where a record has to begin. The checksum of what is jumped into is not
+    /// known then.
+    ///
+    /// # Errors
+    /// [`ScanError::Io`].
+    pub(crate) fn go_to(&mut self, offset: u64) -> Result<(), ScanError> {
+        if let State::Top(source) = &mut self.state {
+            source.go_to(offset)?;
+            source.restart_crc();
+        }
+        Ok(())
+    }
+
     /// The next thing in the file; `None` after the last byte of a complete one.
     ///
     /// # Errors
@@ -257,7 +261,11 @@ impl<R: Read + Seek> Scan<R> {
         }
     }
 
-    fn record(&mut self, mut source: Source<R>, head: Head) -> Result<Option<Event<'_>>, ScanError> {
+    fn record(
+        &mut self,
+        mut source: Source<R>,
+        head: Head,
+    ) -> Result<Option<Event<'_>>, ScanError> {
         let place = Place::top(head.offset);
         let crc = source.crc();
         let read = if head.bytes > MAX_RECORD_BYTES {
@@ -273,7 +281,11 @@ impl<R: Read + Seek> Scan<R> {
         if head.bytes > MAX_RECORD_BYTES {
             self.state = State::Top(source);
             let (opcode, bytes) = (head.opcode, head.bytes);
-            return Ok(Some(Event::TooLong { place, opcode, bytes }));
+            return Ok(Some(Event::TooLong {
+                place,
+                opcode,
+                bytes,
+            }));
         }
         let mut found = None;
         if head.opcode == op::DATA_END {
@@ -290,13 +302,24 @@ impl<R: Read + Seek> Scan<R> {
     }
 
     /// The footer's checksum covers the summary and the footer up to the checksum.
-    fn footer(&mut self, mut source: Source<R>, head: Head) -> Result<Option<Event<'_>>, ScanError> {
+    fn footer(
+        &mut self,
+        mut source: Source<R>,
+        head: Head,
+    ) -> Result<Option<Event<'_>>, ScanError> {
         const FOOTER_BYTES: u64 = 20;
         let place = Place::top(head.offset);
         if head.bytes != FOOTER_BYTES {
             let detail = format!("it is {} bytes long, not {FOOTER_BYTES}", head.bytes);
             let what = kind_name(op::FOOTER);
-            return Err(self.fail(source, ScanError::Record { place, what, detail }));
+            return Err(self.fail(
+                source,
+                ScanError::Record {
+                    place,
+                    what,
+                    detail,
+                },
+            ));
         }
         let mut covered = Vec::new();
         let read = source
@@ -351,12 +374,20 @@ impl<R: Read + Seek> Scan<R> {
                         self.state = State::Top(source);
                         Ok(Some(Event::ChunkEnds { frame, crc }))
                     }
-                    Err((source, error)) => Err(self.fail(source, error)),
+                    Err((source, error)) => {
+                        let after = source.offset();
+                        let error = self.fail(source, error);
+                        self.failed = Some(resume::Failure {
+                            from: after,
+                            search_from: after,
+                            next: None,
+                        });
+                        Err(error)
+                    }
                 }
             }
             Err(error) => {
-                let frame = chunk.frame();
-                let failure = resume::Failure::in_chunk(frame, self.file_bytes);
+                let failure = chunk.failure();
                 self.state = State::Top(chunk.into_source());
                 self.failed = Some(failure);
                 Err(error)
@@ -366,7 +397,11 @@ impl<R: Read + Seek> Scan<R> {
 
     fn fail(&mut self, source: Source<R>, error: ScanError) -> ScanError {
         self.state = State::Top(source);
-        self.failed = Some(resume::Failure::at_top(error.place().offset));
+        self.failed = Some(resume::Failure {
+            from: error.place().offset,
+            search_from: error.place().offset + 1,
+            next: None,
+        });
         error
     }
 }
@@ -379,15 +414,26 @@ fn head<R: Read + Seek>(source: &mut Source<R>) -> Result<Head, ScanError> {
     let bytes = source.peek(HEAD_BYTES)?;
     let Some((&opcode, length)) = bytes.split_first() else {
         let what = "file, without its footer";
-        return Err(ScanError::EndsEarly { place, what, missing: None });
+        return Err(ScanError::EndsEarly {
+            place,
+            what,
+            missing: None,
+        });
     };
     let Ok(length) = <[u8; 8]>::try_from(length) else {
         let what = "head of a record";
         let missing = Some(HEAD_BYTES - rest);
-        return Err(ScanError::EndsEarly { place, what, missing });
+        return Err(ScanError::EndsEarly {
+            place,
+            what,
+            missing,
+        });
     };
     if !is_opcode(opcode) {
-        return Err(ScanError::Opcode { place, found: opcode });
+        return Err(ScanError::Opcode {
+            place,
+            found: opcode,
+        });
     }
     let head = Head {
         offset,
@@ -399,7 +445,11 @@ fn head<R: Read + Seek>(source: &mut Source<R>) -> Result<Head, ScanError> {
         end => {
             let missing = end.map(|end| end - source.file_bytes());
             let what = kind_name(opcode);
-            Err(ScanError::EndsEarly { place, what, missing })
+            Err(ScanError::EndsEarly {
+                place,
+                what,
+                missing,
+            })
         }
     }
 }
@@ -411,10 +461,17 @@ fn end_magic<R: Read + Seek>(source: &mut Source<R>) -> Result<(), ScanError> {
     if magic.len() < mcap::MAGIC.len() && mcap::MAGIC.starts_with(&magic) {
         let what = "bytes that end an MCAP file";
         let missing = Some(MAGIC_BYTES - magic.len() as u64);
-        return Err(ScanError::EndsEarly { place, what, missing });
+        return Err(ScanError::EndsEarly {
+            place,
+            what,
+            missing,
+        });
     }
     if magic != mcap::MAGIC {
-        return Err(ScanError::EndMagic { place, found: magic });
+        return Err(ScanError::EndMagic {
+            place,
+            found: magic,
+        });
     }
     match source.file_bytes() - source.offset() {
         0 => Ok(()),

@@ -14,7 +14,11 @@ fn folder() -> Option<PathBuf> {
     if path.is_dir() {
         return Some(path);
     }
-    assert!(std::env::var_os("CI").is_none(), "{} is missing", path.display());
+    assert!(
+        std::env::var_os("CI").is_none(),
+        "{} is missing",
+        path.display()
+    );
     println!("skipped: {} is missing", path.display());
     None
 }
@@ -30,7 +34,10 @@ fn the_416_conformance_files_are_read_as_they_are_described() {
         }
         for file in fs::read_dir(variant).unwrap() {
             let file = file.unwrap().path();
-            if file.extension().is_some_and(|extension| extension == "mcap") {
+            if file
+                .extension()
+                .is_some_and(|extension| extension == "mcap")
+            {
                 check(&file);
                 files += 1;
             }
@@ -48,7 +55,11 @@ fn check(file: &Path) {
     loop {
         match scan.next() {
             Ok(Some(Event::Record(raw))) => {
-                assert!(raw.crc.is_none_or(|crc| !crc.is_wrong()), "{}", file.display());
+                assert!(
+                    raw.crc.is_none_or(|crc| !crc.is_wrong()),
+                    "{}",
+                    file.display()
+                );
                 found.extend(in_json(raw.parse().unwrap()));
             }
             Ok(Some(Event::ChunkEnds { crc, .. })) => assert!(!crc.is_wrong()),
@@ -154,7 +165,10 @@ fn indexes_in_json(record: &Record<'_>) -> Option<Value> {
                 ["compression", index.compression],
                 ["message_end_time", number(index.message_end_time)],
                 ["message_index_length", number(index.message_index_length)],
-                ["message_index_offsets", counts(&index.message_index_offsets)],
+                [
+                    "message_index_offsets",
+                    counts(&index.message_index_offsets)
+                ],
                 ["message_start_time", number(index.message_start_time)],
                 ["uncompressed_size", number(index.uncompressed_size)],
             ]),
@@ -176,7 +190,10 @@ fn indexes_in_json(record: &Record<'_>) -> Option<Value> {
             json!([
                 ["attachment_count", number(statistics.attachment_count)],
                 ["channel_count", number(statistics.channel_count)],
-                ["channel_message_counts", counts(&statistics.channel_message_counts)],
+                [
+                    "channel_message_counts",
+                    counts(&statistics.channel_message_counts)
+                ],
                 ["chunk_count", number(statistics.chunk_count)],
                 ["message_count", number(statistics.message_count)],
                 ["message_end_time", number(statistics.message_end_time)],
@@ -209,4 +226,3 @@ fn indexes_in_json(record: &Record<'_>) -> Option<Value> {
     };
     Some(json!({ "type": kind, "fields": fields }))
 }
-

@@ -4,6 +4,7 @@ use std::io::{self, Read, Seek, Take};
 
 use mcap::records::ChunkHeader;
 
+use super::resume::{Failure, is_record};
 use super::source::{Source, fill};
 use super::{ChunkFrame, Crc, HEAD_BYTES, Head, MAX_RECORD_BYTES, Place, ScanError};
 
@@ -21,6 +22,8 @@ pub(super) struct Chunk<R> {
     crc: crc32fast::Hasher,
     /// Decompressed bytes read.
     read: u64,
+    /// Where the record begins that is being read, in the decompressed records.
+    record: u64,
 }
 
 enum Body<R> {
@@ -32,9 +35,18 @@ enum Body<R> {
 /// What comes next in a chunk.
 pub(super) enum Step {
     /// A record, its body in the buffer.
-    Record { place: Place, opcode: u8 },
-    TooLong { place: Place, opcode: u8, bytes: u64 },
-    End { crc: Crc },
+    Record {
+        place: Place,
+        opcode: u8,
+    },
+    TooLong {
+        place: Place,
+        opcode: u8,
+        bytes: u64,
+    },
+    End {
+        crc: Crc,
+    },
 }
 
 impl<R: Read> Read for Body<R> {
@@ -88,6 +100,7 @@ impl<R: Read + Seek> Chunk<R> {
             body,
             crc: crc32fast::Hasher::new(),
             read: 0,
+            record: 0,
         }))
     }
 
@@ -108,6 +121,7 @@ impl<R: Read + Seek> Chunk<R> {
             });
         }
         let place = self.place();
+        self.record = self.read;
         self.take(HEAD_BYTES, buffer)?;
         let (opcode, bytes) = match buffer.split_first() {
             Some((&opcode, rest)) => match <[u8; 8]>::try_from(rest) {
@@ -208,23 +222,66 @@ impl<R: Read + Seek> Chunk<R> {
         ScanError::ChunkHeader { place, detail }
     }
 
-    /// Passes over what the chunk has after its records.
+    /// Where to go on after an error. The records of a plain chunk can be found one by one; what
+    /// is compressed is passed over, as far as its length can be believed.
+    pub(super) fn failure(&self) -> Failure {
+        let end = self.frame.offset.saturating_add(self.frame.bytes);
+        match &self.body {
+            Body::Plain(body) => {
+                let from = self.frame.offset + self.record + self.head_bytes();
+                Failure {
+                    from: from.min(body.get_ref().offset()),
+                    search_from: from + 1,
+                    next: None,
+                }
+            }
+            Body::Zstd(body) => Self::after(body.get_ref().get_ref(), end),
+            Body::Lz4(body) => Self::after(body.reader().get_ref(), end),
+        }
+    }
+
+    fn after(source: &Source<R>, end: u64) -> Failure {
+        let from = source.offset();
+        Failure {
+            from,
+            search_from: from,
+            next: (end < source.file_bytes()).then_some(end),
+        }
+    }
+
+    /// Bytes of the chunk's record before its records.
+    fn head_bytes(&self) -> u64 {
+        HEAD_BYTES + FIXED_BYTES + self.frame.header.compression.len() as u64
+    }
+
+    /// Passes over what the chunk has after its records. Where it would pass over further records,
+    /// its length is wrong.
     pub(super) fn end(self: Box<Self>) -> Result<Source<R>, (Source<R>, ScanError)> {
         let end = self.frame.offset + self.frame.bytes;
         let place = self.place();
         let mut source = self.body.into_source();
-        let missing = end.saturating_sub(source.file_bytes());
-        let rest = end - source.offset();
-        match source.skip(rest) {
-            Ok(()) if missing == 0 => Ok(source),
-            Ok(()) => {
-                let error = ScanError::EndsEarly {
-                    place,
-                    what: "chunk",
-                    missing: Some(missing),
-                };
-                Err((source, error))
+        let rest = end.saturating_sub(source.offset());
+        match follows_wrongly(&mut source, rest) {
+            Ok(false) => {}
+            Ok(true) => {
+                let detail =
+                    format!("its length has {rest} bytes too many, in which records stand");
+                return Err((source, ScanError::ChunkHeader { place, detail }));
             }
+            Err(error) => return Err((source, error)),
+        }
+        if end > source.file_bytes() {
+            let missing = Some(end - source.file_bytes());
+            let what = "chunk";
+            let error = ScanError::EndsEarly {
+                place,
+                what,
+                missing,
+            };
+            return Err((source, error));
+        }
+        match source.skip(rest) {
+            Ok(()) => Ok(source),
             Err(error) => Err((source, error)),
         }
     }
@@ -232,6 +289,18 @@ impl<R: Read + Seek> Chunk<R> {
     pub(super) fn into_source(self: Box<Self>) -> Source<R> {
         self.body.into_source()
     }
+}
+
+/// Whether a record begins where only filling should be.
+fn follows_wrongly<R: Read + Seek>(source: &mut Source<R>, rest: u64) -> Result<bool, ScanError> {
+    if rest == 0 {
+        return Ok(false);
+    }
+    let mark = source.mark();
+    let offset = source.offset();
+    let follows = is_record(source, offset, true)?;
+    source.back_to(mark)?;
+    Ok(follows)
 }
 
 fn zstd_decoder<R: Read>(
@@ -256,14 +325,16 @@ fn failed(frame: &ChunkFrame, read: u64, error: &io::Error) -> ScanError {
 fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFrame, ScanError> {
     let place = Place::top(head.offset);
     let refuse = |detail: String| ScanError::ChunkHeader { place, detail };
-    let header = header(source.peek(HEAD_BYTES + FIXED_BYTES + MAX_NAME_BYTES)?)
-        .map_err(|detail| match detail {
-            Some(detail) => refuse(detail),
-            None => ScanError::EndsEarly {
-                place,
-                what: "chunk",
-                missing: None,
-            },
+    let header =
+        header(source.peek(HEAD_BYTES + FIXED_BYTES + MAX_NAME_BYTES)?).map_err(|detail| {
+            match detail {
+                Some(detail) => refuse(detail),
+                None => ScanError::EndsEarly {
+                    place,
+                    what: "chunk",
+                    missing: None,
+                },
+            }
         })?;
     let header_bytes = FIXED_BYTES + header.compression.len() as u64;
     let fits = header
@@ -298,7 +369,9 @@ pub(super) fn header(bytes: &[u8]) -> Result<ChunkHeader, Option<String>> {
     let uncompressed_crc = u32::from_le_bytes(number(&mut rest)?);
     let name_bytes = u32::from_le_bytes(number(&mut rest)?);
     if u64::from(name_bytes) > MAX_NAME_BYTES {
-        let detail = format!("the name of its compression has {name_bytes} bytes; allowed are {MAX_NAME_BYTES}");
+        let detail = format!(
+            "the name of its compression has {name_bytes} bytes; allowed are {MAX_NAME_BYTES}"
+        );
         return Err(Some(detail));
     }
     let (name, mut rest) = rest.split_at_checked(name_bytes as usize).ok_or(None)?;

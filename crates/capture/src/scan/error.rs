@@ -15,7 +15,10 @@ pub enum ScanError {
         source: std::io::Error,
     },
     /// The file begins with other bytes than every MCAP file.
-    #[error("byte 0: found {found:02x?}, an MCAP file begins with {:02x?}", mcap::MAGIC)]
+    #[error(
+        "byte 0: found {found:02x?}, an MCAP file begins with {:02x?}",
+        mcap::MAGIC
+    )]
     NotMcap {
         /// Its first bytes, at most eight.
         found: Vec<u8>,
@@ -83,7 +86,10 @@ pub enum ScanError {
         left: u64,
     },
     /// The file does not end as every MCAP file.
-    #[error("{place}: found {found:02x?}, an MCAP file ends with {:02x?}", mcap::MAGIC)]
+    #[error(
+        "{place}: found {found:02x?}, an MCAP file ends with {:02x?}",
+        mcap::MAGIC
+    )]
     EndMagic {
         /// Where.
         place: Place,

@@ -5,7 +5,7 @@ use std::io::{Read, Seek};
 use mcap::records::op;
 
 use super::source::Source;
-use super::{ChunkFrame, HEAD_BYTES, Head, MAGIC_BYTES, Scan, ScanError, State, chunk};
+use super::{HEAD_BYTES, Head, MAGIC_BYTES, Scan, ScanError, State, chunk};
 
 /// Bytes looked through at a time.
 const WINDOW_BYTES: u64 = 64 << 10;
@@ -13,25 +13,12 @@ const WINDOW_BYTES: u64 = 64 << 10;
 /// What is known of the place that could not be read.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Failure {
-    offset: u64,
+    /// The first byte that was not read.
+    pub(super) from: u64,
+    /// Nothing before this byte is of use.
+    pub(super) search_from: u64,
     /// Where the next record should stand, if the length of the bad one is believed.
-    next: Option<u64>,
-}
-
-impl Failure {
-    /// At top level nothing says where the next record begins.
-    pub(super) const fn at_top(offset: u64) -> Self {
-        Self { offset, next: None }
-    }
-
-    /// A chunk whose lengths agree with each other is passed over as a whole.
-    pub(super) fn in_chunk(frame: &ChunkFrame, file_bytes: u64) -> Self {
-        let end = frame.offset.saturating_add(frame.bytes);
-        Self {
-            offset: frame.offset,
-            next: (end < file_bytes).then_some(end),
-        }
-    }
+    pub(super) next: Option<u64>,
 }
 
 /// Bytes that were passed over.
@@ -45,8 +32,8 @@ pub struct Skipped {
 
 impl<R: Read + Seek> Scan<R> {
     /// After an error: goes on at the next place that looks like a record, and says what is passed
-    /// over. Records of a chunk before its error have been yielded, although they are within the
-    /// bytes named here. `None` when nothing more looks like a record.
+    /// over. Within an uncompressed chunk its further records are found, and yielded as if they
+    /// stood at top level. `None` when nothing more looks like a record.
     ///
     /// # Errors
     /// [`ScanError::Io`].
@@ -57,14 +44,14 @@ impl<R: Read + Seek> Scan<R> {
         let State::Top(mut source) = std::mem::replace(&mut self.state, State::Gone) else {
             return Ok(None);
         };
-        let from = failure.offset;
+        let from = failure.from;
         let believed = match failure.next {
             Some(next) if is_record(&mut source, next, true)? => Some(next),
             _ => None,
         };
         let to = match believed {
             Some(next) => Some(next),
-            None => search(&mut source, from + 1)?,
+            None => search(&mut source, failure.search_from)?,
         };
         let Some(to) = to else {
             return Ok(None);
@@ -132,7 +119,7 @@ const fn least_bytes(opcode: u8) -> Option<u64> {
 }
 
 /// Whether a record stands at `offset`: its head, its lengths, and the head of what follows it.
-fn is_record<R: Read + Seek>(
+pub(super) fn is_record<R: Read + Seek>(
     source: &mut Source<R>,
     offset: u64,
     look_ahead: bool,
@@ -149,7 +136,9 @@ fn is_record<R: Read + Seek>(
     let is_sound = match head.opcode {
         op::CHUNK => chunk::header(bytes).is_ok_and(|header| {
             let known = matches!(header.compression.as_str(), "" | "zstd" | "lz4");
-            let size = header.compressed_size.checked_add(40 + header.compression.len() as u64);
+            let size = header
+                .compressed_size
+                .checked_add(40 + header.compression.len() as u64);
             known && size.is_some_and(|size| size <= head.bytes)
         }),
         op::FOOTER => head.bytes == 20,

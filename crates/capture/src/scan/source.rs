@@ -90,7 +90,9 @@ impl<R: Read + Seek> Source<R> {
 
     /// The next `bytes`, or as many as there are, without taking them; at most [`BUFFER_BYTES`].
     pub(super) fn peek(&mut self, bytes: u64) -> Result<&[u8], ScanError> {
-        let wanted = usize::try_from(bytes).unwrap_or(usize::MAX).min(BUFFER_BYTES);
+        let wanted = usize::try_from(bytes)
+            .unwrap_or(usize::MAX)
+            .min(BUFFER_BYTES);
         if self.end - self.start < wanted {
             self.buffer.copy_within(self.start..self.end, 0);
             self.end -= self.start;
@@ -108,6 +110,21 @@ impl<R: Read + Seek> Source<R> {
         Ok(&self.buffer[self.start..self.start + found])
     }
 
+    /// Where the source stands, and its checksum so far.
+    pub(super) fn mark(&self) -> Mark {
+        Mark {
+            offset: self.offset,
+            crc: self.crc.clone(),
+        }
+    }
+
+    /// Back to where it stood, as if nothing had been read since.
+    pub(super) fn back_to(&mut self, mark: Mark) -> Result<(), ScanError> {
+        self.go_to(mark.offset)?;
+        self.crc = mark.crc;
+        Ok(())
+    }
+
     /// Goes on at `offset`; there is no checksum until it is restarted.
     pub(super) fn go_to(&mut self, offset: u64) -> Result<(), ScanError> {
         if let Err(error) = self.input.seek(SeekFrom::Start(offset)) {
@@ -118,6 +135,12 @@ impl<R: Read + Seek> Source<R> {
         self.crc = None;
         Ok(())
     }
+}
+
+/// A place to come back to.
+pub(super) struct Mark {
+    offset: u64,
+    crc: Option<crc32fast::Hasher>,
 }
 
 /// Reads up to `bytes` in place of what `into` held; a length that lies allocates little.

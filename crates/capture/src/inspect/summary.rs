@@ -1,0 +1,350 @@
+//! The summary at the end of a file, compared with what stands before it.
+
+use std::collections::{BTreeMap, HashMap};
+
+use mcap::records::{AttachmentHeader, Footer, Record, Statistics, op};
+use serde::Serialize;
+
+use super::Severity;
+use super::chunks::Chunks;
+
+/// Whether the statistics in a file agree with what was counted.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "state")]
+pub enum StatisticsCheck {
+    /// The file has none.
+    Missing,
+    /// They say what was counted.
+    Agree,
+    /// They say something else.
+    Differ {
+        /// Which count, what they say, what was counted.
+        differences: Vec<String>,
+    },
+}
+
+/// An attachment or a metadata record as an index should name it.
+struct Entry {
+    bytes: u64,
+    name: String,
+    data_bytes: u64,
+    times: (u64, u64),
+    indexed: bool,
+}
+
+/// What was read of the summary, and what it is compared with.
+#[derive(Default)]
+pub(super) struct Summary {
+    starts_at: Option<u64>,
+    attachments: HashMap<u64, Entry>,
+    metadata: HashMap<u64, Entry>,
+    statistics: Option<Statistics>,
+    chunk_indexes: u64,
+    attachment_indexes: u64,
+    metadata_indexes: u64,
+    /// First byte and length of each run of records of one kind.
+    groups: BTreeMap<u8, (u64, u64)>,
+    summary_offsets: Vec<mcap::records::SummaryOffset>,
+}
+
+impl Summary {
+    pub(super) fn attachments(&self) -> u64 {
+        self.attachments.len() as u64
+    }
+
+    pub(super) fn metadata_records(&self) -> u64 {
+        self.metadata.len() as u64
+    }
+
+    pub(super) fn attachment(
+        &mut self,
+        offset: u64,
+        bytes: u64,
+        header: &AttachmentHeader,
+        data: u64,
+    ) {
+        let entry = Entry {
+            bytes,
+            name: header.name.clone(),
+            data_bytes: data,
+            times: (header.log_time, header.create_time),
+            indexed: false,
+        };
+        self.attachments.insert(offset, entry);
+    }
+
+    pub(super) fn metadata(&mut self, offset: u64, bytes: u64, name: &str) {
+        let entry = Entry {
+            bytes,
+            name: name.to_owned(),
+            data_bytes: 0,
+            times: (0, 0),
+            indexed: false,
+        };
+        self.metadata.insert(offset, entry);
+    }
+
+    /// The data ends; the summary begins at `offset`.
+    pub(super) fn begins(&mut self, offset: u64) {
+        self.starts_at = Some(offset);
+    }
+
+    /// A record after the end of the data, for the summary offsets.
+    pub(super) fn group(&mut self, opcode: u8, offset: u64, bytes: u64) {
+        if matches!(opcode, op::DATA_END | op::FOOTER) {
+            return;
+        }
+        let group = self.groups.entry(opcode).or_insert((offset, 0));
+        if group.0 + group.1 == offset {
+            group.1 += bytes;
+        }
+    }
+
+    /// Takes a record of the summary; says what is wrong with it.
+    pub(super) fn take(
+        &mut self,
+        offset: u64,
+        record: Record<'_>,
+        chunks: &mut Chunks,
+    ) -> Option<String> {
+        match record {
+            Record::Statistics(statistics) => {
+                self.statistics = Some(statistics);
+                None
+            }
+            Record::ChunkIndex(index) => {
+                self.chunk_indexes += 1;
+                chunks.chunk_index(&index)
+            }
+            Record::AttachmentIndex(index) => {
+                self.attachment_indexes += 1;
+                let at = index.offset;
+                let Some(entry) = self.attachments.get_mut(&at) else {
+                    return Some(format!(
+                        "attachment index: there is no sound attachment at byte {at}"
+                    ));
+                };
+                entry.indexed = true;
+                let agrees = entry.bytes == index.length
+                    && entry.name == index.name
+                    && entry.data_bytes == index.data_size
+                    && entry.times == (index.log_time, index.create_time);
+                (!agrees).then(|| {
+                    format!(
+                        "attachment index: {:?} at byte {at} has other fields",
+                        entry.name
+                    )
+                })
+            }
+            Record::MetadataIndex(index) => {
+                self.metadata_indexes += 1;
+                let at = index.offset;
+                let Some(entry) = self.metadata.get_mut(&at) else {
+                    return Some(format!(
+                        "metadata index: there is no sound metadata at byte {at}"
+                    ));
+                };
+                entry.indexed = true;
+                let agrees = entry.bytes == index.length && entry.name == index.name;
+                (!agrees).then(|| {
+                    format!(
+                        "metadata index: {:?} at byte {at} has other fields",
+                        entry.name
+                    )
+                })
+            }
+            Record::SummaryOffset(summary_offset) => {
+                self.summary_offsets.push(summary_offset);
+                None
+            }
+            other => Some(format!(
+                "opcode {:#04x} has no place at byte {offset}",
+                other.opcode()
+            )),
+        }
+    }
+
+    /// What is wrong with the footer at `offset`.
+    pub(super) fn footer(&mut self, offset: u64, footer: Footer) -> Vec<String> {
+        let mut wrong = Vec::new();
+        let start = self.starts_at.filter(|start| *start != offset).unwrap_or(0);
+        let offsets = self
+            .groups
+            .get(&op::SUMMARY_OFFSET)
+            .map_or(0, |(start, _)| *start);
+        // Where only summary offsets stand, there is no summary that begins.
+        let start = if start == offsets { 0 } else { start };
+        if self.starts_at.is_none() {
+            wrong.push("there is no end of data before the footer".to_owned());
+        } else if footer.summary_start != start
+            && footer.summary_start != self.starts_at.unwrap_or(0)
+        {
+            wrong.push(format!(
+                "footer: the summary begins at byte {start}, not {}",
+                footer.summary_start
+            ));
+        }
+        if footer.summary_offset_start != offsets {
+            let said = footer.summary_offset_start;
+            wrong.push(format!(
+                "footer: the summary offsets begin at byte {offsets}, not {said}"
+            ));
+        }
+        for said in &self.summary_offsets {
+            let found = self
+                .groups
+                .get(&said.group_opcode)
+                .copied()
+                .unwrap_or_default();
+            if found != (said.group_start, said.group_length) {
+                wrong.push(format!(
+                    "summary offset: {} records are {} bytes from byte {}, not {} from {}",
+                    crate::scan::kind_name(said.group_opcode),
+                    found.1,
+                    found.0,
+                    said.group_length,
+                    said.group_start
+                ));
+            }
+        }
+        wrong
+    }
+
+    /// What the whole summary says about the whole file.
+    pub(super) fn finish(
+        &self,
+        counted: &Statistics,
+        used: (u16, u32),
+        chunks: &Chunks,
+        complete: bool,
+    ) -> (StatisticsCheck, Vec<(Severity, String)>) {
+        let mut wrong = Vec::new();
+        let check = match &self.statistics {
+            None => StatisticsCheck::Missing,
+            Some(said) => {
+                let mut counted = counted.clone();
+                // libmcap leaves out what no message was written with.
+                if (said.schema_count, said.channel_count) == used && used.1 < counted.channel_count
+                {
+                    let what = "the statistics leave out schemas and channels without messages";
+                    wrong.push((Severity::Note, what.to_owned()));
+                    (counted.schema_count, counted.channel_count) = used;
+                }
+                let differences = differences(said, &counted);
+                if differences.is_empty() {
+                    StatisticsCheck::Agree
+                } else {
+                    wrong.push((
+                        Severity::Error,
+                        format!("statistics: {}", differences.join(", ")),
+                    ));
+                    StatisticsCheck::Differ { differences }
+                }
+            }
+        };
+        if !complete {
+            return (check, wrong);
+        }
+        let unindexed = |entries: &HashMap<u64, Entry>| {
+            entries.values().filter(|entry| !entry.indexed).count() as u64
+        };
+        for (kind, indexes, unindexed) in [
+            ("chunks", self.chunk_indexes, chunks.unindexed()),
+            (
+                "attachments",
+                self.attachment_indexes,
+                unindexed(&self.attachments),
+            ),
+            (
+                "metadata records",
+                self.metadata_indexes,
+                unindexed(&self.metadata),
+            ),
+        ] {
+            if unindexed > 0 {
+                let severity = if indexes > 0 {
+                    Severity::Error
+                } else {
+                    Severity::Note
+                };
+                wrong.push((severity, format!("{unindexed} {kind} are in no index")));
+            }
+        }
+        if self.statistics.is_none() {
+            wrong.push((Severity::Note, "there are no statistics".to_owned()));
+        }
+        if let Some(place) = chunks.without_index() {
+            let what = format!("{place}: a chunk without message indexes, while others have them");
+            wrong.push((Severity::Error, what));
+        }
+        (check, wrong)
+    }
+}
+
+/// Which counts differ, in words.
+fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
+    let span = |statistics: &Statistics| {
+        // Without messages the times mean nothing.
+        if statistics.message_count == 0 {
+            return (0, 0);
+        }
+        (statistics.message_start_time, statistics.message_end_time)
+    };
+    let mut differences: Vec<String> = [
+        ("messages", said.message_count, counted.message_count),
+        (
+            "schemas",
+            said.schema_count.into(),
+            counted.schema_count.into(),
+        ),
+        (
+            "channels",
+            said.channel_count.into(),
+            counted.channel_count.into(),
+        ),
+        (
+            "attachments",
+            said.attachment_count.into(),
+            counted.attachment_count.into(),
+        ),
+        (
+            "metadata records",
+            said.metadata_count.into(),
+            counted.metadata_count.into(),
+        ),
+        (
+            "chunks",
+            said.chunk_count.into(),
+            counted.chunk_count.into(),
+        ),
+        ("first log time", span(said).0, span(counted).0),
+        ("last log time", span(said).1, span(counted).1),
+    ]
+    .into_iter()
+    .filter(|(_, said, counted)| said != counted)
+    .map(|(what, said, counted)| format!("{what}: {said} written down, {counted} found"))
+    .collect();
+    let channels = said
+        .channel_message_counts
+        .keys()
+        .chain(counted.channel_message_counts.keys());
+    let mut channels: Vec<u16> = channels.copied().collect();
+    channels.sort_unstable();
+    channels.dedup();
+    for channel in channels {
+        let of = |statistics: &Statistics| {
+            statistics
+                .channel_message_counts
+                .get(&channel)
+                .copied()
+                .unwrap_or(0)
+        };
+        if of(said) != of(counted) {
+            let (said, counted) = (of(said), of(counted));
+            differences.push(format!(
+                "channel {channel}: {said} messages written down, {counted} found"
+            ));
+        }
+    }
+    differences
+}

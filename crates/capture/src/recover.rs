@@ -1,0 +1,369 @@
+//! Making a whole file of a damaged one, and saying what is lost.
+//!
+//! Everything that can be read is written again in its order, with new indexes and checksums.
+//! What is lost is counted by kind: by the file's own statistics if they survived, else by the
+//! message indexes behind damaged chunks; what neither tells is not guessed but called unknown.
+
+mod ledger;
+
+use std::collections::BTreeMap;
+use std::io::{Read, Seek, SeekFrom, Write};
+
+use mcap::records::{Channel, Footer, MessageHeader, Metadata, Record, Statistics, op};
+use mcap::{Attachment, Compression, McapError, WriteOptions};
+
+use crate::scan::{Event, Place, Raw, Scan, ScanError, kind_name};
+use ledger::Ledger;
+pub use ledger::{Counts, Recovery, Trouble};
+
+/// Name of the metadata record that says what was done to a file.
+pub const RECOVERED: &str = "joulebus.recovered";
+/// Uncompressed size at which a chunk is written, bytes.
+const CHUNK_BYTES: u64 = 1 << 20;
+/// Footer and magic at the end of a file, bytes.
+const TAIL_BYTES: u64 = 37;
+
+/// Why nothing could be recovered, or not written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecoverError {
+    /// The input is no MCAP file, or cannot be read.
+    #[error(transparent)]
+    Read(#[from] ScanError),
+    /// The result cannot be written.
+    #[error("cannot write: {0}")]
+    Write(McapError),
+}
+
+/// Reads what can be read of `input` and writes it to `output` as a whole file.
+///
+/// Messages of a chunk whose checksum is wrong are written and counted as suspect: which of them is
+/// damaged cannot be told. A record of the result, [`RECOVERED`], says so.
+///
+/// # Errors
+/// [`RecoverError`]: the input is no MCAP file at all, or one of the two files fails.
+pub fn recover<R, W>(mut input: R, output: W) -> Result<(Recovery, W), RecoverError>
+where
+    R: Read + Seek,
+    W: Write + Seek,
+{
+    let summary = read_summary(&mut input);
+    let mut scan = Scan::new(input)?;
+    let mut rescue = Rescue {
+        out: Out::Waiting(output),
+        profile: String::new(),
+        ledger: Ledger::default(),
+        summary,
+        known: BTreeMap::new(),
+    };
+    loop {
+        match scan.next() {
+            Ok(Some(event)) => rescue.take(event)?,
+            Ok(None) => break,
+            Err(error @ ScanError::Io { .. }) => return Err(error.into()),
+            Err(error) => {
+                rescue.ledger.broken(&error);
+                match scan.resume()? {
+                    Some(skipped) => rescue.ledger.skipped(skipped),
+                    None => break,
+                }
+            }
+        }
+    }
+    rescue.finish()
+}
+
+/// What the summary at the end of a file knows: it may have survived what the data did not.
+#[derive(Default)]
+struct Saved {
+    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
+    channels: BTreeMap<u16, Channel>,
+    statistics: Option<Statistics>,
+}
+
+/// Reads the summary if it is whole; its checksum has to be right.
+fn read_summary(input: &mut (impl Read + Seek)) -> Saved {
+    let mut saved = Saved::default();
+    match try_summary(input, &mut saved) {
+        Ok(true) => saved,
+        // Without a summary there is nothing to fall back on, and nothing wrong.
+        Ok(false) | Err(_) => Saved::default(),
+    }
+}
+
+fn try_summary(input: &mut (impl Read + Seek), saved: &mut Saved) -> Result<bool, ScanError> {
+    let io = |source| ScanError::Io {
+        place: Place {
+            offset: 0,
+            in_chunk: None,
+        },
+        source,
+    };
+    let file_bytes = input.seek(SeekFrom::End(0)).map_err(io)?;
+    let Some(at) = file_bytes.checked_sub(TAIL_BYTES) else {
+        return Ok(false);
+    };
+    input.seek(SeekFrom::Start(at)).map_err(io)?;
+    let mut tail = [0; TAIL_BYTES as usize];
+    input.read_exact(&mut tail).map_err(io)?;
+    let Ok(Record::Footer(Footer { summary_start, .. })) =
+        mcap::parse_record(op::FOOTER, &tail[9..29])
+    else {
+        return Ok(false);
+    };
+    if tail[0] != op::FOOTER || summary_start == 0 || summary_start > at {
+        return Ok(false);
+    }
+    let mut scan = Scan::new(input)?;
+    scan.go_to(summary_start)?;
+    while let Some(event) = scan.next()? {
+        let Event::Record(raw) = event else {
+            return Ok(false);
+        };
+        match raw.parse()? {
+            Record::Schema { header, data } => {
+                let schema = (header.name, header.encoding, data.into_owned());
+                saved.schemas.insert(header.id, schema);
+            }
+            Record::Channel(channel) => {
+                saved.channels.insert(channel.id, channel);
+            }
+            Record::Statistics(statistics) => saved.statistics = Some(statistics),
+            Record::Footer(_) => return Ok(raw.crc.is_none_or(|crc| !crc.is_wrong())),
+            _ => {}
+        }
+    }
+    Ok(false)
+}
+
+/// The file being written. Its compression is that of the first chunk.
+enum Out<W: Write + Seek> {
+    Waiting(W),
+    Open(Box<mcap::Writer<W>>),
+    Gone,
+}
+
+struct Rescue<W: Write + Seek> {
+    out: Out<W>,
+    profile: String,
+    ledger: Ledger,
+    summary: Saved,
+    /// Topics of the channels written so far.
+    known: BTreeMap<u16, String>,
+}
+
+impl<W: Write + Seek> Rescue<W> {
+    fn take(&mut self, event: Event<'_>) -> Result<(), RecoverError> {
+        match event {
+            Event::ChunkBegins(frame) => {
+                self.ledger.chunk_begins(&frame);
+                let compression = match frame.header.compression.as_str() {
+                    "zstd" => Some(Compression::Zstd),
+                    "lz4" => Some(Compression::Lz4),
+                    _ => None,
+                };
+                self.writer(compression)?;
+            }
+            Event::ChunkEnds { frame, crc } => self.ledger.chunk_ends(&frame, crc),
+            Event::TooLong {
+                place,
+                opcode,
+                bytes,
+            } => self.ledger.too_long(place, opcode, bytes),
+            Event::Record(raw) => self.record(&raw)?,
+        }
+        Ok(())
+    }
+
+    /// The writer; opens it if nothing has been written yet.
+    fn writer(
+        &mut self,
+        compression: Option<Compression>,
+    ) -> Result<&mut mcap::Writer<W>, RecoverError> {
+        if let Out::Waiting(_) = self.out {
+            let Out::Waiting(output) = std::mem::replace(&mut self.out, Out::Gone) else {
+                unreachable!("it was looked at just now");
+            };
+            let library = concat!("joulebus ", env!("CARGO_PKG_VERSION"), " recover");
+            // Seeking back in a file that could not grow is where the library panics.
+            let writer = WriteOptions::new()
+                .compression(compression)
+                .profile(self.profile.as_str())
+                .library(library)
+                .chunk_size(Some(CHUNK_BYTES))
+                .disable_seeking(true)
+                .create(output)
+                .map_err(RecoverError::Write)?;
+            self.out = Out::Open(Box::new(writer));
+        }
+        match &mut self.out {
+            Out::Open(writer) => Ok(writer),
+            Out::Waiting(_) | Out::Gone => {
+                Err(RecoverError::Write(McapError::AttemptedWriteAfterFailure))
+            }
+        }
+    }
+
+    fn record(&mut self, raw: &Raw<'_>) -> Result<(), RecoverError> {
+        self.ledger.before(raw);
+        let record = match raw.parse() {
+            Ok(record) => record,
+            Err(error) => {
+                self.ledger.unreadable(raw.opcode, &error);
+                return Ok(());
+            }
+        };
+        match record {
+            Record::Header(header) => {
+                if matches!(self.out, Out::Waiting(_)) {
+                    self.profile = header.profile;
+                }
+            }
+            // The summary repeats both; they have been read before.
+            Record::Schema { .. } | Record::Channel(_) if self.ledger.is_past_data() => {}
+            Record::Message { .. } | Record::Attachment { .. } | Record::Metadata(_)
+                if self.ledger.is_past_data() =>
+            {
+                self.ledger.misplaced(raw.place, raw.opcode);
+            }
+            Record::Schema { header, data } => {
+                let schema = (header.name, header.encoding, data.into_owned());
+                self.schema(raw.place, header.id, &schema)?;
+            }
+            Record::Channel(channel) => self.channel(raw.place, channel)?,
+            Record::Message { header, data } => self.message(raw.place, &header, &data)?,
+            Record::Attachment { header, data, .. } => {
+                let attachment = Attachment {
+                    log_time: header.log_time,
+                    create_time: header.create_time,
+                    name: header.name,
+                    media_type: header.media_type,
+                    data,
+                };
+                self.writer(None)?
+                    .attach(&attachment)
+                    .map_err(RecoverError::Write)?;
+                self.ledger.attachments.recovered += 1;
+            }
+            Record::Metadata(metadata) => {
+                self.writer(None)?
+                    .write_metadata(&metadata)
+                    .map_err(RecoverError::Write)?;
+                self.ledger.metadata.recovered += 1;
+            }
+            Record::MessageIndex(index) => self.ledger.message_index(index.records.len() as u64),
+            Record::DataEnd(_) => self.ledger.data_ends(raw.crc),
+            Record::Footer(_) => self.ledger.footer(raw.place, raw.crc),
+            Record::Unknown { opcode, .. } => {
+                let what = format!("{} {opcode:#04x} is left out", kind_name(opcode));
+                self.ledger.other_lost(raw.place, what);
+            }
+            // Indexes and statistics are made anew.
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn schema(
+        &mut self,
+        place: Place,
+        id: u16,
+        (name, encoding, data): &(String, String, Vec<u8>),
+    ) -> Result<(), RecoverError> {
+        let added = self
+            .writer(None)?
+            .add_schema_with_id(id, name, encoding, data);
+        match refused(added)? {
+            None => self.ledger.schema(id),
+            Some(why) => self.ledger.schemas.lose(
+                place,
+                format!("schema {id} ({name}): {why}"),
+                &mut self.ledger.troubles,
+            ),
+        }
+        Ok(())
+    }
+
+    fn channel(&mut self, place: Place, channel: Channel) -> Result<(), RecoverError> {
+        let schema = channel.schema_id;
+        if !self.ledger.has_schema(schema)
+            && let Some(saved) = self.summary.schemas.remove(&schema)
+        {
+            self.schema(place, schema, &saved)?;
+        }
+        let added = self.writer(None)?.add_channel_with_id(
+            channel.id,
+            schema,
+            &channel.topic,
+            &channel.message_encoding,
+            &channel.metadata,
+        );
+        match refused(added)? {
+            None => {
+                if self.known.insert(channel.id, channel.topic).is_none() {
+                    self.ledger.channels.recovered += 1;
+                }
+            }
+            Some(why) => {
+                let what = format!("channel {} ({}): {why}", channel.id, channel.topic);
+                self.ledger
+                    .channels
+                    .lose(place, what, &mut self.ledger.troubles);
+            }
+        }
+        Ok(())
+    }
+
+    fn message(
+        &mut self,
+        place: Place,
+        header: &MessageHeader,
+        data: &[u8],
+    ) -> Result<(), RecoverError> {
+        let id = header.channel_id;
+        if !self.known.contains_key(&id)
+            && let Some(saved) = self.summary.channels.remove(&id)
+        {
+            self.channel(place, saved)?;
+        }
+        let Some(topic) = self.known.get(&id) else {
+            self.ledger.orphan(place, id);
+            return Ok(());
+        };
+        self.ledger.message(topic);
+        self.writer(None)?
+            .write_to_known_channel(header, data)
+            .map_err(RecoverError::Write)
+    }
+
+    fn finish(mut self) -> Result<(Recovery, W), RecoverError> {
+        let statistics = self.summary.statistics.take();
+        let recovery = self.ledger.clone().settle(statistics.as_ref());
+        if !recovery.is_clean() {
+            let note = Metadata {
+                name: RECOVERED.to_owned(),
+                metadata: recovery.notes(),
+            };
+            self.writer(None)?
+                .write_metadata(&note)
+                .map_err(RecoverError::Write)?;
+        }
+        self.writer(None)?;
+        let Out::Open(mut writer) = self.out else {
+            return Err(RecoverError::Write(McapError::AttemptedWriteAfterFailure));
+        };
+        writer.finish().map_err(RecoverError::Write)?;
+        Ok((recovery, writer.into_inner()))
+    }
+}
+
+/// Why the writer does not take a schema or a channel; an error where it cannot write at all.
+fn refused(added: Result<u16, McapError>) -> Result<Option<String>, RecoverError> {
+    match added {
+        Ok(_) => Ok(None),
+        Err(error @ (McapError::Io(_) | McapError::AttemptedWriteAfterFailure)) => {
+            Err(RecoverError::Write(error))
+        }
+        Err(error) => Ok(Some(error.to_string())),
+    }
+}

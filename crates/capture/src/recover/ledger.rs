@@ -1,0 +1,452 @@
+//! What was recovered and what was lost.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+
+use mcap::records::{Statistics, op};
+use serde::Serialize;
+
+use crate::scan::{ChunkFrame, Crc, Place, Raw, ScanError, Skipped, kind_name};
+
+/// Troubles that are listed; more are only counted.
+const LISTED_TROUBLES: usize = 200;
+
+/// Records of one kind.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    /// Written to the result.
+    pub recovered: u64,
+    /// In the damaged file, as far as it tells, and not in the result.
+    pub lost: u64,
+    /// Among the recovered: of a chunk whose checksum is wrong.
+    pub suspect: u64,
+}
+
+impl Counts {
+    pub(super) fn lose(&mut self, place: Place, what: String, troubles: &mut Troubles) {
+        self.lost += 1;
+        troubles.add(place, what);
+    }
+}
+
+/// Something that could not be read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Trouble {
+    /// Where.
+    pub place: Place,
+    /// What is wrong there.
+    pub what: String,
+}
+
+/// The first troubles, and how many there are.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Troubles {
+    listed: Vec<Trouble>,
+    count: u64,
+}
+
+impl Troubles {
+    pub(super) fn add(&mut self, place: Place, what: String) {
+        self.count += 1;
+        if self.listed.len() < LISTED_TROUBLES {
+            self.listed.push(Trouble { place, what });
+        }
+    }
+}
+
+/// What came of a recovery.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Recovery {
+    /// Messages.
+    pub messages: Counts,
+    /// Schemas.
+    pub schemas: Counts,
+    /// Channels.
+    pub channels: Counts,
+    /// Attachments.
+    pub attachments: Counts,
+    /// Metadata records.
+    pub metadata: Counts,
+    /// Chunks; recovered are those that were read to their end.
+    pub chunks: Counts,
+    /// Records of kinds that cannot be copied.
+    pub others_lost: u64,
+    /// Recovered messages by topic.
+    pub topics: BTreeMap<String, u64>,
+    /// Whether more may have been lost than is counted: the file's own count is missing.
+    pub lost_unknown: bool,
+    /// Whether the data section has another checksum than written down: something outside of
+    /// chunks may be changed, or a record that was lost explains it.
+    pub doubt: bool,
+    /// Bytes that hold nothing readable.
+    pub passed_over_bytes: u64,
+    /// Troubles.
+    pub trouble_count: u64,
+    /// The first of them, in the order of the file.
+    pub troubles: Vec<Trouble>,
+}
+
+impl Recovery {
+    /// Whether the file was as it should be.
+    #[must_use]
+    pub fn is_clean(&self) -> bool {
+        self.is_lossless() && self.trouble_count == 0
+    }
+
+    /// Whether all that was written down is in the result, with nothing to doubt. Indexes and
+    /// checksums may have been lost: they are made anew.
+    #[must_use]
+    pub fn is_lossless(&self) -> bool {
+        let is_whole = |counts: Counts| counts.lost + counts.suspect == 0;
+        let kinds = self.kinds();
+        let in_doubt = self.lost_unknown || self.doubt || self.others_lost > 0;
+        !in_doubt && kinds.iter().all(|(_, counts)| is_whole(*counts))
+    }
+
+    fn kinds(&self) -> [(&'static str, Counts); 6] {
+        [
+            ("messages", self.messages),
+            ("schemas", self.schemas),
+            ("channels", self.channels),
+            ("attachments", self.attachments),
+            ("metadata", self.metadata),
+            ("chunks", self.chunks),
+        ]
+    }
+
+    /// The same for the result's own metadata.
+    pub(super) fn notes(&self) -> BTreeMap<String, String> {
+        let mut notes = BTreeMap::new();
+        for (kind, counts) in self.kinds() {
+            notes.insert(format!("{kind}_recovered"), counts.recovered.to_string());
+            notes.insert(format!("{kind}_lost"), counts.lost.to_string());
+            notes.insert(format!("{kind}_suspect"), counts.suspect.to_string());
+        }
+        notes.insert("lost_unknown".to_owned(), self.lost_unknown.to_string());
+        for (number, trouble) in self.troubles.iter().take(20).enumerate() {
+            let what = format!("{}: {}", trouble.place, trouble.what);
+            notes.insert(format!("trouble_{number:02}"), what);
+        }
+        notes
+    }
+}
+
+impl fmt::Display for Recovery {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for trouble in &self.troubles {
+            writeln!(out, "{}: {}", trouble.place, trouble.what)?;
+        }
+        if self.trouble_count > self.troubles.len() as u64 {
+            writeln!(
+                out,
+                "… and {} more",
+                self.trouble_count - self.troubles.len() as u64
+            )?;
+        }
+        writeln!(
+            out,
+            "{:<12} {:>10} {:>10} {:>10}",
+            "", "recovered", "lost", "suspect"
+        )?;
+        for (kind, counts) in self.kinds() {
+            writeln!(
+                out,
+                "{kind:<12} {:>10} {:>10} {:>10}",
+                counts.recovered, counts.lost, counts.suspect
+            )?;
+        }
+        if self.others_lost > 0 {
+            writeln!(out, "other records left out: {}", self.others_lost)?;
+        }
+        if self.doubt {
+            writeln!(
+                out,
+                "the data section has another checksum than was written down"
+            )?;
+        }
+        if self.passed_over_bytes > 0 {
+            writeln!(
+                out,
+                "bytes without anything readable: {}",
+                self.passed_over_bytes
+            )?;
+        }
+        if self.lost_unknown {
+            writeln!(
+                out,
+                "the file does not say how much it had: more may be lost than is counted"
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// Counts while a file goes by.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Ledger {
+    pub(super) messages: Counts,
+    pub(super) schemas: Counts,
+    pub(super) channels: Counts,
+    pub(super) attachments: Counts,
+    pub(super) metadata: Counts,
+    pub(super) chunks: Counts,
+    pub(super) troubles: Troubles,
+    others_lost: u64,
+    topics: BTreeMap<String, u64>,
+    seen_schemas: BTreeSet<u16>,
+    passed_over_bytes: u64,
+    chunk: Option<OpenChunk>,
+    doubt: bool,
+    data_ended: bool,
+    /// Messages may be lost without any index that counts them.
+    uncounted: bool,
+}
+
+/// The last chunk, until something else than its message indexes follows.
+#[derive(Debug, Clone, Copy, Default)]
+struct OpenChunk {
+    recovered: u64,
+    indexed: u64,
+    has_index: bool,
+    broken: bool,
+}
+
+impl Ledger {
+    pub(super) fn is_past_data(&self) -> bool {
+        self.data_ended
+    }
+
+    pub(super) fn has_schema(&self, id: u16) -> bool {
+        id == 0 || self.seen_schemas.contains(&id)
+    }
+
+    pub(super) fn schema(&mut self, id: u16) {
+        if self.seen_schemas.insert(id) {
+            self.schemas.recovered += 1;
+        }
+    }
+
+    /// No chunk stands behind the end of the data: where one does, that was none.
+    pub(super) fn chunk_begins(&mut self, frame: &ChunkFrame) {
+        self.settle_chunk();
+        if std::mem::take(&mut self.data_ended) {
+            let what = "chunk: behind what looked like the end of the data".to_owned();
+            self.troubles.add(
+                Place {
+                    offset: frame.offset,
+                    in_chunk: None,
+                },
+                what,
+            );
+        }
+        self.chunk = Some(OpenChunk::default());
+    }
+
+    pub(super) fn chunk_ends(&mut self, frame: &ChunkFrame, crc: Crc) {
+        self.chunks.recovered += 1;
+        if !crc.is_wrong() {
+            return;
+        }
+        let suspect = self.chunk.map_or(0, |chunk| chunk.recovered);
+        self.chunks.suspect += 1;
+        self.messages.suspect += suspect;
+        let (start, end) = (
+            frame.header.message_start_time,
+            frame.header.message_end_time,
+        );
+        let what = format!(
+            "chunk: its checksum is wrong; its {suspect} messages, log time {start} to {end} ns, are suspect"
+        );
+        let place = Place {
+            offset: frame.offset,
+            in_chunk: None,
+        };
+        self.troubles.add(place, what);
+    }
+
+    /// Before a record is looked at.
+    pub(super) fn before(&mut self, raw: &Raw<'_>) {
+        let is_of_chunk = raw.place.in_chunk.is_some()
+            || matches!(
+                raw.opcode,
+                op::MESSAGE_INDEX | op::MESSAGE | op::SCHEMA | op::CHANNEL
+            );
+        if !is_of_chunk {
+            self.settle_chunk();
+        }
+    }
+
+    /// What a broken chunk had and nobody recovered.
+    fn settle_chunk(&mut self) {
+        let Some(chunk) = self.chunk.take() else {
+            return;
+        };
+        if chunk.has_index {
+            self.messages.lost += chunk.indexed.saturating_sub(chunk.recovered);
+        } else if chunk.broken {
+            self.uncounted = true;
+        }
+    }
+
+    pub(super) fn broken(&mut self, error: &ScanError) {
+        let place = error.place();
+        if let (Some(chunk), Some(_)) = (&mut self.chunk, place.in_chunk) {
+            chunk.broken = true;
+            self.chunks.lost += 1;
+        } else if !self.data_ended {
+            self.settle_chunk();
+            self.uncounted = true;
+        }
+        let words = error.to_string();
+        let begin = format!("{place}: ");
+        let what = words.strip_prefix(&begin).unwrap_or(&words).to_owned();
+        self.troubles.add(place, what);
+    }
+
+    pub(super) fn skipped(&mut self, skipped: Skipped) {
+        self.passed_over_bytes += skipped.to - skipped.from;
+    }
+
+    pub(super) fn too_long(&mut self, place: Place, opcode: u8, bytes: u64) {
+        let what = format!(
+            "{} of {bytes} bytes is too long to be copied",
+            kind_name(opcode)
+        );
+        match self.kind(opcode) {
+            Some(counts) => counts.lost += 1,
+            None => self.others_lost += 1,
+        }
+        self.troubles.add(place, what);
+    }
+
+    pub(super) fn unreadable(&mut self, opcode: u8, error: &ScanError) {
+        if matches!(opcode, op::MESSAGE_INDEX | op::CHUNK_INDEX | op::STATISTICS) {
+            // Made anew.
+        } else if let Some(counts) = self.kind(opcode) {
+            counts.lost += 1;
+        }
+        let words = error.to_string();
+        let begin = format!("{}: ", error.place());
+        let what = words.strip_prefix(&begin).unwrap_or(&words).to_owned();
+        self.troubles.add(error.place(), what);
+    }
+
+    fn kind(&mut self, opcode: u8) -> Option<&mut Counts> {
+        Some(match opcode {
+            op::MESSAGE => &mut self.messages,
+            op::SCHEMA => &mut self.schemas,
+            op::CHANNEL => &mut self.channels,
+            op::ATTACHMENT => &mut self.attachments,
+            op::METADATA => &mut self.metadata,
+            _ => return None,
+        })
+    }
+
+    pub(super) fn other_lost(&mut self, place: Place, what: String) {
+        self.others_lost += 1;
+        self.troubles.add(place, what);
+    }
+
+    pub(super) fn orphan(&mut self, place: Place, channel: u16) {
+        let what = format!("message of channel {channel}, which is nowhere in the file");
+        // The index behind its chunk counts it, too: it is lost once.
+        match &mut self.chunk {
+            Some(chunk) => chunk.recovered += 1,
+            None => {}
+        }
+        self.messages.lose(place, what, &mut self.troubles);
+    }
+
+    pub(super) fn message(&mut self, topic: &str) {
+        self.messages.recovered += 1;
+        if let Some(chunk) = &mut self.chunk {
+            chunk.recovered += 1;
+        }
+        match self.topics.get_mut(topic) {
+            Some(count) => *count += 1,
+            None => {
+                self.topics.insert(topic.to_owned(), 1);
+            }
+        }
+    }
+
+    pub(super) fn message_index(&mut self, entries: u64) {
+        if let Some(chunk) = &mut self.chunk {
+            chunk.indexed += entries;
+            chunk.has_index = true;
+        }
+    }
+
+    pub(super) fn data_ends(&mut self, crc: Option<Crc>) {
+        self.settle_chunk();
+        self.data_ended = true;
+        if let Some(crc) = crc.filter(Crc::is_wrong) {
+            self.doubt = true;
+            let Crc { saved, found } = crc;
+            let what = format!("data section: checksum {found:08x}, written down was {saved:08x}");
+            let place = Place {
+                offset: 0,
+                in_chunk: None,
+            };
+            self.troubles.add(place, what);
+        }
+    }
+
+    /// A record that has no place in the summary.
+    pub(super) fn misplaced(&mut self, place: Place, opcode: u8) {
+        let what = format!("{} behind the end of the data", kind_name(opcode));
+        self.troubles.add(place, what);
+    }
+
+    pub(super) fn footer(&mut self, place: Place, crc: Option<Crc>) {
+        if let Some(Crc { saved, found }) = crc.filter(Crc::is_wrong) {
+            let what = format!(
+                "summary: checksum {found:08x}, written down was {saved:08x}; it is made anew"
+            );
+            self.troubles.add(place, what);
+        }
+    }
+
+    /// Closes the account; the file's own statistics are better than what was seen on the way.
+    pub(super) fn settle(mut self, statistics: Option<&Statistics>) -> Recovery {
+        self.settle_chunk();
+        if let Some(said) = statistics {
+            if let Some(more) = self.messages.recovered.checked_sub(said.message_count + 1) {
+                let what = format!("{} messages more than the statistics say", more + 1);
+                let place = Place {
+                    offset: 0,
+                    in_chunk: None,
+                };
+                self.troubles.add(place, what);
+            }
+            let exact = |counts: &mut Counts, said: u64| {
+                counts.lost = said.saturating_sub(counts.recovered);
+            };
+            exact(&mut self.messages, said.message_count);
+            exact(&mut self.attachments, said.attachment_count.into());
+            exact(&mut self.metadata, said.metadata_count.into());
+            exact(&mut self.chunks, said.chunk_count.into());
+            let missing = |counts: &mut Counts, said: u64| {
+                counts.lost = counts.lost.max(said.saturating_sub(counts.recovered));
+            };
+            missing(&mut self.schemas, said.schema_count.into());
+            missing(&mut self.channels, said.channel_count.into());
+        }
+        let lost_unknown = statistics.is_none() && (self.uncounted || !self.data_ended);
+        Recovery {
+            messages: self.messages,
+            schemas: self.schemas,
+            channels: self.channels,
+            attachments: self.attachments,
+            metadata: self.metadata,
+            chunks: self.chunks,
+            others_lost: self.others_lost,
+            topics: self.topics,
+            lost_unknown,
+            doubt: self.doubt,
+            passed_over_bytes: self.passed_over_bytes,
+            trouble_count: self.troubles.count,
+            troubles: self.troubles.listed,
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! Whether the lengths in a record fit the record, before anything is allocated for them.
+
+use mcap::records::op;
+
+/// A field of a record.
+#[derive(Debug, Clone, Copy)]
+enum Field {
+    /// Of so many bytes.
+    Fixed(usize),
+    /// Text, or entries of numbers: a length of four bytes, then so many bytes.
+    Counted,
+    /// Pairs of texts: a length of four bytes, then so many bytes of them.
+    Texts,
+    /// Data: a length of eight bytes, then so many bytes.
+    Data,
+}
+
+use Field::{Counted, Data, Fixed, Texts};
+
+/// The fields of the kinds that have lengths in them.
+const fn fields(opcode: u8) -> &'static [Field] {
+    match opcode {
+        op::HEADER => &[Counted, Counted],
+        op::SCHEMA => &[Fixed(2), Counted, Counted, Counted],
+        op::CHANNEL => &[Fixed(4), Counted, Counted, Texts],
+        op::MESSAGE_INDEX => &[Fixed(2), Counted],
+        op::CHUNK_INDEX => &[Fixed(32), Counted, Fixed(8), Counted, Fixed(16)],
+        op::ATTACHMENT => &[Fixed(16), Counted, Counted, Data, Fixed(4)],
+        op::ATTACHMENT_INDEX => &[Fixed(40), Counted, Counted],
+        op::STATISTICS => &[Fixed(42), Counted],
+        op::METADATA => &[Counted, Texts],
+        op::METADATA_INDEX => &[Fixed(16), Counted],
+        _ => &[],
+    }
+}
+
+/// Whether all fields of a record are in its body.
+pub(super) fn fits(opcode: u8, body: &[u8]) -> bool {
+    let mut rest = body;
+    fields(opcode)
+        .iter()
+        .all(|field| pass(*field, &mut rest).is_some())
+}
+
+/// Passes over a field; nothing if it is not whole.
+fn pass(field: Field, rest: &mut &[u8]) -> Option<()> {
+    match field {
+        Fixed(bytes) => {
+            take(bytes, rest)?;
+        }
+        Counted => {
+            counted(rest)?;
+        }
+        Texts => {
+            let mut texts = counted(rest)?;
+            while !texts.is_empty() {
+                counted(&mut texts)?;
+                counted(&mut texts)?;
+            }
+        }
+        Data => {
+            let length = take(8, rest)?.first_chunk::<8>()?;
+            take(usize::try_from(u64::from_le_bytes(*length)).ok()?, rest)?;
+        }
+    }
+    Some(())
+}
+
+fn counted<'a>(rest: &mut &'a [u8]) -> Option<&'a [u8]> {
+    let length = take(4, rest)?.first_chunk::<4>()?;
+    take(usize::try_from(u32::from_le_bytes(*length)).ok()?, rest)
+}
+
+fn take<'a>(bytes: usize, rest: &mut &'a [u8]) -> Option<&'a [u8]> {
+    let (taken, left) = rest.split_at_checked(bytes)?;
+    *rest = left;
+    Some(taken)
+}

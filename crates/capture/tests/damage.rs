@@ -1,0 +1,337 @@
+//! Damaged files: cut off at every byte, every byte changed. Nothing panics, nothing allocates
+//! wildly, every error names its place, and what is recovered and what is lost adds up.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+#[path = "../../../tests/counting.rs"]
+mod counting;
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+
+use joulebus_capture::inspect::{Severity, StatisticsCheck, inspect};
+use joulebus_capture::recover::{RECOVERED, Recovery, recover};
+use joulebus_capture::scan::{Event, Scan};
+use mcap::records::{MessageHeader, Metadata, Record, op};
+use mcap::{Attachment, Compression, WriteOptions};
+
+const MESSAGES: u64 = 40;
+/// One scan's buffers, one decompressor and one writer; a length that lies may not add to it.
+const MOST_BYTES: u64 = 24 << 20;
+
+/// How a file is written.
+#[derive(Debug, Clone, Copy)]
+struct Kind {
+    name: &'static str,
+    chunks: bool,
+    compression: Option<Compression>,
+    summary: bool,
+}
+
+const KINDS: [Kind; 5] = [
+    Kind {
+        name: "plain chunks",
+        chunks: true,
+        compression: None,
+        summary: true,
+    },
+    Kind {
+        name: "zstd",
+        chunks: true,
+        compression: Some(Compression::Zstd),
+        summary: true,
+    },
+    Kind {
+        name: "lz4",
+        chunks: true,
+        compression: Some(Compression::Lz4),
+        summary: true,
+    },
+    Kind {
+        name: "no chunks",
+        chunks: false,
+        compression: None,
+        summary: true,
+    },
+    Kind {
+        name: "no summary",
+        chunks: true,
+        compression: None,
+        summary: false,
+    },
+];
+
+fn file(kind: Kind) -> Vec<u8> {
+    let mut writer = WriteOptions::new()
+        .use_chunks(kind.chunks)
+        .chunk_size(Some(400))
+        .compression(kind.compression)
+        .emit_statistics(kind.summary)
+        .emit_summary_records(kind.summary)
+        .create(Cursor::new(Vec::new()))
+        .unwrap();
+    let config = Attachment {
+        log_time: 1,
+        create_time: 2,
+        name: "config.toml".to_owned(),
+        media_type: "application/toml".to_owned(),
+        data: b"[fleet]\nname = \"small\"\n".into(),
+    };
+    writer.attach(&config).unwrap();
+    let schema = writer
+        .add_schema("a.B", "protobuf", b"not really one")
+        .unwrap();
+    let channels: Vec<u16> = ["a", "b"]
+        .iter()
+        .map(|topic| {
+            writer
+                .add_channel(schema, topic, "protobuf", &BTreeMap::new())
+                .unwrap()
+        })
+        .collect();
+    for number in 0..MESSAGES {
+        let header = MessageHeader {
+            channel_id: channels[usize::from(number % 3 == 0)],
+            sequence: u32::try_from(number).unwrap(),
+            log_time: 1_000 + number * 33,
+            publish_time: 1_000 + number * 33,
+        };
+        let data: Vec<u8> = (0..20 + number).map(|at| (at * number) as u8).collect();
+        writer.write_to_known_channel(&header, &data).unwrap();
+    }
+    let metadata = Metadata {
+        name: "build".to_owned(),
+        metadata: BTreeMap::from([("version".to_owned(), "0".to_owned())]),
+    };
+    writer.write_metadata(&metadata).unwrap();
+    writer.finish().unwrap();
+    writer.into_inner().into_inner()
+}
+
+/// Recovers, and checks what every result promises.
+fn recovered(bytes: &[u8], what: &str) -> Option<Recovery> {
+    let (recovery, result) = match recover(Cursor::new(bytes), Cursor::new(Vec::new())) {
+        Ok(done) => done,
+        Err(error) => {
+            assert!(error.to_string().contains("byte 0"), "{what}: {error}");
+            return None;
+        }
+    };
+    let result = inspect(Cursor::new(result.into_inner())).unwrap();
+    assert!(
+        result.is_sound() && result.complete,
+        "{what}: {:?}",
+        result.findings
+    );
+    assert_eq!(result.statistics, StatisticsCheck::Agree, "{what}");
+    assert_eq!(result.messages, recovery.messages.recovered, "{what}");
+    assert_eq!(
+        result.attachment_count, recovery.attachments.recovered,
+        "{what}"
+    );
+    let note = u64::from(!recovery.is_clean());
+    assert_eq!(
+        result.metadata_count,
+        recovery.metadata.recovered + note,
+        "{what}"
+    );
+    if note == 1 {
+        assert!(
+            result
+                .metadata
+                .iter()
+                .any(|metadata| metadata.name == RECOVERED)
+        );
+    }
+    Some(recovery)
+}
+
+#[test]
+fn a_sound_file_comes_back_whole() {
+    for kind in KINDS {
+        let recovery = recovered(&file(kind), kind.name).unwrap();
+        assert!(recovery.is_clean(), "{}: {recovery}", kind.name);
+        assert_eq!(recovery.messages.recovered, MESSAGES, "{}", kind.name);
+        let b = MESSAGES.div_ceil(3);
+        let topics = BTreeMap::from([("a".to_owned(), MESSAGES - b), ("b".to_owned(), b)]);
+        assert_eq!(recovery.topics, topics);
+    }
+}
+
+/// Where each message ends in the file; only of files that are not compressed.
+fn message_ends(bytes: &[u8]) -> Vec<u64> {
+    let mut scan = Scan::new(Cursor::new(bytes)).unwrap();
+    let mut ends = Vec::new();
+    let mut records_at = 0;
+    while let Some(event) = scan.next().unwrap() {
+        match event {
+            // Its head: opcode, length, five numbers and an empty name.
+            Event::ChunkBegins(frame) => records_at = frame.offset + 49,
+            Event::Record(raw) if raw.opcode == op::MESSAGE => {
+                let start = match raw.place.in_chunk {
+                    Some(inner) => records_at + inner,
+                    None => raw.place.offset,
+                };
+                ends.push(start + 9 + raw.body.len() as u64);
+            }
+            _ => {}
+        }
+    }
+    ends
+}
+
+#[test]
+fn cut_off_anywhere_every_message_before_the_cut_is_recovered() {
+    for kind in KINDS {
+        let whole = file(kind);
+        let ends = message_ends(&whole);
+        let mut cuts_with_loss = 0;
+        for cut in 0..whole.len() {
+            let what = format!("{} cut at {cut} of {}", kind.name, whole.len());
+            let found = inspect(Cursor::new(&whole[..cut]));
+            if cut < 8 {
+                assert!(found.unwrap_err().to_string().contains("byte 0"), "{what}");
+                assert!(recovered(&whole[..cut], &what).is_none());
+                continue;
+            }
+            let found = found.unwrap();
+            assert!(!found.complete && !found.is_sound(), "{what}");
+            let place = found
+                .findings
+                .iter()
+                .find(|finding| finding.severity == Severity::Error);
+            let place = place.unwrap().place.unwrap();
+            assert!(place.offset <= cut as u64, "{what}: {place}");
+            let recovery = recovered(&whole[..cut], &what).unwrap();
+            assert!(!recovery.is_clean(), "{what}");
+            let messages = recovery.messages;
+            if kind.compression.is_none() {
+                let before = ends.iter().filter(|end| **end <= cut as u64).count() as u64;
+                assert_eq!(messages.recovered, before, "{what}");
+            }
+            assert!(messages.recovered <= MESSAGES, "{what}");
+            assert!(
+                recovery.lost_unknown || messages.recovered + messages.lost == MESSAGES,
+                "{what}: {recovery}"
+            );
+            cuts_with_loss += u64::from(messages.recovered < MESSAGES);
+        }
+        println!(
+            "figure: {}: {} cuts, {cuts_with_loss} of them with messages lost, 0 panics",
+            kind.name,
+            whole.len()
+        );
+    }
+}
+
+#[test]
+fn whatever_byte_is_changed_recovered_and_lost_add_up() {
+    for kind in KINDS {
+        let whole = file(kind);
+        let (mut with_loss, mut unnoticed, mut most_lost) = (0, 0, 0);
+        for at in 0..whole.len() {
+            for flip in [0x01, 0x80] {
+                let mut bytes = whole.clone();
+                bytes[at] ^= flip;
+                let what = format!("{} byte {at} ^ {flip:#04x}", kind.name);
+                let found = inspect(Cursor::new(&bytes));
+                let Some(recovery) = recovered(&bytes, &what) else {
+                    assert!(at < 8 && found.is_err(), "{what}");
+                    continue;
+                };
+                let found = found.unwrap();
+                let messages = recovery.messages;
+                let sum = messages.recovered + messages.lost;
+                // A changed opcode makes a message of a channel; its chunk is suspect then.
+                let more = sum > MESSAGES && sum <= MESSAGES + messages.suspect;
+                let less = recovery.lost_unknown && sum < MESSAGES;
+                assert!(sum == MESSAGES || more || less, "{what}: {recovery}");
+                with_loss += u64::from(messages.lost > 0 || recovery.lost_unknown);
+                unnoticed += u64::from(found.is_sound());
+                most_lost = most_lost.max(messages.lost);
+            }
+        }
+        println!(
+            "figure: {}: {} changes, {with_loss} with loss or doubt, at most {most_lost} of {MESSAGES} messages lost, {unnoticed} not noticed",
+            kind.name,
+            2 * whole.len()
+        );
+        // The header of a file, and times of records outside of chunks, have no checksum of
+        // their own; the data section has one in every file that was finished.
+        assert_eq!(unnoticed, 0, "{}", kind.name);
+    }
+}
+
+#[test]
+fn no_length_in_a_file_allocates_memory_that_is_not_there() {
+    for kind in KINDS {
+        let whole = file(kind);
+        for at in (8..whole.len() - 8).step_by(7) {
+            let mut bytes = whole.clone();
+            // Eight bytes that say 2^56 as a length, whatever begins here.
+            bytes[at..at + 8].copy_from_slice(&(1_u64 << 56).to_le_bytes());
+            let ((), used) = counting::peak(|| {
+                let _ = inspect(Cursor::new(&bytes));
+                let _ = recover(Cursor::new(&bytes), Cursor::new(Vec::new()));
+            });
+            assert!(used < MOST_BYTES, "{} at {at}: {used} bytes", kind.name);
+            for length in [u32::MAX, 0x7fff_fff0] {
+                bytes[at..at + 4].copy_from_slice(&length.to_le_bytes());
+                let ((), used) = counting::peak(|| {
+                    let _ = inspect(Cursor::new(&bytes));
+                    let _ = recover(Cursor::new(&bytes), Cursor::new(Vec::new()));
+                });
+                assert!(used < MOST_BYTES, "{} at {at}: {used} bytes", kind.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn messages_lost_within_a_chunk_cost_no_other_chunk() {
+    let kind = KINDS[1];
+    let whole = file(kind);
+    let mut scan = Scan::new(Cursor::new(&whole)).unwrap();
+    let mut chunks = Vec::new();
+    while let Some(event) = scan.next().unwrap() {
+        if let Event::ChunkBegins(frame) = event {
+            chunks.push(frame);
+        }
+    }
+    assert!(chunks.len() > 3);
+    let mut bytes = whole;
+    let second = &chunks[1];
+    let records_at = usize::try_from(second.offset).unwrap() + 49 + 4;
+    bytes[records_at..records_at + 4].fill(0xee);
+    let recovery = recovered(&bytes, "a chunk").unwrap();
+    assert_eq!(recovery.chunks.lost, 1);
+    assert!(
+        recovery.messages.lost > 0 && recovery.messages.lost < 12,
+        "{recovery}"
+    );
+    assert_eq!(
+        recovery.messages.recovered + recovery.messages.lost,
+        MESSAGES
+    );
+}
+
+#[test]
+fn a_channel_lost_in_the_data_is_taken_from_the_summary() {
+    let whole = file(KINDS[3]);
+    let mut scan = Scan::new(Cursor::new(&whole)).unwrap();
+    let mut at = 0;
+    while let Some(event) = scan.next().unwrap() {
+        if let Event::Record(raw) = event
+            && let Record::Channel(channel) = raw.parse().unwrap()
+            && channel.topic == "b"
+        {
+            at = usize::try_from(raw.place.offset).unwrap();
+            break;
+        }
+    }
+    let mut bytes = whole;
+    // Its topic says that it is longer than the record.
+    bytes[at + 9 + 4] = 0xff;
+    let recovery = recovered(&bytes, "channel").unwrap();
+    assert_eq!(recovery.messages.recovered, MESSAGES, "{recovery}");
+    assert!(!recovery.is_clean());
+}
