@@ -153,7 +153,7 @@ pub fn inspect(input: impl Read + Seek) -> Result<Inspection, ScanError> {
     let mut scan = Scan::new(input)?;
     let mut inspector = Inspector::new(scan.file_bytes());
     loop {
-        match scan.next() {
+        match scan.next_event() {
             Ok(Some(event)) => inspector.take(event),
             Ok(None) => break,
             Err(error @ ScanError::Io { .. }) => return Err(error),

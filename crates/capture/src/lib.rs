@@ -25,6 +25,7 @@
 mod attachments;
 mod clock;
 mod convert;
+pub mod inspect;
 mod message;
 pub mod inspect;
 mod output;

@@ -57,7 +57,7 @@ where
         known: BTreeMap::new(),
     };
     loop {
-        match scan.next() {
+        match scan.next_event() {
             Ok(Some(event)) => rescue.take(event)?,
             Ok(None) => break,
             Err(error @ ScanError::Io { .. }) => return Err(error.into()),
@@ -116,7 +116,7 @@ fn try_summary(input: &mut (impl Read + Seek), saved: &mut Saved) -> Result<bool
     }
     let mut scan = Scan::new(input)?;
     scan.go_to(summary_start)?;
-    while let Some(event) = scan.next()? {
+    while let Some(event) = scan.next_event()? {
         let Event::Record(raw) = event else {
             return Ok(false);
         };

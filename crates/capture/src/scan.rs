@@ -230,18 +230,18 @@ impl<R: Read + Seek> Scan<R> {
     ///
     /// # Errors
     /// [`ScanError`]. The scan has ended then, unless [`Scan::resume`] is called.
-    pub fn next(&mut self) -> Result<Option<Event<'_>>, ScanError> {
+    pub fn next_event(&mut self) -> Result<Option<Event<'_>>, ScanError> {
         if self.failed.is_some() {
             return Ok(None);
         }
         match std::mem::replace(&mut self.state, State::Gone) {
-            State::Top(source) => self.next_at_top(source),
-            State::Chunk(chunk) => self.next_in_chunk(chunk),
+            State::Top(source) => self.event_at_top(source),
+            State::Chunk(chunk) => self.event_in_chunk(chunk),
             State::Gone => Ok(None),
         }
     }
 
-    fn next_at_top(&mut self, mut source: Source<R>) -> Result<Option<Event<'_>>, ScanError> {
+    fn event_at_top(&mut self, mut source: Source<R>) -> Result<Option<Event<'_>>, ScanError> {
         let head = match head(&mut source) {
             Ok(head) => head,
             Err(error) => return Err(self.fail(source, error)),
@@ -344,7 +344,7 @@ impl<R: Read + Seek> Scan<R> {
         })))
     }
 
-    fn next_in_chunk(&mut self, mut chunk: Box<Chunk<R>>) -> Result<Option<Event<'_>>, ScanError> {
+    fn event_in_chunk(&mut self, mut chunk: Box<Chunk<R>>) -> Result<Option<Event<'_>>, ScanError> {
         match chunk.next(&mut self.buffer) {
             Ok(chunk::Step::Record { place, opcode }) => {
                 self.state = State::Chunk(chunk);

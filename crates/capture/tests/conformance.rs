@@ -53,7 +53,7 @@ fn check(file: &Path) {
     let mut scan = Scan::new(File::open(file).unwrap()).unwrap();
     let mut found = Vec::new();
     loop {
-        match scan.next() {
+        match scan.next_event() {
             Ok(Some(Event::Record(raw))) => {
                 assert!(
                     raw.crc.is_none_or(|crc| !crc.is_wrong()),
@@ -77,16 +77,16 @@ fn check(file: &Path) {
     );
 }
 
-fn number(value: impl ToString) -> Value {
+fn number<N: Copy + ToString>(value: N) -> Value {
     Value::String(value.to_string())
 }
 
 fn bytes(bytes: &[u8]) -> Value {
-    bytes.iter().map(number).collect()
+    bytes.iter().copied().map(number).collect()
 }
 
 fn counts(map: &std::collections::BTreeMap<u16, u64>) -> Value {
-    let entry = |(key, value): (&u16, &u64)| (key.to_string(), number(value));
+    let entry = |(key, value): (&u16, &u64)| (key.to_string(), number(*value));
     Value::Object(map.iter().map(entry).collect::<Map<_, _>>())
 }
 

@@ -162,7 +162,7 @@ fn message_ends(bytes: &[u8]) -> Vec<u64> {
     let mut scan = Scan::new(Cursor::new(bytes)).unwrap();
     let mut ends = Vec::new();
     let mut records_at = 0;
-    while let Some(event) = scan.next().unwrap() {
+    while let Some(event) = scan.next_event().unwrap() {
         match event {
             // Its head: opcode, length, five numbers and an empty name.
             Event::ChunkBegins(frame) => records_at = frame.offset + 49,
@@ -292,7 +292,7 @@ fn messages_lost_within_a_chunk_cost_no_other_chunk() {
     let whole = file(kind);
     let mut scan = Scan::new(Cursor::new(&whole)).unwrap();
     let mut chunks = Vec::new();
-    while let Some(event) = scan.next().unwrap() {
+    while let Some(event) = scan.next_event().unwrap() {
         if let Event::ChunkBegins(frame) = event {
             chunks.push(frame);
         }
@@ -319,7 +319,7 @@ fn a_channel_lost_in_the_data_is_taken_from_the_summary() {
     let whole = file(KINDS[3]);
     let mut scan = Scan::new(Cursor::new(&whole)).unwrap();
     let mut at = 0;
-    while let Some(event) = scan.next().unwrap() {
+    while let Some(event) = scan.next_event().unwrap() {
         if let Event::Record(raw) = event
             && let Record::Channel(channel) = raw.parse().unwrap()
             && channel.topic == "b"

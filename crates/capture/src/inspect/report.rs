@@ -135,20 +135,20 @@ impl fmt::Display for ChannelReport {
             let longest = self.longest_step_s.unwrap_or_default();
             write!(out, "; {} gaps, longest step {longest:.3} s", self.gaps)?;
         }
-        if let (Some(least), Some(longest)) = (self.least_delay_s, self.longest_delay_s) {
-            if least != 0.0 || longest != 0.0 {
-                write!(
-                    out,
-                    "; logged {:.1} to {:.1} ms after publishing",
-                    1e3 * least,
-                    1e3 * longest
-                )?;
-            }
+        if let (Some(least), Some(longest)) = (self.least_delay_s, self.longest_delay_s)
+            && (least != 0.0 || longest != 0.0)
+        {
+            write!(
+                out,
+                "; logged {:.1} to {:.1} ms after publishing",
+                1e3 * least,
+                1e3 * longest
+            )?;
         }
-        if let Sequence::Counted { missing, restarts } = self.sequence {
-            if missing + restarts > 0 {
-                write!(out, "; {missing} missing by number, {restarts} restarts")?;
-            }
+        if let Sequence::Counted { missing, restarts } = self.sequence
+            && missing + restarts > 0
+        {
+            write!(out, "; {missing} missing by number, {restarts} restarts")?;
         }
         Ok(())
     }

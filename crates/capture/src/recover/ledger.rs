@@ -350,9 +350,8 @@ impl Ledger {
     pub(super) fn orphan(&mut self, place: Place, channel: u16) {
         let what = format!("message of channel {channel}, which is nowhere in the file");
         // The index behind its chunk counts it, too: it is lost once.
-        match &mut self.chunk {
-            Some(chunk) => chunk.recovered += 1,
-            None => {}
+        if let Some(chunk) = &mut self.chunk {
+            chunk.recovered += 1;
         }
         self.messages.lose(place, what, &mut self.troubles);
     }

@@ -73,6 +73,10 @@ impl<R: Read> Body<R> {
 impl<R: Read + Seek> Chunk<R> {
     /// Reads the head of the chunk. The source comes back where the chunk cannot be read, unless
     /// the system had no memory for a decompressor.
+    #[expect(
+        clippy::result_large_err,
+        reason = "the source goes on where the chunk does not"
+    )]
     pub(super) fn begin(
         mut source: Source<R>,
         head: Head,
@@ -256,7 +260,11 @@ impl<R: Read + Seek> Chunk<R> {
 
     /// Passes over what the chunk has after its records. Where it would pass over further records,
     /// its length is wrong.
-    pub(super) fn end(self: Box<Self>) -> Result<Source<R>, (Source<R>, ScanError)> {
+    #[expect(
+        clippy::result_large_err,
+        reason = "the source goes on where the chunk does not"
+    )]
+    pub(super) fn end(self) -> Result<Source<R>, (Source<R>, ScanError)> {
         let end = self.frame.offset + self.frame.bytes;
         let place = self.place();
         let mut source = self.body.into_source();
@@ -286,7 +294,7 @@ impl<R: Read + Seek> Chunk<R> {
         }
     }
 
-    pub(super) fn into_source(self: Box<Self>) -> Source<R> {
+    pub(super) fn into_source(self) -> Source<R> {
         self.body.into_source()
     }
 }
