@@ -241,8 +241,10 @@ fn whatever_byte_is_changed_recovered_and_lost_add_up() {
                 let found = found.unwrap();
                 let messages = recovery.messages;
                 let sum = messages.recovered + messages.lost;
-                // A changed opcode makes a message of a channel; its chunk is suspect then.
-                let more = sum > MESSAGES && sum <= MESSAGES + messages.suspect;
+                // A changed opcode makes a message of a channel; its chunk is suspect then, or
+                // outside of chunks the whole data section.
+                let most = MESSAGES + messages.suspect + u64::from(recovery.doubt);
+                let more = sum > MESSAGES && sum <= most;
                 let less = recovery.lost_unknown && sum < MESSAGES;
                 assert!(sum == MESSAGES || more || less, "{what}: {recovery}");
                 with_loss += u64::from(messages.lost > 0 || recovery.lost_unknown);
