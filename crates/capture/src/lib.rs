@@ -27,7 +27,6 @@ mod clock;
 mod convert;
 pub mod inspect;
 mod message;
-pub mod inspect;
 mod output;
 mod proto;
 mod reader;
