@@ -4,5 +4,7 @@
 pub mod evaluate;
 mod noise;
 pub mod plant;
+pub mod rows;
+pub mod split;
 pub mod train;
 pub mod trial;

@@ -8,5 +8,6 @@ mod fleet;
 mod model;
 mod read;
 mod recordings;
+mod rows;
 mod samples;
 mod truncation;

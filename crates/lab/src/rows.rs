@@ -1,0 +1,77 @@
+//! Recorded samples as rows to learn from: what was known, and the reading that followed.
+
+use joulebus_predictor::{LAGS, features};
+use joulebus_wire::{Sample, sample_flag};
+
+use crate::train::Row;
+use crate::trial::Trial;
+
+/// The rows of a trial, in order, with what could not be used.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TrialRows {
+    /// One row for each sample that has five readings without a gap behind it, and a reading after
+    /// it.
+    pub rows: Vec<Row>,
+    /// For each row, the number of the sample whose forecast it is for: that of its reading's
+    /// forecast, from 0.
+    pub sample_seq: Vec<u64>,
+    /// Samples that lead to no row because a window of five readings is not full there: at the
+    /// start, and after a gap, a missing reading, or a time that does not advance.
+    pub without_window: usize,
+}
+
+/// The rows of a trial: the same features, to the bit, that the live tick shows the model.
+///
+/// A gap of more than one and a half median periods empties the window, and so does a missing
+/// reading: a model learns from readings, never from its own forecasts. Velocities that were not
+/// recorded are NaN.
+#[must_use]
+pub fn trial_rows(trial: &Trial) -> TrialRows {
+    // Only differences of time matter, but 0 means "never measured".
+    sample_rows(&trial.to_samples(0, 1_000_000_000), trial.period_ns())
+}
+
+/// The rows of one robot's samples, which come every `period_ns`.
+#[must_use]
+pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
+    let longest_ns = period_ns + period_ns / 2;
+    let follows = |before: &Sample, after: &Sample| {
+        let elapsed_ns = after.stamp_ns.saturating_sub(before.stamp_ns);
+        elapsed_ns > 0 && elapsed_ns <= longest_ns && after.has(sample_flag::POWER)
+    };
+    let mut found = TrialRows::default();
+    let mut have = 0;
+    for (at, sample) in samples.iter().enumerate() {
+        let before = at.checked_sub(1).map(|before| &samples[before]);
+        have = match before {
+            _ if !sample.has(sample_flag::POWER) => 0,
+            Some(before) if follows(before, sample) => have + 1,
+            _ => 1,
+        };
+        if have < LAGS {
+            found.without_window += 1;
+            continue;
+        }
+        let Some(next) = samples.get(at + 1).filter(|next| follows(sample, next)) else {
+            continue;
+        };
+        let lag_w = std::array::from_fn(|lag| samples[at - lag].power_w);
+        let (v_mps, omega_radps) = command(sample).unwrap_or((f32::NAN, f32::NAN));
+        let previous = before.and_then(|before| {
+            let (v_mps, omega_radps) = command(before)?;
+            let elapsed_ns = sample.stamp_ns.saturating_sub(before.stamp_ns);
+            Some((v_mps, omega_radps, (elapsed_ns as f64 * 1e-9) as f32))
+        });
+        found.sample_seq.push(sample.seq);
+        found.rows.push(Row {
+            features: features(v_mps, omega_radps, previous, &lag_w),
+            target_w: next.power_w,
+        });
+    }
+    found
+}
+
+fn command(sample: &Sample) -> Option<(f32, f32)> {
+    let known = sample.has(sample_flag::V) && sample.has(sample_flag::OMEGA);
+    known.then_some((sample.v_mps, sample.omega_radps))
+}

@@ -1,0 +1,165 @@
+//! Rows to learn from have whole windows, and splits leak nothing.
+
+use std::collections::HashSet;
+
+use joulebus_lab::rows::sample_rows;
+use joulebus_lab::split::{By, PAUSE_ROWS, Source, Split, SplitError, group_of, split};
+use joulebus_wire::{Sample, sample_flag};
+use proptest::prelude::*;
+
+const PERIOD_NS: u64 = 33_000_000;
+
+#[test]
+fn gaps_missing_readings_and_times_that_stand_still_empty_the_window() {
+    let sample = |seq: u64, stamp_ns: u64, power: bool| {
+        let sample = Sample::new(1, seq, stamp_ns);
+        let sample = sample.reading(3.0 + seq as f32, stamp_ns);
+        Sample {
+            flags: if power {
+                sample.flags
+            } else {
+                sample.flags & !sample_flag::POWER
+            },
+            ..sample
+        }
+    };
+    let regular = |seq: u64| sample(seq, (seq + 1) * PERIOD_NS, true);
+    let rows = |samples: &[Sample]| sample_rows(samples, PERIOD_NS).sample_seq;
+    let whole: Vec<Sample> = (0..12).map(regular).collect();
+    assert_eq!(rows(&whole), [4, 5, 6, 7, 8, 9, 10]);
+
+    let mut late = whole.clone();
+    late[6..]
+        .iter_mut()
+        .for_each(|sample| sample.stamp_ns += PERIOD_NS);
+    assert_eq!(
+        rows(&late),
+        [4, 10],
+        "sample 5 has no reading after it, 6 to 9 no window"
+    );
+    let mut missing = whole.clone();
+    missing[6] = sample(6, 7 * PERIOD_NS, false);
+    assert_eq!(rows(&missing), [4]);
+    let mut still = whole.clone();
+    still[6].stamp_ns = still[5].stamp_ns;
+    assert_eq!(rows(&still), [4], "the step after it is two periods long");
+    assert_eq!(sample_rows(&late, PERIOD_NS).without_window, 8);
+    assert!(
+        rows(&whole[..5]).is_empty(),
+        "a full window, but no reading after it"
+    );
+}
+
+fn sources(trials: usize, rows: usize) -> Vec<Source> {
+    let sources = (0..trials).map(|trial| {
+        let samples: Vec<Sample> = (0..rows as u64 + 5)
+            .map(|seq| {
+                let power_w = (trial as u64 * 10_000 + seq) as f32;
+                Sample::new(0, seq, (seq + 1) * PERIOD_NS).reading(power_w, (seq + 1) * PERIOD_NS)
+            })
+            .collect();
+        Source {
+            trial: format!("t{trial}"),
+            robot: format!("r{}", trial % 4),
+            group: format!("g{}", trial % 3),
+            rows: sample_rows(&samples, PERIOD_NS),
+        }
+    });
+    sources.collect()
+}
+
+/// Which unit a row comes from: its readings say so.
+fn trial_of(target_w: f32) -> usize {
+    target_w as usize / 10_000
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 40, failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn no_unit_is_in_two_parts_and_no_row_is_lost(
+        trials in 3_usize..20,
+        seed in any::<u64>(),
+        validation in 0.01_f64..0.5,
+        held_out in 0.01_f64..0.45,
+        by in prop_oneof![Just(By::Trial), Just(By::Robot), Just(By::Group)],
+    ) {
+        let sources = sources(trials, 20);
+        let wanted = Split { by, validation, held_out, seed };
+        let (dataset, dealt) = split(&sources, wanted, "x").expect("three units and more");
+        let unit = |trial: usize| match by {
+            By::Robot => trial % 4,
+            By::Group => trial % 3,
+            _ => trial,
+        };
+        let units = |rows: &[joulebus_lab::train::Row]| -> HashSet<usize> {
+            rows.iter().map(|row| unit(trial_of(row.target_w))).collect()
+        };
+        let parts = [&dataset.training, &dataset.validation, &dataset.held_out];
+        let found = parts.map(|rows| units(rows));
+        for (one, other) in [(0, 1), (0, 2), (1, 2)] {
+            prop_assert!(found[one].is_disjoint(&found[other]));
+        }
+        prop_assert!(found.iter().all(|units| !units.is_empty()));
+        prop_assert_eq!(parts.map(Vec::len), dealt.rows);
+        prop_assert_eq!(dealt.rows.iter().sum::<usize>(), trials * 20);
+        let (again, _) = split(&sources, wanted, "x").expect("as before");
+        prop_assert_eq!(again.sha256(), dataset.sha256(), "the same seed deals the same parts");
+    }
+
+    #[test]
+    fn parts_cut_in_time_share_no_reading(rows in 40_usize..200, validation in 0.05_f64..0.4) {
+        let sources = sources(3, rows);
+        let wanted = Split { by: By::Time, validation, ..Split::default() };
+        let (dataset, dealt) = split(&sources, wanted, "x").expect("time needs no units");
+        let readings = |rows: &[joulebus_lab::train::Row]| -> HashSet<u32> {
+            rows.iter()
+                .flat_map(|row| row.features[6..].iter().chain([&row.target_w]))
+                .map(|power_w| power_w.to_bits())
+                .collect()
+        };
+        let parts = [&dataset.training, &dataset.validation, &dataset.held_out].map(|rows| readings(rows));
+        for (one, other) in [(0, 1), (0, 2), (1, 2)] {
+            prop_assert!(parts[one].is_disjoint(&parts[other]));
+        }
+        prop_assert_eq!(dealt.pause_rows, 3 * 2 * PAUSE_ROWS);
+        prop_assert_eq!(dealt.rows.iter().sum::<usize>() + dealt.pause_rows, 3 * rows);
+    }
+}
+
+#[test]
+fn shares_and_units_that_leave_a_part_empty_are_refused() {
+    let sources = sources(2, 20);
+    let error = split(&sources, Split::default(), "x").expect_err("two trials");
+    assert_eq!(
+        error,
+        SplitError::TooFew {
+            by: By::Trial,
+            found: 2
+        }
+    );
+    for (validation, held_out) in [(0.0, 0.2), (0.2, 0.0), (0.5, 0.5), (f64::NAN, 0.2)] {
+        let wanted = Split {
+            validation,
+            held_out,
+            ..Split::default()
+        };
+        let error = split(&sources, wanted, "x").expect_err("no such shares");
+        assert!(error.to_string().contains("come to less than 1"), "{error}");
+    }
+}
+
+#[test]
+fn a_group_is_the_file_name_without_its_number() {
+    for (name, group) in [
+        ("ICE_03.csv.gz", "ICE"),
+        (
+            "one_surface_type_brown_surface_exp205.csv.gz",
+            "one_surface_type_brown_surface_exp",
+        ),
+        ("trial1.npy", "trial"),
+        ("7.csv", "7"),
+        ("plain", "plain"),
+    ] {
+        assert_eq!(group_of(name), group);
+    }
+}
