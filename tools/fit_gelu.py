@@ -1,28 +1,48 @@
 #!/usr/bin/env python3
-"""Fits the polynomial that the kernels use for GELU and prints it as Rust.
+"""Fits the polynomials that the kernels use for GELU and prints them as Rust.
 
-GELU(x) = relu(x) - p(|x|) with p(a) = a * Phi(-a), and p is smooth on [0, inf) and vanishes
-towards infinity. So one polynomial in t = a * SCALE - 1, t in [-1, 1], is enough; past LIMIT
-the argument is clamped, which costs at most p(LIMIT).
+GELU(x) = relu(x) - p(|x|): both forms of GELU, by the error function and by tanh, differ from relu
+by an even function p that is smooth on [0, inf), at most 0.17 and vanishes towards infinity.
 
-Chebyshev interpolation with exact integer arithmetic is not needed: the coefficients are printed
-as f32, and their rounding (about 6e-8 each) is the larger part of the error. The errors printed
-are for an f64 evaluation of the rounded coefficients; the f32 evaluation is measured by the
-predictor's tests.
+[0, LIMIT] is cut into 8 segments, since 8 values are what one register permutation looks up on
+AVX2. Adding MAGIC = 2^23 to |x| * SCALE rounds it to an integer, which then stands in the lowest
+bits of the sum and *is* the segment. So segment i reaches from i - 1/2 to i + 1/2, in units of
+LIMIT / 7.5, and the first one is half as wide. Past LIMIT the argument is clamped, which costs at
+most p(LIMIT).
+
+Each segment has one polynomial in |x| itself, with no local variable: the cancellation that this
+brings is part of the errors printed, which are those of f32 arithmetic with fused multiply-adds,
+as the kernels compute it. The tables hold -p, which the last multiply-add then adds to relu(x).
 
 Usage: python3 tools/fit_gelu.py [limit [degree]]      (standard library only)
 """
 import math
 import struct
 import sys
+from fractions import Fraction
+
+SEGMENTS = 8
+MAGIC = 2.0**23
+TANH_SCALE = math.sqrt(2.0 / math.pi)
 
 
-def target(a):
+def erf_tail(a):
     return 0.5 * a * math.erfc(a / math.sqrt(2.0))
+
+
+def tanh_tail(a):
+    # 1 - tanh(z) = 2 / (1 + exp(2 z)), which does not cancel.
+    z = TANH_SCALE * (a + 0.044715 * a**3)
+    return a / (1.0 + math.exp(2.0 * z))
 
 
 def f32(x):
     return struct.unpack("<f", struct.pack("<f", x))[0]
+
+
+def fused(a, b, c):
+    """a * b + c in f32 with one rounding (two where f64 has just rounded to a tie: never seen)."""
+    return f32(float(Fraction(a) * Fraction(b) + Fraction(c)))
 
 
 def literal(x):
@@ -30,56 +50,101 @@ def literal(x):
     return next(text for digits in range(10) if f32(float(text := f"{x:.{digits}e}")) == x)
 
 
-def chebyshev(function, degree):
-    """Coefficients of the interpolant of function on [-1, 1] in Chebyshev polynomials."""
-    n = degree + 1
-    nodes = [math.cos(math.pi * (k + 0.5) / n) for k in range(n)]
-    values = [function(t) for t in nodes]
-    return [
-        (2.0 if j else 1.0) / n
-        * math.fsum(values[k] * math.cos(math.pi * j * (k + 0.5) / n) for k in range(n))
-        for j in range(n)
-    ]
+def solve(matrix, right):
+    """Gaussian elimination on exact fractions."""
+    n = len(right)
+    rows = [[Fraction(x) for x in row] + [Fraction(y)] for row, y in zip(matrix, right)]
+    for i in range(n):
+        pivot = next(k for k in range(i, n) if rows[k][i] != 0)
+        rows[i], rows[pivot] = rows[pivot], rows[i]
+        for k in range(n):
+            if k != i:
+                factor = rows[k][i] / rows[i][i]
+                rows[k] = [x - factor * y for x, y in zip(rows[k], rows[i])]
+    return [float(rows[i][n] / rows[i][i]) for i in range(n)]
 
 
-def monomials(series):
-    """The same polynomial in powers of t, lowest first."""
-    out = [0.0] * len(series)
-    before, current = [1.0], [0.0, 1.0]
-    for j, c in enumerate(series):
-        if j >= 2:
-            following = [0.0] + [2.0 * x for x in current]
-            for i, x in enumerate(before):
-                following[i] -= x
-            before, current = current, following
-        for i, x in enumerate([1.0] if j == 0 else current):
-            out[i] += c * x
-    return out
+def minimax(function, low, high, degree):
+    """Coefficients, lowest first, with the smallest largest error on [low, high] (Remez)."""
+    n = degree + 2
+    grid = [low + (high - low) * k / 800 for k in range(801)]
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    points = [middle - half * math.cos(math.pi * k / (n - 1)) for k in range(n)]
+    for _ in range(12):
+        matrix = [[Fraction(a) ** j for j in range(degree + 1)] + [(-1) ** k]
+                  for k, a in enumerate(points)]
+        solution = solve(matrix, [function(a) for a in points])
+        coefficients = solution[:-1]
+        errors = [horner(coefficients, a) - function(a) for a in grid]
+        # One extremum for each stretch of equal sign; a round too coarse to show all ends it.
+        extrema, sign = [], 0.0
+        for a, error in zip(grid, errors):
+            if math.copysign(1.0, error) != sign:
+                sign = math.copysign(1.0, error)
+                extrema.append((a, error))
+            elif abs(error) > abs(extrema[-1][1]):
+                extrema[-1] = (a, error)
+        while len(extrema) > n:
+            extrema.pop(0 if abs(extrema[0][1]) < abs(extrema[-1][1]) else -1)
+        if len(extrema) < n:
+            break
+        points = [a for a, _ in extrema]
+    return coefficients
+
+
+def horner(coefficients, a):
+    value = 0.0
+    for c in reversed(coefficients):
+        value = value * a + c
+    return value
+
+
+def table(function, limit, degree):
+    """Coefficients of -p for each segment, as f32, lowest first."""
+    width = limit / (SEGMENTS - 0.5)
+    segments = []
+    for i in range(SEGMENTS):
+        low, high = max(0.0, (i - 0.5) * width), (i + 0.5) * width
+        rounded = []
+        # From the highest on: what rounding a coefficient costs, those below it make good.
+        for order in range(degree, -1, -1):
+            def rest(a):
+                return -function(a) - math.fsum(c * a**j for j, c in rounded)
+            rounded.append((order, f32(minimax(rest, low, high, order)[-1])))
+        segments.append([c for _, c in reversed(rounded)])
+    return segments
+
+
+def evaluate(segments, limit, scale, a):
+    """-p(a) as the kernels compute it, with f32 operations."""
+    a = min(a, limit)
+    index = int(fused(a, scale, MAGIC) - MAGIC)
+    value = segments[index][-1]
+    for c in reversed(segments[index][:-1]):
+        value = fused(value, a, c)
+    return value
 
 
 def main():
-    limit = f32(float(sys.argv[1])) if len(sys.argv) > 1 else 5.5
-    degree = int(sys.argv[2]) if len(sys.argv) > 2 else 17
-    scale = f32(2.0 / limit)
-    raw = monomials(chebyshev(lambda t: target((t + 1.0) / scale), degree))
-    coefficients = [f32(c) for c in raw]
-
-    worst = 0.0
-    for k in range(200_001):
-        a = limit * k / 200_000
-        t = a * scale - 1.0
-        value = 0.0
-        for c in reversed(coefficients):
-            value = value * t + c
-        worst = max(worst, abs(value - target(a)))
-    print(f"// limit {limit}, degree {degree}: error {worst:.2e} inside, "
-          f"{target(limit):.2e} past the limit, sum |c| {sum(map(abs, coefficients)):.2f}")
-    print(f"const GELU_LIMIT: f32 = {literal(limit)};")
-    print(f"const GELU_SCALE: f32 = {literal(scale)};")
-    print(f"const GELU_COEFFICIENTS: [f32; {degree + 1}] = [")
-    for c in coefficients:
-        print(f"    {literal(c)},")
-    print("];")
+    limit = f32(float(sys.argv[1])) if len(sys.argv) > 1 else f32(5.25)
+    degree = int(sys.argv[2]) if len(sys.argv) > 2 else 5
+    scale = f32((SEGMENTS - 0.5) / limit)
+    while fused(limit, scale, MAGIC) - MAGIC > SEGMENTS - 1:  # the limit itself is a tie
+        scale = f32(scale * (1.0 - 2.0**-24))
+    print(f"const LIMIT: f32 = {literal(limit)};")
+    print(f"const SCALE: f32 = {literal(scale)};")
+    print(f"const MAGIC: f32 = {literal(MAGIC)};")
+    for name, function in (("ERF", erf_tail), ("TANH", tanh_tail)):
+        segments = table(function, limit, degree)
+        worst = 0.0
+        for k in range(20_001):
+            a = f32(limit * k / 20_000)
+            worst = max(worst, abs(evaluate(segments, limit, scale, a) + function(a)))
+        print(f"\n/// Largest error {worst:.1e} up to the limit, {function(limit):.1e} past it.")
+        print(f"const {name}: [[f32; {SEGMENTS}]; {degree + 1}] = [")
+        for j in range(degree + 1):
+            print("    [" + ", ".join(literal(segment[j]) for segment in segments) + "],")
+        print("];")
 
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@
 use crate::model::leading_u64;
 use crate::network::layer_sizes;
 use crate::{
-    Card, FEATURE_NAMES, FEATURES, FeatureSet, Features, Layer, ModelError, Normalisation,
-    Parameters, ResidualStats, Scores, TrainingRange,
+    Activation, Card, FEATURE_NAMES, FEATURES, FeatureSet, Features, Layer, ModelError,
+    Normalisation, Parameters, ResidualStats, Scores, TrainingRange,
 };
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
@@ -17,7 +17,6 @@ use std::str::FromStr;
 const FORMAT: &str = "joulebus-model";
 const VERSION: &str = "1";
 const KIND: &str = "network";
-const ACTIVATION: &str = "gelu_erf";
 const CONVENTION: &str = "command in force and the readings up to now, newest first, forecast the \
                           next reading; derivatives over the true time step";
 const MAX_BYTES: usize = 1 << 20;
@@ -97,7 +96,9 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, Card), ModelError> {
     metadata.must_be("format_version", VERSION)?;
     check_digest(&metadata, &tensors)?;
     metadata.must_be("kind", KIND)?;
-    metadata.must_be("activation", ACTIVATION)?;
+    let activation_name = metadata.text("activation")?;
+    let activation = Activation::from_name(activation_name)
+        .ok_or_else(|| ModelError::field("activation", &activation_name, "gelu_erf, gelu_tanh"))?;
     metadata.must_be("convention", CONVENTION)?;
     let set_name = metadata.text("feature_set")?;
     let feature_set = FeatureSet::from_name(set_name)
@@ -112,6 +113,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, Card), ModelError> {
             power_mean_w: metadata.number("power_mean_w")?,
             power_std_w: metadata.number("power_std_w")?,
         },
+        activation,
         layers: read_layers(&tensors, feature_set)?,
     };
     Ok((parameters, read_card(&metadata, feature_set)?))
@@ -155,7 +157,7 @@ fn fields(parameters: &Parameters, card: &Card) -> Fields {
         ("format", FORMAT.to_owned()),
         ("format_version", VERSION.to_owned()),
         ("kind", KIND.to_owned()),
-        ("activation", ACTIVATION.to_owned()),
+        ("activation", parameters.activation.name().to_owned()),
         ("convention", CONVENTION.to_owned()),
         ("feature_set", set.name().to_owned()),
         ("features", FEATURE_NAMES[set.first()..].join(",")),

@@ -15,7 +15,6 @@ mod error;
 mod features;
 mod file;
 mod gelu;
-#[allow(unsafe_code)] // Calls of functions compiled for CPU features that were detected.
 mod kernel;
 mod model;
 mod network;
@@ -23,7 +22,8 @@ mod rollout;
 
 pub use error::{ModelError, RolloutError};
 pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, LAGS, features};
-pub use kernel::Kernel;
+pub use gelu::Activation;
+pub use kernel::{Kernel, Tiling};
 pub use model::{Model, Persistence, ResidualStats, TrainingRange};
 pub use network::{Card, HIDDEN, Layer, Network, Normalisation, Parameters, Scores};
 pub use rollout::{RolloutStart, Rollouts};

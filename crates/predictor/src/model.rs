@@ -149,7 +149,7 @@ impl Model {
             );
         }
         match self {
-            Model::Network(network) => network.predict_columns(features, forecasts_w),
+            Model::Network(network) => network.predict_columns(&features, forecasts_w),
             Model::Persistence(_) => forecasts_w.copy_from_slice(features[first_read]),
         }
     }

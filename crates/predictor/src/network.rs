@@ -1,10 +1,10 @@
 //! The network's parameters, and its slow, obvious evaluation.
 
 use crate::file;
-use crate::gelu::{gelu, gelu_f64};
-use crate::kernel::{Kernel, Packed};
+use crate::kernel::{Engine, Kernel, LINE, Packed, Tiling, fold, pairwise};
 use crate::{
-    FEATURE_NAMES, FEATURES, FeatureSet, Features, ModelError, ResidualStats, TrainingRange,
+    Activation, FEATURE_NAMES, FEATURES, FeatureSet, Features, ModelError, ResidualStats, Rollouts,
+    TrainingRange,
 };
 
 /// Widths of the hidden layers.
@@ -32,13 +32,15 @@ pub struct Normalisation {
     pub power_std_w: f32,
 }
 
-/// Everything that decides a forecast. The activation is GELU by the error function.
+/// Everything that decides a forecast.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
     /// The features that are read; entries of the others in the normalisation mean nothing.
     pub feature_set: FeatureSet,
     /// Statistics of the training data.
     pub normalisation: Normalisation,
+    /// What follows each hidden layer.
+    pub activation: Activation,
     /// Inputs→64, 64→64, 64→32, 32→1.
     pub layers: [Layer; 4],
 }
@@ -85,7 +87,8 @@ pub struct Network {
     parameters: Box<Parameters>,
     card: Box<Card>,
     packed: Box<Packed>,
-    kernel: Kernel,
+    engine: Engine,
+    tiling: Tiling,
     hash: u64,
 }
 
@@ -97,12 +100,12 @@ impl Network {
         check_card(&card, parameters.feature_set)?;
         let hash = file::content_hash(&parameters, &card);
         let packed = Box::new(Packed::new(&parameters));
-        let kernel = Kernel::best();
         Ok(Network {
             parameters: Box::new(parameters),
             card: Box::new(card),
             packed,
-            kernel,
+            engine: Engine::best(),
+            tiling: Tiling::ByInput,
             hash,
         })
     }
@@ -120,16 +123,19 @@ impl Network {
     }
 
     /// The same network on another kernel, or `None` if this CPU can't run it.
-    pub fn with_kernel(mut self, kernel: Kernel) -> Option<Network> {
-        kernel.is_available().then(|| {
-            self.kernel = kernel;
-            self
-        })
+    pub fn with_kernel(self, kernel: Kernel) -> Option<Network> {
+        let engine = Engine::new(kernel)?;
+        Some(Network { engine, ..self })
     }
 
-    /// The kernel in use.
+    /// The kernel in use: the best that this CPU has, chosen once.
     pub fn kernel(&self) -> Kernel {
-        self.kernel
+        self.engine.kernel()
+    }
+
+    /// The same network cut into other tiles: for measurements and tests.
+    pub fn with_tiling(self, tiling: Tiling) -> Network {
+        Network { tiling, ..self }
     }
 
     /// The features that are read.
@@ -154,51 +160,52 @@ impl Network {
 
     /// As [`Model::predict`](crate::Model::predict).
     pub fn predict(&self, inputs: &[Features], out_w: &mut [f32]) {
-        self.kernel.run(&self.packed, inputs, out_w);
+        self.engine.rows(&self.packed, self.tiling, inputs, out_w);
     }
 
-    /// Columns have the length of `out_w`, or are empty and not read.
-    pub(crate) fn predict_columns(&self, columns: [&[f32]; FEATURES], out_w: &mut [f32]) {
-        let mut rows = [[0.0; FEATURES]; 64];
-        for (tile, out_w) in out_w.chunks_mut(rows.len()).enumerate() {
-            let start = tile * rows.len();
-            for (feature, column) in columns.iter().enumerate() {
-                for (row, value) in rows.iter_mut().zip(column.iter().skip(start)) {
-                    row[feature] = *value;
-                }
-            }
-            self.predict(&rows, out_w);
-        }
+    /// Columns have the length of `out_w`; those that are not read may be empty.
+    pub(crate) fn predict_columns(&self, columns: &[&[f32]; FEATURES], out_w: &mut [f32]) {
+        self.engine
+            .columns(&self.packed, self.tiling, columns, out_w);
+    }
+
+    /// Lanes from `first` on of checked rollouts, as many as `energy_j` has places.
+    pub(crate) fn rollout(
+        &self,
+        rollouts: &Rollouts<'_>,
+        first: usize,
+        energy_j: &mut [f32],
+        power_w: Option<&mut [f32]>,
+    ) {
+        self.engine
+            .rollout(&self.packed, rollouts, first, energy_j, power_w);
     }
 
     /// One forecast in watt by plain loops: the definition of the network's bits. Allocates.
+    ///
+    /// The normalisation is folded into the first and the last layer. A hidden output is its bias
+    /// plus one fused multiply-add for each input, in order, and then GELU. The last output is
+    /// sixteen products, each joined by the one sixteen further on in a fused multiply-add, added
+    /// in pairs (half onto half), and then the bias. Every NaN becomes [`f32::NAN`]: CPUs and
+    /// compilers disagree on its sign and payload, so this is what lets bits be compared.
     pub fn predict_reference_f32(&self, row: &Features) -> f32 {
-        let Normalisation {
-            feature_mean,
-            feature_std,
-            power_mean_w,
-            power_std_w,
-        } = self.parameters.normalisation;
-        let mut values: Vec<f32> = (self.feature_set().first()..FEATURES)
-            .map(|i| (row[i] - feature_mean[i]) * inverse_std(feature_std[i]))
-            .collect();
-        for (number, layer) in self.parameters.layers.iter().enumerate() {
-            let hidden = number < HIDDEN.len();
-            let dense = |(weights, &bias): (&[f32], &f32)| {
-                let sum = weights
-                    .iter()
-                    .zip(&values)
-                    .fold(bias, |sum, (&w, &x)| x.mul_add(w, sum));
-                if hidden { gelu(sum) } else { sum }
-            };
-            values = layer
-                .weights
-                .chunks(values.len())
-                .zip(&layer.bias)
-                .map(dense)
+        let [hidden @ .., last] = fold(&self.parameters);
+        let mut values = row[self.feature_set().first()..].to_vec();
+        for layer in &hidden {
+            let rows = layer.weights.chunks(values.len()).zip(&layer.bias);
+            let sums = rows.map(|(weights, &bias)| {
+                let products = weights.iter().zip(&values);
+                products.fold(bias, |sum, (&weight, &x)| x.mul_add(weight, sum))
+            });
+            values = sums
+                .map(|sum| self.parameters.activation.value(sum))
                 .collect();
         }
-        canonical(values[0].mul_add(power_std_w, power_mean_w))
+        let sums: [f32; LINE] = std::array::from_fn(|i| {
+            let high = LINE + i;
+            values[high].mul_add(last.weights[high], values[i] * last.weights[i])
+        });
+        canonical(pairwise(sums) + last.bias[0])
     }
 
     /// One forecast in watt in double precision with a true error function, for checks. Allocates.
@@ -222,7 +229,11 @@ impl Network {
             let dense = |(weights, &bias): (&[f32], &f32)| {
                 let products = weights.iter().zip(&values).map(|(&w, &x)| f64::from(w) * x);
                 let sum = f64::from(bias) + products.sum::<f64>();
-                if hidden { gelu_f64(sum) } else { sum }
+                if hidden {
+                    self.parameters.activation.value_f64(sum)
+                } else {
+                    sum
+                }
             };
             values = layer
                 .weights
@@ -233,11 +244,6 @@ impl Network {
         }
         values[0] * f64::from(power_std_w) + f64::from(power_mean_w)
     }
-}
-
-/// What a normalised feature is multiplied with: 0 for a constant feature.
-pub(crate) fn inverse_std(std: f32) -> f32 {
-    if std > 0.0 { 1.0 / std } else { 0.0 }
 }
 
 /// One bit pattern for every NaN: CPUs and compilers disagree on sign and payload.
@@ -274,7 +280,8 @@ fn check_parameters(parameters: &Parameters) -> Result<(), ModelError> {
             let field = format!("feature_mean of {}", FEATURE_NAMES[i]);
             return Err(ModelError::field(field, &feature_mean[i], "finite numbers"));
         }
-        let std_fine = feature_std[i] >= 0.0 && inverse_std(feature_std[i]).is_finite();
+        let std_fine =
+            feature_std[i] == 0.0 || (feature_std[i] > 0.0 && feature_std[i].recip().is_finite());
         if !(std_fine && feature_std[i].is_finite()) {
             let field = format!("feature_std of {}", FEATURE_NAMES[i]);
             return Err(ModelError::field(
@@ -298,6 +305,19 @@ fn check_parameters(parameters: &Parameters) -> Result<(), ModelError> {
             &power_std_w,
             "finite and > 0",
         ));
+    }
+    check_folded(parameters)
+}
+
+/// What the kernels compute with has to be finite too.
+fn check_folded(parameters: &Parameters) -> Result<(), ModelError> {
+    let [first, .., last] = fold(parameters);
+    for (name, layer) in [("first", first), ("last", last)] {
+        let mut values = layer.weights.iter().chain(&layer.bias);
+        if let Some(value) = values.find(|value| !value.is_finite()) {
+            let field = format!("normalisation folded into the {name} layer");
+            return Err(ModelError::field(field, value, "finite numbers"));
+        }
     }
     Ok(())
 }

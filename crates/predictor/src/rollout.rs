@@ -1,6 +1,7 @@
 //! What would these commands cost? The model fed with its own forecasts.
 
-use crate::{Features, LAGS, Model, RolloutError, features};
+use crate::network::canonical;
+use crate::{LAGS, Model, RolloutError};
 use std::ops::Range;
 
 /// Where a robot stands before the first step of its candidates.
@@ -82,7 +83,7 @@ impl Model {
     ///
     /// At each step the model sees the command of that step, the derivatives over `step_s`, and as
     /// lag window its own forecasts, with the robot's readings behind them. The bits are those of
-    /// [`Model::predict`] called step by step by hand with rows of [`features`]; the energy is
+    /// [`Model::predict`] called step by step by hand with rows of [`features`](crate::features()); the energy is
     /// `step_s` times the sum of the forecasts in step order, both in double precision, rounded
     /// once. A lane with a command or reading that is not finite gives results that are not finite
     /// from that step on, and changes no other lane.
@@ -97,31 +98,33 @@ impl Model {
         power_w: Option<&mut [f32]>,
     ) -> Result<(), RolloutError> {
         rollouts.check(&lanes, energy_j.len(), power_w.as_deref().map(<[f32]>::len))?;
-        let mut power_w = power_w;
-        let count = lanes.len();
-        for (index, lane) in lanes.enumerate() {
-            let start = &rollouts.starts[lane / rollouts.candidates];
-            let mut before = start.command;
-            let mut lag_w = start.lag_w;
-            let mut sum_w = 0.0f64;
-            for step in 0..rollouts.steps {
-                let place = step * rollouts.lanes() + lane;
-                let (v, omega) = (rollouts.v_mps[place], rollouts.omega_radps[place]);
-                let previous = before.map(|(v, omega)| (v, omega, rollouts.step_s));
-                let row: Features = features(v, omega, previous, &lag_w);
-                let mut forecast_w = [0.0];
-                self.predict(&[row], &mut forecast_w);
-                let [forecast_w] = forecast_w;
-                if let Some(power_w) = power_w.as_deref_mut() {
-                    power_w[step * count + index] = forecast_w;
-                }
-                sum_w += f64::from(forecast_w);
-                lag_w.rotate_right(1);
-                lag_w[0] = forecast_w;
-                before = Some((v, omega));
+        match self {
+            Model::Network(network) => {
+                network.rollout(rollouts, lanes.start, energy_j, power_w);
             }
-            energy_j[index] = (sum_w * f64::from(rollouts.step_s)) as f32;
+            Model::Persistence(_) => repeat(rollouts, lanes, energy_j, power_w),
         }
         Ok(())
+    }
+}
+
+/// Persistence fed with its own forecasts: the newest reading for ever.
+fn repeat(
+    rollouts: &Rollouts<'_>,
+    lanes: Range<usize>,
+    energy_j: &mut [f32],
+    mut power_w: Option<&mut [f32]>,
+) {
+    let count = lanes.len();
+    for (index, lane) in lanes.enumerate() {
+        let [newest_w, ..] = rollouts.starts[lane / rollouts.candidates].lag_w;
+        let mut sum_w = 0.0f64;
+        for step in 0..rollouts.steps {
+            sum_w += f64::from(newest_w);
+            if let Some(power_w) = power_w.as_deref_mut() {
+                power_w[step * count + index] = newest_w;
+            }
+        }
+        energy_j[index] = canonical((sum_w * f64::from(rollouts.step_s)) as f32);
     }
 }

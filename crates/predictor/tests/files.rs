@@ -3,7 +3,7 @@
 #[allow(dead_code)] // Each test file uses its part.
 mod random;
 
-use joulebus_predictor::{FeatureSet, ModelError, Network};
+use joulebus_predictor::{Activation, FEATURES, FeatureSet, ModelError, Network};
 use random::{Noise, card, network, parameters};
 use safetensors::SafeTensors;
 use sha2::{Digest, Sha256};
@@ -159,12 +159,37 @@ fn a_forged_file_with_sound_contents_is_accepted_so_that_the_refusals_below_mean
 }
 
 #[test]
+fn the_form_of_gelu_survives_the_file_and_changes_hash_and_forecast() {
+    let row = [0.3; FEATURES];
+    let mut parameters = parameters(&mut Noise(31), FeatureSet::Full);
+    let seen = [Activation::GeluErf, Activation::GeluTanh].map(|activation| {
+        parameters.activation = activation;
+        let network = Network::new(parameters.clone(), card(FeatureSet::Full));
+        let bytes = network.and_then(|network| network.to_safetensors());
+        let read = Network::from_safetensors(&bytes.expect("valid")).expect("valid");
+        assert_eq!(read.parameters().activation, activation);
+        (read.hash(), read.predict_reference_f64(&row).to_bits())
+    });
+    assert!(seen[0].0 != seen[1].0 && seen[0].1 != seen[1].1);
+}
+
+#[test]
+fn a_normalisation_that_overflows_the_folded_weights_is_refused() {
+    let mut parameters = parameters(&mut Noise(32), FeatureSet::Full);
+    parameters.normalisation.feature_std[2] = 1e-38;
+    parameters.layers[0].weights[2] = 100.0;
+    let error = Network::new(parameters, card(FeatureSet::Full)).err();
+    let text = error.expect("refused").to_string();
+    assert!(text.contains("folded into the first layer"), "{text}");
+}
+
+#[test]
 fn wrong_metadata_is_refused_by_name() {
     for (field, value) in [
         ("format", "other"),
         ("format_version", "2"),
         ("kind", "forest"),
-        ("activation", "gelu_tanh"),
+        ("activation", "relu"),
         ("convention", "oldest first"),
         ("feature_set", "half"),
         ("features", "v_mps"),

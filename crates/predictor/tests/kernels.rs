@@ -4,18 +4,54 @@
 mod random;
 
 use joulebus_predictor::{
-    FEATURES, FeatureSet, Features, Kernel, Model, Network, Persistence, ResidualStats, features,
+    FEATURES, FeatureSet, Features, Kernel, Model, Network, Persistence, ResidualStats, Tiling,
+    features,
 };
 use proptest::prelude::*;
 use random::{Noise, network, row};
+use std::path::Path;
 
 const SETS: [FeatureSet; 2] = [FeatureSet::Full, FeatureSet::PowerOnly];
 
+/// The network on every kernel that this CPU has, in every tiling.
 fn kernels(network: &Network) -> Vec<Network> {
-    Kernel::ALL
-        .into_iter()
-        .filter_map(|kernel| network.clone().with_kernel(kernel))
+    let tilings = [Tiling::ByInput, Tiling::ByRobot, Tiling::ByNeuron];
+    let all = Kernel::ALL.into_iter();
+    all.filter_map(|kernel| network.clone().with_kernel(kernel))
+        .flat_map(|network| tilings.map(|tiling| network.clone().with_tiling(tiling)))
         .collect()
+}
+
+/// The networks that ship, found beside the crate.
+fn trained() -> Vec<Network> {
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/models");
+    ["gternal-sim.safetensors", "gternal-sim-power.safetensors"]
+        .map(|name| {
+            let bytes = std::fs::read(models.join(name)).expect("the models that ship are there");
+            Network::from_safetensors(&bytes).expect("the models that ship are sound")
+        })
+        .into()
+}
+
+/// A row as in training: about the mean, and within the range.
+fn usual_row(network: &Network, noise: &mut Noise) -> Features {
+    let range = network.card().training_range;
+    let normalisation = network.parameters().normalisation;
+    std::array::from_fn(|feature| {
+        let deviations: f32 = (0..4).map(|_| noise.next_f32()).sum();
+        (normalisation.feature_mean[feature] + deviations * normalisation.feature_std[feature])
+            .clamp(range.min[feature], range.max[feature])
+    })
+}
+
+/// A row anywhere in the range that the network was trained on: most have a reading that was a
+/// dozen deviations from the mean in training, next to others that were not.
+fn row_in_range(network: &Network, noise: &mut Noise) -> Features {
+    let range = network.card().training_range;
+    std::array::from_fn(|feature| {
+        let share = 0.5 + 0.5 * noise.next_f32();
+        range.min[feature] + share * (range.max[feature] - range.min[feature])
+    })
 }
 
 fn reference(network: &Network, rows: &[Features]) -> Vec<u32> {
@@ -118,6 +154,21 @@ proptest! {
     }
 }
 
+/// Largest error against double precision, as a share of `scale_w` of the exact forecast.
+fn worst_error(network: &Network, rows: &[Features], scale_w: impl Fn(f64) -> f64) -> f64 {
+    let mut out_w = vec![0.0; rows.len()];
+    network.predict(rows, &mut out_w);
+    let errors = rows.iter().zip(out_w).map(|(row, forecast_w)| {
+        let exact_w = network.predict_reference_f64(row);
+        (f64::from(forecast_w) - exact_w).abs() / scale_w(exact_w)
+    });
+    errors.fold(0.0, f64::max)
+}
+
+fn output_scale_w(network: &Network) -> f64 {
+    f64::from(network.parameters().normalisation.power_std_w)
+}
+
 #[test]
 fn kernels_stay_within_3e_6_of_the_output_scale_of_double_precision() {
     let mut worst = 0.0f64;
@@ -126,17 +177,45 @@ fn kernels_stay_within_3e_6_of_the_output_scale_of_double_precision() {
             let network = network(seed, set);
             let mut noise = Noise(seed + 100);
             let rows: Vec<Features> = (0..500).map(|_| row(&mut noise)).collect();
-            let mut out_w = vec![0.0; rows.len()];
-            network.predict(&rows, &mut out_w);
-            let scale_w = f64::from(network.parameters().normalisation.power_std_w);
-            for (row, forecast_w) in rows.iter().zip(out_w) {
-                let error_w = f64::from(forecast_w) - network.predict_reference_f64(row);
-                worst = worst.max(error_w.abs() / scale_w);
-            }
+            worst = worst.max(worst_error(&network, &rows, |_| output_scale_w(&network)));
         }
     }
     println!("largest error: {worst:.2e} of the output scale");
     assert!(worst <= 3e-6, "{worst:e}");
+}
+
+#[test]
+fn trained_networks_stay_within_3e_6_of_the_output_scale_of_double_precision() {
+    for network in trained() {
+        let name = &network.card().name;
+        let mut noise = Noise(10);
+        let usual = (0..20_000).map(|_| usual_row(&network, &mut noise));
+        let usual = worst_error(&network, &usual.collect::<Vec<_>>(), |_| {
+            output_scale_w(&network)
+        });
+        println!("{name}: {usual:.2e} of the output scale");
+        assert!(usual <= 3e-6, "{name}: {usual:e}");
+        // Far out the forecast is many scales large, and its own last place is 3e-6 of one.
+        let all = (0..20_000).map(|_| row_in_range(&network, &mut noise));
+        let scale_w = |exact_w: f64| output_scale_w(&network).max(exact_w.abs());
+        let all = worst_error(&network, &all.collect::<Vec<_>>(), scale_w);
+        println!("{name}: {all:.2e} of the scale or the forecast over the whole range");
+        assert!(all <= 3e-6, "{name}: {all:e}");
+    }
+}
+
+#[test]
+fn trained_networks_give_the_reference_bits_on_every_kernel() {
+    for network in trained() {
+        let mut noise = Noise(11);
+        let rows: Vec<Features> = (0..77)
+            .map(|_| row_in_range(&network, &mut noise))
+            .collect();
+        let expected = reference(&network, &rows);
+        for network in kernels(&network) {
+            assert_eq!(batched(&network, &rows), expected, "{:?}", network.kernel());
+        }
+    }
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! The finished network, and what it scores on rows that decided nothing.
 
 use joulebus_predictor::{
-    Card, FEATURES, FeatureSet, Features, Network, Normalisation, Parameters, ResidualStats,
-    Scores, TrainingRange,
+    Activation, Card, FEATURES, FeatureSet, Features, Network, Normalisation, Parameters,
+    ResidualStats, Scores, TrainingRange,
 };
 
 use super::dataset::mean_and_std;
@@ -19,6 +19,7 @@ pub(super) fn finished(
     let parameters = Parameters {
         feature_set,
         normalisation,
+        activation: Activation::GeluErf,
         layers: weights.layers(),
     };
     let mut card = Card {

@@ -2,8 +2,8 @@
 
 use joulebus_fleet::{AlarmSettings, Intake, IntervalSettings, Platform, Settings};
 use joulebus_predictor::{
-    Card, FEATURES, FeatureSet, HIDDEN, Layer, Model, Network, Normalisation, Parameters,
-    Persistence, ResidualStats, Scores, TrainingRange,
+    Activation, Card, FEATURES, FeatureSet, HIDDEN, Layer, Model, Network, Normalisation,
+    Parameters, Persistence, ResidualStats, Scores, TrainingRange,
 };
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -103,6 +103,7 @@ pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> 
             power_mean_w,
             power_std_w: power_mean_w / 4.0,
         },
+        activation: Activation::GeluErf,
         layers,
     };
     let card = Card {

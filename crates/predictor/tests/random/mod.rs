@@ -1,8 +1,8 @@
-//! Networks and rows drawn from a seed.
+//! Networks of both forms of GELU and rows, drawn from a seed.
 
 use joulebus_predictor::{
-    Card, FEATURES, FeatureSet, Features, HIDDEN, Layer, Network, Normalisation, Parameters,
-    ResidualStats, Scores, TrainingRange,
+    Activation, Card, FEATURES, FeatureSet, Features, HIDDEN, Layer, Network, Normalisation,
+    Parameters, ResidualStats, Scores, TrainingRange,
 };
 
 pub(crate) struct Noise(pub(crate) u64);
@@ -38,6 +38,10 @@ pub(crate) fn parameters(noise: &mut Noise, feature_set: FeatureSet) -> Paramete
         layer(second, third),
         layer(third, 1),
     ];
+    let activation = match noise.next_u64() % 2 {
+        0 => Activation::GeluErf,
+        _ => Activation::GeluTanh,
+    };
     let mut feature_mean = [0.0; FEATURES];
     let mut feature_std = [0.0; FEATURES];
     for i in feature_set.first()..FEATURES {
@@ -52,6 +56,7 @@ pub(crate) fn parameters(noise: &mut Noise, feature_set: FeatureSet) -> Paramete
             power_mean_w: 3.65,
             power_std_w: 0.375,
         },
+        activation,
         layers,
     }
 }

@@ -1,0 +1,216 @@
+//! A batch as tiles: as many robots by vectors as there are whole vectors, the rest by neurons.
+
+#![allow(
+    clippy::needless_range_loop,
+    reason = "indices of tiles are plainer than iterators, and every loop has to unroll"
+)]
+
+use super::Tiling;
+use super::forward::{ByNeuron, ByRobot};
+use super::lanes::{Job, Lanes};
+use super::packed::Packed;
+use crate::{FEATURES, Features};
+
+/// Rows to forecast.
+pub(crate) trait Source: Copy {
+    /// Whether a vector of robots loads faster than a vector of features.
+    const IS_COLUMNS: bool;
+
+    /// `N` rows from `start` on, in `space` if they have to be put together; features before `first`
+    /// may be anything.
+    fn rows<'b, const N: usize>(
+        &'b self,
+        start: usize,
+        first: usize,
+        space: &'b mut [Features; N],
+    ) -> &'b [Features; N];
+
+    /// `R` vectors of rows from `start` on, as columns; features before `first` are left alone.
+    fn columns<L: Lanes, const R: usize>(
+        self,
+        lanes: L,
+        start: usize,
+        first: usize,
+        columns: &mut [[L::Vector; R]; FEATURES],
+    );
+}
+
+/// Rows as rows.
+#[derive(Clone, Copy)]
+pub(crate) struct Rows<'a>(pub(crate) &'a [Features]);
+
+impl Source for Rows<'_> {
+    const IS_COLUMNS: bool = false;
+
+    #[inline(always)]
+    fn rows<'b, const N: usize>(
+        &'b self,
+        start: usize,
+        _: usize,
+        space: &'b mut [Features; N],
+    ) -> &'b [Features; N] {
+        self.0[start..].first_chunk().unwrap_or(space)
+    }
+
+    #[inline(always)]
+    fn columns<L: Lanes, const R: usize>(
+        self,
+        lanes: L,
+        start: usize,
+        first: usize,
+        columns: &mut [[L::Vector; R]; FEATURES],
+    ) {
+        for r in 0..R {
+            let rows = &self.0[start + r * L::WIDTH..][..L::WIDTH];
+            let mut turned = [[0.0; 16]; FEATURES];
+            for (lane, row) in rows.iter().enumerate() {
+                for feature in 0..FEATURES {
+                    turned[feature][lane] = row[feature];
+                }
+            }
+            for feature in first..FEATURES {
+                columns[feature][r] = lanes.load(&turned[feature]);
+            }
+        }
+    }
+}
+
+/// Rows as columns of equal length; those that the model does not read may be empty.
+#[derive(Clone, Copy)]
+pub(crate) struct Columns<'a>(pub(crate) &'a [&'a [f32]; FEATURES]);
+
+impl Source for Columns<'_> {
+    const IS_COLUMNS: bool = true;
+
+    #[inline(always)]
+    fn rows<'b, const N: usize>(
+        &'b self,
+        start: usize,
+        first: usize,
+        space: &'b mut [Features; N],
+    ) -> &'b [Features; N] {
+        for feature in first..FEATURES {
+            let values = &self.0[feature][start..start + N];
+            for n in 0..N {
+                space[n][feature] = values[n];
+            }
+        }
+        space
+    }
+
+    #[inline(always)]
+    fn columns<L: Lanes, const R: usize>(
+        self,
+        lanes: L,
+        start: usize,
+        first: usize,
+        columns: &mut [[L::Vector; R]; FEATURES],
+    ) {
+        for feature in first..FEATURES {
+            for r in 0..R {
+                let place = start + r * L::WIDTH;
+                columns[feature][r] = lanes.load(&self.0[feature][place..]);
+            }
+        }
+    }
+}
+
+/// A batch; `R`, `C` and `N` are the tiles of [`ByRobot`] and [`ByNeuron`] that suit the CPU.
+pub(crate) struct Batch<'a, S: Source, const R: usize, const C: usize, const N: usize> {
+    pub(crate) packed: &'a Packed,
+    pub(crate) tiling: Tiling,
+    /// As many rows as `out_w` has places.
+    pub(crate) source: S,
+    pub(crate) out_w: &'a mut [f32],
+}
+
+impl<L: Lanes, S: Source, const R: usize, const C: usize, const N: usize> Job<L>
+    for Batch<'_, S, R, C, N>
+{
+    #[inline(always)]
+    fn run(self, lanes: L) {
+        let (packed, source) = (self.packed, self.source);
+        let mut rest = self.out_w;
+        let mut done = 0;
+        let by_input = self.tiling == Tiling::ByInput && S::IS_COLUMNS;
+        if by_input || self.tiling == Tiling::ByRobot {
+            let (wide, after) = rest.split_at_mut(whole(rest.len(), R * L::WIDTH));
+            by_robot::<L, S, R, C>(lanes, packed, source, done, wide);
+            done += wide.len();
+            let (narrow, after) = after.split_at_mut(whole(after.len(), L::WIDTH));
+            by_robot::<L, S, 1, 8>(lanes, packed, source, done, narrow);
+            done += narrow.len();
+            rest = after;
+        }
+        let (tiles, rest) = rest.as_chunks_mut::<N>();
+        for tile in tiles {
+            by_neuron(lanes, packed, source, done, tile);
+            done += N;
+        }
+        match rest.len() {
+            1 => few::<L, S, 1>(lanes, packed, source, done, rest),
+            2 => few::<L, S, 2>(lanes, packed, source, done, rest),
+            3 if N > 3 => few::<L, S, 3>(lanes, packed, source, done, rest),
+            _ => {}
+        }
+    }
+}
+
+/// The part of `count` that is a whole number of tiles.
+#[inline(always)]
+pub(crate) const fn whole(count: usize, tile: usize) -> usize {
+    count - count % tile
+}
+
+/// Whole tiles of `R` vectors of robots.
+#[inline(always)]
+fn by_robot<L: Lanes, S: Source, const R: usize, const C: usize>(
+    lanes: L,
+    packed: &Packed,
+    source: S,
+    start: usize,
+    out_w: &mut [f32],
+) {
+    if out_w.is_empty() {
+        return;
+    }
+    let mut inputs = [[lanes.splat(0.0); R]; FEATURES];
+    for (tile, out_w) in out_w.chunks_exact_mut(R * L::WIDTH).enumerate() {
+        let start = start + tile * R * L::WIDTH;
+        source.columns(lanes, start, packed.first_feature, &mut inputs);
+        lanes.run(ByRobot::<L, R, C> {
+            packed,
+            inputs: &inputs,
+            out_w,
+        });
+    }
+}
+
+#[inline(always)]
+fn few<L: Lanes, S: Source, const N: usize>(
+    lanes: L,
+    packed: &Packed,
+    source: S,
+    start: usize,
+    out_w: &mut [f32],
+) {
+    let (tiles, _) = out_w.as_chunks_mut::<N>();
+    for tile in tiles {
+        by_neuron(lanes, packed, source, start, tile);
+    }
+}
+
+#[inline(always)]
+fn by_neuron<L: Lanes, S: Source, const N: usize>(
+    lanes: L,
+    packed: &Packed,
+    source: S,
+    start: usize,
+    out_w: &mut [f32; N],
+) {
+    lanes.run(ByNeuron {
+        packed,
+        rows: source.rows(start, packed.first_feature, &mut [[0.0; FEATURES]; N]),
+        out_w,
+    });
+}

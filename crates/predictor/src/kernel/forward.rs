@@ -1,0 +1,316 @@
+//! The network, for a tile of robots, in two tilings.
+//!
+//! - [`ByRobot`]: a vector holds one value of as many robots. Every value of a layer is a column;
+//!   weights are broadcast. Best for bulk.
+//! - [`ByNeuron`]: a vector holds neighbouring outputs of one robot. Weights are loaded, the inputs
+//!   of up to four robots broadcast. Best for a few robots.
+//!
+//! Both do the operations of [`Network::predict_reference_f32`](crate::Network) in its order, for
+//! each robot alone.
+
+#![allow(
+    clippy::needless_range_loop,
+    reason = "indices of tiles are plainer than iterators, and every loop has to unroll"
+)]
+
+use super::lanes::{Job, Lanes};
+use super::packed::{Dense, LINE, Packed};
+use super::scalar::Scalar;
+use crate::gelu::{LIMIT, MAGIC, SCALE};
+use crate::network::canonical;
+use crate::{FEATURES, Features, HIDDEN};
+use std::mem::MaybeUninit;
+
+const WIDE: usize = HIDDEN[0];
+const NARROW: usize = HIDDEN[2];
+
+/// GELU with its table in registers.
+struct Gelu<L: Lanes> {
+    table: [L::Table; 6],
+    limit: L::Vector,
+    scale: L::Vector,
+    magic: L::Vector,
+    half: L::Vector,
+}
+
+impl<L: Lanes> Gelu<L> {
+    #[inline(always)]
+    fn new(lanes: L, coefficients: &[[f32; 8]; 6]) -> Gelu<L> {
+        let mut table = [lanes.table(&coefficients[0]); 6];
+        for power in 1..6 {
+            table[power] = lanes.table(&coefficients[power]);
+        }
+        Gelu {
+            table,
+            limit: lanes.splat(LIMIT),
+            scale: lanes.splat(SCALE),
+            magic: lanes.splat(MAGIC),
+            half: lanes.splat(0.5),
+        }
+    }
+
+    /// [`Activation::value`](crate::Activation) of every lane.
+    #[inline(always)]
+    fn apply(&self, lanes: L, x: L::Vector) -> L::Vector {
+        let magnitude = lanes.abs(x);
+        let clamped = lanes.at_most(magnitude, self.limit);
+        let segment = lanes.mul_add(clamped, self.scale, self.magic);
+        let mut tail = lanes.lookup(self.table[5], segment);
+        for power in [4, 3, 2, 1, 0] {
+            let coefficient = lanes.lookup(self.table[power], segment);
+            tail = lanes.mul_add(tail, clamped, coefficient);
+        }
+        lanes.mul_add(lanes.add(x, magnitude), self.half, tail)
+    }
+}
+
+/// Room for the values of a layer, which nobody fills in vain. On cache lines of its own: a vector
+/// that lies across two costs twice.
+#[repr(C, align(64))]
+struct Scratch<T, const O: usize>([MaybeUninit<T>; O]);
+
+impl<T, const O: usize> Scratch<T, O> {
+    const NEW: Scratch<T, O> = Scratch([const { MaybeUninit::uninit() }; O]);
+}
+
+/// # Safety
+/// Every value must have been written.
+#[inline(always)]
+unsafe fn written<T, const O: usize>(scratch: &Scratch<T, O>) -> &[T; O] {
+    // SAFETY: `MaybeUninit<T>` has the layout of `T`, and the caller wrote every value.
+    unsafe { &*std::ptr::from_ref(&scratch.0).cast() }
+}
+
+/// `R` vectors of robots; `C` outputs of them at a time stay in registers.
+pub(crate) struct ByRobot<'a, L: Lanes, const R: usize, const C: usize> {
+    pub(crate) packed: &'a Packed,
+    /// Features in their units, as columns; those that are not read may be anything.
+    pub(crate) inputs: &'a [[L::Vector; R]; FEATURES],
+    /// Forecasts in watt of `R * WIDTH` robots.
+    pub(crate) out_w: &'a mut [f32],
+}
+
+impl<L: Lanes, const R: usize, const C: usize> Job<L> for ByRobot<'_, L, R, C> {
+    #[inline(always)]
+    fn run(self, lanes: L) {
+        let Packed {
+            first_feature,
+            ref gelu,
+            ref first,
+            ref second,
+            ref third,
+            ref last_weights,
+            last_bias,
+        } = *self.packed;
+        let gelu = &Gelu::new(lanes, gelu);
+        // Two buffers for three layers: what is read last is written next, and stays in the cache.
+        let mut odd = Scratch::<[L::Vector; R], WIDE>::NEW;
+        let mut even = Scratch::<[L::Vector; R], WIDE>::NEW;
+        let mut narrow = Scratch::<[L::Vector; R], NARROW>::NEW;
+        let values =
+            columns::<L, R, C, _, _, _>(lanes, gelu, first, first_feature, self.inputs, &mut odd);
+        let values = columns::<L, R, C, _, _, _>(lanes, gelu, second, 0, values, &mut even);
+        let values = columns::<L, R, C, _, _, _>(lanes, gelu, third, 0, values, &mut narrow);
+        for r in 0..R {
+            let sum = last_of_columns(lanes, values, r, last_weights);
+            let watt = lanes.add(sum, lanes.splat(last_bias));
+            lanes.store(watt, &mut self.out_w[r * L::WIDTH..]);
+        }
+        for watt in &mut self.out_w[..R * L::WIDTH] {
+            *watt = canonical(*watt);
+        }
+    }
+}
+
+/// A hidden layer by columns: `C` outputs of `R` vectors of robots at a time.
+#[inline(always)]
+fn columns<
+    'a,
+    L: Lanes,
+    const R: usize,
+    const C: usize,
+    const I: usize,
+    const N: usize,
+    const O: usize,
+>(
+    lanes: L,
+    gelu: &Gelu<L>,
+    layer: &Dense<I, N>,
+    first_input: usize,
+    input: &[[L::Vector; R]; I],
+    output: &'a mut Scratch<[L::Vector; R], O>,
+) -> &'a [[L::Vector; R]; O] {
+    const { assert!(O == N * LINE && LINE.is_multiple_of(C)) };
+    for line in 0..N {
+        let (weights, bias) = (&layer.weights[line], &layer.bias[line].0);
+        for part in 0..LINE / C {
+            let start = part * C;
+            let mut sums = [[lanes.splat(0.0); R]; C];
+            for c in 0..C {
+                sums[c] = [lanes.splat(bias[start + c]); R];
+            }
+            for (x, weights) in input[first_input..].iter().zip(&weights[first_input..]) {
+                for c in 0..C {
+                    let weight = lanes.splat(weights.0[start + c]);
+                    for r in 0..R {
+                        sums[c][r] = lanes.mul_add(x[r], weight, sums[c][r]);
+                    }
+                }
+            }
+            for c in 0..C {
+                let mut values = sums[c];
+                for value in &mut values {
+                    *value = gelu.apply(lanes, *value);
+                }
+                output.0[line * LINE + start + c].write(values);
+            }
+        }
+    }
+    // SAFETY: `N` lines of `LINE / C` parts of `C` outputs are all `O`, and each was written.
+    unsafe { written(output) }
+}
+
+/// The weighted sum of the last hidden layer, in the order of [`last_of_row`].
+#[inline(always)]
+fn last_of_columns<L: Lanes, const R: usize>(
+    lanes: L,
+    values: &[[L::Vector; R]; NARROW],
+    r: usize,
+    weights: &[f32; NARROW],
+) -> L::Vector {
+    let mut sums = [lanes.splat(0.0); LINE];
+    for i in 0..LINE {
+        let low = lanes.mul(values[i][r], lanes.splat(weights[i]));
+        let weight = lanes.splat(weights[LINE + i]);
+        sums[i] = lanes.mul_add(values[LINE + i][r], weight, low);
+    }
+    tree(lanes, sums)
+}
+
+/// `N` robots, one after another in memory.
+pub(crate) struct ByNeuron<'a, const N: usize> {
+    pub(crate) packed: &'a Packed,
+    /// Features in their units; those that are not read may be anything.
+    pub(crate) rows: &'a [Features; N],
+    /// Forecasts in watt.
+    pub(crate) out_w: &'a mut [f32; N],
+}
+
+impl<L: Lanes, const N: usize> Job<L> for ByNeuron<'_, N> {
+    #[inline(always)]
+    fn run(self, lanes: L) {
+        let packed = self.packed;
+        let gelu = &Gelu::new(lanes, &packed.gelu);
+        let mut odd = [const { Scratch::<f32, WIDE>::NEW }; N];
+        let mut even = [const { Scratch::<f32, WIDE>::NEW }; N];
+        let mut narrow = [const { Scratch::<f32, NARROW>::NEW }; N];
+        let rows = self.rows.each_ref();
+        let first = packed.first_feature;
+        let values = rows_of_layer(lanes, gelu, &packed.first, first, rows, &mut odd);
+        let values = rows_of_layer(lanes, gelu, &packed.second, 0, values, &mut even);
+        let values = rows_of_layer(lanes, gelu, &packed.third, 0, values, &mut narrow);
+        for n in 0..N {
+            let sum = last_of_row(lanes, values[n], &packed.last_weights);
+            self.out_w[n] = canonical(sum + packed.last_bias);
+        }
+    }
+}
+
+/// A hidden layer of `N` robots, in groups of outputs whose sums fit the registers.
+#[inline(always)]
+fn rows_of_layer<'a, L: Lanes, const N: usize, const I: usize, const M: usize, const O: usize>(
+    lanes: L,
+    gelu: &Gelu<L>,
+    layer: &Dense<I, M>,
+    first_input: usize,
+    input: [&[f32; I]; N],
+    output: &'a mut [Scratch<f32, O>; N],
+) -> [&'a [f32; O]; N] {
+    const { assert!(O == M * LINE && L::SUMS >= 8 && N <= 4) };
+    // A constant: all branches but one are gone before code is made.
+    match (O / L::WIDTH).min(L::SUMS / N) {
+        8.. => grouped::<L, N, 8, I, M, O>(lanes, gelu, layer, first_input, input, output),
+        4.. => grouped::<L, N, 4, I, M, O>(lanes, gelu, layer, first_input, input, output),
+        _ => grouped::<L, N, 2, I, M, O>(lanes, gelu, layer, first_input, input, output),
+    }
+    // SAFETY: each of the calls above wrote every output of every robot.
+    output.each_ref().map(|row| unsafe { written(row) })
+}
+
+#[inline(always)]
+fn grouped<
+    L: Lanes,
+    const N: usize,
+    const V: usize,
+    const I: usize,
+    const M: usize,
+    const O: usize,
+>(
+    lanes: L,
+    gelu: &Gelu<L>,
+    layer: &Dense<I, M>,
+    first_input: usize,
+    input: [&[f32; I]; N],
+    output: &mut [Scratch<f32, O>; N],
+) {
+    let per_line = LINE / L::WIDTH;
+    for group in 0..O / L::WIDTH / V {
+        let mut sums = [[lanes.splat(0.0); V]; N];
+        for v in 0..V {
+            let (line, place) = ((group * V + v) / per_line, (group * V + v) % per_line);
+            let bias = lanes.load(&layer.bias[line].0[place * L::WIDTH..]);
+            for n in 0..N {
+                sums[n][v] = bias;
+            }
+        }
+        for k in first_input..I {
+            for v in 0..V {
+                let (line, place) = ((group * V + v) / per_line, (group * V + v) % per_line);
+                let weight = lanes.load(&layer.weights[line][k].0[place * L::WIDTH..]);
+                for n in 0..N {
+                    sums[n][v] = lanes.mul_add(lanes.splat(input[n][k]), weight, sums[n][v]);
+                }
+            }
+        }
+        for n in 0..N {
+            for v in 0..V {
+                let value = gelu.apply(lanes, sums[n][v]);
+                lanes.store_new(value, &mut output[n].0[(group * V + v) * L::WIDTH..]);
+            }
+        }
+    }
+}
+
+/// The weighted sum of the last hidden layer: sixteen products, each joined by the one sixteen
+/// further on, then added in pairs. A sum from the first to the last would make one robot alone
+/// wait for 32 multiply-adds in a row.
+#[inline(always)]
+fn last_of_row<L: Lanes>(lanes: L, values: &[f32; NARROW], weights: &[f32; NARROW]) -> f32 {
+    let mut sums = [0.0; LINE];
+    for start in (0..LINE).step_by(L::WIDTH) {
+        let low = lanes.mul(lanes.load(&values[start..]), lanes.load(&weights[start..]));
+        let high = lanes.load(&values[LINE + start..]);
+        let weight = lanes.load(&weights[LINE + start..]);
+        lanes.store(lanes.mul_add(high, weight, low), &mut sums[start..]);
+    }
+    pairwise(sums)
+}
+
+/// Adds the second half to the first until one value is left.
+#[inline(always)]
+pub(crate) fn pairwise(sums: [f32; LINE]) -> f32 {
+    tree(Scalar, sums)
+}
+
+/// As [`pairwise`], for every lane. Written out, since a loop over the halves stays a loop.
+#[inline(always)]
+fn tree<L: Lanes>(lanes: L, mut sums: [L::Vector; LINE]) -> L::Vector {
+    for i in 0..8 {
+        sums[i] = lanes.add(sums[i], sums[8 + i]);
+    }
+    for i in 0..4 {
+        sums[i] = lanes.add(sums[i], sums[4 + i]);
+    }
+    let (even, odd) = (lanes.add(sums[0], sums[2]), lanes.add(sums[1], sums[3]));
+    lanes.add(even, odd)
+}

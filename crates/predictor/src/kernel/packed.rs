@@ -1,0 +1,109 @@
+//! The parameters in the order in which the kernels read them.
+
+use crate::{FEATURES, HIDDEN, Layer, Parameters};
+
+/// Outputs that are packed together: a cache line, and the widest vector that any CPU has.
+pub(crate) const LINE: usize = 16;
+
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Line(pub(crate) [f32; LINE]);
+
+/// A hidden layer with `I` inputs and `L` lines of outputs.
+#[derive(Clone, Debug)]
+pub(crate) struct Dense<const I: usize, const L: usize> {
+    /// For each line and input, the weights of the input to the outputs of the line. One layout
+    /// serves both tilings: a vector of outputs loads a line, a vector of robots one weight of it.
+    pub(crate) weights: [[Line; I]; L],
+    pub(crate) bias: [Line; L],
+}
+
+impl<const I: usize, const L: usize> Dense<I, L> {
+    /// `layer` has `L * LINE` outputs and at most `I` inputs; they become the last ones.
+    fn new(layer: &Layer) -> Dense<I, L> {
+        let inputs = layer.weights.len() / layer.bias.len();
+        let skipped = I - inputs;
+        let weight = |output: usize, input: usize| match input.checked_sub(skipped) {
+            Some(input) => layer.weights[output * inputs + input],
+            None => 0.0,
+        };
+        Dense {
+            weights: std::array::from_fn(|line| {
+                std::array::from_fn(|input| {
+                    Line(std::array::from_fn(|j| weight(line * LINE + j, input)))
+                })
+            }),
+            bias: std::array::from_fn(|line| {
+                Line(std::array::from_fn(|j| layer.bias[line * LINE + j]))
+            }),
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct Packed {
+    /// Position of the first feature that is read; all that follow are read too.
+    pub(crate) first_feature: usize,
+    pub(crate) gelu: [[f32; 8]; 6],
+    pub(crate) first: Dense<FEATURES, { HIDDEN[0] / LINE }>,
+    pub(crate) second: Dense<{ HIDDEN[0] }, { HIDDEN[1] / LINE }>,
+    pub(crate) third: Dense<{ HIDDEN[1] }, { HIDDEN[2] / LINE }>,
+    pub(crate) last_weights: [f32; HIDDEN[2]],
+    pub(crate) last_bias: f32,
+}
+
+impl Packed {
+    /// Parameters must have passed the network's checks.
+    pub(crate) fn new(parameters: &Parameters) -> Packed {
+        let [first, second, third, last] = fold(parameters);
+        Packed {
+            first_feature: parameters.feature_set.first(),
+            gelu: *parameters.activation.table(),
+            first: Dense::new(&first),
+            second: Dense::new(&second),
+            third: Dense::new(&third),
+            last_weights: std::array::from_fn(|i| last.weights[i]),
+            last_bias: last.bias[0],
+        }
+    }
+}
+
+/// The layers with the normalisation folded in: the first takes features in their units, the last
+/// gives watt. Double precision, rounded once. The biases make good what rounding the weights
+/// costs at the mean of the features, where most robots are.
+pub(crate) fn fold(parameters: &Parameters) -> [Layer; 4] {
+    let [first, second, third, last] = &parameters.layers;
+    let normalisation = &parameters.normalisation;
+    let set = parameters.feature_set;
+    let scale = |feature: usize| match normalisation.feature_std[feature] {
+        std if std > 0.0 => 1.0 / f64::from(std),
+        _ => 0.0,
+    };
+    let features = || set.first()..FEATURES;
+    let weights: Vec<f32> = first
+        .weights
+        .chunks(set.inputs())
+        .flat_map(|row| row.iter().zip(features()))
+        .map(|(&weight, feature)| (f64::from(weight) * scale(feature)) as f32)
+        .collect();
+    let shifted = |(&bias, row): (&f32, &[f32])| {
+        let at_mean = row.iter().zip(features()).map(|(&weight, feature)| {
+            f64::from(weight) * f64::from(normalisation.feature_mean[feature])
+        });
+        (f64::from(bias) - at_mean.sum::<f64>()) as f32
+    };
+    let bias = first.bias.iter().zip(weights.chunks(set.inputs()));
+    let bias = bias.map(shifted).collect();
+    let std_w = f64::from(normalisation.power_std_w);
+    let in_watt = |&value: &f32| f64::from(value) * std_w;
+    let mean_w = f64::from(normalisation.power_mean_w);
+    let last = Layer {
+        weights: last.weights.iter().map(|w| in_watt(w) as f32).collect(),
+        bias: last
+            .bias
+            .iter()
+            .map(|b| (in_watt(b) + mean_w) as f32)
+            .collect(),
+    };
+    [Layer { weights, bias }, second.clone(), third.clone(), last]
+}
