@@ -57,6 +57,10 @@ impl Run {
 
     fn demo(arguments: &[&str]) -> Self {
         let mut all = vec!["demo", "--format", "json"];
+        // Demonstrations run next to each other here: only who asks for it leaves a capture.
+        if !arguments.contains(&"--capture") {
+            all.push("--no-capture");
+        }
         all.extend(arguments);
         Self::start(&all)
     }
@@ -228,6 +232,33 @@ fn it_adds_up_and_leaves_nothing() {
     let planted = summary["stand_out"].as_array().unwrap().len()
         + summary["unnoticed"].as_array().unwrap().len();
     assert!(planted >= 2, "{summary:#}");
+    assert_nothing_left(&summary, &demo);
+}
+
+#[test]
+fn it_leaves_a_capture_of_all_that_was_sent() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("demo.mcap");
+    let arguments = ["--duration", "3", "--robots", "5", "--capture"];
+    let mut demo = Run::demo(&[&arguments[..], &[file.to_str().unwrap()]].concat());
+    let (code, summary) = demo.summary();
+    assert_eq!(code, 0, "{summary:#}");
+    assert_eq!(summary["capture"]["path"], file.to_str().unwrap());
+    assert_eq!(
+        count(&summary["capture"]["messages_lost"]),
+        0,
+        "{summary:#}"
+    );
+    let mut samples = 0;
+    let mut messages = 0;
+    for entry in joulebus_capture::Reader::open(&file).unwrap() {
+        messages += 1;
+        if let joulebus_capture::Message::Samples(_, rows) = entry.unwrap().message {
+            samples += rows.len() as u64;
+        }
+    }
+    assert_eq!(samples, count(&summary["samples"]["sent"]));
+    assert_eq!(messages, count(&summary["capture"]["messages"]));
     assert_nothing_left(&summary, &demo);
 }
 

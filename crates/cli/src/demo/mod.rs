@@ -1,10 +1,12 @@
-//! `joulebus demo`: a simulated fleet, a worker and a planner as real processes.
+//! `joulebus demo`: a simulated fleet, a worker, a planner and a recorder as real processes.
 
 mod account;
+mod capture;
 mod place;
 mod show;
 mod summary;
 
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use joulebus_bus::clock;
@@ -17,12 +19,14 @@ use crate::view::{Board, Feed};
 use crate::watch::PlannerReport;
 
 use account::{Account, SourceRun, WorkerAccount};
+use capture::Captured;
 use place::Place;
 use summary::{Planted, Summary};
 
 const WORKER: &str = "worker";
 const SOURCE: &str = "source";
 const PLANNER: &str = "planner";
+const RECORDER: &str = "recorder";
 
 /// How long the worker may take for its first frame.
 const START_LIMIT_NS: u64 = 15_000_000_000;
@@ -32,13 +36,13 @@ const DRAIN_LIMIT_NS: u64 = 1_000_000_000;
 const GRACE: Duration = Duration::from_secs(5);
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
-/// Run a simulated fleet, a worker and a planner, and show what they do
+/// Run a simulated fleet, a worker, a planner and a recorder, and show what they do
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus demo\n  \
     joulebus demo --robots 200 --duration 60\n  \
     joulebus demo --format json > demo.json\n\n\
-    Needs nothing and leaves nothing. Two robots get a fault, so that there is something to find. \
+    Needs nothing, and leaves nothing but a capture of itself, which Foxglove opens. Two robots get a fault, so that there is something to find. \
     Exit code 3 if a sample that was sent is not accounted for.")]
 pub(crate) struct Args {
     /// Simulated GTernal robots
@@ -50,6 +54,12 @@ pub(crate) struct Args {
     /// How long samples are sent, s
     #[arg(long, value_name = "SECONDS", default_value_t = 20.0, value_parser = duration)]
     duration: f64,
+    /// The capture that it leaves [default: joulebus-demo-<time>.mcap here]
+    #[arg(long, value_name = "FILE")]
+    capture: Option<PathBuf>,
+    /// Leave no capture
+    #[arg(long, conflicts_with = "capture")]
+    no_capture: bool,
     /// A line a second instead of the live view
     #[arg(long)]
     plain: bool,
@@ -69,10 +79,13 @@ fn duration(text: &str) -> Result<f64, String> {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     // Before anything is created: who is told to stop while starting cleans up as well.
     let stop = Stop::on_signals()?.or_hangup()?;
+    let wanted = (!args.no_capture).then_some(args.capture.as_deref());
+    let capture = wanted.map(capture::file).transpose()?;
     let place = Place::make(args.robots)?;
     // After the place, so that it goes first: all processes are waited for before the sweep.
     let mut demo = Demo {
         planted: planted(args.robots, args.duration),
+        capture,
         args,
         supervisor: Supervisor::new()?,
         lines_to_stdout: output.format() == Format::Text,
@@ -119,6 +132,8 @@ fn planted(robots: u32, duration_s: f64) -> Vec<Planted> {
 struct Demo<'a> {
     args: &'a Args,
     planted: Vec<Planted>,
+    /// File of the capture, if there is to be one.
+    capture: Option<PathBuf>,
     supervisor: Supervisor,
     /// Lines on the way are results only where they do not stand between the JSON.
     lines_to_stdout: bool,
@@ -131,8 +146,12 @@ impl Demo<'_> {
         self.supervisor.add(task(WORKER, place, &["run"]));
         self.supervisor
             .add(task(PLANNER, place, &["watch", "--summary"]));
+        if let Some(capture) = &self.capture {
+            self.supervisor.add(recorder(place, capture));
+        }
         let feed = Feed::start(place.config(), "demo", true)?;
         self.wait_for_worker(&feed, stop)?;
+        self.wait_for_recorder(&feed, stop);
         feed.board().begin(clock::monotonic_ns());
         self.supervisor.add(self.source(place));
         let began_ns = clock::monotonic_ns();
@@ -184,7 +203,37 @@ impl Demo<'_> {
         Ok(())
     }
 
-    /// The source first, then what is on its way, then the planner, then the worker.
+    /// Until the recorder records, so that the capture begins before the first sample.
+    fn wait_for_recorder(&mut self, feed: &Feed, stop: &Stop) {
+        let give_up_ns = clock::monotonic_ns() + START_LIMIT_NS;
+        let records = |event: &Event| {
+            let Event::Said { name, line } = event else {
+                return false;
+            };
+            *name == RECORDER && line.starts_with("recording ")
+        };
+        while self.capture.is_some()
+            && !self.events.iter().any(records)
+            && !stop.is_asked()
+            && clock::monotonic_ns() < give_up_ns
+        {
+            self.look_after(feed);
+            std::thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    /// Ends the recorder; what it says of the capture.
+    fn captured(&mut self) -> Option<Captured> {
+        let path = self.capture.clone()?;
+        let recorder = self.supervisor.end(RECORDER, GRACE, &mut self.events);
+        let captured = Captured::read(&recorder.stdout, &path);
+        if captured.is_none() {
+            say("the recorder left no report");
+        }
+        captured
+    }
+
+    /// The source first, then what is on its way, then planner and recorder, then the worker.
     fn finish(&mut self, feed: Feed) -> anyhow::Result<Summary> {
         let source = self.supervisor.end(SOURCE, GRACE, &mut self.events);
         let duration_s = feed.board().seconds(clock::monotonic_ns());
@@ -202,6 +251,7 @@ impl Demo<'_> {
         }
         let planner = self.supervisor.end(PLANNER, GRACE, &mut self.events);
         let board = feed.finish()?;
+        let captured = self.captured();
         self.supervisor.end(WORKER, GRACE, &mut self.events);
         // One that was ended before it was ready has nothing to report.
         let report: Option<PlannerReport> = serde_json::from_str(&planner.stdout).ok();
@@ -215,6 +265,7 @@ impl Demo<'_> {
             &self.planted,
             (self.args.seed, duration_s),
             self.deaths(),
+            captured,
         ))
     }
 
@@ -269,6 +320,14 @@ fn task(name: &'static str, place: &Place, verb: &[&str]) -> Task {
     arguments.extend(["--config".into(), place.file().into()]);
     arguments.extend(["--format".into(), "json".into()]);
     Task { name, arguments }
+}
+
+/// The recorder; one that died goes on in a file beside the first.
+fn recorder(place: &Place, capture: &Path) -> Task {
+    let mut task = task(RECORDER, place, &["record", "--go-on"]);
+    let arguments = ["--output".into(), capture.as_os_str().to_owned()];
+    task.arguments.extend(arguments);
+    task
 }
 
 /// What a source says that it has sent.

@@ -6,6 +6,7 @@ use joulebus_wire::Level;
 use serde::Serialize;
 
 use super::account::Account;
+use super::capture::Captured;
 use super::place::LeftBehind;
 use crate::view::{Board, Raised, Scores, count, level};
 use crate::watch::PlannerReport;
@@ -82,6 +83,8 @@ pub(super) struct Summary {
     unnoticed: Vec<Planted>,
     /// Processes that died and were started again.
     deaths: Vec<String>,
+    /// The capture; none if there is none, or the recorder could not tell.
+    capture: Option<Captured>,
     pub(super) left_behind: LeftBehind,
 }
 
@@ -93,6 +96,7 @@ impl Summary {
         planted: &[Planted],
         (seed, duration_s): (u64, f64),
         deaths: Vec<String>,
+        capture: Option<Captured>,
     ) -> Self {
         let (done, skipped, late) = board.ticks();
         let stand_out: Vec<StandsOut> = board
@@ -126,6 +130,7 @@ impl Summary {
             unnoticed: planted.iter().filter(unnoticed).cloned().collect(),
             stand_out,
             deaths,
+            capture,
             left_behind: LeftBehind::default(),
         }
     }
@@ -164,6 +169,25 @@ impl Summary {
             )?;
         }
         Ok(())
+    }
+
+    fn capture_text(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Some(capture) = &self.capture else {
+            return Ok(());
+        };
+        let (path, lost) = (capture.path.display(), capture.messages_lost);
+        let (messages, megabytes) = (count(capture.messages), capture.bytes as f64 * 1e-6);
+        write!(
+            out,
+            "capture    {path}: {messages} messages, {megabytes:.1} MB"
+        )?;
+        if lost > 0 {
+            write!(out, ", {lost} lost")?;
+        }
+        match &capture.failure {
+            Some(failure) => writeln!(out, "; stopped: {failure}"),
+            None => writeln!(out),
+        }
     }
 
     fn scores_text(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -305,6 +329,7 @@ impl fmt::Display for Summary {
         for death in &self.deaths {
             writeln!(out, "died       {death}")?;
         }
+        self.capture_text(out)?;
         let left = &self.left_behind;
         if left.is_nothing() {
             writeln!(out, "memory     nothing left behind")

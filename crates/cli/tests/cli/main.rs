@@ -12,12 +12,13 @@ use std::time::Duration;
 use fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
 
-const VERBS: [&str; 15] = [
+const VERBS: [&str; 16] = [
     "demo",
     "run",
     "publish",
     "publish sim",
     "publish trial",
+    "record",
     "watch",
     "doctor",
     "config",

@@ -1,0 +1,399 @@
+//! Messages with any bits, and every field of them by name: whoever adds a field to a payload is
+//! told here by the compiler.
+#![allow(dead_code, reason = "every test takes what it needs")]
+
+use joulebus_capture::Message;
+use joulebus_wire::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, DropCounts, Forecast, ForecastHeader,
+    Refusal, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
+};
+
+/// Any bits, the awkward ones often: zeros, ones, -0, infinities, NaNs with and without sign.
+pub(crate) struct Bits(pub(crate) u64);
+
+impl Bits {
+    pub(crate) fn u64(&mut self) -> u64 {
+        // SplitMix64, as published by Steele, Lea and Flood.
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^= z >> 31;
+        let awkward = [0, 1, u64::MAX, 1 << 63, 0x8000_0000_8000_0000];
+        match z % 16 {
+            0..=4 => awkward[(z % 16) as usize],
+            5 => z | 0x7ff0_0000_7f80_0000,
+            _ => z,
+        }
+    }
+
+    pub(crate) fn u32(&mut self) -> u32 {
+        self.u64() as u32
+    }
+
+    pub(crate) fn u16(&mut self) -> u16 {
+        self.u64() as u16
+    }
+
+    pub(crate) fn f32(&mut self) -> f32 {
+        f32::from_bits(self.u32())
+    }
+
+    pub(crate) fn f64(&mut self) -> f64 {
+        f64::from_bits(self.u64())
+    }
+
+    pub(crate) fn rows<T>(&mut self, row: impl Fn(&mut Self) -> T) -> Vec<T> {
+        (0..self.u64() % 5).map(|_| row(self)).collect()
+    }
+}
+
+/// A number by its bits, so that NaNs can be compared and -0 is not 0.
+pub(crate) trait ToBits {
+    fn bits(&self) -> u64;
+}
+
+impl ToBits for u16 {
+    fn bits(&self) -> u64 {
+        u64::from(*self)
+    }
+}
+
+impl ToBits for u32 {
+    fn bits(&self) -> u64 {
+        u64::from(*self)
+    }
+}
+
+impl ToBits for u64 {
+    fn bits(&self) -> u64 {
+        *self
+    }
+}
+
+impl ToBits for i64 {
+    fn bits(&self) -> u64 {
+        *self as u64
+    }
+}
+
+impl ToBits for f32 {
+    fn bits(&self) -> u64 {
+        u64::from(self.to_bits())
+    }
+}
+
+impl ToBits for f64 {
+    fn bits(&self) -> u64 {
+        self.to_bits()
+    }
+}
+
+/// Names and bits of fields.
+pub(crate) type Fields = Vec<(&'static str, u64)>;
+
+/// A function that makes a payload of any bits, and one that takes it apart without leaving a field
+/// out.
+macro_rules! payload {
+    ($make:ident, $fields:ident, $type:ident { $($field:ident: $kind:ident),* $(,)? }) => {
+        pub(crate) fn $make(bits: &mut Bits) -> $type {
+            $type { $($field: bits.$kind(),)* }
+        }
+
+        pub(crate) fn $fields(payload: &$type) -> Fields {
+            let $type { $($field),* } = payload;
+            vec![$((stringify!($field), $field.bits())),*]
+        }
+    };
+}
+
+payload!(
+    sample,
+    sample_fields,
+    Sample {
+        robot: u32,
+        flags: u32,
+        seq: u64,
+        stamp_ns: u64,
+        measured_ns: u64,
+        v_mps: f32,
+        omega_radps: f32,
+        power_w: f32,
+        voltage_v: f32,
+        current_a: f32,
+        reserved: u32,
+    }
+);
+payload!(
+    sample_header,
+    sample_header_fields,
+    SampleHeader {
+        schema: u32,
+        pid: u32,
+        source_id: u64,
+        source_epoch: u64,
+        frame_seq: u64,
+        samples_before: u64,
+        intended_ns: u64,
+        sent_ns: u64,
+        sent_unix_ns: u64,
+    }
+);
+payload!(
+    forecast,
+    forecast_fields,
+    Forecast {
+        robot: u32,
+        flags: u32,
+        quality: u16,
+        quality_detail: u16,
+        reading_w: f32,
+        power_w: f32,
+        lo_w: f32,
+        hi_w: f32,
+        generation: u32,
+        sample_seq: u64,
+        stamp_ns: u64,
+        target_ns: u64,
+        reading_age_ns: u64,
+        source_epoch: u64,
+    }
+);
+payload!(
+    diagnostic,
+    diagnostic_fields,
+    Diagnostic {
+        robot: u32,
+        flags: u32,
+        level: u16,
+        alarm: u16,
+        alarms: u32,
+        residual_w: f32,
+        residual_z: f32,
+        bias_w: f32,
+        cusum_up: f32,
+        cusum_down: f32,
+        noise_ratio: f32,
+        coverage: f32,
+        coverage_recent: f32,
+        scored: u64,
+        mae_w: f64,
+        r2: f64,
+        persistence_mae_w: f64,
+        persistence_r2: f64,
+        skill: f64,
+        sample_seq: u64,
+        stamp_ns: u64,
+        source_epoch: u64,
+        refused: u64,
+    }
+);
+payload!(
+    budget,
+    budget_fields,
+    Budget {
+        robot: u32,
+        flags: u32,
+        charge_state: u32,
+        reserved: u32,
+        drawn_uj: i64,
+        drawn_remainder: i64,
+        forecast_uj: i64,
+        metered_ns: u64,
+        unmetered_ns: u64,
+        stamp_ns: u64,
+        valid_until_ns: u64,
+        mean_power_w: f32,
+        left_j: f32,
+        usable_j: f32,
+        usable_lo_j: f32,
+        soc: f32,
+        soc_lo: f32,
+        time_to_empty_s: f32,
+        time_to_empty_lo_s: f32,
+        time_to_empty_hi_s: f32,
+        reserved2: u32,
+    }
+);
+payload!(
+    budget_header,
+    budget_header_fields,
+    BudgetHeader {
+        schema: u32,
+        pid: u32,
+        worker_epoch: u64,
+        tick: u64,
+        sent_ns: u64,
+        sent_unix_ns: u64,
+    }
+);
+payload!(
+    taken_frame,
+    taken_frame_fields,
+    TakenFrame {
+        source_id: u64,
+        source_epoch: u64,
+        frame_seq: u64,
+        taken_ns: u64,
+        samples: u32,
+        truncated: u32,
+    }
+);
+payload!(
+    tick_header,
+    tick_header_fields,
+    TickHeader {
+        schema: u32,
+        pid: u32,
+        worker_epoch: u64,
+        tick: u64,
+        start_ns: u64,
+        sent_ns: u64,
+        flags: u32,
+        unlisted: u32,
+    }
+);
+payload!(
+    state_header,
+    state_header_fields,
+    StateHeader {
+        schema: u32,
+        pid: u32,
+        worker_epoch: u64,
+        tick: u64,
+        total_bytes: u64,
+        offset: u64,
+        taken_ns: u64,
+        sent_ns: u64,
+        sent_unix_ns: u64,
+    }
+);
+
+impl Bits {
+    fn i64(&mut self) -> i64 {
+        self.u64() as i64
+    }
+}
+
+pub(crate) fn forecast_header(bits: &mut Bits) -> ForecastHeader {
+    let mut samples_dropped = DropCounts::default();
+    let used = (bits.u64() % 25) as usize;
+    for count in &mut samples_dropped.counts[..used] {
+        *count = bits.u64();
+    }
+    ForecastHeader {
+        schema: bits.u32(),
+        pid: bits.u32(),
+        worker_epoch: bits.u64(),
+        tick: bits.u64(),
+        period_ns: bits.u64(),
+        model_hash: bits.u64(),
+        capacity: bits.u32(),
+        frames_taken: bits.u32(),
+        first_intended_ns: bits.u64(),
+        first_sent_ns: bits.u64(),
+        first_taken_ns: bits.u64(),
+        compute_start_ns: bits.u64(),
+        compute_end_ns: bits.u64(),
+        sent_ns: bits.u64(),
+        sent_unix_ns: bits.u64(),
+        ticks_skipped: bits.u64(),
+        ticks_late: bits.u64(),
+        samples_accepted: bits.u64(),
+        samples_dropped,
+    }
+}
+
+pub(crate) fn diagnostic_header(bits: &mut Bits) -> DiagnosticHeader {
+    let mut refused = [Refusal::default(); 16];
+    let used = (bits.u64() % 17) as usize;
+    for place in &mut refused[..used] {
+        *place = Refusal {
+            robot: bits.u32(),
+            reason: bits.u32(),
+            pid: bits.u32(),
+            count: bits.u32(),
+        };
+    }
+    DiagnosticHeader {
+        schema: bits.u32(),
+        pid: bits.u32(),
+        worker_epoch: bits.u64(),
+        tick: bits.u64(),
+        refused,
+    }
+}
+
+/// One message of each kind, of any bits.
+pub(crate) fn messages(bits: &mut Bits) -> Vec<Message> {
+    vec![
+        Message::Samples(sample_header(bits), bits.rows(sample)),
+        Message::Forecasts(forecast_header(bits), bits.rows(forecast)),
+        Message::Diagnostics(diagnostic_header(bits), bits.rows(diagnostic)),
+        Message::Budgets(budget_header(bits), bits.rows(budget)),
+        Message::Ticks(tick_header(bits), bits.rows(taken_frame)),
+        Message::State(state_header(bits), bits.rows(|bits| bits.u16() as u8)),
+        Message::RobotSample(sample(bits)),
+        Message::RobotForecast(forecast(bits)),
+        Message::RobotDiagnostic(diagnostic(bits)),
+        Message::RobotBudget(budget(bits)),
+    ]
+}
+
+/// Everything in a message, by its bits: that of its header, then row by row.
+pub(crate) fn all_bits(message: &Message) -> Vec<u64> {
+    let (header, rows): (Fields, Vec<Fields>) = match message {
+        Message::Samples(header, rows) => (
+            sample_header_fields(header),
+            rows.iter().map(sample_fields).collect(),
+        ),
+        // Without floats: equality is that of bits, and the whole of it is compared by it.
+        Message::Forecasts(header, rows) => (
+            vec![("tick", header.tick)],
+            rows.iter().map(forecast_fields).collect(),
+        ),
+        Message::Diagnostics(header, rows) => (
+            vec![("tick", header.tick)],
+            rows.iter().map(diagnostic_fields).collect(),
+        ),
+        Message::Budgets(header, rows) => (
+            budget_header_fields(header),
+            rows.iter().map(budget_fields).collect(),
+        ),
+        Message::Ticks(header, rows) => (
+            tick_header_fields(header),
+            rows.iter().map(taken_frame_fields).collect(),
+        ),
+        Message::State(header, bytes) => (
+            state_header_fields(header),
+            vec![
+                bytes
+                    .iter()
+                    .map(|byte| ("byte", u64::from(*byte)))
+                    .collect(),
+            ],
+        ),
+        Message::RobotSample(row) => (Vec::new(), vec![sample_fields(row)]),
+        Message::RobotForecast(row) => (Vec::new(), vec![forecast_fields(row)]),
+        Message::RobotDiagnostic(row) => (Vec::new(), vec![diagnostic_fields(row)]),
+        Message::RobotBudget(row) => (Vec::new(), vec![budget_fields(row)]),
+        Message::Other { .. } => panic!("not ours"),
+    };
+    let fields = header.into_iter().chain(rows.into_iter().flatten());
+    fields.map(|(_, bits)| bits).collect()
+}
+
+/// Fails unless both are the same to the bit.
+pub(crate) fn assert_same_bits(found: &Message, expected: &Message) {
+    match (found, expected) {
+        (Message::Forecasts(found, _), Message::Forecasts(expected, _)) => {
+            assert_eq!(found, expected);
+        }
+        (Message::Diagnostics(found, _), Message::Diagnostics(expected, _)) => {
+            assert_eq!(found, expected);
+        }
+        _ => {}
+    }
+    assert_eq!(found.kind(), expected.kind());
+    assert_eq!(all_bits(found), all_bits(expected), "{expected:?}");
+}

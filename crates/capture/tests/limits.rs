@@ -1,0 +1,146 @@
+//! A writer that fails after any number of bytes: no panic, the failure is told, and everything that
+//! was flushed before can be read.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+mod fields;
+
+use std::io::{self, Cursor, Write};
+
+use joulebus_capture::{
+    Attachments, Entry, Message, Preset, ReadError, Reader, Sequences, Settings, Times, WriteError,
+    Writer, Written,
+};
+
+use fields::{Bits, all_bits, messages};
+
+/// A disk with room for so many bytes.
+#[derive(Debug)]
+struct Disk<'a> {
+    bytes: &'a mut Vec<u8>,
+    room: usize,
+}
+
+impl Write for Disk<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let fits = bytes.len().min(self.room - self.bytes.len());
+        if fits == 0 && !bytes.is_empty() {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        self.bytes.extend_from_slice(&bytes[..fits]);
+        Ok(fits)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn attachments() -> Attachments {
+    let mut attachments = Attachments::default();
+    attachments.add(
+        "lab/config.toml".to_owned(),
+        "application/toml",
+        vec![7; 50],
+    );
+    attachments
+}
+
+/// Writes everything, a chunk each two messages; tells where each flush ended.
+fn write(
+    disk: Disk<'_>,
+    preset: Preset,
+    all: &[Message],
+    flushed: &mut Vec<(u64, usize)>,
+) -> Result<Written, WriteError> {
+    let mut writer = Writer::new(disk, Settings::of(preset), &attachments())?;
+    for (number, message) in all.iter().enumerate() {
+        let times = Times {
+            log_ns: number as u64,
+            publish_ns: number as u64,
+        };
+        let written = writer.write("lab", times, message);
+        if written.is_err() {
+            // Whoever goes on all the same is told again, and spoils nothing.
+            assert!(matches!(
+                writer.write("lab", times, message),
+                Err(WriteError::Stopped)
+            ));
+        }
+        written?;
+        if number % 2 == 1 {
+            writer.flush()?;
+            flushed.push((writer.bytes(), number + 1));
+        }
+    }
+    let (written, Sequences { .. }, _) = writer.finish()?;
+    Ok(written)
+}
+
+/// What can be read, and why not more.
+fn read(file: &[u8]) -> (Vec<Entry>, Option<ReadError>) {
+    let mut reader = match Reader::new(Cursor::new(file)) {
+        Ok(reader) => reader,
+        Err(error) => return (Vec::new(), Some(error)),
+    };
+    let mut found = Vec::new();
+    loop {
+        match reader.next_entry() {
+            Ok(Some(entry)) => found.push(entry),
+            Ok(None) => return (found, None),
+            Err(error) => return (found, Some(error)),
+        }
+    }
+}
+
+fn try_all(preset: Preset, step: usize) {
+    let all = messages(&mut Bits(3));
+    let expected: Vec<Vec<u64>> = all.iter().map(all_bits).collect();
+    let mut whole = Vec::new();
+    let mut flushed = Vec::new();
+    let disk = Disk {
+        bytes: &mut whole,
+        room: usize::MAX,
+    };
+    write(disk, preset, &all, &mut flushed).unwrap();
+    for room in (0..=whole.len()).step_by(step) {
+        let mut file = Vec::new();
+        let disk = Disk {
+            bytes: &mut file,
+            room,
+        };
+        let written = write(disk, preset, &all, &mut Vec::new());
+        let fits = room == whole.len();
+        assert_eq!(written.is_ok(), fits, "{preset:?}, room for {room} bytes");
+        if let Err(error) = written {
+            let told = error.to_string();
+            assert!(told.contains("storage") || told.contains("space"), "{told}");
+        }
+        assert_eq!(file, whole[..room], "nothing but the beginning");
+        let (found, end) = read(&file);
+        let found: Vec<Vec<u64>> = found.iter().map(|entry| all_bits(&entry.message)).collect();
+        assert_eq!(found, expected[..found.len()]);
+        let safe = flushed
+            .iter()
+            .rev()
+            .find(|(bytes, _)| *bytes <= room as u64);
+        let safe = safe.map_or(0, |(_, messages)| *messages);
+        assert!(
+            found.len() >= safe,
+            "room for {room}: {} of {safe}",
+            found.len()
+        );
+        assert_eq!(end.is_none(), fits, "room for {room}: {end:?}");
+    }
+}
+
+#[test]
+fn every_limit_of_a_small_capture_is_told_and_costs_only_what_was_not_flushed() {
+    try_all(Preset::ZstdFast, 1);
+}
+
+#[test]
+fn so_with_the_other_presets() {
+    for preset in [Preset::FastWrite, Preset::Lz4, Preset::ZstdSmall] {
+        try_all(preset, 13);
+    }
+}
