@@ -12,7 +12,7 @@ pub struct Limits {
     pub max_planners: usize,
     /// Frames of samples that wait for the worker, per source; older ones are overwritten. 1 to 256.
     pub sample_frames: usize,
-    /// Frames of forecasts and diagnostics that wait for a planner. 1 to 64.
+    /// Frames of forecasts, diagnostics and budgets that wait for a reader. 1 to 64.
     pub forecast_frames: usize,
 }
 
@@ -116,7 +116,7 @@ impl Limits {
 
     pub(crate) const fn budgets(&self) -> Shape {
         Shape {
-            buffer: 1,
+            // Who plans wants the newest; who records wants all.
             history: 1,
             ..self.forecasts()
         }

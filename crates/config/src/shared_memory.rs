@@ -4,9 +4,12 @@ use joulebus_bus::{Domain, DomainError, Limits};
 
 use crate::Config;
 
-/// Frames of forecasts that wait for a planner: it wants the newest, and a few to tell a gap from
-/// a late look.
-const FORECAST_FRAMES: usize = 4;
+/// Frames of forecasts that wait for a reader, at least and at most. A planner wants the newest, and
+/// a few to tell a gap from a late look; a recorder wants all, and may be late by half a second where
+/// the fleet is small enough for that to cost little memory.
+const FORECAST_FRAMES: (usize, usize) = (4, 16);
+/// Rows in the frames that wait, where that gives a number between the two.
+const FORECAST_ROWS: usize = 4_000;
 
 impl Config {
     /// The fleet's domain in shared memory.
@@ -21,12 +24,14 @@ impl Config {
     /// What every process of the fleet must agree on.
     #[must_use]
     pub fn limits(&self) -> Limits {
+        let (least, most) = FORECAST_FRAMES;
+        let capacity = self.settings().capacity as usize;
         Limits {
-            capacity: self.settings().capacity as usize,
+            capacity,
             max_sources: self.settings().intake.max_sources.into(),
             max_planners: self.max_planners(),
             sample_frames: self.buffer_frames(),
-            forecast_frames: FORECAST_FRAMES,
+            forecast_frames: (FORECAST_ROWS / capacity.max(1)).clamp(least, most),
         }
     }
 }
