@@ -3,13 +3,18 @@
 //! Pure: no clock, file, thread or shared memory. Bytes of a model file come in, forecasts in
 //! watt go out.
 //!
-//! - [`features`] builds one row of inputs in SI units.
-//! - [`Model::predict`] turns any number of rows into as many forecasts and allocates nothing.
+//! - [`features`](features()) builds one row of inputs in SI units.
+//! - [`Model::predict`] turns any number of rows into as many forecasts, and
+//!   [`Model::predict_columns`] does so from one column for each feature.
+//! - [`Model::rollout`] feeds a model with its own forecasts: what would these commands cost?
 //! - [`Network`] is the model of arXiv 2603.13908, section 5: 11→64→64→32→1 with GELU.
 //!
+//! None of them allocates, and all can be shared between threads.
+//!
 //! **One arithmetic.** A robot's forecast depends on that robot's row alone and has the same bits
-//! for every batch size, every position in the batch and every vector width; the scalar
-//! [`Network::predict_reference_f32`] is the definition that the kernels are tested against.
+//! for every batch size, every position in the batch, every tiling and every vector width, in rows,
+//! columns and rollouts; the scalar [`Network::predict_reference_f32`] is the definition that the
+//! kernels are tested against. Forecasts that are not a number are all the one [`f32::NAN`].
 
 mod error;
 mod features;

@@ -1,4 +1,5 @@
 //! A model file is read as it was written, or refused with a reason.
+#![cfg(not(miri))] // Hours there; `memory.rs` has what Miri can judge.
 
 #[allow(dead_code)] // Each test file uses its part.
 mod random;

@@ -1,4 +1,5 @@
 //! The promise of one arithmetic: every kernel, batch size and position gives the reference's bits.
+#![cfg(not(miri))] // Hours there; `memory.rs` has what Miri can judge.
 
 #[allow(dead_code)] // Each test file uses its part.
 mod random;

@@ -1,4 +1,5 @@
 //! Rollouts and columns give the bits that rows give, and refuse shapes that do not fit.
+#![cfg(not(miri))] // Hours there; `memory.rs` has what Miri can judge.
 
 #[allow(dead_code)] // Each test file uses its part.
 mod random;

@@ -158,7 +158,7 @@ impl Tiles<'_> {
         }
     }
 
-    /// [`features`] of every lane: the columns still hold the step before.
+    /// [`features`](crate::features()) of every lane: the columns still hold the step before.
     #[inline(always)]
     fn next_columns<L: Lanes, const R: usize>(
         &self,

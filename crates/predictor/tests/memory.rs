@@ -1,0 +1,110 @@
+//! Every unsafe block with few numbers, for Miri (CONTRIBUTING.md has the command): scratch that is
+//! not zeroed, loads without alignment, tails of every length, parts of rollouts.
+
+#[allow(dead_code)] // Each test file uses its part.
+mod random;
+
+use joulebus_predictor::{
+    FEATURES, FeatureSet, Features, Kernel, Model, Network, RolloutStart, Rollouts, Tiling,
+};
+use random::{Noise, network, row};
+
+/// Batches that reach each tile and each tail of each kernel: all there are up to the widest tile
+/// and its tails, but not in Miri, where only the kernels of its target count.
+fn batches(kernel: Kernel) -> Vec<usize> {
+    match kernel {
+        Kernel::Scalar if cfg!(miri) => vec![1, 2, 3, 7],
+        _ if cfg!(miri) => vec![1, 2, 3, 33],
+        _ => (0..=55).collect(),
+    }
+}
+
+fn networks(seed: u64, set: FeatureSet) -> impl Iterator<Item = Network> {
+    let all = Kernel::ALL.into_iter();
+    all.filter_map(move |kernel| network(seed, set).with_kernel(kernel))
+}
+
+fn expected(network: &Network, rows: &[Features]) -> Vec<u32> {
+    let bits = |row| network.predict_reference_f32(row).to_bits();
+    rows.iter().map(bits).collect()
+}
+
+fn bits(values: &[f32]) -> Vec<u32> {
+    values.iter().map(|value| value.to_bits()).collect()
+}
+
+#[test]
+fn rows_of_every_length_and_alignment_give_the_reference_bits_and_touch_nothing_else() {
+    let mut noise = Noise(41);
+    for network in networks(42, FeatureSet::Full) {
+        for count in batches(network.kernel()) {
+            let rows: Vec<Features> = (0..count + 1).map(|_| row(&mut noise)).collect();
+            let expected = expected(&network, &rows[1..]);
+            for tiling in [Tiling::ByRobot, Tiling::ByNeuron] {
+                let mut out_w = vec![-1.0; count + 2];
+                let network = network.clone().with_tiling(tiling);
+                network.predict(&rows[1..], &mut out_w[1..=count]);
+                assert_eq!(bits(&out_w[1..=count]), expected, "{tiling:?} {count}");
+                assert_eq!((out_w[0], out_w[count + 1]), (-1.0, -1.0));
+            }
+        }
+    }
+}
+
+#[test]
+fn columns_of_every_length_and_alignment_give_the_reference_bits() {
+    let mut noise = Noise(43);
+    for set in [FeatureSet::Full, FeatureSet::PowerOnly] {
+        for network in networks(44, set) {
+            for count in batches(network.kernel()) {
+                let rows: Vec<Features> = (0..count).map(|_| row(&mut noise)).collect();
+                // Column f starts f + 1 places into its memory, and ends with it.
+                let columns: [Vec<f32>; FEATURES] = std::array::from_fn(|feature| {
+                    let values = rows.iter().map(|row| row[feature]);
+                    vec![-1.0; feature + 1].into_iter().chain(values).collect()
+                });
+                let columns = std::array::from_fn(|feature| match feature < set.first() {
+                    true => &[][..],
+                    false => &columns[feature][feature + 1..],
+                });
+                let expected = expected(&network, &rows);
+                let mut out_w = vec![-1.0; count];
+                Model::Network(network.clone()).predict_columns(columns, &mut out_w);
+                assert_eq!(bits(&out_w), expected, "{set:?} {count}");
+            }
+        }
+    }
+}
+
+#[test]
+fn parts_of_rollouts_write_their_own_places_and_all_of_them() {
+    let mut noise = Noise(45);
+    let (candidates, steps) = (if cfg!(miri) { 6 } else { 50 }, 2);
+    let starts = [RolloutStart {
+        command: None,
+        lag_w: [0.5; 5],
+    }];
+    let [v_mps, omega_radps] = [(); 2]
+        .map(|()| -> Vec<f32> { (0..candidates * steps).map(|_| noise.next_f32()).collect() });
+    let rollouts = Rollouts {
+        starts: &starts,
+        candidates,
+        steps,
+        step_s: 0.1,
+        v_mps: &v_mps,
+        omega_radps: &omega_radps,
+    };
+    let mut seen: Option<Vec<u32>> = None;
+    for network in networks(46, FeatureSet::Full) {
+        let model = Model::Network(network);
+        let count = candidates - 1;
+        let mut energy_j = vec![-1.0; count];
+        let mut power_w = vec![-1.0; count * steps];
+        let run = model.rollout(&rollouts, 1..candidates, &mut energy_j, Some(&mut power_w));
+        run.expect("the shapes fit");
+        energy_j.extend(power_w);
+        assert!(energy_j.iter().all(|value| *value != -1.0));
+        let found = bits(&energy_j);
+        assert_eq!(*seen.get_or_insert_with(|| found.clone()), found);
+    }
+}
