@@ -1,11 +1,13 @@
 //! How a sample gets in: its robot's slot, who may speak for the robot, and what is refused.
 
-use joulebus_wire::{DropReason, Sample, SampleHeader, sample_flag};
+use joulebus_wire::{DropReason, Sample, SampleHeader};
 
+use crate::columns::Columns;
 use crate::detector::Detector;
 use crate::intake::{check_values, invalid};
 use crate::interval::Interval;
-use crate::robot::{Last, Pending, Robot};
+use crate::pass::{Rules, judge};
+use crate::robot::{Gate, Last, News, Pending};
 use crate::window::Window;
 use crate::{Fleet, Ledger, Scores};
 
@@ -19,79 +21,83 @@ impl Fleet {
         let slot = self.slot(header, sample.robot, now_ns)?;
         self.identify(slot, header, sample.seq)?;
         let most = self.settings.intake.max_samples_per_tick;
-        let robot = &self.robots[slot];
-        if robot.taken >= most {
+        if self.columns.gates[slot].taken >= most {
             return Err(DropReason::Backlog);
         }
-        let kind = usize::from(robot.platform);
-        if robot.waiting {
-            self.pass(kind);
+        if !matches!(self.columns.news[slot], News::None) {
+            self.catch_up(slot);
         }
-        check_values(sample, &self.kinds[kind].platform)?;
-        let mut sample = *sample;
-        if !self.in_time(slot, sample.stamp_ns) {
-            if !self.robots[slot].renewed {
-                return Err(DropReason::BadTime);
-            }
-            sample.flags |= sample_flag::DISCONTINUITY;
+        let gate = &self.columns.gates[slot];
+        check_values(sample, &self.kinds[usize::from(gate.platform)].platform)?;
+        let broken = !in_time(gate, sample.stamp_ns, self.settings.intake.max_jump_ns);
+        if broken && !gate.renewed {
+            return Err(DropReason::BadTime);
         }
-        let robot = self.hear(slot);
-        robot.taken += 1;
-        (robot.renewed, robot.waiting) = (false, true);
-        (robot.taken_ns, robot.invalid, robot.refused_run) = (now_ns, None, 0);
-        self.pending[slot] = Pending::new(&sample);
-        self.kinds[kind].waiting.push(slot as u32);
+        let gate = self.hear(slot);
+        gate.taken += 1;
+        gate.renewed = false;
+        (gate.taken_ns, gate.invalid, gate.refused_run) = (now_ns, None, 0);
+        self.columns.news[slot] = News::Waiting(Pending::new(sample, broken));
         Ok(())
     }
 
     /// Ownership, run and order: who may speak for the robot, once.
     fn identify(&mut self, slot: usize, header: &SampleHeader, seq: u64) -> Result<(), DropReason> {
-        let robot = &mut self.robots[slot];
-        if robot.source_id != header.source_id {
+        let gate = &mut self.columns.gates[slot];
+        if gate.source_id != header.source_id {
             return Err(DropReason::ForeignSource);
         }
-        if header.source_epoch < robot.source_epoch {
+        if header.source_epoch < gate.source_epoch {
             return Err(DropReason::OldEpoch);
         }
-        if header.source_epoch > robot.source_epoch {
-            (robot.source_epoch, robot.seq) = (header.source_epoch, None);
-            robot.renewed = true;
+        if header.source_epoch > gate.source_epoch {
+            (gate.source_epoch, gate.ordered, gate.renewed) = (header.source_epoch, false, true);
         }
-        match robot.seq {
-            Some(last) if seq == last => return Err(DropReason::Duplicate),
-            Some(last) if seq < last => return Err(DropReason::OutOfOrder),
-            _ => robot.seq = Some(seq),
+        if gate.ordered && seq <= gate.seq {
+            return Err(if seq == gate.seq {
+                DropReason::Duplicate
+            } else {
+                DropReason::OutOfOrder
+            });
         }
+        (gate.seq, gate.ordered) = (seq, true);
         Ok(())
-    }
-
-    fn in_time(&self, slot: usize, stamp_ns: u64) -> bool {
-        let last = &self.robots[slot].last;
-        let longest = self.settings.intake.max_jump_ns;
-        !last.accepted || (stamp_ns > last.stamp_ns && stamp_ns - last.stamp_ns <= longest)
     }
 
     pub(crate) fn refuse(&mut self, header: &SampleHeader, sample: &Sample, reason: DropReason) {
         self.drops.add(reason, 1);
         self.refused.note(sample.robot, reason, header.pid);
-        let (Some(invalid), Some(slot)) = (invalid(reason), self.slot_of.get(&sample.robot)) else {
+        let (Some(invalid), Some(slot)) = (invalid(reason), self.find(sample.robot)) else {
             return;
         };
-        let slot = *slot as usize;
         // Nothing better will come of it in this tick: the others need not wait for it.
-        let robot = self.hear(slot);
-        robot.refused += 1;
-        robot.refused_run = robot.refused_run.saturating_add(1);
-        robot.invalid = Some(invalid);
-        self.judge(slot);
+        let gate = self.hear(slot);
+        gate.refused_run = gate.refused_run.saturating_add(1);
+        gate.invalid = Some(invalid);
+        self.columns.lasts[slot].refused += 1;
+        let Columns {
+            gates,
+            lasts,
+            scores,
+            detectors,
+            ..
+        } = &mut self.columns;
+        let rules = Rules {
+            settings: &self.settings,
+            kinds: &self.kinds,
+            now_ns: self.now_ns,
+            deadline_missed: self.deadline_missed,
+        };
+        let (gate, last, scored) = (&gates[slot], &lasts[slot], scores[slot].count);
+        judge(&rules, gate, last, scored, &mut detectors[slot]);
     }
 
     /// Takes note that a sample of the robot has come in this tick.
-    fn hear(&mut self, slot: usize) -> &mut Robot {
-        let robot = &mut self.robots[slot];
-        self.reported += usize::from(!robot.heard);
-        robot.heard = true;
-        robot
+    fn hear(&mut self, slot: usize) -> &mut Gate {
+        let gate = &mut self.columns.gates[slot];
+        self.reported += usize::from(!gate.heard);
+        gate.heard = true;
+        gate
     }
 
     /// The robot's slot; a robot heard of for the first time is given one.
@@ -102,63 +108,54 @@ impl Fleet {
         now_ns: u64,
     ) -> Result<usize, DropReason> {
         let guessed = self
-            .robots
+            .columns
+            .gates
             .get(self.guess)
             .filter(|guess| guess.present && guess.id == robot);
         let found = match guessed {
             Some(_) => Some(self.guess),
-            None => self.slot_of.get(&robot).map(|slot| *slot as usize),
+            None => self.find(robot),
         };
         if let Some(slot) = found {
             self.guess = slot + 1;
             return Ok(slot);
         }
         let kind = self.platform_of(robot).ok_or(DropReason::UnknownRobot)?;
-        let slot = self.free.pop().ok_or(DropReason::OverCapacity)?;
-        self.slot_of.insert(robot, slot);
-        self.live.push(slot);
-        let slot = slot as usize;
-        self.used = self.used.max(slot + 1);
+        let slot = self.columns.slots.take().ok_or(DropReason::OverCapacity)?;
+        self.slot_of.insert(robot, slot as u32);
         self.occupy(slot, robot, kind, header, now_ns);
         Ok(slot)
     }
 
     fn occupy(&mut self, slot: usize, id: u32, kind: u16, header: &SampleHeader, now_ns: u64) {
         let departed = self.departed.take(id);
-        self.robots[slot] = Robot {
+        let columns = &mut self.columns;
+        columns.gates[slot] = Gate {
             id,
             present: true,
             platform: kind,
-            generation: self.robots[slot].generation,
+            generation: columns.gates[slot].generation,
             source_id: header.source_id,
             source_epoch: header.source_epoch,
-            renewed: false,
-            waiting: false,
-            seq: None,
             taken_ns: now_ns,
-            taken: 0,
-            heard: false,
-            refused: 0,
-            refused_run: 0,
-            invalid: None,
-            last: Last {
-                charged: departed.is_some_and(|departed| departed.charged),
-                ..Last::NONE
-            },
+            charged: departed.is_some_and(|departed| departed.charged),
+            ..Gate::FREE
         };
         let kind = &self.kinds[usize::from(kind)];
         let residual = kind.model.residual();
-        self.windows[slot] = Window::EMPTY;
-        self.ledgers[slot] = departed.map_or_else(Ledger::default, |departed| departed.ledger);
-        self.intervals[slot] = Interval::new(
+        columns.news[slot] = News::None;
+        columns.windows[slot] = Window::EMPTY;
+        columns.lasts[slot] = Last::NONE;
+        columns.ledgers[slot] = departed.map_or_else(Ledger::default, |departed| departed.ledger);
+        columns.intervals[slot] = Interval::new(
             residual.q05_w,
             residual.q95_w,
             residual.std_w,
             kind.platform.power_resolution_w,
             self.settings.interval.coverage,
         );
-        self.scores[slot] = Scores::default();
-        self.detectors[slot] = Detector::new();
+        columns.scores[slot] = Scores::default();
+        columns.detectors[slot] = Detector::new();
     }
 
     pub(crate) fn platform_of(&self, robot: u32) -> Option<u16> {
@@ -166,4 +163,9 @@ impl Fleet {
         let (_, end, kind) = self.ranges.get(after.checked_sub(1)?)?;
         (robot <= *end).then_some(*kind)
     }
+}
+
+/// Whether a stamp lies after the robot's last one, and not further than `longest_ns`.
+fn in_time(gate: &Gate, stamp_ns: u64, longest_ns: u64) -> bool {
+    !gate.accepted || (stamp_ns > gate.stamp_ns && stamp_ns - gate.stamp_ns <= longest_ns)
 }

@@ -1,10 +1,9 @@
 //! Accounts of robots that are not in the fleet: they have left, or an earlier run wrote them down.
 
-use std::collections::HashMap;
-
 use serde::{Deserialize, Serialize};
 
 use crate::Ledger;
+use crate::index::Index;
 
 /// One robot's account.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
@@ -15,58 +14,81 @@ pub(crate) struct Account {
     pub ledger: Ledger,
 }
 
-/// As many accounts as there is room for robots.
+/// As many accounts as there is room for robots, in columns.
 #[derive(Debug)]
 pub(crate) struct Departed {
-    accounts: Vec<Account>,
-    place_of: HashMap<u32, u32>,
+    robots: Vec<u32>,
+    charged: Vec<bool>,
+    ledgers: Vec<Ledger>,
+    place_of: Index,
     most: usize,
 }
 
 impl Departed {
+    /// What an account takes beside its [`Ledger`], in bytes.
+    pub(crate) const BYTES: usize = size_of::<u32>() + size_of::<bool>();
+
     pub(crate) fn new(most: u32) -> Self {
-        let most = most as usize;
+        let capacity = most as usize;
         Self {
-            accounts: Vec::with_capacity(most),
-            // Twice what it holds: the map then never grows, however often robots come and go.
-            place_of: HashMap::with_capacity(2 * most),
-            most,
+            robots: Vec::with_capacity(capacity),
+            charged: Vec::with_capacity(capacity),
+            ledgers: Vec::with_capacity(capacity),
+            place_of: Index::new(most),
+            most: capacity,
         }
     }
 
     /// Keeps an account if there is room for it, and says whether there was. An account kept
     /// before for the same robot is replaced.
     pub(crate) fn keep(&mut self, account: Account) -> bool {
-        if let Some(place) = self.place_of.get(&account.robot) {
-            self.accounts[*place as usize] = account;
+        if let Some(place) = self.place(account.robot) {
+            self.charged[place] = account.charged;
+            self.ledgers[place] = account.ledger;
             return true;
         }
-        if self.accounts.len() == self.most {
+        if self.robots.len() == self.most {
             return false;
         }
         self.place_of
-            .insert(account.robot, self.accounts.len() as u32);
-        self.accounts.push(account);
+            .insert(account.robot, self.robots.len() as u32);
+        self.robots.push(account.robot);
+        self.charged.push(account.charged);
+        self.ledgers.push(account.ledger);
         true
     }
 
     /// Gives up a robot's account.
     pub(crate) fn take(&mut self, robot: u32) -> Option<Account> {
-        let place = self.place_of.remove(&robot)?;
-        let account = self.accounts.swap_remove(place as usize);
-        if let Some(moved) = self.accounts.get(place as usize) {
-            self.place_of.insert(moved.robot, place);
+        let Self {
+            robots, place_of, ..
+        } = self;
+        let place = place_of.remove(robot, |place| robots[place as usize])?;
+        if let Some(last) = robots.last().copied().filter(|last| *last != robot) {
+            place_of.replace(last, place, |place| robots[place as usize]);
         }
-        Some(account)
+        let place = place as usize;
+        Some(Account {
+            robot: robots.swap_remove(place),
+            charged: self.charged.swap_remove(place),
+            ledger: self.ledgers.swap_remove(place),
+        })
     }
 
-    pub(crate) fn accounts(&self) -> &[Account] {
-        &self.accounts
+    pub(crate) fn accounts(&self) -> impl Iterator<Item = Account> + '_ {
+        let columns = self.robots.iter().zip(&self.charged).zip(&self.ledgers);
+        columns.map(|((robot, charged), ledger)| Account {
+            robot: *robot,
+            charged: *charged,
+            ledger: *ledger,
+        })
     }
 
     /// Keeps `accounts` instead of those kept so far.
     pub(crate) fn replace(&mut self, accounts: &[Account]) {
-        self.accounts.clear();
+        self.robots.clear();
+        self.charged.clear();
+        self.ledgers.clear();
         self.place_of.clear();
         for account in accounts {
             self.keep(*account);
@@ -74,7 +96,12 @@ impl Departed {
     }
 
     pub(crate) fn ledger(&self, robot: u32) -> Option<&Ledger> {
-        let place = self.place_of.get(&robot)?;
-        Some(&self.accounts[*place as usize].ledger)
+        self.place(robot).map(|place| &self.ledgers[place])
+    }
+
+    fn place(&self, robot: u32) -> Option<usize> {
+        self.place_of
+            .find(robot, |place| self.robots[place as usize])
+            .map(|place| place as usize)
     }
 }

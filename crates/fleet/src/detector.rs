@@ -25,9 +25,13 @@ pub(crate) struct Detector {
     z_product: f32,
     error_square: f32,
     persistence_square: f32,
+    /// For how many samples in a row the condition of an alarm has asked for a change.
+    agreeing: [u16; Alarm::ALL.len()],
+    /// Alarms for which that is not zero.
+    #[serde(with = "alarm_set")]
+    changing: AlarmSet,
     #[serde(with = "alarm_set")]
     raised: AlarmSet,
-    agreeing: [u16; Alarm::ALL.len()],
 }
 
 /// Alarms whose condition holds now, and alarms that stay raised if they are.
@@ -65,8 +69,9 @@ impl Detector {
             z_product: 0.0,
             error_square: 0.0,
             persistence_square: 0.0,
-            raised: AlarmSet::default(),
             agreeing: [0; Alarm::ALL.len()],
+            changing: AlarmSet::default(),
+            raised: AlarmSet::default(),
         }
     }
 
@@ -136,29 +141,31 @@ impl Detector {
     /// Raises and clears with hysteresis: an alarm changes only after its condition has agreed for
     /// as many samples in a row as the settings ask.
     pub(crate) fn decide(&mut self, conditions: Conditions, settings: &AlarmSettings) {
-        for (alarm, agreeing) in Alarm::ALL.into_iter().zip(&mut self.agreeing) {
-            let raised = self.raised.has(alarm);
-            let change = if raised {
-                !conditions.stay.has(alarm)
-            } else {
-                conditions.raise.has(alarm)
+        let change = (self.raised.0 & !conditions.stay.0) | (!self.raised.0 & conditions.raise.0);
+        // Nearly always there is nothing to change.
+        let mut look = change | self.changing.0;
+        self.changing.0 = change;
+        while look != 0 {
+            let (bit, place) = (look & look.wrapping_neg(), look.trailing_zeros() as usize);
+            look &= !bit;
+            // Conditions hold none but the alarms that there are.
+            let Some(agreeing) = self.agreeing.get_mut(place) else {
+                return;
             };
-            *agreeing = if change {
-                agreeing.saturating_add(1)
-            } else {
-                0
-            };
+            if change & bit == 0 {
+                *agreeing = 0;
+                continue;
+            }
+            *agreeing = agreeing.saturating_add(1);
+            let raised = self.raised.0 & bit != 0;
             let needed = if raised {
                 settings.clear_samples
             } else {
                 settings.raise_samples
             };
             if *agreeing >= needed {
-                self.raised = if raised {
-                    self.raised.without(alarm)
-                } else {
-                    self.raised.with(alarm)
-                };
+                self.raised.0 ^= bit;
+                self.changing.0 &= !bit;
                 *agreeing = 0;
             }
         }

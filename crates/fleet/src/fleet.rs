@@ -1,37 +1,24 @@
 //! The fleet's state, and the tick.
 
-use std::collections::HashMap;
-use std::ops::RangeInclusive;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_predictor::{Features, Model};
-use joulebus_wire::{DropCounts, DropReason, SCHEMA_VERSION, Sample, SampleHeader};
+use joulebus_predictor::Model;
+use joulebus_wire::{
+    Budget, Diagnostic, DropCounts, DropReason, Forecast, Refusal, SCHEMA_VERSION, Sample,
+    SampleHeader,
+};
 use serde::{Deserialize, Serialize};
 
+use crate::batch::Batch;
+use crate::columns::{Columns, Part};
 use crate::departed::{Account, Departed};
-use crate::detector::Detector;
-use crate::interval::Interval;
+use crate::index::Index;
+use crate::kind::{Kind, ranges};
+use crate::pass::{self, Rules};
 use crate::refused::Refused;
-use crate::robot::{Pending, Robot};
+use crate::slots::WORD;
 use crate::sources::Sources;
-use crate::window::Window;
-use crate::{Ledger, Platform, Scores, Settings, SettingsError};
-
-/// A robot in the fleet takes at most 512 bytes: these columns, two lists of slots, and up to 41
-/// bytes in the map of ids. The account of one that has left takes up to 113 more.
-const _: () = assert!(
-    size_of::<Robot>()
-        + size_of::<Window>()
-        + size_of::<Ledger>()
-        + size_of::<Interval>()
-        + size_of::<Scores>()
-        + size_of::<Detector>()
-        + size_of::<Pending>()
-        <= 512 - 2 * size_of::<u32>() - 41
-);
-const _: () = assert!(size_of::<Account>() <= 72);
-
-/// Robots that go through a model together: their rows stay in the core's own cache.
-pub(crate) const TILE: usize = 1024;
+use crate::{Ledger, Outputs, Scores, Settings, SettingsError, Share, report};
 
 /// The state of all robots, in columns indexed by slot, and everything one tick needs.
 ///
@@ -43,27 +30,15 @@ pub struct Fleet {
     pub(crate) kinds: Vec<Kind>,
     /// Ranges of robot ids, ascending, with the platform they belong to.
     pub(crate) ranges: Vec<(u32, u32, u16)>,
-
-    pub(crate) robots: Vec<Robot>,
-    pub(crate) windows: Vec<Window>,
-    pub(crate) ledgers: Vec<Ledger>,
-    pub(crate) intervals: Vec<Interval>,
-    pub(crate) scores: Vec<Scores>,
-    pub(crate) detectors: Vec<Detector>,
-    /// The sample that waits for the next pass, where `waiting` names the slot.
-    pub(crate) pending: Vec<Pending>,
-
-    /// Slots in use, ascending in the order of joining.
-    pub(crate) live: Vec<u32>,
-    pub(crate) free: Vec<u32>,
-    /// Slots that have ever been in use: all below.
-    pub(crate) used: usize,
-    pub(crate) slot_of: HashMap<u32, u32>,
+    pub(crate) columns: Columns,
+    pub(crate) slot_of: Index,
     pub(crate) departed: Departed,
     /// Slot that the next sample is probably of: sources name their robots in the same order.
     pub(crate) guess: usize,
-
-    pub(crate) batch: Batch,
+    /// For the samples that cannot wait for the tick.
+    single: Batch,
+    /// For a tick on one thread.
+    batch: Batch,
     pub(crate) sources: Sources,
     pub(crate) refused: Refused,
     pub(crate) drops: DropCounts,
@@ -73,27 +48,8 @@ pub struct Fleet {
     pub(crate) intake: TickIntake,
     pub(crate) now_ns: u64,
     pub(crate) deadline_missed: bool,
-}
-
-/// What belongs to one platform.
-#[derive(Debug)]
-pub(crate) struct Kind {
-    pub platform: Platform,
-    pub model: Model,
-    /// Standard deviation of the residuals in training, not below the monitor's resolution, W.
-    pub sigma_w: f32,
-    /// Sample periods that the model may run open loop.
-    pub longest_steps: u16,
-    /// Slots whose sample waits for the next pass.
-    pub waiting: Vec<u32>,
-}
-
-/// Rows on their way through a model.
-#[derive(Debug, Default)]
-pub(crate) struct Batch {
-    pub slots: Vec<u32>,
-    pub rows: Vec<Features>,
-    pub forecasts_w: Vec<f32>,
+    /// No robot's last sample was taken before this, monotonic ns.
+    pub(crate) oldest_ns: AtomicU64,
 }
 
 /// What one tick took in.
@@ -119,30 +75,22 @@ impl Fleet {
                 models: models.len(),
             });
         }
-        let capacity = settings.capacity as usize;
+        let margin = settings.alarms.training_margin;
         let kinds: Vec<Kind> = platforms
             .into_iter()
             .zip(models)
-            .map(|(platform, model)| Kind::new(platform, model, capacity))
+            .map(|(platform, model)| Kind::new(platform, model, margin))
             .collect();
+        let capacity = settings.capacity as usize;
         Ok(Self {
             ranges: ranges(&kinds),
-            robots: vec![Robot::ABSENT; capacity],
-            windows: vec![Window::EMPTY; capacity],
-            ledgers: vec![Ledger::default(); capacity],
-            intervals: vec![Interval::new(0.0, 0.0, 0.0, 0.0, 0.0); capacity],
-            scores: vec![Scores::default(); capacity],
-            detectors: vec![Detector::new(); capacity],
-            pending: vec![Pending::default(); capacity],
-            live: Vec::with_capacity(capacity),
-            free: (0..settings.capacity).rev().collect(),
-            used: 0,
+            columns: Columns::new(capacity),
             settings_hash: settings.fingerprint(),
-            // Twice the capacity: the map then never grows, however often robots come and go.
-            slot_of: HashMap::with_capacity(2 * capacity),
+            slot_of: Index::new(settings.capacity),
             departed: Departed::new(settings.capacity),
             guess: 0,
-            batch: Batch::with_capacity(capacity.min(TILE)),
+            single: Batch::of_slots(WORD),
+            batch: Batch::default(),
             sources: Sources::new(settings.intake.max_sources),
             refused: Refused::default(),
             drops: DropCounts::default(),
@@ -151,6 +99,7 @@ impl Fleet {
             intake: TickIntake::default(),
             now_ns: 0,
             deadline_missed: false,
+            oldest_ns: AtomicU64::new(u64::MAX),
             kinds,
             settings,
         })
@@ -191,18 +140,19 @@ impl Fleet {
                 Err(reason) => self.refuse(header, sample, reason),
             }
         }
+        self.oldest_ns.fetch_min(now_ns, Ordering::Relaxed);
     }
 
     /// Whether every robot whose next sample is due at `now_ns` has reported since the last tick.
     #[must_use]
     pub fn complete(&self, now_ns: u64) -> bool {
-        self.reported == self.live.len()
-            || self.live.iter().all(|slot| {
-                let robot = &self.robots[*slot as usize];
-                let platform = &self.kinds[usize::from(robot.platform)].platform;
-                let silent_ns = now_ns.saturating_sub(robot.taken_ns);
+        self.reported == self.len()
+            || self.columns.slots.iter().all(|slot| {
+                let gate = &self.columns.gates[slot];
+                let platform = &self.kinds[usize::from(gate.platform)].platform;
+                let silent_ns = now_ns.saturating_sub(gate.taken_ns);
                 let due = silent_ns > platform.period_ns * 3 / 4;
-                robot.heard || !due || silent_ns > platform.stale_after_ns
+                gate.heard || !due || silent_ns > platform.stale_after_ns
             })
     }
 
@@ -214,32 +164,66 @@ impl Fleet {
 
     /// Computes: residuals, ledgers, windows, forecasts, intervals, alarms. `deadline_missed` says
     /// that the tick before this one was late or skipped others. Returns what was taken in.
+    ///
+    /// The same as [`Fleet::begin`] and a [`Share`] of all robots, with nothing written out: ask
+    /// for [forecasts](Fleet::forecast), [diagnostics](Fleet::diagnostic) and
+    /// [budgets](Fleet::budget) afterwards.
     pub fn tick(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
+        let intake = self.begin(now_ns, deadline_missed);
+        let nothing = Outputs {
+            forecasts: &mut [],
+            diagnostics: &mut [],
+            budgets: &mut [],
+        };
+        let (mut share, batch) = self.share_and_batch();
+        share.run(batch, nothing, &mut |_| {});
+        intake
+    }
+
+    /// Begins a tick: robots that have been silent for too long leave, and what is left is
+    /// [`Fleet::len`] robots to be ticked as a [`Fleet::share`], once. Returns what was taken in.
+    pub fn begin(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
         self.now_ns = now_ns;
         self.deadline_missed = deadline_missed;
-        for kind in 0..self.kinds.len() {
-            self.pass(kind);
-            self.run_open(kind);
+        let silent_ns = now_ns.saturating_sub(*self.oldest_ns.get_mut());
+        if silent_ns > self.settings.intake.leave_after_ns {
+            self.release_departed();
         }
-        self.release_departed();
-        for slot in &self.live {
-            let robot = &mut self.robots[*slot as usize];
-            (robot.taken, robot.heard) = (0, false);
-        }
+        *self.oldest_ns.get_mut() = u64::MAX;
         self.reported = 0;
         std::mem::take(&mut self.intake)
+    }
+
+    /// All robots, to be ticked on one thread or split among several. Between [`Fleet::begin`] and
+    /// the next [`Fleet::take`], all of it has to be ticked.
+    pub fn share(&mut self) -> Share<'_> {
+        self.share_and_batch().0
+    }
+
+    fn share_and_batch(&mut self) -> (Share<'_>, &mut Batch) {
+        let share = Share {
+            rules: Rules {
+                settings: &self.settings,
+                kinds: &self.kinds,
+                now_ns: self.now_ns,
+                deadline_missed: self.deadline_missed,
+            },
+            columns: self.columns.part(),
+            oldest_ns: &self.oldest_ns,
+        };
+        (share, &mut self.batch)
     }
 
     /// Robots in the fleet: the length of every frame that is written out.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.live.len()
+        self.columns.slots.used()
     }
 
     /// Whether no robot has been heard of.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.live.is_empty()
+        self.len() == 0
     }
 
     /// Robots that there is room for.
@@ -260,6 +244,12 @@ impl Fleet {
         self.drops
     }
 
+    /// Robots refused of late, with the reason and the source.
+    #[must_use]
+    pub fn refusals(&self) -> [Refusal; 16] {
+        self.refused.places()
+    }
+
     /// Hash over the models of all platforms, in order.
     #[must_use]
     pub fn model_hash(&self) -> u64 {
@@ -273,115 +263,101 @@ impl Fleet {
     /// Scores of a robot, if it is in the fleet.
     #[must_use]
     pub fn scores(&self, robot: u32) -> Option<&Scores> {
-        self.slot_of
-            .get(&robot)
-            .map(|slot| &self.scores[*slot as usize])
+        self.find(robot).map(|slot| &self.columns.scores[slot])
     }
 
     /// Account of a robot, in the fleet or departed.
     #[must_use]
     pub fn ledger(&self, robot: u32) -> Option<&Ledger> {
-        let live = self
-            .slot_of
-            .get(&robot)
-            .map(|slot| &self.ledgers[*slot as usize]);
+        let live = self.find(robot).map(|slot| &self.columns.ledgers[slot]);
         live.or_else(|| self.departed.ledger(robot))
+    }
+
+    /// The forecast of the robot at `place` (0 to [`Fleet::len`] − 1), as of the last tick. A
+    /// [`Share`] writes those of all robots faster.
+    #[must_use]
+    pub fn forecast(&self, place: usize) -> Forecast {
+        report::forecast(&self.rules(), &self.seen(place))
+    }
+
+    /// The diagnostics of the robot at `place`, as of the last tick.
+    #[must_use]
+    pub fn diagnostic(&self, place: usize) -> Diagnostic {
+        report::diagnostic(&self.rules(), &self.seen(place))
+    }
+
+    /// The budget of the robot at `place`, as of the last tick.
+    #[must_use]
+    pub fn budget(&self, place: usize) -> Budget {
+        report::budget(&self.rules(), &self.seen(place))
+    }
+
+    /// The slot of a robot that is in the fleet.
+    pub(crate) fn find(&self, robot: u32) -> Option<usize> {
+        let found = self
+            .slot_of
+            .find(robot, |slot| self.columns.gates[slot as usize].id);
+        found.map(|slot| slot as usize)
+    }
+
+    pub(crate) fn rules(&self) -> Rules<'_> {
+        Rules {
+            settings: &self.settings,
+            kinds: &self.kinds,
+            now_ns: self.now_ns,
+            deadline_missed: self.deadline_missed,
+        }
+    }
+
+    fn seen(&self, place: usize) -> report::Seen<'_> {
+        let slot = self.columns.slots.at(place);
+        self.columns
+            .seen(slot.expect("a place is below the number of robots"))
+    }
+
+    /// Takes the waiting sample of one robot at once, because another of it has come.
+    pub(crate) fn catch_up(&mut self, slot: usize) {
+        let rules = Rules {
+            settings: &self.settings,
+            kinds: &self.kinds,
+            now_ns: self.now_ns,
+            deadline_missed: self.deadline_missed,
+        };
+        let alone = [1 << (slot % WORD)];
+        let (_, from) = self.columns.part().split(slot / WORD);
+        let mut columns = Part {
+            words: &alone,
+            ..from.split(1).0
+        };
+        let kind = columns.gates[slot % WORD].platform;
+        pass::absorb(&rules, kind, &mut columns, &mut self.single, false);
+        let its = &rules.kinds[usize::from(kind)];
+        pass::infer(its, &mut columns, &mut self.single);
+        pass::account(&rules, &mut columns);
     }
 
     /// Frees the slots of robots that have been silent for too long; their accounts are kept.
     fn release_departed(&mut self) {
         let leave_after_ns = self.settings.intake.leave_after_ns;
-        let gone = |robot: &Robot| self.now_ns.saturating_sub(robot.taken_ns) > leave_after_ns;
-        let Some(first) = self
-            .live
-            .iter()
-            .position(|slot| gone(&self.robots[*slot as usize]))
-        else {
-            return;
-        };
-        let mut kept = first;
-        for at in first..self.live.len() {
-            let slot = self.live[at];
-            let index = slot as usize;
-            let robot = &mut self.robots[index];
-            if self.now_ns.saturating_sub(robot.taken_ns) <= leave_after_ns {
-                self.live[kept] = slot;
-                kept += 1;
+        for slot in 0..self.columns.gates.len() {
+            let gate = &self.columns.gates[slot];
+            let silent_ns = self.now_ns.saturating_sub(gate.taken_ns);
+            if !gate.present || silent_ns <= leave_after_ns {
                 continue;
             }
-            robot.present = false;
-            robot.generation = robot.generation.wrapping_add(1);
-            let (id, charged) = (robot.id, robot.last.charged);
-            self.slot_of.remove(&id);
-            self.free.push(slot);
+            self.catch_up(slot);
+            let gate = &mut self.columns.gates[slot];
+            gate.present = false;
+            gate.generation = gate.generation.wrapping_add(1);
+            let (robot, charged) = (gate.id, gate.charged);
+            let gates = &self.columns.gates;
+            self.slot_of.remove(robot, |slot| gates[slot as usize].id);
+            self.columns.slots.free(slot);
             self.departed.keep(Account {
-                robot: id,
+                robot,
                 charged,
-                ledger: self.ledgers[index],
+                ledger: self.columns.ledgers[slot],
             });
         }
-        self.live.truncate(kept);
     }
-}
-
-impl Kind {
-    fn new(platform: Platform, model: Model, capacity: usize) -> Self {
-        let ids =
-            |range: &RangeInclusive<u32>| range.end().saturating_sub(*range.start()) as usize + 1;
-        let most = platform.robots.iter().map(ids).sum::<usize>();
-        let sigma_w = model.residual().std_w.max(platform.power_resolution_w);
-        // `Settings::check` has bounded the quotient by 1000.
-        let longest_steps = (platform.stale_after_ns / platform.period_ns) as u16;
-        Self {
-            platform,
-            model,
-            sigma_w,
-            longest_steps,
-            waiting: Vec::with_capacity(most.min(capacity)),
-        }
-    }
-}
-
-impl Batch {
-    fn with_capacity(capacity: usize) -> Self {
-        Self {
-            slots: Vec::with_capacity(capacity),
-            rows: Vec::with_capacity(capacity),
-            forecasts_w: vec![0.0; capacity],
-        }
-    }
-
-    pub(crate) fn clear(&mut self) {
-        self.slots.clear();
-        self.rows.clear();
-    }
-
-    pub(crate) fn push(&mut self, slot: u32, row: Features) {
-        self.slots.push(slot);
-        self.rows.push(row);
-    }
-
-    /// Runs the rows through the model; gives each slot with its forecast, W.
-    pub(crate) fn infer(&mut self, model: &Model) -> impl Iterator<Item = (usize, f32)> + '_ {
-        let forecasts_w = &mut self.forecasts_w[..self.rows.len()];
-        model.predict(&self.rows, forecasts_w);
-        self.slots
-            .iter()
-            .map(|slot| *slot as usize)
-            .zip(forecasts_w.iter().copied())
-    }
-}
-
-fn ranges(kinds: &[Kind]) -> Vec<(u32, u32, u16)> {
-    let mut ranges: Vec<(u32, u32, u16)> = Vec::new();
-    for (index, kind) in kinds.iter().enumerate() {
-        let spans = kind
-            .platform
-            .robots
-            .iter()
-            .map(|range| (*range.start(), *range.end(), index as u16));
-        ranges.extend(spans);
-    }
-    ranges.sort_unstable();
-    ranges
 }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// µW·ns in one µJ, times 2: the trapezoid is summed without being halved.
-const UNITS_PER_UJ: i128 = 2_000_000_000;
+const UNITS_PER_UJ: i64 = 2_000_000_000;
 
 /// Energy drawn, metered and unmetered time of one robot.
 ///
@@ -14,33 +14,35 @@ const UNITS_PER_UJ: i128 = 2_000_000_000;
 pub struct Ledger {
     /// Energy drawn over the metered time, µJ.
     pub drawn_uj: i64,
-    /// What is left of the integral below one µJ, in µW·ns · 2, from 0 to 1,999,999,999.
-    pub drawn_remainder: i64,
     /// Energy that the forecasts expected over the same time, µJ.
     pub forecast_uj: i64,
     /// Time between two readings that follow each other without a gap, ns.
     pub metered_ns: u64,
     /// All other time, ns.
     pub unmetered_ns: u64,
-    /// Stamp of the newest sample, ns; `None` before the first.
-    pub stamp_ns: Option<u64>,
-    /// Bits of the last reading in W; of NaN where there is none.
-    last_power: u32,
+    stamp_ns: u64,
+    /// What is left of the integral below one µJ, in µW·ns · 2, from 0 to 1,999,999,999.
+    pub drawn_remainder: u32,
     /// As `drawn_remainder`.
     forecast_remainder: u32,
+    /// Bits of the last reading in W; of NaN where there is none.
+    last_power: u32,
+    /// Whether `stamp_ns` is that of a sample.
+    begun: bool,
 }
 
 impl Default for Ledger {
     fn default() -> Self {
         Self {
             drawn_uj: 0,
-            drawn_remainder: 0,
             forecast_uj: 0,
             metered_ns: 0,
             unmetered_ns: 0,
-            stamp_ns: None,
-            last_power: f32::NAN.to_bits(),
+            stamp_ns: 0,
+            drawn_remainder: 0,
             forecast_remainder: 0,
+            last_power: f32::NAN.to_bits(),
+            begun: false,
         }
     }
 }
@@ -57,13 +59,21 @@ impl Ledger {
     ) -> Self {
         Self {
             drawn_uj: drawn.0,
-            drawn_remainder: drawn.1.clamp(0, UNITS_PER_UJ as i64 - 1),
+            // Below 2,000,000,000: it fits.
+            drawn_remainder: drawn.1.clamp(0, UNITS_PER_UJ - 1) as u32,
             forecast_uj,
             metered_ns,
             unmetered_ns,
-            stamp_ns: Some(stamp_ns),
+            stamp_ns,
+            begun: true,
             ..Self::default()
         }
+    }
+
+    /// Stamp of the newest sample, ns; `None` before the first.
+    #[must_use]
+    pub fn stamp_ns(&self) -> Option<u64> {
+        self.begun.then_some(self.stamp_ns)
     }
 
     /// Takes a sample: its stamp, the reading in W if there is one, and the forecast that was made
@@ -79,40 +89,66 @@ impl Ledger {
     ) {
         let before_w = Some(f32::from_bits(self.last_power)).filter(|watts| !watts.is_nan());
         let elapsed_ns = self
-            .stamp_ns
+            .stamp_ns()
             .map_or(0, |last| stamp_ns.saturating_sub(last));
         match (before_w, power_w) {
             (Some(before), Some(now)) if elapsed_ns <= longest_ns => {
                 self.metered_ns = self.metered_ns.saturating_add(elapsed_ns);
-                let both = microwatts(before) + microwatts(now);
-                let expected = forecast_w.map_or(both, |watts| 2 * microwatts(watts));
-                let (uj, rest) = integral(self.drawn_remainder, both, elapsed_ns);
+                let drawn = (microwatts(before), microwatts(now));
+                let expected = forecast_w.map_or(drawn, |watts| {
+                    let expected = microwatts(watts);
+                    (expected, expected)
+                });
+                let (uj, rest) = integral(self.drawn_remainder, drawn, elapsed_ns);
                 self.drawn_uj = self.drawn_uj.saturating_add(uj);
-                self.drawn_remainder = rest.into();
-                let (uj, rest) = integral(self.forecast_remainder.into(), expected, elapsed_ns);
+                self.drawn_remainder = rest;
+                let (uj, rest) = integral(self.forecast_remainder, expected, elapsed_ns);
                 self.forecast_uj = self.forecast_uj.saturating_add(uj);
                 self.forecast_remainder = rest;
             }
             _ => self.unmetered_ns = self.unmetered_ns.saturating_add(elapsed_ns),
         }
-        self.stamp_ns = Some(stamp_ns);
+        (self.stamp_ns, self.begun) = (stamp_ns, true);
         self.last_power = power_w.unwrap_or(f32::NAN).to_bits();
     }
 }
 
-/// Whole µJ of a trapezoid and the remainder before it, and the remainder after it.
-fn integral(remainder: i64, twice_power_uw: i128, elapsed_ns: u64) -> (i64, u32) {
-    let sum = twice_power_uw * i128::from(elapsed_ns) + i128::from(remainder);
-    let whole = sum
-        .div_euclid(UNITS_PER_UJ)
-        .clamp(i64::MIN.into(), i64::MAX.into());
-    // Below 2,000,000,000: it fits.
-    (whole as i64, sum.rem_euclid(UNITS_PER_UJ) as u32)
+/// Whole µJ of a trapezoid between two powers in µW and the remainder before it, and the remainder
+/// after it. What a robot draws in a sample period fits into 64 bits by a factor of ten thousand.
+fn integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, u32) {
+    let narrow = || {
+        let twice = ends_uw.0.checked_add(ends_uw.1)?;
+        let area = twice.checked_mul(i64::try_from(elapsed_ns).ok()?)?;
+        area.checked_add(remainder.into())
+    };
+    match narrow() {
+        // Below 2,000,000,000: it fits.
+        Some(sum) => (
+            sum.div_euclid(UNITS_PER_UJ),
+            sum.rem_euclid(UNITS_PER_UJ) as u32,
+        ),
+        None => wide_integral(remainder, ends_uw, elapsed_ns),
+    }
 }
 
-/// Rounded to the nearest µW; an absurd forecast saturates.
-fn microwatts(power_w: f32) -> i128 {
-    ((f64::from(power_w) * 1e6).round() as i64).into()
+/// The same for powers and times that are absurd.
+#[cold]
+fn wide_integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, u32) {
+    let twice = i128::from(ends_uw.0) + i128::from(ends_uw.1);
+    let sum = twice * i128::from(elapsed_ns) + i128::from(remainder);
+    let units = i128::from(UNITS_PER_UJ);
+    let whole = sum.div_euclid(units);
+    (
+        whole.clamp(i64::MIN.into(), i64::MAX.into()) as i64,
+        sum.rem_euclid(units) as u32,
+    )
+}
+
+/// Rounded to the nearest µW, halves away from zero; an absurd forecast saturates.
+fn microwatts(power_w: f32) -> i64 {
+    // Exact: 24 bits times 14. So is adding the half wherever it decides, and `as` saturates.
+    let exact_uw = f64::from(power_w) * 1e6;
+    (exact_uw + 0.5f64.copysign(exact_uw)) as i64
 }
 
 #[cfg(test)]
@@ -145,7 +181,8 @@ mod tests {
                 }
                 before = now;
             }
-            let kept = i128::from(ledger.drawn_uj) * UNITS_PER_UJ + i128::from(ledger.drawn_remainder);
+            let kept = i128::from(ledger.drawn_uj) * i128::from(UNITS_PER_UJ)
+                + i128::from(ledger.drawn_remainder);
             prop_assert_eq!(kept, exact);
             prop_assert_eq!(ledger.forecast_uj, ledger.drawn_uj);
             prop_assert_eq!(ledger.metered_ns, metered_ns);
@@ -164,13 +201,50 @@ mod tests {
                 ledger.meter(stamp_ns, Some(*power_w), None, LONGEST_NS);
             }
             let mut again = Ledger::restored(
-                (ledger.drawn_uj, ledger.drawn_remainder), ledger.forecast_uj,
+                (ledger.drawn_uj, ledger.drawn_remainder.into()), ledger.forecast_uj,
                 ledger.metered_ns, ledger.unmetered_ns, stamp_ns);
             stamp_ns += gap_ns;
             again.meter(stamp_ns, Some(powers[cut]), None, LONGEST_NS);
             prop_assert_eq!(again.drawn_uj, ledger.drawn_uj);
             prop_assert_eq!(again.unmetered_ns, ledger.unmetered_ns + gap_ns);
             prop_assert_eq!(again.metered_ns, ledger.metered_ns);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn the_short_way_to_an_integral_and_to_microwatts_changes_no_digit(
+            remainder in 0u32..2_000_000_000, bits in any::<(u32, u32)>(), elapsed_ns in any::<u64>(),
+            shift in 0u32..64,
+        ) {
+            let (before, now) = (f32::from_bits(bits.0), f32::from_bits(bits.1));
+            let rounded = |watts: f32| (f64::from(watts) * 1e6).round() as i64;
+            prop_assert_eq!(microwatts(before), rounded(before));
+            let near = (before % 8.0, now % 8.0);
+            prop_assert_eq!(microwatts(near.0), rounded(near.0));
+            for (before, now) in [(before, now), near] {
+                let ends_uw = (microwatts(before), microwatts(now));
+                let elapsed_ns = elapsed_ns >> shift;
+                prop_assert_eq!(
+                    integral(remainder, ends_uw, elapsed_ns),
+                    wide_integral(remainder, ends_uw, elapsed_ns)
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn half_a_microwatt_is_rounded_away_from_zero() {
+        // Odd multiples of 2^-7 W times 10^6 end in one half.
+        for (power_w, expected_uw) in [
+            (0.007_812_5, 7_813),
+            (-0.007_812_5, -7_813),
+            (0.023_437_5, 23_438),
+            (4.999_999e-7, 0),
+            (f32::INFINITY, i64::MAX),
+            (-f32::MAX, i64::MIN),
+        ] {
+            assert_eq!(microwatts(power_w), expected_uw, "{power_w}");
         }
     }
 

@@ -12,11 +12,15 @@
 #![forbid(unsafe_code)]
 
 mod admission;
+mod batch;
+mod columns;
 mod departed;
 mod detector;
 mod fleet;
+mod index;
 mod intake;
 mod interval;
+mod kind;
 mod ledger;
 mod pass;
 mod refused;
@@ -25,10 +29,13 @@ mod robot;
 mod schedule;
 mod scores;
 mod settings;
+mod share;
+mod slots;
 mod sources;
 mod state;
 mod window;
 
+pub use batch::Batch;
 pub use fleet::{Fleet, TickIntake};
 pub use ledger::Ledger;
 pub use schedule::{Next, Schedule};
@@ -36,4 +43,5 @@ pub use scores::Scores;
 pub use settings::{
     AlarmSettings, Battery, Intake, IntervalSettings, Platform, Policy, Settings, SettingsError,
 };
+pub use share::{Outputs, Share, Stage};
 pub use state::{FleetState, StateError};

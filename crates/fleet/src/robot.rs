@@ -1,6 +1,6 @@
 //! Who holds a slot, and what came of its last sample.
 
-use joulebus_wire::{InvalidReason, Quality, Sample, sample_flag};
+use joulebus_wire::{Freshness, InvalidReason, Quality, Sample, sample_flag};
 use serde::{Deserialize, Serialize};
 
 use crate::state::{invalid_reason, quality};
@@ -8,105 +8,113 @@ use crate::state::{invalid_reason, quality};
 /// Time over which the mean power is taken, s.
 const MEAN_POWER_S: f32 = 60.0;
 
-/// Identity and bookkeeping of a robot in its slot.
+/// Who holds a slot and what the checks of its next sample need: one line of the cache.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-pub(crate) struct Robot {
-    pub id: u32,
-    /// Whether the slot is in use.
-    pub present: bool,
-    pub platform: u16,
-    pub generation: u32,
-    pub source_id: u64,
-    pub source_epoch: u64,
-    /// Whether a new run of the source has taken over and none of its samples was accepted yet.
-    pub renewed: bool,
-    /// Whether a sample of it waits for the next pass.
-    pub waiting: bool,
-    /// Highest sequence number taken or refused in the epoch, if any.
-    pub seq: Option<u64>,
+#[repr(align(64))]
+pub(crate) struct Gate {
     /// When the worker last took a sample of it, monotonic ns of the worker.
     pub taken_ns: u64,
+    /// Stamp of the last accepted sample, ns; 0 before the first.
+    pub stamp_ns: u64,
+    /// Highest sequence number taken or refused in the epoch, where `ordered`.
+    pub seq: u64,
+    pub source_id: u64,
+    pub source_epoch: u64,
+    pub id: u32,
+    /// Times the slot has changed its owner.
+    pub generation: u32,
+    pub platform: u16,
     /// Samples taken in this tick.
     pub taken: u16,
-    /// Whether a sample has come in this tick, taken or refused.
-    pub heard: bool,
-    pub refused: u64,
     /// Samples refused in a row for what was in them.
     pub refused_run: u16,
     /// Why the last sample was refused, if it was.
     #[serde(with = "invalid_reason")]
     pub invalid: Option<InvalidReason>,
-    pub last: Last,
-}
-
-/// What is kept of the last accepted sample.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-pub(crate) struct Last {
+    /// Whether the slot is in use.
+    pub present: bool,
+    /// Whether a sample of the epoch has been seen.
+    pub ordered: bool,
+    /// Whether a new run of the source has taken over and none of its samples was accepted yet.
+    pub renewed: bool,
+    /// Whether a sample has come in this tick, taken or refused.
+    pub heard: bool,
+    /// Whether a sample has ever been accepted.
     pub accepted: bool,
-    #[serde(with = "quality")]
-    pub quality: Quality,
-    pub seq: u64,
-    pub stamp_ns: u64,
-    pub reading_w: f32,
-    pub measured_ns: u64,
-    /// NaN where there was no forecast for it or no reading in it.
-    pub residual_w: f32,
-    /// Stamp since which new measurements have all been equal to `reading_w`.
-    pub equal_since_ns: u64,
-    pub outside_training: bool,
     pub charging: bool,
     /// Whether the robot has ever been seen charging: its state of charge is then not known.
     pub charged: bool,
-    pub mean_power_w: f32,
+    /// Whether the last row lay outside the range of the training.
+    pub outside_training: bool,
 }
 
-impl Robot {
-    /// Nobody: the slot has never been in use.
-    pub(crate) const ABSENT: Self = Self {
-        id: 0,
-        present: false,
-        platform: 0,
-        generation: 0,
+const _: () = assert!(size_of::<Gate>() == 64);
+
+impl Gate {
+    pub(crate) const FREE: Self = Self {
+        taken_ns: 0,
+        stamp_ns: 0,
+        seq: 0,
         source_id: 0,
         source_epoch: 0,
-        renewed: false,
-        waiting: false,
-        seq: None,
-        taken_ns: 0,
+        id: 0,
+        generation: 0,
+        platform: 0,
         taken: 0,
-        heard: false,
-        refused: 0,
         refused_run: 0,
         invalid: None,
-        last: Last::NONE,
+        present: false,
+        ordered: false,
+        renewed: false,
+        heard: false,
+        accepted: false,
+        charging: false,
+        charged: false,
+        outside_training: false,
     };
+
+    /// Takes what of an absorbed sample does not depend on the forecast. Without a row for the
+    /// model there is nothing that could lie outside the training.
+    pub(crate) fn accept(&mut self, sample: &Pending) {
+        self.accepted = true;
+        self.stamp_ns = sample.stamp_ns;
+        self.charging = sample.has(sample_flag::CHARGING);
+        self.charged |= self.charging;
+        self.outside_training = false;
+    }
+}
+
+/// What is kept of the last accepted sample, and how many were refused.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(crate) struct Last {
+    pub seq: u64,
+    pub measured_ns: u64,
+    /// Stamp since which new measurements have all been equal to `reading_w`.
+    pub equal_since_ns: u64,
+    pub refused: u64,
+    pub reading_w: f32,
+    /// NaN where there was no forecast for it or no reading in it.
+    pub residual_w: f32,
+    pub mean_power_w: f32,
+    #[serde(with = "quality")]
+    pub quality: Quality,
 }
 
 impl Last {
     pub(crate) const NONE: Self = Self {
-        accepted: false,
-        quality: Quality::Warmup { have: 0 },
         seq: 0,
-        stamp_ns: 0,
-        reading_w: f32::NAN,
         measured_ns: 0,
-        residual_w: f32::NAN,
         equal_since_ns: 0,
-        outside_training: false,
-        charging: false,
-        charged: false,
+        refused: 0,
+        reading_w: f32::NAN,
+        residual_w: f32::NAN,
         mean_power_w: f32::NAN,
+        quality: Quality::Warmup { have: 0 },
     };
 
-    /// Takes what does not depend on the forecast.
-    pub(crate) fn accept(&mut self, sample: &Sample) {
-        let elapsed_s = (sample.stamp_ns.saturating_sub(self.stamp_ns) as f64 * 1e-9) as f32;
-        let first = !self.accepted;
-        self.accepted = true;
+    /// Takes what does not depend on the forecast; `elapsed_s` since the sample before.
+    pub(crate) fn accept(&mut self, sample: &Pending, elapsed_s: f32) {
         self.seq = sample.seq;
-        self.stamp_ns = sample.stamp_ns;
-        self.charging = sample.has(sample_flag::CHARGING);
-        self.charged |= self.charging;
         if !sample.has(sample_flag::POWER) {
             return;
         }
@@ -118,7 +126,7 @@ impl Last {
         }
         self.reading_w = sample.power_w;
         self.measured_ns = sample.measured_ns;
-        if first || self.mean_power_w.is_nan() {
+        if self.mean_power_w.is_nan() {
             self.mean_power_w = sample.power_w;
         } else {
             let weight = elapsed_s / (MEAN_POWER_S + elapsed_s);
@@ -127,20 +135,40 @@ impl Last {
     }
 }
 
-/// A sample that waits for the next pass: what the checks have left to be used.
+/// What the tick has to do with a robot.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-pub(crate) struct Pending {
-    seq: u64,
-    pub stamp_ns: u64,
-    measured_ns: u64,
-    v_mps: f32,
-    omega_radps: f32,
-    power_w: f32,
-    pub flags: u32,
+pub(crate) enum News {
+    /// Nothing.
+    #[default]
+    None,
+    /// A sample waits to be absorbed.
+    Waiting(Pending),
+    /// A sample was absorbed; its residual waits to be accounted for.
+    Absorbed(Absorbed),
 }
 
+const _: () = assert!(size_of::<News>() == 40);
+
+/// A sample that waits for the next pass: what the checks have left to be used.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(crate) struct Pending {
+    pub seq: u64,
+    pub stamp_ns: u64,
+    pub measured_ns: u64,
+    pub v_mps: f32,
+    pub omega_radps: f32,
+    pub power_w: f32,
+    flags: u8,
+    /// Whether what came before has nothing to do with it.
+    pub broken: bool,
+}
+
+// All flags that a sample may have fit.
+const _: () = assert!(sample_flag::ALL <= u8::MAX as u32);
+
 impl Pending {
-    pub(crate) fn new(sample: &Sample) -> Self {
+    /// From a sample whose flags are all known; `broken` also where the flags do not say so.
+    pub(crate) fn new(sample: &Sample, broken: bool) -> Self {
         Self {
             seq: sample.seq,
             stamp_ns: sample.stamp_ns,
@@ -148,19 +176,45 @@ impl Pending {
             v_mps: sample.v_mps,
             omega_radps: sample.omega_radps,
             power_w: sample.power_w,
-            flags: sample.flags & !(sample_flag::VOLTAGE | sample_flag::CURRENT),
+            flags: sample.flags as u8,
+            broken: broken || sample.has(sample_flag::DISCONTINUITY),
         }
     }
 
-    /// The sample without its voltage and current.
-    pub(crate) fn sample(&self, robot: u32) -> Sample {
-        Sample {
-            flags: self.flags,
-            measured_ns: self.measured_ns,
-            v_mps: self.v_mps,
-            omega_radps: self.omega_radps,
-            power_w: self.power_w,
-            ..Sample::new(robot, self.seq, self.stamp_ns)
+    pub(crate) fn has(&self, flags: u32) -> bool {
+        u32::from(self.flags) & flags == flags
+    }
+
+    pub(crate) fn reading_w(&self) -> Option<f32> {
+        self.has(sample_flag::POWER).then_some(self.power_w)
+    }
+
+    pub(crate) fn freshness(&self) -> Freshness {
+        if !self.has(sample_flag::POWER) {
+            Freshness::Missing
+        } else if self.has(sample_flag::HELD) {
+            Freshness::Held
+        } else {
+            Freshness::Fresh
         }
     }
+
+    pub(crate) fn command(&self) -> Option<(f32, f32)> {
+        let known = self.has(sample_flag::V | sample_flag::OMEGA);
+        known.then_some((self.v_mps, self.omega_radps))
+    }
+}
+
+/// What is to be accounted for of an absorbed sample.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(crate) struct Absorbed {
+    pub stamp_ns: u64,
+    /// NaN where there was none.
+    pub reading_w: f32,
+    /// The forecast one step ahead that was made for the reading; NaN where there was none.
+    pub expected_w: f32,
+    /// The reading before it.
+    pub previous_w: f32,
+    /// As [`Pending::broken`], or after too long a gap.
+    pub broken: bool,
 }

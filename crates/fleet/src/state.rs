@@ -9,7 +9,7 @@ use crate::detector::Detector;
 use crate::fleet::TickIntake;
 use crate::interval::Interval;
 use crate::refused::Refused;
-use crate::robot::{Pending, Robot};
+use crate::robot::{Gate, Last, News};
 use crate::sources::Source;
 use crate::window::Window;
 use crate::{Fleet, Ledger, Scores, Settings};
@@ -18,7 +18,7 @@ pub(crate) use codes::{alarm_set, drop_counts, invalid_reason, quality, refusals
 
 /// First bytes of the encoded form. The last of them is its version: one more whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x01";
+const MAGIC: [u8; 8] = *b"jbstate\x02";
 
 /// Everything that a tick depends on but the settings and the models, bit for bit: who is in the
 /// fleet and where, windows, ledgers, intervals, scores, detectors, accounts of robots that have
@@ -34,11 +34,6 @@ pub struct FleetState {
     model_hash: u64,
     counters: Counters,
     columns: Columns,
-    live: Vec<u32>,
-    /// Slots that have been in use and are free again; the ones after the columns are free too.
-    free: Vec<u32>,
-    /// Per platform, the slots whose sample waits for the next pass.
-    waiting: Vec<Vec<u32>>,
     departed: Vec<Account>,
     sources: Vec<Source>,
     refused: Refused,
@@ -56,16 +51,17 @@ struct Counters {
     deadline_missed: bool,
 }
 
-/// The slots that have ever been in use.
+/// The slots that have ever been in use, as in the fleet's own columns.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 struct Columns {
-    robots: Vec<Robot>,
+    gates: Vec<Gate>,
+    news: Vec<News>,
     windows: Vec<Window>,
-    ledgers: Vec<Ledger>,
+    lasts: Vec<Last>,
     intervals: Vec<Interval>,
+    ledgers: Vec<Ledger>,
     scores: Vec<Scores>,
     detectors: Vec<Detector>,
-    pending: Vec<Pending>,
 }
 
 /// Why a state was refused.
@@ -151,21 +147,15 @@ impl FleetState {
             model_hash: 0,
             counters: Counters::default(),
             columns: Columns {
-                robots: room(robots, Robot::ABSENT),
+                gates: room(robots, Gate::FREE),
+                news: room(robots, News::None),
                 windows: room(robots, Window::EMPTY),
-                ledgers: room(robots, Ledger::default()),
+                lasts: room(robots, Last::NONE),
                 intervals: room(robots, Interval::new(0.0, 0.0, 0.0, 0.0, 0.0)),
+                ledgers: room(robots, Ledger::default()),
                 scores: room(robots, Scores::default()),
                 detectors: room(robots, Detector::new()),
-                pending: room(robots, Pending::default()),
             },
-            live: room(robots, u32::MAX),
-            free: room(robots, u32::MAX),
-            waiting: settings
-                .platforms
-                .iter()
-                .map(|_| room(robots, u32::MAX))
-                .collect(),
             departed: room(
                 robots,
                 Account {
@@ -214,13 +204,18 @@ impl FleetState {
     /// Robots in the fleet.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.live.len()
+        self.present().count()
     }
 
     /// Whether no robot is in the fleet.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.live.is_empty()
+        self.present().next().is_none()
+    }
+
+    fn present(&self) -> impl Iterator<Item = (usize, &Gate)> {
+        let gates = self.columns.gates.iter().enumerate();
+        gates.filter(|(_, gate)| gate.present)
     }
 
     /// As [`Fleet::model_hash`].
@@ -238,7 +233,7 @@ impl FleetState {
                 expected: capacity,
             });
         }
-        if self.platforms != platforms || self.waiting.len() != fleet.kinds.len() {
+        if self.platforms != platforms {
             return Err(StateError::Platforms {
                 found: self.platforms,
                 expected: platforms,
@@ -262,16 +257,16 @@ impl FleetState {
     /// Refuses what no fleet can have come to: the tick relies on it.
     fn check_sound(&self, fleet: &Fleet) -> Result<(), StateError> {
         let columns = &self.columns;
-        let slots = columns.robots.len();
+        let slots = columns.gates.len();
         at_most("slots in use", slots, self.capacity as usize)?;
         for (what, length) in [
+            ("length of the news", columns.news.len()),
             ("length of the windows", columns.windows.len()),
-            ("length of the ledgers", columns.ledgers.len()),
+            ("length of the last samples", columns.lasts.len()),
             ("length of the intervals", columns.intervals.len()),
+            ("length of the ledgers", columns.ledgers.len()),
             ("length of the scores", columns.scores.len()),
             ("length of the detectors", columns.detectors.len()),
-            ("length of the waiting samples", columns.pending.len()),
-            ("robots and free slots", self.live.len() + self.free.len()),
         ] {
             exactly(what, length, slots)?;
         }
@@ -282,54 +277,17 @@ impl FleetState {
         self.check_slots(fleet)
     }
 
-    /// Each slot is either in use, by a robot of its platform, or free.
+    /// Each slot in use holds a robot of its own, of the platform that the settings say.
     fn check_slots(&self, fleet: &Fleet) -> Result<(), StateError> {
-        let robots = &self.columns.robots;
-        let mut seen = vec![false; robots.len()];
-        for (slots, present) in [(&self.live, true), (&self.free, false)] {
-            for slot in slots {
-                let index = *slot as usize;
-                at_most("slot", index, robots.len().saturating_sub(1))?;
-                exactly("times a slot is listed", 1 + usize::from(seen[index]), 1)?;
-                seen[index] = true;
-                exactly("slot in use", robots[index].present.into(), present.into())?;
-            }
-        }
         let mut ids = std::collections::HashSet::new();
-        for slot in &self.live {
-            let robot = &robots[*slot as usize];
-            exactly(
-                "times a robot is listed",
-                2 - usize::from(ids.insert(robot.id)),
-                1,
-            )?;
-            let platform = fleet.platform_of(robot.id).map_or(usize::MAX, usize::from);
-            exactly("platform of a robot", robot.platform.into(), platform)?;
-            self.columns.windows[*slot as usize].check()?;
+        for (slot, gate) in self.present() {
+            let times = 2 - usize::from(ids.insert(gate.id));
+            exactly("times a robot is listed", times, 1)?;
+            let platform = fleet.platform_of(gate.id).map_or(usize::MAX, usize::from);
+            exactly("platform of a robot", gate.platform.into(), platform)?;
+            self.columns.windows[slot].check()?;
         }
-        for (kind, slots) in self.waiting.iter().enumerate() {
-            for slot in slots {
-                let index = *slot as usize;
-                at_most("slot that waits", index, robots.len().saturating_sub(1))?;
-                let robot = &robots[index];
-                exactly(
-                    "platform of a robot that waits",
-                    robot.platform.into(),
-                    kind,
-                )?;
-                exactly(
-                    "robot that waits",
-                    usize::from(robot.present && robot.waiting),
-                    1,
-                )?;
-            }
-        }
-        let waiting = robots.iter().filter(|robot| robot.waiting).count();
-        exactly(
-            "robots that wait",
-            waiting,
-            self.waiting.iter().map(Vec::len).sum(),
-        )
+        Ok(())
     }
 }
 
@@ -345,7 +303,6 @@ impl Fleet {
     /// As [`Fleet::state`], into memory of [`FleetState::with_room_for`] the same settings: copies
     /// and allocates nothing. Takes as long as copying all slots ever used.
     pub fn state_into(&self, state: &mut FleetState) {
-        let used = self.used;
         state.capacity = self.settings.capacity;
         state.platforms = self.kinds.len() as u32;
         (state.settings_hash, state.model_hash) = (self.settings_hash, self.model_hash());
@@ -357,25 +314,18 @@ impl Fleet {
             now_ns: self.now_ns,
             deadline_missed: self.deadline_missed,
         };
-        let columns = &mut state.columns;
-        copy(&mut columns.robots, &self.robots[..used]);
-        copy(&mut columns.windows, &self.windows[..used]);
-        copy(&mut columns.ledgers, &self.ledgers[..used]);
-        copy(&mut columns.intervals, &self.intervals[..used]);
-        copy(&mut columns.scores, &self.scores[..used]);
-        copy(&mut columns.detectors, &self.detectors[..used]);
-        copy(&mut columns.pending, &self.pending[..used]);
-        copy(&mut state.live, &self.live);
-        // Below lie the slots that were never in use, untouched.
-        copy(
-            &mut state.free,
-            &self.free[self.settings.capacity as usize - used..],
-        );
-        state.waiting.resize_with(self.kinds.len(), Vec::new);
-        for (to, kind) in state.waiting.iter_mut().zip(&self.kinds) {
-            copy(to, &kind.waiting);
-        }
-        copy(&mut state.departed, self.departed.accounts());
+        let (to, from) = (&mut state.columns, &self.columns);
+        let used = from.slots.reach();
+        copy(&mut to.gates, &from.gates[..used]);
+        copy(&mut to.news, &from.news[..used]);
+        copy(&mut to.windows, &from.windows[..used]);
+        copy(&mut to.lasts, &from.lasts[..used]);
+        copy(&mut to.intervals, &from.intervals[..used]);
+        copy(&mut to.ledgers, &from.ledgers[..used]);
+        copy(&mut to.scores, &from.scores[..used]);
+        copy(&mut to.detectors, &from.detectors[..used]);
+        state.departed.clear();
+        state.departed.extend(self.departed.accounts());
         copy(&mut state.sources, self.sources.all());
         state.refused.clone_from(&self.refused);
     }
@@ -388,40 +338,26 @@ impl Fleet {
     pub fn restore_state(&mut self, state: &FleetState) -> Result<(), StateError> {
         state.check_kin(self)?;
         state.check_sound(self)?;
-        let Columns {
-            robots,
-            windows,
-            ledgers,
-            intervals,
-            scores,
-            detectors,
-            pending,
-        } = &state.columns;
-        let used = robots.len();
-        self.robots[..used].copy_from_slice(robots);
-        self.robots[used..].fill(Robot::ABSENT);
-        self.windows[..used].copy_from_slice(windows);
-        self.ledgers[..used].copy_from_slice(ledgers);
-        self.intervals[..used].copy_from_slice(intervals);
-        self.scores[..used].copy_from_slice(scores);
-        self.detectors[..used].copy_from_slice(detectors);
-        self.pending[..used].copy_from_slice(pending);
-        self.used = used;
-        copy(&mut self.live, &state.live);
-        self.free.clear();
-        self.free.extend((used as u32..state.capacity).rev());
-        self.free.extend_from_slice(&state.free);
+        let (from, to) = (&state.columns, &mut self.columns);
+        let used = from.gates.len();
+        to.gates[..used].copy_from_slice(&from.gates);
+        to.gates[used..].fill(Gate::FREE);
+        to.news[..used].copy_from_slice(&from.news);
+        to.windows[..used].copy_from_slice(&from.windows);
+        to.lasts[..used].copy_from_slice(&from.lasts);
+        to.intervals[..used].copy_from_slice(&from.intervals);
+        to.ledgers[..used].copy_from_slice(&from.ledgers);
+        to.scores[..used].copy_from_slice(&from.scores);
+        to.detectors[..used].copy_from_slice(&from.detectors);
+        to.slots
+            .replace(used, state.present().map(|(slot, _)| slot));
         self.slot_of.clear();
-        self.slot_of.extend(
-            state
-                .live
-                .iter()
-                .map(|slot| (robots[*slot as usize].id, *slot)),
-        );
-        self.guess = 0;
-        for (kind, waiting) in self.kinds.iter_mut().zip(&state.waiting) {
-            copy(&mut kind.waiting, waiting);
+        for (slot, gate) in state.present() {
+            self.slot_of.insert(gate.id, slot as u32);
         }
+        self.guess = 0;
+        // Looked up anew at the next tick.
+        *self.oldest_ns.get_mut() = 0;
         self.departed.replace(&state.departed);
         self.sources.replace(&state.sources);
         self.refused.clone_from(&state.refused);

@@ -39,31 +39,37 @@ pub(crate) enum Gap {
 }
 
 /// The lag window. It advances by the robot's *samples*; what the worker's clock adds in between
-/// (`open`) is provisional and never changes what a sample leads to.
+/// (`open`) is provisional and never changes what a sample leads to. One line of the cache.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[repr(align(64))]
 pub(crate) struct Window {
     /// After the last sample.
     closed: Lags,
     /// After `open_steps` further periods without one.
     open: Lags,
+    /// The last command, m/s and rad/s, where `commanded`.
+    v_mps: f32,
+    omega_radps: f32,
     open_steps: u16,
-    /// Readings in the window.
-    have: u8,
     /// Sample periods since the last valid reading, as of the last sample.
     pub unread_steps: u16,
-    command: Option<(f32, f32)>,
-    stamp_ns: u64,
+    /// Readings in the window.
+    have: u8,
+    commanded: bool,
 }
+
+const _: () = assert!(size_of::<Window>() == 64);
 
 impl Window {
     pub(crate) const EMPTY: Self = Self {
         closed: Lags::EMPTY,
         open: Lags::EMPTY,
+        v_mps: f32::NAN,
+        omega_radps: f32::NAN,
         open_steps: 0,
-        have: 0,
         unread_steps: 0,
-        command: None,
-        stamp_ns: 0,
+        have: 0,
+        commanded: false,
     };
 
     /// Refuses a window that was never filled like this: of one that was written down.
@@ -104,9 +110,9 @@ impl Window {
         )
     }
 
-    /// What lies between the last sample and one stamped `stamp_ns`.
-    pub(crate) fn gap_before(&self, stamp_ns: u64, period_ns: u64, longest_steps: u16) -> Gap {
-        let missing = missing_steps(stamp_ns.saturating_sub(self.stamp_ns), period_ns);
+    /// What lies between the last sample and one stamped `elapsed_ns` later.
+    pub(crate) fn gap_before(&self, elapsed_ns: u64, period_ns: u64, longest_steps: u16) -> Gap {
+        let missing = missing_steps(elapsed_ns, period_ns);
         if missing == 0 || self.have == 0 {
             return Gap::None;
         }
@@ -144,6 +150,14 @@ impl Window {
         self.open.forecast_w = forecast_w;
     }
 
+    /// Whether [`Window::close`] needs no further steps open loop.
+    pub(crate) fn can_close(&self, gap: Gap) -> bool {
+        match gap {
+            Gap::Bridge(steps) => self.open_steps == steps,
+            Gap::None | Gap::Break => true,
+        }
+    }
+
     /// Makes what was run open loop part of the window, up to the sample that now arrives.
     /// Returns the forecast made for that sample, W; NaN where there is none.
     pub(crate) fn close(&mut self, gap: Gap) -> f32 {
@@ -161,10 +175,7 @@ impl Window {
 
     /// Starts empty, as for a robot never seen before.
     pub(crate) fn restart(&mut self) {
-        *self = Self {
-            stamp_ns: self.stamp_ns,
-            ..Self::EMPTY
-        };
+        *self = Self::EMPTY;
     }
 
     /// Takes a sample's reading, W: corrected mode.
@@ -186,21 +197,22 @@ impl Window {
         self.unread_steps += 1;
     }
 
-    /// Takes a sample's stamp and command, and gives the row for the forecast of the next reading,
-    /// if the window is full and the command known or not `needed`.
+    /// Takes a sample's command, `elapsed_s` after the last one, and gives the row for the forecast
+    /// of the next reading, if the window is full and the command known or not `needed`.
     pub(crate) fn next_row(
         &mut self,
-        stamp_ns: u64,
+        elapsed_s: f32,
         command: Option<(f32, f32)>,
         needed: bool,
     ) -> Option<Features> {
-        let elapsed_s = (stamp_ns.saturating_sub(self.stamp_ns) as f64 * 1e-9) as f32;
-        let previous = self
-            .command
-            .filter(|_| elapsed_s > 0.0)
-            .map(|(v, omega)| (v, omega, elapsed_s));
-        (self.stamp_ns, self.command) = (stamp_ns, command);
-        let ready = self.is_full() && (command.is_some() || !needed);
+        let previous = (self.commanded && elapsed_s > 0.0).then_some((
+            self.v_mps,
+            self.omega_radps,
+            elapsed_s,
+        ));
+        self.commanded = command.is_some();
+        (self.v_mps, self.omega_radps) = command.unwrap_or((f32::NAN, f32::NAN));
+        let ready = self.is_full() && (self.commanded || !needed);
         ready.then(|| self.row(&self.closed, previous))
     }
 
@@ -210,8 +222,7 @@ impl Window {
     }
 
     fn row(&self, lags: &Lags, previous: Option<(f32, f32, f32)>) -> Features {
-        let (v_mps, omega_radps) = self.command.unwrap_or((f32::NAN, f32::NAN));
-        features(v_mps, omega_radps, previous, &lags.lag_w)
+        features(self.v_mps, self.omega_radps, previous, &lags.lag_w)
     }
 }
 
@@ -255,7 +266,7 @@ mod tests {
         let mut window = Window::EMPTY;
         for step in 0..5u8 {
             window.read(f32::from(step));
-            window.next_row(u64::from(step) * 10, Some((0.1, 0.0)), true);
+            window.next_row(10e-9, Some((0.1, 0.0)), true);
         }
         window.forecast(4.5);
         window
@@ -297,8 +308,8 @@ mod tests {
     fn the_window_is_newest_first_and_starts_empty_after_a_break() {
         let mut window = full();
         assert_eq!(window.closed.lag_w, [4.0, 3.0, 2.0, 1.0, 0.0]);
-        assert_eq!(window.gap_before(40 + 10 * 31, 10, 30), Gap::Bridge(30));
-        assert_eq!(window.gap_before(40 + 10 * 32, 10, 30), Gap::Break);
+        assert_eq!(window.gap_before(10 * 31, 10, 30), Gap::Bridge(30));
+        assert_eq!(window.gap_before(10 * 32, 10, 30), Gap::Break);
         assert!(window.close(Gap::Break).is_nan());
         assert_eq!(window.have(), 0);
         assert_eq!(window.gap_before(1_000_000, 10, 30), Gap::None);

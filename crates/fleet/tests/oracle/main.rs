@@ -259,6 +259,6 @@ fn compare_account(fleet: &Fleet, id: u32, account: &Account) -> Result<(), Test
         id
     );
     prop_assert_eq!(found.metered_ns + found.unmetered_ns, account.elapsed_ns);
-    prop_assert_eq!(found.stamp_ns, account.last.map(|last| last.0));
+    prop_assert_eq!(found.stamp_ns(), account.last.map(|last| last.0));
     Ok(())
 }

@@ -1,0 +1,100 @@
+//! Rows on their way through a model.
+
+use joulebus_predictor::{FEATURES, Features, Model};
+
+use crate::kind::Kind;
+use crate::slots::WORD;
+
+/// Slots that are worked on together unless told otherwise: their state, their rows and what is
+/// written of them stay in the core's own cache.
+const SLOTS: usize = 512;
+
+/// Room for the rows of one tile, for [`crate::Share`]: one for each thread.
+#[derive(Debug, Clone)]
+pub struct Batch {
+    /// Words of slots in a tile.
+    pub(crate) words: usize,
+    slots: Vec<u32>,
+    columns: [Vec<f32>; FEATURES],
+    forecasts_w: Vec<f32>,
+    outside: Vec<bool>,
+    /// Slots whose waiting sample comes after a gap.
+    pub(crate) gaps: Vec<u32>,
+    /// Slots whose next sample is overdue.
+    pub(crate) overdue: Vec<u32>,
+}
+
+impl Default for Batch {
+    fn default() -> Self {
+        Self::of_slots(SLOTS)
+    }
+}
+
+impl Batch {
+    /// For tiles of so many slots, rounded up to a multiple of 64. It changes no bit of what any
+    /// robot is told.
+    #[must_use]
+    pub fn of_slots(slots: usize) -> Self {
+        let words = slots.div_ceil(WORD).max(1);
+        let slots = words * WORD;
+        Self {
+            words,
+            slots: Vec::with_capacity(slots),
+            columns: std::array::from_fn(|_| vec![0.0; slots]),
+            forecasts_w: vec![0.0; slots],
+            outside: vec![false; slots],
+            gaps: Vec::with_capacity(slots),
+            overdue: Vec::with_capacity(slots),
+        }
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.slots.clear();
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.slots.is_empty()
+    }
+
+    /// Adds a row; there are never more than slots in a tile.
+    #[inline]
+    pub(crate) fn push(&mut self, slot: usize, row: &Features) {
+        let at = self.slots.len();
+        for (column, value) in self.columns.iter_mut().zip(row) {
+            column[at] = *value;
+        }
+        self.slots.push(slot as u32);
+    }
+
+    /// Runs the rows through the model.
+    pub(crate) fn infer(&mut self, model: &Model) {
+        let rows = self.slots.len();
+        let columns = self.columns.each_ref().map(|column| &column[..rows]);
+        model.predict_columns(columns, &mut self.forecasts_w[..rows]);
+    }
+
+    /// Marks the rows that have a feature outside the range of the training, or NaN.
+    pub(crate) fn mark_outside(&mut self, kind: &Kind) {
+        let outside = &mut self.outside[..self.slots.len()];
+        match &kind.trained {
+            Some(trained) => trained.mark_outside(&self.columns, outside),
+            None => outside.fill(false),
+        }
+    }
+
+    /// Each slot with its mark, after [`Batch::mark_outside`].
+    pub(crate) fn outside(&self) -> impl Iterator<Item = (usize, bool)> + '_ {
+        self.slots
+            .iter()
+            .map(|slot| *slot as usize)
+            .zip(self.outside.iter().copied())
+    }
+
+    /// Each slot with its forecast, W, after [`Batch::infer`].
+    pub(crate) fn forecasts(&self) -> impl Iterator<Item = (usize, f32)> + '_ {
+        self.slots
+            .iter()
+            .map(|slot| *slot as usize)
+            .zip(self.forecasts_w.iter().copied())
+    }
+}

@@ -1,0 +1,83 @@
+//! What belongs to one platform, made ready for the tick.
+
+use std::ops::RangeInclusive;
+
+use joulebus_predictor::{FEATURES, FeatureSet, Features, Model};
+
+use crate::Platform;
+
+/// What belongs to one platform.
+#[derive(Debug)]
+pub(crate) struct Kind {
+    pub platform: Platform,
+    pub model: Model,
+    /// Standard deviation of the residuals in training, not below the monitor's resolution, W.
+    pub sigma_w: f32,
+    /// Sample periods that the model may run open loop.
+    pub longest_steps: u16,
+    /// Silence after which the next sample is overdue, and longest time between two samples with
+    /// nothing missing, ns.
+    pub overdue_after_ns: u64,
+    /// Range of the features in training, widened by the margin of the alarm.
+    pub trained: Option<Trained>,
+}
+
+/// The range that features may lie in.
+#[derive(Debug)]
+pub(crate) struct Trained {
+    feature_set: FeatureSet,
+    lo: Features,
+    hi: Features,
+}
+
+impl Kind {
+    /// `margin`: how far outside the training range a feature may lie, as a share of that range.
+    pub(crate) fn new(platform: Platform, model: Model, margin: f32) -> Self {
+        let trained = model.training_range().map(|range| {
+            let slack: Features =
+                std::array::from_fn(|index| margin * (range.max[index] - range.min[index]));
+            Trained {
+                feature_set: range.feature_set,
+                lo: std::array::from_fn(|index| range.min[index] - slack[index]),
+                hi: std::array::from_fn(|index| range.max[index] + slack[index]),
+            }
+        });
+        Self {
+            sigma_w: model.residual().std_w.max(platform.power_resolution_w),
+            // `Settings::check` has bounded the quotient by 1000.
+            longest_steps: (platform.stale_after_ns / platform.period_ns) as u16,
+            overdue_after_ns: platform.period_ns + platform.period_ns / 2,
+            trained,
+            platform,
+            model,
+        }
+    }
+}
+
+impl Trained {
+    /// Marks the rows, given as columns, that have a feature outside the range, or NaN.
+    pub(crate) fn mark_outside(&self, columns: &[Vec<f32>; FEATURES], outside: &mut [bool]) {
+        outside.fill(false);
+        for index in self.feature_set.first()..FEATURES {
+            let (lo, hi) = (self.lo[index], self.hi[index]);
+            for (outside, value) in outside.iter_mut().zip(&columns[index]) {
+                *outside |= !((lo <= *value) & (*value <= hi));
+            }
+        }
+    }
+}
+
+/// Ranges of robot ids, ascending, with the platform they belong to.
+pub(crate) fn ranges(kinds: &[Kind]) -> Vec<(u32, u32, u16)> {
+    let of = |(index, kind): (usize, &Kind)| {
+        let span = move |range: &RangeInclusive<u32>| (*range.start(), *range.end(), index as u16);
+        kind.platform
+            .robots
+            .iter()
+            .map(span)
+            .collect::<Vec<(u32, u32, u16)>>()
+    };
+    let mut ranges: Vec<(u32, u32, u16)> = kinds.iter().enumerate().flat_map(of).collect();
+    ranges.sort_unstable();
+    ranges
+}

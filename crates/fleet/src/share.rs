@@ -1,0 +1,196 @@
+//! The tick of a share of the fleet, tile by tile.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use joulebus_wire::{Budget, Diagnostic, Forecast};
+
+use crate::batch::Batch;
+use crate::columns::Part;
+use crate::pass::{self, Rules};
+use crate::report;
+use crate::slots::{slots, words_of};
+
+/// What a share of the tick's time has gone to, for one tile.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Samples absorbed, lag windows and intervals moved on, features laid in columns.
+    Features,
+    /// The model, and its forecasts taken.
+    Network,
+    /// Ledgers, scores, residuals and alarms.
+    Bookkeeping,
+    /// Forecasts, diagnostics and budgets written out.
+    Writing,
+}
+
+/// Robots that one thread ticks: disjoint from all other shares of the fleet, so that each may be
+/// worked on by a thread of its own. What any robot is told does not depend on how the fleet is
+/// shared out.
+///
+/// A share is ticked by [`Share::forecast`] and then [`Share::account`], or by [`Share::run`], which
+/// does both tile by tile. `on` is called after each stage of each tile, for whoever counts the time.
+#[derive(Debug)]
+pub struct Share<'a> {
+    pub(crate) rules: Rules<'a>,
+    pub(crate) columns: Part<'a>,
+    pub(crate) oldest_ns: &'a AtomicU64,
+}
+
+/// Where [`Share::run`] writes: three slices as long as the share.
+#[derive(Debug)]
+pub struct Outputs<'a> {
+    /// Forecasts.
+    pub forecasts: &'a mut [Forecast],
+    /// Diagnostics.
+    pub diagnostics: &'a mut [Diagnostic],
+    /// Budgets.
+    pub budgets: &'a mut [Budget],
+}
+
+impl<'a> Outputs<'a> {
+    /// The first `robots` of each, and the rest.
+    #[must_use]
+    pub fn split_at(self, robots: usize) -> (Self, Self) {
+        let forecasts = self.forecasts.split_at_mut(robots);
+        let diagnostics = self.diagnostics.split_at_mut(robots);
+        let budgets = self.budgets.split_at_mut(robots);
+        (
+            Outputs {
+                forecasts: forecasts.0,
+                diagnostics: diagnostics.0,
+                budgets: budgets.0,
+            },
+            Outputs {
+                forecasts: forecasts.1,
+                diagnostics: diagnostics.1,
+                budgets: budgets.1,
+            },
+        )
+    }
+}
+
+impl<'a> Share<'a> {
+    /// Robots in it.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.columns.robots()
+    }
+
+    /// Whether it holds no robot.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.columns.words.iter().all(|word| *word == 0)
+    }
+
+    /// Two shares: the first holds at least `robots` robots, if there are as many, and at most 63
+    /// more; the second all others. Places are counted through the first and on into the second.
+    #[must_use]
+    pub fn split_at(self, robots: usize) -> (Self, Self) {
+        let words = words_of(self.columns.words, robots).end;
+        self.split_words(words)
+    }
+
+    /// Absorbs samples, forecasts, and writes the forecasts: as many as there are robots, in the
+    /// order of their places; further elements of `forecasts` are left alone, and those of robots
+    /// that find no room in it are not written.
+    pub fn forecast(
+        &mut self,
+        batch: &mut Batch,
+        forecasts: &mut [Forecast],
+        on: &mut impl FnMut(Stage),
+    ) {
+        let mut forecasts = forecasts.iter_mut();
+        self.each_tile(batch.words, |tile| {
+            tile.absorb(batch, on);
+            for (slot, forecast) in slots(tile.columns.words).zip(forecasts.by_ref()) {
+                *forecast = report::forecast(&tile.rules, &tile.columns.seen(slot));
+            }
+            on(Stage::Writing);
+        });
+    }
+
+    /// Accounts for what [`Share::forecast`] absorbed, and writes the diagnostics and the budgets.
+    pub fn account(
+        &mut self,
+        batch: &mut Batch,
+        diagnostics: &mut [Diagnostic],
+        budgets: &mut [Budget],
+        on: &mut impl FnMut(Stage),
+    ) {
+        let mut places = diagnostics.iter_mut().zip(budgets);
+        self.each_tile(batch.words, |tile| {
+            pass::account(&tile.rules, &mut tile.columns);
+            on(Stage::Bookkeeping);
+            tile.write_accounts(&mut places);
+            on(Stage::Writing);
+        });
+    }
+
+    /// [`Share::forecast`] and [`Share::account`] in one go through memory.
+    pub fn run(&mut self, batch: &mut Batch, outputs: Outputs<'_>, on: &mut impl FnMut(Stage)) {
+        let mut forecasts = outputs.forecasts.iter_mut();
+        let mut places = outputs.diagnostics.iter_mut().zip(outputs.budgets);
+        self.each_tile(batch.words, |tile| {
+            tile.absorb(batch, on);
+            pass::account(&tile.rules, &mut tile.columns);
+            on(Stage::Bookkeeping);
+            for (slot, forecast) in slots(tile.columns.words).zip(forecasts.by_ref()) {
+                *forecast = report::forecast(&tile.rules, &tile.columns.seen(slot));
+            }
+            tile.write_accounts(&mut places);
+            on(Stage::Writing);
+        });
+    }
+
+    fn absorb(&mut self, batch: &mut Batch, on: &mut impl FnMut(Stage)) {
+        let (rules, columns) = (self.rules, &mut self.columns);
+        let mut next = Some(0);
+        while let Some(kind) = next {
+            let found = pass::absorb(&rules, kind, columns, batch, true);
+            on(Stage::Features);
+            let its = &rules.kinds[usize::from(kind)];
+            pass::infer(its, columns, batch);
+            pass::run_open(&rules, its, columns, batch);
+            on(Stage::Network);
+            self.oldest_ns.fetch_min(found.oldest_ns, Ordering::Relaxed);
+            next = found.next;
+        }
+    }
+
+    fn write_accounts<'b>(
+        &self,
+        places: &mut impl Iterator<Item = (&'b mut Diagnostic, &'b mut Budget)>,
+    ) {
+        for (slot, (diagnostic, budget)) in slots(self.columns.words).zip(places) {
+            let seen = self.columns.seen(slot);
+            *diagnostic = report::diagnostic(&self.rules, &seen);
+            *budget = report::budget(&self.rules, &seen);
+        }
+    }
+
+    /// Calls `work` with each tile that has robots in it.
+    fn each_tile(&mut self, words: usize, mut work: impl FnMut(&mut Share<'_>)) {
+        let mut rest = Share {
+            rules: self.rules,
+            columns: self.columns.reborrow(),
+            oldest_ns: self.oldest_ns,
+        };
+        while !rest.columns.words.is_empty() {
+            let (mut tile, behind) = rest.split_words(words);
+            if !tile.is_empty() {
+                work(&mut tile);
+            }
+            rest = behind;
+        }
+    }
+
+    fn split_words(self, words: usize) -> (Self, Self) {
+        let (first, second) = self.columns.split(words);
+        let share = |columns| Share {
+            rules: self.rules,
+            columns,
+            oldest_ns: self.oldest_ns,
+        };
+        (share(first), share(second))
+    }
+}
