@@ -1,4 +1,5 @@
 //! Sending frames: a header and a slice, written where readers read it.
+#![allow(unsafe_code)] // Memory of a frame is lent without being written to first.
 
 use std::fmt::Debug;
 use std::marker::PhantomData;
@@ -14,7 +15,7 @@ use iceoryx2::prelude::{AllocationStrategy, ZeroCopySend, ipc};
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use joulebus_wire::{Sample, SampleHeader, Service, WakeEvent};
+use joulebus_wire::{Budget, Diagnostic, Forecast, Sample, SampleHeader, Service, WakeEvent};
 
 use crate::limits::Shape;
 use crate::membership::Membership;
@@ -109,6 +110,51 @@ where
             });
         }
         Ok(())
+    }
+}
+
+/// Payloads for which every bit pattern is a value.
+///
+/// # Safety
+/// Any bytes of its size are one: no padding, no enum, no bool, no reference.
+unsafe trait AnyBits {}
+
+// SAFETY: integers and floats without padding, as `joulebus-wire` asserts of each.
+unsafe impl AnyBits for Forecast {}
+// SAFETY: as above.
+unsafe impl AnyBits for Diagnostic {}
+// SAFETY: as above.
+unsafe impl AnyBits for Budget {}
+
+#[allow(
+    private_bounds,
+    reason = "only payloads of which this is known can be lent unwritten"
+)]
+impl<H, T> Writer<H, T>
+where
+    H: Debug + Copy + Default + ZeroCopySend + 'static,
+    T: Debug + Copy + Default + ZeroCopySend + AnyBits + 'static,
+{
+    /// As [`Writer::loan`], for who writes every element: until then they hold what the last frame
+    /// in that memory held, or zeros. Saves a pass over memory that does not fit into any cache.
+    ///
+    /// # Errors
+    /// [`SendError`].
+    pub fn loan_to_fill(&mut self, len: usize) -> Result<Loan<'_, H, T>, SendError> {
+        self.check(len)?;
+        let mut sample = self
+            .publisher
+            .loan_slice_uninit(len)
+            .map_err(SendError::loan)?;
+        *sample.user_header_mut() = H::default();
+        // SAFETY: the memory is a mapping of a shared memory object: the system hands it out as
+        // zeros, and every later byte in it is that of an earlier frame. So all of it is
+        // initialised, and of `T` any bytes are a value.
+        let sample = unsafe { sample.assume_init() };
+        Ok(Loan {
+            sample,
+            writer: PhantomData,
+        })
     }
 }
 

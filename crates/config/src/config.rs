@@ -42,6 +42,25 @@ impl fmt::Debug for ModelSource {
     }
 }
 
+/// The threads of the worker's tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Threads {
+    /// How many, the worker's own among them: at least 1.
+    pub count: usize,
+    /// Robots from which on they share a tick.
+    pub from: usize,
+}
+
+impl Threads {
+    /// Threads that are taken where no number is asked for, at most: past that, memory is the limit.
+    const MOST_UNASKED: usize = 8;
+
+    /// Processors that this process may use.
+    fn processors() -> usize {
+        std::thread::available_parallelism().map_or(1, std::num::NonZeroUsize::get)
+    }
+}
+
 /// A config that was read whole and found free of contradictions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
@@ -57,6 +76,7 @@ pub struct Config {
     checkpoint: Option<PathBuf>,
     checkpoint_every_ns: u64,
     scheduling: Scheduling,
+    threads: Threads,
     shown: String,
     warnings: Vec<Problem>,
 }
@@ -214,6 +234,12 @@ impl Config {
         &self.scheduling
     }
 
+    /// The threads of the worker's tick.
+    #[must_use]
+    pub const fn threads(&self) -> Threads {
+        self.threads
+    }
+
     /// What is allowed but doubtful.
     #[must_use]
     pub fn warnings(&self) -> &[Problem] {
@@ -263,6 +289,7 @@ impl Builder<'_> {
             checkpoint: (!checkpoint.as_os_str().is_empty()).then_some(checkpoint),
             checkpoint_every_ns: ns(fleet.0.number("ledger.every_s")?),
             scheduling: fleet.scheduling()?,
+            threads: fleet.threads()?,
             shown: show::toml(read),
             warnings: Vec::new(),
         })
@@ -325,6 +352,21 @@ impl Builder<'_> {
             lock_memory: self.0.text("worker.memory")? == "locked",
             required: self.0.text("worker.if_refused")? == "stop",
         })
+    }
+
+    fn threads(&self) -> Option<Threads> {
+        let asked: usize = self.0.integer("worker.threads")?;
+        let from = self.0.integer("worker.threads_from")?;
+        let capacity: usize = self.0.integer("fleet.capacity")?;
+        let cpus = cpus::parse(&self.0.text("worker.cpus")?)?.len();
+        let count = match (asked, cpus) {
+            // None that would never have anything to do.
+            _ if capacity < from => 1,
+            (0, 0) => Threads::processors().min(Threads::MOST_UNASKED),
+            (0, cpus) => cpus,
+            (asked, _) => asked,
+        };
+        Some(Threads { count, from })
     }
 
     fn platform(&self) -> Option<Platform> {

@@ -98,6 +98,10 @@ pub const KEYS: &[Key] = &[
     key("ledger.every_s", num(0.05, 3600.0), "s", Preset::Number(1.0),
         "Time between two checkpoints: a killed worker loses at most this much of the ledger."),
 
+    key("worker.threads", int(0, 64), "threads", Preset::Integer(0),
+        "Threads that share a large tick; 0: one for each of cpus, or without these one for each processor, at most 8."),
+    key("worker.threads_from", int(1, 1_000_000), "robots", Preset::Integer(4000),
+        "Robots from which on a tick is shared: below, another thread comes too late to help."),
     key("worker.cpus", Kind::Text(TextRule::Cpus), "", Preset::Text(""),
         "CPUs that the tick's threads stay on, one each, the tick's own first; empty: wherever the system puts them."),
     key("worker.priority", int(0, 99), "", Preset::Integer(0),

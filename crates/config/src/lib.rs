@@ -42,7 +42,7 @@ mod values;
 
 pub use builtin::{Demo, builtin_model, builtin_models, builtin_platform, builtin_platforms};
 pub use bundle::{Bundle, BundleError};
-pub use config::{Config, ModelSource};
+pub use config::{Config, ModelSource, Threads};
 pub use explain::{Explanation, UnknownKey, explain, explanations};
 pub use key::{File, Key, Kind, Preset, TextRule};
 pub use keys::KEYS;

@@ -23,6 +23,16 @@ pub enum Stage {
     Writing,
 }
 
+impl Stage {
+    /// All stages; the position is `stage as usize`.
+    pub const ALL: [Self; 4] = [
+        Self::Features,
+        Self::Network,
+        Self::Bookkeeping,
+        Self::Writing,
+    ];
+}
+
 /// Robots that one thread ticks: disjoint from all other shares of the fleet, so that each may be
 /// worked on by a thread of its own. What any robot is told does not depend on how the fleet is
 /// shared out.
@@ -97,7 +107,7 @@ impl<'a> Share<'a> {
         &mut self,
         batch: &mut Batch,
         forecasts: &mut [Forecast],
-        on: &mut impl FnMut(Stage),
+        on: &mut dyn FnMut(Stage),
     ) {
         let mut forecasts = forecasts.iter_mut();
         self.each_tile(batch.words, |tile| {
@@ -115,7 +125,7 @@ impl<'a> Share<'a> {
         batch: &mut Batch,
         diagnostics: &mut [Diagnostic],
         budgets: &mut [Budget],
-        on: &mut impl FnMut(Stage),
+        on: &mut dyn FnMut(Stage),
     ) {
         let mut places = diagnostics.iter_mut().zip(budgets);
         self.each_tile(batch.words, |tile| {
@@ -127,7 +137,7 @@ impl<'a> Share<'a> {
     }
 
     /// [`Share::forecast`] and [`Share::account`] in one go through memory.
-    pub fn run(&mut self, batch: &mut Batch, outputs: Outputs<'_>, on: &mut impl FnMut(Stage)) {
+    pub fn run(&mut self, batch: &mut Batch, outputs: Outputs<'_>, on: &mut dyn FnMut(Stage)) {
         let mut forecasts = outputs.forecasts.iter_mut();
         let mut places = outputs.diagnostics.iter_mut().zip(outputs.budgets);
         self.each_tile(batch.words, |tile| {
@@ -142,7 +152,7 @@ impl<'a> Share<'a> {
         });
     }
 
-    fn absorb(&mut self, batch: &mut Batch, on: &mut impl FnMut(Stage)) {
+    fn absorb(&mut self, batch: &mut Batch, on: &mut dyn FnMut(Stage)) {
         let (rules, columns) = (self.rules, &mut self.columns);
         let mut next = Some(0);
         while let Some(kind) = next {

@@ -10,14 +10,16 @@
 
 mod checkpoint;
 mod clerk;
+mod crew;
 mod journal;
 mod keyframes;
 mod models;
+mod outbox;
 mod report;
 mod worker;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use clerk::ClerkError;
 pub use models::{ModelsError, load_models};
-pub use report::{Report, Spread};
+pub use report::{Parts, Report, Spread};
 pub use worker::{OpenError, RunError, Worker};

@@ -3,8 +3,11 @@
 use std::collections::BTreeMap;
 
 use hdrhistogram::Histogram;
+use joulebus_fleet::Stage;
 use joulebus_wire::DropCounts;
 use serde::{Deserialize, Serialize};
+
+use crate::crew::StageTimes;
 
 /// What a run of the worker came to.
 #[derive(Debug, Clone, Serialize)]
@@ -29,6 +32,38 @@ pub struct Report {
     pub receive_errors: u64,
     /// From the start of a tick to its last frame sent.
     pub tick: Spread,
+    /// What a tick's time goes to.
+    pub parts: Parts,
+}
+
+/// What a tick's time goes to: means over the ticks of a run, µs, added up over the threads that
+/// share a tick.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Parts {
+    /// Frames copied and samples checked, before the tick begins.
+    pub intake_us: f64,
+    /// Samples absorbed, windows and intervals moved on, features laid in columns.
+    pub features_us: f64,
+    /// The model.
+    pub network_us: f64,
+    /// Ledgers, scores, residuals and alarms.
+    pub bookkeeping_us: f64,
+    /// Forecasts, diagnostics and budgets written into shared memory.
+    pub writing_us: f64,
+}
+
+impl Parts {
+    pub(crate) fn of(ticks: u64, intake_ns: u64, spent: StageTimes) -> Self {
+        let mean_us = |ns: u64| ns as f64 * 1e-3 / ticks.max(1) as f64;
+        let of = |stage: Stage| mean_us(spent.0[stage as usize]);
+        Self {
+            intake_us: mean_us(intake_ns),
+            features_us: of(Stage::Features),
+            network_us: of(Stage::Network),
+            bookkeeping_us: of(Stage::Bookkeeping),
+            writing_us: of(Stage::Writing),
+        }
+    }
 }
 
 /// Distribution of a time.

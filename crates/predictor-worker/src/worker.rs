@@ -5,20 +5,22 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use hdrhistogram::Histogram;
 use joulebus_bus::{
-    BudgetWriter, Bus, DiagnosticWriter, DomainError, ForecastWriter, FrameBuf, JoinError, Ports,
-    RoomError, SampleReader, SchedulingError, WaitError, Waiter, Waker, WorkerLock,
-    WorkerLockError, check_room, clock, set_timer_slack, touch_own_memory,
+    Bus, DomainError, FrameBuf, JoinError, Ports, RoomError, SampleReader, SchedulingError,
+    WaitError, Waiter, WorkerLock, WorkerLockError, check_room, clock, set_timer_slack,
+    touch_own_memory,
 };
-use joulebus_config::Config;
+use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, SettingsError, TickIntake};
-use joulebus_wire::{BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSION, WakeEvent};
+use joulebus_wire::{ForecastHeader, SCHEMA_VERSION};
 
 use crate::checkpoint::CheckpointError;
 use crate::clerk::{Clerk, ClerkError, Failures, recall};
+use crate::crew::Crew;
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::models::{ModelsError, load_models};
-use crate::report::{Report, Spread, by_name};
+use crate::outbox::Outbox;
+use crate::report::{Parts, Report, Spread, by_name};
 
 /// Longest tick that the histogram tells apart, ns.
 const LONGEST_TICK_NS: u64 = 60_000_000_000;
@@ -29,13 +31,11 @@ pub struct Worker {
     schedule: Schedule,
     // Ports before the bus, the bus before the lock: the order in which they must go.
     samples: SampleReader,
-    forecasts: ForecastWriter,
-    diagnostics: DiagnosticWriter,
-    budgets: BudgetWriter,
+    outbox: Outbox,
     journal: Journal,
     keyframes: Keyframes,
     waiter: Waiter,
-    planners: Waker,
+    crew: Crew,
     clerk: Clerk,
     _bus: Bus,
     _lock: WorkerLock,
@@ -44,6 +44,7 @@ pub struct Worker {
     header: ForecastHeader,
     missed: bool,
     ticks_ns: Histogram<u64>,
+    intake_ns: u64,
     name: String,
 }
 
@@ -80,6 +81,9 @@ pub enum OpenError {
     /// The system refused what the config requires of it.
     #[error("{0} (`worker.if_refused = \"stop\"` in the config)")]
     Scheduling(#[from] SchedulingError),
+    /// The threads that share a tick could not be started.
+    #[error("the threads of the tick (`worker.threads` in the config): {0}")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
     /// The histogram of tick times.
     #[error("the histogram of tick times: {0}")]
     Histogram(#[from] hdrhistogram::CreationError),
@@ -130,11 +134,8 @@ impl Worker {
             },
         )?;
         let bus = Bus::join(&domain, "worker")?;
-        let forecasts = bus.forecast_writer(&limits)?;
-        let diagnostics = bus.diagnostic_writer(&limits)?;
-        let budgets = bus.budget_writer(&limits)?;
+        let outbox = Outbox::open(&bus, &limits)?;
         let journal = Journal::open(&bus, &limits)?;
-        let planners = bus.planner_waker(&limits)?;
         let failures = Arc::new(Failures::default());
         let (keyframes, orders) = keyframes();
         let clerk = Clerk::start(&domain, config, before, Arc::clone(&failures), orders)?;
@@ -142,6 +143,8 @@ impl Worker {
         for refused in config.scheduling().apply()? {
             tracing::warn!("{refused}");
         }
+        let Threads { count, from } = config.threads();
+        let crew = Crew::assemble(count, from, config.scheduling())?;
         // Last: from here on samples come in, and everything is there to take them.
         let waiter = bus.arrivals_waiter(&limits)?;
         let samples = bus.sample_reader(&limits)?;
@@ -165,16 +168,15 @@ impl Worker {
             ticks_ns,
             name: config.fleet().to_owned(),
             missed: false,
+            intake_ns: 0,
             fleet,
             schedule,
             samples,
-            forecasts,
-            diagnostics,
-            budgets,
+            outbox,
             journal,
             keyframes,
             waiter,
-            planners,
+            crew,
             clerk,
             _bus: bus,
             _lock: lock,
@@ -225,9 +227,7 @@ impl Worker {
     /// Tells planners that this was the end, writes the ledger down, and leaves.
     #[must_use]
     pub fn finish(mut self) -> Report {
-        if let Err(error) = self.planners.wake(WakeEvent::Ended) {
-            tracing::warn!(%error, "planners were not told of the end");
-        }
+        self.outbox.end();
         self.clerk.finish();
         self.report()
     }
@@ -246,6 +246,7 @@ impl Worker {
             frames_unsent: self.failures.unsent.load(Ordering::Relaxed),
             receive_errors: self.failures.receive.load(Ordering::Relaxed),
             tick: Spread::of(&self.ticks_ns),
+            parts: Parts::of(self.header.tick, self.intake_ns, self.crew.spent()),
         }
     }
 
@@ -253,12 +254,14 @@ impl Worker {
     /// buffers bound the work.
     fn drain(&mut self) {
         loop {
+            let since_ns = clock::monotonic_ns();
             match self.samples.take(&mut self.frame) {
                 Ok(true) => {
                     let now_ns = clock::monotonic_ns();
                     self.journal.note(&self.frame, now_ns);
                     self.fleet
                         .take(self.frame.header(), self.frame.samples(), now_ns);
+                    self.intake_ns += clock::monotonic_ns().saturating_sub(since_ns);
                 }
                 Ok(false) => return,
                 Err(_) => {
@@ -271,11 +274,11 @@ impl Worker {
 
     fn tick(&mut self, due_ns: u64, start_ns: u64) {
         let missed = self.missed;
-        let intake = self.fleet.tick(start_ns, missed);
+        let intake = self.fleet.begin(start_ns, missed);
         self.header.tick += 1;
-        self.send_forecasts(intake, start_ns);
-        self.send_diagnostics();
-        self.send_budgets();
+        let header = self.header_of(intake, start_ns);
+        let unsent = self.outbox.tick(&mut self.fleet, &self.crew, header);
+        self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
         let place = (self.header.worker_epoch, self.header.tick);
         self.journal
             .send(place, start_ns, missed, &self.failures.unsent);
@@ -287,68 +290,20 @@ impl Worker {
             .saturating_record(end_ns.saturating_sub(start_ns));
     }
 
-    /// Forecasts go first, and planners are woken for them: the rest can wait.
-    fn send_forecasts(&mut self, intake: TickIntake, start_ns: u64) {
+    /// The header of this tick's forecasts, but for what is known only when they are sent.
+    fn header_of(&self, intake: TickIntake, start_ns: u64) -> ForecastHeader {
         let (first_intended_ns, first_sent_ns, first_taken_ns) = intake.first.unwrap_or_default();
-        let Ok(mut loan) = self.forecasts.loan(self.fleet.len()) else {
-            self.failures.unsent.fetch_add(1, Ordering::Relaxed);
-            return;
-        };
-        for (place, forecast) in loan.iter_mut().enumerate() {
-            *forecast = self.fleet.forecast(place);
-        }
-        let compute_end_ns = clock::monotonic_ns();
-        *loan.header_mut() = ForecastHeader {
+        ForecastHeader {
             frames_taken: intake.frames,
             first_intended_ns,
             first_sent_ns,
             first_taken_ns,
             compute_start_ns: start_ns,
-            compute_end_ns,
-            sent_unix_ns: clock::unix_ns(),
-            sent_ns: clock::monotonic_ns(),
             ticks_skipped: self.schedule.skipped,
             ticks_late: self.schedule.late,
             samples_accepted: self.fleet.accepted(),
             samples_dropped: self.fleet.drops(),
             ..self.header
-        };
-        let sent = loan.send().is_ok() && self.planners.wake(WakeEvent::Frame).is_ok();
-        self.count(sent);
-    }
-
-    fn send_diagnostics(&mut self) {
-        let header = DiagnosticHeader {
-            schema: SCHEMA_VERSION,
-            pid: self.header.pid,
-            worker_epoch: self.header.worker_epoch,
-            tick: self.header.tick,
-            refused: self.fleet.refusals(),
-        };
-        let sent = self.diagnostics.send(header, self.fleet.len(), |place| {
-            self.fleet.diagnostic(place)
-        });
-        self.count(sent.is_ok());
-    }
-
-    fn send_budgets(&mut self) {
-        let header = BudgetHeader {
-            schema: SCHEMA_VERSION,
-            pid: self.header.pid,
-            worker_epoch: self.header.worker_epoch,
-            tick: self.header.tick,
-            sent_ns: clock::monotonic_ns(),
-            sent_unix_ns: clock::unix_ns(),
-        };
-        let sent = self
-            .budgets
-            .send(header, self.fleet.len(), |place| self.fleet.budget(place));
-        self.count(sent.is_ok());
-    }
-
-    fn count(&self, sent: bool) {
-        self.failures
-            .unsent
-            .fetch_add(u64::from(!sent), Ordering::Relaxed);
+        }
     }
 }

@@ -14,23 +14,38 @@ use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
 
-const ROBOTS: u32 = 40;
+/// A run: how ticks are due, how many robots there are, how many threads share a tick.
+#[derive(Debug, Clone, Copy)]
+struct Case {
+    policy: &'static str,
+    robots: u32,
+    threads: u32,
+}
 
-fn config(root: &Path, policy: &str) -> Config {
+fn config(root: &Path, case: Case) -> Config {
+    let Case {
+        policy,
+        robots,
+        threads,
+    } = case;
+    let capacity = robots + 24;
     let text = format!(
-        "[fleet]\nname = \"alloc\"\ncapacity = 64\n\
+        "[fleet]\nname = \"alloc\"\ncapacity = {capacity}\n\
          [domain]\nroot = \"{}\"\nprefix = \"t_\"\n\
          [tick]\npolicy = \"{policy}\"\nrate_hz = 200.0\ndeadline_ms = 2.0\n\
-         [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-63\"]\n",
+         [worker]\nthreads = {threads}\nthreads_from = 1\n\
+         [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-{robots}\"]\n",
         root.display()
     );
     Config::parse(&text, &root.join("nowhere")).unwrap()
 }
 
 /// Sends frames in which robots go missing, are refused, unknown, late and without a reading.
-fn feed(domain: &Domain, config: &Config, stop: &AtomicBool) {
+fn feed(domain: &Domain, config: &Config, robots: u32, stop: &AtomicBool) {
     let bus = Bus::join(domain, "source").unwrap();
-    let mut writer = bus.sample_writer(&config.limits(), 64).unwrap();
+    let mut writer = bus
+        .sample_writer(&config.limits(), robots as usize)
+        .unwrap();
     let mut header = SampleHeader {
         schema: SCHEMA_VERSION,
         source_id: 1,
@@ -47,15 +62,15 @@ fn feed(domain: &Domain, config: &Config, stop: &AtomicBool) {
                 0 => sample.command(0.1, 0.5).reading(f32::NAN, now_ns),
                 1 => sample.command(0.1, 0.5),
                 2 => sample.reading(3.5, now_ns),
-                3 => Sample::new(900, seq, now_ns),
+                3 => Sample::new(90_000, seq, now_ns),
                 _ => sample
                     .command(0.1, 0.5)
                     .reading(3.5 + (seq % 9) as f32 * 0.01, now_ns),
             }
         };
-        writer.send(header, ROBOTS as usize, sample).unwrap();
+        writer.send(header, robots as usize, sample).unwrap();
         header.frame_seq += 1;
-        header.samples_before += u64::from(ROBOTS);
+        header.samples_before += u64::from(robots);
         std::thread::sleep(Duration::from_millis(if seq.is_multiple_of(40) {
             60
         } else {
@@ -79,17 +94,27 @@ fn record(domain: &Domain, config: &Config, stop: &AtomicBool) -> u32 {
     keyframes
 }
 
-fn measure(policy: &str) {
+/// Allocations so far of the threads that share ticks with the calling one.
+fn others() -> Vec<u64> {
+    if rayon::current_thread_index().is_none() {
+        return Vec::new();
+    }
+    let counts = rayon::broadcast(|context| (context.index(), counting::calls()));
+    let others = counts.into_iter().filter(|(thread, _)| *thread > 0);
+    others.map(|(_, calls)| calls).collect()
+}
+
+fn measure(case: Case) {
     let root = PathBuf::from(format!(
         "/dev/shm/joulebus-test-alloc-{}",
         std::process::id()
     ));
-    let config = config(&root, policy);
+    let config = config(&root, case);
     let domain = config.domain().unwrap();
     let stop = AtomicBool::new(false);
     let mut worker = Worker::open(&config).unwrap();
     std::thread::scope(|scope| {
-        scope.spawn(|| feed(&domain, &config, &stop));
+        scope.spawn(|| feed(&domain, &config, case.robots, &stop));
         let mut tick = |ticks: u32| {
             let mut done = 0;
             while done < ticks {
@@ -97,17 +122,14 @@ fn measure(policy: &str) {
             }
         };
         tick(200);
-        let before = counting::calls();
+        let (before, others_before) = (counting::calls(), others());
         let recorder = scope.spawn(|| record(&domain, &config, &stop));
         let spawned = counting::calls() - before;
         tick(300);
         let allocated = counting::calls() - before - spawned;
         stop.store(true, Ordering::Relaxed);
-        assert_eq!(
-            allocated,
-            4 * 300,
-            "policy {policy}: four a tick are iceoryx2's"
-        );
+        assert_eq!(others(), others_before, "{case:?}: the other threads");
+        assert_eq!(allocated, 4 * 300, "{case:?}: four a tick are iceoryx2's");
         assert!(
             recorder.join().unwrap() > 0,
             "no keyframe was taken meanwhile"
@@ -123,6 +145,17 @@ fn measure(policy: &str) {
 
 #[test]
 fn after_warm_up_the_worker_allocates_nothing_of_its_own() {
-    measure("on_frame");
-    measure("timer");
+    let few = |policy| Case {
+        policy,
+        robots: 40,
+        threads: 1,
+    };
+    measure(few("on_frame"));
+    measure(few("timer"));
+    // Enough for each thread to get a part.
+    measure(Case {
+        policy: "on_frame",
+        robots: 3_000,
+        threads: 2,
+    });
 }

@@ -1,0 +1,116 @@
+//! What a tick says, computed straight into memory that its readers share.
+
+use joulebus_bus::{
+    BudgetWriter, Bus, DiagnosticWriter, ForecastWriter, Limits, Loan, OpenError, SendError, Waker,
+    clock,
+};
+use joulebus_fleet::{Fleet, Outputs};
+use joulebus_wire::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, SCHEMA_VERSION,
+    WakeEvent,
+};
+
+use crate::crew::Crew;
+
+/// The three ports, and the planners to be woken.
+pub(crate) struct Outbox {
+    forecasts: ForecastWriter,
+    diagnostics: DiagnosticWriter,
+    budgets: BudgetWriter,
+    planners: Waker,
+}
+
+impl Outbox {
+    pub(crate) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
+        Ok(Self {
+            forecasts: bus.forecast_writer(limits)?,
+            diagnostics: bus.diagnostic_writer(limits)?,
+            budgets: bus.budget_writer(limits)?,
+            planners: bus.planner_waker(limits)?,
+        })
+    }
+
+    /// Ticks the robots of a fleet that has begun a tick, writes what there is to say of them, and
+    /// sends it. `header` has all that is known before. Returns how many frames were not sent.
+    ///
+    /// Forecasts go first, and planners are woken for them. Where threads share the tick, all three
+    /// are written in one go through memory: then the robots are too many to be gone through twice.
+    pub(crate) fn tick(&mut self, fleet: &mut Fleet, crew: &Crew, header: ForecastHeader) -> u64 {
+        let robots = fleet.len();
+        let refused = fleet.refusals();
+        let mut forecasts = self.forecasts.loan_to_fill(robots);
+        let mut diagnostics = self.diagnostics.loan_to_fill(robots);
+        let mut budgets = self.budgets.loan_to_fill(robots);
+        let mut share = fleet.share();
+        let unsent = if crew.shares(robots) {
+            let outputs = Outputs {
+                forecasts: forecasts.as_deref_mut().unwrap_or_default(),
+                diagnostics: diagnostics.as_deref_mut().unwrap_or_default(),
+                budgets: budgets.as_deref_mut().unwrap_or_default(),
+            };
+            crew.run(share, outputs);
+            send_forecasts(forecasts, &self.planners, header)
+        } else {
+            crew.forecast(&mut share, forecasts.as_deref_mut().unwrap_or_default());
+            let unsent = send_forecasts(forecasts, &self.planners, header);
+            crew.account(
+                &mut share,
+                diagnostics.as_deref_mut().unwrap_or_default(),
+                budgets.as_deref_mut().unwrap_or_default(),
+            );
+            unsent
+        };
+        let diagnostic_header = DiagnosticHeader {
+            schema: SCHEMA_VERSION,
+            pid: header.pid,
+            worker_epoch: header.worker_epoch,
+            tick: header.tick,
+            refused,
+        };
+        let budget_header = BudgetHeader {
+            schema: SCHEMA_VERSION,
+            pid: header.pid,
+            worker_epoch: header.worker_epoch,
+            tick: header.tick,
+            sent_ns: clock::monotonic_ns(),
+            sent_unix_ns: clock::unix_ns(),
+        };
+        let diagnostics_sent = diagnostics.is_ok_and(|mut loan: DiagnosticLoan<'_>| {
+            *loan.header_mut() = diagnostic_header;
+            loan.send().is_ok()
+        });
+        let budgets_sent = budgets.is_ok_and(|mut loan: BudgetLoan<'_>| {
+            *loan.header_mut() = budget_header;
+            loan.send().is_ok()
+        });
+        unsent + u64::from(!diagnostics_sent) + u64::from(!budgets_sent)
+    }
+
+    /// Tells planners that this was the end.
+    pub(crate) fn end(&self) {
+        if let Err(error) = self.planners.wake(WakeEvent::Ended) {
+            tracing::warn!(%error, "planners were not told of the end");
+        }
+    }
+}
+
+/// Sends the forecasts and wakes the planners. Returns how many frames were not sent.
+fn send_forecasts(
+    forecasts: Result<ForecastLoan<'_>, SendError>,
+    planners: &Waker,
+    mut header: ForecastHeader,
+) -> u64 {
+    let Ok(mut forecasts) = forecasts else {
+        return 1;
+    };
+    header.compute_end_ns = clock::monotonic_ns();
+    header.sent_unix_ns = clock::unix_ns();
+    header.sent_ns = clock::monotonic_ns();
+    *forecasts.header_mut() = header;
+    let sent = forecasts.send().is_ok() && planners.wake(WakeEvent::Frame).is_ok();
+    u64::from(!sent)
+}
+
+type ForecastLoan<'a> = Loan<'a, ForecastHeader, Forecast>;
+type DiagnosticLoan<'a> = Loan<'a, DiagnosticHeader, Diagnostic>;
+type BudgetLoan<'a> = Loan<'a, BudgetHeader, Budget>;
