@@ -4,12 +4,13 @@
 //! another thread, and what no other has begun by then it does itself: waking a thread takes
 //! longer than the tick of a thousand robots.
 
+use std::cell::Cell;
 use std::sync::Mutex;
 
 use joulebus_bus::{Scheduling, clock};
 use joulebus_fleet::{Batch, Outputs, Share, Stage};
 use joulebus_wire::{Budget, Diagnostic, Forecast};
-use rayon::{ThreadPoolBuildError, ThreadPoolBuilder};
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
 /// Robots that a thread takes at a time, at least: two tiles.
 const LEAST: usize = 1024;
@@ -35,6 +36,25 @@ struct Seat {
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct StageTimes(pub [u64; Stage::ALL.len()]);
 
+thread_local! {
+    /// The pool that the thread belongs to. A thread cannot leave its pool: this one lasts as long
+    /// as the thread, and the next crew of the thread works with it.
+    static POOL: Cell<Option<ThreadPool>> = const { Cell::new(None) };
+}
+
+fn pool(threads: usize, scheduling: Scheduling) -> Result<ThreadPool, ThreadPoolBuildError> {
+    ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .use_current_thread()
+        .thread_name(|place| format!("joulebus-tick-{place}"))
+        .start_handler(move |place| {
+            if let Err(refused) = scheduling.apply_to_thread(place) {
+                tracing::warn!("{refused}");
+            }
+        })
+        .build()
+}
+
 impl Crew {
     /// A crew of `threads` threads, the calling one among them; from `from` robots on they share a
     /// tick. `scheduling` is asked for by the others: whoever calls has had it, or does without.
@@ -47,26 +67,16 @@ impl Crew {
         scheduling: &Scheduling,
     ) -> Result<Self, ThreadPoolBuildError> {
         let threads = match rayon::current_thread_index() {
-            // The pool that a thread belongs to lasts as long as the thread.
+            _ if threads <= 1 => 1,
             Some(_) => threads.min(rayon::current_num_threads()),
-            None if threads > 1 => {
-                let scheduling = scheduling.clone();
-                ThreadPoolBuilder::new()
-                    .num_threads(threads)
-                    .use_current_thread()
-                    .thread_name(|place| format!("joulebus-tick-{place}"))
-                    .start_handler(move |place| {
-                        if let Err(refused) = scheduling.apply_to_thread(place) {
-                            tracing::warn!("{refused}");
-                        }
-                    })
-                    .build()?;
+            None => {
+                let pool = pool(threads, scheduling.clone())?;
+                POOL.with(|of_thread| of_thread.set(Some(pool)));
                 threads
             }
-            None => 1,
         };
         Ok(Self {
-            seats: (0..threads.max(1)).map(|_| Mutex::default()).collect(),
+            seats: (0..threads).map(|_| Mutex::default()).collect(),
             from,
         })
     }
