@@ -69,7 +69,7 @@ pub use port::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
     SampleTap, StateReader, StateWriter, TickReader, TickWriter,
 };
-pub use reader::{Frame, FrameBuf, Reader, ReceiveError, SampleReader};
+pub use reader::{Frame, FrameBuf, IncomingFrame, Reader, ReceiveError, SampleReader};
 pub use room::{Ports, RoomError, RoomReport, check_room};
 pub use scheduling::{Rights, Scheduling, SchedulingError, page_faults};
 pub use wait::{PeerWatch, WaitError, Waiter, Waker, Woken, set_timer_slack};

@@ -238,8 +238,26 @@ impl SampleReader {
     /// # Errors
     /// [`ReceiveError`]; the next call may succeed.
     pub fn take(&mut self, frame: &mut FrameBuf) -> Result<bool, ReceiveError> {
-        let Some(received) = self.reader.receive()? else {
+        let Some(mut incoming) = self.next(frame.capacity)? else {
             return Ok(false);
+        };
+        frame.header = *incoming.header();
+        frame.truncated = incoming.truncated();
+        // The buffer has room for all of it, or for none.
+        if incoming.copy_part(&mut frame.samples).is_none() {
+            frame.samples.clear();
+        }
+        Ok(true)
+    }
+
+    /// The next frame, to be copied part by part, at most `most` samples of it; `None` when there
+    /// is none.
+    ///
+    /// # Errors
+    /// [`ReceiveError`]; the next call may succeed.
+    pub fn next(&mut self, most: usize) -> Result<Option<IncomingFrame<'_>>, ReceiveError> {
+        let Some(received) = self.reader.receive()? else {
+            return Ok(None);
         };
         let source = received.header().publisher_id().value();
         if !self.mapped.contains(&source) {
@@ -250,19 +268,70 @@ impl SampleReader {
             self.mapped.push(source);
             memory::map(&source.to_string());
         }
-        let samples = received.payload();
-        let kept = samples.len().min(frame.capacity);
-        frame.header = *received.user_header();
-        frame.truncated = samples.len() - kept;
-        frame.samples.clear();
-        frame.samples.extend_from_slice(&samples[..kept]);
-        Ok(true)
+        Ok(Some(IncomingFrame {
+            header: *received.user_header(),
+            kept: received.payload().len().min(most),
+            received,
+            copied: 0,
+            reader: PhantomData,
+        }))
     }
 
     /// Connections to sources that could not be made, or broke.
     #[must_use]
     pub fn degraded(&self) -> u64 {
         self.reader.degraded()
+    }
+}
+
+/// A frame of samples on its way in. Each byte is read from shared memory once, into a buffer that
+/// may be small enough to stay in the core's own cache; what is checked there cannot change any
+/// more.
+pub struct IncomingFrame<'a> {
+    received: Borrowed<ipc::Service, [Sample], SampleHeader>,
+    header: SampleHeader,
+    kept: usize,
+    copied: usize,
+    reader: PhantomData<&'a mut SampleReader>,
+}
+
+impl IncomingFrame<'_> {
+    /// The header.
+    #[must_use]
+    pub const fn header(&self) -> &SampleHeader {
+        &self.header
+    }
+
+    /// Samples that will be copied.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.kept
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.kept == 0
+    }
+
+    /// Samples of the frame past those, which will not be.
+    #[must_use]
+    pub fn truncated(&self) -> usize {
+        self.received.payload().len() - self.kept
+    }
+
+    /// Copies the next samples, as many as `part` has room for without growing, and gives them;
+    /// `None` at the end, or if there is no room.
+    pub fn copy_part<'p>(&mut self, part: &'p mut Vec<Sample>) -> Option<&'p [Sample]> {
+        let count = part.capacity().min(self.kept - self.copied);
+        if count == 0 {
+            return None;
+        }
+        let from = self.copied;
+        self.copied += count;
+        part.clear();
+        part.extend_from_slice(&self.received.payload()[from..self.copied]);
+        Some(part)
     }
 }
 

@@ -61,6 +61,15 @@ pub struct TickIntake {
     pub first: Option<(u64, u64, u64)>,
 }
 
+/// A frame that is being taken in.
+#[derive(Debug, Clone, Copy)]
+pub struct FrameIntake {
+    header: SampleHeader,
+    now_ns: u64,
+    /// Whether its samples may be looked at.
+    admitted: Result<(), DropReason>,
+}
+
 impl Fleet {
     /// A fleet without robots; `models[i]` is the model of `settings.platforms[i]`.
     ///
@@ -119,28 +128,55 @@ impl Fleet {
     /// Takes a frame of samples, in the order in which they were sent; `now_ns` is the worker's
     /// monotonic time. What is refused is counted, named, and harms no other robot.
     pub fn take(&mut self, header: &SampleHeader, samples: &[Sample], now_ns: u64) {
+        let frame = self.begin_frame(header, samples.len() as u64, now_ns);
+        self.take_part(&frame, samples);
+    }
+
+    /// Begins a frame of `count` samples that are [taken](Fleet::take_part) in parts, in their
+    /// order, all before the next frame or tick. The same as [`Fleet::take`] of the whole frame.
+    pub fn begin_frame(&mut self, header: &SampleHeader, count: u64, now_ns: u64) -> FrameIntake {
         self.intake.frames += 1;
         self.intake
             .first
             .get_or_insert((header.intended_ns, header.sent_ns, now_ns));
-        let count = samples.len() as u64;
-        if header.schema != SCHEMA_VERSION {
+        let admitted = if header.schema == SCHEMA_VERSION {
+            self.sources.frame(header, count, &mut self.drops)
+        } else {
             self.drops.add(DropReason::Schema, count);
-            return;
+            Err(DropReason::Schema)
+        };
+        FrameIntake {
+            header: *header,
+            now_ns,
+            admitted,
         }
-        if let Err(reason) = self.sources.frame(header, count, &mut self.drops) {
-            for sample in samples {
-                self.refuse(header, sample, reason);
+    }
+
+    /// Takes the next samples of a frame.
+    pub fn take_part(&mut self, frame: &FrameIntake, samples: &[Sample]) {
+        let FrameIntake {
+            header,
+            now_ns,
+            admitted,
+        } = frame;
+        match admitted {
+            Ok(()) => {
+                for sample in samples {
+                    match self.accept(header, sample, *now_ns) {
+                        Ok(()) => self.accepted += 1,
+                        Err(reason) => self.refuse(header, sample, reason),
+                    }
+                }
+                self.oldest_ns.fetch_min(*now_ns, Ordering::Relaxed);
             }
-            return;
-        }
-        for sample in samples {
-            match self.accept(header, sample, now_ns) {
-                Ok(()) => self.accepted += 1,
-                Err(reason) => self.refuse(header, sample, reason),
+            // Nothing in it can be relied on, not even the names of the robots; it is counted.
+            Err(DropReason::Schema) => {}
+            Err(reason) => {
+                for sample in samples {
+                    self.refuse(header, sample, *reason);
+                }
             }
         }
-        self.oldest_ns.fetch_min(now_ns, Ordering::Relaxed);
     }
 
     /// Whether every robot whose next sample is due at `now_ns` has reported since the last tick.

@@ -36,7 +36,7 @@ mod state;
 mod window;
 
 pub use batch::Batch;
-pub use fleet::{Fleet, TickIntake};
+pub use fleet::{Fleet, FrameIntake, TickIntake};
 pub use ledger::Ledger;
 pub use schedule::{Next, Schedule};
 pub use scores::Scores;

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_bus::{Bus, FrameBuf, Limits, OpenError, TickWriter, clock};
+use joulebus_bus::{Bus, IncomingFrame, Limits, OpenError, TickWriter, clock};
 use joulebus_wire::{SCHEMA_VERSION, TakenFrame, TickHeader, tick_flag};
 
 /// Collects what the intake takes, and sends it after each tick.
@@ -24,7 +24,7 @@ impl Journal {
     }
 
     /// Notes a frame that goes into the intake, which is told `now_ns`.
-    pub(crate) fn note(&mut self, frame: &FrameBuf, now_ns: u64) {
+    pub(crate) fn note(&mut self, frame: &IncomingFrame<'_>, now_ns: u64) {
         if self.taken.len() == self.writer.max_len() {
             self.unlisted = self.unlisted.saturating_add(1);
             return;
@@ -36,7 +36,7 @@ impl Journal {
             source_epoch: header.source_epoch,
             frame_seq: header.frame_seq,
             taken_ns: now_ns,
-            samples: frame.samples().len() as u32,
+            samples: frame.len() as u32,
             truncated: frame.truncated() as u32,
         });
     }

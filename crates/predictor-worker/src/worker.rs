@@ -5,13 +5,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use hdrhistogram::Histogram;
 use joulebus_bus::{
-    Bus, DomainError, FrameBuf, JoinError, Ports, RoomError, SampleReader, SchedulingError,
-    WaitError, Waiter, WorkerLock, WorkerLockError, check_room, clock, set_timer_slack,
-    touch_own_memory,
+    Bus, DomainError, JoinError, Ports, RoomError, SampleReader, SchedulingError, WaitError,
+    Waiter, WorkerLock, WorkerLockError, check_room, clock, set_timer_slack, touch_own_memory,
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, SettingsError, TickIntake};
-use joulebus_wire::{ForecastHeader, SCHEMA_VERSION};
+use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
 use crate::checkpoint::CheckpointError;
 use crate::clerk::{Clerk, ClerkError, Failures, recall};
@@ -24,6 +23,9 @@ use crate::report::{Parts, Report, Spread, by_name};
 
 /// Longest tick that the histogram tells apart, ns.
 const LONGEST_TICK_NS: u64 = 60_000_000_000;
+
+/// Samples that are copied before they are looked at: they stay in the core's own cache.
+const PART: usize = 512;
 
 /// A predictor-worker: the only one of its fleet.
 pub struct Worker {
@@ -39,7 +41,8 @@ pub struct Worker {
     clerk: Clerk,
     _bus: Bus,
     _lock: WorkerLock,
-    frame: FrameBuf,
+    /// Where samples are copied to before they are looked at.
+    part: Vec<Sample>,
     failures: Arc<Failures>,
     header: ForecastHeader,
     missed: bool,
@@ -121,7 +124,8 @@ impl Worker {
                 "more accounts written down than the fleet has room for: raise `capacity`"
             );
         }
-        let frame = FrameBuf::new(limits.capacity);
+        let mut part = vec![Sample::new(0, 0, 0); PART];
+        part.clear();
         let ticks_ns = Histogram::new_with_bounds(1, LONGEST_TICK_NS, 3)?;
         // Before the other threads: their stacks need not be touched.
         touch_own_memory();
@@ -164,7 +168,7 @@ impl Worker {
             clock::monotonic_ns(),
         );
         Ok(Self {
-            frame,
+            part,
             ticks_ns,
             name: config.fleet().to_owned(),
             missed: false,
@@ -255,15 +259,18 @@ impl Worker {
     fn drain(&mut self) {
         loop {
             let since_ns = clock::monotonic_ns();
-            match self.samples.take(&mut self.frame) {
-                Ok(true) => {
+            match self.samples.next(self.fleet.capacity() as usize) {
+                Ok(Some(mut incoming)) => {
                     let now_ns = clock::monotonic_ns();
-                    self.journal.note(&self.frame, now_ns);
-                    self.fleet
-                        .take(self.frame.header(), self.frame.samples(), now_ns);
+                    self.journal.note(&incoming, now_ns);
+                    let count = incoming.len() as u64;
+                    let frame = self.fleet.begin_frame(incoming.header(), count, now_ns);
+                    while let Some(part) = incoming.copy_part(&mut self.part) {
+                        self.fleet.take_part(&frame, part);
+                    }
                     self.intake_ns += clock::monotonic_ns().saturating_sub(since_ns);
                 }
-                Ok(false) => return,
+                Ok(None) => return,
                 Err(_) => {
                     self.failures.receive.fetch_add(1, Ordering::Relaxed);
                     return;

@@ -195,7 +195,7 @@ fn word(value: f32) -> u64 {
     value.to_bits().into()
 }
 
-fn forecast_bits(it: &Forecast) -> Vec<u64> {
+pub(crate) fn forecast_bits(it: &Forecast) -> Vec<u64> {
     vec![
         it.robot.into(),
         it.flags.into(),
@@ -213,7 +213,7 @@ fn forecast_bits(it: &Forecast) -> Vec<u64> {
     ]
 }
 
-fn diagnostic_bits(it: &Diagnostic) -> Vec<u64> {
+pub(crate) fn diagnostic_bits(it: &Diagnostic) -> Vec<u64> {
     vec![
         it.robot.into(),
         it.flags.into(),
@@ -241,7 +241,7 @@ fn diagnostic_bits(it: &Diagnostic) -> Vec<u64> {
     ]
 }
 
-fn budget_bits(it: &Budget) -> Vec<u64> {
+pub(crate) fn budget_bits(it: &Budget) -> Vec<u64> {
     vec![
         it.robot.into(),
         it.flags.into(),
