@@ -16,7 +16,7 @@ use zenoh::shm::{
 };
 use zenoh::{Session, Wait as _};
 
-use crate::frame::{Stamps, forecast_bytes, sample_bytes, stamps, write_forecasts, write_samples};
+use crate::frame::{Stamps, forecast_bytes, sample_bytes, write_forecasts, write_samples};
 use crate::sink::Sink;
 use crate::way::{Way, await_byte};
 
@@ -167,7 +167,7 @@ pub fn sink(directory: &Path, mut sink: Sink) -> anyhow::Result<()> {
     let (ended, end) = mpsc::channel();
     let subscriber = session
         .declare_subscriber("forecasts")
-        .callback(move |sample| {
+        .callback_mut(move |sample| {
             match in_shared_memory(&sample).and_then(|frame| sink.take(frame)) {
                 Ok(false) => {}
                 outcome => drop(ended.send(outcome)),
