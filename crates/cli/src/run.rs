@@ -63,6 +63,10 @@ impl fmt::Display for RunReport {
         let (done, skipped, late) = (report.ticks, report.ticks_skipped, report.ticks_late);
         writeln!(out, "fleet {}: {} robots", report.fleet, report.robots)?;
         writeln!(out, "ticks: {done} done, {skipped} skipped, {late} late")?;
+        let shed = report.ticks_without_diagnostics;
+        if shed > 0 {
+            writeln!(out, "ticks without diagnostics, for want of time: {shed}")?;
+        }
         let tick = &report.tick;
         writeln!(
             out,

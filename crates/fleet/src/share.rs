@@ -1,5 +1,6 @@
 //! The tick of a share of the fleet, tile by tile.
 
+use std::slice;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use joulebus_wire::{Budget, Diagnostic, Forecast};
@@ -58,12 +59,17 @@ pub struct Outputs<'a> {
 }
 
 impl<'a> Outputs<'a> {
-    /// The first `robots` of each, and the rest.
+    /// The first `robots` of each, and the rest. What is shorter, for it is not to be written, ends
+    /// with the first.
     #[must_use]
     pub fn split_at(self, robots: usize) -> (Self, Self) {
-        let forecasts = self.forecasts.split_at_mut(robots);
-        let diagnostics = self.diagnostics.split_at_mut(robots);
-        let budgets = self.budgets.split_at_mut(robots);
+        let forecasts = self
+            .forecasts
+            .split_at_mut(robots.min(self.forecasts.len()));
+        let diagnostics = self
+            .diagnostics
+            .split_at_mut(robots.min(self.diagnostics.len()));
+        let budgets = self.budgets.split_at_mut(robots.min(self.budgets.len()));
         (
             Outputs {
                 forecasts: forecasts.0,
@@ -119,7 +125,8 @@ impl<'a> Share<'a> {
         });
     }
 
-    /// Accounts for what [`Share::forecast`] absorbed, and writes the diagnostics and the budgets.
+    /// Accounts for what [`Share::forecast`] absorbed, and writes the diagnostics and the budgets;
+    /// an empty list is one that is not wanted.
     pub fn account(
         &mut self,
         batch: &mut Batch,
@@ -127,11 +134,11 @@ impl<'a> Share<'a> {
         budgets: &mut [Budget],
         on: &mut dyn FnMut(Stage),
     ) {
-        let mut places = diagnostics.iter_mut().zip(budgets);
+        let (mut diagnostics, mut budgets) = (diagnostics.iter_mut(), budgets.iter_mut());
         self.each_tile(batch.words, |tile| {
             pass::account(&tile.rules, &mut tile.columns);
             on(Stage::Bookkeeping);
-            tile.write_accounts(&mut places);
+            tile.write_accounts(&mut diagnostics, &mut budgets);
             on(Stage::Writing);
         });
     }
@@ -139,7 +146,8 @@ impl<'a> Share<'a> {
     /// [`Share::forecast`] and [`Share::account`] in one go through memory.
     pub fn run(&mut self, batch: &mut Batch, outputs: Outputs<'_>, on: &mut dyn FnMut(Stage)) {
         let mut forecasts = outputs.forecasts.iter_mut();
-        let mut places = outputs.diagnostics.iter_mut().zip(outputs.budgets);
+        let mut diagnostics = outputs.diagnostics.iter_mut();
+        let mut budgets = outputs.budgets.iter_mut();
         self.each_tile(batch.words, |tile| {
             tile.absorb(batch, on);
             pass::account(&tile.rules, &mut tile.columns);
@@ -147,7 +155,7 @@ impl<'a> Share<'a> {
             for (slot, forecast) in slots(tile.columns.words).zip(forecasts.by_ref()) {
                 *forecast = report::forecast(&tile.rules, &tile.columns.seen(slot));
             }
-            tile.write_accounts(&mut places);
+            tile.write_accounts(&mut diagnostics, &mut budgets);
             on(Stage::Writing);
         });
     }
@@ -167,14 +175,20 @@ impl<'a> Share<'a> {
         }
     }
 
-    fn write_accounts<'b>(
+    /// Each list by itself: one that is left out must not keep the other from being written.
+    fn write_accounts(
         &self,
-        places: &mut impl Iterator<Item = (&'b mut Diagnostic, &'b mut Budget)>,
+        diagnostics: &mut slice::IterMut<'_, Diagnostic>,
+        budgets: &mut slice::IterMut<'_, Budget>,
     ) {
-        for (slot, (diagnostic, budget)) in slots(self.columns.words).zip(places) {
+        for slot in slots(self.columns.words) {
             let seen = self.columns.seen(slot);
-            *diagnostic = report::diagnostic(&self.rules, &seen);
-            *budget = report::budget(&self.rules, &seen);
+            if let Some(diagnostic) = diagnostics.next() {
+                *diagnostic = report::diagnostic(&self.rules, &seen);
+            }
+            if let Some(budget) = budgets.next() {
+                *budget = report::budget(&self.rules, &seen);
+            }
         }
     }
 

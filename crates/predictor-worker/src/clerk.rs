@@ -45,6 +45,8 @@ pub enum ClerkError {
 pub(crate) struct Failures {
     pub unsent: AtomicU64,
     pub receive: AtomicU64,
+    /// Ticks that left the diagnostics out.
+    pub shed: AtomicU64,
 }
 
 /// The running thread; stops when dropped.
@@ -120,6 +122,8 @@ struct Desk {
     changed: bool,
     drops: DropCounts,
     failed: (u64, u64),
+    shed: u64,
+    sheds: bool,
 }
 
 impl Desk {
@@ -148,6 +152,8 @@ impl Desk {
             changed: false,
             drops: DropCounts::default(),
             failed: (0, 0),
+            shed: 0,
+            sheds: false,
         })
     }
 
@@ -229,6 +235,22 @@ impl Desk {
             );
             self.failed = failed;
         }
+        self.log_shed();
+    }
+
+    /// One line when diagnostics begin to be left out, and one when they are back.
+    fn log_shed(&mut self) {
+        let before = std::mem::replace(&mut self.shed, self.failures.shed.load(Ordering::Relaxed));
+        let (ticks, more) = (self.shed, self.shed > before);
+        match (more, self.sheds) {
+            (true, false) => tracing::warn!(
+                ticks,
+                "ticks take longer than their period: diagnostics are left out"
+            ),
+            (false, true) => tracing::info!(ticks, "ticks are in time again: diagnostics are back"),
+            _ => {}
+        }
+        self.sheds = more;
     }
 
     fn log_drops(&mut self, newer: &DropCounts, robots: usize) {

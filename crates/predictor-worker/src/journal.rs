@@ -42,12 +42,12 @@ impl Journal {
     }
 
     /// Sends the journal of the tick `tick` of the worker's run `worker_epoch`, and begins the next
-    /// one. Failures are counted in `unsent`.
+    /// one; `sheds`: it has left the diagnostics out. Failures are counted in `unsent`.
     pub(crate) fn send(
         &mut self,
         (worker_epoch, tick): (u64, u64),
         start_ns: u64,
-        deadline_missed: bool,
+        (deadline_missed, sheds): (bool, bool),
         unsent: &AtomicU64,
     ) {
         let header = TickHeader {
@@ -57,11 +57,8 @@ impl Journal {
             tick,
             start_ns,
             sent_ns: clock::monotonic_ns(),
-            flags: if deadline_missed {
-                tick_flag::DEADLINE_MISSED
-            } else {
-                0
-            },
+            flags: u32::from(deadline_missed) * tick_flag::DEADLINE_MISSED
+                + u32::from(sheds) * tick_flag::NO_DIAGNOSTICS,
             unlisted: self.unlisted,
         };
         let taken = &self.taken;

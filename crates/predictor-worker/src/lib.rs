@@ -16,6 +16,7 @@ mod keyframes;
 mod models;
 mod outbox;
 mod report;
+mod shedding;
 mod worker;
 
 pub use checkpoint::{Checkpoint, CheckpointError};

@@ -31,21 +31,28 @@ impl Outbox {
     }
 
     /// Ticks the robots of a fleet that has begun a tick, writes what there is to say of them, and
-    /// sends it. `header` has all that is known before. Returns how many frames were not sent.
+    /// sends it. `header` has all that is known before; `sheds`: there is no time for diagnostics.
+    /// Returns how many frames were not sent.
     ///
     /// Forecasts go first, and planners are woken for them. Where threads share the tick, all three
     /// are written in one go through memory: then the robots are too many to be gone through twice.
-    pub(crate) fn tick(&mut self, fleet: &mut Fleet, crew: &Crew, header: ForecastHeader) -> u64 {
+    pub(crate) fn tick(
+        &mut self,
+        fleet: &mut Fleet,
+        crew: &Crew,
+        header: ForecastHeader,
+        sheds: bool,
+    ) -> u64 {
         let robots = fleet.len();
         let refused = fleet.refusals();
         let mut forecasts = self.forecasts.loan_to_fill(robots);
-        let mut diagnostics = self.diagnostics.loan_to_fill(robots);
+        let mut diagnostics = (!sheds).then(|| self.diagnostics.loan_to_fill(robots));
         let mut budgets = self.budgets.loan_to_fill(robots);
         let mut share = fleet.share();
         let unsent = if crew.shares(robots) {
             let outputs = Outputs {
                 forecasts: forecasts.as_deref_mut().unwrap_or_default(),
-                diagnostics: diagnostics.as_deref_mut().unwrap_or_default(),
+                diagnostics: written(diagnostics.as_mut()),
                 budgets: budgets.as_deref_mut().unwrap_or_default(),
             };
             crew.run(share, outputs);
@@ -55,7 +62,7 @@ impl Outbox {
             let unsent = send_forecasts(forecasts, &self.planners, header);
             crew.account(
                 &mut share,
-                diagnostics.as_deref_mut().unwrap_or_default(),
+                written(diagnostics.as_mut()),
                 budgets.as_deref_mut().unwrap_or_default(),
             );
             unsent
@@ -75,9 +82,11 @@ impl Outbox {
             sent_ns: clock::monotonic_ns(),
             sent_unix_ns: clock::unix_ns(),
         };
-        let diagnostics_sent = diagnostics.is_ok_and(|mut loan: DiagnosticLoan<'_>| {
-            *loan.header_mut() = diagnostic_header;
-            loan.send().is_ok()
+        let diagnostics_sent = diagnostics.is_none_or(|loan| {
+            loan.is_ok_and(|mut loan: DiagnosticLoan<'_>| {
+                *loan.header_mut() = diagnostic_header;
+                loan.send().is_ok()
+            })
         });
         let budgets_sent = budgets.is_ok_and(|mut loan: BudgetLoan<'_>| {
             *loan.header_mut() = budget_header;
@@ -91,6 +100,16 @@ impl Outbox {
         if let Err(error) = self.planners.wake(WakeEvent::Ended) {
             tracing::warn!(%error, "planners were not told of the end");
         }
+    }
+}
+
+/// Where the diagnostics go: nowhere if they are left out, or if there is no memory for them.
+fn written<'a>(
+    diagnostics: Option<&'a mut Result<DiagnosticLoan<'_>, SendError>>,
+) -> &'a mut [Diagnostic] {
+    match diagnostics {
+        Some(Ok(loan)) => loan,
+        _ => &mut [],
     }
 }
 

@@ -20,6 +20,8 @@ pub struct Report {
     pub ticks_skipped: u64,
     /// Ticks that started more than a tenth of a period late.
     pub ticks_late: u64,
+    /// Ticks that left the diagnostics out because ticks took too long.
+    pub ticks_without_diagnostics: u64,
     /// Robots in the fleet at the end.
     pub robots: usize,
     /// Samples accepted.

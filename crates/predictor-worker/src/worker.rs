@@ -20,6 +20,7 @@ use crate::keyframes::{Keyframes, keyframes};
 use crate::models::{ModelsError, load_models};
 use crate::outbox::Outbox;
 use crate::report::{Parts, Report, Spread, by_name};
+use crate::shedding::Shedding;
 
 /// Longest tick that the histogram tells apart, ns.
 const LONGEST_TICK_NS: u64 = 60_000_000_000;
@@ -46,6 +47,7 @@ pub struct Worker {
     failures: Arc<Failures>,
     header: ForecastHeader,
     missed: bool,
+    shedding: Shedding,
     ticks_ns: Histogram<u64>,
     intake_ns: u64,
     name: String,
@@ -173,6 +175,7 @@ impl Worker {
             name: config.fleet().to_owned(),
             missed: false,
             intake_ns: 0,
+            shedding: Shedding::default(),
             fleet,
             schedule,
             samples,
@@ -244,6 +247,7 @@ impl Worker {
             ticks: self.header.tick,
             ticks_skipped: self.schedule.skipped,
             ticks_late: self.schedule.late,
+            ticks_without_diagnostics: self.shedding.ticks,
             robots: self.fleet.len(),
             samples_accepted: self.fleet.accepted(),
             samples_dropped: by_name(&self.fleet.drops()),
@@ -284,17 +288,22 @@ impl Worker {
         let intake = self.fleet.begin(start_ns, missed);
         self.header.tick += 1;
         let header = self.header_of(intake, start_ns);
-        let unsent = self.outbox.tick(&mut self.fleet, &self.crew, header);
+        let sheds = self.shedding.sheds;
+        let unsent = self.outbox.tick(&mut self.fleet, &self.crew, header, sheds);
         self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
         let place = (self.header.worker_epoch, self.header.tick);
         self.journal
-            .send(place, start_ns, missed, &self.failures.unsent);
+            .send(place, start_ns, (missed, sheds), &self.failures.unsent);
         self.keyframes.offer(&self.fleet, place);
         let end_ns = clock::monotonic_ns();
         let frames = intake.frames > 0;
         self.missed = self.schedule.ticked(due_ns, start_ns, end_ns, frames);
-        self.ticks_ns
-            .saturating_record(end_ns.saturating_sub(start_ns));
+        let took_ns = end_ns.saturating_sub(start_ns);
+        self.shedding.ticked(took_ns, self.header.period_ns);
+        self.failures
+            .shed
+            .store(self.shedding.ticks, Ordering::Relaxed);
+        self.ticks_ns.saturating_record(took_ns);
     }
 
     /// The header of this tick's forecasts, but for what is known only when they are sent.

@@ -4,6 +4,8 @@
 pub mod tick_flag {
     /// The tick before this one started too late: what the tick was told.
     pub const DEADLINE_MISSED: u32 = 1 << 0;
+    /// Ticks took longer than their period: this one left the diagnostics out.
+    pub const NO_DIAGNOSTICS: u32 = 1 << 1;
 }
 
 /// One frame of samples that a tick took. 40 bytes.
