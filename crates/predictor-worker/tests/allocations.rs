@@ -115,21 +115,28 @@ fn measure(case: Case) {
     let mut worker = Worker::open(&config).unwrap();
     std::thread::scope(|scope| {
         scope.spawn(|| feed(&domain, &config, case.robots, &stop));
-        let mut tick = |ticks: u32| {
+        let tick = |worker: &mut Worker, ticks: u32| {
             let mut done = 0;
             while done < ticks {
                 done += u32::from(worker.turn().unwrap());
             }
         };
-        tick(200);
+        tick(&mut worker, 200);
+        let shed_before = worker.report().ticks_without_diagnostics;
         let (before, others_before) = (counting::calls(), others());
         let recorder = scope.spawn(|| record(&domain, &config, &stop));
         let spawned = counting::calls() - before;
-        tick(300);
+        tick(&mut worker, 300);
         let allocated = counting::calls() - before - spawned;
         stop.store(true, Ordering::Relaxed);
         assert_eq!(others(), others_before, "{case:?}: the other threads");
-        assert_eq!(allocated, 4 * 300, "{case:?}: four a tick are iceoryx2's");
+        // On a busy machine the diagnostics may be left out.
+        let shed = worker.report().ticks_without_diagnostics - shed_before;
+        assert_eq!(
+            allocated,
+            4 * 300 - shed,
+            "{case:?}: four a tick are iceoryx2's, {shed} ticks without diagnostics"
+        );
         assert!(
             recorder.join().unwrap() > 0,
             "no keyframe was taken meanwhile"
