@@ -4,17 +4,19 @@
 GELU(x) = relu(x) - p(|x|): both forms of GELU, by the error function and by tanh, differ from relu
 by an even function p that is smooth on [0, inf), at most 0.17 and vanishes towards infinity.
 
-[0, LIMIT] is cut into 8 segments, since 8 values are what one register permutation looks up on
-AVX2. Adding MAGIC = 2^23 to |x| * SCALE rounds it to an integer, which then stands in the lowest
-bits of the sum and *is* the segment. So segment i reaches from i - 1/2 to i + 1/2, in units of
-LIMIT / 7.5, and the first one is half as wide. Past LIMIT the argument is clamped, which costs at
-most p(LIMIT).
+[0, LIMIT / SCALE] is cut into 8 segments, since 8 values are what one register permutation looks up
+on AVX2. The kernels work with y = SCALE * x, whose unit is a segment: the weights bring the scale
+along. Adding MAGIC = 2^23 to |y| rounds it to an integer, which then stands in the lowest bits of
+the sum and *is* the segment. So segment i reaches from i - 1/2 to i + 1/2, and the first one is half
+as wide. Past LIMIT the argument is clamped, which costs at most p there.
 
-Each segment has one polynomial in |x| itself, with no local variable: the cancellation that this
-brings is part of the errors printed, which are those of f32 arithmetic with fused multiply-adds,
-as the kernels compute it. The tables hold -p, which the last multiply-add then adds to relu(x).
+The value computed is 2 * SCALE * GELU = y + |y| - 2 * SCALE * p, two additions beside the
+polynomial, and the next layer's weights take the factor back. Each segment has one polynomial in |y|
+itself, with no local variable: the cancellation that this brings is part of the errors printed (of
+GELU, not of the multiple), which are those of f32 arithmetic with fused multiply-adds, as the
+kernels compute it. The tables hold the polynomials with a minus sign.
 
-Usage: python3 tools/fit_gelu.py [limit [degree]]      (standard library only)
+Usage: python3 tools/fit_gelu.py [largest x [degree]]      (standard library only)
 """
 import math
 import struct
@@ -99,49 +101,50 @@ def horner(coefficients, a):
     return value
 
 
-def table(function, limit, degree):
-    """Coefficients of -p for each segment, as f32, lowest first."""
-    width = limit / (SEGMENTS - 0.5)
+def table(function, degree):
+    """Coefficients of -function for each segment, as f32, lowest first."""
     segments = []
     for i in range(SEGMENTS):
-        low, high = max(0.0, (i - 0.5) * width), (i + 0.5) * width
+        low, high = max(0.0, i - 0.5), i + 0.5
         rounded = []
         # From the highest on: what rounding a coefficient costs, those below it make good.
         for order in range(degree, -1, -1):
-            def rest(a):
-                return -function(a) - math.fsum(c * a**j for j, c in rounded)
+            def rest(y):
+                return -function(y) - math.fsum(c * y**j for j, c in rounded)
             rounded.append((order, f32(minimax(rest, low, high, order)[-1])))
         segments.append([c for _, c in reversed(rounded)])
     return segments
 
 
-def evaluate(segments, limit, scale, a):
-    """-p(a) as the kernels compute it, with f32 operations."""
-    a = min(a, limit)
-    index = int(fused(a, scale, MAGIC) - MAGIC)
+def evaluate(segments, limit, y):
+    """The polynomial as the kernels compute it, with f32 operations."""
+    y = min(y, limit)
+    index = int(fused(y, 1.0, MAGIC) - MAGIC)
     value = segments[index][-1]
     for c in reversed(segments[index][:-1]):
-        value = fused(value, a, c)
+        value = fused(value, y, c)
     return value
 
 
 def main():
-    limit = f32(float(sys.argv[1])) if len(sys.argv) > 1 else f32(5.25)
+    largest = float(sys.argv[1]) if len(sys.argv) > 1 else 5.3
     degree = int(sys.argv[2]) if len(sys.argv) > 2 else 5
-    scale = f32((SEGMENTS - 0.5) / limit)
-    while fused(limit, scale, MAGIC) - MAGIC > SEGMENTS - 1:  # the limit itself is a tie
-        scale = f32(scale * (1.0 - 2.0**-24))
+    end = SEGMENTS - 0.5
+    limit = f32(end * (1.0 - 2.0**-24))  # the end itself would be rounded to the next segment
+    scale = f32(end / largest)
     print(f"const LIMIT: f32 = {literal(limit)};")
     print(f"const SCALE: f32 = {literal(scale)};")
     print(f"const MAGIC: f32 = {literal(MAGIC)};")
-    for name, function in (("ERF", erf_tail), ("TANH", tanh_tail)):
-        segments = table(function, limit, degree)
+    for name, tail in (("ERF", erf_tail), ("TANH", tanh_tail)):
+        def scaled(y):
+            return 2.0 * scale * tail(y / scale)
+        segments = table(scaled, degree)
         worst = 0.0
         for k in range(20_001):
-            a = f32(limit * k / 20_000)
-            worst = max(worst, abs(evaluate(segments, limit, scale, a) + function(a)))
-        print(f"\n/// Largest error {worst:.1e} up to the limit, {function(limit):.1e} past it.")
-        print(f"const {name}: [[f32; {SEGMENTS}]; {degree + 1}] = [")
+            y = f32(limit * k / 20_000)
+            worst = max(worst, abs(evaluate(segments, limit, y) + scaled(y)) / (2.0 * scale))
+        print(f"\n/// Largest error {worst:.1e} up to the limit, {tail(limit / scale):.1e} past it.")
+        print(f"static {name}: [[f32; {SEGMENTS}]; {degree + 1}] = [")
         for j in range(degree + 1):
             print("    [" + ", ".join(literal(segment[j]) for segment in segments) + "],")
         print("];")

@@ -183,7 +183,8 @@ impl Network {
 
     /// One forecast in watt by plain loops: the definition of the network's bits. Allocates.
     ///
-    /// The normalisation is folded into the first and the last layer. A hidden output is its bias
+    /// The normalisation is folded into the first and the last layer, and the factors of GELU's
+    /// segments into all four (`kernel/packed.rs`). A hidden output is its bias
     /// plus one fused multiply-add for each input, in order, and then GELU. The last output is
     /// sixteen products, each joined by the one sixteen further on in a fused multiply-add, added
     /// in pairs (half onto half), and then the bias. Every NaN becomes [`f32::NAN`]: CPUs and
@@ -198,7 +199,7 @@ impl Network {
                 products.fold(bias, |sum, (&weight, &x)| x.mul_add(weight, sum))
             });
             values = sums
-                .map(|sum| self.parameters.activation.value(sum))
+                .map(|sum| self.parameters.activation.scaled_value(sum))
                 .collect();
         }
         let sums: [f32; LINE] = std::array::from_fn(|i| {
@@ -311,11 +312,11 @@ fn check_parameters(parameters: &Parameters) -> Result<(), ModelError> {
 
 /// What the kernels compute with has to be finite too.
 fn check_folded(parameters: &Parameters) -> Result<(), ModelError> {
-    let [first, .., last] = fold(parameters);
-    for (name, layer) in [("first", first), ("last", last)] {
+    let names = ["first", "second", "third", "last"];
+    for (name, layer) in names.into_iter().zip(fold(parameters)) {
         let mut values = layer.weights.iter().chain(&layer.bias);
         if let Some(value) = values.find(|value| !value.is_finite()) {
-            let field = format!("normalisation folded into the {name} layer");
+            let field = format!("scale folded into the {name} layer");
             return Err(ModelError::field(field, value, "finite numbers"));
         }
     }

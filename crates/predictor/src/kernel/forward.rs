@@ -16,7 +16,7 @@
 use super::lanes::{Job, Lanes};
 use super::packed::{Dense, LINE, Packed};
 use super::scalar::Scalar;
-use crate::gelu::{LIMIT, MAGIC, SCALE};
+use crate::gelu::{LIMIT, MAGIC};
 use crate::network::canonical;
 use crate::{FEATURES, Features, HIDDEN};
 use std::mem::MaybeUninit;
@@ -28,9 +28,7 @@ const NARROW: usize = HIDDEN[2];
 struct Gelu<L: Lanes> {
     table: [L::Table; 6],
     limit: L::Vector,
-    scale: L::Vector,
     magic: L::Vector,
-    half: L::Vector,
 }
 
 impl<L: Lanes> Gelu<L> {
@@ -43,24 +41,22 @@ impl<L: Lanes> Gelu<L> {
         Gelu {
             table,
             limit: lanes.splat(LIMIT),
-            scale: lanes.splat(SCALE),
             magic: lanes.splat(MAGIC),
-            half: lanes.splat(0.5),
         }
     }
 
-    /// [`Activation::value`](crate::Activation) of every lane.
+    /// `Activation::scaled_value` of every lane.
     #[inline(always)]
-    fn apply(&self, lanes: L, x: L::Vector) -> L::Vector {
-        let magnitude = lanes.abs(x);
+    fn apply(&self, lanes: L, y: L::Vector) -> L::Vector {
+        let magnitude = lanes.abs(y);
         let clamped = lanes.at_most(magnitude, self.limit);
-        let segment = lanes.mul_add(clamped, self.scale, self.magic);
+        let segment = lanes.add(clamped, self.magic);
         let mut tail = lanes.lookup(self.table[5], segment);
         for power in [4, 3, 2, 1, 0] {
             let coefficient = lanes.lookup(self.table[power], segment);
             tail = lanes.mul_add(tail, clamped, coefficient);
         }
-        lanes.mul_add(lanes.add(x, magnitude), self.half, tail)
+        lanes.add(lanes.add(y, magnitude), tail)
     }
 }
 

@@ -1,5 +1,6 @@
 //! The parameters in the order in which the kernels read them.
 
+use crate::gelu::SCALE;
 use crate::{FEATURES, HIDDEN, Layer, Parameters};
 
 /// Outputs that are packed together: a cache line, and the widest vector that any CPU has.
@@ -68,42 +69,60 @@ impl Packed {
     }
 }
 
-/// The layers with the normalisation folded in: the first takes features in their units, the last
-/// gives watt. Double precision, rounded once. The biases make good what rounding the weights
-/// costs at the mean of the features, where most robots are.
+/// The layers as they are computed: the normalisation folded in, so that the first takes features
+/// in their units and the last gives watt, and the factors that GELU's segments ask for. Double
+/// precision, rounded once. The first biases make good what rounding the weights costs at the mean
+/// of the features, where most robots are.
 pub(crate) fn fold(parameters: &Parameters) -> [Layer; 4] {
     let [first, second, third, last] = &parameters.layers;
     let normalisation = &parameters.normalisation;
     let set = parameters.feature_set;
+    let segments = f64::from(SCALE);
+    let features = || set.first()..FEATURES;
     let scale = |feature: usize| match normalisation.feature_std[feature] {
-        std if std > 0.0 => 1.0 / f64::from(std),
+        std if std > 0.0 => segments / f64::from(std),
         _ => 0.0,
     };
-    let features = || set.first()..FEATURES;
-    let weights: Vec<f32> = first
-        .weights
-        .chunks(set.inputs())
-        .flat_map(|row| row.iter().zip(features()))
-        .map(|(&weight, feature)| (f64::from(weight) * scale(feature)) as f32)
-        .collect();
-    let shifted = |(&bias, row): (&f32, &[f32])| {
+    let in_segments = |bias: &f32| f64::from(*bias) * segments;
+
+    let rows = first.weights.chunks(set.inputs());
+    let weights = rows.flat_map(|row| row.iter().zip(features()));
+    let weights = weights.map(|(&weight, feature)| (f64::from(weight) * scale(feature)) as f32);
+    let weights: Vec<f32> = weights.collect();
+    let shifted = |(bias, row): (&f32, &[f32])| {
         let at_mean = row.iter().zip(features()).map(|(&weight, feature)| {
             f64::from(weight) * f64::from(normalisation.feature_mean[feature])
         });
-        (f64::from(bias) - at_mean.sum::<f64>()) as f32
+        (in_segments(bias) - at_mean.sum::<f64>()) as f32
     };
     let bias = first.bias.iter().zip(weights.chunks(set.inputs()));
     let bias = bias.map(shifted).collect();
+
+    // 2 * segments come in and segments go out: a factor of 1/2, which rounds nothing.
+    let between = |layer: &Layer| Layer {
+        weights: layer.weights.iter().map(|weight| weight * 0.5).collect(),
+        bias: layer
+            .bias
+            .iter()
+            .map(|bias| in_segments(bias) as f32)
+            .collect(),
+    };
     let std_w = f64::from(normalisation.power_std_w);
-    let in_watt = |&value: &f32| f64::from(value) * std_w;
+    let in_watt = |value: &f32| f64::from(*value) * std_w;
+    let weight = |weight| (in_watt(weight) / (2.0 * segments)) as f32;
     let mean_w = f64::from(normalisation.power_mean_w);
     let last = Layer {
-        weights: last.weights.iter().map(|w| in_watt(w) as f32).collect(),
+        weights: last.weights.iter().map(weight).collect(),
         bias: last
             .bias
             .iter()
-            .map(|b| (in_watt(b) + mean_w) as f32)
+            .map(|bias| (in_watt(bias) + mean_w) as f32)
             .collect(),
     };
-    [Layer { weights, bias }, second.clone(), third.clone(), last]
+    [
+        Layer { weights, bias },
+        between(second),
+        between(third),
+        last,
+    ]
 }
