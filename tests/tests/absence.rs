@@ -98,6 +98,14 @@ fn only_the_bus_names_iceoryx2() {
 }
 
 #[test]
+fn only_the_capture_names_mcap() {
+    for name in names().iter().filter(|name| *name != "capture") {
+        let found = places(&crates().join(name).join("src"), &["mcap::"], &[]);
+        assert_eq!(found, Vec::<String>::new());
+    }
+}
+
+#[test]
 fn unsafe_code_stays_in_its_named_files() {
     let allowed = [
         "wire/src/marker.rs",
@@ -160,6 +168,7 @@ fn dependencies_point_one_way() {
         "publisher",
         "predictor-worker",
         "consumer",
+        "capture",
     ];
     let manifest = |name: &str| fs::read_to_string(crates().join(name).join("Cargo.toml")).unwrap();
     for (place, name) in order.iter().enumerate() {

@@ -1,6 +1,7 @@
 //! `joulebus run`: the worker.
 
 use std::fmt;
+use std::path::PathBuf;
 
 use joulebus_config::{Config, ModelSource};
 use joulebus_predictor_worker::{Report, Worker};
@@ -9,29 +10,39 @@ use serde::Serialize;
 use crate::config_file::ConfigFile;
 use crate::exit::Outcome;
 use crate::output::{Output, say};
+use crate::record::Beside;
 use crate::stop::Stop;
 
 /// Run the predictor-worker of a fleet until SIGINT or SIGTERM, then report
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus run --config configs/fleet.toml\n  \
-    joulebus run --format json > report.json &\n\n\
+    joulebus run --format json > report.json &\n  \
+    joulebus run --record run.mcap\n\n\
     A fleet has one worker; a second one ends with the pid of the first. Times in the report are \
-    in µs.")]
+    in µs. Exit code 3 if a recording lost messages or stopped.")]
 pub(crate) struct Args {
     #[command(flatten)]
     config: ConfigFile,
+    /// Record everything into this file as well, by a process beside the worker
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     // Before anything is created: who is told to stop while starting cleans up as well.
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
+    let recorder = match &args.record {
+        Some(file) => Some(Beside::start(&args.config, file)?),
+        None => None,
+    };
     let worker = Worker::open(&config)?;
     say(&ready(&config));
     let report = worker.run(stop.flag())?;
+    let whole = recorder.is_none_or(Beside::finish);
     output.report(&RunReport(report))?;
-    Ok(Outcome::Done)
+    Ok(Outcome::unless_lost(!whole))
 }
 
 fn ready(config: &Config) -> String {

@@ -1,5 +1,6 @@
 //! `joulebus record`: what goes through a fleet's shared memory, into a file.
 
+mod beside;
 mod choice;
 mod others;
 mod report;
@@ -21,6 +22,7 @@ use crate::exit::{Outcome, UsageError};
 use crate::output::{Format, Output, say};
 use crate::stop::Stop;
 
+pub(crate) use beside::Beside;
 use choice::Choice;
 use others::Others;
 use report::Report;
