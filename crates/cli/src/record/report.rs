@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use joulebus_capture::record::Summary;
+use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
 /// What a recording came to.
@@ -11,6 +12,8 @@ use serde::Serialize;
 pub(super) struct Report {
     /// From its start to its end, s.
     duration_s: f64,
+    /// CPU time of the recorder over that time: 1 is a whole core.
+    cpu_share: f64,
     files: Vec<File>,
     messages: u64,
     bytes: u64,
@@ -60,6 +63,7 @@ impl Report {
         });
         Self {
             duration_s,
+            cpu_share: cpu_s() / duration_s.max(1e-9),
             files: files.collect(),
             messages: summary.messages(),
             bytes: summary.bytes(),
@@ -71,15 +75,23 @@ impl Report {
     }
 }
 
+/// CPU time of this process so far, s.
+fn cpu_s() -> f64 {
+    let time = clock_gettime(ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
 impl fmt::Display for Report {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let per_hour = self.bytes as f64 * 1e-9 * 3_600.0 / self.duration_s.max(1e-9);
         writeln!(
             out,
-            "recorded {:.1} s: {} messages, {:.3} MB ({per_hour:.2} GB an hour), {} lost",
+            "recorded {:.1} s: {} messages, {:.3} MB ({per_hour:.2} GB an hour), {:.1} % of a core, \
+             {} lost",
             self.duration_s,
             self.messages,
             self.bytes as f64 * 1e-6,
+            100.0 * self.cpu_share,
             self.messages_lost
         )?;
         for (topic, count) in &self.topics {
