@@ -88,10 +88,9 @@ impl Files {
             return Ok(());
         }
         self.open()?;
-        for item in std::mem::take(&mut self.kept.items) {
+        for item in self.kept.take() {
             self.write(&item)?;
         }
-        self.kept.bytes = 0;
         self.end()
     }
 
@@ -247,30 +246,51 @@ fn part(path: &Path, number: u32) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// The last seconds, in memory.
+/// The last seconds, in memory. Goes back as far as is asked for, and from there to the keyframe
+/// before, so that all of it can be computed again.
 #[derive(Debug, Default)]
 struct Kept {
     items: VecDeque<Item>,
     bytes: usize,
+    /// Log times at which keyframes among the items begin.
+    keyframes: VecDeque<u64>,
     alarms: HashMap<(Arc<str>, u32), u32>,
 }
 
 impl Kept {
     /// Keeps the item and forgets what has become too old or too much; whether it raises an alarm.
     fn keep(&mut self, item: Item, snapshot: Snapshot) -> bool {
-        let now_ns = item.times.log_ns;
         let alarm = self.raises_alarm(&item);
+        let from_ns = item.times.log_ns.saturating_sub(snapshot.keep_ns);
+        if matches!(&item.message, Message::State(header, _) if header.offset == 0) {
+            self.keyframes.push_back(item.times.log_ns);
+        }
         self.bytes += item.bytes();
         self.items.push_back(item);
-        while let Some(oldest) = self.items.front() {
-            let is_old = now_ns.saturating_sub(oldest.times.log_ns) > snapshot.keep_ns;
-            if !is_old && self.bytes <= snapshot.max_bytes {
-                break;
-            }
+        let keyframe = self.keyframes.iter().rev().find(|at_ns| **at_ns <= from_ns);
+        let from_ns = keyframe.copied().unwrap_or(from_ns);
+        while let Some(oldest) = self.items.front()
+            && (oldest.times.log_ns < from_ns || self.bytes > snapshot.max_bytes)
+        {
             self.bytes -= oldest.bytes();
             self.items.pop_front();
         }
+        let oldest_ns = self.items.front().map_or(0, |oldest| oldest.times.log_ns);
+        while self
+            .keyframes
+            .front()
+            .is_some_and(|at_ns| *at_ns < oldest_ns)
+        {
+            self.keyframes.pop_front();
+        }
         alarm
+    }
+
+    /// Gives everything away; what was raised stays known.
+    fn take(&mut self) -> VecDeque<Item> {
+        self.bytes = 0;
+        self.keyframes.clear();
+        std::mem::take(&mut self.items)
     }
 
     fn raises_alarm(&mut self, item: &Item) -> bool {
@@ -284,5 +304,58 @@ impl Kept {
             raised |= row.alarms & !before != 0;
         }
         raised
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_wire::{StateHeader, TickHeader};
+
+    use super::*;
+    use crate::Times;
+
+    fn item(log_ns: u64, message: Message) -> Item {
+        Item {
+            fleet: Arc::from("lab"),
+            times: Times {
+                log_ns,
+                publish_ns: log_ns,
+            },
+            message,
+        }
+    }
+
+    #[test]
+    fn a_snapshot_goes_back_to_the_keyframe_before_its_window_within_its_bytes() {
+        let tick = |at_ns| item(at_ns, Message::Ticks(TickHeader::default(), Vec::new()));
+        let keyframe = |at_ns| item(at_ns, Message::State(StateHeader::default(), Vec::new()));
+        let each = tick(0).bytes();
+        // Window of 10; keyframes at these times; room for so many items; oldest that is kept at 100.
+        for (keyframes, room, oldest_ns) in [
+            (vec![], 1_000, 90),
+            (vec![95], 1_000, 90),
+            (vec![60, 85], 1_000, 85),
+            (vec![60, 90], 1_000, 90),
+            (vec![60], 1_000, 60),
+            (vec![60], 20, 81),
+        ] {
+            let snapshot = Snapshot {
+                keep_ns: 10,
+                max_bytes: room * each,
+                on_alarm: false,
+            };
+            let mut kept = Kept::default();
+            for at_ns in 0..=100 {
+                let is_keyframe = keyframes.contains(&at_ns);
+                let item = if is_keyframe {
+                    keyframe(at_ns)
+                } else {
+                    tick(at_ns)
+                };
+                assert!(!kept.keep(item, snapshot));
+            }
+            let found = kept.items.front().map(|item| item.times.log_ns);
+            assert_eq!(found, Some(oldest_ns), "{keyframes:?}, room for {room}");
+        }
     }
 }
