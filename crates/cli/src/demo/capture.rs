@@ -66,6 +66,10 @@ pub(super) struct Captured {
     pub(super) messages: u64,
     /// Bytes.
     pub(super) bytes: u64,
+    /// How long it recorded, s.
+    pub(super) duration_s: f64,
+    /// CPU time of the recorder over that time: 1 is a whole core.
+    pub(super) cpu_share: f64,
     /// Messages that it lost.
     pub(super) messages_lost: u64,
     /// Why it stopped by itself, if it did.

@@ -177,9 +177,12 @@ impl Summary {
         };
         let (path, lost) = (capture.path.display(), capture.messages_lost);
         let (messages, megabytes) = (count(capture.messages), capture.bytes as f64 * 1e-6);
+        let per_hour = megabytes * 3.6 / capture.duration_s.max(1e-9);
+        let percent = 100.0 * capture.cpu_share;
         write!(
             out,
-            "capture    {path}: {messages} messages, {megabytes:.1} MB"
+            "capture    {path}\n             {messages} messages, {megabytes:.1} MB ({per_hour:.2} GB an \
+             hour), {percent:.1} % of a core"
         )?;
         if lost > 0 {
             write!(out, ", {lost} lost")?;
