@@ -80,7 +80,7 @@ fn a_killed_recorder_costs_at_most_the_stated_window() {
         // Whoever is killed while starting has recorded nothing that could be lost.
         let begun = bytes(&file);
         eventually("messages in the file", || bytes(&file) > begun);
-        std::thread::sleep(dice.time_below(Duration::from_millis(600)));
+        std::thread::sleep(Duration::from_millis(400) + dice.time_below(Duration::from_millis(600)));
         let at_ns = clock::monotonic_ns();
         let ended = victim.kill();
         assert_eq!(ended.signal(), Some(9), "{ended:?}");
@@ -88,7 +88,7 @@ fn a_killed_recorder_costs_at_most_the_stated_window() {
     }
     let report = witness.stop().json();
     assert_eq!(report["messages_lost"], 0, "{report:#}");
-    source.finish();
+    source.stop();
     worker.stop();
 
     let (all, end) = read(&whole);
@@ -98,12 +98,14 @@ fn a_killed_recorder_costs_at_most_the_stated_window() {
     for (file, at_ns) in &killed {
         let (found, end) = read(file);
         assert!(matches!(end, Some(ReadError::Truncated { .. })), "{end:?}");
-        let first = found.first().unwrap();
         let names: HashSet<_> = found.iter().map(name).collect();
         assert_eq!(names.len(), found.len(), "no message twice");
-        let from = all.iter().position(|entry| name(entry) == name(first));
-        let sent = all[from.unwrap()..].iter().filter(|entry| {
-            clock.monotonic_ns(entry.publish_time_ns) <= *at_ns && !entry.topic.ends_with("/state")
+        // While it starts, a recorder opens one service after the other.
+        let from_ns = found[0].log_time_ns + 200_000_000;
+        let sent = all.iter().filter(|entry| {
+            entry.publish_time_ns >= from_ns
+                && clock.monotonic_ns(entry.publish_time_ns) <= *at_ns
+                && !entry.topic.ends_with("/state")
         });
         let lost: Vec<&Entry> = sent.filter(|entry| !names.contains(&name(entry))).collect();
         // Nothing is missing in the middle: what is lost is the end.
@@ -171,7 +173,7 @@ fn a_full_disk_ends_the_capture_and_nothing_else() {
     let attachments = Reader::open(&file).unwrap();
     assert!(attachments.attachments().config("t").is_some());
     let _ = planner.leave();
-    source.finish();
+    source.stop();
     worker.stop();
     arena.close();
 }
@@ -182,8 +184,11 @@ fn two_fleets_are_recorded_into_one_file() {
     // Fleets in one file must have different names.
     let text = std::fs::read_to_string(other.config()).unwrap();
     std::fs::write(other.config(), text.replace("name = \"t\"", "name = \"u\"")).unwrap();
-    let start = |arena: &Arena| (arena.worker(), arena.controller("source", 0, ROBOTS, HZ));
-    let fleets = [&one, &other].map(start);
+    let mut processes = Vec::new();
+    for arena in [&one, &other] {
+        processes.push(arena.worker());
+        processes.push(arena.controller("source", 0, ROBOTS, HZ));
+    }
     let file = one.files().join("both.mcap");
     let config = other.config().display().to_string();
     let output = file.display().to_string();
@@ -215,10 +220,11 @@ fn two_fleets_are_recorded_into_one_file() {
             .count();
         assert!(ticks > 5, "{fleet}: {ticks} ticks");
     }
-    for (mut worker, mut source) in fleets {
-        source.finish();
-        worker.stop();
+    for mut process in processes.into_iter().rev() {
+        process.stop();
     }
+    let root = other.domain().root().to_owned();
+    assert!(!root.exists(), "{root:?}");
     one.close();
     other.close();
 }
