@@ -4,7 +4,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
-use joulebus_predictor::{Kernel, Network};
+use joulebus_predictor::{FEATURES, Features, Kernel, Model, Network, Tiling};
 
 use crate::figure::robots;
 use crate::options::Options;
@@ -18,6 +18,8 @@ pub(crate) const BATCHES: [usize; 7] = [1, 7, 20, 100, 1_000, 10_000, 100_000];
 const WORTH_SHARING: usize = 1_000;
 /// Robots past which a kernel without vector instructions takes seconds a call.
 const MOST_SLOW: usize = 1_000;
+/// Batches past which no tail is left to the tiling by neuron.
+const MOST_BY_NEURON: usize = 100;
 
 /// Measures each kernel on each batch, and the peak, in turns.
 ///
@@ -35,22 +37,18 @@ pub(crate) fn measure(options: &Options) -> anyhow::Result<Report> {
     let mut cases = Vec::new();
     for kernel in &kernels {
         let network = on(&network, *kernel)?;
-        for batch in &batches {
-            let slow = isa(*kernel).is_none() && *kernel != Kernel::best();
-            if slow && *batch > MOST_SLOW {
-                continue;
-            }
-            cases.push(Case::new(&network, *kernel, *batch, options.seed));
+        for (way, batch) in ways(*kernel, &batches) {
+            cases.push(Case::new(&network, way, batch, options.seed));
         }
     }
-    alone(&mut report, &mut cases, options);
+    let sum = input::multiply_adds(&network);
+    alone(&mut report, &mut cases, sum, options);
     if options.threads > 1 {
         for batch in batches.iter().filter(|batch| **batch >= WORTH_SHARING) {
             let kernel = *kernels.last().context("no kernel")?;
             shared(&mut report, &on(&network, kernel)?, *batch, options);
         }
     }
-    let sum = input::multiply_adds(&network);
     report.notes = vec![
         format!(
             "A robot takes {sum} multiply-adds; shares are of the peak measured in the same round."
@@ -101,33 +99,89 @@ fn isa(kernel: Kernel) -> Option<Isa> {
     }
 }
 
+/// How a batch is given to the kernel and cut by it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Way {
+    /// A row for each robot.
+    Rows,
+    /// A column for each feature, as the tick has them.
+    Columns,
+    /// Rows, each vector always holding neighbouring outputs of one robot: the tiling that the
+    /// others take for tails alone.
+    ByNeuron,
+}
+
+/// Ways and batches that are worth measuring.
+fn ways(kernel: Kernel, batches: &[usize]) -> Vec<(Way, usize)> {
+    let slow = isa(kernel).is_none() && kernel != Kernel::best();
+    let worth = |way: Way, batch: usize| match way {
+        Way::Rows => !slow || batch <= MOST_SLOW,
+        Way::Columns => !slow,
+        Way::ByNeuron => !slow && batch <= MOST_BY_NEURON,
+    };
+    [Way::Rows, Way::Columns, Way::ByNeuron]
+        .into_iter()
+        .flat_map(|way| batches.iter().map(move |batch| (way, *batch)))
+        .filter(|(way, batch)| worth(*way, *batch))
+        .collect()
+}
+
 /// One kernel on one batch.
 struct Case {
-    network: Network,
+    model: Model,
     kernel: Kernel,
-    batch: usize,
-    rows: Vec<joulebus_predictor::Features>,
+    way: Way,
+    rows: Vec<Features>,
+    columns: Vec<Vec<f32>>,
     forecasts_w: Vec<f32>,
     calls: usize,
 }
 
 impl Case {
-    fn new(network: &Network, kernel: Kernel, batch: usize, seed: u64) -> Self {
+    fn new(network: &Network, way: Way, batch: usize, seed: u64) -> Self {
+        let rows = input::rows(network, seed, batch);
+        let column = |feature| rows.iter().map(|row| row[feature]).collect();
+        let columns = (0..FEATURES).map(column).collect();
+        let kernel = network.kernel();
+        let network = network.clone();
+        let tiled = match way {
+            Way::ByNeuron => network.with_tiling(Tiling::ByNeuron),
+            Way::Rows | Way::Columns => network,
+        };
         let mut case = Self {
-            rows: input::rows(network, seed, batch),
-            forecasts_w: vec![0.0; batch],
-            network: network.clone(),
+            model: Model::Network(tiled),
             kernel,
-            batch,
+            way,
+            rows,
+            columns,
+            forecasts_w: vec![0.0; batch],
             calls: 1,
         };
         case.calls = calls(|| case.call());
         case
     }
 
+    fn batch(&self) -> usize {
+        self.forecasts_w.len()
+    }
+
+    fn name(&self) -> String {
+        let kernel = name(self.kernel);
+        match self.way {
+            Way::Rows => kernel,
+            Way::Columns => format!("{kernel}_columns"),
+            Way::ByNeuron => format!("{kernel}_by_neuron"),
+        }
+    }
+
     fn call(&mut self) {
-        self.network
-            .predict(black_box(&self.rows), black_box(&mut self.forecasts_w));
+        let forecasts_w = black_box(&mut self.forecasts_w);
+        if self.way == Way::Columns {
+            let columns = std::array::from_fn(|feature| self.columns[feature].as_slice());
+            self.model.predict_columns(black_box(columns), forecasts_w);
+        } else {
+            self.model.predict(black_box(&self.rows), forecasts_w);
+        }
     }
 
     /// One repetition: ns a robot.
@@ -136,14 +190,12 @@ impl Case {
         for _ in 0..self.calls {
             self.call();
         }
-        start.elapsed().as_nanos() as f64 / (self.calls * self.batch) as f64
+        start.elapsed().as_nanos() as f64 / (self.calls * self.batch()) as f64
     }
 }
 
-fn alone(report: &mut Report, cases: &mut [Case], options: &Options) {
-    let sum = cases
-        .first()
-        .map_or(0, |case| input::multiply_adds(&case.network)) as f64;
+fn alone(report: &mut Report, cases: &mut [Case], sum: usize, options: &Options) {
+    let sum = sum as f64;
     let mut isas: Vec<Isa> = Vec::new();
     for isa in cases.iter().filter_map(|case| isa(case.kernel)) {
         if !isas.contains(&isa) {
@@ -152,7 +204,7 @@ fn alone(report: &mut Report, cases: &mut [Case], options: &Options) {
     }
     let about: Vec<(String, String, Option<Isa>)> = cases
         .iter()
-        .map(|case| (name(case.kernel), robots(case.batch), isa(case.kernel)))
+        .map(|case| (case.name(), robots(case.batch()), isa(case.kernel)))
         .collect();
     let mut turns: Vec<Turn<'_>> = isas
         .iter()
@@ -183,7 +235,7 @@ fn alone(report: &mut Report, cases: &mut [Case], options: &Options) {
 
 /// One pinned thread and several on the same batch, in turns.
 fn shared(report: &mut Report, network: &Network, batch: usize, options: &Options) {
-    let new = |batch| Case::new(network, network.kernel(), batch, options.seed);
+    let new = |batch| Case::new(network, Way::Rows, batch, options.seed);
     let each = batch.div_ceil(options.threads);
     let part = |place: usize| ((place + 1) * each).min(batch) - (place * each).min(batch);
     let mut parts: Vec<Case> = (0..options.threads).map(|place| new(part(place))).collect();

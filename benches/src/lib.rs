@@ -8,6 +8,7 @@
 
 mod command;
 mod compare;
+mod counted;
 mod distribution;
 mod figure;
 mod input;
@@ -27,6 +28,7 @@ pub use joulebus_predictor_worker::Spread;
 
 pub use command::{Benchmark, Command, Ended, bench_target};
 pub use compare::{Change, CompareError, Comparison, Verdict};
+pub use counted::{Count, Counted, collected};
 pub use distribution::Distribution;
 pub use figure::{Better, Figure};
 pub use machine::{Build, Machine};

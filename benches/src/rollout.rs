@@ -7,6 +7,7 @@ use std::time::Instant;
 use anyhow::Context as _;
 use joulebus_predictor::{FEATURE_NAMES, Features, LAGS, Model, Network, RolloutStart, Rollouts};
 
+use crate::counted::collected;
 use crate::figure::grouped;
 use crate::options::Options;
 use crate::rounds::{Turn, take_turns};
@@ -209,4 +210,12 @@ fn shared(report: &mut Report, network: &Network, case: (usize, usize, usize), o
     );
     let title = format!("pinned_{name}_over_1_speed_up");
     report.push(Figure::more, &title, &case, "1", &pinned.speed_up);
+}
+
+/// One call with candidates of one robot, counted; returns the steps.
+pub(crate) fn count(network: &Network, candidates: usize) -> usize {
+    let mut work = Work::new(network, (1, candidates, 50), 7);
+    work.call();
+    collected(&mut || work.call());
+    work.forecasts()
 }

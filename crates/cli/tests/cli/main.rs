@@ -1,6 +1,7 @@
 //! The program as its users meet it: real processes, exit codes, what goes where.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
+mod bench;
 mod fleet;
 mod live;
 
@@ -28,6 +29,7 @@ const VERBS: [&str; 16] = [
     "train",
     "train sim",
     "eval",
+    "bench",
     "completions",
 ];
 

@@ -1,0 +1,72 @@
+//! Work to be counted instruction by instruction: figures that hold on a busy machine.
+//!
+//! `tools/instructions.py` runs it under callgrind, which collects inside of [`collected`] only.
+
+use std::hint::black_box;
+
+use anyhow::Context as _;
+use clap::ValueEnum;
+use joulebus_predictor::Network;
+
+use crate::{input, kernel, rollout};
+
+/// What is counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Counted {
+    /// One call of the kernel.
+    Kernel,
+    /// One call with candidates of 50 steps of one robot.
+    Rollout,
+}
+
+/// One piece of work.
+#[derive(Debug, Clone, clap::Parser)]
+pub struct Count {
+    /// What is counted.
+    #[arg(value_enum)]
+    what: Counted,
+    /// Robots, or candidates of a rollout.
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    size: u32,
+    /// The kernel, by name [default: the fastest here].
+    #[arg(long)]
+    kernel: Option<String>,
+}
+
+/// What callgrind is told to collect.
+#[inline(never)]
+pub fn collected(work: &mut dyn FnMut()) {
+    work();
+    // A tail call would leave the function before the work begins.
+    black_box(());
+}
+
+impl Count {
+    /// Does the work once, after it has been warmed up; returns the kernel's name and how many
+    /// forecasts that made.
+    ///
+    /// # Errors
+    /// No such kernel here.
+    pub fn run(&self) -> anyhow::Result<(String, usize)> {
+        let (_, network) = input::network(None)?;
+        let kernel = *kernel::kernels(self.kernel.as_deref())?
+            .last()
+            .context("no kernel")?;
+        let network = kernel::on(&network, kernel)?;
+        let size = self.size as usize;
+        let forecasts = match self.what {
+            Counted::Kernel => of_kernel(&network, size),
+            Counted::Rollout => rollout::count(&network, size),
+        };
+        Ok((kernel::name(kernel), forecasts))
+    }
+}
+
+fn of_kernel(network: &Network, robots: usize) -> usize {
+    let rows = input::rows(network, 7, robots);
+    let mut forecasts_w = vec![0.0; robots];
+    let mut call = || network.predict(black_box(&rows), black_box(&mut forecasts_w));
+    call();
+    collected(&mut call);
+    robots
+}

@@ -1,0 +1,106 @@
+"""Figures in the layout of `joulebus bench --json`, for the scripts in tools/ (standard library only).
+
+A suite is {schema, machine, build, reports}; a report is {benchmark, input, notes, figures}; a
+figure is {name, case, unit, better, count, min, p25, p50, p75, p99, p999, max}. `joulebus bench
+--compare` reads what is written here.
+"""
+import json
+import math
+import os
+import pathlib
+import platform
+import subprocess
+
+SCHEMA = "joulebus-bench/1"
+NOT_TOLD = "not told"
+
+
+def told(path):
+    try:
+        return pathlib.Path(path).read_text().strip()
+    except OSError:
+        return NOT_TOLD
+
+
+def machine():
+    """This machine, in the words of the Rust side."""
+    fields = {}
+    for line in told("/proc/cpuinfo").splitlines():
+        name, _, value = line.partition(":")
+        fields.setdefault(name.strip(), value.strip())
+    cpu = "/sys/devices/system/cpu"
+    boost, no_turbo = told(f"{cpu}/cpufreq/boost"), told(f"{cpu}/intel_pstate/no_turbo")
+    turbo = {"1": "on", "0": "off"}.get(boost) or {"0": "on", "1": "off"}.get(no_turbo) or NOT_TOLD
+    return {
+        "processor": fields.get("model name", NOT_TOLD),
+        "processors": len(os.sched_getaffinity(0)),
+        "kernel": platform.release(),
+        "governor": told(f"{cpu}/cpu0/cpufreq/scaling_governor"),
+        "turbo": turbo,
+        "virtual_machine": "hypervisor" in fields.get("flags", "").split(),
+    }
+
+
+def build(root):
+    """What cargo builds with --release here."""
+    manifest = (root / "Cargo.toml").read_text()
+    version = manifest.split('version = "', 1)[1].split('"', 1)[0]
+    iceoryx2 = manifest.split('iceoryx2 = { version = "=', 1)[1].split('"', 1)[0]
+    rustc = subprocess.run(["rustc", "--version"], capture_output=True, text=True, cwd=root)
+    return {
+        "joulebus": version,
+        "rustc": rustc.stdout.strip() or NOT_TOLD,
+        "iceoryx2": iceoryx2,
+        "profile": "release",
+        "target": f"{platform.machine()}-{platform.system().lower()}",
+        "target_features": NOT_TOLD,
+    }
+
+
+def figure(name, case, unit, values, better="less"):
+    """A figure from its repetitions; quantiles are nearest ranks."""
+    ranked = sorted(values)
+    at = lambda share: ranked[max(math.ceil(share * len(ranked)), 1) - 1]
+    quantiles = {"min": 0.0, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p99": 0.99, "p999": 0.999, "max": 1.0}
+    figure = {"name": name, "case": case, "unit": unit, "better": better, "count": len(ranked)}
+    return figure | {quantile: at(share) for quantile, share in quantiles.items()}
+
+
+def report(benchmark, inputs, figures, notes=()):
+    return {
+        "benchmark": benchmark,
+        "input": {name: str(value) for name, value in inputs.items()},
+        "notes": list(notes),
+        "figures": figures,
+    }
+
+
+def suite(root, reports):
+    return {"schema": SCHEMA, "machine": machine(), "build": build(root), "reports": reports}
+
+
+def write(path, suite):
+    path = pathlib.Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(suite, indent=2) + "\n")
+
+
+def robots(count):
+    return f"{count:,} robot{'' if count == 1 else 's'}"
+
+
+def shown(value):
+    """Four digits."""
+    if value == 0:
+        return "0"
+    decimals = 3 - math.floor(math.log10(abs(value)))
+    return f"{value:,.{max(min(decimals, 9), 0)}f}" if abs(value) < 1e4 else f"{value:,.0f}"
+
+
+def describe(suite):
+    machine, build = suite["machine"], suite["build"]
+    parts = [machine["processor"], f"{machine['processors']} processors", f"Linux {machine['kernel']}",
+             f"governor {machine['governor']}", f"turbo {machine['turbo']}"]
+    if machine["virtual_machine"]:
+        parts.append("virtual machine")
+    return f"{', '.join(parts)}; joulebus {build['joulebus']}, {build['rustc']}, {build['profile']}."

@@ -1,0 +1,46 @@
+#!/usr/bin/env bash
+# Measures everything on this machine, in order, and fills the tables of docs/performance.md.
+#
+#   tools/measure.sh            about 15 minutes after the builds; leave the machine alone meanwhile
+#   tools/measure.sh --quick    a minute: whether it runs, not how fast
+#
+# Figures: bench-results/*.json. JOULEBUS_PEERS names a directory with an environment of peers that
+# exists already (default target/peers).
+set -euo pipefail
+cd "$(dirname "$0")/.."
+results=bench-results
+peers=${JOULEBUS_PEERS:-target/peers}
+quick=()
+long=20
+[ "${1:-}" = --quick ] && quick=(--quick) && long=2
+mkdir -p "$results"
+
+step() {
+    printf '\n== %s (after %d s)\n' "$*" "$SECONDS"
+    "$@"
+}
+bench() {
+    local name=$1
+    shift
+    step "$program" bench "$name" --json "$results/$name.json" "${quick[@]}" "$@"
+}
+
+# All that compiles first, so that nothing heats the machine between measurements.
+step cargo build --release --locked -p joulebus
+step cargo build --release --locked -p joulebus-benches --bin joulebus-count
+target=$(cargo metadata --no-deps --format-version 1 | python3 -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])')
+program=$target/release/joulebus
+step python3 tools/peers/network.py --directory "$peers" --install
+step cargo build --release --locked --manifest-path tools/peers/transport/Cargo.toml --target-dir "$peers/target"
+
+bench kernel
+bench tick --seconds "$long"
+bench rollout
+bench latency --seconds "$long"
+step "$peers/target/release/joulebus-transport-peers" --seconds "$long" --json "$results/transport.json"
+step python3 tools/peers/network.py --directory "$peers" --json "$results/peers.json" --picture docs/peers.svg "${quick[@]}"
+if command -v valgrind >/dev/null; then
+    step python3 tools/instructions.py --json "$results/instructions.json"
+fi
+[ ${#quick[@]} -gt 0 ] || step python3 tools/performance_tables.py
+printf '\n== measured after %d s\n' "$SECONDS"

@@ -1,0 +1,600 @@
+#!/usr/bin/env python3
+"""The network beside what a user could pick instead: the same weights, rows, batches and threads.
+
+Installs the peers into a virtual environment of its own (pinned versions), builds the Rust peers,
+checks that all give the same forecasts, then lets them take turns, each in a process of its own on
+the same processor, and writes figures (JSON), a table (Markdown) and a picture (SVG).
+
+    python3 tools/peers/network.py                 # everything; some minutes after the installation
+    python3 tools/peers/network.py --quick         # whether it runs, not how fast
+    python3 tools/peers/network.py --peers joulebus,onnxruntime --batches 1,100
+
+PyTorch: its index of CPU wheels is tried first; where that cannot be reached, the package of PyPI is
+taken, with 2 GB of libraries for GPUs that it needs to start.
+
+What is given to peers is the least work there is: normalisation folded into the first and last
+layer, rows already in the peer's own memory, one call on the whole batch.
+"""
+import argparse
+import json
+import os
+import pathlib
+import struct
+import subprocess
+import sys
+
+HERE = pathlib.Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+sys.path.insert(0, str(HERE.parent))
+import figures  # noqa: E402
+
+BATCHES = [1, 7, 20, 100, 1_000, 10_000, 100_000]
+SHARED_FROM = 10_000
+ROWS = 100_000
+ROUNDS = 3
+NAMES = ["joulebus", "onnxruntime", "openvino", "pytorch", "pytorch-compile", "jax", "numpy",
+         "tract", "candle", "nalgebra"]
+RUST = {"joulebus", "tract", "candle", "nalgebra"}
+THREADED = {"joulebus", "onnxruntime", "openvino", "pytorch", "pytorch-compile"}
+# Largest error against double precision, W: what single precision costs, and what another form of
+# GELU costs. More means that something else is computed.
+ALLOWED_W = {"numpy": 1e-2}
+ALLOWED_SINGLE_W = 2e-5
+
+PACKAGES = ["numpy==2.4.6", "scipy==1.17.1", "safetensors==0.8.0", "matplotlib==3.11.2"]
+PACKAGES_OF = {
+    "onnxruntime": ["onnx==1.23.2", "onnxruntime==1.31.1"],
+    "tract": ["onnx==1.23.2"],
+    "openvino": ["onnx==1.23.2", "openvino==2026.4.1"],
+    "jax": ["jax==0.10.2", "jaxlib==0.10.2"],
+}
+TORCH = "torch==2.15.0"
+TORCH_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
+# What the package of PyPI is linked with, without the compiler for GPUs.
+TORCH_NEEDS = [
+    "filelock", "fsspec", "jinja2", "networkx", "setuptools", "sympy", "typing-extensions",
+    "cuda-toolkit[cublas,cudart,cufft,cufile,cupti,cusparse,nvjitlink,nvrtc,nvtx]==13.2.2",
+    "nvidia-cudnn-cu13==9.26.0.51", "nvidia-cusparselt-cu13==0.8.1", "nvidia-nccl-cu13==2.30.7",
+    "nvidia-nvshmem-cu13==3.7.2",
+]
+
+
+def say(text):
+    print(text, file=sys.stderr, flush=True)
+
+
+# The first half runs in any Python: it installs, and starts this file again in the environment.
+
+def in_environment(directory, wanted):
+    """The environment's Python, with everything that the wanted peers need."""
+    environment = directory / "venv"
+    python = environment / "bin" / "python"
+    if not python.exists():
+        say(f"making {environment}")
+        subprocess.run([sys.executable, "-m", "venv", environment], check=True)
+    needed = set(PACKAGES).union(*(PACKAGES_OF.get(peer, []) for peer in wanted))
+    if {"pytorch", "pytorch-compile"} & set(wanted):
+        needed.add(TORCH)
+    there = subprocess.run([python, "-m", "pip", "freeze"], capture_output=True, text=True).stdout
+    there = {line.split("+")[0].lower() for line in there.splitlines()}
+    missing = sorted(package for package in needed if package.lower() not in there)
+    install = [python, "-m", "pip", "install", "--quiet", "--no-cache-dir"]
+    for package in missing:
+        say(f"installing {package}")
+        if not (install_torch(install) if package == TORCH else run(*install, package)):
+            say(f"{package} cannot be installed: its peers are left out")
+    return python
+
+
+def run(*command):
+    return subprocess.run(command).returncode == 0
+
+
+def install_torch(install):
+    """From the index of CPU wheels, or else from PyPI with the libraries that it needs to start."""
+    there = subprocess.run([*install, "--retries", "0", "--timeout", "20", TORCH, "--index-url", TORCH_CPU_INDEX],
+                           stderr=subprocess.DEVNULL)
+    return there.returncode == 0 or (run(*install, *TORCH_NEEDS) and run(*install, "--no-deps", TORCH))
+
+
+def build_rust(directory):
+    say("building the Rust peers")
+    target = directory / "target"
+    command = ["cargo", "build", "--release", "--locked", "--target-dir", target]
+    subprocess.run(command, cwd=HERE / "network", check=True)
+    return target / "release" / "joulebus-network-peers"
+
+
+# Peers in Python: each is started as `network.py --as PEER …` and speaks the words of the Rust one.
+
+def layers_of(model):
+    """Folded weights, outputs by inputs, and biases, in double precision, then as float32."""
+    import numpy
+    from safetensors import safe_open
+
+    with safe_open(model, framework="numpy") as file:
+        told = file.metadata()
+        column = lambda key: numpy.array([float(word) for word in told[key].split(",")])
+        layers = [
+            [file.get_tensor(f"layers.{place}.{part}").astype(numpy.float64) for part in ("weight", "bias")]
+            for place in range(4)
+        ]
+    if told["activation"] != "gelu_erf" or told["feature_set"] != "full":
+        sys.exit(f"{model}: a network of all features with GELU by the error function is needed")
+    mean, std = column("feature_mean"), column("feature_std")
+    inverse = numpy.divide(1.0, std, out=numpy.zeros_like(std), where=std > 0)
+    weights, bias = layers[0]
+    layers[0] = [weights * inverse, bias - (weights * inverse) @ mean]
+    weights, bias = layers[3]
+    scale_w, mean_w = float(told["power_std_w"]), float(told["power_mean_w"])
+    layers[3] = [weights * scale_w, bias * scale_w + mean_w]
+    return [[part.astype(numpy.float32) for part in layer] for layer in layers]
+
+
+def rows_of(model, seed, count):
+    """Rows spread evenly over the range of training."""
+    import numpy
+    from safetensors import safe_open
+
+    with safe_open(model, framework="numpy") as file:
+        told = file.metadata()
+    column = lambda key: numpy.array([float(word) for word in told[key].split(",")])
+    low, high = column("feature_min"), column("feature_max")
+    random = numpy.random.default_rng(seed)
+    return (low + random.random((count, low.size)) * (high - low)).astype(numpy.float32)
+
+
+def truth(model, rows):
+    """Forecasts in double precision, from the weights as the file has them, nothing folded."""
+    import numpy
+    from safetensors import safe_open
+    from scipy.special import erf
+
+    with safe_open(model, framework="numpy") as file:
+        told = file.metadata()
+        column = lambda key: numpy.array([float(word) for word in told[key].split(",")], numpy.float32)
+        mean, std = column("feature_mean").astype(float), column("feature_std").astype(float)
+        values = numpy.where(std > 0, (rows - mean) / numpy.where(std > 0, std, 1.0), 0.0)
+        for place in range(4):
+            weights = file.get_tensor(f"layers.{place}.weight").astype(float)
+            values = values @ weights.T + file.get_tensor(f"layers.{place}.bias").astype(float)
+            if place < 3:
+                values = 0.5 * values * (1.0 + erf(values / numpy.sqrt(2.0)))
+    return values[:, 0] * float(told["power_std_w"]) + float(told["power_mean_w"])
+
+
+def write_onnx(path, layers, fused):
+    """The network as ONNX; `fused` uses the operator Gelu (opset 20), else its parts."""
+    import numpy
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    nodes, constants, value = [], [], "rows"
+    constant = lambda name, data: constants.append(numpy_helper.from_array(data, name))
+    for name, number in (("half", 0.5), ("one", 1.0), ("root", 2.0 ** -0.5)):
+        if not fused:
+            constant(name, numpy.array(number, numpy.float32))
+    for place, (weights, bias) in enumerate(layers):
+        constant(f"w{place}", weights)
+        constant(f"b{place}", bias)
+        sums = f"sums{place}" if place < 3 else "forecasts"
+        nodes.append(helper.make_node("Gemm", [value, f"w{place}", f"b{place}"], [sums], transB=1))
+        value = f"values{place}"
+        if place == 3:
+            break
+        if fused:
+            nodes.append(helper.make_node("Gelu", [sums], [value], approximate="none"))
+            continue
+        for operator, inputs, output in (
+            ("Mul", [sums, "root"], f"scaled{place}"), ("Erf", [f"scaled{place}"], f"erf{place}"),
+            ("Add", [f"erf{place}", "one"], f"phi{place}"), ("Mul", [sums, f"phi{place}"], f"twice{place}"),
+            ("Mul", [f"twice{place}", "half"], value),
+        ):
+            nodes.append(helper.make_node(operator, inputs, [output]))
+    shape = lambda name, width: helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", width])
+    graph = helper.make_graph(nodes, "network", [shape("rows", 11)], [shape("forecasts", 1)], constants)
+    opset = helper.make_opsetid("", 20 if fused else 17)
+    model = helper.make_model(graph, opset_imports=[opset], ir_version=9)
+    onnx.checker.check_model(model)
+    onnx.save(model, path)
+
+
+def onnxruntime_peer(arguments):
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = arguments.threads
+    options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(arguments.onnx, options, providers=["CPUExecutionProvider"])
+
+    def prepare(rows):
+        binding = session.io_binding()
+        output = onnxruntime.OrtValue.ortvalue_from_shape_and_type([len(rows), 1], rows.dtype)
+        binding.bind_ortvalue_input("rows", onnxruntime.OrtValue.ortvalue_from_numpy(rows))
+        binding.bind_ortvalue_output("forecasts", output)
+        return lambda: session.run_with_iobinding(binding), lambda: output.numpy()
+
+    return prepare
+
+
+def openvino_peer(arguments):
+    import openvino
+
+    core = openvino.Core()
+    told = {"INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": str(arguments.threads),
+            "PERFORMANCE_HINT": "LATENCY", "NUM_STREAMS": "1"}
+
+    def prepare(rows):
+        model = core.read_model(arguments.onnx)
+        model.reshape([len(rows), 11])
+        request = core.compile_model(model, "CPU", told).create_infer_request()
+        request.set_input_tensor(openvino.Tensor(rows, shared_memory=True))
+        return request.infer, lambda: request.get_output_tensor().data
+
+    return prepare
+
+
+def torch_peer(arguments, compiled):
+    import torch
+
+    torch.set_num_threads(arguments.threads)
+    torch.set_grad_enabled(False)
+    layers = [[torch.from_numpy(part) for part in layer] for layer in layers_of(arguments.model)]
+
+    def network(values):
+        for place, (weights, bias) in enumerate(layers):
+            values = torch.nn.functional.linear(values, weights, bias)
+            if place < 3:
+                values = torch.nn.functional.gelu(values)
+        return values
+
+    def prepare(rows):
+        run = torch.compile(network, dynamic=False) if compiled else network
+        rows = torch.from_numpy(rows)
+
+        def call():
+            with torch.inference_mode():
+                return run(rows)
+
+        return call, lambda: call().numpy()
+
+    return prepare
+
+
+def jax_peer(arguments):
+    os.environ["JAX_PLATFORMS"] = "cpu"
+    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    import jax
+
+    layers = [[jax.numpy.asarray(part) for part in layer] for layer in layers_of(arguments.model)]
+
+    @jax.jit
+    def network(values):
+        for place, (weights, bias) in enumerate(layers):
+            values = values @ weights.T + bias
+            if place < 3:
+                values = jax.nn.gelu(values, approximate=False)
+        return values
+
+    def prepare(rows):
+        rows = jax.device_put(rows)
+        return lambda: network(rows).block_until_ready(), lambda: network(rows)
+
+    return prepare
+
+
+def numpy_peer(arguments):
+    """NumPy has no error function: GELU in its form with tanh, each step into memory that is there."""
+    import numpy
+
+    layers = layers_of(arguments.model)
+    slope = numpy.float32((2.0 / numpy.pi) ** 0.5)
+
+    def prepare(rows):
+        sums = [numpy.empty((len(rows), bias.size), numpy.float32) for _, bias in layers]
+        work = [numpy.empty_like(values) for values in sums]
+
+        def call():
+            values = rows
+            for place, ((weights, bias), out, scratch) in enumerate(zip(layers, sums, work)):
+                numpy.matmul(values, weights.T, out=out)
+                out += bias
+                if place < 3:
+                    numpy.multiply(out, out, out=scratch)
+                    scratch *= numpy.float32(0.044715)
+                    scratch += numpy.float32(1.0)
+                    scratch *= out
+                    scratch *= slope
+                    numpy.tanh(scratch, out=scratch)
+                    scratch += numpy.float32(1.0)
+                    out *= scratch
+                    out *= numpy.float32(0.5)
+                values = out
+
+        return call, lambda: sums[3]
+
+    return prepare
+
+
+PREPARE = {
+    "onnxruntime": onnxruntime_peer,
+    "openvino": openvino_peer,
+    "pytorch": lambda arguments: torch_peer(arguments, False),
+    "pytorch-compile": lambda arguments: torch_peer(arguments, True),
+    "jax": jax_peer,
+    "numpy": numpy_peer,
+}
+
+
+def be_peer(arguments):
+    import time
+
+    import numpy
+
+    os.sched_setaffinity(0, processors(arguments.threads))
+    rows = numpy.fromfile(arguments.rows, numpy.float32).reshape(-1, 11)
+    prepare = PREPARE[arguments.be](arguments)
+    print("ready", flush=True)
+    for line in sys.stdin:
+        match line.split():
+            case ["check", path]:
+                call, result = prepare(rows)
+                call()
+                numpy.asarray(result(), numpy.float32).reshape(-1).tofile(path)
+                print("done", flush=True)
+            case ["time", batch, seconds]:
+                call, _ = prepare(numpy.ascontiguousarray(rows[: int(batch)]))
+                print(json.dumps(timed(call, float(seconds), time.perf_counter_ns)), flush=True)
+
+
+def timed(call, seconds, clock):
+    """ns of each repetition divided by its calls: as many calls as make it 100 µs long."""
+    call()
+    calls = 1
+    while True:
+        start = clock()
+        for _ in range(calls):
+            call()
+        if clock() - start >= 100_000:
+            break
+        calls *= 2
+    times, begin = [], clock()
+    while len(times) < 3 or clock() - begin < seconds * 1e9:
+        start = clock()
+        for _ in range(calls):
+            call()
+        times.append((clock() - start) / calls)
+    return times
+
+
+# The driver, in the environment.
+
+def processors(count):
+    return set(sorted(os.sched_getaffinity(0))[:count])
+
+
+class Runner:
+    """A peer's process."""
+
+    def __init__(self, peer, threads, arguments, place, rust):
+        self.peer, self.threads = peer, threads
+        onnx = place / ("plain.onnx" if peer == "tract" else "fused.onnx")
+        told = ["--model", arguments.model, "--onnx", onnx, "--rows", place / "rows.f32", "--threads", threads]
+        if peer in RUST:
+            command = [rust, peer, *told]
+        else:
+            command = [sys.executable, pathlib.Path(__file__).resolve(), "--as", peer, *told]
+        count = str(threads)
+        environment = os.environ | {"OMP_NUM_THREADS": count, "OPENBLAS_NUM_THREADS": count, "MKL_NUM_THREADS": count}
+        log = (place / f"{peer}-{threads}.log").open("w")
+        self.log = pathlib.Path(log.name)
+        pin = lambda: os.sched_setaffinity(0, processors(threads))
+        self.process = subprocess.Popen(
+            [str(word) for word in command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
+            text=True, env=environment, preexec_fn=pin)
+
+    def answer(self):
+        line = self.process.stdout.readline()
+        if not line:
+            last = self.log.read_text().strip().splitlines()[-1:] or ["no message"]
+            raise RuntimeError(f"{self.peer}: {last[0]} (whole: {self.log})")
+        return line.strip()
+
+    def ask(self, words):
+        self.process.stdin.write(words + "\n")
+        self.process.stdin.flush()
+        return self.answer()
+
+    def end(self):
+        self.process.stdin.close()
+        try:
+            self.process.wait(20)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+
+
+def start_all(wanted, threads, arguments, place, rust):
+    """Peers that start and give the right forecasts, with their largest error, W."""
+    import numpy
+
+    rows = numpy.fromfile(place / "rows.f32", numpy.float32).reshape(-1, 11)
+    right_w = truth(arguments.model, rows)
+    good = []
+    for peer in wanted:
+        say(f"checking {peer}, {threads} thread{'' if threads == 1 else 's'}")
+        runner = Runner(peer, threads, arguments, place, rust)
+        try:
+            ready = runner.answer()
+            if ready != "ready":
+                raise RuntimeError(f"{peer}: said {ready!r} instead of ready")
+            path = place / f"{peer}.out"
+            runner.ask(f"check {path}")
+            error_w = float(numpy.abs(numpy.fromfile(path, numpy.float32) - right_w).max())
+            if not error_w <= ALLOWED_W.get(peer, ALLOWED_SINGLE_W):
+                raise RuntimeError(f"{peer}: wrong by {error_w:.2e} W: it computes something else")
+            good.append((runner, error_w))
+        except (RuntimeError, ValueError, BrokenPipeError) as error:
+            say(f"left out: {error}")
+            runner.end()
+            if peer == "joulebus":
+                sys.exit("without joulebus there is nothing to compare")
+    return good
+
+
+def measure(runners, batches, seconds, rounds):
+    """ns per robot of each peer and batch, in turns."""
+    times = {}
+    for batch in batches:
+        for _ in range(rounds):
+            for runner, _ in list(runners):
+                try:
+                    answer = json.loads(runner.ask(f"time {batch} {seconds}"))
+                except (RuntimeError, BrokenPipeError, json.JSONDecodeError) as error:
+                    say(f"left out from here on: {error}")
+                    runners[:] = [pair for pair in runners if pair[0] is not runner]
+                    continue
+                name = (runner.peer, runner.threads, batch)
+                times.setdefault(name, []).extend(ns / batch for ns in answer)
+        say(f"{figures.robots(batch)}: " + ", ".join(
+            f"{runner.peer} {sorted(times[name])[len(times[name]) // 2]:.0f}"
+            for runner, _ in runners if (name := (runner.peer, runner.threads, batch)) in times))
+    return times
+
+
+def versions(wanted):
+    from importlib import metadata
+
+    lock = (HERE / "network" / "Cargo.lock").read_text()
+    found = {}
+    for peer in wanted:
+        if peer in RUST:
+            crate = {"joulebus": "joulebus-predictor", "tract": "tract-onnx", "candle": "candle-core"}.get(peer, peer)
+            after = lock.split(f'name = "{crate}"\nversion = "', 1)
+            found[peer] = after[1].split('"', 1)[0] if len(after) == 2 else "?"
+        else:
+            found[peer] = metadata.version({"pytorch-compile": "torch", "pytorch": "torch"}.get(peer, peer))
+    return found
+
+
+def to_suite(times, errors, inputs):
+    made = []
+    for (peer, threads, batch), values in times.items():
+        name = f"{peer}_ns_per_robot" if threads == 1 else f"{peer}_{threads}_threads_ns_per_robot"
+        made.append(figures.figure(name, figures.robots(batch), "ns", values))
+    for (peer, threads, batch), values in times.items():
+        mine = times.get(("joulebus", threads, batch))
+        if peer == "joulebus" or not mine:
+            continue
+        middle = lambda all: sorted(all)[len(all) // 2]
+        name = f"{peer}_over_joulebus" if threads == 1 else f"{peer}_{threads}_threads_over_joulebus"
+        ratio = middle(values) / middle(mine)
+        made.append(figures.figure(name, figures.robots(batch), "1", [ratio], "more"))
+    for peer, error_w in errors.items():
+        made.append(figures.figure(f"{peer}_largest_error_w", figures.robots(ROWS), "W", [error_w]))
+    made.sort(key=lambda made: made["name"])
+    notes = [
+        "Peers get the least work: normalisation folded, rows in their own memory, one call a batch, "
+        "IO binding (ONNX Runtime), static shapes (OpenVINO, PyTorch compile, JAX, tract).",
+        "OpenVINO is told to compute in f32: by itself it takes bf16 here, with an error of 3e-2.",
+        "NumPy has no error function: GELU in its tanh form, another model by 1e-3 W.",
+    ]
+    return figures.suite(ROOT, [figures.report("peers", inputs, made, notes)])
+
+
+def picture(path, times):
+    import matplotlib
+
+    matplotlib.use("svg")
+    from matplotlib import pyplot
+
+    matplotlib.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "joulebus", "font.size": 10})
+    drawing, axes = pyplot.subplots(figsize=(8, 5))
+    middle = lambda all: sorted(all)[len(all) // 2]
+    for peer in NAMES:
+        points = [(batch, middle(all)) for (name, threads, batch), all in times.items() if (name, threads) == (peer, 1)]
+        if points:
+            wide = peer == "joulebus"
+            axes.plot(*zip(*points), marker="o", label=peer, linewidth=3 if wide else 1.2,
+                      color="black" if wide else None, markersize=5 if wide else 3)
+    axes.set(xscale="log", yscale="log", xlabel="robots in a batch", ylabel="ns a robot, one thread")
+    axes.grid(True, which="major", alpha=0.3)
+    axes.legend(ncols=2, frameon=False)
+    drawing.savefig(path, bbox_inches="tight", metadata={"Date": None})
+
+
+def drive(arguments):
+    place = arguments.directory
+    wanted = arguments.peers
+    rust = build_rust(place)
+    rows = rows_of(arguments.model, arguments.seed, ROWS)
+    rows.tofile(place / "rows.f32")
+    if {"onnxruntime", "openvino", "tract"} & set(wanted):
+        for name, fused in (("fused.onnx", True), ("plain.onnx", False)):
+            write_onnx(place / name, layers_of(arguments.model), fused)
+    seconds, rounds = (0.02, 1) if arguments.quick else (arguments.seconds, ROUNDS)
+    times, errors = {}, {}
+    for threads in (1, 2):
+        peers = [peer for peer in wanted if threads == 1 or peer in THREADED]
+        batches = [batch for batch in arguments.batches if threads == 1 or batch >= SHARED_FROM]
+        if not batches or len(processors(threads)) < threads:
+            continue
+        runners = start_all(peers, threads, arguments, place, rust)
+        errors |= {runner.peer: error_w for runner, error_w in runners}
+        times |= measure(runners, batches, seconds, rounds)
+        for runner, _ in runners:
+            runner.end()
+    inputs = {"model": arguments.model.name, "seed": arguments.seed, "seconds": seconds, "rounds": rounds}
+    inputs |= {peer: version for peer, version in versions(errors).items()}
+    suite = to_suite(times, errors, inputs)
+    figures.write(arguments.json, suite)
+    picture(arguments.picture, times)
+    import performance_tables
+
+    print(performance_tables.peers(suite))
+    say(f"written: {arguments.json}, {arguments.picture}")
+
+
+def parse():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0], epilog="Everything after the first run is in the --directory.")
+    split = lambda text: text.split(",")
+    parser.add_argument("--peers", type=split, default=NAMES, metavar="NAME,…", help=", ".join(NAMES))
+    parser.add_argument("--batches", type=lambda text: [int(word) for word in split(text)], default=BATCHES, metavar="N,…")
+    parser.add_argument("--seconds", type=float, default=0.5, help="for each peer and batch, in each of the rounds")
+    parser.add_argument("--install", action="store_true", help="only install and build")
+    parser.add_argument("--quick", action="store_true", help="whether it runs, not how fast")
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--model", type=pathlib.Path, default=ROOT / "configs/models/gternal-sim.safetensors")
+    parser.add_argument("--directory", type=pathlib.Path, default=ROOT / "target/peers", help="of the environment and what is built")
+    parser.add_argument("--json", type=pathlib.Path, default=ROOT / "bench-results/peers.json")
+    parser.add_argument("--picture", type=pathlib.Path, default=ROOT / "bench-results/peers.svg")
+    parser.add_argument("--as", dest="be", help=argparse.SUPPRESS)
+    parser.add_argument("--onnx", help=argparse.SUPPRESS)
+    parser.add_argument("--rows", help=argparse.SUPPRESS)
+    parser.add_argument("--threads", type=int, default=1, help=argparse.SUPPRESS)
+    parser.add_argument("--inside", action="store_true", help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+def main():
+    arguments = parse()
+    if arguments.be:
+        return be_peer(arguments)
+    unknown = set(arguments.peers) - set(NAMES)
+    if unknown:
+        sys.exit(f"no such peer: {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}")
+    if "joulebus" not in arguments.peers:
+        arguments.peers.insert(0, "joulebus")
+    arguments.directory = arguments.directory.resolve()
+    arguments.directory.mkdir(parents=True, exist_ok=True)
+    arguments.json.parent.mkdir(parents=True, exist_ok=True)
+    if arguments.inside:
+        return drive(arguments)
+    python = in_environment(arguments.directory, arguments.peers)
+    if arguments.install:
+        build_rust(arguments.directory)
+        return None
+    sys.exit(subprocess.run([python, __file__, "--inside", *sys.argv[1:]]).returncode)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+//! joulebus.
+
+use std::hint::black_box;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+
+use joulebus_predictor::{Features, Network};
+
+use crate::{Call, Forecaster, input};
+
+pub(crate) struct Ours {
+    network: Network,
+    threads: usize,
+}
+
+impl Ours {
+    pub(crate) fn load(model: &Path, threads: usize) -> anyhow::Result<Self> {
+        let network = input::network(model)?;
+        Ok(Self { network, threads })
+    }
+}
+
+impl Forecaster for Ours {
+    fn forecast(&mut self, rows: &[Features]) -> anyhow::Result<Vec<f32>> {
+        let mut forecasts_w = vec![0.0; rows.len()];
+        self.network.predict(rows, &mut forecasts_w);
+        Ok(forecasts_w)
+    }
+
+    fn call(&mut self, rows: &[Features]) -> anyhow::Result<Call> {
+        let mut parts = rows.chunks(rows.len().div_ceil(self.threads));
+        let mut own = Part::new(&self.network, parts.next().unwrap_or_default());
+        let crew: Vec<Hand> = parts.map(|rows| Hand::hire(Part::new(&self.network, rows))).collect();
+        Ok(Box::new(move || {
+            crew.iter().for_each(Hand::begin);
+            own.call();
+            crew.iter().for_each(Hand::end);
+        }))
+    }
+}
+
+struct Part {
+    network: Network,
+    rows: Vec<Features>,
+    forecasts_w: Vec<f32>,
+}
+
+impl Part {
+    fn new(network: &Network, rows: &[Features]) -> Self {
+        Self {
+            network: network.clone(),
+            forecasts_w: vec![0.0; rows.len()],
+            rows: rows.to_vec(),
+        }
+    }
+
+    fn call(&mut self) {
+        self.network.predict(black_box(&self.rows), black_box(&mut self.forecasts_w));
+    }
+}
+
+/// A thread that waits for its next turn without sleeping, and ends with its owner.
+struct Hand {
+    asked: Arc<AtomicUsize>,
+    done: Arc<AtomicUsize>,
+}
+
+impl Hand {
+    fn hire(mut part: Part) -> Self {
+        let (asked, done) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+        let hand = Self {
+            asked: Arc::clone(&asked),
+            done: Arc::clone(&done),
+        };
+        thread::spawn(move || {
+            for turn in 1.. {
+                while asked.load(Ordering::Acquire) < turn {
+                    std::hint::spin_loop();
+                }
+                if asked.load(Ordering::Acquire) == usize::MAX {
+                    return;
+                }
+                part.call();
+                done.store(turn, Ordering::Release);
+            }
+        });
+        hand
+    }
+
+    fn begin(&self) {
+        self.asked.fetch_add(1, Ordering::AcqRel);
+    }
+
+    fn end(&self) {
+        let asked = self.asked.load(Ordering::Acquire);
+        while self.done.load(Ordering::Acquire) < asked {
+            std::hint::spin_loop();
+        }
+    }
+}
+
+impl Drop for Hand {
+    fn drop(&mut self) {
+        self.asked.store(usize::MAX, Ordering::Release);
+    }
+}
