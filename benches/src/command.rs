@@ -11,7 +11,7 @@ use clap::{Parser, ValueEnum};
 use serde::Serialize;
 
 use crate::latency::{self, Launcher, Role};
-use crate::{Comparison, Options, Report, Suite, kernel, rollout};
+use crate::{Comparison, Options, Report, Suite, kernel, rollout, tick};
 
 /// Exit code of figures that are worse than allowed.
 const WORSE: u8 = 3;
@@ -21,6 +21,8 @@ const WORSE: u8 = 3;
 pub enum Benchmark {
     /// The network alone: ns a robot by batch, share of the processor's peak
     Kernel,
+    /// The tick without shared memory: ns a robot, its stages, paced on one thread and several
+    Tick,
     /// Many candidate command sequences, many steps ahead, in one call
     Rollout,
     /// From sample due to forecast readable, between real processes
@@ -97,6 +99,7 @@ fn measure(
 ) -> anyhow::Result<Vec<Report>> {
     let of = |benchmark| match benchmark {
         Benchmark::Kernel => kernel::measure(options),
+        Benchmark::Tick => tick::measure(options),
         Benchmark::Rollout => rollout::measure(options),
         Benchmark::Latency | Benchmark::All => {
             let report = latency::run(&latency::Options {
@@ -110,10 +113,15 @@ fn measure(
         }
     };
     match benchmark {
-        Benchmark::All => [Benchmark::Kernel, Benchmark::Rollout, Benchmark::Latency]
-            .into_iter()
-            .map(of)
-            .collect(),
+        Benchmark::All => [
+            Benchmark::Kernel,
+            Benchmark::Tick,
+            Benchmark::Rollout,
+            Benchmark::Latency,
+        ]
+        .into_iter()
+        .map(of)
+        .collect(),
         one => Ok(vec![of(one)?]),
     }
 }

@@ -8,13 +8,19 @@ use anyhow::Context as _;
 use clap::ValueEnum;
 use joulebus_predictor::Network;
 
-use crate::{input, kernel, rollout};
+use crate::{input, kernel, rollout, tick};
 
 /// What is counted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Counted {
     /// One call of the kernel.
     Kernel,
+    /// Samples of one tick taken.
+    Take,
+    /// One tick's forecasts.
+    Forecast,
+    /// One tick's accounts, diagnostics and budgets.
+    Account,
     /// One call with candidates of 50 steps of one robot.
     Rollout,
 }
@@ -56,6 +62,9 @@ impl Count {
         let size = self.size as usize;
         let forecasts = match self.what {
             Counted::Kernel => of_kernel(&network, size),
+            Counted::Take => tick::count(&network, size, tick::Part::Take)?,
+            Counted::Forecast => tick::count(&network, size, tick::Part::Forecast)?,
+            Counted::Account => tick::count(&network, size, tick::Part::Account)?,
             Counted::Rollout => rollout::count(&network, size),
         };
         Ok((kernel::name(kernel), forecasts))

@@ -21,7 +21,10 @@ mod report;
 mod rollout;
 mod rounds;
 mod threads;
+mod tick;
 pub mod wait;
+
+mod world;
 
 use hdrhistogram::Histogram;
 pub use joulebus_predictor_worker::Spread;

@@ -19,7 +19,7 @@ const PARTS: usize = 8;
 
 /// The threads, and what each needs.
 #[derive(Debug)]
-pub(crate) struct Crew {
+pub struct Crew {
     seats: Vec<Mutex<Seat>>,
     /// Robots from which on a tick is shared.
     from: usize,
@@ -61,7 +61,7 @@ impl Crew {
     ///
     /// # Errors
     /// A thread could not be started.
-    pub(crate) fn assemble(
+    pub fn assemble(
         threads: usize,
         from: usize,
         scheduling: &Scheduling,
@@ -87,7 +87,7 @@ impl Crew {
     }
 
     /// Ticks all robots, on all threads if there are enough robots.
-    pub(crate) fn run(&self, share: Share<'_>, outputs: Outputs<'_>) {
+    pub fn run(&self, share: Share<'_>, outputs: Outputs<'_>) {
         let robots = share.len();
         if self.shares(robots) {
             let part = robots.div_ceil(PARTS * self.seats.len()).max(LEAST);
@@ -110,6 +110,12 @@ impl Crew {
         budgets: &mut [Budget],
     ) {
         self.on_seat(|batch, on| share.account(batch, diagnostics, budgets, on));
+    }
+
+    /// Time spent so far in each stage of [`Stage::ALL`], over all threads, ns.
+    #[must_use]
+    pub fn spent_ns(&self) -> [u64; Stage::ALL.len()] {
+        self.spent().0
     }
 
     /// Time spent so far.

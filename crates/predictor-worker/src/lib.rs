@@ -21,6 +21,7 @@ mod worker;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use clerk::ClerkError;
+pub use crew::Crew;
 pub use models::{ModelsError, load_models};
 pub use report::{Parts, Report, Spread};
 pub use worker::{OpenError, RunError, Worker};

@@ -55,7 +55,7 @@ fn a_quick_measurement_gives_finite_figures_with_machine_and_build() {
 
 #[test]
 fn the_tick_and_rollouts_are_measured_too() {
-    for (benchmark, name) in [("rollout", "ns_per_step")] {
+    for (benchmark, name) in [("tick", "tick_over_kernel"), ("rollout", "ns_per_step")] {
         let measured = output([
             "bench",
             benchmark,

@@ -1,0 +1,250 @@
+//! A fleet, what it is sent, and where it writes.
+
+use std::fs;
+use std::hint::black_box;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use joulebus_bus::{Scheduling, clock};
+use joulebus_config::{Config, Demo};
+use joulebus_fleet::{Batch, Fleet, Outputs, Settings};
+use joulebus_predictor::{Features, Model, Network};
+use joulebus_predictor_worker::Crew;
+use joulebus_publisher::Pace;
+use joulebus_wire::{Budget, Diagnostic, Forecast};
+
+use crate::world::World;
+use crate::{input, threads};
+
+/// Parts of a tick that forecasts first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Part {
+    /// Samples are taken.
+    Take,
+    /// Forecasts are made and written.
+    Forecast,
+    /// Accounts are made, diagnostics and budgets written.
+    Account,
+}
+
+/// ns that the parts of one round took.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Round {
+    /// The network alone on as many rows.
+    pub(crate) kernel: f64,
+    /// Samples taken for the tick in one go.
+    pub(crate) take: f64,
+    /// The rest of the tick in one go.
+    pub(crate) run: f64,
+    /// Its stages, over all threads: features, network, bookkeeping, writing.
+    pub(crate) stages: [f64; 4],
+    /// Samples taken for the tick in two.
+    pub(crate) take_in_two: f64,
+    /// Its first part.
+    pub(crate) forecast: f64,
+    /// Its second part.
+    pub(crate) account: f64,
+}
+
+impl Round {
+    /// The tick in one go, samples taken included, ns.
+    pub(crate) fn tick(&self) -> f64 {
+        self.take + self.run
+    }
+}
+
+/// What a paced run came to.
+pub(super) struct Paced {
+    pub(super) tick_us: Vec<f64>,
+    pub(super) due_to_done_us: Vec<f64>,
+    pub(super) missed: u64,
+}
+
+pub(super) struct Bench {
+    network: Network,
+    rows: Vec<Features>,
+    forecasts_w: Vec<f32>,
+    world: World,
+    fleet: Fleet,
+    crew: Crew,
+    batch: Batch,
+    forecasts: Vec<Forecast>,
+    diagnostics: Vec<Diagnostic>,
+    budgets: Vec<Budget>,
+    before_bytes: Option<f64>,
+}
+
+impl Bench {
+    /// A fleet of so many robots, ticked by a crew of `threads` that share every tick.
+    pub(super) fn new(
+        network: &Network,
+        robots: usize,
+        threads: usize,
+        seed: u64,
+    ) -> anyhow::Result<Self> {
+        let settings = settings(robots)?;
+        let period_ns = settings.platforms[0].period_ns;
+        let rows = input::rows(network, seed, robots);
+        let world = World::new(robots, period_ns);
+        let forecasts = vec![Forecast::default(); robots];
+        let diagnostics = vec![Diagnostic::default(); robots];
+        let budgets = vec![Budget::default(); robots];
+        let forecasts_w = vec![0.0; robots];
+        let before_bytes = anonymous_bytes();
+        Ok(Self {
+            network: network.clone(),
+            rows,
+            forecasts_w,
+            world,
+            fleet: Fleet::new(settings, vec![Model::Network(network.clone())])?,
+            crew: crew(threads)?,
+            batch: Batch::default(),
+            forecasts,
+            diagnostics,
+            budgets,
+            before_bytes,
+        })
+    }
+
+    pub(super) fn robots(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Memory that the fleet took, its inputs and outputs left out.
+    pub(super) fn own_bytes(&self) -> Option<f64> {
+        Some(anonymous_bytes()? - self.before_bytes?)
+    }
+
+    /// Kernel and both ways to tick, one after the other.
+    pub(super) fn round(&mut self) -> Round {
+        let kernel = self.kernel();
+        let before = self.crew.spent_ns();
+        let (take, run) = self.tick_in_one();
+        let after = self.crew.spent_ns();
+        let mut round = Round {
+            kernel,
+            take,
+            run,
+            stages: std::array::from_fn(|stage| (after[stage] - before[stage]) as f64),
+            ..Round::default()
+        };
+        self.tick_in_two(&mut |part, work| {
+            let start = Instant::now();
+            work();
+            let ns = start.elapsed().as_nanos() as f64;
+            match part {
+                Part::Take => round.take_in_two = ns,
+                Part::Forecast => round.forecast = ns,
+                Part::Account => round.account = ns,
+            }
+        });
+        round
+    }
+
+    /// ns of the network alone, on as many rows as there are robots.
+    fn kernel(&mut self) -> f64 {
+        let start = Instant::now();
+        self.network
+            .predict(black_box(&self.rows), black_box(&mut self.forecasts_w));
+        start.elapsed().as_nanos() as f64
+    }
+
+    /// ns for taking the samples, and for the rest.
+    pub(super) fn tick_in_one(&mut self) -> (f64, f64) {
+        let now_ns = self.world.now_ns();
+        let start = Instant::now();
+        let (header, samples) = self.world.frame();
+        self.fleet
+            .take(black_box(header), black_box(samples), now_ns);
+        let taken = Instant::now();
+        self.fleet.begin(now_ns, false);
+        let outputs = Outputs {
+            forecasts: &mut self.forecasts,
+            diagnostics: &mut self.diagnostics,
+            budgets: &mut self.budgets,
+        };
+        self.crew.run(self.fleet.share(), outputs);
+        let done = Instant::now();
+        black_box((&self.forecasts, &self.diagnostics, &self.budgets));
+        self.world.advance();
+        let ns = |from, to: Instant| to.duration_since(from).as_nanos() as f64;
+        (ns(start, taken), ns(taken, done))
+    }
+
+    /// On the calling thread, forecasts first; `around` is given each part's work and has to do it
+    /// once. Reads no clock itself: under valgrind the one that the crew reads ends the program.
+    pub(super) fn tick_in_two(&mut self, around: &mut dyn FnMut(Part, &mut dyn FnMut())) {
+        let now_ns = self.world.now_ns();
+        let Self { fleet, batch, .. } = self;
+        let (header, samples) = self.world.frame();
+        around(Part::Take, &mut || {
+            fleet.take(black_box(header), black_box(samples), now_ns);
+        });
+        around(Part::Forecast, &mut || {
+            fleet.begin(now_ns, false);
+            let mut share = fleet.share();
+            share.forecast(batch, &mut self.forecasts, &mut |_| {});
+        });
+        around(Part::Account, &mut || {
+            let (diagnostics, budgets) = (&mut self.diagnostics, &mut self.budgets);
+            fleet
+                .share()
+                .account(batch, diagnostics, budgets, &mut |_| {});
+        });
+        black_box((&self.forecasts, &self.diagnostics, &self.budgets));
+        self.world.advance();
+    }
+
+    /// Ticks on a grid, after a sleep each.
+    pub(super) fn paced(&mut self, rate_hz: u64, seconds: u64) -> Paced {
+        let mut pace = Pace::every(Duration::from_nanos(1_000_000_000 / rate_hz));
+        let mut paced = Paced {
+            tick_us: Vec::new(),
+            due_to_done_us: Vec::new(),
+            missed: 0,
+        };
+        for _ in 0..seconds * rate_hz {
+            let slot = pace.wait();
+            let late_ns = clock::monotonic_ns().saturating_sub(slot.intended_ns);
+            let (take_ns, run_ns) = self.tick_in_one();
+            let tick_us = (take_ns + run_ns) * 1e-3;
+            paced.tick_us.push(tick_us);
+            paced.due_to_done_us.push(late_ns as f64 * 1e-3 + tick_us);
+        }
+        paced.missed = pace.grid().skipped();
+        paced
+    }
+}
+
+/// Threads that share every tick, each on a processor of its own if they are several.
+fn crew(threads: usize) -> anyhow::Result<Crew> {
+    let mut scheduling = Scheduling::default();
+    if threads > 1 {
+        scheduling.cpus = threads::processors();
+        scheduling.cpus.first().copied().map(threads::pin);
+    }
+    Ok(Crew::assemble(threads, 1, &scheduling)?)
+}
+
+/// Those of the demo: GTernal robots with a battery.
+fn settings(robots: usize) -> anyhow::Result<Settings> {
+    let demo = Demo {
+        fleet: "bench".to_owned(),
+        root: "/dev/shm/joulebus-bench".into(),
+        prefix: "jbb_".to_owned(),
+        robots: u32::try_from(robots).context("too many robots")?,
+    };
+    let config = Config::parse(&demo.toml(), Path::new("/"))?;
+    Ok(config.settings().clone())
+}
+
+/// Anonymous memory of this process; `None` where the system does not tell.
+fn anonymous_bytes() -> Option<f64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("RssAnon:"))?;
+    let kilobytes: f64 = line.trim().trim_end_matches(" kB").trim().parse().ok()?;
+    Some(kilobytes * 1024.0)
+}
