@@ -29,6 +29,12 @@ def unique(values):
     return list(dict.fromkeys(values))
 
 
+def leading(case):
+    """The number that a case begins with; cases without one come first."""
+    number = re.match(r"[\d,]+", case)
+    return int(number[0].replace(",", "")) if number else 0
+
+
 class Report:
     """The figures of one benchmark, by name and case."""
 
@@ -46,7 +52,8 @@ class Report:
         return [name for name in self.by_name if name.endswith(ending)]
 
     def cases(self, names):
-        return unique(case for name in names if name in self.by_name for case in self.by_name[name])
+        found = unique(case for name in names if name in self.by_name for case in self.by_name[name])
+        return sorted(found, key=leading)
 
     def pivot(self, corner, rows, quantile="p50"):
         """Names down, cases across; `rows` are pairs of name and title."""
@@ -115,14 +122,14 @@ def tick(suite):
             ("account_share_of_tick", "share of account in the tick"),
         ])),
     ]
-    paced = [name for name in report.by_name if name.startswith("paced_") or "missed" in name or "bytes" in name]
-    words = {"paced_tick_us": "tick, µs", "paced_due_to_done_us": "due → done, µs",
-             "paced_share_of_period": "share of the period"}
-    parts.append(report.spread("paced: p50 / p99 / p99.9 / max", [(name, words[name]) for name in paced if name in words]))
-    parts.append(report.pivot("", [(name, name.replace("_", " ")) for name in paced if name not in words]))
-    threads = [name for name in report.by_name if "_threads_" in name or "threads_over" in name]
+    words = lambda name: (name, name.replace("_", " "))
+    paced = [name for name in report.by_name if name.startswith("paced_") and "missed" not in name]
+    counts = [name for name in report.by_name if "missed" in name or "bytes" in name]
+    threads = [name for name in report.by_name if "_threads_" in name and not name.startswith("paced_")]
+    parts.append(report.spread("paced: p50 / p99 / p99.9 / max", [words(name) for name in paced]))
+    parts.append(report.pivot("", [words(name) for name in counts]))
     if threads:
-        parts.append(report.pivot("threads", [(name, name.replace("_", " ")) for name in threads]))
+        parts.append(report.pivot("threads", [words(name) for name in threads]))
     return "\n\n".join(parts)
 
 

@@ -385,7 +385,8 @@ class Runner:
         else:
             command = [sys.executable, pathlib.Path(__file__).resolve(), "--as", peer, *told]
         count = str(threads)
-        environment = os.environ | {"OMP_NUM_THREADS": count, "OPENBLAS_NUM_THREADS": count, "MKL_NUM_THREADS": count}
+        environment = os.environ | {"OMP_NUM_THREADS": count, "OPENBLAS_NUM_THREADS": count, "MKL_NUM_THREADS": count,
+                                    "RAYON_NUM_THREADS": count}
         log = (place / f"{peer}-{threads}.log").open("w")
         self.log = pathlib.Path(log.name)
         pin = lambda: os.sched_setaffinity(0, processors(threads))
