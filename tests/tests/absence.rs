@@ -106,6 +106,23 @@ fn only_the_capture_names_mcap() {
 }
 
 #[test]
+fn only_the_laboratory_reads_pickles() {
+    let words = ["pickle", "STACK_GLOBAL", "_rebuild_tensor"];
+    for name in names().iter().filter(|name| *name != "lab") {
+        let found = places(&crates().join(name).join("src"), &words, &[]);
+        assert_eq!(found, Vec::<String>::new());
+    }
+    let worker = fs::read_to_string(crates().join("predictor-worker/Cargo.toml")).unwrap();
+    let dependencies = worker.split("[dev-dependencies]").next().unwrap();
+    for reader in ["joulebus-lab", "zip", "pickle"] {
+        assert!(
+            !dependencies.contains(reader),
+            "the worker depends on {reader}"
+        );
+    }
+}
+
+#[test]
 fn unsafe_code_stays_in_its_named_files() {
     let allowed = [
         "wire/src/marker.rs",

@@ -1,7 +1,9 @@
-//! The laboratory: recorded trials, the simulated plant, training, evaluation.
+//! The laboratory: recorded trials, the simulated plant, training, evaluation, and the
+//! model files of other programs.
 #![forbid(unsafe_code)]
 
 pub mod evaluate;
+pub mod model_file;
 mod noise;
 pub mod plant;
 pub mod rows;

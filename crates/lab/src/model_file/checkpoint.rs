@@ -1,0 +1,225 @@
+//! What a model file of any kind holds.
+
+use std::fmt;
+
+use sha2::{Digest as _, Sha256};
+
+use super::{MAX_FILE_BYTES, PickleError, Tensor};
+use super::{archive, entries, npy, own, torch};
+use joulebus_predictor::{ModelError, Network};
+
+/// The kinds of files that are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Container {
+    /// An own model file.
+    Safetensors,
+    /// A NumPy array: of numbers, or of objects, which is a pickle.
+    Npy,
+    /// A zip archive of NumPy arrays.
+    Npz,
+    /// A PyTorch file since version 1.6: a zip archive with a pickle.
+    TorchZip,
+    /// A PyTorch file before that: five pickles and the numbers.
+    TorchLegacy,
+    /// A directory of NumPy arrays.
+    Arrays,
+}
+
+impl fmt::Display for Container {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Container::Safetensors => "safetensors",
+            Container::Npy => "npy",
+            Container::Npz => "npz",
+            Container::TorchZip => "PyTorch (zip)",
+            Container::TorchLegacy => "PyTorch (legacy)",
+            Container::Arrays => "directory of npy",
+        })
+    }
+}
+
+/// Why a file could not be read. The caller adds the file's name.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadError {
+    /// Far larger than any model of this kind.
+    #[error("the file has {found} bytes, at most {MAX_FILE_BYTES} are read; is it another file?")]
+    TooLarge {
+        /// Bytes found.
+        found: usize,
+    },
+    /// None of the kinds that are read.
+    #[error(
+        "byte 0: {found}; expected a NumPy file (.npy, .npz), a PyTorch file (.pt, .pth) or a model of \
+         joulebus (.safetensors)"
+    )]
+    Kind {
+        /// What was found.
+        found: String,
+    },
+    /// A part of the file is damaged or of another kind.
+    #[error("{container}, {part}: {detail}")]
+    Part {
+        /// Kind of the file.
+        container: Container,
+        /// The part, with its place.
+        part: String,
+        /// What was found and what is allowed.
+        detail: String,
+    },
+    /// A pickle in the file was refused.
+    #[error("{container}, {part}: {source}")]
+    Pickle {
+        /// Kind of the file.
+        container: Container,
+        /// The part of the file that the pickle is.
+        part: String,
+        /// Why.
+        source: PickleError,
+    },
+    /// An own model file was refused.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+}
+
+/// One thing in a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// Keys and positions on the way to it, joined by dots.
+    pub path: String,
+    /// What it is.
+    pub value: EntryValue,
+}
+
+/// What an entry is.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum EntryValue {
+    /// An array, a tensor, or lists of numbers of equal length.
+    Tensor(Tensor),
+    /// A number or a truth value (0 or 1).
+    Number(f64),
+    /// Text.
+    Text(String),
+    /// Something else, by its name.
+    Other(&'static str),
+}
+
+/// Everything in a model file.
+#[derive(Clone, Debug)]
+pub struct Checkpoint {
+    /// Kind of the file.
+    pub container: Container,
+    /// What is in it, in the file's order.
+    pub entries: Vec<Entry>,
+    /// SHA-256 of the file, hexadecimal.
+    pub sha256: String,
+    /// The model, if the file is one of our own, whole or as arrays.
+    pub network: Option<Network>,
+}
+
+impl Checkpoint {
+    /// Reads a file of any kind; the kind is told by its first bytes. Runs nothing, makes room for
+    /// nothing that the file only claims to hold, and never panics.
+    ///
+    /// # Errors
+    /// [`ReadError`], naming the place: what was found and what is allowed.
+    pub fn read(bytes: &[u8]) -> Result<Checkpoint, ReadError> {
+        let found = bytes.len();
+        if found > MAX_FILE_BYTES {
+            return Err(ReadError::TooLarge { found });
+        }
+        if bytes.starts_with(npy::MAGIC) {
+            return checkpoint(Container::Npy, bytes, entries::of_npy(bytes)?);
+        }
+        if bytes.starts_with(archive::MAGIC) {
+            // A damaged archive should be called what it was.
+            let is_torch = bytes.windows(8).any(|window| window == b"data.pkl");
+            let container = if is_torch {
+                Container::TorchZip
+            } else {
+                Container::Npz
+            };
+            let members = archive::read(container, bytes)?;
+            return if torch::is_torch(&members) {
+                checkpoint(container, bytes, torch::read_zip(&members)?)
+            } else {
+                let arrays = members.iter().map(|member| (&*member.name, &*member.bytes));
+                let entries = entries::of_arrays(Container::Npz, arrays)?;
+                checkpoint(Container::Npz, bytes, entries)
+            };
+        }
+        if torch::is_legacy(bytes) {
+            return checkpoint(Container::TorchLegacy, bytes, torch::read_legacy(bytes)?);
+        }
+        if own::is_own(bytes) {
+            return own_file(bytes);
+        }
+        let head = bytes.get(..bytes.len().min(8)).unwrap_or_default();
+        Err(ReadError::Kind {
+            found: if bytes.is_empty() {
+                "the file is empty".to_owned()
+            } else if head.starts_with(&[0x80]) {
+                "found a bare pickle, which no model file is".to_owned()
+            } else {
+                format!("found a file that begins with the bytes {head:02x?}")
+            },
+        })
+    }
+
+    /// The arrays of a directory: names without `.npy` and the bytes of each file.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::read`].
+    pub fn from_arrays(arrays: &[(String, Vec<u8>)]) -> Result<Checkpoint, ReadError> {
+        let found = arrays.iter().map(|(_, bytes)| bytes.len()).sum();
+        if found > MAX_FILE_BYTES {
+            return Err(ReadError::TooLarge { found });
+        }
+        let mut all = Vec::new();
+        for (name, bytes) in arrays {
+            all.extend(name.bytes());
+            all.extend(bytes);
+        }
+        let arrays = arrays.iter().map(|(name, bytes)| (&**name, &**bytes));
+        let entries = entries::of_arrays(Container::Arrays, arrays)?;
+        checkpoint(Container::Arrays, &all, entries)
+    }
+}
+
+fn checkpoint(
+    container: Container,
+    bytes: &[u8],
+    entries: Vec<Entry>,
+) -> Result<Checkpoint, ReadError> {
+    let network = own::from_arrays(container, &entries)?;
+    Ok(Checkpoint {
+        container,
+        network,
+        entries,
+        sha256: hex(&Sha256::digest(bytes)),
+    })
+}
+
+fn own_file(bytes: &[u8]) -> Result<Checkpoint, ReadError> {
+    let container = Container::Safetensors;
+    let network = Network::from_safetensors(bytes).map_err(|error| match error {
+        ModelError::Container(error) => ReadError::Part {
+            container,
+            part: format!("header, bytes 0 to {}", own::header_end(bytes)),
+            detail: error.to_string(),
+        },
+        error => ReadError::Model(error),
+    })?;
+    Ok(Checkpoint {
+        container,
+        entries: own::entries(&network),
+        sha256: hex(&Sha256::digest(bytes)),
+        network: Some(network),
+    })
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}

@@ -1,0 +1,128 @@
+//! Own models: whole, or as the arrays that [`to_arrays`](super::to_arrays) writes.
+
+use std::collections::HashMap;
+
+use super::{Container, Entry, EntryValue, ReadError, Tensor};
+use joulebus_predictor::{ModelError, Network};
+use safetensors::SafeTensors;
+use safetensors::tensor::{Dtype, TensorView};
+
+/// The array that holds everything of the model file that is no number of the network.
+pub(super) const METADATA: &str = "metadata";
+/// Arrays with this before their name are for whoever writes the network anew.
+pub(super) const CHECK: &str = "check_";
+
+/// Whether a file is safetensors: a length, then JSON.
+pub(super) fn is_own(bytes: &[u8]) -> bool {
+    bytes.get(8) == Some(&b'{')
+}
+
+/// Where the header of a safetensors file says that it ends.
+pub(super) fn header_end(bytes: &[u8]) -> u64 {
+    let length = bytes.first_chunk::<8>();
+    length.map_or(0, |length| u64::from_le_bytes(*length).saturating_add(8))
+}
+
+/// The network's arrays, under the names that exported files have.
+pub(super) fn entries(network: &Network) -> Vec<Entry> {
+    let parameters = network.parameters();
+    let set = parameters.feature_set;
+    let mut entries = Vec::new();
+    let mut add = |path: String, shape: Vec<usize>, values: &[f32]| {
+        let value = EntryValue::Tensor(Tensor::from_f32(shape, values));
+        entries.push(Entry { path, value });
+    };
+    for (number, layer) in parameters.layers.iter().enumerate() {
+        let outputs = layer.bias.len();
+        let inputs = layer.weights.len() / outputs;
+        add(
+            format!("layers.{number}.weight"),
+            vec![outputs, inputs],
+            &layer.weights,
+        );
+        add(format!("layers.{number}.bias"), vec![outputs], &layer.bias);
+    }
+    let normalisation = &parameters.normalisation;
+    let range = &network.card().training_range;
+    for (name, values) in [
+        ("feature_mean", &normalisation.feature_mean),
+        ("feature_std", &normalisation.feature_std),
+        ("feature_min", &range.min),
+        ("feature_max", &range.max),
+    ] {
+        let values = &values[set.first()..];
+        add(name.to_owned(), vec![values.len()], values);
+    }
+    let (mean_w, std_w) = (normalisation.power_mean_w, normalisation.power_std_w);
+    add("power_mean_w".to_owned(), Vec::new(), &[mean_w]);
+    add("power_std_w".to_owned(), Vec::new(), &[std_w]);
+    entries
+}
+
+/// The model, if these arrays are an own one: put together as a model file and read as one, so that
+/// it passes the same checks, the digest among them. Arrays that contradict it are refused.
+pub(super) fn from_arrays(
+    container: Container,
+    entries: &[Entry],
+) -> Result<Option<Network>, ReadError> {
+    if !matches!(container, Container::Npz | Container::Arrays) {
+        return Ok(None);
+    }
+    let metadata = entries.iter().find(|entry| entry.path == METADATA);
+    let Some(EntryValue::Text(metadata)) = metadata.map(|entry| &entry.value) else {
+        return Ok(None);
+    };
+    let bad = |part: &str, detail: String| ReadError::Part {
+        container,
+        part: format!("array {part:?}"),
+        detail,
+    };
+    let fields: HashMap<String, String> =
+        serde_json::from_str(metadata).map_err(|error| bad(METADATA, error.to_string()))?;
+    let network = Network::from_safetensors(&whole(entries, fields)?)?;
+    for expected in self::entries(&network) {
+        let found = entries.iter().find(|entry| entry.path == expected.path);
+        if found.map(values) != Some(values(&expected)) {
+            let detail = "is missing or contradicts the metadata".to_owned();
+            return Err(bad(&expected.path, detail));
+        }
+    }
+    Ok(Some(network))
+}
+
+/// The model file that the arrays were made of.
+fn whole(entries: &[Entry], fields: HashMap<String, String>) -> Result<Vec<u8>, ReadError> {
+    let layers = entries.iter().filter_map(|entry| match &entry.value {
+        EntryValue::Tensor(tensor) if entry.path.starts_with("layers.") => {
+            let values = tensor.values().iter();
+            let bytes: Vec<u8> = values
+                .flat_map(|value| (*value as f32).to_le_bytes())
+                .collect();
+            Some((entry.path.as_str(), tensor.shape(), bytes))
+        }
+        _ => None,
+    });
+    let layers: Vec<(&str, &[usize], Vec<u8>)> = layers.collect();
+    let mut views = Vec::new();
+    for (name, shape, bytes) in &layers {
+        let view = TensorView::new(Dtype::F32, shape.to_vec(), bytes).map_err(ModelError::from)?;
+        views.push((*name, view));
+    }
+    Ok(safetensors::serialize(views, Some(fields)).map_err(ModelError::from)?)
+}
+
+fn values(entry: &Entry) -> Option<(&[usize], &[f64])> {
+    match &entry.value {
+        EntryValue::Tensor(tensor) => Some((tensor.shape(), tensor.values())),
+        _ => None,
+    }
+}
+
+/// The metadata of a model file, as JSON with sorted keys.
+pub(super) fn metadata(file: &[u8]) -> Result<String, ModelError> {
+    let (_, header) = SafeTensors::read_metadata(file)?;
+    let empty = HashMap::new();
+    let fields = header.metadata().as_ref().unwrap_or(&empty);
+    // `Value` keeps its keys in order, so the same model gives the same bytes.
+    Ok(serde_json::json!(fields).to_string())
+}
