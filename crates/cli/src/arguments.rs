@@ -3,7 +3,9 @@
 use clap::{Parser, Subcommand};
 
 use crate::output::Format;
-use crate::{bench, completions, config, demo, doctor, eval, publish, record, run, train, watch};
+use crate::{
+    bench, completions, config, demo, doctor, eval, model, publish, record, run, train, watch,
+};
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
 /// planners, one host.
@@ -52,6 +54,7 @@ pub(crate) enum Command {
     Config(config::Args),
     Train(train::Args),
     Eval(eval::Args),
+    Model(model::Args),
     Bench(bench::Args),
     #[command(hide = true)]
     BenchRole(bench::RoleArgs),

@@ -14,6 +14,7 @@ mod doctor;
 mod eval;
 mod exit;
 mod logging;
+mod model;
 mod output;
 mod publish;
 mod record;
@@ -78,6 +79,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Config(args) => config::run(args, output),
         Command::Train(args) => train::run(args, output),
         Command::Eval(args) => eval::run(args, output),
+        Command::Model(args) => model::run(args, output),
         Command::Bench(args) => bench::run(args, output),
         Command::BenchRole(args) => bench::play(args, output),
         Command::Completions(args) => completions::run(args, output),

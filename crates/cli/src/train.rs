@@ -115,7 +115,7 @@ fn progress(epoch: Epoch, start: Instant) {
 }
 
 /// The file appears whole or not at all.
-fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+pub(crate) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let failed = || format!("cannot write the model {}", path.display());
     let folder = path
         .parent()

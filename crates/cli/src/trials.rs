@@ -128,7 +128,7 @@ fn split(argument: &OsString) -> (PathBuf, Option<Who>) {
 }
 
 /// The recordings in a directory, by name.
-fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
+pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let failed = || format!("cannot read the directory {}", directory.display());
     let mut files = Vec::new();
     for entry in std::fs::read_dir(directory).with_context(failed)? {

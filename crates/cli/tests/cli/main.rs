@@ -4,6 +4,7 @@
 mod bench;
 mod fleet;
 mod live;
+mod model;
 
 use std::fs;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
@@ -13,7 +14,7 @@ use std::time::Duration;
 use fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
 
-const VERBS: [&str; 17] = [
+const VERBS: [&str; 21] = [
     "demo",
     "run",
     "publish",
@@ -30,6 +31,10 @@ const VERBS: [&str; 17] = [
     "train sim",
     "eval",
     "bench",
+    "model",
+    "model info",
+    "model import",
+    "model export",
     "completions",
 ];
 

@@ -1,0 +1,139 @@
+//! `joulebus model export`: a model for other programs.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::ValueEnum;
+use joulebus_lab::model_file::{to_arrays, to_npz, to_onnx};
+use joulebus_predictor::Network;
+use serde::Serialize;
+
+use crate::exit::{Outcome, UsageError};
+use crate::output::Output;
+use crate::train::write;
+
+/// Export a model for NumPy, PyTorch or any runtime of ONNX
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus model export my.safetensors --out my.onnx\n  \
+    joulebus model export my.safetensors --out my.npz\n  \
+    joulebus model export my.safetensors --to npy --out my/\n\n\
+    ONNX: opset 17, input `features` (n, 11) in SI units as `model info` lists them, output `power_w` \
+    (n, 1); the normalisation is part of the graph. Arrays carry `check_features` and `check_power_w`, \
+    rows with their forecasts, for whoever writes the network anew.")]
+pub(crate) struct Args {
+    /// A model of ours: .safetensors, or arrays that were exported
+    #[arg(value_name = "MODEL")]
+    model: PathBuf,
+    /// What to write; a directory for npy
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Kind of file [default: by the ending of --out]
+    #[arg(long, value_enum, value_name = "KIND")]
+    to: Option<Kind>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Kind {
+    /// Our own model file
+    Safetensors,
+    /// An archive of NumPy arrays
+    Npz,
+    /// A directory of NumPy arrays
+    Npy,
+    /// A graph for any runtime of ONNX
+    Onnx,
+}
+
+pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let kind = match args.to {
+        Some(kind) => kind,
+        None => by_ending(&args.out)?,
+    };
+    let checkpoint = super::read(&args.model)?;
+    let Some(network) = checkpoint.network else {
+        let (model, kind) = (args.model.display(), checkpoint.container);
+        let what = format!("{model} ({kind}) is a model of another program");
+        return Err(UsageError(format!("{what}; import it first: joulebus model import")).into());
+    };
+    let bytes = export(&network, kind, &args.out)?;
+    output.report(&ExportReport {
+        file: args.out.display().to_string(),
+        kind,
+        model: network.card().name.clone(),
+        model_hash: format!("{:016x}", network.hash()),
+        bytes,
+    })?;
+    Ok(Outcome::Done)
+}
+
+fn by_ending(out: &Path) -> Result<Kind, UsageError> {
+    let ending = out.extension().and_then(|ending| ending.to_str());
+    match ending {
+        Some("safetensors") => Ok(Kind::Safetensors),
+        Some("npz") => Ok(Kind::Npz),
+        Some("onnx") => Ok(Kind::Onnx),
+        _ => {
+            let out = out.display();
+            let what = format!("{out} does not end in .onnx, .npz or .safetensors");
+            Err(UsageError(format!("{what}; name the kind: --to KIND")))
+        }
+    }
+}
+
+/// Writes the model; gives the bytes written.
+fn export(network: &Network, kind: Kind, out: &Path) -> anyhow::Result<usize> {
+    let bytes = match kind {
+        Kind::Safetensors => network.to_safetensors()?,
+        Kind::Npz => to_npz(network)?,
+        Kind::Onnx => to_onnx(network)?,
+        Kind::Npy => return export_arrays(network, out),
+    };
+    write(out, &bytes)?;
+    Ok(bytes.len())
+}
+
+/// A file for each array, in a directory of their own: arrays of another model must not be among
+/// them.
+fn export_arrays(network: &Network, folder: &Path) -> anyhow::Result<usize> {
+    let failed = || format!("cannot make the directory {}", folder.display());
+    std::fs::create_dir_all(folder).with_context(failed)?;
+    let is_used = std::fs::read_dir(folder)
+        .with_context(failed)?
+        .next()
+        .is_some();
+    if is_used {
+        let what = format!("{} is not empty", folder.display());
+        return Err(UsageError(format!("{what}; name a new directory")).into());
+    }
+    let mut written = 0;
+    for (name, bytes) in to_arrays(network)? {
+        write(&folder.join(format!("{name}.npy")), &bytes)?;
+        written += bytes.len();
+    }
+    Ok(written)
+}
+
+#[derive(Debug, Serialize)]
+struct ExportReport {
+    file: String,
+    kind: Kind,
+    model: String,
+    model_hash: String,
+    bytes: usize,
+}
+
+impl fmt::Display for ExportReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            file,
+            model,
+            model_hash,
+            bytes,
+            ..
+        } = self;
+        writeln!(out, "{file}: {model}, hash {model_hash}, {bytes} bytes")
+    }
+}

@@ -1,0 +1,231 @@
+//! `joulebus model import`: a model of another program becomes one that the worker loads.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use joulebus_lab::model_file::{Choice, Convention, Origin, Ranked};
+use joulebus_lab::trial::Trial;
+use serde::Serialize;
+
+use super::info::{FoundReport, ScoreReport};
+use crate::exit::{Outcome, UsageError};
+use crate::output::Output;
+use crate::train::write;
+use crate::trials::recordings;
+
+/// Conventions that the report shows.
+const SHOWN: usize = 5;
+
+/// Import a model of NumPy or PyTorch: finds the network in the file, and the features that it was
+/// trained on by trying every convention on recordings
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus model import energy_predictor_full.npy --data recordings/ --out published.safetensors\n  \
+    joulebus model import checkpoint.pt --part model_state_dict --data a.npy b.csv.gz \
+    --out mine.safetensors\n  \
+    joulebus model import exported.npz --out again.safetensors    an own model needs no data\n\n\
+    Nothing in the file is ever run. The recordings should be of the robots that the model was \
+    trained for; range, residuals and scores of the imported model are those on them. Exit code 3 \
+    if they do not tell the best convention from the next one.")]
+pub(crate) struct Args {
+    /// A model file (.npy, .npz, .pt, .pth) or a directory of .npy files
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// The model file to write
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Recordings with power, and with commands if the network reads them (.npy, .csv, .csv.gz),
+    /// or directories of them
+    #[arg(long, value_name = "PATH", num_args = 1..)]
+    data: Vec<PathBuf>,
+    /// Name of the model [default: that of the file]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// The part of the file that holds the network, where there are several
+    #[arg(long, value_name = "PATH")]
+    part: Option<String>,
+    /// Take this convention, as a report names it, instead of the one that forecasts best
+    #[arg(long, value_name = "CONVENTION")]
+    convention: Option<Convention>,
+}
+
+pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let checkpoint = super::read(&args.file)?;
+    let file = args.file.display().to_string();
+    if let Some(network) = &checkpoint.network {
+        write(&args.out, &network.to_safetensors()?)?;
+        output.report(&OwnReport {
+            file,
+            out: args.out.display().to_string(),
+            kind: checkpoint.container.to_string(),
+            model_hash: format!("{:016x}", network.hash()),
+        })?;
+        return Ok(Outcome::Done);
+    }
+    let found = checkpoint
+        .find(args.part.as_deref())
+        .with_context(|| file.clone())?;
+    let trials = trials(&args.data)?;
+    let usual = args
+        .file
+        .file_stem()
+        .map(|stem| stem.to_string_lossy().into_owned());
+    let origin = Origin {
+        name: args
+            .name
+            .as_deref()
+            .or(usual.as_deref())
+            .unwrap_or("imported"),
+        file: &args.file.file_name().unwrap_or_default().to_string_lossy(),
+        sha256: &checkpoint.sha256,
+    };
+    let choice = found
+        .choose(&trials, args.convention, &origin)
+        .with_context(|| file.clone())?;
+    write(&args.out, &choice.network().to_safetensors()?)?;
+    let kind = checkpoint.container.to_string();
+    output.report(&ImportReport::new(
+        file,
+        &args.out,
+        kind,
+        FoundReport::new(&found),
+        &choice,
+    ))?;
+    Ok(Outcome::unless_lost(!choice.is_clear()))
+}
+
+fn trials(paths: &[PathBuf]) -> anyhow::Result<Vec<Trial>> {
+    if paths.is_empty() {
+        let what = "the file does not say how its features are written";
+        let remedy = "give recordings with --data, on which every way is tried";
+        return Err(UsageError(format!("{what}; {remedy}")).into());
+    }
+    let mut trials = Vec::new();
+    for path in paths {
+        let files = if path.is_dir() {
+            recordings(path)?
+        } else {
+            vec![path.clone()]
+        };
+        for file in files {
+            trials.push(Trial::read(file)?);
+        }
+    }
+    Ok(trials)
+}
+
+/// An own model, written as it was.
+#[derive(Debug, Serialize)]
+struct OwnReport {
+    file: String,
+    out: String,
+    kind: String,
+    model_hash: String,
+}
+
+impl fmt::Display for OwnReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            file,
+            out: written,
+            kind,
+            model_hash,
+        } = self;
+        writeln!(
+            out,
+            "{file} ({kind}): an own model, hash {model_hash}; written to {written}"
+        )
+    }
+}
+
+/// What was found where, and why it was read so.
+#[derive(Debug, Serialize)]
+struct ImportReport {
+    file: String,
+    out: String,
+    kind: String,
+    model_hash: String,
+    found: FoundReport,
+    convention: String,
+    /// Whether it was asked for.
+    forced: bool,
+    /// Whether the data tell it from the next one.
+    clear: bool,
+    margin_r2: f64,
+    blocks: usize,
+    blocks_won: usize,
+    /// The step over which plain differences are taken.
+    step_s: f64,
+    conventions_tried: usize,
+    ranking: Vec<RankedReport>,
+    scores: ScoreReport,
+}
+
+#[derive(Debug, Serialize)]
+struct RankedReport {
+    convention: String,
+    r2: f64,
+    mae_w: f64,
+}
+
+impl ImportReport {
+    fn new(file: String, out: &Path, kind: String, found: FoundReport, choice: &Choice) -> Self {
+        let ranked = |ranked: &Ranked| RankedReport {
+            convention: ranked.convention.to_string(),
+            r2: ranked.r2,
+            mae_w: ranked.mae_w,
+        };
+        Self {
+            file,
+            out: out.display().to_string(),
+            kind,
+            model_hash: format!("{:016x}", choice.network().hash()),
+            found,
+            convention: choice.convention.to_string(),
+            forced: choice.forced,
+            clear: choice.is_clear(),
+            margin_r2: choice.margin_r2,
+            blocks: choice.blocks,
+            blocks_won: choice.blocks_won,
+            step_s: choice.step_s,
+            conventions_tried: choice.ranking.len(),
+            ranking: choice.ranking.iter().map(ranked).collect(),
+            scores: ScoreReport::new(choice.network()),
+        }
+    }
+}
+
+impl fmt::Display for ImportReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (file, kind, hash) = (&self.file, &self.kind, &self.model_hash);
+        writeln!(out, "{file} ({kind}), written to {} as {hash}", self.out)?;
+        write!(out, "{}", self.found)?;
+        let how = match (self.forced, self.clear) {
+            (true, _) => "as asked for",
+            (false, true) => "found on the recordings",
+            (false, false) => "NOT CLEAR: the recordings do not tell it from the next one",
+        };
+        writeln!(out, "convention    {}, {how}", self.convention)?;
+        writeln!(
+            out,
+            "margin        best before next by R² {:.5}, smaller error in {} of {} stretches",
+            self.margin_r2, self.blocks_won, self.blocks
+        )?;
+        writeln!(out, "on            {}", self.scores)?;
+        writeln!(
+            out,
+            "\n{:>9} {:>9}  of {} conventions",
+            "R²", "MAE W", self.conventions_tried
+        )?;
+        for RankedReport {
+            convention,
+            r2,
+            mae_w,
+        } in self.ranking.iter().take(SHOWN)
+        {
+            writeln!(out, "{r2:9.5} {mae_w:9.5}  {convention}")?;
+        }
+        Ok(())
+    }
+}

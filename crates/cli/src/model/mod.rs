@@ -1,0 +1,84 @@
+//! `joulebus model`: model files, our own and those of other programs.
+
+mod export;
+mod import;
+mod info;
+
+use std::path::Path;
+
+use anyhow::Context as _;
+use clap::Subcommand;
+use joulebus_lab::model_file::{Checkpoint, MAX_FILE_BYTES};
+
+use crate::exit::Outcome;
+use crate::output::Output;
+
+/// Look into model files, import and export them
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus model info configs/models/gternal-sim.safetensors\n  \
+    joulebus model import energy_predictor_full.npy --data recordings/ --out published.safetensors\n  \
+    joulebus model export published.safetensors --out published.onnx\n\n\
+    Reads .npy (arrays and objects), .npz, .pt and .pth (zip and legacy), .safetensors and \
+    directories of .npy. Nothing in a file is ever run.")]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    Info(info::Args),
+    Import(import::Args),
+    Export(export::Args),
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    match &args.what {
+        What::Info(args) => info::run(args, output),
+        What::Import(args) => import::run(args, output),
+        What::Export(args) => export::run(args, output),
+    }
+}
+
+/// Reads a model file of any kind, or a directory of arrays.
+fn read(path: &Path) -> anyhow::Result<Checkpoint> {
+    let name = || format!("{}", path.display());
+    if path.is_dir() {
+        return Checkpoint::from_arrays(&arrays(path)?).with_context(name);
+    }
+    Checkpoint::read(&bytes(path)?).with_context(name)
+}
+
+/// The file's bytes, but not more than are looked at.
+fn bytes(path: &Path) -> anyhow::Result<Vec<u8>> {
+    use std::io::Read as _;
+    let failed = || format!("cannot read {}", path.display());
+    let file = std::fs::File::open(path).with_context(failed)?;
+    let mut bytes = Vec::new();
+    let most = MAX_FILE_BYTES as u64 + 1;
+    file.take(most)
+        .read_to_end(&mut bytes)
+        .with_context(failed)?;
+    Ok(bytes)
+}
+
+/// The arrays in a directory, by name.
+fn arrays(folder: &Path) -> anyhow::Result<Vec<(String, Vec<u8>)>> {
+    let failed = || format!("cannot read the directory {}", folder.display());
+    let mut arrays = Vec::new();
+    for entry in std::fs::read_dir(folder).with_context(failed)? {
+        let path = entry.with_context(failed)?.path();
+        let name = path.file_name().and_then(|name| name.to_str());
+        if let Some(name) = name.and_then(|name| name.strip_suffix(".npy")) {
+            arrays.push((name.to_owned(), bytes(&path)?));
+        }
+    }
+    anyhow::ensure!(
+        !arrays.is_empty(),
+        "{} holds no .npy files",
+        folder.display()
+    );
+    arrays.sort();
+    Ok(arrays)
+}

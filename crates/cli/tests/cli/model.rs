@@ -1,0 +1,178 @@
+//! `joulebus model`: files of other programs in, files for other programs out.
+
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+use super::fleet::{Fleet, code, json, output, stderr, stdout};
+
+const SHIPPED: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../../configs/models/gternal-sim.safetensors"
+);
+const CONVENTION: &str = "mW+newest-first+lags-last+d-normalised-per-second+abs-as-velocity";
+
+/// A model file of NumPy or PyTorch, from the laboratory's tests.
+fn foreign(folder: &Path, name: &str) -> PathBuf {
+    let packed = format!("../lab/tests/fixtures/{name}.gz");
+    let packed = std::fs::File::open(Path::new(env!("CARGO_MANIFEST_DIR")).join(packed)).unwrap();
+    let mut bytes = Vec::new();
+    flate2::read::GzDecoder::new(packed)
+        .read_to_end(&mut bytes)
+        .unwrap();
+    let path = folder.join(name);
+    std::fs::write(&path, bytes).unwrap();
+    path
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+#[test]
+fn info_says_everything_of_an_own_model() {
+    let info = output(["model", "info", SHIPPED]);
+    assert_eq!(code(&info), 0, "{}", stderr(&info));
+    for said in [
+        "11→64→64→32→1",
+        "7041 parameters",
+        "gelu_erf",
+        "power_lag5_w",
+        "simulation",
+        "R²",
+    ] {
+        assert!(stdout(&info).contains(said), "{said}: {}", stdout(&info));
+    }
+    let info = json(&output(["--format", "json", "model", "info", SHIPPED]));
+    assert_eq!(info["parameters"], 7041);
+    assert_eq!(info["features"].as_array().unwrap().len(), 11);
+    assert!(
+        stdout(&output(["model", "info", SHIPPED])).contains(info["model_hash"].as_str().unwrap())
+    );
+}
+
+#[test]
+fn a_file_of_another_program_is_shown_imported_exported_and_read_back() {
+    let fleet = Fleet::new();
+    let folder = tempfile::tempdir().unwrap();
+    let data = fleet.recording("a.csv", 400);
+    let at = |name: &str| folder.path().join(name);
+    for name in ["flat.npy", "checkpoint.pt", "state_dict_legacy.pt"] {
+        let file = foreign(folder.path(), name);
+        let info = json(&output(["--format", "json", "model", "info", text(&file)]));
+        assert_eq!(info["network"]["layers"][3]["inputs"], 32, "{name}");
+
+        let out = at("imported.safetensors");
+        let import = ["model", "import", text(&file), "--out", text(&out)];
+        let without_data = output(import);
+        assert_eq!(code(&without_data), 2, "{}", stderr(&without_data));
+        assert!(stderr(&without_data).contains("--data"));
+        let data = [
+            "--data",
+            text(&data),
+            "--convention",
+            CONVENTION,
+            "--format",
+            "json",
+        ];
+        let imported = json(&output(import.iter().chain(&data)));
+        assert_eq!(imported["convention"], CONVENTION);
+
+        for exported in ["model.npz", "model.onnx", "model.safetensors"] {
+            let exported = at(exported);
+            let done = output(["model", "export", text(&out), "--out", text(&exported)]);
+            assert_eq!(code(&done), 0, "{}", stderr(&done));
+        }
+        let arrays = at(&format!("{name}-arrays"));
+        let done = output([
+            "model",
+            "export",
+            text(&out),
+            "--to",
+            "npy",
+            "--out",
+            text(&arrays),
+        ]);
+        assert_eq!(code(&done), 0, "{}", stderr(&done));
+        for exported in [at("model.npz"), at("model.safetensors"), arrays] {
+            let again = at("again.safetensors");
+            let done = output(["model", "import", text(&exported), "--out", text(&again)]);
+            assert_eq!(code(&done), 0, "{}", stderr(&done));
+            assert_eq!(std::fs::read(&again).unwrap(), std::fs::read(&out).unwrap());
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_read_or_written_ends_with_its_code_and_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let canary = at("canary");
+    let mut evil = b"\x80\x02\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19.".to_vec();
+    let command = format!("touch {}", canary.display());
+    evil.extend(format!("cos\nsystem\n(S'{command}'\ntR.").bytes());
+    std::fs::write(at("evil.pt"), evil).unwrap();
+    let npy = foreign(folder.path(), "flat.npy");
+    let out = at("out.bin");
+    for (arguments, expected, said) in [
+        (vec!["model", "info", text(&at("evil.pt"))], 1, "os.system"),
+        (
+            vec!["model", "info", text(&at("nothing.pt"))],
+            1,
+            "nothing.pt",
+        ),
+        (
+            vec!["model", "export", SHIPPED, "--out", text(&out)],
+            2,
+            "--to",
+        ),
+        (
+            vec![
+                "model",
+                "export",
+                text(&npy),
+                "--to",
+                "npz",
+                "--out",
+                text(&out),
+            ],
+            2,
+            "import it",
+        ),
+        (
+            vec![
+                "model",
+                "import",
+                text(&npy),
+                "--out",
+                text(&out),
+                "--convention",
+                "x",
+            ],
+            2,
+            "no convention",
+        ),
+        (
+            vec![
+                "model",
+                "export",
+                SHIPPED,
+                "--to",
+                "npy",
+                "--out",
+                text(folder.path()),
+            ],
+            2,
+            "not empty",
+        ),
+    ] {
+        let done = output(&arguments);
+        assert_eq!(code(&done), expected, "{arguments:?}: {}", stderr(&done));
+        assert!(
+            stderr(&done).contains(said),
+            "{arguments:?}: {}",
+            stderr(&done)
+        );
+    }
+    assert!(!canary.exists());
+    assert!(!out.exists());
+}
