@@ -80,7 +80,9 @@ fn a_killed_recorder_costs_at_most_the_stated_window() {
         // Whoever is killed while starting has recorded nothing that could be lost.
         let begun = bytes(&file);
         eventually("messages in the file", || bytes(&file) > begun);
-        std::thread::sleep(Duration::from_millis(400) + dice.time_below(Duration::from_millis(600)));
+        std::thread::sleep(
+            Duration::from_millis(400) + dice.time_below(Duration::from_millis(600)),
+        );
         let at_ns = clock::monotonic_ns();
         let ended = victim.kill();
         assert_eq!(ended.signal(), Some(9), "{ended:?}");

@@ -1,8 +1,10 @@
 //! Counts what was overwritten in shared memory before it was taken, by the numbers in the headers.
 //! Pure.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
+
+use joulebus_wire::{TickHeader, tick_flag};
 
 use crate::{Kind, Message};
 
@@ -22,6 +24,17 @@ pub(crate) struct Gaps {
 struct Run {
     epoch: u64,
     next: u64,
+    /// Numbers from `next` on that nobody has sent.
+    unsent: VecDeque<u64>,
+}
+
+/// What a message says about others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Found {
+    /// Messages that are missing between the one before of its kind and this one.
+    pub(crate) missing: u64,
+    /// Diagnostics that were told as missing before, but were never sent.
+    pub(crate) never_sent: u64,
 }
 
 impl Gaps {
@@ -32,8 +45,37 @@ impl Gaps {
         }
     }
 
-    /// Messages that are missing between the one before of its fleet and this one.
-    pub(crate) fn missing_before(&mut self, fleet: &Arc<str>, message: &Message) -> u64 {
+    /// What the message says about those before it of its fleet.
+    pub(crate) fn look(&mut self, fleet: &Arc<str>, message: &Message) -> Found {
+        let never_sent = match message {
+            Message::Ticks(header, _) => self.left_out(fleet, header),
+            _ => 0,
+        };
+        Found {
+            missing: self.missing_before(fleet, message),
+            never_sent,
+        }
+    }
+
+    /// A worker whose ticks take too long leaves diagnostics out, and says so in its journal, which
+    /// may come before or after the next diagnostics. Returns how many were taken for missing.
+    fn left_out(&mut self, fleet: &Arc<str>, header: &TickHeader) -> u64 {
+        if header.flags & tick_flag::NO_DIAGNOSTICS == 0 {
+            return 0;
+        }
+        let key = (Arc::clone(fleet), Kind::Diagnostics, 0);
+        let (tick, known) = (header.tick, self.runs.get_mut(&key));
+        match known.filter(|run| run.epoch == header.worker_epoch) {
+            Some(run) if tick < run.next => 1,
+            Some(run) if run.unsent.len() < MOST_RUNS => {
+                run.unsent.push_back(tick);
+                0
+            }
+            _ => 0,
+        }
+    }
+
+    fn missing_before(&mut self, fleet: &Arc<str>, message: &Message) -> u64 {
         let (kind, source, epoch, number, first) = match message {
             Message::Samples(header, _) => {
                 let (source, epoch) = (header.source_id, header.source_epoch);
@@ -64,9 +106,14 @@ impl Gaps {
             *run = Run {
                 epoch,
                 next: if heard_from_the_start { first } else { number },
+                unsent: VecDeque::new(),
             };
         }
-        let missing = number.saturating_sub(run.next);
+        let mut missing = number.saturating_sub(run.next);
+        while run.unsent.front().is_some_and(|unsent| *unsent < number) {
+            run.unsent.pop_front();
+            missing = missing.saturating_sub(1);
+        }
         run.next = run.next.max(number.saturating_add(1));
         missing
     }
@@ -74,7 +121,7 @@ impl Gaps {
 
 #[cfg(test)]
 mod tests {
-    use joulebus_wire::{ForecastHeader, SampleHeader};
+    use joulebus_wire::{DiagnosticHeader, ForecastHeader, SampleHeader};
 
     use super::*;
 
@@ -121,12 +168,66 @@ mod tests {
             let mut gaps = Gaps::new(100);
             let found: u64 = messages
                 .iter()
-                .map(|message| gaps.missing_before(&fleet, message))
+                .map(|message| gaps.look(&fleet, message).missing)
                 .sum();
             assert_eq!(found, missing, "{messages:?}");
             // Another fleet is another matter, whatever its numbers.
             let other = Arc::from("yard");
-            assert_eq!(gaps.missing_before(&other, &frame(1, 5, 999)), 0);
+            assert_eq!(gaps.look(&other, &frame(1, 5, 999)), Found::default());
+        }
+    }
+
+    fn diagnostics(tick: u64) -> Message {
+        let header = DiagnosticHeader {
+            worker_epoch: 5,
+            tick,
+            ..DiagnosticHeader::default()
+        };
+        Message::Diagnostics(header, Vec::new())
+    }
+
+    fn without_diagnostics(tick: u64) -> Message {
+        let header = TickHeader {
+            worker_epoch: 5,
+            tick,
+            flags: tick_flag::NO_DIAGNOSTICS,
+            ..TickHeader::default()
+        };
+        Message::Ticks(header, Vec::new())
+    }
+
+    #[test]
+    fn diagnostics_that_the_worker_left_out_are_not_lost_whenever_it_says_so() {
+        let left_out = without_diagnostics;
+        for (messages, lost) in [
+            (vec![diagnostics(1), diagnostics(4)], 2),
+            (
+                vec![diagnostics(1), left_out(2), left_out(3), diagnostics(4)],
+                0,
+            ),
+            (
+                vec![diagnostics(1), left_out(2), diagnostics(4), left_out(3)],
+                0,
+            ),
+            (vec![diagnostics(1), left_out(3), diagnostics(4)], 1),
+            (
+                vec![diagnostics(1), left_out(2), diagnostics(3), diagnostics(5)],
+                1,
+            ),
+        ] {
+            let (fleet, mut gaps) = (Arc::from("lab"), Gaps::new(100));
+            let mut sum = 0_i64;
+            for message in &messages {
+                let found = gaps.look(&fleet, message);
+                let of_diagnostics = matches!(message, Message::Diagnostics(..));
+                sum += if of_diagnostics {
+                    found.missing as i64
+                } else {
+                    0
+                };
+                sum -= found.never_sent as i64;
+            }
+            assert_eq!(sum, lost, "{messages:?}");
         }
     }
 }

@@ -341,7 +341,9 @@ impl Options {
         let choose = &self.choose;
         let on_alarm = self.snapshot.is_some_and(|snapshot| snapshot.on_alarm);
         let alarms = on_alarm && kind == Kind::Diagnostics;
-        choose(&kind.topic(fleet, 0)) || self.per_robot || alarms
+        // The journal tells which diagnostics were never sent.
+        let diagnostics = kind == Kind::Ticks && self.wants(Kind::Diagnostics, fleet);
+        choose(&kind.topic(fleet, 0)) || self.per_robot || alarms || diagnostics
     }
 }
 
@@ -352,13 +354,27 @@ impl Shared {
 
     /// Puts the item into the queue; counts what is missing before it, and it if it is lost.
     pub(crate) fn hand_on(&self, item: Item) {
-        let overwritten = {
+        let found = {
             let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
-            gaps.0.missing_before(&item.fleet, &item.message)
+            gaps.0.look(&item.fleet, &item.message)
         };
         let topic = item.topic();
+        let diagnostics = Kind::Diagnostics.topic(&item.fleet, 0);
         let unwritten = self.queue.push(item).is_err().into();
-        self.count(topic, overwritten, unwritten);
+        self.count(topic, found.missing, unwritten);
+        if found.never_sent > 0 {
+            self.forgive(&diagnostics, found.never_sent);
+        }
+    }
+
+    fn forgive(&self, topic: &str, never_sent: u64) {
+        let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(lost) = gaps.1.get_mut(topic) {
+            lost.overwritten = lost.overwritten.saturating_sub(never_sent);
+            if *lost == Lost::default() {
+                gaps.1.remove(topic);
+            }
+        }
     }
 
     fn count(&self, topic: String, overwritten: u64, unwritten: u64) {
