@@ -25,6 +25,7 @@
 mod attachments;
 mod clock;
 mod convert;
+pub mod import;
 pub mod inspect;
 mod message;
 mod output;
@@ -32,9 +33,11 @@ mod proto;
 mod reader;
 pub mod record;
 pub mod recover;
+pub mod ros;
 pub mod scan;
 mod schema;
 mod settings;
+pub mod values;
 mod writer;
 
 pub use attachments::{AttachError, Attached, Attachments};

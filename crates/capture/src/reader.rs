@@ -10,6 +10,7 @@ use mcap::McapError;
 use mcap::records::{MessageHeader, Record};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
+use crate::scan::parse_record;
 use crate::{Attached, Attachments, DecodeError, Entry, Kind, Message};
 
 /// A record or a chunk longer than this is taken for damage, bytes.
@@ -145,8 +146,9 @@ impl<S: Read> Reader<S> {
                 }
                 LinearReadEvent::Record { opcode, data } => (opcode, data),
             };
-            let record =
-                mcap::parse_record(opcode, data).map_err(|error| damage(error, self.read_bytes))?;
+            let record = parse_record(opcode, data).map_err(|error| {
+                damage(error.unwrap_or(McapError::UnexpectedEoc), self.read_bytes)
+            })?;
             match record {
                 Record::Message { header, data } => return Ok(Some((header, data.into_owned()))),
                 Record::Schema { header, .. } => {

@@ -41,7 +41,7 @@ pub struct Place {
 }
 
 impl Place {
-    const fn top(offset: u64) -> Self {
+    pub(crate) const fn top(offset: u64) -> Self {
         Self {
             offset,
             in_chunk: None,
@@ -126,12 +126,23 @@ impl<'a> Raw<'a> {
             what: kind_name(self.opcode),
             detail,
         };
-        // The library allocates what a length says, and subtracts without looking.
-        if !layout::fits(self.opcode, self.body) {
-            return Err(refuse("its fields do not fit its length".to_owned()));
-        }
-        mcap::parse_record(self.opcode, self.body).map_err(|error| refuse(in_words(&error)))
+        parse_record(self.opcode, self.body).map_err(|error| match error {
+            Some(error) => refuse(in_words(&error)),
+            None => refuse("its fields do not fit its length".to_owned()),
+        })
     }
+}
+
+/// The record in `body`; without a reason where its fields do not fit it. The library alone would
+/// allocate what a length says, and subtract without looking.
+pub(crate) fn parse_record(
+    opcode: u8,
+    body: &[u8],
+) -> Result<records::Record<'_>, Option<mcap::McapError>> {
+    if !layout::fits(opcode, body) {
+        return Err(None);
+    }
+    mcap::parse_record(opcode, body).map_err(Some)
 }
 
 /// The error with its cause, on one line.

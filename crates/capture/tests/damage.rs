@@ -8,6 +8,7 @@ mod counting;
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
+use joulebus_capture::Reader;
 use joulebus_capture::inspect::{Severity, StatisticsCheck, inspect};
 use joulebus_capture::recover::{RECOVERED, Recovery, recover};
 use joulebus_capture::scan::{Event, Scan};
@@ -107,6 +108,18 @@ fn file(kind: Kind) -> Vec<u8> {
     writer.into_inner().into_inner()
 }
 
+/// Reads as a replay does: to the first error, and never further than the file.
+fn read(bytes: &[u8]) -> u64 {
+    let Ok(mut reader) = Reader::new(Cursor::new(bytes)) else {
+        return 0;
+    };
+    let mut messages = 0;
+    while let Ok(Some(_)) = reader.next_entry() {
+        messages += 1;
+    }
+    messages
+}
+
 /// Recovers, and checks what every result promises.
 fn recovered(bytes: &[u8], what: &str) -> Option<Recovery> {
     let (recovery, result) = match recover(Cursor::new(bytes), Cursor::new(Vec::new())) {
@@ -201,6 +214,7 @@ fn cut_off_anywhere_every_message_before_the_cut_is_recovered() {
                 .find(|finding| finding.severity == Severity::Error);
             let place = place.unwrap().place.unwrap();
             assert!(place.offset <= cut as u64, "{what}: {place}");
+            assert!(read(&whole[..cut]) <= MESSAGES, "{what}");
             let recovery = recovered(&whole[..cut], &what).unwrap();
             assert!(!recovery.is_clean(), "{what}");
             let messages = recovery.messages;
@@ -234,6 +248,7 @@ fn whatever_byte_is_changed_recovered_and_lost_add_up() {
                 bytes[at] ^= flip;
                 let what = format!("{} byte {at} ^ {flip:#04x}", kind.name);
                 let found = inspect(Cursor::new(&bytes));
+                read(&bytes);
                 let Some(recovery) = recovered(&bytes, &what) else {
                     assert!(at < 8 && found.is_err(), "{what}");
                     continue;
@@ -273,6 +288,7 @@ fn no_length_in_a_file_allocates_memory_that_is_not_there() {
             bytes[at..at + 8].copy_from_slice(&(1_u64 << 56).to_le_bytes());
             let ((), used) = counting::peak(|| {
                 let _ = inspect(Cursor::new(&bytes));
+                let _ = read(&bytes);
                 let _ = recover(Cursor::new(&bytes), Cursor::new(Vec::new()));
             });
             assert!(used < MOST_BYTES, "{} at {at}: {used} bytes", kind.name);
@@ -280,6 +296,7 @@ fn no_length_in_a_file_allocates_memory_that_is_not_there() {
                 bytes[at..at + 4].copy_from_slice(&length.to_le_bytes());
                 let ((), used) = counting::peak(|| {
                     let _ = inspect(Cursor::new(&bytes));
+                    let _ = read(&bytes);
                     let _ = recover(Cursor::new(&bytes), Cursor::new(Vec::new()));
                 });
                 assert!(used < MOST_BYTES, "{} at {at}: {used} bytes", kind.name);

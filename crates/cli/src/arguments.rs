@@ -2,9 +2,10 @@
 
 use clap::{Parser, Subcommand};
 
-use crate::output::Format;
+use crate::output::Asked;
 use crate::{
-    bench, completions, config, demo, doctor, eval, model, publish, record, run, train, watch,
+    bench, cat, completions, config, data, demo, doctor, eval, import, info, model, publish,
+    record, recover, run, serve, train, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -30,8 +31,8 @@ use crate::{
 )]
 pub(crate) struct Cli {
     /// How results are written
-    #[arg(long, global = true, value_enum, default_value_t = Format::Text)]
-    pub(crate) format: Format,
+    #[arg(long, global = true, value_enum, default_value_t = Asked::Text)]
+    pub(crate) format: Asked,
     /// Log more to stderr: once for what happens, twice for details, three times for everything
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub(crate) verbose: u8,
@@ -50,6 +51,12 @@ pub(crate) enum Command {
     Publish(publish::Args),
     Record(record::Args),
     Watch(watch::Args),
+    Info(info::Args),
+    Cat(cat::Args),
+    Recover(recover::Args),
+    Serve(serve::Args),
+    Import(import::Args),
+    Data(data::Args),
     Doctor(doctor::Args),
     Config(config::Args),
     Train(train::Args),

@@ -6,19 +6,25 @@
 
 mod arguments;
 mod bench;
+mod cat;
 mod completions;
 mod config;
 mod config_file;
+mod data;
 mod demo;
 mod doctor;
 mod eval;
 mod exit;
+mod import;
+mod info;
 mod logging;
 mod model;
 mod output;
 mod publish;
 mod record;
+mod recover;
 mod run;
+mod serve;
 mod stop;
 mod supervisor;
 mod train;
@@ -32,7 +38,7 @@ use clap::{Args as _, FromArgMatches as _, Parser as _};
 
 use arguments::{Cli, Command};
 use exit::Outcome;
-use output::Output;
+use output::{Asked, Output};
 
 /// Runs the program with the arguments of this process.
 #[must_use]
@@ -59,6 +65,11 @@ fn parse() -> Result<(Command, Output), clap::Error> {
         Some(command) => command,
         None => Command::Demo(default_demo()?),
     };
+    let is_cat = matches!(command, Command::Cat(_));
+    if !is_cat && matches!(cli.format, Asked::Ndjson | Asked::Csv) {
+        let what = "--format ndjson and csv are of `cat` alone; use --format json\n";
+        return Err(clap::Error::raw(clap::error::ErrorKind::InvalidValue, what));
+    }
     Ok((command, Output::new(cli.format)))
 }
 
@@ -75,6 +86,12 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Publish(args) => publish::run(args, output),
         Command::Record(args) => record::run(args, output),
         Command::Watch(args) => watch::run(args, output),
+        Command::Info(args) => info::run(args, output),
+        Command::Cat(args) => cat::run(args, output),
+        Command::Recover(args) => recover::run(args, output),
+        Command::Serve(args) => serve::run(args, output),
+        Command::Import(args) => import::run(args, output),
+        Command::Data(args) => data::run(args, output),
         Command::Doctor(args) => doctor::run(args, output),
         Command::Config(args) => config::run(args, output),
         Command::Train(args) => train::run(args, output),

@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::exit::StdoutClosed;
 
 /// How results are written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Format {
     /// For people
     Text,
@@ -17,19 +17,40 @@ pub(crate) enum Format {
     Json,
 }
 
+/// What `--format` asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Asked {
+    /// For people
+    Text,
+    /// For programs; not-known numbers are null
+    Json,
+    /// For programs, an object on each line (`cat`)
+    Ndjson,
+    /// A table (`cat`)
+    Csv,
+}
+
 /// Writes results to stdout.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Output {
-    format: Format,
+    asked: Asked,
 }
 
 impl Output {
-    pub(crate) const fn new(format: Format) -> Self {
-        Self { format }
+    pub(crate) const fn new(asked: Asked) -> Self {
+        Self { asked }
+    }
+
+    /// What was asked for, where a verb has more forms than two.
+    pub(crate) const fn asked(self) -> Asked {
+        self.asked
     }
 
     pub(crate) const fn format(self) -> Format {
-        self.format
+        match self.asked {
+            Asked::Text => Format::Text,
+            Asked::Json | Asked::Ndjson | Asked::Csv => Format::Json,
+        }
     }
 
     /// A report: as text or as JSON over several lines.
@@ -37,7 +58,7 @@ impl Output {
     /// # Errors
     /// [`StdoutClosed`], or what the system said.
     pub(crate) fn report<R: Serialize + Display>(self, report: &R) -> anyhow::Result<()> {
-        match self.format {
+        match self.format() {
             Format::Text => text(&report.to_string()),
             Format::Json => {
                 let json = serde_json::to_string_pretty(report).context("cannot write as JSON")?;
@@ -51,7 +72,7 @@ impl Output {
     /// # Errors
     /// [`StdoutClosed`], or what the system said.
     pub(crate) fn line<R: Serialize + Display>(self, report: &R) -> anyhow::Result<()> {
-        match self.format {
+        match self.format() {
             Format::Text => text(&report.to_string()),
             Format::Json => text(&serde_json::to_string(report).context("cannot write as JSON")?),
         }

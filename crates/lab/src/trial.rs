@@ -11,6 +11,7 @@ mod npy;
 mod sample;
 mod table;
 mod text;
+mod write;
 
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -20,6 +21,7 @@ pub use error::TrialError;
 pub use fleet::{Playback, TrialFleet, TrialFleetError};
 pub use note::{Gap, TrialNotes};
 pub use table::Column;
+pub use write::Row;
 
 use table::Table;
 

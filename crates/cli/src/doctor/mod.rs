@@ -6,6 +6,7 @@ mod mend;
 mod rights;
 
 use std::fmt;
+use std::path::PathBuf;
 
 use joulebus_bus::inspect;
 use serde::Serialize;
@@ -14,14 +15,18 @@ use crate::config_file::ConfigFile;
 use crate::exit::Outcome;
 use crate::output::Output;
 
-/// Check this host and a fleet's shared memory; exit 1 if something fails
+/// Check this host and a fleet's shared memory (exit 1 if something fails), or captures (exit 3)
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus doctor --config configs/fleet.toml\n  \
     joulebus doctor --fix            removes what dead processes left, corrects rights\n  \
-    joulebus doctor --format json\n\n\
+    joulebus doctor --format json\n  \
+    joulebus doctor run.mcap         checks captures instead: checksums, order, indexes, losses\n\n\
     Looking changes nothing. --fix never touches what living processes use.")]
 pub(crate) struct Args {
+    /// Captures or other MCAP files to check, instead of the host
+    #[arg(value_name = "FILE", conflicts_with_all = ["config", "fix"])]
+    files: Vec<PathBuf>,
     #[command(flatten)]
     config: ConfigFile,
     /// Mend what can be mended
@@ -79,6 +84,9 @@ struct DoctorReport {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    if !args.files.is_empty() {
+        return crate::info::diagnose(&args.files, output);
+    }
     let config = args.config.load()?;
     let domain = config.domain()?;
     let (mended, trouble) = match args.fix.then(|| mend::mend(&domain)) {

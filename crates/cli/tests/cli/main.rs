@@ -2,9 +2,12 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 mod bench;
+mod captures;
 mod fleet;
 mod live;
 mod model;
+#[cfg(feature = "foxglove")]
+mod serve;
 
 use std::fs;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
@@ -14,7 +17,7 @@ use std::time::Duration;
 use fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
 
-const VERBS: [&str; 21] = [
+const VERBS: [&str; 28] = [
     "demo",
     "run",
     "publish",
@@ -22,6 +25,13 @@ const VERBS: [&str; 21] = [
     "publish trial",
     "record",
     "watch",
+    "info",
+    "cat",
+    "recover",
+    "serve",
+    "import",
+    "data",
+    "data info",
     "doctor",
     "config",
     "config check",

@@ -70,6 +70,15 @@ impl Column {
         }
     }
 
+    /// A value in SI units as it stands in a file.
+    pub(super) const fn recorded(self, value: f64) -> f64 {
+        if self.is_milli() {
+            value * 1000.0
+        } else {
+            value
+        }
+    }
+
     const fn is_milli(self) -> bool {
         matches!(self, Self::Voltage | Self::Current | Self::Power)
     }
@@ -128,10 +137,20 @@ impl Table {
         } else {
             recorded
         };
+        self.push_si(cell, column, value)
+    }
+
+    /// Takes the value of `column` in a new row, in SI units.
+    pub(super) fn push_si(
+        &mut self,
+        cell: Cell<'_>,
+        column: Column,
+        value: f64,
+    ) -> Result<(), TrialError> {
         // Samples carry f32: what overflows there would arrive as infinity.
         if !value.is_nan() && !(value as f32).is_finite() {
             let allowed = "NaN, or a finite number within ±3.4e38 in SI units";
-            return Err(cell.refuse(column.name(), recorded.to_string(), allowed));
+            return Err(cell.refuse(column.name(), column.recorded(value).to_string(), allowed));
         }
         self.columns[column as usize]
             .get_or_insert_default()

@@ -1,0 +1,283 @@
+//! Which topics are whose, and how they are meant.
+
+use std::str::FromStr;
+
+use serde::Deserialize;
+
+use super::{Channel, ImportError};
+use crate::ros::Kind;
+
+/// Which time of a message counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TimeSource {
+    /// The header's where every battery message of the robot has one, else the log time.
+    #[default]
+    Auto,
+    /// When it was measured, by its header; messages without a stamp are refused.
+    Header,
+    /// When it was recorded.
+    Log,
+    /// When it was published.
+    Publish,
+}
+
+/// Which way a positive current flows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CurrentSign {
+    /// Out of the battery is negative, as the definition of the message says.
+    #[default]
+    DischargeNegative,
+    /// Out of the battery is positive, as many drivers have it.
+    DischargePositive,
+}
+
+/// A robot of a recording.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotMapping {
+    /// Its name in a dataset.
+    pub name: String,
+    /// Its id in a capture.
+    #[serde(default)]
+    pub id: Option<u32>,
+    /// Topic of its `BatteryState`.
+    pub battery: String,
+    /// Topic of its `Twist` or `TwistStamped`.
+    #[serde(default)]
+    pub command: Option<String>,
+    /// Topic of its `Odometry`.
+    #[serde(default)]
+    pub odometry: Option<String>,
+    /// Which way its current is positive.
+    #[serde(default)]
+    pub current: CurrentSign,
+    /// What one unit of its voltage is, V: 0.001 for millivolts.
+    #[serde(default = "one")]
+    pub voltage_unit_v: f64,
+    /// What one unit of its current is, A: 0.001 for milliamperes.
+    #[serde(default = "one")]
+    pub current_unit_a: f64,
+}
+
+const fn one() -> f64 {
+    1.0
+}
+
+/// How a recording is read. As TOML: `time`, `burst_s`, `odometry_max_age_s`, `command`, and a
+/// table `[[robot]]` for each robot; without robots every battery topic is one.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Mapping {
+    /// Which time counts.
+    #[serde(default)]
+    pub time: TimeSource,
+    /// Readings that follow each other within this time are one burst, of which the last counts, s;
+    /// 0 keeps all.
+    #[serde(default = "usual_burst_s")]
+    pub burst_s: f64,
+    /// Odometry older than this is not known any more, s.
+    #[serde(default = "usual_age_s")]
+    pub odometry_max_age_s: f64,
+    /// Which way the current is positive where no robot says otherwise.
+    #[serde(default)]
+    pub current: CurrentSign,
+    /// The robots.
+    #[serde(default, rename = "robot")]
+    pub robots: Vec<RobotMapping>,
+}
+
+const fn usual_burst_s() -> f64 {
+    0.005
+}
+
+const fn usual_age_s() -> f64 {
+    1.0
+}
+
+impl Default for Mapping {
+    fn default() -> Self {
+        Self {
+            time: TimeSource::default(),
+            burst_s: usual_burst_s(),
+            odometry_max_age_s: usual_age_s(),
+            current: CurrentSign::default(),
+            robots: Vec::new(),
+        }
+    }
+}
+
+/// A mapping file that cannot be meant.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MappingError {
+    /// It is no such TOML.
+    #[error("{0}")]
+    Toml(String),
+    /// A number out of range.
+    #[error("{key}: found {found}, allowed are {allowed}")]
+    Range {
+        /// The key.
+        key: String,
+        /// The number found.
+        found: f64,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+}
+
+impl FromStr for Mapping {
+    type Err = MappingError;
+
+    fn from_str(text: &str) -> Result<Self, MappingError> {
+        let mapping: Self = toml_edit::de::from_str(text)
+            .map_err(|error| MappingError::Toml(error.to_string().trim_end().to_owned()))?;
+        mapping.check()?;
+        Ok(mapping)
+    }
+}
+
+impl Mapping {
+    /// Whether every number can be meant.
+    ///
+    /// # Errors
+    /// [`MappingError::Range`].
+    pub fn check(&self) -> Result<(), MappingError> {
+        let refuse = |key: String, found: f64, allowed: &'static str| {
+            Err(MappingError::Range {
+                key,
+                found,
+                allowed,
+            })
+        };
+        for (key, found) in [
+            ("burst_s", self.burst_s),
+            ("odometry_max_age_s", self.odometry_max_age_s),
+        ] {
+            if !(0.0..=3600.0).contains(&found) {
+                return refuse(key.to_owned(), found, "0 to 3600 s");
+            }
+        }
+        for robot in &self.robots {
+            for (key, found) in [
+                ("voltage_unit_v", robot.voltage_unit_v),
+                ("current_unit_a", robot.current_unit_a),
+            ] {
+                if !(1e-9..=1e9).contains(&found) {
+                    let key = format!("robot {:?}: {key}", robot.name);
+                    return refuse(key, found, "1e-9 to 1e9");
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The robots of a recording: those of the mapping, or one for each battery topic.
+pub(super) fn choose(
+    name: &str,
+    mapping: &Mapping,
+    channels: &[Channel],
+) -> Result<Vec<RobotMapping>, ImportError> {
+    if !mapping.robots.is_empty() {
+        for robot in &mapping.robots {
+            check_topics(robot, channels)?;
+        }
+        return Ok(mapping.robots.clone());
+    }
+    let of_kind = |wanted: Kind| {
+        channels
+            .iter()
+            .filter(move |channel| channel.kind == Ok(wanted) && channel.messages > 0)
+    };
+    let mut robots = Vec::new();
+    let batteries: Vec<&Channel> = of_kind(Kind::BatteryState).collect();
+    for battery in &batteries {
+        let namespace = namespace(&battery.topic);
+        let ours = |channel: &&Channel| {
+            batteries.len() == 1 || self::namespace(&channel.topic) == namespace
+        };
+        let commands = of_kind(Kind::Twist).chain(of_kind(Kind::TwistStamped));
+        let command = only(
+            &commands.filter(ours).collect::<Vec<_>>(),
+            "cmd_vel",
+            &battery.topic,
+        )?;
+        let odometry: Vec<_> = of_kind(Kind::Odometry).filter(ours).collect();
+        let odometry = only(&odometry, "odom", &battery.topic)?;
+        robots.push(RobotMapping {
+            name: namespace.unwrap_or(name).to_owned(),
+            id: None,
+            battery: battery.topic.clone(),
+            command,
+            odometry,
+            current: mapping.current,
+            voltage_unit_v: 1.0,
+            current_unit_a: 1.0,
+        });
+    }
+    Ok(robots)
+}
+
+/// The first part of a topic that has several.
+fn namespace(topic: &str) -> Option<&str> {
+    let (first, rest) = topic.trim_start_matches('/').split_once('/')?;
+    (!rest.is_empty()).then_some(first)
+}
+
+/// The one topic there is, or the one with the usual name among several.
+fn only(found: &[&Channel], usual: &str, battery: &str) -> Result<Option<String>, ImportError> {
+    match found {
+        [] => Ok(None),
+        [one] => Ok(Some(one.topic.clone())),
+        several => {
+            let mut named = several
+                .iter()
+                .filter(|channel| channel.topic.rsplit('/').next() == Some(usual));
+            match (named.next(), named.next()) {
+                (Some(one), None) => Ok(Some(one.topic.clone())),
+                _ => {
+                    let topics: Vec<&str> = several
+                        .iter()
+                        .map(|channel| channel.topic.as_str())
+                        .collect();
+                    let what = format!("{battery} could go with any of {}", topics.join(", "));
+                    Err(ImportError::Choice { what })
+                }
+            }
+        }
+    }
+}
+
+/// Whether the topics of a robot are there and of the right kind.
+fn check_topics(robot: &RobotMapping, channels: &[Channel]) -> Result<(), ImportError> {
+    let check = |topic: &str, allowed: &[Kind]| {
+        let why = match channels.iter().find(|channel| channel.topic == topic) {
+            None => {
+                let topics: Vec<&str> = channels
+                    .iter()
+                    .map(|channel| channel.topic.as_str())
+                    .collect();
+                format!("the file does not have it; it has {}", topics.join(", "))
+            }
+            Some(Channel { kind: Ok(kind), .. }) if allowed.contains(kind) => return Ok(()),
+            Some(Channel { kind: Ok(kind), .. }) => {
+                format!("found {kind:?}, allowed are {allowed:?}")
+            }
+            Some(Channel {
+                kind: Err(error), ..
+            }) => error.to_string(),
+        };
+        let topic = topic.to_owned();
+        Err(ImportError::Topic { topic, why })
+    };
+    check(&robot.battery, &[Kind::BatteryState])?;
+    if let Some(command) = &robot.command {
+        check(command, &[Kind::Twist, Kind::TwistStamped])?;
+    }
+    if let Some(odometry) = &robot.odometry {
+        check(odometry, &[Kind::Odometry])?;
+    }
+    Ok(())
+}

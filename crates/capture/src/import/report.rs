@@ -1,0 +1,249 @@
+//! What was used and what was not.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::Serialize;
+
+use super::join::{Row, Track};
+use super::{Channel, TimeSource};
+use crate::ros::RosError;
+
+/// What became of the messages of a topic.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct TopicReport {
+    /// The topic.
+    pub topic: String,
+    /// Messages in the file.
+    pub messages: u64,
+    /// Messages that could not be used, or not in full, by reason.
+    pub refused: BTreeMap<String, u64>,
+}
+
+/// A channel that could have been of use.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Unusable {
+    /// Its topic.
+    pub topic: String,
+    /// The type of its messages.
+    pub type_name: String,
+    /// Their encoding.
+    pub encoding: String,
+    /// Messages.
+    pub messages: u64,
+    /// Why it is not used.
+    pub why: String,
+}
+
+/// A robot that was imported.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RobotReport {
+    /// Its name.
+    pub name: String,
+    /// Its id in captures, if the mapping gives one.
+    pub id: Option<u32>,
+    /// The clock of its rows.
+    pub time: &'static str,
+    /// Its battery.
+    pub battery: TopicReport,
+    /// Its commands.
+    pub command: Option<TopicReport>,
+    /// Its odometry.
+    pub odometry: Option<TopicReport>,
+    /// Readings that were not the last of their burst.
+    pub merged_in_bursts: u64,
+    /// Rows.
+    pub row_count: u64,
+    /// What else is to be known.
+    pub notes: Vec<String>,
+    /// The rows.
+    #[serde(skip)]
+    pub rows: Vec<Row>,
+}
+
+/// A recording that was imported.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Imported {
+    /// Its robots.
+    pub robots: Vec<RobotReport>,
+    /// Channels of a kind that is read, but cannot be.
+    pub unusable: Vec<Unusable>,
+    /// Channels that have nothing to do with power or motion, by type.
+    pub others: BTreeMap<String, u64>,
+    /// What is damaged in the file.
+    pub damage: Vec<String>,
+}
+
+impl Imported {
+    /// Whether everything that was meant was used.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        let is_used = |topic: &TopicReport| topic.refused.is_empty();
+        self.damage.is_empty()
+            && self.robots.iter().all(|robot| {
+                is_used(&robot.battery)
+                    && robot.command.as_ref().is_none_or(is_used)
+                    && robot.odometry.as_ref().is_none_or(is_used)
+            })
+    }
+}
+
+pub(super) fn imported(tracks: Vec<Track>, channels: &[Channel], damage: Vec<String>) -> Imported {
+    let mut unusable = Vec::new();
+    let mut others = BTreeMap::new();
+    let used: Vec<String> = tracks
+        .iter()
+        .flat_map(|track| {
+            let robot = &track.robot;
+            [
+                Some(robot.battery.clone()),
+                robot.command.clone(),
+                robot.odometry.clone(),
+            ]
+        })
+        .flatten()
+        .collect();
+    for channel in channels {
+        let why = match &channel.kind {
+            _ if used.contains(&channel.topic) => continue,
+            Err(RosError::Type { .. }) => {
+                *others.entry(channel.type_name.clone()).or_default() += channel.messages;
+                continue;
+            }
+            Err(error) => error.to_string(),
+            Ok(_) if channel.messages == 0 => "it has no messages".to_owned(),
+            Ok(_) => "it belongs to no robot".to_owned(),
+        };
+        unusable.push(Unusable {
+            topic: channel.topic.clone(),
+            type_name: channel.type_name.clone(),
+            encoding: channel.encoding.clone(),
+            messages: channel.messages,
+            why,
+        });
+    }
+    Imported {
+        robots: tracks.into_iter().map(robot).collect(),
+        unusable,
+        others,
+        damage,
+    }
+}
+
+fn robot(mut track: Track) -> RobotReport {
+    let joined = track.join();
+    let Track {
+        robot,
+        battery,
+        command,
+        odometry,
+        ..
+    } = track;
+    let time = match joined.clock {
+        TimeSource::Header => "header",
+        TimeSource::Auto | TimeSource::Log => "log",
+        TimeSource::Publish => "publish",
+    };
+    let topic = |topic: String, messages, refused| TopicReport {
+        topic,
+        messages,
+        refused,
+    };
+    RobotReport {
+        name: robot.name,
+        id: robot.id,
+        time,
+        battery: topic(robot.battery, battery.messages, battery.refused),
+        command: robot
+            .command
+            .map(|name| topic(name, command.messages, command.refused)),
+        odometry: robot
+            .odometry
+            .map(|name| topic(name, odometry.messages, odometry.refused)),
+        merged_in_bursts: joined.merged,
+        row_count: joined.rows.len() as u64,
+        notes: joined.notes,
+        rows: joined.rows,
+    }
+}
+
+impl fmt::Display for Imported {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for damage in &self.damage {
+            writeln!(out, "damaged    {damage}")?;
+        }
+        for robot in &self.robots {
+            write!(out, "{robot}")?;
+        }
+        if self.robots.is_empty() {
+            writeln!(
+                out,
+                "no robot: no channel has battery readings that can be used"
+            )?;
+        }
+        for channel in &self.unusable {
+            let Unusable {
+                topic,
+                type_name,
+                messages,
+                why,
+                ..
+            } = channel;
+            writeln!(
+                out,
+                "not used   {topic} ({type_name}), {messages} messages: {why}"
+            )?;
+        }
+        let (kinds, messages) = (self.others.len(), self.others.values().sum::<u64>());
+        if kinds > 0 {
+            writeln!(
+                out,
+                "not looked at: {messages} messages of {kinds} other types"
+            )?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for RobotReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            out,
+            "robot      {}: {} rows by {} time",
+            self.name, self.row_count, self.time
+        )?;
+        write_topic(out, "battery", Some(&self.battery))?;
+        if self.merged_in_bursts > 0 {
+            let merged = self.merged_in_bursts;
+            writeln!(
+                out,
+                "             {merged} in bursts, of which the last counts"
+            )?;
+        }
+        write_topic(out, "command", self.command.as_ref())?;
+        write_topic(out, "odometry", self.odometry.as_ref())?;
+        for note in &self.notes {
+            writeln!(out, "  note     {note}")?;
+        }
+        Ok(())
+    }
+}
+
+fn write_topic(
+    out: &mut fmt::Formatter<'_>,
+    what: &str,
+    topic: Option<&TopicReport>,
+) -> fmt::Result {
+    let Some(topic) = topic else {
+        return writeln!(out, "  {what:<9}none: missing in every row");
+    };
+    writeln!(
+        out,
+        "  {what:<9}{}, {} messages",
+        topic.topic, topic.messages
+    )?;
+    for (why, count) in &topic.refused {
+        writeln!(out, "             {count} of them: {why}")?;
+    }
+    Ok(())
+}

@@ -1,0 +1,426 @@
+//! The few ROS 2 messages that carry power and motion, decoded from CDR.
+//!
+//! The bytes are read by the `cdr-encoding` crate, which RustDDS and ros2-client use. What a file
+//! says about a type is compared with the definition that is built in: a message with other fields
+//! is refused, not misread.
+
+use cdr_encoding::from_bytes;
+use serde::{Deserialize, Serialize};
+
+/// Time since 1970.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Time {
+    /// s.
+    pub sec: i32,
+    /// ns.
+    pub nanosec: u32,
+}
+
+impl Time {
+    /// Unix ns; nothing for 0, which stands for a stamp that nobody set, and before 1970.
+    #[must_use]
+    pub fn unix_ns(self) -> Option<u64> {
+        let sec = u64::try_from(self.sec).ok()?;
+        let ns = sec * 1_000_000_000 + u64::from(self.nanosec);
+        (ns > 0).then_some(ns)
+    }
+}
+
+/// `std_msgs/Header`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Header {
+    /// When it was measured.
+    pub stamp: Time,
+    /// Its frame of reference.
+    pub frame_id: String,
+}
+
+/// `geometry_msgs/Vector3` and `geometry_msgs/Point`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "three coordinates")]
+pub struct Vector3 {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
+}
+
+/// `geometry_msgs/Quaternion`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "four coordinates")]
+pub struct Quaternion {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
+    pub w: f64,
+}
+
+impl Quaternion {
+    /// The turn about the vertical axis, rad; NaN where it is no turn at all.
+    #[must_use]
+    pub fn yaw_rad(&self) -> f64 {
+        let norm = self.x * self.x + self.y * self.y + self.z * self.z + self.w * self.w;
+        if norm.is_nan() || norm <= 1e-12 {
+            return f64::NAN;
+        }
+        let sine = 2.0 * (self.w * self.z + self.x * self.y) / norm;
+        let cosine = 1.0 - 2.0 * (self.y * self.y + self.z * self.z) / norm;
+        sine.atan2(cosine)
+    }
+}
+
+/// `geometry_msgs/Pose`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// m.
+    pub position: Vector3,
+    /// A unit quaternion.
+    pub orientation: Quaternion,
+}
+
+/// `geometry_msgs/Twist`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Twist {
+    /// m/s.
+    pub linear: Vector3,
+    /// rad/s.
+    pub angular: Vector3,
+}
+
+/// `geometry_msgs/TwistStamped`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "named as in the definition")]
+pub struct TwistStamped {
+    pub header: Header,
+    pub twist: Twist,
+}
+
+/// Six by six, by rows.
+pub type Covariance = [[f64; 6]; 6];
+
+/// `geometry_msgs/PoseWithCovariance`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "named as in the definition")]
+pub struct PoseWithCovariance {
+    pub pose: Pose,
+    pub covariance: Covariance,
+}
+
+/// `geometry_msgs/TwistWithCovariance`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "named as in the definition")]
+pub struct TwistWithCovariance {
+    pub twist: Twist,
+    pub covariance: Covariance,
+}
+
+/// `nav_msgs/Odometry`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "named as in the definition")]
+pub struct Odometry {
+    pub header: Header,
+    pub child_frame_id: String,
+    pub pose: PoseWithCovariance,
+    pub twist: TwistWithCovariance,
+}
+
+/// `sensor_msgs/BatteryState`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BatteryState {
+    /// When it was measured.
+    pub header: Header,
+    /// V.
+    pub voltage: f32,
+    /// °C.
+    pub temperature: f32,
+    /// A; by the definition negative while discharging.
+    pub current: f32,
+    /// Ah.
+    pub charge: f32,
+    /// Ah.
+    pub capacity: f32,
+    /// Ah.
+    pub design_capacity: f32,
+    /// 0 to 1.
+    pub percentage: f32,
+    /// 1 charging, 2 discharging, 3 not charging, 4 full.
+    pub power_supply_status: u8,
+    /// See the definition.
+    pub power_supply_health: u8,
+    /// See the definition.
+    pub power_supply_technology: u8,
+    /// Whether there is a battery.
+    pub present: bool,
+    /// V.
+    pub cell_voltage: Vec<f32>,
+    /// °C.
+    pub cell_temperature: Vec<f32>,
+    /// Where it is.
+    pub location: String,
+    /// Its number.
+    pub serial_number: String,
+}
+
+/// A kind of message that is decoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// [`BatteryState`].
+    BatteryState,
+    /// [`Twist`].
+    Twist,
+    /// [`TwistStamped`].
+    TwistStamped,
+    /// [`Odometry`].
+    Odometry,
+}
+
+/// A message that was decoded.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+#[expect(missing_docs, reason = "named as their types")]
+pub enum Message {
+    BatteryState(Box<BatteryState>),
+    Twist(Twist),
+    TwistStamped(TwistStamped),
+    Odometry(Box<Odometry>),
+}
+
+/// Why a channel or one of its messages cannot be decoded.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RosError {
+    /// A type that is not read.
+    #[error(
+        "type {found:?}; read are sensor_msgs/msg/BatteryState, geometry_msgs/msg/Twist, \
+         geometry_msgs/msg/TwistStamped and nav_msgs/msg/Odometry"
+    )]
+    Type {
+        /// Its name.
+        found: String,
+    },
+    /// Messages or their definition are written in another way.
+    #[error("encoding {found:?}; read is {allowed:?}")]
+    Encoding {
+        /// The encoding found.
+        found: String,
+        /// What can be read.
+        allowed: &'static str,
+    },
+    /// The definition in the file has other fields.
+    #[error("its definition has {found:?} where {expected:?} is expected")]
+    Definition {
+        /// The field in the file.
+        found: String,
+        /// The field built in.
+        expected: &'static str,
+    },
+    /// The bytes do not begin as plain CDR.
+    #[error("begins with {found:02x?}; plain CDR begins with 00 00 or 00 01")]
+    Encapsulation {
+        /// The first bytes, at most four.
+        found: Vec<u8>,
+    },
+    /// The bytes are not what the definition says.
+    #[error("{0}")]
+    Bytes(String),
+}
+
+impl Kind {
+    /// The kind of a channel's messages.
+    ///
+    /// # Errors
+    /// [`RosError`]: another type, another encoding, or a definition with other fields.
+    pub fn of(
+        message_encoding: &str,
+        type_name: &str,
+        schema_encoding: &str,
+        definition: &[u8],
+    ) -> Result<Self, RosError> {
+        let kind = Self::named(type_name).ok_or_else(|| RosError::Type {
+            found: type_name.to_owned(),
+        })?;
+        if message_encoding != "cdr" {
+            return Err(RosError::Encoding {
+                found: message_encoding.to_owned(),
+                allowed: "cdr",
+            });
+        }
+        // Recorders that did not find a definition leave it empty; the length of every message
+        // still has to fit.
+        if definition.is_empty() {
+            return Ok(kind);
+        }
+        if schema_encoding != "ros2msg" {
+            return Err(RosError::Encoding {
+                found: schema_encoding.to_owned(),
+                allowed: "ros2msg",
+            });
+        }
+        check_definition(&String::from_utf8_lossy(definition), kind)?;
+        Ok(kind)
+    }
+
+    /// With `msg/` in the name, as since ROS 2, or without.
+    fn named(type_name: &str) -> Option<Self> {
+        Some(match type_name.replacen("/msg/", "/", 1).as_str() {
+            "sensor_msgs/BatteryState" => Self::BatteryState,
+            "geometry_msgs/Twist" => Self::Twist,
+            "geometry_msgs/TwistStamped" => Self::TwistStamped,
+            "nav_msgs/Odometry" => Self::Odometry,
+            _ => return None,
+        })
+    }
+
+    /// Decodes a message.
+    ///
+    /// # Errors
+    /// [`RosError`].
+    pub fn decode(self, data: &[u8]) -> Result<Message, RosError> {
+        Ok(match self {
+            Self::BatteryState => Message::BatteryState(Box::new(decode(data)?)),
+            Self::Twist => Message::Twist(decode(data)?),
+            Self::TwistStamped => Message::TwistStamped(decode(data)?),
+            Self::Odometry => Message::Odometry(Box::new(decode(data)?)),
+        })
+    }
+
+    /// Fields of the type and of the types in it, `type name` each, as far as they matter for the
+    /// layout.
+    const fn definition(self) -> &'static [(&'static str, &'static [&'static str])] {
+        const HEADER: (&str, &[&str]) = ("Header", &["Time stamp", "string frame_id"]);
+        const VECTOR: (&str, &[&str]) = ("Vector3", &["float64 x", "float64 y", "float64 z"]);
+        const TWIST: (&str, &[&str]) = ("Twist", &["Vector3 linear", "Vector3 angular"]);
+        match self {
+            Self::BatteryState => &[
+                (
+                    "BatteryState",
+                    &[
+                        "Header header",
+                        "float32 voltage",
+                        "float32 temperature",
+                        "float32 current",
+                        "float32 charge",
+                        "float32 capacity",
+                        "float32 design_capacity",
+                        "float32 percentage",
+                        "uint8 power_supply_status",
+                        "uint8 power_supply_health",
+                        "uint8 power_supply_technology",
+                        "bool present",
+                        "float32[] cell_voltage",
+                        "float32[] cell_temperature",
+                        "string location",
+                        "string serial_number",
+                    ],
+                ),
+                HEADER,
+            ],
+            Self::Twist => &[TWIST, VECTOR],
+            Self::TwistStamped => &[
+                ("TwistStamped", &["Header header", "Twist twist"]),
+                HEADER,
+                TWIST,
+                VECTOR,
+            ],
+            Self::Odometry => &[
+                (
+                    "Odometry",
+                    &[
+                        "Header header",
+                        "string child_frame_id",
+                        "PoseWithCovariance pose",
+                        "TwistWithCovariance twist",
+                    ],
+                ),
+                HEADER,
+                (
+                    "PoseWithCovariance",
+                    &["Pose pose", "float64[36] covariance"],
+                ),
+                ("Pose", &["Point position", "Quaternion orientation"]),
+                ("Point", &["float64 x", "float64 y", "float64 z"]),
+                (
+                    "Quaternion",
+                    &["float64 x", "float64 y", "float64 z", "float64 w"],
+                ),
+                (
+                    "TwistWithCovariance",
+                    &["Twist twist", "float64[36] covariance"],
+                ),
+                TWIST,
+                VECTOR,
+            ],
+        }
+    }
+}
+
+/// Compares the definition in a file with that built in.
+fn check_definition(text: &str, kind: Kind) -> Result<(), RosError> {
+    let mut sections: Vec<(String, Vec<String>)> = Vec::new();
+    let expected = kind.definition();
+    sections.push((expected[0].0.to_owned(), Vec::new()));
+    for line in text.lines() {
+        let line = line.split('#').next().unwrap_or_default().trim();
+        if let Some(name) = line.strip_prefix("MSG:") {
+            sections.push((last_part(name.trim()).to_owned(), Vec::new()));
+        } else if !line.is_empty() && !line.starts_with("===") && !is_constant(line) {
+            let mut words = line.split_whitespace();
+            let (kind, name) = (words.next(), words.next());
+            let field = format!(
+                "{} {}",
+                last_part(kind.unwrap_or_default()),
+                name.unwrap_or_default()
+            );
+            if let Some((_, fields)) = sections.last_mut() {
+                fields.push(field);
+            }
+        }
+    }
+    for (name, fields) in expected {
+        // Files may leave out the definitions of types that they have elsewhere.
+        let Some((_, found)) = sections.iter().find(|(section, _)| section == name) else {
+            continue;
+        };
+        for at in 0..fields.len().max(found.len()) {
+            let expected = fields.get(at).copied().unwrap_or("the end");
+            let found = found.get(at).map_or("the end", String::as_str);
+            if found != expected {
+                let found = found.to_owned();
+                return Err(RosError::Definition { found, expected });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// `uint8 UNKNOWN=0`, or with spaces about the sign.
+fn is_constant(line: &str) -> bool {
+    line.contains('=')
+}
+
+fn last_part(name: &str) -> &str {
+    name.rsplit('/').next().unwrap_or(name)
+}
+
+/// Four bytes that say how the rest is written, then the rest.
+fn decode<'a, T: Deserialize<'a>>(data: &'a [u8]) -> Result<T, RosError> {
+    let Some((head, body)) = data.split_at_checked(4) else {
+        let found = data.to_vec();
+        return Err(RosError::Encapsulation { found });
+    };
+    let decoded = match head[..2] {
+        [0, 0] => from_bytes::<T, byteorder::BigEndian>(body),
+        [0, 1] => from_bytes::<T, byteorder::LittleEndian>(body),
+        _ => {
+            let found = head.to_vec();
+            return Err(RosError::Encapsulation { found });
+        }
+    };
+    let (message, read) = decoded.map_err(|error| RosError::Bytes(error.to_string()))?;
+    // Writers may fill up to a multiple of four.
+    match body.len() - read {
+        0..=3 => Ok(message),
+        left => Err(RosError::Bytes(format!(
+            "{left} bytes follow the last field"
+        ))),
+    }
+}

@@ -1,0 +1,238 @@
+//! `joulebus cat`: the messages of captures and other MCAP files, one by one.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::{self, BufWriter, Write as _};
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use joulebus_capture::values::{Line, values};
+use regex::Regex;
+use serde_json::Value;
+
+use crate::exit::{Outcome, StdoutClosed, UsageError};
+use crate::output::{Asked, Output, say};
+
+/// Write the messages of an MCAP file with their values
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus cat run.mcap --topics joulebus/lab/forecasts | head\n  \
+    joulebus cat run.mcap --format csv --topics joulebus/lab/samples > samples.csv\n  \
+    joulebus cat recording.mcap -e battery --format ndjson\n\n\
+    Protobuf is decoded by the descriptors in the file, JSON as it is, and of ROS 2 BatteryState, \
+    Twist, TwistStamped and Odometry; of other messages time, number and length are shown. CSV has \
+    a row for each robot of a message and takes one type of messages.\n\
+    Exit codes: 3 if the file is damaged or values could not be told.")]
+pub(crate) struct Args {
+    /// An MCAP file
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// These topics only
+    #[arg(long, value_name = "TOPIC", num_args = 1..)]
+    topics: Vec<String>,
+    /// Topics that match, in addition to --topics
+    #[arg(short = 'e', long, value_name = "REGEX")]
+    regex: Option<String>,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let regex = args.regex.as_deref().map(Regex::new).transpose();
+    let regex = regex.map_err(|error| UsageError(error.to_string()))?;
+    let wanted = |topic: &str| {
+        let named = args.topics.iter().any(|wanted| wanted == topic);
+        let matches = regex.as_ref().is_some_and(|regex| regex.is_match(topic));
+        named || matches || args.topics.is_empty() && regex.is_none()
+    };
+    let named = || args.file.display().to_string();
+    let file = File::open(&args.file).with_context(named)?;
+    let mut out = Out::new(output.asked());
+    let passed = values(file, wanted, |line| out.take(&line))?;
+    out.out.flush().map_err(closed)?;
+    for damage in &passed.damage {
+        say(&format!("{}: {damage}", named()));
+    }
+    for (topic, count) in &passed.undecoded {
+        say(&format!(
+            "{topic}: the values of {count} messages cannot be told"
+        ));
+    }
+    if out.unlisted > 0 {
+        say(&format!("{} values had no column", out.unlisted));
+    }
+    let is_whole = passed.damage.is_empty() && passed.undecoded.is_empty() && out.unlisted == 0;
+    Ok(Outcome::unless_lost(!is_whole))
+}
+
+/// Messages to stdout.
+struct Out {
+    form: Asked,
+    out: BufWriter<io::StdoutLock<'static>>,
+    schema: Option<String>,
+    columns: Vec<String>,
+    /// Values of later messages that the first one did not have.
+    unlisted: u64,
+}
+
+fn closed(error: io::Error) -> anyhow::Error {
+    if error.kind() == io::ErrorKind::BrokenPipe {
+        StdoutClosed.into()
+    } else {
+        anyhow::Error::new(error).context("cannot write to stdout")
+    }
+}
+
+impl Out {
+    fn new(form: Asked) -> Self {
+        Self {
+            form,
+            out: BufWriter::new(io::stdout().lock()),
+            schema: None,
+            columns: Vec::new(),
+            unlisted: 0,
+        }
+    }
+
+    fn take(&mut self, line: &Line<'_>) -> anyhow::Result<()> {
+        match self.form {
+            Asked::Json | Asked::Ndjson => {
+                serde_json::to_writer(&mut self.out, line).map_err(|error| closed(error.into()))?;
+                writeln!(self.out).map_err(closed)
+            }
+            Asked::Text => self.text(line),
+            Asked::Csv => self.csv(line),
+        }
+    }
+
+    fn text(&mut self, line: &Line<'_>) -> anyhow::Result<()> {
+        let (s, ns) = (
+            line.log_time_ns / 1_000_000_000,
+            line.log_time_ns % 1_000_000_000,
+        );
+        write!(self.out, "{s}.{ns:09} {} #{} ", line.topic, line.sequence).map_err(closed)?;
+        match &line.undecoded {
+            None => writeln!(self.out, "{}", line.value),
+            Some(why) => writeln!(self.out, "[{} bytes of {}: {why}]", line.bytes, line.schema),
+        }
+        .map_err(closed)
+    }
+
+    fn csv(&mut self, line: &Line<'_>) -> anyhow::Result<()> {
+        let rows = rows(&line.value);
+        match &self.schema {
+            None => self.begin(line, rows.first().map_or(&[], Vec::as_slice))?,
+            Some(schema) if schema != line.schema => {
+                let what = format!("a table of {schema} has no place for {}", line.schema);
+                return Err(UsageError(format!("{what}; name one kind with --topics")).into());
+            }
+            Some(_) => {}
+        }
+        for row in rows {
+            let place = [
+                line.topic.to_owned(),
+                line.log_time_ns.to_string(),
+                line.publish_time_ns.to_string(),
+                line.sequence.to_string(),
+            ];
+            let known: BTreeSet<&str> = self.columns.iter().map(String::as_str).collect();
+            self.unlisted += row
+                .iter()
+                .filter(|(name, _)| !known.contains(name.as_str()))
+                .count() as u64;
+            let values = self.columns.iter().map(|column| {
+                let found = row.iter().find(|(name, _)| name == column);
+                found.map_or_else(String::new, |(_, value)| cell(value))
+            });
+            let cells: Vec<String> = place
+                .iter()
+                .cloned()
+                .chain(values)
+                .map(|text| quoted(&text))
+                .collect();
+            writeln!(self.out, "{}", cells.join(",")).map_err(closed)?;
+        }
+        Ok(())
+    }
+
+    fn begin(&mut self, line: &Line<'_>, first: &[(String, Value)]) -> anyhow::Result<()> {
+        self.schema = Some(line.schema.to_owned());
+        self.columns = if line.columns.is_empty() {
+            first.iter().map(|(name, _)| name.clone()).collect()
+        } else {
+            line.columns.to_vec()
+        };
+        let columns: Vec<String> = self.columns.iter().map(|name| quoted(name)).collect();
+        let place = "topic,log_time_ns,publish_time_ns,sequence";
+        let comma = if columns.is_empty() { "" } else { "," };
+        writeln!(self.out, "{place}{comma}{}", columns.join(",")).map_err(closed)
+    }
+}
+
+/// The values of a message as rows: one for each element of its one list of messages, else one.
+fn rows(value: &Value) -> Vec<Vec<(String, Value)>> {
+    let lists: Vec<&String> = value
+        .as_object()
+        .into_iter()
+        .flatten()
+        .filter(|(_, value)| is_list(value))
+        .map(|(name, _)| name)
+        .collect();
+    let mut common = Vec::new();
+    if let [list] = lists.as_slice() {
+        flatten("", value, &mut common, Some(list));
+        let elements = value[list.as_str()].as_array().into_iter().flatten();
+        return elements
+            .map(|element| {
+                let mut row = common.clone();
+                flatten(&format!("{list}."), element, &mut row, None);
+                row
+            })
+            .collect();
+    }
+    flatten("", value, &mut common, None);
+    vec![common]
+}
+
+fn is_list(value: &Value) -> bool {
+    value
+        .as_array()
+        .is_some_and(|list| list.first().is_some_and(Value::is_object))
+}
+
+/// Names with dots for what is nested.
+fn flatten(before: &str, value: &Value, row: &mut Vec<(String, Value)>, without: Option<&str>) {
+    let Some(fields) = value.as_object() else {
+        let name = before.trim_end_matches('.');
+        row.push((
+            if name.is_empty() { "value" } else { name }.to_owned(),
+            value.clone(),
+        ));
+        return;
+    };
+    for (name, value) in fields
+        .iter()
+        .filter(|(name, _)| Some(name.as_str()) != without)
+    {
+        match value {
+            Value::Object(_) => flatten(&format!("{before}{name}."), value, row, None),
+            // A list without elements has no rows of its own and no value either.
+            Value::Array(list) if list.is_empty() => {}
+            value => row.push((format!("{before}{name}"), value.clone())),
+        }
+    }
+}
+
+fn cell(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => text.clone(),
+        value => value.to_string(),
+    }
+}
+
+fn quoted(text: &str) -> String {
+    if text.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", text.replace('"', "\"\""))
+    } else {
+        text.to_owned()
+    }
+}

@@ -1,0 +1,275 @@
+//! `joulebus import`: recordings of other programs, as datasets or captures.
+
+mod capture;
+mod options;
+
+use std::fmt;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+use joulebus_capture::import::{Imported, RobotReport, import};
+use joulebus_lab::trial::{Row, Trial};
+use serde::Serialize;
+
+use crate::config_file::ConfigFile;
+use crate::exit::{Outcome, UsageError};
+use crate::output::Output;
+use options::Options;
+
+/// Import recordings (rosbag2 MCAP, .npy, .csv, .csv.gz) as datasets or as a capture
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus import bag_0.mcap -o trials/ --current discharge-positive\n  \
+    joulebus import bag_0.mcap -o robot.csv.gz --battery /r1/battery --command /r1/cmd_vel\n  \
+    joulebus import bag_0.mcap -o trials/ --mapping mapping.toml\n  \
+    joulebus import trials/*.csv.gz -o trials.mcap\n\n\
+    Of a rosbag2 file, sensor_msgs/BatteryState, geometry_msgs/Twist, TwistStamped and \
+    nav_msgs/Odometry are read (cdr); without options every battery topic is a robot. What the file \
+    does not have is missing in the result, never 0; what cannot be used is named and counted.\n\
+    The result is a capture if its name ends in .mcap, a dataset if it ends in .csv or .csv.gz, \
+    else a directory of datasets, which `joulebus publish trial` plays.\n\n\
+    A mapping file (all but name and battery may be left out):\n\n  \
+    time = \"auto\"              # header, log, publish\n  \
+    burst_s = 0.005            # of readings closer than this the last counts\n  \
+    odometry_max_age_s = 1.0\n\n  \
+    [[robot]]\n  \
+    name = \"r1\"                # in datasets\n  \
+    id = 7                     # in captures\n  \
+    battery = \"/r1/battery\"\n  \
+    command = \"/r1/cmd_vel\"    # Twist or TwistStamped\n  \
+    odometry = \"/r1/odom\"\n  \
+    current = \"discharge-negative\"   # as ROS has it; or discharge-positive\n  \
+    voltage_unit_v = 1.0       # 0.001 for millivolts\n  \
+    current_unit_a = 1.0\n\n\
+    Exit codes: 1 if nothing could be used; 3 if messages could not.")]
+pub(crate) struct Args {
+    /// Recordings; several go into one capture, or into a directory
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// A capture (.mcap), a dataset (.csv, .csv.gz) or a directory
+    #[arg(short, long, value_name = "PATH")]
+    output: PathBuf,
+    #[command(flatten)]
+    options: Options,
+    /// Id in a capture of the first robot without one; the others count on [default: the lowest
+    /// of the config]
+    #[arg(long, value_name = "ID")]
+    first_robot: Option<u32>,
+    /// Fleet whose config goes into a capture
+    #[command(flatten)]
+    config: ConfigFile,
+}
+
+/// A robot's recording, read.
+struct Recording {
+    name: String,
+    id: Option<u32>,
+    /// When its first row was, Unix ns, if the recording says so.
+    start_unix_ns: Option<u64>,
+    trial: Trial,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    sources: Vec<Source>,
+    /// Files written.
+    written: Vec<Written>,
+}
+
+#[derive(Debug, Serialize)]
+struct Source {
+    file: String,
+    #[serde(flatten)]
+    imported: Option<Imported>,
+    /// Of a file that was a trial already: what is to be said about it.
+    trial: Option<String>,
+    /// Robots left out, and why.
+    left_out: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Written {
+    file: String,
+    robots: Vec<String>,
+    /// Rows of a dataset, samples of a capture.
+    rows: u64,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let mapping = args.options.mapping()?;
+    let mut recordings = Vec::new();
+    let mut sources = Vec::new();
+    for file in &args.files {
+        let is_mcap = file
+            .extension()
+            .is_some_and(|extension| extension == "mcap");
+        sources.push(if is_mcap {
+            read_mcap(file, &mapping, &mut recordings)?
+        } else {
+            read_trial(file, &mut recordings)?
+        });
+    }
+    let mut report = Report {
+        sources,
+        written: Vec::new(),
+    };
+    if recordings.is_empty() {
+        output.report(&report)?;
+        return Ok(Outcome::Failed);
+    }
+    report.written = write(args, recordings)?;
+    output.report(&report)?;
+    let is_whole = report.sources.iter().all(|source| {
+        source.left_out.is_empty() && source.imported.as_ref().is_none_or(Imported::is_whole)
+    });
+    Ok(Outcome::unless_lost(!is_whole))
+}
+
+/// A name without directory and endings.
+fn stem(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let endings = [".mcap", ".npy", ".csv.gz", ".csv"];
+    let stem = endings.iter().find_map(|ending| name.strip_suffix(ending));
+    stem.unwrap_or(&name).to_owned()
+}
+
+fn read_mcap(
+    path: &Path,
+    mapping: &joulebus_capture::import::Mapping,
+    recordings: &mut Vec<Recording>,
+) -> anyhow::Result<Source> {
+    let named = || path.display().to_string();
+    let file = File::open(path).with_context(named)?;
+    let imported = import(file, &stem(path), mapping).with_context(named)?;
+    let mut left_out = Vec::new();
+    for robot in &imported.robots {
+        match recording(path, robot) {
+            Ok(recording) => recordings.push(recording),
+            Err(error) => left_out.push(format!("{}: {error}", robot.name)),
+        }
+    }
+    Ok(Source {
+        file: named(),
+        imported: Some(imported),
+        trial: None,
+        left_out,
+    })
+}
+
+fn recording(path: &Path, robot: &RobotReport) -> anyhow::Result<Recording> {
+    let Some(first) = robot.rows.first() else {
+        bail!("no row of it can be used");
+    };
+    let start_ns = first.time_ns;
+    let rows = robot.rows.iter().map(|row| Row {
+        timestamp_s: (row.time_ns - start_ns) as f64 / 1e9,
+        values: [
+            f64::NAN,
+            row.v_mps,
+            row.omega_radps,
+            row.x_m,
+            row.y_m,
+            row.theta_rad,
+            row.voltage_v,
+            row.current_a,
+            row.power_w,
+            row.v_measured_mps,
+            row.omega_measured_radps,
+        ],
+    });
+    Ok(Recording {
+        name: robot.name.clone(),
+        id: robot.id,
+        start_unix_ns: Some(start_ns),
+        trial: Trial::from_rows(path, &robot.name, rows)?,
+    })
+}
+
+fn read_trial(path: &Path, recordings: &mut Vec<Recording>) -> anyhow::Result<Source> {
+    let trial = Trial::read(path)?;
+    let source = Source {
+        file: path.display().to_string(),
+        imported: None,
+        trial: Some(trial.notes().to_string()),
+        left_out: Vec::new(),
+    };
+    recordings.push(Recording {
+        name: stem(path),
+        id: None,
+        start_unix_ns: None,
+        trial,
+    });
+    Ok(source)
+}
+
+fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>> {
+    let name = args.output.to_string_lossy();
+    if name.ends_with(".mcap") {
+        let config = args.config.load()?;
+        let written = capture::write(&args.output, &config, args.first_robot, recordings)?;
+        return Ok(vec![written]);
+    }
+    let is_dataset = name.ends_with(".csv") || name.ends_with(".csv.gz");
+    if is_dataset && recordings.len() > 1 {
+        let what = format!("{} robots do not go into one dataset", recordings.len());
+        return Err(UsageError(format!("{what}; name a directory or a capture (.mcap)")).into());
+    }
+    if !is_dataset {
+        fs::create_dir_all(&args.output).with_context(|| name.clone().into_owned())?;
+    }
+    let place = |recording: &Recording| {
+        if is_dataset {
+            return args.output.clone();
+        }
+        // A robot's name may have anything in it; a file's may not.
+        let file: String = recording
+            .name
+            .chars()
+            .map(|letter| {
+                if letter.is_alphanumeric() || "-_.".contains(letter) {
+                    letter
+                } else {
+                    '_'
+                }
+            })
+            .collect();
+        args.output.join(format!("{file}.csv.gz"))
+    };
+    let mut written = Vec::new();
+    for recording in &recordings {
+        let path = place(recording);
+        let failed = || format!("cannot write {}", path.display());
+        recording.trial.write_csv(&path).with_context(failed)?;
+        // What cannot be read again was not written.
+        let again = Trial::read(&path)?;
+        written.push(Written {
+            file: path.display().to_string(),
+            robots: vec![recording.name.clone()],
+            rows: again.rows() as u64,
+        });
+    }
+    Ok(written)
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for source in &self.sources {
+            writeln!(out, "{}", source.file)?;
+            if let Some(imported) = &source.imported {
+                write!(out, "{imported}")?;
+            }
+            if let Some(trial) = &source.trial {
+                writeln!(out, "trial      {trial}")?;
+            }
+            for why in &source.left_out {
+                writeln!(out, "left out   {why}")?;
+            }
+        }
+        for written in &self.written {
+            let (file, robots) = (&written.file, written.robots.join(", "));
+            writeln!(out, "written    {file}: {} rows of {robots}", written.rows)?;
+        }
+        Ok(())
+    }
+}

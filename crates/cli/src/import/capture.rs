@@ -1,0 +1,121 @@
+//! Recordings as the samples of a fleet.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use anyhow::Context as _;
+use joulebus_bus::clock;
+use joulebus_capture::{Attachments, Clock, Message, Preset, Settings, Times, Writer};
+use joulebus_config::Config;
+use joulebus_lab::trial::{Playback, Trial, TrialFleet};
+use joulebus_wire::{SCHEMA_VERSION, SampleHeader};
+
+use super::{Recording, Written};
+use crate::exit::UsageError;
+
+/// Monotonic time of the first row, ns: a sample's stamp of 0 would look like none.
+const BASE_NS: u64 = 1_000_000_000;
+
+/// Writes the recordings as one fleet, each from its own beginning. A row's reading goes with the
+/// next row's command, as a controller would send it, in frames of a tick's period.
+pub(super) fn write(
+    path: &Path,
+    config: &Config,
+    first_robot: Option<u32>,
+    recordings: Vec<Recording>,
+) -> anyhow::Result<Written> {
+    let starts = recordings
+        .iter()
+        .filter_map(|recording| recording.start_unix_ns);
+    let start_unix_ns = starts.min().unwrap_or_else(clock::unix_ns);
+    let names: Vec<String> = recordings
+        .iter()
+        .map(|recording| recording.name.clone())
+        .collect();
+    let trials = numbered(config, first_robot, recordings)?;
+    let ids: Vec<u32> = trials.iter().map(|(robot, _)| *robot).collect();
+    let clock = Clock {
+        // Both are below 2^63 ns for the next 200 years.
+        offset_ns: start_unix_ns.wrapping_sub(BASE_NS) as i64,
+    };
+    let mut attachments = Attachments::of(std::slice::from_ref(config), clock)?;
+    let robots = ids
+        .iter()
+        .zip(&names)
+        .map(|(id, name)| format!("{id} {name}"));
+    attachments.tell("imported", robots.collect::<Vec<_>>().join(", "));
+    let settings = Settings::of(Preset::ZstdSmall);
+    let mut writer = Writer::create(path, settings, &attachments)
+        .with_context(|| format!("cannot write {}", path.display()))?;
+    let playback = Playback {
+        base_ns: BASE_NS,
+        frame_period_ns: config.tick_period_ns(),
+        repeat: false,
+    };
+    let mut fleet = TrialFleet::new(trials, playback)?;
+    let mut header = SampleHeader {
+        schema: SCHEMA_VERSION,
+        pid: std::process::id(),
+        source_id: 1,
+        source_epoch: start_unix_ns,
+        ..SampleHeader::default()
+    };
+    let mut frame = Vec::new();
+    while let Some(due_ns) = fleet.next_due_ns() {
+        fleet.frame_into(due_ns, &mut frame);
+        let sent_ns = BASE_NS.saturating_add(due_ns);
+        header.intended_ns = sent_ns;
+        header.sent_ns = sent_ns;
+        header.sent_unix_ns = clock.unix_ns(sent_ns);
+        let times = Times {
+            log_ns: header.sent_unix_ns,
+            publish_ns: header.sent_unix_ns,
+        };
+        let message = Message::Samples(header, std::mem::take(&mut frame));
+        writer.write(config.fleet(), times, &message)?;
+        if let Message::Samples(_, samples) = message {
+            header.samples_before += samples.len() as u64;
+            frame = samples;
+        }
+        header.frame_seq += 1;
+    }
+    writer.finish()?;
+    Ok(Written {
+        file: path.display().to_string(),
+        robots: names,
+        rows: header.samples_before,
+    })
+}
+
+/// Each trial with its robot's id: as mapped, else counted on from the first free one.
+fn numbered(
+    config: &Config,
+    first_robot: Option<u32>,
+    recordings: Vec<Recording>,
+) -> anyhow::Result<Vec<(u32, Trial)>> {
+    let platforms = &config.settings().platforms;
+    let ranges = platforms.iter().flat_map(|platform| &platform.robots);
+    let lowest = || ranges.map(|range| *range.start()).min();
+    let mut next = first_robot.or_else(lowest).unwrap_or(0);
+    let mut taken: BTreeSet<u32> = recordings
+        .iter()
+        .filter_map(|recording| recording.id)
+        .collect();
+    let mut trials = Vec::new();
+    for recording in recordings {
+        let id = match recording.id {
+            Some(id) => id,
+            None => {
+                while taken.contains(&next) {
+                    next = next.checked_add(1).ok_or_else(|| {
+                        UsageError("there are no more ids; start lower".to_owned())
+                    })?;
+                }
+                taken.insert(next);
+                next
+            }
+        };
+        trials.push((id, recording.trial));
+    }
+    Ok(trials)
+}

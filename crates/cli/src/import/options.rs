@@ -1,0 +1,117 @@
+//! How a recording is meant, by options or a mapping file.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use joulebus_capture::import::{CurrentSign, Mapping, RobotMapping, TimeSource};
+
+use crate::exit::UsageError;
+
+/// How a rosbag2 recording is meant.
+#[derive(Debug, clap::Args)]
+pub(super) struct Options {
+    /// A TOML file that says it for each robot
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["battery", "command", "odometry", "robot_name", "robot_id"])]
+    mapping: Option<PathBuf>,
+    /// Topic of the robot's BatteryState [default: each such topic is a robot]
+    #[arg(long, value_name = "TOPIC")]
+    battery: Option<String>,
+    /// Topic of its Twist or TwistStamped
+    #[arg(long, value_name = "TOPIC", requires = "battery")]
+    command: Option<String>,
+    /// Topic of its Odometry
+    #[arg(long, value_name = "TOPIC", requires = "battery")]
+    odometry: Option<String>,
+    /// Its name in a dataset
+    #[arg(long, value_name = "NAME", requires = "battery")]
+    robot_name: Option<String>,
+    /// Its id in a capture
+    #[arg(long, value_name = "ID", requires = "battery")]
+    robot_id: Option<u32>,
+    /// Which way the current is positive [default: discharge-negative, as ROS has it]
+    #[arg(long, value_name = "SIGN")]
+    current: Option<Sign>,
+    /// Which time counts [default: auto: the header's, or the log time where headers have none]
+    #[arg(long, value_name = "CLOCK")]
+    time: Option<Clock>,
+    /// Of readings that follow each other within this time the last counts, s; 0 keeps all
+    /// [default: 0.005]
+    #[arg(long, value_name = "SECONDS")]
+    burst: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Sign {
+    /// Out of the battery is negative
+    DischargeNegative,
+    /// Out of the battery is positive
+    DischargePositive,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Clock {
+    /// The header's where all have one, else the log time
+    Auto,
+    /// When it was measured
+    Header,
+    /// When it was recorded
+    Log,
+    /// When it was published
+    Publish,
+}
+
+impl Options {
+    /// The mapping that file and options give together; options win.
+    pub(super) fn mapping(&self) -> anyhow::Result<Mapping> {
+        let mut mapping = match &self.mapping {
+            None => Mapping::default(),
+            Some(path) => {
+                let named = || path.display().to_string();
+                let text = std::fs::read_to_string(path).with_context(named)?;
+                let parsed = text.parse::<Mapping>();
+                parsed.map_err(|error| UsageError(format!("{}: {error}", named())))?
+            }
+        };
+        if let Some(sign) = self.current {
+            mapping.current = match sign {
+                Sign::DischargeNegative => CurrentSign::DischargeNegative,
+                Sign::DischargePositive => CurrentSign::DischargePositive,
+            };
+            for robot in &mut mapping.robots {
+                robot.current = mapping.current;
+            }
+        }
+        if let Some(clock) = self.time {
+            mapping.time = match clock {
+                Clock::Auto => TimeSource::Auto,
+                Clock::Header => TimeSource::Header,
+                Clock::Log => TimeSource::Log,
+                Clock::Publish => TimeSource::Publish,
+            };
+        }
+        if let Some(burst_s) = self.burst {
+            mapping.burst_s = burst_s;
+        }
+        if let Some(battery) = &self.battery {
+            mapping.robots = vec![self.robot(battery, mapping.current)];
+        }
+        mapping
+            .check()
+            .map_err(|error| UsageError(error.to_string()))?;
+        Ok(mapping)
+    }
+
+    fn robot(&self, battery: &str, current: CurrentSign) -> RobotMapping {
+        let usual = battery.trim_start_matches('/').replace('/', "_");
+        RobotMapping {
+            name: self.robot_name.clone().unwrap_or(usual),
+            id: self.robot_id,
+            battery: battery.to_owned(),
+            command: self.command.clone(),
+            odometry: self.odometry.clone(),
+            current,
+            voltage_unit_v: 1.0,
+            current_unit_a: 1.0,
+        }
+    }
+}

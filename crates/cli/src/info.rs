@@ -1,0 +1,171 @@
+//! `joulebus info`: what is in captures and other MCAP files.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::fs::File;
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use joulebus_capture::inspect::{Finding, Inspection, inspect};
+use serde::Serialize;
+
+use crate::exit::Outcome;
+use crate::output::Output;
+
+/// Show what is in captures and other MCAP files: counts, rates, gaps, clocks, schemas, attachments
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus info run.mcap\n  \
+    joulebus info run*.mcap --format json\n\n\
+    Reads any MCAP file, damaged ones as far as they can be, in little memory however long they \
+    are. `joulebus doctor FILE` says in detail what is wrong with one.\n\
+    Exit codes: 3 if a file is damaged or contradicts itself.")]
+pub(crate) struct Args {
+    /// MCAP files
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+}
+
+/// What is in a file.
+#[derive(Debug, Serialize)]
+pub(crate) struct FileReport {
+    file: String,
+    /// What a file of this program says about itself.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    joulebus: Option<BTreeMap<String, String>>,
+    #[serde(flatten)]
+    pub(crate) found: Inspection,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    files: Vec<FileReport>,
+}
+
+/// Reads a file.
+pub(crate) fn look(path: &PathBuf) -> anyhow::Result<FileReport> {
+    let named = || path.display().to_string();
+    let file = File::open(path).with_context(named)?;
+    let found = inspect(file).with_context(named)?;
+    let joulebus = found
+        .metadata
+        .iter()
+        .find(|metadata| metadata.name == "joulebus")
+        .map(|metadata| metadata.entries.clone());
+    Ok(FileReport {
+        file: named(),
+        joulebus,
+        found,
+    })
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let files = args
+        .files
+        .iter()
+        .map(look)
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let report = Report { files };
+    output.report(&report)?;
+    let is_sound = report.files.iter().all(|file| file.found.is_sound());
+    Ok(Outcome::unless_lost(!is_sound))
+}
+
+impl fmt::Display for FileReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(out, "file         {}", self.file)?;
+        for (key, value) in self.joulebus.iter().flatten() {
+            writeln!(out, "  {key:<18} {value}")?;
+        }
+        write!(out, "{}", self.found)
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (number, file) in self.files.iter().enumerate() {
+            if number > 0 {
+                writeln!(out)?;
+            }
+            write!(out, "{file}")?;
+            for finding in file.found.findings.iter().take(5) {
+                writeln!(out, "  {finding}")?;
+            }
+            if file.found.findings.len() > 5 {
+                writeln!(out, "  … all of them: joulebus doctor {}", file.file)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What is wrong with files, for `doctor`.
+#[derive(Debug, Serialize)]
+pub(crate) struct Diagnosis {
+    files: Vec<Checked>,
+}
+
+#[derive(Debug, Serialize)]
+struct Checked {
+    file: String,
+    sound: bool,
+    complete: bool,
+    errors: u64,
+    notes: u64,
+    messages: u64,
+    bytes: u64,
+    findings: Vec<Finding>,
+}
+
+/// `joulebus doctor FILE…`.
+pub(crate) fn diagnose(files: &[PathBuf], output: Output) -> anyhow::Result<Outcome> {
+    let files = files
+        .iter()
+        .map(|path| look(path).map(Checked::from))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let diagnosis = Diagnosis { files };
+    output.report(&diagnosis)?;
+    Ok(Outcome::unless_lost(
+        diagnosis.files.iter().any(|file| !file.sound),
+    ))
+}
+
+impl From<FileReport> for Checked {
+    fn from(report: FileReport) -> Self {
+        let FileReport { file, found, .. } = report;
+        Self {
+            file,
+            sound: found.is_sound(),
+            complete: found.complete,
+            errors: found.errors,
+            notes: found.notes,
+            messages: found.messages,
+            bytes: found.bytes,
+            findings: found.findings,
+        }
+    }
+}
+
+impl fmt::Display for Diagnosis {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for file in &self.files {
+            let state = match (file.sound, file.complete) {
+                (true, true) => "ok  ",
+                _ => "FAIL",
+            };
+            let (name, messages, bytes) = (&file.file, file.messages, file.bytes);
+            writeln!(out, "{state}  {name}: {messages} messages in {bytes} bytes")?;
+            for finding in &file.findings {
+                writeln!(out, "      {finding}")?;
+            }
+            let more = file.errors + file.notes - file.findings.len() as u64;
+            if more > 0 {
+                writeln!(out, "      … and {more} more")?;
+            }
+            if !file.sound {
+                writeln!(out, "      → joulebus recover {name} -o whole.mcap")?;
+            }
+        }
+        Ok(())
+    }
+}

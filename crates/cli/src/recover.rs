@@ -1,0 +1,111 @@
+//! `joulebus recover`: a whole file from a damaged one.
+
+use std::fmt;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context as _, bail};
+use joulebus_capture::inspect::inspect;
+use joulebus_capture::recover::{Recovery, recover};
+use serde::Serialize;
+
+use crate::exit::{Outcome, UsageError};
+use crate::output::Output;
+
+/// Make a whole file of a cut off or damaged MCAP file, and say what is lost
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus recover killed.mcap -o whole.mcap\n  \
+    joulebus recover damaged.mcap -o whole.mcap --format json\n\n\
+    Everything that can be read is written again, with new indexes and checksums; the result is \
+    opened again and checked. Messages of a chunk whose checksum is wrong are kept and counted as \
+    suspect.\n\
+    Exit codes: 3 if something was lost, is suspect, or cannot be told.")]
+pub(crate) struct Args {
+    /// The damaged file; it is not changed
+    #[arg(value_name = "IN")]
+    input: PathBuf,
+    /// The result; it must not exist
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    input: String,
+    output: String,
+    input_bytes: u64,
+    output_bytes: u64,
+    duration_s: f64,
+    /// Bytes of the damaged file read in a second, MB/s, without the check of the result.
+    rate_mb_s: f64,
+    #[serde(flatten)]
+    recovery: Recovery,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let input = File::open(&args.input).with_context(|| args.input.display().to_string())?;
+    let input_bytes = input.metadata()?.len();
+    if args.output.exists() {
+        let name = args.output.display();
+        return Err(UsageError(format!("{name} exists; name a file that does not")).into());
+    }
+    let started = Instant::now();
+    let recovery = match write(input, &args.output) {
+        Ok(recovery) => recovery,
+        Err(error) => {
+            // Half a result is none; that it cannot be removed changes nothing.
+            let _ = fs::remove_file(&args.output);
+            return Err(error).with_context(|| args.input.display().to_string());
+        }
+    };
+    let duration_s = started.elapsed().as_secs_f64();
+    check(&args.output, &recovery)?;
+    let is_whole = recovery.is_lossless();
+    output.report(&Report {
+        input: args.input.display().to_string(),
+        output: args.output.display().to_string(),
+        input_bytes,
+        output_bytes: fs::metadata(&args.output)?.len(),
+        duration_s,
+        rate_mb_s: input_bytes as f64 / 1e6 / duration_s.max(1e-9),
+        recovery,
+    })?;
+    Ok(Outcome::unless_lost(!is_whole))
+}
+
+fn write(input: File, path: &Path) -> anyhow::Result<Recovery> {
+    let failed = || format!("cannot write {}", path.display());
+    let result = File::create_new(path).with_context(failed)?;
+    let (recovery, result) = recover(input, result)?;
+    result.sync_all().with_context(failed)?;
+    Ok(recovery)
+}
+
+/// Opens the result again: it has to be whole, and to hold what was counted.
+fn check(path: &Path, recovery: &Recovery) -> anyhow::Result<()> {
+    let found = inspect(File::open(path)?)?;
+    let (wanted, messages) = (recovery.messages.recovered, found.messages);
+    if !found.is_sound() || !found.complete || messages != wanted {
+        let findings: Vec<String> = found.findings.iter().map(ToString::to_string).collect();
+        let name = path.display();
+        bail!(
+            "{name}: the result is not as it should be: {messages} of {wanted} messages; {}",
+            findings.join("; ")
+        );
+    }
+    Ok(())
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}", self.recovery)?;
+        let megabytes = self.input_bytes as f64 / 1e6;
+        writeln!(
+            out,
+            "{} → {}: {megabytes:.1} MB in {:.2} s ({:.0} MB/s); the result was opened and checked",
+            self.input, self.output, self.duration_s, self.rate_mb_s
+        )
+    }
+}

@@ -1,0 +1,208 @@
+//! Captures and recordings of others: imported, looked at, damaged, recovered.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use crate::fleet::{Fleet, code, json, output, stderr, stdout};
+
+fn run(arguments: &[&str]) -> Output {
+    output(arguments)
+}
+
+fn text(path: &Path) -> String {
+    path.display().to_string()
+}
+
+/// A capture of two recordings, and the samples in it.
+fn capture(fleet: &Fleet, rows: u32) -> (PathBuf, u64) {
+    let path = fleet.path("trials.mcap");
+    let mut import = fleet.joulebus("import --format json -o");
+    import.arg(&path);
+    import.args(["a.csv", "b.csv"].map(|name| fleet.recording(name, rows)));
+    let imported = import.output().unwrap();
+    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
+    let samples = json(&imported)["written"][0]["rows"].as_u64().unwrap();
+    assert_eq!(samples, u64::from(2 * rows));
+    (path, samples)
+}
+
+#[test]
+fn a_capture_is_shown_damaged_and_recovered() {
+    let fleet = Fleet::new();
+    let (whole, samples) = capture(&fleet, 300);
+    let info = run(&["info", &text(&whole), "--format", "json"]);
+    assert_eq!(code(&info), 0, "{}", stdout(&info));
+    let info = json(&info)["files"][0].clone();
+    assert_eq!(info["statistics"]["state"], "agree");
+    let messages = info["messages"].as_u64().unwrap();
+    assert_eq!(info["channels"][0]["topic"], "joulebus/cli/samples");
+    assert!(
+        info["joulebus"]["imported"]
+            .as_str()
+            .unwrap()
+            .contains("0 a, 1 b"),
+        "{info}"
+    );
+    assert_eq!(code(&run(&["doctor", &text(&whole)])), 0);
+
+    let lines = stdout(&run(&["cat", &text(&whole), "--format", "ndjson"]));
+    assert_eq!(lines.lines().count() as u64, messages);
+    let mut rows = 0;
+    for line in lines.lines() {
+        let line: serde_json::Value = serde_json::from_str(line).unwrap();
+        rows += line["value"]["samples"].as_array().unwrap().len() as u64;
+    }
+    assert_eq!(rows, samples);
+    let table = stdout(&run(&["cat", &text(&whole), "--format", "csv"]));
+    assert_eq!(table.lines().count() as u64, samples + 1);
+    assert!(
+        table.lines().next().unwrap().contains("samples.power_w"),
+        "{table}"
+    );
+
+    let cut = fleet.path("cut.mcap");
+    let bytes = fs::read(&whole).unwrap();
+    fs::write(&cut, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let doctor = run(&["doctor", &text(&cut)]);
+    assert_eq!(code(&doctor), 3, "{}", stdout(&doctor));
+    assert!(
+        stdout(&doctor).contains("the file ends within"),
+        "{}",
+        stdout(&doctor)
+    );
+    assert!(stdout(&doctor).contains("joulebus recover"));
+    let again = fleet.path("again.mcap");
+    let recover = run(&[
+        "recover",
+        &text(&cut),
+        "-o",
+        &text(&again),
+        "--format",
+        "json",
+    ]);
+    assert_eq!(code(&recover), 3, "{}", stderr(&recover));
+    let recovered = json(&recover);
+    let kept = recovered["messages"]["recovered"].as_u64().unwrap();
+    assert!(
+        kept < messages && recovered["lost_unknown"] == true,
+        "{recovered}"
+    );
+    assert_eq!(code(&run(&["doctor", &text(&again)])), 0);
+    let shown = json(&run(&["info", &text(&again), "--format", "json"]));
+    assert_eq!(shown["files"][0]["messages"], kept);
+    let twice = run(&["recover", &text(&cut), "-o", &text(&again)]);
+    assert_eq!(code(&twice), 2, "{}", stderr(&twice));
+    assert!(stderr(&twice).contains("exists"));
+}
+
+#[test]
+fn what_is_no_capture_is_refused() {
+    let fleet = Fleet::new();
+    let file = fleet.recording("a.csv", 10);
+    for verb in ["info", "doctor", "cat"] {
+        let refused = run(&[verb, &text(&file)]);
+        assert_eq!(code(&refused), 1, "{verb}");
+        assert!(
+            stderr(&refused).contains("an MCAP file begins with"),
+            "{}",
+            stderr(&refused)
+        );
+    }
+    let form = run(&["info", &text(&file), "--format", "csv"]);
+    assert_eq!(code(&form), 2);
+    let result = fleet.path("x.mcap");
+    let recover = run(&["recover", &text(&file), "-o", &text(&result)]);
+    assert_eq!(code(&recover), 1);
+    assert!(!result.exists());
+}
+
+/// The recordings, or nothing where they are not at hand.
+fn recordings(name: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../../shared/mcap")
+        .join(name);
+    if path.exists() {
+        return Some(path);
+    }
+    assert!(
+        std::env::var_os("CI").is_none(),
+        "{} is missing",
+        path.display()
+    );
+    println!("skipped: {} is missing", path.display());
+    None
+}
+
+#[test]
+fn a_real_recording_becomes_a_dataset_that_is_played() {
+    let Some(file) = recordings("couguv/SO_lastbag_mcap_0.mcap") else {
+        return;
+    };
+    let fleet = Fleet::new();
+    let trials = fleet.path("trials");
+    let sign = ["--current", "discharge-positive"];
+    let arguments = [
+        "import",
+        &text(&file),
+        "-o",
+        &text(&trials),
+        sign[0],
+        sign[1],
+    ];
+    let imported = run(&arguments);
+    // Positions that are no numbers are named, and cost the exit code.
+    assert_eq!(code(&imported), 3, "{}", stderr(&imported));
+    assert!(
+        stdout(&imported).contains("its position is not a number"),
+        "{}",
+        stdout(&imported)
+    );
+    let dataset = trials.join("coug2.csv.gz");
+    let info = json(&run(&["data", "info", &text(&dataset), "--format", "json"]));
+    let trial = &info["trials"][0];
+    let rows = trial["rows"].as_u64().unwrap();
+    assert!((1190..=1200).contains(&rows), "{trial}");
+    let rate_hz = trial["rate_hz"].as_f64().unwrap();
+    assert!((9.5..10.5).contains(&rate_hz), "{trial}");
+    let missing = trial["missing_columns"].to_string();
+    for column in ["v_cmd_mps", "omega_cmd_radps", "x_m", "y_m"] {
+        assert!(missing.contains(column), "{missing}");
+    }
+    assert!(!missing.contains("voltage_mV"), "{missing}");
+    assert!(trial["least_power_w"].as_f64().unwrap() > 0.0, "{trial}");
+    let mut play =
+        fleet.joulebus("publish trial --no-wait --rate 10000 --first-robot 100 --format json");
+    let played = play.arg(&dataset).output().unwrap();
+    assert_eq!(
+        json(&played)["trials"][0]["samples"],
+        rows,
+        "{}",
+        stderr(&played)
+    );
+}
+
+#[test]
+fn a_recording_without_a_battery_ends_with_1_and_says_what_it_has() {
+    let Some(folder) = recordings("rosbag2") else {
+        return;
+    };
+    let fleet = Fleet::new();
+    for file in fs::read_dir(folder).unwrap() {
+        let file = file.unwrap().path();
+        let out = fleet.path("out");
+        let refused = run(&["import", &text(&file), "-o", &text(&out)]);
+        assert_eq!(code(&refused), 1, "{}", stderr(&refused));
+        assert!(
+            stdout(&refused).contains("no robot"),
+            "{}",
+            stdout(&refused)
+        );
+        assert!(
+            stdout(&refused).contains("other types"),
+            "{}",
+            stdout(&refused)
+        );
+        assert!(!out.exists());
+    }
+}
