@@ -186,6 +186,7 @@ def peers(suite):
     ]
     if two:
         parts.append(report.pivot("ns a robot, p50, two threads", [(name, title(name)) for name in sorted(two, key=order)]))
+    parts.append("![ns a robot by batch, one thread](peers.svg)")
     return "\n\n".join(parts)
 
 
