@@ -431,7 +431,9 @@ impl Ledger {
             missing(&mut self.schemas, said.schema_count.into());
             missing(&mut self.channels, said.channel_count.into());
         }
-        let lost_unknown = statistics.is_none() && (self.uncounted || !self.data_ended);
+        // A changed opcode can hide a whole chunk; only the checksum of everything tells.
+        let uncounted = self.uncounted || self.doubt || !self.data_ended;
+        let lost_unknown = statistics.is_none() && uncounted;
         Recovery {
             messages: self.messages,
             schemas: self.schemas,
