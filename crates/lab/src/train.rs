@@ -24,5 +24,5 @@ pub use error::TrainError;
 pub use saved::ResumeError;
 pub use score::scored;
 pub use settings::Settings;
-pub use simulated::{SimulatedData, dataset_from_plant, train_sim};
+pub use simulated::{SimulatedData, dataset_from_plant, settings_for_sim, train_sim};
 pub use training::{Epoch, Trained, Training, train};

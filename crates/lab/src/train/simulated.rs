@@ -90,21 +90,25 @@ impl Recorder {
     }
 }
 
+/// The recipe of the models that ship: the paper's, under their name.
+pub fn settings_for_sim(seed: u64, feature_set: FeatureSet) -> Settings {
+    let name = match feature_set {
+        FeatureSet::Full => "gternal-sim",
+        FeatureSet::PowerOnly => "gternal-sim-power",
+    };
+    Settings::new(name, "simulation", feature_set, seed)
+}
+
 /// Trains the model that ships on [`SimulatedData::shipped`]: the same bytes from the same seed, on
-/// every machine. Takes about 20 s on one Zen 4 core in a release build.
+/// every machine. Takes a few seconds in a release build.
+///
+/// # Errors
+/// None that the plant's data could cause.
 pub fn train_sim(
     seed: u64,
     feature_set: FeatureSet,
     progress: impl FnMut(Epoch),
 ) -> Result<Trained, TrainError> {
     let dataset = dataset_from_plant(SimulatedData::shipped(seed));
-    let name = match feature_set {
-        FeatureSet::Full => "gternal-sim",
-        FeatureSet::PowerOnly => "gternal-sim-power",
-    };
-    train(
-        &dataset,
-        &Settings::new(name, "simulation", feature_set, seed),
-        progress,
-    )
+    train(&dataset, &settings_for_sim(seed, feature_set), progress)
 }

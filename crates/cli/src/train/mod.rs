@@ -1,0 +1,103 @@
+//! `joulebus train`: makes models.
+
+mod report;
+mod run;
+mod trials;
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::{Subcommand, ValueEnum};
+use joulebus_lab::train::{Settings, SimulatedData, dataset_from_plant, settings_for_sim};
+use joulebus_predictor::FeatureSet;
+
+use crate::exit::Outcome;
+use crate::output::Output;
+use report::TrainReport;
+use run::Run;
+
+pub(crate) use run::write;
+
+/// Train a model
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus train sim --seed 7 --out gternal-sim.safetensors\n  \
+    joulebus train trials recordings/ --split group --out husky.safetensors\n\n\
+    Ctrl-C writes the run down beside the model; --resume goes on with it, to the same bytes.")]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// On simulated GTernal robots: the same bytes from the same seed on every machine
+    #[command(after_help = "Examples:\n  \
+        joulebus train sim --seed 7 --out configs/models/gternal-sim.safetensors\n  \
+        joulebus train sim --seed 7 --features power --out configs/models/gternal-sim-power.safetensors\n\n\
+        The models that ship were made by these two commands. A model from simulation supports no \
+        claim about real robots; it says so in its file.")]
+    Sim(Sim),
+    /// On recorded trials (.npy, .csv, .csv.gz), one robot a file
+    Trials(trials::Args),
+}
+
+#[derive(Debug, clap::Args)]
+struct Sim {
+    /// Seed of the simulated robots, the initial weights and the order of the rows
+    #[arg(long, value_name = "N")]
+    seed: u64,
+    /// What the network reads
+    #[arg(long, value_enum, default_value_t = Choice::Full)]
+    features: Choice,
+    #[command(flatten)]
+    run: Run,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Choice {
+    /// Velocities and five past readings
+    Full,
+    /// Five past readings: for robots that report no velocities
+    Power,
+}
+
+impl From<Choice> for FeatureSet {
+    fn from(choice: Choice) -> Self {
+        match choice {
+            Choice::Full => Self::Full,
+            Choice::Power => Self::PowerOnly,
+        }
+    }
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    match &args.what {
+        What::Sim(sim) => simulated(sim, output),
+        What::Trials(args) => trials::run(args, output),
+    }
+}
+
+fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
+    sim.run.check()?;
+    let settings: Settings = settings_for_sim(sim.seed, sim.features.into());
+    let dataset = dataset_from_plant(SimulatedData::shipped(sim.seed));
+    let start = Instant::now();
+    let Some(trained) = sim.run.train(&dataset, &settings)? else {
+        return Ok(Outcome::Failed);
+    };
+    output.report(&TrainReport::new(
+        &sim.run.out,
+        &trained,
+        start.elapsed(),
+        None,
+    ))?;
+    Ok(Outcome::Done)
+}
+
+/// Where a run that is not finished is written down: beside the model.
+fn beside(out: &std::path::Path) -> PathBuf {
+    let mut name = out.as_os_str().to_owned();
+    name.push(".training");
+    PathBuf::from(name)
+}

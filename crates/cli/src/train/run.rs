@@ -1,0 +1,142 @@
+//! A training run: progress, Ctrl-C, going on.
+
+use std::io::{IsTerminal as _, Write as _};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use joulebus_lab::train::{Dataset, Epoch, Settings, Trained, Training};
+
+use super::beside;
+use crate::exit::UsageError;
+use crate::output::say;
+use crate::stop::Stop;
+
+/// How often a run is written down, so that not even a power cut loses more.
+const SAVE_EVERY: Duration = Duration::from_secs(10);
+
+/// Where the model goes, and how the run goes on.
+#[derive(Debug, clap::Args)]
+pub(super) struct Run {
+    /// The model file to write
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Go on with the run that was interrupted: FILE.training beside the model
+    #[arg(long)]
+    resume: bool,
+    /// Threads to compute on; the result is the same with any number [default: one a core]
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    threads: usize,
+}
+
+impl Run {
+    /// Minutes of work should not be lost to a directory that is not there.
+    pub(super) fn check(&self) -> anyhow::Result<()> {
+        let folder = self.out.parent();
+        if let Some(folder) = folder.filter(|folder| !folder.as_os_str().is_empty()) {
+            let name = folder.display();
+            anyhow::ensure!(folder.is_dir(), "there is no directory {name}");
+        }
+        Ok(())
+    }
+
+    /// Trains and writes the model; none if it was interrupted and written down instead.
+    pub(super) fn train(
+        &self,
+        dataset: &Dataset,
+        settings: &Settings,
+    ) -> anyhow::Result<Option<Trained>> {
+        let stop = Stop::on_signals()?;
+        let saved_at = beside(&self.out);
+        let mut training = self.begin(dataset, settings, &saved_at)?;
+        let (start, before) = (Instant::now(), training.epochs().len());
+        let mut saved = Instant::now();
+        while !training.is_done() {
+            let epoch = training.epoch()?;
+            progress(epoch, settings.max_epochs, start, before);
+            if stop.is_asked() {
+                write(&saved_at, &training.saved())?;
+                let (at, made) = (saved_at.display(), epoch.number);
+                say(&format!(
+                    "interrupted after {made} epochs, written down in {at}: --resume goes on"
+                ));
+                return Ok(None);
+            }
+            if saved.elapsed() >= SAVE_EVERY {
+                write(&saved_at, &training.saved())?;
+                saved = Instant::now();
+            }
+        }
+        if std::io::stderr().is_terminal() {
+            say("");
+        }
+        let trained = training.finish()?;
+        write(&self.out, &trained.network.to_safetensors()?)?;
+        // Whatever was written down on the way has come to its end.
+        let _ = std::fs::remove_file(&saved_at);
+        Ok(Some(trained))
+    }
+
+    fn begin(
+        &self,
+        dataset: &Dataset,
+        settings: &Settings,
+        saved_at: &Path,
+    ) -> anyhow::Result<Training> {
+        if !self.resume {
+            return Ok(Training::new(dataset, settings, self.threads)?);
+        }
+        let at = saved_at.display();
+        let saved = match std::fs::read(saved_at) {
+            Ok(saved) => saved,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                let what = format!("there is no interrupted run {at}");
+                return Err(UsageError(format!("{what}; leave out --resume")).into());
+            }
+            Err(error) => return Err(error).with_context(|| format!("cannot read {at}")),
+        };
+        let training = Training::resume(dataset, settings, self.threads, &saved)
+            .with_context(|| format!("cannot go on with {at}"))?;
+        say(&format!("going on after epoch {}", training.epochs().len()));
+        Ok(training)
+    }
+}
+
+/// A line an epoch; in a terminal, the same line again.
+fn progress(epoch: Epoch, max_epochs: u32, start: Instant, before: usize) {
+    let Epoch {
+        number,
+        training_loss,
+        validation_loss,
+        best,
+    } = epoch;
+    let left = max_epochs.saturating_sub(number);
+    let made = f64::from(number) - before as f64;
+    let left_s = start.elapsed().as_secs_f64() / made * f64::from(left);
+    let star = if best { " (best)" } else { "       " };
+    let line = format!(
+        "epoch {number:3} of at most {max_epochs}: loss {training_loss:.5}, on validation \
+         {validation_loss:.5}{star}, at most {left_s:.0} s left"
+    );
+    let mut stderr = std::io::stderr();
+    if stderr.is_terminal() {
+        let _ = write!(stderr, "\r\x1b[K{line}");
+    } else {
+        say(&line);
+    }
+}
+
+/// The file appears whole or not at all.
+pub(crate) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let failed = || format!("cannot write {}", path.display());
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    let mut draft = tempfile::Builder::new()
+        .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644))
+        .tempfile_in(folder.unwrap_or(Path::new(".")))
+        .with_context(failed)?;
+    draft.write_all(bytes).with_context(failed)?;
+    draft.persist(path).with_context(failed)?;
+    Ok(())
+}

@@ -1,0 +1,262 @@
+//! `joulebus train trials`: on recordings.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context as _;
+use clap::ValueEnum;
+use joulebus_lab::rows::trial_rows;
+use joulebus_lab::split::{By, Dealt, Source, Split, group_of, split};
+use joulebus_lab::train::{Dataset, Row, Settings};
+use joulebus_lab::trial::Trial;
+use serde::Deserialize;
+
+use super::Choice;
+use super::report::TrainReport;
+use super::run::Run;
+use crate::exit::{Outcome, UsageError};
+use crate::output::{Output, say};
+use crate::trials::recordings;
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus train trials recordings/ --out robot.safetensors\n  \
+    joulebus train trials t1.npy t2.npy t3.npy t4.npy --validate t5.npy --hold-out t6.npy \\\n      \
+    --out gternal.safetensors\n\n\
+    Rows need five readings without a gap behind them. Those with a missing number are left out \
+    and counted. configs/recipes/paper.toml explains every knob of a recipe.")]
+pub(super) struct Args {
+    /// Recordings (.npy, .csv, .csv.gz), or directories of them
+    #[arg(required = true, value_name = "PATH")]
+    paths: Vec<PathBuf>,
+    /// Recordings that decide when to stop; with --hold-out, instead of a split
+    #[arg(long, value_name = "PATH", num_args = 1.., requires = "hold_out")]
+    validate: Vec<PathBuf>,
+    /// Recordings that decide nothing and give the scores
+    #[arg(long, value_name = "PATH", num_args = 1.., requires = "validate")]
+    hold_out: Vec<PathBuf>,
+    /// What stays together when the recordings are split [default: as the recipe says, or trial]
+    #[arg(long, value_enum, value_name = "BY", conflicts_with = "validate")]
+    split: Option<Together>,
+    /// The recipe, a TOML file [default: the paper's]
+    #[arg(long, value_name = "FILE")]
+    recipe: Option<PathBuf>,
+    /// Seed of the split, the initial weights and the order of the rows, instead of the recipe's
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Name of the model, instead of the recipe's [default: that of its file]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// What the network reads, instead of what the recipe says
+    #[arg(long, value_enum)]
+    features: Option<Choice>,
+    #[command(flatten)]
+    run: Run,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Together {
+    /// Each trial
+    Trial,
+    /// All trials of a robot
+    Robot,
+    /// All trials whose file names differ only in their number
+    Group,
+    /// Nothing: the end of every trial is held out
+    Time,
+}
+
+impl From<Together> for By {
+    fn from(together: Together) -> Self {
+        match together {
+            Together::Trial => Self::Trial,
+            Together::Robot => Self::Robot,
+            Together::Group => Self::Group,
+            Together::Time => Self::Time,
+        }
+    }
+}
+
+/// A recipe file.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Recipe {
+    training: Settings,
+    split: Split,
+}
+
+pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    args.run.check()?;
+    let recipe = args.recipe()?;
+    let (dataset, dealt) = args.dataset(&recipe)?;
+    let start = Instant::now();
+    let Some(trained) = args.run.train(&dataset, &recipe.training)? else {
+        return Ok(Outcome::Failed);
+    };
+    let report = TrainReport::new(&args.run.out, &trained, start.elapsed(), Some(dealt));
+    output.report(&report)?;
+    Ok(Outcome::Done)
+}
+
+impl Args {
+    fn recipe(&self) -> anyhow::Result<Recipe> {
+        let mut recipe = match &self.recipe {
+            None => Recipe::default(),
+            Some(path) => read_recipe(path)?,
+        };
+        let settings = &mut recipe.training;
+        if let Some(seed) = self.seed {
+            (settings.seed, recipe.split.seed) = (seed, seed);
+        }
+        if let Some(features) = self.features {
+            settings.feature_set = features.into();
+        }
+        if let Some(name) = &self.name {
+            settings.name.clone_from(name);
+        } else if settings.name == Settings::default().name
+            && let Some(stem) = self.run.out.file_stem().and_then(|stem| stem.to_str())
+        {
+            stem.clone_into(&mut settings.name);
+        }
+        if let Some(together) = self.split {
+            recipe.split.by = together.into();
+        }
+        Ok(recipe)
+    }
+
+    fn dataset(&self, recipe: &Recipe) -> anyhow::Result<(Dataset, Dealt)> {
+        let sources = read(&self.paths)?;
+        let description = describe(&sources);
+        if self.hold_out.is_empty() {
+            return split(&sources, recipe.split, &description)
+                .map_err(|error| UsageError(error.to_string()).into());
+        }
+        let (validation, held_out) = (read(&self.validate)?, read(&self.hold_out)?);
+        let parts = [&sources, &validation, &held_out];
+        let names = parts.map(|part| -> Vec<String> {
+            part.iter().map(|source| source.trial.clone()).collect()
+        });
+        if let Some(twice) = names[0]
+            .iter()
+            .find(|name| names[1].contains(name) || names[2].contains(name))
+            .or_else(|| names[1].iter().find(|name| names[2].contains(name)))
+        {
+            let what = format!("{twice} is in two parts");
+            return Err(UsageError(format!("{what}: what is learned must not be held out")).into());
+        }
+        let rows = parts.map(|part| -> Vec<Row> {
+            part.iter()
+                .flat_map(|source| source.rows.rows.iter().copied())
+                .collect()
+        });
+        let [training, validation, held_out] = names;
+        let dealt = Dealt {
+            by: By::Trial,
+            rows: [rows[0].len(), rows[1].len(), rows[2].len()],
+            training,
+            validation,
+            held_out,
+            pause_rows: 0,
+        };
+        let [training, validation, held_out] = rows;
+        let dataset = Dataset {
+            training,
+            validation,
+            held_out,
+            description: format!("{description}; parts named one by one"),
+        };
+        Ok((dataset, dealt))
+    }
+}
+
+fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
+    let name = path.display();
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
+    toml_edit::de::from_str(&text)
+        .map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
+}
+
+fn read(paths: &[PathBuf]) -> anyhow::Result<Vec<Source>> {
+    let mut sources = Vec::new();
+    for path in paths {
+        let files = if path.is_dir() {
+            recordings(path)?
+        } else {
+            vec![path.clone()]
+        };
+        for file in files {
+            sources.push(source(&file)?);
+        }
+    }
+    Ok(sources)
+}
+
+fn source(file: &Path) -> anyhow::Result<Source> {
+    let trial = Trial::read(file)?;
+    for note in trial
+        .notes()
+        .to_string()
+        .lines()
+        .filter(|line| !line.is_empty())
+    {
+        say(&format!("{}: {note}", file.display()));
+    }
+    let name = file
+        .file_name()
+        .and_then(|name| name.to_str())
+        .unwrap_or_default();
+    Ok(Source {
+        trial: file.display().to_string(),
+        robot: trial.robot_name().unwrap_or(name).to_owned(),
+        group: group_of(name),
+        rows: trial_rows(&trial),
+    })
+}
+
+fn describe(sources: &[Source]) -> String {
+    let mut groups: Vec<&str> = sources.iter().map(|source| source.group.as_str()).collect();
+    groups.sort_unstable();
+    groups.dedup();
+    let named = match groups.len() {
+        ..=8 => groups.join(", "),
+        more => format!("{}, … ({more} groups)", groups[..8].join(", ")),
+    };
+    format!("{} recorded trials of {named}", sources.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_recipe_that_ships_is_the_one_that_holds_without_a_file() {
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../../configs/recipes/paper.toml"
+        );
+        let recipe = read_recipe(Path::new(path)).expect("it is sound");
+        assert_eq!(recipe, Recipe::default());
+        let text = std::fs::read_to_string(path).expect("it is there");
+        let keys = |name: &str| text.contains(&format!("\n{name} = "));
+        let knobs = serde_json::to_value(&recipe.training).expect("plain numbers and names");
+        for knob in knobs.as_object().expect("a table").keys() {
+            assert!(keys(knob), "`{knob}` is explained");
+        }
+    }
+
+    #[test]
+    fn a_recipe_with_an_unknown_knob_or_a_wrong_value_is_refused_with_its_place() {
+        let folder = tempfile::tempdir().expect("a temporary directory");
+        let path = folder.path().join("recipe.toml");
+        for (text, named) in [
+            ("[training]\nlearning_speed = 1.0\n", "learning_speed"),
+            ("[training]\nfeature_set = \"most\"\n", "power-only"),
+            ("[split]\nby = \"row\"\n", "row"),
+            ("[training\n", "line 1"),
+        ] {
+            std::fs::write(&path, text).expect("it can be written");
+            let error = read_recipe(&path).expect_err("refused").to_string();
+            assert!(error.contains(named), "{text}: {error}");
+        }
+    }
+}
