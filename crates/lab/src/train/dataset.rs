@@ -90,7 +90,7 @@ pub(super) fn constant_features(
     feature_set: FeatureSet,
 ) -> Vec<&'static str> {
     (feature_set.first()..FEATURES)
-        .filter(|i| !(normalisation.feature_std[*i] > 0.0))
+        .filter(|i| normalisation.feature_std[*i] == 0.0)
         .map(|i| FEATURE_NAMES[i])
         .collect()
 }

@@ -129,7 +129,7 @@ pub(super) fn gelu_and_slope<S: Simd>(simd: S, x: f32x16<S>) -> (f32x16<S>, f32x
         -1.821_255_9,
         1.330_274_4,
     ];
-    const DENSITY: f32 = 0.398_942_28;
+    const DENSITY: f32 = 0.398_942_3;
     let one = f32x16::splat(simd, 1.0);
     let size = x.abs();
     let density = exp_of_minus(simd, (size * size) * 0.5) * DENSITY;
