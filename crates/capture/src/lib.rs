@@ -11,6 +11,7 @@
 //! | [`Writer`] | messages to a file; what was written survives whatever happens next |
 //! | [`Reader`] | a file to messages, in little memory however long it is |
 //! | [`record`] | shared memory to files, whatever the disk does |
+//! | [`verify`] | everything that was published computed again, bit for bit |
 //! | [`Attachments`] | config, models and build, so that the file can be replayed on its own |
 //!
 //! **Bits.** Every field of the payloads in [`joulebus_wire`] is in the message, and comes back as
@@ -38,6 +39,7 @@ pub mod scan;
 mod schema;
 mod settings;
 pub mod values;
+pub mod verify;
 mod writer;
 
 pub use attachments::{AttachError, Attached, Attachments};

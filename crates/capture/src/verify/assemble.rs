@@ -8,7 +8,8 @@ use joulebus_wire::{
     SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 
-use crate::Message;
+use super::report::Loss;
+use crate::{Kind, Message};
 
 /// Ticks that a recorder may run ahead in one service before it looks at another: more than any
 /// service has room for.
@@ -54,6 +55,11 @@ pub(super) enum Event {
 pub(super) struct Assembler {
     runs: BTreeMap<u64, Run>,
     frames: FrameStore,
+    /// The newest of each kind, by run; and whether all has come.
+    newest: HashMap<(u64, Kind), u64>,
+    /// The newest frame of each run of each source.
+    newest_frames: HashMap<(u64, u64), u64>,
+    ended: bool,
     piece: Option<(StateHeader, Vec<u8>)>,
     /// Keyframes of which a piece is missing.
     pub(super) broken_keyframes: u64,
@@ -83,19 +89,22 @@ impl Assembler {
     /// Takes a message; of other kinds nothing.
     pub(super) fn push(&mut self, message: Message) {
         match message {
-            Message::Samples(header, samples) => self.frames.put(header, samples),
+            Message::Samples(header, samples) => self.put(header, samples),
             Message::Ticks(header, taken) => {
-                let run = self.run(header.worker_epoch, header.tick);
-                run.journal = Some((header, taken));
+                let place = (header.worker_epoch, header.tick);
+                self.parts(place, Kind::Ticks).journal = Some((header, taken));
             }
             Message::Forecasts(header, rows) => {
-                self.run(header.worker_epoch, header.tick).forecasts = Some((header, rows));
+                let place = (header.worker_epoch, header.tick);
+                self.parts(place, Kind::Forecasts).forecasts = Some((header, rows));
             }
             Message::Diagnostics(header, rows) => {
-                self.run(header.worker_epoch, header.tick).diagnostics = Some((header, rows));
+                let place = (header.worker_epoch, header.tick);
+                self.parts(place, Kind::Diagnostics).diagnostics = Some((header, rows));
             }
             Message::Budgets(header, rows) => {
-                self.run(header.worker_epoch, header.tick).budgets = Some((header, rows));
+                let place = (header.worker_epoch, header.tick);
+                self.parts(place, Kind::Budgets).budgets = Some((header, rows));
             }
             Message::State(header, bytes) => self.add_piece(header, &bytes),
             _ => return,
@@ -106,6 +115,7 @@ impl Assembler {
     /// There is no more: gives what waits.
     pub(super) fn finish(&mut self) {
         self.broken_keyframes += u64::from(self.piece.take().is_some());
+        self.ended = true;
         self.release(true);
     }
 
@@ -119,10 +129,55 @@ impl Assembler {
         self.frames.untaken + self.frames.held as u64
     }
 
-    fn run(&mut self, worker_epoch: u64, tick: u64) -> &mut TickParts {
+    /// Why a message of `kind` is missing: lost, or not there because the run ended.
+    pub(super) fn lack(&self, (run, tick): (u64, u64), kind: Kind, lost: Loss) -> Loss {
+        let newest = self.newest.get(&(run, kind)).copied().unwrap_or_default();
+        if self.is_over(run, tick) && tick > newest {
+            Loss::End
+        } else {
+            lost
+        }
+    }
+
+    /// As [`Assembler::lack`], of a frame of samples.
+    pub(super) fn lack_of_frame(&self, (run, tick): (u64, u64), taken: &TakenFrame) -> Loss {
+        let (source_id, frame_seq) = (taken.source_id, taken.frame_seq);
+        let newest = self.newest_frames.get(&(source_id, taken.source_epoch));
+        if self.is_over(run, tick) && newest.is_none_or(|newest| frame_seq > *newest) {
+            Loss::End
+        } else {
+            Loss::Samples {
+                source_id,
+                frame_seq,
+            }
+        }
+    }
+
+    /// Whether nothing more comes of a run, and `tick` is among its last.
+    fn is_over(&self, run: u64, tick: u64) -> bool {
+        let newest = |kind| self.newest.get(&(run, kind)).copied().unwrap_or_default();
+        let last = newest(Kind::Ticks).max(newest(Kind::Forecasts));
+        let is_newest = self
+            .runs
+            .keys()
+            .next_back()
+            .is_none_or(|newest| *newest <= run);
+        (self.ended || !is_newest) && tick + WINDOW > last
+    }
+
+    fn parts(&mut self, (worker_epoch, tick): (u64, u64), kind: Kind) -> &mut TickParts {
+        let newest = self.newest.entry((worker_epoch, kind)).or_default();
+        *newest = tick.max(*newest);
         let run = self.runs.entry(worker_epoch).or_default();
         run.newest = run.newest.max(tick);
         run.ticks.entry(tick).or_default()
+    }
+
+    fn put(&mut self, header: SampleHeader, samples: Vec<Sample>) {
+        let key = (header.source_id, header.source_epoch);
+        let newest = self.newest_frames.entry(key).or_default();
+        *newest = header.frame_seq.max(*newest);
+        self.frames.put(header, samples);
     }
 
     fn add_piece(&mut self, header: StateHeader, bytes: &[u8]) {
@@ -190,10 +245,21 @@ impl TickParts {
     /// Bytes that it takes, roughly.
     pub(super) fn bytes(&self) -> usize {
         let frames = self.frames.iter().flatten();
-        frames.map(|(_, samples)| size_of_val(samples.as_slice())).sum::<usize>()
-            + self.forecasts.as_ref().map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
-            + self.diagnostics.as_ref().map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
-            + self.budgets.as_ref().map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
+        frames
+            .map(|(_, samples)| size_of_val(samples.as_slice()))
+            .sum::<usize>()
+            + self
+                .forecasts
+                .as_ref()
+                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
+            + self
+                .diagnostics
+                .as_ref()
+                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
+            + self
+                .budgets
+                .as_ref()
+                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
     }
 }
 
@@ -203,7 +269,10 @@ impl FrameStore {
         self.held += 1;
         self.samples += samples.len();
         self.order.push_back(key);
-        self.frames.entry(key).or_default().push_back((header, samples));
+        self.frames
+            .entry(key)
+            .or_default()
+            .push_back((header, samples));
         while self.held > MOST_FRAMES || (self.samples > MOST_SAMPLES && self.held > 1) {
             let Some(oldest) = self.order.pop_front() else {
                 return;

@@ -1,0 +1,392 @@
+//! Whether what a worker published is what its samples lead to: everything is computed again, and
+//! compared bit for bit.
+//!
+//! The worker's journal says which frames of samples each tick took and at which time, and a
+//! keyframe what the fleet had come to before; from there on the tick is a pure function. So a
+//! recording that begins in the middle, or one with a hole in it, is verified from its next
+//! keyframe on.
+
+mod assemble;
+mod compare;
+mod report;
+
+use std::collections::{BTreeMap, VecDeque};
+
+use joulebus_fleet::{Fleet, FleetState, Settings, SettingsError};
+use joulebus_predictor::Model;
+use joulebus_wire::{ForecastHeader, TakenFrame, TickHeader, tick_flag};
+
+use crate::{Entry, Kind};
+use assemble::{Assembler, Event, SampleFrame, TickParts};
+use compare::FieldDifference;
+
+pub use compare::Value;
+pub use report::{Difference, Loss, Verification};
+
+/// What may wait for a keyframe, bytes.
+const MOST_WAITING: usize = 256 << 20;
+
+/// Computes a capture of one fleet again.
+#[derive(Debug)]
+pub struct Verifier {
+    fleet: Fleet,
+    /// The tick that `fleet` has just computed: run and number. None while it follows nothing.
+    at: Option<(u64, u64)>,
+    assembler: Assembler,
+    /// Ticks of one run that cannot be computed yet: no keyframe has come for them.
+    waiting: VecDeque<Waiting>,
+    waiting_bytes: usize,
+    keyframes: BTreeMap<(u64, u64), Vec<u8>>,
+    sequences: BTreeMap<String, u32>,
+    report: Verification,
+}
+
+#[derive(Debug)]
+struct Waiting {
+    worker_epoch: u64,
+    tick: u64,
+    parts: Box<TickParts>,
+}
+
+impl Verifier {
+    /// With the settings and models that the worker ran with: `models[i]` is that of
+    /// `settings.platforms[i]`.
+    ///
+    /// # Errors
+    /// As [`Fleet::new`].
+    pub fn new(settings: Settings, models: Vec<Model>) -> Result<Self, SettingsError> {
+        Ok(Self {
+            fleet: Fleet::new(settings, models)?,
+            at: None,
+            assembler: Assembler::default(),
+            waiting: VecDeque::new(),
+            waiting_bytes: 0,
+            keyframes: BTreeMap::new(),
+            sequences: BTreeMap::new(),
+            report: Verification::default(),
+        })
+    }
+
+    /// Takes the next message of the fleet's channels; of split files in their order.
+    pub fn push(&mut self, entry: Entry) {
+        self.count(&entry);
+        self.assembler.push(entry.message);
+        self.work();
+    }
+
+    /// There is no more.
+    #[must_use]
+    pub fn finish(mut self) -> Verification {
+        self.assembler.finish();
+        self.work();
+        self.give_up_waiting();
+        self.report.broken_keyframes = self.assembler.broken_keyframes;
+        self.report.untaken_frames = self.assembler.untaken_frames();
+        self.report.close();
+        self.report
+    }
+
+    fn count(&mut self, entry: &Entry) {
+        let report = &mut self.report;
+        report.messages += 1;
+        report.note_time(entry.log_time_ns);
+        let Some(kind) = entry.message.kind() else {
+            return;
+        };
+        report.note_kind(kind);
+        if let Some(last) = self.sequences.get_mut(&*entry.topic) {
+            let lost = entry.sequence.wrapping_sub(*last).wrapping_sub(1);
+            // Numbers that go back are of another recording, which is no loss.
+            if lost < u32::MAX / 2 {
+                report.messages_lost += u64::from(lost);
+            }
+            *last = entry.sequence;
+        } else {
+            self.sequences
+                .insert(entry.topic.to_string(), entry.sequence);
+        }
+    }
+
+    fn work(&mut self) {
+        while let Some(event) = self.assembler.next_event() {
+            match event {
+                Event::Keyframe {
+                    worker_epoch,
+                    tick,
+                    bytes,
+                } => {
+                    self.report.keyframes += 1;
+                    // Of a tick that is computed already it says nothing new.
+                    if self.at.is_none_or(|at| at < (worker_epoch, tick)) {
+                        self.keyframes.insert((worker_epoch, tick), bytes);
+                    }
+                }
+                Event::Tick {
+                    worker_epoch,
+                    tick,
+                    parts,
+                } => self.tick(Waiting {
+                    worker_epoch,
+                    tick,
+                    parts,
+                }),
+            }
+            self.resume();
+        }
+    }
+
+    fn tick(&mut self, next: Waiting) {
+        let place = (next.worker_epoch, next.tick);
+        self.report.note_tick(place);
+        match self.at {
+            Some((run, tick)) if (run, tick + 1) == place => self.compute(next),
+            // The last, half-published tick of a worker that another has followed.
+            Some(at) if place <= at => self.report.lose(place, self.lack(&next)),
+            _ => self.wait(next),
+        }
+    }
+
+    /// Keeps a tick for when a keyframe comes.
+    fn wait(&mut self, next: Waiting) {
+        if self
+            .waiting
+            .front()
+            .is_some_and(|first| first.worker_epoch != next.worker_epoch)
+        {
+            self.give_up_waiting();
+        }
+        self.waiting_bytes += next.parts.bytes();
+        self.waiting.push_back(next);
+        while self.waiting_bytes > MOST_WAITING {
+            self.give_up_first();
+        }
+    }
+
+    fn give_up_waiting(&mut self) {
+        while !self.waiting.is_empty() {
+            self.give_up_first();
+        }
+    }
+
+    /// Nothing is known of the state before the first waiting tick, and nothing will be.
+    fn give_up_first(&mut self) {
+        let Some(first) = self.waiting.pop_front() else {
+            return;
+        };
+        self.waiting_bytes -= first.parts.bytes();
+        let lack = self.lack(&first).unwrap_or(Loss::NoKeyframe);
+        let place = (first.worker_epoch, first.tick);
+        self.report.lose(place, Some(lack));
+    }
+
+    /// Goes on from the first keyframe that the waiting ticks follow.
+    fn resume(&mut self) {
+        while let Some(first) = self.waiting.front() {
+            let run = first.worker_epoch;
+            let from = (run, first.tick.saturating_sub(1));
+            let Some(&(_, tick)) = self
+                .keyframes
+                .range(from..=(run, u64::MAX))
+                .next()
+                .map(|(key, _)| key)
+            else {
+                return;
+            };
+            while self.waiting.front().is_some_and(|first| first.tick <= tick) {
+                self.give_up_first();
+            }
+            let Some(bytes) = self.keyframes.remove(&(run, tick)) else {
+                return;
+            };
+            if let Err(error) =
+                FleetState::decode(&bytes).and_then(|state| self.fleet.restore_state(&state))
+            {
+                self.report.refuse_keyframe(tick, &error);
+                continue;
+            }
+            self.at = Some((run, tick));
+            self.catch_up();
+        }
+    }
+
+    /// Computes the waiting ticks that follow each other.
+    fn catch_up(&mut self) {
+        while let (Some(first), Some((run, tick))) = (self.waiting.front(), self.at) {
+            if (first.worker_epoch, first.tick) != (run, tick + 1) {
+                // A tick is missing altogether.
+                self.at = None;
+                return;
+            }
+            self.waiting_bytes -= first.parts.bytes();
+            if let Some(first) = self.waiting.pop_front() {
+                self.compute(first);
+            }
+        }
+    }
+
+    /// What a tick lacks to be computed.
+    fn lack(&self, next: &Waiting) -> Option<Loss> {
+        let place = (next.worker_epoch, next.tick);
+        let Some((header, taken)) = &next.parts.journal else {
+            return Some(self.assembler.lack(place, Kind::Ticks, Loss::Journal));
+        };
+        if header.unlisted > 0 {
+            return Some(Loss::Unlisted);
+        }
+        let missing = taken
+            .iter()
+            .zip(&next.parts.frames)
+            .find(|(_, frame)| frame.is_none());
+        missing.map(|(taken, _)| self.assembler.lack_of_frame(place, taken))
+    }
+
+    fn compute(&mut self, next: Waiting) {
+        let place = (next.worker_epoch, next.tick);
+        let lack = self.lack(&next);
+        let parts = *next.parts;
+        let (None, Some((header, taken))) = (&lack, &parts.journal) else {
+            self.at = None;
+            return self.report.lose(place, lack);
+        };
+        self.at = Some(place);
+        self.keyframes = self.keyframes.split_off(&(place.0, place.1 + 1));
+        let mut comparison = Comparison {
+            report: &mut self.report,
+            place,
+        };
+        take(&mut self.fleet, taken, &parts.frames, &mut comparison);
+        let header = tick(&mut self.fleet, header);
+        comparison.report.verified(self.fleet.len());
+        comparison.forecasts(&self.fleet, &header, &parts);
+        comparison.diagnostics(&self.fleet, &parts);
+        comparison.budgets(&self.fleet, &parts);
+        let assembler = &self.assembler;
+        for (kind, is_there) in [
+            (Kind::Forecasts, parts.forecasts.is_some()),
+            (Kind::Diagnostics, parts.diagnostics.is_some()),
+            (Kind::Budgets, parts.budgets.is_some()),
+        ] {
+            if !is_there {
+                let loss = assembler.lack(place, kind, Loss::Output);
+                self.report.lack_output(kind, place, loss);
+            }
+        }
+    }
+}
+
+/// Takes the frames as the worker did.
+fn take(
+    fleet: &mut Fleet,
+    taken: &[TakenFrame],
+    frames: &[Option<SampleFrame>],
+    comparison: &mut Comparison<'_>,
+) {
+    for (taken, frame) in taken.iter().zip(frames) {
+        let Some((header, samples)) = frame else {
+            continue;
+        };
+        let sent = u64::from(taken.samples) + u64::from(taken.truncated);
+        if samples.len() as u64 != sent {
+            let recorded = Value::count(samples.len() as u64);
+            comparison.differs(
+                "samples",
+                None,
+                ("samples in a frame", recorded, Value::count(sent)),
+            );
+        }
+        let looked_at = samples.len().min(taken.samples as usize);
+        fleet.take(header, &samples[..looked_at], taken.taken_ns);
+    }
+}
+
+/// Ticks, and says of the intake what the worker's header would.
+fn tick(fleet: &mut Fleet, journal: &TickHeader) -> ForecastHeader {
+    let missed = journal.flags & tick_flag::DEADLINE_MISSED != 0;
+    let intake = fleet.tick(journal.start_ns, missed);
+    let (first_intended_ns, first_sent_ns, first_taken_ns) = intake.first.unwrap_or_default();
+    ForecastHeader {
+        model_hash: fleet.model_hash(),
+        capacity: fleet.capacity(),
+        frames_taken: intake.frames,
+        first_intended_ns,
+        first_sent_ns,
+        first_taken_ns,
+        compute_start_ns: journal.start_ns,
+        samples_accepted: fleet.accepted(),
+        samples_dropped: fleet.drops(),
+        ..ForecastHeader::default()
+    }
+}
+
+/// Compares the outputs of one tick.
+struct Comparison<'a> {
+    report: &'a mut Verification,
+    place: (u64, u64),
+}
+
+impl Comparison<'_> {
+    fn differs(&mut self, what: &'static str, robot: Option<u32>, difference: FieldDifference) {
+        self.report.differ(self.place, what, robot, difference);
+    }
+
+    fn forecasts(&mut self, fleet: &Fleet, computed: &ForecastHeader, parts: &TickParts) {
+        let Some((header, rows)) = &parts.forecasts else {
+            return;
+        };
+        compare::intakes(header, computed, |difference| {
+            self.differs("forecasts", None, difference);
+        });
+        self.length("forecasts", rows.len(), fleet);
+        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
+            let computed = fleet.forecast(place);
+            compare::forecasts(recorded, &computed, |difference| {
+                self.differs("forecast", Some(computed.robot), difference);
+            });
+        }
+    }
+
+    fn diagnostics(&mut self, fleet: &Fleet, parts: &TickParts) {
+        let Some((header, rows)) = &parts.diagnostics else {
+            return;
+        };
+        let refusals = fleet.refusals();
+        for (place, (recorded, computed)) in header.refused.iter().zip(&refusals).enumerate() {
+            if recorded != computed {
+                let robots = (recorded.robot, computed.robot);
+                let values = (Value::count(robots.0.into()), Value::count(robots.1.into()));
+                let robot = Some(refusals[place].robot);
+                self.differs("diagnostics", robot, ("refused robots", values.0, values.1));
+            }
+        }
+        self.length("diagnostics", rows.len(), fleet);
+        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
+            let computed = fleet.diagnostic(place);
+            compare::diagnostics(recorded, &computed, |difference| {
+                self.differs("diagnostic", Some(computed.robot), difference);
+            });
+        }
+    }
+
+    fn budgets(&mut self, fleet: &Fleet, parts: &TickParts) {
+        let Some((_, rows)) = &parts.budgets else {
+            return;
+        };
+        self.length("budgets", rows.len(), fleet);
+        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
+            let computed = fleet.budget(place);
+            compare::budgets(recorded, &computed, |difference| {
+                self.differs("budget", Some(computed.robot), difference);
+            });
+        }
+    }
+
+    fn length(&mut self, what: &'static str, recorded: usize, fleet: &Fleet) {
+        if recorded != fleet.len() {
+            let values = (
+                Value::count(recorded as u64),
+                Value::count(fleet.len() as u64),
+            );
+            self.differs(what, None, ("robots", values.0, values.1));
+        }
+    }
+}

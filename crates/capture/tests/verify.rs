@@ -1,0 +1,615 @@
+//! What a verification finds, and what it does not mistake for a difference.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+#[path = "../../fleet/tests/world/mod.rs"]
+mod world;
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use joulebus_capture::verify::{Loss, Verification, Verifier};
+use joulebus_capture::{Attachments, Entry, Kind, Message, Reader, Settings, Times, Writer};
+use joulebus_fleet::Fleet;
+use joulebus_wire::{
+    BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSION, Sample, SampleHeader,
+    StateHeader, TakenFrame, TickHeader, sample_flag, tick_flag,
+};
+use proptest::prelude::*;
+use world::random::Noise;
+use world::{MS, PERIOD_NS, Source, healthy};
+
+const CAPACITY: u32 = 12;
+const EPOCH: u64 = 1_000;
+const START_NS: u64 = 60_000 * MS;
+/// Ticks between two keyframes, and from the state to the keyframe's arrival.
+const KEYFRAME_EVERY: u64 = 40;
+const KEYFRAME_LATE: u64 = 6;
+const PIECE_BYTES: usize = 1_000;
+
+/// A worker of the tests, and everything that it and its sources send, in order.
+struct Simulation {
+    fleet: Fleet,
+    sources: [Source; 2],
+    noise: Noise,
+    worker_epoch: u64,
+    tick: u64,
+    step: u64,
+    now_ns: u64,
+    sent: Vec<Message>,
+    late: Vec<(u64, Message)>,
+}
+
+impl Simulation {
+    fn new(seed: u64) -> Self {
+        let mut simulation = Self {
+            fleet: world::fleet(CAPACITY),
+            sources: [Source::new(1, 1), Source::new(2, 1)],
+            noise: Noise(seed),
+            worker_epoch: EPOCH,
+            tick: 0,
+            step: 0,
+            now_ns: START_NS,
+            sent: Vec::new(),
+            late: Vec::new(),
+        };
+        simulation.keyframe();
+        simulation
+    }
+
+    /// Another worker takes over.
+    fn restart(&mut self) {
+        let late = std::mem::take(&mut self.late);
+        self.sent
+            .extend(late.into_iter().map(|(_, message)| message));
+        self.fleet = world::fleet(CAPACITY);
+        (self.worker_epoch, self.tick) = (self.worker_epoch + 1, 0);
+        self.keyframe();
+    }
+
+    fn keyframe(&mut self) {
+        let mut bytes = Vec::new();
+        self.fleet.state().encode_into(&mut bytes);
+        let due = if self.tick == 0 {
+            0
+        } else {
+            self.tick + KEYFRAME_LATE
+        };
+        for (place, piece) in bytes.chunks(PIECE_BYTES).enumerate() {
+            let header = StateHeader {
+                schema: SCHEMA_VERSION,
+                worker_epoch: self.worker_epoch,
+                tick: self.tick,
+                total_bytes: bytes.len() as u64,
+                offset: (place * PIECE_BYTES) as u64,
+                ..StateHeader::default()
+            };
+            self.late
+                .push((due, Message::State(header, piece.to_vec())));
+        }
+    }
+
+    fn samples(&mut self, source: usize) -> Vec<Sample> {
+        let robots: &[u32] = [
+            &[1, 2, 3, 101, 102, 201][..],
+            &[4, 5, 6, 103, 202, 203, 204][..],
+        ][source];
+        let mut samples = Vec::new();
+        for robot in robots {
+            let mut sample = healthy(*robot, self.step, self.now_ns, PERIOD_NS);
+            match self.noise.next_u64() % 40 {
+                0 => continue,
+                1 => sample.power_w = f32::NAN,
+                2 => sample.flags &= !sample_flag::POWER,
+                3 => sample.v_mps = 9.0,
+                4 => sample.robot += 1_000,
+                _ => {}
+            }
+            samples.push(sample);
+        }
+        samples
+    }
+
+    fn run(&mut self, ticks: u64) {
+        for _ in 0..ticks {
+            self.now_ns += PERIOD_NS + self.noise.next_u64() % MS;
+            self.step += 1;
+            self.turn();
+        }
+    }
+
+    fn turn(&mut self) {
+        let mut taken = Vec::new();
+        for source in 0..2 {
+            // Now and then a source is held up, and sends nothing for a while.
+            if self.noise.next_u64().is_multiple_of(15) {
+                continue;
+            }
+            let samples = self.samples(source);
+            let header = self.sources[source].frame(samples.len());
+            let taken_ns = self.now_ns + self.noise.next_u64() % MS;
+            self.fleet.take(&header, &samples, taken_ns);
+            taken.push(TakenFrame {
+                source_id: header.source_id,
+                source_epoch: header.source_epoch,
+                frame_seq: header.frame_seq,
+                taken_ns,
+                samples: samples.len() as u32,
+                truncated: 0,
+            });
+            self.sent.push(Message::Samples(header, samples));
+        }
+        let start_ns = self.now_ns + 2 * MS;
+        let missed = self.noise.next_u64().is_multiple_of(10);
+        let intake = self.fleet.tick(start_ns, missed);
+        self.tick += 1;
+        let (first_intended_ns, first_sent_ns, first_taken_ns) = intake.first.unwrap_or_default();
+        let header = ForecastHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch: self.worker_epoch,
+            tick: self.tick,
+            model_hash: self.fleet.model_hash(),
+            capacity: CAPACITY,
+            frames_taken: intake.frames,
+            first_intended_ns,
+            first_sent_ns,
+            first_taken_ns,
+            compute_start_ns: start_ns,
+            samples_accepted: self.fleet.accepted(),
+            samples_dropped: self.fleet.drops(),
+            ..ForecastHeader::default()
+        };
+        self.publish(header);
+        let journal = TickHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch: self.worker_epoch,
+            tick: self.tick,
+            start_ns,
+            flags: if missed {
+                tick_flag::DEADLINE_MISSED
+            } else {
+                0
+            },
+            ..TickHeader::default()
+        };
+        self.sent.push(Message::Ticks(journal, taken));
+        if self.tick.is_multiple_of(KEYFRAME_EVERY) {
+            self.keyframe();
+        }
+        let tick = self.tick;
+        for (_, message) in self.late.extract_if(.., |(due, _)| *due <= tick) {
+            self.sent.push(message);
+        }
+    }
+
+    fn publish(&mut self, header: ForecastHeader) {
+        let robots = 0..self.fleet.len();
+        let (worker_epoch, tick) = (self.worker_epoch, self.tick);
+        let forecasts = robots.clone().map(|place| self.fleet.forecast(place));
+        self.sent
+            .push(Message::Forecasts(header, forecasts.collect()));
+        let header = DiagnosticHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch,
+            tick,
+            refused: self.fleet.refusals(),
+            ..DiagnosticHeader::default()
+        };
+        let diagnostics = robots.clone().map(|place| self.fleet.diagnostic(place));
+        self.sent
+            .push(Message::Diagnostics(header, diagnostics.collect()));
+        let header = BudgetHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch,
+            tick,
+            ..BudgetHeader::default()
+        };
+        let budgets = robots.map(|place| self.fleet.budget(place));
+        self.sent.push(Message::Budgets(header, budgets.collect()));
+    }
+}
+
+fn recorded(seed: u64, ticks: u64) -> Vec<Message> {
+    let mut simulation = Simulation::new(seed);
+    simulation.run(ticks);
+    simulation.sent
+}
+
+/// As a recorder writes them: numbered by channel.
+fn entries(messages: Vec<Message>) -> Vec<Entry> {
+    let mut sequences: HashMap<Kind, u32> = HashMap::new();
+    let entry = |(place, message): (usize, Message)| {
+        let kind = message.kind().unwrap();
+        let sequence = sequences.entry(kind).or_default();
+        *sequence += 1;
+        Entry {
+            topic: kind.topic("lab", 0).into(),
+            fleet: Arc::from("lab"),
+            log_time_ns: 1_000_000 * place as u64,
+            publish_time_ns: 0,
+            sequence: *sequence - 1,
+            message,
+        }
+    };
+    messages.into_iter().enumerate().map(entry).collect()
+}
+
+fn verify(entries: impl IntoIterator<Item = Entry>) -> Verification {
+    let mut verifier = Verifier::new(world::settings(CAPACITY), world::models()).unwrap();
+    for entry in entries {
+        verifier.push(entry);
+    }
+    verifier.finish()
+}
+
+fn tick_of(message: &Message) -> u64 {
+    match message {
+        Message::Forecasts(header, _) => header.tick,
+        Message::Diagnostics(header, _) => header.tick,
+        Message::Budgets(header, _) => header.tick,
+        Message::Ticks(header, _) => header.tick,
+        _ => 0,
+    }
+}
+
+#[test]
+fn a_whole_recording_has_no_differences() {
+    let report = verify(entries(recorded(1, 200)));
+    assert!(report.is_clean(), "{report}");
+    assert_eq!(
+        (report.ticks, report.ticks_verified, report.robots),
+        (200, 200, CAPACITY as usize)
+    );
+    assert_eq!(
+        (report.keyframes, report.untaken_frames, report.runs),
+        (6, 0, 1),
+        "{report:?}"
+    );
+    assert!(
+        report
+            .to_string()
+            .starts_with("200 ticks, 12 robots, 0 differences\n"),
+        "{report}"
+    );
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+    /// The recorder looks at one service after the other, and falls behind in any of them.
+    #[test]
+    fn the_order_in_which_a_recorder_looks_changes_nothing(
+        seed in any::<u64>(), lag in 1usize..150,
+    ) {
+        let mut noise = Noise(seed);
+        let messages = recorded(seed % 8, 120);
+        // Each kind keeps its order.
+        let mut keyed: Vec<(usize, Message)> = Vec::new();
+        let mut last: HashMap<Kind, usize> = HashMap::new();
+        for (place, message) in messages.into_iter().enumerate() {
+            let last = last.entry(message.kind().unwrap()).or_default();
+            *last = (*last).max(place + (noise.next_u64() % lag as u64) as usize);
+            keyed.push((*last, message));
+        }
+        keyed.sort_by_key(|(at, _)| *at);
+        let report = verify(entries(keyed.into_iter().map(|(_, message)| message).collect()));
+        prop_assert!(report.is_clean(), "{report}");
+        prop_assert_eq!(report.ticks_verified, 120);
+    }
+
+    #[test]
+    fn a_recording_may_begin_and_end_anywhere(seed in 0u64..8, from in 0.0f64..0.6, to in 0.8f64..1.0) {
+        let all = entries(recorded(seed, 200));
+        let (from, to) = ((from * all.len() as f64) as usize, (to * all.len() as f64) as usize);
+        let before = verify(all[from..to].to_vec());
+        prop_assert!(before.is_clean(), "{before}");
+        prop_assert!(before.ticks_before_first_keyframe < KEYFRAME_EVERY + KEYFRAME_LATE, "{before:?}");
+        prop_assert!(before.ticks_cut_off < 4, "{before:?}");
+        prop_assert_eq!(
+            before.ticks,
+            before.ticks_verified + before.ticks_before_first_keyframe
+                + before.ticks_cut_off.min(before.ticks - before.ticks_verified - before.ticks_before_first_keyframe)
+        );
+    }
+
+    #[test]
+    fn whatever_is_lost_is_told_and_nothing_else_differs(
+        seed in 0u64..8, lost in prop::collection::btree_set(any::<prop::sample::Index>(), 1..4),
+    ) {
+        let all = entries(recorded(seed, 200));
+        let lost: Vec<usize> = lost.into_iter().map(|index| index.index(all.len())).collect();
+        let kept = all.iter().enumerate().filter(|(place, _)| !lost.contains(place));
+        let report = verify(kept.map(|(_, entry)| entry.clone()));
+        prop_assert_eq!(report.differences, 0, "{}", report);
+        // At either end it is not known that something was there.
+        let inside = |place: &&usize| {
+            let kind = |place: usize| all[place].message.kind();
+            let same = |other: &usize| kind(*other) == kind(**place) && !lost.contains(other);
+            (0..**place).any(|other| same(&other)) && (**place + 1..all.len()).any(|other| same(&other))
+        };
+        if lost.iter().filter(inside).count() > 0 {
+            prop_assert!(!report.is_clean(), "{report}");
+            prop_assert!(report.messages_lost > 0, "{report}");
+        }
+    }
+}
+
+#[test]
+fn a_lost_frame_of_samples_is_named_and_verification_resumes_at_the_next_keyframe() {
+    let all = entries(recorded(3, 200));
+    let is_lost = |entry: &Entry| matches!(&entry.message, Message::Samples(header, _) if header.source_id == 2 && header.frame_seq == 50);
+    let taken_by = all.iter().find_map(|entry| match &entry.message {
+        Message::Ticks(header, taken) => taken
+            .iter()
+            .any(|taken| taken.source_id == 2 && taken.frame_seq == 50)
+            .then_some(header.tick),
+        _ => None,
+    });
+    let tick = taken_by.unwrap();
+    let report = verify(all.into_iter().filter(|entry| !is_lost(entry)));
+    let resumed = tick.div_ceil(KEYFRAME_EVERY) * KEYFRAME_EVERY;
+    assert_eq!(report.ticks_unverified, resumed - tick + 1, "{report}");
+    assert_eq!(report.ticks_verified, 200 - report.ticks_unverified);
+    let frame = Loss::Samples {
+        source_id: 2,
+        frame_seq: 50,
+    };
+    assert_eq!(report.losses[0], (tick, frame), "{report}");
+    assert_eq!((report.differences, report.is_clean()), (0, false));
+}
+
+/// Each field of each payload, one at a time: found, at its tick, robot and name.
+#[test]
+fn a_flipped_bit_in_any_output_is_named() {
+    let messages = recorded(4, 90);
+    let place = |kind: Kind| {
+        let is_it = |message: &Message| message.kind() == Some(kind) && tick_of(message) == 77;
+        messages.iter().position(is_it).unwrap()
+    };
+    let (forecasts, diagnostics, budgets) = (
+        place(Kind::Forecasts),
+        place(Kind::Diagnostics),
+        place(Kind::Budgets),
+    );
+    let flip32 = |value: &mut f32| *value = f32::from_bits(value.to_bits() ^ 1);
+    let flip64 = |value: &mut f64| *value = f64::from_bits(value.to_bits() ^ 1);
+    type Spoil<'a> = Box<dyn Fn(&mut [Message]) + 'a>;
+    let mut cases: Vec<(&str, Spoil<'_>)> = Vec::new();
+    macro_rules! case {
+        ($kind:ident, $at:expr, $name:literal, |$row:ident| $change:expr) => {
+            cases.push((
+                $name,
+                Box::new(move |messages: &mut [Message]| {
+                    let Message::$kind(_, rows) = &mut messages[$at] else {
+                        panic!("another kind")
+                    };
+                    let $row = &mut rows[5];
+                    $change;
+                }),
+            ));
+        };
+    }
+    case!(Forecasts, forecasts, "forecast.power_w", |row| flip32(
+        &mut row.power_w
+    ));
+    case!(Forecasts, forecasts, "forecast.lo_w", |row| flip32(
+        &mut row.lo_w
+    ));
+    case!(Forecasts, forecasts, "forecast.hi_w", |row| flip32(
+        &mut row.hi_w
+    ));
+    case!(Forecasts, forecasts, "forecast.reading_w", |row| flip32(
+        &mut row.reading_w
+    ));
+    case!(Forecasts, forecasts, "forecast.flags", |row| row.flags ^= 8);
+    case!(Forecasts, forecasts, "forecast.quality", |row| row
+        .quality ^=
+        1);
+    case!(Forecasts, forecasts, "forecast.quality_detail", |row| {
+        row.quality_detail ^= 1
+    });
+    case!(Forecasts, forecasts, "forecast.generation", |row| row
+        .generation ^=
+        1);
+    case!(Forecasts, forecasts, "forecast.sample_seq", |row| row
+        .sample_seq ^=
+        1);
+    case!(Forecasts, forecasts, "forecast.stamp_ns", |row| row
+        .stamp_ns ^=
+        1);
+    case!(Forecasts, forecasts, "forecast.target_ns", |row| row
+        .target_ns ^=
+        1);
+    case!(Forecasts, forecasts, "forecast.reading_age_ns", |row| {
+        row.reading_age_ns ^= 1
+    });
+    case!(Forecasts, forecasts, "forecast.source_epoch", |row| row
+        .source_epoch ^=
+        1);
+    case!(Diagnostics, diagnostics, "diagnostic.residual_w", |row| {
+        flip32(&mut row.residual_w)
+    });
+    case!(Diagnostics, diagnostics, "diagnostic.bias_w", |row| flip32(
+        &mut row.bias_w
+    ));
+    case!(Diagnostics, diagnostics, "diagnostic.cusum_up", |row| {
+        flip32(&mut row.cusum_up)
+    });
+    case!(Diagnostics, diagnostics, "diagnostic.alarms", |row| row
+        .alarms ^=
+        1 << 11);
+    case!(Diagnostics, diagnostics, "diagnostic.scored", |row| row
+        .scored ^=
+        1);
+    case!(Diagnostics, diagnostics, "diagnostic.mae_w", |row| flip64(
+        &mut row.mae_w
+    ));
+    case!(Diagnostics, diagnostics, "diagnostic.skill", |row| flip64(
+        &mut row.skill
+    ));
+    case!(Diagnostics, diagnostics, "diagnostic.refused", |row| row
+        .refused ^=
+        1);
+    case!(Budgets, budgets, "budget.drawn_uj", |row| row.drawn_uj ^= 1);
+    case!(Budgets, budgets, "budget.drawn_remainder", |row| row
+        .drawn_remainder ^=
+        1);
+    case!(Budgets, budgets, "budget.unmetered_ns", |row| row
+        .unmetered_ns ^=
+        1);
+    case!(Budgets, budgets, "budget.mean_power_w", |row| flip32(
+        &mut row.mean_power_w
+    ));
+    case!(Budgets, budgets, "budget.time_to_empty_hi_s", |row| flip32(
+        &mut row.time_to_empty_hi_s
+    ));
+    for (name, spoil) in cases {
+        let mut spoilt = messages.clone();
+        spoil(&mut spoilt);
+        let Message::Forecasts(_, rows) = &messages[forecasts] else {
+            panic!("another kind")
+        };
+        let report = verify(entries(spoilt));
+        let first = report
+            .first
+            .clone()
+            .unwrap_or_else(|| panic!("{name} was not found"));
+        assert_eq!(
+            (first.tick, first.robot, &*first.field),
+            (77, Some(rows[5].robot), name)
+        );
+        assert_ne!(first.recorded, first.computed, "{name}");
+        assert_eq!(
+            (report.differences, report.ticks_verified),
+            (1, 90),
+            "{name}: {report}"
+        );
+        assert!(!report.is_clean(), "{name}");
+    }
+}
+
+#[test]
+fn a_flipped_bit_in_a_sample_shows_at_its_tick_and_robot() {
+    let mut messages = recorded(5, 90);
+    let taken_at_60 = |message: &Message| match message {
+        Message::Ticks(header, taken) if header.tick == 60 => taken.first().copied(),
+        _ => None,
+    };
+    let taken = messages.iter().find_map(taken_at_60).unwrap();
+    let mut robot = 0;
+    for message in &mut messages {
+        if let Message::Samples(header, samples) = message
+            && (header.source_id, header.frame_seq) == (taken.source_id, taken.frame_seq)
+        {
+            let is_read = |sample: &&mut Sample| sample.power_w.is_finite() && sample.robot < 1_000;
+            let sample = samples.iter_mut().find(is_read).unwrap();
+            sample.power_w = f32::from_bits(sample.power_w.to_bits() ^ (1 << 12));
+            robot = sample.robot;
+        }
+    }
+    let report = verify(entries(messages));
+    let first = report.first.clone().unwrap();
+    assert_eq!((first.tick, first.robot), (60, Some(robot)), "{report}");
+    assert!(report.differences > 1, "a ledger never forgets: {report}");
+}
+
+#[test]
+fn a_worker_that_was_killed_and_its_successor_are_verified_each() {
+    let mut simulation = Simulation::new(6);
+    simulation.run(100);
+    // Killed after its forecasts were out.
+    let mut sent = std::mem::take(&mut simulation.sent);
+    let half = sent.len() - 4;
+    assert!(
+        matches!(sent[half], Message::Forecasts(..)),
+        "{:?}",
+        sent[half].kind()
+    );
+    sent.truncate(half + 1);
+    simulation.sent = sent;
+    simulation.restart();
+    simulation.run(150);
+    let report = verify(entries(simulation.sent));
+    assert!(report.is_clean(), "{report}");
+    assert_eq!(
+        (report.runs, report.ticks_verified, report.ticks_cut_off),
+        (2, 99 + 150, 1),
+        "{report}"
+    );
+}
+
+#[test]
+fn without_a_keyframe_or_with_another_model_nothing_counts_as_verified() {
+    let messages = recorded(7, 60);
+    let without = messages
+        .iter()
+        .filter(|message| message.kind() != Some(Kind::State));
+    let report = verify(entries(without.cloned().collect()));
+    assert_eq!(
+        (
+            report.ticks_verified,
+            report.ticks_unverified,
+            report.is_clean()
+        ),
+        (0, 60, false)
+    );
+    assert!(report.to_string().contains("no keyframe"), "{report}");
+
+    let mut models = world::models();
+    models.swap(0, 2);
+    let mut verifier = Verifier::new(world::settings(CAPACITY), models).unwrap();
+    entries(messages)
+        .into_iter()
+        .for_each(|entry| verifier.push(entry));
+    let report = verifier.finish();
+    assert_eq!((report.ticks_verified, report.ticks_unverified), (0, 60));
+    assert_eq!(report.refused_keyframes, report.keyframes, "{report}");
+    assert!(
+        report.to_string().contains("use the same models"),
+        "{report}"
+    );
+}
+
+#[test]
+fn what_was_not_to_be_recorded_is_said_and_is_no_loss() {
+    let messages = recorded(8, 60).into_iter();
+    let kept = messages.filter(|message| message.kind() != Some(Kind::Diagnostics));
+    let report = verify(entries(kept.collect()));
+    assert!(report.is_clean(), "{report}");
+    assert_eq!(report.not_recorded, ["diagnostics"]);
+}
+
+/// Through the files of a recording that was split, bit for bit.
+#[test]
+fn split_files_are_verified_as_one_and_each_from_its_keyframe() {
+    let all = entries(recorded(9, 200));
+    let mut files = Vec::new();
+    let mut sequences = joulebus_capture::Sequences::default();
+    for part in all.chunks(all.len() / 3 + 1) {
+        let attachments = Attachments::default();
+        let settings = Settings::default();
+        let mut writer = Writer::go_on(Vec::new(), settings, &attachments, sequences).unwrap();
+        for entry in part {
+            let times = Times {
+                log_ns: entry.log_time_ns,
+                publish_ns: entry.publish_time_ns,
+            };
+            writer.write("lab", times, &entry.message).unwrap();
+        }
+        let (_, next, bytes) = writer.finish().unwrap();
+        sequences = next;
+        files.push(bytes);
+    }
+    let read = |bytes: &[u8]| -> Vec<Entry> {
+        Reader::new(bytes)
+            .unwrap()
+            .map(|entry| entry.unwrap())
+            .collect()
+    };
+    let report = verify(files.iter().flat_map(|bytes| read(bytes)));
+    assert!(report.is_clean(), "{report}");
+    assert_eq!(report.ticks_verified, 200);
+    for bytes in &files {
+        let report = verify(read(bytes));
+        assert!(report.is_clean() && report.ticks_verified > 20, "{report}");
+    }
+}
