@@ -11,8 +11,8 @@ use joulebus_capture::verify::{Loss, Verification, Verifier};
 use joulebus_capture::{Attachments, Entry, Kind, Message, Reader, Settings, Times, Writer};
 use joulebus_fleet::Fleet;
 use joulebus_wire::{
-    BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSION, Sample, SampleHeader,
-    StateHeader, TakenFrame, TickHeader, sample_flag, tick_flag,
+    BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSION, Sample, StateHeader,
+    TakenFrame, TickHeader, sample_flag, tick_flag,
 };
 use proptest::prelude::*;
 use world::random::Noise;
@@ -261,7 +261,7 @@ fn a_whole_recording_has_no_differences() {
     );
     assert_eq!(
         (report.keyframes, report.untaken_frames, report.runs),
-        (6, 0, 1),
+        (5, 0, 1),
         "{report:?}"
     );
     assert!(
@@ -313,7 +313,7 @@ proptest! {
 
     #[test]
     fn whatever_is_lost_is_told_and_nothing_else_differs(
-        seed in 0u64..8, lost in prop::collection::btree_set(any::<prop::sample::Index>(), 1..4),
+        seed in 0u64..8, lost in prop::collection::vec(any::<prop::sample::Index>(), 1..4),
     ) {
         let all = entries(recorded(seed, 200));
         let lost: Vec<usize> = lost.into_iter().map(|index| index.index(all.len())).collect();

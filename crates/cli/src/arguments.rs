@@ -6,6 +6,8 @@ use crate::output::Asked;
 use crate::{
     bench, cat, completions, config, data, demo, doctor, eval, import, info, model, publish,
     record, recover, run, serve, train, watch,
+use crate::output::Format;
+    bench, completions, config, demo, doctor, eval, publish, record, replay, run, train, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -50,6 +52,7 @@ pub(crate) enum Command {
     Run(run::Args),
     Publish(publish::Args),
     Record(record::Args),
+    Replay(replay::Args),
     Watch(watch::Args),
     Info(info::Args),
     Cat(cat::Args),

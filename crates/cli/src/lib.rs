@@ -23,6 +23,7 @@ mod output;
 mod publish;
 mod record;
 mod recover;
+mod replay;
 mod run;
 mod serve;
 mod stop;
@@ -85,6 +86,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Run(args) => run::run(args, output),
         Command::Publish(args) => publish::run(args, output),
         Command::Record(args) => record::run(args, output),
+        Command::Replay(args) => replay::run(args, output),
         Command::Watch(args) => watch::run(args, output),
         Command::Info(args) => info::run(args, output),
         Command::Cat(args) => cat::run(args, output),

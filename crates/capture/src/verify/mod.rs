@@ -9,6 +9,7 @@
 mod assemble;
 mod compare;
 mod report;
+mod what_if;
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -22,6 +23,7 @@ use compare::FieldDifference;
 
 pub use compare::Value;
 pub use report::{Difference, Loss, Verification};
+pub use what_if::{Comparison, ModelScores, RobotComparison, WhatIf};
 
 /// What may wait for a keyframe, bytes.
 const MOST_WAITING: usize = 256 << 20;
@@ -140,8 +142,9 @@ impl Verifier {
         self.report.note_tick(place);
         match self.at {
             Some((run, tick)) if (run, tick + 1) == place => self.compute(next),
-            // The last, half-published tick of a worker that another has followed.
-            Some(at) if place <= at => self.report.lose(place, self.lack(&next)),
+            // Before the keyframe, or the last, half-published tick of a worker that another has
+            // followed.
+            Some(at) if place <= at => self.give_up(&next),
             _ => self.wait(next),
         }
     }
@@ -174,9 +177,17 @@ impl Verifier {
             return;
         };
         self.waiting_bytes -= first.parts.bytes();
-        let lack = self.lack(&first).unwrap_or(Loss::NoKeyframe);
-        let place = (first.worker_epoch, first.tick);
-        self.report.lose(place, Some(lack));
+        self.give_up(&first);
+    }
+
+    fn give_up(&mut self, tick: &Waiting) {
+        let lack = match self.lack(tick) {
+            Some(Loss::End) => Loss::End,
+            // Where the recording begins, something is always missing.
+            Some(lack) if self.report.ticks_verified > 0 => lack,
+            _ => Loss::NoKeyframe,
+        };
+        self.report.lose((tick.worker_epoch, tick.tick), lack);
     }
 
     /// Goes on from the first keyframe that the waiting ticks follow.
@@ -244,13 +255,13 @@ impl Verifier {
         let place = (next.worker_epoch, next.tick);
         let lack = self.lack(&next);
         let parts = *next.parts;
-        let (None, Some((header, taken))) = (&lack, &parts.journal) else {
+        let (None, Some((header, taken))) = (lack, &parts.journal) else {
             self.at = None;
-            return self.report.lose(place, lack);
+            return self.report.lose(place, lack.unwrap_or(Loss::Journal));
         };
         self.at = Some(place);
         self.keyframes = self.keyframes.split_off(&(place.0, place.1 + 1));
-        let mut comparison = Comparison {
+        let mut comparison = TickComparison {
             report: &mut self.report,
             place,
         };
@@ -279,7 +290,7 @@ fn take(
     fleet: &mut Fleet,
     taken: &[TakenFrame],
     frames: &[Option<SampleFrame>],
-    comparison: &mut Comparison<'_>,
+    comparison: &mut TickComparison<'_>,
 ) {
     for (taken, frame) in taken.iter().zip(frames) {
         let Some((header, samples)) = frame else {
@@ -319,12 +330,12 @@ fn tick(fleet: &mut Fleet, journal: &TickHeader) -> ForecastHeader {
 }
 
 /// Compares the outputs of one tick.
-struct Comparison<'a> {
+struct TickComparison<'a> {
     report: &'a mut Verification,
     place: (u64, u64),
 }
 
-impl Comparison<'_> {
+impl TickComparison<'_> {
     fn differs(&mut self, what: &'static str, robot: Option<u32>, difference: FieldDifference) {
         self.report.differ(self.place, what, robot, difference);
     }

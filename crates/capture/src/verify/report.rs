@@ -168,15 +168,15 @@ impl Verification {
     }
 
     /// A tick that is not computed.
-    pub(super) fn lose(&mut self, (_, tick): (u64, u64), why: Option<Loss>) {
+    pub(super) fn lose(&mut self, (_, tick): (u64, u64), why: Loss) {
         match why {
-            Some(Loss::End) => self.ticks_cut_off += 1,
-            Some(Loss::NoKeyframe) if self.ticks_verified == 0 => {
+            Loss::End => self.ticks_cut_off += 1,
+            Loss::NoKeyframe if self.ticks_verified == 0 => {
                 self.ticks_before_first_keyframe += 1;
             }
             why => {
                 self.ticks_unverified += 1;
-                self.tell(tick, why.unwrap_or(Loss::NoKeyframe));
+                self.tell(tick, why);
             }
         }
     }

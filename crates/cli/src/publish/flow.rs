@@ -13,7 +13,7 @@ const PATIENCE_NS: u64 = 2_000_000_000;
 const LOOK_EVERY_NS: u64 = 50_000_000;
 
 /// What a source hears of the worker.
-pub(super) struct Flow {
+pub(crate) struct Flow {
     window: Window,
     // Ports before the bus: the order in which they must go.
     forecasts: ForecastReader,
@@ -23,7 +23,7 @@ pub(super) struct Flow {
     source_epoch: u64,
     worker: Option<HeardWorker>,
     /// Frames that died with a worker.
-    pub(super) unanswered: u64,
+    pub(crate) unanswered: u64,
 }
 
 struct HeardWorker {
@@ -33,7 +33,7 @@ struct HeardWorker {
 
 /// Whether there is room for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Room {
+pub(crate) enum Room {
     /// There is.
     Free,
     /// There is no worker any more.
@@ -44,7 +44,7 @@ pub(super) enum Room {
 
 impl Flow {
     /// Listens to the worker of `domain` on behalf of the source that began at `source_epoch`.
-    pub(super) fn open(
+    pub(crate) fn open(
         domain: &Domain,
         limits: &Limits,
         window: Window,
@@ -64,20 +64,35 @@ impl Flow {
     }
 
     /// Waits until the worker has answered enough for `frame`.
-    pub(super) fn room(&mut self, frame: &[Sample], stop: &Stop) -> anyhow::Result<Room> {
+    pub(crate) fn room(&mut self, frame: &[Sample], stop: &Stop) -> anyhow::Result<Room> {
         self.wait(stop, None, |window| window.has_room(frame))
     }
 
     /// Waits until everything is answered, at most until `until_ns` (monotonic).
-    pub(super) fn settle(&mut self, stop: &Stop, until_ns: u64) -> anyhow::Result<()> {
+    pub(crate) fn settle(&mut self, stop: &Stop, until_ns: u64) -> anyhow::Result<()> {
         self.wait(stop, Some(until_ns), |window| window.len() == 0)?;
         self.unanswered += self.window.forget();
         Ok(())
     }
 
     /// A frame was sent.
-    pub(super) fn sent(&mut self, frame: &[Sample]) {
+    pub(crate) fn sent(&mut self, frame: &[Sample]) {
         self.window.sent(frame, clock::monotonic_ns());
+    }
+
+    /// The source goes on as run `source_epoch`, unless it has done so already: older runs' frames
+    /// are not waited for any more.
+    pub(crate) fn follow(&mut self, source_epoch: u64) {
+        if source_epoch > self.source_epoch {
+            self.source_epoch = source_epoch;
+            self.window.forget();
+        }
+    }
+
+    /// Whether a worker has been heard of: then it takes samples.
+    pub(crate) fn has_heard(&mut self) -> anyhow::Result<bool> {
+        self.hear()?;
+        Ok(self.worker.is_some() && !self.is_gone()?)
     }
 
     fn wait(

@@ -1,12 +1,14 @@
 //! `joulebus publish`: sources of samples.
 
 mod fault;
-mod flow;
+pub(crate) mod flow;
 mod link;
 mod report;
 mod sim;
 mod trial;
-mod window;
+
+pub(crate) use trial::{Passes, Rate};
+pub(crate) mod window;
 
 use std::str::FromStr;
 use std::time::Duration;
@@ -60,7 +62,7 @@ impl FromStr for Hertz {
 }
 
 /// A number within a range, both ends included.
-fn number(text: &str, least: f64, greatest: f64, unit: &str) -> Result<f64, String> {
+pub(crate) fn number(text: &str, least: f64, greatest: f64, unit: &str) -> Result<f64, String> {
     let value: f64 = text
         .parse()
         .map_err(|_| format!("{text:?} is no number ({unit})"))?;
@@ -74,6 +76,6 @@ fn number(text: &str, least: f64, greatest: f64, unit: &str) -> Result<f64, Stri
 }
 
 /// A time on the command line, s.
-fn seconds(text: &str) -> Result<Duration, String> {
+pub(crate) fn seconds(text: &str) -> Result<Duration, String> {
     number(text, 0.001, 1e8, "s").map(Duration::from_secs_f64)
 }

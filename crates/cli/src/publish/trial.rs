@@ -69,13 +69,13 @@ pub(crate) struct Args {
 
 /// How fast to play.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Rate {
+pub(crate) enum Rate {
     Times(f64),
     Max,
 }
 
 impl Rate {
-    const fn is_faster_than_recorded(self) -> bool {
+    pub(crate) const fn is_faster_than_recorded(self) -> bool {
         match self {
             Self::Times(factor) => factor > 1.0,
             Self::Max => true,
@@ -96,7 +96,7 @@ impl FromStr for Rate {
 
 /// How often to play each trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Passes {
+pub(crate) enum Passes {
     Count(u64),
     ForEver,
 }

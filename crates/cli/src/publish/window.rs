@@ -11,7 +11,7 @@ use joulebus_wire::Sample;
 
 /// Frames that were sent and not answered yet.
 #[derive(Debug)]
-pub(super) struct Window {
+pub(crate) struct Window {
     most_frames: usize,
     most_samples: usize,
     frames: VecDeque<Outstanding>,
@@ -35,7 +35,7 @@ struct OfRobot {
 
 impl Window {
     /// At most `most_frames` frames, with at most `most_samples` samples of a robot in them.
-    pub(super) fn new(most_frames: usize, most_samples: usize) -> Self {
+    pub(crate) fn new(most_frames: usize, most_samples: usize) -> Self {
         Self {
             most_frames,
             most_samples,
@@ -48,7 +48,7 @@ impl Window {
 
     /// Whether the frame can be sent without overflowing anything. When nothing is outstanding it
     /// always can: waiting would change nothing.
-    pub(super) fn has_room(&self, frame: &[Sample]) -> bool {
+    pub(crate) fn has_room(&self, frame: &[Sample]) -> bool {
         if self.frames.is_empty() {
             return true;
         }
@@ -61,7 +61,7 @@ impl Window {
     }
 
     /// A frame was sent at `sent_ns`.
-    pub(super) fn sent(&mut self, frame: &[Sample], sent_ns: u64) {
+    pub(crate) fn sent(&mut self, frame: &[Sample], sent_ns: u64) {
         self.frames.push_back(Outstanding {
             sent_ns,
             robots: by_robot(frame),
@@ -69,7 +69,7 @@ impl Window {
     }
 
     /// A tick that began at `started_ns` has answered these robots' samples.
-    pub(super) fn answered(&mut self, started_ns: u64, robots: impl Iterator<Item = (u32, u64)>) {
+    pub(crate) fn answered(&mut self, started_ns: u64, robots: impl Iterator<Item = (u32, u64)>) {
         self.answered.extend(robots);
         self.before_last_ns = self.last_ns;
         self.last_ns = started_ns;
@@ -85,12 +85,12 @@ impl Window {
     }
 
     /// Frames that are not answered yet.
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.frames.len()
     }
 
     /// The worker is gone, and with it what it had not answered. Returns how many frames.
-    pub(super) fn forget(&mut self) -> u64 {
+    pub(crate) fn forget(&mut self) -> u64 {
         let lost = self.frames.len() as u64;
         *self = Self::new(self.most_frames, self.most_samples);
         lost

@@ -1,0 +1,193 @@
+//! The files of a recording, read as one.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread;
+
+use anyhow::Context as _;
+use joulebus_capture::{Attachments, Entry, ReadError, Reader};
+use joulebus_config::Config;
+
+use crate::exit::UsageError;
+use crate::output::say;
+
+/// Messages that go from the reading thread to the working one at once.
+const AT_ONCE: usize = 64;
+/// So many times that may wait.
+const WAITING: usize = 16;
+
+/// What can be said of the files before they are read.
+pub(super) struct Files {
+    paths: Vec<PathBuf>,
+    pub(super) attachments: Attachments,
+    /// The fleet to be played.
+    pub(super) fleet: String,
+}
+
+/// A message, or the end of what can be read.
+type Read = Result<Entry, String>;
+
+impl Files {
+    /// Looks at the first file. `fleet`: which one, if there are several in it.
+    pub(super) fn open(paths: &[PathBuf], fleet: Option<&str>) -> anyhow::Result<Self> {
+        let Some(first) = paths.first() else {
+            return Err(UsageError("no capture named".to_owned()).into());
+        };
+        let reader = Reader::open(first).with_context(|| first.display().to_string())?;
+        let attachments = reader.attachments().clone();
+        let altered = attachments.altered();
+        if !altered.is_empty() {
+            say(&format!(
+                "warning: {}: changed since it was written: {}",
+                first.display(),
+                altered.join(", ")
+            ));
+        }
+        let mut fleets: Vec<String> = attachments.fleets().map(str::to_owned).collect();
+        if fleets.is_empty() {
+            // Not by our recorder: the messages say it.
+            fleets.extend(first_fleet(reader));
+        }
+        let fleet = choose(&fleets, fleet)
+            .map_err(|what| UsageError(format!("{}: {what}", first.display())))?;
+        Ok(Self {
+            paths: paths.to_vec(),
+            attachments,
+            fleet,
+        })
+    }
+
+    /// The config that was in force, or the one given instead; the models of the attached one lie
+    /// in the directory that is returned with it.
+    pub(super) fn config(
+        &self,
+        instead: Option<&PathBuf>,
+    ) -> anyhow::Result<(Config, Option<tempfile::TempDir>)> {
+        if let Some(path) = instead {
+            return Ok((Config::load(path)?, None));
+        }
+        let directory = tempfile::tempdir().context("no room for the attached models")?;
+        let unpacked = self
+            .attachments
+            .unpack(&self.fleet, directory.path())
+            .context("cannot unpack the attached config")?;
+        let Some(path) = unpacked else {
+            let fleet = &self.fleet;
+            let what = format!("no config of fleet {fleet:?} is attached: name one with --config");
+            return Err(UsageError(what).into());
+        };
+        Ok((Config::load(path)?, Some(directory)))
+    }
+
+    /// All messages of the fleet, in order, read by a thread of its own.
+    pub(super) fn read(&self) -> Messages {
+        let (give, waiting) = sync_channel(WAITING);
+        let (paths, fleet) = (self.paths.clone(), self.fleet.clone());
+        thread::spawn(move || {
+            let mut batch = Vec::with_capacity(AT_ONCE);
+            let mut hand = |read: Option<Read>, flush: bool| {
+                batch.extend(read);
+                let full = batch.len() == AT_ONCE || flush;
+                // Nobody reads on: so do we.
+                !full || give.send(std::mem::take(&mut batch)).is_ok()
+            };
+            for path in paths {
+                let damage = |error: &ReadError| format!("{}: {error}", path.display());
+                let reader = match Reader::open(&path) {
+                    Ok(reader) => reader,
+                    Err(error) => {
+                        hand(Some(Err(damage(&error))), true);
+                        continue;
+                    }
+                };
+                for entry in reader {
+                    let read = match entry {
+                        Ok(entry) if *entry.fleet != *fleet => continue,
+                        entry => entry.map_err(|error| damage(&error)),
+                    };
+                    if !hand(Some(read), false) {
+                        return;
+                    }
+                }
+            }
+            hand(None, true);
+        });
+        Messages {
+            waiting,
+            batch: Vec::new().into_iter(),
+            damages: Vec::new(),
+        }
+    }
+
+    /// Name of the first file, for reports.
+    pub(super) fn name(&self) -> String {
+        let names = self.paths.iter().map(|path| path.display().to_string());
+        names.collect::<Vec<String>>().join(" ")
+    }
+}
+
+/// The messages of the files. What cannot be read is kept for the end.
+pub(super) struct Messages {
+    waiting: Receiver<Vec<Read>>,
+    batch: std::vec::IntoIter<Read>,
+    pub(super) damages: Vec<String>,
+}
+
+impl Iterator for Messages {
+    type Item = Entry;
+
+    fn next(&mut self) -> Option<Entry> {
+        loop {
+            match self.batch.next() {
+                Some(Ok(entry)) => return Some(entry),
+                Some(Err(damage)) => self.damages.push(damage),
+                None => self.batch = self.waiting.recv().ok()?.into_iter(),
+            }
+        }
+    }
+}
+
+fn first_fleet(reader: Reader<std::fs::File>) -> Option<String> {
+    let fleets = reader.filter_map(Result::ok).map(|entry| entry.fleet);
+    let mut ours = fleets.filter(|fleet: &Arc<str>| !fleet.is_empty());
+    ours.next().map(|fleet| fleet.to_string())
+}
+
+fn choose(fleets: &[String], wanted: Option<&str>) -> Result<String, String> {
+    let there = fleets.join(", ");
+    match (wanted, fleets) {
+        (Some(wanted), _) if fleets.iter().any(|fleet| fleet == wanted) => Ok(wanted.to_owned()),
+        (Some(wanted), _) => Err(format!("no fleet {wanted:?} in it; there are: {there}")),
+        (None, [only]) => Ok(only.clone()),
+        (None, []) => Err("nothing of a fleet in it; is it a capture of joulebus?".to_owned()),
+        (None, _) => Err(format!(
+            "several fleets in it: choose with --fleet: {there}"
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_only_fleet_is_chosen_and_one_of_several_must_be_named() {
+        let fleets = |names: &[&str]| -> Vec<String> {
+            names.iter().map(|name| (*name).to_owned()).collect()
+        };
+        assert_eq!(choose(&fleets(&["lab"]), None).unwrap(), "lab");
+        assert_eq!(
+            choose(&fleets(&["lab", "yard"]), Some("yard")).unwrap(),
+            "yard"
+        );
+        for (there, wanted, said) in [
+            (fleets(&["lab", "yard"]), None, "lab, yard"),
+            (fleets(&["lab"]), Some("yard"), "lab"),
+            (fleets(&[]), None, "nothing"),
+        ] {
+            let error = choose(&there, wanted).unwrap_err();
+            assert!(error.contains(said), "{error}");
+        }
+    }
+}

@@ -1,0 +1,189 @@
+//! `joulebus replay`: captures back into shared memory, or computed again.
+
+mod files;
+mod pace;
+mod play;
+mod ports;
+mod rebase;
+mod report;
+mod span;
+mod verify;
+
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::time::Duration;
+
+use joulebus_capture::Kind;
+
+use crate::exit::{Outcome, UsageError};
+use crate::output::Output;
+use crate::publish::{Passes, Rate, seconds};
+
+/// Play a capture back into shared memory, or prove that its samples lead to what it says
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus replay run.mcap                       the samples, for a running worker\n  \
+    joulebus replay run.mcap --rate max --loop=3\n  \
+    joulebus replay run.mcap --topics forecasts diagnostics budgets\n  \
+    joulebus replay run.mcap --start-offset 60 --playback-duration 10 --start-paused\n  \
+    joulebus replay --verify run.mcap run_1.mcap\n  \
+    joulebus replay --model new.safetensors run.mcap\n\n\
+    Times between stamps stay as recorded at any rate, so a worker computes the same bits. Played \
+    forecasts, diagnostics and budgets come as from the recorded worker, and only while no other \
+    worker serves the fleet; planners first get the last ones before the offset. On a terminal \
+    space pauses and goes on, the right arrow or s does a step, q ends; without one, --step and \
+    --start-paused read a line of stdin for each.\n\
+    --verify: exit 0 says that every tick was computed again with the same bits; 3 that something \
+    differs, or could not be verified.")]
+pub(crate) struct Args {
+    /// The capture; of one that was split, its files in order
+    #[arg(value_name = "FILE", required = true)]
+    files: Vec<PathBuf>,
+    /// The config to go by [default: the one attached to the capture]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The fleet, where there are several in the capture
+    #[arg(long, value_name = "NAME")]
+    fleet: Option<String>,
+    /// Compute every tick again and compare every bit; nothing is played
+    #[arg(long, conflicts_with_all = ["model", "rate", "passes", "topics", "remap"])]
+    verify: bool,
+    /// Compute with another model, and show what it would have changed; nothing is played
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["rate", "passes", "topics", "remap"])]
+    model: Option<PathBuf>,
+    /// Speed: 1 as recorded, 2 twice as fast, max as fast as the worker answers
+    #[arg(short, long, value_name = "FACTOR|max", default_value = "1")]
+    rate: Rate,
+    /// Start again at the end: for ever, or N times in all
+    #[arg(short = 'l', long = "loop", value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "for-ever")]
+    passes: Option<Passes>,
+    #[command(flatten)]
+    span: span::Span,
+    /// Wait before the first message, s
+    #[arg(short, long, value_name = "SECONDS", value_parser = seconds)]
+    delay: Option<Duration>,
+    /// Begin paused
+    #[arg(short = 'p', long)]
+    start_paused: bool,
+    /// Step by step: each key or line plays up to the next frame
+    #[arg(long)]
+    step: bool,
+    /// Services to play: samples, forecasts, diagnostics, budgets [default: samples]
+    #[arg(long, value_name = "TOPIC", num_args = 1.., value_parser = service)]
+    topics: Vec<Kind>,
+    /// Play a fleet under another name
+    #[arg(short = 'm', long, value_name = "OLD:=NEW")]
+    remap: Vec<Remap>,
+    /// Do not wait for a worker: what is sent without one is lost
+    #[arg(long)]
+    no_wait: bool,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    match &args.model {
+        _ if args.verify => verify::verify(args, output),
+        Some(other) => verify::compare(args, other, output),
+        None => play::run(args, output),
+    }
+}
+
+/// What can be played.
+const PLAYED: [Kind; 4] = [
+    Kind::Samples,
+    Kind::Forecasts,
+    Kind::Diagnostics,
+    Kind::Budgets,
+];
+
+/// A service by its name or its whole topic.
+fn service(text: &str) -> Result<Kind, String> {
+    let name = text.rsplit('/').next().unwrap_or(text);
+    let found = PLAYED.into_iter().find(|kind| kind.name() == name);
+    let names = PLAYED.map(Kind::name).join(", ");
+    found.ok_or_else(|| format!("{text:?} is none of {names}"))
+}
+
+/// A fleet's name in the capture, and the one it is played under.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Remap {
+    old: String,
+    new: String,
+}
+
+impl FromStr for Remap {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("{text:?}: write lab:=copy, names of fleets or their topics");
+        let (old, new) = text.split_once(":=").ok_or_else(wrong)?;
+        // Topics of a fleet go where the fleet goes: the services keep their names.
+        let fleet = |name: &str| -> Option<(String, String)> {
+            match name.split('/').collect::<Vec<&str>>()[..] {
+                [fleet] if !fleet.is_empty() => Some((fleet.to_owned(), String::new())),
+                ["joulebus", fleet, service] => Some((fleet.to_owned(), service.to_owned())),
+                _ => None,
+            }
+        };
+        match (fleet(old), fleet(new)) {
+            (Some((old, service)), Some((new, same))) if service == same => Ok(Self { old, new }),
+            _ => Err(wrong()),
+        }
+    }
+}
+
+impl Args {
+    /// The fleet's name to play under.
+    fn name_for(&self, fleet: &str) -> Result<String, UsageError> {
+        let mut name = fleet.to_owned();
+        for remap in &self.remap {
+            if remap.old != fleet {
+                let old = &remap.old;
+                let what = format!("--remap: the fleet that is played is {fleet:?}, not {old:?}");
+                return Err(UsageError(what));
+            }
+            name.clone_from(&remap.new);
+        }
+        Ok(name)
+    }
+
+    /// What is played.
+    fn kinds(&self) -> Vec<Kind> {
+        if self.topics.is_empty() {
+            vec![Kind::Samples]
+        } else {
+            self.topics.clone()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fleets_and_their_topics_are_remapped() {
+        let remap = |old: &str, new: &str| Remap {
+            old: old.to_owned(),
+            new: new.to_owned(),
+        };
+        for (text, expected) in [
+            ("lab:=copy", Some(remap("lab", "copy"))),
+            (
+                "joulebus/lab/samples:=joulebus/copy/samples",
+                Some(remap("lab", "copy")),
+            ),
+            ("joulebus/lab/samples:=joulebus/copy/budgets", None),
+            ("lab=copy", None),
+            ("lab:=", None),
+        ] {
+            assert_eq!(text.parse().ok(), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn what_is_played_is_named_by_service_or_topic() {
+        assert_eq!(service("samples"), Ok(Kind::Samples));
+        assert_eq!(service("joulebus/lab/budgets"), Ok(Kind::Budgets));
+        assert!(service("state").unwrap_err().contains("samples, forecasts"));
+    }
+}

@@ -1,0 +1,326 @@
+//! Playing: message after message, when it is due.
+
+use std::time::Duration;
+
+use joulebus_bus::{Domain, clock, set_timer_slack};
+use joulebus_capture::{Clock, Entry, Kind};
+use joulebus_config::Config;
+use joulebus_wire::Sample;
+
+use super::Args;
+use super::files::Files;
+use super::pace::Pace;
+use super::ports::{Ports, Sent, now};
+use super::rebase::{Moment, Rebase};
+use super::report::PlayReport;
+use super::span::Place;
+use crate::exit::Outcome;
+use crate::output::{Output, say};
+use crate::publish::flow::{Flow, Room};
+use crate::publish::window::Window;
+use crate::publish::{Passes, Rate};
+use crate::stop::Stop;
+
+/// Frames on their way when they could be sent faster than the worker ticks.
+const USUAL_WINDOW: usize = 4;
+/// How long the worker may take for the last frames, ns.
+const SETTLE_NS: u64 = 5_000_000_000;
+/// How often to look for a worker, ns.
+const LOOK_EVERY_NS: u64 = 50_000_000;
+/// Slowest that is made up for in the period that planners are told.
+const SLOWEST: f64 = 1e3;
+
+pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let stop = Stop::on_signals()?;
+    let files = Files::open(&args.files, args.fleet.as_deref())?;
+    let (config, _models) = files.config(args.config.as_ref())?;
+    let mut player = Player::open(args, &files, &config)?;
+    if player.begins(args, &stop)? {
+        player.play(args, &files, &stop)?;
+    }
+    let report = player.report(&files);
+    output.report(&report)?;
+    Ok(Outcome::unless_lost(report.has_lost()))
+}
+
+struct Player {
+    ports: Ports,
+    /// Listens to the worker, where samples go to one.
+    flow: Option<Flow>,
+    /// Whether to send no more than the worker answers.
+    follows: bool,
+    kinds: Vec<Kind>,
+    slower: f64,
+    pace: Option<Pace>,
+    rebase: Option<Rebase>,
+    started_ns: u64,
+    report: PlayReport,
+}
+
+/// The newest frames before the offset, of what planners need to know where they are.
+#[derive(Default)]
+struct Before {
+    entries: [Option<Entry>; 3],
+}
+
+impl Before {
+    fn keep(&mut self, entry: Entry) {
+        let place = match entry.message.kind() {
+            Some(Kind::Budgets) => 0,
+            Some(Kind::Diagnostics) => 1,
+            Some(Kind::Forecasts) => 2,
+            _ => return,
+        };
+        self.entries[place] = Some(entry);
+    }
+
+    /// Budgets first: a planner that is woken by forecasts finds them.
+    fn take(&mut self) -> impl Iterator<Item = Entry> {
+        std::mem::take(&mut self.entries).into_iter().flatten()
+    }
+}
+
+impl Player {
+    fn open(args: &Args, files: &Files, config: &Config) -> anyhow::Result<Self> {
+        let played_as = args.name_for(&files.fleet)?;
+        let played_as = if args.config.is_some() && args.remap.is_empty() {
+            config.fleet().to_owned()
+        } else {
+            played_as
+        };
+        let domain = Domain::new(&played_as, config.root(), config.prefix())?;
+        let (limits, kinds) = (config.limits(), args.kinds());
+        let ports = Ports::open(&domain, &limits, &kinds)?;
+        let follows = args.rate.is_faster_than_recorded();
+        // As the recorded worker there is no other to listen to.
+        let to_worker = kinds == [Kind::Samples];
+        let window = Window::new(
+            USUAL_WINDOW.min(config.buffer_frames()),
+            usize::from(config.settings().intake.max_samples_per_tick),
+        );
+        let flow = to_worker.then(|| Flow::open(&domain, &limits, window, 0));
+        Ok(Self {
+            ports,
+            flow: flow.transpose()?,
+            follows,
+            kinds,
+            slower: match args.rate {
+                Rate::Times(factor) => (1.0 / factor).clamp(1.0, SLOWEST),
+                Rate::Max => 1.0,
+            },
+            pace: None,
+            rebase: None,
+            started_ns: clock::monotonic_ns(),
+            report: PlayReport {
+                files: files.name(),
+                fleet: files.fleet.clone(),
+                played_as,
+                ..PlayReport::default()
+            },
+        })
+    }
+
+    /// Waits for a worker and for the delay; false at a signal.
+    fn begins(&mut self, args: &Args, stop: &Stop) -> anyhow::Result<bool> {
+        if let Err(error) = set_timer_slack() {
+            tracing::warn!(%error, "frames may be sent 50 µs late");
+        }
+        if let Some(flow) = &mut self.flow
+            && !args.no_wait
+            && !wait_for_worker(flow, stop)?
+        {
+            return Ok(false);
+        }
+        let delay = args.delay.unwrap_or(Duration::ZERO);
+        let delay_ns = u64::try_from(delay.as_nanos()).unwrap_or(u64::MAX);
+        let go_on = stop.sleep_until(clock::monotonic_ns().saturating_add(delay_ns));
+        self.started_ns = clock::monotonic_ns();
+        Ok(go_on)
+    }
+
+    fn play(&mut self, args: &Args, files: &Files, stop: &Stop) -> anyhow::Result<()> {
+        let passes = match args.passes.unwrap_or(Passes::Count(1)) {
+            Passes::Count(count) => count,
+            Passes::ForEver => u64::MAX,
+        };
+        let mut pace = Pace::new(args.rate, args.start_paused, args.step)?;
+        while self.report.passes < passes {
+            self.report.passes += 1;
+            let frames = self.report.frames.values().sum::<u64>();
+            pace.begin();
+            let go_on = self.pass(args, files, &mut pace, stop)?;
+            // A capture with nothing to play in it would be played for ever.
+            if !go_on || self.report.frames.values().sum::<u64>() == frames {
+                break;
+            }
+        }
+        if let Some(flow) = &mut self.flow {
+            flow.settle(stop, clock::monotonic_ns().saturating_add(SETTLE_NS))?;
+        }
+        self.ports.end();
+        self.pace = Some(pace);
+        Ok(())
+    }
+
+    /// Plays the capture once; false at a signal, or when somebody wants the end.
+    fn pass(
+        &mut self,
+        args: &Args,
+        files: &Files,
+        pace: &mut Pace,
+        stop: &Stop,
+    ) -> anyhow::Result<bool> {
+        let mut messages = files.read();
+        let (mut first_ns, mut begin) = (None, None);
+        let (mut before, mut at_ns) = (Before::default(), 0);
+        while let Some(entry) = messages.next() {
+            let first_ns = *first_ns.get_or_insert(entry.log_time_ns);
+            match args.span.place(entry.log_time_ns.saturating_sub(first_ns)) {
+                Place::Before => {
+                    before.keep(entry);
+                    continue;
+                }
+                Place::Inside => {}
+                Place::After => break,
+            }
+            let kind = entry.message.kind();
+            let Some(kind) = kind.filter(|kind| self.kinds.contains(kind)) else {
+                continue;
+            };
+            if begin.is_none() && !self.begin(files, &entry, &mut before, pace, stop)? {
+                return Ok(false);
+            }
+            let begin_ns = *begin.get_or_insert(entry.publish_time_ns);
+            // In the order of the file, even where a clock was set back.
+            at_ns = entry.publish_time_ns.saturating_sub(begin_ns).max(at_ns);
+            if !pace.wait(at_ns, kind == self.kinds[0], stop)? || !self.send(entry, kind, stop)? {
+                return Ok(false);
+            }
+        }
+        self.report.played_s += at_ns as f64 / 1e9;
+        self.report.damages.append(&mut messages.damages);
+        Ok(true)
+    }
+
+    /// The first message of a pass: the recorded time becomes that of now, and planners are told
+    /// how things stood.
+    fn begin(
+        &mut self,
+        files: &Files,
+        entry: &Entry,
+        before: &mut Before,
+        pace: &mut Pace,
+        stop: &Stop,
+    ) -> anyhow::Result<bool> {
+        if let Some(flow) = &mut self.flow {
+            flow.settle(stop, clock::monotonic_ns().saturating_add(SETTLE_NS))?;
+        }
+        if !pace.wait(0, true, stop)? {
+            return Ok(false);
+        }
+        let recorded = recorded(files, entry);
+        self.rebase = Some(match self.rebase.take() {
+            None => Rebase::new(recorded, now()),
+            Some(before) => before.again(recorded, now()),
+        });
+        for entry in before.take() {
+            let kind = entry.message.kind();
+            if kind.is_some_and(|kind| self.kinds.contains(&kind)) {
+                self.report.frames_before += 1;
+                self.deliver(entry)?;
+            }
+        }
+        pace.begin();
+        Ok(true)
+    }
+
+    /// Sends a message once the worker has room for it; false at a signal.
+    fn send(&mut self, entry: Entry, kind: Kind, stop: &Stop) -> anyhow::Result<bool> {
+        if let joulebus_capture::Message::Samples(header, samples) = &entry.message {
+            let epoch = self
+                .rebase
+                .as_ref()
+                .map(|rebase| rebase.epoch(header.source_epoch));
+            if !self.has_room(epoch.unwrap_or_default(), samples, stop)? {
+                return Ok(false);
+            }
+        }
+        self.ports.update();
+        if self.deliver(entry)? {
+            *self.report.frames.entry(kind.name()).or_default() += 1;
+        }
+        Ok(true)
+    }
+
+    fn has_room(&mut self, epoch: u64, samples: &[Sample], stop: &Stop) -> anyhow::Result<bool> {
+        let Some(flow) = self.flow.as_mut().filter(|_| self.follows) else {
+            return Ok(true);
+        };
+        flow.follow(epoch);
+        match flow.room(samples, stop)? {
+            Room::Free => Ok(true),
+            Room::Stopped => Ok(false),
+            Room::NoWorker => wait_for_worker(flow, stop),
+        }
+    }
+
+    /// Whether it could be sent.
+    fn deliver(&mut self, entry: Entry) -> anyhow::Result<bool> {
+        let Some(rebase) = &mut self.rebase else {
+            return Ok(false);
+        };
+        match self.ports.send(entry.message, rebase, self.slower) {
+            Ok(Sent::Samples(samples)) => {
+                self.report.samples += samples.len() as u64;
+                if let Some(flow) = self.flow.as_mut().filter(|_| self.follows) {
+                    flow.sent(&samples);
+                }
+                Ok(true)
+            }
+            Ok(Sent::Other) => Ok(true),
+            Err(error) => {
+                self.report.frames_failed += 1;
+                tracing::warn!(%error, "a frame was not sent");
+                Ok(false)
+            }
+        }
+    }
+
+    fn report(mut self, files: &Files) -> PlayReport {
+        let took_ns = clock::monotonic_ns().saturating_sub(self.started_ns);
+        let report = &mut self.report;
+        report.files = files.name();
+        report.duration_s = took_ns as f64 / 1e9;
+        report.held_up_s = self.pace.as_ref().map_or(0.0, Pace::held_up_s);
+        report.frames_unanswered = self.flow.as_ref().map_or(0, |flow| flow.unanswered);
+        self.report
+    }
+}
+
+/// Until a worker answers; false at a signal.
+fn wait_for_worker(flow: &mut Flow, stop: &Stop) -> anyhow::Result<bool> {
+    let mut said = false;
+    let patience_ns = clock::monotonic_ns() + 10 * LOOK_EVERY_NS;
+    while !flow.has_heard()? {
+        if !said && clock::monotonic_ns() > patience_ns {
+            say("no worker runs; waiting for one (`joulebus run` starts it)");
+            said = true;
+        }
+        if !stop.sleep_until(clock::monotonic_ns() + LOOK_EVERY_NS) {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// When a message was sent, on both clocks of the host that it was recorded on.
+fn recorded(files: &Files, entry: &Entry) -> Moment {
+    let unix_ns = entry.publish_time_ns;
+    let by_message = entry.message.sent_ns();
+    let by_clock = files.attachments.clock();
+    let monotonic_ns = by_message.or(by_clock.map(|clock: Clock| clock.monotonic_ns(unix_ns)));
+    Moment {
+        monotonic_ns: monotonic_ns.unwrap_or_default(),
+        unix_ns,
+    }
+}

@@ -1,0 +1,132 @@
+//! What a replay sends with: as the recorded sources, and as the recorded worker.
+
+use anyhow::Context as _;
+use joulebus_bus::{
+    BudgetWriter, Bus, DiagnosticWriter, Domain, ForecastWriter, Limits, SampleWriter, SendError,
+    Waker, WorkerLock, clock,
+};
+use joulebus_capture::{Kind, Message};
+use joulebus_wire::{Sample, WakeEvent};
+
+use super::rebase::{Moment, Rebase};
+
+/// The ports of the services that are played.
+pub(super) struct Ports {
+    // Ports before the bus, the bus before the lock: the order in which they must go.
+    samples: Option<SampleWriter>,
+    worker: Option<WorkerPorts>,
+    _bus: Bus,
+    _lock: Option<WorkerLock>,
+}
+
+/// The ports of a worker, those that are not played among them: planners look for all of them.
+struct WorkerPorts {
+    forecasts: ForecastWriter,
+    diagnostics: DiagnosticWriter,
+    budgets: BudgetWriter,
+    planners: Waker,
+}
+
+/// What was sent.
+#[derive(Debug)]
+pub(super) enum Sent {
+    /// A frame of samples, as it was sent.
+    Samples(Vec<Sample>),
+    /// Something else.
+    Other,
+}
+
+pub(super) fn now() -> Moment {
+    Moment {
+        monotonic_ns: clock::monotonic_ns(),
+        unix_ns: clock::unix_ns(),
+    }
+}
+
+impl Ports {
+    /// Opens what `kinds` need. As a worker only while there is no other.
+    pub(super) fn open(domain: &Domain, limits: &Limits, kinds: &[Kind]) -> anyhow::Result<Self> {
+        let as_worker = kinds.iter().any(|kind| *kind != Kind::Samples);
+        let lock = as_worker
+            .then(|| WorkerLock::acquire(domain))
+            .transpose()
+            .context("only samples can be played to a running worker")?;
+        let bus = Bus::join(domain, "replay")?;
+        let samples = kinds
+            .contains(&Kind::Samples)
+            .then(|| bus.sample_writer(limits, limits.capacity))
+            .transpose()?;
+        let worker = as_worker
+            .then(|| -> anyhow::Result<WorkerPorts> {
+                Ok(WorkerPorts {
+                    forecasts: bus.forecast_writer(limits)?,
+                    diagnostics: bus.diagnostic_writer(limits)?,
+                    budgets: bus.budget_writer(limits)?,
+                    planners: bus.planner_waker(limits)?,
+                })
+            })
+            .transpose()?;
+        Ok(Self {
+            samples,
+            worker,
+            _bus: bus,
+            _lock: lock,
+        })
+    }
+
+    /// Sends a message now; `slower` as in [`Rebase::forecasts`]. What there is no port for is
+    /// passed over.
+    pub(super) fn send(
+        &mut self,
+        message: Message,
+        rebase: &mut Rebase,
+        slower: f64,
+    ) -> Result<Sent, SendError> {
+        let now = now();
+        match (message, &mut self.samples, &mut self.worker) {
+            (Message::Samples(header, mut rows), Some(writer), _) => {
+                let header = rebase.samples(&header, &mut rows, now);
+                writer.send(header, rows.len(), |place| rows[place])?;
+                return Ok(Sent::Samples(rows));
+            }
+            (Message::Forecasts(header, mut rows), _, Some(ports)) => {
+                let header = rebase.forecasts(&header, &mut rows, now, slower);
+                ports
+                    .forecasts
+                    .send(header, rows.len(), |place| rows[place])?;
+                let woken = ports.planners.wake(WakeEvent::Frame);
+                woken.map_err(SendError::Wake)?;
+            }
+            (Message::Diagnostics(header, mut rows), _, Some(ports)) => {
+                let header = rebase.diagnostics(&header, &mut rows);
+                ports
+                    .diagnostics
+                    .send(header, rows.len(), |place| rows[place])?;
+            }
+            (Message::Budgets(header, mut rows), _, Some(ports)) => {
+                let header = rebase.budgets(&header, &mut rows, now);
+                ports
+                    .budgets
+                    .send(header, rows.len(), |place| rows[place])?;
+            }
+            _ => {}
+        }
+        Ok(Sent::Other)
+    }
+
+    /// Planners that have come since get the newest budgets.
+    pub(super) fn update(&mut self) {
+        if let Some(ports) = &mut self.worker {
+            ports.budgets.update();
+        }
+    }
+
+    /// Tells planners that this was the end.
+    pub(super) fn end(&mut self) {
+        if let Some(ports) = &self.worker
+            && let Err(error) = ports.planners.wake(WakeEvent::Ended)
+        {
+            tracing::warn!(%error, "planners were not told of the end");
+        }
+    }
+}

@@ -1,0 +1,285 @@
+//! Recorded times and runs, made those of now. Nothing else is changed.
+
+use std::collections::{HashMap, HashSet};
+
+use joulebus_wire::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
+    SampleHeader, sample_flag,
+};
+
+/// A moment on both clocks, ns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Moment {
+    pub(super) monotonic_ns: u64,
+    pub(super) unix_ns: u64,
+}
+
+/// One pass through the capture: by how much times and runs are moved.
+#[derive(Debug)]
+pub(super) struct Rebase {
+    /// Added to every recorded monotonic time, modulo 2^64.
+    shift_ns: u64,
+    /// Added to every recorded run of a source or a worker, modulo 2^64: those are Unix ns.
+    shift_epoch: u64,
+    pid: u32,
+    /// Runs of sources: number of the first frame, and samples before it.
+    first_frame: HashMap<(u64, u64), (u64, u64)>,
+    /// Robots that this pass has begun with; none in the first pass.
+    joined: Option<HashSet<u32>>,
+    /// The newest stamp and the newest run sent, and the oldest run recorded.
+    newest_ns: u64,
+    newest_epoch: u64,
+    oldest_recorded: u64,
+}
+
+impl Rebase {
+    /// The first pass: what was recorded at `recorded` becomes `now`.
+    pub(super) fn new(recorded: Moment, now: Moment) -> Self {
+        Self {
+            shift_ns: now.monotonic_ns.wrapping_sub(recorded.monotonic_ns),
+            shift_epoch: now.unix_ns.wrapping_sub(recorded.unix_ns),
+            pid: std::process::id(),
+            first_frame: HashMap::new(),
+            joined: None,
+            newest_ns: now.monotonic_ns,
+            newest_epoch: 0,
+            oldest_recorded: u64::MAX,
+        }
+    }
+
+    /// Another pass, of newer runs than this one's and with later stamps, even if it was played
+    /// faster than recorded. The first sample of each robot is marked: what came before has nothing
+    /// to do with it.
+    pub(super) fn again(&self, recorded: Moment, now: Moment) -> Self {
+        let mut next = Self::new(
+            recorded,
+            Moment {
+                monotonic_ns: now.monotonic_ns.max(self.newest_ns + 1),
+                ..now
+            },
+        );
+        if self.newest_epoch > 0 {
+            let least = self.newest_epoch.wrapping_sub(self.oldest_recorded) + 1;
+            let later = |shift: u64| shift.wrapping_add(self.oldest_recorded) > self.newest_epoch;
+            if !later(next.shift_epoch) {
+                next.shift_epoch = least;
+            }
+        }
+        next.joined = Some(HashSet::new());
+        next
+    }
+
+    /// The run that a run of now is to be compared with: all of this pass are at least as new.
+    pub(super) fn epoch(&self, recorded_epoch: u64) -> u64 {
+        recorded_epoch.wrapping_add(self.shift_epoch)
+    }
+
+    /// A recorded monotonic time; 0 stays 0: not known.
+    fn ns(&self, recorded_ns: u64) -> u64 {
+        if recorded_ns == 0 {
+            0
+        } else {
+            recorded_ns.wrapping_add(self.shift_ns)
+        }
+    }
+
+    /// A recorded run; 0 stays 0: not known.
+    fn run(&mut self, recorded_epoch: u64) -> u64 {
+        if recorded_epoch == 0 {
+            return 0;
+        }
+        let epoch = self.epoch(recorded_epoch);
+        self.newest_epoch = self.newest_epoch.max(epoch);
+        self.oldest_recorded = self.oldest_recorded.min(recorded_epoch);
+        epoch
+    }
+
+    /// A frame of samples that is sent `now`. Frames that were lost when it was recorded stay lost:
+    /// the worker counts them.
+    pub(super) fn samples(
+        &mut self,
+        header: &SampleHeader,
+        samples: &mut [Sample],
+        now: Moment,
+    ) -> SampleHeader {
+        let (frame_seq, samples_before) = *self
+            .first_frame
+            .entry((header.source_id, header.source_epoch))
+            .or_insert((header.frame_seq, header.samples_before));
+        for sample in samples {
+            sample.stamp_ns = self.ns(sample.stamp_ns);
+            sample.measured_ns = self.ns(sample.measured_ns);
+            self.newest_ns = self.newest_ns.max(sample.stamp_ns);
+            if let Some(joined) = &mut self.joined
+                && joined.insert(sample.robot)
+            {
+                sample.flags |= sample_flag::DISCONTINUITY;
+            }
+        }
+        SampleHeader {
+            pid: self.pid,
+            source_epoch: self.run(header.source_epoch),
+            frame_seq: header.frame_seq.saturating_sub(frame_seq),
+            samples_before: header.samples_before.saturating_sub(samples_before),
+            intended_ns: now.monotonic_ns,
+            sent_ns: now.monotonic_ns,
+            sent_unix_ns: now.unix_ns,
+            ..*header
+        }
+    }
+
+    /// Forecasts that are sent `now`; `slower`: how much longer a period is than recorded, so that
+    /// planners do not take a slow replay for a dead worker.
+    pub(super) fn forecasts(
+        &mut self,
+        header: &ForecastHeader,
+        rows: &mut [Forecast],
+        now: Moment,
+        slower: f64,
+    ) -> ForecastHeader {
+        for row in rows {
+            row.stamp_ns = self.ns(row.stamp_ns);
+            row.target_ns = self.ns(row.target_ns);
+            row.source_epoch = self.run(row.source_epoch);
+            self.newest_ns = self.newest_ns.max(row.stamp_ns);
+        }
+        // The worker's own times keep their distances from when the frame was sent.
+        let own = |recorded_ns: u64| match recorded_ns {
+            0 => 0,
+            recorded_ns => recorded_ns
+                .wrapping_sub(header.sent_ns)
+                .wrapping_add(now.monotonic_ns),
+        };
+        ForecastHeader {
+            pid: self.pid,
+            worker_epoch: self.run(header.worker_epoch),
+            period_ns: (header.period_ns as f64 * slower) as u64,
+            first_intended_ns: own(header.first_intended_ns),
+            first_sent_ns: own(header.first_sent_ns),
+            first_taken_ns: own(header.first_taken_ns),
+            compute_start_ns: own(header.compute_start_ns),
+            compute_end_ns: own(header.compute_end_ns),
+            sent_ns: now.monotonic_ns,
+            sent_unix_ns: now.unix_ns,
+            ..*header
+        }
+    }
+
+    /// Diagnostics.
+    pub(super) fn diagnostics(
+        &mut self,
+        header: &DiagnosticHeader,
+        rows: &mut [Diagnostic],
+    ) -> DiagnosticHeader {
+        for row in rows {
+            row.stamp_ns = self.ns(row.stamp_ns);
+            row.source_epoch = self.run(row.source_epoch);
+        }
+        DiagnosticHeader {
+            pid: self.pid,
+            worker_epoch: self.run(header.worker_epoch),
+            ..*header
+        }
+    }
+
+    /// Budgets that are sent `now`.
+    pub(super) fn budgets(
+        &mut self,
+        header: &BudgetHeader,
+        rows: &mut [Budget],
+        now: Moment,
+    ) -> BudgetHeader {
+        for row in rows {
+            row.stamp_ns = self.ns(row.stamp_ns);
+            row.valid_until_ns = self.ns(row.valid_until_ns);
+        }
+        BudgetHeader {
+            pid: self.pid,
+            worker_epoch: self.run(header.worker_epoch),
+            sent_ns: now.monotonic_ns,
+            sent_unix_ns: now.unix_ns,
+            ..*header
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RECORDED: Moment = Moment {
+        monotonic_ns: 5_000,
+        unix_ns: 1_000_000,
+    };
+
+    fn frame(
+        rebase: &mut Rebase,
+        epoch: u64,
+        frame_seq: u64,
+        stamp_ns: u64,
+    ) -> (SampleHeader, Sample) {
+        let header = SampleHeader {
+            source_id: 7,
+            source_epoch: epoch,
+            frame_seq,
+            samples_before: 10 * frame_seq,
+            ..SampleHeader::default()
+        };
+        let mut samples = [Sample::new(3, frame_seq, stamp_ns).reading(3.5, stamp_ns - 10)];
+        let now = Moment {
+            monotonic_ns: 90_000,
+            unix_ns: 2_000_000,
+        };
+        (rebase.samples(&header, &mut samples, now), samples[0])
+    }
+
+    #[test]
+    fn times_keep_their_distances_and_frames_their_gaps() {
+        let now = Moment {
+            monotonic_ns: 90_000,
+            unix_ns: 2_000_000,
+        };
+        let mut rebase = Rebase::new(RECORDED, now);
+        let (first, one) = frame(&mut rebase, 999_000, 40, 5_100);
+        let (second, other) = frame(&mut rebase, 999_000, 43, 5_500);
+        assert_eq!((one.stamp_ns, one.measured_ns), (90_100, 90_090));
+        assert_eq!(other.stamp_ns - one.stamp_ns, 400);
+        assert_eq!((first.frame_seq, first.samples_before), (0, 0));
+        assert_eq!((second.frame_seq, second.samples_before), (3, 30));
+        assert_eq!((first.source_id, first.source_epoch), (7, 1_999_000));
+        assert_eq!(
+            one.flags, other.flags,
+            "nothing is marked in the first pass"
+        );
+        let (unknown, nothing) = (Sample::new(1, 0, 6_000), rebase.ns(0));
+        let mut samples = [unknown];
+        rebase.samples(&SampleHeader::default(), &mut samples, now);
+        assert_eq!((samples[0].measured_ns, nothing), (0, 0));
+    }
+
+    #[test]
+    fn another_pass_is_newer_whatever_the_rate() {
+        let now = Moment {
+            monotonic_ns: 90_000,
+            unix_ns: 2_000_000,
+        };
+        let mut rebase = Rebase::new(RECORDED, now);
+        let (_, early) = frame(&mut rebase, 999_000, 0, 5_100);
+        // The source was restarted late in the recording, which is played in no time.
+        let (before, late) = frame(&mut rebase, 1_500_000, 0, 600_000);
+        let soon = Moment {
+            monotonic_ns: 90_001,
+            unix_ns: 2_000_001,
+        };
+        let mut again = rebase.again(RECORDED, soon);
+        let (after, first) = frame(&mut again, 999_000, 0, 5_100);
+        assert!(
+            after.source_epoch > before.source_epoch,
+            "{after:?} {before:?}"
+        );
+        assert!(first.stamp_ns > late.stamp_ns, "{first:?} {late:?}");
+        assert!(first.has(sample_flag::DISCONTINUITY) && !early.has(sample_flag::DISCONTINUITY));
+        let (_, second) = frame(&mut again, 999_000, 1, 5_200);
+        assert!(!second.has(sample_flag::DISCONTINUITY));
+    }
+}

@@ -1,0 +1,87 @@
+//! Which part of a capture is played.
+
+use std::time::Duration;
+
+use joulebus_capture::Entry;
+
+use crate::publish::number;
+
+/// From where, and for how long, in recorded time.
+#[derive(Debug, Clone, Copy, clap::Args)]
+pub(super) struct Span {
+    /// Begin so many seconds after the beginning of the capture
+    #[arg(long, value_name = "SECONDS", default_value = "0", value_parser = offset)]
+    start_offset: Duration,
+    /// Play so many seconds of recorded time [default: to the end]
+    #[arg(long, value_name = "SECONDS", value_parser = crate::publish::seconds)]
+    playback_duration: Option<Duration>,
+}
+
+/// Where a message lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Place {
+    Before,
+    Inside,
+    After,
+}
+
+fn offset(text: &str) -> Result<Duration, String> {
+    number(text, 0.0, 1e8, "s").map(Duration::from_secs_f64)
+}
+
+impl Span {
+    /// Where a message lies that was recorded `at_ns` after the first.
+    pub(super) fn place(&self, at_ns: u64) -> Place {
+        let at = Duration::from_nanos(at_ns);
+        let end = self
+            .playback_duration
+            .map(|duration| self.start_offset.saturating_add(duration));
+        if at < self.start_offset {
+            Place::Before
+        } else if end.is_some_and(|end| at > end) {
+            Place::After
+        } else {
+            Place::Inside
+        }
+    }
+
+    /// The messages inside.
+    pub(super) fn of<'a>(
+        &'a self,
+        entries: &'a mut impl Iterator<Item = Entry>,
+    ) -> impl Iterator<Item = Entry> + 'a {
+        let mut first_ns = None;
+        let placed = move |entry: Entry| {
+            let first_ns = *first_ns.get_or_insert(entry.log_time_ns);
+            (
+                self.place(entry.log_time_ns.saturating_sub(first_ns)),
+                entry,
+            )
+        };
+        entries
+            .map(placed)
+            .take_while(|(place, _)| *place != Place::After)
+            .filter_map(|(place, entry)| (place == Place::Inside).then_some(entry))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_span_has_both_its_ends() {
+        let span = Span {
+            start_offset: Duration::from_secs(2),
+            playback_duration: Some(Duration::from_secs(3)),
+        };
+        for (at_s, place) in [
+            (0, Place::Before),
+            (2, Place::Inside),
+            (5, Place::Inside),
+            (6, Place::After),
+        ] {
+            assert_eq!(span.place(at_s * 1_000_000_000), place, "{at_s} s");
+        }
+    }
+}

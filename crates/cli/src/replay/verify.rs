@@ -1,0 +1,107 @@
+//! `replay --verify` and `replay --model`: computed, not played.
+
+use std::fmt;
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::Context as _;
+use joulebus_capture::verify::{Comparison, Verification, Verifier, WhatIf};
+use joulebus_predictor::{Model, Network};
+use joulebus_predictor_worker::load_models;
+use serde::Serialize;
+
+use super::Args;
+use super::files::Files;
+use crate::exit::Outcome;
+use crate::output::Output;
+
+/// A result, with what goes for all of them.
+#[derive(Debug, Serialize)]
+struct Computed<R> {
+    files: String,
+    fleet: String,
+    #[serde(flatten)]
+    result: R,
+    /// What could not be read.
+    damages: Vec<String>,
+    took_s: f64,
+    /// Recorded time over the time that it took.
+    times_real_time: f64,
+}
+
+pub(super) fn verify(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let files = Files::open(&args.files, args.fleet.as_deref())?;
+    let (config, _models) = files.config(args.config.as_ref())?;
+    let models = load_models(&config)?;
+    let mut verifier = Verifier::new(config.settings().clone(), models)?;
+    let begun = Instant::now();
+    let mut messages = files.read();
+    for entry in args.span.of(&mut messages) {
+        verifier.push(entry);
+    }
+    let result: Verification = verifier.finish();
+    let is_clean = result.is_clean() && messages.damages.is_empty();
+    let recorded_s = result.recorded_s;
+    let computed = computed(&files, result, messages.damages, begun, recorded_s);
+    output.report(&computed)?;
+    Ok(Outcome::unless_lost(!is_clean))
+}
+
+pub(super) fn compare(args: &Args, other: &Path, output: Output) -> anyhow::Result<Outcome> {
+    let files = Files::open(&args.files, args.fleet.as_deref())?;
+    let (config, _models) = files.config(args.config.as_ref())?;
+    let bytes = std::fs::read(other)
+        .with_context(|| format!("cannot read the model {}", other.display()))?;
+    let network = Network::from_safetensors(&bytes)
+        .with_context(|| format!("the model {} is refused", other.display()))?;
+    let settings = config.settings().clone();
+    let others = vec![Model::Network(network); settings.platforms.len()];
+    let mut what_if = WhatIf::new(settings, load_models(&config)?, others)?;
+    let begun = Instant::now();
+    let mut messages = files.read();
+    let mut times = None;
+    for entry in args.span.of(&mut messages) {
+        let (first, _) = times.unwrap_or((entry.log_time_ns, 0));
+        times = Some((first, entry.log_time_ns));
+        what_if.push(entry);
+    }
+    let result: Comparison = what_if.finish();
+    let (first, last) = times.unwrap_or_default();
+    let lost = result.frames_missing > 0 || result.ticks == 0 || !messages.damages.is_empty();
+    let recorded_s = last.saturating_sub(first) as f64 / 1e9;
+    let computed = computed(&files, result, messages.damages, begun, recorded_s);
+    output.report(&computed)?;
+    Ok(Outcome::unless_lost(lost))
+}
+
+fn computed<R>(
+    files: &Files,
+    result: R,
+    damages: Vec<String>,
+    begun: Instant,
+    recorded_s: f64,
+) -> Computed<R> {
+    let took_s = begun.elapsed().as_secs_f64();
+    Computed {
+        files: files.name(),
+        fleet: files.fleet.clone(),
+        result,
+        damages,
+        took_s,
+        times_real_time: recorded_s / took_s,
+    }
+}
+
+impl<R: fmt::Display> fmt::Display for Computed<R> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}", self.result)?;
+        for damage in &self.damages {
+            writeln!(out, "{damage}")?;
+        }
+        writeln!(
+            out,
+            "{} of fleet {}: {:.2} s, {:.0} times real time",
+            self.files, self.fleet, self.took_s, self.times_real_time
+        )
+    }
+}
