@@ -187,13 +187,16 @@ impl Player {
             let Some(kind) = kind.filter(|kind| self.kinds.contains(kind)) else {
                 continue;
             };
-            if begin.is_none() && !self.begin(files, &entry, &mut before, pace, stop)? {
+            let is_first = begin.is_none();
+            if is_first && !self.begin(files, &entry, &mut before, pace, stop)? {
                 return Ok(false);
             }
             let begin_ns = *begin.get_or_insert(entry.publish_time_ns);
             // In the order of the file, even where a clock was set back.
             at_ns = entry.publish_time_ns.saturating_sub(begin_ns).max(at_ns);
-            if !pace.wait(at_ns, kind == self.kinds[0], stop)? || !self.send(entry, kind, stop)? {
+            // The first one has had its step.
+            let leads = kind == self.kinds[0] && !is_first;
+            if !pace.wait(at_ns, leads, stop)? || !self.send(entry, kind, stop)? {
                 return Ok(false);
             }
         }

@@ -1,0 +1,460 @@
+//! What was recorded of real processes is computed again with the same bits, played back into shared
+//! memory, and gives the same bits there.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use joulebus_capture::{Entry, Message, Reader, Settings, Writer};
+use joulebus_tests::{Arena, Child, Ended, ReaderLine, Setup, eventually, program};
+use joulebus_wire::{Diagnostic, Forecast, Quality, Sample};
+
+const ROBOTS: &str = "12";
+
+fn setup() -> Setup {
+    Setup {
+        tick_hz: 60.0,
+        rate_hz: 30.0,
+        stale_after_s: 10.0,
+        buffer_frames: 64,
+        ..Setup::default()
+    }
+}
+
+/// The program without the arena's config: by what is attached to the capture.
+fn alone(arguments: &[&str]) -> Ended {
+    let mut command = Command::new(program("joulebus-under-test"));
+    command.args(["--format", "json"]).args(arguments);
+    Child::spawn(&arguments.join(" "), command).wait()
+}
+
+fn recorder(arena: &Arena, file: &Path, more: &[&str]) -> Child {
+    let name = file.to_str().unwrap();
+    let arguments = [&["record", "--format", "json", "-o", name], more].concat();
+    let mut child = Child::spawn("recorder", arena.command(&arguments));
+    child.says("recording t into");
+    child
+}
+
+/// A simulated fleet for a while.
+fn simulate(arena: &Arena, seconds: &str) {
+    let arguments = [
+        "publish",
+        "sim",
+        "--robots",
+        ROBOTS,
+        "--seed",
+        "7",
+        "--duration",
+        seconds,
+    ];
+    let ended = arena.run(&arguments);
+    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+}
+
+fn entries(file: &Path) -> Vec<Entry> {
+    Reader::open(file).unwrap().map(Result::unwrap).collect()
+}
+
+/// Samples, and what was said to each, by robot and number.
+#[derive(Default)]
+struct Heard {
+    samples: BTreeMap<(u32, u64), Sample>,
+    forecasts: BTreeMap<(u32, u64), Forecast>,
+    diagnostics: BTreeMap<(u32, u64), Diagnostic>,
+}
+
+fn heard(file: &Path) -> Heard {
+    let mut heard = Heard::default();
+    for entry in entries(file) {
+        match entry.message {
+            Message::Samples(_, rows) => heard
+                .samples
+                .extend(rows.into_iter().map(|row| ((row.robot, row.seq), row))),
+            Message::Forecasts(_, rows) => {
+                // What the worker's clock ran ahead is provisional.
+                let live = rows.into_iter().filter(|row| {
+                    matches!(
+                        row.quality(),
+                        Quality::Fresh | Quality::Held | Quality::Warmup { .. }
+                    )
+                });
+                heard
+                    .forecasts
+                    .extend(live.map(|row| ((row.robot, row.sample_seq), row)));
+            }
+            Message::Diagnostics(_, rows) => heard.diagnostics.extend(
+                rows.into_iter()
+                    .map(|row| ((row.robot, row.sample_seq), row)),
+            ),
+            _ => {}
+        }
+    }
+    heard
+}
+
+/// Everything but the times and the runs, as text: floats that differ in a bit read differently.
+fn timeless_sample(row: &Sample, first: &Sample) -> String {
+    let mut row = *row;
+    row.stamp_ns -= first.stamp_ns;
+    row.measured_ns = row.measured_ns.wrapping_sub(first.stamp_ns);
+    format!("{row:?}")
+}
+
+fn timeless_forecast(row: &Forecast) -> String {
+    let mut row = *row;
+    row.target_ns -= row.stamp_ns;
+    (row.stamp_ns, row.source_epoch) = (0, 0);
+    format!("{row:?}")
+}
+
+/// The residual and the scores; alarms also say whether the worker was late.
+fn timeless_diagnostic(row: &Diagnostic) -> String {
+    let mut row = *row;
+    (row.stamp_ns, row.source_epoch) = (0, 0);
+    (row.alarms, row.alarm, row.level) = (0, 0, 0);
+    format!("{row:?}")
+}
+
+fn same<R>(
+    what: &str,
+    before: &BTreeMap<(u32, u64), R>,
+    after: &BTreeMap<(u32, u64), R>,
+    timeless: impl Fn(&R) -> String,
+) -> usize {
+    let mut compared = 0;
+    for (key, row) in before {
+        if let Some(again) = after.get(key) {
+            assert_eq!(
+                timeless(row),
+                timeless(again),
+                "{what} of (robot, sample) {key:?}"
+            );
+            compared += 1;
+        }
+    }
+    compared
+}
+
+/// Worker, recorder and a simulated fleet from the first sample on.
+fn record(arena: &Arena, name: &str, seconds: &str) -> PathBuf {
+    let file = arena.files().join(name);
+    let mut worker = arena.worker();
+    let mut recorder = recorder(arena, &file, &[]);
+    simulate(arena, seconds);
+    assert_eq!(recorder.stop().code(), Some(0));
+    assert_eq!(worker.stop().code(), Some(0));
+    file
+}
+
+/// The capture with one value changed, written as the recorder would have.
+fn spoilt(file: &Path, to: &Path, spoil: impl Fn(&mut Message) -> bool) {
+    let reader = Reader::open(file).unwrap();
+    let attachments = reader.attachments().clone();
+    let mut writer = Writer::create(to, Settings::default(), &attachments).unwrap();
+    let mut done = false;
+    for entry in reader {
+        let mut entry = entry.unwrap();
+        done = done || spoil(&mut entry.message);
+        let times = joulebus_capture::Times {
+            log_ns: entry.log_time_ns,
+            publish_ns: entry.publish_time_ns,
+        };
+        writer.write(&entry.fleet, times, &entry.message).unwrap();
+    }
+    assert!(done, "nothing was spoilt");
+    let (_, _, _): (_, _, File) = writer.finish().unwrap();
+}
+
+#[test]
+fn a_recorded_run_is_verified_and_a_flipped_bit_is_named() {
+    let arena = Arena::new(&setup());
+    let file = record(&arena, "run.mcap", "3");
+    let name = file.to_str().unwrap();
+
+    let ended = alone(&["replay", "--verify", name]);
+    let report = ended.json();
+    assert_eq!(ended.code(), Some(0), "{report:#}");
+    assert_eq!(report["differences"], 0, "{report:#}");
+    assert_eq!(report["robots"], 12);
+    assert!(
+        report["ticks_verified"].as_u64().unwrap() > 60,
+        "{report:#}"
+    );
+    let text = arena.run(&["replay", "--verify", name]).text();
+    assert!(
+        text.contains(" ticks, 12 robots, 0 differences\n"),
+        "{text}"
+    );
+
+    let flipped = arena.files().join("forecast.mcap");
+    let (mut tick, mut robot) = (0, 0);
+    let place = std::cell::RefCell::new((&mut tick, &mut robot));
+    spoilt(&file, &flipped, |message| match message {
+        Message::Forecasts(header, rows) if header.tick > 60 && rows.len() == 12 => {
+            rows[7].hi_w = f32::from_bits(rows[7].hi_w.to_bits() ^ 1);
+            let mut place = place.borrow_mut();
+            (*place.0, *place.1) = (header.tick, rows[7].robot);
+            true
+        }
+        _ => false,
+    });
+    let ended = alone(&["replay", "--verify", flipped.to_str().unwrap()]);
+    let report = ended.json();
+    assert_eq!(ended.code(), Some(3), "{report:#}");
+    let first = &report["first"];
+    assert_eq!(
+        (&first["tick"], &first["robot"]),
+        (&tick.into(), &robot.into()),
+        "{report:#}"
+    );
+    assert_eq!(first["field"], "forecast.hi_w");
+    assert_ne!(first["recorded"], first["computed"]);
+
+    let flipped = arena.files().join("sample.mcap");
+    spoilt(&file, &flipped, |message| match message {
+        Message::Samples(header, rows) if header.frame_seq == 40 => {
+            rows[3].power_w = f32::from_bits(rows[3].power_w.to_bits() ^ (1 << 10));
+            true
+        }
+        _ => false,
+    });
+    let ended = alone(&["replay", "--verify", flipped.to_str().unwrap()]);
+    assert_eq!(ended.code(), Some(3), "{}", ended.text());
+    assert_eq!(ended.json()["first"]["robot"], 3, "{}", ended.text());
+    arena.close();
+}
+
+#[test]
+fn what_is_recorded_of_a_replay_is_what_was_replayed() {
+    let arena = Arena::new(&setup());
+    let first = record(&arena, "first.mcap", "3");
+    let second = arena.files().join("second.mcap");
+    let mut worker = arena.worker();
+    let mut recorder = recorder(&arena, &second, &[]);
+    let ended = alone(&["replay", first.to_str().unwrap(), "--rate", "2"]);
+    let report = ended.json();
+    assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
+    assert_eq!(recorder.stop().code(), Some(0));
+    worker.stop();
+
+    let (before, after) = (heard(&first), heard(&second));
+    assert!(before.samples.len() > 700, "{}", before.samples.len());
+    assert_eq!(before.samples.len(), after.samples.len());
+    assert_eq!(report["samples"], before.samples.len());
+    let starts = |heard: &Heard| {
+        *heard
+            .samples
+            .values()
+            .min_by_key(|row| row.stamp_ns)
+            .unwrap()
+    };
+    let (one, other) = (starts(&before), starts(&after));
+    for (key, row) in &before.samples {
+        let again = &after.samples[key];
+        assert_eq!(
+            timeless_sample(row, &one),
+            timeless_sample(again, &other),
+            "{key:?}"
+        );
+    }
+    let forecasts = same(
+        "forecast",
+        &before.forecasts,
+        &after.forecasts,
+        timeless_forecast,
+    );
+    let residuals = same(
+        "diagnostic",
+        &before.diagnostics,
+        &after.diagnostics,
+        timeless_diagnostic,
+    );
+    assert!(
+        forecasts > 200 && residuals > 200,
+        "{forecasts} forecasts, {residuals} residuals"
+    );
+    let ended = alone(&["replay", "--verify", second.to_str().unwrap()]);
+    assert_eq!(ended.code(), Some(0), "{}", ended.text());
+    arena.close();
+}
+
+#[test]
+fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
+    let arena = Arena::new(&setup());
+    let file = arena.files().join("split.mcap");
+    let mut worker = arena.worker();
+    let mut source = arena.controller("source", 0, 12, 30.0);
+    let mut planner = arena.planner();
+    planner.quality("a forecast", 3, |quality| quality == Quality::Fresh);
+    let mut recorder = recorder(&arena, &file, &["--max-bag-duration", "4"]);
+    let third = arena.files().join("split_2.mcap");
+    eventually("the third file", || third.exists());
+    assert_eq!(recorder.stop().code(), Some(0));
+    source.stop();
+    let _ = planner.leave();
+    worker.stop();
+
+    let files = ["split.mcap", "split_1.mcap", "split_2.mcap"]
+        .map(|name| arena.files().join(name).to_str().unwrap().to_owned());
+    let ended = alone(&["replay", "--verify", &files[0], &files[1], &files[2]]);
+    let report = ended.json();
+    assert_eq!(ended.code(), Some(0), "{report:#}");
+    assert!(
+        report["ticks_verified"].as_u64().unwrap() > 150,
+        "{report:#}"
+    );
+    let before = report["ticks_before_first_keyframe"].as_u64().unwrap();
+    assert!(before > 0 && before < 120, "{report:#}");
+    // The second file by itself: a keyframe comes every five seconds.
+    let report = alone(&["replay", "--verify", &files[1]]).json();
+    assert_eq!(report["differences"], 0, "{report:#}");
+    assert!(report["ticks_verified"].as_u64().unwrap() > 0, "{report:#}");
+    // Without the second file, what the third needs is not there: it goes on from its own keyframe.
+    let ended = alone(&["replay", "--verify", &files[0], &files[2]]);
+    assert_eq!(ended.json()["differences"], 0);
+    assert_eq!(ended.code(), Some(3), "{}", ended.text());
+    arena.close();
+}
+
+#[test]
+fn another_model_is_compared_robot_by_robot() {
+    let arena = Arena::new(&setup());
+    let file = record(&arena, "run.mcap", "3");
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/models");
+    let other = models.join("gternal-sim-power.safetensors");
+    let arguments = [
+        "replay",
+        file.to_str().unwrap(),
+        "--model",
+        other.to_str().unwrap(),
+    ];
+    let ended = alone(&arguments);
+    let report = ended.json();
+    assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
+    assert_ne!(report["recorded_model_hash"], report["other_model_hash"]);
+    let robots = report["robots"].as_array().unwrap();
+    assert_eq!(robots.len(), 12, "{report:#}");
+    for robot in robots {
+        let (recorded, other) = (&robot["recorded"], &robot["other"]);
+        assert!(recorded["scored"].as_u64().unwrap() > 40, "{robot:#}");
+        assert_ne!(recorded["mae_w"], other["mae_w"], "{robot:#}");
+        assert!(other["coverage"].as_f64().unwrap() > 0.5, "{robot:#}");
+    }
+    // What the recorded model is said to have done is what the worker published.
+    let heard = heard(&file);
+    let last = |robot: u32| {
+        heard
+            .diagnostics
+            .range((robot, 0)..=(robot, u64::MAX))
+            .next_back()
+    };
+    for robot in robots {
+        let id = robot["robot"].as_u64().unwrap() as u32;
+        let (_, published) = last(id).unwrap();
+        assert_eq!(robot["recorded"]["mae_w"], published.mae_w, "robot {id}");
+        assert_eq!(robot["recorded"]["scored"], published.scored, "robot {id}");
+    }
+    arena.close();
+}
+
+#[test]
+fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
+    let arena = Arena::new(&setup());
+    let file = record(&arena, "run.mcap", "3");
+    let name = file.to_str().unwrap();
+    let outputs = ["--topics", "forecasts", "diagnostics", "budgets"];
+
+    // Not beside a worker: planners could not tell them apart.
+    let mut worker = arena.worker();
+    let ended = alone(&[&["replay", name][..], &outputs].concat());
+    assert_eq!(ended.code(), Some(1), "{}", ended.text());
+    assert!(
+        ended.errors().contains("already has a worker"),
+        "{}",
+        ended.errors()
+    );
+    worker.stop();
+
+    let second = arena.files().join("second.mcap");
+    let mut recorder = recorder(&arena, &second, &[]);
+    let span = [
+        "--start-offset",
+        "1.5",
+        "--playback-duration",
+        "1",
+        "--delay",
+        "0.5",
+    ];
+    let ended = alone(&[&["replay", name][..], &outputs, &span].concat());
+    let report = ended.json();
+    assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
+    assert_eq!(report["frames_before"], 3, "{report:#}");
+    recorder.stop();
+
+    let frames = |file: &Path| -> Vec<(u64, Vec<String>)> {
+        let frame = |entry: Entry| match entry.message {
+            Message::Forecasts(header, rows) => {
+                Some((header.tick, rows.iter().map(timeless_forecast).collect()))
+            }
+            _ => None,
+        };
+        entries(file).into_iter().filter_map(frame).collect()
+    };
+    let (before, after) = (frames(&file), frames(&second));
+    assert!(after.len() > 10, "{} frames", after.len());
+    for (tick, rows) in &after {
+        let (_, recorded) = before
+            .iter()
+            .find(|(recorded, _)| recorded == tick)
+            .unwrap();
+        assert_eq!(rows, recorded, "tick {tick}");
+    }
+    // Budgets of the time before the offset came first.
+    let first = entries(&second)
+        .into_iter()
+        .find_map(|entry| match entry.message {
+            Message::Budgets(header, _) => Some(header.tick),
+            _ => None,
+        });
+    assert!(
+        first.unwrap() <= after[0].0,
+        "budgets {first:?}, forecasts {}",
+        after[0].0
+    );
+    arena.close();
+}
+
+#[test]
+fn a_replay_goes_step_by_step() {
+    let arena = Arena::new(&setup());
+    let file = record(&arena, "run.mcap", "2");
+    let mut planner = arena.recorder();
+    let arguments = [
+        "replay",
+        "--step",
+        "--no-wait",
+        "--format",
+        "json",
+        file.to_str().unwrap(),
+    ];
+    let mut command = Command::new(program("joulebus-under-test"));
+    command.args(arguments);
+    let mut replay = Child::spawn("replay", command);
+    let mut frames = || {
+        let lines = planner.seen().iter();
+        let samples = lines.filter(|line| matches!(line, ReaderLine::Samples { .. }));
+        samples.count()
+    };
+    for step in 1..=3 {
+        replay.tell("");
+        eventually("the step", || frames() >= step);
+    }
+    let report = replay.stop().json();
+    assert_eq!(report["frames"]["samples"], 3, "{report:#}");
+    assert_eq!(frames(), 3);
+    let _ = planner.leave();
+    arena.close();
+}
