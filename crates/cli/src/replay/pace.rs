@@ -36,11 +36,11 @@ enum Keys {
 
 impl Keys {
     fn open(paused: bool, step: bool) -> anyhow::Result<Self> {
-        if std::io::stdin().is_terminal() {
+        if std::io::stdin().is_terminal() && is_foreground() {
             crossterm::terminal::enable_raw_mode().context("cannot read keys")?;
             return Ok(Self::Terminal);
         }
-        if !paused && !step {
+        if (!paused && !step) || std::io::stdin().is_terminal() {
             return Ok(Self::Nobody);
         }
         let (give, lines) = channel();
@@ -78,6 +78,15 @@ impl Drop for Keys {
             let _ = crossterm::terminal::disable_raw_mode();
         }
     }
+}
+
+/// Whether this process may use its terminal: one in the background is stopped when it tries.
+fn is_foreground() -> bool {
+    // `pid (name) state ppid pgrp session tty_nr tpgid …`; the name may have anything in it.
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let fields = stat.rsplit(')').next().unwrap_or_default();
+    let fields: Vec<&str> = fields.split_ascii_whitespace().collect();
+    matches!((fields.get(2), fields.get(5)), (Some(group), Some(foreground)) if group == foreground)
 }
 
 fn wish(event: &Event) -> Option<Wish> {
