@@ -307,7 +307,7 @@ fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
         eventually("the third file", || third.exists());
         recorder.stop().json()["messages_lost"] == 0
     });
-    source.stop();
+    source.finish();
     worker.stop();
     let split = split.expect("the recorder lost messages each time");
 
