@@ -99,7 +99,6 @@ fn only_the_bus_names_iceoryx2() {
 
 #[test]
 fn only_the_capture_names_mcap() {
-fn only_capture_names_mcap() {
     for name in names().iter().filter(|name| *name != "capture") {
         let found = places(&crates().join(name).join("src"), &["mcap::"], &[]);
         assert_eq!(found, Vec::<String>::new());
@@ -183,7 +182,6 @@ fn dependencies_point_one_way() {
         "fleet",
         "bus",
         "config",
-        "capture",
         "publisher",
         "predictor-worker",
         "consumer",

@@ -5,9 +5,7 @@ use clap::{Parser, Subcommand};
 use crate::output::Asked;
 use crate::{
     bench, cat, completions, config, data, demo, doctor, eval, import, info, model, publish,
-    record, recover, run, serve, train, watch,
-use crate::output::Format;
-    bench, completions, config, demo, doctor, eval, publish, record, replay, run, train, watch,
+    record, recover, replay, run, serve, train, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
-    SampleHeader, StateHeader, TakenFrame, TickHeader,
+    SampleHeader, StateHeader, TakenFrame, TickHeader, tick_flag,
 };
 
 use super::report::Loss;
@@ -235,10 +235,13 @@ impl Assembler {
 
 impl TickParts {
     fn is_complete(&self) -> bool {
-        self.journal.is_some()
-            && self.frames.iter().all(Option::is_some)
+        let Some((header, _)) = &self.journal else {
+            return false;
+        };
+        let sheds = header.flags & tick_flag::NO_DIAGNOSTICS != 0;
+        self.frames.iter().all(Option::is_some)
             && self.forecasts.is_some()
-            && self.diagnostics.is_some()
+            && (self.diagnostics.is_some() || sheds)
             && self.budgets.is_some()
     }
 

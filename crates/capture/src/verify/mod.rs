@@ -266,6 +266,7 @@ impl Verifier {
             place,
         };
         take(&mut self.fleet, taken, &parts.frames, &mut comparison);
+        let sheds = header.flags & tick_flag::NO_DIAGNOSTICS != 0;
         let header = tick(&mut self.fleet, header);
         comparison.report.verified(self.fleet.len());
         comparison.forecasts(&self.fleet, &header, &parts);
@@ -274,7 +275,8 @@ impl Verifier {
         let assembler = &self.assembler;
         for (kind, is_there) in [
             (Kind::Forecasts, parts.forecasts.is_some()),
-            (Kind::Diagnostics, parts.diagnostics.is_some()),
+            // Under overload the worker leaves them out, and says so.
+            (Kind::Diagnostics, parts.diagnostics.is_some() || sheds),
             (Kind::Budgets, parts.budgets.is_some()),
         ] {
             if !is_there {
