@@ -84,6 +84,17 @@ impl fmt::Display for RunReport {
             "tick time: p50 {:.1} µs, p99 {:.1} µs, p99.9 {:.1} µs, max {:.1} µs",
             tick.p50_us, tick.p99_us, tick.p999_us, tick.max_us
         )?;
+        let parts = &report.parts;
+        writeln!(
+            out,
+            "of it on average: intake {:.1} µs (before the tick), features {:.1}, network {:.1}, \
+             bookkeeping {:.1}, writing {:.1}",
+            parts.intake_us,
+            parts.features_us,
+            parts.network_us,
+            parts.bookkeeping_us,
+            parts.writing_us
+        )?;
         let dropped: u64 = report.samples_dropped.values().sum();
         writeln!(
             out,
