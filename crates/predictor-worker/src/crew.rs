@@ -82,7 +82,8 @@ impl Crew {
     }
 
     /// Whether a tick of so many robots is shared.
-    pub(crate) fn shares(&self, robots: usize) -> bool {
+    #[must_use]
+    pub fn shares(&self, robots: usize) -> bool {
         self.seats.len() > 1 && robots >= self.from
     }
 
