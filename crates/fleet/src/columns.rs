@@ -53,7 +53,7 @@ impl Columns {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     pub(crate) fn seen(&self, slot: usize) -> Seen<'_> {
         Seen {
             gate: &self.gates[slot],
@@ -151,7 +151,7 @@ impl<'a> Part<'a> {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     pub(crate) fn seen(&self, slot: usize) -> Seen<'_> {
         Seen {
             gate: &self.gates[slot],

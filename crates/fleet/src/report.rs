@@ -1,7 +1,7 @@
 //! What the tick says of each robot, in the form in which it lies in shared memory.
 
 use joulebus_wire::{
-    Alarm, AlarmSet, Budget, ChargeState, Diagnostic, Forecast, InvalidReason, Quality,
+    Alarm, AlarmSet, Budget, ChargeState, Diagnostic, Forecast, InvalidReason, Level, Quality,
     budget_flag, diagnostic_flag, forecast_flag,
 };
 
@@ -107,12 +107,36 @@ pub(crate) fn diagnostic(rules: &Rules<'_>, seen: &Seen<'_>) -> Diagnostic {
     }
 }
 
-/// Codes of the worst level and of the most important alarm of a set.
-fn most_important(alarms: AlarmSet) -> (u16, u16) {
-    if alarms == AlarmSet::default() {
-        return (AlarmSet::default().level().code(), Alarm::None.code());
+/// Alarms of one level, as bits.
+const fn of_level(level: Level) -> u32 {
+    let (mut bits, mut place) = (0, 0);
+    while place < Alarm::ALL.len() {
+        if Alarm::ALL[place].level().code() == level.code() {
+            bits |= AlarmSet(0).with(Alarm::ALL[place]).0;
+        }
+        place += 1;
     }
-    (alarms.level().code(), alarms.first().code())
+    bits
+}
+
+const STALE: u32 = of_level(Level::Stale);
+const ERROR: u32 = of_level(Level::Error);
+const WARN: u32 = of_level(Level::Warn);
+
+/// Codes of the worst level and of the most important alarm of a set, without going through all.
+fn most_important(alarms: AlarmSet) -> (u16, u16) {
+    let level = match alarms.0 {
+        bits if bits & STALE != 0 => Level::Stale,
+        bits if bits & ERROR != 0 => Level::Error,
+        bits if bits & WARN != 0 => Level::Warn,
+        _ => Level::Ok,
+    };
+    // The first of a set is its lowest bit, and the code of an alarm is its bit's place plus 1.
+    let first = match alarms.0 {
+        0 => Alarm::None.code(),
+        bits => bits.trailing_zeros() as u16 + 1,
+    };
+    (level.code(), first)
 }
 
 /// The budget of a robot.
@@ -228,5 +252,19 @@ fn quality(rules: &Rules<'_>, gate: &Gate, last: &Last, power_w: f32, open_steps
         _ if !power_w.is_finite() => Quality::Invalid(InvalidReason::ModelOutput),
         _ if open_steps > 0 => Quality::OpenLoop { steps: open_steps },
         quality => quality,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_short_way_to_the_worst_alarm_names_the_same_for_every_set() {
+        for bits in 0..1 << Alarm::ALL.len() {
+            let set = AlarmSet(bits);
+            let expected = (set.level().code(), set.first().code());
+            assert_eq!(most_important(set), expected, "{bits:b}");
+        }
     }
 }
