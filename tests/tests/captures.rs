@@ -90,7 +90,7 @@ fn a_killed_recorder_costs_at_most_the_stated_window() {
     }
     let report = witness.stop().json();
     assert_eq!(report["messages_lost"], 0, "{report:#}");
-    source.stop();
+    source.finish();
     worker.stop();
 
     let (all, end) = read(&whole);
@@ -175,7 +175,7 @@ fn a_full_disk_ends_the_capture_and_nothing_else() {
     let attachments = Reader::open(&file).unwrap();
     assert!(attachments.attachments().config("t").is_some());
     let _ = planner.leave();
-    source.stop();
+    source.finish();
     worker.stop();
     arena.close();
 }
@@ -186,11 +186,8 @@ fn two_fleets_are_recorded_into_one_file() {
     // Fleets in one file must have different names.
     let text = std::fs::read_to_string(other.config()).unwrap();
     std::fs::write(other.config(), text.replace("name = \"t\"", "name = \"u\"")).unwrap();
-    let mut processes = Vec::new();
-    for arena in [&one, &other] {
-        processes.push(arena.worker());
-        processes.push(arena.controller("source", 0, ROBOTS, HZ));
-    }
+    let start = |arena: &Arena| (arena.worker(), arena.controller("source", 0, ROBOTS, HZ));
+    let fleets = [&one, &other].map(start);
     let file = one.files().join("both.mcap");
     let config = other.config().display().to_string();
     let output = file.display().to_string();
@@ -222,11 +219,10 @@ fn two_fleets_are_recorded_into_one_file() {
             .count();
         assert!(ticks > 5, "{fleet}: {ticks} ticks");
     }
-    for mut process in processes.into_iter().rev() {
-        process.stop();
+    for (mut worker, mut source) in fleets {
+        source.finish();
+        worker.stop();
     }
-    let root = other.domain().root().to_owned();
-    assert!(!root.exists(), "{root:?}");
     one.close();
     other.close();
 }
