@@ -82,7 +82,7 @@ impl Stage {
         self.files.path().join(name)
     }
 
-    fn record(&self, target: Target, options: Options) -> Recorder {
+    fn record(&self, target: Target, options: &Options) -> Recorder {
         self.record_with(Vec::new(), target, options)
     }
 
@@ -90,7 +90,7 @@ impl Stage {
         &self,
         streams: Vec<Box<dyn io::Read + Send>>,
         target: Target,
-        options: Options,
+        options: &Options,
     ) -> Recorder {
         let clock = Clock::now();
         let attachments = Attachments::of(std::slice::from_ref(&self.config), clock).unwrap();
@@ -219,7 +219,7 @@ fn assert_adds_up(found: &[Entry], summary: &Summary, ticks: u64) {
 fn what_is_sent_is_written_in_order_causes_before_effects() {
     let mut stage = Stage::new();
     let path = stage.path("run.mcap");
-    let recorder = stage.record(Target::File(path.clone()), Options::default());
+    let recorder = stage.record(Target::File(path.clone()), &Options::default());
     stage.play(40);
     let summary = recorder.finish();
     assert_eq!(summary.failure, None);
@@ -255,7 +255,7 @@ fn what_is_sent_is_written_in_order_causes_before_effects() {
 fn a_capture_brings_its_own_config_and_models() {
     let mut stage = Stage::new();
     let path = stage.path("run.mcap");
-    let recorder = stage.record(Target::File(path.clone()), Options::default());
+    let recorder = stage.record(Target::File(path.clone()), &Options::default());
     stage.play(2);
     drop(recorder);
     let reader = Reader::open(&path).unwrap();
@@ -293,7 +293,7 @@ fn split_files_are_each_whole_and_go_on_from_each_other() {
         },
         ..Options::default()
     };
-    let recorder = stage.record(Target::File(path), options);
+    let recorder = stage.record(Target::File(path), &options);
     stage.play(40);
     let summary = recorder.finish();
     assert!(summary.files.len() >= 3, "{summary:?}");
@@ -341,7 +341,7 @@ fn files_that_exist_are_not_touched() {
             clock,
             Attachments::default(),
             target,
-            options,
+            &options,
         )
     };
     let refused = start(false).err().unwrap().to_string();
@@ -360,7 +360,7 @@ fn robots_have_channels_of_their_own_if_wanted() {
         choose: Arc::new(|topic| topic.contains("/robot/7/") || topic.ends_with("/ticks")),
         ..Options::default()
     };
-    let recorder = stage.record(Target::File(path.clone()), options);
+    let recorder = stage.record(Target::File(path.clone()), &options);
     stage.play(5);
     let summary = recorder.finish();
     assert_eq!(summary.messages_lost(), 0, "{summary:?}");
@@ -387,7 +387,7 @@ fn more_robots_than_a_file_has_channels_are_refused_with_the_numbers() {
     };
     let target = Target::Stream(Box::new(io::sink()));
     let (clock, none) = (Clock::now(), Attachments::default());
-    let refused = Recorder::start(&config, Vec::new(), clock, none, target, options);
+    let refused = Recorder::start(&config, Vec::new(), clock, none, target, &options);
     let refused = refused.err().unwrap().to_string();
     assert!(
         refused.contains("80006") && refused.contains("65535"),
@@ -437,7 +437,7 @@ fn a_slow_disk_costs_messages_that_are_counted_and_nothing_else() {
         },
         ..Options::default()
     };
-    let recorder = stage.record(Target::Stream(Box::new(disk)), options);
+    let recorder = stage.record(Target::Stream(Box::new(disk)), &options);
     stage.play(120);
     let summary = recorder.finish();
     assert_eq!(summary.failure, None);
@@ -460,7 +460,7 @@ fn a_full_disk_ends_the_capture_with_its_reason_and_what_was_written_can_be_read
         each: Duration::ZERO,
         room: 60_000,
     };
-    let recorder = stage.record(Target::Stream(Box::new(disk)), Options::default());
+    let recorder = stage.record(Target::Stream(Box::new(disk)), &Options::default());
     let give_up = Instant::now() + PATIENCE;
     while !recorder.is_over() {
         assert!(Instant::now() < give_up, "{:?}", recorder.summary());
@@ -500,7 +500,7 @@ fn a_snapshot_keeps_the_last_seconds_and_writes_them_when_asked_and_on_alarm() {
         }),
         ..Options::default()
     };
-    let recorder = stage.record(Target::File(path.clone()), options);
+    let recorder = stage.record(Target::File(path.clone()), &options);
     stage.play(40);
     assert!(!path.exists(), "nothing has happened yet");
     stage.tick(4);
@@ -542,7 +542,7 @@ fn two_fleets_lie_in_one_file_side_by_side() {
     let other = config("yard", Path::new("/dev/shm/joulebus-capture-yard"));
     let theirs = Clock { offset_ns: 5 };
     let here = Clock::now();
-    let attachments = Attachments::of(&[other.clone()], theirs).unwrap();
+    let attachments = Attachments::of(std::slice::from_ref(&other), theirs).unwrap();
     let mut writer = Writer::new(Vec::new(), Settings::default(), &attachments).unwrap();
     // A frame in five is missing.
     for frame_seq in (0..50_u64).filter(|seq| seq % 5 != 3) {
@@ -572,7 +572,7 @@ fn two_fleets_lie_in_one_file_side_by_side() {
         here,
         attachments,
         target,
-        Options::default(),
+        &Options::default(),
     )
     .unwrap();
     stage.play(10);
@@ -601,7 +601,7 @@ fn two_fleets_lie_in_one_file_side_by_side() {
 #[test]
 fn nothing_is_left_in_shared_memory() {
     let mut stage = Stage::new();
-    let recorder = stage.record(Target::Stream(Box::new(io::sink())), Options::default());
+    let recorder = stage.record(Target::Stream(Box::new(io::sink())), &Options::default());
     stage.play(2);
     let _ = recorder.finish();
     let domain: Domain = stage.config.domain().unwrap();

@@ -217,9 +217,9 @@ impl Recorder {
         clock: Clock,
         attachments: Attachments,
         target: Target,
-        options: Options,
+        options: &Options,
     ) -> Result<Self, StartError> {
-        check_channels(config, &options)?;
+        check_channels(config, options)?;
         let files = Files::begin(target, attachments, options.clone())?;
         let shared = Arc::new(Shared {
             stop: AtomicBool::new(false),
@@ -234,13 +234,13 @@ impl Recorder {
             feeds: Vec::new(),
             writer: None,
         };
-        recorder.start_drain(config, clock, &options)?;
+        recorder.start_drain(config, clock, options)?;
         for stream in streams {
             recorder.start_stream(stream, clock)?;
         }
         let shared = Arc::clone(&recorder.shared);
         recorder.writer = Some(spawn("joulebus-write", move || {
-            write(files, &shared, clock)
+            write(files, &shared, clock);
         })?);
         Ok(recorder)
     }
@@ -360,7 +360,7 @@ impl Shared {
         };
         let topic = item.topic();
         let diagnostics = Kind::Diagnostics.topic(&item.fleet, 0);
-        let unwritten = self.queue.push(item).is_err().into();
+        let unwritten = (!self.queue.push(item)).into();
         self.count(topic, found.missing, unwritten);
         if found.never_sent > 0 {
             self.forgive(&diagnostics, found.never_sent);

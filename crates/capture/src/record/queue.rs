@@ -24,6 +24,10 @@ struct State {
 
 /// What waiting for an item came to.
 #[derive(Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "it is taken apart where it is made"
+)]
 pub(crate) enum Popped {
     /// The oldest item.
     Item(Item),
@@ -42,20 +46,21 @@ impl Queue {
         }
     }
 
-    /// Appends the item, if there is room; otherwise it is lost, and given back.
-    pub(crate) fn push(&self, item: Item) -> Result<(), Item> {
+    /// Appends the item if there is room; otherwise it is lost. Returns whether there was.
+    #[must_use]
+    pub(crate) fn push(&self, item: Item) -> bool {
         let bytes = item.bytes();
         let mut state = self.lock();
         // An item that is larger than the whole queue fits into an empty one.
         let full = state.bytes + bytes > self.max_bytes && !state.items.is_empty();
         if full || state.closed {
-            return Err(item);
+            return false;
         }
         state.bytes += bytes;
         state.items.push_back(item);
         drop(state);
         self.changed.notify_one();
-        Ok(())
+        true
     }
 
     /// Takes the oldest item, waiting for one as long as `patience`.

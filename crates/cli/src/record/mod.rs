@@ -127,7 +127,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         clock,
         attachments,
         args.target(),
-        args.options()?,
+        &args.options()?,
     )?;
     let names: Vec<&str> = configs.iter().map(Config::fleet).collect();
     let file = args.output.display();
