@@ -65,7 +65,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         queue_bytes: QUEUE_BYTES,
     };
     let target = Target::Stream(Box::new(writer));
-    let recorder = Recorder::start(&config, Vec::new(), clock, attachments, target, options)?;
+    let recorder = Recorder::start(&config, Vec::new(), clock, attachments, target, &options)?;
     let sent = Arc::new(AtomicU64::new(0));
     let counted = Arc::clone(&sent);
     let forward = std::thread::Builder::new()
