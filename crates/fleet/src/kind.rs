@@ -58,10 +58,10 @@ impl Trained {
     /// Marks the rows, given as columns, that have a feature outside the range, or NaN.
     pub(crate) fn mark_outside(&self, columns: &[Vec<f32>; FEATURES], outside: &mut [bool]) {
         outside.fill(false);
-        for index in self.feature_set.first()..FEATURES {
-            let (lo, hi) = (self.lo[index], self.hi[index]);
-            for (outside, value) in outside.iter_mut().zip(&columns[index]) {
-                *outside |= !((lo <= *value) & (*value <= hi));
+        let ends = self.lo.iter().zip(&self.hi);
+        for (column, (lo, hi)) in columns.iter().zip(ends).skip(self.feature_set.first()) {
+            for (outside, value) in outside.iter_mut().zip(column) {
+                *outside |= !((*lo <= *value) & (*value <= *hi));
             }
         }
     }

@@ -145,9 +145,13 @@ impl<'a> Share<'a> {
 
     /// [`Share::forecast`] and [`Share::account`] in one go through memory.
     pub fn run(&mut self, batch: &mut Batch, outputs: Outputs<'_>, on: &mut dyn FnMut(Stage)) {
-        let mut forecasts = outputs.forecasts.iter_mut();
-        let mut diagnostics = outputs.diagnostics.iter_mut();
-        let mut budgets = outputs.budgets.iter_mut();
+        let Outputs {
+            forecasts,
+            diagnostics,
+            budgets,
+        } = outputs;
+        let mut forecasts = forecasts.iter_mut();
+        let (mut diagnostics, mut budgets) = (diagnostics.iter_mut(), budgets.iter_mut());
         self.each_tile(batch.words, |tile| {
             tile.absorb(batch, on);
             pass::account(&tile.rules, &mut tile.columns);

@@ -52,7 +52,7 @@ impl Outbox {
         let unsent = if crew.shares(robots) {
             let outputs = Outputs {
                 forecasts: forecasts.as_deref_mut().unwrap_or_default(),
-                diagnostics: written(diagnostics.as_mut()),
+                diagnostics: written(&mut diagnostics),
                 budgets: budgets.as_deref_mut().unwrap_or_default(),
             };
             crew.run(share, outputs);
@@ -62,7 +62,7 @@ impl Outbox {
             let unsent = send_forecasts(forecasts, &self.planners, header);
             crew.account(
                 &mut share,
-                written(diagnostics.as_mut()),
+                written(&mut diagnostics),
                 budgets.as_deref_mut().unwrap_or_default(),
             );
             unsent
@@ -105,7 +105,7 @@ impl Outbox {
 
 /// Where the diagnostics go: nowhere if they are left out, or if there is no memory for them.
 fn written<'a>(
-    diagnostics: Option<&'a mut Result<DiagnosticLoan<'_>, SendError>>,
+    diagnostics: &'a mut Option<Result<DiagnosticLoan<'_>, SendError>>,
 ) -> &'a mut [Diagnostic] {
     match diagnostics {
         Some(Ok(loan)) => loan,
