@@ -24,7 +24,7 @@ fn paths(value: &Value, found: &mut Vec<String>) {
             for (key, value) in fields {
                 match value.as_str() {
                     Some(path) if matches!(key.as_str(), "value" | "topicPath") => {
-                        found.push(path.to_owned())
+                        found.push(path.to_owned());
                     }
                     _ => paths(value, found),
                 }

@@ -6,7 +6,7 @@ mod foxglove;
 use std::net::IpAddr;
 
 use crate::config_file::ConfigFile;
-use crate::exit::{Outcome, UsageError};
+use crate::exit::Outcome;
 use crate::output::Output;
 
 /// Stream what goes through a fleet's shared memory to Foxglove, live
@@ -45,7 +45,7 @@ pub(crate) fn run(args: &Args, _: Output) -> anyhow::Result<Outcome> {
     let (address, port, per_robot) = (args.host, args.port, args.per_robot);
     tracing::debug!(foxglove = args.foxglove, %address, port, per_robot, config = args.config.name(), "not built in");
     let remedy = "build it with --features foxglove";
-    Err(UsageError(format!(
+    Err(crate::exit::UsageError(format!(
         "this program was built without the Foxglove server; {remedy}"
     ))
     .into())

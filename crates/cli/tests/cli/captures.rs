@@ -17,8 +17,8 @@ fn text(path: &Path) -> String {
 /// A capture of two recordings, and the samples in it.
 fn capture(fleet: &Fleet, rows: u32) -> (PathBuf, u64) {
     let path = fleet.path("trials.mcap");
-    let mut import = fleet.joulebus("import --format json -o");
-    import.arg(&path);
+    let mut import = fleet.joulebus("import --format json");
+    import.arg("-o").arg(&path);
     import.args(["a.csv", "b.csv"].map(|name| fleet.recording(name, rows)));
     let imported = import.output().unwrap();
     assert_eq!(code(&imported), 0, "{}", stderr(&imported));
