@@ -173,7 +173,7 @@ impl Player {
         let mut messages = files.read();
         let (mut first_ns, mut begin) = (None, None);
         let (mut before, mut at_ns) = (Before::default(), 0);
-        while let Some(entry) = messages.next() {
+        for entry in messages.by_ref() {
             let first_ns = *first_ns.get_or_insert(entry.log_time_ns);
             match args.span.place(entry.log_time_ns.saturating_sub(first_ns)) {
                 Place::Before => {
