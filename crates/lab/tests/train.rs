@@ -2,7 +2,7 @@
 
 use joulebus_lab::train::{
     Dataset, Epoch, Row, Settings, SimulatedData, TrainError, Trained, Training,
-    dataset_from_plant, scored, train,
+    dataset_from_plant, scored, train, train_sim,
 };
 use joulebus_predictor::{FEATURES, FeatureSet, Kernel, Network, ResidualStats, Scores};
 use std::path::Path;
@@ -402,6 +402,17 @@ fn the_models_that_ship_say_that_they_come_from_this_simulation() {
                 .all(close),
             "{found:?} {stated:?}"
         );
+    }
+}
+
+#[test]
+fn the_models_that_ship_are_what_the_documented_command_makes() {
+    for (name, feature_set) in [
+        ("gternal-sim.safetensors", FeatureSet::Full),
+        ("gternal-sim-power.safetensors", FeatureSet::PowerOnly),
+    ] {
+        let made = train_sim(SHIPPED_SEED, feature_set, |_| ()).expect("sound data");
+        assert_eq!(made.network.hash(), shipped(name).hash(), "{name}");
     }
 }
 
