@@ -405,7 +405,7 @@ fn a_flipped_bit_in_any_output_is_named() {
         .quality ^=
         1);
     case!(Forecasts, forecasts, "forecast.quality_detail", |row| {
-        row.quality_detail ^= 1
+        row.quality_detail ^= 1;
     });
     case!(Forecasts, forecasts, "forecast.generation", |row| row
         .generation ^=
@@ -420,19 +420,19 @@ fn a_flipped_bit_in_any_output_is_named() {
         .target_ns ^=
         1);
     case!(Forecasts, forecasts, "forecast.reading_age_ns", |row| {
-        row.reading_age_ns ^= 1
+        row.reading_age_ns ^= 1;
     });
     case!(Forecasts, forecasts, "forecast.source_epoch", |row| row
         .source_epoch ^=
         1);
     case!(Diagnostics, diagnostics, "diagnostic.residual_w", |row| {
-        flip32(&mut row.residual_w)
+        flip32(&mut row.residual_w);
     });
     case!(Diagnostics, diagnostics, "diagnostic.bias_w", |row| flip32(
         &mut row.bias_w
     ));
     case!(Diagnostics, diagnostics, "diagnostic.cusum_up", |row| {
-        flip32(&mut row.cusum_up)
+        flip32(&mut row.cusum_up);
     });
     case!(Diagnostics, diagnostics, "diagnostic.alarms", |row| row
         .alarms ^=
