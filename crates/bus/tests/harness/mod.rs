@@ -15,8 +15,8 @@ use std::time::Duration;
 
 use joulebus_bus::{
     BudgetReader, BudgetWriter, Bus, DiagnosticReader, DiagnosticWriter, Domain, ForecastReader,
-    ForecastWriter, FrameBuf, Limits, PeerWatch, SampleReader, SampleWriter, Waiter, Waker,
-    WorkerLock, clock,
+    ForecastWriter, FrameBuf, Limits, PeerWatch, SampleReader, SampleWriter, StateWriter,
+    TickWriter, Waiter, Waker, WorkerLock, clock,
 };
 use joulebus_wire::{
     Budget, BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, Sample, SampleHeader,
@@ -233,6 +233,8 @@ struct Ports {
     forecasts: Option<ForecastWriter>,
     diagnostics: Option<DiagnosticWriter>,
     budgets: Option<BudgetWriter>,
+    /// The journal and the keyframes, which take memory as the others do.
+    recorded: Option<(TickWriter, StateWriter)>,
     wake: Option<Waker>,
     forecast_reader: Option<ForecastReader>,
     diagnostic_reader: Option<DiagnosticReader>,
@@ -258,6 +260,7 @@ impl Ports {
             forecasts: None,
             diagnostics: None,
             budgets: None,
+            recorded: None,
             wake: None,
             forecast_reader: None,
             diagnostic_reader: None,
@@ -337,6 +340,7 @@ impl Ports {
         self.forecasts = Some(bus.forecast_writer(&limits)?);
         self.diagnostics = Some(bus.diagnostic_writer(&limits)?);
         self.budgets = Some(bus.budget_writer(&limits)?);
+        self.recorded = Some((bus.tick_writer(&limits)?, bus.state_writer(&limits)?));
         self.wake = Some(bus.planner_waker(&limits)?);
         Ok(String::new())
     }

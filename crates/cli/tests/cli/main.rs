@@ -8,6 +8,7 @@ mod live;
 mod model;
 #[cfg(feature = "foxglove")]
 mod serve;
+mod train;
 
 use std::fs;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};

@@ -1,0 +1,76 @@
+//! `joulebus train trials`: recordings in, a model that the worker loads out.
+
+use super::fleet::{Fleet, code, json, output, stderr, stdout};
+
+#[test]
+fn recordings_become_a_model_and_what_went_where_is_said() {
+    let fleet = Fleet::new();
+    let folder = tempfile::tempdir().unwrap();
+    let data: Vec<String> = (0..4)
+        .map(|trial| {
+            let path = fleet.recording(&format!("run_{trial}.csv"), 300 + 20 * trial);
+            path.to_str().unwrap().to_owned()
+        })
+        .collect();
+    let out = folder.path().join("model.safetensors");
+    let out = out.to_str().unwrap();
+    let recipe = folder.path().join("recipe.toml");
+    std::fs::write(&recipe, "[training]\nmax_epochs = 3\nbatch = 64\n").unwrap();
+    let recipe = recipe.to_str().unwrap();
+
+    let mut wanted = vec!["--format", "json", "train", "trials"];
+    wanted.extend(data.iter().map(String::as_str));
+    wanted.extend(["--recipe", recipe, "--seed", "5", "--out", out]);
+    let trained = output(wanted.clone());
+    assert_eq!(code(&trained), 0, "{}", stderr(&trained));
+    let report = json(&trained);
+    assert_eq!(report["epochs"], 3);
+    assert_eq!(report["model"], "model");
+    assert_eq!(report["split"]["by"], "trial");
+    for part in ["training", "validation", "held_out"] {
+        assert!(
+            !report["split"][part].as_array().unwrap().is_empty(),
+            "{report}"
+        );
+    }
+    let info = output(["model", "info", out]);
+    assert_eq!(code(&info), 0, "{}", stderr(&info));
+    let hash = report["model_hash"].as_str().unwrap();
+    assert!(stdout(&info).contains(hash), "{}", stdout(&info));
+
+    let again = output(wanted);
+    assert_eq!(
+        json(&again)["model_hash"],
+        hash,
+        "the same seed, the same bytes"
+    );
+}
+
+#[test]
+fn what_cannot_be_trained_on_is_refused_with_a_remedy() {
+    let fleet = Fleet::new();
+    let folder = tempfile::tempdir().unwrap();
+    let one = fleet.recording("one.csv", 300);
+    let one = one.to_str().unwrap();
+    let out = folder.path().join("model.safetensors");
+    let out = out.to_str().unwrap();
+    for (arguments, named) in [
+        (vec![one], "at least 3 are needed"),
+        (
+            vec![one, "--resume", "--split", "time"],
+            "no interrupted run",
+        ),
+        (
+            vec![one, "--validate", one, "--hold-out", one],
+            "is in two parts",
+        ),
+    ] {
+        let mut wanted = vec!["train", "trials"];
+        wanted.extend(arguments);
+        wanted.extend(["--out", out]);
+        let refused = output(wanted);
+        assert_eq!(code(&refused), 2, "{named}: {}", stderr(&refused));
+        assert!(stderr(&refused).contains(named), "{}", stderr(&refused));
+    }
+    assert!(!std::path::Path::new(out).exists());
+}
