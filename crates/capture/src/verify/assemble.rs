@@ -57,8 +57,10 @@ pub(super) struct Assembler {
     frames: FrameStore,
     /// The newest of each kind, by run; and whether all has come.
     newest: HashMap<(u64, Kind), u64>,
-    /// The newest frame of each run of each source.
-    newest_frames: HashMap<(u64, u64), u64>,
+    /// The oldest and the newest frame of each run of each source.
+    frame_range: HashMap<(u64, u64), (u64, u64)>,
+    /// Where the recording begins: run and tick.
+    first: Option<(u64, u64)>,
     ended: bool,
     piece: Option<(StateHeader, Vec<u8>)>,
     /// Keyframes of which a piece is missing.
@@ -142,9 +144,11 @@ impl Assembler {
     /// As [`Assembler::lack`], of a frame of samples.
     pub(super) fn lack_of_frame(&self, (run, tick): (u64, u64), taken: &TakenFrame) -> Loss {
         let (source_id, frame_seq) = (taken.source_id, taken.frame_seq);
-        let newest = self.newest_frames.get(&(source_id, taken.source_epoch));
-        if self.is_over(run, tick) && newest.is_none_or(|newest| frame_seq > *newest) {
+        let range = self.frame_range.get(&(source_id, taken.source_epoch));
+        if self.is_over(run, tick) && range.is_none_or(|(_, newest)| frame_seq > *newest) {
             Loss::End
+        } else if self.is_young(run, tick) && range.is_none_or(|(oldest, _)| frame_seq < *oldest) {
+            Loss::Beginning
         } else {
             Loss::Samples {
                 source_id,
@@ -165,9 +169,16 @@ impl Assembler {
         (self.ended || !is_newest) && tick + WINDOW > last
     }
 
+    /// Whether `tick` is among the first of the recording.
+    fn is_young(&self, run: u64, tick: u64) -> bool {
+        self.first
+            .is_some_and(|(first_run, first)| run == first_run && tick < first + WINDOW)
+    }
+
     fn parts(&mut self, (worker_epoch, tick): (u64, u64), kind: Kind) -> &mut TickParts {
         let newest = self.newest.entry((worker_epoch, kind)).or_default();
         *newest = tick.max(*newest);
+        self.first.get_or_insert((worker_epoch, tick));
         let run = self.runs.entry(worker_epoch).or_default();
         run.newest = run.newest.max(tick);
         run.ticks.entry(tick).or_default()
@@ -175,8 +186,9 @@ impl Assembler {
 
     fn put(&mut self, header: SampleHeader, samples: Vec<Sample>) {
         let key = (header.source_id, header.source_epoch);
-        let newest = self.newest_frames.entry(key).or_default();
-        *newest = header.frame_seq.max(*newest);
+        let seq = header.frame_seq;
+        let range = self.frame_range.entry(key).or_insert((seq, seq));
+        *range = (seq.min(range.0), seq.max(range.1));
         self.frames.put(header, samples);
     }
 

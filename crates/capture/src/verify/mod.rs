@@ -184,7 +184,7 @@ impl Verifier {
         let lack = match self.lack(tick) {
             Some(Loss::End) => Loss::End,
             // Where the recording begins, something is always missing.
-            Some(lack) if self.report.ticks_verified > 0 => lack,
+            Some(lack) if self.report.has_begun => lack,
             _ => Loss::NoKeyframe,
         };
         self.report.lose((tick.worker_epoch, tick.tick), lack);

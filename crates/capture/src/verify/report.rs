@@ -64,6 +64,9 @@ pub struct Verification {
     times: Option<(u64, u64)>,
     #[serde(skip)]
     run: Option<u64>,
+    /// Whether ticks are followed since the recording's beginning.
+    #[serde(skip)]
+    pub(super) has_begun: bool,
     /// Kinds of outputs seen: forecasts, diagnostics, budgets.
     #[serde(skip)]
     seen: [bool; 3],
@@ -104,6 +107,8 @@ pub enum Loss {
     Output,
     /// No keyframe was recorded before it since something was lost.
     NoKeyframe,
+    /// It took a frame that was sent before the recording began.
+    Beginning,
     /// The recording, or the worker, ended there.
     End,
 }
@@ -141,6 +146,7 @@ impl Verification {
 
     pub(super) fn verified(&mut self, robots: usize) {
         self.ticks_verified += 1;
+        self.has_begun = true;
         self.robots = self.robots.max(robots);
         self.forecasts_compared += robots as u64;
     }
@@ -171,9 +177,11 @@ impl Verification {
     pub(super) fn lose(&mut self, (_, tick): (u64, u64), why: Loss) {
         match why {
             Loss::End => self.ticks_cut_off += 1,
-            Loss::NoKeyframe if self.ticks_verified == 0 => {
+            Loss::Beginning => {
+                self.has_begun = false;
                 self.ticks_before_first_keyframe += 1;
             }
+            Loss::NoKeyframe if !self.has_begun => self.ticks_before_first_keyframe += 1,
             why => {
                 self.ticks_unverified += 1;
                 self.tell(tick, why);
@@ -236,6 +244,7 @@ impl fmt::Display for Loss {
             Self::Unlisted => write!(out, "it took more frames than a journal lists"),
             Self::Output => write!(out, "what it published was not recorded"),
             Self::NoKeyframe => write!(out, "no keyframe before it"),
+            Self::Beginning => write!(out, "it took what was sent before the recording began"),
             Self::End => write!(out, "the recording ends there"),
         }
     }
