@@ -2,7 +2,10 @@
 //! model files of other programs.
 #![forbid(unsafe_code)]
 
+pub mod bootstrap;
 pub mod evaluate;
+pub mod linear;
+pub mod metrics;
 pub mod model_file;
 mod noise;
 pub mod plant;
