@@ -7,12 +7,15 @@ use clap::Subcommand;
 use joulebus_lab::trial::{Column, Trial};
 use serde::Serialize;
 
+use crate::data_simulate;
 use crate::exit::Outcome;
 use crate::output::Output;
 
-/// Look at recorded trials
+/// Look at recorded trials, and write simulated ones
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  joulebus data info recordings/*.csv.gz")]
+#[command(after_help = "Examples:\n  \
+    joulebus data info recordings/*.csv.gz\n  \
+    joulebus data simulate simulated")]
 pub(crate) struct Args {
     #[command(subcommand)]
     what: What,
@@ -21,6 +24,7 @@ pub(crate) struct Args {
 #[derive(Debug, Subcommand)]
 enum What {
     Info(InfoArgs),
+    Simulate(data_simulate::Args),
 }
 
 /// Show rows, rate, gaps, held readings and missing columns of recorded trials
@@ -61,7 +65,13 @@ struct TrialReport {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let What::Info(args) = &args.what;
+    match &args.what {
+        What::Info(args) => info(args, output),
+        What::Simulate(args) => data_simulate::run(args, output),
+    }
+}
+
+fn info(args: &InfoArgs, output: Output) -> anyhow::Result<Outcome> {
     let trials = args
         .files
         .iter()

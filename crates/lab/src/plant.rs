@@ -15,8 +15,17 @@
 //! The same seed gives the same bits on every machine: only basic arithmetic, square roots and the
 //! portable functions of `libm`.
 
+pub mod arena;
+pub mod barrier;
+mod body;
 mod electrical;
+mod loads;
+mod monitor;
 mod motion;
+pub mod parts;
+pub mod protocol;
+mod recorder;
+pub mod scenario;
 
 use crate::noise::Noise;
 use electrical::{Electrical, Measurement};

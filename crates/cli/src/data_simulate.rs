@@ -1,0 +1,156 @@
+//! `joulebus data simulate`: the simulated stand-in for the published dataset, as files.
+
+use std::fmt;
+use std::fs::{self, File};
+use std::io::{BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use joulebus_lab::plant::arena::STEP_S;
+use joulebus_lab::plant::protocol::{Protocol, SAMPLES};
+use joulebus_lab::plant::scenario;
+use joulebus_lab::trial::{Column, MAX_ROWS, Trial};
+use serde::Serialize;
+
+use crate::exit::Outcome;
+use crate::output::Output;
+
+/// Write simulated trials in the published layout: six of one robot, and seven robots together
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus data simulate simulated\n  \
+    joulebus data simulate simulated-2 --seed 2 --steps 30000\n  \
+    joulebus data info simulated/*.npy\n\n\
+    The files stand in for the GTernal dataset of arXiv 2603.13908 and support no claim about real \
+    robots. The same seed gives the same bytes on every machine. Nothing is overwritten.")]
+pub(crate) struct Args {
+    /// Directory for the files; it is made if it does not exist
+    #[arg(value_name = "DIR")]
+    directory: PathBuf,
+    /// Seed of the robots, their motion and everything random
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Samples of each of the seven robots, 2 to 4,194,304; the six trials have 8,000 each
+    #[arg(long, value_name = "N", default_value_t = SAMPLES as u64, value_parser = clap::value_parser!(u64).range(2..=MAX_ROWS as u64))]
+    steps: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    simulated: bool,
+    directory: String,
+    seed: u64,
+    files: Vec<FileReport>,
+    /// Smallest distance between two of the seven robots' centres, m.
+    closest_m: f64,
+    /// Share of steps in which the barriers changed what a robot wanted.
+    avoiding_share: f64,
+    /// Steps in which all robots stopped because the barriers left no way.
+    stopped_steps: usize,
+}
+
+#[derive(Debug, Serialize)]
+struct FileReport {
+    file: String,
+    robot: String,
+    rows: usize,
+    duration_s: f64,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    fs::create_dir_all(&args.directory)
+        .with_context(|| format!("{}: cannot be made", args.directory.display()))?;
+    let mut files = Vec::new();
+    let mut write = |trial: &Trial, stem: &str| -> anyhow::Result<()> {
+        let path = args.directory.join(format!("{stem}.npy"));
+        write_npy(trial, &path)?;
+        files.push(FileReport {
+            file: path.display().to_string(),
+            robot: trial.robot_name().unwrap_or_default().to_owned(),
+            rows: trial.rows(),
+            duration_s: trial.rows() as f64 * STEP_S,
+        });
+        Ok(())
+    };
+    for protocol in Protocol::ALL {
+        write(&protocol.trial(args.seed), &protocol.file_stem())?;
+    }
+    let steps = args.steps as usize;
+    let run = scenario::run(
+        joulebus_lab::plant::parts::Parts::default(),
+        args.seed,
+        steps,
+    );
+    for (trial, robot) in run.trials.iter().zip(1..) {
+        write(trial, &scenario::file_stem(robot))?;
+    }
+    output.report(&Report {
+        simulated: true,
+        directory: args.directory.display().to_string(),
+        seed: args.seed,
+        files,
+        closest_m: run.closest_m,
+        avoiding_share: run.solved_steps as f64 / steps as f64,
+        stopped_steps: run.stopped_steps,
+    })?;
+    Ok(Outcome::Done)
+}
+
+/// Writes a trial as the published array of float64; the file must not exist.
+fn write_npy(trial: &Trial, path: &Path) -> anyhow::Result<()> {
+    const HEADER_BYTES: usize = 128;
+    let dictionary = format!(
+        "{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 11), }}",
+        trial.rows()
+    );
+    let text_bytes = HEADER_BYTES - 10;
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((text_bytes as u16).to_le_bytes());
+    bytes.extend(format!("{dictionary:<width$}\n", width = text_bytes - 1).bytes());
+    let robot = trial.robot_name().and_then(|name| name.parse().ok());
+    for (row, time_s) in trial.timestamp_s().iter().enumerate() {
+        let first = [robot.unwrap_or(f64::NAN), *time_s];
+        let rest = Column::ALL.into_iter().take(9).map(|column| {
+            let value = trial.column(column).map_or(f64::NAN, |values| values[row]);
+            match column {
+                Column::Voltage | Column::Current | Column::Power => value * 1000.0,
+                _ => value,
+            }
+        });
+        for value in first.into_iter().chain(rest) {
+            bytes.extend(value.to_le_bytes());
+        }
+    }
+    let write = || -> std::io::Result<()> {
+        let mut file = BufWriter::new(File::create_new(path)?);
+        file.write_all(&bytes)?;
+        file.flush()
+    };
+    write().with_context(|| path.display().to_string())
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(out, "simulated, seed {}:", self.seed)?;
+        for file in &self.files {
+            let FileReport {
+                file,
+                robot,
+                rows,
+                duration_s,
+            } = file;
+            writeln!(
+                out,
+                "  {file}: robot {robot}, {rows} rows, {duration_s:.0} s"
+            )?;
+        }
+        writeln!(
+            out,
+            "the seven robots came no closer than {:.3} m; barriers changed the motion in {:.0} % of \
+             the steps, {} times all stopped",
+            self.closest_m,
+            100.0 * self.avoiding_share,
+            self.stopped_steps
+        )
+    }
+}
