@@ -36,10 +36,10 @@ pub(crate) fn network(path: Option<&Path>) -> anyhow::Result<(String, Network)> 
 pub(crate) fn rows(network: &Network, seed: u64, count: usize) -> Vec<Features> {
     let range = &network.card().training_range;
     let mut random = Pcg64Mcg::seed_from_u64(seed);
-    let first = network.feature_set().first();
+    let read = network.feature_set().range();
     let mut row = || {
         std::array::from_fn(|feature| {
-            if feature < first {
+            if !read.contains(&feature) {
                 return 0.0;
             }
             let (min, max) = (range.min[feature], range.max[feature]);

@@ -4,7 +4,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
-use joulebus_predictor::{FEATURES, Features, Kernel, Model, Network, Tiling};
+use joulebus_predictor::{Features, INPUTS, Kernel, Model, Network, Tiling};
 
 use crate::figure::robots;
 use crate::options::Options;
@@ -141,7 +141,7 @@ impl Case {
     fn new(network: &Network, way: Way, batch: usize, seed: u64) -> Self {
         let rows = input::rows(network, seed, batch);
         let column = |feature| rows.iter().map(|row| row[feature]).collect();
-        let columns = (0..FEATURES).map(column).collect();
+        let columns = (0..INPUTS).map(column).collect();
         let kernel = network.kernel();
         let network = network.clone();
         let tiled = match way {

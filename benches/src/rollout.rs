@@ -5,7 +5,9 @@ use std::ops::Range;
 use std::time::Instant;
 
 use anyhow::Context as _;
-use joulebus_predictor::{FEATURE_NAMES, Features, LAGS, Model, Network, RolloutStart, Rollouts};
+use joulebus_predictor::{
+    FEATURE_NAMES, FeatureSet, Features, Freshness, Model, Network, RolloutStart, Rollouts,
+};
 
 use crate::counted::collected;
 use crate::figure::grouped;
@@ -94,7 +96,8 @@ impl Work {
         let starts = input::rows(network, seed + 1, robots);
         let start = |row: &Features| RolloutStart {
             command: Some((row[0], row[1])),
-            lag_w: std::array::from_fn(|lag| row[row.len() - LAGS + lag]),
+            lag_w: std::array::from_fn(|lag| row[FeatureSet::PowerOnly.first() + lag]),
+            freshness: Freshness::UNKNOWN,
         };
         Self {
             model: Model::Network(network.clone()),

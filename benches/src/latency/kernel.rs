@@ -4,7 +4,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use hdrhistogram::Histogram;
-use joulebus_predictor::{FEATURES, Model, features};
+use joulebus_predictor::{Features, Model, features};
 use joulebus_predictor_worker::Spread;
 
 use crate::histogram;
@@ -12,7 +12,7 @@ use crate::histogram;
 /// Rows of features, and what the kernel makes of them.
 pub(super) struct Alone<'a> {
     model: &'a Model,
-    rows: Vec<[f32; FEATURES]>,
+    rows: Vec<Features>,
     forecasts_w: Vec<f32>,
     times: Histogram<u64>,
 }

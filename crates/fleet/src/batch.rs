@@ -1,6 +1,6 @@
 //! Rows on their way through a model.
 
-use joulebus_predictor::{FEATURES, Features, Model};
+use joulebus_predictor::{FEATURES, Features, INPUTS, Model};
 
 use crate::kind::Kind;
 use crate::slots::WORD;
@@ -15,7 +15,9 @@ pub struct Batch {
     /// Words of slots in a tile.
     pub(crate) words: usize,
     slots: Vec<u32>,
-    columns: [Vec<f32>; FEATURES],
+    columns: [Vec<f32>; INPUTS],
+    /// Whether the columns of freshness are filled too.
+    freshness: bool,
     forecasts_w: Vec<f32>,
     outside: Vec<bool>,
     /// Slots whose waiting sample comes after a gap.
@@ -41,6 +43,7 @@ impl Batch {
             words,
             slots: Vec::with_capacity(slots),
             columns: std::array::from_fn(|_| vec![0.0; slots]),
+            freshness: false,
             forecasts_w: vec![0.0; slots],
             outside: vec![false; slots],
             gaps: Vec::with_capacity(slots),
@@ -52,6 +55,14 @@ impl Batch {
         self.slots.clear();
     }
 
+    /// Empty, for rows of this platform.
+    pub(crate) fn begin(&mut self, kind: &Kind) {
+        self.clear();
+        self.gaps.clear();
+        self.overdue.clear();
+        self.freshness = kind.reads.needs_freshness();
+    }
+
     pub(crate) fn is_empty(&self) -> bool {
         self.slots.is_empty()
     }
@@ -60,8 +71,14 @@ impl Batch {
     #[inline]
     pub(crate) fn push(&mut self, slot: usize, row: &Features) {
         let at = self.slots.len();
-        for (column, value) in self.columns.iter_mut().zip(row) {
+        let (paper, more) = self.columns.split_at_mut(FEATURES);
+        for (column, value) in paper.iter_mut().zip(row) {
             column[at] = *value;
+        }
+        if self.freshness {
+            for (column, value) in more.iter_mut().zip(&row[FEATURES..]) {
+                column[at] = *value;
+            }
         }
         self.slots.push(slot as u32);
     }

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use joulebus_predictor::{FEATURES, FeatureSet, Features, Model};
+use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 
 use crate::Platform;
 
@@ -11,6 +11,8 @@ use crate::Platform;
 pub(crate) struct Kind {
     pub platform: Platform,
     pub model: Model,
+    /// What the model reads.
+    pub reads: FeatureSet,
     /// Standard deviation of the residuals in training, not below the monitor's resolution, W.
     pub sigma_w: f32,
     /// Sample periods that the model may run open loop.
@@ -48,6 +50,7 @@ impl Kind {
             longest_steps: (platform.stale_after_ns / platform.period_ns) as u16,
             overdue_after_ns: platform.period_ns + platform.period_ns / 2,
             trained,
+            reads: model.feature_set(),
             platform,
             model,
         }
@@ -56,10 +59,10 @@ impl Kind {
 
 impl Trained {
     /// Marks the rows, given as columns, that have a feature outside the range, or NaN.
-    pub(crate) fn mark_outside(&self, columns: &[Vec<f32>; FEATURES], outside: &mut [bool]) {
+    pub(crate) fn mark_outside(&self, columns: &[Vec<f32>; INPUTS], outside: &mut [bool]) {
         outside.fill(false);
-        let ends = self.lo.iter().zip(&self.hi);
-        for (column, (lo, hi)) in columns.iter().zip(ends).skip(self.feature_set.first()) {
+        for feature in self.feature_set.range() {
+            let (column, lo, hi) = (&columns[feature], &self.lo[feature], &self.hi[feature]);
             for (outside, value) in outside.iter_mut().zip(column) {
                 *outside |= !((*lo <= *value) & (*value <= *hi));
             }

@@ -45,3 +45,4 @@ pub use settings::{
 };
 pub use share::{Outputs, Share, Stage};
 pub use state::{FleetState, StateError};
+pub use window::missing_steps;

@@ -2,7 +2,7 @@
 //! platform share one batch. Robots do not see each other.
 
 use joulebus_predictor::Features;
-use joulebus_wire::{Alarm, Freshness, InvalidReason, Quality};
+use joulebus_wire::{Alarm, Freshness, InvalidReason, Quality, sample_flag};
 
 use crate::Settings;
 use crate::batch::Batch;
@@ -44,10 +44,8 @@ pub(crate) fn absorb(
         next: None,
         oldest_ns: u64::MAX,
     };
-    batch.clear();
-    batch.gaps.clear();
-    batch.overdue.clear();
     let its = &rules.kinds[usize::from(kind)];
+    batch.begin(its);
     for slot in slots(columns.words) {
         let gate = &mut columns.gates[slot];
         if gate.platform != kind {
@@ -192,6 +190,12 @@ fn step(
 ) {
     let (gate, window) = (&mut columns.gates[slot], &mut columns.windows[slot]);
     let last = &mut columns.lasts[slot];
+    let elapsed_ns = pending.stamp_ns.saturating_sub(gate.stamp_ns);
+    if pending.broken {
+        window.forget_freshness();
+    } else if elapsed_ns > kind.overdue_after_ns {
+        window.pass(missing_steps(elapsed_ns, kind.platform.period_ns));
+    }
     let forecast_w = window.close(gap);
     let reading_w = pending.reading_w();
     // Only forecasts one step ahead are scored: the ones over a gap are of another kind.
@@ -209,34 +213,43 @@ fn step(
     }
     columns.news[slot] = News::Absorbed(absorbed);
     last.residual_w = reading_w.map_or(f32::NAN, |reading_w| reading_w - forecast_w);
-    let elapsed_s = (pending.stamp_ns.saturating_sub(gate.stamp_ns) as f64 * 1e-9) as f32;
+    let elapsed_s = (elapsed_ns as f64 * 1e-9) as f32;
     last.accept(pending, elapsed_s);
     gate.accept(pending);
     match reading_w {
-        Some(reading_w) => window.read(reading_w),
+        Some(reading_w) => window.read(reading_w, !pending.has(sample_flag::HELD)),
         None => window.miss(kind.longest_steps),
     }
-    let row = window.next_row(elapsed_s, pending.command(), kind.model.needs_command());
-    last.quality = quality(pending, window, row.as_ref());
+    let row = window.next_row(elapsed_s, pending.command(), kind.reads);
+    last.quality = quality(kind, pending, window, row.as_ref());
     if let Some(row) = &row {
         batch.push(slot, row);
     }
 }
 
 /// As far as it depends on the sample.
-fn quality(pending: &Pending, window: &Window, row: Option<&Features>) -> Quality {
+fn quality(kind: &Kind, pending: &Pending, window: &Window, row: Option<&Features>) -> Quality {
     match (pending.freshness(), window.is_full()) {
         (Freshness::Missing, false) => Quality::Invalid(InvalidReason::NoReading),
         (_, false) => Quality::Warmup {
             have: window.have().into(),
         },
-        (_, true) if row.is_none() => Quality::Invalid(InvalidReason::NoCommand),
+        (_, true) if row.is_none() => Quality::Invalid(missing(kind, pending)),
         (Freshness::Missing, true) => Quality::OpenLoop {
             steps: window.unread_steps,
         },
         (Freshness::Held, true) => Quality::Held,
         (Freshness::Fresh, true) => Quality::Fresh,
     }
+}
+
+/// What keeps a full window from leading to a row.
+#[cold]
+fn missing(kind: &Kind, pending: &Pending) -> InvalidReason {
+    if kind.reads.needs_command() && pending.command().is_none() {
+        return InvalidReason::NoCommand;
+    }
+    InvalidReason::NoFreshness
 }
 
 /// Accounts for what was absorbed: ledger, scores, residuals, alarms.

@@ -18,7 +18,7 @@ pub(crate) use codes::{alarm_set, drop_counts, invalid_reason, quality, refusals
 
 /// First bytes of the encoded form. The last of them is its version: one more whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x02";
+const MAGIC: [u8; 8] = *b"jbstate\x03";
 
 /// Everything that a tick depends on but the settings and the models, bit for bit: who is in the
 /// fleet and where, windows, ledgers, intervals, scores, detectors, accounts of robots that have

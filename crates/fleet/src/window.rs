@@ -1,6 +1,6 @@
 //! The lag window of one robot: what the model sees next.
 
-use joulebus_predictor::{Features, LAGS, features};
+use joulebus_predictor::{FeatureSet, Features, Freshness, LAGS, features};
 use serde::{Deserialize, Serialize};
 
 use crate::StateError;
@@ -56,6 +56,9 @@ pub(crate) struct Window {
     /// Readings in the window.
     have: u8,
     commanded: bool,
+    /// Of the newest reading, after the last sample. It outlives an emptied window, for it knows of
+    /// no forecast: only of samples.
+    freshness: Freshness,
 }
 
 const _: () = assert!(size_of::<Window>() == 64);
@@ -70,6 +73,7 @@ impl Window {
         unread_steps: 0,
         have: 0,
         commanded: false,
+        freshness: Freshness::UNKNOWN,
     };
 
     /// Refuses a window that was never filled like this: of one that was written down.
@@ -142,7 +146,9 @@ impl Window {
         }
         self.open.push(forecast_w);
         self.open_steps += 1;
-        Some(self.row(&self.open, None))
+        let mut row = self.row(&self.open, None);
+        self.freshness.after(self.open_steps.into()).fill(&mut row);
+        Some(row)
     }
 
     /// The forecast for the row that [`Window::open_towards`] gave.
@@ -173,13 +179,27 @@ impl Window {
         self.closed.forecast_w
     }
 
-    /// Starts empty, as for a robot never seen before.
-    pub(crate) fn restart(&mut self) {
-        *self = Self::EMPTY;
+    /// Starts empty.
+    fn restart(&mut self) {
+        *self = Self {
+            freshness: self.freshness,
+            ..Self::EMPTY
+        };
     }
 
-    /// Takes a sample's reading, W: corrected mode.
-    pub(crate) fn read(&mut self, power_w: f32) {
+    /// What was measured before has nothing to do with what comes.
+    pub(crate) fn forget_freshness(&mut self) {
+        self.freshness = Freshness::UNKNOWN;
+    }
+
+    /// So many sample periods lie between the last sample and the one that now arrives.
+    pub(crate) fn pass(&mut self, missing_steps: u64) {
+        self.freshness.pass(missing_steps);
+    }
+
+    /// Takes a sample's reading, W, a new one or the last one again: corrected mode.
+    pub(crate) fn read(&mut self, power_w: f32, new: bool) {
+        self.freshness.read(new);
         self.closed.push(power_w);
         self.have = (self.have + 1).min(LAGS as u8);
         self.unread_steps = 0;
@@ -188,6 +208,7 @@ impl Window {
     /// Takes a sample without a reading: open loop, if there is a forecast to go on with and no
     /// more than `longest_steps` have gone by; otherwise the window starts empty.
     pub(crate) fn miss(&mut self, longest_steps: u16) {
+        self.freshness.pass(1);
         let forecast_w = self.closed.forecast_w;
         if !forecast_w.is_finite() || self.unread_steps >= longest_steps {
             self.restart();
@@ -198,12 +219,13 @@ impl Window {
     }
 
     /// Takes a sample's command, `elapsed_s` after the last one, and gives the row for the forecast
-    /// of the next reading, if the window is full and the command known or not `needed`.
+    /// of the next reading, if the window is full, and command and freshness are known where they
+    /// are `read`.
     pub(crate) fn next_row(
         &mut self,
         elapsed_s: f32,
         command: Option<(f32, f32)>,
-        needed: bool,
+        read: FeatureSet,
     ) -> Option<Features> {
         let previous = (self.commanded && elapsed_s > 0.0).then_some((
             self.v_mps,
@@ -212,8 +234,15 @@ impl Window {
         ));
         self.commanded = command.is_some();
         (self.v_mps, self.omega_radps) = command.unwrap_or((f32::NAN, f32::NAN));
-        let ready = self.is_full() && (self.commanded || !needed);
-        ready.then(|| self.row(&self.closed, previous))
+        let ready = self.is_full() && (self.commanded || !read.needs_command());
+        if !read.needs_freshness() {
+            return ready.then(|| self.row(&self.closed, previous));
+        }
+        (ready && self.freshness.is_known()).then(|| {
+            let mut row = self.row(&self.closed, previous);
+            self.freshness.fill(&mut row);
+            row
+        })
     }
 
     /// The forecast for the row that [`Window::next_row`] gave, W; NaN is none.
@@ -227,8 +256,9 @@ impl Window {
 }
 
 /// Sample periods that are missing when `elapsed_ns` lie between two samples: none until the next
-/// one is overdue by more than half a period.
-pub(crate) fn missing_steps(elapsed_ns: u64, period_ns: u64) -> u64 {
+/// one is overdue by more than half a period, of `period_ns`, which is not 0.
+#[must_use]
+pub fn missing_steps(elapsed_ns: u64, period_ns: u64) -> u64 {
     if elapsed_ns <= period_ns + period_ns / 2 {
         return 0;
     }
@@ -265,8 +295,8 @@ mod tests {
     fn full() -> Window {
         let mut window = Window::EMPTY;
         for step in 0..5u8 {
-            window.read(f32::from(step));
-            window.next_row(10e-9, Some((0.1, 0.0)), true);
+            window.read(f32::from(step), step % 3 == 0);
+            window.next_row(10e-9, Some((0.1, 0.0)), FeatureSet::Freshness);
         }
         window.forecast(4.5);
         window
@@ -274,7 +304,7 @@ mod tests {
 
     /// Stands in for the model: any function of the row will do.
     fn infer(row: &Features) -> f32 {
-        row[6] * 0.5 + row[7] * 0.25 + 1.0
+        row[6] * 0.5 + row[7] * 0.25 + 1.0 + row[12] * 0.125
     }
 
     fn open(window: &mut Window, steps: u16) {

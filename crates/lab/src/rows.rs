@@ -1,6 +1,7 @@
 //! Recorded samples as rows to learn from: what was known, and the reading that followed.
 
-use joulebus_predictor::{LAGS, features};
+use joulebus_fleet::missing_steps;
+use joulebus_predictor::{Freshness, LAGS, features};
 use joulebus_wire::{Sample, sample_flag};
 
 use crate::train::Row;
@@ -24,7 +25,7 @@ pub struct TrialRows {
 ///
 /// A gap of more than one and a half median periods empties the window, and so does a missing
 /// reading: a model learns from readings, never from its own forecasts. Velocities that were not
-/// recorded are NaN.
+/// recorded are NaN, and so is freshness until two measurements have been seen.
 #[must_use]
 pub fn trial_rows(trial: &Trial) -> TrialRows {
     // Only differences of time matter, but 0 means "never measured".
@@ -41,7 +42,9 @@ pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
     };
     let mut found = TrialRows::default();
     let mut have = 0;
+    let mut age = Age::default();
     for (at, sample) in samples.iter().enumerate() {
+        age.take(sample, period_ns);
         let before = at.checked_sub(1).map(|before| &samples[before]);
         have = match before {
             _ if !sample.has(sample_flag::POWER) => 0,
@@ -62,13 +65,56 @@ pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
             let elapsed_ns = sample.stamp_ns.saturating_sub(before.stamp_ns);
             Some((v_mps, omega_radps, (elapsed_ns as f64 * 1e-9) as f32))
         });
+        let mut features = features(v_mps, omega_radps, previous, &lag_w);
+        age.freshness.fill(&mut features);
         found.sample_seq.push(sample.seq);
         found.rows.push(Row {
-            features: features(v_mps, omega_radps, previous, &lag_w),
+            features,
             target_w: next.power_w,
         });
     }
     found
+}
+
+/// How fresh the newest reading is, as the tick finds it: gaps and missing readings go by the
+/// schedule, and a time that does not advance is not taken.
+struct Age {
+    freshness: Freshness,
+    /// Stamp of the last sample taken.
+    stamp_ns: Option<u64>,
+}
+
+impl Default for Age {
+    fn default() -> Self {
+        Self {
+            freshness: Freshness::UNKNOWN,
+            stamp_ns: None,
+        }
+    }
+}
+
+impl Age {
+    fn take(&mut self, sample: &Sample, period_ns: u64) {
+        if self
+            .stamp_ns
+            .is_some_and(|before_ns| sample.stamp_ns <= before_ns)
+        {
+            return;
+        }
+        let before_ns = self.stamp_ns.replace(sample.stamp_ns);
+        match before_ns {
+            _ if sample.has(sample_flag::DISCONTINUITY) => self.freshness = Freshness::UNKNOWN,
+            Some(before_ns) => {
+                let missing = missing_steps(sample.stamp_ns - before_ns, period_ns);
+                self.freshness.pass(missing);
+            }
+            None => {}
+        }
+        match sample.has(sample_flag::POWER) {
+            true => self.freshness.read(!sample.has(sample_flag::HELD)),
+            false => self.freshness.pass(1),
+        }
+    }
 }
 
 fn command(sample: &Sample) -> Option<(f32, f32)> {

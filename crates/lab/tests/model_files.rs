@@ -143,7 +143,7 @@ fn every_file_of_numpy_and_pytorch_gives_forecasts_within_1e5_w_of_theirs() {
     let (by_numpy, by_torch) = (expected("numpy_power_w"), expected("torch_power_w"));
     let rows: Vec<Features> = inputs
         .chunks(FEATURES)
-        .map(|row| std::array::from_fn(|feature| row[feature] as f32))
+        .map(|row| std::array::from_fn(|feature| row.get(feature).map_or(f32::NAN, |x| *x as f32)))
         .collect();
     for name in WHOLE {
         let found = found(name);
@@ -304,12 +304,40 @@ fn data_that_cannot_tell_conventions_apart_give_no_clear_choice() {
     }
 }
 
+/// The shipped network with two more inputs: how fresh the newest reading is.
+fn fresh() -> Network {
+    let plain = shipped();
+    let (mut parameters, mut card) = (plain.parameters().clone(), plain.card().clone());
+    parameters.feature_set = FeatureSet::Freshness;
+    card.training_range.feature_set = FeatureSet::Freshness;
+    let first = &mut parameters.layers[0].weights;
+    let wider = first
+        .chunks(FEATURES)
+        .enumerate()
+        .flat_map(|(output, row)| {
+            let more = [0.01 * output as f32, -0.3];
+            row.iter().copied().chain(more).collect::<Vec<f32>>()
+        });
+    *first = wider.collect();
+    for (feature, mean, std, max) in [(FEATURES, 1.0, 0.8, 2.0), (FEATURES + 1, 0.3, 0.5, 1.0)] {
+        parameters.normalisation.feature_mean[feature] = mean;
+        parameters.normalisation.feature_std[feature] = std;
+        card.training_range.max[feature] = max;
+    }
+    Network::new(parameters, card).expect("sound")
+}
+
 #[test]
 fn an_own_model_survives_export_as_arrays_with_the_same_hash_and_bytes() {
     let found = found("checkpoint.pt");
     let trial = recorded(&found, &FIXTURES, 600, true);
     let choice = chosen(&found, &trial, None).unwrap();
-    let network = choice.network();
+    for network in [choice.network(), &fresh()] {
+        survives_export(network);
+    }
+}
+
+fn survives_export(network: &Network) {
     let archive = to_npz(network).unwrap();
     assert_eq!(archive, to_npz(network).unwrap());
     let own = network.to_safetensors().unwrap();
@@ -339,13 +367,27 @@ fn an_own_model_survives_export_as_arrays_with_the_same_hash_and_bytes() {
         };
         tensor.values().to_vec()
     };
-    let rows = array("check_features");
-    assert_eq!(rows.len(), CHECK_ROWS * FEATURES);
-    for (row, forecast_w) in rows.chunks(FEATURES).zip(array("check_power_w")) {
-        let row: Features = std::array::from_fn(|feature| row[feature] as f32);
+    let (rows, inputs) = (array("check_features"), network.feature_set().inputs());
+    assert_eq!(rows.len(), CHECK_ROWS * inputs);
+    for (row, forecast_w) in rows.chunks(inputs).zip(array("check_power_w")) {
+        let value = |feature: usize| row.get(feature).map_or(f32::NAN, |value| *value as f32);
+        let row: Features = std::array::from_fn(value);
         let slow = network.predict_reference_f64(&row);
         assert!((slow - forecast_w).abs() < 1e-5, "{slow} {forecast_w}");
     }
+}
+
+#[test]
+fn a_network_of_another_program_is_not_taken_to_read_freshness() {
+    let mut arrays = to_arrays(&fresh()).unwrap();
+    arrays.retain(|(name, _)| name != "metadata");
+    let read = Checkpoint::from_arrays(&arrays).unwrap();
+    assert!(read.network.is_none());
+    let error = read.find(None).unwrap_err().to_string();
+    assert!(
+        error.contains("freshness comes as an own model only") && error.contains("64, 13"),
+        "{error}"
+    );
 }
 
 #[test]

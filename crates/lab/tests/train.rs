@@ -4,7 +4,7 @@ use joulebus_lab::train::{
     Dataset, Epoch, Row, Settings, SimulatedData, TrainError, Trained, Training,
     dataset_from_plant, scored, train, train_sim,
 };
-use joulebus_predictor::{FEATURES, FeatureSet, Kernel, Network, ResidualStats, Scores};
+use joulebus_predictor::{FEATURES, FeatureSet, Features, Kernel, Network, ResidualStats, Scores};
 use std::path::Path;
 
 /// The seed in the documented command.
@@ -335,7 +335,7 @@ fn a_row_pairs_the_command_and_readings_of_a_tick_with_the_next_reading() {
             .rev()
             .map(|reading| reading.power_w)
             .collect();
-        assert_eq!(row.features[6..], lag_w);
+        assert_eq!(row.features[6..FEATURES], lag_w);
     }
 }
 
@@ -360,7 +360,7 @@ fn the_models_that_ship_say_that_they_come_from_this_simulation() {
         assert_eq!(card.training_data, expected.description);
         assert_eq!(
             card.training_data_sha256,
-            expected.sha256(),
+            expected.sha256(feature_set),
             "{name} is older than the plant"
         );
         let (scores, residual) = scored(&network, &expected.held_out);
@@ -441,7 +441,7 @@ fn trained_weights_keep_every_kernel_within_3e_6_of_double_precision() {
     for name in ["gternal-sim.safetensors", "gternal-sim-power.safetensors"] {
         let network = shipped(name);
         let scale_w = f64::from(network.parameters().normalisation.power_std_w);
-        let inputs: Vec<[f32; FEATURES]> = rows.iter().map(|row| row.features).collect();
+        let inputs: Vec<Features> = rows.iter().map(|row| row.features).collect();
         for kernel in Kernel::ALL {
             let Some(network) = network.clone().with_kernel(kernel) else {
                 continue;

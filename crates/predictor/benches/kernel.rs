@@ -11,9 +11,9 @@
 )]
 
 use joulebus_predictor::{
-    Activation, Card, FEATURES, FeatureSet, Features, HIDDEN, Kernel, Layer, Model, Network,
-    Normalisation, Parameters, ResidualStats, RolloutStart, Rollouts, Scores, Tiling,
-    TrainingRange,
+    Activation, Card, FEATURES, FeatureSet, Features, Freshness, HIDDEN, INPUTS, Kernel, Layer,
+    Model, Network, Normalisation, Parameters, ResidualStats, RolloutStart, Rollouts, Scores,
+    Tiling, TrainingRange,
 };
 use std::hint::black_box;
 use std::time::Instant;
@@ -53,8 +53,8 @@ fn network(noise: &mut Noise) -> Network {
     let parameters = Parameters {
         feature_set: FeatureSet::Full,
         normalisation: Normalisation {
-            feature_mean: [0.0; FEATURES],
-            feature_std: [1.0; FEATURES],
+            feature_mean: [0.0; INPUTS],
+            feature_std: [1.0; INPUTS],
             power_mean_w: 3.65,
             power_std_w: 0.375,
         },
@@ -74,8 +74,8 @@ fn network(noise: &mut Noise) -> Network {
         seed: 0,
         training_range: TrainingRange {
             feature_set: FeatureSet::Full,
-            min: [-1.0; FEATURES],
-            max: [1.0; FEATURES],
+            min: [-1.0; INPUTS],
+            max: [1.0; INPUTS],
         },
         residual: ResidualStats {
             std_w: 0.1,
@@ -171,7 +171,7 @@ struct Cell {
 struct Bench {
     network: Network,
     rows: Vec<Features>,
-    columns: [Vec<f32>; FEATURES],
+    columns: [Vec<f32>; INPUTS],
     starts: Vec<RolloutStart>,
     commands: [Vec<f32>; 2],
     out_w: Vec<f32>,
@@ -228,7 +228,7 @@ fn main() {
     let mut noise = Noise(7);
     let network = network(&mut noise);
     let largest = BATCHES[BATCHES.len() - 1];
-    let columns: [Vec<f32>; FEATURES] = std::array::from_fn(|_| noise.column(largest));
+    let columns: [Vec<f32>; INPUTS] = std::array::from_fn(|_| noise.column(largest));
     let mut bench = Bench {
         network,
         rows: (0..largest)
@@ -238,6 +238,7 @@ fn main() {
         starts: vec![RolloutStart {
             command: None,
             lag_w: [3.65; 5],
+            freshness: Freshness::UNKNOWN,
         }],
         commands: std::array::from_fn(|_| noise.column(ROLLOUT.0 * ROLLOUT.1)),
         out_w: vec![0.0; largest],

@@ -1,16 +1,22 @@
 //! What the network is shown.
 
+use crate::Freshness;
+use std::ops::Range;
+
 /// Number of power readings in the lag window.
 pub const LAGS: usize = 5;
 
-/// Number of features of one row.
+/// Number of features that the paper's network reads: the first ones of a row.
 pub const FEATURES: usize = 11;
 
-/// One row of raw features in SI units, in the order of [`FEATURE_NAMES`].
-pub type Features = [f32; FEATURES];
+/// Number of features of one row: the paper's, and then the two of [`Freshness`].
+pub const INPUTS: usize = FEATURES + Freshness::FEATURES;
+
+/// One row of raw features in SI units, in the order of [`FEATURE_NAMES`]. What is not known is NaN.
+pub type Features = [f32; INPUTS];
 
 /// Name of each feature with its unit; the power readings come newest first.
-pub const FEATURE_NAMES: [&str; FEATURES] = [
+pub const FEATURE_NAMES: [&str; INPUTS] = [
     "v_mps",
     "omega_radps",
     "dv_mps2",
@@ -22,6 +28,8 @@ pub const FEATURE_NAMES: [&str; FEATURES] = [
     "power_lag3_w",
     "power_lag4_w",
     "power_lag5_w",
+    "reading_age_steps",
+    "reading_due",
 ];
 
 /// Builds the row for the forecast of the next reading.
@@ -30,6 +38,8 @@ pub const FEATURE_NAMES: [&str; FEATURES] = [
 /// the true time between the two in seconds, `lag_w` the last readings in watt, newest first.
 /// Without a previous command both derivatives are 0. A time step that is not positive makes both
 /// derivatives NaN, so that the forecast is visibly invalid instead of plausible and wrong.
+///
+/// The features of freshness are NaN: [`Freshness::fill`] sets them.
 pub fn features(
     v_mps: f32,
     omega_radps: f32,
@@ -57,30 +67,73 @@ pub fn features(
         lag3,
         lag4,
         lag5,
+        f32::NAN,
+        f32::NAN,
     ]
 }
 
 /// Which of the features a network reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeatureSet {
-    /// All eleven.
+    /// The paper's eleven.
     Full,
     /// The power readings alone: for robots whose velocities nobody knows.
     PowerOnly,
+    /// The paper's eleven, and how fresh the newest reading is.
+    Freshness,
+    /// The power readings, and how fresh the newest one is.
+    PowerFreshness,
 }
 
 impl FeatureSet {
-    /// Number of inputs of the network: 11 or 5.
+    /// All sets.
+    pub const ALL: [FeatureSet; 4] = [
+        FeatureSet::Full,
+        FeatureSet::PowerOnly,
+        FeatureSet::Freshness,
+        FeatureSet::PowerFreshness,
+    ];
+
+    /// The names used in model files, for messages.
+    pub(crate) const NAMES: &str = "full, power_only, freshness, power_freshness";
+
+    /// Number of inputs of the network: 5 to 13.
     pub const fn inputs(self) -> usize {
-        match self {
-            FeatureSet::Full => FEATURES,
-            FeatureSet::PowerOnly => LAGS,
+        self.end() - self.first()
+    }
+
+    /// Position in [`Features`] of the first feature that is read; all up to [`FeatureSet::end`]
+    /// are.
+    pub const fn first(self) -> usize {
+        if self.needs_command() {
+            0
+        } else {
+            FEATURES - LAGS
         }
     }
 
-    /// Position in [`Features`] of the first feature that is read; all that follow are read too.
-    pub const fn first(self) -> usize {
-        FEATURES - self.inputs()
+    /// Position in [`Features`] after the last feature that is read.
+    pub const fn end(self) -> usize {
+        if self.needs_freshness() {
+            INPUTS
+        } else {
+            FEATURES
+        }
+    }
+
+    /// Positions in [`Features`] of the features that are read.
+    pub const fn range(self) -> Range<usize> {
+        self.first()..self.end()
+    }
+
+    /// Whether velocities are read.
+    pub const fn needs_command(self) -> bool {
+        matches!(self, FeatureSet::Full | FeatureSet::Freshness)
+    }
+
+    /// Whether it is read how fresh the newest reading is.
+    pub const fn needs_freshness(self) -> bool {
+        matches!(self, FeatureSet::Freshness | FeatureSet::PowerFreshness)
     }
 
     /// The name used in model files.
@@ -88,13 +141,13 @@ impl FeatureSet {
         match self {
             FeatureSet::Full => "full",
             FeatureSet::PowerOnly => "power_only",
+            FeatureSet::Freshness => "freshness",
+            FeatureSet::PowerFreshness => "power_freshness",
         }
     }
 
     /// The set with this name, if there is one.
     pub fn from_name(name: &str) -> Option<FeatureSet> {
-        [FeatureSet::Full, FeatureSet::PowerOnly]
-            .into_iter()
-            .find(|set| set.name() == name)
+        FeatureSet::ALL.into_iter().find(|set| set.name() == name)
     }
 }

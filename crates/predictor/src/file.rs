@@ -6,7 +6,7 @@
 use crate::model::leading_u64;
 use crate::network::layer_sizes;
 use crate::{
-    Activation, Card, FEATURE_NAMES, FEATURES, FeatureSet, Features, Layer, ModelError,
+    Activation, Card, FEATURE_NAMES, FeatureSet, Features, INPUTS, Layer, ModelError,
     Normalisation, Parameters, ResidualStats, Scores, TrainingRange,
 };
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -19,6 +19,9 @@ const VERSION: &str = "1";
 const KIND: &str = "network";
 const CONVENTION: &str = "command in force and the readings up to now, newest first, forecast the \
                           next reading; derivatives over the true time step";
+const FRESHNESS_CONVENTION: &str = "; reading_age_steps: samples since the newest reading was measured, \
+                                    up to 30; reading_due: 1 if a new one is due with the next \
+                                    sample by the interval learned from the stream, else 0";
 const MAX_BYTES: usize = 1 << 20;
 
 type Fields = BTreeMap<&'static str, String>;
@@ -29,6 +32,15 @@ pub(crate) fn weight_name(layer: usize) -> String {
 
 pub(crate) fn bias_name(layer: usize) -> String {
     format!("layers.{layer}.bias")
+}
+
+/// What the features of a set mean; that of the paper's is the same as ever.
+fn convention(set: FeatureSet) -> String {
+    let more = match set.needs_freshness() {
+        true => FRESHNESS_CONVENTION,
+        false => "",
+    };
+    format!("{CONVENTION}{more}")
 }
 
 /// First eight bytes of the SHA-256 that the model file carries.
@@ -99,11 +111,11 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, Card), ModelError> {
     let activation_name = metadata.text("activation")?;
     let activation = Activation::from_name(activation_name)
         .ok_or_else(|| ModelError::field("activation", &activation_name, "gelu_erf, gelu_tanh"))?;
-    metadata.must_be("convention", CONVENTION)?;
     let set_name = metadata.text("feature_set")?;
     let feature_set = FeatureSet::from_name(set_name)
-        .ok_or_else(|| ModelError::field("feature_set", &set_name, "full, power_only"))?;
-    metadata.must_be("features", &FEATURE_NAMES[feature_set.first()..].join(","))?;
+        .ok_or_else(|| ModelError::field("feature_set", &set_name, FeatureSet::NAMES))?;
+    metadata.must_be("convention", &convention(feature_set))?;
+    metadata.must_be("features", &FEATURE_NAMES[feature_set.range()].join(","))?;
 
     let parameters = Parameters {
         feature_set,
@@ -150,7 +162,7 @@ fn fields(parameters: &Parameters, card: &Card) -> Fields {
     let set = parameters.feature_set;
     let normalisation = &parameters.normalisation;
     let list = |values: &Features| {
-        let texts: Vec<String> = values[set.first()..].iter().map(f32::to_string).collect();
+        let texts: Vec<String> = values[set.range()].iter().map(f32::to_string).collect();
         texts.join(",")
     };
     BTreeMap::from([
@@ -158,9 +170,9 @@ fn fields(parameters: &Parameters, card: &Card) -> Fields {
         ("format_version", VERSION.to_owned()),
         ("kind", KIND.to_owned()),
         ("activation", parameters.activation.name().to_owned()),
-        ("convention", CONVENTION.to_owned()),
+        ("convention", convention(set)),
         ("feature_set", set.name().to_owned()),
-        ("features", FEATURE_NAMES[set.first()..].join(",")),
+        ("features", FEATURE_NAMES[set.range()].join(",")),
         ("feature_mean", list(&normalisation.feature_mean)),
         ("feature_std", list(&normalisation.feature_std)),
         ("power_mean_w", normalisation.power_mean_w.to_string()),
@@ -302,8 +314,8 @@ impl Metadata<'_> {
             let found = format!("{} numbers", numbers.len());
             return Err(ModelError::field(field, &found, allowed()));
         }
-        let mut features = [0.0; FEATURES];
-        features[set.first()..].copy_from_slice(&numbers);
+        let mut features = [0.0; INPUTS];
+        features[set.range()].copy_from_slice(&numbers);
         Ok(features)
     }
 }

@@ -4,6 +4,7 @@
 //! watt go out.
 //!
 //! - [`features`](features()) builds one row of inputs in SI units.
+//! - [`Freshness`] is how old the newest reading is and when the next one is due.
 //! - [`Model::predict`] turns any number of rows into as many forecasts, and
 //!   [`Model::predict_columns`] does so from one column for each feature.
 //! - [`Model::rollout`] feeds a model with its own forecasts: what would these commands cost?
@@ -19,6 +20,7 @@
 mod error;
 mod features;
 mod file;
+mod freshness;
 mod gelu;
 mod kernel;
 mod model;
@@ -26,7 +28,8 @@ mod network;
 mod rollout;
 
 pub use error::{ModelError, RolloutError};
-pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, LAGS, features};
+pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, features};
+pub use freshness::Freshness;
 pub use gelu::Activation;
 pub use kernel::{Kernel, Tiling};
 pub use model::{Model, Persistence, ResidualStats, TrainingRange};

@@ -1,6 +1,6 @@
 //! A model as the tick sees it: the network or a baseline.
 
-use crate::{FEATURE_NAMES, FEATURES, FeatureSet, Features, ModelError, Network};
+use crate::{FEATURE_NAMES, FeatureSet, Features, INPUTS, ModelError, Network};
 use sha2::{Digest, Sha256};
 
 /// How far a model's forecasts were off on data that it was not trained on.
@@ -53,7 +53,7 @@ impl TrainingRange {
     /// Position of the first feature that the model reads and that lies outside the range, or is
     /// NaN; `None` if all lie inside. `margin` widens each side by that share of the range's width.
     pub fn outside(&self, row: &Features, margin: f32) -> Option<usize> {
-        (self.feature_set.first()..FEATURES).find(|&index| {
+        self.feature_set.range().find(|&index| {
             let slack = margin * (self.max[index] - self.min[index]);
             let inside =
                 self.min[index] - slack <= row[index] && row[index] <= self.max[index] + slack;
@@ -103,13 +103,24 @@ pub enum Model {
 }
 
 impl Model {
+    /// The features that are read.
+    pub fn feature_set(&self) -> FeatureSet {
+        match self {
+            Model::Network(network) => network.feature_set(),
+            Model::Persistence(_) => FeatureSet::PowerOnly,
+        }
+    }
+
     /// Whether forecasts need velocities. Without them, a model for which this is `true` forecasts
     /// NaN, never a number made up from zeros.
     pub fn needs_command(&self) -> bool {
-        match self {
-            Model::Network(network) => network.feature_set() == FeatureSet::Full,
-            Model::Persistence(_) => false,
-        }
+        self.feature_set().needs_command()
+    }
+
+    /// Whether forecasts need to know how fresh the newest reading is. Without it, a model for which
+    /// this is `true` forecasts NaN.
+    pub fn needs_freshness(&self) -> bool {
+        self.feature_set().needs_freshness()
     }
 
     /// Forecasts one reading in watt for each row. Rows past the shorter of the two slices are left
@@ -130,19 +141,16 @@ impl Model {
     /// As [`Model::predict`], with one column for each feature, in the order of [`Features`]:
     /// `features[f][i]` is feature `f` of row `i`. The same bits.
     ///
-    /// Columns of features that the model does not read ([`Model::needs_command`]) may be empty.
+    /// Columns of features that the model does not read ([`Model::feature_set`]) may be empty.
     ///
     /// # Panics
     /// If a column that is read, or is not empty, has another length than `forecasts_w`.
-    pub fn predict_columns(&self, features: [&[f32]; FEATURES], forecasts_w: &mut [f32]) {
+    pub fn predict_columns(&self, features: [&[f32]; INPUTS], forecasts_w: &mut [f32]) {
         let count = forecasts_w.len();
-        let first_read = match self {
-            Model::Network(network) => network.feature_set().first(),
-            Model::Persistence(_) => FeatureSet::PowerOnly.first(),
-        };
+        let read = self.feature_set().range();
         for (feature, column) in features.iter().enumerate() {
             assert!(
-                column.len() == count || (column.is_empty() && feature < first_read),
+                column.len() == count || (column.is_empty() && !read.contains(&feature)),
                 "column {} has {} values, allowed: {count}, as many as forecasts_w",
                 FEATURE_NAMES[feature],
                 column.len(),
@@ -150,7 +158,7 @@ impl Model {
         }
         match self {
             Model::Network(network) => network.predict_columns(&features, forecasts_w),
-            Model::Persistence(_) => forecasts_w.copy_from_slice(features[first_read]),
+            Model::Persistence(_) => forecasts_w.copy_from_slice(features[read.start]),
         }
     }
 

@@ -3,7 +3,7 @@
 use crate::file;
 use crate::kernel::{Engine, Kernel, LINE, Packed, Tiling, fold, pairwise};
 use crate::{
-    Activation, FEATURE_NAMES, FEATURES, FeatureSet, Features, ModelError, ResidualStats, Rollouts,
+    Activation, FEATURE_NAMES, FeatureSet, Features, INPUTS, ModelError, ResidualStats, Rollouts,
     TrainingRange,
 };
 
@@ -164,7 +164,7 @@ impl Network {
     }
 
     /// Columns have the length of `out_w`; those that are not read may be empty.
-    pub(crate) fn predict_columns(&self, columns: &[&[f32]; FEATURES], out_w: &mut [f32]) {
+    pub(crate) fn predict_columns(&self, columns: &[&[f32]; INPUTS], out_w: &mut [f32]) {
         self.engine
             .columns(&self.packed, self.tiling, columns, out_w);
     }
@@ -191,7 +191,7 @@ impl Network {
     /// compilers disagree on its sign and payload, so this is what lets bits be compared.
     pub fn predict_reference_f32(&self, row: &Features) -> f32 {
         let [hidden @ .., last] = fold(&self.parameters);
-        let mut values = row[self.feature_set().first()..].to_vec();
+        let mut values = row[self.feature_set().range()].to_vec();
         for layer in &hidden {
             let rows = layer.weights.chunks(values.len()).zip(&layer.bias);
             let sums = rows.map(|(weights, &bias)| {
@@ -222,9 +222,7 @@ impl Network {
             let inverse = if std > 0.0 { 1.0 / std } else { 0.0 };
             (f64::from(row[i]) - f64::from(feature_mean[i])) * inverse
         };
-        let mut values: Vec<f64> = (self.feature_set().first()..FEATURES)
-            .map(normalised)
-            .collect();
+        let mut values: Vec<f64> = self.feature_set().range().map(normalised).collect();
         for (number, layer) in self.parameters.layers.iter().enumerate() {
             let hidden = number < HIDDEN.len();
             let dense = |(weights, &bias): (&[f32], &f32)| {
@@ -276,7 +274,7 @@ fn check_parameters(parameters: &Parameters) -> Result<(), ModelError> {
         power_mean_w,
         power_std_w,
     } = parameters.normalisation;
-    for i in parameters.feature_set.first()..FEATURES {
+    for i in parameters.feature_set.range() {
         if !feature_mean[i].is_finite() {
             let field = format!("feature_mean of {}", FEATURE_NAMES[i]);
             return Err(ModelError::field(field, &feature_mean[i], "finite numbers"));
@@ -356,7 +354,7 @@ fn check_card(card: &Card, feature_set: FeatureSet) -> Result<(), ModelError> {
             allowed,
         ));
     }
-    for i in feature_set.first()..FEATURES {
+    for i in feature_set.range() {
         let ordered = min[i].is_finite() && max[i].is_finite() && min[i] <= max[i];
         if !ordered {
             let field = format!("training range of {}", FEATURE_NAMES[i]);

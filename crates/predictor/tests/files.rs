@@ -4,7 +4,7 @@
 #[allow(dead_code)] // Each test file uses its part.
 mod random;
 
-use joulebus_predictor::{Activation, FEATURES, FeatureSet, ModelError, Network};
+use joulebus_predictor::{Activation, FeatureSet, INPUTS, ModelError, Network};
 use random::{Noise, card, network, parameters};
 use safetensors::SafeTensors;
 use sha2::{Digest, Sha256};
@@ -22,7 +22,7 @@ fn header_end(bytes: &[u8]) -> usize {
 
 #[test]
 fn a_network_survives_its_file_bit_for_bit() {
-    for feature_set in [FeatureSet::Full, FeatureSet::PowerOnly] {
+    for feature_set in FeatureSet::ALL {
         let original = network(1, feature_set);
         let bytes = written(feature_set);
         let read = Network::from_safetensors(&bytes).expect("own files are read");
@@ -133,7 +133,11 @@ fn forged(
 type Contents = (BTreeMap<String, String>, Vec<(String, Vec<usize>, Vec<u8>)>);
 
 fn contents() -> Contents {
-    let bytes = written(FeatureSet::Full);
+    contents_of(FeatureSet::Full)
+}
+
+fn contents_of(set: FeatureSet) -> Contents {
+    let bytes = written(set);
     let (_, header) = SafeTensors::read_metadata(&bytes).expect("own files are safetensors");
     let metadata = header
         .metadata()
@@ -161,7 +165,7 @@ fn a_forged_file_with_sound_contents_is_accepted_so_that_the_refusals_below_mean
 
 #[test]
 fn the_form_of_gelu_survives_the_file_and_changes_hash_and_forecast() {
-    let row = [0.3; FEATURES];
+    let row = [0.3; INPUTS];
     let mut parameters = parameters(&mut Noise(31), FeatureSet::Full);
     let seen = [Activation::GeluErf, Activation::GeluTanh].map(|activation| {
         parameters.activation = activation;
@@ -227,6 +231,44 @@ fn wrong_metadata_is_refused_by_name() {
         let named =
             matches!(error, Some(ModelError::MissingField { field: named }) if named == field);
         assert!(named, "{field}: {error:?}");
+    }
+}
+
+#[test]
+fn a_file_says_which_features_are_read_and_what_those_of_freshness_mean() {
+    let of = |set| contents_of(set).0;
+    let (paper, fresh) = (of(FeatureSet::Full), of(FeatureSet::Freshness));
+    assert_eq!(paper["feature_set"], "full");
+    assert_eq!(fresh["feature_set"], "freshness");
+    let more = fresh["features"].strip_prefix(&paper["features"]);
+    assert_eq!(more, Some(",reading_age_steps,reading_due"));
+    let more = fresh["convention"].strip_prefix(&paper["convention"]);
+    assert!(
+        more.is_some_and(|more| more.contains("interval learned")),
+        "{more:?}"
+    );
+    assert!(!of(FeatureSet::PowerOnly)["convention"].contains("reading_due"));
+
+    // A set whose list of features, meaning or weights are those of another one is refused.
+    for (set, other) in [
+        (FeatureSet::Full, FeatureSet::Freshness),
+        (FeatureSet::Freshness, FeatureSet::Full),
+        (FeatureSet::PowerFreshness, FeatureSet::PowerOnly),
+    ] {
+        let (metadata, tensors) = contents_of(set);
+        for field in ["feature_set", "features", "feature_mean"] {
+            let mut metadata = metadata.clone();
+            metadata.insert(field.to_owned(), of(other)[field].clone());
+            let error = Network::from_safetensors(&forged(&metadata, &tensors)).err();
+            assert!(matches!(error, Some(ModelError::Field { .. })), "{error:?}");
+        }
+        let error = Network::from_safetensors(&forged(&of(other), &tensors)).err();
+        let text = error.expect("refused").to_string();
+        let width = |set: FeatureSet| format!("F32 [64, {}]", set.inputs());
+        assert!(
+            text.contains(&width(set)) && text.contains(&width(other)),
+            "{text}"
+        );
     }
 }
 

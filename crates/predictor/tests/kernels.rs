@@ -5,14 +5,14 @@
 mod random;
 
 use joulebus_predictor::{
-    FEATURES, FeatureSet, Features, Kernel, Model, Network, Persistence, ResidualStats, Tiling,
-    features,
+    FEATURES, FeatureSet, Features, Freshness, INPUTS, Kernel, Model, Network, Persistence,
+    ResidualStats, Tiling, features,
 };
 use proptest::prelude::*;
 use random::{Noise, network, row};
 use std::path::Path;
 
-const SETS: [FeatureSet; 2] = [FeatureSet::Full, FeatureSet::PowerOnly];
+const SETS: [FeatureSet; 4] = FeatureSet::ALL;
 
 /// The network on every kernel that this CPU has, in every tiling.
 fn kernels(network: &Network) -> Vec<Network> {
@@ -116,7 +116,7 @@ proptest! {
     #[test]
     fn any_rows_give_the_reference_bits_on_every_kernel(
         seed in 0u64..50,
-        rows in prop::collection::vec(prop::array::uniform11(value()), 0..70),
+        rows in prop::collection::vec(prop::array::uniform13(value()), 0..70),
     ) {
         for set in SETS {
             let network = network(seed, set);
@@ -131,7 +131,7 @@ proptest! {
     fn a_poisoned_row_is_visible_and_changes_no_other_row(
         count in 1usize..70,
         position in any::<prop::sample::Index>(),
-        feature in 0usize..FEATURES,
+        feature in 0usize..INPUTS,
         poison in prop::sample::select(vec![f32::NAN, f32::INFINITY, f32::NEG_INFINITY]),
     ) {
         let mut noise = Noise(4);
@@ -144,7 +144,7 @@ proptest! {
                 let expected = batched(&network, &clean);
                 let found = batched(&network, &poisoned);
                 for (index, (found, expected)) in found.iter().zip(&expected).enumerate() {
-                    if index == position && feature >= set.first() {
+                    if index == position && set.range().contains(&feature) {
                         prop_assert!(!f32::from_bits(*found).is_finite());
                     } else {
                         prop_assert_eq!(found, expected);
@@ -231,24 +231,37 @@ fn a_constant_feature_is_ignored() {
 }
 
 #[test]
-fn only_the_full_network_needs_velocities() {
-    let mut without = row(&mut Noise(8));
-    without[..6].fill(f32::NAN);
+fn a_network_that_needs_velocities_or_freshness_forecasts_nan_without_them() {
+    let mut no_velocities = row(&mut Noise(8));
+    no_velocities[..6].fill(f32::NAN);
+    let mut no_freshness = row(&mut Noise(8));
+    Freshness::UNKNOWN.fill(&mut no_freshness);
     let residual = ResidualStats {
         std_w: 0.1,
         q05_w: -0.2,
         q95_w: 0.2,
     };
     let persistence = Persistence::new(residual).expect("valid");
-    for (model, needs) in [
-        (Model::Network(network(9, FeatureSet::Full)), true),
-        (Model::Network(network(9, FeatureSet::PowerOnly)), false),
-        (Model::Persistence(persistence), false),
+    let network = |set| Model::Network(network(9, set));
+    for (model, command, freshness) in [
+        (network(FeatureSet::Full), true, false),
+        (network(FeatureSet::PowerOnly), false, false),
+        (network(FeatureSet::Freshness), true, true),
+        (network(FeatureSet::PowerFreshness), false, true),
+        (Model::Persistence(persistence), false, false),
     ] {
-        let mut out_w = [0.0];
-        model.predict(&[without], &mut out_w);
-        assert_eq!(model.needs_command(), needs);
-        assert_eq!(out_w[0].is_nan(), needs, "{}", model.name());
+        let mut out_w = [0.0; 2];
+        model.predict(&[no_velocities, no_freshness], &mut out_w);
+        assert_eq!(
+            (model.needs_command(), model.needs_freshness()),
+            (command, freshness)
+        );
+        assert_eq!(
+            out_w.map(f32::is_nan),
+            [command, freshness],
+            "{}",
+            model.name()
+        );
     }
 }
 
@@ -289,13 +302,14 @@ fn persistence_repeats_the_newest_reading_and_refuses_bad_residuals() {
 fn features_are_differences_over_the_true_time_step() {
     let lag_w = [5.0, 4.0, 3.0, 2.0, 1.0];
     let first = features(-0.1, 2.0, None, &lag_w);
+    assert!(first[FEATURES..].iter().all(|value| value.is_nan()));
     assert_eq!(
-        first,
+        first[..FEATURES],
         [-0.1, 2.0, 0.0, 0.0, 0.1, 2.0, 5.0, 4.0, 3.0, 2.0, 1.0]
     );
     let next = features(0.15, -1.0, Some((-0.1, 2.0, 0.5)), &lag_w);
     assert_eq!(
-        next,
+        next[..FEATURES],
         [0.15, -1.0, 0.5, -6.0, 0.15, 1.0, 5.0, 4.0, 3.0, 2.0, 1.0]
     );
     for dt_s in [0.0, -0.1, f32::NAN] {
@@ -308,7 +322,7 @@ fn features_are_differences_over_the_true_time_step() {
 fn the_training_range_names_the_first_feature_outside() {
     let network = network(9, FeatureSet::PowerOnly);
     let range = network.card().training_range;
-    let mut row = [0.0; FEATURES];
+    let mut row = [0.0; INPUTS];
     row[0] = f32::NAN;
     assert_eq!(
         range.outside(&row, 0.0),

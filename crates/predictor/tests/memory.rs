@@ -5,7 +5,7 @@
 mod random;
 
 use joulebus_predictor::{
-    FEATURES, FeatureSet, Features, Kernel, Model, Network, RolloutStart, Rollouts, Tiling,
+    FeatureSet, Features, Freshness, INPUTS, Kernel, Model, Network, RolloutStart, Rollouts, Tiling,
 };
 use random::{Noise, network, row};
 
@@ -36,7 +36,7 @@ fn bits(values: &[f32]) -> Vec<u32> {
 #[test]
 fn rows_of_every_length_and_alignment_give_the_reference_bits_and_touch_nothing_else() {
     let mut noise = Noise(41);
-    for network in networks(42, FeatureSet::Full) {
+    for network in networks(42, FeatureSet::Full).chain(networks(42, FeatureSet::Freshness)) {
         for count in batches(network.kernel()) {
             let rows: Vec<Features> = (0..count + 1).map(|_| row(&mut noise)).collect();
             let expected = expected(&network, &rows[1..]);
@@ -54,18 +54,18 @@ fn rows_of_every_length_and_alignment_give_the_reference_bits_and_touch_nothing_
 #[test]
 fn columns_of_every_length_and_alignment_give_the_reference_bits() {
     let mut noise = Noise(43);
-    for set in [FeatureSet::Full, FeatureSet::PowerOnly] {
+    for set in FeatureSet::ALL {
         for network in networks(44, set) {
             for count in batches(network.kernel()) {
                 let rows: Vec<Features> = (0..count).map(|_| row(&mut noise)).collect();
                 // Column f starts f + 1 places into its memory, and ends with it.
-                let columns: [Vec<f32>; FEATURES] = std::array::from_fn(|feature| {
+                let columns: [Vec<f32>; INPUTS] = std::array::from_fn(|feature| {
                     let values = rows.iter().map(|row| row[feature]);
                     vec![-1.0; feature + 1].into_iter().chain(values).collect()
                 });
-                let columns = std::array::from_fn(|feature| match feature < set.first() {
-                    true => &[][..],
-                    false => &columns[feature][feature + 1..],
+                let columns = std::array::from_fn(|feature| match set.range().contains(&feature) {
+                    true => &columns[feature][feature + 1..],
+                    false => &[][..],
                 });
                 let expected = expected(&network, &rows);
                 let mut out_w = vec![-1.0; count];
@@ -86,6 +86,7 @@ fn parts_of_rollouts_write_their_own_places_and_all_of_them() {
     let starts = [RolloutStart {
         command: None,
         lag_w: [0.5; 5],
+        freshness: known(),
     }];
     let [v_mps, omega_radps] = [(); 2]
         .map(|()| -> Vec<f32> { (0..candidates * steps).map(|_| noise.next_f32()).collect() });
@@ -97,13 +98,28 @@ fn parts_of_rollouts_write_their_own_places_and_all_of_them() {
         v_mps: &v_mps,
         omega_radps: &omega_radps,
     };
+    for set in [FeatureSet::Full, FeatureSet::Freshness] {
+        run_parts(set, &rollouts);
+    }
+}
+
+fn known() -> Freshness {
+    let mut freshness = Freshness::UNKNOWN;
+    [true, false, false, true]
+        .into_iter()
+        .for_each(|new| freshness.read(new));
+    freshness
+}
+
+fn run_parts(set: FeatureSet, rollouts: &Rollouts<'_>) {
+    let (candidates, steps) = (rollouts.candidates, rollouts.steps);
     let mut seen: Option<Vec<u32>> = None;
-    for network in networks(46, FeatureSet::Full) {
+    for network in networks(46, set) {
         let model = Model::Network(network);
         let count = candidates - 1;
         let mut energy_j = vec![-1.0; count];
         let mut power_w = vec![-1.0; count * steps];
-        let run = model.rollout(&rollouts, 1..candidates, &mut energy_j, Some(&mut power_w));
+        let run = model.rollout(rollouts, 1..candidates, &mut energy_j, Some(&mut power_w));
         run.expect("the shapes fit");
         energy_j.extend(power_w);
         assert!(energy_j.iter().all(|value| *value != -1.0));

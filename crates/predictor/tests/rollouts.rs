@@ -5,13 +5,13 @@
 mod random;
 
 use joulebus_predictor::{
-    FEATURES, FeatureSet, Features, Kernel, LAGS, Model, Network, Persistence, ResidualStats,
-    RolloutError, RolloutStart, Rollouts, features,
+    FEATURES, FeatureSet, Features, Freshness, INPUTS, Kernel, LAGS, Model, Network, Persistence,
+    ResidualStats, RolloutError, RolloutStart, Rollouts, features,
 };
 use proptest::prelude::*;
 use random::{Noise, network, row};
 
-const SETS: [FeatureSet; 2] = [FeatureSet::Full, FeatureSet::PowerOnly];
+const SETS: [FeatureSet; 4] = FeatureSet::ALL;
 
 fn persistence() -> Model {
     let residual = ResidualStats {
@@ -42,7 +42,7 @@ fn bits(values: &[f32]) -> Vec<u32> {
     values.iter().map(|value| value.to_bits()).collect()
 }
 
-fn columns(rows: &[Features]) -> [Vec<f32>; FEATURES] {
+fn columns(rows: &[Features]) -> [Vec<f32>; INPUTS] {
     std::array::from_fn(|feature| rows.iter().map(|row| row[feature]).collect())
 }
 
@@ -58,6 +58,9 @@ fn columns_give_the_bits_of_rows_for_every_batch_size() {
             if !model.needs_command() {
                 columns[..6].fill(Vec::new());
             }
+            if !model.needs_freshness() {
+                columns[FEATURES..].fill(Vec::new());
+            }
             let mut by_columns = vec![-1.0; count];
             model.predict_columns(columns.each_ref().map(Vec::as_slice), &mut by_columns);
             assert_eq!(bits(&by_columns), bits(&by_rows), "{count}");
@@ -69,9 +72,22 @@ fn columns_give_the_bits_of_rows_for_every_batch_size() {
 #[should_panic(expected = "power_lag2_w has 3 values, allowed: 4")]
 fn a_column_of_another_length_is_refused() {
     let four = [1.0; 4];
-    let mut columns = [&four[..]; FEATURES];
+    let mut columns = [&four[..]; INPUTS];
     columns[7] = &four[..3];
     models(20)[1].predict_columns(columns, &mut [0.0; 4]);
+}
+
+/// That of a robot with a monitor of any rate, at any time; of one in eight nothing is known.
+fn freshness(noise: &mut Noise) -> Freshness {
+    let mut freshness = Freshness::UNKNOWN;
+    if noise.next_u64().is_multiple_of(8) {
+        return freshness;
+    }
+    let interval = 1 + noise.next_u64() % 6;
+    for sample in 0..=interval + noise.next_u64() % 8 {
+        freshness.read(sample % interval == 0);
+    }
+    freshness
 }
 
 /// Everything a rollout is given, owned.
@@ -92,6 +108,7 @@ impl Scene {
                 .map(|robot| RolloutStart {
                     command: (robot % 3 != 2).then(|| (noise.next_f32(), noise.next_f32())),
                     lag_w: std::array::from_fn(|_| noise.next_f32()),
+                    freshness: freshness(noise),
                 })
                 .collect(),
             candidates,
@@ -126,6 +143,7 @@ fn by_hand(model: &Model, scene: &Scene) -> (Vec<f32>, Vec<f32>) {
     for lane in 0..lanes {
         let start = scene.starts[lane / scene.candidates];
         let (mut window_w, mut before) = (start.lag_w.to_vec(), start.command);
+        let mut freshness = start.freshness;
         let mut total = 0.0f64;
         for step in 0..scene.steps {
             let (v, omega) = (
@@ -133,13 +151,15 @@ fn by_hand(model: &Model, scene: &Scene) -> (Vec<f32>, Vec<f32>) {
                 scene.omega_radps[step * lanes + lane],
             );
             let lag_w: [f32; LAGS] = std::array::from_fn(|lag| window_w[lag]);
-            let row = features(v, omega, before.map(|(v, w)| (v, w, step_s)), &lag_w);
+            let mut row = features(v, omega, before.map(|(v, w)| (v, w, step_s)), &lag_w);
+            freshness.fill(&mut row);
             let mut forecast_w = [0.0];
             model.predict(&[row], &mut forecast_w);
             power_w[step * lanes + lane] = forecast_w[0];
             total += f64::from(forecast_w[0]);
             window_w.insert(0, forecast_w[0]);
             before = Some((v, omega));
+            freshness.pass(1);
         }
         energy_j[lane] = (total * f64::from(step_s)) as f32;
     }

@@ -178,12 +178,14 @@ pub enum InvalidReason {
     NoReading,
     /// The model's output is not finite.
     ModelOutput,
+    /// The model needs to know how fresh readings are, and two new ones have not come yet.
+    NoFreshness,
     /// Written by something newer than this reader.
     Unknown,
 }
 
 impl InvalidReason {
-    const ALL: [Self; 9] = [
+    const ALL: [Self; 10] = [
         Self::Stale,
         Self::NotFinite,
         Self::PowerOutOfRange,
@@ -193,6 +195,7 @@ impl InvalidReason {
         Self::NoCommand,
         Self::NoReading,
         Self::ModelOutput,
+        Self::NoFreshness,
     ];
 
     /// The code in shared memory.
@@ -227,6 +230,7 @@ impl InvalidReason {
             Self::NoCommand => "NoCommand",
             Self::NoReading => "NoReading",
             Self::ModelOutput => "ModelOutput",
+            Self::NoFreshness => "NoFreshness",
             Self::Unknown => "Unknown",
         }
     }

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::PathBuf;
 
 use joulebus_lab::model_file::{Checkpoint, Entry, EntryValue, Found};
-use joulebus_predictor::{FEATURE_NAMES, FEATURES, Network};
+use joulebus_predictor::{FEATURE_NAMES, Network};
 use serde::Serialize;
 
 use crate::exit::Outcome;
@@ -169,7 +169,7 @@ impl OwnReport {
                 .map(|layer| (layer.inputs + 1) * layer.outputs)
                 .sum(),
             layers,
-            features: (set.first()..FEATURES).map(feature).collect(),
+            features: set.range().map(feature).collect(),
             power_mean_w: normalisation.power_mean_w,
             power_std_w: normalisation.power_std_w,
             residual: ResidualReport {

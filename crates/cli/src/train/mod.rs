@@ -60,6 +60,10 @@ enum Choice {
     Full,
     /// Five past readings: for robots that report no velocities
     Power,
+    /// As full, and how old the newest reading is and whether a new one is due
+    Freshness,
+    /// As power, and how old the newest reading is and whether a new one is due
+    PowerFreshness,
 }
 
 impl From<Choice> for FeatureSet {
@@ -67,6 +71,8 @@ impl From<Choice> for FeatureSet {
         match choice {
             Choice::Full => Self::Full,
             Choice::Power => Self::PowerOnly,
+            Choice::Freshness => Self::Freshness,
+            Choice::PowerFreshness => Self::PowerFreshness,
         }
     }
 }

@@ -29,8 +29,9 @@ proptest! {
         sample in prop::sample::select(vec![5u64, 20, 100, 1_000_000]),
         frame in prop::sample::select(vec![10u64, 50, 1_000_000]),
         jitter_ns in prop::sample::select(vec![1, PERIOD_NS / 4, 3 * PERIOD_NS]),
+        fresh in any::<bool>(),
     ) {
-        simulate(seed, Rates { sample, frame }, jitter_ns, 150)?;
+        simulate(seed, Rates { sample, frame }, jitter_ns, 150, fresh)?;
     }
 }
 
@@ -44,7 +45,8 @@ fn the_injector_produces_every_fault() {
             sample: 8,
             frame: 20,
         };
-        let seen = simulate(seed, rates, PERIOD_NS, 400).expect("equal to the oracle");
+        let seen =
+            simulate(seed, rates, PERIOD_NS, 400, seed % 2 == 0).expect("equal to the oracle");
         drops.extend(seen.0);
         qualities.extend(seen.1);
     }
@@ -74,6 +76,7 @@ fn the_injector_produces_every_fault() {
         "OpenLoop",
         "Stale",
         "NoCommand",
+        "NoFreshness",
         "NoReading",
         "NotFinite",
         "BadTime",
@@ -95,10 +98,21 @@ fn senders() -> [Sender; 5] {
     ]
 }
 
-fn simulate(seed: u64, rates: Rates, jitter_ns: u64, ticks: u64) -> Result<Seen, TestCaseError> {
+fn simulate(
+    seed: u64,
+    rates: Rates,
+    jitter_ns: u64,
+    ticks: u64,
+    fresh: bool,
+) -> Result<Seen, TestCaseError> {
     let mut noise = Noise(seed);
-    let mut fleet = world::fleet(CAPACITY);
-    let mut oracle = Oracle::new(world::settings(CAPACITY), world::models());
+    let models = || match fresh {
+        true => world::fresh_models(),
+        false => world::models(),
+    };
+    let settings = world::settings(CAPACITY);
+    let mut fleet = world::fleet_of(CAPACITY, models());
+    let mut oracle = Oracle::new(settings, models());
     let mut senders = senders();
     let (mut now_ns, mut sent) = (START_NS, 0);
     let mut qualities = Vec::new();

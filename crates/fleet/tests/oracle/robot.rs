@@ -7,6 +7,56 @@ use joulebus_wire::{Freshness, InvalidReason, Quality, Sample, sample_flag};
 
 use crate::world::random::Noise;
 
+/// Every sample period of a stay: whether a measurement was made, and whether by a sample or only by
+/// the schedule.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct History {
+    periods: Vec<(bool, bool)>,
+}
+
+impl History {
+    fn sample(&mut self, new: bool) {
+        self.periods.push((new, true));
+    }
+
+    /// A period without a reading: a measurement is taken to be made when one is due.
+    fn pass(&mut self) {
+        let due = self
+            .interval()
+            .is_some_and(|interval| self.age() + 1 >= interval);
+        self.periods.push((due, false));
+    }
+
+    /// Periods since the last measurement; those before the first do not count.
+    fn age(&self) -> u64 {
+        let since = self.periods.iter().rev().take_while(|(new, _)| !new);
+        (since.count() as u64).min(254)
+    }
+
+    /// Gone through from the beginning.
+    fn interval(&self) -> Option<u64> {
+        let (mut before, mut interval) = (None::<usize>, None);
+        for (at, (new, sampled)) in self.periods.iter().enumerate() {
+            if let (Some(before), true) = (before, *new && *sampled) {
+                let found = (at - before).min(255) as u64;
+                interval = Some(interval.map_or(found, |known: u64| found.min(known + 1)));
+            }
+            before = if *new { Some(at) } else { before };
+        }
+        interval
+    }
+
+    fn features(&self) -> [f32; 2] {
+        match self.interval() {
+            Some(interval) => {
+                let due = self.age() + 1 >= interval;
+                [self.age().min(30) as f32, if due { 1.0 } else { 0.0 }]
+            }
+            None => [f32::NAN; 2],
+        }
+    }
+}
+
 /// The window and its forecast: readings (or forecasts in their place), oldest first.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Run {
@@ -15,6 +65,8 @@ pub(crate) struct Run {
     pub command: Option<(f32, f32)>,
     /// Steps at the end that are no readings.
     pub unread: u64,
+    /// Of the newest reading; it outlives the window.
+    pub history: History,
 }
 
 impl Run {
@@ -30,8 +82,17 @@ impl Run {
         };
         self.powers_w.push(forecast_w);
         self.unread += 1;
+        self.history.pass();
         self.forecast_w = predict(model, &self.row(self.command, 0.0, 0.0));
         self.forecast_w.is_some()
+    }
+
+    /// Empty, but for what is known without forecasts.
+    fn empty(&mut self) {
+        *self = Self {
+            history: std::mem::take(&mut self.history),
+            ..Self::default()
+        };
     }
 
     /// The window as it is after so many periods without a sample.
@@ -43,6 +104,7 @@ impl Run {
     fn row(&self, command: Option<(f32, f32)>, dv: f32, domega: f32) -> Features {
         let (v, omega) = command.unwrap_or((f32::NAN, f32::NAN));
         let lag = |back: usize| self.powers_w[self.powers_w.len() - back];
+        let [age, due] = self.history.features();
         [
             v,
             omega,
@@ -55,6 +117,8 @@ impl Run {
             lag(3),
             lag(4),
             lag(5),
+            age,
+            due,
         ]
     }
 }
@@ -184,7 +248,7 @@ impl Robot {
                 previous_w: *self.run.powers_w.last().expect("it made a forecast"),
             });
         }
-        self.read(reading_w);
+        self.read(sample);
         self.forecast(sample, model);
         self.last = Some(*sample);
     }
@@ -197,28 +261,42 @@ impl Robot {
         }
         let Some(last) = self.last else { return false };
         let steps = missing(sample.stamp_ns - last.stamp_ns, self.platform.period_ns);
-        if steps == 0 || self.run.powers_w.is_empty() {
+        if steps == 0 {
             return false;
         }
         let short = self.run.unread + steps <= self.longest();
-        self.run = Some(steps)
+        let ahead = Some(steps)
             .filter(|_| short && self.run.is_full())
-            .and_then(|steps| self.run.ahead(model, steps))
-            .unwrap_or_default();
+            .and_then(|steps| self.run.ahead(model, steps));
+        if let Some(run) = ahead {
+            self.run = run;
+            return true;
+        }
+        (0..steps).for_each(|_| self.run.history.pass());
+        if self.run.powers_w.is_empty() {
+            return false;
+        }
+        self.run.empty();
         true
     }
 
-    fn read(&mut self, reading_w: Option<f32>) {
+    fn read(&mut self, sample: &Sample) {
+        let reading_w = sample.has(sample_flag::POWER).then_some(sample.power_w);
         match (reading_w, self.run.forecast_w) {
             (Some(reading_w), _) => {
                 self.run.powers_w.push(reading_w);
                 self.run.unread = 0;
+                self.run.history.sample(!sample.has(sample_flag::HELD));
             }
             (None, Some(forecast_w)) if self.run.unread < self.longest() => {
                 self.run.powers_w.push(forecast_w);
                 self.run.unread += 1;
+                self.run.history.pass();
             }
-            (None, _) => self.run = Run::default(),
+            (None, _) => {
+                self.run.history.pass();
+                self.run.empty();
+            }
         }
     }
 
@@ -233,7 +311,8 @@ impl Robot {
         self.run.command = command;
         self.run.forecast_w = None;
         let full = self.run.is_full();
-        let runs = full && (known || !model.needs_command());
+        let fresh = self.run.history.interval().is_some() || !model.needs_freshness();
+        let runs = full && fresh && (known || !model.needs_command());
         if runs {
             self.run.forecast_w = predict(model, &self.run.row(command, dv, domega));
         }
@@ -242,7 +321,8 @@ impl Robot {
             _ if !full => Quality::Warmup {
                 have: self.run.powers_w.len() as u16,
             },
-            _ if !runs => Quality::Invalid(InvalidReason::NoCommand),
+            _ if !known && model.needs_command() => Quality::Invalid(InvalidReason::NoCommand),
+            _ if !runs => Quality::Invalid(InvalidReason::NoFreshness),
             _ if self.run.forecast_w.is_none() => Quality::Invalid(InvalidReason::ModelOutput),
             Freshness::Missing => Quality::OpenLoop {
                 steps: self.run.unread as u16,

@@ -86,9 +86,14 @@ proptest! {
     #[test]
     fn a_fleet_goes_on_from_a_snapshot_with_the_same_bits(
         seed in any::<u64>(), at in 0usize..120, restored_first in any::<bool>(), used in any::<bool>(),
+        fresh in any::<bool>(),
     ) {
         let traffic = traffic(seed, 200);
-        let mut fleet = world::fleet(CAPACITY);
+        let new = || match fresh {
+            true => world::fleet_of(CAPACITY, world::fresh_models()),
+            false => world::fleet(CAPACITY),
+        };
+        let mut fleet = new();
         if restored_first {
             let ledger = joulebus_fleet::Ledger::restored((5, 6), 7, 8, 9, START_NS / 2);
             fleet.restore(3, ledger, true);
@@ -102,7 +107,7 @@ proptest! {
         let (before, after) = frames.split_at(frames.len() / 2);
         take(&mut fleet, before);
 
-        let mut other = world::fleet(CAPACITY);
+        let mut other = new();
         if used {
             for (now_ns, frames) in &traffic[at + 20..at + 60] {
                 take(&mut other, frames);

@@ -82,21 +82,35 @@ pub(crate) fn settings(capacity: u32) -> Settings {
     }
 }
 
+/// Of the paper's features.
 pub(crate) fn models() -> Vec<Model> {
+    models_of([FeatureSet::Full, FeatureSet::PowerOnly])
+}
+
+/// As [`models`], reading freshness too.
+pub(crate) fn fresh_models() -> Vec<Model> {
+    models_of([FeatureSet::Freshness, FeatureSet::PowerFreshness])
+}
+
+fn models_of([first, second]: [FeatureSet; 2]) -> Vec<Model> {
     let residual = ResidualStats {
         std_w: 0.1,
         q05_w: -0.15,
         q95_w: 0.17,
     };
     vec![
-        Model::Network(random::network(1, FeatureSet::Full)),
-        Model::Network(random::network(2, FeatureSet::PowerOnly)),
+        Model::Network(random::network(1, first)),
+        Model::Network(random::network(2, second)),
         Model::Persistence(Persistence::new(residual).expect("finite and in order")),
     ]
 }
 
 pub(crate) fn fleet(capacity: u32) -> Fleet {
-    Fleet::new(settings(capacity), models()).expect("the settings agree with themselves")
+    fleet_of(capacity, models())
+}
+
+pub(crate) fn fleet_of(capacity: u32, models: Vec<Model>) -> Fleet {
+    Fleet::new(settings(capacity), models).expect("the settings agree with themselves")
 }
 
 /// Numbers the frames of one run of one source as a publisher does.

@@ -15,8 +15,8 @@ use std::str::FromStr;
 use super::{Found, Statistics};
 use crate::trial::Trial;
 use joulebus_predictor::{
-    Card, FEATURES, FeatureSet, LAGS, Layer, ModelError, Network, Normalisation, Parameters,
-    TrainingRange,
+    Card, FEATURES, FeatureSet, INPUTS, LAGS, Layer, ModelError, Network, Normalisation,
+    Parameters, TrainingRange,
 };
 
 /// Features of the command, before the readings.
@@ -432,18 +432,20 @@ impl Found {
         let (power_mean, power_std) = match self.normalisation.statistics {
             Statistics::Shared { power, .. } | Statistics::Own { power, .. } => power,
         };
-        let mut feature_mean = [0.0; FEATURES];
-        let mut feature_std = [0.0; FEATURES];
-        for feature in self.feature_set.first()..FEATURES {
+        let mut feature_mean = [0.0; INPUTS];
+        let mut feature_std = [0.0; INPUTS];
+        for feature in self.feature_set.range() {
             let (mean, std) = statistics(feature, place(feature));
             feature_mean[feature] = mean as f32;
             feature_std[feature] = std as f32;
         }
         let [first, rest @ ..] = &self.layers;
         let inputs = self.feature_set.inputs();
-        let reordered = first.layer.weights.chunks(inputs).flat_map(|row| {
-            (self.feature_set.first()..FEATURES).map(|feature| row[place(feature)])
-        });
+        let reordered = first
+            .layer
+            .weights
+            .chunks(inputs)
+            .flat_map(|row| self.feature_set.range().map(|feature| row[place(feature)]));
         let weights = reordered.collect();
         let bias = first.layer.bias.clone();
         let [second, third, fourth] = rest.each_ref().map(|layer| layer.layer.clone());
@@ -590,7 +592,7 @@ fn network(candidate: &Candidate, card: Card) -> Result<Network, ChooseError> {
 fn placeholder(feature_set: FeatureSet) -> Card {
     score::empty_card(TrainingRange {
         feature_set,
-        min: [0.0; FEATURES],
-        max: [0.0; FEATURES],
+        min: [0.0; INPUTS],
+        max: [0.0; INPUTS],
     })
 }

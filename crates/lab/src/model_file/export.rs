@@ -35,7 +35,7 @@ pub enum ExportError {
 /// - `check_features` ([`CHECK_ROWS`], 11) and `check_power_w` ([`CHECK_ROWS`]): rows within the
 ///   range in training and the forecasts for them, for whoever writes the network anew.
 ///
-/// A network of readings alone has 5 in place of 11.
+/// A network of readings alone has 5 in place of 11; one that reads freshness has two more, the last.
 ///
 /// # Errors
 /// [`ExportError`]: a card too long for a model file.
@@ -56,7 +56,7 @@ pub fn to_arrays(network: &Network) -> Result<Vec<(String, Vec<u8>)>, ExportErro
     let mut forecasts_w = [0.0; CHECK_ROWS];
     network.predict(&rows, &mut forecasts_w);
     let set = network.feature_set();
-    let inputs = rows.iter().flat_map(|row| row[set.first()..].to_vec());
+    let inputs = rows.iter().flat_map(|row| row[set.range()].to_vec());
     let name = |what: &str| format!("{}{what}", own::CHECK);
     let shape = [CHECK_ROWS, set.inputs()];
     arrays.push((name("features"), plain(&shape, inputs)));
@@ -101,6 +101,9 @@ fn check_rows(network: &Network) -> [Features; CHECK_ROWS] {
     let mut noise = Noise::new(network.hash(), 0);
     std::array::from_fn(|_| {
         std::array::from_fn(|feature| {
+            if feature >= network.feature_set().end() {
+                return 0.0;
+            }
             let (min, max) = (range.min[feature], range.max[feature]);
             min + (max - min) * noise.uniform() as f32
         })

@@ -11,7 +11,8 @@ pub enum FindError {
     /// No part of the file has the arrays of the network.
     #[error(
         "no part of the file has exactly the arrays of the network (weights 64×11 or 64×5, 64×64, \
-         32×64, 1×32, all of them or none transposed; biases 64, 64, 32, 1); found: {found}"
+         32×64, 1×32, all of them or none transposed; biases 64, 64, 32, 1); a network that reads \
+         freshness comes as an own model only; found: {found}"
     )]
     NoNetwork {
         /// The arrays found, with their shapes.
@@ -77,7 +78,7 @@ pub enum FindError {
 /// A network as found, before it is known what its inputs are.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
-    /// All features or the readings alone, by the width of the first layer.
+    /// The paper's features or the readings alone, by the width of the first layer.
     pub feature_set: FeatureSet,
     /// The activation of the hidden layers: as the file states, or GELU by the error function, the
     /// default of PyTorch and what the published model's paper names.
@@ -234,6 +235,7 @@ fn arrays_in<'a>(entries: &'a [Entry], part: &str) -> Option<Arrays<'a>> {
             _ => None,
         })
         .collect();
+    // What another program means by freshness cannot be told from numbers.
     [FeatureSet::Full, FeatureSet::PowerOnly]
         .into_iter()
         .flat_map(|set| [false, true].map(|transposed| (set, transposed)))

@@ -150,12 +150,12 @@ pub(super) fn find<'a>(
         ((Some(mean), Some(std)), _) if mean.len() == std.len() => {
             Statistics::Own { mean, std, power }
         }
-        (_, FeatureSet::PowerOnly) => Statistics::Shared {
+        (_, set) if !set.needs_command() => Statistics::Shared {
             v: (0.0, 1.0),
             omega: (0.0, 1.0),
             power,
         },
-        (_, FeatureSet::Full) => Statistics::Shared {
+        _ => Statistics::Shared {
             v: search.pair(Quantity::V, "v"),
             omega: search.pair(Quantity::Omega, "omega"),
             power,

@@ -2,7 +2,7 @@
 
 use std::f32::consts::{FRAC_1_SQRT_2, PI};
 
-use joulebus_predictor::{Activation, FEATURE_NAMES, FEATURES, Network};
+use joulebus_predictor::{Activation, FEATURE_NAMES, Network};
 use prost::Message;
 
 const IR_VERSION: i64 = 8;
@@ -144,7 +144,7 @@ pub(super) fn model(network: &Network, metadata: &str) -> Model {
     let normalisation = &parameters.normalisation;
     let mut builder = Builder::default();
     let inverse = |std: f32| if std > 0.0 { 1.0 / std } else { 0.0 };
-    let features = set.first()..FEATURES;
+    let features = set.range();
     let mean = &normalisation.feature_mean[features.clone()];
     let inverse: Vec<f32> = normalisation.feature_std[features.clone()]
         .iter()
@@ -307,6 +307,7 @@ mod tests {
     use std::collections::HashMap;
 
     use super::*;
+    use joulebus_predictor::Features;
 
     fn shipped(name: &str) -> Network {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models");
@@ -383,11 +384,11 @@ mod tests {
             };
             for step in 0..20_u16 {
                 let share = |feature: usize| f32::from((step * 7 + feature as u16 * 3) % 20) / 20.0;
-                let row: [f32; FEATURES] = std::array::from_fn(|feature| {
+                let row: Features = std::array::from_fn(|feature| {
                     min[feature] + (max[feature] - min[feature]) * share(feature)
                 });
-                let first = network.feature_set().first();
-                let by_graph = run(&graph, row[first..].iter().map(|x| f64::from(*x)).collect());
+                let read = &row[network.feature_set().range()];
+                let by_graph = run(&graph, read.iter().map(|x| f64::from(*x)).collect());
                 let slow = network.predict_reference_f64(&row);
                 assert!((by_graph - slow).abs() < 1e-6, "{name}: {by_graph} {slow}");
             }

@@ -50,7 +50,7 @@ pub(super) fn entries(network: &Network) -> Vec<Entry> {
         ("feature_min", &range.min),
         ("feature_max", &range.max),
     ] {
-        let values = &values[set.first()..];
+        let values = &values[set.range()];
         add(name.to_owned(), vec![values.len()], values);
     }
     let (mean_w, std_w) = (normalisation.power_mean_w, normalisation.power_std_w);

@@ -13,15 +13,15 @@ use crate::noise::Noise;
 
 /// Rows of a part.
 pub(super) const ROWS: usize = 32;
-/// Numbers kept for a row's inputs: eleven features and nothing.
-pub(super) const INPUTS: usize = LANES;
+/// Numbers kept for a row's inputs: up to thirteen features and nothing.
+pub(super) const ROOM: usize = LANES;
 const WIDEST: usize = HIDDEN[0];
 
 /// A normalised row.
 #[derive(Clone, Debug)]
 pub(super) struct Example {
     /// The features that the network reads, then zeros.
-    pub inputs: [f32; INPUTS],
+    pub inputs: [f32; ROOM],
     pub target: f32,
 }
 
@@ -69,7 +69,7 @@ impl Chunk {
         let hidden = || HIDDEN.map(|width| vec![0.0; ROWS * width]);
         Self {
             gradients: vec![0.0; weights.values.len()],
-            inputs: vec![0.0; ROWS * INPUTS],
+            inputs: vec![0.0; ROWS * ROOM],
             kept: HIDDEN.map(|width| vec![1.0; ROWS * width]),
             values: hidden(),
             slopes: hidden(),
@@ -129,7 +129,7 @@ impl Chunk {
         rows: impl ExactSizeIterator<Item = &'e Example> + Clone,
     ) -> f64 {
         let count = rows.len();
-        for (place, row) in self.inputs.chunks_exact_mut(INPUTS).zip(rows.clone()) {
+        for (place, row) in self.inputs.chunks_exact_mut(ROOM).zip(rows.clone()) {
             place.copy_from_slice(&row.inputs);
         }
         for layer in 0..HIDDEN.len() {
@@ -152,7 +152,7 @@ impl Chunk {
         let (matrix, bias) = shape.split(&weights.values);
         let (below, here) = self.values.split_at_mut(layer);
         let (input, step) = match below.last() {
-            None => (&self.inputs, INPUTS),
+            None => (&self.inputs, ROOM),
             Some(values) => (values, shape.inputs),
         };
         let values = &mut here[0][..count * shape.outputs];
@@ -225,7 +225,7 @@ impl Chunk {
         };
         add_product(simd, ones, back, shape.outputs, bias);
         let (input, step) = match layer {
-            0 => (&self.inputs, INPUTS),
+            0 => (&self.inputs, ROOM),
             _ => (&self.values[layer - 1], shape.inputs),
         };
         let turned_input = Left {

@@ -1,11 +1,11 @@
 //! Rows to learn from, and what is done to them before anything is learned.
 
-use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet, Features, Normalisation};
+use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, Normalisation};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::TrainError;
-use super::chunk::{Example, INPUTS};
+use super::chunk::{Example, ROOM};
 
 /// One forecast to learn from: what is known, and the reading that followed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,12 +31,18 @@ pub struct Dataset {
 
 impl Dataset {
     /// SHA-256 of all rows, hexadecimal: each part with its length before it, numbers little-endian.
-    pub fn sha256(&self) -> String {
+    /// The features of freshness count only where they are in `feature_set`: rows are told by what
+    /// was learned from them.
+    pub fn sha256(&self, feature_set: FeatureSet) -> String {
+        let counted = match feature_set.needs_freshness() {
+            true => INPUTS,
+            false => FEATURES,
+        };
         let mut digest = Sha256::new();
         for rows in [&self.training, &self.validation, &self.held_out] {
             digest.update((rows.len() as u64).to_le_bytes());
             for row in rows {
-                for value in row.features.iter().chain([&row.target_w]) {
+                for value in row.features[..counted].iter().chain([&row.target_w]) {
                     digest.update(value.to_le_bytes());
                 }
             }
@@ -66,7 +72,7 @@ pub struct Findings {
 /// The rows that can be used.
 pub(super) fn usable(dataset: &Dataset, feature_set: FeatureSet) -> (Dataset, [usize; 3]) {
     let finite = |row: &&Row| {
-        let read = row.features.iter().skip(feature_set.first());
+        let read = row.features[feature_set.range()].iter();
         read.chain([&row.target_w]).all(|value| value.is_finite())
     };
     let keep = |rows: &[Row]| -> Vec<Row> { rows.iter().filter(finite).copied().collect() };
@@ -89,7 +95,8 @@ pub(super) fn constant_features(
     normalisation: &Normalisation,
     feature_set: FeatureSet,
 ) -> Vec<&'static str> {
-    (feature_set.first()..FEATURES)
+    feature_set
+        .range()
         .filter(|i| normalisation.feature_std[*i] == 0.0)
         .map(|i| FEATURE_NAMES[i])
         .collect()
@@ -110,8 +117,8 @@ impl Example {
                 0.0
             }
         };
-        let mut inputs = [0.0; INPUTS];
-        for (input, i) in inputs.iter_mut().zip(feature_set.first()..FEATURES) {
+        let mut inputs = [0.0; ROOM];
+        for (input, i) in inputs.iter_mut().zip(feature_set.range()) {
             *input = scaled(row.features[i], feature_mean[i], feature_std[i]);
         }
         Self {
@@ -125,9 +132,9 @@ pub(super) fn normalisation(
     rows: &[Row],
     feature_set: FeatureSet,
 ) -> Result<Normalisation, TrainError> {
-    let mut feature_mean = [0.0; FEATURES];
-    let mut feature_std = [0.0; FEATURES];
-    for i in feature_set.first()..FEATURES {
+    let mut feature_mean = [0.0; INPUTS];
+    let mut feature_std = [0.0; INPUTS];
+    for i in feature_set.range() {
         (feature_mean[i], feature_std[i]) = mean_and_std(rows.iter().map(|row| row.features[i]));
     }
     let (power_mean_w, power_std_w) = mean_and_std(rows.iter().map(|row| row.target_w));

@@ -50,7 +50,10 @@ impl Training {
         let metadata = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("settings".to_owned(), json(&self.settings)),
-            ("data_sha256".to_owned(), self.dataset.sha256()),
+            (
+                "data_sha256".to_owned(),
+                self.dataset.sha256(self.settings.feature_set),
+            ),
             ("epochs".to_owned(), json(&self.epochs)),
             ("steps".to_owned(), self.adam.steps.to_string()),
         ]);
@@ -88,7 +91,7 @@ impl Training {
         same(
             "data hash",
             field("data_sha256")?,
-            training.dataset.sha256(),
+            training.dataset.sha256(settings.feature_set),
         )?;
         let epochs: Vec<Epoch> =
             serde_json::from_str(&field("epochs")?).map_err(|error| format(&error))?;

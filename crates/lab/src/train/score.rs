@@ -1,7 +1,7 @@
 //! The finished network, and what it scores on rows that decided nothing.
 
 use joulebus_predictor::{
-    Activation, Card, FEATURES, FeatureSet, Features, Network, Normalisation, Parameters,
+    Activation, Card, FeatureSet, Features, INPUTS, Network, Normalisation, Parameters,
     ResidualStats, Scores, TrainingRange,
 };
 
@@ -26,7 +26,7 @@ pub(super) fn finished(
         name: settings.name.clone(),
         source: settings.source.clone(),
         training_data: dataset.description.clone(),
-        training_data_sha256: dataset.sha256(),
+        training_data_sha256: dataset.sha256(feature_set),
         seed: settings.seed,
         training_range: training_range(&dataset.training, feature_set),
         residual: ResidualStats {
@@ -49,9 +49,9 @@ pub(super) fn finished(
 }
 
 fn training_range(rows: &[Row], feature_set: FeatureSet) -> TrainingRange {
-    let mut min = [0.0; FEATURES];
-    let mut max = [0.0; FEATURES];
-    for i in feature_set.first()..FEATURES {
+    let mut min = [0.0; INPUTS];
+    let mut max = [0.0; INPUTS];
+    for i in feature_set.range() {
         let values = || rows.iter().map(|row| row.features[i]);
         min[i] = values().fold(f32::INFINITY, f32::min);
         max[i] = values().fold(f32::NEG_INFINITY, f32::max);

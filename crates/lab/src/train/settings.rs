@@ -14,7 +14,8 @@ pub struct Settings {
     pub name: String,
     /// Source of the data: `simulation`, or a description of the recordings.
     pub source: String,
-    /// The features that the network reads: `full` or `power-only`.
+    /// The features that the network reads: `full` (the paper's), `power-only`, and the two with how
+    /// fresh the newest reading is: `freshness`, `power-freshness`.
     #[serde(with = "feature_set")]
     pub feature_set: FeatureSet,
     /// Seed of initial weights, order of rows and dropout.
@@ -145,19 +146,24 @@ mod feature_set {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
     pub(super) fn serialize<S: Serializer>(set: &FeatureSet, to: S) -> Result<S::Ok, S::Error> {
-        to.serialize_str(match set {
+        to.serialize_str(name(*set))
+    }
+
+    fn name(set: FeatureSet) -> &'static str {
+        match set {
             FeatureSet::Full => "full",
             FeatureSet::PowerOnly => "power-only",
-        })
+            FeatureSet::Freshness => "freshness",
+            FeatureSet::PowerFreshness => "power-freshness",
+        }
     }
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<FeatureSet, D::Error> {
-        match String::deserialize(from)?.as_str() {
-            "full" => Ok(FeatureSet::Full),
-            "power-only" => Ok(FeatureSet::PowerOnly),
-            found => Err(D::Error::custom(format!(
-                "feature_set is {found:?}, allowed: \"full\", \"power-only\""
-            ))),
-        }
+        let found = String::deserialize(from)?;
+        let fitting = FeatureSet::ALL.into_iter().find(|set| name(*set) == found);
+        fitting.ok_or_else(|| {
+            let allowed = FeatureSet::ALL.map(name);
+            D::Error::custom(format!("feature_set is {found:?}, allowed: {allowed:?}"))
+        })
     }
 }

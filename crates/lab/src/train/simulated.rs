@@ -2,7 +2,7 @@
 
 use super::{Dataset, Epoch, Row, Settings, TrainError, Trained, train};
 use crate::plant::{Plant, SimReading};
-use joulebus_predictor::{FeatureSet, LAGS, features};
+use joulebus_predictor::{FeatureSet, Freshness, LAGS, features};
 use std::collections::VecDeque;
 
 const TICK_S: f64 = 1.0 / 30.0;
@@ -47,7 +47,7 @@ pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
     } = data;
     let robots = training_robots + validation_robots + held_out_robots;
     let mut plant = Plant::new(seed, robots);
-    let mut recorders = vec![Recorder::default(); robots];
+    let mut recorders = vec![Recorder::EMPTY; robots];
     for _ in 0..ticks {
         for (recorder, reading) in recorders.iter_mut().zip(plant.step(TICK_S)) {
             recorder.add(*reading);
@@ -66,11 +66,20 @@ pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
     }
 }
 
-#[derive(Clone, Default)]
+#[derive(Clone)]
 struct Recorder {
     /// Newest first.
     readings: VecDeque<SimReading>,
+    freshness: Freshness,
     rows: Vec<Row>,
+}
+
+impl Recorder {
+    const EMPTY: Self = Self {
+        readings: VecDeque::new(),
+        freshness: Freshness::UNKNOWN,
+        rows: Vec::new(),
+    };
 }
 
 impl Recorder {
@@ -79,12 +88,14 @@ impl Recorder {
             let lag_w: [f32; LAGS] = std::array::from_fn(|lag| self.readings[lag].power_w);
             let (now, before) = (self.readings[0], self.readings[1]);
             let previous = Some((before.v_mps, before.omega_radps, TICK_S as f32));
-            let features = features(now.v_mps, now.omega_radps, previous, &lag_w);
+            let mut features = features(now.v_mps, now.omega_radps, previous, &lag_w);
+            self.freshness.fill(&mut features);
             self.rows.push(Row {
                 features,
                 target_w: reading.power_w,
             });
         }
+        self.freshness.read(!reading.held);
         self.readings.push_front(reading);
         self.readings.truncate(LAGS);
     }
@@ -95,6 +106,8 @@ pub fn settings_for_sim(seed: u64, feature_set: FeatureSet) -> Settings {
     let name = match feature_set {
         FeatureSet::Full => "gternal-sim",
         FeatureSet::PowerOnly => "gternal-sim-power",
+        FeatureSet::Freshness => "gternal-sim-freshness",
+        FeatureSet::PowerFreshness => "gternal-sim-power-freshness",
     };
     Settings::new(name, "simulation", feature_set, seed)
 }

@@ -2,7 +2,7 @@
 
 use joulebus_fleet::{AlarmSettings, Intake, IntervalSettings, Platform, Settings};
 use joulebus_predictor::{
-    Activation, Card, FEATURES, FeatureSet, HIDDEN, Layer, Model, Network, Normalisation,
+    Activation, Card, FEATURES, FeatureSet, HIDDEN, INPUTS, Layer, Model, Network, Normalisation,
     Parameters, Persistence, ResidualStats, Scores, TrainingRange,
 };
 use rand::{RngExt, SeedableRng};
@@ -91,10 +91,10 @@ pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> 
         layer(second, third),
         layer(third, 1),
     ];
-    let mut feature_mean = [0.1; FEATURES];
-    feature_mean[6..].fill(power_mean_w);
-    let mut feature_std = [0.5; FEATURES];
-    feature_std[6..].fill(power_mean_w / 4.0);
+    let mut feature_mean = [0.1; INPUTS];
+    feature_mean[6..FEATURES].fill(power_mean_w);
+    let mut feature_std = [0.5; INPUTS];
+    feature_std[6..FEATURES].fill(power_mean_w / 4.0);
     let parameters = Parameters {
         feature_set,
         normalisation: Normalisation {
@@ -114,8 +114,8 @@ pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> 
         seed,
         training_range: TrainingRange {
             feature_set,
-            min: [-10.0; FEATURES],
-            max: [1_000.0; FEATURES],
+            min: [-10.0; INPUTS],
+            max: [1_000.0; INPUTS],
         },
         residual: RESIDUAL,
         scores: Scores {

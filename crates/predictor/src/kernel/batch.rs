@@ -8,30 +8,30 @@
 use super::Tiling;
 use super::forward::{ByNeuron, ByRobot};
 use super::lanes::{Job, Lanes};
-use super::packed::Packed;
-use crate::{FEATURES, Features};
+use super::packed::{Packed, Read};
+use crate::{Features, INPUTS};
 
 /// Rows to forecast.
 pub(crate) trait Source: Copy {
     /// Whether a vector of robots loads faster than a vector of features.
     const IS_COLUMNS: bool;
 
-    /// `N` rows from `start` on, in `space` if they have to be put together; features before `first`
-    /// may be anything.
+    /// `N` rows from `start` on, in `space` if they have to be put together; features that are not
+    /// read may be anything.
     fn rows<'b, const N: usize>(
         &'b self,
         start: usize,
-        first: usize,
+        read: Read,
         space: &'b mut [Features; N],
     ) -> &'b [Features; N];
 
-    /// `R` vectors of rows from `start` on, as columns; features before `first` are left alone.
+    /// `R` vectors of rows from `start` on, as columns; features that are not read are left alone.
     fn columns<L: Lanes, const R: usize>(
         self,
         lanes: L,
         start: usize,
-        first: usize,
-        columns: &mut [[L::Vector; R]; FEATURES],
+        read: Read,
+        columns: &mut [[L::Vector; R]; INPUTS],
     );
 }
 
@@ -46,7 +46,7 @@ impl Source for Rows<'_> {
     fn rows<'b, const N: usize>(
         &'b self,
         start: usize,
-        _: usize,
+        _: Read,
         space: &'b mut [Features; N],
     ) -> &'b [Features; N] {
         self.0[start..].first_chunk().unwrap_or(space)
@@ -57,18 +57,18 @@ impl Source for Rows<'_> {
         self,
         lanes: L,
         start: usize,
-        first: usize,
-        columns: &mut [[L::Vector; R]; FEATURES],
+        read: Read,
+        columns: &mut [[L::Vector; R]; INPUTS],
     ) {
         for r in 0..R {
             let rows = &self.0[start + r * L::WIDTH..][..L::WIDTH];
-            let mut turned = [[0.0; 16]; FEATURES];
+            let mut turned = [[0.0; 16]; INPUTS];
             for (lane, row) in rows.iter().enumerate() {
-                for feature in 0..FEATURES {
+                for feature in 0..INPUTS {
                     turned[feature][lane] = row[feature];
                 }
             }
-            for feature in first..FEATURES {
+            for feature in read.first..read.end {
                 columns[feature][r] = lanes.load(&turned[feature]);
             }
         }
@@ -77,7 +77,7 @@ impl Source for Rows<'_> {
 
 /// Rows as columns of equal length; those that the model does not read may be empty.
 #[derive(Clone, Copy)]
-pub(crate) struct Columns<'a>(pub(crate) &'a [&'a [f32]; FEATURES]);
+pub(crate) struct Columns<'a>(pub(crate) &'a [&'a [f32]; INPUTS]);
 
 impl Source for Columns<'_> {
     const IS_COLUMNS: bool = true;
@@ -86,10 +86,10 @@ impl Source for Columns<'_> {
     fn rows<'b, const N: usize>(
         &'b self,
         start: usize,
-        first: usize,
+        read: Read,
         space: &'b mut [Features; N],
     ) -> &'b [Features; N] {
-        for feature in first..FEATURES {
+        for feature in read.first..read.end {
             let values = &self.0[feature][start..start + N];
             for n in 0..N {
                 space[n][feature] = values[n];
@@ -103,10 +103,10 @@ impl Source for Columns<'_> {
         self,
         lanes: L,
         start: usize,
-        first: usize,
-        columns: &mut [[L::Vector; R]; FEATURES],
+        read: Read,
+        columns: &mut [[L::Vector; R]; INPUTS],
     ) {
-        for feature in first..FEATURES {
+        for feature in read.first..read.end {
             for r in 0..R {
                 let place = start + r * L::WIDTH;
                 columns[feature][r] = lanes.load(&self.0[feature][place..]);
@@ -174,10 +174,10 @@ fn by_robot<L: Lanes, S: Source, const R: usize, const C: usize>(
     if out_w.is_empty() {
         return;
     }
-    let mut inputs = [[lanes.splat(0.0); R]; FEATURES];
+    let mut inputs = [[lanes.splat(0.0); R]; INPUTS];
     for (tile, out_w) in out_w.chunks_exact_mut(R * L::WIDTH).enumerate() {
         let start = start + tile * R * L::WIDTH;
-        source.columns(lanes, start, packed.first_feature, &mut inputs);
+        source.columns(lanes, start, packed.read, &mut inputs);
         lanes.run(ByRobot::<L, R, C> {
             packed,
             inputs: &inputs,
@@ -210,7 +210,7 @@ fn by_neuron<L: Lanes, S: Source, const N: usize>(
 ) {
     lanes.run(ByNeuron {
         packed,
-        rows: source.rows(start, packed.first_feature, &mut [[0.0; FEATURES]; N]),
+        rows: source.rows(start, packed.read, &mut [[0.0; INPUTS]; N]),
         out_w,
     });
 }

@@ -14,11 +14,11 @@
 )]
 
 use super::lanes::{Job, Lanes};
-use super::packed::{Dense, LINE, Packed};
+use super::packed::{Dense, LINE, Packed, Read};
 use super::scalar::Scalar;
 use crate::gelu::{LIMIT, MAGIC};
 use crate::network::canonical;
-use crate::{FEATURES, Features, HIDDEN};
+use crate::{Features, HIDDEN, INPUTS};
 use std::mem::MaybeUninit;
 
 const WIDE: usize = HIDDEN[0];
@@ -81,7 +81,7 @@ unsafe fn written<T, const O: usize>(scratch: &Scratch<T, O>) -> &[T; O] {
 pub(crate) struct ByRobot<'a, L: Lanes, const R: usize, const C: usize> {
     pub(crate) packed: &'a Packed,
     /// Features in their units, as columns; those that are not read may be anything.
-    pub(crate) inputs: &'a [[L::Vector; R]; FEATURES],
+    pub(crate) inputs: &'a [[L::Vector; R]; INPUTS],
     /// Forecasts in watt of `R * WIDTH` robots.
     pub(crate) out_w: &'a mut [f32],
 }
@@ -90,7 +90,7 @@ impl<L: Lanes, const R: usize, const C: usize> Job<L> for ByRobot<'_, L, R, C> {
     #[inline(always)]
     fn run(self, lanes: L) {
         let Packed {
-            first_feature,
+            read,
             ref gelu,
             ref first,
             ref second,
@@ -103,10 +103,11 @@ impl<L: Lanes, const R: usize, const C: usize> Job<L> for ByRobot<'_, L, R, C> {
         let mut odd = Scratch::<[L::Vector; R], WIDE>::NEW;
         let mut even = Scratch::<[L::Vector; R], WIDE>::NEW;
         let mut narrow = Scratch::<[L::Vector; R], NARROW>::NEW;
+        let values = columns::<L, R, C, _, _, _>(lanes, gelu, first, read, self.inputs, &mut odd);
         let values =
-            columns::<L, R, C, _, _, _>(lanes, gelu, first, first_feature, self.inputs, &mut odd);
-        let values = columns::<L, R, C, _, _, _>(lanes, gelu, second, 0, values, &mut even);
-        let values = columns::<L, R, C, _, _, _>(lanes, gelu, third, 0, values, &mut narrow);
+            columns::<L, R, C, _, _, _>(lanes, gelu, second, Read::all(WIDE), values, &mut even);
+        let values =
+            columns::<L, R, C, _, _, _>(lanes, gelu, third, Read::all(WIDE), values, &mut narrow);
         for r in 0..R {
             let sum = last_of_columns(lanes, values, r, last_weights);
             let watt = lanes.add(sum, lanes.splat(last_bias));
@@ -132,7 +133,7 @@ fn columns<
     lanes: L,
     gelu: &Gelu<L>,
     layer: &Dense<I, N>,
-    first_input: usize,
+    read: Read,
     input: &[[L::Vector; R]; I],
     output: &'a mut Scratch<[L::Vector; R], O>,
 ) -> &'a [[L::Vector; R]; O] {
@@ -145,7 +146,10 @@ fn columns<
             for c in 0..C {
                 sums[c] = [lanes.splat(bias[start + c]); R];
             }
-            for (x, weights) in input[first_input..].iter().zip(&weights[first_input..]) {
+            for (x, weights) in input[read.first..read.end]
+                .iter()
+                .zip(&weights[read.first..read.end])
+            {
                 for c in 0..C {
                     let weight = lanes.splat(weights.0[start + c]);
                     for r in 0..R {
@@ -201,10 +205,10 @@ impl<L: Lanes, const N: usize> Job<L> for ByNeuron<'_, N> {
         let mut even = [const { Scratch::<f32, WIDE>::NEW }; N];
         let mut narrow = [const { Scratch::<f32, NARROW>::NEW }; N];
         let rows = self.rows.each_ref();
-        let first = packed.first_feature;
-        let values = rows_of_layer(lanes, gelu, &packed.first, first, rows, &mut odd);
-        let values = rows_of_layer(lanes, gelu, &packed.second, 0, values, &mut even);
-        let values = rows_of_layer(lanes, gelu, &packed.third, 0, values, &mut narrow);
+        let all = Read::all(WIDE);
+        let values = rows_of_layer(lanes, gelu, &packed.first, packed.read, rows, &mut odd);
+        let values = rows_of_layer(lanes, gelu, &packed.second, all, values, &mut even);
+        let values = rows_of_layer(lanes, gelu, &packed.third, all, values, &mut narrow);
         for n in 0..N {
             let sum = last_of_row(lanes, values[n], &packed.last_weights);
             self.out_w[n] = canonical(sum + packed.last_bias);
@@ -218,16 +222,16 @@ fn rows_of_layer<'a, L: Lanes, const N: usize, const I: usize, const M: usize, c
     lanes: L,
     gelu: &Gelu<L>,
     layer: &Dense<I, M>,
-    first_input: usize,
+    read: Read,
     input: [&[f32; I]; N],
     output: &'a mut [Scratch<f32, O>; N],
 ) -> [&'a [f32; O]; N] {
     const { assert!(O == M * LINE && L::SUMS >= 8 && N <= 4) };
     // A constant: all branches but one are gone before code is made.
     match (O / L::WIDTH).min(L::SUMS / N) {
-        8.. => grouped::<L, N, 8, I, M, O>(lanes, gelu, layer, first_input, input, output),
-        4.. => grouped::<L, N, 4, I, M, O>(lanes, gelu, layer, first_input, input, output),
-        _ => grouped::<L, N, 2, I, M, O>(lanes, gelu, layer, first_input, input, output),
+        8.. => grouped::<L, N, 8, I, M, O>(lanes, gelu, layer, read, input, output),
+        4.. => grouped::<L, N, 4, I, M, O>(lanes, gelu, layer, read, input, output),
+        _ => grouped::<L, N, 2, I, M, O>(lanes, gelu, layer, read, input, output),
     }
     // SAFETY: each of the calls above wrote every output of every robot.
     output.each_ref().map(|row| unsafe { written(row) })
@@ -245,7 +249,7 @@ fn grouped<
     lanes: L,
     gelu: &Gelu<L>,
     layer: &Dense<I, M>,
-    first_input: usize,
+    read: Read,
     input: [&[f32; I]; N],
     output: &mut [Scratch<f32, O>; N],
 ) {
@@ -259,7 +263,8 @@ fn grouped<
                 sums[n][v] = bias;
             }
         }
-        for k in first_input..I {
+        // No more than there are, so that no place has to be checked.
+        for k in read.first..read.end.min(I) {
             for v in 0..V {
                 let (line, place) = ((group * V + v) / per_line, (group * V + v) % per_line);
                 let weight = lanes.load(&layer.weights[line][k].0[place * L::WIDTH..]);

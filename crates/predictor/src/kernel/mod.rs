@@ -25,7 +25,7 @@ use lanes::Lanes;
 use rollout::Roll;
 use scalar::Scalar;
 
-use crate::{FEATURES, Features, Rollouts};
+use crate::{Features, INPUTS, Rollouts};
 
 pub(crate) use forward::pairwise;
 pub(crate) use packed::{LINE, Packed, fold};
@@ -136,7 +136,7 @@ impl Engine {
         self,
         packed: &Packed,
         tiling: Tiling,
-        columns: &[&[f32]; FEATURES],
+        columns: &[&[f32]; INPUTS],
         out_w: &mut [f32],
     ) {
         self.batch(packed, tiling, Columns(columns), out_w);

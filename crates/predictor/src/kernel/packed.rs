@@ -1,7 +1,8 @@
 //! The parameters in the order in which the kernels read them.
 
 use crate::gelu::SCALE;
-use crate::{FEATURES, HIDDEN, Layer, Parameters};
+use crate::{FEATURES, HIDDEN, INPUTS, Layer, Parameters};
+use std::ops::Range;
 
 /// Outputs that are packed together: a cache line, and the widest vector that any CPU has.
 pub(crate) const LINE: usize = 16;
@@ -20,13 +21,12 @@ pub(crate) struct Dense<const I: usize, const L: usize> {
 }
 
 impl<const I: usize, const L: usize> Dense<I, L> {
-    /// `layer` has `L * LINE` outputs and at most `I` inputs; they become the last ones.
-    fn new(layer: &Layer) -> Dense<I, L> {
-        let inputs = layer.weights.len() / layer.bias.len();
-        let skipped = I - inputs;
-        let weight = |output: usize, input: usize| match input.checked_sub(skipped) {
-            Some(input) => layer.weights[output * inputs + input],
-            None => 0.0,
+    /// `layer` has `L * LINE` outputs and the inputs `read` of `I`; the others get no weight.
+    fn new(layer: &Layer, read: Range<usize>) -> Dense<I, L> {
+        let inputs = read.len();
+        let weight = |output: usize, input: usize| match read.contains(&input) {
+            true => layer.weights[output * inputs + input - read.start],
+            false => 0.0,
         };
         Dense {
             weights: std::array::from_fn(|line| {
@@ -41,12 +41,34 @@ impl<const I: usize, const L: usize> Dense<I, L> {
     }
 }
 
+/// Inputs `first..end` of a layer: a range that can be copied.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Read {
+    pub(crate) first: usize,
+    pub(crate) end: usize,
+}
+
+impl Read {
+    /// The first `inputs`.
+    pub(crate) const fn all(inputs: usize) -> Read {
+        Read {
+            first: 0,
+            end: inputs,
+        }
+    }
+
+    /// Whether the features of freshness are among them.
+    pub(crate) const fn has_freshness(self) -> bool {
+        self.end > FEATURES
+    }
+}
+
 #[derive(Clone, Debug)]
 pub(crate) struct Packed {
-    /// Position of the first feature that is read; all that follow are read too.
-    pub(crate) first_feature: usize,
+    /// Positions of the features that are read.
+    pub(crate) read: Read,
     pub(crate) gelu: [[f32; 8]; 6],
-    pub(crate) first: Dense<FEATURES, { HIDDEN[0] / LINE }>,
+    pub(crate) first: Dense<INPUTS, { HIDDEN[0] / LINE }>,
     pub(crate) second: Dense<{ HIDDEN[0] }, { HIDDEN[1] / LINE }>,
     pub(crate) third: Dense<{ HIDDEN[1] }, { HIDDEN[2] / LINE }>,
     pub(crate) last_weights: [f32; HIDDEN[2]],
@@ -58,11 +80,14 @@ impl Packed {
     pub(crate) fn new(parameters: &Parameters) -> Packed {
         let [first, second, third, last] = fold(parameters);
         Packed {
-            first_feature: parameters.feature_set.first(),
+            read: Read {
+                first: parameters.feature_set.first(),
+                end: parameters.feature_set.end(),
+            },
             gelu: *parameters.activation.table(),
-            first: Dense::new(&first),
-            second: Dense::new(&second),
-            third: Dense::new(&third),
+            first: Dense::new(&first, parameters.feature_set.range()),
+            second: Dense::new(&second, 0..HIDDEN[0]),
+            third: Dense::new(&third, 0..HIDDEN[1]),
             last_weights: std::array::from_fn(|i| last.weights[i]),
             last_bias: last.bias[0],
         }
@@ -78,7 +103,7 @@ pub(crate) fn fold(parameters: &Parameters) -> [Layer; 4] {
     let normalisation = &parameters.normalisation;
     let set = parameters.feature_set;
     let segments = f64::from(SCALE);
-    let features = || set.first()..FEATURES;
+    let features = || set.range();
     let scale = |feature: usize| match normalisation.feature_std[feature] {
         std if std > 0.0 => segments / f64::from(std),
         _ => 0.0,

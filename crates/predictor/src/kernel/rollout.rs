@@ -11,7 +11,7 @@ use super::forward::{ByNeuron, ByRobot};
 use super::lanes::{Job, Lanes};
 use super::packed::Packed;
 use crate::network::canonical;
-use crate::{FEATURES, FeatureSet, Features, LAGS, Rollouts, features};
+use crate::{FEATURES, FeatureSet, Features, INPUTS, LAGS, RolloutStart, Rollouts, features};
 
 /// Lanes of the widest tile of any CPU.
 const WIDEST: usize = 32;
@@ -80,15 +80,30 @@ impl Tiles<'_> {
         )
     }
 
+    /// Where the robot of a lane stands; `lane` counts from the next one that is not done.
+    #[inline(always)]
+    fn start(&self, lane: usize) -> &RolloutStart {
+        &self.rollouts.starts[(self.first + self.done + lane) / self.rollouts.candidates]
+    }
+
     #[inline(always)]
     fn row_of_first_step(&self, lane: usize) -> Features {
         let (v_mps, omega_radps) = self.commands(0);
-        let start =
-            &self.rollouts.starts[(self.first + self.done + lane) / self.rollouts.candidates];
+        let start = self.start(lane);
         let before = start
             .command
             .map(|(v, omega)| (v, omega, self.rollouts.step_s));
-        features(v_mps[lane], omega_radps[lane], before, &start.lag_w)
+        let mut row = features(v_mps[lane], omega_radps[lane], before, &start.lag_w);
+        self.fill_freshness(0, lane, &mut row);
+        row
+    }
+
+    /// The features of freshness, where they are read: by the schedule that the robot kept.
+    #[inline(always)]
+    fn fill_freshness(&self, step: usize, lane: usize, row: &mut Features) {
+        if self.packed.read.has_freshness() {
+            self.start(lane).freshness.after(step as u64).fill(row);
+        }
     }
 
     /// Adds the forecasts of a step to the sums, and to the trace.
@@ -121,7 +136,7 @@ impl Tiles<'_> {
         let count = R * L::WIDTH;
         let mut sums_w = [0.0; WIDEST];
         let mut forecasts_w = [0.0; WIDEST];
-        let mut inputs = [[lanes.splat(0.0); R]; FEATURES];
+        let mut inputs = [[lanes.splat(0.0); R]; INPUTS];
         for step in 0..self.rollouts.steps {
             if step == 0 {
                 self.first_columns(lanes, &mut inputs);
@@ -142,16 +157,16 @@ impl Tiles<'_> {
     fn first_columns<L: Lanes, const R: usize>(
         &self,
         lanes: L,
-        columns: &mut [[L::Vector; R]; FEATURES],
+        columns: &mut [[L::Vector; R]; INPUTS],
     ) {
-        let mut turned = [[0.0; WIDEST]; FEATURES];
+        let mut turned = [[0.0; WIDEST]; INPUTS];
         for lane in 0..R * L::WIDTH {
             let row = self.row_of_first_step(lane);
-            for feature in 0..FEATURES {
+            for feature in 0..INPUTS {
                 turned[feature][lane] = row[feature];
             }
         }
-        for feature in 0..FEATURES {
+        for feature in 0..INPUTS {
             for r in 0..R {
                 columns[feature][r] = lanes.load(&turned[feature][r * L::WIDTH..]);
             }
@@ -165,7 +180,7 @@ impl Tiles<'_> {
         lanes: L,
         step: usize,
         newest_w: &[f32; WIDEST],
-        columns: &mut [[L::Vector; R]; FEATURES],
+        columns: &mut [[L::Vector; R]; INPUTS],
     ) {
         let (v_mps, omega_radps) = self.commands(step);
         let step_s = lanes.splat(self.rollouts.step_s);
@@ -183,13 +198,38 @@ impl Tiles<'_> {
             }
             columns[NEWEST][r] = lanes.load(&newest_w[r * L::WIDTH..]);
         }
+        if self.packed.read.has_freshness() {
+            self.freshness_columns(lanes, step, columns);
+        }
+    }
+
+    #[inline(always)]
+    fn freshness_columns<L: Lanes, const R: usize>(
+        &self,
+        lanes: L,
+        step: usize,
+        columns: &mut [[L::Vector; R]; INPUTS],
+    ) {
+        let mut turned = [[0.0; WIDEST]; INPUTS - FEATURES];
+        for lane in 0..R * L::WIDTH {
+            let mut row = [0.0; INPUTS];
+            self.fill_freshness(step, lane, &mut row);
+            for feature in FEATURES..INPUTS {
+                turned[feature - FEATURES][lane] = row[feature];
+            }
+        }
+        for feature in FEATURES..INPUTS {
+            for r in 0..R {
+                columns[feature][r] = lanes.load(&turned[feature - FEATURES][r * L::WIDTH..]);
+            }
+        }
     }
 
     #[inline(always)]
     fn by_neuron<L: Lanes, const N: usize>(&mut self, lanes: L, energy_j: &mut [f32; N]) {
         let mut sums_w = [0.0; N];
         let mut forecasts_w = [0.0; N];
-        let mut rows = [[0.0; FEATURES]; N];
+        let mut rows = [[0.0; INPUTS]; N];
         for step in 0..self.rollouts.steps {
             for (lane, row) in rows.iter_mut().enumerate() {
                 *row = match step {
@@ -213,6 +253,8 @@ impl Tiles<'_> {
         let mut lag_w = [newest_w; LAGS];
         lag_w[1..].copy_from_slice(&before[NEWEST..FEATURES - 1]);
         let previous = (before[0], before[1], self.rollouts.step_s);
-        features(v_mps[lane], omega_radps[lane], Some(previous), &lag_w)
+        let mut row = features(v_mps[lane], omega_radps[lane], Some(previous), &lag_w);
+        self.fill_freshness(step, lane, &mut row);
+        row
     }
 }

@@ -1,7 +1,7 @@
 //! Networks of both forms of GELU and rows, drawn from a seed.
 
 use joulebus_predictor::{
-    Activation, Card, FEATURES, FeatureSet, Features, HIDDEN, Layer, Network, Normalisation,
+    Activation, Card, FeatureSet, Features, HIDDEN, INPUTS, Layer, Network, Normalisation,
     Parameters, ResidualStats, Scores, TrainingRange,
 };
 
@@ -42,9 +42,9 @@ pub(crate) fn parameters(noise: &mut Noise, feature_set: FeatureSet) -> Paramete
         0 => Activation::GeluErf,
         _ => Activation::GeluTanh,
     };
-    let mut feature_mean = [0.0; FEATURES];
-    let mut feature_std = [0.0; FEATURES];
-    for i in feature_set.first()..FEATURES {
+    let mut feature_mean = [0.0; INPUTS];
+    let mut feature_std = [0.0; INPUTS];
+    for i in feature_set.range() {
         feature_mean[i] = noise.next_f32();
         feature_std[i] = 0.5 + noise.next_f32().abs();
     }
@@ -62,10 +62,10 @@ pub(crate) fn parameters(noise: &mut Noise, feature_set: FeatureSet) -> Paramete
 }
 
 pub(crate) fn card(feature_set: FeatureSet) -> Card {
-    let mut min = [0.0; FEATURES];
-    let mut max = [0.0; FEATURES];
-    min[feature_set.first()..].fill(-1.5);
-    max[feature_set.first()..].fill(2.5);
+    let mut min = [0.0; INPUTS];
+    let mut max = [0.0; INPUTS];
+    min[feature_set.range()].fill(-1.5);
+    max[feature_set.range()].fill(2.5);
     Card {
         name: "random".to_owned(),
         source: "random weights".to_owned(),

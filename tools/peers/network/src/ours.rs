@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-use joulebus_predictor::{Features, Network};
+use joulebus_predictor::{FEATURES, Features, Network};
 
 use crate::{Call, Forecaster, input};
 
@@ -23,13 +23,13 @@ impl Ours {
 }
 
 impl Forecaster for Ours {
-    fn forecast(&mut self, rows: &[Features]) -> anyhow::Result<Vec<f32>> {
-        let mut forecasts_w = vec![0.0; rows.len()];
-        self.network.predict(rows, &mut forecasts_w);
-        Ok(forecasts_w)
+    fn forecast(&mut self, rows: &[[f32; FEATURES]]) -> anyhow::Result<Vec<f32>> {
+        let mut part = Part::new(&self.network, rows);
+        part.call();
+        Ok(part.forecasts_w)
     }
 
-    fn call(&mut self, rows: &[Features]) -> anyhow::Result<Call> {
+    fn call(&mut self, rows: &[[f32; FEATURES]]) -> anyhow::Result<Call> {
         let mut parts = rows.chunks(rows.len().div_ceil(self.threads));
         let mut own = Part::new(&self.network, parts.next().unwrap_or_default());
         let crew: Vec<Hand> = parts.map(|rows| Hand::hire(Part::new(&self.network, rows))).collect();
@@ -48,11 +48,15 @@ struct Part {
 }
 
 impl Part {
-    fn new(network: &Network, rows: &[Features]) -> Self {
+    fn new(network: &Network, rows: &[[f32; FEATURES]]) -> Self {
+        // What the network does not read is not known.
+        let wide = |row: &[f32; FEATURES]| -> Features {
+            std::array::from_fn(|feature| row.get(feature).copied().unwrap_or(f32::NAN))
+        };
         Self {
             network: network.clone(),
             forecasts_w: vec![0.0; rows.len()],
-            rows: rows.to_vec(),
+            rows: rows.iter().map(wide).collect(),
         }
     }
 

@@ -4,8 +4,8 @@ use super::{ChooseError, Convention, Origin};
 use crate::train::Row;
 use crate::trial::{Column, Trial};
 use joulebus_predictor::{
-    Card, FEATURES, FeatureSet, Features, LAGS, Network, ResidualStats, Scores, TrainingRange,
-    features,
+    Card, FEATURES, FeatureSet, Features, INPUTS, LAGS, Network, ResidualStats, Scores,
+    TrainingRange, features,
 };
 
 /// Readings of a stretch: ten seconds at 30 Hz.
@@ -153,9 +153,9 @@ impl Data {
     }
 
     fn range(&self, feature_set: FeatureSet) -> TrainingRange {
-        let mut min = [0.0; FEATURES];
-        let mut max = [0.0; FEATURES];
-        for feature in feature_set.first()..FEATURES {
+        let mut min = [0.0; INPUTS];
+        let mut max = [0.0; INPUTS];
+        for feature in feature_set.range() {
             let values = || self.rows.iter().map(|row| row.features[feature]);
             min[feature] = values().fold(f32::INFINITY, f32::min);
             max[feature] = values().fold(f32::NEG_INFINITY, f32::max);
@@ -237,9 +237,7 @@ fn rows(trial: &Trial, set: FeatureSet) -> Vec<Row> {
         let before = Some((at(v, row - 1), at(omega, row - 1), step_s(row) as f32));
         let features = features(at(v, row), at(omega, row), before, &lag_w);
         let target_w = at(power, row);
-        let is_whole = features[set.first()..]
-            .iter()
-            .all(|value| value.is_finite());
+        let is_whole = features[set.range()].iter().all(|value| value.is_finite());
         if is_whole && target_w.is_finite() {
             rows.push(Row { features, target_w });
         }

@@ -1,0 +1,231 @@
+//! How fresh the newest reading is.
+//!
+//! A power monitor that measures less often than the robot is sampled repeats itself: of the
+//! GTernal's readings, polled at 10 Hz and returned at 30 Hz, two of three are the one before. Such
+//! a reading is known in advance, and a network that is told so need not hedge.
+
+use crate::{FEATURES, Features};
+use serde::{Deserialize, Serialize};
+
+/// How long ago a robot's power was last measured, and how often it is, both counted in its own
+/// samples: no clock is asked, so the same samples give the same bits whenever they are replayed.
+///
+/// Every sample with a reading is [`Freshness::read`]; every sample period without one is
+/// [`Freshness::pass`]ed, by the schedule that the robot has kept so far. The *interval* between two
+/// measurements is learned: a shorter one is believed at once, a longer one by a sample at a
+/// time, for it may be a new measurement that was equal to the one before and so taken for held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Freshness {
+    /// Samples since the last measurement, or [`NEVER`].
+    age_steps: u8,
+    /// Samples from one measurement to the next; 0 where two have not been seen.
+    interval_steps: u8,
+}
+
+/// In place of an age: nothing was measured yet. One more than the greatest age that is counted.
+const NEVER: u8 = u8::MAX;
+
+impl Freshness {
+    /// Number of its features.
+    pub const FEATURES: usize = 2;
+
+    /// The age at which the feature ends to grow: a second at 30 Hz, in which even the public
+    /// firmware's default has measured again. A robot at rest for an hour is no outlier then.
+    pub const LONGEST_STEPS: u8 = 30;
+
+    /// Nothing was measured yet.
+    pub const UNKNOWN: Freshness = Freshness {
+        age_steps: NEVER,
+        interval_steps: 0,
+    };
+
+    /// Takes the next sample, with a reading: a new measurement, or the last one again.
+    pub fn read(&mut self, new: bool) {
+        if !new {
+            // A held reading of which nobody saw the beginning has no age.
+            self.age_steps = self.older_by(1);
+            return;
+        }
+        if self.age_steps != NEVER {
+            let interval_steps = self.age_steps + 1;
+            self.interval_steps = match self.interval_steps {
+                0 => interval_steps,
+                known => interval_steps.min(known.saturating_add(1)),
+            };
+        }
+        self.age_steps = 0;
+    }
+
+    /// Lets sample periods pass without a reading: where a measurement was due, one is taken to have
+    /// been made, as it is where forecasts stand in for readings.
+    pub fn pass(&mut self, steps: u64) {
+        let (age, interval) = (u64::from(self.age_steps), u64::from(self.interval_steps));
+        if interval == 0 {
+            self.age_steps = self.older_by(steps);
+            return;
+        }
+        // What is overdue comes with the next step.
+        let to_next = interval.saturating_sub(age).max(1);
+        self.age_steps = match steps.checked_sub(to_next) {
+            // Less than an interval, which is a `u8`.
+            Some(since) => (since % interval) as u8,
+            None => self.older_by(steps),
+        };
+    }
+
+    /// As [`Freshness::pass`]ed.
+    #[must_use]
+    pub fn after(mut self, steps: u64) -> Freshness {
+        self.pass(steps);
+        self
+    }
+
+    /// Whether two measurements have been seen. The features are NaN before.
+    pub fn is_known(&self) -> bool {
+        self.age_steps != NEVER && self.interval_steps > 0
+    }
+
+    /// Samples since the last measurement, 0 to 254; `None` if none was seen. Longer ages count as
+    /// 254.
+    pub fn age_steps(&self) -> Option<u8> {
+        (self.age_steps != NEVER).then_some(self.age_steps)
+    }
+
+    /// Samples from one measurement to the next, at least 1; `None` if two have not been seen.
+    pub fn interval_steps(&self) -> Option<u8> {
+        self.is_known().then_some(self.interval_steps)
+    }
+
+    /// Whether a new measurement is due with the next sample, or overdue; `None` if that is not
+    /// known.
+    pub fn is_due(&self) -> Option<bool> {
+        let known = self.age_steps().zip(self.interval_steps());
+        known.map(|(age_steps, interval_steps)| age_steps + 1 >= interval_steps)
+    }
+
+    /// Sets the features of freshness: the age in samples, up to [`Freshness::LONGEST_STEPS`], and
+    /// whether a new measurement is due, 1 or 0. Both are NaN where that is not known.
+    #[inline]
+    pub fn fill(&self, row: &mut Features) {
+        let due = self.is_due();
+        let age_steps = f32::from(self.age_steps.min(Self::LONGEST_STEPS));
+        row[FEATURES] = due.map_or(f32::NAN, |_| age_steps);
+        row[FEATURES + 1] = due.map_or(f32::NAN, |due| f32::from(u8::from(due)));
+    }
+
+    /// The age after so many more samples; unknown stays unknown.
+    fn older_by(&self, steps: u64) -> u8 {
+        if self.age_steps == NEVER {
+            return NEVER;
+        }
+        let steps = steps.min(NEVER.into()) as u8;
+        self.age_steps.saturating_add(steps).min(NEVER - 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn features(freshness: Freshness) -> [f32; 2] {
+        let mut row = [f32::NAN; FEATURES + 2];
+        freshness.fill(&mut row);
+        [row[FEATURES], row[FEATURES + 1]]
+    }
+
+    fn of(pattern: &str) -> Freshness {
+        let mut freshness = Freshness::UNKNOWN;
+        for sample in pattern.bytes() {
+            freshness.read(sample == b'n');
+        }
+        freshness
+    }
+
+    #[test]
+    fn the_interval_is_learned_from_the_stream_and_one_equal_reading_does_not_spoil_it() {
+        // n: a new measurement, h: one that is held.
+        for (pattern, age, interval, due) in [
+            ("", None, None, None),
+            ("hhh", None, None, None),
+            ("hn", Some(0), None, None),
+            ("hnhh", Some(2), None, None),
+            ("nhhn", Some(0), Some(3), Some(false)),
+            ("nhhnh", Some(1), Some(3), Some(false)),
+            ("nhhnhh", Some(2), Some(3), Some(true)),
+            ("nhhnhhh", Some(3), Some(3), Some(true)),
+            ("nn", Some(0), Some(1), Some(true)),
+            // The reading in the middle was new and equal: six samples, believed as four.
+            ("nhhnhhhhhn", Some(0), Some(4), Some(false)),
+            ("nhhnhhhhhnhhn", Some(0), Some(3), Some(false)),
+            ("nhhhnhn", Some(0), Some(2), Some(false)),
+        ] {
+            let found = of(pattern);
+            let known = (found.age_steps(), found.interval_steps(), found.is_due());
+            assert_eq!(known, (age, interval, due), "{pattern}");
+            let [age_feature, due_feature] = features(found);
+            match due {
+                Some(due) => {
+                    assert_eq!(age_feature, f32::from(age.expect("known")), "{pattern}");
+                    assert_eq!(due_feature, f32::from(u8::from(due)), "{pattern}");
+                }
+                None => assert!(age_feature.is_nan() && due_feature.is_nan(), "{pattern}"),
+            }
+        }
+    }
+
+    #[test]
+    fn passing_many_periods_at_once_is_passing_them_one_by_one() {
+        for pattern in [
+            "",
+            "hh",
+            "nh",
+            "nn",
+            "nhhn",
+            "nhhnh",
+            "nhhnhhhhhh",
+            "nhnhhhhnhhhh",
+        ] {
+            let mut slow = of(pattern);
+            for steps in 0..40 {
+                assert_eq!(of(pattern).after(steps), slow, "{pattern} {steps}");
+                slow.pass(1);
+            }
+        }
+    }
+
+    #[test]
+    fn a_period_that_passes_keeps_the_schedule() {
+        let ages = (0..8).map(|steps| of("nhhn").after(steps).age_steps());
+        let expected = [0, 1, 2, 0, 1, 2, 0, 1].map(Some);
+        assert!(ages.eq(expected));
+        let due = (0..4).map(|steps| of("nhhn").after(steps).is_due());
+        assert!(due.eq([false, false, true, false].map(Some)));
+    }
+
+    #[test]
+    fn nothing_overflows_in_a_robot_at_rest() {
+        let mut freshness = of("nhhn");
+        for _ in 0..10_000 {
+            freshness.read(false);
+        }
+        assert_eq!(freshness.age_steps(), Some(254));
+        assert_eq!(features(freshness), [30.0, 1.0]);
+        freshness.read(true);
+        assert_eq!(freshness.interval_steps(), Some(4));
+        let mut first = of("n");
+        first.pass(u64::MAX);
+        first.read(true);
+        assert_eq!(
+            (first.age_steps(), first.interval_steps()),
+            (Some(0), Some(255))
+        );
+        first.pass(u64::MAX);
+        assert_eq!(first.age_steps(), Some((u64::MAX % 255) as u8));
+        for _ in 0..300 {
+            first.read(false);
+        }
+        assert_eq!(first.is_due(), Some(true));
+        first.read(true);
+        assert_eq!(first.interval_steps(), Some(255));
+    }
+}
