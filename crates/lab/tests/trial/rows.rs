@@ -73,7 +73,12 @@ fn compare(trial: &Trial, model: &Model) {
     model.predict(&features, &mut forecasts_w);
 
     let models = [model.clone(), model.clone(), model.clone()];
-    let live = evaluate(&settings(), &models, &[(ROBOTINO, trial.clone())]).expect("one robot");
+    let mut settings = settings();
+    for platform in &mut settings.platforms {
+        platform.period_ns = trial.period_ns();
+        platform.stale_after_ns = 5 * trial.period_ns();
+    }
+    let live = evaluate(&settings, &models, &[(ROBOTINO, trial.clone())]).expect("one robot");
     let mut compared = 0;
     for ((seq, row), forecast_w) in rows.sample_seq.iter().zip(&rows.rows).zip(forecasts_w) {
         let step = &live.robots[0].steps[*seq as usize];
