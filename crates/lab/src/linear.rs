@@ -364,7 +364,10 @@ fn back_substitute(factor: &[Vec<f64>], projected: &[f64]) -> Vec<f64> {
 }
 
 fn values(row: &Row) -> [f64; COLUMNS] {
-    std::array::from_fn(|at| f64::from(*row.features.get(at).unwrap_or(&row.target_w)))
+    std::array::from_fn(|at| match at {
+        TARGET => f64::from(row.target_w),
+        feature => f64::from(row.features[feature]),
+    })
 }
 
 /// A fitted line: what it forecasts is the intercept plus a coefficient times each feature.

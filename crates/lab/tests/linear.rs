@@ -2,14 +2,14 @@
 
 use joulebus_lab::linear::{Dropped, Linear, LinearError, Moments, Terms, known_terms};
 use joulebus_lab::train::Row;
-use joulebus_predictor::{FEATURES, FeatureSet};
+use joulebus_predictor::{FEATURES, FeatureSet, INPUTS};
 use proptest::prelude::*;
 
 const NEWEST: usize = FeatureSet::PowerOnly.first();
 
 fn row(features: &[f32], target_w: f32) -> Row {
     let mut row = Row {
-        features: [0.0; FEATURES],
+        features: [0.0; INPUTS],
         target_w,
     };
     row.features[..features.len()].copy_from_slice(features);
@@ -199,7 +199,7 @@ fn a_series_of_the_asked_kind_is_found_again() {
         let v = f32::from(step % 37) * 0.01;
         let n = power_w.len();
         let next = 0.5 + 0.6 * power_w[n - 1] + 0.2 * power_w[n - 3] + 4.0 * v;
-        let mut features = [0.0; FEATURES];
+        let mut features = [0.0; INPUTS];
         features[0] = v;
         for lag in 0..5 {
             features[NEWEST + lag] = power_w[n - 1 - lag];
