@@ -10,6 +10,7 @@ pub mod model_file;
 mod noise;
 pub mod plant;
 pub mod rows;
+pub mod score;
 pub mod split;
 pub mod train;
 pub mod trial;

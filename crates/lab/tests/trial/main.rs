@@ -10,4 +10,5 @@ mod read;
 mod recordings;
 mod rows;
 mod samples;
+mod score;
 mod truncation;
