@@ -2,20 +2,22 @@
 //!
 //! Neighbouring rows know each other's answers, so rows are never dealt out one by one: whole
 //! trials, robots or groups of trials go to one part, or each trial is cut in time with a pause
-//! between the parts that is longer than the lag window.
+//! between the parts that is longer than the lag window, and lasts until the reading that stood at
+//! the cut, if the sensor held it, is in no window any more.
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::ops::Range;
 
 use joulebus_predictor::LAGS;
 use serde::{Deserialize, Serialize};
 
 use crate::noise::Noise;
 use crate::rows::TrialRows;
-use crate::train::{Dataset, Row};
+use crate::train::Dataset;
 
-/// Rows left out at each cut in time: the lag window, the reading that is learned, and as many
-/// again.
+/// Rows left out at each cut in time, at least: the lag window, the reading that is learned, and as
+/// many again.
 pub const PAUSE_ROWS: usize = 2 * (LAGS + 1);
 
 /// What stays together.
@@ -69,6 +71,27 @@ impl Default for Split {
     }
 }
 
+impl fmt::Display for Split {
+    /// `by trial, 15 % for validation, 15 % held out, seed 0`
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            by,
+            validation,
+            held_out,
+            seed,
+        } = self;
+        let (validation, held_out) = (100.0 * validation, 100.0 * held_out);
+        write!(
+            out,
+            "by {by}, {validation:.3} % for validation, {held_out:.3} % held out"
+        )?;
+        match by {
+            By::Time => write!(out, ", {PAUSE_ROWS} rows or more between"),
+            _ => write!(out, ", seed {seed}"),
+        }
+    }
+}
+
 /// A trial's rows and where they belong.
 #[derive(Debug, Clone)]
 pub struct Source {
@@ -80,6 +103,15 @@ pub struct Source {
     pub group: String,
     /// Its rows.
     pub rows: TrialRows,
+}
+
+/// Which rows of each trial are of which part.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Deal {
+    /// For each source in order: its rows of training, validation, and held out.
+    pub ranges: Vec<[Range<usize>; 3]>,
+    /// What went where, with names.
+    pub dealt: Dealt,
 }
 
 /// What went where.
@@ -97,6 +129,8 @@ pub struct Dealt {
     pub rows: [usize; 3],
     /// Rows in no part, at the cuts in time.
     pub pause_rows: usize,
+    /// The split in words.
+    pub name: String,
 }
 
 /// Why a split is not possible.
@@ -112,6 +146,16 @@ pub enum SplitError {
         validation: f64,
         /// Share held out.
         held_out: f64,
+    },
+    /// A unit that is to be held out is not there.
+    #[error("found no {by} {wanted:?}; there are {found}")]
+    Unknown {
+        /// What stays together.
+        by: By,
+        /// The name asked for.
+        wanted: String,
+        /// The names that there are.
+        found: String,
     },
     /// There are too few units.
     #[error(
@@ -136,7 +180,7 @@ pub fn group_of(file_name: &str) -> String {
     if name.is_empty() { stem } else { name }.to_owned()
 }
 
-/// Deals the rows out. `description` says where they come from; what went where is added to it.
+/// Deals the rows out. `description` says where they come from; how they were split is added to it.
 ///
 /// # Errors
 /// [`SplitError`].
@@ -145,108 +189,225 @@ pub fn split(
     split: Split,
     description: &str,
 ) -> Result<(Dataset, Dealt), SplitError> {
-    let Split {
-        by,
-        validation,
-        held_out,
-        ..
-    } = split;
-    if !(validation > 0.0 && held_out > 0.0 && validation + held_out < 1.0) {
-        return Err(SplitError::Shares {
-            validation,
-            held_out,
-        });
-    }
-    let (parts, mut dealt) = match by {
-        By::Time => in_time(sources, split),
-        By::Trial | By::Robot | By::Group => by_unit(sources, split)?,
-    };
-    let [training, validation, held_out] = parts;
-    dealt.rows = [training.len(), validation.len(), held_out.len()];
-    let seed = match by {
+    let deal = deal(sources, split)?;
+    let seed = match split.by {
         By::Time => String::new(),
         _ => format!(", seed {}", split.seed),
     };
-    let dataset = Dataset {
-        training,
-        validation,
-        held_out,
-        description: format!("{description}; split by {by}{seed}"),
-    };
-    Ok((dataset, dealt))
+    let description = format!("{description}; split by {}{seed}", split.by);
+    Ok((deal.dataset(sources, description), deal.dealt))
 }
 
-fn by_unit(sources: &[Source], split: Split) -> Result<([Vec<Row>; 3], Dealt), SplitError> {
-    let unit = |source: &Source| match split.by {
-        By::Robot => source.robot.clone(),
-        By::Group => source.group.clone(),
-        By::Trial | By::Time => source.trial.clone(),
-    };
-    let mut units: BTreeMap<String, Vec<&Source>> = BTreeMap::new();
-    for source in sources {
-        units.entry(unit(source)).or_default().push(source);
+/// Which rows of each source go where.
+///
+/// # Errors
+/// [`SplitError`].
+pub fn deal(sources: &[Source], split: Split) -> Result<Deal, SplitError> {
+    check(split)?;
+    if split.by == By::Time {
+        return Ok(in_time(sources, split));
     }
-    let found = units.len();
+    let mut names = units(sources, split.by);
+    let found = names.len();
     if found < 3 {
         return Err(SplitError::TooFew {
             by: split.by,
             found,
         });
     }
-    let mut names: Vec<String> = units.keys().cloned().collect();
-    let mut noise = Noise::new(split.seed, 0);
-    for last in (1..found).rev() {
-        names.swap(last, noise.below(last + 1));
-    }
+    shuffle(&mut names, split.seed);
     let count = |share: f64| ((share * found as f64).round() as usize).clamp(1, found - 2);
     let validation = count(split.validation);
     let held_out = count(split.held_out).min(found - 1 - validation);
-    let mut held_out = names.split_off(found - held_out);
-    let mut validation = names.split_off(names.len() - validation);
-    for part in [&mut names, &mut validation, &mut held_out] {
-        part.sort();
-    }
-    let rows = |part: &[String]| -> Vec<Row> {
-        let sources = part.iter().flat_map(|name| &units[name]);
-        sources
-            .flat_map(|source| source.rows.rows.iter().copied())
-            .collect()
-    };
-    let parts = [rows(&names), rows(&validation), rows(&held_out)];
-    let dealt = Dealt {
-        by: split.by,
-        training: names,
-        validation,
-        held_out,
-        rows: [0; 3],
-        pause_rows: 0,
-    };
-    Ok((parts, dealt))
+    let held_out = names.split_off(found - held_out);
+    let validation = names.split_off(names.len() - validation);
+    let parts = [names, validation, held_out];
+    Ok(by_unit(sources, split.by, parts, split.to_string()))
 }
 
-fn in_time(sources: &[Source], split: Split) -> ([Vec<Row>; 3], Dealt) {
-    let mut parts = [Vec::new(), Vec::new(), Vec::new()];
-    let mut pause_rows = 0;
+/// The same with the units named that are held out, such as one terrain of several; the share for
+/// validation is of the others, in the order of the seed.
+///
+/// # Errors
+/// [`SplitError`]: a unit that is not there, or none left to learn from and none to stop by; time
+/// has no units.
+pub fn deal_leaving_out(
+    sources: &[Source],
+    split: Split,
+    held_out: &[String],
+) -> Result<Deal, SplitError> {
+    check(split)?;
+    let all = units(sources, split.by);
+    if let Some(wanted) = held_out.iter().find(|name| !all.contains(name)) {
+        return Err(SplitError::Unknown {
+            by: split.by,
+            wanted: wanted.clone(),
+            found: all.join(", "),
+        });
+    }
+    let (left_out, mut names): (Vec<String>, Vec<String>) =
+        all.into_iter().partition(|name| held_out.contains(name));
+    let found = names.len();
+    if left_out.is_empty() || found < 2 {
+        return Err(SplitError::TooFew {
+            by: split.by,
+            found: found + left_out.len(),
+        });
+    }
+    shuffle(&mut names, split.seed);
+    let validation = ((split.validation * found as f64).round() as usize).clamp(1, found - 1);
+    let validation = names.split_off(found - validation);
+    let name = format!(
+        "by {}, {} held out, {:.3} % of the others for validation, seed {}",
+        split.by,
+        left_out.join(", "),
+        100.0 * split.validation,
+        split.seed
+    );
+    let parts = [names, validation, left_out];
+    Ok(by_unit(sources, split.by, parts, name))
+}
+
+impl Deal {
+    /// The rows themselves.
+    #[must_use]
+    pub fn dataset(&self, sources: &[Source], description: String) -> Dataset {
+        let rows = |part: usize| {
+            let sources = sources.iter().zip(&self.ranges);
+            sources
+                .flat_map(|(source, ranges)| source.rows.rows[ranges[part].clone()].iter().copied())
+                .collect()
+        };
+        Dataset {
+            training: rows(0),
+            validation: rows(1),
+            held_out: rows(2),
+            description,
+        }
+    }
+}
+
+fn check(split: Split) -> Result<(), SplitError> {
+    let Split {
+        validation,
+        held_out,
+        ..
+    } = split;
+    if validation > 0.0 && held_out > 0.0 && validation + held_out < 1.0 {
+        return Ok(());
+    }
+    Err(SplitError::Shares {
+        validation,
+        held_out,
+    })
+}
+
+fn unit(source: &Source, by: By) -> &str {
+    match by {
+        By::Robot => &source.robot,
+        By::Group => &source.group,
+        By::Trial | By::Time => &source.trial,
+    }
+}
+
+/// The units' names, sorted.
+fn units(sources: &[Source], by: By) -> Vec<String> {
+    let mut names: Vec<String> = sources.iter().map(|s| unit(s, by).to_owned()).collect();
+    names.sort();
+    names.dedup();
+    names
+}
+
+fn shuffle(names: &mut [String], seed: u64) {
+    let mut noise = Noise::new(seed, 0);
+    for last in (1..names.len()).rev() {
+        names.swap(last, noise.below(last + 1));
+    }
+}
+
+fn by_unit(sources: &[Source], by: By, parts: [Vec<String>; 3], name: String) -> Deal {
+    let mut part_of = BTreeMap::new();
+    for (part, names) in parts.iter().enumerate() {
+        part_of.extend(names.iter().map(|name| (name.clone(), part)));
+    }
+    let mut rows = [0; 3];
+    let ranges = sources.iter().map(|source| {
+        let mut ranges = [0..0, 0..0, 0..0];
+        // Every unit was dealt to a part.
+        if let Some(part) = part_of.get(unit(source, by)) {
+            ranges[*part] = 0..source.rows.rows.len();
+            rows[*part] += source.rows.rows.len();
+        }
+        ranges
+    });
+    let ranges = ranges.collect();
+    let [training, validation, held_out] = parts.map(|mut names| {
+        names.sort();
+        names
+    });
+    Deal {
+        ranges,
+        dealt: Dealt {
+            by,
+            training,
+            validation,
+            held_out,
+            rows,
+            pause_rows: 0,
+            name,
+        },
+    }
+}
+
+fn in_time(sources: &[Source], split: Split) -> Deal {
+    let mut rows = [0; 3];
+    let mut ranges = Vec::with_capacity(sources.len());
     for source in sources {
-        let rows = &source.rows.rows;
-        let usable = rows.len().saturating_sub(2 * PAUSE_ROWS);
+        let found = source.rows.rows.len();
+        let usable = found.saturating_sub(2 * PAUSE_ROWS);
         let count = |share: f64| (share * usable as f64).floor() as usize;
         let (validation, held_out) = (count(split.validation), count(split.held_out));
         let training = usable - validation - held_out;
-        let mut from = 0;
-        for (part, count) in parts.iter_mut().zip([training, validation, held_out]) {
-            part.extend_from_slice(&rows[from..from + count]);
-            from += count + PAUSE_ROWS;
+        let cuts = [training, (training + PAUSE_ROWS + validation).min(found)];
+        let [first, second] = cuts.map(|cut| resume(&source.rows, cut));
+        let parts = [0..cuts[0], first..cuts[1].max(first), second..found];
+        for (count, part) in rows.iter_mut().zip(&parts) {
+            *count += part.len();
         }
-        pause_rows += rows.len() - usable;
+        ranges.push(parts);
     }
-    let dealt = Dealt {
-        by: By::Time,
-        training: sources.iter().map(|source| source.trial.clone()).collect(),
-        validation: Vec::new(),
-        held_out: Vec::new(),
-        rows: [0; 3],
-        pause_rows,
+    let found: usize = sources.iter().map(|source| source.rows.rows.len()).sum();
+    Deal {
+        ranges,
+        dealt: Dealt {
+            by: By::Time,
+            training: sources.iter().map(|source| source.trial.clone()).collect(),
+            validation: Vec::new(),
+            held_out: Vec::new(),
+            rows,
+            pause_rows: found - rows.iter().sum::<usize>(),
+            name: split.to_string(),
+        },
+    }
+}
+
+/// The first row after a cut that shares no reading with the rows before it: a pause of
+/// [`PAUSE_ROWS`] has passed, and no window holds the reading that stood at the cut, which a sensor
+/// that is read once a second returns for thirty rows.
+fn resume(rows: &TrialRows, cut: usize) -> usize {
+    let found = rows.rows.len();
+    let earliest = (cut + PAUSE_ROWS).min(found);
+    let Some(before) = cut.checked_sub(1).and_then(|last| rows.rows.get(last)) else {
+        return earliest;
     };
-    (parts, dealt)
+    let after = &rows.rows[cut.min(found)..];
+    let stands = after
+        .iter()
+        .take_while(|row| row.target_w.to_bits() == before.target_w.to_bits())
+        .count();
+    match stands {
+        0 => earliest,
+        // A row's window holds the readings of the LAGS rows before it.
+        _ => (cut + stands + LAGS).clamp(earliest, found),
+    }
 }

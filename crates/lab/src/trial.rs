@@ -2,48 +2,53 @@
 //!
 //! A trial is what one robot recorded in one run. Its file is the published layout as a NumPy
 //! array, or the same table as CSV with a header, plain or compressed by gzip. Units are converted
-//! here, once: everything inside is SI, and what was not recorded is NaN or a missing column.
+//! here, once: everything inside is SI, and what was not recorded is NaN or a missing column. A
+//! [`Table`] is the same as it stands in the file, for who writes it again.
 
 mod error;
 mod fleet;
 mod note;
 mod npy;
+mod read;
+mod resample;
 mod sample;
 mod table;
 mod text;
 mod write;
 
-use std::fs::File;
-use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 pub use error::TrialError;
 pub use fleet::{Playback, TrialFleet, TrialFleetError};
 pub use note::{Gap, TrialNotes};
-pub use table::Column;
-pub use write::Row;
+pub use resample::{Method, Resample, ResampleError, Resampled};
+pub use table::{Column, Table};
+pub use write::{Form, Row, WriteError};
 
-use table::Table;
+pub(crate) use sample::is_held;
+use table::Columns;
 
 /// Most rows that a trial may have: 38 hours at 30 Hz.
 pub const MAX_ROWS: usize = 1 << 22;
 /// Most bytes of text that a CSV may hold, after decompression.
 pub const MAX_TEXT_BYTES: u64 = 512 << 20;
+/// Most robots that a file may hold.
+pub const MAX_ROBOTS: usize = 10_000;
 
 const NPY_MAGIC: &[u8] = b"\x93NUMPY";
 const GZIP_MAGIC: &[u8] = b"\x1f\x8b";
 const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
-const HEAD_BYTES: u64 = 8;
 
 /// One robot's recorded run: at least two rows, in file order, in SI units.
 #[derive(Debug, Clone)]
 pub struct Trial {
     path: PathBuf,
     robot_name: Option<String>,
+    file_row: Vec<u32>,
     timestamp_s: Vec<f64>,
     offset_ns: Vec<i64>,
     period_ns: u64,
-    columns: [Option<Vec<f64>>; Column::ALL.len()],
+    columns: Columns,
     notes: TrialNotes,
 }
 
@@ -60,47 +65,20 @@ impl Trial {
     /// what is allowed. A file that ends early is an error; a CSV that only lacks its last line
     /// break is read, and [`TrialNotes::no_final_line_break`] says so.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, TrialError> {
-        let path = path.as_ref();
-        let io = |source| TrialError::Io {
-            path: path.to_owned(),
-            source,
-        };
-        let mut file = File::open(path).map_err(io)?;
-        let mut head = Vec::new();
-        file.by_ref()
-            .take(HEAD_BYTES)
-            .read_to_end(&mut head)
-            .map_err(io)?;
-        if head.is_empty() {
-            return Err(TrialError::Empty {
-                path: path.to_owned(),
-            });
-        }
-        let named_npy = path.extension().is_some_and(|extension| extension == "npy");
-        let table = if head.starts_with(NPY_MAGIC) || named_npy {
-            let file_bytes = file.metadata().map_err(io)?.len();
-            let whole = head.as_slice().chain(BufReader::new(file));
-            npy::read(path, whole, file_bytes)?
-        } else if head.starts_with(ZIP_MAGIC) {
-            return Err(TrialError::Kind {
-                path: path.to_owned(),
-                found: "a zip archive (.npz?)",
-            });
-        } else {
-            let zipped = head.starts_with(GZIP_MAGIC);
-            let whole = std::io::Cursor::new(head).chain(BufReader::new(file));
-            text::read(path, Box::new(whole), zipped)?
-        };
-        Self::from_table(path, table)
+        Table::read(path)?.into_trial()
     }
 
-    fn from_table(path: &Path, table: Table) -> Result<Self, TrialError> {
+    /// The trial of a table whose values are in SI units already.
+    fn from_si(table: Table) -> Result<Self, TrialError> {
         let Table {
+            path,
             robot_name,
+            file_row,
             timestamp_s,
             mut columns,
             ignored_columns,
             no_final_line_break,
+            unnamed_rows,
         } = table;
         for column in &mut columns {
             if column
@@ -113,13 +91,14 @@ impl Trial {
         let offset_ns = note::offsets_ns(&timestamp_s);
         let Some(period_ns) = note::median_step_ns(&offset_ns) else {
             return Err(TrialError::NoPeriod {
-                path: path.to_owned(),
+                path,
                 rows: timestamp_s.len(),
             });
         };
         let mut trial = Self {
-            path: path.to_owned(),
+            path,
             robot_name,
+            file_row,
             timestamp_s,
             offset_ns,
             period_ns,
@@ -129,6 +108,7 @@ impl Trial {
         trial.notes = TrialNotes {
             ignored_columns,
             no_final_line_break,
+            unnamed_rows,
             ..note::take(&trial)
         };
         Ok(trial)
@@ -144,6 +124,13 @@ impl Trial {
     #[must_use]
     pub fn robot_name(&self) -> Option<&str> {
         self.robot_name.as_deref()
+    }
+
+    /// Row of the file that row `row` (from 0) stands in, from 1, a CSV's header not included: another
+    /// than `row + 1` where several robots share a file.
+    #[must_use]
+    pub fn file_row(&self, row: usize) -> usize {
+        self.file_row.get(row).map_or(row + 1, |row| *row as usize)
     }
 
     /// Rows; at least two.

@@ -104,6 +104,7 @@ impl fmt::Display for TrainReport {
 }
 
 fn write_split(out: &mut fmt::Formatter<'_>, split: &Dealt) -> fmt::Result {
+    writeln!(out, "split {}", split.name)?;
     let parts = [&split.training, &split.validation, &split.held_out];
     let names = ["training", "validation", "held out"];
     for ((name, units), rows) in names.iter().zip(parts).zip(split.rows) {

@@ -157,6 +157,7 @@ impl Args {
             validation,
             held_out,
             pause_rows: 0,
+            name: "named one by one".to_owned(),
         };
         let [training, validation, held_out] = rows;
         let dataset = Dataset {

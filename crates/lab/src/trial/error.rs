@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use super::{MAX_ROWS, MAX_TEXT_BYTES};
+use super::{MAX_ROBOTS, MAX_ROWS, MAX_TEXT_BYTES};
 
 /// Why a trial could not be read. Rows count from 1, the header of a CSV not included.
 #[derive(Debug, thiserror::Error)]
@@ -182,8 +182,8 @@ pub enum TrialError {
     },
     /// More than one robot in the file.
     #[error(
-        "{path}: row {row}: robot {found:?} after robot {first:?}; a trial holds one robot, split \
-         the file",
+        "{path}: row {row}: robot {found:?} after robot {first:?}; a trial holds one robot: \
+         `joulebus data convert` splits the file",
         path = path.display()
     )]
     SecondRobot {
@@ -195,6 +195,12 @@ pub enum TrialError {
         first: String,
         /// The other robot.
         found: String,
+    },
+    /// More robots in one file than anything real has.
+    #[error("{path}: more than {MAX_ROBOTS} robots; split the recording", path = path.display())]
+    TooManyRobots {
+        /// The file.
+        path: PathBuf,
     },
     /// No row is later than the one before it.
     #[error(

@@ -24,6 +24,8 @@ pub struct TrialNotes {
     pub missing_readings: usize,
     /// Columns that are not in the file, or hold nothing but NaN.
     pub missing_columns: Vec<Column>,
+    /// Rows without the robot's name, while others have it.
+    pub unnamed_rows: usize,
     /// Columns of the file that have no meaning here.
     pub ignored_columns: Vec<String>,
     /// The last line of a CSV has no line break: it may have been cut off.
@@ -47,6 +49,7 @@ impl TrialNotes {
         self.not_advancing.is_empty()
             && self.gaps.is_empty()
             && self.missing_readings == 0
+            && self.unnamed_rows == 0
             && self.ignored_columns.is_empty()
             && !self.no_final_line_break
     }
@@ -73,6 +76,9 @@ impl fmt::Display for TrialNotes {
                 out,
                 ", {count} rows whose time does not advance, the first {first}"
             )?;
+        }
+        if self.unnamed_rows > 0 {
+            write!(out, ", {} rows without the robot's name", self.unnamed_rows)?;
         }
         if !self.missing_columns.is_empty() {
             let names = self.missing_columns.iter().map(|column| column.name());
@@ -128,7 +134,7 @@ pub(super) fn take(trial: &Trial) -> TrialNotes {
         ..TrialNotes::default()
     };
     for (before, step_ns) in steps_ns(&trial.offset_ns).enumerate() {
-        let row = before + 2;
+        let row = trial.file_row(before + 1);
         match u64::try_from(step_ns) {
             Err(_) | Ok(0) => notes.not_advancing.push(row),
             Ok(length_ns) if length_ns > trial.period_ns + trial.period_ns / 2 => {

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use npyz::{DType, NpyFile, Order, TypeChar};
 
-use super::table::{Cell, Column, Table};
+use super::table::{Cell, Column, Table, Tables};
 use super::{MAX_ROWS, NPY_MAGIC, TrialError};
 
 const WIDTH: usize = 11;
@@ -19,7 +19,7 @@ pub(super) fn read(
     path: &Path,
     mut source: impl Read,
     file_bytes: u64,
-) -> Result<Table, TrialError> {
+) -> Result<Vec<Table>, TrialError> {
     let header = read_header(path, &mut source)?;
     let header_bytes = header.len() as u64;
     check_header(path, &header)?;
@@ -197,8 +197,9 @@ fn read_values<R: Read>(path: &Path, array: NpyFile<R>) -> Result<Vec<f64>, Tria
     values.map_err(|source| io(path, source))
 }
 
-fn fill(path: &Path, values: &[f64], rows: usize, order: Order) -> Result<Table, TrialError> {
-    let mut table = Table::default();
+fn fill(path: &Path, values: &[f64], rows: usize, order: Order) -> Result<Vec<Table>, TrialError> {
+    let mut tables = Tables::default();
+    let mut last = (f64::NAN, String::new());
     for row in 0..rows {
         let at = |column: usize| match order {
             Order::C => values[row * WIDTH + column],
@@ -209,15 +210,21 @@ fn fill(path: &Path, values: &[f64], rows: usize, order: Order) -> Result<Table,
         if robot.is_infinite() {
             return Err(cell.refuse("robot_id", robot.to_string(), "NaN or a finite number"));
         }
-        if !robot.is_nan() {
-            table.push_robot(cell, &robot.to_string())?;
+        if robot.to_bits() != last.0.to_bits() {
+            let name = if robot.is_nan() {
+                String::new()
+            } else {
+                robot.to_string()
+            };
+            last = (robot, name);
         }
+        let table = tables.of(cell, &last.1)?;
         table.push_time(cell, at(TIME))?;
         for (column, position) in Column::ALL.into_iter().zip(TIME + 1..WIDTH) {
             table.push(cell, column, at(position))?;
         }
     }
-    Ok(table)
+    Ok(tables.finish(path, &[], false))
 }
 
 fn bad_header(path: &Path, detail: impl Into<String>) -> TrialError {

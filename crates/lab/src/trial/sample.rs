@@ -73,8 +73,9 @@ impl Trial {
     }
 }
 
-/// Whether the reading of `row` repeats that of the row before.
-pub(super) fn is_held(trial: &Trial, row: usize) -> bool {
+/// Whether the reading of `row` repeats that of the row before: power, voltage and current, to the
+/// bit.
+pub(crate) fn is_held(trial: &Trial, row: usize) -> bool {
     let Some(before) = row.checked_sub(1) else {
         return false;
     };

@@ -1,8 +1,9 @@
 //! The columns of a trial: their names, their units, and the table that both readers fill.
 
-use std::path::Path;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
 
-use super::{MAX_ROWS, TrialError};
+use super::{MAX_ROBOTS, MAX_ROWS, TrialError};
 
 /// A column of a trial, without robot and time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,6 +48,9 @@ impl Column {
         Self::OmegaMeasured,
     ];
 
+    /// How many of [`Column::ALL`] the array layout has: the first.
+    pub const LAYOUT: usize = 9;
+
     /// Name in a CSV header, with the unit in the file.
     #[must_use]
     pub const fn name(self) -> &'static str {
@@ -70,6 +74,15 @@ impl Column {
         }
     }
 
+    /// A value of a file in SI units.
+    pub(super) const fn si(self, recorded: f64) -> f64 {
+        if self.is_milli() {
+            recorded / 1000.0
+        } else {
+            recorded
+        }
+    }
+
     /// A value in SI units as it stands in a file.
     pub(super) const fn recorded(self, value: f64) -> f64 {
         if self.is_milli() {
@@ -89,15 +102,23 @@ pub(super) const ROBOT_NAMES: &[&str] = &["robot_id"];
 /// The names under which a CSV may have the time.
 pub(super) const TIME_NAMES: &[&str] = &["timestamp_s", "timestamp"];
 
-/// What a reader of a file hands over: rows in file order, values in SI units.
-#[derive(Debug, Default)]
-pub(super) struct Table {
+/// What stands in a file for one robot: its rows in file order, in the units of the file (mV, mA,
+/// mW), to the bit. [`Trial`](super::Trial) is the same in SI units.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Table {
+    pub(super) path: PathBuf,
     pub(super) robot_name: Option<String>,
+    /// Row of the file of each row here, from 1: others where several robots share a file.
+    pub(super) file_row: Vec<u32>,
     pub(super) timestamp_s: Vec<f64>,
-    pub(super) columns: [Option<Vec<f64>>; Column::ALL.len()],
+    pub(super) columns: Columns,
     pub(super) ignored_columns: Vec<String>,
     pub(super) no_final_line_break: bool,
+    pub(super) unnamed_rows: usize,
 }
+
+/// Values of each [`Column`], in the order of [`Column::ALL`].
+pub(crate) type Columns = [Option<Vec<f64>>; Column::ALL.len()];
 
 /// A value and where it stands, for checks and their messages.
 #[derive(Clone, Copy)]
@@ -125,33 +146,82 @@ impl Cell<'_> {
 }
 
 impl Table {
-    /// Takes the value of `column` in a new row, converting it to SI.
+    /// The file that the table was read from.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The robot's name as recorded, if it was: text in a CSV, a number in an array.
+    #[must_use]
+    pub fn robot_name(&self) -> Option<&str> {
+        self.robot_name.as_deref()
+    }
+
+    /// Gives the robot another name.
+    pub fn rename(&mut self, robot_name: &str) {
+        self.robot_name = Some(robot_name.to_owned());
+        self.unnamed_rows = 0;
+    }
+
+    /// Rows.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.timestamp_s.len()
+    }
+
+    /// Rows without a robot's name in a table that has one: what is written names the robot in all.
+    #[must_use]
+    pub fn unnamed_rows(&self) -> usize {
+        self.unnamed_rows
+    }
+
+    /// Time of each row as recorded, s; finite.
+    #[must_use]
+    pub fn timestamp_s(&self) -> &[f64] {
+        &self.timestamp_s
+    }
+
+    /// One value a row as recorded, in the unit that stands in the column's [`Column::name`]; NaN
+    /// where there is none, `None` if the file has no such column.
+    #[must_use]
+    pub fn column(&self, column: Column) -> Option<&[f64]> {
+        self.columns[column as usize].as_deref()
+    }
+
+    /// Leaves a column out.
+    pub fn drop_column(&mut self, column: Column) {
+        self.columns[column as usize] = None;
+    }
+
+    /// Names of the file's columns that have no meaning here, so that they are not in the table.
+    #[must_use]
+    pub fn ignored_columns(&self) -> &[String] {
+        &self.ignored_columns
+    }
+
+    /// Takes the value of `column` in a new row, in the unit of the file.
     pub(super) fn push(
         &mut self,
         cell: Cell<'_>,
         column: Column,
         recorded: f64,
     ) -> Result<(), TrialError> {
-        let value = if column.is_milli() {
-            recorded / 1000.0
-        } else {
-            recorded
-        };
-        self.push_si(cell, column, value)
+        check_value(cell, column, column.si(recorded))?;
+        self.columns[column as usize]
+            .get_or_insert_default()
+            .push(recorded);
+        Ok(())
     }
 
-    /// Takes the value of `column` in a new row, in SI units.
+    /// Takes the value of `column` in a new row, in SI units, for a table that is all in SI units.
     pub(super) fn push_si(
         &mut self,
         cell: Cell<'_>,
         column: Column,
         value: f64,
     ) -> Result<(), TrialError> {
-        // Samples carry f32: what overflows there would arrive as infinity.
-        if !value.is_nan() && !(value as f32).is_finite() {
-            let allowed = "NaN, or a finite number within ±3.4e38 in SI units";
-            return Err(cell.refuse(column.name(), column.recorded(value).to_string(), allowed));
-        }
+        check_value(cell, column, value)?;
         self.columns[column as usize]
             .get_or_insert_default()
             .push(value);
@@ -160,7 +230,7 @@ impl Table {
 
     /// Takes the time of a new row.
     pub(super) fn push_time(&mut self, cell: Cell<'_>, timestamp_s: f64) -> Result<(), TrialError> {
-        if self.timestamp_s.len() == MAX_ROWS {
+        if cell.row > MAX_ROWS {
             return Err(TrialError::TooManyRows {
                 path: cell.path.to_owned(),
             });
@@ -170,26 +240,109 @@ impl Table {
             let allowed = "a number of seconds within ±4e9";
             return Err(cell.refuse(TIME_NAMES[0], timestamp_s.to_string(), allowed));
         }
+        // MAX_ROWS fits u32.
+        self.file_row.push(cell.row as u32);
         self.timestamp_s.push(timestamp_s);
         Ok(())
     }
 
-    /// Takes the robot of a new row; an empty name says nothing.
-    pub(super) fn push_robot(&mut self, cell: Cell<'_>, name: &str) -> Result<(), TrialError> {
-        match &self.robot_name {
-            _ if name.is_empty() => Ok(()),
-            None => {
-                self.robot_name = Some(name.to_owned());
-                Ok(())
-            }
-            Some(first) if first == name => Ok(()),
-            Some(first) => Err(TrialError::SecondRobot {
-                path: cell.path.to_owned(),
-                row: cell.row,
-                first: first.clone(),
-                found: name.to_owned(),
-            }),
+    /// The only table of a file.
+    pub(super) fn only(mut tables: Vec<Self>) -> Result<Self, TrialError> {
+        let second = tables.get(1).map(|table| TrialError::SecondRobot {
+            path: table.path.clone(),
+            row: table.file_row.first().map_or(0, |row| *row as usize),
+            first: tables[0].robot_name.clone().unwrap_or_default(),
+            found: table.robot_name.clone().unwrap_or_default(),
+        });
+        match second {
+            Some(error) => Err(error),
+            None => Ok(tables.pop().unwrap_or_default()),
         }
+    }
+}
+
+/// Samples carry f32: what overflows there would arrive as infinity.
+fn check_value(cell: Cell<'_>, column: Column, value: f64) -> Result<(), TrialError> {
+    if value.is_nan() || (value as f32).is_finite() {
+        return Ok(());
+    }
+    let allowed = "NaN, or a finite number within ±3.4e38 in SI units";
+    Err(cell.refuse(column.name(), column.recorded(value).to_string(), allowed))
+}
+
+/// The tables of a file while it is read, one for each robot, in the order in which they appear.
+#[derive(Debug, Default)]
+pub(super) struct Tables {
+    tables: Vec<Table>,
+    by_name: HashMap<String, usize>,
+}
+
+impl Tables {
+    /// The table that a row of this robot belongs to; an empty name says nothing.
+    pub(super) fn of(&mut self, cell: Cell<'_>, name: &str) -> Result<&mut Table, TrialError> {
+        let at = match self.tables.len() {
+            0 => self.add(cell, name)?,
+            1 if name.is_empty() => {
+                let table = &mut self.tables[0];
+                table.unnamed_rows += usize::from(table.robot_name.is_some());
+                0
+            }
+            1 if self.tables[0].robot_name.is_none() => {
+                let table = &mut self.tables[0];
+                table.unnamed_rows = table.rows();
+                table.robot_name = Some(name.to_owned());
+                self.by_name.insert(name.to_owned(), 0);
+                0
+            }
+            _ => match self.by_name.get(name) {
+                Some(at) => *at,
+                None => self.add(cell, name)?,
+            },
+        };
+        Ok(&mut self.tables[at])
+    }
+
+    fn add(&mut self, cell: Cell<'_>, name: &str) -> Result<usize, TrialError> {
+        let at = self.tables.len();
+        if at > 0 && (name.is_empty() || self.tables[0].unnamed_rows > 0) {
+            let allowed = "in a file of several robots, a name in every row";
+            return Err(cell.refuse(ROBOT_NAMES[0], name, allowed));
+        }
+        if at == MAX_ROBOTS {
+            return Err(TrialError::TooManyRobots {
+                path: cell.path.to_owned(),
+            });
+        }
+        let robot_name = (!name.is_empty()).then(|| name.to_owned());
+        self.tables.push(Table {
+            path: cell.path.to_owned(),
+            robot_name,
+            ..Table::default()
+        });
+        if !name.is_empty() {
+            self.by_name.insert(name.to_owned(), at);
+        }
+        Ok(at)
+    }
+
+    /// What was read, with what goes for the whole file; a file without rows gives an empty table.
+    pub(super) fn finish(
+        mut self,
+        path: &Path,
+        ignored_columns: &[String],
+        no_final_line_break: bool,
+    ) -> Vec<Table> {
+        if self.tables.is_empty() {
+            self.tables.push(Table {
+                path: path.to_owned(),
+                ..Table::default()
+            });
+        }
+        for table in &mut self.tables {
+            table.ignored_columns = ignored_columns.to_vec();
+            table.no_final_line_break = no_final_line_break;
+        }
+        self.tables
     }
 }
 

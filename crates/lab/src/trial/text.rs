@@ -6,11 +6,15 @@ use std::path::Path;
 use csv::ByteRecord;
 use flate2::bufread::MultiGzDecoder;
 
-use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
+use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table, Tables};
 use super::{MAX_TEXT_BYTES, NPY_MAGIC, TrialError};
 
 /// Reads the table; `zipped` says that the bytes are gzip.
-pub(super) fn read(path: &Path, source: Box<dyn Read>, zipped: bool) -> Result<Table, TrialError> {
+pub(super) fn read(
+    path: &Path,
+    source: Box<dyn Read>,
+    zipped: bool,
+) -> Result<Vec<Table>, TrialError> {
     let source = if zipped {
         Box::new(MultiGzDecoder::new(io::BufReader::new(source)))
     } else {
@@ -35,18 +39,27 @@ pub(super) fn read(path: &Path, source: Box<dyn Read>, zipped: bool) -> Result<T
             found: "a compressed NumPy array (decompress it first)",
         });
     }
-    let (layout, mut table) = Layout::find(path, &header)?;
+    let (layout, ignored_columns) = Layout::find(path, &header)?;
+    let mut tables = Tables::default();
     let mut record = ByteRecord::new();
+    let mut rows = 0;
     loop {
-        let rows = table.timestamp_s.len();
         match reader.read_byte_record(&mut record) {
-            Ok(true) => layout.take_row(path, &record, &mut table)?,
+            Ok(true) => layout.take_row(
+                Cell {
+                    path,
+                    row: rows + 1,
+                },
+                &record,
+                &mut tables,
+            )?,
             Ok(false) => break,
             Err(error) => return Err(explain(path, zipped, reader.get_ref(), rows, error)),
         }
+        rows += 1;
     }
-    table.no_final_line_break = !matches!(reader.get_ref().last, b'\n' | b'\r');
-    Ok(table)
+    let no_final_line_break = !matches!(reader.get_ref().last, b'\n' | b'\r');
+    Ok(tables.finish(path, &ignored_columns, no_final_line_break))
 }
 
 /// Bounds what comes out of a small compressed file, and remembers how the text ends.
@@ -106,7 +119,7 @@ struct Layout {
 }
 
 impl Layout {
-    fn find(path: &Path, header: &ByteRecord) -> Result<(Self, Table), TrialError> {
+    fn find(path: &Path, header: &ByteRecord) -> Result<(Self, Vec<String>), TrialError> {
         let names = header
             .iter()
             .map(|name| String::from_utf8_lossy(name).into_owned())
@@ -155,34 +168,28 @@ impl Layout {
             .zip(used)
             .filter_map(|(name, used)| (!used).then_some(name))
             .collect();
-        let table = Table {
-            ignored_columns,
-            ..Table::default()
-        };
-        Ok((layout, table))
+        Ok((layout, ignored_columns))
     }
 
     fn take_row(
         &self,
-        path: &Path,
+        cell: Cell<'_>,
         record: &ByteRecord,
-        table: &mut Table,
+        tables: &mut Tables,
     ) -> Result<(), TrialError> {
-        let row = table.timestamp_s.len() + 1;
         if record.len() != self.fields {
             return Err(TrialError::FieldCount {
-                path: path.to_owned(),
-                row,
+                path: cell.path.to_owned(),
+                row: cell.row,
                 found: record.len(),
                 expected: self.fields,
             });
         }
-        let cell = Cell { path, row };
-        if let Some(position) = self.robot {
-            let name = String::from_utf8_lossy(&record[position]);
-            let unknown = name.eq_ignore_ascii_case("nan");
-            table.push_robot(cell, if unknown { "" } else { &name })?;
-        }
+        let name = self
+            .robot
+            .map(|position| String::from_utf8_lossy(&record[position]));
+        let name = name.filter(|name| !name.eq_ignore_ascii_case("nan"));
+        let table = tables.of(cell, name.as_deref().unwrap_or_default())?;
         let time_s = number(cell, TIME_NAMES[0], &record[self.time])?;
         table.push_time(cell, time_s)?;
         for (column, position) in &self.columns {

@@ -1,11 +1,13 @@
 //! Trials from rows, and trials as the published table.
 
-use std::fs::File;
+use std::fs::Permissions;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use npyz::WriterBuilder as _;
 
 use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
 use super::{Trial, TrialError};
@@ -30,54 +32,273 @@ impl Trial {
         robot_name: &str,
         rows: impl IntoIterator<Item = Row>,
     ) -> Result<Self, TrialError> {
-        let mut table = Table::default();
+        let mut table = Table {
+            path: path.to_owned(),
+            robot_name: (!robot_name.is_empty()).then(|| robot_name.to_owned()),
+            ..Table::default()
+        };
         for (number, row) in rows.into_iter().enumerate() {
             let cell = Cell {
                 path,
                 row: number + 1,
             };
-            table.push_robot(cell, robot_name)?;
             table.push_time(cell, row.timestamp_s)?;
             for (column, value) in Column::ALL.into_iter().zip(row.values) {
                 table.push_si(cell, column, value)?;
             }
         }
-        Self::from_table(path, table)
+        Self::from_si(table)
     }
 
-    /// Writes the trial as the published table: CSV with a header, compressed if the name ends in
-    /// `.gz`. What was not recorded is `NaN`. The file must not exist.
+    /// The trial in the units of files. A value that was read from a file in another unit than SI
+    /// may differ from it in the last bit; [`Table::read`] gives it as it was.
+    #[must_use]
+    pub fn to_table(&self) -> Table {
+        let mut columns = self.columns.clone();
+        for (column, values) in Column::ALL.into_iter().zip(&mut columns) {
+            for value in values.iter_mut().flatten() {
+                *value = column.recorded(*value);
+            }
+        }
+        Table {
+            path: self.path.clone(),
+            robot_name: self.robot_name.clone(),
+            file_row: self.file_row.clone(),
+            timestamp_s: self.timestamp_s.clone(),
+            columns,
+            ..Table::default()
+        }
+    }
+
+    /// Writes the trial as the published table: CSV with a header and all columns, compressed if the
+    /// name ends in `.gz`. What was not recorded is `NaN`. The file must not exist.
     ///
     /// # Errors
     /// What the system said.
     pub fn write_csv(&self, path: &Path) -> io::Result<()> {
-        let file = BufWriter::new(File::create_new(path)?);
-        if path.extension().is_some_and(|extension| extension == "gz") {
-            let mut zipped = GzEncoder::new(file, Compression::default());
-            self.write_table(&mut zipped)?;
-            zipped.finish()?.flush()
-        } else {
-            let mut file = file;
-            self.write_table(&mut file)?;
-            file.flush()
+        let mut table = self.to_table();
+        for values in &mut table.columns {
+            values.get_or_insert_with(|| vec![f64::NAN; self.rows()]);
+        }
+        let is_zipped = path.extension().is_some_and(|extension| extension == "gz");
+        create(path, |file| {
+            if is_zipped {
+                table.write_zipped(file)
+            } else {
+                table.write_text(file)
+            }
+        })
+    }
+}
+
+/// The form of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Form {
+    /// The published array, float64.
+    Npy,
+    /// CSV with a header.
+    Csv,
+    /// The same, compressed.
+    CsvGz,
+}
+
+impl Form {
+    /// All forms.
+    pub const ALL: [Self; 3] = [Self::Npy, Self::Csv, Self::CsvGz];
+
+    /// How the names of such files end.
+    #[must_use]
+    pub const fn ending(self) -> &'static str {
+        match self {
+            Self::Npy => ".npy",
+            Self::Csv => ".csv",
+            Self::CsvGz => ".csv.gz",
         }
     }
 
-    fn write_table(&self, out: &mut impl Write) -> io::Result<()> {
-        let names = Column::ALL.iter().map(|column| column.name());
-        let names = names.collect::<Vec<_>>().join(",");
-        writeln!(out, "{},{},{names}", ROBOT_NAMES[0], TIME_NAMES[0])?;
-        let robot = self.robot_name.as_deref().unwrap_or("NaN");
+    /// The form that a file's name promises, if it is one of these.
+    #[must_use]
+    pub fn of(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_str()?;
+        Self::ALL
+            .into_iter()
+            .find(|form| name.ends_with(form.ending()))
+    }
+}
+
+/// Why a table could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteError {
+    /// What the system said; a file that exists is never overwritten.
+    #[error("{path}: {source}", path = path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// The name promises no form.
+    #[error("{path}: names of recordings end in .npy, .csv or .csv.gz", path = path.display())]
+    Ending {
+        /// The file.
+        path: PathBuf,
+    },
+    /// An array holds numbers.
+    #[error(
+        "{path}: the robot's name is {found:?}, but an array holds numbers; allowed: a name that is \
+         a number and reads back as it is, such as 7",
+        path = path.display()
+    )]
+    RobotName {
+        /// The file.
+        path: PathBuf,
+        /// The name.
+        found: String,
+    },
+    /// The array layout has no place for recorded values.
+    #[error(
+        "{path}: the array layout has no columns {found}, which hold values; drop them by name, or \
+         write CSV",
+        path = path.display()
+    )]
+    NoSuchColumns {
+        /// The file.
+        path: PathBuf,
+        /// Names of the columns.
+        found: String,
+    },
+}
+
+impl Table {
+    /// Writes the table in the form that the name of the file promises; the file must not exist, and
+    /// is there whole or not at all. What is read from it again is the same to the bit, but for the
+    /// payload of NaNs; a column without any value may be missing.
+    ///
+    /// # Errors
+    /// [`WriteError`]: what the form cannot hold is refused, never left out.
+    pub fn write(&self, path: &Path) -> Result<(), WriteError> {
+        let written = match Form::of(path) {
+            None => {
+                return Err(WriteError::Ending {
+                    path: path.to_owned(),
+                });
+            }
+            Some(Form::Csv) => create(path, |file| self.write_text(file)),
+            Some(Form::CsvGz) => create(path, |file| self.write_zipped(file)),
+            Some(Form::Npy) => {
+                let robot = self.check_array(path)?;
+                create(path, |file| self.write_array(file, robot))
+            }
+        };
+        written.map_err(|source| WriteError::Io {
+            path: path.to_owned(),
+            source,
+        })
+    }
+
+    fn write_text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let columns = Column::ALL
+            .into_iter()
+            .filter_map(|column| Some((column, self.column(column)?)))
+            .collect::<Vec<_>>();
+        let names = columns.iter().map(|(column, _)| column.name());
+        let names = [ROBOT_NAMES[0], TIME_NAMES[0]].into_iter().chain(names);
+        writeln!(out, "{}", names.collect::<Vec<_>>().join(","))?;
+        let robot = quoted(self.robot_name().unwrap_or("NaN"));
         for (row, time_s) in self.timestamp_s.iter().enumerate() {
-            write!(out, "{},{time_s}", quoted(robot))?;
-            for column in Column::ALL {
-                let value = self.value(column, row).unwrap_or(f64::NAN);
-                write!(out, ",{}", column.recorded(value))?;
+            write!(out, "{robot},{time_s}")?;
+            for (_, values) in &columns {
+                write!(out, ",{}", values.get(row).copied().unwrap_or(f64::NAN))?;
             }
             writeln!(out)?;
         }
         Ok(())
     }
+
+    fn write_zipped(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut zipped = BufWriter::new(GzEncoder::new(out, Compression::default()));
+        self.write_text(&mut zipped)?;
+        zipped.into_inner()?.finish()?.flush()
+    }
+
+    /// Whether the array layout can hold the table; the robot as the number that it holds.
+    fn check_array(&self, path: &Path) -> Result<f64, WriteError> {
+        let robot = match self.robot_name() {
+            None => f64::NAN,
+            Some(name) => {
+                let number = name.parse::<f64>().ok();
+                let number = number.filter(|number| number.is_finite());
+                let number = number.filter(|number| number.to_string() == name);
+                number.ok_or_else(|| WriteError::RobotName {
+                    path: path.to_owned(),
+                    found: name.to_owned(),
+                })?
+            }
+        };
+        let outside = Column::ALL[Column::LAYOUT..]
+            .iter()
+            .filter(|column| {
+                let values = self.column(**column).unwrap_or_default();
+                values.iter().any(|value| !value.is_nan())
+            })
+            .map(|column| column.name())
+            .collect::<Vec<_>>();
+        if outside.is_empty() {
+            return Ok(robot);
+        }
+        Err(WriteError::NoSuchColumns {
+            path: path.to_owned(),
+            found: outside.join(" "),
+        })
+    }
+
+    fn write_array(&self, out: &mut dyn Write, robot: f64) -> io::Result<()> {
+        let columns = Column::ALL[..Column::LAYOUT].iter();
+        let columns = columns
+            .map(|column| self.column(*column))
+            .collect::<Vec<_>>();
+        let shape = [self.rows() as u64, 2 + Column::LAYOUT as u64];
+        let mut array = npyz::WriteOptions::<f64>::new()
+            .default_dtype()
+            .shape(&shape)
+            .writer(&mut *out)
+            .begin_nd()?;
+        for (row, time_s) in self.timestamp_s.iter().enumerate() {
+            array.push(&robot)?;
+            array.push(time_s)?;
+            for values in &columns {
+                let value = values.and_then(|values| values.get(row).copied());
+                array.push(&value.unwrap_or(f64::NAN))?;
+            }
+        }
+        array.finish()?;
+        out.flush()
+    }
+}
+
+/// Writes a file that must not exist, so that it is there whole or not at all.
+fn create(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    let directory = match path.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    };
+    if path.try_exists()? {
+        return Err(io::Error::new(
+            io::ErrorKind::AlreadyExists,
+            "the file exists and is not overwritten",
+        ));
+    }
+    let mut file = tempfile::Builder::new()
+        .permissions(Permissions::from_mode(0o666))
+        .tempfile_in(directory)?;
+    let mut buffered = BufWriter::new(file.as_file_mut());
+    write(&mut buffered)?;
+    buffered.flush()?;
+    drop(buffered);
+    file.persist_noclobber(path)
+        .map(|_| ())
+        .map_err(|error| error.error)
 }
 
 /// A name as a CSV has it.

@@ -1,0 +1,116 @@
+//! `joulebus data check`: what is wrong with recordings.
+
+use std::fmt;
+
+use joulebus_lab::data::{Check, Finding, Limits, Range, check_files};
+use serde::Serialize;
+
+use super::Recordings;
+use crate::config_file::ConfigFile;
+use crate::exit::Outcome;
+use crate::output::Output;
+use crate::trials::platform;
+
+/// Find what is wrong with recorded trials, with file and row
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus data check recordings/\n  \
+    joulebus data check 'runs/**/*.npy' --platform gternal --places 10\n  \
+    joulebus data check recordings/ --format json\n\n\
+    Faults: files that are no recordings, copies, times that repeat or go back, gaps, missing \
+    readings and values, values that cannot be true, power that is not voltage times current, \
+    numbers that look like another unit, readings that stand too long, files cut off. Held readings, \
+    columns that are missing, unknown or never change are said and are no faults.\n\
+    Exit codes: 0 without faults, 3 with faults.")]
+pub(super) struct Args {
+    #[command(flatten)]
+    recordings: Recordings,
+    /// Places to show of each finding
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    places: usize,
+    /// Platform of the config whose limits of power and velocity hold, instead of those of any
+    /// wheeled robot
+    #[arg(long, value_name = "NAME")]
+    platform: Option<String>,
+    #[command(flatten)]
+    config: ConfigFile,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    sound: bool,
+    #[serde(flatten)]
+    check: Check,
+    limits: Limits,
+}
+
+pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let files = args.recordings.find()?;
+    let limits = args.limits()?;
+    let check = check_files(&files, &limits, args.places);
+    let sound = check.is_sound();
+    output.report(&Report {
+        sound,
+        check,
+        limits,
+    })?;
+    Ok(Outcome::unless_lost(!sound))
+}
+
+impl Args {
+    fn limits(&self) -> anyhow::Result<Limits> {
+        let Some(name) = &self.platform else {
+            return Ok(Limits::default());
+        };
+        let config = self.config.load()?;
+        let platform = platform(config.settings(), name)?;
+        Ok(Limits {
+            v_mps: Range::within(f64::from(platform.v_max_mps)),
+            omega_radps: Range::within(f64::from(platform.omega_max_radps)),
+            power_w: Range {
+                least: f64::from(platform.power_min_w),
+                greatest: f64::from(platform.power_max_w),
+            },
+            ..Limits::default()
+        })
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Check {
+            files,
+            trials,
+            robots,
+            rows,
+            faults,
+            findings,
+        } = &self.check;
+        for finding in findings.iter().filter(|finding| finding.fault) {
+            write_finding(out, "fault", finding)?;
+        }
+        for finding in findings.iter().filter(|finding| !finding.fault) {
+            write_finding(out, "note", finding)?;
+        }
+        writeln!(
+            out,
+            "{files} files, {trials} trials of {robots} robots, {rows} rows: {}",
+            match faults {
+                0 => "no fault".to_owned(),
+                1 => "1 fault".to_owned(),
+                many => format!("{many} faults"),
+            }
+        )
+    }
+}
+
+fn write_finding(out: &mut fmt::Formatter<'_>, word: &str, finding: &Finding) -> fmt::Result {
+    let Finding {
+        kind, count, files, ..
+    } = finding;
+    writeln!(out, "{word}: {kind}: {count} in {files} files")?;
+    for place in &finding.places {
+        writeln!(out, "  {place}")?;
+    }
+    Ok(())
+}

@@ -1,0 +1,281 @@
+//! `joulebus data convert`: recordings in another form.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::ValueEnum;
+use joulebus_lab::trial::{Column, Form, Method, Resample, Resampled, Table};
+use serde::Serialize;
+
+use super::Recordings;
+use crate::exit::{Outcome, UsageError};
+use crate::output::Output;
+
+/// Write recorded trials in another form, to the same bits; on another grid of time only when asked
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus data convert trial1.npy --out trial1.csv.gz\n  \
+    joulebus data convert runs/ --to npy --robot 7 --drop v_meas_mps,omega_meas_radps --out arrays/\n  \
+    joulebus data convert husky/ --to csv.gz --resample hold --rate 30 --out husky-30hz/\n\n\
+    A file of several robots becomes one file a robot. What the form cannot hold is refused, never \
+    left out: an array holds eleven columns, and the robot as a number.\n\
+    Resampling changes the data. hold: the latest row, as a controller would have seen it; mean: over \
+    the period that ends, which keeps the energy; linear: between the rows around. Gaps stay gaps, \
+    and NaN stays NaN.\n\
+    Exit codes: 3 if rows were left out because their time does not advance.")]
+pub(super) struct Args {
+    #[command(flatten)]
+    recordings: Recordings,
+    /// The file to write, or, with --to, the directory for several
+    #[arg(short, long, value_name = "PATH")]
+    out: PathBuf,
+    /// The form of the files in the directory
+    #[arg(long, value_enum, value_name = "FORM")]
+    to: Option<To>,
+    /// Another grid of time
+    #[arg(long, value_enum, value_name = "METHOD", requires = "rate")]
+    resample: Option<How>,
+    /// Rows a second of that grid
+    #[arg(long, value_name = "HZ", requires = "resample")]
+    rate: Option<f64>,
+    /// Columns to leave out, by their names
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
+    drop: Vec<String>,
+    /// Another name for the robot, such as a number for an array
+    #[arg(long, value_name = "NAME")]
+    robot: Option<String>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum To {
+    /// The published array, float64
+    Npy,
+    /// CSV with a header
+    Csv,
+    /// The same, compressed
+    #[value(name = "csv.gz")]
+    CsvGz,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum How {
+    /// The latest row
+    Hold,
+    /// The mean over the period that ends
+    Mean,
+    /// The line between the rows around
+    Linear,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    resample: Option<Resample>,
+    files: Vec<Written>,
+}
+
+#[derive(Debug, Serialize)]
+struct Written {
+    from: PathBuf,
+    file: PathBuf,
+    robot_name: Option<String>,
+    rows: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    resampled: Option<Resampled>,
+    dropped_columns: Vec<String>,
+    unnamed_rows: usize,
+}
+
+pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let resample = args.grid();
+    let dropped = args.dropped()?;
+    let found = args.recordings.find()?;
+    let mut tables = Vec::new();
+    for file in &found {
+        tables.extend(Table::read_robots(file)?);
+    }
+    let targets = args.targets(&tables)?;
+    let mut files = Vec::with_capacity(tables.len());
+    for (mut table, file) in tables.into_iter().zip(targets) {
+        let from = table.path().to_owned();
+        let dropped_columns = drop_columns(&mut table, &dropped, &args.drop)?;
+        if let Some(name) = &args.robot {
+            table.rename(name);
+        }
+        let unnamed_rows = table.unnamed_rows();
+        let mut resampled = None;
+        if let Some(how) = resample {
+            let refused = || format!("{} cannot be resampled", from.display());
+            let (made, told) = table.resampled(how).with_context(refused)?;
+            (table, resampled) = (made, Some(told));
+        }
+        table.write(&file)?;
+        files.push(Written {
+            from,
+            file,
+            robot_name: table.robot_name().map(str::to_owned),
+            rows: table.rows(),
+            resampled,
+            dropped_columns,
+            unnamed_rows,
+        });
+    }
+    let lost = |file: &Written| file.resampled.is_some_and(|told| told.not_advancing > 0);
+    let lost = files.iter().any(lost);
+    output.report(&Report { resample, files })?;
+    Ok(Outcome::unless_lost(lost))
+}
+
+impl Args {
+    fn grid(&self) -> Option<Resample> {
+        let method = match self.resample? {
+            How::Hold => Method::Hold,
+            How::Mean => Method::Mean,
+            How::Linear => Method::Linear,
+        };
+        let rate_hz = self.rate?;
+        Some(Resample { method, rate_hz })
+    }
+
+    /// The columns to leave out that have a meaning.
+    fn dropped(&self) -> Result<Vec<Column>, UsageError> {
+        if self.drop.iter().any(|name| name == Column::Power.name()) {
+            let what = "power_mW cannot be left out: it is what a trial is about";
+            return Err(UsageError(what.to_owned()));
+        }
+        let known = Column::ALL.into_iter();
+        Ok(known
+            .filter(|column| self.drop.iter().any(|name| name == column.name()))
+            .collect())
+    }
+
+    /// The file that each table is written to.
+    fn targets(&self, tables: &[Table]) -> Result<Vec<PathBuf>, UsageError> {
+        let Some(to) = self.to else {
+            if tables.len() != 1 {
+                let (count, out) = (tables.len(), self.out.display());
+                let what = format!("{count} trials cannot all be written to {out}");
+                return Err(UsageError(format!(
+                    "{what}; give --to npy, csv or csv.gz, and a directory"
+                )));
+            }
+            return Ok(vec![self.out.clone()]);
+        };
+        std::fs::create_dir_all(&self.out).map_err(|error| {
+            UsageError(format!("{} is no directory: {error}", self.out.display()))
+        })?;
+        let targets: Vec<PathBuf> = tables
+            .iter()
+            .map(|table| {
+                let alone = tables.iter().filter(|t| t.path() == table.path()).count() == 1;
+                let robot = table.robot_name().filter(|_| !alone);
+                self.out.join(file_name(table.path(), robot, to.into()))
+            })
+            .collect();
+        match targets
+            .iter()
+            .enumerate()
+            .find(|(at, file)| targets[..*at].contains(file))
+        {
+            None => Ok(targets),
+            Some((at, file)) => {
+                let (from, file) = (tables[at].path().display(), file.display());
+                let what = format!("{from} and a recording before it would both become {file}");
+                Err(UsageError(format!("{what}; convert them one by one")))
+            }
+        }
+    }
+}
+
+/// The recording's name with another ending; a robot's name in it where a file holds several.
+fn file_name(path: &Path, robot: Option<&str>, form: Form) -> String {
+    let name = path.file_name().and_then(|name| name.to_str());
+    let name = name.unwrap_or("recording");
+    let stem = match Form::of(path) {
+        Some(form) => name.strip_suffix(form.ending()).unwrap_or(name),
+        None => name,
+    };
+    let ending = form.ending();
+    match robot {
+        None => format!("{stem}{ending}"),
+        Some(robot) => {
+            let plain = |c: char| {
+                if c.is_alphanumeric() || c == '-' || c == '.' {
+                    c
+                } else {
+                    '_'
+                }
+            };
+            let robot: String = robot.chars().map(plain).collect();
+            format!("{stem}_robot_{robot}{ending}")
+        }
+    }
+}
+
+impl From<To> for Form {
+    fn from(to: To) -> Self {
+        match to {
+            To::Npy => Self::Npy,
+            To::Csv => Self::Csv,
+            To::CsvGz => Self::CsvGz,
+        }
+    }
+}
+
+/// Leaves columns out, and refuses what would be lost without having been named. The names of what
+/// was there.
+fn drop_columns(
+    table: &mut Table,
+    known: &[Column],
+    asked: &[String],
+) -> Result<Vec<String>, UsageError> {
+    let unnamed = table
+        .ignored_columns()
+        .iter()
+        .find(|name| !asked.contains(name));
+    if let Some(name) = unnamed {
+        let file = table.path().display();
+        let what = format!("{file}: the column {name:?} has no meaning here");
+        return Err(UsageError(format!(
+            "{what}; leave it out with --drop {name}"
+        )));
+    }
+    let mut dropped = table.ignored_columns().to_vec();
+    for column in known {
+        if table.column(*column).is_some() {
+            table.drop_column(*column);
+            dropped.push(column.name().to_owned());
+        }
+    }
+    Ok(dropped)
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for written in &self.files {
+            let (from, file, rows) = (written.from.display(), written.file.display(), written.rows);
+            writeln!(out, "{from} to {file}: {rows} rows")?;
+            if let Some(told) = &written.resampled {
+                let Resampled {
+                    rows_before,
+                    not_advancing,
+                    in_gaps,
+                    ..
+                } = told;
+                writeln!(
+                    out,
+                    "  resampled from {rows_before} rows; {in_gaps} times of the grid lie in gaps, \
+                     {not_advancing} rows left out because their time does not advance"
+                )?;
+            }
+            if !written.dropped_columns.is_empty() {
+                writeln!(out, "  left out: {}", written.dropped_columns.join(" "))?;
+            }
+            if written.unnamed_rows > 0 {
+                let rows = written.unnamed_rows;
+                writeln!(out, "  {rows} rows without a name got that of the robot")?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,84 @@
+//! Files as tables.
+
+use std::fs::File;
+use std::io::{BufReader, Cursor, Read};
+use std::path::Path;
+
+use super::{GZIP_MAGIC, NPY_MAGIC, Table, Trial, TrialError, ZIP_MAGIC, npy, text};
+
+const HEAD_BYTES: u64 = 8;
+
+impl Table {
+    /// Reads the table of a file with one robot, as [`Trial::read`] does.
+    ///
+    /// # Errors
+    /// [`TrialError`], as of [`Trial::read`]; a time that never advances is none here.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, TrialError> {
+        Self::only(Self::read_robots(path)?)
+    }
+
+    /// Reads a file of one or several robots: a table for each, in the order in which they appear.
+    ///
+    /// # Errors
+    /// [`TrialError`], as of [`Table::read`]; several robots are none here, but then every row must
+    /// name its own.
+    pub fn read_robots(path: impl AsRef<Path>) -> Result<Vec<Self>, TrialError> {
+        let path = path.as_ref();
+        let io = |source| TrialError::Io {
+            path: path.to_owned(),
+            source,
+        };
+        let mut file = File::open(path).map_err(io)?;
+        let mut head = Vec::new();
+        file.by_ref()
+            .take(HEAD_BYTES)
+            .read_to_end(&mut head)
+            .map_err(io)?;
+        if head.is_empty() {
+            return Err(TrialError::Empty {
+                path: path.to_owned(),
+            });
+        }
+        let named_npy = path.extension().is_some_and(|extension| extension == "npy");
+        if head.starts_with(NPY_MAGIC) || named_npy {
+            let file_bytes = file.metadata().map_err(io)?.len();
+            let whole = head.as_slice().chain(BufReader::new(file));
+            npy::read(path, whole, file_bytes)
+        } else if head.starts_with(ZIP_MAGIC) {
+            Err(TrialError::Kind {
+                path: path.to_owned(),
+                found: "a zip archive (.npz?)",
+            })
+        } else {
+            let zipped = head.starts_with(GZIP_MAGIC);
+            let whole = Cursor::new(head).chain(BufReader::new(file));
+            text::read(path, Box::new(whole), zipped)
+        }
+    }
+
+    /// The trial in SI units.
+    ///
+    /// # Errors
+    /// [`TrialError::NoPeriod`] where no time advances.
+    pub fn into_trial(mut self) -> Result<Trial, TrialError> {
+        for (column, values) in super::Column::ALL.into_iter().zip(&mut self.columns) {
+            for value in values.iter_mut().flatten() {
+                *value = column.si(*value);
+            }
+        }
+        Trial::from_si(self)
+    }
+}
+
+impl Trial {
+    /// Reads the trials of a file of one or several robots, in the order in which they appear. Rows
+    /// in [`TrialNotes`](super::TrialNotes) are those of the file.
+    ///
+    /// # Errors
+    /// [`TrialError`], as of [`Trial::read`]; several robots are none here, but then every row must
+    /// name its own.
+    pub fn read_robots(path: impl AsRef<Path>) -> Result<Vec<Self>, TrialError> {
+        let tables = Table::read_robots(path)?;
+        tables.into_iter().map(Table::into_trial).collect()
+    }
+}
