@@ -4,8 +4,8 @@ use clap::{Parser, Subcommand};
 
 use crate::output::Asked;
 use crate::{
-    bench, cat, completions, config, data, demo, doctor, eval, import, info, model, publish,
-    record, recover, replay, run, serve, train, watch,
+    analyze, bench, cat, completions, config, data, demo, doctor, eval, import, info, model,
+    publish, record, recover, replay, run, serve, train, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -61,6 +61,7 @@ pub(crate) enum Command {
     Doctor(doctor::Args),
     Config(config::Args),
     Train(train::Args),
+    Analyze(analyze::Args),
     Eval(eval::Args),
     Model(model::Args),
     Bench(bench::Args),

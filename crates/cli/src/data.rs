@@ -6,8 +6,9 @@ mod info;
 
 use std::path::PathBuf;
 
-use clap::Subcommand;
+use clap::{Subcommand, ValueEnum};
 use joulebus_lab::data::{FindError, Found, find};
+use joulebus_lab::trial::Method;
 
 use crate::data_simulate;
 use crate::exit::{Outcome, UsageError};
@@ -66,6 +67,27 @@ impl Recordings {
             ));
         }
         Ok(files)
+    }
+}
+
+/// How to resample.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(crate) enum How {
+    /// The latest row
+    Hold,
+    /// The mean over the period that ends
+    Mean,
+    /// The line between the rows around
+    Linear,
+}
+
+impl From<How> for Method {
+    fn from(how: How) -> Self {
+        match how {
+            How::Hold => Self::Hold,
+            How::Mean => Self::Mean,
+            How::Linear => Self::Linear,
+        }
     }
 }
 

@@ -4,6 +4,7 @@
 //! a config that was refused; 3 finished, but data was lost or differs.
 #![forbid(unsafe_code)]
 
+mod analyze;
 mod arguments;
 mod bench;
 mod cat;
@@ -98,6 +99,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Doctor(args) => doctor::run(args, output),
         Command::Config(args) => config::run(args, output),
         Command::Train(args) => train::run(args, output),
+        Command::Analyze(args) => analyze::run(args, output),
         Command::Eval(args) => eval::run(args, output),
         Command::Model(args) => model::run(args, output),
         Command::Bench(args) => bench::run(args, output),

@@ -2,12 +2,9 @@
 //! model files of other programs.
 #![forbid(unsafe_code)]
 
-<<<<<<< HEAD
-pub mod bootstrap;
-=======
 pub mod analyze;
+pub mod bootstrap;
 pub mod data;
->>>>>>> fa8e001 (joulebus data info, check and convert: findings with file and row, the same bits in another form, resampling when asked; splits that know held readings)
 pub mod evaluate;
 pub mod linear;
 pub mod metrics;

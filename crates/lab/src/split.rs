@@ -115,7 +115,7 @@ pub struct Deal {
 }
 
 /// What went where.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Dealt {
     /// What stayed together.
     pub by: By,

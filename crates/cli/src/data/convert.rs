@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::ValueEnum;
-use joulebus_lab::trial::{Column, Form, Method, Resample, Resampled, Table};
+use joulebus_lab::trial::{Column, Form, Resample, Resampled, Table};
 use serde::Serialize;
 
-use super::Recordings;
+use super::{How, Recordings};
 use crate::exit::{Outcome, UsageError};
 use crate::output::Output;
 
@@ -56,16 +56,6 @@ enum To {
     /// The same, compressed
     #[value(name = "csv.gz")]
     CsvGz,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum How {
-    /// The latest row
-    Hold,
-    /// The mean over the period that ends
-    Mean,
-    /// The line between the rows around
-    Linear,
 }
 
 #[derive(Debug, Serialize)]
@@ -128,11 +118,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 
 impl Args {
     fn grid(&self) -> Option<Resample> {
-        let method = match self.resample? {
-            How::Hold => Method::Hold,
-            How::Mean => Method::Mean,
-            How::Linear => Method::Linear,
-        };
+        let method = self.resample?.into();
         let rate_hz = self.rate?;
         Some(Resample { method, rate_hz })
     }

@@ -1,6 +1,6 @@
 //! How much a reading tells about the next ones.
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use crate::trial::{Column, Trial};
 
@@ -10,7 +10,7 @@ use crate::trial::{Column, Trial};
 /// apart without a gap or a missing reading between them, over the mean squared deviation of all
 /// readings. Without gaps this is the usual estimator but for the factor n / (n − k), which keeps
 /// short trials from looking less correlated than they are.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Autocorrelation {
     /// At lag 1, 2, …; `None` where there is no pair, or the power never changes.
     pub at_lag: Vec<Option<f64>>,
@@ -23,13 +23,24 @@ pub struct Autocorrelation {
 /// Autocorrelation at lags from 1 to `lags`.
 #[must_use]
 pub fn autocorrelation(trial: &Trial, lags: usize) -> Autocorrelation {
-    let power_w = trial.column(Column::Power).unwrap_or_default();
-    let known = || power_w.iter().filter(|value| !value.is_nan());
+    pooled(std::slice::from_ref(trial), lags)
+}
+
+/// The same over all trials at once: deviations from the mean of all readings, pairs within trials.
+/// It also sees that trials differ from each other, so it is higher than within a trial, and it is
+/// what a score over many trials rests on.
+#[must_use]
+pub fn pooled(trials: &[Trial], lags: usize) -> Autocorrelation {
+    let power_of = |trial| Trial::column(trial, Column::Power).unwrap_or_default();
+    let known = || {
+        let values = trials.iter().flat_map(power_of);
+        values.filter(|value| !value.is_nan())
+    };
     let readings = known().count();
     let mean_w = known().sum::<f64>() / readings as f64;
     let square = |value: &f64| (value - mean_w) * (value - mean_w);
     let variance = known().map(square).sum::<f64>() / readings as f64;
-    let whole = stretches(trial, power_w);
+    let stretches: Vec<&[f64]> = trials.iter().flat_map(stretches).collect();
     let mut found = Autocorrelation {
         at_lag: Vec::with_capacity(lags),
         pairs: Vec::with_capacity(lags),
@@ -37,8 +48,7 @@ pub fn autocorrelation(trial: &Trial, lags: usize) -> Autocorrelation {
     };
     for lag in 1..=lags {
         let (mut sum, mut pairs) = (0.0, 0_usize);
-        for stretch in &whole {
-            let stretch = &power_w[stretch.clone()];
+        for stretch in &stretches {
             for (before, after) in stretch.iter().zip(stretch.iter().skip(lag)) {
                 sum += (before - mean_w) * (after - mean_w);
                 pairs += 1;
@@ -51,8 +61,9 @@ pub fn autocorrelation(trial: &Trial, lags: usize) -> Autocorrelation {
     found
 }
 
-/// Rows that follow each other without a gap and without a missing reading.
-fn stretches(trial: &Trial, power_w: &[f64]) -> Vec<std::ops::Range<usize>> {
+/// Readings that follow each other without a gap and without a missing one.
+fn stretches(trial: &Trial) -> Vec<&[f64]> {
+    let power_w = trial.column(Column::Power).unwrap_or_default();
     let offset_ns = trial.offset_ns();
     let longest_ns = (trial.period_ns() + trial.period_ns() / 2).cast_signed();
     let mut found: Vec<std::ops::Range<usize>> = Vec::new();
@@ -68,5 +79,5 @@ fn stretches(trial: &Trial, power_w: &[f64]) -> Vec<std::ops::Range<usize>> {
             _ => found.push(row..row + 1),
         }
     }
-    found
+    found.into_iter().map(|range| &power_w[range]).collect()
 }

@@ -1,0 +1,291 @@
+//! `joulebus analyze`: what a dataset can teach.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::ValueEnum;
+use joulebus_lab::analyze::{
+    Ablation, Analysis, Member, Series, Settings, TrialAutocorrelation, analyze,
+};
+use joulebus_lab::split::{By, Split};
+use joulebus_lab::trial::{Resample, Trial};
+use joulebus_predictor::{Model, Network};
+use serde::Serialize;
+
+use crate::data::{How, Recordings};
+use crate::exit::{Outcome, UsageError};
+use crate::output::Output;
+
+/// What a dataset can teach: autocorrelation, what each input adds, and how much of a score comes
+/// from readings that only repeat the one before
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus analyze recordings/\n  \
+    joulebus analyze husky/ --split group --leave-out ICE\n  \
+    joulebus analyze trials/*.npy --model gternal.safetensors --lags 30 --each\n  \
+    joulebus analyze recordings/ --native --format json\n\n\
+    The held series is what a controller sees that asks at 30 Hz, whatever the sensor's own rate. \
+    Lines are fitted by least squares on the training rows of the split, and all rules are scored on \
+    the same held-out rows. A held reading repeats the one before to the bit; a load that stands \
+    still within the sensor's step looks the same.")]
+pub(crate) struct Args {
+    #[command(flatten)]
+    recordings: Recordings,
+    /// Lags of the autocorrelation
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    lags: usize,
+    /// Readings that the rules may see, 1 to 5
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    window: usize,
+    /// Beside the native series, what is seen of it on a fixed grid of time
+    #[arg(
+        long,
+        value_enum,
+        value_name = "METHOD,…",
+        value_delimiter = ',',
+        default_value = "hold"
+    )]
+    resample: Vec<How>,
+    /// Rows a second of the grid
+    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    rate: f64,
+    /// Only the native series
+    #[arg(long, conflicts_with = "resample")]
+    native: bool,
+    /// What stays together when rows are held out
+    #[arg(long, value_enum, value_name = "BY", default_value_t = Together::Trial)]
+    split: Together,
+    /// Share that is held out
+    #[arg(long, value_name = "SHARE", default_value_t = 0.3)]
+    held_out: f64,
+    /// Trials, robots or groups to hold out by name, instead of a share
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
+    leave_out: Vec<String>,
+    /// Seed of the split
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Models to score beside the rest; one that was trained on the held-out rows says nothing
+    #[arg(long, value_name = "FILE", num_args = 1)]
+    model: Vec<PathBuf>,
+    /// Show the autocorrelation of each trial
+    #[arg(long)]
+    each: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Together {
+    /// Each trial
+    Trial,
+    /// All trials of a robot
+    Robot,
+    /// All trials whose file names differ only in their number
+    Group,
+    /// Nothing: the end of every trial is held out
+    Time,
+}
+
+impl From<Together> for By {
+    fn from(together: Together) -> Self {
+        match together {
+            Together::Trial => Self::Trial,
+            Together::Robot => Self::Robot,
+            Together::Group => Self::Group,
+            Together::Time => Self::Time,
+        }
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    #[serde(flatten)]
+    analysis: Analysis,
+    #[serde(skip)]
+    each: bool,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let models = args.models()?;
+    let mut trials = Vec::new();
+    for file in args.recordings.find()? {
+        trials.extend(Trial::read_robots(file)?);
+    }
+    let analysis = analyze(&trials, &args.settings(), &models);
+    let analysis = analysis.map_err(|error| UsageError(error.to_string()))?;
+    output.report(&Report {
+        analysis,
+        each: args.each,
+    })?;
+    Ok(Outcome::Done)
+}
+
+impl Args {
+    fn settings(&self) -> Settings {
+        Settings {
+            lags: self.lags,
+            window: self.window,
+            grids: match self.native {
+                true => Vec::new(),
+                false => self.resample.iter().map(|how| self.grid(*how)).collect(),
+            },
+            split: Split {
+                by: self.split.into(),
+                held_out: self.held_out,
+                seed: self.seed,
+                ..Split::default()
+            },
+            leave_out: self.leave_out.clone(),
+        }
+    }
+
+    fn grid(&self, how: How) -> Resample {
+        Resample {
+            method: how.into(),
+            rate_hz: self.rate,
+        }
+    }
+
+    fn models(&self) -> anyhow::Result<Vec<(String, Model)>> {
+        self.model.iter().map(|path| model(path)).collect()
+    }
+}
+
+fn model(path: &Path) -> anyhow::Result<(String, Model)> {
+    let name = path.display();
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read the model {name}"))?;
+    let network = Network::from_safetensors(&bytes)
+        .with_context(|| format!("the model {name} is refused"))?;
+    let name = format!("network {}", network.card().name);
+    Ok((name, Model::Network(network)))
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Analysis {
+            trials,
+            robots,
+            groups,
+            series,
+            ..
+        } = &self.analysis;
+        writeln!(
+            out,
+            "{trials} trials of {} robots in {} groups",
+            robots.len(),
+            groups.len()
+        )?;
+        for series in series {
+            write_series(out, series, self.each)?;
+        }
+        Ok(())
+    }
+}
+
+fn write_series(out: &mut fmt::Formatter<'_>, series: &Series, each: bool) -> fmt::Result {
+    let (name, rows, held) = (&series.name, series.rows, 100.0 * series.held_share);
+    writeln!(
+        out,
+        "\n{name}: {rows} rows, {held:.1} % of the readings repeat the one before"
+    )?;
+    let lags = |values: &[Option<f64>]| -> String {
+        let shown = values.iter().map(|value| match value {
+            Some(value) => format!("{value:.3}"),
+            None => "–".to_owned(),
+        });
+        shown.collect::<Vec<_>>().join(" ")
+    };
+    let count = series.pooled_autocorrelation.len();
+    writeln!(
+        out,
+        "  autocorrelation at lags 1 to {count}\n    all trials at once   {}\n    mean of the trials   {}",
+        lags(&series.pooled_autocorrelation),
+        lags(&series.mean_autocorrelation)
+    )?;
+    if each {
+        for TrialAutocorrelation { trial, found, .. } in &series.autocorrelations {
+            writeln!(out, "    {trial}   {}", lags(&found.at_lag))?;
+        }
+    }
+    writeln!(out, "  split {}", series.split.name)?;
+    if let Some(ablation) = &series.ablation {
+        write_ablation(out, ablation)?;
+    }
+    for left_out in &series.left_out {
+        writeln!(out, "  left out: {left_out}")?;
+    }
+    Ok(())
+}
+
+fn write_ablation(out: &mut fmt::Formatter<'_>, ablation: &Ablation) -> fmt::Result {
+    let Ablation {
+        fitted_rows,
+        rows,
+        held_rows,
+        unusable_rows,
+        power_mean_w,
+        power_std_w,
+        members,
+    } = ablation;
+    writeln!(
+        out,
+        "  fitted on {fitted_rows} rows, scored on {rows} ({held_rows} held), mean \
+         {power_mean_w:.3} W, std {power_std_w:.3} W; without a velocity {unusable_rows}"
+    )?;
+    writeln!(
+        out,
+        "  {:26}{:>9}{:>10}{:>14}{:>14}{:>12}",
+        "", "R²", "MAE, W", "R² on new", "MAE on new, W", "from held"
+    )?;
+    for member in members {
+        let Member {
+            name,
+            all,
+            new,
+            held_share_of_gain,
+            ..
+        } = member;
+        let share = match 100.0 * held_share_of_gain {
+            share if share.is_finite() => format!("{share:.0} %"),
+            _ => "–".to_owned(),
+        };
+        writeln!(
+            out,
+            "  {name:26}{:>9.4}{:>10.4}{:>14.4}{:>14.4}{share:>12}",
+            all.r2, all.mae_w, new.r2, new.mae_w
+        )?;
+    }
+    write_plainly(out, ablation)
+}
+
+/// What share of the score comes from repeated readings, in a sentence.
+fn write_plainly(out: &mut fmt::Formatter<'_>, ablation: &Ablation) -> fmt::Result {
+    let persistence = ablation
+        .members
+        .iter()
+        .find(|member| member.name == "persistence");
+    let Some(Member {
+        all,
+        new,
+        held_share_of_gain,
+        ..
+    }) = persistence
+    else {
+        return Ok(());
+    };
+    let held = 100.0 * ablation.held_rows as f64 / ablation.rows as f64;
+    writeln!(
+        out,
+        "  {held:.1} % of these readings repeat the one before, where repeating the last reading \
+         cannot fail."
+    )?;
+    if held_share_of_gain.is_finite() && ablation.held_rows > 0 {
+        let share = 100.0 * held_share_of_gain;
+        writeln!(
+            out,
+            "  Of what persistence saves of the squared error, {share:.0} % is saved on them: its \
+             R² of {:.3} is {:.3} on new readings.",
+            all.r2, new.r2
+        )?;
+    }
+    Ok(())
+}
