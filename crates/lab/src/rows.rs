@@ -16,6 +16,9 @@ pub struct TrialRows {
     /// For each row, the number of the sample whose forecast it is for: that of its reading's
     /// forecast, from 0.
     pub sample_seq: Vec<u64>,
+    /// For each row, how fresh its newest reading is: what its features of freshness say, and how
+    /// they go on where no further reading comes.
+    pub freshness: Vec<Freshness>,
     /// Samples that lead to no row because a window of five readings is not full there: at the
     /// start, and after a gap, a missing reading, or a time that does not advance.
     pub without_window: usize,
@@ -68,6 +71,7 @@ pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
         let mut features = features(v_mps, omega_radps, previous, &lag_w);
         age.freshness.fill(&mut features);
         found.sample_seq.push(sample.seq);
+        found.freshness.push(age.freshness);
         found.rows.push(Row {
             features,
             target_w: next.power_w,

@@ -3,12 +3,13 @@
 use std::collections::HashSet;
 use std::ops::Range;
 
+use joulebus_predictor::FeatureSet;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{Recording, ScoreError};
 use crate::linear::{Linear, Moments, Terms, known_terms};
-use crate::split::{By, PAUSE_ROWS, Split, split};
+use crate::split::{By, Deal, PAUSE_ROWS, Source, Split, deal, deal_leaving_out};
 use crate::train::Row;
 
 /// Folds of [`Design::folds`].
@@ -29,8 +30,9 @@ pub struct Design {
     pub folds: Vec<Fold>,
     /// Names of the units that are evaluated; for a split in time, and without a split, the trials.
     pub units: Vec<String>,
-    /// SHA-256 of the split's three parts, to be compared with what a model was trained on.
-    pub data_sha256: Option<String>,
+    /// SHA-256 of the split's three parts for each set of features, to be compared with what a model
+    /// was trained on.
+    data_sha256: Vec<(FeatureSet, String)>,
     /// Recordings that serve only to fit.
     others: Vec<Recording>,
 }
@@ -55,56 +57,66 @@ impl Design {
     /// Evaluates what a split holds out; baselines are fitted on all the rest, the part for
     /// validation included, since nothing else is decided by it.
     ///
-    /// The parts are those of [`split`]: a model trained with the same split of the same recordings
+    /// The parts are those of [`deal`]: a model trained with the same split of the same recordings
     /// has not seen what is evaluated.
     ///
     /// # Errors
     /// [`ScoreError::Split`].
     pub fn held_out(recordings: &[Recording], wanted: Split) -> Result<Self, ScoreError> {
-        let sources: Vec<_> = recordings.iter().map(Recording::source).collect();
-        let (dataset, dealt) = split(&sources, wanted, "")?;
+        let sources = sources(recordings);
+        Ok(Self::dealt(&sources, deal(&sources, wanted)?, wanted))
+    }
+
+    /// The same with the units named that are held out: the surfaces or robots that a model is to
+    /// meet for the first time.
+    ///
+    /// # Errors
+    /// [`ScoreError::Split`].
+    pub fn leaving_out(
+        recordings: &[Recording],
+        wanted: Split,
+        names: &[String],
+    ) -> Result<Self, ScoreError> {
+        let sources = sources(recordings);
+        let deal = deal_leaving_out(&sources, wanted, names)?;
+        Ok(Self::dealt(&sources, deal, wanted))
+    }
+
+    fn dealt(sources: &[Source], deal: Deal, wanted: Split) -> Self {
         let mut fold = Fold::default();
-        let held_out: HashSet<&str> = dealt.held_out.iter().map(String::as_str).collect();
-        for (at, recording) in recordings.iter().enumerate() {
-            let rows = recording.rows.rows.len();
-            let unit = match wanted.by {
-                By::Robot => &recording.robot,
-                By::Group => &recording.group,
-                _ => &recording.name,
-            };
-            match wanted.by {
-                By::Time => fold.cut(at, rows, &wanted),
-                _ if held_out.contains(unit.as_str()) => fold.evaluated.push((at, 0..rows)),
-                _ => fold.fitted.push((at, 0..rows)),
-            }
+        for (at, [training, validation, held_out]) in deal.ranges.iter().cloned().enumerate() {
+            fold.fitted.extend([(at, training), (at, validation)]);
+            fold.evaluated.push((at, held_out));
         }
-        let by = wanted.by;
-        let (description, units) = match by {
-            By::Time => (
-                format!(
-                    "split by time: the last {:.0} % of every trial",
-                    100.0 * wanted.held_out
-                ),
-                dealt.training,
-            ),
-            _ => (
-                format!(
-                    "split by {by}, seed {}: {} of {} {by}s held out",
-                    wanted.seed,
-                    dealt.held_out.len(),
-                    dealt.training.len() + dealt.validation.len() + dealt.held_out.len(),
-                ),
-                dealt.held_out,
-            ),
-        };
-        Ok(Self {
-            description,
+        for parts in [&mut fold.fitted, &mut fold.evaluated] {
+            parts.retain(|part| !part.1.is_empty());
+        }
+        let dataset = deal.dataset(sources, String::new());
+        let hash = |set: FeatureSet| (set, dataset.sha256(set));
+        // Sets that read the same columns of freshness have the same hash.
+        let hashes = [FeatureSet::Full, FeatureSet::Freshness].map(hash);
+        Self {
+            description: format!("split {}", deal.dealt.name),
             split: Some(wanted),
             folds: vec![fold],
-            units,
-            data_sha256: Some(dataset.sha256()),
+            units: match wanted.by {
+                By::Time => deal.dealt.training,
+                _ => deal.dealt.held_out,
+            },
+            data_sha256: hashes.into(),
             others: Vec::new(),
-        })
+        }
+    }
+
+    /// SHA-256 of the split's three parts as a model with these features would have learned them,
+    /// hexadecimal; `None` without a split.
+    #[must_use]
+    pub fn data_sha256(&self, set: FeatureSet) -> Option<&str> {
+        let same = |other: &FeatureSet| other.needs_freshness() == set.needs_freshness();
+        let mut hashes = self.data_sha256.iter();
+        hashes
+            .find(|hash| same(&hash.0))
+            .map(|hash| hash.1.as_str())
     }
 
     /// Evaluates every row. The recordings are dealt out in turn among up to ten folds, and the
@@ -130,7 +142,7 @@ impl Design {
             split: None,
             folds,
             units: names(recordings),
-            data_sha256: None,
+            data_sha256: Vec::new(),
             others: Vec::new(),
         }
     }
@@ -151,7 +163,7 @@ impl Design {
             split: None,
             folds: vec![fold],
             units: names(recordings),
-            data_sha256: None,
+            data_sha256: Vec::new(),
             others,
         }
     }
@@ -243,20 +255,8 @@ pub struct DesignReport {
     pub units: Vec<String>,
 }
 
-impl Fold {
-    /// Cuts a recording as the split in time does.
-    fn cut(&mut self, at: usize, rows: usize, wanted: &Split) {
-        let usable = rows.saturating_sub(2 * PAUSE_ROWS);
-        let count = |share: f64| (share * usable as f64).floor() as usize;
-        let (validation, held_out) = (count(wanted.validation), count(wanted.held_out));
-        let training = usable - validation - held_out;
-        let second = training + PAUSE_ROWS..training + PAUSE_ROWS + validation;
-        let third = second.end + PAUSE_ROWS..second.end + PAUSE_ROWS + held_out;
-        if usable > 0 {
-            self.fitted.extend([(at, 0..training), (at, second)]);
-            self.evaluated.push((at, third));
-        }
-    }
+fn sources(recordings: &[Recording]) -> Vec<Source> {
+    recordings.iter().map(Recording::source).collect()
 }
 
 fn names(recordings: &[Recording]) -> Vec<String> {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use joulebus_predictor::{FeatureSet, Features, LAGS, Model};
+use joulebus_predictor::{FeatureSet, Features, Freshness, LAGS, Model};
 
 use super::blocks::HorizonSums;
 use super::corrected::Lines;
@@ -74,6 +74,7 @@ pub(super) fn sums(
     let rollout = Rollout {
         rows: &recording.rows.rows,
         step_s: &recording.step_s,
+        freshness: &recording.rows.freshness,
         starts: &starts,
         horizons: &options.horizons,
     };
@@ -92,6 +93,7 @@ pub(super) fn sums(
 struct Rollout<'a> {
     rows: &'a [Row],
     step_s: &'a [f64],
+    freshness: &'a [Freshness],
     starts: &'a [Origin],
     horizons: &'a [usize],
 }
@@ -150,6 +152,9 @@ impl Rollout<'_> {
             inputs.extend(lanes.iter().map(|lane| {
                 let mut features = self.rows[self.starts[*lane].row + step].features;
                 features[NEWEST..NEWEST + LAGS].copy_from_slice(&lag_w[*lane]);
+                // What happens to the sensor after the origin is not known: the schedule goes on.
+                let freshness = self.freshness[self.starts[*lane].row];
+                freshness.after(step as u64).fill(&mut features);
                 features
             }));
             let out_w = &mut out_w[..lanes.len()];

@@ -150,14 +150,14 @@ fn of_model(model: &Model, subject: Subject<'_>) -> ModelReport {
         Model::Network(network) => Some(network.card()),
         Model::Persistence(_) => None,
     };
-    let split = subject.design.data_sha256.as_ref();
+    let split = subject.design.data_sha256(model.feature_set());
     ModelReport {
         name: model.name().to_owned(),
         hash: format!("{:016x}", model.hash()),
         training_data: card.map(|card| card.training_data.clone()),
         split_is_its_own: card
             .zip(split)
-            .map(|(card, split)| card.training_data_sha256 == *split),
+            .map(|(card, split)| card.training_data_sha256 == split),
     }
 }
 

@@ -9,7 +9,7 @@ use joulebus_lab::metrics::{ResidualQuantiles, sorted, tally};
 use joulebus_lab::score::{
     Comparison, Design, Options, Recording, ScoreError, Scored, Subject, Verdict, compare, score,
 };
-use joulebus_lab::split::{By, PAUSE_ROWS, Split, split};
+use joulebus_lab::split::{By, Split, split};
 use joulebus_lab::train::Row;
 use joulebus_lab::trial::Trial;
 use joulebus_predictor::{FeatureSet, LAGS, Model};
@@ -507,19 +507,48 @@ fn what_a_split_holds_out_is_what_training_holds_out() {
         found.sort_unstable();
         held_out.sort_unstable();
         assert_eq!(found, held_out, "{by}");
-        assert_eq!(design.data_sha256, Some(dataset.sha256()), "{by}");
+        for set in FeatureSet::ALL {
+            let hash = dataset.sha256(set);
+            assert_eq!(design.data_sha256(set), Some(hash.as_str()), "{by}");
+        }
         assert!(
             design.description.contains(&format!("by {by}")),
             "{}",
             design.description
         );
-        let pauses = if by == By::Time {
-            9 * 2 * PAUSE_ROWS
-        } else {
-            0
-        };
-        assert_eq!(dealt.pause_rows, pauses);
+        assert_eq!(dealt.pause_rows > 0, by == By::Time);
     }
+}
+
+#[test]
+fn named_groups_are_left_out_and_nothing_of_them_is_fitted() {
+    let recordings = all_different(9, 80);
+    let wanted = Split {
+        by: By::Group,
+        ..Split::default()
+    };
+    let design = Design::leaving_out(&recordings, wanted, &["b".to_owned()]).unwrap();
+    let groups = |parts: &[(usize, std::ops::Range<usize>)]| -> HashSet<String> {
+        parts
+            .iter()
+            .map(|part| recordings[part.0].group.clone())
+            .collect()
+    };
+    assert_eq!(
+        groups(&design.folds[0].evaluated),
+        HashSet::from(["b".to_owned()])
+    );
+    assert_eq!(
+        groups(&design.folds[0].fitted),
+        HashSet::from(["a".to_owned(), "c".to_owned()])
+    );
+    assert!(
+        design.description.contains("b held out"),
+        "{}",
+        design.description
+    );
+    let unknown = Design::leaving_out(&recordings, wanted, &["ice".to_owned()]).unwrap_err();
+    assert!(unknown.to_string().contains("\"ice\""), "{unknown}");
 }
 
 #[test]
