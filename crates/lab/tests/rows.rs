@@ -3,7 +3,9 @@
 use std::collections::HashSet;
 
 use joulebus_lab::rows::sample_rows;
-use joulebus_lab::split::{By, PAUSE_ROWS, Source, Split, SplitError, group_of, split};
+use joulebus_lab::split::{
+    By, PAUSE_ROWS, Source, Split, SplitError, deal_leaving_out, group_of, split,
+};
 use joulebus_predictor::{FEATURES, FeatureSet};
 use joulebus_wire::{Sample, sample_flag};
 use proptest::prelude::*;
@@ -125,6 +127,64 @@ proptest! {
         prop_assert_eq!(dealt.pause_rows, 3 * 2 * PAUSE_ROWS);
         prop_assert_eq!(dealt.rows.iter().sum::<usize>() + dealt.pause_rows, 3 * rows);
     }
+}
+
+/// Rows of a trial whose sensor is read every `hold` rows: each reading has a value of its own.
+fn held_source(rows: usize, hold: usize) -> Source {
+    let samples: Vec<Sample> = (0..rows as u64 + 5)
+        .map(|seq| {
+            let read_at = seq - seq % hold as u64;
+            let stamp_ns = (seq + 1) * PERIOD_NS;
+            Sample::new(0, seq, stamp_ns).reading(read_at as f32, stamp_ns)
+        })
+        .collect();
+    Source {
+        rows: sample_rows(&samples, PERIOD_NS),
+        ..sources(1, 1).remove(0)
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn a_reading_that_a_slow_sensor_holds_is_in_one_part_only(
+        rows in 3_usize..400,
+        hold in 1_usize..60,
+        validation in 0.05_f64..0.4,
+    ) {
+        let source = held_source(rows, hold);
+        let wanted = Split { by: By::Time, validation, ..Split::default() };
+        let (dataset, dealt) = split(std::slice::from_ref(&source), wanted, "x").expect("time needs no units");
+        let readings = |rows: &[joulebus_lab::train::Row]| -> HashSet<u32> {
+            let readings = rows.iter().flat_map(|row| row.features[6..].iter().chain([&row.target_w]));
+            readings.map(|power_w| power_w.to_bits()).collect()
+        };
+        let parts = [&dataset.training, &dataset.validation, &dataset.held_out].map(|rows| readings(rows));
+        for (one, other) in [(0, 1), (0, 2), (1, 2)] {
+            prop_assert!(parts[one].is_disjoint(&parts[other]));
+        }
+        prop_assert_eq!(dealt.rows.iter().sum::<usize>() + dealt.pause_rows, source.rows.rows.len());
+        prop_assert!(dealt.name.starts_with("by time"));
+    }
+}
+
+#[test]
+fn units_held_out_by_name_are_held_out_alone() {
+    let sources = sources(12, 20);
+    let wanted = Split {
+        by: By::Group,
+        ..Split::default()
+    };
+    let deal = deal_leaving_out(&sources, wanted, &["g1".to_owned()]).expect("three groups");
+    for (source, ranges) in sources.iter().zip(&deal.ranges) {
+        let held_out = source.group == "g1";
+        assert_eq!(!ranges[2].is_empty(), held_out, "{}", source.group);
+        assert_eq!(ranges[0].is_empty() && ranges[1].is_empty(), held_out);
+    }
+    assert_eq!(deal.dealt.rows.iter().sum::<usize>(), 12 * 20);
+    assert_eq!(deal.dealt.held_out, ["g1"]);
+    let refused = deal_leaving_out(&sources, wanted, &["g9".to_owned()]).expect_err("no g9");
+    assert!(refused.to_string().contains("g0, g1, g2"), "{refused}");
 }
 
 #[test]
