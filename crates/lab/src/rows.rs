@@ -1,11 +1,15 @@
 //! Recorded samples as rows to learn from: what was known, and the reading that followed.
 
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write as _};
+use std::path::Path;
+
 use joulebus_fleet::missing_steps;
-use joulebus_predictor::{Freshness, LAGS, features};
+use joulebus_predictor::{FEATURE_NAMES, Freshness, LAGS, features};
 use joulebus_wire::{Sample, sample_flag};
 
-use crate::train::Row;
-use crate::trial::Trial;
+use crate::train::{Dataset, Row};
+use crate::trial::{Trial, array_header};
 
 /// The rows of a trial, in order, with what could not be used.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -119,6 +123,37 @@ impl Age {
             false => self.freshness.pass(1),
         }
     }
+}
+
+/// Writes the rows for other programs: `training.npy`, `validation.npy` and `held_out.npy`, float32 of
+/// shape (rows, features + 1), each row its features and then the reading that followed, W. The
+/// features' names stand in `features.txt`, one a line. What is not known is NaN. The directory is
+/// made; files in it are overwritten.
+///
+/// # Errors
+/// What the system said.
+pub fn write_rows(directory: &Path, dataset: &Dataset) -> io::Result<()> {
+    fs::create_dir_all(directory)?;
+    fs::write(
+        directory.join("features.txt"),
+        FEATURE_NAMES.join("\n") + "\n",
+    )?;
+    let parts = [
+        ("training.npy", &dataset.training),
+        ("validation.npy", &dataset.validation),
+        ("held_out.npy", &dataset.held_out),
+    ];
+    for (name, rows) in parts {
+        let mut file = BufWriter::new(File::create(directory.join(name))?);
+        file.write_all(&array_header("<f4", rows.len(), FEATURE_NAMES.len() + 1))?;
+        for row in rows {
+            for value in row.features.iter().chain([&row.target_w]) {
+                file.write_all(&value.to_le_bytes())?;
+            }
+        }
+        file.flush()?;
+    }
+    Ok(())
 }
 
 fn command(sample: &Sample) -> Option<(f32, f32)> {

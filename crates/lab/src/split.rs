@@ -80,16 +80,21 @@ impl fmt::Display for Split {
             held_out,
             seed,
         } = self;
-        let (validation, held_out) = (100.0 * validation, 100.0 * held_out);
+        let (validation, held_out) = (percent(*validation), percent(*held_out));
         write!(
             out,
-            "by {by}, {validation:.3} % for validation, {held_out:.3} % held out"
+            "by {by}, {validation} % for validation, {held_out} % held out"
         )?;
         match by {
             By::Time => write!(out, ", {PAUSE_ROWS} rows or more between"),
             _ => write!(out, ", seed {seed}"),
         }
     }
+}
+
+/// To three digits after the point.
+fn percent(share: f64) -> f64 {
+    (share * 1e5).round() / 1e3
 }
 
 /// A trial's rows and where they belong.
@@ -258,10 +263,10 @@ pub fn deal_leaving_out(
     let validation = ((split.validation * found as f64).round() as usize).clamp(1, found - 1);
     let validation = names.split_off(found - validation);
     let name = format!(
-        "by {}, {} held out, {:.3} % of the others for validation, seed {}",
+        "by {}, {} held out, {} % of the others for validation, seed {}",
         split.by,
         left_out.join(", "),
-        100.0 * split.validation,
+        percent(split.validation),
         split.seed
     );
     let parts = [names, validation, left_out];

@@ -27,6 +27,7 @@ pub use write::{Form, Row, WriteError};
 
 pub(crate) use sample::is_held;
 use table::Columns;
+pub(crate) use write::array_header;
 
 /// Most rows that a trial may have: 38 hours at 30 Hz.
 pub const MAX_ROWS: usize = 1 << 22;

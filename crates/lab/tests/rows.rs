@@ -2,11 +2,11 @@
 
 use std::collections::HashSet;
 
-use joulebus_lab::rows::sample_rows;
+use joulebus_lab::rows::{sample_rows, write_rows};
 use joulebus_lab::split::{
     By, PAUSE_ROWS, Source, Split, SplitError, deal_leaving_out, group_of, split,
 };
-use joulebus_predictor::{FEATURES, FeatureSet};
+use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet};
 use joulebus_wire::{Sample, sample_flag};
 use proptest::prelude::*;
 
@@ -156,7 +156,7 @@ proptest! {
         let wanted = Split { by: By::Time, validation, ..Split::default() };
         let (dataset, dealt) = split(std::slice::from_ref(&source), wanted, "x").expect("time needs no units");
         let readings = |rows: &[joulebus_lab::train::Row]| -> HashSet<u32> {
-            let readings = rows.iter().flat_map(|row| row.features[6..].iter().chain([&row.target_w]));
+            let readings = rows.iter().flat_map(|row| row.features[6..FEATURES].iter().chain([&row.target_w]));
             readings.map(|power_w| power_w.to_bits()).collect()
         };
         let parts = [&dataset.training, &dataset.validation, &dataset.held_out].map(|rows| readings(rows));
@@ -165,6 +165,42 @@ proptest! {
         }
         prop_assert_eq!(dealt.rows.iter().sum::<usize>() + dealt.pause_rows, source.rows.rows.len());
         prop_assert!(dealt.name.starts_with("by time"));
+    }
+}
+
+#[test]
+fn rows_are_written_for_other_programs_as_arrays_of_single_precision() {
+    let (dataset, _) = split(&sources(6, 20), Split::default(), "x").expect("six trials");
+    let folder = tempfile::tempdir().expect("a temporary directory");
+    let folder = folder.path().join("rows");
+    write_rows(&folder, &dataset).expect("it can be written");
+    let names = std::fs::read_to_string(folder.join("features.txt")).expect("written");
+    assert_eq!(names.lines().collect::<Vec<_>>(), FEATURE_NAMES);
+    let parts = [
+        ("training.npy", &dataset.training),
+        ("validation.npy", &dataset.validation),
+        ("held_out.npy", &dataset.held_out),
+    ];
+    for (name, rows) in parts {
+        let bytes = std::fs::read(folder.join(name)).expect("written");
+        let (header, data) = bytes.split_at(128);
+        let shape = format!(
+            "'<f4', 'fortran_order': False, 'shape': ({}, {}), }}",
+            rows.len(),
+            FEATURE_NAMES.len() + 1
+        );
+        assert!(String::from_utf8_lossy(header).contains(&shape), "{name}");
+        let found: Vec<u32> = data
+            .chunks_exact(4)
+            .map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]).to_bits())
+            .collect();
+        let wanted: Vec<u32> = rows
+            .iter()
+            .flat_map(|row| row.features.iter().chain([&row.target_w]))
+            .map(|value| value.to_bits())
+            .collect();
+        assert!(!wanted.is_empty());
+        assert_eq!(found, wanted, "{name}");
     }
 }
 

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use clap::ValueEnum;
-use joulebus_lab::rows::trial_rows;
+use joulebus_lab::rows::{trial_rows, write_rows};
 use joulebus_lab::split::{By, Dealt, Source, Split, group_of, split};
 use joulebus_lab::train::{Dataset, Row, Settings};
 use joulebus_lab::trial::Trial;
@@ -50,6 +50,11 @@ pub(super) struct Args {
     /// What the network reads, instead of what the recipe says
     #[arg(long, value_enum)]
     features: Option<Choice>,
+    /// Also write the rows of each part into this directory, for other programs: training.npy,
+    /// validation.npy and held_out.npy, float32, the features in the order of features.txt and then
+    /// the reading that followed, W
+    #[arg(long, value_name = "DIR")]
+    rows: Option<PathBuf>,
     #[command(flatten)]
     run: Run,
 }
@@ -89,6 +94,10 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     args.run.check()?;
     let recipe = args.recipe()?;
     let (dataset, dealt) = args.dataset(&recipe)?;
+    if let Some(directory) = &args.rows {
+        write_rows(directory, &dataset)
+            .with_context(|| format!("cannot write rows to {}", directory.display()))?;
+    }
     let start = Instant::now();
     let Some(trained) = args.run.train(&dataset, &recipe.training)? else {
         return Ok(Outcome::Failed);

@@ -3,6 +3,7 @@
 
 mod bench;
 mod captures;
+mod data;
 mod fleet;
 mod live;
 mod model;
@@ -18,7 +19,7 @@ use std::time::Duration;
 use fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
 
-const VERBS: [&str; 28] = [
+const VERBS: [&str; 31] = [
     "demo",
     "run",
     "publish",

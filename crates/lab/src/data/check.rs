@@ -125,7 +125,10 @@ fn check_robots(trials: &[Trial], limits: &Limits, places: usize) -> Vec<Finding
     {
         all.merge(&finding);
     }
-    let mut findings = all.finish();
+    in_one_file(all.finish())
+}
+
+fn in_one_file(mut findings: Vec<Finding>) -> Vec<Finding> {
     for finding in &mut findings {
         finding.files = 1;
     }
@@ -134,7 +137,7 @@ fn check_robots(trials: &[Trial], limits: &Limits, places: usize) -> Vec<Finding
 
 fn single(kind: Kind, file: &Path, what: String) -> Finding {
     let mut finding = Finding::new(kind);
-    finding.count = 1;
+    (finding.count, finding.files) = (1, 1);
     finding.places = vec![Place {
         file: file.to_owned(),
         row: None,
@@ -219,7 +222,7 @@ pub fn check_trial(trial: &Trial, limits: &Limits, places: usize) -> Vec<Finding
         found.add(Kind::Unit, 1, || whole(trial, column, what));
     }
     check_file(trial, &mut found);
-    found.finish()
+    in_one_file(found.finish())
 }
 
 fn at(trial: &Trial, row: usize, column: Option<Column>, what: String) -> Place {

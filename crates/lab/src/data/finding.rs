@@ -128,7 +128,7 @@ impl Finding {
             kind,
             fault: kind.is_fault(),
             count: 0,
-            files: 1,
+            files: 0,
             places: Vec::new(),
         }
     }

@@ -134,7 +134,10 @@ fn check_header(path: &Path, header: &[u8]) -> Result<(), TrialError> {
     };
     let shape = text.get(opening + 1..closing).unwrap_or_default();
     let shape = String::from_utf8_lossy(shape);
-    let dimensions = shape.split(',').map(str::trim).collect::<Vec<_>>();
+    let shape = shape.trim_end();
+    // Python allows a comma after the last, and some programs write it.
+    let dimensions = shape.strip_suffix(',').unwrap_or(shape).split(',');
+    let dimensions = dimensions.map(str::trim).collect::<Vec<_>>();
     let is_small = |dimension: &&str| {
         (1..=9).contains(&dimension.len()) && dimension.bytes().all(|byte| byte.is_ascii_digit())
     };

@@ -2,16 +2,12 @@
 
 #![allow(clippy::unwrap_used)] // A test that cannot write or read its own files has failed.
 
-mod analysis;
-mod check;
-mod convert;
 mod evaluation;
 mod files;
 mod fleet;
 mod model;
 mod read;
 mod recordings;
-mod resample;
 mod rows;
 mod samples;
 mod score;

@@ -72,14 +72,17 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
     let cases: [(&str, Spoil, Kind, &[usize], &str); 13] = [
         (
             "again",
-            |rows| rows[30][1] = rows[29][1],
+            |rows| rows[30..].iter_mut().for_each(|row| row[1] -= 0.1),
             Kind::TimeRepeated,
             &[31],
             "as row 30",
         ),
         (
             "back",
-            |rows| rows[30][1] = rows[28][1] + 0.01,
+            |rows| {
+                rows[30..].iter_mut().for_each(|row| row[1] -= 0.1);
+                rows[30][1] -= 0.01;
+            },
             Kind::TimeBackward,
             &[31],
             "before row 30",
@@ -158,9 +161,8 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
             "stuck",
             |rows| {
                 for row in 100..230 {
-                    for column in 8..11 {
-                        rows[row][column] = rows[99][column];
-                    }
+                    let (first, other) = rows.split_at_mut(row);
+                    other[0][8..].copy_from_slice(&first[99][8..]);
                 }
             },
             Kind::Stuck,
@@ -265,8 +267,9 @@ fn a_sensor_that_is_read_ten_times_a_second_shows_its_period() {
     let mut table = sound(300);
     for row in 0..300 {
         table[row][1] = row as f64 / 30.0;
-        for column in 8..11 {
-            table[row][column] = table[row - row % 3][column];
+        let (read, held) = table.split_at_mut(row);
+        if !row.is_multiple_of(3) {
+            held[0][8..].copy_from_slice(&read[row - row % 3][8..]);
         }
     }
     let files = Files::new();
@@ -373,7 +376,7 @@ fn the_real_recordings_are_as_their_description_says() {
     let kinds: Vec<Kind> = faults(&found).iter().map(|fault| fault.0).collect();
     assert_eq!(kinds, [Kind::Gap, Kind::Stuck]);
     let gaps = found.finding(Kind::Gap).unwrap();
-    assert_eq!((gaps.count, gaps.files), (245, 160));
+    assert_eq!((gaps.count, gaps.files), (245, 159));
     let one = check_files(&paths[..1], &Limits::default(), 1);
     assert!(one.is_sound(), "{one:?}");
 }

@@ -1,0 +1,135 @@
+//! `joulebus data` and `joulebus analyze`: from recordings to what is known about them.
+
+use super::fleet::{Fleet, code, json, output, stderr, stdout};
+
+#[test]
+fn what_is_wrong_with_recordings_is_said_with_file_and_row_and_ends_with_3() {
+    let fleet = Fleet::new();
+    let sound = fleet.recording("sound.csv", 200);
+    let text = std::fs::read_to_string(&sound).unwrap();
+    let spoiled = sound.with_file_name("spoiled.csv");
+    let lines: Vec<&str> = text.lines().collect();
+    std::fs::write(
+        &spoiled,
+        [&lines[..50], &lines[60..]].concat().join("\n") + "\n",
+    )
+    .unwrap();
+    let folder = sound.parent().unwrap().to_str().unwrap();
+
+    let good = output(["data", "check", sound.to_str().unwrap()]);
+    assert_eq!(code(&good), 0, "{}{}", stdout(&good), stderr(&good));
+    assert!(stdout(&good).contains("no fault"), "{}", stdout(&good));
+
+    let bad = output(["data", "check", folder]);
+    assert_eq!(code(&bad), 3, "{}", stderr(&bad));
+    let said = stdout(&bad);
+    assert!(
+        said.contains("gaps: 1 in 1 files") && said.contains("spoiled.csv: row 50"),
+        "{said}"
+    );
+    assert!(
+        stderr(&bad).contains("not looked at"),
+        "the config beside them: {}",
+        stderr(&bad)
+    );
+
+    let told = json(&output(["data", "check", folder, "--format", "json"]));
+    assert_eq!((&told["sound"], &told["files"]), (&false.into(), &2.into()));
+    assert_eq!(told["findings"][0]["kind"], "gap");
+    assert_eq!(told["findings"][0]["places"][0]["row"], 50);
+
+    let nothing = output(["data", "check", &format!("{folder}/*.npy")]);
+    assert_eq!(code(&nothing), 2, "{}", stderr(&nothing));
+}
+
+#[test]
+fn recordings_change_their_form_and_their_grid_only_when_asked() {
+    let fleet = Fleet::new();
+    let from = fleet.recording("run.csv", 300);
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let convert = |from: &str, more: &[&str]| {
+        let words = ["data", "convert", from, "--format", "json"];
+        output(words.iter().chain(more))
+    };
+    let from = from.to_str().unwrap();
+    let array = path("a.npy");
+    let made = convert(from, &["--out", &array]);
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    let again = convert(from, &["--out", &array]);
+    assert_eq!(code(&again), 1, "nothing is overwritten");
+    let back = path("b.csv");
+    assert_eq!(code(&convert(&array, &["--out", &back])), 0);
+    let third = path("c.npy");
+    assert_eq!(code(&convert(&back, &["--out", &third])), 0);
+    assert_eq!(
+        std::fs::read(&array).unwrap(),
+        std::fs::read(&third).unwrap()
+    );
+
+    let thin = path("thin");
+    let grid = [
+        "--to",
+        "csv.gz",
+        "--resample",
+        "mean",
+        "--rate",
+        "10",
+        "--out",
+        &thin,
+    ];
+    let made = json(&convert(from, &grid));
+    assert_eq!(made["resample"]["method"], "mean");
+    assert_eq!(made["files"][0]["rows"], 100, "{made}");
+    assert!(
+        made["files"][0]["file"]
+            .as_str()
+            .unwrap()
+            .ends_with("run.csv.gz")
+    );
+    for (words, wanted) in [
+        (vec!["--rate", "10", "--out", "x.npy"], "--resample"),
+        (vec!["--drop", "power_mW", "--out", "x.npy"], "power_mW"),
+    ] {
+        let refused = convert(from, &words);
+        assert_eq!(code(&refused), 2, "{words:?}");
+        assert!(stderr(&refused).contains(wanted), "{}", stderr(&refused));
+    }
+}
+
+#[test]
+fn an_analysis_names_its_split_and_tells_held_readings_apart() {
+    let fleet = Fleet::new();
+    for trial in 0..4 {
+        fleet.recording(&format!("run_{trial}.csv"), 240 + 10 * trial);
+    }
+    let pattern = fleet.path("run_*.csv");
+    let pattern = pattern.to_str().unwrap();
+    let text = output(["analyze", pattern, "--rate", "60"]);
+    assert_eq!(code(&text), 0, "{}", stderr(&text));
+    let said = stdout(&text);
+    for words in [
+        "native: 1020 rows",
+        "held at 60 Hz",
+        "split by trial",
+        "persistence",
+        "% of these readings repeat",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    let told = json(&output([
+        "analyze", pattern, "--rate", "60", "--format", "json",
+    ]));
+    let series = told["series"].as_array().unwrap();
+    assert_eq!(series[0]["held_share"], 0.0);
+    let held = series[1]["held_share"].as_f64().unwrap();
+    assert!((held - 0.5).abs() < 0.01, "{held}");
+    assert_eq!(series[1]["grid"]["method"], "hold");
+    let refused = output(["analyze", pattern, "--split", "group"]);
+    assert_eq!(
+        code(&refused),
+        2,
+        "one group cannot be split: {}",
+        stderr(&refused)
+    );
+}
