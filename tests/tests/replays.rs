@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use joulebus_capture::{Entry, Message, Reader, Settings, Writer};
+use joulebus_config::builtin_model;
+use joulebus_predictor::{FEATURES, FeatureSet, Network};
 use joulebus_tests::{Arena, Child, Ended, ReaderLine, Setup, eventually, program};
 use joulebus_wire::{Diagnostic, Forecast, Quality, Sample, sample_flag};
 
@@ -234,6 +236,65 @@ fn a_recorded_run_is_verified_and_a_flipped_bit_is_named() {
     let ended = alone(&["replay", "--verify", flipped.to_str().unwrap()]);
     assert_eq!(ended.code(), Some(3), "{}", ended.text());
     assert_eq!(ended.json()["first"]["robot"], 3, "{}", ended.text());
+    arena.close();
+}
+
+/// The model that ships with two more inputs: how fresh the newest reading is. Random as their
+/// weights are, every forecast depends on them.
+fn fresh_model() -> Vec<u8> {
+    let (_, bytes) = builtin_model("gternal-sim").expect("it ships");
+    let plain = Network::from_safetensors(bytes).unwrap();
+    let (mut parameters, mut card) = (plain.parameters().clone(), plain.card().clone());
+    parameters.feature_set = FeatureSet::Freshness;
+    card.training_range.feature_set = FeatureSet::Freshness;
+    let first = &mut parameters.layers[0].weights;
+    let wider = first
+        .chunks(FEATURES)
+        .enumerate()
+        .flat_map(|(output, row)| {
+            let more = [0.1 * (output % 7) as f32, 0.2 - 0.1 * (output % 5) as f32];
+            row.iter().copied().chain(more).collect::<Vec<f32>>()
+        });
+    *first = wider.collect();
+    parameters.normalisation.feature_std[FEATURES..].fill(1.0);
+    card.training_range.max[FEATURES..].fill(30.0);
+    let network = Network::new(parameters, card).unwrap();
+    network.to_safetensors().unwrap()
+}
+
+#[test]
+fn a_run_with_a_model_that_reads_freshness_is_verified() {
+    let arena = Arena::new(&setup());
+    let path = arena.files().join("fresh.safetensors");
+    std::fs::write(&path, fresh_model()).unwrap();
+    arena.configure(&Setup {
+        model: Some(path),
+        ..setup()
+    });
+    let file = record(&arena, "fresh.mcap", "3");
+    let report = alone(&["replay", "--verify", file.to_str().unwrap()]).json();
+    assert_eq!(report["differences"], 0, "{report:#}");
+    assert!(
+        report["ticks_verified"].as_u64().unwrap() > 60,
+        "{report:#}"
+    );
+    let mut counts = [0; 2];
+    for entry in entries(&file) {
+        let Message::Forecasts(_, rows) = entry.message else {
+            continue;
+        };
+        for row in rows {
+            let known = row.power_w().is_some();
+            match row.quality() {
+                Quality::Fresh => counts[0] += usize::from(known),
+                Quality::Held => counts[1] += usize::from(known),
+                _ => {}
+            }
+        }
+    }
+    // Two of three readings are held.
+    let [fresh, held] = counts;
+    assert!(fresh > 100 && held > fresh, "{counts:?}");
     arena.close();
 }
 
