@@ -1,10 +1,12 @@
 //! Training is repeatable, learns, refuses bad data; and what ships is what it claims to be.
 
+use joulebus_lab::rows::sample_rows;
 use joulebus_lab::train::{
     Dataset, Epoch, Row, Settings, SimulatedData, TrainError, Trained, Training,
     dataset_from_plant, scored, train, train_sim,
 };
 use joulebus_predictor::{FEATURES, FeatureSet, Features, Kernel, Network, ResidualStats, Scores};
+use joulebus_wire::{Sample, sample_flag};
 use std::path::Path;
 
 /// The seed in the documented command.
@@ -461,6 +463,57 @@ fn trained_weights_keep_every_kernel_within_3e_6_of_double_precision() {
             }
         }
     }
+}
+
+/// A robot whose power swings to the other side of 3 W with every tenth sample, when its monitor
+/// measures again.
+fn swinging(size_w: f32) -> Vec<Row> {
+    const PERIOD_NS: u64 = 33_000_000;
+    let samples: Vec<Sample> = (0..400)
+        .map(|seq| {
+            let stamp_ns = (seq + 1) * PERIOD_NS;
+            let side = if seq / 10 % 2 == 0 { 1.0 } else { -1.0 };
+            let sample = Sample::new(1, seq, stamp_ns).reading(3.0 + side * size_w, stamp_ns);
+            sample.with(if seq % 10 == 0 { 0 } else { sample_flag::HELD })
+        })
+        .collect();
+    sample_rows(&samples, PERIOD_NS).rows
+}
+
+#[test]
+fn a_network_that_reads_freshness_learns_when_the_next_reading_comes() {
+    let robots = |sizes: std::ops::Range<u8>| -> Vec<Row> {
+        let size_w = |size: u8| 0.3 + 0.05 * f32::from(size);
+        sizes.flat_map(|size| swinging(size_w(size))).collect()
+    };
+    let data = Dataset {
+        training: robots(0..12),
+        validation: robots(12..14),
+        held_out: robots(2..5),
+        description: "swinging".to_owned(),
+    };
+    let trained = |set: FeatureSet| {
+        let settings = Settings {
+            max_epochs: 30,
+            ..Settings::new("swinging", "made up", set, 3)
+        };
+        train(&data, &settings, |_| ()).expect("sound data")
+    };
+    let (plain, fresh) = (
+        trained(FeatureSet::PowerOnly),
+        trained(FeatureSet::PowerFreshness),
+    );
+    // Until two measurements have been seen there is nothing to learn from: six rows a robot, of
+    // those that have a window.
+    assert_eq!(plain.findings.unusable_rows, [0; 3]);
+    assert_eq!(fresh.findings.unusable_rows, [12 * 6, 2 * 6, 3 * 6]);
+    let r2 = |trained: &Trained| trained.network.card().scores.network_r2;
+    println!("R²: {} without, {} with", r2(&plain), r2(&fresh));
+    assert!(r2(&plain) < 0.8 && r2(&fresh) > 0.97);
+
+    let bytes = |trained: Trained| trained.network.to_safetensors().expect("valid");
+    let again = trained(FeatureSet::PowerFreshness);
+    assert_eq!(bytes(again), bytes(fresh), "the same bytes every time");
 }
 
 /// Hashes of the tiny networks, from this trainer on x86-64.
