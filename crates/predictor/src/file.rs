@@ -6,7 +6,7 @@
 use crate::model::leading_u64;
 use crate::network::layer_sizes;
 use crate::{
-    Activation, Card, FEATURE_NAMES, FeatureSet, Features, INPUTS, Layer, ModelError,
+    Activation, Card, FEATURE_NAMES, FeatureSet, Features, INPUTS, Layer, Linear, ModelError,
     Normalisation, Parameters, ResidualStats, Scores, TrainingRange,
 };
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -155,7 +155,24 @@ fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<Card, M
             persistence_r2: metadata.number("score_persistence_r2")?,
             persistence_mae_w: metadata.number("score_persistence_mae_w")?,
         },
+        linear: read_linear(metadata, feature_set)?,
     })
+}
+
+/// Files written before there was a linear baseline have neither of its fields.
+fn read_linear(
+    metadata: &Metadata<'_>,
+    feature_set: FeatureSet,
+) -> Result<Option<Linear>, ModelError> {
+    let has = |field: &str| metadata.0.contains_key(field);
+    if !has("linear_bias_w") && !has("linear_weights") {
+        return Ok(None);
+    }
+    Ok(Some(Linear {
+        feature_set,
+        bias_w: metadata.number("linear_bias_w")?,
+        weights: metadata.per_feature("linear_weights", feature_set)?,
+    }))
 }
 
 fn fields(parameters: &Parameters, card: &Card) -> Fields {
@@ -165,7 +182,7 @@ fn fields(parameters: &Parameters, card: &Card) -> Fields {
         let texts: Vec<String> = values[set.range()].iter().map(f32::to_string).collect();
         texts.join(",")
     };
-    BTreeMap::from([
+    let mut fields = BTreeMap::from([
         ("format", FORMAT.to_owned()),
         ("format_version", VERSION.to_owned()),
         ("kind", KIND.to_owned()),
@@ -198,7 +215,12 @@ fn fields(parameters: &Parameters, card: &Card) -> Fields {
             "score_persistence_mae_w",
             card.scores.persistence_mae_w.to_string(),
         ),
-    ])
+    ]);
+    if let Some(linear) = &card.linear {
+        fields.insert("linear_bias_w", linear.bias_w.to_string());
+        fields.insert("linear_weights", list(&linear.weights));
+    }
+    fields
 }
 
 struct Tensor {

@@ -23,6 +23,7 @@ mod file;
 mod freshness;
 mod gelu;
 mod kernel;
+mod linear;
 mod model;
 mod network;
 mod rollout;
@@ -32,6 +33,7 @@ pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, 
 pub use freshness::Freshness;
 pub use gelu::Activation;
 pub use kernel::{Kernel, Tiling};
+pub use linear::Linear;
 pub use model::{Model, Persistence, ResidualStats, TrainingRange};
 pub use network::{Card, HIDDEN, Layer, Network, Normalisation, Parameters, Scores};
 pub use rollout::{RolloutStart, Rollouts};

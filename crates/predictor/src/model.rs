@@ -1,6 +1,6 @@
 //! A model as the tick sees it: the network or a baseline.
 
-use crate::{FEATURE_NAMES, FeatureSet, Features, INPUTS, ModelError, Network};
+use crate::{FEATURE_NAMES, FeatureSet, Features, INPUTS, Linear, ModelError, Network};
 use sha2::{Digest, Sha256};
 
 /// How far a model's forecasts were off on data that it was not trained on.
@@ -190,6 +190,14 @@ impl Model {
     pub fn training_range(&self) -> Option<&TrainingRange> {
         match self {
             Model::Network(network) => Some(&network.card().training_range),
+            Model::Persistence(_) => None,
+        }
+    }
+
+    /// The linear forecast that was fitted to the same rows; `None` where the file has none.
+    pub fn linear(&self) -> Option<&Linear> {
+        match self {
+            Model::Network(network) => network.card().linear.as_ref(),
             Model::Persistence(_) => None,
         }
     }

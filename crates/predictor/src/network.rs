@@ -3,8 +3,8 @@
 use crate::file;
 use crate::kernel::{Engine, Kernel, LINE, Packed, Tiling, fold, pairwise};
 use crate::{
-    Activation, FEATURE_NAMES, FeatureSet, Features, INPUTS, ModelError, ResidualStats, Rollouts,
-    TrainingRange,
+    Activation, FEATURE_NAMES, FeatureSet, Features, INPUTS, Linear, ModelError, ResidualStats,
+    Rollouts, TrainingRange,
 };
 
 /// Widths of the hidden layers.
@@ -79,6 +79,8 @@ pub struct Card {
     pub residual: ResidualStats,
     /// Scores on held-out data.
     pub scores: Scores,
+    /// The linear forecast fitted to the same rows, if there is one.
+    pub linear: Option<Linear>,
 }
 
 /// A network that passed every check and is ready to run.
@@ -339,6 +341,20 @@ fn check_values(tensor: &str, values: &[f32], expected: usize) -> Result<(), Mod
     }
 }
 
+fn check_linear(linear: Option<&Linear>, feature_set: FeatureSet) -> Result<(), ModelError> {
+    let Some(linear) = linear else {
+        return Ok(());
+    };
+    if linear.feature_set != feature_set {
+        return Err(ModelError::field(
+            "feature set of linear_weights",
+            linear.feature_set.name(),
+            feature_set.name(),
+        ));
+    }
+    linear.check()
+}
+
 fn check_card(card: &Card, feature_set: FeatureSet) -> Result<(), ModelError> {
     card.residual.check()?;
     let TrainingRange {
@@ -365,6 +381,7 @@ fn check_card(card: &Card, feature_set: FeatureSet) -> Result<(), ModelError> {
             ));
         }
     }
+    check_linear(card.linear.as_ref(), feature_set)?;
     let Scores {
         network_r2,
         network_mae_w,

@@ -41,6 +41,7 @@ pub(super) fn finished(
             persistence_r2: 0.0,
             persistence_mae_w: 0.0,
         },
+        linear: None,
     };
     // The finished arithmetic gives the scores, so the network is built once without them.
     let unscored = Network::new(parameters.clone(), card.clone())?;

@@ -125,6 +125,7 @@ pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> 
             persistence_r2: 0.5,
             persistence_mae_w: 1.0,
         },
+        linear: None,
     };
     Model::Network(Network::new(parameters, card).unwrap())
 }

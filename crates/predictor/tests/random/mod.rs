@@ -1,7 +1,7 @@
 //! Networks of both forms of GELU and rows, drawn from a seed.
 
 use joulebus_predictor::{
-    Activation, Card, FeatureSet, Features, HIDDEN, INPUTS, Layer, Network, Normalisation,
+    Activation, Card, FeatureSet, Features, HIDDEN, INPUTS, Layer, Linear, Network, Normalisation,
     Parameters, ResidualStats, Scores, TrainingRange,
 };
 
@@ -89,6 +89,19 @@ pub(crate) fn card(feature_set: FeatureSet) -> Card {
             persistence_r2: 0.89,
             persistence_mae_w: 0.06,
         },
+        linear: Some(linear(feature_set)),
+    }
+}
+
+/// Mostly the last reading, and a little of everything else that is read.
+fn linear(feature_set: FeatureSet) -> Linear {
+    let mut weights = [0.0; FEATURES];
+    weights[feature_set.first()..].fill(0.03);
+    weights[6] = 0.8;
+    Linear {
+        feature_set,
+        bias_w: 0.15,
+        weights,
     }
 }
 

@@ -189,6 +189,7 @@ pub(super) fn empty_card(training_range: TrainingRange) -> Card {
             persistence_r2: 0.0,
             persistence_mae_w: 0.0,
         },
+        linear: None,
     }
 }
 
