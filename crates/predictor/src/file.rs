@@ -159,29 +159,32 @@ fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<Card, M
     })
 }
 
-/// Files written before there was a linear baseline have neither of its fields.
+/// Files written before there was a linear baseline have none of its fields.
 fn read_linear(
     metadata: &Metadata<'_>,
     feature_set: FeatureSet,
 ) -> Result<Option<Linear>, ModelError> {
-    let has = |field: &str| metadata.0.contains_key(field);
-    if !has("linear_bias_w") && !has("linear_weights") {
+    let fields = ["linear_bias_w", "linear_weights", "linear_r2"];
+    if !fields.iter().any(|field| metadata.0.contains_key(*field)) {
         return Ok(None);
     }
+    let feature_set = Linear::feature_set_beside(feature_set);
     Ok(Some(Linear {
         feature_set,
         bias_w: metadata.number("linear_bias_w")?,
         weights: metadata.per_feature("linear_weights", feature_set)?,
+        r2: metadata.number("linear_r2")?,
     }))
 }
 
 fn fields(parameters: &Parameters, card: &Card) -> Fields {
     let set = parameters.feature_set;
     let normalisation = &parameters.normalisation;
-    let list = |values: &Features| {
+    let list_of = |set: FeatureSet, values: &Features| {
         let texts: Vec<String> = values[set.range()].iter().map(f32::to_string).collect();
         texts.join(",")
     };
+    let list = |values: &Features| list_of(set, values);
     let mut fields = BTreeMap::from([
         ("format", FORMAT.to_owned()),
         ("format_version", VERSION.to_owned()),
@@ -218,7 +221,8 @@ fn fields(parameters: &Parameters, card: &Card) -> Fields {
     ]);
     if let Some(linear) = &card.linear {
         fields.insert("linear_bias_w", linear.bias_w.to_string());
-        fields.insert("linear_weights", list(&linear.weights));
+        fields.insert("linear_weights", list_of(linear.feature_set, &linear.weights));
+        fields.insert("linear_r2", linear.r2.to_string());
     }
     fields
 }

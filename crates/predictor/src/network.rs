@@ -345,11 +345,12 @@ fn check_linear(linear: Option<&Linear>, feature_set: FeatureSet) -> Result<(), 
     let Some(linear) = linear else {
         return Ok(());
     };
-    if linear.feature_set != feature_set {
+    let allowed = Linear::feature_set_beside(feature_set);
+    if linear.feature_set != allowed {
         return Err(ModelError::field(
             "feature set of linear_weights",
             linear.feature_set.name(),
-            feature_set.name(),
+            allowed.name(),
         ));
     }
     linear.check()

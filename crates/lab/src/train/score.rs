@@ -1,13 +1,15 @@
 //! The finished network, and what it scores on rows that decided nothing.
 
 use joulebus_predictor::{
-    Activation, Card, FeatureSet, Features, INPUTS, Network, Normalisation, Parameters,
+    Activation, Card, FeatureSet, Features, INPUTS, Linear, Network, Normalisation, Parameters,
     ResidualStats, Scores, TrainingRange,
 };
 
 use super::dataset::mean_and_std;
 use super::weights::Weights;
 use super::{Dataset, Row, Settings, TrainError};
+use crate::linear::Terms;
+use crate::metrics::Tally;
 
 pub(super) fn finished(
     dataset: &Dataset,
@@ -43,6 +45,7 @@ pub(super) fn finished(
         },
         linear: None,
     };
+    card.linear = linear(dataset, feature_set);
     // The finished arithmetic gives the scores, so the network is built once without them.
     let unscored = Network::new(parameters.clone(), card.clone())?;
     (card.scores, card.residual) = scored(&unscored, &dataset.held_out);
@@ -62,6 +65,34 @@ fn training_range(rows: &[Row], feature_set: FeatureSet) -> TrainingRange {
         min,
         max,
     }
+}
+
+/// The linear baseline of the rows that the network has learned from, with its score on the rows held
+/// out; `None` where there are too few rows for it, or none that vary.
+fn linear(dataset: &Dataset, feature_set: FeatureSet) -> Option<Linear> {
+    let feature_set = Linear::feature_set_beside(feature_set);
+    let terms = if feature_set.needs_command() {
+        Terms::AR5_AND_VELOCITIES
+    } else {
+        Terms::AR5
+    };
+    let fitted = crate::linear::Linear::fit(&dataset.training, terms).ok()?;
+    let mut weights = [0.0; INPUTS];
+    for (feature, coefficient) in fitted.coefficients() {
+        weights[*feature] = *coefficient as f32;
+    }
+    let mut linear = Linear {
+        feature_set,
+        bias_w: fitted.intercept_w() as f32,
+        weights,
+        r2: 0.0,
+    };
+    let mut scores = Tally::default();
+    for row in &dataset.held_out {
+        scores.add(row.target_w.into(), linear.predict(&row.features).into(), 0.0);
+    }
+    linear.r2 = scores.r2() as f32;
+    linear.check().is_ok().then_some(linear)
 }
 
 /// Scores and residuals of a network on rows, with persistence beside it.

@@ -95,13 +95,15 @@ pub(crate) fn card(feature_set: FeatureSet) -> Card {
 
 /// Mostly the last reading, and a little of everything else that is read.
 fn linear(feature_set: FeatureSet) -> Linear {
-    let mut weights = [0.0; FEATURES];
-    weights[feature_set.first()..].fill(0.03);
+    let feature_set = Linear::feature_set_beside(feature_set);
+    let mut weights = [0.0; INPUTS];
+    weights[feature_set.range()].fill(0.03);
     weights[6] = 0.8;
     Linear {
         feature_set,
         bias_w: 0.15,
         weights,
+        r2: 0.88,
     }
 }
 
