@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use joulebus_bus::Scheduling;
 use joulebus_fleet::{
-    AlarmSettings, Battery, Intake, IntervalSettings, Platform, Policy, Settings,
+    AlarmSettings, Battery, Intake, IntervalSettings, Online, Platform, Policy, Settings,
 };
 
 use crate::contradictions;
@@ -390,6 +390,10 @@ impl Builder<'_> {
             omega_max_radps: number("platform.omega_max_radps")?,
             power_resolution_w: number("platform.power_resolution_w")?,
             battery,
+            online: Online {
+                mixture: self.0.text("platform.forecast")? == "mixture",
+                adapt: self.0.text("platform.adapt")? == "on",
+            },
         })
     }
 

@@ -213,6 +213,15 @@ fn model(values: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
                 .to_owned(),
         ));
     }
+    for (key, word) in [("platform.forecast", "mixture"), ("platform.adapt", "on")] {
+        if persistence && values.text(key).is_some_and(|text| text == word) {
+            problems.push(contradiction(
+                [(values, key), (values, model)],
+                &format!("{} beside {}", values.quote(key), values.quote(model)),
+                "There is no network to learn about: name a model file, or leave it out",
+            ));
+        }
+    }
     if !persistence && values.text(model).is_some() && values.names(scale) {
         warnings.push(complaint(
             values,

@@ -69,8 +69,8 @@ pub const KEYS: &[Key] = &[
 
     key("interval.coverage", num(0.5, 0.99), "share", Preset::Number(0.9),
         "Share of readings that are to fall inside the interval around their forecast."),
-    key("interval.rate", num(0.001, 0.5), "share", Preset::Number(0.02),
-        "How fast the interval follows, as a share of the residuals' scale per reading."),
+    key("interval.rate", num(0.001, 0.5), "share", Preset::Number(0.2),
+        "How far an end of the interval moves when a reading falls outside it, as a share of its distance."),
 
     key("alarms.bias_weight", num(1e-4, 0.5), "share", Preset::Number(0.005),
         "Weight of the newest residual in the running bias."),
@@ -123,6 +123,10 @@ pub const KEYS: &[Key] = &[
         "Name of the platform, for messages.")),
     of_platform(key("platform.model", Kind::Text(TextRule::Model), "", Preset::Required,
         "What forecasts the power: a model file, a model that ships, or the last reading again.")),
+    of_platform(key("platform.forecast", Kind::Choice(&["network", "mixture"]), "", Preset::Text("network"),
+        "mixture: persistence, the linear baseline and the network, weighed for each robot by its own readings.")),
+    of_platform(key("platform.adapt", Kind::Choice(&["off", "on"]), "", Preset::Text("off"),
+        "on: each robot's own level and gain on the network's forecast are learned from its readings.")),
     of_platform(key("platform.residual_std_w", num(1e-6, 1e6), "W", Preset::Unset,
         "With model = \"persistence\": standard deviation of the difference of two readings in a row.")),
     of_platform(key("platform.rate_hz", num(0.1, 1000.0), "Hz", Preset::Required,

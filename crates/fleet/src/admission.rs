@@ -6,6 +6,7 @@ use crate::columns::Columns;
 use crate::detector::Detector;
 use crate::intake::{check_values, invalid};
 use crate::interval::Interval;
+use crate::mixture::Blend;
 use crate::pass::{Rules, judge};
 use crate::robot::{Gate, Last, News, Pending};
 use crate::window::Window;
@@ -142,6 +143,9 @@ impl Fleet {
             ..Gate::FREE
         };
         let kind = &self.kinds[usize::from(kind)];
+        if let Some(blending) = &kind.blending {
+            columns.blends[slot] = Blend::new(blending);
+        }
         let residual = kind.model.residual();
         columns.news[slot] = News::None;
         columns.windows[slot] = Window::EMPTY;
@@ -150,7 +154,6 @@ impl Fleet {
         columns.intervals[slot] = Interval::new(
             residual.q05_w,
             residual.q95_w,
-            residual.std_w,
             kind.platform.power_resolution_w,
             self.settings.interval.coverage,
         );

@@ -1,13 +1,17 @@
 //! Rows on their way through a model.
 
-use joulebus_predictor::{FEATURES, Features, INPUTS, Model};
+use joulebus_predictor::{FEATURES, FeatureSet, Features, INPUTS, Model};
 
+use crate::columns::Part;
 use crate::kind::Kind;
+use crate::mixture::Blending;
 use crate::slots::WORD;
 
 /// Slots that are worked on together unless told otherwise: their state, their rows and what is
 /// written of them stay in the core's own cache.
 const SLOTS: usize = 512;
+/// Position of the newest reading in a row.
+const LAST: usize = FeatureSet::PowerOnly.first();
 
 /// Room for the rows of one tile, for [`crate::Share`]: one for each thread.
 #[derive(Debug, Clone)]
@@ -19,6 +23,8 @@ pub struct Batch {
     /// Whether the columns of freshness are filled too.
     freshness: bool,
     forecasts_w: Vec<f32>,
+    /// Of the linear baseline, where a platform learns online.
+    linear_w: Vec<f32>,
     outside: Vec<bool>,
     /// Slots whose waiting sample comes after a gap.
     pub(crate) gaps: Vec<u32>,
@@ -45,6 +51,7 @@ impl Batch {
             columns: std::array::from_fn(|_| vec![0.0; slots]),
             freshness: false,
             forecasts_w: vec![0.0; slots],
+            linear_w: vec![0.0; slots],
             outside: vec![false; slots],
             gaps: Vec::with_capacity(slots),
             overdue: Vec::with_capacity(slots),
@@ -88,6 +95,33 @@ impl Batch {
         let rows = self.slots.len();
         let columns = self.columns.each_ref().map(|column| &column[..rows]);
         model.predict_columns(columns, &mut self.forecasts_w[..rows]);
+    }
+
+    /// Puts what each robot's experts say together in the place of the network's forecast, after
+    /// [`Batch::infer`]. `open`: rows that stand in for samples that have not come, of which nothing
+    /// is learned.
+    pub(crate) fn blend(&mut self, blending: &Blending, columns: &mut Part<'_>, open: bool) {
+        let rows = self.slots.len();
+        if let Some(linear) = &blending.linear {
+            let columns = self.columns.each_ref().map(|column| &column[..rows]);
+            linear.predict_columns(columns, &mut self.linear_w[..rows]);
+        }
+        let last_w = &self.columns[LAST];
+        for (at, slot) in self.slots.iter().map(|slot| *slot as usize).enumerate() {
+            let network_w = self.forecasts_w[at];
+            if !network_w.is_finite() {
+                continue;
+            }
+            let due = columns.windows[slot].due(open);
+            let blend = &mut columns.blends[slot];
+            let linear_w = blending.linear.map_or(f32::NAN, |_| self.linear_w[at]);
+            let said_w = [last_w[at], linear_w, network_w];
+            let (forecast_w, experts_w) = blend.forecast(blending, said_w, due);
+            self.forecasts_w[at] = forecast_w;
+            if !open {
+                blend.expect(experts_w, due);
+            }
+        }
     }
 
     /// Marks the rows that have a feature outside the range of the training, or NaN.

@@ -3,6 +3,8 @@
 use crate::departed::Departed;
 use crate::detector::Detector;
 use crate::interval::Interval;
+use crate::kind::Kind;
+use crate::mixture::Blend;
 use crate::report::Seen;
 use crate::robot::{Gate, Last, News};
 use crate::slots::{self, Slots, WORD};
@@ -35,20 +37,24 @@ pub(crate) struct Columns {
     pub ledgers: Vec<Ledger>,
     pub scores: Vec<Scores>,
     pub detectors: Vec<Detector>,
+    /// Empty unless a platform learns online.
+    pub blends: Vec<Blend>,
     pub slots: Slots,
 }
 
 impl Columns {
-    pub(crate) fn new(capacity: usize) -> Self {
+    pub(crate) fn new(capacity: usize, kinds: &[Kind]) -> Self {
+        let learning = kinds.iter().any(|kind| kind.blending.is_some());
         Self {
             gates: vec![Gate::FREE; capacity],
             news: vec![News::None; capacity],
             windows: vec![Window::EMPTY; capacity],
             lasts: vec![Last::NONE; capacity],
-            intervals: vec![Interval::new(0.0, 0.0, 0.0, 0.0, 0.0); capacity],
+            intervals: vec![Interval::new(0.0, 0.0, 0.0, 0.0); capacity],
             ledgers: vec![Ledger::default(); capacity],
             scores: vec![Scores::default(); capacity],
             detectors: vec![Detector::new(); capacity],
+            blends: vec![Blend::NONE; if learning { capacity } else { 0 }],
             slots: Slots::new(capacity),
         }
     }
@@ -76,6 +82,7 @@ impl Columns {
             ledgers: &mut self.ledgers,
             scores: &mut self.scores,
             detectors: &mut self.detectors,
+            blends: &mut self.blends,
             words: self.slots.words(),
         }
     }
@@ -93,6 +100,8 @@ pub(crate) struct Part<'a> {
     pub ledgers: &'a mut [Ledger],
     pub scores: &'a mut [Scores],
     pub detectors: &'a mut [Detector],
+    /// Empty unless a platform learns online.
+    pub blends: &'a mut [Blend],
     pub words: &'a [u64],
 }
 
@@ -109,6 +118,7 @@ impl<'a> Part<'a> {
         let ledgers = self.ledgers.split_at_mut(at);
         let scores = self.scores.split_at_mut(at);
         let detectors = self.detectors.split_at_mut(at);
+        let blends = self.blends.split_at_mut(at.min(self.blends.len()));
         let words = self.words.split_at(words);
         (
             Self {
@@ -120,6 +130,7 @@ impl<'a> Part<'a> {
                 ledgers: ledgers.0,
                 scores: scores.0,
                 detectors: detectors.0,
+                blends: blends.0,
                 words: words.0,
             },
             Self {
@@ -131,6 +142,7 @@ impl<'a> Part<'a> {
                 ledgers: ledgers.1,
                 scores: scores.1,
                 detectors: detectors.1,
+                blends: blends.1,
                 words: words.1,
             },
         )
@@ -147,6 +159,7 @@ impl<'a> Part<'a> {
             ledgers: self.ledgers,
             scores: self.scores,
             detectors: self.detectors,
+            blends: self.blends,
             words: self.words,
         }
     }

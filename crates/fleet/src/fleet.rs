@@ -18,7 +18,7 @@ use crate::pass::{self, Rules};
 use crate::refused::Refused;
 use crate::slots::WORD;
 use crate::sources::Sources;
-use crate::{Ledger, Outputs, Scores, Settings, SettingsError, Share, report};
+use crate::{Learned, Ledger, Outputs, Scores, Settings, SettingsError, Share, report};
 
 /// The state of all robots, in columns indexed by slot, and everything one tick needs.
 ///
@@ -84,16 +84,15 @@ impl Fleet {
                 models: models.len(),
             });
         }
-        let margin = settings.alarms.training_margin;
         let kinds: Vec<Kind> = platforms
             .into_iter()
             .zip(models)
-            .map(|(platform, model)| Kind::new(platform, model, margin))
+            .map(|(platform, model)| Kind::new(platform, model, &settings))
             .collect();
         let capacity = settings.capacity as usize;
         Ok(Self {
             ranges: ranges(&kinds),
-            columns: Columns::new(capacity),
+            columns: Columns::new(capacity, &kinds),
             settings_hash: settings.fingerprint(),
             slot_of: Index::new(settings.capacity),
             departed: Departed::new(settings.capacity),
@@ -300,6 +299,16 @@ impl Fleet {
     #[must_use]
     pub fn scores(&self, robot: u32) -> Option<&Scores> {
         self.find(robot).map(|slot| &self.columns.scores[slot])
+    }
+
+    /// What a robot's forecast has learned from its readings; `None` for a robot that is not in the
+    /// fleet, or whose platform learns nothing online.
+    #[must_use]
+    pub fn learned(&self, robot: u32) -> Option<Learned> {
+        let slot = self.find(robot)?;
+        let kind = usize::from(self.columns.gates[slot].platform);
+        let blending = self.kinds[kind].blending.as_ref()?;
+        Some(self.columns.blends[slot].learned(blending))
     }
 
     /// Account of a robot, in the fleet or departed.

@@ -4,7 +4,9 @@ use std::ops::RangeInclusive;
 
 use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 
-use crate::Platform;
+use crate::interval::Moves;
+use crate::mixture::Blending;
+use crate::{Platform, Settings};
 
 /// What belongs to one platform.
 #[derive(Debug)]
@@ -22,6 +24,10 @@ pub(crate) struct Kind {
     pub overdue_after_ns: u64,
     /// Range of the features in training, widened by the margin of the alarm.
     pub trained: Option<Trained>,
+    /// How intervals follow.
+    pub moves: Moves,
+    /// What the robots learn from their own readings, if anything.
+    pub blending: Option<Blending>,
 }
 
 /// The range that features may lie in.
@@ -33,8 +39,8 @@ pub(crate) struct Trained {
 }
 
 impl Kind {
-    /// `margin`: how far outside the training range a feature may lie, as a share of that range.
-    pub(crate) fn new(platform: Platform, model: Model, margin: f32) -> Self {
+    pub(crate) fn new(platform: Platform, model: Model, settings: &Settings) -> Self {
+        let margin = settings.alarms.training_margin;
         let trained = model.training_range().map(|range| {
             let slack: Features =
                 std::array::from_fn(|index| margin * (range.max[index] - range.min[index]));
@@ -44,8 +50,11 @@ impl Kind {
                 hi: std::array::from_fn(|index| range.max[index] + slack[index]),
             }
         });
+        let sigma_w = model.residual().std_w.max(platform.power_resolution_w);
         Self {
-            sigma_w: model.residual().std_w.max(platform.power_resolution_w),
+            blending: Blending::new(platform.online, &model, sigma_w),
+            moves: Moves::new(&settings.interval),
+            sigma_w,
             // `Settings::check` has bounded the quotient by 1000.
             longest_steps: (platform.stale_after_ns / platform.period_ns) as u16,
             overdue_after_ns: platform.period_ns + platform.period_ns / 2,

@@ -11,6 +11,7 @@
 //! After [`Fleet::new`] nothing here allocates.
 #![forbid(unsafe_code)]
 
+mod adaptation;
 mod admission;
 mod batch;
 mod columns;
@@ -22,6 +23,7 @@ mod intake;
 mod interval;
 mod kind;
 mod ledger;
+mod mixture;
 mod pass;
 mod refused;
 mod report;
@@ -38,10 +40,12 @@ mod window;
 pub use batch::Batch;
 pub use fleet::{Fleet, FrameIntake, TickIntake};
 pub use ledger::Ledger;
+pub use mixture::Learned;
 pub use schedule::{Next, Schedule};
 pub use scores::Scores;
 pub use settings::{
-    AlarmSettings, Battery, Intake, IntervalSettings, Platform, Policy, Settings, SettingsError,
+    AlarmSettings, Battery, Intake, IntervalSettings, Online, Platform, Policy, Settings,
+    SettingsError,
 };
 pub use share::{Outputs, Share, Stage};
 pub use state::{FleetState, StateError};

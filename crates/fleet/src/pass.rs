@@ -69,13 +69,13 @@ pub(crate) fn absorb(
         };
         let gap = gap(its, gate, &columns.windows[slot], &pending);
         if columns.windows[slot].can_close(gap) {
-            step(rules, its, columns, slot, &pending, gap, batch);
+            step(its, columns, slot, &pending, gap, batch);
         } else {
             batch.gaps.push(slot as u32);
         }
     }
     if !batch.gaps.is_empty() {
-        bridge(rules, its, columns, batch);
+        bridge(its, columns, batch);
     }
     found
 }
@@ -86,6 +86,9 @@ pub(crate) fn infer(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
         return;
     }
     batch.infer(&kind.model);
+    if let Some(blending) = &kind.blending {
+        batch.blend(blending, columns, false);
+    }
     for (slot, forecast_w) in batch.forecasts() {
         if forecast_w.is_finite() {
             columns.windows[slot].forecast(forecast_w);
@@ -102,7 +105,7 @@ pub(crate) fn infer(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
 /// Runs robots with a gap before their waiting sample open loop up to it, a step per round, and
 /// then takes the samples. The rows collected so far are run as well: they are in the way.
 #[cold]
-fn bridge(rules: &Rules<'_>, kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
+fn bridge(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
     infer(kind, columns, batch);
     let late = std::mem::take(&mut batch.gaps);
     loop {
@@ -123,7 +126,7 @@ fn bridge(rules: &Rules<'_>, kind: &Kind, columns: &mut Part<'_>, batch: &mut Ba
     for slot in late.iter().map(|slot| *slot as usize) {
         if let News::Waiting(pending) = columns.news[slot] {
             let gap = gap(kind, &columns.gates[slot], &columns.windows[slot], &pending);
-            step(rules, kind, columns, slot, &pending, gap, batch);
+            step(kind, columns, slot, &pending, gap, batch);
         }
     }
     batch.gaps = late;
@@ -159,6 +162,9 @@ fn infer_open(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) -> bool {
         return false;
     }
     batch.infer(&kind.model);
+    if let Some(blending) = &kind.blending {
+        batch.blend(blending, columns, true);
+    }
     for (slot, forecast_w) in batch.forecasts() {
         columns.windows[slot].opened(forecast_w);
     }
@@ -180,7 +186,6 @@ fn gap(kind: &Kind, gate: &Gate, window: &Window, pending: &Pending) -> Gap {
 /// Takes the waiting sample of a slot, and adds the row for its next forecast, if it gets one.
 #[inline]
 fn step(
-    rules: &Rules<'_>,
     kind: &Kind,
     columns: &mut Part<'_>,
     slot: usize,
@@ -209,7 +214,10 @@ fn step(
     };
     if let (Some(reading_w), true) = (reading_w, one_step) {
         let (residual_w, floor_w) = (reading_w - forecast_w, kind.platform.power_resolution_w);
-        columns.intervals[slot].observe(residual_w, floor_w, &rules.settings.interval);
+        columns.intervals[slot].observe(residual_w, window.due(false), floor_w, kind.moves);
+        if let Some(blending) = &kind.blending {
+            columns.blends[slot].learn(blending, reading_w);
+        }
     }
     columns.news[slot] = News::Absorbed(absorbed);
     last.residual_w = reading_w.map_or(f32::NAN, |reading_w| reading_w - forecast_w);

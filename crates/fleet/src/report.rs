@@ -40,7 +40,9 @@ pub(crate) fn forecast(rules: &Rules<'_>, seen: &Seen<'_>) -> Forecast {
         quality,
         Quality::Fresh | Quality::Held | Quality::OpenLoop { .. }
     );
-    let (lo_w, hi_w) = seen.interval.around(power_w, open_steps);
+    let (lo_w, hi_w) = seen
+        .interval
+        .around(power_w, open_steps, window.shown_due());
     let (code, detail) = quality.encode();
     // A robot that runs open loop by the worker's clock is forecast further ahead.
     let ahead = 1 + u64::from(open_steps.saturating_sub(window.unread_steps));
@@ -181,7 +183,7 @@ pub(crate) fn budget(rules: &Rules<'_>, seen: &Seen<'_>) -> Budget {
                 .now_ns
                 .saturating_sub(gate.taken_ns)
                 .saturating_sub(platform.period_ns);
-            let (lo_w, hi_w) = seen.interval.around(budget.mean_power_w, 0);
+            let (lo_w, hi_w) = seen.interval.around(budget.mean_power_w, 0, true);
             with_battery(budget, battery, platform, silent_ns, (lo_w, hi_w))
         }
         _ => budget,

@@ -37,7 +37,7 @@ pub struct Intake {
 pub struct IntervalSettings {
     /// Share of readings that are to fall inside. 0.5 to 0.99.
     pub coverage: f32,
-    /// How fast the ends follow, as a share of the residuals' scale per reading. 0.001 to 0.5.
+    /// How far an end moves when a reading falls outside it, as a share of its distance. 0.001 to 0.5.
     pub rate: f32,
 }
 
@@ -95,6 +95,18 @@ pub struct Platform {
     pub power_resolution_w: f32,
     /// The battery, where it is known.
     pub battery: Option<Battery>,
+    /// What each robot's forecast learns from its own readings.
+    pub online: Online,
+}
+
+/// What each robot's forecast learns from its own readings; nothing unless asked. Needs a network: a
+/// platform that repeats the last reading has nothing to learn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Online {
+    /// Persistence, the model's linear baseline and its network are weighed against each other.
+    pub mixture: bool,
+    /// A level and a gain on the network's forecast are learned.
+    pub adapt: bool,
 }
 
 /// A battery.

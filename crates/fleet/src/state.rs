@@ -8,21 +8,22 @@ use crate::departed::Account;
 use crate::detector::Detector;
 use crate::fleet::TickIntake;
 use crate::interval::Interval;
+use crate::mixture::Blend;
 use crate::refused::Refused;
 use crate::robot::{Gate, Last, News};
 use crate::sources::Source;
 use crate::window::Window;
-use crate::{Fleet, Ledger, Scores, Settings};
+use crate::{Fleet, Ledger, Online, Platform, Scores, Settings};
 
 pub(crate) use codes::{alarm_set, drop_counts, invalid_reason, quality, refusals};
 
 /// First bytes of the encoded form. The last of them is its version: one more whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x03";
+const MAGIC: [u8; 8] = *b"jbstate\x04";
 
 /// Everything that a tick depends on but the settings and the models, bit for bit: who is in the
-/// fleet and where, windows, ledgers, intervals, scores, detectors, accounts of robots that have
-/// left, sources, what was refused and dropped.
+/// fleet and where, windows, ledgers, intervals, scores, detectors, what is learned online, accounts
+/// of robots that have left, sources, what was refused and dropped.
 ///
 /// A fleet that is [given](Fleet::restore_state) it goes on as the one that it was
 /// [taken](Fleet::state) of would have.
@@ -62,6 +63,8 @@ struct Columns {
     ledgers: Vec<Ledger>,
     scores: Vec<Scores>,
     detectors: Vec<Detector>,
+    /// Empty unless a platform learns online.
+    blends: Vec<Blend>,
 }
 
 /// Why a state was refused.
@@ -140,6 +143,8 @@ impl FleetState {
     #[must_use]
     pub fn with_room_for(settings: &Settings) -> Self {
         let robots = settings.capacity as usize;
+        let learns = |platform: &Platform| platform.online != Online::default();
+        let learning = settings.platforms.iter().any(learns);
         Self {
             capacity: 0,
             platforms: 0,
@@ -151,10 +156,11 @@ impl FleetState {
                 news: room(robots, News::None),
                 windows: room(robots, Window::EMPTY),
                 lasts: room(robots, Last::NONE),
-                intervals: room(robots, Interval::new(0.0, 0.0, 0.0, 0.0, 0.0)),
+                intervals: room(robots, Interval::new(0.0, 0.0, 0.0, 0.0)),
                 ledgers: room(robots, Ledger::default()),
                 scores: room(robots, Scores::default()),
                 detectors: room(robots, Detector::new()),
+                blends: room(if learning { robots } else { 0 }, Blend::NONE),
             },
             departed: room(
                 robots,
@@ -270,6 +276,12 @@ impl FleetState {
         ] {
             exactly(what, length, slots)?;
         }
+        let blends = slots.min(fleet.columns.blends.len());
+        exactly(
+            "length of what is learned online",
+            columns.blends.len(),
+            blends,
+        )?;
         at_most("accounts", self.departed.len(), self.capacity as usize)?;
         let most = fleet.settings.intake.max_sources;
         at_most("sources", self.sources.len(), most.into())?;
@@ -324,6 +336,7 @@ impl Fleet {
         copy(&mut to.ledgers, &from.ledgers[..used]);
         copy(&mut to.scores, &from.scores[..used]);
         copy(&mut to.detectors, &from.detectors[..used]);
+        copy(&mut to.blends, &from.blends[..used.min(from.blends.len())]);
         state.departed.clear();
         state.departed.extend(self.departed.accounts());
         copy(&mut state.sources, self.sources.all());
@@ -349,6 +362,7 @@ impl Fleet {
         to.ledgers[..used].copy_from_slice(&from.ledgers);
         to.scores[..used].copy_from_slice(&from.scores);
         to.detectors[..used].copy_from_slice(&from.detectors);
+        to.blends[..from.blends.len()].copy_from_slice(&from.blends);
         to.slots
             .replace(used, state.present().map(|(slot, _)| slot));
         self.slot_of.clear();

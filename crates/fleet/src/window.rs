@@ -197,6 +197,18 @@ impl Window {
         self.freshness.pass(missing_steps);
     }
 
+    /// Whether a new measurement is due at the next sample, or after those that are shown `open`; so
+    /// too where nobody knows.
+    pub(crate) fn due(&self, open: bool) -> bool {
+        let steps = if open { self.open_steps } else { 0 };
+        self.freshness.after(steps.into()).is_due().unwrap_or(true)
+    }
+
+    /// As [`Window::due`], of the forecast that [`Window::shown`] gives.
+    pub(crate) fn shown_due(&self) -> bool {
+        self.due(self.open_steps > 0)
+    }
+
     /// Takes a sample's reading, W, a new one or the last one again: corrected mode.
     pub(crate) fn read(&mut self, power_w: f32, new: bool) {
         self.freshness.read(new);

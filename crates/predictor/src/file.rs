@@ -221,7 +221,10 @@ fn fields(parameters: &Parameters, card: &Card) -> Fields {
     ]);
     if let Some(linear) = &card.linear {
         fields.insert("linear_bias_w", linear.bias_w.to_string());
-        fields.insert("linear_weights", list_of(linear.feature_set, &linear.weights));
+        fields.insert(
+            "linear_weights",
+            list_of(linear.feature_set, &linear.weights),
+        );
         fields.insert("linear_r2", linear.r2.to_string());
     }
     fields

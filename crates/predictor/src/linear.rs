@@ -97,7 +97,13 @@ mod tests {
     #[test]
     fn weights_that_make_no_sense_are_refused() {
         assert!(linear().check().is_ok());
-        for (at, weight) in [(0, 0.5), (0, f32::NAN), (11, 1.0), (7, f32::NAN), (8, f32::INFINITY)] {
+        for (at, weight) in [
+            (0, 0.5),
+            (0, f32::NAN),
+            (11, 1.0),
+            (7, f32::NAN),
+            (8, f32::INFINITY),
+        ] {
             let mut broken = linear();
             broken.weights[at] = weight;
             assert!(broken.check().is_err(), "{weight} at {at}");

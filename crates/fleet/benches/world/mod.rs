@@ -4,7 +4,9 @@
 #[allow(dead_code)]
 mod random;
 
-use joulebus_fleet::{AlarmSettings, Battery, Fleet, Intake, IntervalSettings, Platform, Settings};
+use joulebus_fleet::{
+    AlarmSettings, Battery, Fleet, Intake, IntervalSettings, Online, Platform, Settings,
+};
 use joulebus_predictor::{FeatureSet, Model};
 use joulebus_wire::{Budget, Diagnostic, Forecast, SCHEMA_VERSION, Sample, SampleHeader};
 
@@ -109,6 +111,7 @@ fn settings(capacity: u32) -> Settings {
                 initial_soc: 0.9,
                 initial_soc_lo: 0.8,
             }),
+            online: Online::default(),
         }],
     }
 }

@@ -4,7 +4,9 @@
 #[path = "../../../predictor/tests/random/mod.rs"]
 pub(crate) mod random;
 
-use joulebus_fleet::{AlarmSettings, Battery, Fleet, Intake, IntervalSettings, Platform, Settings};
+use joulebus_fleet::{
+    AlarmSettings, Battery, Fleet, Intake, IntervalSettings, Online, Platform, Settings,
+};
 use joulebus_predictor::{FeatureSet, Model, Persistence, ResidualStats};
 use joulebus_wire::{Budget, Diagnostic, Forecast, Quality, SCHEMA_VERSION, Sample, SampleHeader};
 
@@ -37,6 +39,7 @@ fn platform(name: &str, first: u32, period_ns: u64) -> Platform {
         omega_max_radps: 3.0,
         power_resolution_w: 0.01,
         battery: None,
+        online: Online::default(),
     }
 }
 

@@ -89,7 +89,11 @@ fn linear(dataset: &Dataset, feature_set: FeatureSet) -> Option<Linear> {
     };
     let mut scores = Tally::default();
     for row in &dataset.held_out {
-        scores.add(row.target_w.into(), linear.predict(&row.features).into(), 0.0);
+        scores.add(
+            row.target_w.into(),
+            linear.predict(&row.features).into(),
+            0.0,
+        );
     }
     linear.r2 = scores.r2() as f32;
     linear.check().is_ok().then_some(linear)

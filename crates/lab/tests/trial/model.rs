@@ -1,6 +1,6 @@
 //! Settings of the three recorded platforms, and networks drawn from a seed.
 
-use joulebus_fleet::{AlarmSettings, Intake, IntervalSettings, Platform, Settings};
+use joulebus_fleet::{AlarmSettings, Intake, IntervalSettings, Online, Platform, Settings};
 use joulebus_predictor::{
     Activation, Card, FEATURES, FeatureSet, HIDDEN, INPUTS, Layer, Model, Network, Normalisation,
     Parameters, Persistence, ResidualStats, Scores, TrainingRange,
@@ -26,6 +26,7 @@ pub(crate) fn settings() -> Settings {
         omega_max_radps: 10.0,
         power_resolution_w: 0.01,
         battery: None,
+        online: Online::default(),
     };
     Settings {
         capacity: 1_000,
