@@ -201,7 +201,7 @@ impl Blend {
     }
 
     pub(crate) fn learned(&self, blending: &Blending) -> Learned {
-        let Adaptation { gain, level, .. } = self.adaptation;
+        let (gain, level) = self.adaptation.fit();
         let weights = |phase: usize| {
             let record: &Record = &self.records[phase];
             blending.online.mixture.then(|| record.weights())
@@ -245,7 +245,7 @@ impl Record {
         let weights = self.weights();
         let loss = error.map(|error| error * error);
         let mixed = dot(&weights, &error);
-        let cost = mixed * mixed - self.mix_loss(&weights, &loss);
+        let cost = mixed * mixed - self.mix_loss(&loss);
         self.cost = (MEMORY * self.cost + cost.max(0.0)).max(FLOOR);
         for (sum, loss) in self.loss.iter_mut().zip(loss) {
             *sum = MEMORY * *sum + loss;
@@ -254,17 +254,20 @@ impl Record {
         self.loss = self.loss.map(|loss| loss - best);
     }
 
-    /// −(λ/η) ln Σ w exp(−η ℓ / λ).
-    fn mix_loss(&self, weights: &[f32; EXPERTS], loss: &[f32; EXPERTS]) -> f32 {
-        let rate = self.rate() / MEMORY;
-        // Of those that have a weight: what is subtracted must leave the logarithm finite.
-        let there = loss
-            .iter()
-            .zip(weights)
-            .filter(|(_, weight)| **weight > 0.0);
-        let least = there.fold(f32::INFINITY, |least, (loss, _)| least.min(*loss));
-        let raw = loss.map(|loss| libm::expf(-rate * (loss - least).max(0.0)));
-        least - libm::logf(dot(weights, &raw)) / rate
+    /// −(λ/η) ln Σ w exp(−η ℓ / λ), from the losses themselves: a weight may be too small for a
+    /// number and yet decide.
+    fn mix_loss(&self, loss: &[f32; EXPERTS]) -> f32 {
+        let rate = self.rate();
+        let sum = |loss: [f32; EXPERTS], least: f32| {
+            let raw = loss.map(|loss| libm::expf(-rate * (loss - least)));
+            libm::logf((raw[0] + raw[1]) + (raw[2] + raw[3]))
+        };
+        let mut after = self.loss;
+        for (sum, loss) in after.iter_mut().zip(loss) {
+            *sum += loss / MEMORY;
+        }
+        let least = after.into_iter().fold(f32::INFINITY, f32::min);
+        MEMORY * (least - (sum(after, least) - sum(self.loss, 0.0)) / rate)
     }
 
     /// η; there are two experts at least.
