@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod analyze;
+pub mod beyond;
 pub mod bootstrap;
 pub mod data;
 pub mod evaluate;

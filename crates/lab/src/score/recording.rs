@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use joulebus_fleet::Platform;
+use joulebus_fleet::{Online, Platform};
 use rayon::prelude::*;
 
 use crate::rows::{TrialRows, trial_rows};
@@ -96,5 +96,6 @@ pub fn recorded_platform(robot: u32, trial: &Trial) -> Platform {
         omega_max_radps: 1e3,
         power_resolution_w: 1e-3,
         battery: None,
+        online: Online::default(),
     }
 }
