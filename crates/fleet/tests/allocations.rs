@@ -41,7 +41,7 @@ fn fill(frame: &mut Vec<Sample>, step: u64, now_ns: u64) {
 
 #[test]
 fn taking_ticking_and_writing_out_allocate_nothing() {
-    let mut fleet = Fleet::new(settings(ROBOTS), models()).expect("the settings are fine");
+    let mut fleet = Fleet::new(world::learning(ROBOTS), models()).expect("the settings are fine");
     let mut source = Source::new(1, 1);
     let mut frame = Vec::with_capacity(4 * ROBOTS as usize);
     let mut forecasts = vec![Forecast::default(); ROBOTS as usize];
@@ -96,4 +96,21 @@ fn a_robot_takes_at_most_512_bytes_with_the_account_of_one_that_has_left() {
     }
     println!("{fixed} bytes for the fleet");
     assert!(fixed < 200_000, "{fixed} bytes for the fleet");
+}
+
+/// What a platform that learns online adds, for every robot that there is room for.
+#[test]
+fn learning_online_takes_at_most_80_bytes_a_robot_more() {
+    let bytes = |settings: joulebus_fleet::Settings| {
+        let models = models();
+        let before = counting::bytes();
+        let fleet = Fleet::new(settings, models).expect("the settings are fine");
+        let taken = counting::bytes() - before;
+        assert!(fleet.is_empty());
+        taken
+    };
+    let more = bytes(world::learning(10_000)) - bytes(settings(10_000));
+    let each = more as f64 / 10_000.0;
+    println!("{each:.1} bytes a robot more");
+    assert!(each > 0.0 && each <= 80.5, "{each:.1} bytes a robot more");
 }

@@ -79,7 +79,8 @@ proptest! {
     #[test]
     fn no_bit_depends_on_tiles_shares_or_threads(seed in any::<u64>(), depth in 0u32..4) {
         let mut noise = Noise(seed);
-        let (mut whole, mut shared) = (world::fleet(ROBOTS), world::fleet(ROBOTS));
+        let new = || Fleet::new(world::learning(ROBOTS), world::models()).expect("they agree");
+        let (mut whole, mut shared) = (new(), new());
         let mut source = Source::new(1, 1);
         let mut forecasts = vec![Forecast::default(); ROBOTS as usize];
         let mut diagnostics = vec![Diagnostic::default(); ROBOTS as usize];

@@ -1,5 +1,6 @@
 //! The tick against a slow, obvious oracle, under a virtual clock, with faults drawn from a seed.
 
+mod experts;
 mod faults;
 mod intake;
 mod robot;
@@ -30,8 +31,9 @@ proptest! {
         frame in prop::sample::select(vec![10u64, 50, 1_000_000]),
         jitter_ns in prop::sample::select(vec![1, PERIOD_NS / 4, 3 * PERIOD_NS]),
         fresh in any::<bool>(),
+        learning in any::<bool>(),
     ) {
-        simulate(seed, Rates { sample, frame }, jitter_ns, 150, fresh)?;
+        simulate(seed, Rates { sample, frame }, jitter_ns, 150, (fresh, learning))?;
     }
 }
 
@@ -45,8 +47,8 @@ fn the_injector_produces_every_fault() {
             sample: 8,
             frame: 20,
         };
-        let seen =
-            simulate(seed, rates, PERIOD_NS, 400, seed % 2 == 0).expect("equal to the oracle");
+        let seen = simulate(seed, rates, PERIOD_NS, 400, (seed % 2 == 0, seed % 3 == 0))
+            .expect("equal to the oracle");
         drops.extend(seen.0);
         qualities.extend(seen.1);
     }
@@ -103,15 +105,18 @@ fn simulate(
     rates: Rates,
     jitter_ns: u64,
     ticks: u64,
-    fresh: bool,
+    (fresh, learning): (bool, bool),
 ) -> Result<Seen, TestCaseError> {
     let mut noise = Noise(seed);
     let models = || match fresh {
         true => world::fresh_models(),
         false => world::models(),
     };
-    let settings = world::settings(CAPACITY);
-    let mut fleet = world::fleet_of(CAPACITY, models());
+    let settings = match learning {
+        true => world::learning(CAPACITY),
+        false => world::settings(CAPACITY),
+    };
+    let mut fleet = Fleet::new(settings.clone(), models()).expect("the settings agree");
     let mut oracle = Oracle::new(settings, models());
     let mut senders = senders();
     let (mut now_ns, mut sent) = (START_NS, 0);

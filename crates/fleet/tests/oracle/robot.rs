@@ -5,6 +5,7 @@ use joulebus_fleet::Platform;
 use joulebus_predictor::{Features, Model};
 use joulebus_wire::{Freshness, InvalidReason, Quality, Sample, sample_flag};
 
+use crate::experts::{Experts, Said};
 use crate::world::random::Noise;
 
 /// Every sample period of a stay: whether a measurement was made, and whether by a sample or only by
@@ -57,11 +58,21 @@ impl History {
     }
 }
 
+/// What forecasts are made by.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct By<'a> {
+    pub platform: &'a Platform,
+    pub model: &'a Model,
+    pub experts: &'a Experts,
+}
+
 /// The window and its forecast: readings (or forecasts in their place), oldest first.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Run {
     pub powers_w: Vec<f32>,
     pub forecast_w: Option<f32>,
+    /// What the forecast was made of, if a sample led to it.
+    pub said: Option<Said>,
     pub command: Option<(f32, f32)>,
     /// Steps at the end that are no readings.
     pub unread: u64,
@@ -76,14 +87,15 @@ impl Run {
 
     /// One period without a sample: the forecast takes the reading's place. Says whether that was
     /// possible.
-    fn advance(&mut self, model: &Model) -> bool {
+    fn advance(&mut self, by: By<'_>) -> bool {
         let Some(forecast_w) = self.forecast_w else {
             return false;
         };
         self.powers_w.push(forecast_w);
         self.unread += 1;
         self.history.pass();
-        self.forecast_w = predict(model, &self.row(self.command, 0.0, 0.0));
+        let said = self.predict(by, self.command, 0.0, 0.0);
+        (self.forecast_w, self.said) = (said.map(|said| said.forecast_w), None);
         self.forecast_w.is_some()
     }
 
@@ -96,9 +108,23 @@ impl Run {
     }
 
     /// The window as it is after so many periods without a sample.
-    pub(crate) fn ahead(&self, model: &Model, steps: u64) -> Option<Self> {
+    pub(crate) fn ahead(&self, by: By<'_>, steps: u64) -> Option<Self> {
         let mut run = self.clone();
-        (0..steps).all(|_| run.advance(model)).then_some(run)
+        (0..steps).all(|_| run.advance(by)).then_some(run)
+    }
+
+    fn predict(
+        &self,
+        by: By<'_>,
+        command: Option<(f32, f32)>,
+        dv: f32,
+        domega: f32,
+    ) -> Option<Said> {
+        let row = self.row(command, dv, domega);
+        let network_w = predict(by.model, &row)?;
+        // Where nobody knows, one is due.
+        let due = row[12] != 0.0;
+        Some(by.experts.say(by.platform, by.model, &row, network_w, due))
     }
 
     fn row(&self, command: Option<(f32, f32)>, dv: f32, domega: f32) -> Features {
@@ -203,6 +229,7 @@ impl Account {
 #[derive(Debug, Clone)]
 pub(crate) struct Robot {
     pub platform: Platform,
+    pub experts: Experts,
     pub run: Run,
     pub account: Account,
     pub scored: Vec<Scored>,
@@ -215,12 +242,21 @@ impl Robot {
     pub(crate) fn new(platform: Platform, account: Account) -> Self {
         Self {
             platform,
+            experts: Experts::default(),
             run: Run::default(),
             account,
             scored: Vec::new(),
             last: None,
             residual_w: None,
             quality: Quality::Warmup { have: 0 },
+        }
+    }
+
+    fn by<'a>(&'a self, model: &'a Model) -> By<'a> {
+        By {
+            platform: &self.platform,
+            model,
+            experts: &self.experts,
         }
     }
 
@@ -247,6 +283,8 @@ impl Robot {
                 residual_w: reading_w - forecast_w,
                 previous_w: *self.run.powers_w.last().expect("it made a forecast"),
             });
+            let said = self.run.said.expect("it made a forecast of a sample");
+            self.experts.learn(&said, reading_w);
         }
         self.read(sample);
         self.forecast(sample, model);
@@ -267,7 +305,7 @@ impl Robot {
         let short = self.run.unread + steps <= self.longest();
         let ahead = Some(steps)
             .filter(|_| short && self.run.is_full())
-            .and_then(|steps| self.run.ahead(model, steps));
+            .and_then(|steps| self.run.ahead(self.by(model), steps));
         if let Some(run) = ahead {
             self.run = run;
             return true;
@@ -309,12 +347,13 @@ impl Robot {
             (dv, domega) = ((now.0 - before.0) / dt_s, (now.1 - before.1) / dt_s);
         }
         self.run.command = command;
-        self.run.forecast_w = None;
+        (self.run.forecast_w, self.run.said) = (None, None);
         let full = self.run.is_full();
         let fresh = self.run.history.interval().is_some() || !model.needs_freshness();
         let runs = full && fresh && (known || !model.needs_command());
         if runs {
-            self.run.forecast_w = predict(model, &self.run.row(command, dv, domega));
+            self.run.said = self.run.predict(self.by(model), command, dv, domega);
+            self.run.forecast_w = self.run.said.map(|said| said.forecast_w);
         }
         self.quality = match sample.freshness() {
             Freshness::Missing if !full => Quality::Invalid(InvalidReason::NoReading),
@@ -346,7 +385,7 @@ impl Robot {
         }
         let steps = missing(silent_ns, self.platform.period_ns)
             .min(self.longest().saturating_sub(self.run.unread));
-        match self.run.ahead(model, steps) {
+        match self.run.ahead(self.by(model), steps) {
             Some(run) if steps > 0 => {
                 let steps = run.unread as u16;
                 (Quality::OpenLoop { steps }, run.forecast_w)

@@ -86,12 +86,16 @@ proptest! {
     #[test]
     fn a_fleet_goes_on_from_a_snapshot_with_the_same_bits(
         seed in any::<u64>(), at in 0usize..120, restored_first in any::<bool>(), used in any::<bool>(),
-        fresh in any::<bool>(),
+        fresh in any::<bool>(), learning in any::<bool>(),
     ) {
         let traffic = traffic(seed, 200);
-        let new = || match fresh {
-            true => world::fleet_of(CAPACITY, world::fresh_models()),
-            false => world::fleet(CAPACITY),
+        let settings = match learning {
+            true => world::learning(CAPACITY),
+            false => world::settings(CAPACITY),
+        };
+        let new = || {
+            let models = if fresh { world::fresh_models() } else { world::models() };
+            Fleet::new(settings.clone(), models).expect("the settings agree with themselves")
         };
         let mut fleet = new();
         if restored_first {
@@ -140,7 +144,8 @@ proptest! {
         seed in 0u64..8, flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
     ) {
         let traffic = traffic(seed, 80);
-        let mut fleet = world::fleet(CAPACITY);
+        let new = || Fleet::new(world::learning(CAPACITY), world::models()).expect("they agree");
+        let mut fleet = new();
         for (now_ns, frames) in &traffic[..60] {
             take(&mut fleet, frames);
             fleet.tick(*now_ns, false);
@@ -153,9 +158,9 @@ proptest! {
         let Ok(state) = FleetState::decode(&bytes) else {
             return Ok(());
         };
-        let mut other = world::fleet(CAPACITY);
+        let mut other = new();
         if other.restore_state(&state).is_err() {
-            prop_assert_eq!(encoded(&other), encoded(&world::fleet(CAPACITY)), "refused, yet changed");
+            prop_assert_eq!(encoded(&other), encoded(&new()), "refused, yet changed");
             return Ok(());
         }
         for (now_ns, frames) in &traffic[60..] {

@@ -108,6 +108,18 @@ fn models_of([first, second]: [FeatureSet; 2]) -> Vec<Model> {
     ]
 }
 
+/// As [`settings`], with all that can be learned online: the first platform's robots a mixture, a level
+/// and a gain, the second's a level and a gain.
+pub(crate) fn learning(capacity: u32) -> Settings {
+    let mut settings = settings(capacity);
+    settings.platforms[0].online = Online {
+        mixture: true,
+        adapt: true,
+    };
+    settings.platforms[1].online.adapt = true;
+    settings
+}
+
 pub(crate) fn fleet(capacity: u32) -> Fleet {
     fleet_of(capacity, models())
 }
