@@ -3,7 +3,8 @@
 //! Each round takes a frame with a sample of every robot and ticks, with everything written out;
 //! between two rounds the network alone runs over as many rows, tile by tile. Figures are medians
 //! over the rounds, ns per robot, and the tick as a multiple of the network. `cargo bench -p
-//! joulebus-fleet -- 512` sets the slots in a tile.
+//! joulebus-fleet -- 512` sets the slots in a tile, `-- learning` has every robot learn online: a
+//! mixture, a level and a gain.
 
 mod world;
 

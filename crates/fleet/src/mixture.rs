@@ -38,6 +38,8 @@
 //! weights are kept apart by whether a new measurement is due, and (1) holds in each phase, over the
 //! readings of that phase.
 
+use std::f32::consts::LN_2;
+
 use joulebus_predictor::{Linear, Model};
 use serde::{Deserialize, Serialize};
 
@@ -58,7 +60,7 @@ const MEMORY: f32 = 0.999;
 /// The least Δ, squared standard deviations: keeps the learning rate finite.
 const FLOOR: f32 = 2.0;
 /// Natural logarithm of the number of experts.
-const LOG: [f32; EXPERTS + 1] = [0.0, 0.0, 0.693_147_2, 1.098_612_3, 1.386_294_4];
+const LOG: [f32; EXPERTS + 1] = [0.0, 0.0, LN_2, 1.098_612_3, 2.0 * LN_2];
 /// Largest error that is believed, standard deviations: without a bound, one absurd forecast would
 /// turn the sums into NaN for ever.
 const ERROR_MAX: f32 = 1e6;
@@ -111,7 +113,7 @@ impl Blending {
 }
 
 /// What a robot's forecast has learned from its readings.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Learned {
     /// Weights of persistence, the linear baseline, the network and the adapted network where a new
     /// measurement is due: not negative, 1 in all, 0 for one that the platform does not have. `None`

@@ -45,7 +45,7 @@ fn main() {
 fn heading() {
     println!(
         "| trained on | tested on | trials · readings | persistence | linear | {} | best member | \
-         mixture + adapted, MAE in W | coverage: all · least and most of a trial · trials within 2 % | \
+         mixture + adapted, MAE in W | coverage: all · least and most of a trial · trials within 2 % · where a new measurement was due | \
          the same, network alone |",
         VARIANTS.map(|(name, _)| name).join(" | ")
     );
@@ -60,11 +60,12 @@ fn line(trained_on: &str, tested_on: &str, judged: &Judged) {
         let ends =
             |fold: fn(f64, f64) -> f64, start| variant.coverage.iter().copied().fold(start, fold);
         format!(
-            "{:.3} · {:.3}–{:.3} · {:.0} %",
+            "{:.3} · {:.3}–{:.3} · {:.0} % · {:.3}",
             variant.intervals.coverage(),
             ends(f64::min, f64::INFINITY),
             ends(f64::max, f64::NEG_INFINITY),
-            100.0 * variant.held(0.9)
+            100.0 * variant.held(0.9),
+            variant.due.coverage()
         )
     };
     println!(
@@ -189,7 +190,8 @@ impl Recordings {
         let left_out: Vec<String> = self
             .sources
             .iter()
-            .filter_map(|source| is_left_out(&source.group).then(|| source.trial.clone()))
+            .filter(|source| is_left_out(&source.group))
+            .map(|source| source.trial.clone())
             .collect();
         let deal = deal_leaving_out(&self.sources, split, &left_out)
             .unwrap_or_else(|error| panic!("{error}"));

@@ -3,7 +3,7 @@
 //! linear baseline AR(5) + velocities of the model file.
 
 use joulebus_fleet::{AlarmSettings, Intake, IntervalSettings, Online, Platform, Settings};
-use joulebus_predictor::{Features, Linear, Model, Network};
+use joulebus_predictor::{FEATURES, FeatureSet, Linear, Model, Network};
 
 use crate::evaluate::{EvaluateError, RobotEvaluation, evaluate_trial};
 use crate::metrics::{CoverageTally, Tally};
@@ -22,6 +22,8 @@ pub const VARIANTS: [(&str, Online); 4] = [
 /// Readings that a trial needs for its coverage to be judged: of fewer, one more or less inside is
 /// half a percent.
 pub const FEWEST_READINGS: u64 = 200;
+/// Position in a row of whether a new measurement is due.
+const DUE: usize = FEATURES + 1;
 /// How far a trial's coverage may lie from the wanted one.
 pub const TOLERANCE: f64 = 0.02;
 
@@ -50,6 +52,8 @@ pub struct Variant {
     pub forecasts: Tally,
     /// Its intervals, of all trials together.
     pub intervals: CoverageTally,
+    /// Those of them that were made where a new measurement was due.
+    pub due: CoverageTally,
     /// Share of readings inside their interval, trial by trial; of trials of [`FEWEST_READINGS`] and
     /// more.
     pub coverage: Vec<f64>,
@@ -160,7 +164,7 @@ impl Judged {
     fn baselines(&mut self, rows: &TrialRows, linear: Option<&Linear>) {
         for row in &rows.rows {
             let reading_w = f64::from(row.target_w);
-            let last_w = last_w(&row.features);
+            let last_w = row.features[FeatureSet::PowerOnly.first()];
             self.persistence.add(reading_w, last_w.into(), 0.0);
             if let (Some(tally), Some(linear)) = (&mut self.linear, linear) {
                 tally.add(reading_w, linear.predict(&row.features).into(), 0.0);
@@ -181,14 +185,14 @@ impl Variant {
             let known = |watts: Option<f32>| watts.map_or(f64::NAN, f64::from);
             self.forecasts.add(reading_w, known(step.power_w), 0.0);
             intervals.add(reading_w, known(step.lo_w), known(step.hi_w));
+            // NaN is not known, and then one is.
+            if row.features[DUE] != 0.0 {
+                self.due.add(reading_w, known(step.lo_w), known(step.hi_w));
+            }
         }
         if intervals.count() >= FEWEST_READINGS {
             self.coverage.push(intervals.coverage());
         }
         self.intervals.merge(&intervals);
     }
-}
-
-fn last_w(features: &Features) -> f32 {
-    features[joulebus_predictor::FeatureSet::PowerOnly.first()]
 }

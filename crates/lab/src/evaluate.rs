@@ -5,7 +5,7 @@ mod report;
 use std::collections::HashSet;
 use std::path::PathBuf;
 
-use joulebus_fleet::{Fleet, Ledger, Platform, Scores, Settings, SettingsError};
+use joulebus_fleet::{Fleet, Learned, Ledger, Platform, Scores, Settings, SettingsError};
 use joulebus_predictor::Model;
 use joulebus_wire::{DropCounts, Quality, SCHEMA_VERSION, Sample, SampleHeader, diagnostic_flag};
 
@@ -70,6 +70,8 @@ pub struct RobotEvaluation {
     pub scores: Scores,
     /// Share of scored readings inside their interval; NaN before the first.
     pub coverage: f32,
+    /// What its forecast has learned from the trial; `None` where the platform learns nothing online.
+    pub learned: Option<Learned>,
     /// Account of energy.
     pub ledger: Ledger,
     /// Samples accepted.
@@ -171,6 +173,7 @@ pub fn evaluate_trial(
         steps,
         scores: fleet.scores(robot).copied().unwrap_or_default(),
         coverage: coverage.unwrap_or(f32::NAN),
+        learned: fleet.learned(robot),
         ledger: fleet.ledger(robot).copied().unwrap_or_default(),
         accepted: fleet.accepted(),
         drops: fleet.drops(),

@@ -69,6 +69,7 @@ impl World {
 }
 
 fn settings(capacity: u32) -> Settings {
+    let learning = std::env::args().any(|argument| argument == "learning");
     Settings {
         capacity,
         intake: Intake {
@@ -111,7 +112,10 @@ fn settings(capacity: u32) -> Settings {
                 initial_soc: 0.9,
                 initial_soc_lo: 0.8,
             }),
-            online: Online::default(),
+            online: Online {
+                mixture: learning,
+                adapt: learning,
+            },
         }],
     }
 }

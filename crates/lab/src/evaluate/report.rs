@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use joulebus_fleet::Scores;
+use joulebus_fleet::{Learned, Scores};
 use joulebus_wire::Quality;
 use serde::Serialize;
 
@@ -78,6 +78,9 @@ pub struct RobotReport {
     pub scores: ScoreReport,
     /// Share of scored readings inside their interval.
     pub coverage: f32,
+    /// What its forecast has learned from the trial, where the platform learns online.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub learned: Option<Learned>,
     /// Energy drawn over the metered time, J.
     pub drawn_j: f64,
     /// Metered time, s.
@@ -142,6 +145,7 @@ fn robot_report(robot: &RobotEvaluation) -> RobotReport {
         qualities,
         scores: (&robot.scores).into(),
         coverage: robot.coverage,
+        learned: robot.learned,
         drawn_j: ledger.drawn_uj as f64 / 1e6,
         metered_s: ledger.metered_ns as f64 / 1e9,
         unmetered_s: ledger.unmetered_ns as f64 / 1e9,
