@@ -1,50 +1,131 @@
-//! `joulebus eval`: recorded trials through the tick, offline.
+//! `joulebus eval`: recorded trials, offline: how good the forecasts are, beside what they have to
+//! beat.
 
-use std::path::PathBuf;
+mod subject;
+
+use std::fmt;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use joulebus_lab::evaluate::evaluate;
+use joulebus_lab::evaluate::{Evaluation, EvaluationReport};
+use joulebus_lab::score::{ScoreError, ScoreReport, score};
 use joulebus_predictor::{Model, Network};
 use joulebus_predictor_worker::load_models;
+use serde::Serialize;
 
-use crate::config_file::ConfigFile;
 use crate::exit::Outcome;
-use crate::output::Output;
-use crate::trials::TrialFiles;
+use crate::output::{Output, say};
+pub(crate) use subject::{Asked, usage};
 
-/// Evaluate recorded trials offline: the same bits as playing them live
+/// Live scores that the text shows trial by trial; of more trials, one line a platform.
+const LISTED: usize = 24;
+
+/// Evaluate recorded trials offline: the same bits as playing them live, beside what a model has to
+/// beat
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus eval recordings/*.csv.gz\n  \
-    joulebus eval --model my.safetensors recordings/\n  \
+    joulebus eval --model my.safetensors recordings/ --split trial\n  \
+    joulebus eval --model my.safetensors husky/ --split group --leave-out ICE\n  \
+    joulebus eval --model my.safetensors t6.npy --fit t1.npy t2.npy t3.npy t4.npy\n  \
     joulebus eval --config configs/mixed.toml robotino/@robotino husky/@husky\n\n\
-    MAE in W; skill is 1 - squared error over that of persistence: above 0 is better than \
-    repeating the last reading.")]
+    Corrected: each forecast rests on real readings, one tick ahead. Open loop: a forecaster is fed \
+    with its own forecasts, the commands being known. MAE in W; skill is 1 - squared error over \
+    that of persistence: above 0 is better than repeating the last reading. [lo, hi] are confidence \
+    intervals by block bootstrap. All forecasters are scored on the same rows: those with five \
+    readings without a gap behind them.\n\n\
+    With --model and no config, period and limits are those of each recording; else those of the \
+    config's platforms. --split evaluates what `joulebus train trials` with the same recordings, \
+    split and seed holds out.")]
 pub(crate) struct Args {
     #[command(flatten)]
-    trials: TrialFiles,
-    #[command(flatten)]
-    config: ConfigFile,
+    asked: Asked,
     /// A model file, for all platforms [default: as the config says]
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let config = args.config.load()?;
-    let settings = config.settings();
-    let models = match &args.model {
+    let config = args.asked.config()?;
+    let named = args.model.as_deref().map(load).transpose()?;
+    let models = match &named {
         None => load_models(&config)?,
-        Some(path) => {
-            let bytes = std::fs::read(path)
-                .with_context(|| format!("cannot read the model {}", path.display()))?;
-            let network = Network::from_safetensors(&bytes)
-                .with_context(|| format!("the model {} is refused", path.display()))?;
-            vec![Model::Network(network); settings.platforms.len()]
-        }
+        Some(model) => vec![model.clone(); config.settings().platforms.len()],
     };
-    let trials = args.trials.read(settings)?;
-    let evaluation = evaluate(settings, &models, &trials)?;
-    output.report(&evaluation.report())?;
+    let sections = args.asked.sections(config.settings(), named.is_some())?;
+    let mut report = EvalReport::default();
+    let mut live = Evaluation { robots: Vec::new() };
+    let options = args.asked.options()?;
+    let mut refused = None;
+    for section in &sections {
+        let model = &models[section.place];
+        let design = args.asked.design(section)?;
+        let subject = section.subject(std::slice::from_ref(model), &design);
+        match score(subject, &options).map_err(usage) {
+            Ok(scored) => {
+                report.evaluations.push(scored.report);
+                let robots = scored.live.into_iter().flat_map(|live| live.robots);
+                live.robots.extend(robots);
+            }
+            // One platform without rows must not hide the others.
+            Err(error) if sections.len() > 1 && is_without_rows(&error) => {
+                say(&format!("warning: platform {}: {error:#}", section.name()));
+                refused = Some(error);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    if let (true, Some(error)) = (report.evaluations.is_empty(), refused) {
+        return Err(error);
+    }
+    report.live = Some(live.report());
+    output.report(&report)?;
     Ok(Outcome::Done)
+}
+
+fn is_without_rows(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(ScoreError::NoRows { .. }))
+}
+
+/// The model of a file.
+pub(crate) fn load(path: &Path) -> anyhow::Result<Model> {
+    let bytes =
+        std::fs::read(path).with_context(|| format!("cannot read the model {}", path.display()))?;
+    let network = Network::from_safetensors(&bytes)
+        .with_context(|| format!("the model {} is refused", path.display()))?;
+    Ok(Model::Network(network))
+}
+
+/// The live path's own account, and the evaluation of each platform.
+#[derive(Debug, Default, Serialize)]
+struct EvalReport {
+    #[serde(flatten)]
+    live: Option<EvaluationReport>,
+    evaluations: Vec<ScoreReport>,
+}
+
+impl fmt::Display for EvalReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (at, evaluation) in self.evaluations.iter().enumerate() {
+            if at > 0 {
+                writeln!(out, "\n")?;
+            }
+            write!(out, "{evaluation}")?;
+        }
+        let Some(live) = &self.live else {
+            return Ok(());
+        };
+        writeln!(
+            out,
+            "\nLive path: all scored readings, those after gaps included"
+        )?;
+        if live.robots.len() <= LISTED {
+            return write!(out, "{live}");
+        }
+        let platforms = EvaluationReport {
+            robots: Vec::new(),
+            ..live.clone()
+        };
+        write!(out, "{platforms}")
+    }
 }

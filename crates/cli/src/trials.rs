@@ -55,6 +55,51 @@ impl TrialFiles {
         Ok(trials)
     }
 
+    /// Whether anybody says which ids or which platform the robots are of.
+    pub(crate) fn names_robots(&self) -> bool {
+        let named = self.platform.is_some() || self.first_robot.is_some();
+        named || self.paths.iter().any(|path| split(path).1.is_some())
+    }
+
+    /// The recordings, where nobody says whose they are.
+    ///
+    /// # Errors
+    /// A directory cannot be read, or holds none.
+    pub(crate) fn files(&self) -> anyhow::Result<Vec<PathBuf>> {
+        let paths: Vec<PathBuf> = self.paths.iter().map(PathBuf::from).collect();
+        expanded(&paths)
+    }
+
+    /// The recordings with their robots' ids, for robots that never meet: where a platform has no
+    /// id left, its ids are given out again.
+    ///
+    /// # Errors
+    /// As [`TrialFiles::read`], but for too few ids.
+    pub(crate) fn assigned(&self, settings: &Settings) -> anyhow::Result<Vec<(u32, PathBuf)>> {
+        let mut ids = Ids::new(self.first_robot);
+        let mut assigned = Vec::new();
+        for path in &self.paths {
+            let (path, who) = split(path);
+            let who = match who {
+                Some(who) => Some(who),
+                None => self.usual(settings)?,
+            };
+            for file in expanded(&[path])? {
+                let mut robot = ids.next(who.as_ref(), settings)?;
+                if robot.is_none() {
+                    ids.taken.clear();
+                    robot = ids.next(who.as_ref(), settings)?;
+                }
+                let Some(robot) = robot else {
+                    let name = file.display();
+                    return Err(UsageError(format!("{name}: its platform has no ids")).into());
+                };
+                assigned.push((robot, file));
+            }
+        }
+        Ok(assigned)
+    }
+
     /// Whose ids are taken where the path does not say; none: those that count on.
     fn usual(&self, settings: &Settings) -> Result<Option<Who>, UsageError> {
         if self.first_robot.is_some() {
@@ -125,6 +170,19 @@ fn split(argument: &OsString) -> (PathBuf, Option<Who>) {
         }
         _ => (whole, None),
     }
+}
+
+/// Files as they are, and the recordings of directories.
+pub(crate) fn expanded(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for path in paths {
+        if path.is_dir() {
+            files.extend(recordings(path)?);
+        } else {
+            files.push(path.clone());
+        }
+    }
+    Ok(files)
 }
 
 /// The recordings in a directory, by name.

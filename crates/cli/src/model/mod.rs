@@ -1,5 +1,6 @@
 //! `joulebus model`: model files, our own and those of other programs.
 
+mod compare;
 mod export;
 mod import;
 mod info;
@@ -13,12 +14,13 @@ use joulebus_lab::model_file::{Checkpoint, MAX_FILE_BYTES};
 use crate::exit::Outcome;
 use crate::output::Output;
 
-/// Look into model files, import and export them
+/// Look into model files, import, export and compare them
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus model info configs/models/gternal-sim.safetensors\n  \
     joulebus model import energy_predictor_full.npy --data recordings/ --out published.safetensors\n  \
-    joulebus model export published.safetensors --out published.onnx\n\n\
+    joulebus model export published.safetensors --out published.onnx\n  \
+    joulebus model compare old.safetensors new.safetensors recordings/\n\n\
     Reads .npy (arrays and objects), .npz, .pt and .pth (zip and legacy), .safetensors and \
     directories of .npy. Nothing in a file is ever run.")]
 pub(crate) struct Args {
@@ -31,6 +33,7 @@ enum What {
     Info(info::Args),
     Import(import::Args),
     Export(export::Args),
+    Compare(compare::Args),
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
@@ -38,6 +41,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         What::Info(args) => info::run(args, output),
         What::Import(args) => import::run(args, output),
         What::Export(args) => export::run(args, output),
+        What::Compare(args) => compare::run(args, output),
     }
 }
 

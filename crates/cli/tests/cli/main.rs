@@ -4,6 +4,7 @@
 mod bench;
 mod captures;
 mod data;
+mod evaluate;
 mod fleet;
 mod live;
 mod model;
@@ -19,7 +20,7 @@ use std::time::Duration;
 use fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
 
-const VERBS: [&str; 31] = [
+const VERBS: [&str; 32] = [
     "demo",
     "run",
     "publish",
@@ -50,6 +51,7 @@ const VERBS: [&str; 31] = [
     "model info",
     "model import",
     "model export",
+    "model compare",
     "completions",
 ];
 

@@ -65,16 +65,32 @@ impl Recording {
     }
 }
 
-/// Reads recordings in parallel, each with its robot's id, and gives them in their order.
+/// Reads recordings in parallel, and gives them in the order of their files. Each has the id that
+/// stands beside its file; of a file with several robots, each is a recording of its own.
 ///
 /// # Errors
 /// That of the first file, in their order, that cannot be read.
 pub fn read_recordings(files: &[(u32, PathBuf)]) -> Result<Vec<Recording>, TrialError> {
     let each = files.par_iter();
-    let read = each.map(|(id, path)| Ok(Recording::new(*id, Trial::read(path)?)));
+    let read = each.map(|(id, path)| -> Result<Vec<Recording>, TrialError> {
+        let trials = Trial::read_robots(path)?;
+        let several = trials.len() > 1;
+        let named = trials.into_iter().map(|trial| {
+            let mut recording = Recording::new(*id, trial);
+            if several {
+                recording.name = format!("{} {}", recording.name, recording.robot);
+            }
+            recording
+        });
+        Ok(named.collect())
+    });
     // Collected before errors are looked at, so that it is always the first one.
-    let read: Vec<Result<Recording, TrialError>> = read.collect();
-    read.into_iter().collect()
+    let read: Vec<Result<Vec<Recording>, TrialError>> = read.collect();
+    let mut recordings = Vec::new();
+    for read in read {
+        recordings.extend(read?);
+    }
+    Ok(recordings)
 }
 
 /// A platform that takes a trial as it was recorded: its median period, and limits that refuse

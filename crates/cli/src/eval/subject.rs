@@ -1,0 +1,210 @@
+//! What is evaluated: recordings, their platforms, which rows, and how.
+
+use std::path::PathBuf;
+
+use clap::builder::{PossibleValuesParser, TypedValueParser as _};
+use joulebus_config::Config;
+use joulebus_fleet::{Platform, Settings};
+use joulebus_lab::bootstrap::Bootstrap;
+use joulebus_lab::score::{Design, Options, Recording, ScoreError, Subject, read_recordings};
+use joulebus_lab::split::{By, Split};
+use joulebus_predictor::Model;
+
+use crate::config_file::ConfigFile;
+use crate::exit::UsageError;
+use crate::trials::{TrialFiles, expanded};
+
+/// Recordings, and how they are evaluated.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Asked {
+    #[command(flatten)]
+    trials: TrialFiles,
+    #[command(flatten)]
+    config: ConfigFile,
+    /// Evaluate what a split holds out, and fit the baselines on the rest: trial, robot, group (file
+    /// names that differ only in their number) or time (the end of every trial) [default: evaluate
+    /// all, baselines fitted on other trials in turn]
+    #[arg(long, value_name = "BY", value_parser = by(), conflicts_with = "fit")]
+    split: Option<By>,
+    /// Share that the split holds out, as in training
+    #[arg(long, value_name = "SHARE", default_value_t = Split::default().held_out, requires = "split")]
+    held_out: f64,
+    /// Trials, robots or groups to hold out by name, instead of a share
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "split")]
+    leave_out: Vec<String>,
+    /// Seed of the split and of the draws for confidence intervals
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Recordings that the baselines are fitted on, instead of others of those evaluated
+    #[arg(long, value_name = "PATH", num_args = 1..)]
+    fit: Vec<PathBuf>,
+    /// Horizons of the open loop, ticks from 1 to 300, or none
+    #[arg(long, value_name = "TICKS", default_value = "1,3,10,30,100,300")]
+    horizons: String,
+    /// Rows from one rollout's beginning to the next
+    #[arg(long, value_name = "ROWS", default_value_t = Options::default().origins_every)]
+    origins_every: usize,
+    /// Draws for confidence intervals; 0 for none
+    #[arg(long, value_name = "N", default_value_t = Bootstrap::default().resamples)]
+    resamples: u32,
+    /// Confidence of the intervals, a share
+    #[arg(long, value_name = "SHARE", default_value_t = Bootstrap::default().confidence)]
+    confidence: f64,
+    /// Rows of a block that is drawn, where blocks are not whole trials (20 trials and more)
+    #[arg(long, value_name = "ROWS", default_value_t = Bootstrap::default().block_rows)]
+    block_rows: usize,
+}
+
+fn by() -> impl clap::builder::TypedValueParser<Value = By> {
+    PossibleValuesParser::new(["trial", "robot", "group", "time"]).map(|name| match name.as_str() {
+        "robot" => By::Robot,
+        "group" => By::Group,
+        "time" => By::Time,
+        _ => By::Trial,
+    })
+}
+
+/// The recordings of one platform.
+pub(crate) struct Section {
+    /// The config's platform; none takes each recording as it is.
+    platform: Option<Platform>,
+    /// Its place in the config, which is that of its model.
+    pub(crate) place: usize,
+    settings: Settings,
+    recordings: Vec<Recording>,
+}
+
+impl Section {
+    pub(crate) fn subject<'a>(&'a self, models: &'a [Model], design: &'a Design) -> Subject<'a> {
+        Subject {
+            settings: &self.settings,
+            platform: self.platform.as_ref(),
+            models,
+            recordings: &self.recordings,
+            design,
+        }
+    }
+
+    pub(crate) fn name(&self) -> &str {
+        let platform = self.platform.as_ref();
+        platform.map_or("recorded", |platform| &platform.name)
+    }
+}
+
+impl Asked {
+    pub(crate) fn config(&self) -> anyhow::Result<Config> {
+        self.config.load()
+    }
+
+    pub(crate) fn options(&self) -> Result<Options, UsageError> {
+        let horizons = match self.horizons.as_str() {
+            "none" => Vec::new(),
+            text => text.split(',').map(ticks).collect::<Result<_, _>>()?,
+        };
+        Ok(Options {
+            horizons,
+            origins_every: self.origins_every,
+            bootstrap: Bootstrap {
+                resamples: self.resamples,
+                confidence: self.confidence,
+                seed: self.seed,
+                block_rows: self.block_rows,
+                ..Bootstrap::default()
+            },
+            ..Options::default()
+        })
+    }
+
+    /// Reads the recordings, and sorts them by platform. Where a model was named, and neither a
+    /// config nor anybody's ids, they are taken as they were recorded.
+    pub(crate) fn sections(
+        &self,
+        settings: &Settings,
+        model_named: bool,
+    ) -> anyhow::Result<Vec<Section>> {
+        let section = |platform, place, recordings| Section {
+            platform,
+            place,
+            settings: settings.clone(),
+            recordings,
+        };
+        if model_named && self.config.config.is_none() && !self.trials.names_robots() {
+            let recordings = read_recordings(&numbered(self.trials.files()?))?;
+            return Ok(vec![section(None, 0, recordings)]);
+        }
+        let mut sections = Vec::new();
+        let mut recordings = read_recordings(&self.trials.assigned(settings)?)?;
+        for (place, platform) in settings.platforms.iter().enumerate() {
+            let is_its =
+                |one: &mut Recording| platform.robots.iter().any(|ids| ids.contains(&one.id));
+            let own: Vec<Recording> = recordings.extract_if(.., is_its).collect();
+            if !own.is_empty() {
+                sections.push(section(Some(platform.clone()), place, own));
+            }
+        }
+        match recordings.first() {
+            None => Ok(sections),
+            Some(Recording { id, name, .. }) => {
+                let platforms = settings.platforms.len();
+                let what =
+                    format!("{name}: robot {id} belongs to none of the {platforms} platforms");
+                Err(UsageError(format!("{what}; add its id to one of them")).into())
+            }
+        }
+    }
+
+    /// Which rows are evaluated.
+    pub(crate) fn design(&self, section: &Section) -> anyhow::Result<Design> {
+        let recordings = &section.recordings;
+        if let Some(by) = self.split {
+            let wanted = Split {
+                by,
+                held_out: self.held_out,
+                seed: self.seed,
+                ..Split::default()
+            };
+            let design = match self.leave_out.as_slice() {
+                [] => Design::held_out(recordings, wanted),
+                names => Design::leaving_out(recordings, wanted, names),
+            };
+            return design.map_err(usage);
+        }
+        if self.fit.is_empty() {
+            return Ok(Design::folds(recordings));
+        }
+        let others = read_recordings(&numbered(expanded(&self.fit)?))?;
+        let twice = others
+            .iter()
+            .find(|one| recordings.iter().any(|own| own.name == one.name));
+        if let Some(Recording { name, .. }) = twice {
+            let what = format!("{name} is evaluated and after --fit");
+            return Err(UsageError(format!(
+                "{what}: baselines must not learn what they are scored on"
+            ))
+            .into());
+        }
+        Ok(Design::fitted_on(recordings, others))
+    }
+}
+
+/// What is wrong with the arguments is wrong usage.
+pub(crate) fn usage(error: ScoreError) -> anyhow::Error {
+    match error {
+        ScoreError::Split(_) | ScoreError::Horizon { .. } | ScoreError::Option { .. } => {
+            UsageError(error.to_string()).into()
+        }
+        error => error.into(),
+    }
+}
+
+/// Recordings of robots that nobody has numbered.
+fn numbered(files: Vec<PathBuf>) -> Vec<(u32, PathBuf)> {
+    (0..).zip(files).collect()
+}
+
+fn ticks(text: &str) -> Result<usize, UsageError> {
+    text.trim().parse().map_err(|_| {
+        let allowed = "whole numbers of ticks with commas between them, or none";
+        UsageError(format!("--horizons {text:?}: allowed are {allowed}"))
+    })
+}

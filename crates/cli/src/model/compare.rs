@@ -1,0 +1,71 @@
+//! `joulebus model compare`: two models on the same recordings.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use joulebus_lab::score::{Comparison, Verdict, compare};
+use serde::Serialize;
+
+use crate::eval::{Asked, load, usage};
+use crate::exit::Outcome;
+use crate::output::Output;
+
+/// Compare two models on the same recordings: by group, robot and trial, with paired intervals
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus model compare old.safetensors new.safetensors recordings/\n  \
+    joulebus model compare old.safetensors new.safetensors recordings/ --split trial --fail-worse\n\n\
+    Both are scored on the rows for which both have a forecast. Differences are new less old; skill is \
+    1 - squared error of the new over that of the old. Better or worse means that the whole \
+    confidence interval of the skill lies on one side of 0; of twenty robots, one will do so by chance \
+    at 95 %.\n\n\
+    Ends with 0 whichever is better; with --fail-worse, ends with 3 if the new one is worse on all \
+    recordings of a platform together.")]
+pub(super) struct Args {
+    /// The model in use
+    #[arg(value_name = "OLD")]
+    old: PathBuf,
+    /// The model that may replace it
+    #[arg(value_name = "NEW")]
+    new: PathBuf,
+    #[command(flatten)]
+    asked: Asked,
+    /// End with 3 if the new model is worse by more than chance
+    #[arg(long)]
+    fail_worse: bool,
+}
+
+/// One comparison a platform.
+#[derive(Debug, Serialize)]
+struct CompareReport {
+    comparisons: Vec<Comparison>,
+}
+
+pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let models = [load(&args.old)?, load(&args.new)?];
+    let config = args.asked.config()?;
+    let options = args.asked.options()?;
+    let mut comparisons = Vec::new();
+    for section in args.asked.sections(config.settings(), true)? {
+        let design = args.asked.design(&section)?;
+        let subject = section.subject(&models, &design);
+        comparisons.push(compare(subject, &options).map_err(usage)?);
+    }
+    let worse = comparisons
+        .iter()
+        .any(|one| one.all.verdict == Verdict::Worse);
+    output.report(&CompareReport { comparisons })?;
+    Ok(Outcome::unless_lost(args.fail_worse && worse))
+}
+
+impl fmt::Display for CompareReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (at, comparison) in self.comparisons.iter().enumerate() {
+            if at > 0 {
+                writeln!(out, "\n")?;
+            }
+            write!(out, "{comparison}")?;
+        }
+        Ok(())
+    }
+}

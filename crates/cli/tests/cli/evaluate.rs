@@ -1,0 +1,354 @@
+//! `joulebus eval` and `joulebus model compare`: what they evaluate, what they say, how they end.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use super::fleet::{Fleet, code, json, output, stderr, stdout};
+
+const MODELS: [&str; 2] = [
+    concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../configs/models/gternal-sim.safetensors"
+    ),
+    concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../configs/models/gternal-sim-power.safetensors"
+    ),
+];
+
+/// Recordings of two groups in one directory, whose power wanders.
+fn recordings(folder: &Path, trials: u32, rows: u32) -> PathBuf {
+    let folder = folder.join("recordings");
+    fs::create_dir(&folder).unwrap();
+    for trial in 0..trials {
+        let mut text = "robot_id,timestamp_s,power_mW,v_cmd_mps,omega_cmd_radps\n".to_owned();
+        let mut state = u64::from(trial) + 1;
+        let mut wander = 0.0;
+        for row in 0..rows {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            wander = 0.9 * wander + ((state >> 40) as f64 / f64::from(1 << 24) - 0.5) * 300.0;
+            let (time_s, v) = (f64::from(row) / 30.0, f64::from(row / 30 % 4) * 0.05);
+            let power_mw = 3_600.0 + wander + 2_000.0 * v;
+            text += &format!("r{},{time_s:.4},{power_mw:.1},{v},0.3\n", trial % 2);
+        }
+        let group = ["sand", "ice"][trial as usize % 2];
+        fs::write(folder.join(format!("{group}_{trial:02}.csv")), text).unwrap();
+    }
+    folder
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+fn forecaster<'a>(cell: &'a Value, name: &str) -> &'a Value {
+    let all = cell["forecasters"].as_array().unwrap();
+    let found = all.iter().find(|one| one["name"] == name);
+    found.unwrap_or_else(|| panic!("{name}: {cell}"))
+}
+
+#[test]
+fn a_directory_is_evaluated_whole_by_group_robot_and_trial() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = recordings(folder.path(), 120, 60);
+    let asked = [
+        "eval",
+        "--model",
+        MODELS[0],
+        text(&data),
+        "--resamples",
+        "100",
+        "--format",
+        "json",
+    ];
+    let evaluated = output(asked);
+    assert_eq!(code(&evaluated), 0, "{}", stderr(&evaluated));
+    let report = json(&evaluated);
+    // More trials than the config has ids: none is left out.
+    assert_eq!(report["robots"].as_array().unwrap().len(), 120);
+    assert_eq!(report["platforms"][0]["platform"], "recorded");
+    let evaluation = &report["evaluations"][0];
+    let lengths =
+        ["groups", "robots", "trials"].map(|part| evaluation[part].as_array().unwrap().len());
+    assert_eq!(lengths, [2, 2, 120]);
+    let all = &evaluation["all"];
+    assert_eq!(all["rows"], 120 * 55);
+    assert_eq!(all["blocks"]["whole_trials"], true);
+    let line = forecaster(all, "AR(5) + velocities");
+    assert!(
+        line["r2"]["lo"].as_f64() < line["r2"]["value"].as_f64(),
+        "{line}"
+    );
+    assert!(
+        line["skill"][0]["value"].as_f64().unwrap() > 0.0,
+        "a wandering power returns"
+    );
+    let model = &all["forecasters"][0];
+    assert!(
+        model["interval"]["coverage"].as_f64().unwrap() > 0.5,
+        "{model}"
+    );
+    let horizons = evaluation["open_loop"]["horizons"].as_array().unwrap();
+    let reached: Vec<_> = horizons
+        .iter()
+        .map(|one| (one["ticks"].as_u64(), one["origins"].as_u64()))
+        .collect();
+    assert_eq!(reached[0], (Some(1), Some(120 * 6)));
+    assert_eq!(
+        reached[5],
+        (Some(300), Some(0)),
+        "a trial of 60 rows says nothing about 300 ticks"
+    );
+    assert!(horizons[5]["forecasters"][0]["r2"]["value"].is_null());
+
+    let told = output([&asked[..6], &["--horizons", "1,20"]].concat());
+    for said in [
+        "AR(5) + velocities",
+        "By group",
+        "sand",
+        "By robot",
+        "skill",
+        "Open loop",
+        "MAPE",
+        "no split",
+    ] {
+        assert!(stdout(&told).contains(said), "{said}: {}", stdout(&told));
+    }
+    assert!(
+        stdout(&told).lines().count() < 80,
+        "120 trials are not listed one by one"
+    );
+}
+
+#[test]
+fn a_split_is_named_and_holds_out_what_training_held_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = recordings(folder.path(), 10, 80);
+    let model = folder.path().join("own.safetensors");
+    let recipe = folder.path().join("recipe.toml");
+    fs::write(&recipe, "[training]\nmax_epochs = 2\n").unwrap();
+    let trained = output([
+        "train",
+        "trials",
+        text(&data),
+        "--recipe",
+        text(&recipe),
+        "--seed",
+        "3",
+        "--out",
+        text(&model),
+    ]);
+    assert_eq!(code(&trained), 0, "{}", stderr(&trained));
+    let eval = |seed: &str, by: &str| {
+        let asked = [
+            "eval",
+            "--model",
+            text(&model),
+            text(&data),
+            "--split",
+            by,
+            "--seed",
+            seed,
+        ];
+        let done = output(
+            [
+                &asked[..],
+                &["--resamples", "0", "--horizons", "none", "--format", "json"],
+            ]
+            .concat(),
+        );
+        assert_eq!(code(&done), 0, "{}", stderr(&done));
+        json(&done)["evaluations"][0].clone()
+    };
+    let own = eval("3", "trial");
+    assert_eq!(own["models"][0]["split_is_its_own"], true, "{own}");
+    assert_eq!(
+        (
+            own["design"]["trials"].as_u64(),
+            own["trials"].as_array().unwrap().len()
+        ),
+        (Some(2), 2)
+    );
+    assert_eq!(own["design"]["split"]["by"], "trial");
+    assert!(
+        own["design"]["description"]
+            .as_str()
+            .unwrap()
+            .contains("split by trial, seed 3")
+    );
+    assert!(own["open_loop"]["horizons"].as_array().unwrap().is_empty());
+    let other = eval("4", "trial");
+    assert_eq!(other["models"][0]["split_is_its_own"], false);
+    let in_time = eval("3", "time");
+    assert_eq!(in_time["design"]["trials"], 10);
+    let told = output([
+        "eval",
+        "--model",
+        text(&model),
+        text(&data),
+        "--split",
+        "trial",
+        "--seed",
+        "3",
+    ]);
+    assert!(
+        stdout(&told).contains("the rows evaluated decided nothing"),
+        "{}",
+        stdout(&told)
+    );
+}
+
+#[test]
+fn baselines_can_be_fitted_on_named_recordings() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = recordings(folder.path(), 4, 80);
+    let at = |name: &str| data.join(name);
+    let (ice, sand, more) = (at("ice_01.csv"), at("sand_00.csv"), at("sand_02.csv"));
+    let asked = [
+        "eval",
+        "--model",
+        MODELS[1],
+        text(&ice),
+        "--format",
+        "json",
+        "--fit",
+        text(&sand),
+        text(&more),
+    ];
+    let report = json(&output(asked));
+    let evaluation = &report["evaluations"][0];
+    assert_eq!(evaluation["design"]["fitted_rows"], 150);
+    assert_eq!(evaluation["baselines"][1]["line"]["rows"], 150);
+    assert!(
+        evaluation["all"]["forecasters"][0]["r2"]["lo"].is_null(),
+        "one block"
+    );
+    let twice = output([
+        "eval",
+        "--model",
+        MODELS[1],
+        text(&ice),
+        "--fit",
+        text(&ice),
+    ]);
+    assert_eq!(code(&twice), 2);
+    assert!(
+        stderr(&twice).contains("must not learn"),
+        "{}",
+        stderr(&twice)
+    );
+}
+
+#[test]
+fn wrong_usage_is_refused_with_what_is_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = recordings(folder.path(), 2, 40);
+    for (arguments, says) in [
+        (vec!["--horizons", "1,301"], "1 to 300"),
+        (vec!["--horizons", "10,3"], "ascending"),
+        (vec!["--horizons", "soon"], "whole numbers"),
+        (vec!["--split", "trial"], "at least 3"),
+        (vec!["--split", "row"], "trial"),
+        (vec!["--split", "time", "--held-out", "0.9"], "less than 1"),
+        (vec!["--held-out", "0.2"], "--split"),
+        (vec!["--confidence", "1"], "below 1"),
+        (vec!["--origins-every", "0"], "1 row or more"),
+    ] {
+        let refused =
+            output([&["eval", "--model", MODELS[0], text(&data)], &arguments[..]].concat());
+        assert_eq!(code(&refused), 2, "{arguments:?}: {}", stderr(&refused));
+        assert!(
+            stderr(&refused).contains(says),
+            "{arguments:?}: {}",
+            stderr(&refused)
+        );
+        assert_eq!(stdout(&refused), "");
+    }
+}
+
+#[test]
+fn platforms_of_a_config_are_evaluated_apart() {
+    let fleet = Fleet::new();
+    let (one, other) = (fleet.recording("a.csv", 200), fleet.recording("b.csv", 90));
+    let mut eval = fleet.joulebus("eval --format json");
+    eval.arg(format!("{}@gternal", one.display()));
+    eval.arg(format!("{}@rover", other.display()));
+    let report = json(&eval.output().unwrap());
+    let platforms: Vec<_> = report["evaluations"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|one| &one["platform"])
+        .collect();
+    assert_eq!(platforms, ["gternal", "rover"]);
+    assert_eq!(
+        (&report["robots"][0]["robot"], &report["robots"][1]["robot"]),
+        (&0.into(), &100.into())
+    );
+}
+
+#[test]
+fn a_comparison_shows_differences_and_ends_with_3_only_if_asked_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = recordings(folder.path(), 24, 60);
+    let compare = |old: &str, new: &str, more: &[&str]| {
+        let asked = [
+            "model",
+            "compare",
+            old,
+            new,
+            text(&data),
+            "--resamples",
+            "200",
+        ];
+        output([&asked[..], more].concat())
+    };
+    let forwards = compare(MODELS[0], MODELS[1], &["--format", "json"]);
+    let backwards = compare(MODELS[1], MODELS[0], &["--format", "json"]);
+    let (forwards, backwards) = (json(&forwards), json(&backwards));
+    let all = |report: &Value| report["comparisons"][0]["all"].clone();
+    let difference = |report: &Value| all(report)["mae_w"]["value"].as_f64().unwrap();
+    assert!((difference(&forwards) + difference(&backwards)).abs() < 1e-12);
+    assert!(difference(&forwards) != 0.0);
+    assert_eq!(
+        forwards["comparisons"][0]["trials"]
+            .as_array()
+            .unwrap()
+            .len(),
+        24
+    );
+    let verdicts =
+        [&forwards, &backwards].map(|report| all(report)["verdict"].as_str().unwrap().to_owned());
+    for (report, (old, new)) in verdicts
+        .iter()
+        .zip([(MODELS[0], MODELS[1]), (MODELS[1], MODELS[0])])
+    {
+        let is_worse = report == "worse";
+        assert_eq!(code(&compare(old, new, &[])), 0, "{report}");
+        assert_eq!(
+            code(&compare(old, new, &["--fail-worse"])),
+            if is_worse { 3 } else { 0 }
+        );
+    }
+    assert!(
+        verdicts.contains(&"worse".to_owned()),
+        "two models that differ much: {verdicts:?}"
+    );
+    let same = compare(MODELS[0], MODELS[0], &["--fail-worse"]);
+    assert_eq!(code(&same), 0);
+    assert!(stdout(&same).contains("undecided"), "{}", stdout(&same));
+    for said in [
+        "old: model",
+        "By group",
+        "By robot",
+        "By trial",
+        "new − old",
+        "paired",
+    ] {
+        assert!(stdout(&same).contains(said), "{said}: {}", stdout(&same));
+    }
+}
