@@ -94,6 +94,8 @@ impl fmt::Display for Number {
         let Number(value, width, digits) = *self;
         if value.is_nan() {
             write!(out, "{:>width$}", "–")
+        } else if value.abs() >= 1e5 {
+            write!(out, "{value:>width$.1e}")
         } else {
             write!(out, "{value:>width$.digits$}")
         }
@@ -105,7 +107,8 @@ fn between(estimate: &Estimate, scale: f64, digits: usize) -> String {
         return String::new();
     }
     let (lo, hi) = (scale * estimate.lo, scale * estimate.hi);
-    format!("[{lo:.digits$}, {hi:.digits$}]")
+    let (lo, hi) = (Number(lo, 0, digits), Number(hi, 0, digits));
+    format!("[{lo}, {hi}]")
 }
 
 fn name_width<'a>(names: impl Iterator<Item = &'a str>, least: usize) -> usize {
@@ -286,7 +289,7 @@ fn write_horizons(out: &mut Formatter<'_>, cell: &HorizonCell, every: usize) -> 
     };
     writeln!(
         out,
-        "\nOpen loop: fed with its own forecasts, commands known, from every {every}. row"
+        "\nOpen loop: fed with its own forecasts, commands known, a rollout from every {every}th row"
     )?;
     write!(out, "{:>6} {:>7} {:>8}", "ticks", "s", "rollouts")?;
     for one in &first.forecasters {
