@@ -451,6 +451,18 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
             &["`hold_max_s` = 0.5 s"],
         ),
         (
+            "model = \"persistence\"",
+            "model = \"persistence\"\nforecast = \"mixture\"",
+            "platform.forecast",
+            &["`model` = \"persistence\""],
+        ),
+        (
+            "model = \"persistence\"",
+            "model = \"persistence\"\nadapt = \"on\"",
+            "platform.adapt",
+            &["`model` = \"persistence\""],
+        ),
+        (
             "power_min_w = 0.0",
             "power_min_w = 20",
             "platform.power_min_w",
