@@ -452,13 +452,13 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
         ),
         (
             "model = \"persistence\"",
-            "model = \"persistence\"\nforecast = \"mixture\"",
+            "forecast = \"mixture\"\nmodel = \"persistence\"",
             "platform.forecast",
             &["`model` = \"persistence\""],
         ),
         (
             "model = \"persistence\"",
-            "model = \"persistence\"\nadapt = \"on\"",
+            "adapt = \"on\"\nmodel = \"persistence\"",
             "platform.adapt",
             &["`model` = \"persistence\""],
         ),
