@@ -135,7 +135,9 @@ fn integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, u32) 
 #[cold]
 fn wide_integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, u32) {
     let twice = i128::from(ends_uw.0) + i128::from(ends_uw.1);
-    let sum = twice * i128::from(elapsed_ns) + i128::from(remainder);
+    // Only what is absurd twice over saturates.
+    let sum = twice.saturating_mul(elapsed_ns.into());
+    let sum = sum.saturating_add(remainder.into());
     let units = i128::from(UNITS_PER_UJ);
     let whole = sum.div_euclid(units);
     (
