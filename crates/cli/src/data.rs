@@ -44,30 +44,36 @@ pub(crate) struct Recordings {
 }
 
 impl Recordings {
-    /// The files; what else lies in the directories, and what was named twice, is said on stderr.
-    ///
-    /// # Errors
-    /// Something named is not there, or holds no recordings.
+    /// The files, as [`find_recordings`] gives them.
     pub(crate) fn find(&self) -> anyhow::Result<Vec<PathBuf>> {
-        let Found {
-            files,
-            others,
-            repeated,
-        } = find(&self.paths).map_err(refused)?;
-        if let [first, ..] = others.as_slice() {
-            let (count, name) = (others.len(), first.display());
-            say(&format!(
-                "{count} other files in the directories are not looked at, the first {name}"
-            ));
-        }
-        if let [first, ..] = repeated.as_slice() {
-            let (count, name) = (repeated.len(), first.display());
-            say(&format!(
-                "{count} files are named twice and count once, the first {name}"
-            ));
-        }
-        Ok(files)
+        find_recordings(&self.paths)
     }
+}
+
+/// The files that are named; what else lies in the directories, and what was named twice, is said on
+/// stderr.
+///
+/// # Errors
+/// Something named is not there, or holds no recordings.
+pub(crate) fn find_recordings(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let Found {
+        files,
+        others,
+        repeated,
+    } = find(paths).map_err(refused)?;
+    if let [first, ..] = others.as_slice() {
+        let (count, name) = (others.len(), first.display());
+        say(&format!(
+            "{count} other files in the directories are not looked at, the first {name}"
+        ));
+    }
+    if let [first, ..] = repeated.as_slice() {
+        let (count, name) = (repeated.len(), first.display());
+        say(&format!(
+            "{count} files are named twice and count once, the first {name}"
+        ));
+    }
+    Ok(files)
 }
 
 /// How to resample.

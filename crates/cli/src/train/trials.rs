@@ -14,9 +14,9 @@ use serde::Deserialize;
 use super::Choice;
 use super::report::TrainReport;
 use super::run::Run;
+use crate::data::find_recordings;
 use crate::exit::{Outcome, UsageError};
 use crate::output::{Output, say};
-use crate::trials::recordings;
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -26,7 +26,8 @@ use crate::trials::recordings;
     Rows need five readings without a gap behind them. Those with a missing number are left out \
     and counted. configs/recipes/paper.toml explains every knob of a recipe.")]
 pub(super) struct Args {
-    /// Recordings (.npy, .csv, .csv.gz), or directories of them
+    /// Recordings (.npy, .csv, .csv.gz), directories with all that lies below them, or patterns in
+    /// quotes
     #[arg(required = true, value_name = "PATH")]
     paths: Vec<PathBuf>,
     /// Recordings that decide when to stop; with --hold-out, instead of a split
@@ -188,39 +189,24 @@ fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
 
 fn read(paths: &[PathBuf]) -> anyhow::Result<Vec<Source>> {
     let mut sources = Vec::new();
-    for path in paths {
-        let files = if path.is_dir() {
-            recordings(path)?
-        } else {
-            vec![path.clone()]
-        };
-        for file in files {
-            sources.push(source(&file)?);
-        }
+    for file in find_recordings(paths)? {
+        let trials = Trial::read_robots(&file)?;
+        sources.extend(trials.iter().map(|trial| source(&file, trial)));
     }
     Ok(sources)
 }
 
-fn source(file: &Path) -> anyhow::Result<Source> {
-    let trial = Trial::read(file)?;
-    for note in trial
-        .notes()
-        .to_string()
-        .lines()
-        .filter(|line| !line.is_empty())
-    {
-        say(&format!("{}: {note}", file.display()));
-    }
-    let name = file
-        .file_name()
-        .and_then(|name| name.to_str())
-        .unwrap_or_default();
-    Ok(Source {
+/// Robots that share a file stay together when trials are dealt out: they are of one run.
+fn source(file: &Path, trial: &Trial) -> Source {
+    say(&format!("{}: {}", file.display(), trial.notes()));
+    let name = file.file_name().and_then(|name| name.to_str());
+    let name = name.unwrap_or_default();
+    Source {
         trial: file.display().to_string(),
         robot: trial.robot_name().unwrap_or(name).to_owned(),
         group: group_of(name),
-        rows: trial_rows(&trial),
-    })
+        rows: trial_rows(trial),
+    }
 }
 
 fn describe(sources: &[Source]) -> String {

@@ -10,8 +10,12 @@ fn table(rows: &[(f64, f64)]) -> Table {
     Table::read(files.write("a.npy", &npy_f8(&timed(rows)))).unwrap()
 }
 
+/// Nothing where gaps leave fewer than two rows.
 fn resampled(rows: &[(f64, f64)], method: Method, rate_hz: f64) -> Vec<(f64, f64)> {
-    let (made, told) = table(rows).resampled(Resample { method, rate_hz }).unwrap();
+    let (made, told) = match table(rows).resampled(Resample { method, rate_hz }) {
+        Err(ResampleError::TooFewRows { .. }) => return Vec::new(),
+        made => made.unwrap(),
+    };
     assert_eq!(told.rows, made.rows());
     let power = made.column(Column::Power).unwrap();
     made.timestamp_s()
@@ -87,7 +91,7 @@ proptest! {
         }
         // Where nothing is left out, the energy of the whole is that of the rows.
         let whole = made.windows(2).all(|pair| pair[1].0 - pair[0].0 < 1.5 * period_s);
-        if whole {
+        if whole && !made.is_empty() {
             let (first_s, last_s) = (made[0].0 - period_s, made[made.len() - 1].0);
             let sum = made.iter().map(|(_, mean)| mean * period_s).sum::<f64>();
             let wanted = energy(first_s, last_s);
@@ -128,7 +132,9 @@ proptest! {
         let near_s = 1e-3 / rate_hz;
         for method in [Method::Hold, Method::Mean, Method::Linear] {
             for (time_s, value) in resampled(&rows, method, rate_hz) {
-                let span = spans.iter().rev().find(|span| span.0 <= time_s - 1e-9).unwrap_or(&spans[0]);
+                // To hold, a row just after the time of the grid stands at it.
+                let until_s = time_s + if method == Method::Hold { near_s + 1e-9 } else { -1e-9 };
+                let span = spans.iter().rev().find(|span| span.0 <= until_s).unwrap_or(&spans[0]);
                 prop_assert!(time_s <= span.1 + 2.0 * near_s, "{method:?}: a row in a gap at {time_s}");
                 let inside = time_s > span.0 + 2.0 * near_s && time_s < span.1 - 2.0 * near_s;
                 if inside && span.2.is_nan() {
