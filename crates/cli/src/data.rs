@@ -3,6 +3,7 @@
 mod check;
 mod convert;
 mod info;
+mod simulate;
 
 use std::path::PathBuf;
 
@@ -10,7 +11,6 @@ use clap::{Subcommand, ValueEnum};
 use joulebus_lab::data::{FindError, Found, find};
 use joulebus_lab::trial::Method;
 
-use crate::data_simulate;
 use crate::exit::{Outcome, UsageError};
 use crate::output::{Output, say};
 
@@ -31,7 +31,7 @@ enum What {
     Info(info::Args),
     Check(check::Args),
     Convert(convert::Args),
-    Simulate(data_simulate::Args),
+    Simulate(simulate::Args),
 }
 
 /// Recordings.
@@ -109,6 +109,6 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         What::Info(args) => info::run(args, output),
         What::Check(args) => check::run(args, output),
         What::Convert(args) => convert::run(args, output),
-        What::Simulate(args) => data_simulate::run(args, output),
+        What::Simulate(args) => simulate::run(args, output),
     }
 }

@@ -12,7 +12,6 @@ mod completions;
 mod config;
 mod config_file;
 mod data;
-mod data_simulate;
 mod demo;
 mod doctor;
 mod eval;

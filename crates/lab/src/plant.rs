@@ -26,6 +26,7 @@ pub mod parts;
 pub mod protocol;
 mod recorder;
 pub mod scenario;
+pub mod statistics;
 
 use crate::noise::Noise;
 use electrical::{Electrical, Measurement};

@@ -1,6 +1,14 @@
 //! The simulated fleet: repeatable, within its limits, and close to the published figures.
 
+use std::path::Path;
+
+use joulebus_lab::plant::arena::{Command, HALF_ARENA_M, STEP_S, saturated, wheels_mps};
+use joulebus_lab::plant::parts::Parts;
+use joulebus_lab::plant::protocol::{Protocol, SAMPLES, UnknownTrial, trial};
+use joulebus_lab::plant::scenario::{self, seven_robots};
+use joulebus_lab::plant::statistics::{Basics, SCENARIO_STEPS, SEED, measure, six_trials};
 use joulebus_lab::plant::{Fault, OMEGA_MAX_RADPS, Plant, PlantError, SimReading, V_MAX_MPS};
+use joulebus_lab::trial::{Column, Trial};
 
 const DT_S: f64 = 1.0 / 30.0;
 
@@ -225,4 +233,164 @@ fn steps_that_are_no_time_change_nothing() {
     assert_eq!(plant.now_ns(), now_ns);
     plant.step(f64::INFINITY);
     assert_eq!(plant.now_ns(), now_ns + 1_000_000_000);
+}
+
+fn values(trial: &Trial, column: Column) -> &[f64] {
+    trial
+        .column(column)
+        .expect("the plant records every column of the layout")
+}
+
+#[test]
+fn the_six_trials_have_the_published_shape_and_the_platforms_limits() {
+    for protocol in Protocol::ALL {
+        let trial = trial(protocol.number(), 3).expect("it is one of the six");
+        assert_eq!(trial.rows(), SAMPLES, "{protocol}");
+        assert_eq!(trial.period_ns(), 33_000_000, "{protocol}");
+        let notes = trial.notes();
+        assert!(
+            notes.gaps.is_empty() && notes.not_advancing.is_empty(),
+            "{protocol}"
+        );
+        // Ten readings a second; two equal ones in a row look held.
+        let fresh = SAMPLES - notes.held_readings;
+        let polls = (SAMPLES as f64 * STEP_S * 10.0) as usize;
+        assert!(
+            (polls * 9 / 10..=polls + 1).contains(&fresh),
+            "{protocol}: {fresh} of {polls}"
+        );
+        let (v, omega) = (values(&trial, Column::V), values(&trial, Column::Omega));
+        for (v_mps, omega_radps) in v.iter().copied().zip(omega.iter().copied()) {
+            let command = Command { v_mps, omega_radps };
+            let within = |speed_mps: &f64| speed_mps.abs() <= V_MAX_MPS + 1e-12;
+            assert!(
+                wheels_mps(command).iter().all(within),
+                "{protocol}: {command:?}"
+            );
+        }
+        for (column, half_m) in [(Column::X, HALF_ARENA_M.0), (Column::Y, HALF_ARENA_M.1)] {
+            let inside = |at_m: &f64| at_m.abs() < half_m;
+            assert!(
+                values(&trial, column).iter().all(inside),
+                "{protocol} leaves the arena"
+            );
+        }
+        for power_w in values(&trial, Column::Power) {
+            let steps = power_w * 100.0;
+            assert!(
+                (steps - steps.round()).abs() < 1e-6,
+                "{protocol}: {power_w}"
+            );
+        }
+    }
+    for number in [0, 7] {
+        assert_eq!(trial(number, 3).err(), Some(UnknownTrial { found: number }));
+    }
+}
+
+#[test]
+fn each_wheel_is_cut_to_what_it_can_do_and_nothing_else_is_changed() {
+    let far = saturated(Command {
+        v_mps: 0.3,
+        omega_radps: 2.0,
+    });
+    let [left_mps, right_mps] = wheels_mps(far);
+    assert!((left_mps - 0.19).abs() < 1e-12, "{left_mps} was possible");
+    assert!((right_mps - 0.2).abs() < 1e-12, "{right_mps} is the most");
+    let near = Command {
+        v_mps: -0.05,
+        omega_radps: 1.5,
+    };
+    let kept = saturated(near);
+    assert!((kept.v_mps - near.v_mps).abs() < 1e-12);
+    assert!((kept.omega_radps - near.omega_radps).abs() < 1e-12);
+}
+
+#[test]
+fn the_same_seed_gives_the_same_trials() {
+    let rows = |trial: &Trial| -> Vec<u64> {
+        let columns = Column::ALL
+            .into_iter()
+            .filter_map(|column| trial.column(column));
+        columns.flatten().map(|value| value.to_bits()).collect()
+    };
+    for protocol in Protocol::ALL {
+        let [first, again, other] = [4, 4, 5].map(|seed| rows(&protocol.trial(seed)));
+        assert!(first == again, "{protocol}");
+        assert!(first != other, "{protocol}: seeds differ");
+    }
+    let [first, again, other] = [4, 4, 5].map(|seed| {
+        let trials = seven_robots(seed, 500);
+        trials.iter().map(rows).collect::<Vec<_>>()
+    });
+    assert!(first == again);
+    assert!(first != other);
+    assert_eq!(first.len(), scenario::ROBOTS);
+}
+
+/// The table of `docs/plant.md`, measured again.
+#[test]
+fn every_figure_of_the_paper_holds_within_its_band_and_stands_in_the_docs() {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/plant.md");
+    let docs = std::fs::read_to_string(docs).expect("the docs are in the repository");
+    let measured = measure(Parts::default(), SEED, SCENARIO_STEPS).expect("sound data");
+    let mut wrong = Vec::new();
+    for figure in measured.figures() {
+        println!("{figure} held within {:?}", figure.held);
+        if !figure.holds() {
+            wrong.push(format!("{figure} is not within {:?}", figure.held));
+        }
+        if !docs.contains(&figure.to_string()) {
+            wrong.push(format!("{figure} is not what docs/plant.md says"));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn the_fit_is_no_accident_of_a_seed() {
+    let all: Vec<Basics> = (201..209)
+        .map(|seed| {
+            let (trials, rows) = six_trials(Parts::default(), seed);
+            Basics::of(&trials, &rows)
+        })
+        .collect();
+    let average = |figure: fn(&Basics) -> f64| mean(all.iter().map(figure));
+    let figures: [(&str, f64, f64, f64); 6] = [
+        ("mean, W", average(|b| b.mean_w), 3.652, 0.04),
+        ("deviation, W", average(|b| b.std_w), 0.375, 0.02),
+        ("lowest, W", average(|b| b.min_w), 3.0, 0.15),
+        ("ρ₁", average(|b| mean(b.rho1.iter().copied())), 0.95, 0.004),
+        ("R² of velocities", average(|b| b.r2_velocities), 0.16, 0.03),
+        ("R² with one lag", average(|b| b.r2_one_lag), 0.90, 0.01),
+    ];
+    for (name, found, paper, tolerance) in figures {
+        println!("{name}: {found:.4}, the paper {paper}");
+        assert!(
+            (found - paper).abs() <= tolerance,
+            "{name}: {found}, the paper {paper}"
+        );
+    }
+}
+
+#[test]
+fn trials_are_written_in_the_published_layout_and_read_again() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let trials = [Protocol::Extremes.trial(6), seven_robots(6, 900).remove(2)];
+    for (trial, robot) in trials.iter().zip(["8", "3"]) {
+        let path = directory.path().join(format!("{robot}.npy"));
+        trial.to_table().write(&path).expect("it can be written");
+        let again = Trial::read(&path).expect("it can be read");
+        assert_eq!(again.robot_name(), Some(robot));
+        assert_eq!(again.rows(), trial.rows());
+        assert_eq!(again.timestamp_s(), trial.timestamp_s());
+        for column in Column::ALL.into_iter().take(9) {
+            for (read, written) in values(&again, column).iter().zip(values(trial, column)) {
+                assert!(
+                    (read - written).abs() < 1e-12,
+                    "{column:?}: {read} {written}"
+                );
+            }
+        }
+    }
 }

@@ -7,11 +7,12 @@
 //! the Robotarium). Of the allowed velocities those nearest to the wanted ones are taken: a
 //! quadratic program.
 //!
-//! Where the wanted velocities violate nothing they are that program's solution, so nothing is
-//! solved. Where they do, only the violated barriers are put to the solver, and those that its
-//! answer violates are added until there is none: the answer to a relaxed program that is allowed
-//! in the whole one is the whole one's answer. Robots that no such barrier names keep what they
-//! want.
+//! Where the wanted velocities violate nothing they are that program's answer, so nothing is solved.
+//! Walls alone cut each component by itself: that program's answer needs no solver either, and where
+//! it is allowed by the pairs too it is the answer of the whole. Otherwise only the violated barriers
+//! are put to the solver, and those that its answer violates are added until there is none: the
+//! answer to a relaxed program that is allowed in the whole one is the whole one's answer. Robots
+//! that no such barrier names keep what they want.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
@@ -50,6 +51,26 @@ impl Default for Barrier {
             wall_gain: 40.0,
         }
     }
+}
+
+/// Allowed velocities.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Allowed {
+    /// One a robot.
+    pub velocities: Vec<Vector>,
+    /// How they were found.
+    pub answer: Answer,
+}
+
+/// How allowed velocities were found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// All wanted ones are allowed.
+    AsWanted,
+    /// Only walls were in the way; each component was cut by itself.
+    Walls,
+    /// A quadratic program was solved.
+    Solved,
 }
 
 /// Why there are no allowed velocities.
@@ -96,28 +117,35 @@ fn dot(a: Vector, b: Vector) -> f64 {
 }
 
 impl Barrier {
-    /// The allowed velocities nearest to the wanted ones; `None` if all wanted ones are allowed.
+    /// The allowed velocities nearest to the wanted ones.
     ///
     /// # Errors
     /// [`BarrierError`]: as many positions as velocities are needed; robots that are already too
     /// close on several sides may have no way out.
-    pub fn allowed(
-        &self,
-        points: &[Vector],
-        wanted: &[Vector],
-    ) -> Result<Option<Vec<Vector>>, BarrierError> {
+    pub fn allowed(&self, points: &[Vector], wanted: &[Vector]) -> Result<Allowed, BarrierError> {
         let conditions = self.conditions(points, wanted)?;
         let mut active = Vec::new();
-        add_violated(&conditions, wanted, 0.0, &mut active);
-        if active.is_empty() {
-            return Ok(None);
+        if !add_violated(&conditions, wanted, 0.0, &mut active) {
+            return Ok(Allowed {
+                velocities: wanted.to_vec(),
+                answer: Answer::AsWanted,
+            });
         }
-        let mut velocities = nearest(&conditions, &active, wanted)?;
-        // Each turn adds a condition, so there are at most as many as conditions.
-        while add_violated(&conditions, &velocities, TOLERANCE, &mut active) {
+        let mut velocities = within_walls(&conditions, wanted);
+        let mut still = Vec::new();
+        let answer = if add_violated(&conditions, &velocities, TOLERANCE, &mut still) {
+            still.retain(|number| !active.contains(number));
+            active.append(&mut still);
             velocities = nearest(&conditions, &active, wanted)?;
-        }
-        Ok(Some(velocities))
+            // Each turn adds a condition, so there are at most as many as conditions.
+            while add_violated(&conditions, &velocities, TOLERANCE, &mut active) {
+                velocities = nearest(&conditions, &active, wanted)?;
+            }
+            Answer::Solved
+        } else {
+            Answer::Walls
+        };
+        Ok(Allowed { velocities, answer })
     }
 
     /// As [`Barrier::allowed`], all conditions and all robots in one program: the slow way, to hold
@@ -202,6 +230,24 @@ fn add_violated(
         }
     }
     active.len() > before
+}
+
+/// The velocities nearest to the wanted ones for which the conditions of walls hold.
+fn within_walls(conditions: &[Condition], wanted: &[Vector]) -> Vec<Vector> {
+    let mut velocities = wanted.to_vec();
+    for condition in conditions {
+        let [robot, other] = condition.robots;
+        let holds = condition.excess(&velocities) <= 0.0;
+        if robot == other && !holds {
+            // The slope of a wall is ±1 along its axis.
+            for (speed_mps, slope) in velocities[robot].iter_mut().zip(condition.slopes[0]) {
+                if slope != 0.0 {
+                    *speed_mps = slope * condition.bound;
+                }
+            }
+        }
+    }
+    velocities
 }
 
 /// The velocities nearest to the wanted ones for which the active conditions hold.

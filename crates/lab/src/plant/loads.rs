@@ -11,6 +11,8 @@ use crate::noise::Noise;
 
 /// Bursts of one robot at the same time; a further one is not heard.
 const MOST_BURSTS: usize = 8;
+/// No burst draws more than this many times the mean one.
+const MOST_OF_A_BURST: f64 = 4.0;
 /// A wheel slower than this is at rest, m/s.
 const REST_MPS: f64 = 0.005;
 /// A wheel told to turn faster than this starts, m/s.
@@ -154,7 +156,8 @@ impl Loads {
             if *burst_w > 0.0 && noise.uniform() >= self.kept.burst {
                 *burst_w = 0.0;
             } else if *burst_w == 0.0 && begins {
-                *burst_w = noise.waiting_s(self.parts.burst_w);
+                let mean_w = self.parts.burst_w;
+                *burst_w = noise.waiting_s(mean_w).min(MOST_OF_A_BURST * mean_w);
                 begins = false;
             }
             radio_w += *burst_w;

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 use super::V_MAX_MPS;
 use super::arena::{Command, HALF_ARENA_M, Pose, STEP_S, saturated};
-use super::barrier::{Barrier, Vector};
+use super::barrier::{Answer, Barrier, Vector};
 use super::body::Body;
 use super::parts::Parts;
 use super::protocol::MADE;
@@ -23,7 +23,7 @@ use std::f64::consts::PI;
 /// Robots of the scenario.
 pub const ROBOTS: usize = 7;
 /// What robots 1 to 7 draw on top of the robot of the trials, W.
-pub const EXTRA_W: [f64; ROBOTS] = [0.6, 0.8, 0.4, 0.0, 0.0, 0.3, 0.0];
+pub const EXTRA_W: [f64; ROBOTS] = [0.6, 0.8, 0.5, 0.0, 0.0, 0.4, 0.0];
 /// Distance from a robot's centre to its projected point, m.
 pub const PROJECTION_M: f64 = 0.05;
 
@@ -39,7 +39,9 @@ pub struct Run {
     pub trials: Vec<Trial>,
     /// Smallest distance between the centres of two robots at the end of any step, m.
     pub closest_m: f64,
-    /// Steps in which a wanted motion violated a barrier, so that a quadratic program was solved.
+    /// Steps in which a wanted motion violated a barrier.
+    pub changed_steps: usize,
+    /// Steps in which a quadratic program was solved: two robots were in each other's way.
     pub solved_steps: usize,
     /// Steps in which no solution was found and all robots stopped.
     pub stopped_steps: usize,
@@ -80,6 +82,7 @@ pub fn run(parts: Parts, seed: u64, steps: usize) -> Run {
     Run {
         trials: trials.collect(),
         closest_m: fleet.closest_m,
+        changed_steps: fleet.changed_steps,
         solved_steps: fleet.solved_steps,
         stopped_steps: fleet.stopped_steps,
     }
@@ -90,6 +93,7 @@ struct Fleet {
     walks: Vec<Walk>,
     barrier: Barrier,
     closest_m: f64,
+    changed_steps: usize,
     solved_steps: usize,
     stopped_steps: usize,
 }
@@ -119,6 +123,7 @@ impl Fleet {
             walks: (0..ROBOTS).map(walk).collect(),
             barrier: Barrier::default(),
             closest_m: f64::INFINITY,
+            changed_steps: 0,
             solved_steps: 0,
             stopped_steps: 0,
         }
@@ -131,10 +136,10 @@ impl Fleet {
         let walks = self.walks.iter_mut().zip(&points);
         let wanted: Vec<Vector> = walks.map(|(walk, point)| walk.next(*point)).collect();
         let allowed = match self.barrier.allowed(&points, &wanted) {
-            Ok(None) => wanted.clone(),
-            Ok(Some(allowed)) => {
-                self.solved_steps += 1;
-                allowed
+            Ok(allowed) => {
+                self.changed_steps += usize::from(allowed.answer != Answer::AsWanted);
+                self.solved_steps += usize::from(allowed.answer == Answer::Solved);
+                allowed.velocities
             }
             Err(_) => {
                 self.stopped_steps += 1;

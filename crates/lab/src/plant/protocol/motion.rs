@@ -14,7 +14,7 @@ const GOAL_MARGIN_M: f64 = 0.25;
 const APPROACH_PER_S: f64 = 1.0;
 const TURN_PER_S: f64 = 2.5;
 /// Driving faster than this is no part of goal navigation, m/s.
-const GOAL_MPS: f64 = 0.1;
+const GOAL_MPS: f64 = 0.12;
 /// Turning faster than this is no part of goal navigation, rad/s.
 const TURN_MOST_RADPS: f64 = 2.0;
 
@@ -58,7 +58,7 @@ impl Motion {
                 return (self.stretch.phase, command);
             }
             self.goal_m = None;
-            self.begin(held(0, 0.0, 0.0, noise.between(0.5, 3.0)));
+            self.begin(held(0, 0.0, 0.0, noise.between(1.0, 6.0)));
         }
         if self.step >= self.stretch.steps {
             if self.protocol == Protocol::GoalNavigation {
@@ -175,7 +175,7 @@ fn structured(number: u32) -> Stretch {
     match number % 10 {
         0 => held(1, v, 0.0, 5.0),
         2 => held(2, -v, 0.0, 3.0),
-        3 => held(3, 0.0, omega, 4.0),
+        3 => held(3, 0.0, omega, 4.4),
         5 => held(4, 0.0, -omega, 4.0),
         6 => held(5, v, 0.5 * omega, 4.0),
         8 => held(6, v, -0.5 * omega, 4.0),
@@ -192,7 +192,7 @@ fn acceleration(number: u32) -> Stretch {
     let top = Command {
         v_mps: match (turning, forward) {
             (true, _) => 0.0,
-            (false, true) => 0.9 * V_MAX_MPS,
+            (false, true) => 0.7 * V_MAX_MPS,
             (false, false) => -0.6 * V_MAX_MPS,
         },
         omega_radps: match (turning, forward) {
@@ -216,7 +216,7 @@ fn extremes(number: u32) -> Stretch {
     match number % 14 {
         0 => held(1, 0.2, 0.0, 4.0),
         1 => held(1, -0.2, 0.0, 3.0),
-        3 => held(2, 0.0, 3.6, 2.0),
+        3 => held(2, 0.0, 3.6, 2.2),
         4 => held(2, 0.0, -3.6, 2.0),
         6 => held(3, 0.1, 1.8, 3.0),
         7 => held(3, -0.1, -1.8, 2.0),
@@ -224,7 +224,7 @@ fn extremes(number: u32) -> Stretch {
         10 => held(1, -0.2, 0.0, 0.5),
         11 => held(1, 0.2, 0.0, 1.0),
         12 => held(3, 0.15, -0.9, 3.0),
-        _ => held(0, 0.0, 0.0, 5.0),
+        _ => held(0, 0.0, 0.0, 6.0),
     }
 }
 
@@ -235,18 +235,18 @@ fn random_walk(noise: &mut Noise) -> Stretch {
         return held(0, 0.0, 0.0, time_s);
     }
     let v_mps = (0.04 + 0.08 * noise.normal()).clamp(-V_MAX_MPS, V_MAX_MPS);
-    held(1, v_mps, 0.1 + 1.2 * noise.normal(), time_s)
+    held(1, v_mps, 0.15 + 1.2 * noise.normal(), time_s)
 }
 
 /// Phases count the stretches of a round: rests, straights, circles, turns.
 fn steady_state(number: u32) -> Stretch {
     let place = number % 8;
     let (v_mps, omega_radps) = match place {
-        1 => (0.08, 0.4),
+        1 => (0.1, 0.5),
         2 => (0.15, -0.75),
-        4 => (0.0, 1.5),
-        5 => (0.1, 0.5),
-        7 => (0.05, -1.0),
+        4 => (0.0, 2.0),
+        5 => (0.12, 0.6),
+        7 => (0.06, -1.0),
         _ => (0.0, 0.0),
     };
     held(place, v_mps, omega_radps, 12.0)

@@ -1,15 +1,16 @@
 //! `joulebus data simulate`: the simulated stand-in for the published dataset, as files.
 
 use std::fmt;
-use std::fs::{self, File};
-use std::io::{BufWriter, Write as _};
-use std::path::{Path, PathBuf};
+use std::fs;
+use std::path::PathBuf;
 
 use anyhow::Context as _;
 use joulebus_lab::plant::arena::STEP_S;
+use joulebus_lab::plant::parts::Parts;
 use joulebus_lab::plant::protocol::{Protocol, SAMPLES};
 use joulebus_lab::plant::scenario;
-use joulebus_lab::trial::{Column, MAX_ROWS, Trial};
+use joulebus_lab::plant::statistics::SEED;
+use joulebus_lab::trial::{MAX_ROWS, Trial};
 use serde::Serialize;
 
 use crate::exit::Outcome;
@@ -28,7 +29,7 @@ pub(crate) struct Args {
     #[arg(value_name = "DIR")]
     directory: PathBuf,
     /// Seed of the robots, their motion and everything random
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = SEED)]
     seed: u64,
     /// Samples of each of the seven robots, 2 to 4,194,304; the six trials have 8,000 each
     #[arg(long, value_name = "N", default_value_t = SAMPLES as u64, value_parser = clap::value_parser!(u64).range(2..=MAX_ROWS as u64))]
@@ -63,7 +64,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut files = Vec::new();
     let mut write = |trial: &Trial, stem: &str| -> anyhow::Result<()> {
         let path = args.directory.join(format!("{stem}.npy"));
-        write_npy(trial, &path)?;
+        trial.to_table().write(&path)?;
         files.push(FileReport {
             file: path.display().to_string(),
             robot: trial.robot_name().unwrap_or_default().to_owned(),
@@ -76,11 +77,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         write(&protocol.trial(args.seed), &protocol.file_stem())?;
     }
     let steps = args.steps as usize;
-    let run = scenario::run(
-        joulebus_lab::plant::parts::Parts::default(),
-        args.seed,
-        steps,
-    );
+    let run = scenario::run(Parts::default(), args.seed, steps);
     for (trial, robot) in run.trials.iter().zip(1..) {
         write(trial, &scenario::file_stem(robot))?;
     }
@@ -90,43 +87,10 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         seed: args.seed,
         files,
         closest_m: run.closest_m,
-        avoiding_share: run.solved_steps as f64 / steps as f64,
+        avoiding_share: run.changed_steps as f64 / steps as f64,
         stopped_steps: run.stopped_steps,
     })?;
     Ok(Outcome::Done)
-}
-
-/// Writes a trial as the published array of float64; the file must not exist.
-fn write_npy(trial: &Trial, path: &Path) -> anyhow::Result<()> {
-    const HEADER_BYTES: usize = 128;
-    let dictionary = format!(
-        "{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 11), }}",
-        trial.rows()
-    );
-    let text_bytes = HEADER_BYTES - 10;
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((text_bytes as u16).to_le_bytes());
-    bytes.extend(format!("{dictionary:<width$}\n", width = text_bytes - 1).bytes());
-    let robot = trial.robot_name().and_then(|name| name.parse().ok());
-    for (row, time_s) in trial.timestamp_s().iter().enumerate() {
-        let first = [robot.unwrap_or(f64::NAN), *time_s];
-        let rest = Column::ALL.into_iter().take(9).map(|column| {
-            let value = trial.column(column).map_or(f64::NAN, |values| values[row]);
-            match column {
-                Column::Voltage | Column::Current | Column::Power => value * 1000.0,
-                _ => value,
-            }
-        });
-        for value in first.into_iter().chain(rest) {
-            bytes.extend(value.to_le_bytes());
-        }
-    }
-    let write = || -> std::io::Result<()> {
-        let mut file = BufWriter::new(File::create_new(path)?);
-        file.write_all(&bytes)?;
-        file.flush()
-    };
-    write().with_context(|| path.display().to_string())
 }
 
 impl fmt::Display for Report {
