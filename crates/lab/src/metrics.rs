@@ -10,6 +10,9 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Sums that merely add up: a line of the widest vectors.
+pub(crate) type Additive = [f64; 8];
+
 /// Sums over pairs, from which the scores follow. Tallies of parts can be merged.
 ///
 /// ```
@@ -79,6 +82,56 @@ impl Tally {
         self.sum_relative += other.sum_relative;
         self.reading_j += other.reading_j;
         self.forecast_j += other.forecast_j;
+    }
+
+    /// What the scores follow from, as numbers that merely add up: for draws of many tallies, where
+    /// [`Tally::merge`] would cost a division each. `centre_w` is a value near the readings.
+    pub(crate) fn additive(&self, centre_w: f64) -> Additive {
+        let count = self.count as f64;
+        let apart_w = self.reading_mean_w - centre_w;
+        [
+            count,
+            self.sum_w,
+            self.sum_abs_w,
+            self.sum_sq_w2,
+            count * apart_w,
+            self.reading_scatter_w2 + count * apart_w * apart_w,
+            self.reading_j,
+            self.forecast_j,
+        ]
+    }
+
+    /// The tally of added up numbers about the same centre; it knows no relative residuals, and
+    /// none that were not scored.
+    pub(crate) fn of_additive(sums: &Additive, centre_w: f64) -> Self {
+        let [
+            count,
+            sum_w,
+            sum_abs_w,
+            sum_sq_w2,
+            apart_w,
+            squares_w2,
+            reading_j,
+            forecast_j,
+        ] = *sums;
+        if count == 0.0 {
+            return Self::default();
+        }
+        let mean_w = apart_w / count;
+        let scatter_w2 = squares_w2 - apart_w * mean_w;
+        // Less than this is what rounding leaves of readings that are all equal.
+        let varies = scatter_w2 > 1e-13 * squares_w2;
+        Self {
+            count: count as u64,
+            reading_mean_w: centre_w + mean_w,
+            reading_scatter_w2: if varies { scatter_w2 } else { 0.0 },
+            sum_w,
+            sum_abs_w,
+            sum_sq_w2,
+            reading_j,
+            forecast_j,
+            ..Self::default()
+        }
     }
 
     /// Pairs that were scored.
@@ -277,6 +330,37 @@ impl CoverageTally {
         self.above += other.above;
         self.sum_width_w += other.sum_width_w;
         self.sum_outside_w += other.sum_outside_w;
+    }
+
+    /// The sums as numbers that merely add up.
+    pub(crate) fn additive(&self) -> Additive {
+        let counts = [self.count, self.unscored, self.below, self.above];
+        let [count, unscored, below, above] = counts.map(|count| count as f64);
+        let (width_w, outside_w) = (self.sum_width_w, self.sum_outside_w);
+        [count, unscored, below, above, width_w, outside_w, 0.0, 0.0]
+    }
+
+    /// The tally of added up numbers.
+    pub(crate) fn of_additive(sums: &Additive) -> Self {
+        let [
+            count,
+            unscored,
+            below,
+            above,
+            sum_width_w,
+            sum_outside_w,
+            ..,
+        ] = *sums;
+        let [count, unscored, below, above] =
+            [count, unscored, below, above].map(|count| count as u64);
+        Self {
+            count,
+            unscored,
+            below,
+            above,
+            sum_width_w,
+            sum_outside_w,
+        }
     }
 
     /// Intervals that were scored.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::Recording;
 use crate::bootstrap::Bootstrap;
-use crate::metrics::{CoverageTally, Tally};
+use crate::metrics::{Additive, CoverageTally, Tally};
 
 /// What was summed over one recording.
 #[derive(Debug, Clone, Default)]
@@ -59,7 +59,71 @@ impl Block {
     }
 }
 
+/// Blocks to draw from, flat in memory.
+pub(crate) struct Draws {
+    centre_w: f64,
+    forecasters: usize,
+    /// Of each block its forecasters, then its intervals.
+    each: usize,
+    sums: Vec<Additive>,
+}
+
+impl Draws {
+    pub(crate) fn new(blocks: &[Block]) -> Self {
+        let (forecasters, intervals) = match blocks.first() {
+            Some(first) => (first.forecasters.len(), first.intervals.len()),
+            None => (0, 0),
+        };
+        let first = Block::merged(blocks).forecasters.into_iter().next();
+        let centre_w = first.map_or(0.0, |tally| tally.reading_mean_w());
+        let centre_w = if centre_w.is_finite() { centre_w } else { 0.0 };
+        let mut sums = Vec::with_capacity(blocks.len() * (forecasters + intervals));
+        for block in blocks {
+            sums.extend(
+                block
+                    .forecasters
+                    .iter()
+                    .map(|tally| tally.additive(centre_w)),
+            );
+            sums.extend(block.intervals.iter().map(CoverageTally::additive));
+        }
+        Self {
+            centre_w,
+            forecasters,
+            each: forecasters + intervals,
+            sums,
+        }
+    }
+
+    /// Some blocks together, some of them more than once.
+    pub(crate) fn merged(&self, drawn: &[usize]) -> Block {
+        let mut total = vec![[0.0; 8]; self.each];
+        for block in drawn {
+            let sums = &self.sums[block * self.each..][..self.each];
+            for (total, sums) in total.iter_mut().zip(sums) {
+                for (total, sum) in total.iter_mut().zip(sums) {
+                    *total += sum;
+                }
+            }
+        }
+        let (tallies, intervals) = total.split_at(self.forecasters);
+        let tally = |sums| Tally::of_additive(sums, self.centre_w);
+        Block {
+            forecasters: tallies.iter().map(tally).collect(),
+            intervals: intervals.iter().map(CoverageTally::of_additive).collect(),
+        }
+    }
+}
+
 impl HorizonSums {
+    /// Powers and then energies as the forecasters of a block.
+    pub(crate) fn block(&self) -> Block {
+        Block {
+            forecasters: self.power.iter().chain(&self.energy).copied().collect(),
+            intervals: Vec::new(),
+        }
+    }
+
     fn merge(&mut self, other: &HorizonSums) {
         if self.power.is_empty() {
             self.clone_from(other);

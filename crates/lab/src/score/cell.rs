@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::Options;
-use super::blocks::{Block, HorizonSums, Set, Tallied};
+use super::blocks::{Block, Draws, HorizonSums, Set, Tallied};
 use crate::bootstrap::{Bootstrap, Estimate};
 use crate::metrics::{Coverage, ResidualQuantiles, Tally};
 
@@ -188,10 +188,9 @@ fn push_skills(found: &mut Vec<f64>, tallies: &[Tally], at: usize, names: &Names
 pub(crate) fn cell(tallied: &Tallied, set: &Set, names: &Names, options: &Options) -> Cell {
     let (blocks, whole_trials) = tallied.blocks(set, &options.bootstrap);
     let whole = Block::merged(&blocks);
-    let estimates = options.bootstrap.estimate(blocks.len(), |drawn| {
-        let drawn = Block::merged(drawn.iter().map(|at| &blocks[*at]));
-        statistics(&drawn, names)
-    });
+    let draws = Draws::new(&blocks);
+    let statistics = |drawn: &[usize]| statistics(&draws.merged(drawn), names);
+    let estimates = options.bootstrap.estimate(blocks.len(), statistics);
     let mut estimates = estimates.into_iter();
     let forecasters = whole.forecasters.iter().enumerate().map(|(at, tally)| {
         // As many estimates as statistics: one draw has been made of each.
@@ -268,17 +267,20 @@ fn horizon(
         .filter(|sums| sums.power.first().is_some_and(|tally| tally.count() > 0))
         .collect();
     let whole = HorizonSums::merged(trials.iter().copied());
-    let estimates = bootstrap.estimate(reaching.len(), |drawn| {
-        let drawn = HorizonSums::merged(drawn.iter().map(|at| reaching[*at]));
-        let mut found = Vec::new();
-        for (at, (power, energy)) in drawn.power.iter().zip(&drawn.energy).enumerate() {
+    let blocks: Vec<Block> = reaching.iter().map(|sums| sums.block()).collect();
+    let draws = Draws::new(&blocks);
+    let estimates = bootstrap.estimate(blocks.len(), |drawn| {
+        let drawn = draws.merged(drawn).forecasters;
+        let (powers, energies) = drawn.split_at(drawn.len() / 2);
+        let mut found = Vec::with_capacity(8 * drawn.len());
+        for (at, (power, energy)) in powers.iter().zip(energies).enumerate() {
             found.extend([
                 power.r2(),
                 power.rmse_w(),
                 power.mae_w(),
                 energy.energy_error(),
             ]);
-            push_skills(&mut found, &drawn.power, at, names);
+            push_skills(&mut found, powers, at, names);
         }
         found
     });

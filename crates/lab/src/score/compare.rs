@@ -5,7 +5,7 @@ use std::fmt;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::blocks::{Block, HorizonSums, Set, Tallied};
+use super::blocks::{Block, Draws, HorizonSums, Set, Tallied};
 use super::design::DesignReport;
 use super::report::ModelReport;
 use super::{Options, ScoreError, Scored, Subject, score};
@@ -183,11 +183,12 @@ pub fn compare(subject: Subject<'_>, options: &Options) -> Result<Comparison, Sc
 
 fn difference(tallied: &Tallied, set: &Set, bootstrap: &Bootstrap) -> Difference {
     let (blocks, _) = tallied.blocks(set, bootstrap);
+    let draws = Draws::new(&blocks);
     let estimates = bootstrap.estimate(blocks.len(), |drawn| {
         let Block {
             forecasters,
             intervals,
-        } = Block::merged(drawn.iter().map(|at| &blocks[*at]));
+        } = draws.merged(drawn);
         let (old, new) = (&forecasters[OLD], &forecasters[NEW]);
         vec![
             new.r2() - old.r2(),
@@ -234,10 +235,10 @@ fn open_loop(tallied: &Tallied, options: &Options) -> Vec<HorizonDifference> {
             .horizon(&all, place)
             .filter(|sums| sums.power[OLD].count() > 0)
             .collect();
-        let estimates = options.bootstrap.estimate(reaching.len(), |drawn| {
-            let HorizonSums { power, .. } =
-                HorizonSums::merged(drawn.iter().map(|at| reaching[*at]));
-            match power.as_slice() {
+        let blocks: Vec<Block> = reaching.iter().map(|sums| sums.block()).collect();
+        let draws = Draws::new(&blocks);
+        let estimates = options.bootstrap.estimate(blocks.len(), |drawn| {
+            match draws.merged(drawn).forecasters.as_slice() {
                 [old, new, ..] => vec![new.mae_w() - old.mae_w(), new.skill(old)],
                 _ => vec![f64::NAN; 2],
             }

@@ -7,7 +7,6 @@ use joulebus_predictor::{FeatureSet, Features, Freshness, LAGS, Model};
 use super::blocks::HorizonSums;
 use super::corrected::Lines;
 use super::{Options, Recording};
-use crate::linear::Linear;
 use crate::metrics::Tally;
 use crate::train::Row;
 
@@ -78,11 +77,7 @@ pub(super) fn sums(
         starts: &starts,
         horizons: &options.horizons,
     };
-    let measured = rollout.trace(&mut |step, lanes, _, out_w| {
-        for (lane, out_w) in lanes.iter().zip(out_w) {
-            *out_w = recording.rows.rows[starts[*lane].row + step].target_w;
-        }
-    });
+    let measured = rollout.alone(|_, row, _| row.target_w);
     let traces = rollout.traces(models, lines);
     let places = 0..options.horizons.len();
     places
@@ -98,48 +93,58 @@ struct Rollout<'a> {
     horizons: &'a [usize],
 }
 
-/// Given a step, the lanes that are still running and their rows: a forecast for each, W.
-type Forecast<'a> = dyn FnMut(usize, &[usize], &[Features], &mut [f32]) + 'a;
-
 impl Rollout<'_> {
     /// The models, persistence, the lines.
     fn traces(&self, models: &[Model], lines: &Lines) -> Vec<Trace> {
-        let mut traces = Vec::new();
-        for model in models {
-            traces.push(self.trace(&mut |_, _, inputs, out_w| model.predict(inputs, out_w)));
-        }
-        let persistence = Linear::persistence();
-        traces.push(self.line(|_| Some(&persistence)));
+        let mut traces: Vec<Trace> = models.iter().map(|model| self.together(model)).collect();
+        traces.push(self.alone(|_, _, [newest_w, ..]| *newest_w));
         let baselines = 0..lines.first().map_or(0, Vec::len);
         traces.extend(baselines.map(|place| {
-            let of = |origin: &Origin| lines[origin.fold][place].as_ref();
-            self.line(of)
+            self.alone(|start, row, lag_w| {
+                let Some(line) = &lines[start.fold][place] else {
+                    return f32::NAN;
+                };
+                line.predict(&with_lags(row, lag_w)) as f32
+            })
         }));
         traces
     }
 
-    fn line<'a>(&self, of: impl Fn(&Origin) -> Option<&'a Linear>) -> Trace {
-        self.trace(&mut |_, lanes, inputs, out_w| {
-            for ((lane, row), out_w) in lanes.iter().zip(inputs).zip(out_w) {
-                let line = of(&self.starts[*lane]);
-                *out_w = line.map_or(f32::NAN, |line| line.predict(row) as f32);
-            }
-        })
+    fn unknown(&self) -> Trace {
+        let places = self.horizons.len() * self.starts.len();
+        Trace {
+            power_w: vec![f64::NAN; places],
+            energy_j: vec![f64::NAN; places],
+        }
     }
 
-    /// Runs every origin to the end of its rows, each step of all of them as one batch.
-    fn trace(&self, forecast: &mut Forecast<'_>) -> Trace {
+    /// Origin by origin: from a row and the last readings or forecasts, the next forecast, W.
+    fn alone(&self, mut forecast: impl FnMut(&Origin, &Row, &[f32; LAGS]) -> f32) -> Trace {
+        let mut trace = self.unknown();
+        for (lane, start) in self.starts.iter().enumerate() {
+            let mut lag_w = lags(&self.rows[start.row]);
+            let (mut place, mut energy_j) = (0, 0.0);
+            for at in start.row..start.end {
+                let power_w = forecast(start, &self.rows[at], &lag_w);
+                push(&mut lag_w, power_w);
+                energy_j += f64::from(power_w) * self.step_s[at];
+                if self.horizons.get(place) == Some(&(at + 1 - start.row)) {
+                    trace.power_w[place * self.starts.len() + lane] = power_w.into();
+                    trace.energy_j[place * self.starts.len() + lane] = energy_j;
+                    place += 1;
+                }
+            }
+        }
+        trace
+    }
+
+    /// All origins at once, each step as one batch of the kernel.
+    fn together(&self, model: &Model) -> Trace {
         let count = self.starts.len();
-        let mut trace = Trace {
-            power_w: vec![f64::NAN; self.horizons.len() * count],
-            energy_j: vec![f64::NAN; self.horizons.len() * count],
-        };
+        let mut trace = self.unknown();
         let mut lanes: Vec<usize> = (0..count).collect();
-        let mut lag_w: Vec<[f32; LAGS]> = self
-            .starts
-            .iter()
-            .map(|start| lags(&self.rows[start.row]))
-            .collect();
+        let start = |start: &Origin| lags(&self.rows[start.row]);
+        let mut lag_w: Vec<[f32; LAGS]> = self.starts.iter().map(start).collect();
         let mut energy_j = vec![0.0; count];
         let (mut inputs, mut out_w) = (Vec::with_capacity(count), vec![0.0; count]);
         let mut place = 0;
@@ -150,19 +155,19 @@ impl Rollout<'_> {
             }
             inputs.clear();
             inputs.extend(lanes.iter().map(|lane| {
-                let mut features = self.rows[self.starts[*lane].row + step].features;
-                features[NEWEST..NEWEST + LAGS].copy_from_slice(&lag_w[*lane]);
-                // What happens to the sensor after the origin is not known: the schedule goes on.
-                let freshness = self.freshness[self.starts[*lane].row];
-                freshness.after(step as u64).fill(&mut features);
-                features
+                let start = self.starts[*lane].row;
+                let mut inputs = with_lags(&self.rows[start + step], &lag_w[*lane]);
+                if model.needs_freshness() {
+                    // What happens to the sensor after the origin is not known: the schedule goes on.
+                    self.freshness[start].after(step as u64).fill(&mut inputs);
+                }
+                inputs
             }));
             let out_w = &mut out_w[..lanes.len()];
-            forecast(step, &lanes, &inputs, out_w);
+            model.predict(&inputs, out_w);
             let at_horizon = self.horizons.get(place) == Some(&(step + 1));
             for (&lane, &power_w) in lanes.iter().zip(out_w.iter()) {
-                lag_w[lane].rotate_right(1);
-                lag_w[lane][0] = power_w;
+                push(&mut lag_w[lane], power_w);
                 energy_j[lane] += f64::from(power_w) * self.step_s[self.starts[lane].row + step];
                 if at_horizon {
                     trace.power_w[place * count + lane] = power_w.into();
@@ -201,4 +206,16 @@ impl Rollout<'_> {
 
 fn lags(row: &Row) -> [f32; LAGS] {
     std::array::from_fn(|lag| row.features[NEWEST + lag])
+}
+
+fn push(lag_w: &mut [f32; LAGS], power_w: f32) {
+    lag_w.copy_within(..LAGS - 1, 1);
+    lag_w[0] = power_w;
+}
+
+/// The row's features with other readings behind it.
+fn with_lags(row: &Row, lag_w: &[f32; LAGS]) -> Features {
+    let mut features = row.features;
+    features[NEWEST..NEWEST + LAGS].copy_from_slice(lag_w);
+    features
 }
