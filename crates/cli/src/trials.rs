@@ -7,6 +7,7 @@ use anyhow::Context as _;
 use joulebus_fleet::{Platform, Settings};
 use joulebus_lab::trial::Trial;
 
+use crate::data::find_recordings;
 use crate::exit::UsageError;
 use crate::output::say;
 
@@ -67,7 +68,7 @@ impl TrialFiles {
     /// A directory cannot be read, or holds none.
     pub(crate) fn files(&self) -> anyhow::Result<Vec<PathBuf>> {
         let paths: Vec<PathBuf> = self.paths.iter().map(PathBuf::from).collect();
-        expanded(&paths)
+        find_recordings(&paths)
     }
 
     /// The recordings with their robots' ids, for robots that never meet: where a platform has no
@@ -84,7 +85,7 @@ impl TrialFiles {
                 Some(who) => Some(who),
                 None => self.usual(settings)?,
             };
-            for file in expanded(&[path])? {
+            for file in find_recordings(&[path])? {
                 let mut robot = ids.next(who.as_ref(), settings)?;
                 if robot.is_none() {
                     ids.taken.clear();
@@ -170,19 +171,6 @@ fn split(argument: &OsString) -> (PathBuf, Option<Who>) {
         }
         _ => (whole, None),
     }
-}
-
-/// Files as they are, and the recordings of directories.
-pub(crate) fn expanded(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
-    let mut files = Vec::new();
-    for path in paths {
-        if path.is_dir() {
-            files.extend(recordings(path)?);
-        } else {
-            files.push(path.clone());
-        }
-    }
-    Ok(files)
 }
 
 /// The recordings in a directory, by name.

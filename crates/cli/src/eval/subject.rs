@@ -11,8 +11,9 @@ use joulebus_lab::split::{By, Split};
 use joulebus_predictor::Model;
 
 use crate::config_file::ConfigFile;
+use crate::data::find_recordings;
 use crate::exit::UsageError;
-use crate::trials::{TrialFiles, expanded};
+use crate::trials::TrialFiles;
 
 /// Recordings, and how they are evaluated.
 #[derive(Debug, clap::Args)]
@@ -172,7 +173,7 @@ impl Asked {
         if self.fit.is_empty() {
             return Ok(Design::folds(recordings));
         }
-        let others = read_recordings(&numbered(expanded(&self.fit)?))?;
+        let others = read_recordings(&numbered(find_recordings(&self.fit)?))?;
         let twice = others
             .iter()
             .find(|one| recordings.iter().any(|own| own.name == one.name));
