@@ -1,0 +1,54 @@
+//! A figure as pixels.
+
+use std::sync::{Arc, OnceLock};
+
+use resvg::tiny_skia::{Pixmap, Transform};
+use resvg::usvg::{Options, Tree, fontdb};
+
+use super::{Figure, FigureError};
+
+/// DejaVu Sans 2.37 without hints and without the characters that no figure writes; its licence lies
+/// beside it.
+const FONT: &[u8] = include_bytes!("../../fonts/DejaVuSans-part.ttf");
+const FAMILY: &str = "DejaVu Sans";
+
+pub(super) fn png(figure: &Figure, scale: f32) -> Result<Vec<u8>, FigureError> {
+    let failed = |reason: String| FigureError::Picture {
+        name: figure.name.clone(),
+        reason,
+    };
+    if !(0.5..=8.0).contains(&scale) {
+        return Err(failed(format!("scale {scale}; allowed are 0.5 to 8")));
+    }
+    let options = Options {
+        fontdb: fonts(),
+        font_family: FAMILY.to_owned(),
+        ..Options::default()
+    };
+    let tree =
+        Tree::from_str(&figure.svg()?, &options).map_err(|error| failed(error.to_string()))?;
+    let size = tree.size();
+    let [width, height] = [size.width(), size.height()].map(|side| (side * scale).round() as u32);
+    let mut pixels = Pixmap::new(width, height)
+        .ok_or_else(|| failed(format!("{width} by {height} pixels are too many or none")))?;
+    resvg::render(
+        &tree,
+        Transform::from_scale(scale, scale),
+        &mut pixels.as_mut(),
+    );
+    pixels
+        .encode_png()
+        .map_err(|error| failed(error.to_string()))
+}
+
+/// The one font of all pictures.
+fn fonts() -> Arc<fontdb::Database> {
+    static FONTS: OnceLock<Arc<fontdb::Database>> = OnceLock::new();
+    let made = FONTS.get_or_init(|| {
+        let mut fonts = fontdb::Database::new();
+        fonts.load_font_data(FONT.to_vec());
+        fonts.set_sans_serif_family(FAMILY);
+        Arc::new(fonts)
+    });
+    Arc::clone(made)
+}

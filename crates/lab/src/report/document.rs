@@ -1,0 +1,227 @@
+//! A report as data: sections of words, tables and figures, from which HTML, text and JSON are made,
+//! so that all three say the same.
+
+use serde::ser::{SerializeMap as _, SerializeSeq as _};
+use serde::{Serialize, Serializer};
+
+use crate::figure::Figure;
+
+/// A report.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Document {
+    /// What it is about.
+    pub title: String,
+    /// What the reader must know before the first number, such as that the robots are simulated.
+    pub warning: Option<String>,
+    /// How the numbers came about, in a few sentences.
+    pub summary: Vec<String>,
+    /// The sections, in order.
+    pub sections: Vec<Section>,
+}
+
+/// A part of a report.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Section {
+    /// Its id in the document: lower-case letters, digits and hyphens.
+    pub id: String,
+    /// Its title.
+    pub title: String,
+    /// What it holds, in order.
+    pub parts: Vec<Part>,
+}
+
+/// What a section holds.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Part {
+    /// A paragraph.
+    Words(String),
+    /// A table.
+    Table(Table),
+    /// A picture.
+    #[serde(serialize_with = "picture")]
+    Figure(Figure),
+}
+
+/// A table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Table {
+    /// Its id in the document: lower-case letters, digits and hyphens.
+    pub id: String,
+    /// What it shows.
+    pub caption: String,
+    /// Its columns.
+    pub columns: Vec<Column>,
+    /// Its rows; as many cells as columns.
+    pub rows: Vec<Vec<Cell>>,
+    /// Whether it stands behind a picture that shows the same: it is folded away there.
+    pub folded: bool,
+}
+
+/// A column of a table.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Column {
+    /// Its name for programs; the unit stands last: `mae_mw`.
+    pub key: String,
+    /// Its name for people, with the unit.
+    pub title: String,
+}
+
+impl Column {
+    /// A column of this key and title.
+    #[must_use]
+    pub fn new(key: impl Into<String>, title: impl Into<String>) -> Self {
+        Self {
+            key: key.into(),
+            title: title.into(),
+        }
+    }
+}
+
+/// A place in a table.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Cell {
+    /// Words.
+    Words(String),
+    /// How many.
+    Count(u64),
+    /// A number, shown with so many decimals; NaN: not known.
+    Number(f64, usize),
+    /// Two ends, shown with so many decimals; NaN: not known.
+    Range([f64; 2], usize),
+    /// Nothing belongs here.
+    Nothing,
+}
+
+/// Shown where a number is not known.
+pub(super) const UNKNOWN: &str = "\u{2013}";
+
+impl Cell {
+    /// Words in a place.
+    #[must_use]
+    pub fn words(words: impl Into<String>) -> Self {
+        Self::Words(words.into())
+    }
+
+    /// What people read.
+    #[must_use]
+    pub fn shown(&self) -> String {
+        match self {
+            Self::Words(words) => words.clone(),
+            Self::Count(count) => number(*count as f64, 0),
+            Self::Number(value, decimals) => number(*value, *decimals),
+            Self::Range([low, high], _) if low.is_nan() && high.is_nan() => UNKNOWN.to_owned(),
+            Self::Range([low, high], decimals) => {
+                format!(
+                    "{} to {}",
+                    number(*low, *decimals),
+                    number(*high, *decimals)
+                )
+            }
+            Self::Nothing => String::new(),
+        }
+    }
+
+    /// Whether it is read by its digits, and so stands at the right.
+    #[must_use]
+    pub fn is_number(&self) -> bool {
+        matches!(self, Self::Count(_) | Self::Number(..) | Self::Range(..))
+    }
+}
+
+fn number(value: f64, decimals: usize) -> String {
+    if !value.is_finite() {
+        return UNKNOWN.to_owned();
+    }
+    let text = format!("{value:.decimals$}");
+    // What rounds to nothing has no sign.
+    let is_zero = text.chars().all(|c| matches!(c, '-' | '0' | '.'));
+    match text.strip_prefix('-') {
+        Some(digits) if is_zero => digits.to_owned(),
+        Some(digits) => format!("\u{2212}{digits}"),
+        None => text,
+    }
+}
+
+impl Serialize for Cell {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Words(words) => to.serialize_str(words),
+            Self::Count(count) => to.serialize_u64(*count),
+            // What is not finite becomes null.
+            Self::Number(value, _) => to.serialize_f64(*value),
+            Self::Range(ends, _) => ends.serialize(to),
+            Self::Nothing => to.serialize_none(),
+        }
+    }
+}
+
+impl Serialize for Table {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let mut map = to.serialize_map(Some(3))?;
+        map.serialize_entry("id", &self.id)?;
+        map.serialize_entry("caption", &self.caption)?;
+        map.serialize_entry("rows", &Rows(self))?;
+        map.end()
+    }
+}
+
+/// The rows as objects.
+struct Rows<'a>(&'a Table);
+
+impl Serialize for Rows<'_> {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let mut seq = to.serialize_seq(Some(self.0.rows.len()))?;
+        for cells in &self.0.rows {
+            seq.serialize_element(&Row {
+                columns: &self.0.columns,
+                cells,
+            })?;
+        }
+        seq.end()
+    }
+}
+
+struct Row<'a> {
+    columns: &'a [Column],
+    cells: &'a [Cell],
+}
+
+impl Serialize for Row<'_> {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let keys = self.columns.iter().map(|column| &column.key);
+        to.collect_map(keys.zip(self.cells))
+    }
+}
+
+fn picture<S: Serializer>(figure: &Figure, to: S) -> Result<S::Ok, S::Error> {
+    let mut map = to.serialize_map(Some(5))?;
+    map.serialize_entry("id", &figure.name)?;
+    map.serialize_entry("title", &figure.title)?;
+    map.serialize_entry("description", &figure.description)?;
+    map.serialize_entry("svg", &format!("figures/{}.svg", figure.name))?;
+    map.serialize_entry("png", &format!("figures/{}.png", figure.name))?;
+    map.end()
+}
+
+impl Document {
+    /// Its figures, in order.
+    pub fn figures(&self) -> impl Iterator<Item = &Figure> {
+        self.parts().filter_map(|part| match part {
+            Part::Figure(figure) => Some(figure),
+            Part::Words(_) | Part::Table(_) => None,
+        })
+    }
+
+    /// Its tables, in order.
+    pub fn tables(&self) -> impl Iterator<Item = &Table> {
+        self.parts().filter_map(|part| match part {
+            Part::Table(table) => Some(table),
+            Part::Words(_) | Part::Figure(_) => None,
+        })
+    }
+
+    fn parts(&self) -> impl Iterator<Item = &Part> {
+        self.sections.iter().flat_map(|section| &section.parts)
+    }
+}
