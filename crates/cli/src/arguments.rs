@@ -5,7 +5,7 @@ use clap::{Parser, Subcommand};
 use crate::output::Asked;
 use crate::{
     analyze, bench, cat, completions, config, data, demo, doctor, eval, import, info, model,
-    publish, record, recover, replay, run, serve, train, watch,
+    publish, record, recover, replay, report, run, serve, train, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -63,6 +63,7 @@ pub(crate) enum Command {
     Train(train::Args),
     Analyze(analyze::Args),
     Eval(eval::Args),
+    Report(report::Args),
     Model(model::Args),
     Bench(bench::Args),
     #[command(hide = true)]

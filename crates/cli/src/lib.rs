@@ -25,6 +25,7 @@ mod publish;
 mod record;
 mod recover;
 mod replay;
+mod report;
 mod run;
 mod serve;
 mod stop;
@@ -100,6 +101,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Train(args) => train::run(args, output),
         Command::Analyze(args) => analyze::run(args, output),
         Command::Eval(args) => eval::run(args, output),
+        Command::Report(args) => report::run(args, output),
         Command::Model(args) => model::run(args, output),
         Command::Bench(args) => bench::run(args, output),
         Command::BenchRole(args) => bench::play(args, output),
