@@ -8,6 +8,7 @@ mod evaluate;
 mod fleet;
 mod live;
 mod model;
+mod report;
 #[cfg(feature = "foxglove")]
 mod serve;
 mod train;
@@ -46,6 +47,7 @@ const VERBS: [&str; 32] = [
     "train",
     "train sim",
     "eval",
+    "report",
     "bench",
     "model",
     "model info",

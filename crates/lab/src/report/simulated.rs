@@ -190,7 +190,7 @@ fn document(
         &fleet,
         levels,
         &together.report.robots,
-        "1",
+        &first,
     ));
     sections.push(all_scores(&fleet, Some(Kind::Robots)));
     Document {
