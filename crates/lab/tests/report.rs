@@ -82,7 +82,11 @@ fn the_page_needs_no_other_file() {
     for outside in ["http", "src=", "url(", "@import", "<script", "<link"] {
         assert!(!page.contains(outside), "{outside}");
     }
-    let ids: Vec<&str> = page.split(" id=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
+    let ids: Vec<&str> = page
+        .split(" id=\"")
+        .skip(1)
+        .map(|rest| rest.split('"').next().unwrap())
+        .collect();
     let different: HashSet<&str> = ids.iter().copied().collect();
     assert_eq!(ids.len(), different.len(), "an id stands twice: {ids:?}");
     for rest in page.split("href=\"").skip(1) {
@@ -115,10 +119,18 @@ fn every_picture_is_there_three_times_and_well_formed() {
 fn whatever_leaves_the_report_says_that_it_is_simulated() {
     for path in ["report.html", "report.json", "report.txt"] {
         let text = text(path);
-        assert!(text.contains("Every number here is of simulated robots"), "{path}");
+        assert!(
+            text.contains("Every number here is of simulated robots"),
+            "{path}"
+        );
     }
     for figure in made().document.figures() {
-        assert_eq!(figure.note.as_deref(), Some("simulated robots"), "{}", figure.name);
+        assert_eq!(
+            figure.note.as_deref(),
+            Some("simulated robots"),
+            "{}",
+            figure.name
+        );
         let svg = text(&format!("figures/{}.svg", figure.name));
         assert!(svg.contains("simulated robots"), "{}", figure.name);
     }
@@ -143,7 +155,9 @@ fn page_text_and_json_show_the_same_numbers() {
             assert_eq!(row.len(), table.columns.len(), "{}", table.id);
             for (cell, column) in row.iter().zip(&table.columns) {
                 let shown = format!(">{}</t", escaped(&cell.shown()));
-                let at = rest.find(&shown).unwrap_or_else(|| panic!("{shown} in {}", table.id));
+                let at = rest
+                    .find(&shown)
+                    .unwrap_or_else(|| panic!("{shown} in {}", table.id));
                 rest = &rest[at + shown.len()..];
                 assert!(plain.contains(&cell.shown()));
                 check_json(cell, &found[column.key.as_str()], table);
@@ -169,17 +183,24 @@ fn check_json(cell: &Cell, found: &Value, table: &Table) {
 }
 
 fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
 }
 
 #[test]
 fn the_papers_numbers_stand_beside_and_in_the_right_unit() {
     let json: Value = serde_json::from_str(&text("report.json")).unwrap();
     let tables = tables(&json);
-    let table = tables.iter().find(|table| table["id"] == "table-paper").unwrap();
+    let table = tables
+        .iter()
+        .find(|table| table["id"] == "table-paper")
+        .unwrap();
     let row = |quantity: &str| {
         let mut rows = table["rows"].as_array().unwrap().iter();
-        rows.find(|row| row["quantity"] == quantity).unwrap().clone()
+        rows.find(|row| row["quantity"] == quantity)
+            .unwrap()
+            .clone()
     };
     assert_eq!(row("mean power (mW)")["paper"], 3652.0);
     assert_eq!(row("MAE on trial 6 (mW)")["paper"], 31.5);
@@ -200,15 +221,24 @@ fn the_papers_numbers_stand_beside_and_in_the_right_unit() {
 
 #[test]
 fn the_same_course_gives_the_same_bytes() {
-    let again = simulated(&Simulated { threads: 1, ..course() }, &settings(), |_| ()).unwrap();
+    let again = simulated(
+        &Simulated {
+            threads: 1,
+            ..course()
+        },
+        &settings(),
+        |_| (),
+    )
+    .unwrap();
     assert_eq!(again.network.hash(), made().network.hash());
     assert_eq!(html(&again.document).unwrap(), text("report.html"));
 }
 
 fn recordings(count: usize) -> Vec<Recording> {
-    let trials = Protocol::ALL.iter().take(count).map(|protocol| {
-        protocol.trial_with(Parts::default(), 5, 500)
-    });
+    let trials = Protocol::ALL
+        .iter()
+        .take(count)
+        .map(|protocol| protocol.trial_with(Parts::default(), 5, 500));
     trials.map(|trial| Recording::new(0, trial)).collect()
 }
 
@@ -233,14 +263,22 @@ fn recordings_are_reported_beside_persistence_and_the_line_and_without_the_paper
     let recordings = recordings(3);
     let document = recorded(&on(&settings, &models, &recordings)).unwrap();
     let said = document.to_string();
-    for name in ["network", "persistence", "AR(5) + velocities", "trial2 goal navigation"] {
+    for name in [
+        "network",
+        "persistence",
+        "AR(5) + velocities",
+        "trial2 goal navigation",
+    ] {
         assert!(said.contains(name), "{name}");
     }
     assert!(!said.contains("paper, trial 6"));
     let warning = document.warning.unwrap();
     assert!(warning.contains("trained on simulated robots"), "{warning}");
 
-    let published = Recorded { published: true, ..on(&settings, &models, &recordings) };
+    let published = Recorded {
+        published: true,
+        ..on(&settings, &models, &recordings)
+    };
     let document = recorded(&published).unwrap();
     assert!(document.to_string().contains("paper, trial 6"));
 }
@@ -253,7 +291,10 @@ fn one_short_recording_is_enough_and_none_is_refused() {
     html(&document).unwrap();
     let refused = recorded(&on(&settings, &models, &[])).unwrap_err();
     assert!(matches!(refused, ReportError::Score(_)), "{refused}");
-    let short = Simulated { samples: 99, ..course() };
+    let short = Simulated {
+        samples: 99,
+        ..course()
+    };
     let refused = simulated(&short, &settings, |_| ()).unwrap_err();
     assert!(refused.to_string().contains("99 samples"), "{refused}");
 }
@@ -265,7 +306,11 @@ fn names_from_files_cannot_break_the_page() {
         title: nasty.to_owned(),
         x: Axis::new(nasty),
         y: Axis::new(nasty),
-        layers: vec![Layer::named(nasty, Colour::Blue, Mark::Points(vec![[1.0, 1.0]]))],
+        layers: vec![Layer::named(
+            nasty,
+            Colour::Blue,
+            Mark::Points(vec![[1.0, 1.0]]),
+        )],
     };
     let table = Table {
         id: "a-table".to_owned(),

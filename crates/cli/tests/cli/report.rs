@@ -9,8 +9,18 @@ fn a_newcomer_gets_the_simulated_course_with_one_command() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("report");
     let arguments = [
-        "--format", "json", "report", "--simulated", "--samples", "700", "--max-epochs", "2",
-        "--seed", "4", "-o", out.to_str().unwrap(),
+        "--format",
+        "json",
+        "report",
+        "--simulated",
+        "--samples",
+        "700",
+        "--max-epochs",
+        "2",
+        "--seed",
+        "4",
+        "-o",
+        out.to_str().unwrap(),
     ];
     let made = output(arguments);
     assert_eq!(code(&made), 0, "{}", stderr(&made));
@@ -20,7 +30,11 @@ fn a_newcomer_gets_the_simulated_course_with_one_command() {
     let written = fs::read_to_string(out.join("report.json")).unwrap();
     let written: serde_json::Value = serde_json::from_str(&written).unwrap();
     assert_eq!(json(&made), written, "stdout and the file say the same");
-    for file in ["report.txt", "figures/figure-1-power.png", "figures/figure-5-robots.svg"] {
+    for file in [
+        "report.txt",
+        "figures/figure-1-power.png",
+        "figures/figure-5-robots.svg",
+    ] {
         assert!(fs::metadata(out.join(file)).unwrap().len() > 0, "{file}");
     }
 
@@ -35,7 +49,12 @@ fn a_newcomer_gets_the_simulated_course_with_one_command() {
     let made = output(arguments);
     assert_eq!(code(&made), 0, "{}", stderr(&made));
     let said = stdout(&made);
-    for name in ["network", "persistence", "AR(5) + velocities", "trained on simulated robots"] {
+    for name in [
+        "network",
+        "persistence",
+        "AR(5) + velocities",
+        "trained on simulated robots",
+    ] {
         assert!(said.contains(name), "{name}: {said}");
     }
     assert!(stderr(&made).contains("report.html"), "{}", stderr(&made));
@@ -51,13 +70,41 @@ fn what_cannot_be_reported_is_refused_before_the_work() {
     for (arguments, says, expected) in [
         (vec!["report", "-o", out], "PATH", 2),
         (vec!["report", recording, "-o", out], "--model", 2),
-        (vec!["report", "--simulated", recording, "-o", out], "--simulated", 2),
-        (vec!["report", recording, "--model", "none.safetensors", "-o", out], "none.safetensors", 1),
-        (vec!["report", "--simulated", "--samples", "9", "-o", out], "100 or more", 1),
+        (
+            vec!["report", "--simulated", recording, "-o", out],
+            "--simulated",
+            2,
+        ),
+        (
+            vec![
+                "report",
+                recording,
+                "--model",
+                "none.safetensors",
+                "-o",
+                out,
+            ],
+            "none.safetensors",
+            1,
+        ),
+        (
+            vec!["report", "--simulated", "--samples", "9", "-o", out],
+            "100 or more",
+            1,
+        ),
     ] {
         let refused = output(&arguments);
-        assert_eq!(code(&refused), expected, "{arguments:?}: {}", stderr(&refused));
-        assert!(stderr(&refused).contains(says), "{says}: {}", stderr(&refused));
+        assert_eq!(
+            code(&refused),
+            expected,
+            "{arguments:?}: {}",
+            stderr(&refused)
+        );
+        assert!(
+            stderr(&refused).contains(says),
+            "{says}: {}",
+            stderr(&refused)
+        );
         assert!(stdout(&refused).is_empty());
     }
 }

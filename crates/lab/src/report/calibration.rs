@@ -13,7 +13,7 @@ use crate::metrics::CoverageTally;
 use crate::score::{Cell as Scores, Recording, recorded_platform};
 
 /// What intervals are asked to hold.
-const LEVELS: [f32; 7] = [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99];
+const LEVELS: [f32; 7] = [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98];
 /// Parts of the forecasts, from the lowest to the highest.
 const PARTS: usize = 20;
 /// Time over which coverage is counted, s.
