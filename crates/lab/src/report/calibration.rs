@@ -129,7 +129,7 @@ fn figure(material: &Material<'_>, levels: &[Level], sets: &[Scores], trial: &st
 
     let mut panels = vec![promise(levels), means(material)];
     panels.push(Panel {
-        title: format!("over time, trial {}", label(trial)),
+        title: format!("over time, {}", label(trial)),
         x: Axis::new("time (s)"),
         y: Axis::new("readings inside (%)"),
         layers: vec![
@@ -148,14 +148,18 @@ fn figure(material: &Material<'_>, levels: &[Level], sets: &[Scores], trial: &st
     if shown.len() > 1 {
         panels.push(each(material, shown, nominal));
     }
+    let last = if shown.len() > 1 {
+        " (d) Share inside, one by one, with 95 % intervals."
+    } else {
+        ""
+    };
     let mut figure = Figure::new(
         "figure-7-calibration",
         "Figure 7. Calibration.",
         format!(
             "(a) Share of readings inside the live interval over the share asked for; on the dashed \
              line both are equal. (b) Mean of reading minus forecast in {PARTS} equal parts of the \
-             forecasts, from low to high. (c) Share inside over time. (d) Share inside, one by one, \
-             with 95 % intervals."
+             forecasts, from low to high. (c) Share inside over time.{last}"
         ),
         panels,
     );

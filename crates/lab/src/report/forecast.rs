@@ -18,11 +18,11 @@ pub(super) fn section(material: &Material<'_>, trial: &str) -> Option<Section> {
     let name = label(trial);
     Some(Section {
         id: "forecast".to_owned(),
-        title: format!("One trial: {name}"),
+        title: format!("One recording: {name}"),
         parts: vec![
             Part::Words(format!(
                 "Forecasts of {} one tick ahead, each resting on real readings (corrected mode), \
-                 in trial {name}.",
+                 in {name}.",
                 material.model()
             )),
             Part::Figure(against(material, &series, &name)),
@@ -57,7 +57,7 @@ fn against(material: &Material<'_>, series: &Series, name: &str) -> Figure {
         "figure-3-forecast",
         "Figure 3. Forecast against reading.",
         format!(
-            "Trial {name}. Left: readings over the forecasts made for them; on the dashed line both \
+            "{name}. Left: readings over the forecasts made for them; on the dashed line both \
              are equal. Right: distribution of reading minus forecast, with what holds 90 % of it."
         ),
         vec![cloud, residual_panel(material, series)],
@@ -139,10 +139,10 @@ fn over_time(material: &Material<'_>, series: &Series, name: &str) -> Figure {
     let error = error.split_off(error.len() / 20);
     let figure = Figure::new(
         "figure-4-time",
-        "Figure 4. One trial over time.",
+        "Figure 4. One recording over time.",
         format!(
-            "Trial {name}. (a) {WINDOW_S:.0} s from its middle, with the live interval. (b) Reading \
-             minus forecast over the whole trial. (c) Energy since the beginning, as measured and \
+            "{name}. (a) {WINDOW_S:.0} s from its middle, with the live interval. (b) Reading \
+             minus forecast over the whole recording. (c) Energy since the beginning, as measured and \
              as forecast. (d) Their difference."
         ),
         vec![
@@ -259,7 +259,7 @@ fn residuals(material: &Material<'_>, series: &Series, name: &str) -> Table {
     }
     Table {
         id: "table-residuals".to_owned(),
-        caption: format!("Forecasts of {} in trial {name}.", material.model()),
+        caption: format!("Forecasts of {} in {name}.", material.model()),
         columns,
         rows,
         folded: false,

@@ -156,7 +156,11 @@ fn table(material: &Material<'_>, horizons: &[Horizon]) -> Table {
     }
     Table {
         id: "table-horizons".to_owned(),
-        caption: "Open loop by horizon: the numbers of figure 6.".to_owned(),
+        caption: format!(
+            "Open loop by horizon: the numbers of figure 6. Rollouts overlap, so intervals draw whole \
+             trials, and need {} of them.",
+            crate::bootstrap::LEAST_BLOCKS
+        ),
         columns: vec![
             Column::new("ticks", "ticks"),
             Column::new("seconds", "seconds"),

@@ -87,8 +87,11 @@ impl<'a> Material<'a> {
     }
 }
 
-/// The file's name of a trial without folder and ending.
+/// The file's name of a trial without folder and ending; robots of the published layout are numbers.
 pub(super) fn label(name: &str) -> String {
+    if name.parse::<u32>().is_ok() {
+        return format!("robot {name}");
+    }
     let file = name.rsplit('/').next().unwrap_or(name);
     let stem = file.split('.').next().unwrap_or(file);
     let stem = stem.strip_prefix("energy_data_").unwrap_or(stem);

@@ -146,9 +146,11 @@ pub(super) fn verdict(scored: &Scored) -> String {
             } else {
                 "not to be told from"
             };
+            let [value, lo, hi] =
+                [found.value, found.lo, found.hi].map(|skill| Cell::Number(skill, 3).shown());
             format!(
-                "{word} {} (skill {:.3}, 95 % interval {:.3} to {:.3})",
-                skill.against, found.value, found.lo, found.hi
+                "{word} {} (skill {value}, 95 % interval {lo} to {hi})",
+                skill.against
             )
         })
         .collect();
@@ -160,7 +162,6 @@ pub(super) fn verdict(scored: &Scored) -> String {
         first.r2.value,
         skills.join(", and ")
     )
-    .replace('-', "\u{2212}")
 }
 
 /// What was evaluated.
@@ -246,6 +247,7 @@ mod tests {
             ),
             ("recordings/ICE_03.csv.gz", "ICE 03"),
             ("all", "all"),
+            ("7", "robot 7"),
             ("", ""),
         ] {
             assert_eq!(label(name), called);

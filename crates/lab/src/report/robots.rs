@@ -78,7 +78,7 @@ pub(super) fn section(material: &Material<'_>, kind: Kind, sets: &[Scores]) -> S
 
 fn figure(material: &Material<'_>, kind: Kind, sets: &[Scores]) -> Figure {
     let what = kind.plural();
-    let names: Vec<String> = sets.iter().map(|set| short(kind, &set.name)).collect();
+    let names: Vec<String> = sets.iter().map(|set| label(&set.name)).collect();
     let axis = || Axis::names("", names.clone());
     let unit = material.unit;
     let models = 0..material.models();
@@ -184,13 +184,5 @@ fn draw_panel(material: &Material<'_>, sets: &[Scores], names: Axis) -> Panel {
             Colour::Ink,
             mark,
         )],
-    }
-}
-
-/// Robots of the published layout are numbers.
-fn short(kind: Kind, name: &str) -> String {
-    match kind {
-        Kind::Robots if name.parse::<f64>().is_ok() => format!("robot {name}"),
-        _ => label(name),
     }
 }
