@@ -60,7 +60,7 @@ fn figure(material: &Material<'_>, ladder: &[&ForecasterScore]) -> Figure {
     let unit = material.unit;
     let mae = ladder
         .iter()
-        .map(|score| scaled(score.mae_w, |value_w| unit.from_w(value_w)));
+        .map(|score| scaled(score.mae_w, |value_w| unit.scaled_w(value_w)));
     let mut layers = vec![Layer::named(
         "here, with 95 % interval",
         Colour::Blue,

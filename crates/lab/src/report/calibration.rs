@@ -234,7 +234,7 @@ fn means(material: &Material<'_>) -> Panel {
     pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
     let count = pairs.len().div_ceil(PARTS).max(1);
     let mean = |values: &mut dyn Iterator<Item = f64>, count: usize| {
-        unit.from_w(values.sum::<f64>() / count as f64)
+        unit.scaled_w(values.sum::<f64>() / count as f64)
     };
     let points: Vec<[f64; 2]> = pairs
         .chunks(count)

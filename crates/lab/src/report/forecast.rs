@@ -36,7 +36,7 @@ fn against(material: &Material<'_>, series: &Series, name: &str) -> Figure {
     let unit = material.unit;
     let pairs = || {
         let pairs = series.forecast_w.iter().zip(&series.reading_w);
-        pairs.map(|(forecast_w, reading_w)| [unit.from_w(*forecast_w), unit.from_w(*reading_w)])
+        pairs.map(|(forecast_w, reading_w)| [unit.scaled_w(*forecast_w), unit.scaled_w(*reading_w)])
     };
     let both = sorted(pairs().flatten());
     let ends = [quantile(&both, 0.0005), quantile(&both, 0.9995)];
@@ -71,7 +71,7 @@ fn residual_panel(material: &Material<'_>, series: &Series) -> Panel {
     let residuals = sorted(
         series
             .residuals_w()
-            .map(|residual_w| unit.from_w(residual_w)),
+            .map(|residual_w| unit.scaled_w(residual_w)),
     );
     let middle = [quantile(&residuals, 0.05), quantile(&residuals, 0.95)];
     let ends = [quantile(&residuals, 0.005), quantile(&residuals, 0.995)];
@@ -83,7 +83,7 @@ fn residual_panel(material: &Material<'_>, series: &Series) -> Panel {
     if material.beside_paper {
         for (at, end_w) in paper::RESIDUAL_90_W.into_iter().enumerate() {
             let mark = Mark::Rule {
-                at: unit.from_w(end_w),
+                at: unit.scaled_w(end_w),
                 direction: Direction::Up,
             };
             let label = (at == 0).then(|| "the paper's 90 %".to_owned());
@@ -108,7 +108,7 @@ fn over_time(material: &Material<'_>, series: &Series, name: &str) -> Figure {
         .time_s
         .iter()
         .zip(series.residuals_w())
-        .map(|(time_s, residual_w)| [*time_s, unit.from_w(residual_w)])
+        .map(|(time_s, residual_w)| [*time_s, unit.scaled_w(residual_w)])
         .collect();
     let steps = sorted(series.time_s.windows(2).map(|pair| pair[1] - pair[0]));
     let energy_j = series.energy_j(1.5 * quantile(&steps, 0.5));
@@ -186,15 +186,15 @@ fn window(material: &Material<'_>, series: &Series) -> Panel {
         .partition_point(|time_s| *time_s <= middle_s + WINDOW_S / 2.0);
     let curve = |values_w: &[f64]| Mark::Line {
         points: (from..to)
-            .map(|at| [series.time_s[at], unit.from_w(values_w[at])])
+            .map(|at| [series.time_s[at], unit.scaled_w(values_w[at])])
             .collect(),
         dashed: false,
     };
     let band = (from..to).map(|at| {
         [
             series.time_s[at],
-            unit.from_w(series.lo_w[at]),
-            unit.from_w(series.hi_w[at]),
+            unit.scaled_w(series.lo_w[at]),
+            unit.scaled_w(series.hi_w[at]),
         ]
     });
     Panel {

@@ -48,7 +48,7 @@ fn figure(material: &Material<'_>, horizons: &[Horizon]) -> Figure {
         material,
         horizons,
         |score| score.mae_w,
-        |value_w| unit.from_w(value_w),
+        |value_w| unit.scaled_w(value_w),
     );
     let energy = curves(
         material,

@@ -135,13 +135,13 @@ fn distribution(material: &Material<'_>) -> Panel {
     let power_w = sorted(material.recordings.iter().flat_map(readings_w));
     let ends = [quantile(&power_w, 0.0005), quantile(&power_w, 0.9995)];
     let counted = bins(
-        power_w.iter().map(|power_w| unit.from_w(*power_w)),
-        ends.map(|end| unit.from_w(end)),
+        power_w.iter().map(|power_w| unit.scaled_w(*power_w)),
+        ends.map(|end| unit.scaled_w(end)),
         BINS,
     );
     let mean_w = power_w.iter().sum::<f64>() / power_w.len() as f64;
     let rule = |at_w: f64| Mark::Rule {
-        at: unit.from_w(at_w),
+        at: unit.scaled_w(at_w),
         direction: Direction::Up,
     };
     let mut layers = vec![

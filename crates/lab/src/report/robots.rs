@@ -94,7 +94,7 @@ fn figure(material: &Material<'_>, kind: Kind, sets: &[Scores]) -> Figure {
         Layer::named(name, material.colour(model), bars)
     });
     let mae = dots(material, sets, |score| {
-        scaled(score.mae_w, |value_w| unit.from_w(value_w))
+        scaled(score.mae_w, |value_w| unit.scaled_w(value_w))
     });
     let panel = |title: &str, x: String, layers: Vec<Layer>| Panel {
         title: title.to_owned(),
@@ -167,7 +167,7 @@ fn draw_panel(material: &Material<'_>, sets: &[Scores], names: Axis) -> Panel {
     let unit = material.unit;
     let values = sets.iter().map(|set| {
         let [value, low, high] = [0.0, -1.0, 1.0]
-            .map(|deviations| unit.from_w(set.reading_mean_w + deviations * set.reading_std_w));
+            .map(|deviations| unit.scaled_w(set.reading_mean_w + deviations * set.reading_std_w));
         crate::figure::Interval { value, low, high }
     });
     let mark = Mark::Dots {

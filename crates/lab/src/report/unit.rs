@@ -34,7 +34,7 @@ impl Unit {
     }
 
     /// Watt in this unit.
-    pub(super) fn from_w(self, value_w: f64) -> f64 {
+    pub(super) fn scaled_w(self, value_w: f64) -> f64 {
         match self {
             Self::Milliwatt => value_w * 1e3,
             Self::Watt => value_w,
@@ -55,7 +55,7 @@ impl Unit {
             Self::Milliwatt => usize::from(fine),
             Self::Watt => 2 + usize::from(fine),
         };
-        Cell::Number(self.from_w(value_w), decimals)
+        Cell::Number(self.scaled_w(value_w), decimals)
     }
 
     pub(super) fn range(self, ends_w: [f64; 2], fine: bool) -> Cell {
@@ -63,6 +63,6 @@ impl Unit {
             Self::Milliwatt => usize::from(fine),
             Self::Watt => 2 + usize::from(fine),
         };
-        Cell::Range(ends_w.map(|end| self.from_w(end)), decimals)
+        Cell::Range(ends_w.map(|end| self.scaled_w(end)), decimals)
     }
 }
