@@ -21,7 +21,7 @@ use std::time::Duration;
 use fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
 
-const VERBS: [&str; 32] = [
+const VERBS: [&str; 33] = [
     "demo",
     "run",
     "publish",
