@@ -49,8 +49,7 @@ impl Body {
         }
     }
 
-    /// Runs from `now_ns` to `end_ns` under a command. `distort` sees each measurement before it
-    /// is taken over: the power that is drawn, the power that is shown, and the time.
+    /// Runs from `now_ns` to `end_ns` under a command; what the monitor returns at the end.
     pub(super) fn run(&mut self, now_ns: u64, end_ns: u64, command: Command) -> Measurement {
         self.loads.command(command, &mut self.noise);
         self.pose = self
