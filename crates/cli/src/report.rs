@@ -15,10 +15,11 @@ use joulebus_lab::trial::Trial;
 use joulebus_predictor::{Model, Network};
 
 use crate::config_file::ConfigFile;
+use crate::data::find_recordings;
 use crate::exit::{Outcome, UsageError};
 use crate::output::{Output, say};
 use crate::train::write;
-use crate::trials::{platform, recordings};
+use crate::trials::platform;
 
 /// Report how well a model forecasts, with figures and tables, beside what it has to beat
 #[derive(Debug, clap::Args)]
@@ -161,16 +162,12 @@ fn model(path: &Path) -> anyhow::Result<Model> {
 
 /// The recordings of files and directories, all of them of one robot id: each is run alone.
 fn read(paths: &[PathBuf], robot: u32) -> anyhow::Result<Vec<Recording>> {
+    if paths.is_empty() {
+        return Ok(Vec::new());
+    }
     let mut found = Vec::new();
-    for path in paths {
-        let files = if path.is_dir() {
-            recordings(path)?
-        } else {
-            vec![path.clone()]
-        };
-        for file in files {
-            found.push(Recording::new(robot, Trial::read(file)?));
-        }
+    for file in find_recordings(paths)? {
+        found.push(Recording::new(robot, Trial::read(file)?));
     }
     Ok(found)
 }
