@@ -170,7 +170,10 @@ def train_theirs(arguments, python, peer, place):
     command = [python, pathlib.Path(__file__).resolve(), "--as", peer, "--rows", place / "rows", "--threads", arguments.threads,
                "--epochs", arguments.epochs, "--seed", arguments.seed]
     count = str(arguments.threads)
-    environment = os.environ | {"OMP_NUM_THREADS": count, "MKL_NUM_THREADS": count}
+    # A cache of its own: a run that was killed leaves half-written libraries in the usual one.
+    cache = place / "compiled"
+    shutil.rmtree(cache, ignore_errors=True)
+    environment = os.environ | {"OMP_NUM_THREADS": count, "MKL_NUM_THREADS": count, "TORCHINDUCTOR_CACHE_DIR": str(cache)}
     log = place / f"{peer}.log"
     with log.open("w") as errors:
         try:
