@@ -12,7 +12,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use joulebus_fleet::{Batch, Outputs, Stage};
-use joulebus_predictor::FEATURES;
+use joulebus_predictor::INPUTS;
 use world::{FRAMES, World};
 
 const FLEETS: [usize; 5] = [100, 1_000, 10_000, 100_000, 300_000];
@@ -62,7 +62,7 @@ impl Bench {
         let mut world = World::new(robots);
         let noise = &mut world.noise;
         Self {
-            columns: (0..FEATURES)
+            columns: (0..INPUTS)
                 .map(|_| (0..robots).map(|_| noise.next_f32()).collect())
                 .collect(),
             world,

@@ -40,6 +40,7 @@ impl Freshness {
     };
 
     /// Takes the next sample, with a reading: a new measurement, or the last one again.
+    #[inline]
     pub fn read(&mut self, new: bool) {
         if !new {
             // A held reading of which nobody saw the beginning has no age.
@@ -81,6 +82,7 @@ impl Freshness {
     }
 
     /// Whether two measurements have been seen. The features are NaN before.
+    #[inline]
     pub fn is_known(&self) -> bool {
         self.age_steps != NEVER && self.interval_steps > 0
     }
@@ -114,6 +116,7 @@ impl Freshness {
     }
 
     /// The age after so many more samples; unknown stays unknown.
+    #[inline]
     fn older_by(&self, steps: u64) -> u8 {
         if self.age_steps == NEVER {
             return NEVER;
