@@ -77,6 +77,7 @@ fn network(noise: &mut Noise) -> Network {
             min: [-1.0; INPUTS],
             max: [1.0; INPUTS],
         },
+        linear: None,
         residual: ResidualStats {
             std_w: 0.1,
             q05_w: -0.1,
