@@ -26,7 +26,7 @@ const SWATCH_PX: i32 = 18;
 const LETTER: f64 = 0.6;
 /// Longest words in a legend and at a tick, so that something else is left to see.
 const LEGEND_LETTERS: usize = 44;
-const TICK_LETTERS: usize = 22;
+const TICK_LETTERS: usize = 28;
 
 pub(super) fn document(figure: &Figure) -> Result<String, FigureError> {
     let body = body(figure)?;
@@ -342,14 +342,16 @@ fn width_px(text: &str, size_px: i32) -> i32 {
     (text.chars().count() as f64 * f64::from(size_px) * LETTER).ceil() as i32
 }
 
-/// With dots in the place of its middle where it is too long: file names differ at their ends.
+/// With dots near its end where it is too long: what names differ in stands mostly before, and the
+/// number of a file at the very end.
 fn shortened(text: &str, letters: usize) -> String {
     let text = clean(text);
     let count = text.chars().count();
     if count <= letters {
         return text;
     }
-    let (head, tail) = (letters / 2, letters - letters / 2 - 1);
+    let tail = 5.min(letters / 2);
+    let head = letters - tail - 1;
     let head: String = text.chars().take(head).collect();
     let tail: String = text.chars().skip(count - tail).collect();
     format!("{head}\u{2026}{tail}")
