@@ -125,10 +125,15 @@ impl Child {
         self.wait()
     }
 
+    /// Asks it to end with SIGTERM and waits for it, however it ends.
+    pub fn end(&mut self) -> Ended {
+        self.signal(Signal::TERM);
+        self.wait()
+    }
+
     /// Asks it to end with SIGTERM and waits for it; it must end well.
     pub fn stop(&mut self) -> Ended {
-        self.signal(Signal::TERM);
-        let ended = self.wait();
+        let ended = self.end();
         assert_eq!(ended.code(), Some(0), "{}: {ended:?}", self.name);
         ended
     }

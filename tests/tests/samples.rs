@@ -28,21 +28,17 @@ fn clean_run(setup: &Setup, frames: &[Vec<Sample>]) -> Answers {
 /// Every answer is the one of the clean run; how many were compared. What a busy machine shows only
 /// provisionally is not among the answers, hence the share.
 fn assert_same(clean: &Answers, found: &Answers, of: usize) -> usize {
+    let mut compared = 0;
     for (key, answer) in found {
-        assert_eq!(
-            clean.get(key),
-            Some(answer),
-            "robot {} sample {}",
-            key.0,
-            key.1
-        );
+        // Nor what the clean run's planner has missed, while it waited for a processor.
+        let Some(expected) = clean.get(key) else {
+            continue;
+        };
+        assert_eq!(expected, answer, "robot {} sample {}", key.0, key.1);
+        compared += 1;
     }
-    assert!(
-        found.len() * 10 >= of * 9,
-        "{} answers of {of}",
-        found.len()
-    );
-    found.len()
+    assert!(compared * 10 >= of * 9, "{compared} answers of {of}");
+    compared
 }
 
 type Spoil = fn(Sample) -> Sample;

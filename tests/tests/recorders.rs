@@ -1,0 +1,172 @@
+//! Recording beside a worker and on a signal; playing in a loop and under another name.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use joulebus_capture::{Message, Reader};
+use joulebus_tests::{Arena, Child, Ended, Setup, eventually, program};
+use rustix::process::Signal;
+
+const ROBOTS: u64 = 12;
+/// A recorder on a busy machine may lose messages, and says so: then it records again.
+const TRIES: u32 = 5;
+
+fn arena() -> Arena {
+    Arena::new(&Setup {
+        tick_hz: 60.0,
+        rate_hz: 30.0,
+        stale_after_s: 10.0,
+        buffer_frames: 64,
+        ..Setup::default()
+    })
+}
+
+/// The program without the arena's config: by what is attached to the capture.
+fn alone(arguments: &[&str]) -> Ended {
+    let mut command = Command::new(program("joulebus-under-test"));
+    command.args(["--format", "json"]).args(arguments);
+    Child::spawn(&arguments.join(" "), command).wait()
+}
+
+fn simulate(arena: &Arena, seconds: &str) {
+    let robots = ROBOTS.to_string();
+    let ended = arena.run(&["publish", "sim", "--robots", &robots, "--duration", seconds]);
+    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+}
+
+/// Samples in a capture.
+fn samples(file: &Path) -> u64 {
+    let messages = Reader::open(file)
+        .unwrap()
+        .map(|entry| entry.unwrap().message);
+    messages
+        .map(|message| match message {
+            Message::Samples(_, rows) => rows.len() as u64,
+            _ => 0,
+        })
+        .sum()
+}
+
+/// A worker that records itself while robots are simulated; the capture and the worker's end.
+fn recorded(arena: &Arena, name: &str) -> (PathBuf, Ended) {
+    for attempt in 0..TRIES {
+        let file = arena.files().join(format!("{attempt}-{name}"));
+        let arguments = [
+            "run",
+            "--format",
+            "json",
+            "--record",
+            file.to_str().unwrap(),
+        ];
+        let mut worker = Child::spawn("worker", arena.command(&arguments));
+        worker.says("ready:");
+        simulate(arena, "2");
+        let ended = worker.end();
+        if ended.code() == Some(0) {
+            return (file, ended);
+        }
+        assert_eq!(ended.code(), Some(3), "{}", ended.errors());
+    }
+    panic!("the recorder lost messages {TRIES} times");
+}
+
+#[test]
+fn a_worker_that_records_itself_leaves_a_capture_that_proves_itself() {
+    let arena = arena();
+    let (file, ended) = recorded(&arena, "beside.mcap");
+    let report = ended.json();
+    assert_eq!(report["samples_accepted"], samples(&file), "{report}");
+    let verified = alone(&["replay", "--verify", file.to_str().unwrap()]);
+    assert_eq!(verified.code(), Some(0), "{}", verified.text());
+    let verified = verified.json();
+    assert_eq!(verified["ticks_verified"], report["ticks"], "{verified}");
+    arena.close();
+}
+
+#[test]
+fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
+    let arena = arena();
+    let file = arena.files().join("snapshot.mcap");
+    let name = file.to_str().unwrap();
+    let options = ["--snapshot", "60", "--no-alarm", "--format", "json"];
+    let arguments = [&["record", "-o", name], &options[..]].concat();
+    let mut recorder = Child::spawn("recorder", arena.command(&arguments));
+    recorder.says("recording t into");
+    let mut worker = arena.worker();
+    simulate(&arena, "1");
+    assert!(!file.exists(), "nobody asked for it yet");
+    recorder.signal(Signal::USR1);
+    eventually("the first snapshot", || {
+        Reader::open(&file).is_ok_and(|mut reader| reader.all(|entry| entry.is_ok()))
+    });
+    let first = samples(&file);
+    assert!(first > 0);
+
+    simulate(&arena, "1");
+    let second = arena.files().join("snapshot_1.mcap");
+    recorder.signal(Signal::USR1);
+    eventually("the second snapshot", || second.exists());
+    let report = recorder.end();
+    assert!(matches!(report.code(), Some(0 | 3)), "{}", report.errors());
+    assert!(samples(&second) > first, "it lies within the same minute");
+    let left = fs::read_dir(arena.files()).unwrap().flatten();
+    let captures = left.filter(|entry| entry.path().extension().is_some_and(|end| end == "mcap"));
+    assert_eq!(captures.count(), 2, "nothing is written at the end");
+    worker.stop();
+    arena.close();
+}
+
+#[test]
+fn a_loop_sends_every_sample_again_and_each_is_accepted() {
+    let arena = arena();
+    let (file, _) = recorded(&arena, "loop.mcap");
+    let once = samples(&file);
+    let mut worker = arena.worker();
+    let played = alone(&[
+        "replay",
+        file.to_str().unwrap(),
+        "--loop=3",
+        "--rate",
+        "max",
+    ]);
+    let report = played.json();
+    assert_eq!(played.code(), Some(0), "{report} {}", played.errors());
+    assert_eq!(report["samples"], 3 * once, "{report}");
+    let report = worker.stop().json();
+    assert_eq!(report["samples_accepted"], 3 * once, "{report}");
+    arena.close();
+}
+
+#[test]
+fn a_capture_is_played_under_another_name() {
+    let arena = arena();
+    let (file, _) = recorded(&arena, "named.mcap");
+    let text = fs::read_to_string(arena.config()).unwrap();
+    let renamed = text.replace("name = \"t\"", "name = \"copy\"");
+    assert_ne!(text, renamed);
+    let config = arena.files().join("copy.toml");
+    fs::write(&config, renamed).unwrap();
+    let mut command = Command::new(program("joulebus-under-test"));
+    command
+        .args(["run", "--format", "json", "--config"])
+        .arg(config);
+    let mut worker = Child::spawn("the copy's worker", command);
+    worker.says("ready:");
+    let played = alone(&[
+        "replay",
+        file.to_str().unwrap(),
+        "--remap",
+        "t:=copy",
+        "--rate",
+        "max",
+    ]);
+    assert_eq!(played.code(), Some(0), "{}", played.errors());
+    let report = worker.stop().json();
+    assert_eq!(report["samples_accepted"], samples(&file), "{report}");
+    let wrong = alone(&["replay", file.to_str().unwrap(), "--remap", "t=copy"]);
+    assert_eq!(wrong.code(), Some(2));
+    assert!(wrong.errors().contains(":="), "{}", wrong.errors());
+    arena.close();
+}
