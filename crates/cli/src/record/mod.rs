@@ -82,7 +82,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "SECONDS", default_value_t = 3_600.0, value_parser = seconds)]
     max_bag_duration: f64,
     /// Keep the last seconds in memory, and write them down when a robot raises an alarm or when
-    /// SIGUSR1 comes: each time a file of its own
+    /// SIGUSR1 comes: each time a file of its own, with what came since the last
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     snapshot: Option<f64>,
     /// With --snapshot: write down on SIGUSR1 only
