@@ -3,18 +3,18 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use clap::ValueEnum;
 use joulebus_lab::analyze::{
     Ablation, Analysis, Member, Series, Settings, TrialAutocorrelation, analyze,
 };
 use joulebus_lab::split::{By, Split};
 use joulebus_lab::trial::{Resample, Trial};
-use joulebus_predictor::{Model, Network};
+use joulebus_predictor::Model;
 use serde::Serialize;
 
 use crate::data::{How, Recordings};
 use crate::exit::{Outcome, UsageError};
+use crate::network;
 use crate::output::Output;
 
 /// What a dataset can teach: autocorrelation, what each input adds, and how much of a score comes
@@ -151,10 +151,7 @@ impl Args {
 }
 
 fn model(path: &Path) -> anyhow::Result<(String, Model)> {
-    let name = path.display();
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read the model {name}"))?;
-    let network = Network::from_safetensors(&bytes)
-        .with_context(|| format!("the model {name} is refused"))?;
+    let network = network::load(path)?;
     let name = format!("network {}", network.card().name);
     Ok((name, Model::Network(network)))
 }

@@ -6,14 +6,14 @@ mod subject;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use joulebus_lab::evaluate::{Evaluation, EvaluationReport};
 use joulebus_lab::score::{ScoreError, ScoreReport, score};
-use joulebus_predictor::{Model, Network};
+use joulebus_predictor::Model;
 use joulebus_predictor_worker::load_models;
 use serde::Serialize;
 
 use crate::exit::Outcome;
+use crate::network;
 use crate::output::{Output, say};
 pub(crate) use subject::{Asked, usage};
 
@@ -87,13 +87,9 @@ fn is_without_rows(error: &anyhow::Error) -> bool {
     matches!(error.downcast_ref(), Some(ScoreError::NoRows { .. }))
 }
 
-/// The model of a file.
+/// The model of a file, or one that ships.
 pub(crate) fn load(path: &Path) -> anyhow::Result<Model> {
-    let bytes =
-        std::fs::read(path).with_context(|| format!("cannot read the model {}", path.display()))?;
-    let network = Network::from_safetensors(&bytes)
-        .with_context(|| format!("the model {} is refused", path.display()))?;
-    Ok(Model::Network(network))
+    Ok(Model::Network(network::load(path)?))
 }
 
 /// The live path's own account, and the evaluation of each platform.

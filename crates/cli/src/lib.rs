@@ -20,6 +20,7 @@ mod import;
 mod info;
 mod logging;
 mod model;
+mod network;
 mod output;
 mod publish;
 mod record;

@@ -12,11 +12,12 @@ use joulebus_lab::report::{
 use joulebus_lab::score::Recording;
 use joulebus_lab::train::Epoch;
 use joulebus_lab::trial::Trial;
-use joulebus_predictor::{Model, Network};
+use joulebus_predictor::Model;
 
 use crate::config_file::ConfigFile;
 use crate::data::find_recordings;
 use crate::exit::{Outcome, UsageError};
+use crate::network;
 use crate::output::{Output, say};
 use crate::train::write;
 use crate::trials::platform;
@@ -153,11 +154,7 @@ impl Args {
 }
 
 fn model(path: &Path) -> anyhow::Result<Model> {
-    let name = path.display();
-    let bytes = fs::read(path).with_context(|| format!("cannot read the model {name}"))?;
-    let network = Network::from_safetensors(&bytes)
-        .with_context(|| format!("the model {name} is refused"))?;
-    Ok(Model::Network(network))
+    Ok(Model::Network(network::load(path)?))
 }
 
 /// The recordings of files and directories, all of them of one robot id: each is run alone.

@@ -4,15 +4,15 @@ use std::fmt;
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::Context as _;
 use joulebus_capture::verify::{Comparison, Verification, Verifier, WhatIf};
-use joulebus_predictor::{Model, Network};
+use joulebus_predictor::Model;
 use joulebus_predictor_worker::load_models;
 use serde::Serialize;
 
 use super::Args;
 use super::files::Files;
 use crate::exit::Outcome;
+use crate::network;
 use crate::output::Output;
 
 /// A result, with what goes for all of them.
@@ -50,10 +50,7 @@ pub(super) fn verify(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 pub(super) fn compare(args: &Args, other: &Path, output: Output) -> anyhow::Result<Outcome> {
     let files = Files::open(&args.files, args.fleet.as_deref())?;
     let (config, _models) = files.config(args.config.as_ref())?;
-    let bytes = std::fs::read(other)
-        .with_context(|| format!("cannot read the model {}", other.display()))?;
-    let network = Network::from_safetensors(&bytes)
-        .with_context(|| format!("the model {} is refused", other.display()))?;
+    let network = network::load(other)?;
     let settings = config.settings().clone();
     let others = vec![Model::Network(network); settings.platforms.len()];
     let mut what_if = WhatIf::new(settings, load_models(&config)?, others)?;

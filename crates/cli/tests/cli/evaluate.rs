@@ -125,6 +125,21 @@ fn a_directory_is_evaluated_whole_by_group_robot_and_trial() {
 }
 
 #[test]
+fn a_model_that_ships_is_named_as_in_a_config() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = recordings(folder.path(), 2, 60);
+    let with = |model: &str| output(["eval", "--format", "json", "--model", model, text(&data)]);
+    let (by_name, by_file) = (with("builtin:gternal-sim"), with(MODELS[0]));
+    assert_eq!(code(&by_name), 0, "{}", stderr(&by_name));
+    assert_eq!(json(&by_name), json(&by_file));
+    let refused = with("builtin:nothing");
+    assert_eq!(code(&refused), 2);
+    for name in ["builtin:nothing", "builtin:gternal-sim-power"] {
+        assert!(stderr(&refused).contains(name), "{}", stderr(&refused));
+    }
+}
+
+#[test]
 fn a_split_is_named_and_holds_out_what_training_held_out() {
     let folder = tempfile::tempdir().unwrap();
     let data = recordings(folder.path(), 10, 80);
