@@ -75,7 +75,7 @@ impl Batch {
     }
 
     /// Adds a row; there are never more than slots in a tile.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn push(&mut self, slot: usize, row: &Features) {
         let at = self.slots.len();
         let (paper, more) = self.columns.split_at_mut(FEATURES);

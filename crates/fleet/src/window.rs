@@ -21,8 +21,8 @@ impl Lags {
 
     /// Moves the window on by one sample period.
     fn push(&mut self, power_w: f32) {
-        self.lag_w.rotate_right(1);
-        self.lag_w[0] = power_w;
+        let [first, second, third, fourth, _] = self.lag_w;
+        self.lag_w = [power_w, first, second, third, fourth];
         self.forecast_w = f32::NAN;
     }
 }
@@ -233,6 +233,7 @@ impl Window {
     /// Takes a sample's command, `elapsed_s` after the last one, and gives the row for the forecast
     /// of the next reading, if the window is full, and command and freshness are known where they
     /// are `read`.
+    #[inline]
     pub(crate) fn next_row(
         &mut self,
         elapsed_s: f32,
@@ -246,13 +247,15 @@ impl Window {
         ));
         self.commanded = command.is_some();
         (self.v_mps, self.omega_radps) = command.unwrap_or((f32::NAN, f32::NAN));
-        let ready = self.is_full() && (self.commanded || !read.needs_command());
-        if !read.needs_freshness() {
-            return ready.then(|| self.row(&self.closed, previous));
-        }
-        (ready && self.freshness.is_known()).then(|| {
+        let fresh = read.needs_freshness();
+        let ready = self.is_full()
+            && (self.commanded || !read.needs_command())
+            && (!fresh || self.freshness.is_known());
+        ready.then(|| {
             let mut row = self.row(&self.closed, previous);
-            self.freshness.fill(&mut row);
+            if fresh {
+                self.freshness.fill(&mut row);
+            }
             row
         })
     }
@@ -262,6 +265,7 @@ impl Window {
         self.closed.forecast_w = forecast_w;
     }
 
+    #[inline]
     fn row(&self, lags: &Lags, previous: Option<(f32, f32, f32)>) -> Features {
         features(self.v_mps, self.omega_radps, previous, &lags.lag_w)
     }
