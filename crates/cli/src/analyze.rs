@@ -3,11 +3,10 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use clap::ValueEnum;
 use joulebus_lab::analyze::{
     Ablation, Analysis, Member, Series, Settings, TrialAutocorrelation, analyze,
 };
-use joulebus_lab::split::{By, Split};
+use joulebus_lab::split::Split;
 use joulebus_lab::trial::{Resample, Trial};
 use joulebus_predictor::Model;
 use serde::Serialize;
@@ -16,6 +15,7 @@ use crate::data::{How, Recordings};
 use crate::exit::{Outcome, UsageError};
 use crate::network;
 use crate::output::Output;
+use crate::together::Together;
 
 /// What a dataset can teach: autocorrelation, what each input adds, and how much of a score comes
 /// from readings that only repeat the one before
@@ -71,29 +71,6 @@ pub(crate) struct Args {
     /// Show the autocorrelation of each trial
     #[arg(long)]
     each: bool,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Together {
-    /// Each trial
-    Trial,
-    /// All trials of a robot
-    Robot,
-    /// All trials whose file names differ only in their number
-    Group,
-    /// Nothing: the end of every trial is held out
-    Time,
-}
-
-impl From<Together> for By {
-    fn from(together: Together) -> Self {
-        match together {
-            Together::Trial => Self::Trial,
-            Together::Robot => Self::Robot,
-            Together::Group => Self::Group,
-            Together::Time => Self::Time,
-        }
-    }
 }
 
 #[derive(Debug, Serialize)]

@@ -31,6 +31,7 @@ mod run;
 mod serve;
 mod stop;
 mod supervisor;
+mod together;
 mod train;
 mod trials;
 mod view;

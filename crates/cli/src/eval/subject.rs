@@ -2,17 +2,17 @@
 
 use std::path::PathBuf;
 
-use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use joulebus_config::Config;
 use joulebus_fleet::{Platform, Settings};
 use joulebus_lab::bootstrap::Bootstrap;
 use joulebus_lab::score::{Design, Options, Recording, ScoreError, Subject, read_recordings};
-use joulebus_lab::split::{By, Split};
+use joulebus_lab::split::Split;
 use joulebus_predictor::Model;
 
 use crate::config_file::ConfigFile;
 use crate::data::find_recordings;
 use crate::exit::UsageError;
+use crate::together::Together;
 use crate::trials::TrialFiles;
 
 /// Recordings, and how they are evaluated.
@@ -22,11 +22,10 @@ pub(crate) struct Asked {
     trials: TrialFiles,
     #[command(flatten)]
     config: ConfigFile,
-    /// Evaluate what a split holds out, and fit the baselines on the rest: trial, robot, group (file
-    /// names that differ only in their number) or time (the end of every trial) [default: evaluate
-    /// all, baselines fitted on other trials in turn]
-    #[arg(long, value_name = "BY", value_parser = by(), conflicts_with = "fit")]
-    split: Option<By>,
+    /// Evaluate what a split holds out, and fit the baselines on the rest: what stays together when
+    /// the recordings are split [default: evaluate all, baselines fitted on other trials in turn]
+    #[arg(long, value_enum, value_name = "BY", conflicts_with = "fit")]
+    split: Option<Together>,
     /// Share that the split holds out, as in training
     #[arg(long, value_name = "SHARE", default_value_t = Split::default().held_out, requires = "split")]
     held_out: f64,
@@ -54,15 +53,6 @@ pub(crate) struct Asked {
     /// Rows of a block that is drawn, where blocks are not whole trials (20 trials and more)
     #[arg(long, value_name = "ROWS", default_value_t = Bootstrap::default().block_rows)]
     block_rows: usize,
-}
-
-fn by() -> impl clap::builder::TypedValueParser<Value = By> {
-    PossibleValuesParser::new(["trial", "robot", "group", "time"]).map(|name| match name.as_str() {
-        "robot" => By::Robot,
-        "group" => By::Group,
-        "time" => By::Time,
-        _ => By::Trial,
-    })
 }
 
 /// The recordings of one platform.
@@ -157,9 +147,9 @@ impl Asked {
     /// Which rows are evaluated.
     pub(crate) fn design(&self, section: &Section) -> anyhow::Result<Design> {
         let recordings = &section.recordings;
-        if let Some(by) = self.split {
+        if let Some(together) = self.split {
             let wanted = Split {
-                by,
+                by: together.into(),
                 held_out: self.held_out,
                 seed: self.seed,
                 ..Split::default()

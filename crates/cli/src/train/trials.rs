@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use clap::ValueEnum;
 use joulebus_lab::rows::{trial_rows, write_rows};
 use joulebus_lab::split::{By, Dealt, Source, Split, group_of, split};
 use joulebus_lab::train::{Dataset, Row, Settings};
@@ -17,6 +16,7 @@ use super::run::Run;
 use crate::data::find_recordings;
 use crate::exit::{Outcome, UsageError};
 use crate::output::{Output, say};
+use crate::together::Together;
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -58,29 +58,6 @@ pub(super) struct Args {
     rows: Option<PathBuf>,
     #[command(flatten)]
     run: Run,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Together {
-    /// Each trial
-    Trial,
-    /// All trials of a robot
-    Robot,
-    /// All trials whose file names differ only in their number
-    Group,
-    /// Nothing: the end of every trial is held out
-    Time,
-}
-
-impl From<Together> for By {
-    fn from(together: Together) -> Self {
-        match together {
-            Together::Trial => Self::Trial,
-            Together::Robot => Self::Robot,
-            Together::Group => Self::Group,
-            Together::Time => Self::Time,
-        }
-    }
 }
 
 /// A recipe file.
