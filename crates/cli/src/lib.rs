@@ -18,6 +18,7 @@ mod eval;
 mod exit;
 mod import;
 mod info;
+mod keys;
 mod logging;
 mod model;
 mod network;

@@ -6,9 +6,10 @@ use std::thread;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use crossterm::event::{self, Event, KeyCode};
 use joulebus_bus::clock;
 
+use crate::keys::{asks_for_the_end, pressed};
 use crate::publish::Rate;
 use crate::stop::Stop;
 
@@ -90,21 +91,11 @@ fn is_foreground() -> bool {
 }
 
 fn wish(event: &Event) -> Option<Wish> {
-    let Event::Key(KeyEvent {
-        code,
-        modifiers,
-        kind: KeyEventKind::Press | KeyEventKind::Repeat,
-        ..
-    }) = event
-    else {
-        return None;
-    };
-    match code {
+    let key = pressed(event)?;
+    match key.code {
+        _ if asks_for_the_end(key) => Some(Wish::End),
         KeyCode::Char(' ') => Some(Wish::Toggle),
         KeyCode::Right | KeyCode::Char('s') => Some(Wish::Step),
-        KeyCode::Char('q') | KeyCode::Esc => Some(Wish::End),
-        // The terminal does not make a signal of it any more.
-        KeyCode::Char('c') if modifiers.contains(KeyModifiers::CONTROL) => Some(Wish::End),
         _ => None,
     }
 }

@@ -4,13 +4,14 @@ use std::mem::ManuallyDrop;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use crossterm::event::{self, Event, KeyCode};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
 use super::board::Board;
 use super::feed::Feed;
 use super::screen::Screen;
+use crate::keys::{asks_for_the_end, pressed};
 use crate::stop::Stop;
 
 /// How often the processes and the end are looked after.
@@ -103,19 +104,11 @@ fn is_closed(patience: Duration) -> anyhow::Result<bool> {
 
 /// Does what a key asks for; whether it asks for the end.
 fn act(event: &Event, screen: &mut Screen, board: &Board) -> bool {
-    let Event::Key(KeyEvent {
-        code,
-        modifiers,
-        kind: KeyEventKind::Press | KeyEventKind::Repeat,
-        ..
-    }) = event
-    else {
+    let Some(key) = pressed(event) else {
         return false;
     };
-    match code {
-        KeyCode::Char('q') | KeyCode::Esc => return true,
-        // The terminal does not make a signal of it any more.
-        KeyCode::Char('c') if modifiers.contains(KeyModifiers::CONTROL) => return true,
+    match key.code {
+        _ if asks_for_the_end(key) => return true,
         KeyCode::Down | KeyCode::Char('j') => screen.step(board, 1),
         KeyCode::Up | KeyCode::Char('k') => screen.step(board, -1),
         KeyCode::PageDown => screen.step(board, 10),
