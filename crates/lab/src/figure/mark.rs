@@ -350,11 +350,19 @@ fn dot(plane: &Plane<'_>, at: [f64; 2], tenths: i32, colour: Colour, opacity: f6
     ))
 }
 
-/// Where in the place of a name the `slot` lies, and half of its width.
-fn place(name: usize, [slot, slots]: [usize; 2]) -> (f64, f64) {
+/// The intervals that have a value, each with where in the place of its name the `slot` lies, and
+/// half of its width.
+fn placed(
+    values: &[Interval],
+    [slot, slots]: [usize; 2],
+) -> impl Iterator<Item = (Interval, f64, f64)> {
     let slots = slots.max(1) as f64;
-    let centre = name as f64 + ((slot as f64 + 0.5) / slots - 0.5) * TAKEN;
-    (centre, TAKEN / slots * 0.42)
+    let named = values.iter().enumerate();
+    let known = named.filter(|(_, interval)| interval.value.is_finite());
+    known.map(move |(name, interval)| {
+        let centre = name as f64 + ((slot as f64 + 0.5) / slots - 0.5) * TAKEN;
+        (*interval, centre, TAKEN / slots * 0.42)
+    })
 }
 
 fn oriented(along: f64, value: f64, direction: Direction) -> [f64; 2] {
@@ -371,14 +379,11 @@ fn bars(
     direction: Direction,
     colour: Colour,
 ) -> Drawn {
-    for (name, interval) in values.iter().enumerate() {
-        if interval.value.is_finite() {
-            let (centre, half) = place(name, slot);
-            let from = oriented(centre - half, 0.0, direction);
-            let to = oriented(centre + half, interval.value, direction);
-            rectangle(plane, from, to, colour, 0.8)?;
-            whisker(plane, *interval, centre, half * 0.5, direction, Colour::Ink)?;
-        }
+    for (interval, centre, half) in placed(values, slot) {
+        let from = oriented(centre - half, 0.0, direction);
+        let to = oriented(centre + half, interval.value, direction);
+        rectangle(plane, from, to, colour, 0.8)?;
+        whisker(plane, interval, centre, half * 0.5, direction, Colour::Ink)?;
     }
     Ok(())
 }
@@ -390,13 +395,10 @@ fn dots(
     direction: Direction,
     colour: Colour,
 ) -> Drawn {
-    for (name, interval) in values.iter().enumerate() {
-        if interval.value.is_finite() {
-            let (centre, half) = place(name, slot);
-            whisker(plane, *interval, centre, half * 0.4, direction, colour)?;
-            let at = oriented(centre, interval.value, direction);
-            dot(plane, at, 36, colour, 1.0)?;
-        }
+    for (interval, centre, half) in placed(values, slot) {
+        whisker(plane, interval, centre, half * 0.4, direction, colour)?;
+        let at = oriented(centre, interval.value, direction);
+        dot(plane, at, 36, colour, 1.0)?;
     }
     Ok(())
 }

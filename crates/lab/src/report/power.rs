@@ -32,12 +32,7 @@ struct Readings {
 impl Readings {
     fn of(recording: &Recording) -> Self {
         let power_w = readings_w(recording);
-        let count = power_w.len() as f64;
-        let mean_w = power_w.iter().sum::<f64>() / count;
-        let scatter: f64 = power_w
-            .iter()
-            .map(|power_w| (power_w - mean_w).powi(2))
-            .sum();
+        let (mean_w, std_w) = mean_and_std(&power_w);
         let found = autocorrelation(&recording.trial, LAGS);
         let known = found.at_lag.iter().map(|value| value.unwrap_or(f64::NAN));
         let from_zero = std::iter::once(1.0).chain(known);
@@ -45,12 +40,12 @@ impl Readings {
             name: recording.name.clone(),
             count: power_w.len() as u64,
             mean_w,
-            std_w: (scatter / count).sqrt(),
+            std_w,
             ends_w: [
                 power_w.iter().copied().fold(f64::NAN, f64::min),
                 power_w.iter().copied().fold(f64::NAN, f64::max),
             ],
-            held: recording.trial.notes().held_readings as f64 / count,
+            held: recording.trial.notes().held_readings as f64 / power_w.len() as f64,
             rate_hz: recording.trial.notes().rate_hz,
             correlation: from_zero.collect(),
         }
@@ -70,6 +65,14 @@ fn readings_w(recording: &Recording) -> Vec<f64> {
         .collect()
 }
 
+/// Mean, and standard deviation divided by the number; NaN without a value.
+fn mean_and_std(power_w: &[f64]) -> (f64, f64) {
+    let count = power_w.len() as f64;
+    let mean_w = power_w.iter().sum::<f64>() / count;
+    let squares_w2 = power_w.iter().map(|power_w| (power_w - mean_w).powi(2));
+    (mean_w, (squares_w2.sum::<f64>() / count).sqrt())
+}
+
 /// All trials together.
 pub(super) struct Pooled {
     pub(super) mean_w: f64,
@@ -81,15 +84,10 @@ pub(super) struct Pooled {
 
 pub(super) fn pooled(recordings: &[Recording]) -> Pooled {
     let power_w = sorted(recordings.iter().flat_map(readings_w));
-    let count = power_w.len() as f64;
-    let mean_w = power_w.iter().sum::<f64>() / count;
-    let scatter: f64 = power_w
-        .iter()
-        .map(|power_w| (power_w - mean_w).powi(2))
-        .sum();
+    let (mean_w, std_w) = mean_and_std(&power_w);
     Pooled {
         mean_w,
-        std_w: (scatter / count).sqrt(),
+        std_w,
         ends_w: [quantile(&power_w, 0.0), quantile(&power_w, 1.0)],
         lag1: ends(
             recordings

@@ -289,16 +289,20 @@ fn network_rows(rows: &mut Rows, alone: &Scored) {
         let found = all.forecasters.iter().find(|score| score.name == name);
         found.map_or(f64::NAN, |score| score.r2.value)
     };
-    rows.add(
-        "R² of velocities alone",
-        Cell::Number(paper::R2_VELOCITIES, 2),
-        Cell::Number(line("velocities"), 2),
-    );
-    rows.add(
-        "R² of velocities and one past reading",
-        Cell::Number(paper::R2_ONE_LAG, 2),
-        Cell::Number(line("velocities + 1 lag"), 2),
-    );
+    for (quantity, papers, name) in [
+        ("velocities alone", paper::R2_VELOCITIES, "velocities"),
+        (
+            "velocities and one past reading",
+            paper::R2_ONE_LAG,
+            "velocities + 1 lag",
+        ),
+    ] {
+        rows.add(
+            &format!("R² of {quantity}"),
+            Cell::Number(papers, 2),
+            Cell::Number(line(name), 2),
+        );
+    }
     let of = |cell: &Scores| cell.forecasters.first().map(|score| score.r2.value);
     let r2 = alone.report.trials.iter().filter_map(of);
     rows.add(
@@ -310,34 +314,29 @@ fn network_rows(rows: &mut Rows, alone: &Scored) {
         let cell = alone.report.trials.get(trial);
         cell.and_then(|cell| cell.forecasters.first())
     };
-    let (fifth, sixth) = (first(4), first(5));
-    let number =
-        |score: Option<&crate::score::ForecasterScore>,
-         of: fn(&crate::score::ForecasterScore) -> f64| { score.map_or(f64::NAN, of) };
-    rows.add(
-        "R² on trial 5",
-        Cell::Number(paper::R2_VALIDATION, 2),
-        Cell::Number(number(fifth, |score| score.r2.value), 3),
-    );
-    rows.add(
-        "MAE on trial 5 (mW)",
-        MW.cell(paper::MAE_VALIDATION_W, true),
-        MW.cell(number(fifth, |score| score.mae_w.value), true),
-    );
-    rows.add(
-        "R² on trial 6",
-        Cell::Number(paper::R2_TRIAL_6, 2),
-        Cell::Number(number(sixth, |score| score.r2.value), 3),
-    );
-    rows.add(
-        "MAE on trial 6 (mW)",
-        MW.cell(paper::MAE_TRIAL_6_W, true),
-        MW.cell(number(sixth, |score| score.mae_w.value), true),
-    );
+    for (trial, papers_r2, papers_mae_w) in [
+        (5, paper::R2_VALIDATION, paper::MAE_VALIDATION_W),
+        (6, paper::R2_TRIAL_6, paper::MAE_TRIAL_6_W),
+    ] {
+        let (r2, mae_w) = first(trial - 1).map_or((f64::NAN, f64::NAN), |score| {
+            (score.r2.value, score.mae_w.value)
+        });
+        rows.add(
+            &format!("R² on trial {trial}"),
+            Cell::Number(papers_r2, 2),
+            Cell::Number(r2, 3),
+        );
+        rows.add(
+            &format!("MAE on trial {trial} (mW)"),
+            MW.cell(papers_mae_w, true),
+            MW.cell(mae_w, true),
+        );
+    }
+    let sixth = first(5);
     rows.add(
         "mean of reading − forecast on trial 6 (mW)",
         MW.cell(paper::RESIDUAL_MEAN_W, true),
-        MW.cell(number(sixth, |score| score.bias_w.value), true),
+        MW.cell(sixth.map_or(f64::NAN, |score| score.bias_w.value), true),
     );
     let middle = sixth.map_or([f64::NAN; 2], |score| {
         [score.residual.q05_w, score.residual.q95_w]

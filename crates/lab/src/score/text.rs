@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Formatter};
 
-use super::cell::{Cell, HorizonCell};
+use super::cell::{Cell, HorizonCell, Skill};
 use super::compare::{Comparison, Difference};
 use super::report::{ModelReport, ScoreReport};
 use crate::bootstrap::{Bootstrap, Estimate, LEAST_BLOCKS};
@@ -215,48 +215,70 @@ fn write_cells(out: &mut Formatter<'_>, what: &str, cells: &[Cell]) -> fmt::Resu
         return Ok(());
     };
     let width = name_width(cells.iter().map(|cell| short(&cell.name)), what.len() + 3);
-    write!(
-        out,
-        "\n{:width$} {:>6} {:>7}",
-        format!("By {what}"),
-        "trials",
-        "rows"
-    )?;
-    for one in &first.forecasters {
-        write!(out, "  {:>16}", cut(&one.name, 16))?;
-    }
-    writeln!(out, "  skill vs persistence        inside %")?;
-    write!(out, "{:width$} {:>6} {:>7}", "", "", "")?;
-    for _ in &first.forecasters {
-        write!(out, "  {:>7} {:>8}", "R²", "MAE W")?;
-    }
     writeln!(out)?;
+    write_headings(
+        out,
+        &format!(
+            "{:width$} {:>6} {:>7}",
+            format!("By {what}"),
+            "trials",
+            "rows"
+        ),
+        first.forecasters.iter().map(|one| one.name.as_str()),
+        "skill vs persistence        inside %",
+    )?;
     for cell in cells {
         write_line(out, cell, width)?;
     }
     Ok(())
 }
 
+/// Two lines above a table with R² and MAE of every forecaster: `left`, their names, `right`; then
+/// what stands below the names.
+fn write_headings<'a>(
+    out: &mut Formatter<'_>,
+    left: &str,
+    names: impl Iterator<Item = &'a str> + Clone,
+    right: &str,
+) -> fmt::Result {
+    write!(out, "{left}")?;
+    for name in names.clone() {
+        write!(out, "  {:>16}", cut(name, 16))?;
+    }
+    writeln!(out, "  {right}")?;
+    write!(out, "{:1$}", "", left.chars().count())?;
+    for _ in names {
+        write!(out, "  {:>7} {:>8}", "R²", "MAE W")?;
+    }
+    writeln!(out)
+}
+
+/// R² and MAE below them.
+fn write_accuracy(out: &mut Formatter<'_>, r2: Estimate, mae_w: Estimate) -> fmt::Result {
+    let (r2, mae_w) = (Number(r2.value, 7, 4), Number(mae_w.value, 8, 3));
+    write!(out, "  {r2} {mae_w}")
+}
+
+/// The skill against the first baseline, with its confidence interval.
+fn write_skill(out: &mut Formatter<'_>, skills: &[Skill]) -> fmt::Result {
+    let first = skills.first().map(|skill| skill.skill);
+    let skill = first.unwrap_or(Estimate::alone(f64::NAN));
+    let (value, spread) = (Number(skill.value, 7, 4), between(&skill, 1.0, 3));
+    write!(out, "  {value} {spread:18}")
+}
+
 fn write_line(out: &mut Formatter<'_>, cell: &Cell, width: usize) -> fmt::Result {
     let name = short(&cell.name);
     write!(out, "{name:width$} {:>6} {:>7}", cell.trials, cell.rows)?;
     for one in &cell.forecasters {
-        let (r2, mae_w) = (one.r2.value, one.mae_w.value);
-        write!(out, "  {} {}", Number(r2, 7, 4), Number(mae_w, 8, 3))?;
+        write_accuracy(out, one.r2, one.mae_w)?;
     }
     for one in cell.forecasters.iter().filter(|one| one.interval.is_some()) {
-        let skill = one.skill.first().map(|skill| skill.skill);
-        let skill = skill.unwrap_or(Estimate::alone(f64::NAN));
+        write_skill(out, &one.skill)?;
         let coverage = one
             .interval
             .map_or(f64::NAN, |interval| interval.scores.coverage);
-        write!(
-            out,
-            "  {} {:18} {}",
-            Number(skill.value, 7, 4),
-            between(&skill, 1.0, 3),
-            Number(100.0 * coverage, 6, 1)
-        )?;
+        write!(out, " {}", Number(100.0 * coverage, 6, 1))?;
     }
     writeln!(out)
 }
@@ -291,16 +313,12 @@ fn write_horizons(out: &mut Formatter<'_>, cell: &HorizonCell, every: usize) -> 
         out,
         "\nOpen loop: fed with its own forecasts, commands known, a rollout from every {every}th row"
     )?;
-    write!(out, "{:>6} {:>7} {:>8}", "ticks", "s", "rollouts")?;
-    for one in &first.forecasters {
-        write!(out, "  {:>16}", cut(&one.name, 16))?;
-    }
-    writeln!(out, "  skill vs persistence        energy %")?;
-    write!(out, "{:>6} {:>7} {:>8}", "", "", "")?;
-    for _ in &first.forecasters {
-        write!(out, "  {:>7} {:>8}", "R²", "MAE W")?;
-    }
-    writeln!(out)?;
+    write_headings(
+        out,
+        &format!("{:>6} {:>7} {:>8}", "ticks", "s", "rollouts"),
+        first.forecasters.iter().map(|one| one.name.as_str()),
+        "skill vs persistence        energy %",
+    )?;
     for horizon in &cell.horizons {
         write!(
             out,
@@ -308,20 +326,11 @@ fn write_horizons(out: &mut Formatter<'_>, cell: &HorizonCell, every: usize) -> 
             horizon.ticks, horizon.seconds, horizon.origins
         )?;
         for one in &horizon.forecasters {
-            let (r2, mae_w) = (one.r2.value, one.mae_w.value);
-            write!(out, "  {} {}", Number(r2, 7, 4), Number(mae_w, 8, 3))?;
+            write_accuracy(out, one.r2, one.mae_w)?;
         }
         if let Some(one) = horizon.forecasters.first() {
-            let skill = one.skill.first().map(|skill| skill.skill);
-            let skill = skill.unwrap_or(Estimate::alone(f64::NAN));
-            let (value, energy) = (skill.value, one.energy_mape);
-            write!(
-                out,
-                "  {} {:18}",
-                Number(value, 7, 4),
-                between(&skill, 1.0, 3)
-            )?;
-            write!(out, " {}", Number(100.0 * energy, 6, 2))?;
+            write_skill(out, &one.skill)?;
+            write!(out, " {}", Number(100.0 * one.energy_mape, 6, 2))?;
         }
         writeln!(out)?;
     }
