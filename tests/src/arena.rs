@@ -68,6 +68,19 @@ impl Default for Setup {
 }
 
 impl Setup {
+    /// For [`Arena::simulate`] and a recorder beside it: nothing is stale on a busy machine, and frames
+    /// wait for who is late.
+    #[must_use]
+    pub fn simulated() -> Self {
+        Self {
+            tick_hz: 60.0,
+            rate_hz: 30.0,
+            stale_after_s: 10.0,
+            buffer_frames: 64,
+            ..Self::default()
+        }
+    }
+
     /// Period of the platform's samples, ns.
     #[must_use]
     pub fn period_ns(&self) -> u64 {
@@ -188,6 +201,26 @@ impl Arena {
         child.wait()
     }
 
+    /// Simulates robots for some seconds, the same each time: the program under test, which must end
+    /// well.
+    pub fn simulate(&self, robots: u32, seconds: &str) {
+        let robots = robots.to_string();
+        let fleet = ["publish", "sim", "--robots", &robots, "--seed", "7"];
+        let ended = self.run(&[&fleet[..], &["--duration", seconds]].concat());
+        assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+    }
+
+    /// Starts `joulebus record` into a file, with more arguments, its report as JSON, and waits until it
+    /// records.
+    #[must_use]
+    pub fn recording(&self, file: &Path, more: &[&str]) -> Child {
+        let name = file.to_str().expect("tests name their files in ASCII");
+        let arguments = [&["record", "--format", "json", "-o", name], more].concat();
+        let mut child = Child::spawn("recorder", self.command(&arguments));
+        child.says(&format!("recording {FLEET} into"));
+        child
+    }
+
     /// The worker as a command: `joulebus run`, its report as JSON, told to log what it cleans up.
     #[must_use]
     pub fn worker_command(&self) -> Command {
@@ -284,6 +317,15 @@ impl Drop for Arena {
             );
         }
     }
+}
+
+/// Runs the program under test to its end without a config, its report as JSON: as somebody who has a
+/// capture and nothing else.
+#[must_use]
+pub fn alone(arguments: &[&str]) -> Ended {
+    let mut command = Command::new(program("joulebus-under-test"));
+    command.args(["--format", "json"]).args(arguments);
+    Child::spawn(&arguments.join(" "), command).wait()
 }
 
 /// Waits until `condition` holds.

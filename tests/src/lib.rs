@@ -16,7 +16,7 @@ mod source;
 
 use std::time::Duration;
 
-pub use arena::{Arena, Setup, eventually, program};
+pub use arena::{Arena, Setup, alone, eventually, program};
 pub use child::{Child, Ended};
 pub use figure::{Dice, Spread, figure};
 pub use planner::{Answers, Planner};

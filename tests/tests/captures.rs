@@ -52,13 +52,6 @@ fn name(entry: &Entry) -> (String, u64, u64) {
     (entry.topic.to_string(), run, number)
 }
 
-fn recorder(arena: &Arena, file: &Path) -> Child {
-    let command = arena.command(&["record", "--format", "json", "-o", file.to_str().unwrap()]);
-    let mut child = Child::spawn("recorder", command);
-    child.says("recording t into");
-    child
-}
-
 /// Bytes of the file, 0 while there is none.
 fn bytes(file: &Path) -> u64 {
     file.metadata().map_or(0, |file| file.len())
@@ -72,11 +65,11 @@ fn a_killed_recorder_costs_at_most_the_stated_window() {
     let mut source = arena.controller("source", 0, ROBOTS, HZ);
     // One that nobody kills tells what was sent.
     let whole = arena.files().join("whole.mcap");
-    let mut witness = recorder(&arena, &whole);
+    let mut witness = arena.recording(&whole, &[]);
     let mut killed: Vec<(PathBuf, u64)> = Vec::new();
     for round in 0..Dice::rounds("JOULEBUS_KILLS", 10) {
         let file = arena.files().join(format!("killed-{round}.mcap"));
-        let mut victim = recorder(&arena, &file);
+        let mut victim = arena.recording(&file, &[]);
         // Whoever is killed while starting has recorded nothing that could be lost.
         let begun = bytes(&file);
         eventually("messages in the file", || bytes(&file) > begun);

@@ -6,35 +6,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use joulebus_capture::{Message, Reader};
-use joulebus_tests::{Arena, Child, Ended, Setup, eventually, program};
+use joulebus_tests::{Arena, Child, Ended, Setup, alone, eventually, program};
 use rustix::process::Signal;
 
-const ROBOTS: u64 = 12;
+const ROBOTS: u32 = 12;
 /// A recorder on a busy machine may lose messages, and says so: then it records again.
 const TRIES: u32 = 5;
-
-fn arena() -> Arena {
-    Arena::new(&Setup {
-        tick_hz: 60.0,
-        rate_hz: 30.0,
-        stale_after_s: 10.0,
-        buffer_frames: 64,
-        ..Setup::default()
-    })
-}
-
-/// The program without the arena's config: by what is attached to the capture.
-fn alone(arguments: &[&str]) -> Ended {
-    let mut command = Command::new(program("joulebus-under-test"));
-    command.args(["--format", "json"]).args(arguments);
-    Child::spawn(&arguments.join(" "), command).wait()
-}
-
-fn simulate(arena: &Arena, seconds: &str) {
-    let robots = ROBOTS.to_string();
-    let ended = arena.run(&["publish", "sim", "--robots", &robots, "--duration", seconds]);
-    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
-}
 
 /// Samples in a capture.
 fn samples(file: &Path) -> u64 {
@@ -62,7 +39,7 @@ fn recorded(arena: &Arena, name: &str) -> (PathBuf, Ended) {
         ];
         let mut worker = Child::spawn("worker", arena.command(&arguments));
         worker.says("ready:");
-        simulate(arena, "2");
+        arena.simulate(ROBOTS, "2");
         let ended = worker.end();
         if ended.code() == Some(0) {
             return (file, ended);
@@ -74,7 +51,7 @@ fn recorded(arena: &Arena, name: &str) -> (PathBuf, Ended) {
 
 #[test]
 fn a_worker_that_records_itself_leaves_a_capture_that_proves_itself() {
-    let arena = arena();
+    let arena = Arena::new(&Setup::simulated());
     let (file, ended) = recorded(&arena, "beside.mcap");
     let report = ended.json();
     assert_eq!(report["samples_accepted"], samples(&file), "{report}");
@@ -87,7 +64,7 @@ fn a_worker_that_records_itself_leaves_a_capture_that_proves_itself() {
 
 #[test]
 fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
-    let arena = arena();
+    let arena = Arena::new(&Setup::simulated());
     let file = arena.files().join("snapshot.mcap");
     let name = file.to_str().unwrap();
     let options = ["--snapshot", "60", "--no-alarm", "--format", "json"];
@@ -95,7 +72,7 @@ fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
     let mut recorder = Child::spawn("recorder", arena.command(&arguments));
     recorder.says("recording t into");
     let mut worker = arena.worker();
-    simulate(&arena, "1");
+    arena.simulate(ROBOTS, "1");
     assert!(!file.exists(), "nobody asked for it yet");
     recorder.signal(Signal::USR1);
     eventually("the first snapshot", || {
@@ -103,7 +80,7 @@ fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
     });
     assert!(samples(&file) > 0);
 
-    simulate(&arena, "1");
+    arena.simulate(ROBOTS, "1");
     let second = arena.files().join("snapshot_1.mcap");
     recorder.signal(Signal::USR1);
     eventually("the second snapshot", || second.exists());
@@ -127,7 +104,7 @@ fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
 
 #[test]
 fn a_loop_sends_every_sample_again_and_each_is_accepted() {
-    let arena = arena();
+    let arena = Arena::new(&Setup::simulated());
     let (file, _) = recorded(&arena, "loop.mcap");
     let once = samples(&file);
     let mut worker = arena.worker();
@@ -148,7 +125,7 @@ fn a_loop_sends_every_sample_again_and_each_is_accepted() {
 
 #[test]
 fn a_capture_is_played_under_another_name() {
-    let arena = arena();
+    let arena = Arena::new(&Setup::simulated());
     let (file, _) = recorded(&arena, "named.mcap");
     let text = fs::read_to_string(arena.config()).unwrap();
     let renamed = text.replace("name = \"t\"", "name = \"copy\"");

@@ -2,60 +2,22 @@
 //! memory, and gives the same bits there.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
+#[allow(dead_code, reason = "its rows")]
+#[path = "../../crates/predictor/tests/random/mod.rs"]
+mod random;
+
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use joulebus_capture::{Entry, Message, Reader, Settings, Writer};
-use joulebus_config::builtin_model;
-use joulebus_predictor::{FEATURES, FeatureSet, Network};
-use joulebus_tests::{Arena, Child, Ended, ReaderLine, Setup, eventually, program};
+use joulebus_predictor::FeatureSet;
+use joulebus_tests::{Arena, Child, ReaderLine, Setup, alone, eventually, program};
 use joulebus_wire::{Diagnostic, Forecast, Quality, Sample, sample_flag};
 use serde_json::Value;
 
-const ROBOTS: &str = "12";
-
-fn setup() -> Setup {
-    Setup {
-        tick_hz: 60.0,
-        rate_hz: 30.0,
-        stale_after_s: 10.0,
-        buffer_frames: 64,
-        ..Setup::default()
-    }
-}
-
-/// The program without the arena's config: by what is attached to the capture.
-fn alone(arguments: &[&str]) -> Ended {
-    let mut command = Command::new(program("joulebus-under-test"));
-    command.args(["--format", "json"]).args(arguments);
-    Child::spawn(&arguments.join(" "), command).wait()
-}
-
-fn recorder(arena: &Arena, file: &Path, more: &[&str]) -> Child {
-    let name = file.to_str().unwrap();
-    let arguments = [&["record", "--format", "json", "-o", name], more].concat();
-    let mut child = Child::spawn("recorder", arena.command(&arguments));
-    child.says("recording t into");
-    child
-}
-
-/// A simulated fleet for a while.
-fn simulate(arena: &Arena, seconds: &str) {
-    let arguments = [
-        "publish",
-        "sim",
-        "--robots",
-        ROBOTS,
-        "--seed",
-        "7",
-        "--duration",
-        seconds,
-    ];
-    let ended = arena.run(&arguments);
-    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
-}
+const ROBOTS: u32 = 12;
 
 fn entries(file: &Path) -> Vec<Entry> {
     Reader::open(file).unwrap().map(Result::unwrap).collect()
@@ -164,8 +126,8 @@ fn record(arena: &Arena, name: &str, seconds: &str) -> PathBuf {
     for attempt in 0..TRIES {
         let file = arena.files().join(format!("{attempt}-{name}"));
         let mut worker = arena.worker();
-        let mut recorder = recorder(arena, &file, &[]);
-        simulate(arena, seconds);
+        let mut recorder = arena.recording(&file, &[]);
+        arena.simulate(ROBOTS, seconds);
         let is_whole = ended_whole(&mut recorder);
         assert_eq!(worker.stop().code(), Some(0));
         if is_whole {
@@ -196,7 +158,7 @@ fn spoilt(file: &Path, to: &Path, spoil: impl Fn(&mut Message) -> bool) {
 
 #[test]
 fn a_recorded_run_is_verified_and_a_flipped_bit_is_named() {
-    let arena = Arena::new(&setup());
+    let arena = Arena::new(&Setup::simulated());
     let file = record(&arena, "run.mcap", "3");
     let name = file.to_str().unwrap();
 
@@ -253,37 +215,16 @@ fn a_recorded_run_is_verified_and_a_flipped_bit_is_named() {
     arena.close();
 }
 
-/// The model that ships with two more inputs: how fresh the newest reading is. Random as their
-/// weights are, every forecast depends on them.
-fn fresh_model() -> Vec<u8> {
-    let (_, bytes) = builtin_model("gternal-sim").expect("it ships");
-    let plain = Network::from_safetensors(bytes).unwrap();
-    let (mut parameters, mut card) = (plain.parameters().clone(), plain.card().clone());
-    parameters.feature_set = FeatureSet::Freshness;
-    card.training_range.feature_set = FeatureSet::Freshness;
-    let first = &mut parameters.layers[0].weights;
-    let wider = first
-        .chunks(FEATURES)
-        .enumerate()
-        .flat_map(|(output, row)| {
-            let more = [0.1 * (output % 7) as f32, 0.2 - 0.1 * (output % 5) as f32];
-            row.iter().copied().chain(more).collect::<Vec<f32>>()
-        });
-    *first = wider.collect();
-    parameters.normalisation.feature_std[FEATURES..].fill(1.0);
-    card.training_range.max[FEATURES..].fill(30.0);
-    let network = Network::new(parameters, card).unwrap();
-    network.to_safetensors().unwrap()
-}
-
 #[test]
 fn a_run_with_a_model_that_reads_freshness_is_verified() {
-    let arena = Arena::new(&setup());
+    let arena = Arena::new(&Setup::simulated());
     let path = arena.files().join("fresh.safetensors");
-    std::fs::write(&path, fresh_model()).unwrap();
+    // Random as its weights are, every forecast depends on how fresh the newest reading is.
+    let model = random::network(1, FeatureSet::Freshness);
+    std::fs::write(&path, model.to_safetensors().unwrap()).unwrap();
     arena.configure(&Setup {
         model: Some(path),
-        ..setup()
+        ..Setup::simulated()
     });
     let file = record(&arena, "fresh.mcap", "3");
     let report = alone(&["replay", "--verify", file.to_str().unwrap()]).json();
@@ -317,7 +258,7 @@ fn replayed_and_recorded(arena: &Arena, first: &Path) -> (PathBuf, Value) {
     for attempt in 0..TRIES {
         let second = arena.files().join(format!("{attempt}-second.mcap"));
         let mut worker = arena.worker();
-        let mut recorder = recorder(arena, &second, &[]);
+        let mut recorder = arena.recording(&second, &[]);
         let ended = alone(&["replay", first.to_str().unwrap(), "--rate", "2"]);
         let report = ended.json();
         assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
@@ -332,7 +273,7 @@ fn replayed_and_recorded(arena: &Arena, first: &Path) -> (PathBuf, Value) {
 
 #[test]
 fn what_is_recorded_of_a_replay_is_what_was_replayed() {
-    let arena = Arena::new(&setup());
+    let arena = Arena::new(&Setup::simulated());
     let first = record(&arena, "first.mcap", "3");
     let (second, report) = replayed_and_recorded(&arena, &first);
 
@@ -379,7 +320,7 @@ fn what_is_recorded_of_a_replay_is_what_was_replayed() {
 
 #[test]
 fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
-    let arena = Arena::new(&setup());
+    let arena = Arena::new(&Setup::simulated());
     let mut worker = arena.worker();
     let mut source = arena.controller("source", 0, 12, 30.0);
     let mut planner = arena.planner();
@@ -388,7 +329,7 @@ fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
     let split = (0..TRIES).find(|attempt| {
         let name = format!("split{attempt}");
         let file = arena.files().join(format!("{name}.mcap"));
-        let mut recorder = recorder(&arena, &file, &["--max-bag-duration", "4"]);
+        let mut recorder = arena.recording(&file, &["--max-bag-duration", "4"]);
         let third = arena.files().join(format!("{name}_2.mcap"));
         eventually("the third file", || third.exists());
         ended_whole(&mut recorder)
@@ -423,7 +364,7 @@ fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
 
 #[test]
 fn another_model_is_compared_robot_by_robot() {
-    let arena = Arena::new(&setup());
+    let arena = Arena::new(&Setup::simulated());
     let file = record(&arena, "run.mcap", "3");
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/models");
     let other = models.join("gternal-sim-power.safetensors");
@@ -464,7 +405,7 @@ fn another_model_is_compared_robot_by_robot() {
 
 #[test]
 fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
-    let arena = Arena::new(&setup());
+    let arena = Arena::new(&Setup::simulated());
     let file = record(&arena, "run.mcap", "3");
     let name = file.to_str().unwrap();
     let outputs = ["--topics", "forecasts", "diagnostics", "budgets"];
@@ -481,7 +422,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
     worker.stop();
 
     let second = arena.files().join("second.mcap");
-    let mut recorder = recorder(&arena, &second, &[]);
+    let mut recorder = arena.recording(&second, &[]);
     let span = [
         "--start-offset",
         "1.5",
@@ -532,7 +473,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
 
 #[test]
 fn a_replay_goes_step_by_step() {
-    let arena = Arena::new(&setup());
+    let arena = Arena::new(&Setup::simulated());
     let file = record(&arena, "run.mcap", "2");
     let mut planner = arena.recorder();
     let arguments = [
