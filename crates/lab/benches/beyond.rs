@@ -5,10 +5,13 @@
 //! trained); with names behind `--`, such as `husky rover robotino simulated`, those alone. Recordings
 //! are looked for in `../shared/data`, beside the repository.
 
+#[path = "../tests/live/mod.rs"]
+mod live;
+
 use std::path::{Path, PathBuf};
 
 use joulebus_fleet::Platform;
-use joulebus_lab::beyond::{Judged, VARIANTS, judge, settings};
+use joulebus_lab::beyond::{Judged, VARIANTS, judge};
 use joulebus_lab::metrics::Tally;
 use joulebus_lab::plant::{protocol, scenario};
 use joulebus_lab::rows::trial_rows;
@@ -17,6 +20,7 @@ use joulebus_lab::split::{By, Source, Split, deal, deal_leaving_out, group_of};
 use joulebus_lab::train::{Dataset, Settings, train};
 use joulebus_lab::trial::Trial;
 use joulebus_predictor::{FeatureSet, Network};
+use live::settings;
 
 /// Seed of splits and networks.
 const SEED: u64 = 1;

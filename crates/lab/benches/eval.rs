@@ -2,14 +2,17 @@
 //! on one and two threads.
 //!
 //! `cargo bench -p joulebus-lab --bench eval [FOLDER]`; without a folder, `../shared/data/robotino`.
+#[path = "../tests/live/mod.rs"]
+mod live;
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use joulebus_fleet::{AlarmSettings, Intake, IntervalSettings, Settings};
 use joulebus_lab::bootstrap::Bootstrap;
 use joulebus_lab::score::{Design, Options, Recording, Subject, read_recordings, score};
 use joulebus_lab::split::{By, Split};
 use joulebus_predictor::{Model, Network};
+use live::settings;
 
 const ROUNDS: usize = 5;
 
@@ -139,33 +142,4 @@ fn evaluate(recordings: &[Recording], model: &Model, design: &Design, options: &
         .expect("sound data")
         .report
         .to_string()
-}
-
-fn settings() -> Settings {
-    Settings {
-        capacity: 1,
-        intake: Intake {
-            max_samples_per_tick: 16,
-            max_jump_ns: 10_000_000_000,
-            leave_after_ns: 60_000_000_000,
-            max_sources: 4,
-        },
-        interval: IntervalSettings {
-            coverage: 0.9,
-            rate: 0.05,
-        },
-        alarms: AlarmSettings {
-            bias_weight: 0.01,
-            cusum_slack: 0.5,
-            cusum_limit: 20.0,
-            noise_weight: 0.01,
-            noise_limit: 4.0,
-            mismatch_limit: 2.0,
-            settle_samples: 100,
-            raise_samples: 10,
-            clear_samples: 30,
-            training_margin: 0.1,
-        },
-        platforms: Vec::new(),
-    }
 }

@@ -2,7 +2,7 @@
 //! `adapt` of a platform, judged through the live tick on recorded trials, beside persistence and the
 //! linear baseline AR(5) + velocities of the model file.
 
-use joulebus_fleet::{AlarmSettings, Intake, IntervalSettings, Online, Platform, Settings};
+use joulebus_fleet::{Online, Platform, Settings};
 use joulebus_predictor::{FEATURES, FeatureSet, Linear, Model, Network};
 
 use crate::evaluate::{EvaluateError, RobotEvaluation, evaluate_trial};
@@ -79,38 +79,6 @@ impl Judged {
             .r2()
             .max(linear)
             .max(network.forecasts.r2())
-    }
-}
-
-/// The settings of the live tick: those of the shipped config, but that no gap in a recording is too
-/// long for its stamps to be taken.
-#[must_use]
-pub fn settings() -> Settings {
-    Settings {
-        capacity: 1,
-        intake: Intake {
-            max_samples_per_tick: 16,
-            max_jump_ns: 3_600_000_000_000,
-            leave_after_ns: 3_600_000_000_000,
-            max_sources: 1,
-        },
-        interval: IntervalSettings {
-            coverage: 0.9,
-            rate: 0.2,
-        },
-        alarms: AlarmSettings {
-            bias_weight: 0.005,
-            cusum_slack: 0.5,
-            cusum_limit: 30.0,
-            noise_weight: 0.005,
-            noise_limit: 12.0,
-            mismatch_limit: 2.0,
-            settle_samples: 100,
-            raise_samples: 5,
-            clear_samples: 30,
-            training_margin: 0.1,
-        },
-        platforms: Vec::new(),
     }
 }
 

@@ -210,25 +210,31 @@ impl Options {
 
 /// Evaluates the models on the recordings, in parallel.
 ///
-/// ```no_run
-/// # fn load() -> joulebus_predictor::Model { unimplemented!() }
-/// # fn settings() -> joulebus_fleet::Settings { unimplemented!() }
-/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// ```
+/// use joulebus_config::{Config, builtin_model};
+/// use joulebus_lab::plant::protocol;
 /// use joulebus_lab::score::{Design, Options, Recording, Subject, score};
-/// use joulebus_lab::split::{By, Split};
-/// use joulebus_lab::trial::Trial;
-/// let recordings = [Recording::new(0, Trial::read("a.npy")?), Recording::new(1, Trial::read("b.npy")?)];
+/// use joulebus_predictor::{Model, Network};
+///
+/// let config = Config::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/fleet.toml"))?;
+/// let (_, file) = builtin_model("gternal-sim").ok_or("no such model ships")?;
+/// let models = [Model::Network(Network::from_safetensors(file)?)];
+/// // Simulated; of a file, `Trial::read` makes one.
+/// let trials = [protocol::trial(4, 7)?, protocol::trial(6, 7)?];
+/// let recordings: Vec<_> = (0..).zip(trials).map(|(id, trial)| Recording::new(id, trial)).collect();
 /// let subject = Subject {
-///     settings: &settings(),
+///     settings: config.settings(),
 ///     platform: None,
-///     models: &[load()],
+///     models: &models,
 ///     recordings: &recordings,
 ///     design: &Design::folds(&recordings),
 /// };
 /// let scored = score(subject, &Options::default())?;
 /// println!("{}", scored.report);
-/// # Ok(())
-/// # }
+/// // The network, persistence and the lines: all on the same rows.
+/// let all = &scored.report.all;
+/// assert!(all.forecasters.iter().all(|one| one.count == all.rows));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors

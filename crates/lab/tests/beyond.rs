@@ -1,16 +1,19 @@
 //! On part of the recordings: a mixture is never much worse than its best member, it stays above the
 //! baselines where the network falls below them, and intervals hold their coverage trial by trial.
 
+mod live;
+
 use std::path::{Path, PathBuf};
 
 use joulebus_fleet::Platform;
-use joulebus_lab::beyond::{FEWEST_READINGS, Judged, TOLERANCE, judge, settings};
+use joulebus_lab::beyond::{FEWEST_READINGS, Judged, TOLERANCE, judge};
 use joulebus_lab::metrics::Tally;
 use joulebus_lab::rows::trial_rows;
 use joulebus_lab::score::recorded_platform;
 use joulebus_lab::train::{Dataset, Row, Settings, train};
 use joulebus_lab::trial::Trial;
 use joulebus_predictor::FeatureSet;
+use live::settings;
 
 /// The first trials of a terrain; `None` where there are no recordings.
 fn trials(terrain: &str, count: usize) -> Option<Vec<Trial>> {

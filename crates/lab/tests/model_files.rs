@@ -2,6 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 mod fixture;
+#[allow(dead_code, reason = "its rows")]
+#[path = "../../predictor/tests/random/mod.rs"]
+mod random;
 
 use std::fmt::Write as _;
 
@@ -304,27 +307,9 @@ fn data_that_cannot_tell_conventions_apart_give_no_clear_choice() {
     }
 }
 
-/// The shipped network with two more inputs: how fresh the newest reading is.
+/// A network that also reads how fresh the newest reading is.
 fn fresh() -> Network {
-    let plain = shipped();
-    let (mut parameters, mut card) = (plain.parameters().clone(), plain.card().clone());
-    parameters.feature_set = FeatureSet::Freshness;
-    card.training_range.feature_set = FeatureSet::Freshness;
-    let first = &mut parameters.layers[0].weights;
-    let wider = first
-        .chunks(FEATURES)
-        .enumerate()
-        .flat_map(|(output, row)| {
-            let more = [0.01 * output as f32, -0.3];
-            row.iter().copied().chain(more).collect::<Vec<f32>>()
-        });
-    *first = wider.collect();
-    for (feature, mean, std, max) in [(FEATURES, 1.0, 0.8, 2.0), (FEATURES + 1, 0.3, 0.5, 1.0)] {
-        parameters.normalisation.feature_mean[feature] = mean;
-        parameters.normalisation.feature_std[feature] = std;
-        card.training_range.max[feature] = max;
-    }
-    Network::new(parameters, card).expect("sound")
+    random::network(1, FeatureSet::Freshness)
 }
 
 #[test]

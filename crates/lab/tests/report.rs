@@ -2,10 +2,12 @@
 //! simulated.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
+mod live;
+
 use std::collections::HashSet;
 use std::sync::OnceLock;
 
-use joulebus_fleet::{AlarmSettings, Intake, IntervalSettings, Settings};
+use joulebus_fleet::Settings;
 use joulebus_lab::figure::{Axis, Colour, Figure, Layer, Mark, Panel};
 use joulebus_lab::plant::parts::Parts;
 use joulebus_lab::plant::protocol::Protocol;
@@ -15,36 +17,8 @@ use joulebus_lab::report::{
 };
 use joulebus_lab::score::Recording;
 use joulebus_predictor::Model;
+use live::settings;
 use serde_json::Value;
-
-fn settings() -> Settings {
-    Settings {
-        capacity: 1,
-        intake: Intake {
-            max_samples_per_tick: 1_024,
-            max_jump_ns: 10_000_000_000,
-            leave_after_ns: 1_000_000_000_000,
-            max_sources: 4,
-        },
-        interval: IntervalSettings {
-            coverage: 0.9,
-            rate: 0.05,
-        },
-        alarms: AlarmSettings {
-            bias_weight: 0.01,
-            cusum_slack: 0.5,
-            cusum_limit: 20.0,
-            noise_weight: 0.01,
-            noise_limit: 4.0,
-            mismatch_limit: 2.0,
-            settle_samples: 100,
-            raise_samples: 10,
-            clear_samples: 30,
-            training_margin: 0.1,
-        },
-        platforms: Vec::new(),
-    }
-}
 
 fn course() -> Simulated {
     let mut course = Simulated::new(3);

@@ -5,7 +5,12 @@
 mod evaluation;
 mod files;
 mod fleet;
+#[path = "../live/mod.rs"]
+mod live;
 mod model;
+#[allow(dead_code, reason = "its rows")]
+#[path = "../../../predictor/tests/random/mod.rs"]
+mod random;
 mod read;
 mod recordings;
 mod rows;

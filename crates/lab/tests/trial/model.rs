@@ -1,12 +1,13 @@
 //! Settings of the three recorded platforms, and networks drawn from a seed.
 
-use joulebus_fleet::{AlarmSettings, Intake, IntervalSettings, Online, Platform, Settings};
+use joulebus_fleet::{Intake, Online, Platform, Settings};
 use joulebus_predictor::{
-    Activation, Card, FEATURES, FeatureSet, HIDDEN, INPUTS, Layer, Model, Network, Normalisation,
-    Parameters, Persistence, ResidualStats, Scores, TrainingRange,
+    Activation, Card, FEATURES, FeatureSet, INPUTS, Model, Network, Normalisation, Parameters,
+    Persistence, ResidualStats, TrainingRange,
 };
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64;
+
+use crate::live;
+use crate::random::{self, Noise};
 
 pub(crate) const ROBOTINO: u32 = 1_000;
 pub(crate) const HUSKY: u32 = 2_000;
@@ -36,27 +37,12 @@ pub(crate) fn settings() -> Settings {
             leave_after_ns: 1_000_000_000_000,
             max_sources: 4,
         },
-        interval: IntervalSettings {
-            coverage: 0.9,
-            rate: 0.05,
-        },
-        alarms: AlarmSettings {
-            bias_weight: 0.01,
-            cusum_slack: 0.5,
-            cusum_limit: 20.0,
-            noise_weight: 0.01,
-            noise_limit: 4.0,
-            mismatch_limit: 2.0,
-            settle_samples: 100,
-            raise_samples: 10,
-            clear_samples: 30,
-            training_margin: 0.1,
-        },
         platforms: vec![
             platform("robotino", ROBOTINO, 31_250_000),
             platform("husky", HUSKY, 153_846_154),
             platform("rover", ROVER, 33_333_333),
         ],
+        ..live::settings()
     }
 }
 
@@ -72,32 +58,11 @@ pub(crate) fn persistence() -> Model {
 
 /// A network with random weights around the powers of a platform.
 pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> Model {
-    let mut random = Pcg64::seed_from_u64(seed);
-    let [first, second, third] = HIDDEN;
-    let mut layer = |inputs: usize, outputs: usize| {
-        let scale = (3.0 / inputs as f32).sqrt();
-        let mut draw = |count| {
-            (0..count)
-                .map(|_| random.random_range(-scale..scale))
-                .collect()
-        };
-        Layer {
-            weights: draw(inputs * outputs),
-            bias: draw(outputs),
-        }
-    };
-    let layers = [
-        layer(feature_set.inputs(), first),
-        layer(first, second),
-        layer(second, third),
-        layer(third, 1),
-    ];
     let mut feature_mean = [0.1; INPUTS];
     feature_mean[6..FEATURES].fill(power_mean_w);
     let mut feature_std = [0.5; INPUTS];
     feature_std[6..FEATURES].fill(power_mean_w / 4.0);
     let parameters = Parameters {
-        feature_set,
         normalisation: Normalisation {
             feature_mean,
             feature_std,
@@ -105,13 +70,10 @@ pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> 
             power_std_w: power_mean_w / 4.0,
         },
         activation: Activation::GeluErf,
-        layers,
+        ..random::parameters(&mut Noise(seed), feature_set)
     };
     let card = Card {
         name: format!("random {seed}"),
-        source: "random weights".to_owned(),
-        training_data: "none".to_owned(),
-        training_data_sha256: "00".repeat(32),
         seed,
         training_range: TrainingRange {
             feature_set,
@@ -119,14 +81,8 @@ pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> 
             max: [1_000.0; INPUTS],
         },
         residual: RESIDUAL,
-        scores: Scores {
-            rows: 1,
-            network_r2: 0.5,
-            network_mae_w: 1.0,
-            persistence_r2: 0.5,
-            persistence_mae_w: 1.0,
-        },
         linear: None,
+        ..random::card(feature_set)
     };
     Model::Network(Network::new(parameters, card).unwrap())
 }
