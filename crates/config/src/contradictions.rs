@@ -5,6 +5,7 @@
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
+use crate::cpus;
 use crate::document::{FleetFile, Listed};
 use crate::files::{check_model, complaint};
 use crate::key::{File, Key, Preset};
@@ -34,6 +35,7 @@ pub(crate) fn check(
     }
     tick(fleet, problems);
     intake(fleet, problems, warnings);
+    threads(fleet, problems);
     worker(fleet, warnings);
     for listed in &read.platforms {
         let values = &listed.values;
@@ -156,6 +158,30 @@ fn intake(fleet: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
                 fleet.quote("tick.rate_hz")
             ),
             "Between two ticks there is nothing new to save: raise every_s",
+        ));
+    }
+}
+
+/// A thread past the end of the list would stay where the tick's own thread was put, and wait for it.
+fn threads(fleet: &Values, problems: &mut Vec<Problem>) {
+    let (threads, cpus) = ("worker.threads", "worker.cpus");
+    let (Some(asked), Some(listed)) = (
+        fleet.number(threads),
+        fleet.text(cpus).and_then(|list| cpus::parse(&list)),
+    ) else {
+        return;
+    };
+    let found = listed.len();
+    if found > 0 && asked > found as f64 {
+        problems.push(contradiction(
+            [(fleet, threads), (fleet, cpus)],
+            &format!(
+                "{} is more than the {found} CPUs of {}",
+                fleet.quote(threads),
+                fleet.quote(cpus)
+            ),
+            "Each thread has a CPU of its own: list more of them, lower threads, or write threads = 0 \
+             for one on each",
         ));
     }
 }

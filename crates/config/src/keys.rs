@@ -99,7 +99,7 @@ pub const KEYS: &[Key] = &[
         "Time between two checkpoints: a killed worker loses at most this much of the ledger."),
 
     key("worker.threads", int(0, 64), "threads", Preset::Integer(0),
-        "Threads that share a large tick; 0: one for each of cpus, or without these one for each processor, at most 8."),
+        "Threads that share a large tick, no more than cpus lists; 0: one for each of cpus, or without these one for each processor, at most 8."),
     key("worker.threads_from", int(1, 1_000_000), "robots", Preset::Integer(4000),
         "Robots from which on a tick is shared: below, another thread comes too late to help."),
     key("worker.cpus", Kind::Text(TextRule::Cpus), "", Preset::Text(""),

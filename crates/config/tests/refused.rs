@@ -408,6 +408,16 @@ fn a_key_in_another_unit_is_told_in_the_right_one() {
 fn contradictions_are_refused_naming_both_keys_and_lines() {
     let cases: &[(&str, &str, &str, &[&str])] = &[
         (
+            "cpus = \"1\"",
+            "threads = 3\ncpus = \"1,4\"",
+            "worker.threads",
+            &[
+                "`worker.threads` = 3 threads (<config>:22)",
+                "more than the 2 CPUs of `worker.cpus` = \"1,4\" (<config>:23)",
+                "threads = 0",
+            ],
+        ),
+        (
             "deadline_ms = 10.0",
             "deadline_ms = 40",
             "tick.deadline_ms",
