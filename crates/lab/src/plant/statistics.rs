@@ -2,7 +2,8 @@
 //!
 //! Each figure is measured on the simulation in the way that the paper describes it, and stands
 //! beside the paper's value, the band within which it is held, and its role: *fitted* figures were
-//! a target of the fit, *checked* ones were not, and *given* ones were put in.
+//! a target of the fit, *checked* ones were not, *given* ones were put in, and *reported* ones are not
+//! met, and held to nothing.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -71,6 +72,8 @@ pub enum Role {
     Checked,
     /// Put in.
     Given,
+    /// Not met, and held to nothing: it stands beside the paper's.
+    Reported,
 }
 
 /// One figure.
@@ -82,8 +85,8 @@ pub struct Figure {
     pub paper: String,
     /// What the plant gives.
     pub found: f64,
-    /// What it is held to, both ends included.
-    pub held: (f64, f64),
+    /// What it is held to, both ends included; `None` where it is only reported.
+    pub held: Option<(f64, f64)>,
     /// What was done about it.
     pub role: Role,
 }
@@ -96,10 +99,11 @@ impl Figure {
         }
     }
 
-    /// Whether the figure lies in its band.
+    /// Whether the figure lies in its band; none that is only reported leaves one.
     #[must_use]
     pub fn holds(&self) -> bool {
-        (self.held.0..=self.held.1).contains(&self.found)
+        self.held
+            .is_none_or(|(low, high)| (low..=high).contains(&self.found))
     }
 }
 
@@ -488,12 +492,7 @@ impl Measured {
                 median,
                 0.0..=1.3,
             ),
-            figure(
-                "seven robots, energy errors below 0.1 %",
-                "4",
-                small,
-                0.0..=7.0,
-            ),
+            reported("seven robots, energy errors below 0.1 %", "4", small),
         ]
     }
 
@@ -512,12 +511,22 @@ fn figure(name: &str, paper: &str, found: f64, held: RangeInclusive<f64>) -> Fig
         name: name.to_owned(),
         paper: paper.to_owned(),
         found,
-        held: held.into_inner(),
+        held: Some(held.into_inner()),
         role: if is_target {
             Role::Fitted
         } else {
             Role::Checked
         },
+    }
+}
+
+fn reported(name: &str, paper: &str, found: f64) -> Figure {
+    Figure {
+        name: name.to_owned(),
+        paper: paper.to_owned(),
+        found,
+        held: None,
+        role: Role::Reported,
     }
 }
 
@@ -534,10 +543,10 @@ impl fmt::Display for Figure {
 impl Figure {
     /// Decimal places that the figure is worth.
     fn places(&self) -> usize {
-        match self.held.0.abs().max(self.held.1.abs()) {
-            most if most < 2.0 => 3,
-            most if most < 100.0 => 1,
-            _ => 0,
+        match self.held.map(|(low, high)| low.abs().max(high.abs())) {
+            Some(most) if most < 2.0 => 3,
+            Some(most) if most >= 100.0 => 0,
+            _ => 1,
         }
     }
 
@@ -547,17 +556,20 @@ impl Figure {
         let places = self.places();
         let found: Vec<f64> = others.iter().map(|figure| figure.found).collect();
         let (mean, std) = mean_and_std(&found);
-        let (low, high) = self.held;
+        let holding = others.iter().filter(|figure| figure.holds()).count();
+        let (band, holding) = match self.held {
+            None => ("–".to_owned(), "–".to_owned()),
+            Some((low, high)) => (
+                format!("{low:.places$} to {high:.places$}"),
+                format!("{holding} of {}", others.len()),
+            ),
+        };
         let role = match self.role {
             Role::Fitted => "fitted",
             Role::Checked => "checked",
             Role::Given => "given",
+            Role::Reported => "reported",
         };
-        let holding = others.iter().filter(|figure| figure.holds()).count();
-        format!(
-            "{self} {mean:.places$} ± {std:.places$} | {low:.places$} to {high:.places$} | {role} | \
-             {holding} of {} |",
-            others.len()
-        )
+        format!("{self} {mean:.places$} ± {std:.places$} | {band} | {role} | {holding} |")
     }
 }
