@@ -15,7 +15,7 @@ use serde::Serialize;
 use crate::exit::Outcome;
 use crate::network;
 use crate::output::{Output, say};
-pub(crate) use subject::{Asked, usage};
+pub(crate) use subject::{Asked, check_apart, usage};
 
 /// Live scores that the text shows trial by trial; of more trials, one line a platform.
 const LISTED: usize = 24;

@@ -16,7 +16,8 @@ use joulebus_predictor::Model;
 
 use crate::config_file::ConfigFile;
 use crate::data::find_recordings;
-use crate::exit::{Outcome, UsageError};
+use crate::eval::check_apart;
+use crate::exit::Outcome;
 use crate::network;
 use crate::output::{Output, say};
 use crate::train::write;
@@ -131,16 +132,7 @@ impl Args {
             .map_or(0, |ids| *ids.start());
         let evaluated = read(&self.paths, first)?;
         let learned_from = read(&self.train, first)?;
-        let twice = learned_from.iter().find(|learned| {
-            evaluated
-                .iter()
-                .any(|recording| recording.name == learned.name)
-        });
-        if let Some(twice) = twice {
-            let what = format!("{} is evaluated and in --train", twice.name);
-            let remedy = "what a baseline learned from must not be evaluated";
-            return Err(UsageError(format!("{what}: {remedy}")).into());
-        }
+        check_apart(&evaluated, (&learned_from, "in --train"))?;
         say(&format!("evaluating {} recordings", evaluated.len()));
         Ok(recorded(&Recorded {
             settings,

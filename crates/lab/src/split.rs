@@ -4,13 +4,18 @@
 //! trials, robots or groups of trials go to one part, or each trial is cut in time with a pause
 //! between the parts that is longer than the lag window, and lasts until the reading that stood at
 //! the cut, if the sensor held it, is in no window any more.
+//!
+//! A recording that lies there twice, as two files, would be learned from and scored on all the same:
+//! where its rows come to lie in two parts the split is refused. Leaving one file out by itself would
+//! change which units there are, and so the whole split, unseen.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::ops::Range;
 
 use joulebus_predictor::LAGS;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest as _, Sha256};
 
 use crate::noise::Noise;
 use crate::rows::TrialRows;
@@ -110,6 +115,26 @@ pub struct Source {
     pub rows: TrialRows,
 }
 
+/// A trial in one of several parts that must not share a row.
+#[derive(Debug, Clone, Copy)]
+pub struct Placed<'a> {
+    /// The trial's name: its file.
+    pub trial: &'a str,
+    /// Its rows.
+    pub rows: &'a TrialRows,
+    /// The part, as a message has it.
+    pub part: &'static str,
+}
+
+impl<'a> Placed<'a> {
+    /// A source in a part.
+    #[must_use]
+    pub fn new(source: &'a Source, part: &'static str) -> Self {
+        let Source { trial, rows, .. } = source;
+        Self { trial, rows, part }
+    }
+}
+
 /// Which rows of each trial are of which part.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Deal {
@@ -173,6 +198,27 @@ pub enum SplitError {
         /// Units found.
         found: usize,
     },
+    /// The same rows would be learned from and scored on.
+    #[error(
+        "{}, {} and {}: {rows} rows. A model must not learn what it is scored on: leave one of them out",
+        in_two_parts(trials), parts[0], parts[1]
+    )]
+    Copy {
+        /// The trials; the same twice, if it was named twice.
+        trials: [String; 2],
+        /// The part of each.
+        parts: [&'static str; 2],
+        /// Their rows.
+        rows: usize,
+    },
+}
+
+fn in_two_parts([first, second]: &[String; 2]) -> String {
+    if first == second {
+        format!("{first} is in two parts")
+    } else {
+        format!("{first} and {second} are the same recording and in two parts")
+    }
 }
 
 /// The group that a file belongs to: its name without what numbers it. `ICE_03.csv.gz` and
@@ -183,6 +229,43 @@ pub fn group_of(file_name: &str) -> String {
     let name = stem.trim_end_matches(|c: char| c.is_ascii_digit());
     let name = name.trim_end_matches(['_', '-', ' ']);
     if name.is_empty() { stem } else { name }.to_owned()
+}
+
+/// Refuses rows that stand in two parts: a recording may be there twice, under two names. Trials without
+/// rows count for nothing.
+///
+/// # Errors
+/// [`SplitError::Copy`], the first that is found.
+pub fn check_copies<'a>(placed: impl IntoIterator<Item = Placed<'a>>) -> Result<(), SplitError> {
+    let mut first_with: HashMap<[u8; 32], Placed<'a>> = HashMap::new();
+    for one in placed {
+        let rows = one.rows.rows.len();
+        if rows == 0 {
+            continue;
+        }
+        let first = *first_with.entry(digest(one.rows)).or_insert(one);
+        if first.part != one.part {
+            return Err(SplitError::Copy {
+                trials: [first, one].map(|placed| placed.trial.to_owned()),
+                parts: [first.part, one.part],
+                rows,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Of all that is learned from rows.
+pub(crate) fn digest(rows: &TrialRows) -> [u8; 32] {
+    let mut digest = Sha256::new();
+    let mut bytes = Vec::new();
+    for row in &rows.rows {
+        let values = row.features.iter().chain([&row.target_w]);
+        bytes.extend(values.flat_map(|value| value.to_le_bytes()));
+        digest.update(&bytes);
+        bytes.clear();
+    }
+    digest.finalize().into()
 }
 
 /// Deals the rows out. `description` says where they come from; how they were split is added to it.
@@ -227,7 +310,7 @@ pub fn deal(sources: &[Source], split: Split) -> Result<Deal, SplitError> {
     let held_out = names.split_off(found - held_out);
     let validation = names.split_off(names.len() - validation);
     let parts = [names, validation, held_out];
-    Ok(by_unit(sources, split.by, parts, split.to_string()))
+    by_unit(sources, split.by, parts, split.to_string())
 }
 
 /// The same with the units named that are held out, such as one terrain of several; the share for
@@ -270,7 +353,7 @@ pub fn deal_leaving_out(
         split.seed
     );
     let parts = [names, validation, left_out];
-    Ok(by_unit(sources, split.by, parts, name))
+    by_unit(sources, split.by, parts, name)
 }
 
 impl Deal {
@@ -330,15 +413,26 @@ fn shuffle(names: &mut [String], seed: u64) {
     }
 }
 
-fn by_unit(sources: &[Source], by: By, parts: [Vec<String>; 3], name: String) -> Deal {
+/// Names of the parts in messages.
+pub const PARTS: [&str; 3] = ["training", "validation", "held out"];
+
+fn by_unit(
+    sources: &[Source],
+    by: By,
+    parts: [Vec<String>; 3],
+    name: String,
+) -> Result<Deal, SplitError> {
     let mut part_of = BTreeMap::new();
     for (part, names) in parts.iter().enumerate() {
         part_of.extend(names.iter().map(|name| (name.clone(), part)));
     }
+    // Every unit was dealt to a part.
+    let part = |source: &Source| part_of.get(unit(source, by)).map(|part| PARTS[*part]);
+    let placed = sources.iter();
+    check_copies(placed.filter_map(|source| Some(Placed::new(source, part(source)?))))?;
     let mut rows = [0; 3];
     let ranges = sources.iter().map(|source| {
         let mut ranges = [0..0, 0..0, 0..0];
-        // Every unit was dealt to a part.
         if let Some(part) = part_of.get(unit(source, by)) {
             ranges[*part] = 0..source.rows.rows.len();
             rows[*part] += source.rows.rows.len();
@@ -350,7 +444,7 @@ fn by_unit(sources: &[Source], by: By, parts: [Vec<String>; 3], name: String) ->
         names.sort();
         names
     });
-    Deal {
+    Ok(Deal {
         ranges,
         dealt: Dealt {
             by,
@@ -361,9 +455,10 @@ fn by_unit(sources: &[Source], by: By, parts: [Vec<String>; 3], name: String) ->
             pause_rows: 0,
             name,
         },
-    }
+    })
 }
 
+/// Copies of a recording are cut at the same rows: what is learned from one is held out of none.
 fn in_time(sources: &[Source], split: Split) -> Deal {
     let mut rows = [0; 3];
     let mut ranges = Vec::with_capacity(sources.len());

@@ -6,6 +6,7 @@ use joulebus_lab::rows::{sample_rows, write_rows};
 use joulebus_lab::split::{
     By, PAUSE_ROWS, Source, Split, SplitError, deal_leaving_out, group_of, split,
 };
+use joulebus_lab::train::Row;
 use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet};
 use joulebus_wire::{Sample, sample_flag};
 use proptest::prelude::*;
@@ -69,6 +70,66 @@ fn sources(trials: usize, rows: usize) -> Vec<Source> {
         }
     });
     sources.collect()
+}
+
+/// The same recording once more, as another file of another robot.
+fn copy_of(source: &Source) -> Source {
+    Source {
+        trial: "copy".to_owned(),
+        robot: "other".to_owned(),
+        group: "other".to_owned(),
+        rows: source.rows.clone(),
+    }
+}
+
+#[test]
+fn a_recording_that_is_there_twice_is_never_learned_from_and_scored_on() {
+    let mut sources = sources(6, 80);
+    sources.push(copy_of(&sources[2]));
+    let rows =
+        |rows: &[Row]| -> HashSet<u32> { rows.iter().map(|row| row.target_w.to_bits()).collect() };
+    let mut refused = 0;
+    for by in [By::Trial, By::Robot, By::Group, By::Time] {
+        for seed in 0..20 {
+            let wanted = Split {
+                by,
+                seed,
+                ..Split::default()
+            };
+            match split(&sources, wanted, "x") {
+                Ok((dataset, _)) => {
+                    let [training, validation, held_out] =
+                        [&dataset.training, &dataset.validation, &dataset.held_out]
+                            .map(|part| rows(part));
+                    assert!(training.is_disjoint(&validation), "{by} {seed}");
+                    assert!(training.is_disjoint(&held_out), "{by} {seed}");
+                    assert!(validation.is_disjoint(&held_out), "{by} {seed}");
+                }
+                Err(SplitError::Copy { trials, parts, .. }) => {
+                    assert_eq!(trials, ["t2", "copy"]);
+                    assert_ne!(parts[0], parts[1]);
+                    assert_ne!(by, By::Time, "copies are cut at the same rows");
+                    refused += 1;
+                }
+                Err(other) => panic!("{by} {seed}: {other}"),
+            }
+        }
+    }
+    assert!((1..60).contains(&refused), "{refused} of 60");
+    let wanted = Split {
+        by: By::Group,
+        ..Split::default()
+    };
+    let error = deal_leaving_out(&sources, wanted, &["g2".to_owned()]).unwrap_err();
+    let text = error.to_string();
+    for said in [
+        "t2 and copy",
+        "held out",
+        "80 rows",
+        "leave one of them out",
+    ] {
+        assert!(text.contains(said), "{said:?} not in {text}");
+    }
 }
 
 /// Which unit a row comes from: its readings say so.

@@ -6,7 +6,7 @@ use joulebus_config::Config;
 use joulebus_fleet::{Platform, Settings};
 use joulebus_lab::bootstrap::Bootstrap;
 use joulebus_lab::score::{Design, Options, Recording, ScoreError, Subject, read_recordings};
-use joulebus_lab::split::Split;
+use joulebus_lab::split::{Placed, Split, check_copies};
 use joulebus_predictor::Model;
 
 use crate::config_file::ConfigFile;
@@ -164,18 +164,27 @@ impl Asked {
             return Ok(Design::folds(recordings));
         }
         let others = read_recordings(&numbered(find_recordings(&self.fit)?))?;
-        let twice = others
-            .iter()
-            .find(|one| recordings.iter().any(|own| own.name == one.name));
-        if let Some(Recording { name, .. }) = twice {
-            let what = format!("{name} is evaluated and after --fit");
-            return Err(UsageError(format!(
-                "{what}: baselines must not learn what they are scored on"
-            ))
-            .into());
-        }
+        check_apart(recordings, (&others, "after --fit"))?;
         Ok(Design::fitted_on(recordings, others))
     }
+}
+
+/// Refuses recordings that are evaluated and learned from, under the same name or another.
+pub(crate) fn check_apart(
+    evaluated: &[Recording],
+    learned: (&[Recording], &'static str),
+) -> Result<(), UsageError> {
+    let placed = [(evaluated, "evaluated"), learned];
+    let placed = placed.into_iter().flat_map(|(recordings, part)| {
+        recordings
+            .iter()
+            .map(move |Recording { name, rows, .. }| Placed {
+                trial: name,
+                rows,
+                part,
+            })
+    });
+    check_copies(placed).map_err(|error| UsageError(error.to_string()))
 }
 
 /// What is wrong with the arguments is wrong usage.

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use joulebus_lab::rows::{trial_rows, write_rows};
-use joulebus_lab::split::{By, Dealt, Source, Split, group_of, split};
+use joulebus_lab::split::{By, Dealt, PARTS, Placed, Source, Split, check_copies, group_of, split};
 use joulebus_lab::train::{Dataset, Row, Settings};
 use joulebus_lab::trial::Trial;
 use serde::Deserialize;
@@ -123,14 +123,11 @@ impl Args {
         let names = parts.map(|part| -> Vec<String> {
             part.iter().map(|source| source.trial.clone()).collect()
         });
-        if let Some(twice) = names[0]
-            .iter()
-            .find(|name| names[1].contains(name) || names[2].contains(name))
-            .or_else(|| names[1].iter().find(|name| names[2].contains(name)))
-        {
-            let what = format!("{twice} is in two parts");
-            return Err(UsageError(format!("{what}: what is learned must not be held out")).into());
-        }
+        let placed = parts.into_iter().zip(PARTS).flat_map(|(sources, part)| {
+            let place = move |source| Placed::new(source, part);
+            sources.iter().map(place)
+        });
+        check_copies(placed).map_err(|error| UsageError(error.to_string()))?;
         let rows = parts.map(|part| -> Vec<Row> {
             part.iter()
                 .flat_map(|source| source.rows.rows.iter().copied())

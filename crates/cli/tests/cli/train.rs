@@ -50,8 +50,9 @@ fn recordings_become_a_model_and_what_went_where_is_said() {
 fn what_cannot_be_trained_on_is_refused_with_a_remedy() {
     let fleet = Fleet::new();
     let folder = tempfile::tempdir().unwrap();
-    let one = fleet.recording("one.csv", 300);
-    let one = one.to_str().unwrap();
+    let files = [("one.csv", 300), ("two.csv", 320), ("copy.csv", 300)];
+    let files = files.map(|(name, rows)| fleet.recording(name, rows));
+    let [one, two, copy] = files.each_ref().map(|file| file.to_str().unwrap());
     let out = folder.path().join("model.safetensors");
     let out = out.to_str().unwrap();
     for (arguments, named) in [
@@ -63,6 +64,10 @@ fn what_cannot_be_trained_on_is_refused_with_a_remedy() {
         (
             vec![one, "--validate", one, "--hold-out", one],
             "is in two parts",
+        ),
+        (
+            vec![one, "--validate", two, "--hold-out", copy],
+            "are the same recording",
         ),
     ] {
         let mut wanted = vec!["train", "trials"];

@@ -1,6 +1,6 @@
 //! Which rows are evaluated, and which rows the baselines may learn from.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
 use joulebus_predictor::FeatureSet;
@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::{Recording, ScoreError};
 use crate::linear::{Linear, Moments, Terms, known_terms};
-use crate::split::{By, Deal, PAUSE_ROWS, Source, Split, deal, deal_leaving_out};
+use crate::split::{By, Deal, PAUSE_ROWS, Source, Split, deal, deal_leaving_out, digest};
 use crate::train::Row;
 
 /// Folds of [`Design::folds`].
@@ -121,7 +121,7 @@ impl Design {
 
     /// Evaluates every row. The recordings are dealt out in turn among up to ten folds, and the
     /// baselines for each are fitted on the others; a single recording is cut in two halves, each
-    /// of which is evaluated with baselines from the other.
+    /// of which is evaluated with baselines from the other. Copies of a recording share its fold.
     #[must_use]
     pub fn folds(recordings: &[Recording]) -> Self {
         let (folds, description) = match recordings {
@@ -267,10 +267,12 @@ fn names(recordings: &[Recording]) -> Vec<String> {
 /// Every recording once, the fitted ones all the others.
 fn in_turn(recordings: &[Recording], count: usize) -> Vec<Fold> {
     let mut folds = vec![Fold::default(); count];
+    let mut first_with = HashMap::new();
     for (at, recording) in recordings.iter().enumerate() {
         let whole = (at, 0..recording.rows.rows.len());
+        let first = *first_with.entry(digest(&recording.rows)).or_insert(at);
         for (number, fold) in folds.iter_mut().enumerate() {
-            if number == at % count {
+            if number == first % count {
                 fold.evaluated.push(whole.clone());
             } else {
                 fold.fitted.push(whole.clone());

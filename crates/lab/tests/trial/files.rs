@@ -103,3 +103,10 @@ pub(crate) fn timed(rows: &[(f64, f64)]) -> Vec<[f64; 11]> {
         })
         .collect()
 }
+
+/// A row of a robot that drives, at a time (s), with a command (m/s, rad/s) and a power (mW).
+pub(crate) fn driven(time_s: f64, v: f64, omega: f64, power_mw: f64) -> [f64; 11] {
+    [
+        1.0, time_s, 0.0, v, omega, 0.0, 0.0, 0.0, 12_000.0, NAN, power_mw,
+    ]
+}

@@ -15,7 +15,7 @@ use joulebus_lab::trial::Trial;
 use joulebus_predictor::{FeatureSet, LAGS, Model};
 use rayon::prelude::*;
 
-use crate::files::{Files, npy_f8};
+use crate::files::{Files, driven, npy_f8};
 use crate::model::{network, persistence, settings};
 use crate::recordings::recordings;
 
@@ -49,19 +49,7 @@ fn made_up(trials: u32, rows: u32) -> Vec<Recording> {
                 30_000.0 + 9_000.0 * phase.sin() + 4_000.0 * noise + 900.0 * f64::from(trial)
             };
             let (v, omega) = (0.1 + 0.05 * phase.cos(), f64::from(row / 40 % 3) * 0.3);
-            table.push([
-                1.0,
-                time_s,
-                0.0,
-                v,
-                omega,
-                0.0,
-                0.0,
-                0.0,
-                12_000.0,
-                f64::NAN,
-                power,
-            ]);
+            table.push(driven(time_s, v, omega, power));
         }
         let group = if trial.is_multiple_of(2) {
             "even"
@@ -405,19 +393,7 @@ fn all_different(trials: u32, rows: u32) -> Vec<Recording> {
     let recording = |trial: u32| {
         let row = |row: u32| {
             let power = f64::from(1_000_000 * trial + 1_000 + row);
-            [
-                1.0,
-                0.033 * f64::from(row),
-                0.0,
-                0.1,
-                0.0,
-                0.0,
-                0.0,
-                0.0,
-                12_000.0,
-                f64::NAN,
-                power,
-            ]
+            driven(0.033 * f64::from(row), 0.1, 0.0, power)
         };
         let table: Vec<_> = (0..rows).map(row).collect();
         let name = format!("{}_{trial:02}.npy", ["a", "b", "c"][trial as usize % 3]);
@@ -475,6 +451,22 @@ fn baselines_never_see_a_reading_that_is_evaluated() {
             "{}",
             design.description
         );
+    }
+}
+
+#[test]
+fn a_recording_that_is_there_twice_is_not_fitted_on_where_it_is_evaluated() {
+    let mut recordings = all_different(12, 60);
+    recordings.push(Recording {
+        name: "copy".to_owned(),
+        ..recordings[3].clone()
+    });
+    for fold in Design::folds(&recordings).folds {
+        let of = |parts: &[(usize, std::ops::Range<usize>)]| {
+            readings(parts.iter().flat_map(|part| &recordings[part.0].rows.rows))
+        };
+        assert!(!fold.evaluated.is_empty());
+        assert!(of(&fold.evaluated).is_disjoint(&of(&fold.fitted)));
     }
 }
 
@@ -573,19 +565,7 @@ fn rows_without_a_forecast_are_left_out_for_all_and_counted() {
     let row = |row: u32| {
         let v = if row % 50 < 20 { f64::NAN } else { 0.1 };
         let power = 3_000.0 + f64::from(row * 31 % 400);
-        [
-            1.0,
-            0.033 * f64::from(row),
-            0.0,
-            v,
-            0.1,
-            0.0,
-            0.0,
-            0.0,
-            12_000.0,
-            f64::NAN,
-            power,
-        ]
+        driven(0.033 * f64::from(row), v, 0.1, power)
     };
     let table: Vec<_> = (0..600).map(row).collect();
     let trial = files.read("partly.npy", &npy_f8(&table)).unwrap();
