@@ -319,7 +319,7 @@ fn killed_at_every_sizing_of_an_object_and_the_next_one_is_ready() {
 }
 
 #[test]
-#[ignore = "623 starts take a minute: RELIABILITY.md has the command"]
+#[ignore = "623 starts take a minute: CONTRIBUTING.md has the command"]
 fn killed_at_every_call_of_a_start_and_the_next_one_is_ready() {
     let calls = [
         "openat",

@@ -138,7 +138,7 @@ fn verify(entries: impl Iterator<Item = Entry>) -> Verification {
 }
 
 #[test]
-#[ignore = "a figure for people"]
+#[ignore = "a figure for people: CONTRIBUTING.md has the command"]
 fn how_fast_a_capture_is_verified() {
     let bytes = capture();
     println!(
