@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use joulebus_fleet::{Platform, Settings};
-use joulebus_lab::trial::Trial;
+use joulebus_lab::trial::{Form, Trial};
 
 use crate::data::find_recordings;
 use crate::exit::UsageError;
@@ -44,11 +44,7 @@ impl TrialFiles {
         let mut ids = Ids::new(self.first_robot);
         let mut trials = Vec::new();
         for path in &self.paths {
-            let (path, who) = split(path);
-            let who = match who {
-                Some(who) => Some(who),
-                None => self.usual(settings)?,
-            };
+            let (path, who) = self.whose(path, settings)?;
             for (robot, file) in assign(&path, who.as_ref(), settings, &mut ids)? {
                 trials.push((robot, Trial::read(file)?));
             }
@@ -80,11 +76,7 @@ impl TrialFiles {
         let mut ids = Ids::new(self.first_robot);
         let mut assigned = Vec::new();
         for path in &self.paths {
-            let (path, who) = split(path);
-            let who = match who {
-                Some(who) => Some(who),
-                None => self.usual(settings)?,
-            };
+            let (path, who) = self.whose(path, settings)?;
             for file in find_recordings(&[path])? {
                 let mut robot = ids.next(who.as_ref(), settings)?;
                 if robot.is_none() {
@@ -99,6 +91,20 @@ impl TrialFiles {
             }
         }
         Ok(assigned)
+    }
+
+    /// The path, and whose ids its robots get.
+    fn whose(
+        &self,
+        argument: &OsString,
+        settings: &Settings,
+    ) -> Result<(PathBuf, Option<Who>), UsageError> {
+        let (path, who) = split(argument);
+        let who = match who {
+            Some(who) => Some(who),
+            None => self.usual(settings)?,
+        };
+        Ok((path, who))
     }
 
     /// Whose ids are taken where the path does not say; none: those that count on.
@@ -179,15 +185,7 @@ pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(directory).with_context(failed)? {
         let path = entry.with_context(failed)?.path();
-        let is_recording = path
-            .file_name()
-            .and_then(|name| name.to_str())
-            .is_some_and(|name| {
-                [".npy", ".csv", ".csv.gz"]
-                    .iter()
-                    .any(|ending| name.ends_with(ending))
-            });
-        if is_recording && path.is_file() {
+        if Form::of(&path).is_some() && path.is_file() {
             files.push(path);
         }
     }

@@ -4,6 +4,7 @@ use std::fmt::{self, Formatter};
 
 use super::cell::{Cell, HorizonCell, Skill};
 use super::compare::{Comparison, Difference};
+use super::design::DesignReport;
 use super::report::{ModelReport, ScoreReport};
 use crate::bootstrap::{Bootstrap, Estimate, LEAST_BLOCKS};
 
@@ -33,19 +34,14 @@ impl fmt::Display for ScoreReport {
 
 impl ScoreReport {
     fn write_data(&self, out: &mut Formatter<'_>) -> fmt::Result {
-        let design = &self.design;
-        writeln!(
-            out,
-            "data: {} trials, {} rows of platform {}; {}",
-            design.trials, design.rows, self.platform, design.description
-        )?;
+        write_design(out, &self.design, &self.platform)?;
         for baseline in &self.baselines {
             let name = &baseline.name;
             let Some(line) = &baseline.line else {
                 writeln!(out, "  {name}: too few rows to fit it on, left out")?;
                 continue;
             };
-            let of_folds = match design.folds {
+            let of_folds = match self.design.folds {
                 1 => String::new(),
                 folds => format!(" (first of {folds} folds)"),
             };
@@ -100,6 +96,19 @@ impl fmt::Display for Number {
             write!(out, "{value:>width$.digits$}")
         }
     }
+}
+
+fn write_design(out: &mut Formatter<'_>, design: &DesignReport, platform: &str) -> fmt::Result {
+    let DesignReport {
+        trials,
+        rows,
+        description,
+        ..
+    } = design;
+    writeln!(
+        out,
+        "data: {trials} trials, {rows} rows of platform {platform}; {description}"
+    )
 }
 
 fn between(estimate: &Estimate, scale: f64, digits: usize) -> String {
@@ -351,12 +360,7 @@ impl fmt::Display for Comparison {
     fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
         write_model(out, "old: model", &self.old)?;
         write_model(out, "new: model", &self.new)?;
-        let design = &self.design;
-        writeln!(
-            out,
-            "data: {} trials, {} rows of platform {}; {}",
-            design.trials, design.rows, self.platform, design.description
-        )?;
+        write_design(out, &self.design, &self.platform)?;
         write_sides(out, &self.all)?;
         for (what, differences) in [
             ("group", &self.groups),

@@ -1,5 +1,7 @@
 //! A trial on another grid of time. Only when asked: every method changes what was recorded.
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 
 use super::table::Columns;
@@ -85,15 +87,8 @@ impl Trial {
     /// # Errors
     /// [`ResampleError`].
     pub fn resampled(&self, how: Resample) -> Result<(Self, Resampled), ResampleError> {
-        let (timestamp_s, columns, told) = resample(&self.timestamp_s, &self.columns, how)?;
-        let table = Table {
-            path: self.path.clone(),
-            robot_name: self.robot_name.clone(),
-            file_row: (1..=told.rows as u32).collect(),
-            timestamp_s,
-            columns,
-            ..Table::default()
-        };
+        let (grid, told) = resample(&self.timestamp_s, &self.columns, how)?;
+        let table = grid.of(&self.path, self.robot_name.as_deref());
         Ok((Self::from_si(table)?, told))
     }
 }
@@ -111,16 +106,8 @@ impl Table {
     /// # Errors
     /// [`ResampleError`].
     pub fn resampled(&self, how: Resample) -> Result<(Self, Resampled), ResampleError> {
-        let (timestamp_s, columns, told) = resample(&self.timestamp_s, &self.columns, how)?;
-        let table = Self {
-            path: self.path.clone(),
-            robot_name: self.robot_name.clone(),
-            file_row: (1..=told.rows as u32).collect(),
-            timestamp_s,
-            columns,
-            ..Self::default()
-        };
-        Ok((table, told))
+        let (grid, told) = resample(&self.timestamp_s, &self.columns, how)?;
+        Ok((grid.of(&self.path, self.robot_name.as_deref()), told))
     }
 }
 
@@ -173,11 +160,36 @@ impl Spans {
     }
 }
 
+/// Rows on a grid of time.
+struct Grid {
+    timestamp_s: Vec<f64>,
+    columns: Columns,
+}
+
+impl Grid {
+    /// As the table of a file.
+    fn of(self, path: &Path, robot_name: Option<&str>) -> Table {
+        let Self {
+            timestamp_s,
+            columns,
+        } = self;
+        Table {
+            path: path.to_owned(),
+            robot_name: robot_name.map(str::to_owned),
+            // Fewer than MAX_ROWS, which fits u32.
+            file_row: (1..=timestamp_s.len() as u32).collect(),
+            timestamp_s,
+            columns,
+            ..Table::default()
+        }
+    }
+}
+
 fn resample(
     timestamp_s: &[f64],
     columns: &Columns,
     how: Resample,
-) -> Result<(Vec<f64>, Columns, Resampled), ResampleError> {
+) -> Result<(Grid, Resampled), ResampleError> {
     let Resample { method, rate_hz } = how;
     if !(rate_hz > 0.0 && rate_hz <= MAX_RATE_HZ) {
         return Err(ResampleError::Rate { rate_hz });
@@ -223,7 +235,11 @@ fn resample(
         not_advancing: timestamp_s.len() - spans.row.len(),
         in_gaps: parts.len() - emitted.len(),
     };
-    Ok((grid_s.collect(), made, told))
+    let grid = Grid {
+        timestamp_s: grid_s.collect(),
+        columns: made,
+    };
+    Ok((grid, told))
 }
 
 /// What a time of the grid is made of: rows with their shares, which come to 1; none in a gap.
