@@ -40,7 +40,7 @@ pub const FEATURE_NAMES: [&str; INPUTS] = [
 /// derivatives NaN, so that the forecast is visibly invalid instead of plausible and wrong.
 ///
 /// The features of freshness are NaN: [`Freshness::fill`] sets them.
-#[inline]
+#[inline(always)]
 pub fn features(
     v_mps: f32,
     omega_radps: f32,

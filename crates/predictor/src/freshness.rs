@@ -39,22 +39,35 @@ impl Freshness {
         interval_steps: 0,
     };
 
+    /// To be kept in columns.
+    #[inline(always)]
+    pub const fn to_bytes(self) -> [u8; 2] {
+        [self.age_steps, self.interval_steps]
+    }
+
+    /// From [`Freshness::to_bytes`]; any two bytes make sense.
+    #[inline(always)]
+    pub const fn from_bytes([age_steps, interval_steps]: [u8; 2]) -> Freshness {
+        Freshness {
+            age_steps,
+            interval_steps,
+        }
+    }
+
     /// Takes the next sample, with a reading: a new measurement, or the last one again.
-    #[inline]
+    #[inline(always)]
     pub fn read(&mut self, new: bool) {
-        if !new {
-            // A held reading of which nobody saw the beginning has no age.
-            self.age_steps = self.older_by(1);
-            return;
-        }
-        if self.age_steps != NEVER {
-            let interval_steps = self.age_steps + 1;
-            self.interval_steps = match self.interval_steps {
-                0 => interval_steps,
-                known => interval_steps.min(known.saturating_add(1)),
-            };
-        }
-        self.age_steps = 0;
+        // A held reading of which nobody saw the beginning has no age.
+        let older = self.older_by_one();
+        let interval_steps = self.age_steps.wrapping_add(1);
+        let learned = if self.interval_steps == 0 {
+            interval_steps
+        } else {
+            interval_steps.min(self.interval_steps.saturating_add(1))
+        };
+        let learns = new & (self.age_steps != NEVER);
+        self.interval_steps = if learns { learned } else { self.interval_steps };
+        self.age_steps = if new { 0 } else { older };
     }
 
     /// Lets sample periods pass without a reading: where a measurement was due, one is taken to have
@@ -82,7 +95,7 @@ impl Freshness {
     }
 
     /// Whether two measurements have been seen. The features are NaN before.
-    #[inline]
+    #[inline(always)]
     pub fn is_known(&self) -> bool {
         self.age_steps != NEVER && self.interval_steps > 0
     }
@@ -100,19 +113,32 @@ impl Freshness {
 
     /// Whether a new measurement is due with the next sample, or overdue; `None` if that is not
     /// known.
+    #[inline(always)]
     pub fn is_due(&self) -> Option<bool> {
-        let known = self.age_steps().zip(self.interval_steps());
-        known.map(|(age_steps, interval_steps)| age_steps + 1 >= interval_steps)
+        // An age that is known is below 255.
+        let due = self.age_steps.saturating_add(1) >= self.interval_steps;
+        self.is_known().then_some(due)
     }
 
     /// Sets the features of freshness: the age in samples, up to [`Freshness::LONGEST_STEPS`], and
     /// whether a new measurement is due, 1 or 0. Both are NaN where that is not known.
-    #[inline]
+    #[inline(always)]
     pub fn fill(&self, row: &mut Features) {
-        let due = self.is_due();
+        let (known, due) = (self.is_known(), self.is_due() == Some(true));
         let age_steps = f32::from(self.age_steps.min(Self::LONGEST_STEPS));
-        row[FEATURES] = due.map_or(f32::NAN, |_| age_steps);
-        row[FEATURES + 1] = due.map_or(f32::NAN, |due| f32::from(u8::from(due)));
+        let due = if due { 1.0 } else { 0.0 };
+        row[FEATURES] = if known { age_steps } else { f32::NAN };
+        row[FEATURES + 1] = if known { due } else { f32::NAN };
+    }
+
+    #[inline(always)]
+    fn older_by_one(&self) -> u8 {
+        let older = self.age_steps.saturating_add(1).min(NEVER - 1);
+        if self.age_steps == NEVER {
+            NEVER
+        } else {
+            older
+        }
     }
 
     /// The age after so many more samples; unknown stays unknown.

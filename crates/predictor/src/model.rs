@@ -1,6 +1,6 @@
 //! A model as the tick sees it: the network or a baseline.
 
-use crate::{FEATURE_NAMES, FeatureSet, Features, INPUTS, Linear, ModelError, Network};
+use crate::{FEATURE_NAMES, FeatureSet, Features, INPUTS, Linear, ModelError, Network, Processor};
 use sha2::{Digest, Sha256};
 
 /// How far a model's forecasts were off on data that it was not trained on.
@@ -159,6 +159,14 @@ impl Model {
         match self {
             Model::Network(network) => network.predict_columns(&features, forecasts_w),
             Model::Persistence(_) => forecasts_w.copy_from_slice(features[read.start]),
+        }
+    }
+
+    /// What the model runs on, for other work: a network's is that of its kernel.
+    pub fn processor(&self) -> Processor {
+        match self {
+            Model::Network(network) => network.processor(),
+            Model::Persistence(_) => Processor::best(),
         }
     }
 

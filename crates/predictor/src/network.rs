@@ -1,7 +1,7 @@
 //! The network's parameters, and its slow, obvious evaluation.
 
 use crate::file;
-use crate::kernel::{Engine, Kernel, LINE, Packed, Tiling, fold, pairwise};
+use crate::kernel::{Engine, Kernel, LINE, Packed, Processor, Tiling, fold, pairwise};
 use crate::{
     Activation, FEATURE_NAMES, FeatureSet, Features, INPUTS, Linear, ModelError, ResidualStats,
     Rollouts, TrainingRange,
@@ -133,6 +133,11 @@ impl Network {
     /// The kernel in use: the best that this CPU has, chosen once.
     pub fn kernel(&self) -> Kernel {
         self.engine.kernel()
+    }
+
+    /// The instructions of that kernel, for other work.
+    pub fn processor(&self) -> Processor {
+        Processor(self.engine)
     }
 
     /// The same network cut into other tiles: for measurements and tests.

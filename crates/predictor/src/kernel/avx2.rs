@@ -1,16 +1,22 @@
 //! Vectors of 8 lanes: AVX2 and FMA.
 
 use super::lanes::{Job, Lanes};
+use super::processor::Wide;
 use std::arch::x86_64::*;
 use std::mem::MaybeUninit;
 
-/// Proof that this CPU has AVX2 and FMA.
+/// Proof that this CPU has AVX2, FMA and the bit operations that came with them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Avx2(());
 
 impl Avx2 {
     pub(crate) fn detect() -> Option<Avx2> {
-        let found = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+        let found = is_x86_feature_detected!("avx2")
+            && is_x86_feature_detected!("fma")
+            && is_x86_feature_detected!("bmi1")
+            && is_x86_feature_detected!("bmi2")
+            && is_x86_feature_detected!("lzcnt")
+            && is_x86_feature_detected!("popcnt");
         found.then_some(Avx2(()))
     }
 }
@@ -113,10 +119,22 @@ impl Lanes for Avx2 {
         // SAFETY: a `Avx2` exists only where `detect` found the features.
         unsafe { entry(self, job) }
     }
+
+    #[inline(always)]
+    fn run_wide<W: Wide>(self, work: W) {
+        // SAFETY: an `Avx2` exists only where `detect` found the features.
+        unsafe { wide(work) }
+    }
 }
 
 #[inline(never)]
 #[target_feature(enable = "avx2,fma")]
 fn entry<J: Job<Avx2>>(lanes: Avx2, job: J) {
     job.run(lanes);
+}
+
+#[inline(never)]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+fn wide<W: Wide>(work: W) {
+    work.run();
 }

@@ -1,18 +1,21 @@
-//! Vectors of 16 lanes: AVX-512F.
+//! Vectors of 16 lanes: AVX-512.
 
 use super::lanes::{Job, Lanes};
+use super::processor::Wide;
 use std::arch::x86_64::*;
 use std::mem::MaybeUninit;
 
-/// Proof that this CPU has AVX-512F.
+/// Proof that this CPU has AVX-512 F, BW, DQ and VL, and all of [`super::avx2::Avx2`].
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Avx512(());
 
 impl Avx512 {
     pub(crate) fn detect() -> Option<Avx512> {
         let found = is_x86_feature_detected!("avx512f")
-            && is_x86_feature_detected!("avx2")
-            && is_x86_feature_detected!("fma");
+            && is_x86_feature_detected!("avx512bw")
+            && is_x86_feature_detected!("avx512dq")
+            && is_x86_feature_detected!("avx512vl")
+            && super::avx2::Avx2::detect().is_some();
         found.then_some(Avx512(()))
     }
 }
@@ -121,10 +124,22 @@ impl Lanes for Avx512 {
         // SAFETY: a `Avx512` exists only where `detect` found the features.
         unsafe { entry(self, job) }
     }
+
+    #[inline(always)]
+    fn run_wide<W: Wide>(self, work: W) {
+        // SAFETY: an `Avx512` exists only where `detect` found the features.
+        unsafe { wide(work) }
+    }
 }
 
 #[inline(never)]
 #[target_feature(enable = "avx512f,avx2,fma")]
 fn entry<J: Job<Avx512>>(lanes: Avx512, job: J) {
     job.run(lanes);
+}
+
+#[inline(never)]
+#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+fn wide<W: Wide>(work: W) {
+    work.run();
 }

@@ -2,6 +2,8 @@
 
 use std::mem::MaybeUninit;
 
+use super::processor::Wide;
+
 /// A CPU's vectors of `f32`. A value of an implementing type proves that this CPU has them.
 ///
 /// Every operation is done lane by lane and rounded once, as IEEE 754 says; so each gives the same
@@ -41,6 +43,9 @@ pub(crate) trait Lanes: Copy {
 
     /// Runs the job compiled for this CPU: not inlined, so that its code exists once.
     fn run<J: Job<Self>>(self, job: J);
+
+    /// Runs work without vectors of its own compiled for this CPU.
+    fn run_wide<W: Wide>(self, work: W);
 }
 
 /// Work that is compiled for one CPU.

@@ -17,6 +17,7 @@ mod lanes;
 #[allow(unsafe_code)] // Intrinsics that every CPU of the target has.
 mod neon;
 mod packed;
+mod processor;
 mod rollout;
 mod scalar;
 
@@ -29,6 +30,7 @@ use crate::{Features, INPUTS, Rollouts};
 
 pub(crate) use forward::pairwise;
 pub(crate) use packed::{LINE, Packed, fold};
+pub use processor::{Processor, Wide};
 
 /// Which build of the kernel runs; all give the same bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,7 +42,7 @@ pub enum Kernel {
     Neon,
     /// AVX2 and FMA of x86-64.
     Avx2,
-    /// AVX-512F of x86-64.
+    /// AVX-512 (F, BW, DQ, VL) of x86-64: what all but the Xeon Phi have of it.
     Avx512,
 }
 

@@ -1,6 +1,7 @@
 //! One lane, for every CPU: the fallback, and what Miri runs.
 
 use super::lanes::{Job, Lanes};
+use super::processor::Wide;
 use std::mem::MaybeUninit;
 
 #[derive(Clone, Copy, Debug)]
@@ -81,5 +82,10 @@ impl Lanes for Scalar {
     #[inline(never)]
     fn run<J: Job<Scalar>>(self, job: J) {
         job.run(self);
+    }
+
+    #[inline(never)]
+    fn run_wide<W: Wide>(self, work: W) {
+        work.run();
     }
 }
