@@ -2,12 +2,12 @@
 
 use joulebus_wire::{DropReason, Sample, SampleHeader};
 
-use crate::columns::Columns;
+use crate::account::{Facts, judge};
 use crate::detector::Detector;
 use crate::intake::{check_values, invalid};
 use crate::interval::Interval;
+use crate::lanes::{self, Block as _, LANES};
 use crate::mixture::Blend;
-use crate::pass::{Rules, judge};
 use crate::robot::{Gate, Last, News, Pending};
 use crate::window::Window;
 use crate::{Fleet, Ledger, Scores};
@@ -25,7 +25,7 @@ impl Fleet {
         if self.columns.gates[slot].taken >= most {
             return Err(DropReason::Backlog);
         }
-        if !matches!(self.columns.news[slot], News::None) {
+        if !self.columns.news[slot / LANES].is(slot % LANES, News::None) {
             self.catch_up(slot);
         }
         let gate = &self.columns.gates[slot];
@@ -38,7 +38,9 @@ impl Fleet {
         gate.taken += 1;
         gate.renewed = false;
         (gate.taken_ns, gate.invalid, gate.refused_run) = (now_ns, None, 0);
-        self.columns.news[slot] = News::Waiting(Pending::new(sample, broken));
+        let (news, lane) = (&mut self.columns.news[slot / LANES], slot % LANES);
+        news.set(lane, true, Pending::new(sample, broken));
+        news.mark(lane, true, News::Waiting);
         Ok(())
     }
 
@@ -75,22 +77,17 @@ impl Fleet {
         let gate = self.hear(slot);
         gate.refused_run = gate.refused_run.saturating_add(1);
         gate.invalid = Some(invalid);
-        self.columns.lasts[slot].refused += 1;
-        let Columns {
-            gates,
-            lasts,
-            scores,
-            detectors,
-            ..
-        } = &mut self.columns;
-        let rules = Rules {
-            settings: &self.settings,
-            kinds: &self.kinds,
-            now_ns: self.now_ns,
-            deadline_missed: self.deadline_missed,
-        };
-        let (gate, last, scored) = (&gates[slot], &lasts[slot], scores[slot].count);
-        judge(&rules, gate, last, scored, &mut detectors[slot]);
+        self.columns.lasts[slot / LANES].refused[slot % LANES] += 1;
+        let rules = self.rules();
+        let kind = &self.kinds[usize::from(self.columns.gates[slot].platform)];
+        let gate = &self.columns.gates[slot];
+        let last = lanes::get(&self.columns.lasts, slot);
+        let scored = lanes::get(&self.columns.scores, slot).count;
+        let mut detector = lanes::get(&self.columns.detectors, slot);
+        let facts = Facts::of(gate, &last);
+        let conditions = judge(&rules, kind, &facts, scored, &detector);
+        detector.decide(conditions, &self.settings.alarms);
+        lanes::set(&mut self.columns.detectors, slot, detector);
     }
 
     /// Takes note that a sample of the robot has come in this tick.
@@ -147,18 +144,20 @@ impl Fleet {
             columns.blends[slot] = Blend::new(blending);
         }
         let residual = kind.model.residual();
-        columns.news[slot] = News::None;
-        columns.windows[slot] = Window::EMPTY;
-        columns.lasts[slot] = Last::NONE;
-        columns.ledgers[slot] = departed.map_or_else(Ledger::default, |departed| departed.ledger);
-        columns.intervals[slot] = Interval::new(
+        columns.news[slot / LANES].mark(slot % LANES, true, News::None);
+        lanes::set(&mut columns.windows, slot, Window::EMPTY);
+        lanes::set(&mut columns.lasts, slot, Last::NONE);
+        let ledger = departed.map_or_else(Ledger::default, |departed| departed.ledger);
+        let interval = Interval::new(
             residual.q05_w,
             residual.q95_w,
             kind.platform.power_resolution_w,
             self.settings.interval.coverage,
         );
-        columns.scores[slot] = Scores::default();
-        columns.detectors[slot] = Detector::new();
+        lanes::set(&mut columns.ledgers, slot, ledger);
+        lanes::set(&mut columns.intervals, slot, interval);
+        lanes::set(&mut columns.scores, slot, Scores::default());
+        lanes::set(&mut columns.detectors, slot, Detector::new());
     }
 
     pub(crate) fn platform_of(&self, robot: u32) -> Option<u16> {

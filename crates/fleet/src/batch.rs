@@ -4,6 +4,7 @@ use joulebus_predictor::{FEATURES, FeatureSet, Features, INPUTS, Model};
 
 use crate::columns::Part;
 use crate::kind::Kind;
+use crate::lanes::{self, LANES, Lanes};
 use crate::mixture::Blending;
 use crate::slots::WORD;
 
@@ -67,7 +68,30 @@ impl Batch {
         self.clear();
         self.gaps.clear();
         self.overdue.clear();
-        self.freshness = kind.reads.needs_freshness();
+        self.freshness = kind.reads.freshness;
+    }
+
+    /// Adds the rows of a block that are `ready`; its first robot has the slot `first`.
+    #[inline(always)]
+    pub(crate) fn push_block(
+        &mut self,
+        first: usize,
+        ready: &Lanes<bool>,
+        rows: &[Lanes<f32>; INPUTS],
+    ) {
+        if lanes::any(&ready.map(|ready| !ready)) {
+            for lane in (0..LANES).filter(|lane| ready[*lane]) {
+                self.push(first + lane, &rows.map(|values| values[lane]));
+            }
+            return;
+        }
+        let at = self.slots.len();
+        let features = if self.freshness { INPUTS } else { FEATURES };
+        for (column, values) in self.columns.iter_mut().zip(rows).take(features) {
+            column[at..at + LANES].copy_from_slice(values);
+        }
+        self.slots
+            .extend((first..first + LANES).map(|slot| slot as u32));
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -112,7 +136,12 @@ impl Batch {
             if !network_w.is_finite() {
                 continue;
             }
-            let due = columns.windows[slot].due(open);
+            let window = lanes::get(columns.windows, slot);
+            let due = if open {
+                window.shown_due()
+            } else {
+                window.due()
+            };
             let blend = &mut columns.blends[slot];
             let linear_w = blending.linear.map_or(f32::NAN, |_| self.linear_w[at]);
             let said_w = [last_w[at], linear_w, network_w];

@@ -1,42 +1,49 @@
 //! The state of all robots, in columns indexed by slot.
 
+use crate::Ledger;
 use crate::departed::Departed;
-use crate::detector::Detector;
-use crate::interval::Interval;
+use crate::detector::DetectorLanes;
+use crate::interval::IntervalLanes;
 use crate::kind::Kind;
+use crate::lanes::LANES;
+use crate::ledger::LedgerLanes;
 use crate::mixture::Blend;
 use crate::report::Seen;
-use crate::robot::{Gate, Last, News};
+use crate::robot::{Gate, LastLanes, NewsLanes};
+use crate::scores::ScoreLanes;
 use crate::slots::{self, Slots, WORD};
-use crate::window::Window;
-use crate::{Ledger, Scores};
+use crate::window::WindowLanes;
+
+/// Blocks of 16 robots in a word of slots.
+pub(crate) const BLOCKS: usize = WORD / LANES;
 
 /// Bytes of one robot in the columns.
 const COLUMNS: usize = size_of::<Gate>()
-    + size_of::<News>()
-    + size_of::<Window>()
-    + size_of::<Last>()
-    + size_of::<Interval>()
-    + size_of::<Ledger>()
-    + size_of::<Scores>()
-    + size_of::<Detector>();
+    + (size_of::<NewsLanes>()
+        + size_of::<WindowLanes>()
+        + size_of::<LastLanes>()
+        + size_of::<IntervalLanes>()
+        + size_of::<LedgerLanes>()
+        + size_of::<ScoreLanes>()
+        + size_of::<DetectorLanes>())
+    .div_ceil(LANES);
 
 /// A robot takes at most 512 bytes, the account of one that has left included: the columns, that
 /// account, its bit among the slots, and one and a half entries in each of the two tables of ids.
 const _: () =
     assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 512);
 
-/// The columns, with room for the capacity.
+/// The columns, with room for the capacity, rounded up to a whole block.
 #[derive(Debug)]
 pub(crate) struct Columns {
     pub gates: Vec<Gate>,
-    pub news: Vec<News>,
-    pub windows: Vec<Window>,
-    pub lasts: Vec<Last>,
-    pub intervals: Vec<Interval>,
-    pub ledgers: Vec<Ledger>,
-    pub scores: Vec<Scores>,
-    pub detectors: Vec<Detector>,
+    pub news: Vec<NewsLanes>,
+    pub windows: Vec<WindowLanes>,
+    pub lasts: Vec<LastLanes>,
+    pub intervals: Vec<IntervalLanes>,
+    pub ledgers: Vec<LedgerLanes>,
+    pub scores: Vec<ScoreLanes>,
+    pub detectors: Vec<DetectorLanes>,
     /// Empty unless a platform learns online.
     pub blends: Vec<Blend>,
     pub slots: Slots,
@@ -45,30 +52,32 @@ pub(crate) struct Columns {
 impl Columns {
     pub(crate) fn new(capacity: usize, kinds: &[Kind]) -> Self {
         let learning = kinds.iter().any(|kind| kind.blending.is_some());
+        let blocks = capacity.div_ceil(LANES);
+        let robots = blocks * LANES;
         Self {
-            gates: vec![Gate::FREE; capacity],
-            news: vec![News::None; capacity],
-            windows: vec![Window::EMPTY; capacity],
-            lasts: vec![Last::NONE; capacity],
-            intervals: vec![Interval::new(0.0, 0.0, 0.0, 0.0); capacity],
-            ledgers: vec![Ledger::default(); capacity],
-            scores: vec![Scores::default(); capacity],
-            detectors: vec![Detector::new(); capacity],
-            blends: vec![Blend::NONE; if learning { capacity } else { 0 }],
+            gates: vec![Gate::FREE; robots],
+            news: vec![NewsLanes::NONE; blocks],
+            windows: vec![WindowLanes::EMPTY; blocks],
+            lasts: vec![LastLanes::EMPTY; blocks],
+            intervals: vec![IntervalLanes::EMPTY; blocks],
+            ledgers: vec![LedgerLanes::EMPTY; blocks],
+            scores: vec![ScoreLanes::EMPTY; blocks],
+            detectors: vec![DetectorLanes::EMPTY; blocks],
+            blends: vec![Blend::NONE; if learning { robots } else { 0 }],
             slots: Slots::new(capacity),
         }
     }
 
-    #[inline(always)]
-    pub(crate) fn seen(&self, slot: usize) -> Seen<'_> {
+    /// What is said of the robots of a block depends on this.
+    pub(crate) fn seen(&self, block: usize) -> Seen<'_> {
         Seen {
-            gate: &self.gates[slot],
-            last: &self.lasts[slot],
-            window: &self.windows[slot],
-            interval: &self.intervals[slot],
-            ledger: &self.ledgers[slot],
-            scores: &self.scores[slot],
-            detector: &self.detectors[slot],
+            gates: &self.gates.as_chunks().0[block],
+            lasts: &self.lasts[block],
+            windows: &self.windows[block],
+            intervals: &self.intervals[block],
+            ledgers: &self.ledgers[block],
+            scores: &self.scores[block],
+            detectors: &self.detectors[block],
         }
     }
 
@@ -93,13 +102,13 @@ impl Columns {
 #[derive(Debug)]
 pub(crate) struct Part<'a> {
     pub gates: &'a mut [Gate],
-    pub news: &'a mut [News],
-    pub windows: &'a mut [Window],
-    pub lasts: &'a mut [Last],
-    pub intervals: &'a mut [Interval],
-    pub ledgers: &'a mut [Ledger],
-    pub scores: &'a mut [Scores],
-    pub detectors: &'a mut [Detector],
+    pub news: &'a mut [NewsLanes],
+    pub windows: &'a mut [WindowLanes],
+    pub lasts: &'a mut [LastLanes],
+    pub intervals: &'a mut [IntervalLanes],
+    pub ledgers: &'a mut [LedgerLanes],
+    pub scores: &'a mut [ScoreLanes],
+    pub detectors: &'a mut [DetectorLanes],
     /// Empty unless a platform learns online.
     pub blends: &'a mut [Blend],
     pub words: &'a [u64],
@@ -109,15 +118,16 @@ impl<'a> Part<'a> {
     /// The slots of the first `words` words, and the rest.
     pub(crate) fn split(self, words: usize) -> (Self, Self) {
         let words = words.min(self.words.len());
-        let at = (words * WORD).min(self.gates.len());
+        let block = (words * BLOCKS).min(self.intervals.len());
+        let at = block * LANES;
         let gates = self.gates.split_at_mut(at);
-        let news = self.news.split_at_mut(at);
-        let windows = self.windows.split_at_mut(at);
-        let lasts = self.lasts.split_at_mut(at);
-        let intervals = self.intervals.split_at_mut(at);
-        let ledgers = self.ledgers.split_at_mut(at);
-        let scores = self.scores.split_at_mut(at);
-        let detectors = self.detectors.split_at_mut(at);
+        let news = self.news.split_at_mut(block);
+        let windows = self.windows.split_at_mut(block);
+        let lasts = self.lasts.split_at_mut(block);
+        let intervals = self.intervals.split_at_mut(block);
+        let ledgers = self.ledgers.split_at_mut(block);
+        let scores = self.scores.split_at_mut(block);
+        let detectors = self.detectors.split_at_mut(block);
         let blends = self.blends.split_at_mut(at.min(self.blends.len()));
         let words = self.words.split_at(words);
         (
@@ -164,16 +174,17 @@ impl<'a> Part<'a> {
         }
     }
 
+    /// As [`Columns::seen`].
     #[inline(always)]
-    pub(crate) fn seen(&self, slot: usize) -> Seen<'_> {
+    pub(crate) fn seen(&self, block: usize) -> Seen<'_> {
         Seen {
-            gate: &self.gates[slot],
-            last: &self.lasts[slot],
-            window: &self.windows[slot],
-            interval: &self.intervals[slot],
-            ledger: &self.ledgers[slot],
-            scores: &self.scores[slot],
-            detector: &self.detectors[slot],
+            gates: &self.gates.as_chunks().0[block],
+            lasts: &self.lasts[block],
+            windows: &self.windows[block],
+            intervals: &self.intervals[block],
+            ledgers: &self.ledgers[block],
+            scores: &self.scores[block],
+            detectors: &self.detectors[block],
         }
     }
 

@@ -4,7 +4,7 @@ use joulebus_wire::{Alarm, AlarmSet};
 use serde::{Deserialize, Serialize};
 
 use crate::AlarmSettings;
-use crate::state::alarm_set;
+use crate::lanes::{Block, LANES, Lanes, put};
 
 /// Serial correlation above which whitening would only amplify noise.
 const CORRELATION_MAX: f32 = 0.9;
@@ -13,8 +13,11 @@ const CORRELATION_MAX: f32 = 0.9;
 /// forecast would turn the sums into NaN, and no alarm would ever be raised again.
 const RESIDUAL_MAX: f32 = 1e6;
 
+/// Alarms that there are.
+const ALARMS: usize = Alarm::ALL.len();
+
 /// What is remembered of one robot's residuals.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Detector {
     pub bias_w: f32,
     pub cusum_up: f32,
@@ -26,11 +29,9 @@ pub(crate) struct Detector {
     error_square: f32,
     persistence_square: f32,
     /// For how many samples in a row the condition of an alarm has asked for a change.
-    agreeing: [u16; Alarm::ALL.len()],
+    agreeing: [u16; ALARMS],
     /// Alarms for which that is not zero.
-    #[serde(with = "alarm_set")]
     changing: AlarmSet,
-    #[serde(with = "alarm_set")]
     raised: AlarmSet,
 }
 
@@ -43,17 +44,16 @@ pub(crate) struct Conditions {
 
 impl Conditions {
     /// A condition without a band between raising and clearing.
+    #[inline(always)]
     pub(crate) fn when(&mut self, holds: bool, alarm: Alarm) {
         self.between(holds, holds, alarm);
     }
 
+    #[inline(always)]
     fn between(&mut self, raise: bool, stay: bool, alarm: Alarm) {
-        if raise {
-            self.raise = self.raise.with(alarm);
-        }
-        if raise || stay {
-            self.stay = self.stay.with(alarm);
-        }
+        let bit = AlarmSet(0).with(alarm).0;
+        self.raise.0 |= if raise { bit } else { 0 };
+        self.stay.0 |= if raise | stay { bit } else { 0 };
     }
 }
 
@@ -69,7 +69,7 @@ impl Detector {
             z_product: 0.0,
             error_square: 0.0,
             persistence_square: 0.0,
-            agreeing: [0; Alarm::ALL.len()],
+            agreeing: [0; ALARMS],
             changing: AlarmSet::default(),
             raised: AlarmSet::default(),
         }
@@ -77,6 +77,7 @@ impl Detector {
 
     /// Takes a residual and the change of the reading, W, both finite; `sigma_w` > 0 is the
     /// residuals' standard deviation in training.
+    #[inline(always)]
     pub(crate) fn observe(
         &mut self,
         residual_w: f32,
@@ -99,6 +100,7 @@ impl Detector {
 
     /// Takes the serial correlation out of `z`: a cumulative sum of correlated residuals would
     /// alarm on every slow wave.
+    #[inline(always)]
     fn whiten(&mut self, z: f32, weight: f32) -> f32 {
         let correlation =
             (self.z_product / self.z_square.max(f32::MIN_POSITIVE)).clamp(0.0, CORRELATION_MAX);
@@ -110,39 +112,41 @@ impl Detector {
     }
 
     /// What the residuals say, once as many as need be were `observed`.
+    #[inline(always)]
     pub(crate) fn conditions(&self, observed: u64, settings: &AlarmSettings) -> Conditions {
+        let settled = observed >= settings.settle_samples.into();
         let mut conditions = Conditions::default();
-        if observed < settings.settle_samples.into() {
-            return conditions;
-        }
         let bias = settings.cusum_limit;
-        conditions.between(
-            self.cusum_up > bias,
-            self.cusum_up > 0.5 * bias,
-            Alarm::BiasHigh,
-        );
-        conditions.between(
-            self.cusum_down > bias,
-            self.cusum_down > 0.5 * bias,
-            Alarm::BiasLow,
-        );
-        let noise = settings.noise_limit;
-        conditions.between(
-            self.noise_ratio > noise,
-            self.noise_ratio > 0.5 * noise,
-            Alarm::NoiseHigh,
-        );
+        let (up, down) = (self.cusum_up, self.cusum_down);
+        conditions.between(up > bias, up > 0.5 * bias, Alarm::BiasHigh);
+        conditions.between(down > bias, down > 0.5 * bias, Alarm::BiasLow);
+        let (ratio, noise) = (self.noise_ratio, settings.noise_limit);
+        conditions.between(ratio > noise, ratio > 0.5 * noise, Alarm::NoiseHigh);
         let worst = settings.mismatch_limit * self.persistence_square;
         let (error, floor) = (self.error_square, 0.9 * worst);
         conditions.between(error > worst, error > floor, Alarm::ModelMismatch);
-        conditions
+        Conditions {
+            raise: AlarmSet(if settled { conditions.raise.0 } else { 0 }),
+            stay: AlarmSet(if settled { conditions.stay.0 } else { 0 }),
+        }
+    }
+
+    /// Alarms that the conditions ask to be changed.
+    #[inline(always)]
+    fn change(&self, conditions: Conditions) -> u32 {
+        (self.raised.0 & !conditions.stay.0) | (!self.raised.0 & conditions.raise.0)
+    }
+
+    /// Whether [`Detector::decide`] has something to do. Nearly always there is nothing.
+    #[inline(always)]
+    pub(crate) fn is_moved_by(&self, conditions: Conditions) -> bool {
+        self.change(conditions) | self.changing.0 != 0
     }
 
     /// Raises and clears with hysteresis: an alarm changes only after its condition has agreed for
     /// as many samples in a row as the settings ask.
     pub(crate) fn decide(&mut self, conditions: Conditions, settings: &AlarmSettings) {
-        let change = (self.raised.0 & !conditions.stay.0) | (!self.raised.0 & conditions.raise.0);
-        // Nearly always there is nothing to change.
+        let change = self.change(conditions);
         let mut look = change | self.changing.0;
         self.changing.0 = change;
         while look != 0 {
@@ -170,9 +174,91 @@ impl Detector {
             }
         }
     }
+}
 
-    pub(crate) fn raised(&self) -> AlarmSet {
-        self.raised
+/// The detectors of a block.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[repr(align(64))]
+pub(crate) struct DetectorLanes {
+    pub bias_w: Lanes<f32>,
+    pub cusum_up: Lanes<f32>,
+    pub cusum_down: Lanes<f32>,
+    pub noise_ratio: Lanes<f32>,
+    z_last: Lanes<f32>,
+    z_square: Lanes<f32>,
+    z_product: Lanes<f32>,
+    error_square: Lanes<f32>,
+    persistence_square: Lanes<f32>,
+    changing: Lanes<u32>,
+    raised: Lanes<u32>,
+    /// Seldom looked at: robot by robot.
+    agreeing: Lanes<[u16; ALARMS]>,
+}
+
+impl DetectorLanes {
+    pub(crate) const EMPTY: Self = Self {
+        bias_w: [0.0; LANES],
+        cusum_up: [0.0; LANES],
+        cusum_down: [0.0; LANES],
+        noise_ratio: [0.0; LANES],
+        z_last: [0.0; LANES],
+        z_square: [0.0; LANES],
+        z_product: [0.0; LANES],
+        error_square: [0.0; LANES],
+        persistence_square: [0.0; LANES],
+        changing: [0; LANES],
+        raised: [0; LANES],
+        agreeing: [[0; ALARMS]; LANES],
+    };
+
+    #[inline(always)]
+    pub(crate) fn raised(&self, lane: usize) -> AlarmSet {
+        AlarmSet(self.raised[lane])
+    }
+
+    /// As [`Block::set`], of what [`Detector::observe`] changes.
+    #[inline(always)]
+    pub(crate) fn set_observed(&mut self, lane: usize, which: bool, robot: &Detector) {
+        put(&mut self.bias_w[lane], which, robot.bias_w);
+        put(&mut self.cusum_up[lane], which, robot.cusum_up);
+        put(&mut self.cusum_down[lane], which, robot.cusum_down);
+        put(&mut self.noise_ratio[lane], which, robot.noise_ratio);
+        put(&mut self.z_last[lane], which, robot.z_last);
+        put(&mut self.z_square[lane], which, robot.z_square);
+        put(&mut self.z_product[lane], which, robot.z_product);
+        put(&mut self.error_square[lane], which, robot.error_square);
+        let persistence = robot.persistence_square;
+        put(&mut self.persistence_square[lane], which, persistence);
+    }
+}
+
+impl Block for DetectorLanes {
+    type Robot = Detector;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Detector {
+        Detector {
+            bias_w: self.bias_w[lane],
+            cusum_up: self.cusum_up[lane],
+            cusum_down: self.cusum_down[lane],
+            noise_ratio: self.noise_ratio[lane],
+            z_last: self.z_last[lane],
+            z_square: self.z_square[lane],
+            z_product: self.z_product[lane],
+            error_square: self.error_square[lane],
+            persistence_square: self.persistence_square[lane],
+            agreeing: self.agreeing[lane],
+            changing: AlarmSet(self.changing[lane]),
+            raised: AlarmSet(self.raised[lane]),
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, which: bool, robot: Detector) {
+        self.set_observed(lane, which, &robot);
+        put(&mut self.changing[lane], which, robot.changing.0);
+        put(&mut self.raised[lane], which, robot.raised.0);
+        put(&mut self.agreeing[lane], which, robot.agreeing);
     }
 }
 
@@ -231,15 +317,15 @@ mod tests {
             let (mut detector, mut state) = (Detector::new(), 1);
             run(&mut detector, 5_000, |unit| unit, &mut state);
             assert_eq!(
-                detector.raised(),
+                detector.raised,
                 AlarmSet::default(),
                 "false alarm before {alarm:?}"
             );
             run(&mut detector, 300, fault, &mut state);
-            assert!(detector.raised().has(alarm), "{alarm:?}: {detector:?}");
+            assert!(detector.raised.has(alarm), "{alarm:?}: {detector:?}");
             run(&mut detector, 5_000, |unit| unit, &mut state);
             assert_eq!(
-                detector.raised(),
+                detector.raised,
                 AlarmSet::default(),
                 "{alarm:?} did not clear"
             );
@@ -253,9 +339,9 @@ mod tests {
             detector.observe(absurd, 1.0, 1e-6, &SETTINGS);
             assert!(detector.error_square.is_finite(), "{detector:?}");
             run(&mut detector, 10_000, |unit| unit, &mut state);
-            assert_eq!(detector.raised(), AlarmSet::default(), "{detector:?}");
+            assert_eq!(detector.raised, AlarmSet::default(), "{detector:?}");
             run(&mut detector, 300, |unit| unit + 2.0, &mut state);
-            assert!(detector.raised().has(Alarm::BiasHigh), "{detector:?}");
+            assert!(detector.raised.has(Alarm::BiasHigh), "{detector:?}");
         }
     }
 
@@ -271,7 +357,7 @@ mod tests {
                 on
             };
             detector.decide(now, &SETTINGS);
-            assert!(!detector.raised().has(Alarm::StuckSensor));
+            assert!(!detector.raised.has(Alarm::StuckSensor));
         }
         for _ in 0..5 {
             detector.decide(on, &SETTINGS);
@@ -283,7 +369,7 @@ mod tests {
                 Conditions::default()
             };
             detector.decide(now, &SETTINGS);
-            assert!(detector.raised().has(Alarm::StuckSensor));
+            assert!(detector.raised.has(Alarm::StuckSensor));
         }
     }
 }

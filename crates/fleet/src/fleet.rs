@@ -2,23 +2,26 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_predictor::Model;
+use joulebus_predictor::{Model, Processor};
 use joulebus_wire::{
     Budget, Diagnostic, DropCounts, DropReason, Forecast, Refusal, SCHEMA_VERSION, Sample,
     SampleHeader,
 };
 use serde::{Deserialize, Serialize};
 
+use crate::account::Account;
 use crate::batch::Batch;
 use crate::columns::{Columns, Part};
-use crate::departed::{Account, Departed};
+use crate::departed::{self, Departed};
 use crate::index::Index;
 use crate::kind::{Kind, ranges};
+use crate::lanes::{self, LANES};
 use crate::pass::{self, Rules};
 use crate::refused::Refused;
+use crate::report::{Budgets, Diagnostics, Forecasts, Seen};
 use crate::slots::WORD;
 use crate::sources::Sources;
-use crate::{Learned, Ledger, Outputs, Scores, Settings, SettingsError, Share, report};
+use crate::{Learned, Ledger, Outputs, Scores, Settings, SettingsError, Share};
 
 /// The state of all robots, in columns indexed by slot, and everything one tick needs.
 ///
@@ -28,6 +31,8 @@ pub struct Fleet {
     pub(crate) settings: Settings,
     pub(crate) settings_hash: u64,
     pub(crate) kinds: Vec<Kind>,
+    /// That of the first platform's model.
+    processor: Processor,
     /// Ranges of robot ids, ascending, with the platform they belong to.
     pub(crate) ranges: Vec<(u32, u32, u16)>,
     pub(crate) columns: Columns,
@@ -90,7 +95,11 @@ impl Fleet {
             .map(|(platform, model)| Kind::new(platform, model, &settings))
             .collect();
         let capacity = settings.capacity as usize;
+        let processor = kinds
+            .first()
+            .map_or_else(Processor::best, |kind| kind.model.processor());
         Ok(Self {
+            processor,
             ranges: ranges(&kinds),
             columns: Columns::new(capacity, &kinds),
             settings_hash: settings.fingerprint(),
@@ -117,7 +126,7 @@ impl Fleet {
     /// first sample. `charged`: it has been on its charger since, so that what is in its battery is
     /// not known. As many accounts as the capacity are kept; returns whether this one was.
     pub fn restore(&mut self, robot: u32, ledger: Ledger, charged: bool) -> bool {
-        self.departed.keep(Account {
+        self.departed.keep(departed::Account {
             robot,
             charged,
             ledger,
@@ -240,6 +249,7 @@ impl Fleet {
             rules: Rules {
                 settings: &self.settings,
                 kinds: &self.kinds,
+                processor: self.processor,
                 now_ns: self.now_ns,
                 deadline_missed: self.deadline_missed,
             },
@@ -297,8 +307,9 @@ impl Fleet {
 
     /// Scores of a robot, if it is in the fleet.
     #[must_use]
-    pub fn scores(&self, robot: u32) -> Option<&Scores> {
-        self.find(robot).map(|slot| &self.columns.scores[slot])
+    pub fn scores(&self, robot: u32) -> Option<Scores> {
+        let slot = self.find(robot)?;
+        Some(lanes::get(&self.columns.scores, slot))
     }
 
     /// What a robot's forecast has learned from its readings; `None` for a robot that is not in the
@@ -313,28 +324,32 @@ impl Fleet {
 
     /// Account of a robot, in the fleet or departed.
     #[must_use]
-    pub fn ledger(&self, robot: u32) -> Option<&Ledger> {
-        let live = self.find(robot).map(|slot| &self.columns.ledgers[slot]);
-        live.or_else(|| self.departed.ledger(robot))
+    pub fn ledger(&self, robot: u32) -> Option<Ledger> {
+        let live = self.find(robot);
+        let live = live.map(|slot| lanes::get(&self.columns.ledgers, slot));
+        live.or_else(|| self.departed.ledger(robot).copied())
     }
 
     /// The forecast of the robot at `place` (0 to [`Fleet::len`] − 1), as of the last tick. A
     /// [`Share`] writes those of all robots faster.
     #[must_use]
     pub fn forecast(&self, place: usize) -> Forecast {
-        report::forecast(&self.rules(), &self.seen(place))
+        let (seen, lane) = self.seen(place);
+        Forecasts::of(seen).get(&self.rules(), lane)
     }
 
     /// The diagnostics of the robot at `place`, as of the last tick.
     #[must_use]
     pub fn diagnostic(&self, place: usize) -> Diagnostic {
-        report::diagnostic(&self.rules(), &self.seen(place))
+        let (seen, lane) = self.seen(place);
+        Diagnostics::of(seen).get(&self.rules(), lane)
     }
 
     /// The budget of the robot at `place`, as of the last tick.
     #[must_use]
     pub fn budget(&self, place: usize) -> Budget {
-        report::budget(&self.rules(), &self.seen(place))
+        let (seen, lane) = self.seen(place);
+        Budgets::of(&self.rules(), seen).get(&self.rules(), lane)
     }
 
     /// The slot of a robot that is in the fleet.
@@ -349,15 +364,17 @@ impl Fleet {
         Rules {
             settings: &self.settings,
             kinds: &self.kinds,
+            processor: self.processor,
             now_ns: self.now_ns,
             deadline_missed: self.deadline_missed,
         }
     }
 
-    fn seen(&self, place: usize) -> report::Seen<'_> {
+    /// The block that the robot at a place lies in, and its lane.
+    fn seen(&self, place: usize) -> (Seen<'_>, usize) {
         let slot = self.columns.slots.at(place);
-        self.columns
-            .seen(slot.expect("a place is below the number of robots"))
+        let slot = slot.expect("a place is below the number of robots");
+        (self.columns.seen(slot / LANES), slot % LANES)
     }
 
     /// Takes the waiting sample of one robot at once, because another of it has come.
@@ -365,6 +382,7 @@ impl Fleet {
         let rules = Rules {
             settings: &self.settings,
             kinds: &self.kinds,
+            processor: self.processor,
             now_ns: self.now_ns,
             deadline_missed: self.deadline_missed,
         };
@@ -378,7 +396,10 @@ impl Fleet {
         pass::absorb(&rules, kind, &mut columns, &mut self.single, false);
         let its = &rules.kinds[usize::from(kind)];
         pass::infer(its, &mut columns, &mut self.single);
-        pass::account(&rules, &mut columns);
+        rules.processor.run(Account {
+            rules: &rules,
+            columns: &mut columns,
+        });
     }
 
     /// Frees the slots of robots that have been silent for too long; their accounts are kept.
@@ -398,10 +419,10 @@ impl Fleet {
             let gates = &self.columns.gates;
             self.slot_of.remove(robot, |slot| gates[slot as usize].id);
             self.columns.slots.free(slot);
-            self.departed.keep(Account {
+            self.departed.keep(departed::Account {
                 robot,
                 charged,
-                ledger: self.columns.ledgers[slot],
+                ledger: lanes::get(&self.columns.ledgers, slot),
             });
         }
     }

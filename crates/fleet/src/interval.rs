@@ -21,6 +21,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::IntervalSettings;
+use crate::lanes::{Block, LANES, Lanes, put};
 
 /// Weight of the newest residual in their mean and size, and in the recent coverage.
 const RECENT_WEIGHT: f32 = 0.01;
@@ -54,7 +55,7 @@ impl Moves {
 }
 
 /// The interval of one robot.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Interval {
     /// Distance of each end from the mean, in sizes.
     below: f32,
@@ -88,14 +89,14 @@ impl Interval {
 
     /// Takes a residual (finite), counts whether it was covered, and moves the ends; `due`: whether a
     /// new measurement was.
+    #[inline(always)]
     pub(crate) fn observe(&mut self, residual_w: f32, due: bool, floor_w: f32, moves: Moves) {
-        let phase = usize::from(!due);
-        let (mean_w, size_w) = (self.mean_w[phase], self.size_w[phase]);
+        let (mean_w, size_w) = (of_phase(self.mean_w, due), of_phase(self.size_w, due));
         let over = residual_w > mean_w + size_w * self.above;
         let under = residual_w < mean_w - size_w * self.below;
-        let covered = !over && !under;
+        let covered = !(over | under);
         self.covered += u64::from(covered);
-        self.recent += COVERAGE_WEIGHT * (f32::from(u8::from(covered)) - self.recent);
+        self.recent += COVERAGE_WEIGHT * (if covered { 1.0 } else { 0.0 } - self.recent);
         let moved = |factor: f32, missed: bool| {
             let by = if missed { moves.grow } else { moves.shrink };
             (factor * by).clamp(FACTOR.0, FACTOR.1)
@@ -104,31 +105,102 @@ impl Interval {
         let apart_w = (residual_w.clamp(-RESIDUAL_MAX, RESIDUAL_MAX)) - mean_w;
         // What the training says of the size is soon forgotten, what it says of the mean is not: it
         // is 0, or the model has a bias that one robot's first readings do not tell.
-        let weight = RECENT_WEIGHT.max(1.0 / (1.0 + TRUST + f32::from(self.seen[phase])));
-        self.size_w[phase] = (size_w + weight * (apart_w.abs() - size_w)).max(floor_w);
-        self.mean_w[phase] = mean_w + RECENT_WEIGHT * apart_w;
-        self.seen[phase] = self.seen[phase].saturating_add(1);
+        let seen = of_phase(self.seen, due);
+        let weight = RECENT_WEIGHT.max(1.0 / (1.0 + TRUST + f32::from(seen)));
+        let size_w = (size_w + weight * (apart_w.abs() - size_w)).max(floor_w);
+        self.size_w = with_phase(self.size_w, due, size_w);
+        self.mean_w = with_phase(self.mean_w, due, mean_w + RECENT_WEIGHT * apart_w);
+        self.seen = with_phase(self.seen, due, seen.saturating_add(1));
     }
 
     /// Share inside of the `observed` readings, over all and of late; NaN before the first.
+    #[inline(always)]
     pub(crate) fn coverage(&self, observed: u64) -> (f32, f32) {
-        if observed == 0 {
-            return (f32::NAN, f32::NAN);
-        }
-        ((self.covered as f64 / observed as f64) as f32, self.recent)
+        let over_all = (self.covered as f64 / observed as f64) as f32;
+        let recent = if observed > 0 { self.recent } else { f32::NAN };
+        (if observed > 0 { over_all } else { f32::NAN }, recent)
     }
 
     /// The interval around `forecast_w`, `open_steps` sample periods after the last reading: it
     /// widens with the square root of the steps, as a random walk would. `due`: whether a new
     /// measurement is.
+    #[inline(always)]
     pub(crate) fn around(&self, forecast_w: f32, open_steps: u16, due: bool) -> (f32, f32) {
-        let phase = usize::from(!due);
-        let middle_w = forecast_w + self.mean_w[phase];
-        let size_w = self.size_w[phase] * (1.0 + f32::from(open_steps)).sqrt();
+        let middle_w = forecast_w + of_phase(self.mean_w, due);
+        let size_w = of_phase(self.size_w, due) * (1.0 + f32::from(open_steps)).sqrt();
         (
             middle_w - size_w * self.below,
             middle_w + size_w * self.above,
         )
+    }
+}
+
+#[inline(always)]
+fn of_phase<T: Copy>([due, held]: [T; PHASES], is_due: bool) -> T {
+    if is_due { due } else { held }
+}
+
+#[inline(always)]
+fn with_phase<T: Copy>([due, held]: [T; PHASES], is_due: bool, value: T) -> [T; PHASES] {
+    [
+        if is_due { value } else { due },
+        if is_due { held } else { value },
+    ]
+}
+
+/// The intervals of a block.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[repr(align(32))]
+pub(crate) struct IntervalLanes {
+    below: Lanes<f32>,
+    above: Lanes<f32>,
+    mean_w: [Lanes<f32>; PHASES],
+    size_w: [Lanes<f32>; PHASES],
+    recent: Lanes<f32>,
+    covered: Lanes<u64>,
+    seen: [Lanes<u8>; PHASES],
+}
+
+impl IntervalLanes {
+    pub(crate) const EMPTY: Self = Self {
+        below: [0.0; LANES],
+        above: [0.0; LANES],
+        mean_w: [[0.0; LANES]; PHASES],
+        size_w: [[0.0; LANES]; PHASES],
+        recent: [0.0; LANES],
+        covered: [0; LANES],
+        seen: [[0; LANES]; PHASES],
+    };
+}
+
+impl Block for IntervalLanes {
+    type Robot = Interval;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Interval {
+        Interval {
+            below: self.below[lane],
+            above: self.above[lane],
+            mean_w: [self.mean_w[0][lane], self.mean_w[1][lane]],
+            size_w: [self.size_w[0][lane], self.size_w[1][lane]],
+            covered: self.covered[lane],
+            recent: self.recent[lane],
+            seen: [self.seen[0][lane], self.seen[1][lane]],
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, which: bool, robot: Interval) {
+        put(&mut self.below[lane], which, robot.below);
+        put(&mut self.above[lane], which, robot.above);
+        put(&mut self.mean_w[0][lane], which, robot.mean_w[0]);
+        put(&mut self.mean_w[1][lane], which, robot.mean_w[1]);
+        put(&mut self.size_w[0][lane], which, robot.size_w[0]);
+        put(&mut self.size_w[1][lane], which, robot.size_w[1]);
+        put(&mut self.covered[lane], which, robot.covered);
+        put(&mut self.recent[lane], which, robot.recent);
+        put(&mut self.seen[0][lane], which, robot.seen[0]);
+        put(&mut self.seen[1][lane], which, robot.seen[1]);
     }
 }
 

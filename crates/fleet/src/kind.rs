@@ -6,6 +6,7 @@ use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 
 use crate::interval::Moves;
 use crate::mixture::Blending;
+use crate::window::Reads;
 use crate::{Platform, Settings};
 
 /// What belongs to one platform.
@@ -14,7 +15,7 @@ pub(crate) struct Kind {
     pub platform: Platform,
     pub model: Model,
     /// What the model reads.
-    pub reads: FeatureSet,
+    pub reads: Reads,
     /// Standard deviation of the residuals in training, not below the monitor's resolution, W.
     pub sigma_w: f32,
     /// Sample periods that the model may run open loop.
@@ -59,7 +60,7 @@ impl Kind {
             longest_steps: (platform.stale_after_ns / platform.period_ns) as u16,
             overdue_after_ns: platform.period_ns + platform.period_ns / 2,
             trained,
-            reads: model.feature_set(),
+            reads: Reads::of(model.feature_set()),
             platform,
             model,
         }

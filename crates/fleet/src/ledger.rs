@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::lanes::{Block, LANES, Lanes, put};
+
 /// µW·ns in one µJ, times 2: the trapezoid is summed without being halved.
 const UNITS_PER_UJ: i64 = 2_000_000_000;
 
@@ -113,6 +115,96 @@ impl Ledger {
     }
 }
 
+/// Twice a power below this, in µW, and a time below [`LONG_NS`] are multiplied exactly in two parts:
+/// four megawatts, and two seconds.
+const STRONG_UW: f64 = (1u64 << 42) as f64;
+const LONG_NS: u64 = 1 << 31;
+/// What the parts of a power are split by.
+const SPLIT: f64 = (1u64 << 20) as f64;
+/// Added to a number below 2⁵¹, it leaves the nearest whole number in the lowest bits.
+const ROUND: f64 = 1.5 * (1u64 << 52) as f64;
+
+impl Ledger {
+    /// As [`Ledger::meter`], with NaN where there is no reading or no forecast, and without a branch:
+    /// in double precision, exact for all that a robot can draw in a sample period. Returns whether
+    /// it was; otherwise what it made of the ledger is of no use.
+    #[inline(always)]
+    pub(crate) fn meter_narrow(
+        &mut self,
+        stamp_ns: u64,
+        power_w: f32,
+        forecast_w: f32,
+        longest_ns: u64,
+    ) -> bool {
+        let before_w = f32::from_bits(self.last_power);
+        let later = self.begun & (stamp_ns > self.stamp_ns);
+        let elapsed_ns = if later { stamp_ns - self.stamp_ns } else { 0 };
+        let metered = !before_w.is_nan() & !power_w.is_nan() & (elapsed_ns <= longest_ns);
+        let (before_uw, now_uw) = (whole_microwatts(before_w), whole_microwatts(power_w));
+        let expected_uw = 2.0 * whole_microwatts(forecast_w);
+        let drawn_uw = before_uw + now_uw;
+        let expected_uw = if forecast_w.is_nan() {
+            drawn_uw
+        } else {
+            expected_uw
+        };
+        let narrow = (elapsed_ns < LONG_NS)
+            & (before_uw.abs() < 0.5 * STRONG_UW)
+            & (now_uw.abs() < 0.5 * STRONG_UW)
+            & (expected_uw.abs() < STRONG_UW);
+        let elapsed = f64::from(elapsed_ns as u32);
+        let drawn = integral_narrow(self.drawn_remainder, drawn_uw, elapsed);
+        let expected = integral_narrow(self.forecast_remainder, expected_uw, elapsed);
+        self.drawn_uj = self
+            .drawn_uj
+            .saturating_add(if metered { drawn.0 } else { 0 });
+        self.forecast_uj = self
+            .forecast_uj
+            .saturating_add(if metered { expected.0 } else { 0 });
+        put(&mut self.drawn_remainder, metered, drawn.1);
+        put(&mut self.forecast_remainder, metered, expected.1);
+        let metered_ns = self.metered_ns.saturating_add(elapsed_ns);
+        let unmetered_ns = self.unmetered_ns.saturating_add(elapsed_ns);
+        put(&mut self.metered_ns, metered, metered_ns);
+        put(&mut self.unmetered_ns, !metered, unmetered_ns);
+        (self.stamp_ns, self.begun) = (stamp_ns, true);
+        self.last_power = power_w.to_bits();
+        narrow | !metered
+    }
+}
+
+/// As [`microwatts`], as a whole number.
+#[inline(always)]
+fn whole_microwatts(power_w: f32) -> f64 {
+    let exact_uw = f64::from(power_w) * 1e6;
+    (exact_uw + 0.5f64.copysign(exact_uw)).trunc()
+}
+
+/// As [`integral`], of twice a power in µW and a time in ns, both whole and within bounds.
+#[inline(always)]
+fn integral_narrow(remainder: u32, twice_uw: f64, elapsed_ns: f64) -> (i64, u32) {
+    let high = (twice_uw * (1.0 / SPLIT) + ROUND) - ROUND;
+    let low = twice_uw - high * SPLIT;
+    let (whole_high, rest) = divided(high * elapsed_ns);
+    let (whole, rest) = divided(rest * SPLIT + low * elapsed_ns + f64::from(remainder));
+    let bits = |number: f64| (number + ROUND).to_bits().wrapping_sub(ROUND.to_bits());
+    (bits(whole_high * SPLIT + whole) as i64, bits(rest) as u32)
+}
+
+/// Whole µJ in a whole number below 2⁵³, and what is left, from 0 to 1,999,999,999.
+#[inline(always)]
+fn divided(sum: f64) -> (f64, f64) {
+    let units = UNITS_PER_UJ as f64;
+    // The quotient is off by one at most, and the remainder is exact.
+    let nearest = (sum * (1.0 / units) + ROUND) - ROUND;
+    let rest = sum - nearest * units;
+    let below = rest < 0.0;
+    (
+        if below { nearest - 1.0 } else { nearest },
+        if below { rest + units } else { rest },
+    )
+}
+
 /// Whole µJ of a trapezoid between two powers in µW and the remainder before it, and the remainder
 /// after it. What a robot draws in a sample period fits into 64 bits by a factor of ten thousand.
 fn integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, u32) {
@@ -151,6 +243,83 @@ fn microwatts(power_w: f32) -> i64 {
     // Exact: 24 bits times 14. So is adding the half wherever it decides, and `as` saturates.
     let exact_uw = f64::from(power_w) * 1e6;
     (exact_uw + 0.5f64.copysign(exact_uw)) as i64
+}
+
+/// The ledgers of a block.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[repr(align(32))]
+pub(crate) struct LedgerLanes {
+    drawn_uj: Lanes<i64>,
+    forecast_uj: Lanes<i64>,
+    metered_ns: Lanes<u64>,
+    unmetered_ns: Lanes<u64>,
+    stamp_ns: Lanes<u64>,
+    drawn_remainder: Lanes<u32>,
+    forecast_remainder: Lanes<u32>,
+    last_power: Lanes<u32>,
+    begun: Lanes<bool>,
+}
+
+impl LedgerLanes {
+    pub(crate) const EMPTY: Self = Self {
+        drawn_uj: [0; LANES],
+        forecast_uj: [0; LANES],
+        metered_ns: [0; LANES],
+        unmetered_ns: [0; LANES],
+        stamp_ns: [0; LANES],
+        drawn_remainder: [0; LANES],
+        forecast_remainder: [0; LANES],
+        last_power: [0; LANES],
+        begun: [false; LANES],
+    };
+}
+
+impl LedgerLanes {
+    /// Energy drawn, µJ, and time unmetered, ns.
+    #[inline(always)]
+    pub(crate) fn drawn(&self, lane: usize) -> (i64, u64) {
+        (self.drawn_uj[lane], self.unmetered_ns[lane])
+    }
+}
+
+impl Block for LedgerLanes {
+    type Robot = Ledger;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Ledger {
+        Ledger {
+            drawn_uj: self.drawn_uj[lane],
+            forecast_uj: self.forecast_uj[lane],
+            metered_ns: self.metered_ns[lane],
+            unmetered_ns: self.unmetered_ns[lane],
+            stamp_ns: self.stamp_ns[lane],
+            drawn_remainder: self.drawn_remainder[lane],
+            forecast_remainder: self.forecast_remainder[lane],
+            last_power: self.last_power[lane],
+            begun: self.begun[lane],
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, which: bool, robot: Ledger) {
+        put(&mut self.drawn_uj[lane], which, robot.drawn_uj);
+        put(&mut self.forecast_uj[lane], which, robot.forecast_uj);
+        put(&mut self.metered_ns[lane], which, robot.metered_ns);
+        put(&mut self.unmetered_ns[lane], which, robot.unmetered_ns);
+        put(&mut self.stamp_ns[lane], which, robot.stamp_ns);
+        put(
+            &mut self.drawn_remainder[lane],
+            which,
+            robot.drawn_remainder,
+        );
+        put(
+            &mut self.forecast_remainder[lane],
+            which,
+            robot.forecast_remainder,
+        );
+        put(&mut self.last_power[lane], which, robot.last_power);
+        put(&mut self.begun[lane], which, robot.begun);
+    }
 }
 
 #[cfg(test)]
@@ -232,6 +401,52 @@ mod tests {
                     wide_integral(remainder, ends_uw, elapsed_ns)
                 );
             }
+        }
+    }
+
+    /// Mostly what a robot draws, and now and then anything at all.
+    fn watts() -> impl Strategy<Value = f32> {
+        prop_oneof![
+            6 => -50.0f32..500.0,
+            2 => -1e6f32..1e6,
+            1 => Just(f32::NAN),
+            1 => any::<u32>().prop_map(f32::from_bits),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn without_a_branch_the_ledger_is_the_same_or_says_that_it_is_not(
+            samples in prop::collection::vec((watts(), watts(), 0u32..64, any::<u64>()), 1..60),
+            longest_ns in prop_oneof![4 => Just(LONGEST_NS), 1 => any::<u64>()],
+        ) {
+            let (mut ledger, mut stamp_ns) = (Ledger::default(), 5u64);
+            for (power_w, forecast_w, shift, step_ns) in samples {
+                let step_ns = if shift < 56 { step_ns % 60_000_000 } else { step_ns >> (shift % 40) };
+                stamp_ns = stamp_ns.wrapping_add(step_ns);
+                let known = |watts: f32| (!watts.is_nan()).then_some(watts);
+                let mut expected = ledger;
+                expected.meter(stamp_ns, known(power_w), known(forecast_w), longest_ns);
+                // Whoever calls it has but one NaN.
+                let power_w = known(power_w).unwrap_or(f32::NAN);
+                if ledger.meter_narrow(stamp_ns, power_w, forecast_w, longest_ns) {
+                    prop_assert_eq!(ledger, expected);
+                }
+                ledger = expected;
+            }
+        }
+
+        #[test]
+        fn all_that_a_platform_allows_is_metered_without_a_branch(
+            samples in prop::collection::vec((-1e6f32..1e6, -1e6f32..1e6), 2..60),
+            period_ns in 1u64..2_000_000_000,
+        ) {
+            let mut ledger = Ledger::default();
+            for (step, (power_w, forecast_w)) in samples.into_iter().enumerate() {
+                let stamp_ns = 5 + step as u64 * period_ns;
+                prop_assert!(ledger.meter_narrow(stamp_ns, power_w, forecast_w, 2 * period_ns));
+            }
+            prop_assert!(ledger.metered_ns > 0);
         }
     }
 

@@ -11,6 +11,7 @@
 //! After [`Fleet::new`] nothing here allocates.
 #![forbid(unsafe_code)]
 
+mod account;
 mod adaptation;
 mod admission;
 mod batch;
@@ -22,10 +23,12 @@ mod index;
 mod intake;
 mod interval;
 mod kind;
+mod lanes;
 mod ledger;
 mod mixture;
 mod pass;
 mod refused;
+mod remaining;
 mod report;
 mod robot;
 mod schedule;
@@ -35,6 +38,8 @@ mod share;
 mod slots;
 mod sources;
 mod state;
+mod step;
+mod step_block;
 mod window;
 
 pub use batch::Batch;

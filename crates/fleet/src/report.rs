@@ -1,27 +1,31 @@
-//! What the tick says of each robot, in the form in which it lies in shared memory.
+//! What the tick says of each robot, in the form in which it lies in shared memory: what takes
+//! arithmetic a block of robots at a time, and then robot by robot into its place.
 
 use joulebus_wire::{
     Alarm, AlarmSet, Budget, ChargeState, Diagnostic, Forecast, InvalidReason, Level, Quality,
     budget_flag, diagnostic_flag, forecast_flag,
 };
 
-use crate::detector::Detector;
-use crate::interval::Interval;
+use crate::detector::DetectorLanes;
+use crate::interval::IntervalLanes;
+use crate::lanes::{self, Block as _, LANES, Lanes};
+use crate::ledger::LedgerLanes;
 use crate::pass::Rules;
-use crate::robot::{Gate, Last};
-use crate::window::Window;
-use crate::{Battery, Ledger, Platform, Scores};
+use crate::remaining::{Remaining, RemainingLanes};
+use crate::robot::{Gate, LastLanes};
+use crate::scores::ScoreLanes;
+use crate::window::WindowLanes;
 
-/// The state of one robot.
+/// The state of a block of robots.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Seen<'a> {
-    pub gate: &'a Gate,
-    pub last: &'a Last,
-    pub window: &'a Window,
-    pub interval: &'a Interval,
-    pub ledger: &'a Ledger,
-    pub scores: &'a Scores,
-    pub detector: &'a Detector,
+    pub gates: &'a [Gate; LANES],
+    pub lasts: &'a LastLanes,
+    pub windows: &'a WindowLanes,
+    pub intervals: &'a IntervalLanes,
+    pub ledgers: &'a LedgerLanes,
+    pub scores: &'a ScoreLanes,
+    pub detectors: &'a DetectorLanes,
 }
 
 /// The flag, if it holds.
@@ -29,83 +33,167 @@ const fn flag(holds: bool, flag: u32) -> u32 {
     if holds { flag } else { 0 }
 }
 
-/// The forecast of a robot.
-#[inline]
-pub(crate) fn forecast(rules: &Rules<'_>, seen: &Seen<'_>) -> Forecast {
-    let (gate, last) = (seen.gate, seen.last);
-    let (window, platform) = (seen.window, platform(rules, gate));
-    let (power_w, open_steps) = window.shown();
-    let quality = quality(rules, gate, last, power_w, open_steps);
-    let known = matches!(
-        quality,
-        Quality::Fresh | Quality::Held | Quality::OpenLoop { .. }
-    );
-    let (lo_w, hi_w) = seen
-        .interval
-        .around(power_w, open_steps, window.shown_due());
-    let (code, detail) = quality.encode();
-    // A robot that runs open loop by the worker's clock is forecast further ahead.
-    let ahead = 1 + u64::from(open_steps.saturating_sub(window.unread_steps));
-    let watts = |value: f32| if known { value } else { f32::NAN };
-    Forecast {
-        robot: gate.id,
-        flags: flag(known, forecast_flag::POWER | forecast_flag::INTERVAL)
-            | flag(!last.reading_w.is_nan(), forecast_flag::READING)
-            | flag(gate.accepted, forecast_flag::SAMPLE),
-        quality: code,
-        quality_detail: detail,
-        reading_w: last.reading_w,
-        power_w: watts(power_w),
-        lo_w: watts(lo_w),
-        hi_w: watts(hi_w),
-        generation: gate.generation,
-        sample_seq: last.seq,
-        stamp_ns: gate.stamp_ns,
-        target_ns: gate.stamp_ns.saturating_add(ahead * platform.period_ns),
-        reading_age_ns: gate.stamp_ns.saturating_sub(last.measured_ns),
-        source_epoch: gate.source_epoch,
+/// The forecasts of a block.
+pub(crate) struct Forecasts<'a> {
+    seen: Seen<'a>,
+    power_w: Lanes<f32>,
+    open_steps: Lanes<u16>,
+    lo_w: Lanes<f32>,
+    hi_w: Lanes<f32>,
+}
+
+impl<'a> Forecasts<'a> {
+    #[inline(always)]
+    pub(crate) fn of(seen: Seen<'a>) -> Self {
+        let (mut power_w, mut open_steps) = ([0.0; LANES], [0; LANES]);
+        let mut due = [false; LANES];
+        for lane in 0..LANES {
+            (power_w[lane], open_steps[lane]) = seen.windows.get(lane).shown();
+        }
+        let mut open = [false; LANES];
+        for lane in 0..LANES {
+            due[lane] = seen.windows.get(lane).due();
+            open[lane] = seen.windows.is_open(lane);
+        }
+        if lanes::any(&open) {
+            for lane in (0..LANES).filter(|lane| open[*lane]) {
+                due[lane] = seen.windows.get(lane).shown_due();
+            }
+        }
+        let (mut lo_w, mut hi_w) = ([0.0; LANES], [0.0; LANES]);
+        for lane in 0..LANES {
+            let interval = seen.intervals.get(lane);
+            let ends_w = interval.around(power_w[lane], open_steps[lane], due[lane]);
+            (lo_w[lane], hi_w[lane]) = ends_w;
+        }
+        Self {
+            seen,
+            power_w,
+            open_steps,
+            lo_w,
+            hi_w,
+        }
+    }
+
+    /// The robot's in a lane.
+    #[inline(always)]
+    pub(crate) fn get(&self, rules: &Rules<'_>, lane: usize) -> Forecast {
+        let (gate, last) = (&self.seen.gates[lane], self.seen.lasts.get(lane));
+        let platform = &rules.kinds[usize::from(gate.platform)].platform;
+        let (power_w, open_steps) = (self.power_w[lane], self.open_steps[lane]);
+        let (code, detail) = last.quality;
+        let quality = Quality::decode(code, detail);
+        let quality = quality_now(rules, gate, quality, power_w, open_steps);
+        let known = matches!(
+            quality,
+            Quality::Fresh | Quality::Held | Quality::OpenLoop { .. }
+        );
+        let (code, detail) = quality.encode();
+        // A robot that runs open loop by the worker's clock is forecast further ahead.
+        let read_steps = self.seen.windows.get(lane).unread_steps;
+        let ahead = 1 + u64::from(open_steps.saturating_sub(read_steps));
+        let watts = |value: f32| if known { value } else { f32::NAN };
+        Forecast {
+            robot: gate.id,
+            flags: flag(known, forecast_flag::POWER | forecast_flag::INTERVAL)
+                | flag(!last.reading_w.is_nan(), forecast_flag::READING)
+                | flag(gate.accepted, forecast_flag::SAMPLE),
+            quality: code,
+            quality_detail: detail,
+            reading_w: last.reading_w,
+            power_w: watts(power_w),
+            lo_w: watts(self.lo_w[lane]),
+            hi_w: watts(self.hi_w[lane]),
+            generation: gate.generation,
+            sample_seq: last.seq,
+            stamp_ns: gate.stamp_ns,
+            target_ns: gate.stamp_ns.saturating_add(ahead * platform.period_ns),
+            reading_age_ns: gate.stamp_ns.saturating_sub(last.measured_ns),
+            source_epoch: gate.source_epoch,
+        }
     }
 }
 
-/// The diagnostics of a robot.
-#[inline]
-pub(crate) fn diagnostic(rules: &Rules<'_>, seen: &Seen<'_>) -> Diagnostic {
-    let (gate, last) = (seen.gate, seen.last);
-    let (scores, detector) = (seen.scores, seen.detector);
-    let kind = &rules.kinds[usize::from(gate.platform)];
-    let raised = detector.raised();
-    let alarms = if is_stale(rules, gate) {
-        raised.with(Alarm::NoData)
-    } else {
-        raised
-    };
-    let (level, first) = most_important(alarms);
-    let (coverage, coverage_recent) = seen.interval.coverage(scores.count);
-    Diagnostic {
-        robot: gate.id,
-        flags: flag(!last.residual_w.is_nan(), diagnostic_flag::RESIDUAL)
-            | flag(scores.count > 0, diagnostic_flag::SCORES),
-        level,
-        alarm: first,
-        alarms: alarms.0,
-        residual_w: last.residual_w,
-        residual_z: last.residual_w / kind.sigma_w,
-        bias_w: detector.bias_w,
-        cusum_up: detector.cusum_up,
-        cusum_down: detector.cusum_down,
-        noise_ratio: detector.noise_ratio,
-        coverage,
-        coverage_recent,
-        scored: scores.count,
-        mae_w: scores.mae_w(),
-        r2: scores.r2(),
-        persistence_mae_w: scores.persistence_mae_w(),
-        persistence_r2: scores.persistence_r2(),
-        skill: scores.skill(),
-        sample_seq: last.seq,
-        stamp_ns: gate.stamp_ns,
-        source_epoch: gate.source_epoch,
-        refused: last.refused,
+/// The diagnostics of a block.
+pub(crate) struct Diagnostics<'a> {
+    seen: Seen<'a>,
+    mae_w: Lanes<f64>,
+    r2: Lanes<f64>,
+    persistence_mae_w: Lanes<f64>,
+    persistence_r2: Lanes<f64>,
+    skill: Lanes<f64>,
+    coverage: Lanes<f32>,
+    coverage_recent: Lanes<f32>,
+}
+
+impl<'a> Diagnostics<'a> {
+    #[inline(always)]
+    pub(crate) fn of(seen: Seen<'a>) -> Self {
+        let mut its = Self {
+            seen,
+            mae_w: [0.0; LANES],
+            r2: [0.0; LANES],
+            persistence_mae_w: [0.0; LANES],
+            persistence_r2: [0.0; LANES],
+            skill: [0.0; LANES],
+            coverage: [0.0; LANES],
+            coverage_recent: [0.0; LANES],
+        };
+        for lane in 0..LANES {
+            let scores = seen.scores.get(lane);
+            its.mae_w[lane] = scores.mae_w();
+            its.r2[lane] = scores.r2();
+            its.persistence_mae_w[lane] = scores.persistence_mae_w();
+            its.persistence_r2[lane] = scores.persistence_r2();
+            its.skill[lane] = scores.skill();
+        }
+        for lane in 0..LANES {
+            let observed = seen.scores.count[lane];
+            let coverage = seen.intervals.get(lane).coverage(observed);
+            (its.coverage[lane], its.coverage_recent[lane]) = coverage;
+        }
+        its
+    }
+
+    /// The robot's in a lane.
+    #[inline(always)]
+    pub(crate) fn get(&self, rules: &Rules<'_>, lane: usize) -> Diagnostic {
+        let (gate, last) = (&self.seen.gates[lane], self.seen.lasts.get(lane));
+        let (scored, detectors) = (self.seen.scores.count[lane], self.seen.detectors);
+        let kind = &rules.kinds[usize::from(gate.platform)];
+        let raised = detectors.raised(lane);
+        let alarms = if is_stale(rules, gate) {
+            raised.with(Alarm::NoData)
+        } else {
+            raised
+        };
+        let (level, first) = most_important(alarms);
+        Diagnostic {
+            robot: gate.id,
+            flags: flag(!last.residual_w.is_nan(), diagnostic_flag::RESIDUAL)
+                | flag(scored > 0, diagnostic_flag::SCORES),
+            level,
+            alarm: first,
+            alarms: alarms.0,
+            residual_w: last.residual_w,
+            residual_z: last.residual_w / kind.sigma_w,
+            bias_w: detectors.bias_w[lane],
+            cusum_up: detectors.cusum_up[lane],
+            cusum_down: detectors.cusum_down[lane],
+            noise_ratio: detectors.noise_ratio[lane],
+            coverage: self.coverage[lane],
+            coverage_recent: self.coverage_recent[lane],
+            scored,
+            mae_w: self.mae_w[lane],
+            r2: self.r2[lane],
+            persistence_mae_w: self.persistence_mae_w[lane],
+            persistence_r2: self.persistence_r2[lane],
+            skill: self.skill[lane],
+            sample_seq: last.seq,
+            stamp_ns: gate.stamp_ns,
+            source_epoch: gate.source_epoch,
+            refused: last.refused,
+        }
     }
 }
 
@@ -141,115 +229,95 @@ fn most_important(alarms: AlarmSet) -> (u16, u16) {
     (level.code(), first)
 }
 
-/// The budget of a robot.
-#[inline]
-pub(crate) fn budget(rules: &Rules<'_>, seen: &Seen<'_>) -> Budget {
-    let (gate, last) = (seen.gate, seen.last);
-    let (ledger, platform) = (seen.ledger, platform(rules, gate));
-    let charge_state = match (gate.accepted, gate.charging) {
-        (false, _) => ChargeState::Unknown,
-        (true, true) => ChargeState::Charging,
-        (true, false) => ChargeState::Discharging,
-    };
-    let stamp_ns = ledger.stamp_ns();
-    let budget = Budget {
-        robot: gate.id,
-        flags: flag(stamp_ns.is_some(), budget_flag::LEDGER)
-            | flag(gate.charged, budget_flag::CHARGED),
-        charge_state: charge_state.code(),
-        reserved: 0,
-        drawn_uj: ledger.drawn_uj,
-        drawn_remainder: ledger.drawn_remainder.into(),
-        forecast_uj: ledger.forecast_uj,
-        metered_ns: ledger.metered_ns,
-        unmetered_ns: ledger.unmetered_ns,
-        stamp_ns: stamp_ns.unwrap_or(0),
-        valid_until_ns: stamp_ns.map_or(0, |stamp| stamp.saturating_add(platform.stale_after_ns)),
-        mean_power_w: last.mean_power_w,
-        left_j: f32::NAN,
-        usable_j: f32::NAN,
-        usable_lo_j: f32::NAN,
-        soc: f32::NAN,
-        soc_lo: f32::NAN,
-        time_to_empty_s: f32::NAN,
-        time_to_empty_lo_s: f32::NAN,
-        time_to_empty_hi_s: f32::NAN,
-        reserved2: 0,
-    };
-    match &platform.battery {
-        // How much a charger has put back is not known: better no figure than a wrong one.
-        Some(battery) if !gate.charged && gate.accepted => {
-            let silent_ns = rules
-                .now_ns
-                .saturating_sub(gate.taken_ns)
-                .saturating_sub(platform.period_ns);
-            let (lo_w, hi_w) = seen.interval.around(budget.mean_power_w, 0, true);
-            with_battery(budget, battery, platform, silent_ns, (lo_w, hi_w))
-        }
-        _ => budget,
-    }
+/// The budgets of a block.
+pub(crate) struct Budgets<'a> {
+    seen: Seen<'a>,
+    remaining: RemainingLanes,
 }
 
-/// With what is left in the battery; `ends_w`: the interval around the mean power.
-#[inline]
-fn with_battery(
-    mut budget: Budget,
-    battery: &Battery,
-    platform: &Platform,
-    silent_ns: u64,
-    ends_w: (f32, f32),
-) -> Budget {
-    let capacity_j = battery.capacity_j;
-    let drawn_j = budget.drawn_j();
-    let unmetered_s = budget.unmetered_ns.saturating_add(silent_ns) as f64 * 1e-9;
-    let mean_w = f64::from(budget.mean_power_w).max(0.0);
-    let left_j = capacity_j * battery.initial_soc - drawn_j - unmetered_s * mean_w;
-    // On the safe side, nobody looked: the robot may have drawn all that it can.
-    let worst_w = f64::from(platform.power_max_w).max(0.0);
-    let left_lo_j = capacity_j * battery.initial_soc_lo - drawn_j - unmetered_s * worst_w;
-    // Regeneration fills a battery no further than full.
-    let (left_j, left_lo_j) = (left_j.min(capacity_j), left_lo_j.min(capacity_j));
-    let reserve_j = capacity_j * battery.reserve;
-    let share = |joules: f64| (joules / capacity_j).clamp(0.0, 1.0) as f32;
-    let usable_j = (left_j - reserve_j).max(0.0);
-    let usable_lo_j = (left_lo_j - reserve_j).max(0.0);
-    budget.flags |= budget_flag::BATTERY;
-    budget.left_j = left_j.max(0.0) as f32;
-    budget.usable_j = usable_j as f32;
-    budget.usable_lo_j = usable_lo_j as f32;
-    (budget.soc, budget.soc_lo) = (share(left_j), share(left_lo_j));
-    let (lo_w, hi_w) = ends_w;
-    // Under a lasting bias the interval lies beside the forecast; the safe side stays safe.
-    let (lo_w, hi_w) = (f64::from(lo_w).min(mean_w), f64::from(hi_w).max(mean_w));
-    if mean_w > 0.0 {
-        budget.flags |= budget_flag::TIME_TO_EMPTY;
-        budget.time_to_empty_s = (usable_j / mean_w) as f32;
-        budget.time_to_empty_lo_s = (usable_lo_j / hi_w) as f32;
-        budget.time_to_empty_hi_s = if lo_w > 0.0 {
-            (usable_j / lo_w) as f32
-        } else {
-            f32::INFINITY
+impl<'a> Budgets<'a> {
+    #[inline(always)]
+    pub(crate) fn of(rules: &Rules<'_>, seen: Seen<'a>) -> Self {
+        let remaining = RemainingLanes::of(rules, &seen);
+        Self { seen, remaining }
+    }
+
+    /// The robot's in a lane.
+    #[inline(always)]
+    pub(crate) fn get(&self, rules: &Rules<'_>, lane: usize) -> Budget {
+        let (gate, last) = (&self.seen.gates[lane], self.seen.lasts.get(lane));
+        let platform = &rules.kinds[usize::from(gate.platform)].platform;
+        let ledger = self.seen.ledgers.get(lane);
+        let charge_state = match (gate.accepted, gate.charging) {
+            (false, _) => ChargeState::Unknown,
+            (true, true) => ChargeState::Charging,
+            (true, false) => ChargeState::Discharging,
         };
+        let stamp_ns = ledger.stamp_ns();
+        let Remaining {
+            battery,
+            left_j,
+            usable_j,
+            usable_lo_j,
+            soc,
+            soc_lo,
+            time_to_empty_s,
+            time_to_empty_lo_s,
+            time_to_empty_hi_s,
+        } = self.remaining.get(lane);
+        Budget {
+            robot: gate.id,
+            flags: flag(stamp_ns.is_some(), budget_flag::LEDGER)
+                | flag(gate.charged, budget_flag::CHARGED)
+                | flag(battery, budget_flag::BATTERY)
+                | flag(!time_to_empty_s.is_nan(), budget_flag::TIME_TO_EMPTY),
+            charge_state: charge_state.code(),
+            reserved: 0,
+            drawn_uj: ledger.drawn_uj,
+            drawn_remainder: ledger.drawn_remainder.into(),
+            forecast_uj: ledger.forecast_uj,
+            metered_ns: ledger.metered_ns,
+            unmetered_ns: ledger.unmetered_ns,
+            stamp_ns: stamp_ns.unwrap_or(0),
+            valid_until_ns: stamp_ns
+                .map_or(0, |stamp| stamp.saturating_add(platform.stale_after_ns)),
+            mean_power_w: last.mean_power_w,
+            left_j,
+            usable_j,
+            usable_lo_j,
+            soc,
+            soc_lo,
+            time_to_empty_s,
+            time_to_empty_lo_s,
+            time_to_empty_hi_s,
+            reserved2: 0,
+        }
     }
-    budget
 }
 
-fn platform<'a>(rules: &Rules<'a>, gate: &Gate) -> &'a Platform {
-    &rules.kinds[usize::from(gate.platform)].platform
-}
-
+#[inline(always)]
 fn is_stale(rules: &Rules<'_>, gate: &Gate) -> bool {
-    rules.now_ns.saturating_sub(gate.taken_ns) > platform(rules, gate).stale_after_ns
+    rules.now_ns.saturating_sub(gate.taken_ns)
+        > rules.kinds[usize::from(gate.platform)]
+            .platform
+            .stale_after_ns
 }
 
-fn quality(rules: &Rules<'_>, gate: &Gate, last: &Last, power_w: f32, open_steps: u16) -> Quality {
+#[inline(always)]
+fn quality_now(
+    rules: &Rules<'_>,
+    gate: &Gate,
+    quality: Quality,
+    power_w: f32,
+    open_steps: u16,
+) -> Quality {
     if is_stale(rules, gate) {
         return Quality::Invalid(InvalidReason::Stale);
     }
     if let Some(reason) = gate.invalid {
         return Quality::Invalid(reason);
     }
-    match last.quality {
+    match quality {
         quality @ (Quality::Warmup { .. } | Quality::Invalid(_) | Quality::Unknown) => quality,
         _ if !power_w.is_finite() => Quality::Invalid(InvalidReason::ModelOutput),
         _ if open_steps > 0 => Quality::OpenLoop { steps: open_steps },

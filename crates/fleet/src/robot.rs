@@ -1,9 +1,10 @@
 //! Who holds a slot, and what came of its last sample.
 
-use joulebus_wire::{Freshness, InvalidReason, Quality, Sample, sample_flag};
+use joulebus_wire::{InvalidReason, Quality, Sample, sample_flag};
 use serde::{Deserialize, Serialize};
 
-use crate::state::{invalid_reason, quality};
+use crate::lanes::{Block, LANES, Lanes, put};
+use crate::state::invalid_reason;
 
 /// Time over which the mean power is taken, s.
 const MEAN_POWER_S: f32 = 60.0;
@@ -75,6 +76,7 @@ impl Gate {
 
     /// Takes what of an absorbed sample does not depend on the forecast. Without a row for the
     /// model there is nothing that could lie outside the training.
+    #[inline(always)]
     pub(crate) fn accept(&mut self, sample: &Pending) {
         self.accepted = true;
         self.stamp_ns = sample.stamp_ns;
@@ -85,9 +87,10 @@ impl Gate {
 }
 
 /// What is kept of the last accepted sample, and how many were refused.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy)]
 pub(crate) struct Last {
     pub seq: u64,
+    /// 0 before the first reading.
     pub measured_ns: u64,
     /// Stamp since which new measurements have all been equal to `reading_w`.
     pub equal_since_ns: u64,
@@ -96,8 +99,8 @@ pub(crate) struct Last {
     /// NaN where there was no forecast for it or no reading in it.
     pub residual_w: f32,
     pub mean_power_w: f32,
-    #[serde(with = "quality")]
-    pub quality: Quality,
+    /// [`Quality`], as it lies in shared memory.
+    pub quality: (u16, u16),
 }
 
 impl Last {
@@ -109,48 +112,100 @@ impl Last {
         reading_w: f32::NAN,
         residual_w: f32::NAN,
         mean_power_w: f32::NAN,
-        quality: Quality::Warmup { have: 0 },
+        quality: Quality::Warmup { have: 0 }.encode(),
     };
 
-    /// Takes what does not depend on the forecast; `elapsed_s` since the sample before.
-    pub(crate) fn accept(&mut self, sample: &Pending, elapsed_s: f32) {
-        self.seq = sample.seq;
-        if !sample.has(sample_flag::POWER) {
-            return;
-        }
+    /// Takes a sample with a reading, `elapsed_s` after the one before; `forecast_w` was made for it.
+    #[inline(always)]
+    pub(crate) fn read(&mut self, sample: &Pending, forecast_w: f32, elapsed_s: f32) {
+        self.residual_w = sample.power_w - forecast_w;
         // The first reading counts as new, or a robot that joins while its reading is held would
         // have been stuck since the beginning of time.
-        let new = !sample.has(sample_flag::HELD) || self.reading_w.is_nan();
-        if new && sample.power_w.to_bits() != self.reading_w.to_bits() {
-            self.equal_since_ns = sample.stamp_ns;
-        }
+        let new = !sample.has(sample_flag::HELD) | self.reading_w.is_nan();
+        let changed = new & (sample.power_w.to_bits() != self.reading_w.to_bits());
+        put(&mut self.equal_since_ns, changed, sample.stamp_ns);
         self.reading_w = sample.power_w;
         self.measured_ns = sample.measured_ns;
-        if self.mean_power_w.is_nan() {
-            self.mean_power_w = sample.power_w;
+        let weight = elapsed_s / (MEAN_POWER_S + elapsed_s);
+        let mean_w = self.mean_power_w + weight * (sample.power_w - self.mean_power_w);
+        self.mean_power_w = if self.mean_power_w.is_nan() {
+            sample.power_w
         } else {
-            let weight = elapsed_s / (MEAN_POWER_S + elapsed_s);
-            self.mean_power_w += weight * (sample.power_w - self.mean_power_w);
-        }
+            mean_w
+        };
     }
 }
 
-/// What the tick has to do with a robot.
-#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-pub(crate) enum News {
-    /// Nothing.
-    #[default]
-    None,
-    /// A sample waits to be absorbed.
-    Waiting(Pending),
-    /// A sample was absorbed; its residual waits to be accounted for.
-    Absorbed(Absorbed),
+/// The last samples of a block.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[repr(align(64))]
+pub(crate) struct LastLanes {
+    pub seq: Lanes<u64>,
+    pub measured_ns: Lanes<u64>,
+    pub equal_since_ns: Lanes<u64>,
+    pub refused: Lanes<u64>,
+    pub reading_w: Lanes<f32>,
+    pub residual_w: Lanes<f32>,
+    pub mean_power_w: Lanes<f32>,
+    quality: Lanes<u16>,
+    quality_detail: Lanes<u16>,
 }
 
-const _: () = assert!(size_of::<News>() == 40);
+impl LastLanes {
+    pub(crate) const EMPTY: Self = Self {
+        seq: [0; LANES],
+        measured_ns: [0; LANES],
+        equal_since_ns: [0; LANES],
+        refused: [0; LANES],
+        reading_w: [0.0; LANES],
+        residual_w: [0.0; LANES],
+        mean_power_w: [0.0; LANES],
+        quality: [0; LANES],
+        quality_detail: [0; LANES],
+    };
+}
+
+impl LastLanes {
+    #[inline(always)]
+    pub(crate) fn set_quality(&mut self, lane: usize, which: bool, quality: (u16, u16)) {
+        put(&mut self.quality[lane], which, quality.0);
+        put(&mut self.quality_detail[lane], which, quality.1);
+    }
+}
+
+impl Block for LastLanes {
+    type Robot = Last;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Last {
+        Last {
+            seq: self.seq[lane],
+            measured_ns: self.measured_ns[lane],
+            equal_since_ns: self.equal_since_ns[lane],
+            refused: self.refused[lane],
+            reading_w: self.reading_w[lane],
+            residual_w: self.residual_w[lane],
+            mean_power_w: self.mean_power_w[lane],
+            quality: (self.quality[lane], self.quality_detail[lane]),
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, which: bool, robot: Last) {
+        put(&mut self.seq[lane], which, robot.seq);
+        put(&mut self.measured_ns[lane], which, robot.measured_ns);
+        put(&mut self.equal_since_ns[lane], which, robot.equal_since_ns);
+        put(&mut self.refused[lane], which, robot.refused);
+        put(&mut self.reading_w[lane], which, robot.reading_w);
+        put(&mut self.residual_w[lane], which, robot.residual_w);
+        put(&mut self.mean_power_w[lane], which, robot.mean_power_w);
+        put(&mut self.quality[lane], which, robot.quality.0);
+        put(&mut self.quality_detail[lane], which, robot.quality.1);
+    }
+}
 
 /// A sample that waits for the next pass: what the checks have left to be used.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy)]
 pub(crate) struct Pending {
     pub seq: u64,
     pub stamp_ns: u64,
@@ -168,6 +223,7 @@ const _: () = assert!(sample_flag::ALL <= u8::MAX as u32);
 
 impl Pending {
     /// From a sample whose flags are all known; `broken` also where the flags do not say so.
+    #[inline(always)]
     pub(crate) fn new(sample: &Sample, broken: bool) -> Self {
         Self {
             seq: sample.seq,
@@ -177,44 +233,111 @@ impl Pending {
             omega_radps: sample.omega_radps,
             power_w: sample.power_w,
             flags: sample.flags as u8,
-            broken: broken || sample.has(sample_flag::DISCONTINUITY),
+            broken: broken | sample.has(sample_flag::DISCONTINUITY),
         }
     }
 
+    #[inline(always)]
     pub(crate) fn has(&self, flags: u32) -> bool {
         u32::from(self.flags) & flags == flags
     }
 
-    pub(crate) fn reading_w(&self) -> Option<f32> {
-        self.has(sample_flag::POWER).then_some(self.power_w)
+    /// Whether there is a reading.
+    #[inline(always)]
+    pub(crate) fn read(&self) -> bool {
+        self.has(sample_flag::POWER)
     }
 
-    pub(crate) fn freshness(&self) -> Freshness {
-        if !self.has(sample_flag::POWER) {
-            Freshness::Missing
-        } else if self.has(sample_flag::HELD) {
-            Freshness::Held
-        } else {
-            Freshness::Fresh
-        }
-    }
-
+    #[inline(always)]
     pub(crate) fn command(&self) -> Option<(f32, f32)> {
         let known = self.has(sample_flag::V | sample_flag::OMEGA);
         known.then_some((self.v_mps, self.omega_radps))
     }
 }
 
-/// What is to be accounted for of an absorbed sample.
+/// What the tick has to do with a robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum News {
+    /// Nothing.
+    None,
+    /// A sample waits to be absorbed.
+    Waiting,
+    /// A sample was absorbed, and waits to be accounted for.
+    Absorbed,
+    /// The same of one that has nothing to do with what came before.
+    Broken,
+}
+
+/// The newest samples of a block.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-pub(crate) struct Absorbed {
-    pub stamp_ns: u64,
-    /// NaN where there was none.
-    pub reading_w: f32,
-    /// The forecast one step ahead that was made for the reading; NaN where there was none.
-    pub expected_w: f32,
-    /// The reading before it.
-    pub previous_w: f32,
-    /// As [`Pending::broken`], or after too long a gap.
-    pub broken: bool,
+#[repr(align(32))]
+pub(crate) struct NewsLanes {
+    seq: Lanes<u64>,
+    stamp_ns: Lanes<u64>,
+    measured_ns: Lanes<u64>,
+    v_mps: Lanes<f32>,
+    omega_radps: Lanes<f32>,
+    power_w: Lanes<f32>,
+    /// Of an absorbed sample: the forecast one step ahead that was made for its reading; NaN where
+    /// there was none.
+    pub expected_w: Lanes<f32>,
+    flags: Lanes<u8>,
+    broken: Lanes<bool>,
+    /// [`News`].
+    news: Lanes<u8>,
+}
+
+impl NewsLanes {
+    pub(crate) const NONE: Self = Self {
+        seq: [0; LANES],
+        stamp_ns: [0; LANES],
+        measured_ns: [0; LANES],
+        v_mps: [0.0; LANES],
+        omega_radps: [0.0; LANES],
+        power_w: [0.0; LANES],
+        expected_w: [0.0; LANES],
+        flags: [0; LANES],
+        broken: [false; LANES],
+        news: [0; LANES],
+    };
+
+    #[inline(always)]
+    pub(crate) fn is(&self, lane: usize, news: News) -> bool {
+        self.news[lane] == news as u8
+    }
+
+    #[inline(always)]
+    pub(crate) fn mark(&mut self, lane: usize, which: bool, news: News) {
+        put(&mut self.news[lane], which, news as u8);
+    }
+}
+
+impl Block for NewsLanes {
+    type Robot = Pending;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Pending {
+        Pending {
+            seq: self.seq[lane],
+            stamp_ns: self.stamp_ns[lane],
+            measured_ns: self.measured_ns[lane],
+            v_mps: self.v_mps[lane],
+            omega_radps: self.omega_radps[lane],
+            power_w: self.power_w[lane],
+            flags: self.flags[lane],
+            broken: self.broken[lane],
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, which: bool, robot: Pending) {
+        put(&mut self.seq[lane], which, robot.seq);
+        put(&mut self.stamp_ns[lane], which, robot.stamp_ns);
+        put(&mut self.measured_ns[lane], which, robot.measured_ns);
+        put(&mut self.v_mps[lane], which, robot.v_mps);
+        put(&mut self.omega_radps[lane], which, robot.omega_radps);
+        put(&mut self.power_w[lane], which, robot.power_w);
+        put(&mut self.flags[lane], which, robot.flags);
+        put(&mut self.broken[lane], which, robot.broken);
+    }
 }

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::lanes::{Block, LANES, Lanes, put};
+
 /// Running scores of one robot; sums in `f64`, in the order of its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Scores {
@@ -17,6 +19,7 @@ pub struct Scores {
 
 impl Scores {
     /// Takes a reading, the residual of its forecast, and the reading before it.
+    #[inline(always)]
     pub fn observe(&mut self, reading_w: f32, residual_w: f32, previous_w: f32) {
         let (reading, residual) = (f64::from(reading_w), f64::from(residual_w));
         let step = reading - f64::from(previous_w);
@@ -32,37 +35,98 @@ impl Scores {
 
     /// Mean absolute residual, W; NaN before the first.
     #[must_use]
+    #[inline(always)]
     pub fn mae_w(&self) -> f64 {
         self.sum_abs_w / self.count as f64
     }
 
     /// Coefficient of determination of the forecasts; NaN where the readings do not vary.
     #[must_use]
+    #[inline(always)]
     pub fn r2(&self) -> f64 {
         explained(self.sum_sq_w2, self.scatter_w2)
     }
 
     /// Mean absolute error of persistence, W; NaN before the first.
     #[must_use]
+    #[inline(always)]
     pub fn persistence_mae_w(&self) -> f64 {
         self.persistence_sum_abs_w / self.count as f64
     }
 
     /// Coefficient of determination of persistence; NaN where the readings do not vary.
     #[must_use]
+    #[inline(always)]
     pub fn persistence_r2(&self) -> f64 {
         explained(self.persistence_sum_sq_w2, self.scatter_w2)
     }
 
     /// 1 − squared error over that of persistence; NaN where the readings do not change.
     #[must_use]
+    #[inline(always)]
     pub fn skill(&self) -> f64 {
         explained(self.sum_sq_w2, self.persistence_sum_sq_w2)
     }
 }
 
+#[inline(always)]
 fn explained(error: f64, of: f64) -> f64 {
-    if of > 0.0 { 1.0 - error / of } else { f64::NAN }
+    let share = 1.0 - error / of;
+    if of > 0.0 { share } else { f64::NAN }
+}
+
+/// The scores of a block.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[repr(align(64))]
+pub(crate) struct ScoreLanes {
+    pub count: Lanes<u64>,
+    sum_abs_w: Lanes<f64>,
+    sum_sq_w2: Lanes<f64>,
+    persistence_sum_abs_w: Lanes<f64>,
+    persistence_sum_sq_w2: Lanes<f64>,
+    mean_w: Lanes<f64>,
+    scatter_w2: Lanes<f64>,
+}
+
+impl ScoreLanes {
+    pub(crate) const EMPTY: Self = Self {
+        count: [0; LANES],
+        sum_abs_w: [0.0; LANES],
+        sum_sq_w2: [0.0; LANES],
+        persistence_sum_abs_w: [0.0; LANES],
+        persistence_sum_sq_w2: [0.0; LANES],
+        mean_w: [0.0; LANES],
+        scatter_w2: [0.0; LANES],
+    };
+}
+
+impl Block for ScoreLanes {
+    type Robot = Scores;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Scores {
+        Scores {
+            count: self.count[lane],
+            sum_abs_w: self.sum_abs_w[lane],
+            sum_sq_w2: self.sum_sq_w2[lane],
+            persistence_sum_abs_w: self.persistence_sum_abs_w[lane],
+            persistence_sum_sq_w2: self.persistence_sum_sq_w2[lane],
+            mean_w: self.mean_w[lane],
+            scatter_w2: self.scatter_w2[lane],
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, which: bool, robot: Scores) {
+        put(&mut self.count[lane], which, robot.count);
+        put(&mut self.sum_abs_w[lane], which, robot.sum_abs_w);
+        put(&mut self.sum_sq_w2[lane], which, robot.sum_sq_w2);
+        let persistence = (robot.persistence_sum_abs_w, robot.persistence_sum_sq_w2);
+        put(&mut self.persistence_sum_abs_w[lane], which, persistence.0);
+        put(&mut self.persistence_sum_sq_w2[lane], which, persistence.1);
+        put(&mut self.mean_w[lane], which, robot.mean_w);
+        put(&mut self.scatter_w2[lane], which, robot.scatter_w2);
+    }
 }
 
 #[cfg(test)]

@@ -3,13 +3,15 @@
 use std::slice;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use joulebus_predictor::Wide;
 use joulebus_wire::{Budget, Diagnostic, Forecast};
 
+use crate::account::Account;
 use crate::batch::Batch;
 use crate::columns::Part;
 use crate::pass::{self, Rules};
-use crate::report;
-use crate::slots::{slots, words_of};
+use crate::report::{Budgets, Diagnostics, Forecasts};
+use crate::slots::{self, words_of};
 
 /// What a share of the tick's time has gone to, for one tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -118,9 +120,7 @@ impl<'a> Share<'a> {
         let mut forecasts = forecasts.iter_mut();
         self.each_tile(batch.words, |tile| {
             tile.absorb(batch, on);
-            for (slot, forecast) in slots(tile.columns.words).zip(forecasts.by_ref()) {
-                *forecast = report::forecast(&tile.rules, &tile.columns.seen(slot));
-            }
+            tile.write_forecasts(&mut forecasts);
             on(Stage::Writing);
         });
     }
@@ -136,7 +136,7 @@ impl<'a> Share<'a> {
     ) {
         let (mut diagnostics, mut budgets) = (diagnostics.iter_mut(), budgets.iter_mut());
         self.each_tile(batch.words, |tile| {
-            pass::account(&tile.rules, &mut tile.columns);
+            tile.settle();
             on(Stage::Bookkeeping);
             tile.write_accounts(&mut diagnostics, &mut budgets);
             on(Stage::Writing);
@@ -154,11 +154,9 @@ impl<'a> Share<'a> {
         let (mut diagnostics, mut budgets) = (diagnostics.iter_mut(), budgets.iter_mut());
         self.each_tile(batch.words, |tile| {
             tile.absorb(batch, on);
-            pass::account(&tile.rules, &mut tile.columns);
+            tile.settle();
             on(Stage::Bookkeeping);
-            for (slot, forecast) in slots(tile.columns.words).zip(forecasts.by_ref()) {
-                *forecast = report::forecast(&tile.rules, &tile.columns.seen(slot));
-            }
+            tile.write_forecasts(&mut forecasts);
             tile.write_accounts(&mut diagnostics, &mut budgets);
             on(Stage::Writing);
         });
@@ -179,21 +177,30 @@ impl<'a> Share<'a> {
         }
     }
 
+    fn settle(&mut self) {
+        let (rules, columns) = (self.rules, &mut self.columns);
+        rules.processor.run(Account {
+            rules: &rules,
+            columns,
+        });
+    }
+
+    fn write_forecasts(&self, places: &mut slice::IterMut<'_, Forecast>) {
+        let share = self;
+        share.rules.processor.run(WriteForecasts { share, places });
+    }
+
     /// Each list by itself: one that is left out must not keep the other from being written.
     fn write_accounts(
         &self,
         diagnostics: &mut slice::IterMut<'_, Diagnostic>,
         budgets: &mut slice::IterMut<'_, Budget>,
     ) {
-        for slot in slots(self.columns.words) {
-            let seen = self.columns.seen(slot);
-            if let Some(diagnostic) = diagnostics.next() {
-                *diagnostic = report::diagnostic(&self.rules, &seen);
-            }
-            if let Some(budget) = budgets.next() {
-                *budget = report::budget(&self.rules, &seen);
-            }
-        }
+        self.rules.processor.run(WriteAccounts {
+            share: self,
+            diagnostics,
+            budgets,
+        });
     }
 
     /// Calls `work` with each tile that has robots in it.
@@ -220,5 +227,53 @@ impl<'a> Share<'a> {
             oldest_ns: self.oldest_ns,
         };
         (share(first), share(second))
+    }
+}
+
+/// Writes the forecasts of a tile.
+struct WriteForecasts<'a, 'b, 'c> {
+    share: &'a Share<'b>,
+    places: &'a mut slice::IterMut<'c, Forecast>,
+}
+
+impl Wide for WriteForecasts<'_, '_, '_> {
+    #[inline(always)]
+    fn run(self) {
+        let Share { rules, columns, .. } = self.share;
+        for (block, lanes) in slots::blocks(columns.words) {
+            let forecasts = Forecasts::of(columns.seen(block));
+            for (lane, place) in slots::bits(lanes).zip(self.places.by_ref()) {
+                *place = forecasts.get(rules, lane);
+            }
+        }
+    }
+}
+
+/// Writes the diagnostics and the budgets of a tile.
+struct WriteAccounts<'a, 'b, 'c, 'd> {
+    share: &'a Share<'b>,
+    diagnostics: &'a mut slice::IterMut<'c, Diagnostic>,
+    budgets: &'a mut slice::IterMut<'d, Budget>,
+}
+
+impl Wide for WriteAccounts<'_, '_, '_, '_> {
+    #[inline(always)]
+    fn run(self) {
+        let Share { rules, columns, .. } = self.share;
+        for (block, lanes) in slots::blocks(columns.words) {
+            let seen = columns.seen(block);
+            if self.diagnostics.len() > 0 {
+                let diagnostics = Diagnostics::of(seen);
+                for (lane, place) in slots::bits(lanes).zip(self.diagnostics.by_ref()) {
+                    *place = diagnostics.get(rules, lane);
+                }
+            }
+            if self.budgets.len() > 0 {
+                let budgets = Budgets::of(rules, seen);
+                for (lane, place) in slots::bits(lanes).zip(self.budgets.by_ref()) {
+                    *place = budgets.get(rules, lane);
+                }
+            }
+        }
     }
 }

@@ -2,6 +2,9 @@
 
 use std::ops::Range;
 
+use crate::columns::BLOCKS;
+use crate::lanes::LANES;
+
 /// Slots in one word.
 pub(crate) const WORD: usize = u64::BITS as usize;
 
@@ -102,6 +105,25 @@ pub(crate) fn slots(words: &[u64]) -> impl Iterator<Item = usize> + '_ {
         word: *word,
         first: index * WORD,
     })
+}
+
+/// The blocks of 16 slots that have one in use, each with a bit for every slot that is.
+#[inline(always)]
+pub(crate) fn blocks(words: &[u64]) -> impl Iterator<Item = (usize, u16)> + '_ {
+    let all = words.iter().enumerate().flat_map(|(index, word)| {
+        let lanes = move |part: usize| (*word >> (part * LANES)) as u16;
+        (0..BLOCKS).map(move |part| (index * BLOCKS + part, lanes(part)))
+    });
+    all.filter(|(_, lanes)| *lanes != 0)
+}
+
+/// The set bits of a block, ascending.
+#[inline(always)]
+pub(crate) fn bits(lanes: u16) -> impl Iterator<Item = usize> {
+    Bits {
+        word: lanes.into(),
+        first: 0,
+    }
 }
 
 /// How many slots of these words are in use.

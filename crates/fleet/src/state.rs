@@ -5,21 +5,24 @@ mod codes;
 use serde::{Deserialize, Serialize};
 
 use crate::departed::Account;
-use crate::detector::Detector;
+use crate::detector::DetectorLanes;
 use crate::fleet::TickIntake;
-use crate::interval::Interval;
+use crate::interval::IntervalLanes;
+use crate::lanes::{self, LANES};
+use crate::ledger::LedgerLanes;
 use crate::mixture::Blend;
 use crate::refused::Refused;
-use crate::robot::{Gate, Last, News};
+use crate::robot::{Gate, LastLanes, NewsLanes};
+use crate::scores::ScoreLanes;
 use crate::sources::Source;
-use crate::window::Window;
-use crate::{Fleet, Ledger, Online, Platform, Scores, Settings};
+use crate::window::WindowLanes;
+use crate::{Fleet, Ledger, Online, Platform, Settings};
 
-pub(crate) use codes::{alarm_set, drop_counts, invalid_reason, quality, refusals};
+pub(crate) use codes::{drop_counts, invalid_reason, refusals};
 
 /// First bytes of the encoded form. The last of them is its version: one more whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x04";
+const MAGIC: [u8; 8] = *b"jbstate\x05";
 
 /// Everything that a tick depends on but the settings and the models, bit for bit: who is in the
 /// fleet and where, windows, ledgers, intervals, scores, detectors, what is learned online, accounts
@@ -56,13 +59,13 @@ struct Counters {
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 struct Columns {
     gates: Vec<Gate>,
-    news: Vec<News>,
-    windows: Vec<Window>,
-    lasts: Vec<Last>,
-    intervals: Vec<Interval>,
-    ledgers: Vec<Ledger>,
-    scores: Vec<Scores>,
-    detectors: Vec<Detector>,
+    news: Vec<NewsLanes>,
+    windows: Vec<WindowLanes>,
+    lasts: Vec<LastLanes>,
+    intervals: Vec<IntervalLanes>,
+    ledgers: Vec<LedgerLanes>,
+    scores: Vec<ScoreLanes>,
+    detectors: Vec<DetectorLanes>,
     /// Empty unless a platform learns online.
     blends: Vec<Blend>,
 }
@@ -143,6 +146,7 @@ impl FleetState {
     #[must_use]
     pub fn with_room_for(settings: &Settings) -> Self {
         let robots = settings.capacity as usize;
+        let blocks = robots.div_ceil(LANES);
         let learns = |platform: &Platform| platform.online != Online::default();
         let learning = settings.platforms.iter().any(learns);
         Self {
@@ -153,13 +157,13 @@ impl FleetState {
             counters: Counters::default(),
             columns: Columns {
                 gates: room(robots, Gate::FREE),
-                news: room(robots, News::None),
-                windows: room(robots, Window::EMPTY),
-                lasts: room(robots, Last::NONE),
-                intervals: room(robots, Interval::new(0.0, 0.0, 0.0, 0.0)),
-                ledgers: room(robots, Ledger::default()),
-                scores: room(robots, Scores::default()),
-                detectors: room(robots, Detector::new()),
+                news: room(blocks, NewsLanes::NONE),
+                windows: room(blocks, WindowLanes::EMPTY),
+                lasts: room(blocks, LastLanes::EMPTY),
+                intervals: room(blocks, IntervalLanes::EMPTY),
+                ledgers: room(blocks, LedgerLanes::EMPTY),
+                scores: room(blocks, ScoreLanes::EMPTY),
+                detectors: room(blocks, DetectorLanes::EMPTY),
                 blends: room(if learning { robots } else { 0 }, Blend::NONE),
             },
             departed: room(
@@ -265,16 +269,17 @@ impl FleetState {
         let columns = &self.columns;
         let slots = columns.gates.len();
         at_most("slots in use", slots, self.capacity as usize)?;
+        let blocks = slots.div_ceil(LANES);
         for (what, length) in [
-            ("length of the news", columns.news.len()),
-            ("length of the windows", columns.windows.len()),
-            ("length of the last samples", columns.lasts.len()),
-            ("length of the intervals", columns.intervals.len()),
-            ("length of the ledgers", columns.ledgers.len()),
-            ("length of the scores", columns.scores.len()),
-            ("length of the detectors", columns.detectors.len()),
+            ("blocks of news", columns.news.len()),
+            ("blocks of windows", columns.windows.len()),
+            ("blocks of last samples", columns.lasts.len()),
+            ("blocks of intervals", columns.intervals.len()),
+            ("blocks of ledgers", columns.ledgers.len()),
+            ("blocks of scores", columns.scores.len()),
+            ("blocks of detectors", columns.detectors.len()),
         ] {
-            exactly(what, length, slots)?;
+            exactly(what, length, blocks)?;
         }
         let blends = slots.min(fleet.columns.blends.len());
         exactly(
@@ -297,7 +302,7 @@ impl FleetState {
             exactly("times a robot is listed", times, 1)?;
             let platform = fleet.platform_of(gate.id).map_or(usize::MAX, usize::from);
             exactly("platform of a robot", gate.platform.into(), platform)?;
-            self.columns.windows[slot].check()?;
+            lanes::get(&self.columns.windows, slot).check()?;
         }
         Ok(())
     }
@@ -328,14 +333,15 @@ impl Fleet {
         };
         let (to, from) = (&mut state.columns, &self.columns);
         let used = from.slots.reach();
+        let blocks = used.div_ceil(LANES);
         copy(&mut to.gates, &from.gates[..used]);
-        copy(&mut to.news, &from.news[..used]);
-        copy(&mut to.windows, &from.windows[..used]);
-        copy(&mut to.lasts, &from.lasts[..used]);
-        copy(&mut to.intervals, &from.intervals[..used]);
-        copy(&mut to.ledgers, &from.ledgers[..used]);
-        copy(&mut to.scores, &from.scores[..used]);
-        copy(&mut to.detectors, &from.detectors[..used]);
+        copy(&mut to.news, &from.news[..blocks]);
+        copy(&mut to.windows, &from.windows[..blocks]);
+        copy(&mut to.lasts, &from.lasts[..blocks]);
+        copy(&mut to.intervals, &from.intervals[..blocks]);
+        copy(&mut to.ledgers, &from.ledgers[..blocks]);
+        copy(&mut to.scores, &from.scores[..blocks]);
+        copy(&mut to.detectors, &from.detectors[..blocks]);
         copy(&mut to.blends, &from.blends[..used.min(from.blends.len())]);
         state.departed.clear();
         state.departed.extend(self.departed.accounts());
@@ -353,15 +359,16 @@ impl Fleet {
         state.check_sound(self)?;
         let (from, to) = (&state.columns, &mut self.columns);
         let used = from.gates.len();
+        let blocks = used.div_ceil(LANES);
         to.gates[..used].copy_from_slice(&from.gates);
         to.gates[used..].fill(Gate::FREE);
-        to.news[..used].copy_from_slice(&from.news);
-        to.windows[..used].copy_from_slice(&from.windows);
-        to.lasts[..used].copy_from_slice(&from.lasts);
-        to.intervals[..used].copy_from_slice(&from.intervals);
-        to.ledgers[..used].copy_from_slice(&from.ledgers);
-        to.scores[..used].copy_from_slice(&from.scores);
-        to.detectors[..used].copy_from_slice(&from.detectors);
+        to.news[..blocks].copy_from_slice(&from.news);
+        to.windows[..blocks].copy_from_slice(&from.windows);
+        to.lasts[..blocks].copy_from_slice(&from.lasts);
+        to.intervals[..blocks].copy_from_slice(&from.intervals);
+        to.ledgers[..blocks].copy_from_slice(&from.ledgers);
+        to.scores[..blocks].copy_from_slice(&from.scores);
+        to.detectors[..blocks].copy_from_slice(&from.detectors);
         to.blends[..from.blends.len()].copy_from_slice(&from.blends);
         to.slots
             .replace(used, state.present().map(|(slot, _)| slot));

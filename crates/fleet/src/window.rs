@@ -1,12 +1,15 @@
 //! The lag window of one robot: what the model sees next.
 
+mod lanes;
+
 use joulebus_predictor::{FeatureSet, Features, Freshness, LAGS, features};
-use serde::{Deserialize, Serialize};
 
 use crate::StateError;
 
+pub(crate) use lanes::{ClosedLanes, WindowLanes};
+
 /// The last readings, newest first, and the forecast made from them.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Lags {
     pub lag_w: [f32; LAGS],
     /// NaN where there is none.
@@ -20,6 +23,7 @@ impl Lags {
     };
 
     /// Moves the window on by one sample period.
+    #[inline(always)]
     fn push(&mut self, power_w: f32) {
         let [first, second, third, fourth, _] = self.lag_w;
         self.lag_w = [power_w, first, second, third, fourth];
@@ -39,9 +43,8 @@ pub(crate) enum Gap {
 }
 
 /// The lag window. It advances by the robot's *samples*; what the worker's clock adds in between
-/// (`open`) is provisional and never changes what a sample leads to. One line of the cache.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[repr(align(64))]
+/// (`open`) is provisional and never changes what a sample leads to.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Window {
     /// After the last sample.
     closed: Lags,
@@ -60,8 +63,6 @@ pub(crate) struct Window {
     /// no forecast: only of samples.
     freshness: Freshness,
 }
-
-const _: () = assert!(size_of::<Window>() == 64);
 
 impl Window {
     pub(crate) const EMPTY: Self = Self {
@@ -88,20 +89,18 @@ impl Window {
         Ok(())
     }
 
-    /// The newest reading in the window, W; NaN when it is empty.
-    pub(crate) fn last_w(&self) -> f32 {
-        self.closed.lag_w[0]
-    }
-
+    #[inline(always)]
     pub(crate) fn have(&self) -> u8 {
         self.have
     }
 
+    #[inline(always)]
     pub(crate) fn is_full(&self) -> bool {
         usize::from(self.have) == LAGS
     }
 
     /// The forecast to show now, W, and the open-loop steps it rests on.
+    #[inline(always)]
     pub(crate) fn shown(&self) -> (f32, u16) {
         let steps = self.unread_steps.saturating_add(self.open_steps);
         (
@@ -151,12 +150,8 @@ impl Window {
         Some(row)
     }
 
-    /// The forecast for the row that [`Window::open_towards`] gave.
-    pub(crate) fn opened(&mut self, forecast_w: f32) {
-        self.open.forecast_w = forecast_w;
-    }
-
     /// Whether [`Window::close`] needs no further steps open loop.
+    #[inline(always)]
     pub(crate) fn can_close(&self, gap: Gap) -> bool {
         match gap {
             Gap::Bridge(steps) => self.open_steps == steps,
@@ -166,6 +161,7 @@ impl Window {
 
     /// Makes what was run open loop part of the window, up to the sample that now arrives.
     /// Returns the forecast made for that sample, W; NaN where there is none.
+    #[inline(always)]
     pub(crate) fn close(&mut self, gap: Gap) -> f32 {
         match gap {
             Gap::None => {}
@@ -197,19 +193,20 @@ impl Window {
         self.freshness.pass(missing_steps);
     }
 
-    /// Whether a new measurement is due at the next sample, or after those that are shown `open`; so
-    /// too where nobody knows.
-    pub(crate) fn due(&self, open: bool) -> bool {
-        let steps = if open { self.open_steps } else { 0 };
-        self.freshness.after(steps.into()).is_due().unwrap_or(true)
+    /// Whether a new measurement is due at the next sample; so too where nobody knows.
+    #[inline(always)]
+    pub(crate) fn due(&self) -> bool {
+        self.freshness.is_due().unwrap_or(true)
     }
 
     /// As [`Window::due`], of the forecast that [`Window::shown`] gives.
     pub(crate) fn shown_due(&self) -> bool {
-        self.due(self.open_steps > 0)
+        let freshness = self.freshness.after(self.open_steps.into());
+        freshness.is_due().unwrap_or(true)
     }
 
     /// Takes a sample's reading, W, a new one or the last one again: corrected mode.
+    #[inline(always)]
     pub(crate) fn read(&mut self, power_w: f32, new: bool) {
         self.freshness.read(new);
         self.closed.push(power_w);
@@ -231,43 +228,49 @@ impl Window {
     }
 
     /// Takes a sample's command, `elapsed_s` after the last one, and gives the row for the forecast
-    /// of the next reading, if the window is full, and command and freshness are known where they
-    /// are `read`.
-    #[inline]
+    /// of the next reading, and whether it can be made: the window is full, and command and freshness
+    /// are known where they are `read`.
+    #[inline(always)]
     pub(crate) fn next_row(
         &mut self,
         elapsed_s: f32,
         command: Option<(f32, f32)>,
-        read: FeatureSet,
-    ) -> Option<Features> {
-        let previous = (self.commanded && elapsed_s > 0.0).then_some((
+        read: Reads,
+    ) -> (Features, bool) {
+        let previous = (self.commanded & (elapsed_s > 0.0)).then_some((
             self.v_mps,
             self.omega_radps,
             elapsed_s,
         ));
         self.commanded = command.is_some();
         (self.v_mps, self.omega_radps) = command.unwrap_or((f32::NAN, f32::NAN));
-        let fresh = read.needs_freshness();
+        let mut row = self.row(&self.closed, previous);
+        self.freshness.fill(&mut row);
         let ready = self.is_full()
-            && (self.commanded || !read.needs_command())
-            && (!fresh || self.freshness.is_known());
-        ready.then(|| {
-            let mut row = self.row(&self.closed, previous);
-            if fresh {
-                self.freshness.fill(&mut row);
-            }
-            row
-        })
+            & (self.commanded | !read.command)
+            & (self.freshness.is_known() | !read.freshness);
+        (row, ready)
     }
 
-    /// The forecast for the row that [`Window::next_row`] gave, W; NaN is none.
-    pub(crate) fn forecast(&mut self, forecast_w: f32) {
-        self.closed.forecast_w = forecast_w;
-    }
-
-    #[inline]
+    #[inline(always)]
     fn row(&self, lags: &Lags, previous: Option<(f32, f32, f32)>) -> Features {
         features(self.v_mps, self.omega_radps, previous, &lags.lag_w)
+    }
+}
+
+/// What a model reads beside the lags.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Reads {
+    pub command: bool,
+    pub freshness: bool,
+}
+
+impl Reads {
+    pub(crate) fn of(set: FeatureSet) -> Self {
+        Self {
+            command: set.needs_command(),
+            freshness: set.needs_freshness(),
+        }
     }
 }
 
@@ -312,9 +315,9 @@ mod tests {
         let mut window = Window::EMPTY;
         for step in 0..5u8 {
             window.read(f32::from(step), step % 3 == 0);
-            window.next_row(10e-9, Some((0.1, 0.0)), FeatureSet::Freshness);
+            window.next_row(10e-9, Some((0.1, 0.0)), Reads::of(FeatureSet::Freshness));
         }
-        window.forecast(4.5);
+        window.closed.forecast_w = 4.5;
         window
     }
 
@@ -325,7 +328,7 @@ mod tests {
 
     fn open(window: &mut Window, steps: u16) {
         while let Some(row) = window.open_towards(steps) {
-            window.opened(infer(&row));
+            window.open.forecast_w = infer(&row);
         }
     }
 
@@ -367,7 +370,7 @@ mod tests {
         for step in 1..=30 {
             window.miss(30);
             assert_eq!(window.unread_steps, step);
-            window.forecast(3.0);
+            window.closed.forecast_w = 3.0;
         }
         window.miss(30);
         assert_eq!((window.have(), window.unread_steps), (0, 0));

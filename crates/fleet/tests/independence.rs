@@ -198,13 +198,13 @@ fn the_next_owner_of_a_slot_sees_nothing_of_the_last_and_accounts_go_on() {
         send(&mut fleet, ROBOT, step, START_NS + step * PERIOD_NS);
     }
     assert_eq!(forecast(&fleet, ROBOT).generation, 0);
-    let account = *fleet.ledger(ROBOT).expect("it has sent");
+    let account = fleet.ledger(ROBOT).expect("it has sent");
     let left_ns = START_NS + 19 * PERIOD_NS + 2_500 * MS + 1;
     fleet.tick(left_ns, false);
     assert!(fleet.is_empty());
     assert_eq!(
         fleet.ledger(ROBOT),
-        Some(&account),
+        Some(account),
         "the account of a robot that left"
     );
 
@@ -236,7 +236,7 @@ fn the_next_owner_of_a_slot_sees_nothing_of_the_last_and_accounts_go_on() {
         forecast(&fleet, ROBOT).quality(),
         Quality::Warmup { have: 1 }
     );
-    let again = *fleet.ledger(ROBOT).expect("it has sent");
+    let again = fleet.ledger(ROBOT).expect("it has sent");
     assert_eq!(again.drawn_uj, account.drawn_uj);
     assert_eq!(again.metered_ns, account.metered_ns);
     let away_ns = back_ns - (START_NS + 19 * PERIOD_NS);

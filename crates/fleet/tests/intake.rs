@@ -530,10 +530,10 @@ fn a_refused_sample_does_not_make_the_others_wait_for_the_deadline() {
 #[test]
 fn what_lies_between_two_recordings_is_not_metered() {
     let (mut fleet, mut source) = warm();
-    let before = *fleet.ledger(ROBOT).unwrap();
+    let before = fleet.ledger(ROBOT).unwrap();
     source.send(&mut fleet, &[good().with(sample_flag::DISCONTINUITY)], NEXT);
     fleet.tick(NEXT, false);
-    let after = *fleet.ledger(ROBOT).unwrap();
+    let after = fleet.ledger(ROBOT).unwrap();
     assert_eq!(after.drawn_uj, before.drawn_uj);
     assert_eq!(after.unmetered_ns, before.unmetered_ns + PERIOD_NS);
 }

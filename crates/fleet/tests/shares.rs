@@ -1,9 +1,10 @@
-//! However a fleet is shared out, cut into tiles and spread over threads, every robot is told the
-//! same, and what is written out is what the fleet says.
+//! However a fleet is shared out, cut into tiles and spread over threads, and whatever instructions
+//! the processor has, every robot is told the same, and what is written out is what the fleet says.
 
 mod world;
 
 use joulebus_fleet::{Batch, Fleet, Outputs, Share};
+use joulebus_predictor::Kernel;
 use joulebus_wire::{Budget, Diagnostic, Forecast, Sample, sample_flag};
 use proptest::prelude::*;
 use world::random::Noise;
@@ -74,13 +75,16 @@ fn tick(mut share: Share<'_>, outputs: Outputs<'_>, batch: &mut Batch, in_two: b
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 8, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 12, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_bit_depends_on_tiles_shares_or_threads(seed in any::<u64>(), depth in 0u32..4) {
+    fn no_bit_depends_on_tiles_shares_threads_or_the_processor(
+        seed in any::<u64>(), depth in 0u32..4, kernel in prop::sample::select(&Kernel::ALL[..]),
+    ) {
         let mut noise = Noise(seed);
-        let new = || Fleet::new(world::learning(ROBOTS), world::models()).expect("they agree");
-        let (mut whole, mut shared) = (new(), new());
+        let new = |models| Fleet::new(world::learning(ROBOTS), models).expect("they agree");
+        let mut whole = new(world::models());
+        let mut shared = new(world::models_on(kernel));
         let mut source = Source::new(1, 1);
         let mut forecasts = vec![Forecast::default(); ROBOTS as usize];
         let mut diagnostics = vec![Diagnostic::default(); ROBOTS as usize];

@@ -171,10 +171,10 @@ pub fn evaluate_trial(
         platform: settings.platforms[kind].name.clone(),
         model: models[kind].name().to_owned(),
         steps,
-        scores: fleet.scores(robot).copied().unwrap_or_default(),
+        scores: fleet.scores(robot).unwrap_or_default(),
         coverage: coverage.unwrap_or(f32::NAN),
         learned: fleet.learned(robot),
-        ledger: fleet.ledger(robot).copied().unwrap_or_default(),
+        ledger: fleet.ledger(robot).unwrap_or_default(),
         accepted: fleet.accepted(),
         drops: fleet.drops(),
     })

@@ -1,19 +1,5 @@
 //! How what belongs to `wire` is written down: by the codes that it has in shared memory.
 
-/// A quality, as code and detail.
-pub(crate) mod quality {
-    use joulebus_wire::Quality;
-    use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};
-
-    pub(crate) fn serialize<S: Serializer>(quality: &Quality, to: S) -> Result<S::Ok, S::Error> {
-        quality.encode().serialize(to)
-    }
-
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Quality, D::Error> {
-        <(u16, u16)>::deserialize(from).map(|(code, detail)| Quality::decode(code, detail))
-    }
-}
-
 /// Why a robot has no forecast, if there is a reason, as its code.
 pub(crate) mod invalid_reason {
     use joulebus_wire::InvalidReason;
@@ -30,20 +16,6 @@ pub(crate) mod invalid_reason {
         from: D,
     ) -> Result<Option<InvalidReason>, D::Error> {
         Ok(Option::deserialize(from)?.map(InvalidReason::decode))
-    }
-}
-
-/// A set of alarms, as its bits.
-pub(crate) mod alarm_set {
-    use joulebus_wire::AlarmSet;
-    use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};
-
-    pub(crate) fn serialize<S: Serializer>(set: &AlarmSet, to: S) -> Result<S::Ok, S::Error> {
-        set.0.serialize(to)
-    }
-
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<AlarmSet, D::Error> {
-        u32::deserialize(from).map(AlarmSet)
     }
 }
 

@@ -7,7 +7,7 @@ pub(crate) mod random;
 use joulebus_fleet::{
     AlarmSettings, Battery, Fleet, Intake, IntervalSettings, Online, Platform, Settings,
 };
-use joulebus_predictor::{FeatureSet, Model, Persistence, ResidualStats};
+use joulebus_predictor::{FeatureSet, Kernel, Model, Persistence, ResidualStats};
 use joulebus_wire::{Budget, Diagnostic, Forecast, Quality, SCHEMA_VERSION, Sample, SampleHeader};
 
 pub(crate) const MS: u64 = 1_000_000;
@@ -88,6 +88,19 @@ pub(crate) fn settings(capacity: u32) -> Settings {
 /// Of the paper's features.
 pub(crate) fn models() -> Vec<Model> {
     models_of([FeatureSet::Full, FeatureSet::PowerOnly])
+}
+
+/// As [`models`], on a kernel and all else on its instructions; as they are where this processor
+/// does not have them.
+pub(crate) fn models_on(kernel: Kernel) -> Vec<Model> {
+    let on = |model: Model| match model {
+        Model::Network(network) => {
+            let moved = network.clone().with_kernel(kernel);
+            Model::Network(moved.unwrap_or(network))
+        }
+        other => other,
+    };
+    models().into_iter().map(on).collect()
 }
 
 /// As [`models`], reading freshness too.

@@ -242,7 +242,7 @@ fn a_mixed_fleet_in_frames_of_any_length_gives_the_bits_of_each_robot_alone() {
         assert!(compared > 1_000, "{frame_period_ms} ms: {compared}");
         assert_eq!(fleet.drops().total(), 0);
         for alone in &evaluation.robots {
-            assert_eq!(fleet.scores(alone.robot), Some(&alone.scores));
+            assert_eq!(fleet.scores(alone.robot), Some(alone.scores));
             let account = |ledger: &joulebus_fleet::Ledger| {
                 (
                     ledger.drawn_uj,
@@ -252,7 +252,7 @@ fn a_mixed_fleet_in_frames_of_any_length_gives_the_bits_of_each_robot_alone() {
                 )
             };
             assert_eq!(
-                fleet.ledger(alone.robot).map(account),
+                fleet.ledger(alone.robot).as_ref().map(account),
                 Some(account(&alone.ledger))
             );
         }

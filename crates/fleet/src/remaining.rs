@@ -1,0 +1,190 @@
+//! What is left in the battery, and for how long.
+
+use crate::lanes::{self, Block, LANES, Lanes, put};
+use crate::pass::Rules;
+use crate::report::Seen;
+use crate::{Battery, Platform};
+
+/// What a robot has left; NaN where that is not known.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Remaining {
+    /// Whether its battery is known.
+    pub battery: bool,
+    pub left_j: f32,
+    pub usable_j: f32,
+    pub usable_lo_j: f32,
+    pub soc: f32,
+    pub soc_lo: f32,
+    pub time_to_empty_s: f32,
+    pub time_to_empty_lo_s: f32,
+    pub time_to_empty_hi_s: f32,
+}
+
+impl Remaining {
+    /// Of what was drawn since the battery was as the platform says it is at first: `drawn_uj`, and
+    /// in `unmetered_ns` more time nobody knows how much, at most `most_w`. `ends_w`: the interval
+    /// around the mean power `mean_w`.
+    #[inline(always)]
+    fn of(
+        battery: &Battery,
+        most_w: f32,
+        (drawn_uj, unmetered_ns): (i64, u64),
+        mean_w: f32,
+        ends_w: (f32, f32),
+    ) -> Self {
+        let capacity_j = battery.capacity_j;
+        let drawn_j = drawn_uj as f64 * 1e-6;
+        let unmetered_s = unmetered_ns as f64 * 1e-9;
+        let mean_w = f64::from(mean_w).max(0.0);
+        let left_j = capacity_j * battery.initial_soc - drawn_j - unmetered_s * mean_w;
+        // On the safe side, nobody looked: the robot may have drawn all that it can.
+        let worst_w = f64::from(most_w).max(0.0);
+        let left_lo_j = capacity_j * battery.initial_soc_lo - drawn_j - unmetered_s * worst_w;
+        // Regeneration fills a battery no further than full.
+        let (left_j, left_lo_j) = (left_j.min(capacity_j), left_lo_j.min(capacity_j));
+        let reserve_j = capacity_j * battery.reserve;
+        let share = |joules: f64| (joules / capacity_j).clamp(0.0, 1.0) as f32;
+        let usable_j = (left_j - reserve_j).max(0.0);
+        let usable_lo_j = (left_lo_j - reserve_j).max(0.0);
+        // Under a lasting bias the interval lies beside the forecast; the safe side stays safe.
+        let lo_w = f64::from(ends_w.0).min(mean_w);
+        let hi_w = f64::from(ends_w.1).max(mean_w);
+        let lasts_s = |joules: f64, watts: f64, positive: bool, otherwise: f32| {
+            let seconds = (joules / watts) as f32;
+            if positive { seconds } else { otherwise }
+        };
+        let draws = mean_w > 0.0;
+        let longest_s = lasts_s(usable_j, lo_w, lo_w > 0.0, f32::INFINITY);
+        Self {
+            battery: true,
+            left_j: left_j.max(0.0) as f32,
+            usable_j: usable_j as f32,
+            usable_lo_j: usable_lo_j as f32,
+            soc: share(left_j),
+            soc_lo: share(left_lo_j),
+            time_to_empty_s: lasts_s(usable_j, mean_w, draws, f32::NAN),
+            time_to_empty_lo_s: lasts_s(usable_lo_j, hi_w, draws, f32::NAN),
+            time_to_empty_hi_s: if draws { longest_s } else { f32::NAN },
+        }
+    }
+}
+
+/// What the robots of a block have left.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct RemainingLanes {
+    battery: Lanes<bool>,
+    left_j: Lanes<f32>,
+    usable_j: Lanes<f32>,
+    usable_lo_j: Lanes<f32>,
+    soc: Lanes<f32>,
+    soc_lo: Lanes<f32>,
+    time_to_empty_s: Lanes<f32>,
+    time_to_empty_lo_s: Lanes<f32>,
+    time_to_empty_hi_s: Lanes<f32>,
+}
+
+impl RemainingLanes {
+    pub(crate) const UNKNOWN: Self = Self {
+        battery: [false; LANES],
+        left_j: [f32::NAN; LANES],
+        usable_j: [f32::NAN; LANES],
+        usable_lo_j: [f32::NAN; LANES],
+        soc: [f32::NAN; LANES],
+        soc_lo: [f32::NAN; LANES],
+        time_to_empty_s: [f32::NAN; LANES],
+        time_to_empty_lo_s: [f32::NAN; LANES],
+        time_to_empty_hi_s: [f32::NAN; LANES],
+    };
+
+    #[inline(always)]
+    pub(crate) fn of(rules: &Rules<'_>, seen: &Seen<'_>) -> Self {
+        let mut its = Self::UNKNOWN;
+        let (mut known, mut platform) = ([false; LANES], [0; LANES]);
+        let mut silent_ns = [0; LANES];
+        for (lane, gate) in seen.gates.iter().enumerate() {
+            // How much a charger has put back is not known: better no figure than a wrong one.
+            known[lane] = gate.accepted & !gate.charged;
+            platform[lane] = gate.platform;
+            silent_ns[lane] = rules.now_ns.saturating_sub(gate.taken_ns);
+        }
+        for (number, kind) in rules.kinds.iter().enumerate() {
+            let Some(battery) = kind.platform.battery else {
+                continue;
+            };
+            let mut which = known;
+            for lane in 0..LANES {
+                which[lane] &= usize::from(platform[lane]) == number;
+            }
+            if lanes::any(&which) {
+                its.fill((&battery, &kind.platform), seen, &which, &silent_ns);
+            }
+        }
+        its
+    }
+
+    /// Fills in the robots of one platform.
+    #[inline(always)]
+    fn fill(
+        &mut self,
+        (battery, platform): (&Battery, &Platform),
+        seen: &Seen<'_>,
+        which: &Lanes<bool>,
+        silent_ns: &Lanes<u64>,
+    ) {
+        let (period_ns, most_w) = (platform.period_ns, platform.power_max_w);
+        let mean_w = &seen.lasts.mean_power_w;
+        for lane in 0..LANES {
+            let ends_w = seen.intervals.get(lane).around(mean_w[lane], 0, true);
+            let (drawn_uj, unmetered_ns) = seen.ledgers.drawn(lane);
+            let silent_ns = silent_ns[lane].saturating_sub(period_ns);
+            let unmetered_ns = unmetered_ns.saturating_add(silent_ns);
+            let drawn = (drawn_uj, unmetered_ns);
+            let its = Remaining::of(battery, most_w, drawn, mean_w[lane], ends_w);
+            self.set(lane, which[lane], its);
+        }
+    }
+}
+
+impl Block for RemainingLanes {
+    type Robot = Remaining;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Remaining {
+        Remaining {
+            battery: self.battery[lane],
+            left_j: self.left_j[lane],
+            usable_j: self.usable_j[lane],
+            usable_lo_j: self.usable_lo_j[lane],
+            soc: self.soc[lane],
+            soc_lo: self.soc_lo[lane],
+            time_to_empty_s: self.time_to_empty_s[lane],
+            time_to_empty_lo_s: self.time_to_empty_lo_s[lane],
+            time_to_empty_hi_s: self.time_to_empty_hi_s[lane],
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, which: bool, robot: Remaining) {
+        put(&mut self.battery[lane], which, robot.battery);
+        put(&mut self.left_j[lane], which, robot.left_j);
+        put(&mut self.usable_j[lane], which, robot.usable_j);
+        put(&mut self.usable_lo_j[lane], which, robot.usable_lo_j);
+        put(&mut self.soc[lane], which, robot.soc);
+        put(&mut self.soc_lo[lane], which, robot.soc_lo);
+        put(
+            &mut self.time_to_empty_s[lane],
+            which,
+            robot.time_to_empty_s,
+        );
+        put(
+            &mut self.time_to_empty_lo_s[lane],
+            which,
+            robot.time_to_empty_lo_s,
+        );
+        put(
+            &mut self.time_to_empty_hi_s[lane],
+            which,
+            robot.time_to_empty_hi_s,
+        );
+    }
+}

@@ -1,0 +1,176 @@
+//! What the next samples of a block's robots do to them: as [`crate::step`], sixteen at a time.
+
+// Lanes are counted: that is the loop that the compiler makes vectors of.
+#![allow(clippy::needless_range_loop)]
+
+use joulebus_predictor::INPUTS;
+
+use crate::batch::Batch;
+use crate::columns::Part;
+use crate::interval::IntervalLanes;
+use crate::kind::Kind;
+use crate::lanes::{Block as _, LANES, Lanes, put};
+use crate::robot::{LastLanes, News, NewsLanes};
+use crate::step::{Step, quality, read, seconds};
+use crate::window::{ClosedLanes, Gap, Reads, WindowLanes};
+
+/// Samples that are the next of their robots, with readings.
+#[derive(Clone, Copy)]
+pub(crate) struct Next<'a> {
+    /// Whose.
+    pub which: &'a Lanes<bool>,
+    /// Time since the sample before, ns.
+    pub elapsed_ns: &'a Lanes<u64>,
+}
+
+/// Takes such samples of a block, and adds the rows for the next forecasts.
+#[inline(always)]
+pub(crate) fn step_block(
+    kind: &Kind,
+    columns: &mut Part<'_>,
+    block: usize,
+    next: &Next<'_>,
+    batch: &mut Batch,
+) {
+    let (news, windows) = (&mut columns.news[block], &mut columns.windows[block]);
+    let (lasts, intervals) = (&mut columns.lasts[block], &mut columns.intervals[block]);
+    let (first, which) = (block * LANES, next.which);
+    let (mut elapsed_s, mut forecast_w) = ([0.0; LANES], [0.0; LANES]);
+    for lane in 0..LANES {
+        elapsed_s[lane] = seconds(next.elapsed_ns[lane]);
+        forecast_w[lane] = windows.get(lane).close(Gap::None);
+    }
+    read_lasts(lasts, news, which, &elapsed_s, &forecast_w);
+    let mut taken = Taken::NONE;
+    let closed = &mut windows.closed;
+    read_windows(kind.reads, closed, news, which, &elapsed_s, &mut taken);
+    qualify(kind.reads, lasts, news, which, windows, &taken);
+    expect(news, which, &taken);
+    follow(kind, intervals, news, &taken);
+    for lane in (0..LANES).filter(|lane| which[*lane]) {
+        columns.gates[first + lane].accept(&news.get(lane));
+    }
+    if let Some(blending) = &kind.blending {
+        for lane in (0..LANES).filter(|lane| taken.scored[*lane]) {
+            columns.blends[first + lane].learn(blending, news.get(lane).power_w);
+        }
+    }
+    batch.push_block(first, &taken.ready, &taken.rows);
+}
+
+/// Has the last samples of a block replaced by the next.
+#[inline(always)]
+fn read_lasts(
+    lasts: &mut LastLanes,
+    news: &NewsLanes,
+    which: &Lanes<bool>,
+    elapsed_s: &Lanes<f32>,
+    forecast_w: &Lanes<f32>,
+) {
+    // A copy, so that the compiler sees that nothing else writes to it.
+    let mut its = *lasts;
+    for lane in 0..LANES {
+        let mut last = its.get(lane);
+        let pending = news.get(lane);
+        last.seq = pending.seq;
+        last.read(&pending, forecast_w[lane], elapsed_s[lane]);
+        its.set(lane, which[lane], last);
+    }
+    *lasts = its;
+}
+
+/// Has the windows of a block take their readings and commands.
+#[inline(always)]
+fn read_windows(
+    reads: Reads,
+    windows: &mut ClosedLanes,
+    news: &NewsLanes,
+    which: &Lanes<bool>,
+    elapsed_s: &Lanes<f32>,
+    taken: &mut Taken,
+) {
+    // A copy, so that the compiler sees that nothing else writes to it.
+    let mut its = *windows;
+    for lane in 0..LANES {
+        let mut window = its.get(lane);
+        let forecast_w = (window.close(Gap::None), true);
+        let pending = news.get(lane);
+        let step = read(reads, &mut window, &pending, forecast_w, elapsed_s[lane]);
+        its.put(lane, which[lane], &window);
+        taken.set(lane, which[lane], &step);
+    }
+    *windows = its;
+}
+
+/// Notes what the forecasts of a block may be called.
+#[inline(always)]
+fn qualify(
+    reads: Reads,
+    lasts: &mut LastLanes,
+    news: &NewsLanes,
+    which: &Lanes<bool>,
+    windows: &WindowLanes,
+    taken: &Taken,
+) {
+    for lane in 0..LANES {
+        let (pending, have) = (news.get(lane), windows.have(lane));
+        let quality = quality(reads, &pending, have, taken.ready[lane]);
+        lasts.set_quality(lane, which[lane], quality);
+    }
+}
+
+/// Notes what was expected of the readings of a block.
+#[inline(always)]
+fn expect(news: &mut NewsLanes, which: &Lanes<bool>, taken: &Taken) {
+    for lane in 0..LANES {
+        news.mark(lane, which[lane], News::Absorbed);
+        put(
+            &mut news.expected_w[lane],
+            which[lane],
+            taken.expected_w[lane],
+        );
+    }
+}
+
+/// Moves the intervals of a block on by the residuals.
+#[inline(always)]
+fn follow(kind: &Kind, intervals: &mut IntervalLanes, news: &NewsLanes, taken: &Taken) {
+    let (floor_w, moves) = (kind.platform.power_resolution_w, kind.moves);
+    for lane in 0..LANES {
+        let mut interval = intervals.get(lane);
+        let residual_w = news.get(lane).power_w - taken.expected_w[lane];
+        interval.observe(residual_w, taken.due[lane], floor_w, moves);
+        intervals.set(lane, taken.scored[lane], interval);
+    }
+}
+
+/// [`Step`]s of a block.
+struct Taken {
+    expected_w: Lanes<f32>,
+    /// Whether there was such a forecast.
+    scored: Lanes<bool>,
+    due: Lanes<bool>,
+    ready: Lanes<bool>,
+    rows: [Lanes<f32>; INPUTS],
+}
+
+impl Taken {
+    const NONE: Self = Self {
+        expected_w: [f32::NAN; LANES],
+        scored: [false; LANES],
+        due: [false; LANES],
+        ready: [false; LANES],
+        rows: [[0.0; LANES]; INPUTS],
+    };
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, which: bool, step: &Step) {
+        self.expected_w[lane] = step.expected_w;
+        self.scored[lane] = which & !step.expected_w.is_nan();
+        self.due[lane] = step.due;
+        self.ready[lane] = which & step.ready;
+        for feature in 0..INPUTS {
+            self.rows[feature][lane] = step.row[feature];
+        }
+    }
+}
