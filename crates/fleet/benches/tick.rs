@@ -4,7 +4,8 @@
 //! between two rounds the network alone runs over as many rows, tile by tile. Figures are medians
 //! over the rounds, ns per robot, and the tick as a multiple of the network. `cargo bench -p
 //! joulebus-fleet -- 512` sets the slots in a tile, `-- learning` has every robot learn online: a
-//! mixture, a level and a gain.
+//! mixture, a level and a gain. `-- mixed` has three platforms, whose robots send in turn, `-- holes`
+//! one sample in ten without a reading.
 
 mod world;
 

@@ -3,6 +3,7 @@
 use joulebus_wire::{DropReason, Sample, SampleHeader};
 
 use crate::account::{Facts, judge};
+use crate::columns::Columns;
 use crate::detector::Detector;
 use crate::intake::{check_values, invalid};
 use crate::interval::Interval;
@@ -119,7 +120,9 @@ impl Fleet {
             return Ok(slot);
         }
         let kind = self.platform_of(robot).ok_or(DropReason::UnknownRobot)?;
-        let slot = self.columns.slots.take().ok_or(DropReason::OverCapacity)?;
+        let Columns { slots, gates, .. } = &mut self.columns;
+        let slot = slots.take(kind, |slot| gates[slot].platform);
+        let slot = slot.ok_or(DropReason::OverCapacity)?;
         self.slot_of.insert(robot, slot as u32);
         self.occupy(slot, robot, kind, header, now_ns);
         Ok(slot)

@@ -64,7 +64,7 @@ impl Columns {
             scores: vec![ScoreLanes::EMPTY; blocks],
             detectors: vec![DetectorLanes::EMPTY; blocks],
             blends: vec![Blend::NONE; if learning { robots } else { 0 }],
-            slots: Slots::new(capacity),
+            slots: Slots::new(capacity, kinds.len()),
         }
     }
 

@@ -74,7 +74,9 @@ impl Wide for Absorb<'_, '_> {
         let its = &self.rules.kinds[usize::from(self.kind)];
         self.batch.begin(its);
         for (block, lanes) in slots::blocks(self.columns.words) {
-            let entered = self.enter(its, block, lanes);
+            let Some(entered) = self.enter(its, block, lanes) else {
+                continue;
+            };
             if lanes::any(&entered.smooth) {
                 let next = Next {
                     which: &entered.smooth,
@@ -103,9 +105,10 @@ struct Entered {
 }
 
 impl Absorb<'_, '_> {
-    /// Ends the tick of a block's robots, and looks what waits.
+    /// Ends the tick of a block's robots, and looks what waits; `None` if no robot of it is of the
+    /// platform.
     #[inline(always)]
-    fn enter(&mut self, its: &Kind, block: usize, lanes: u16) -> Entered {
+    fn enter(&mut self, its: &Kind, block: usize, lanes: u16) -> Option<Entered> {
         let (mut ours, mut stamp_ns) = ([false; LANES], [0; LANES]);
         for lane in slots::bits(lanes) {
             let slot = block * LANES + lane;
@@ -126,6 +129,9 @@ impl Absorb<'_, '_> {
             }
             (ours[lane], stamp_ns[lane]) = (true, gate.stamp_ns);
         }
+        if !lanes::any(&ours) {
+            return None;
+        }
         let news = &self.columns.news[block];
         let mut entered = Entered {
             smooth: [false; LANES],
@@ -142,7 +148,7 @@ impl Absorb<'_, '_> {
             entered.rough[lane] = waits & !next;
             entered.elapsed_ns[lane] = elapsed_ns;
         }
-        entered
+        Some(entered)
     }
 
     /// Takes samples of a block one by one.

@@ -33,14 +33,20 @@ impl World {
     pub(crate) fn new(robots: usize) -> Self {
         let model = Model::Network(random::network(1, FeatureSet::Full));
         let settings = settings(robots as u32);
+        let models = vec![model.clone(); settings.platforms.len()];
+        let kinds = models.len() as u32;
+        let each = (robots as u32).div_ceil(kinds);
+        // Robots of all platforms in turn.
+        let ids = (0..each).flat_map(|place| (0..kinds).map(move |kind| kind * each + place));
         Self {
-            fleet: Fleet::new(settings, vec![model.clone()]).expect("the settings are fine"),
+            fleet: Fleet::new(settings, models).expect("the settings are fine"),
             model,
             forecasts: vec![vec![Forecast::default(); robots]; FRAMES],
             diagnostics: vec![vec![Diagnostic::default(); robots]; FRAMES],
             budgets: vec![vec![Budget::default(); robots]; FRAMES],
             noise: Noise(3),
-            samples: (0..robots as u32)
+            samples: ids
+                .filter(|robot| *robot < robots as u32)
                 .map(|robot| Sample::new(robot, 0, 0))
                 .collect(),
             header: SampleHeader {
@@ -55,10 +61,13 @@ impl World {
     /// Takes a sample of every robot; gives when, ns, and how long that took, s.
     pub(crate) fn take(&mut self, round: usize) -> (u64, f64) {
         let now_ns = 60_000 * MS + round as u64 * PERIOD_NS;
+        let holes = asked_for("holes");
         for sample in &mut self.samples {
             *sample = Sample::new(sample.robot, round as u64, now_ns)
-                .command(0.2 * self.noise.next_f32(), self.noise.next_f32())
-                .reading(3.6 + 0.3 * self.noise.next_f32(), now_ns);
+                .command(0.2 * self.noise.next_f32(), self.noise.next_f32());
+            if !holes || !self.noise.next_u64().is_multiple_of(10) {
+                *sample = sample.reading(3.6 + 0.3 * self.noise.next_f32(), now_ns);
+            }
         }
         let start = std::time::Instant::now();
         self.fleet.take(&self.header, &self.samples, now_ns);
@@ -68,8 +77,14 @@ impl World {
     }
 }
 
+fn asked_for(option: &str) -> bool {
+    std::env::args().any(|argument| argument == option)
+}
+
 fn settings(capacity: u32) -> Settings {
-    let learning = std::env::args().any(|argument| argument == "learning");
+    let learning = asked_for("learning");
+    let kinds = if asked_for("mixed") { 3 } else { 1 };
+    let each = capacity.div_ceil(kinds);
     Settings {
         capacity,
         intake: Intake {
@@ -94,28 +109,30 @@ fn settings(capacity: u32) -> Settings {
             clear_samples: 90,
             training_margin: 0.1,
         },
-        platforms: vec![Platform {
-            name: "wheeled".to_owned(),
-            robots: vec![0..=capacity],
-            period_ns: PERIOD_NS,
-            stale_after_ns: 500 * MS,
-            hold_max_ns: 500 * MS,
-            stuck_after_ns: 10_000 * MS,
-            power_min_w: 0.0,
-            power_max_w: 20.0,
-            v_max_mps: 2.0,
-            omega_max_radps: 3.0,
-            power_resolution_w: 0.01,
-            battery: Some(Battery {
-                capacity_j: 10_000.0,
-                reserve: 0.1,
-                initial_soc: 0.9,
-                initial_soc_lo: 0.8,
-            }),
-            online: Online {
-                mixture: learning,
-                adapt: learning,
-            },
-        }],
+        platforms: (0..kinds)
+            .map(|kind| Platform {
+                name: format!("wheeled-{kind}"),
+                robots: vec![kind * each..=kind * each + each - 1],
+                period_ns: PERIOD_NS,
+                stale_after_ns: 500 * MS,
+                hold_max_ns: 500 * MS,
+                stuck_after_ns: 10_000 * MS,
+                power_min_w: 0.0,
+                power_max_w: 20.0,
+                v_max_mps: 2.0,
+                omega_max_radps: 3.0,
+                power_resolution_w: 0.01,
+                battery: Some(Battery {
+                    capacity_j: 10_000.0,
+                    reserve: 0.1,
+                    initial_soc: 0.9,
+                    initial_soc_lo: 0.8,
+                }),
+                online: Online {
+                    mixture: learning,
+                    adapt: learning,
+                },
+            })
+            .collect(),
     }
 }
