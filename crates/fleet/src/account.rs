@@ -92,7 +92,7 @@ impl Waiting {
             its.charging[lane] = gate.charging;
         }
         for lane in 0..LANES {
-            let sample = news.get(lane);
+            let sample = news.samples.get(lane);
             let broken = news.is(lane, News::Broken);
             let absorbed = broken | news.is(lane, News::Absorbed);
             its.which[lane] = absorbed & (lanes >> lane & 1 == 1);

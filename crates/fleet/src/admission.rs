@@ -40,7 +40,8 @@ impl Fleet {
         gate.renewed = false;
         (gate.taken_ns, gate.invalid, gate.refused_run) = (now_ns, None, 0);
         let (news, lane) = (&mut self.columns.news[slot / LANES], slot % LANES);
-        news.set(lane, true, Pending::new(sample, broken));
+        let pending = Pending::new(sample, broken);
+        news.samples.set(lane, true, pending);
         news.mark(lane, true, News::Waiting);
         Ok(())
     }

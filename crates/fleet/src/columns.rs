@@ -56,13 +56,13 @@ impl Columns {
         let robots = blocks * LANES;
         Self {
             gates: vec![Gate::FREE; robots],
-            news: vec![NewsLanes::NONE; blocks],
-            windows: vec![WindowLanes::EMPTY; blocks],
-            lasts: vec![LastLanes::EMPTY; blocks],
-            intervals: vec![IntervalLanes::EMPTY; blocks],
-            ledgers: vec![LedgerLanes::EMPTY; blocks],
-            scores: vec![ScoreLanes::EMPTY; blocks],
-            detectors: vec![DetectorLanes::EMPTY; blocks],
+            news: vec![NewsLanes::default(); blocks],
+            windows: vec![WindowLanes::default(); blocks],
+            lasts: vec![LastLanes::default(); blocks],
+            intervals: vec![IntervalLanes::default(); blocks],
+            ledgers: vec![LedgerLanes::default(); blocks],
+            scores: vec![ScoreLanes::default(); blocks],
+            detectors: vec![DetectorLanes::default(); blocks],
             blends: vec![Blend::NONE; if learning { robots } else { 0 }],
             slots: Slots::new(capacity, kinds.len()),
         }

@@ -4,7 +4,7 @@ use joulebus_wire::{Alarm, AlarmSet};
 use serde::{Deserialize, Serialize};
 
 use crate::AlarmSettings;
-use crate::lanes::{Block, LANES, Lanes, put};
+use crate::lanes::{Block, Lanes, put};
 
 /// Serial correlation above which whitening would only amplify noise.
 const CORRELATION_MAX: f32 = 0.9;
@@ -177,7 +177,7 @@ impl Detector {
 }
 
 /// The detectors of a block.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(64))]
 pub(crate) struct DetectorLanes {
     pub bias_w: Lanes<f32>,
@@ -196,21 +196,6 @@ pub(crate) struct DetectorLanes {
 }
 
 impl DetectorLanes {
-    pub(crate) const EMPTY: Self = Self {
-        bias_w: [0.0; LANES],
-        cusum_up: [0.0; LANES],
-        cusum_down: [0.0; LANES],
-        noise_ratio: [0.0; LANES],
-        z_last: [0.0; LANES],
-        z_square: [0.0; LANES],
-        z_product: [0.0; LANES],
-        error_square: [0.0; LANES],
-        persistence_square: [0.0; LANES],
-        changing: [0; LANES],
-        raised: [0; LANES],
-        agreeing: [[0; ALARMS]; LANES],
-    };
-
     #[inline(always)]
     pub(crate) fn raised(&self, lane: usize) -> AlarmSet {
         AlarmSet(self.raised[lane])

@@ -21,15 +21,13 @@
 use serde::{Deserialize, Serialize};
 
 use crate::IntervalSettings;
-use crate::lanes::{Block, LANES, Lanes, put};
+use crate::lanes::{block, put};
 
 /// Weight of the newest residual in their mean and size, and in the recent coverage.
 const RECENT_WEIGHT: f32 = 0.01;
 const COVERAGE_WEIGHT: f32 = 0.005;
 /// Residuals that the size at the start counts for.
 const TRUST: f32 = 5.0;
-/// A new measurement is due (or nobody knows), or none is.
-const PHASES: usize = 2;
 /// What a factor may be.
 const FACTOR: (f32, f32) = (1e-3, 1e3);
 /// Largest residual that is believed, W.
@@ -60,14 +58,18 @@ pub(crate) struct Interval {
     /// Distance of each end from the mean, in sizes.
     below: f32,
     above: f32,
-    /// Recent mean of the residuals, W.
-    mean_w: [f32; PHASES],
+    /// Recent mean of the residuals, W: where a new measurement is due (or nobody knows), and where
+    /// none is.
+    mean_due_w: f32,
+    mean_held_w: f32,
     /// Recent mean distance from it, W.
-    size_w: [f32; PHASES],
+    size_due_w: f32,
+    size_held_w: f32,
     covered: u64,
     recent: f32,
     /// Residuals so far, up to 255.
-    seen: [u8; PHASES],
+    seen_due: u8,
+    seen_held: u8,
 }
 
 impl Interval {
@@ -79,11 +81,14 @@ impl Interval {
         Self {
             below: factor(-q05_w),
             above: factor(q95_w),
-            mean_w: [0.0; PHASES],
-            size_w: [size_w; PHASES],
+            mean_due_w: 0.0,
+            mean_held_w: 0.0,
+            size_due_w: size_w,
+            size_held_w: size_w,
             covered: 0,
             recent: coverage,
-            seen: [0; PHASES],
+            seen_due: 0,
+            seen_held: 0,
         }
     }
 
@@ -91,7 +96,7 @@ impl Interval {
     /// new measurement was.
     #[inline(always)]
     pub(crate) fn observe(&mut self, residual_w: f32, due: bool, floor_w: f32, moves: Moves) {
-        let (mean_w, size_w) = (of_phase(self.mean_w, due), of_phase(self.size_w, due));
+        let (mean_w, size_w) = self.phase_w(due);
         let over = residual_w > mean_w + size_w * self.above;
         let under = residual_w < mean_w - size_w * self.below;
         let covered = !(over | under);
@@ -105,12 +110,33 @@ impl Interval {
         let apart_w = (residual_w.clamp(-RESIDUAL_MAX, RESIDUAL_MAX)) - mean_w;
         // What the training says of the size is soon forgotten, what it says of the mean is not: it
         // is 0, or the model has a bias that one robot's first readings do not tell.
-        let seen = of_phase(self.seen, due);
+        let seen = if due { self.seen_due } else { self.seen_held };
         let weight = RECENT_WEIGHT.max(1.0 / (1.0 + TRUST + f32::from(seen)));
         let size_w = (size_w + weight * (apart_w.abs() - size_w)).max(floor_w);
-        self.size_w = with_phase(self.size_w, due, size_w);
-        self.mean_w = with_phase(self.mean_w, due, mean_w + RECENT_WEIGHT * apart_w);
-        self.seen = with_phase(self.seen, due, seen.saturating_add(1));
+        let (mean_w, seen) = (mean_w + RECENT_WEIGHT * apart_w, seen.saturating_add(1));
+        put(&mut self.size_due_w, due, size_w);
+        put(&mut self.size_held_w, !due, size_w);
+        put(&mut self.mean_due_w, due, mean_w);
+        put(&mut self.mean_held_w, !due, mean_w);
+        put(&mut self.seen_due, due, seen);
+        put(&mut self.seen_held, !due, seen);
+    }
+
+    /// Mean and size of the residuals where a new measurement is due, or where none is, W.
+    #[inline(always)]
+    fn phase_w(&self, due: bool) -> (f32, f32) {
+        (
+            if due {
+                self.mean_due_w
+            } else {
+                self.mean_held_w
+            },
+            if due {
+                self.size_due_w
+            } else {
+                self.size_held_w
+            },
+        )
     }
 
     /// Share inside of the `observed` readings, over all and of late; NaN before the first.
@@ -126,8 +152,9 @@ impl Interval {
     /// measurement is.
     #[inline(always)]
     pub(crate) fn around(&self, forecast_w: f32, open_steps: u16, due: bool) -> (f32, f32) {
-        let middle_w = forecast_w + of_phase(self.mean_w, due);
-        let size_w = of_phase(self.size_w, due) * (1.0 + f32::from(open_steps)).sqrt();
+        let (mean_w, size_w) = self.phase_w(due);
+        let middle_w = forecast_w + mean_w;
+        let size_w = size_w * (1.0 + f32::from(open_steps)).sqrt();
         (
             middle_w - size_w * self.below,
             middle_w + size_w * self.above,
@@ -135,72 +162,21 @@ impl Interval {
     }
 }
 
-#[inline(always)]
-fn of_phase<T: Copy>([due, held]: [T; PHASES], is_due: bool) -> T {
-    if is_due { due } else { held }
-}
-
-#[inline(always)]
-fn with_phase<T: Copy>([due, held]: [T; PHASES], is_due: bool, value: T) -> [T; PHASES] {
-    [
-        if is_due { value } else { due },
-        if is_due { held } else { value },
-    ]
-}
-
-/// The intervals of a block.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-#[repr(align(32))]
-pub(crate) struct IntervalLanes {
-    below: Lanes<f32>,
-    above: Lanes<f32>,
-    mean_w: [Lanes<f32>; PHASES],
-    size_w: [Lanes<f32>; PHASES],
-    recent: Lanes<f32>,
-    covered: Lanes<u64>,
-    seen: [Lanes<u8>; PHASES],
-}
-
-impl IntervalLanes {
-    pub(crate) const EMPTY: Self = Self {
-        below: [0.0; LANES],
-        above: [0.0; LANES],
-        mean_w: [[0.0; LANES]; PHASES],
-        size_w: [[0.0; LANES]; PHASES],
-        recent: [0.0; LANES],
-        covered: [0; LANES],
-        seen: [[0; LANES]; PHASES],
-    };
-}
-
-impl Block for IntervalLanes {
-    type Robot = Interval;
-
-    #[inline(always)]
-    fn get(&self, lane: usize) -> Interval {
-        Interval {
-            below: self.below[lane],
-            above: self.above[lane],
-            mean_w: [self.mean_w[0][lane], self.mean_w[1][lane]],
-            size_w: [self.size_w[0][lane], self.size_w[1][lane]],
-            covered: self.covered[lane],
-            recent: self.recent[lane],
-            seen: [self.seen[0][lane], self.seen[1][lane]],
-        }
-    }
-
-    #[inline(always)]
-    fn set(&mut self, lane: usize, which: bool, robot: Interval) {
-        put(&mut self.below[lane], which, robot.below);
-        put(&mut self.above[lane], which, robot.above);
-        put(&mut self.mean_w[0][lane], which, robot.mean_w[0]);
-        put(&mut self.mean_w[1][lane], which, robot.mean_w[1]);
-        put(&mut self.size_w[0][lane], which, robot.size_w[0]);
-        put(&mut self.size_w[1][lane], which, robot.size_w[1]);
-        put(&mut self.covered[lane], which, robot.covered);
-        put(&mut self.recent[lane], which, robot.recent);
-        put(&mut self.seen[0][lane], which, robot.seen[0]);
-        put(&mut self.seen[1][lane], which, robot.seen[1]);
+block! {
+    /// The intervals of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    #[repr(align(32))]
+    pub(crate) struct IntervalLanes of Interval {
+        below: f32,
+        above: f32,
+        mean_due_w: f32,
+        mean_held_w: f32,
+        size_due_w: f32,
+        size_held_w: f32,
+        recent: f32,
+        covered: u64,
+        seen_due: u8,
+        seen_held: u8,
     }
 }
 

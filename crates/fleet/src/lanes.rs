@@ -23,6 +23,39 @@ pub(crate) trait Block: Copy {
     fn set(&mut self, lane: usize, which: bool, robot: Self::Robot);
 }
 
+/// Declares the block of a struct whose fields are all numbers: each of them by itself, in this order.
+macro_rules! block {
+    (
+        $(#[$about:meta])*
+        $visible:vis struct $block:ident of $robot:ident {
+            $($(#[$about_field:meta])* $field_visible:vis $field:ident: $number:ty,)*
+        }
+    ) => {
+        $(#[$about])*
+        $visible struct $block {
+            $($(#[$about_field])* $field_visible $field: $crate::lanes::Lanes<$number>,)*
+        }
+
+        impl $crate::lanes::Block for $block {
+            type Robot = $robot;
+
+            #[inline(always)]
+            fn get(&self, lane: usize) -> $robot {
+                $robot {
+                    $($field: self.$field[lane],)*
+                }
+            }
+
+            #[inline(always)]
+            fn set(&mut self, lane: usize, which: bool, robot: $robot) {
+                $($crate::lanes::put(&mut self.$field[lane], which, robot.$field);)*
+            }
+        }
+    };
+}
+
+pub(crate) use block;
+
 /// Stores the value, if `which`: a selection and no branch.
 #[inline(always)]
 pub(crate) fn put<T: Copy>(place: &mut T, which: bool, value: T) {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::lanes::{Block, LANES, Lanes, put};
+use crate::lanes::{block, put};
 
 /// µW·ns in one µJ, times 2: the trapezoid is summed without being halved.
 const UNITS_PER_UJ: i64 = 2_000_000_000;
@@ -245,80 +245,20 @@ fn microwatts(power_w: f32) -> i64 {
     (exact_uw + 0.5f64.copysign(exact_uw)) as i64
 }
 
-/// The ledgers of a block.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-#[repr(align(32))]
-pub(crate) struct LedgerLanes {
-    drawn_uj: Lanes<i64>,
-    forecast_uj: Lanes<i64>,
-    metered_ns: Lanes<u64>,
-    unmetered_ns: Lanes<u64>,
-    stamp_ns: Lanes<u64>,
-    drawn_remainder: Lanes<u32>,
-    forecast_remainder: Lanes<u32>,
-    last_power: Lanes<u32>,
-    begun: Lanes<bool>,
-}
-
-impl LedgerLanes {
-    pub(crate) const EMPTY: Self = Self {
-        drawn_uj: [0; LANES],
-        forecast_uj: [0; LANES],
-        metered_ns: [0; LANES],
-        unmetered_ns: [0; LANES],
-        stamp_ns: [0; LANES],
-        drawn_remainder: [0; LANES],
-        forecast_remainder: [0; LANES],
-        last_power: [0; LANES],
-        begun: [false; LANES],
-    };
-}
-
-impl LedgerLanes {
-    /// Energy drawn, µJ, and time unmetered, ns.
-    #[inline(always)]
-    pub(crate) fn drawn(&self, lane: usize) -> (i64, u64) {
-        (self.drawn_uj[lane], self.unmetered_ns[lane])
-    }
-}
-
-impl Block for LedgerLanes {
-    type Robot = Ledger;
-
-    #[inline(always)]
-    fn get(&self, lane: usize) -> Ledger {
-        Ledger {
-            drawn_uj: self.drawn_uj[lane],
-            forecast_uj: self.forecast_uj[lane],
-            metered_ns: self.metered_ns[lane],
-            unmetered_ns: self.unmetered_ns[lane],
-            stamp_ns: self.stamp_ns[lane],
-            drawn_remainder: self.drawn_remainder[lane],
-            forecast_remainder: self.forecast_remainder[lane],
-            last_power: self.last_power[lane],
-            begun: self.begun[lane],
-        }
-    }
-
-    #[inline(always)]
-    fn set(&mut self, lane: usize, which: bool, robot: Ledger) {
-        put(&mut self.drawn_uj[lane], which, robot.drawn_uj);
-        put(&mut self.forecast_uj[lane], which, robot.forecast_uj);
-        put(&mut self.metered_ns[lane], which, robot.metered_ns);
-        put(&mut self.unmetered_ns[lane], which, robot.unmetered_ns);
-        put(&mut self.stamp_ns[lane], which, robot.stamp_ns);
-        put(
-            &mut self.drawn_remainder[lane],
-            which,
-            robot.drawn_remainder,
-        );
-        put(
-            &mut self.forecast_remainder[lane],
-            which,
-            robot.forecast_remainder,
-        );
-        put(&mut self.last_power[lane], which, robot.last_power);
-        put(&mut self.begun[lane], which, robot.begun);
+block! {
+    /// The ledgers of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    #[repr(align(32))]
+    pub(crate) struct LedgerLanes of Ledger {
+        pub drawn_uj: i64,
+        forecast_uj: i64,
+        metered_ns: u64,
+        pub unmetered_ns: u64,
+        stamp_ns: u64,
+        drawn_remainder: u32,
+        forecast_remainder: u32,
+        last_power: u32,
+        begun: bool,
     }
 }
 

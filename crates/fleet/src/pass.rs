@@ -139,7 +139,7 @@ impl Absorb<'_, '_> {
             elapsed_ns: [0; LANES],
         };
         for lane in 0..LANES {
-            let pending = news.get(lane);
+            let pending = news.samples.get(lane);
             let elapsed_ns = pending.stamp_ns.saturating_sub(stamp_ns[lane]);
             let waits = ours[lane] & news.is(lane, News::Waiting);
             let on_time = elapsed_ns <= its.overdue_after_ns;
@@ -156,7 +156,7 @@ impl Absorb<'_, '_> {
     fn step_each(&mut self, its: &Kind, block: usize, which: &Lanes<bool>) {
         for lane in (0..LANES).filter(|lane| which[*lane]) {
             let slot = block * LANES + lane;
-            let pending = lanes::get(self.columns.news, slot);
+            let pending = self.columns.news[block].samples.get(lane);
             let window = lanes::get(self.columns.windows, slot);
             let gap = gap(its, &self.columns.gates[slot], &window, &pending);
             if window.can_close(gap) {
@@ -182,7 +182,8 @@ pub(crate) fn infer(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
             columns.windows[slot / LANES].forecast(slot % LANES, forecast_w);
         } else {
             let mut last = lanes::get(columns.lasts, slot);
-            last.quality = Quality::Invalid(InvalidReason::ModelOutput).encode();
+            let invalid = Quality::Invalid(InvalidReason::ModelOutput);
+            (last.quality, last.quality_detail) = invalid.encode();
             lanes::set(columns.lasts, slot, last);
         }
     }
@@ -200,7 +201,7 @@ fn bridge(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
     infer(kind, columns, batch);
     let late = std::mem::take(&mut batch.gaps);
     let look = |columns: &Part<'_>, slot: usize| {
-        let pending = lanes::get(columns.news, slot);
+        let pending = columns.news[slot / LANES].samples.get(slot % LANES);
         let window = lanes::get(columns.windows, slot);
         let gap = gap(kind, &columns.gates[slot], &window, &pending);
         (pending, window, gap)

@@ -1,6 +1,6 @@
 //! What is left in the battery, and for how long.
 
-use crate::lanes::{self, Block, LANES, Lanes, put};
+use crate::lanes::{self, Block as _, LANES, Lanes, block};
 use crate::pass::Rules;
 use crate::report::Seen;
 use crate::{Battery, Platform};
@@ -69,18 +69,20 @@ impl Remaining {
     }
 }
 
-/// What the robots of a block have left.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct RemainingLanes {
-    battery: Lanes<bool>,
-    left_j: Lanes<f32>,
-    usable_j: Lanes<f32>,
-    usable_lo_j: Lanes<f32>,
-    soc: Lanes<f32>,
-    soc_lo: Lanes<f32>,
-    time_to_empty_s: Lanes<f32>,
-    time_to_empty_lo_s: Lanes<f32>,
-    time_to_empty_hi_s: Lanes<f32>,
+block! {
+    /// What the robots of a block have left.
+    #[derive(Debug, Clone, Copy)]
+    pub(crate) struct RemainingLanes of Remaining {
+        battery: bool,
+        left_j: f32,
+        usable_j: f32,
+        usable_lo_j: f32,
+        soc: f32,
+        soc_lo: f32,
+        time_to_empty_s: f32,
+        time_to_empty_lo_s: f32,
+        time_to_empty_hi_s: f32,
+    }
 }
 
 impl RemainingLanes {
@@ -135,56 +137,13 @@ impl RemainingLanes {
         let mean_w = &seen.lasts.mean_power_w;
         for lane in 0..LANES {
             let ends_w = seen.intervals.get(lane).around(mean_w[lane], 0, true);
-            let (drawn_uj, unmetered_ns) = seen.ledgers.drawn(lane);
+            let (drawn_uj, unmetered_ns) =
+                (seen.ledgers.drawn_uj[lane], seen.ledgers.unmetered_ns[lane]);
             let silent_ns = silent_ns[lane].saturating_sub(period_ns);
             let unmetered_ns = unmetered_ns.saturating_add(silent_ns);
             let drawn = (drawn_uj, unmetered_ns);
             let its = Remaining::of(battery, most_w, drawn, mean_w[lane], ends_w);
             self.set(lane, which[lane], its);
         }
-    }
-}
-
-impl Block for RemainingLanes {
-    type Robot = Remaining;
-
-    #[inline(always)]
-    fn get(&self, lane: usize) -> Remaining {
-        Remaining {
-            battery: self.battery[lane],
-            left_j: self.left_j[lane],
-            usable_j: self.usable_j[lane],
-            usable_lo_j: self.usable_lo_j[lane],
-            soc: self.soc[lane],
-            soc_lo: self.soc_lo[lane],
-            time_to_empty_s: self.time_to_empty_s[lane],
-            time_to_empty_lo_s: self.time_to_empty_lo_s[lane],
-            time_to_empty_hi_s: self.time_to_empty_hi_s[lane],
-        }
-    }
-
-    #[inline(always)]
-    fn set(&mut self, lane: usize, which: bool, robot: Remaining) {
-        put(&mut self.battery[lane], which, robot.battery);
-        put(&mut self.left_j[lane], which, robot.left_j);
-        put(&mut self.usable_j[lane], which, robot.usable_j);
-        put(&mut self.usable_lo_j[lane], which, robot.usable_lo_j);
-        put(&mut self.soc[lane], which, robot.soc);
-        put(&mut self.soc_lo[lane], which, robot.soc_lo);
-        put(
-            &mut self.time_to_empty_s[lane],
-            which,
-            robot.time_to_empty_s,
-        );
-        put(
-            &mut self.time_to_empty_lo_s[lane],
-            which,
-            robot.time_to_empty_lo_s,
-        );
-        put(
-            &mut self.time_to_empty_hi_s[lane],
-            which,
-            robot.time_to_empty_hi_s,
-        );
     }
 }

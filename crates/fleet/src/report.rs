@@ -81,8 +81,7 @@ impl<'a> Forecasts<'a> {
         let (gate, last) = (&self.seen.gates[lane], self.seen.lasts.get(lane));
         let platform = &rules.kinds[usize::from(gate.platform)].platform;
         let (power_w, open_steps) = (self.power_w[lane], self.open_steps[lane]);
-        let (code, detail) = last.quality;
-        let quality = Quality::decode(code, detail);
+        let quality = Quality::decode(last.quality, last.quality_detail);
         let quality = quality_now(rules, gate, quality, power_w, open_steps);
         let known = matches!(
             quality,

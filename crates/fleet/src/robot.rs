@@ -3,7 +3,7 @@
 use joulebus_wire::{InvalidReason, Quality, Sample, sample_flag};
 use serde::{Deserialize, Serialize};
 
-use crate::lanes::{Block, LANES, Lanes, put};
+use crate::lanes::{Lanes, block, put};
 use crate::state::invalid_reason;
 
 /// Time over which the mean power is taken, s.
@@ -100,7 +100,8 @@ pub(crate) struct Last {
     pub residual_w: f32,
     pub mean_power_w: f32,
     /// [`Quality`], as it lies in shared memory.
-    pub quality: (u16, u16),
+    pub quality: u16,
+    pub quality_detail: u16,
 }
 
 impl Last {
@@ -112,7 +113,8 @@ impl Last {
         reading_w: f32::NAN,
         residual_w: f32::NAN,
         mean_power_w: f32::NAN,
-        quality: Quality::Warmup { have: 0 }.encode(),
+        quality: Quality::Warmup { have: 0 }.encode().0,
+        quality_detail: 0,
     };
 
     /// Takes a sample with a reading, `elapsed_s` after the one before; `forecast_w` was made for it.
@@ -136,33 +138,21 @@ impl Last {
     }
 }
 
-/// The last samples of a block.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-#[repr(align(64))]
-pub(crate) struct LastLanes {
-    pub seq: Lanes<u64>,
-    pub measured_ns: Lanes<u64>,
-    pub equal_since_ns: Lanes<u64>,
-    pub refused: Lanes<u64>,
-    pub reading_w: Lanes<f32>,
-    pub residual_w: Lanes<f32>,
-    pub mean_power_w: Lanes<f32>,
-    quality: Lanes<u16>,
-    quality_detail: Lanes<u16>,
-}
-
-impl LastLanes {
-    pub(crate) const EMPTY: Self = Self {
-        seq: [0; LANES],
-        measured_ns: [0; LANES],
-        equal_since_ns: [0; LANES],
-        refused: [0; LANES],
-        reading_w: [0.0; LANES],
-        residual_w: [0.0; LANES],
-        mean_power_w: [0.0; LANES],
-        quality: [0; LANES],
-        quality_detail: [0; LANES],
-    };
+block! {
+    /// The last samples of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    #[repr(align(64))]
+    pub(crate) struct LastLanes of Last {
+        seq: u64,
+        pub measured_ns: u64,
+        pub equal_since_ns: u64,
+        pub refused: u64,
+        reading_w: f32,
+        residual_w: f32,
+        pub mean_power_w: f32,
+        quality: u16,
+        quality_detail: u16,
+    }
 }
 
 impl LastLanes {
@@ -170,37 +160,6 @@ impl LastLanes {
     pub(crate) fn set_quality(&mut self, lane: usize, which: bool, quality: (u16, u16)) {
         put(&mut self.quality[lane], which, quality.0);
         put(&mut self.quality_detail[lane], which, quality.1);
-    }
-}
-
-impl Block for LastLanes {
-    type Robot = Last;
-
-    #[inline(always)]
-    fn get(&self, lane: usize) -> Last {
-        Last {
-            seq: self.seq[lane],
-            measured_ns: self.measured_ns[lane],
-            equal_since_ns: self.equal_since_ns[lane],
-            refused: self.refused[lane],
-            reading_w: self.reading_w[lane],
-            residual_w: self.residual_w[lane],
-            mean_power_w: self.mean_power_w[lane],
-            quality: (self.quality[lane], self.quality_detail[lane]),
-        }
-    }
-
-    #[inline(always)]
-    fn set(&mut self, lane: usize, which: bool, robot: Last) {
-        put(&mut self.seq[lane], which, robot.seq);
-        put(&mut self.measured_ns[lane], which, robot.measured_ns);
-        put(&mut self.equal_since_ns[lane], which, robot.equal_since_ns);
-        put(&mut self.refused[lane], which, robot.refused);
-        put(&mut self.reading_w[lane], which, robot.reading_w);
-        put(&mut self.residual_w[lane], which, robot.residual_w);
-        put(&mut self.mean_power_w[lane], which, robot.mean_power_w);
-        put(&mut self.quality[lane], which, robot.quality.0);
-        put(&mut self.quality_detail[lane], which, robot.quality.1);
     }
 }
 
@@ -268,39 +227,34 @@ pub(crate) enum News {
     Broken,
 }
 
-/// The newest samples of a block.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+block! {
+    /// [`Pending`] samples of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    pub(crate) struct PendingLanes of Pending {
+        seq: u64,
+        pub stamp_ns: u64,
+        measured_ns: u64,
+        v_mps: f32,
+        omega_radps: f32,
+        pub power_w: f32,
+        flags: u8,
+        broken: bool,
+    }
+}
+
+/// The newest samples of a block, and what has come of them.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(32))]
 pub(crate) struct NewsLanes {
-    seq: Lanes<u64>,
-    stamp_ns: Lanes<u64>,
-    measured_ns: Lanes<u64>,
-    v_mps: Lanes<f32>,
-    omega_radps: Lanes<f32>,
-    power_w: Lanes<f32>,
+    pub samples: PendingLanes,
     /// Of an absorbed sample: the forecast one step ahead that was made for its reading; NaN where
     /// there was none.
     pub expected_w: Lanes<f32>,
-    flags: Lanes<u8>,
-    broken: Lanes<bool>,
     /// [`News`].
     news: Lanes<u8>,
 }
 
 impl NewsLanes {
-    pub(crate) const NONE: Self = Self {
-        seq: [0; LANES],
-        stamp_ns: [0; LANES],
-        measured_ns: [0; LANES],
-        v_mps: [0.0; LANES],
-        omega_radps: [0.0; LANES],
-        power_w: [0.0; LANES],
-        expected_w: [0.0; LANES],
-        flags: [0; LANES],
-        broken: [false; LANES],
-        news: [0; LANES],
-    };
-
     #[inline(always)]
     pub(crate) fn is(&self, lane: usize, news: News) -> bool {
         self.news[lane] == news as u8
@@ -309,35 +263,5 @@ impl NewsLanes {
     #[inline(always)]
     pub(crate) fn mark(&mut self, lane: usize, which: bool, news: News) {
         put(&mut self.news[lane], which, news as u8);
-    }
-}
-
-impl Block for NewsLanes {
-    type Robot = Pending;
-
-    #[inline(always)]
-    fn get(&self, lane: usize) -> Pending {
-        Pending {
-            seq: self.seq[lane],
-            stamp_ns: self.stamp_ns[lane],
-            measured_ns: self.measured_ns[lane],
-            v_mps: self.v_mps[lane],
-            omega_radps: self.omega_radps[lane],
-            power_w: self.power_w[lane],
-            flags: self.flags[lane],
-            broken: self.broken[lane],
-        }
-    }
-
-    #[inline(always)]
-    fn set(&mut self, lane: usize, which: bool, robot: Pending) {
-        put(&mut self.seq[lane], which, robot.seq);
-        put(&mut self.stamp_ns[lane], which, robot.stamp_ns);
-        put(&mut self.measured_ns[lane], which, robot.measured_ns);
-        put(&mut self.v_mps[lane], which, robot.v_mps);
-        put(&mut self.omega_radps[lane], which, robot.omega_radps);
-        put(&mut self.power_w[lane], which, robot.power_w);
-        put(&mut self.flags[lane], which, robot.flags);
-        put(&mut self.broken[lane], which, robot.broken);
     }
 }

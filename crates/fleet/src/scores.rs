@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::lanes::{Block, LANES, Lanes, put};
+use crate::lanes::block;
 
 /// Running scores of one robot; sums in `f64`, in the order of its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -75,57 +75,18 @@ fn explained(error: f64, of: f64) -> f64 {
     if of > 0.0 { share } else { f64::NAN }
 }
 
-/// The scores of a block.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-#[repr(align(64))]
-pub(crate) struct ScoreLanes {
-    pub count: Lanes<u64>,
-    sum_abs_w: Lanes<f64>,
-    sum_sq_w2: Lanes<f64>,
-    persistence_sum_abs_w: Lanes<f64>,
-    persistence_sum_sq_w2: Lanes<f64>,
-    mean_w: Lanes<f64>,
-    scatter_w2: Lanes<f64>,
-}
-
-impl ScoreLanes {
-    pub(crate) const EMPTY: Self = Self {
-        count: [0; LANES],
-        sum_abs_w: [0.0; LANES],
-        sum_sq_w2: [0.0; LANES],
-        persistence_sum_abs_w: [0.0; LANES],
-        persistence_sum_sq_w2: [0.0; LANES],
-        mean_w: [0.0; LANES],
-        scatter_w2: [0.0; LANES],
-    };
-}
-
-impl Block for ScoreLanes {
-    type Robot = Scores;
-
-    #[inline(always)]
-    fn get(&self, lane: usize) -> Scores {
-        Scores {
-            count: self.count[lane],
-            sum_abs_w: self.sum_abs_w[lane],
-            sum_sq_w2: self.sum_sq_w2[lane],
-            persistence_sum_abs_w: self.persistence_sum_abs_w[lane],
-            persistence_sum_sq_w2: self.persistence_sum_sq_w2[lane],
-            mean_w: self.mean_w[lane],
-            scatter_w2: self.scatter_w2[lane],
-        }
-    }
-
-    #[inline(always)]
-    fn set(&mut self, lane: usize, which: bool, robot: Scores) {
-        put(&mut self.count[lane], which, robot.count);
-        put(&mut self.sum_abs_w[lane], which, robot.sum_abs_w);
-        put(&mut self.sum_sq_w2[lane], which, robot.sum_sq_w2);
-        let persistence = (robot.persistence_sum_abs_w, robot.persistence_sum_sq_w2);
-        put(&mut self.persistence_sum_abs_w[lane], which, persistence.0);
-        put(&mut self.persistence_sum_sq_w2[lane], which, persistence.1);
-        put(&mut self.mean_w[lane], which, robot.mean_w);
-        put(&mut self.scatter_w2[lane], which, robot.scatter_w2);
+block! {
+    /// The scores of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    #[repr(align(64))]
+    pub(crate) struct ScoreLanes of Scores {
+        pub count: u64,
+        sum_abs_w: f64,
+        sum_sq_w2: f64,
+        persistence_sum_abs_w: f64,
+        persistence_sum_sq_w2: f64,
+        mean_w: f64,
+        scatter_w2: f64,
     }
 }
 

@@ -37,12 +37,14 @@ pub(crate) fn step(
         last.read(pending, forecast_w, elapsed_s);
         let forecast_w = (forecast_w, gap == Gap::None);
         let step = read(kind.reads, &mut window, pending, forecast_w, elapsed_s);
-        last.quality = quality(kind.reads, pending, window.have(), step.ready);
+        let quality = quality(kind.reads, pending, window.have(), step.ready);
+        (last.quality, last.quality_detail) = quality;
         step
     } else {
         last.residual_w = f32::NAN;
         let step = miss(kind, &mut window, pending, elapsed_s);
-        last.quality = quality_unread(kind.reads, pending, &window, step.ready);
+        let quality = quality_unread(kind.reads, pending, &window, step.ready);
+        (last.quality, last.quality_detail) = quality;
         step
     };
     gate.accept(pending);

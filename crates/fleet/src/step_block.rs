@@ -48,11 +48,11 @@ pub(crate) fn step_block(
     expect(news, which, &taken);
     follow(kind, intervals, news, &taken);
     for lane in (0..LANES).filter(|lane| which[*lane]) {
-        columns.gates[first + lane].accept(&news.get(lane));
+        columns.gates[first + lane].accept(&news.samples.get(lane));
     }
     if let Some(blending) = &kind.blending {
         for lane in (0..LANES).filter(|lane| taken.scored[*lane]) {
-            columns.blends[first + lane].learn(blending, news.get(lane).power_w);
+            columns.blends[first + lane].learn(blending, news.samples.power_w[lane]);
         }
     }
     batch.push_block(first, &taken.ready, &taken.rows);
@@ -71,7 +71,7 @@ fn read_lasts(
     let mut its = *lasts;
     for lane in 0..LANES {
         let mut last = its.get(lane);
-        let pending = news.get(lane);
+        let pending = news.samples.get(lane);
         last.seq = pending.seq;
         last.read(&pending, forecast_w[lane], elapsed_s[lane]);
         its.set(lane, which[lane], last);
@@ -94,7 +94,7 @@ fn read_windows(
     for lane in 0..LANES {
         let mut window = its.get(lane);
         let forecast_w = (window.close(Gap::None), true);
-        let pending = news.get(lane);
+        let pending = news.samples.get(lane);
         let step = read(reads, &mut window, &pending, forecast_w, elapsed_s[lane]);
         its.put(lane, which[lane], &window);
         taken.set(lane, which[lane], &step);
@@ -113,7 +113,7 @@ fn qualify(
     taken: &Taken,
 ) {
     for lane in 0..LANES {
-        let (pending, have) = (news.get(lane), windows.have(lane));
+        let (pending, have) = (news.samples.get(lane), windows.have(lane));
         let quality = quality(reads, &pending, have, taken.ready[lane]);
         lasts.set_quality(lane, which[lane], quality);
     }
@@ -138,7 +138,7 @@ fn follow(kind: &Kind, intervals: &mut IntervalLanes, news: &NewsLanes, taken: &
     let (floor_w, moves) = (kind.platform.power_resolution_w, kind.moves);
     for lane in 0..LANES {
         let mut interval = intervals.get(lane);
-        let residual_w = news.get(lane).power_w - taken.expected_w[lane];
+        let residual_w = news.samples.power_w[lane] - taken.expected_w[lane];
         interval.observe(residual_w, taken.due[lane], floor_w, moves);
         intervals.set(lane, taken.scored[lane], interval);
     }

@@ -7,7 +7,7 @@ use super::{Lags, Window};
 use crate::lanes::{Block, LANES, Lanes, put};
 
 /// The windows of a block.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(64))]
 pub(crate) struct WindowLanes {
     pub closed: ClosedLanes,
@@ -17,7 +17,7 @@ pub(crate) struct WindowLanes {
 const _: () = assert!(size_of::<WindowLanes>() == 64 * LANES);
 
 /// All of them but what was run open loop.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(64))]
 pub(crate) struct ClosedLanes {
     closed: LagLanes,
@@ -31,17 +31,10 @@ pub(crate) struct ClosedLanes {
 }
 
 /// [`Lags`] of a block.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 struct LagLanes {
     lag_w: [Lanes<f32>; LAGS],
     forecast_w: Lanes<f32>,
-}
-
-impl LagLanes {
-    const EMPTY: Self = Self {
-        lag_w: [[0.0; LANES]; LAGS],
-        forecast_w: [0.0; LANES],
-    };
 }
 
 impl LagLanes {
@@ -126,20 +119,6 @@ impl Block for WindowLanes {
 }
 
 impl WindowLanes {
-    pub(crate) const EMPTY: Self = Self {
-        closed: ClosedLanes {
-            closed: LagLanes::EMPTY,
-            v_mps: [0.0; LANES],
-            omega_radps: [0.0; LANES],
-            open_steps: [0; LANES],
-            unread_steps: [0; LANES],
-            have: [0; LANES],
-            commanded: [false; LANES],
-            freshness: [[0; LANES]; 2],
-        },
-        open: LagLanes::EMPTY,
-    };
-
     /// The forecast for the row that [`Window::next_row`] gave, W; NaN is none.
     #[inline(always)]
     pub(crate) fn forecast(&mut self, lane: usize, forecast_w: f32) {
