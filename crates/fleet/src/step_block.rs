@@ -136,12 +136,15 @@ fn expect(news: &mut NewsLanes, which: &Lanes<bool>, taken: &Taken) {
 #[inline(always)]
 fn follow(kind: &Kind, intervals: &mut IntervalLanes, news: &NewsLanes, taken: &Taken) {
     let (floor_w, moves) = (kind.platform.power_resolution_w, kind.moves);
+    // A copy, so that the compiler sees that nothing else writes to it.
+    let mut its = *intervals;
     for lane in 0..LANES {
-        let mut interval = intervals.get(lane);
+        let mut interval = its.get(lane);
         let residual_w = news.samples.power_w[lane] - taken.expected_w[lane];
         interval.observe(residual_w, taken.due[lane], floor_w, moves);
-        intervals.set(lane, taken.scored[lane], interval);
+        its.set(lane, taken.scored[lane], interval);
     }
+    *intervals = its;
 }
 
 /// [`Step`]s of a block.
