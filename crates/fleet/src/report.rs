@@ -40,6 +40,8 @@ pub(crate) struct Forecasts<'a> {
     open_steps: Lanes<u16>,
     lo_w: Lanes<f32>,
     hi_w: Lanes<f32>,
+    /// Whether it is a forecast from a reading, as far as that does not depend on the time.
+    plain: Lanes<bool>,
 }
 
 impl<'a> Forecasts<'a> {
@@ -66,12 +68,19 @@ impl<'a> Forecasts<'a> {
             let ends_w = interval.around(power_w[lane], open_steps[lane], due[lane]);
             (lo_w[lane], hi_w[lane]) = ends_w;
         }
+        let mut plain = [false; LANES];
+        for lane in 0..LANES {
+            let (code, _) = seen.lasts.quality(lane);
+            let read = (code == FRESH) | (code == HELD);
+            plain[lane] = read & power_w[lane].is_finite() & (open_steps[lane] == 0);
+        }
         Self {
             seen,
             power_w,
             open_steps,
             lo_w,
             hi_w,
+            plain,
         }
     }
 
@@ -80,27 +89,22 @@ impl<'a> Forecasts<'a> {
     pub(crate) fn get(&self, rules: &Rules<'_>, lane: usize) -> Forecast {
         let (gate, last) = (&self.seen.gates[lane], self.seen.lasts.get(lane));
         let platform = &rules.kinds[usize::from(gate.platform)].platform;
-        let (power_w, open_steps) = (self.power_w[lane], self.open_steps[lane]);
-        let quality = Quality::decode(last.quality, last.quality_detail);
-        let quality = quality_now(rules, gate, quality, power_w, open_steps);
-        let known = matches!(
-            quality,
-            Quality::Fresh | Quality::Held | Quality::OpenLoop { .. }
-        );
-        let (code, detail) = quality.encode();
-        // A robot that runs open loop by the worker's clock is forecast further ahead.
-        let read_steps = self.seen.windows.get(lane).unread_steps;
-        let ahead = 1 + u64::from(open_steps.saturating_sub(read_steps));
+        let now = self.plain[lane] & gate.invalid.is_none() & !is_stale(rules, gate);
+        let (known, (quality, quality_detail), ahead) = if now {
+            (true, (last.quality, last.quality_detail), 1)
+        } else {
+            self.otherwise(rules, lane)
+        };
         let watts = |value: f32| if known { value } else { f32::NAN };
         Forecast {
             robot: gate.id,
             flags: flag(known, forecast_flag::POWER | forecast_flag::INTERVAL)
                 | flag(!last.reading_w.is_nan(), forecast_flag::READING)
                 | flag(gate.accepted, forecast_flag::SAMPLE),
-            quality: code,
-            quality_detail: detail,
+            quality,
+            quality_detail,
             reading_w: last.reading_w,
-            power_w: watts(power_w),
+            power_w: watts(self.power_w[lane]),
             lo_w: watts(self.lo_w[lane]),
             hi_w: watts(self.hi_w[lane]),
             generation: gate.generation,
@@ -111,7 +115,29 @@ impl<'a> Forecasts<'a> {
             source_epoch: gate.source_epoch,
         }
     }
+
+    /// Of a robot whose forecast is not from a reading, or none: whether there is one, its quality, and
+    /// how many sample periods it lies ahead.
+    #[cold]
+    #[inline(never)]
+    fn otherwise(&self, rules: &Rules<'_>, lane: usize) -> (bool, (u16, u16), u64) {
+        let (code, detail) = self.seen.lasts.quality(lane);
+        let (power_w, open_steps) = (self.power_w[lane], self.open_steps[lane]);
+        let made = Quality::decode(code, detail);
+        let quality = quality_now(rules, &self.seen.gates[lane], made, power_w, open_steps);
+        let known = matches!(
+            quality,
+            Quality::Fresh | Quality::Held | Quality::OpenLoop { .. }
+        );
+        // A robot that runs open loop by the worker's clock is forecast further ahead.
+        let read_steps = self.seen.windows.get(lane).unread_steps;
+        let ahead = 1 + u64::from(open_steps.saturating_sub(read_steps));
+        (known, quality.encode(), ahead)
+    }
 }
+
+const FRESH: u16 = Quality::Fresh.encode().0;
+const HELD: u16 = Quality::Held.encode().0;
 
 /// The diagnostics of a block.
 pub(crate) struct Diagnostics<'a> {
@@ -302,7 +328,6 @@ fn is_stale(rules: &Rules<'_>, gate: &Gate) -> bool {
             .stale_after_ns
 }
 
-#[inline(always)]
 fn quality_now(
     rules: &Rules<'_>,
     gate: &Gate,

@@ -157,6 +157,11 @@ block! {
 
 impl LastLanes {
     #[inline(always)]
+    pub(crate) fn quality(&self, lane: usize) -> (u16, u16) {
+        (self.quality[lane], self.quality_detail[lane])
+    }
+
+    #[inline(always)]
     pub(crate) fn set_quality(&mut self, lane: usize, which: bool, quality: (u16, u16)) {
         put(&mut self.quality[lane], which, quality.0);
         put(&mut self.quality_detail[lane], which, quality.1);
