@@ -157,6 +157,9 @@ impl Wide for Account<'_, '_> {
         } = self.columns;
         for (block, lanes) in slots::blocks(words) {
             let from = block * LANES;
+            lanes::ask_ahead(ledgers, block);
+            lanes::ask_ahead(scores, block);
+            lanes::ask_ahead(detectors, block);
             let gates = &gates[from..from + LANES];
             let waiting = Waiting::take(
                 lanes,

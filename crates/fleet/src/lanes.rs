@@ -5,6 +5,10 @@
 //! takes the robot out of its lane and puts it back, and the compiler makes vectors of the whole.
 //! What is rare is done robot by robot, with the same functions.
 
+use std::slice;
+
+use joulebus_predictor::bring_near;
+
 /// Robots in a block: as many `f32` as the widest vectors hold.
 pub(crate) const LANES: usize = 16;
 
@@ -82,4 +86,16 @@ pub(crate) fn any(which: &Lanes<bool>) -> bool {
         any |= u8::from(*which);
     }
     any != 0
+}
+
+/// Blocks that are asked for ahead of the one that is worked on: vectors are done with a block before
+/// the processor has noticed which memory comes next.
+const AHEAD: usize = 4;
+
+/// Has the block that will soon be worked on brought near, if there is one.
+#[inline(always)]
+pub(crate) fn ask_ahead<B>(blocks: &[B], block: usize) {
+    if let Some(ahead) = blocks.get(block + AHEAD) {
+        bring_near(slice::from_ref(ahead));
+    }
 }

@@ -74,6 +74,11 @@ impl Wide for Absorb<'_, '_> {
         let its = &self.rules.kinds[usize::from(self.kind)];
         self.batch.begin(its);
         for (block, lanes) in slots::blocks(self.columns.words) {
+            lanes::ask_ahead(self.columns.gates.as_chunks::<LANES>().0, block);
+            lanes::ask_ahead(self.columns.news, block);
+            lanes::ask_ahead(self.columns.windows, block);
+            lanes::ask_ahead(self.columns.lasts, block);
+            lanes::ask_ahead(self.columns.intervals, block);
             let Some(entered) = self.enter(its, block, lanes) else {
                 continue;
             };

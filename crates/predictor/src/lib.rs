@@ -32,7 +32,7 @@ pub use error::{ModelError, RolloutError};
 pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, features};
 pub use freshness::Freshness;
 pub use gelu::Activation;
-pub use kernel::{Kernel, Processor, Tiling, Wide};
+pub use kernel::{Kernel, Processor, Tiling, Wide, bring_near};
 pub use linear::Linear;
 pub use model::{Model, Persistence, ResidualStats, TrainingRange};
 pub use network::{Card, HIDDEN, Layer, Network, Normalisation, Parameters, Scores};

@@ -13,6 +13,8 @@ mod batch;
 #[allow(unsafe_code)] // Scratch that is not zeroed.
 mod forward;
 mod lanes;
+#[allow(unsafe_code)] // A hint to the CPU takes an address.
+mod near;
 #[cfg(target_arch = "aarch64")]
 #[allow(unsafe_code)] // Intrinsics that every CPU of the target has.
 mod neon;
@@ -29,6 +31,7 @@ use scalar::Scalar;
 use crate::{Features, INPUTS, Rollouts};
 
 pub(crate) use forward::pairwise;
+pub use near::bring_near;
 pub(crate) use packed::{LINE, Packed, fold};
 pub use processor::{Processor, Wide};
 
