@@ -90,7 +90,7 @@ pub(crate) fn any(which: &Lanes<bool>) -> bool {
 
 /// Blocks that are asked for ahead of the one that is worked on: vectors are done with a block before
 /// the processor has noticed which memory comes next.
-const AHEAD: usize = 4;
+pub(crate) const AHEAD: usize = 4;
 
 /// Has the block that will soon be worked on brought near, if there is one.
 #[inline(always)]

@@ -9,7 +9,7 @@ use joulebus_wire::{Budget, Diagnostic, Forecast};
 use crate::account::Account;
 use crate::batch::Batch;
 use crate::columns::Part;
-use crate::lanes::LANES;
+use crate::lanes::{AHEAD, LANES};
 use crate::pass::{self, Rules};
 use crate::report::{Budgets, Diagnostics, Forecasts};
 use crate::slots::{self, words_of};
@@ -233,8 +233,9 @@ impl<'a> Share<'a> {
 
 /// Has the places of the next robots brought near.
 #[inline(always)]
-fn near<T>(places: &[T]) {
-    if let Some(places) = places.get(2 * LANES..3 * LANES) {
+fn ask_ahead<T>(places: &[T]) {
+    const FROM: usize = AHEAD * LANES;
+    if let Some(places) = places.get(FROM..FROM + LANES) {
         bring_near(places);
     }
 }
@@ -250,7 +251,7 @@ impl Wide for WriteForecasts<'_, '_, '_> {
     fn run(self) {
         let Share { rules, columns, .. } = self.share;
         for (block, lanes) in slots::blocks(columns.words) {
-            near(self.places.as_slice());
+            ask_ahead(self.places.as_slice());
             let forecasts = Forecasts::of(columns.seen(block));
             for (lane, place) in slots::bits(lanes).zip(self.places.by_ref()) {
                 *place = forecasts.get(rules, lane);
@@ -271,8 +272,8 @@ impl Wide for WriteAccounts<'_, '_, '_, '_> {
     fn run(self) {
         let Share { rules, columns, .. } = self.share;
         for (block, lanes) in slots::blocks(columns.words) {
-            near(self.diagnostics.as_slice());
-            near(self.budgets.as_slice());
+            ask_ahead(self.diagnostics.as_slice());
+            ask_ahead(self.budgets.as_slice());
             let seen = columns.seen(block);
             if self.diagnostics.len() > 0 {
                 let diagnostics = Diagnostics::of(seen);
