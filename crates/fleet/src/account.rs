@@ -10,7 +10,7 @@ use joulebus_wire::Alarm;
 use crate::columns::Part;
 use crate::detector::{Conditions, Detector, DetectorLanes};
 use crate::kind::Kind;
-use crate::lanes::{self, Block as _, LANES, Lanes};
+use crate::lanes::{self, Block as _, LANES, Lanes, block};
 use crate::ledger::LedgerLanes;
 use crate::pass::Rules;
 use crate::robot::{Gate, Last, LastLanes, News, NewsLanes};
@@ -44,6 +44,19 @@ impl Facts {
     }
 }
 
+block! {
+    /// [`Facts`] of a block.
+    #[derive(Clone, Copy, Default)]
+    struct FactLanes of Facts {
+        stamp_ns: u64,
+        measured_ns: u64,
+        equal_since_ns: u64,
+        refused: bool,
+        outside_training: bool,
+        charging: bool,
+    }
+}
+
 /// The samples of a block that wait to be accounted for.
 struct Waiting {
     which: Lanes<bool>,
@@ -53,12 +66,7 @@ struct Waiting {
     reading_w: Lanes<f32>,
     expected_w: Lanes<f32>,
     previous_w: Lanes<f32>,
-    stamp_ns: Lanes<u64>,
-    measured_ns: Lanes<u64>,
-    equal_since_ns: Lanes<u64>,
-    refused: Lanes<bool>,
-    outside_training: Lanes<bool>,
-    charging: Lanes<bool>,
+    facts: FactLanes,
 }
 
 impl Waiting {
@@ -78,18 +86,18 @@ impl Waiting {
             reading_w: [f32::NAN; LANES],
             expected_w: news.expected_w,
             previous_w: [f32::NAN; LANES],
-            stamp_ns: [0; LANES],
-            measured_ns: lasts.measured_ns,
-            equal_since_ns: lasts.equal_since_ns,
-            refused: [false; LANES],
-            outside_training: [false; LANES],
-            charging: [false; LANES],
+            facts: FactLanes {
+                stamp_ns: news.samples.stamp_ns,
+                measured_ns: lasts.measured_ns,
+                equal_since_ns: lasts.equal_since_ns,
+                ..FactLanes::default()
+            },
         };
         for (lane, gate) in gates.iter().enumerate().take(LANES) {
             its.platform[lane] = gate.platform;
-            its.refused[lane] = gate.refused_run > 0;
-            its.outside_training[lane] = gate.outside_training;
-            its.charging[lane] = gate.charging;
+            its.facts.refused[lane] = gate.refused_run > 0;
+            its.facts.outside_training[lane] = gate.outside_training;
+            its.facts.charging[lane] = gate.charging;
         }
         for lane in 0..LANES {
             let sample = news.samples.get(lane);
@@ -97,7 +105,6 @@ impl Waiting {
             let absorbed = broken | news.is(lane, News::Absorbed);
             its.which[lane] = absorbed & (lanes >> lane & 1 == 1);
             its.broken[lane] = broken;
-            its.stamp_ns[lane] = sample.stamp_ns;
             its.reading_w[lane] = if sample.read() {
                 sample.power_w
             } else {
@@ -107,18 +114,6 @@ impl Waiting {
             news.mark(lane, its.which[lane], News::None);
         }
         its
-    }
-
-    #[inline(always)]
-    fn facts(&self, lane: usize) -> Facts {
-        Facts {
-            stamp_ns: self.stamp_ns[lane],
-            measured_ns: self.measured_ns[lane],
-            equal_since_ns: self.equal_since_ns[lane],
-            refused: self.refused[lane],
-            outside_training: self.outside_training[lane],
-            charging: self.charging[lane],
-        }
     }
 
     /// The first platform from `least` on that has a sample waiting.
@@ -226,7 +221,7 @@ fn meter(ledgers: &mut LedgerLanes, waiting: &Waiting, which: &Lanes<bool>, over
     for lane in 0..LANES {
         let mut ledger = ledgers.get(lane);
         let (reading_w, expected_w) = (waiting.reading_w[lane], waiting.expected_w[lane]);
-        let stamp_ns = waiting.stamp_ns[lane];
+        let stamp_ns = waiting.facts.stamp_ns[lane];
         let narrow = ledger.meter_narrow(stamp_ns, reading_w, expected_w, longest_ns(lane));
         ledgers.set(lane, which[lane] & narrow, ledger);
         wide[lane] = which[lane] & !narrow;
@@ -244,7 +239,7 @@ fn meter_wide(ledgers: &mut LedgerLanes, waiting: &Waiting, lane: usize, longest
     let known = |watts: f32| (!watts.is_nan()).then_some(watts);
     let mut ledger = ledgers.get(lane);
     ledger.meter(
-        waiting.stamp_ns[lane],
+        waiting.facts.stamp_ns[lane],
         known(waiting.reading_w[lane]),
         known(waiting.expected_w[lane]),
         longest_ns,
@@ -296,14 +291,14 @@ fn alarm(
     for lane in 0..LANES {
         let detector = detectors.get(lane);
         let scored = scores.count[lane];
-        let conditions = judge(rules, kind, &waiting.facts(lane), scored, &detector);
+        let conditions = judge(rules, kind, &waiting.facts.get(lane), scored, &detector);
         moved[lane] = which[lane] & detector.is_moved_by(conditions);
     }
     if lanes::any(&moved) {
         for lane in (0..LANES).filter(|lane| moved[*lane]) {
             let mut detector = detectors.get(lane);
             let scored = scores.count[lane];
-            let conditions = judge(rules, kind, &waiting.facts(lane), scored, &detector);
+            let conditions = judge(rules, kind, &waiting.facts.get(lane), scored, &detector);
             detector.decide(conditions, &rules.settings.alarms);
             detectors.set(lane, true, detector);
         }

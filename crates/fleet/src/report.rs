@@ -11,7 +11,7 @@ use crate::interval::IntervalLanes;
 use crate::lanes::{self, Block as _, LANES, Lanes};
 use crate::ledger::LedgerLanes;
 use crate::pass::Rules;
-use crate::remaining::{Remaining, RemainingLanes};
+use crate::remaining::RemainingLanes;
 use crate::robot::{Gate, LastLanes};
 use crate::scores::ScoreLanes;
 use crate::window::WindowLanes;
@@ -279,23 +279,16 @@ impl<'a> Budgets<'a> {
             (true, false) => ChargeState::Discharging,
         };
         let stamp_ns = ledger.stamp_ns();
-        let Remaining {
-            battery,
-            left_j,
-            usable_j,
-            usable_lo_j,
-            soc,
-            soc_lo,
-            time_to_empty_s,
-            time_to_empty_lo_s,
-            time_to_empty_hi_s,
-        } = self.remaining.get(lane);
+        let remaining = self.remaining.get(lane);
         Budget {
             robot: gate.id,
             flags: flag(stamp_ns.is_some(), budget_flag::LEDGER)
                 | flag(gate.charged, budget_flag::CHARGED)
-                | flag(battery, budget_flag::BATTERY)
-                | flag(!time_to_empty_s.is_nan(), budget_flag::TIME_TO_EMPTY),
+                | flag(remaining.battery, budget_flag::BATTERY)
+                | flag(
+                    !remaining.time_to_empty_s.is_nan(),
+                    budget_flag::TIME_TO_EMPTY,
+                ),
             charge_state: charge_state.code(),
             reserved: 0,
             drawn_uj: ledger.drawn_uj,
@@ -307,14 +300,14 @@ impl<'a> Budgets<'a> {
             valid_until_ns: stamp_ns
                 .map_or(0, |stamp| stamp.saturating_add(platform.stale_after_ns)),
             mean_power_w: last.mean_power_w,
-            left_j,
-            usable_j,
-            usable_lo_j,
-            soc,
-            soc_lo,
-            time_to_empty_s,
-            time_to_empty_lo_s,
-            time_to_empty_hi_s,
+            left_j: remaining.left_j,
+            usable_j: remaining.usable_j,
+            usable_lo_j: remaining.usable_lo_j,
+            soc: remaining.soc,
+            soc_lo: remaining.soc_lo,
+            time_to_empty_s: remaining.time_to_empty_s,
+            time_to_empty_lo_s: remaining.time_to_empty_lo_s,
+            time_to_empty_hi_s: remaining.time_to_empty_hi_s,
             reserved2: 0,
         }
     }

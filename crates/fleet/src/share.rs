@@ -187,8 +187,10 @@ impl<'a> Share<'a> {
     }
 
     fn write_forecasts(&self, places: &mut slice::IterMut<'_, Forecast>) {
-        let share = self;
-        share.rules.processor.run(WriteForecasts { share, places });
+        self.rules.processor.run(WriteForecasts {
+            share: self,
+            places,
+        });
     }
 
     /// Each list by itself: one that is left out must not keep the other from being written.

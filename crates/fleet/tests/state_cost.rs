@@ -44,7 +44,7 @@ fn median_us(mut work: impl FnMut()) -> f64 {
 }
 
 #[test]
-#[ignore = "figures for people"]
+#[ignore = "figures for people: CONTRIBUTING.md has the command"]
 fn what_a_keyframe_costs() {
     println!("robots   copy µs   encode µs   decode µs   restore µs   bytes a robot");
     for robots in [100, 1_000, 10_000, 100_000] {

@@ -58,7 +58,7 @@ impl Freshness {
     #[inline(always)]
     pub fn read(&mut self, new: bool) {
         // A held reading of which nobody saw the beginning has no age.
-        let older = self.older_by_one();
+        let older = self.older_by(1);
         let interval_steps = self.age_steps.wrapping_add(1);
         let learned = if self.interval_steps == 0 {
             interval_steps
@@ -131,24 +131,16 @@ impl Freshness {
         row[FEATURES + 1] = if known { due } else { f32::NAN };
     }
 
+    /// The age after so many more samples; unknown stays unknown.
     #[inline(always)]
-    fn older_by_one(&self) -> u8 {
-        let older = self.age_steps.saturating_add(1).min(NEVER - 1);
+    fn older_by(&self, steps: u64) -> u8 {
+        let steps = steps.min(NEVER.into()) as u8;
+        let older = self.age_steps.saturating_add(steps).min(NEVER - 1);
         if self.age_steps == NEVER {
             NEVER
         } else {
             older
         }
-    }
-
-    /// The age after so many more samples; unknown stays unknown.
-    #[inline]
-    fn older_by(&self, steps: u64) -> u8 {
-        if self.age_steps == NEVER {
-            return NEVER;
-        }
-        let steps = steps.min(NEVER.into()) as u8;
-        self.age_steps.saturating_add(steps).min(NEVER - 1)
     }
 }
 

@@ -44,8 +44,11 @@ pub(crate) trait Lanes: Copy {
     /// Runs the job compiled for this CPU: not inlined, so that its code exists once.
     fn run<J: Job<Self>>(self, job: J);
 
-    /// Runs work without vectors of its own compiled for this CPU.
-    fn run_wide<W: Wide>(self, work: W);
+    /// Runs work without vectors of its own compiled for this CPU: as it is, where the target already
+    /// stands for all that the CPU is known to do.
+    fn run_wide<W: Wide>(self, work: W) {
+        work.run();
+    }
 }
 
 /// Work that is compiled for one CPU.

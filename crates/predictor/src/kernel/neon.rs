@@ -1,7 +1,6 @@
 //! Vectors of 4 lanes: NEON.
 
 use super::lanes::{Job, Lanes};
-use super::processor::Wide;
 use std::arch::aarch64::*;
 use std::mem::MaybeUninit;
 
@@ -115,10 +114,5 @@ impl Lanes for Neon {
     #[inline(never)]
     fn run<J: Job<Neon>>(self, job: J) {
         job.run(self);
-    }
-
-    #[inline(never)]
-    fn run_wide<W: Wide>(self, work: W) {
-        work.run();
     }
 }

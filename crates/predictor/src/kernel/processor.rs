@@ -1,7 +1,7 @@
 //! The kernels' instructions, for code of others.
 
+use super::Engine;
 use super::lanes::Lanes;
-use super::{Engine, Kernel};
 
 /// Work over columns of numbers that is worth compiling for the processor that it runs on.
 pub trait Wide {
@@ -15,11 +15,6 @@ pub trait Wide {
 pub struct Processor(pub(crate) Engine);
 
 impl Processor {
-    /// With the instructions of this kernel; `None` where the processor does not have them.
-    pub fn of(kernel: Kernel) -> Option<Processor> {
-        Engine::new(kernel).map(Processor)
-    }
-
     /// With all that it can do.
     pub fn best() -> Processor {
         Processor(Engine::best())

@@ -1,7 +1,6 @@
 //! One lane, for every CPU: the fallback, and what Miri runs.
 
 use super::lanes::{Job, Lanes};
-use super::processor::Wide;
 use std::mem::MaybeUninit;
 
 #[derive(Clone, Copy, Debug)]
@@ -82,10 +81,5 @@ impl Lanes for Scalar {
     #[inline(never)]
     fn run<J: Job<Scalar>>(self, job: J) {
         job.run(self);
-    }
-
-    #[inline(never)]
-    fn run_wide<W: Wide>(self, work: W) {
-        work.run();
     }
 }
