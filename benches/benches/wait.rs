@@ -16,7 +16,7 @@ struct Arguments {
     /// Length of a wait.
     #[arg(long, default_value_t = 33.0)]
     length_ms: f64,
-    /// Processor to stay on.
+    /// SimdLevel to stay on.
     #[arg(long)]
     cpu: Option<usize>,
     /// Real-time priority; 0: none.

@@ -86,7 +86,7 @@ pub(crate) fn name(kernel: Kernel) -> String {
 /// The network on a kernel.
 pub(crate) fn on(network: &Network, kernel: Kernel) -> anyhow::Result<Network> {
     let on = network.clone().with_kernel(kernel);
-    on.with_context(|| format!("this processor cannot run the kernel {}", name(kernel)))
+    on.with_context(|| format!("this simd_level cannot run the kernel {}", name(kernel)))
 }
 
 /// Whose peak a kernel is held against; `None` for one that computes value by value.
@@ -108,7 +108,7 @@ enum Way {
     Columns,
     /// Rows, each vector always holding neighbouring outputs of one robot: the tiling that the
     /// others take for tails alone.
-    ByNeuron,
+    OutputMajor,
 }
 
 /// Ways and batches that are worth measuring.
@@ -117,9 +117,9 @@ fn ways(kernel: Kernel, batches: &[usize]) -> Vec<(Way, usize)> {
     let worth = |way: Way, batch: usize| match way {
         Way::Rows => !slow || batch <= MOST_SLOW,
         Way::Columns => !slow,
-        Way::ByNeuron => !slow && batch <= MOST_BY_NEURON,
+        Way::OutputMajor => !slow && batch <= MOST_BY_NEURON,
     };
-    [Way::Rows, Way::Columns, Way::ByNeuron]
+    [Way::Rows, Way::Columns, Way::OutputMajor]
         .into_iter()
         .flat_map(|way| batches.iter().map(move |batch| (way, *batch)))
         .filter(|(way, batch)| worth(*way, *batch))
@@ -145,7 +145,7 @@ impl Case {
         let kernel = network.kernel();
         let network = network.clone();
         let tiled = match way {
-            Way::ByNeuron => network.with_tiling(Tiling::ByNeuron),
+            Way::OutputMajor => network.with_tiling(Tiling::OutputMajor),
             Way::Rows | Way::Columns => network,
         };
         let mut case = Self {
@@ -170,7 +170,7 @@ impl Case {
         match self.way {
             Way::Rows => kernel,
             Way::Columns => format!("{kernel}_columns"),
-            Way::ByNeuron => format!("{kernel}_by_neuron"),
+            Way::OutputMajor => format!("{kernel}_by_neuron"),
         }
     }
 

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use joulebus_predictor::{
-    FEATURE_NAMES, FeatureSet, Features, Freshness, Model, Network, RolloutStart, Rollouts,
+    FEATURE_NAMES, FeatureSet, Features, Model, Network, ReadingAge, RolloutStart, Rollouts,
 };
 
 use crate::counted::collected;
@@ -97,7 +97,7 @@ impl Work {
         let start = |row: &Features| RolloutStart {
             command: Some((row[0], row[1])),
             lag_w: std::array::from_fn(|lag| row[FeatureSet::PowerOnly.first() + lag]),
-            freshness: Freshness::UNKNOWN,
+            reading_age: ReadingAge::UNKNOWN,
         };
         Self {
             model: Model::Network(network.clone()),

@@ -15,14 +15,14 @@ pub(crate) fn processors() -> Vec<usize> {
         return Vec::new();
     };
     (0..CpuSet::MAX_CPU)
-        .filter(|processor| allowed.is_set(*processor))
+        .filter(|simd_level| allowed.is_set(*simd_level))
         .collect()
 }
 
 /// Keeps the thread that calls on one processor; returns whether the system did so.
-pub(crate) fn pin(processor: usize) -> bool {
+pub(crate) fn pin(simd_level: usize) -> bool {
     let mut only = CpuSet::new();
-    only.set(processor);
+    only.set(simd_level);
     sched_setaffinity(None, &only).is_ok()
 }
 
@@ -44,9 +44,9 @@ fn side_by_side<W: Send>(
             .enumerate()
             .map(|(place, work)| {
                 let (round, done, ready) = (&round, &done, &ready);
-                let processor = processors.get(place).copied();
+                let simd_level = processors.get(place).copied();
                 scope.spawn(move || {
-                    processor.map(pin);
+                    simd_level.map(pin);
                     ready.wait();
                     let run = |repetition| {
                         let start = Instant::now();

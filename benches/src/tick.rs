@@ -190,7 +190,7 @@ fn paced(report: &mut Report, title: &str, bench: &mut Bench, options: &Options)
     let period_us = 1e6 / options.rate_hz as f64;
     let paced = bench.paced(options.rate_hz, options.seconds_or(10));
     let case = robots(bench.robots());
-    let share: Vec<f64> = paced
+    let shard: Vec<f64> = paced
         .due_to_done_us
         .iter()
         .map(|us| us / period_us)
@@ -201,7 +201,7 @@ fn paced(report: &mut Report, title: &str, bench: &mut Bench, options: &Options)
     };
     less("paced_tick_us", "µs", &paced.tick_us);
     less("paced_due_to_done_us", "µs", &paced.due_to_done_us);
-    less("paced_share_of_period", "1", &share);
+    less("paced_share_of_period", "1", &shard);
     less("paced_missed_ticks", "ticks", &[paced.missed as f64]);
 }
 

@@ -30,7 +30,7 @@ pub struct Options {
     pub waits: u64,
     /// Length of a wait, ns.
     pub length_ns: u64,
-    /// Processor and priority of the thread that waits.
+    /// SimdLevel and priority of the thread that waits.
     pub scheduling: Scheduling,
 }
 
@@ -50,7 +50,7 @@ pub struct Row {
     pub name: String,
     /// From the deadline to the thread running again.
     pub late_us: Spread,
-    /// Processor time of the thread for a wait, mean, µs.
+    /// SimdLevel time of the thread for a wait, mean, µs.
     pub cpu_us: f64,
 }
 

@@ -284,7 +284,7 @@ impl Arena {
 
     /// What is left of the fleet: objects in shared memory, and the root directory.
     #[must_use]
-    pub fn leftovers(&self) -> Vec<PathBuf> {
+    pub fn stale_files(&self) -> Vec<PathBuf> {
         let entries = fs::read_dir("/dev/shm").into_iter().flatten().flatten();
         let prefix = self.domain.shm_prefix();
         let mut found: Vec<PathBuf> = entries
@@ -300,13 +300,13 @@ impl Arena {
     /// Ends the arena: all its processes have ended, and nothing may be left.
     pub fn close(mut self) {
         self.closed = true;
-        assert_eq!(self.leftovers(), Vec::<PathBuf>::new(), "left behind");
+        assert_eq!(self.stale_files(), Vec::<PathBuf>::new(), "left behind");
     }
 }
 
 impl Drop for Arena {
     fn drop(&mut self) {
-        for path in self.leftovers() {
+        for path in self.stale_files() {
             let _ = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(&path));
         }
         let _ = fs::remove_dir_all(&self.files);

@@ -167,7 +167,7 @@ fn row_12_a_damaged_model_file_is_refused_with_file_and_both_values_and_nothing_
             assert!(errors.contains(part), "{what}: {part:?} in {errors}");
         }
         assert_eq!(
-            arena.leftovers(),
+            arena.stale_files(),
             Vec::<std::path::PathBuf>::new(),
             "{what}"
         );

@@ -11,7 +11,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use joulebus_capture::{Entry, Message, Reader, Settings, Writer};
+use joulebus_capture::{CaptureSettings, Entry, Message, Reader, Writer};
 use joulebus_predictor::FeatureSet;
 use joulebus_tests::{Arena, Child, ReaderLine, Setup, alone, eventually, program};
 use joulebus_wire::{Diagnostic, Forecast, Quality, Sample, sample_flag};
@@ -141,7 +141,7 @@ fn record(arena: &Arena, name: &str, seconds: &str) -> PathBuf {
 fn spoilt(file: &Path, to: &Path, spoil: impl Fn(&mut Message) -> bool) {
     let reader = Reader::open(file).unwrap();
     let attachments = reader.attachments().clone();
-    let mut writer = Writer::create(to, Settings::default(), &attachments).unwrap();
+    let mut writer = Writer::create(to, CaptureSettings::default(), &attachments).unwrap();
     let mut done = false;
     for entry in reader {
         let mut entry = entry.unwrap();

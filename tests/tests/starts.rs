@@ -133,7 +133,7 @@ fn row_20_a_wrong_config_is_refused_with_line_key_nearest_key_and_unit_and_exit_
             }
         }
         assert_eq!(
-            arena.leftovers(),
+            arena.stale_files(),
             Vec::<std::path::PathBuf>::new(),
             "{}",
             wrong.what
@@ -174,7 +174,7 @@ fn row_24_too_little_shared_memory_is_refused_at_the_start_with_needed_and_free_
     let (needed, free) = refused("worker", &arena.run(&["run"]));
     let mut source = Child::spawn("source", arena.probe(&["source", "fleet"]));
     refused("source", &source.wait());
-    assert_eq!(arena.leftovers(), Vec::<std::path::PathBuf>::new());
+    assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
     figure(
         "row 24, SIGBUS",
         format_args!("0; worker refused: {needed} bytes needed, {free} free"),

@@ -95,7 +95,7 @@ fn row_19_a_stranger_can_neither_read_nor_inject_nor_clean_up() {
     let (tried, worked): (u32, Vec<String>) = serde_json::from_str(&ended.text()).unwrap();
     assert_eq!(worked, Vec::<String>::new());
     assert!(tried > 30, "{tried} attempts");
-    let before = arena.leftovers();
+    let before = arena.stale_files();
     for arguments in [
         &["planner"][..],
         &["source", "fleet"],

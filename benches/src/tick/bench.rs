@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use joulebus_bus::{Scheduling, clock};
 use joulebus_config::{Config, Demo};
-use joulebus_fleet::{Batch, Fleet, Outputs, Settings};
+use joulebus_fleet::{Batch, Fleet, FleetSettings, Outputs};
 use joulebus_predictor::{Features, Model, Network};
-use joulebus_predictor_worker::Crew;
+use joulebus_predictor_worker::TickPool;
 use joulebus_publisher::Pace;
 use joulebus_wire::{Budget, Diagnostic, Forecast};
 
@@ -67,7 +67,7 @@ pub(super) struct Bench {
     forecasts_w: Vec<f32>,
     world: World,
     fleet: Fleet,
-    crew: Crew,
+    pool: TickPool,
     batch: Batch,
     forecasts: Vec<Forecast>,
     diagnostics: Vec<Diagnostic>,
@@ -98,7 +98,7 @@ impl Bench {
             forecasts_w,
             world,
             fleet: Fleet::new(settings, vec![Model::Network(network.clone())])?,
-            crew: crew(threads)?,
+            pool: pool(threads)?,
             batch: Batch::default(),
             forecasts,
             diagnostics,
@@ -119,9 +119,9 @@ impl Bench {
     /// Kernel and both ways to tick, one after the other.
     pub(super) fn round(&mut self) -> Round {
         let kernel = self.kernel();
-        let before = self.crew.spent_ns();
+        let before = self.pool.spent_ns();
         let (take, run) = self.tick_in_one();
-        let after = self.crew.spent_ns();
+        let after = self.pool.spent_ns();
         let mut round = Round {
             kernel,
             take,
@@ -164,7 +164,7 @@ impl Bench {
             diagnostics: &mut self.diagnostics,
             budgets: &mut self.budgets,
         };
-        self.crew.run(self.fleet.share(), outputs);
+        self.pool.run(self.fleet.shard(), outputs);
         let done = Instant::now();
         black_box((&self.forecasts, &self.diagnostics, &self.budgets));
         self.world.advance();
@@ -183,13 +183,13 @@ impl Bench {
         });
         around(Part::Forecast, &mut || {
             fleet.begin(now_ns, false);
-            let mut share = fleet.share();
-            share.forecast(batch, &mut self.forecasts, &mut |_| {});
+            let mut shard = fleet.shard();
+            shard.forecast(batch, &mut self.forecasts, &mut |_| {});
         });
         around(Part::Account, &mut || {
             let (diagnostics, budgets) = (&mut self.diagnostics, &mut self.budgets);
             fleet
-                .share()
+                .shard()
                 .account(batch, diagnostics, budgets, &mut |_| {});
         });
         black_box((&self.forecasts, &self.diagnostics, &self.budgets));
@@ -218,17 +218,17 @@ impl Bench {
 }
 
 /// Threads that share every tick, each on a processor of its own if they are several.
-fn crew(threads: usize) -> anyhow::Result<Crew> {
+fn pool(threads: usize) -> anyhow::Result<TickPool> {
     let mut scheduling = Scheduling::default();
     if threads > 1 {
         scheduling.cpus = threads::processors();
         scheduling.cpus.first().copied().map(threads::pin);
     }
-    Ok(Crew::assemble(threads, 1, &scheduling)?)
+    Ok(TickPool::assemble(threads, 1, &scheduling)?)
 }
 
 /// Those of the demo: GTernal robots with a battery.
-fn settings(robots: usize) -> anyhow::Result<Settings> {
+fn settings(robots: usize) -> anyhow::Result<FleetSettings> {
     let demo = Demo {
         fleet: "bench".to_owned(),
         root: "/dev/shm/joulebus-bench".into(),

@@ -9,11 +9,11 @@ use iceoryx2::prelude::{NodeName, SignalHandlingMode, ipc};
 use joulebus_wire::Service;
 use rustix::fs::Mode;
 
+use crate::incomplete::{objects, remove_stillborn};
 use crate::keeper::Housekeeping;
-use crate::leftovers::{SweepReport, remove_dead_nodes};
 use crate::membership::Membership;
 use crate::open::OpenError;
-use crate::stillborn::{objects, remove_stillborn};
+use crate::stale_cleanup::{SweepReport, remove_dead_nodes};
 use crate::wait::{Waiter, Waker};
 use crate::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, Domain, ForecastReader,
@@ -54,7 +54,7 @@ impl Bus {
         }
         let (member, mut joined) = Membership::join(domain)?;
         let config = Config::global_config();
-        joined.stillborn += remove_stillborn(domain)?;
+        joined.incomplete += remove_stillborn(domain)?;
         remove_dead_nodes(config, &mut joined);
         let node = create_node(domain, &node_name)?;
         make_private(domain)?;

@@ -10,9 +10,9 @@ use iceoryx2::prelude::{CallbackProgression, ipc};
 
 use crate::config::{self, ConfigError};
 use crate::domain::{effective_uid, filesystem, is_memory};
-use crate::room::{RoomError, measure};
-use crate::stillborn::{objects, unfinished};
-use crate::{Domain, RoomReport, RootError, WorkerLock};
+use crate::incomplete::{objects, unfinished};
+use crate::preflight::{CapacityError, measure};
+use crate::{CapacityReport, Domain, RootError, WorkerLock};
 
 /// The state of a domain. Looking changes nothing.
 #[derive(Debug)]
@@ -26,7 +26,7 @@ pub struct Inspection {
     /// Process id of the worker, if one runs.
     pub worker_pid: Option<u32>,
     /// Unfinished objects that somebody may be waiting for.
-    pub stillborn: Vec<PathBuf>,
+    pub incomplete: Vec<PathBuf>,
     /// Objects with our prefix that belong to another user.
     pub foreign: Vec<PathBuf>,
     /// Objects of the domain in shared memory.
@@ -34,7 +34,7 @@ pub struct Inspection {
     /// Their sizes together, bytes; only what has been written takes memory.
     pub object_bytes: u64,
     /// Shared memory and file descriptors of the host and this process.
-    pub room: RoomReport,
+    pub room: CapacityReport,
 }
 
 /// A process's node.
@@ -85,7 +85,7 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     Ok(Inspection {
         nodes: nodes(domain)?,
         worker_pid: WorkerLock::owner(domain).unwrap_or_default(),
-        stillborn: unfinished(domain)?,
+        incomplete: unfinished(domain)?,
         foreign: others.into_iter().map(|object| object.path).collect(),
         objects: mine.len() as u64,
         object_bytes: mine.iter().map(|object| object.bytes).sum(),
@@ -151,7 +151,7 @@ pub enum InspectError {
     Config(#[from] ConfigError),
     /// The system did not tell what room there is.
     #[error(transparent)]
-    Room(#[from] RoomError),
+    Room(#[from] CapacityError),
     /// iceoryx2 could not list its nodes.
     #[error("cannot list nodes: {reason}")]
     Nodes {

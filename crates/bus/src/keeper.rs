@@ -9,8 +9,8 @@ use std::time::Duration;
 use iceoryx2::config::Config;
 
 use crate::Domain;
-use crate::leftovers::{SweepReport, remove_dead_nodes};
-use crate::stillborn::remove_stillborn;
+use crate::incomplete::remove_stillborn;
+use crate::stale_cleanup::{SweepReport, remove_dead_nodes};
 
 /// Somebody may be waiting for an unfinished object: look often, it costs 20 µs.
 const STILLBORN_EVERY: Duration = Duration::from_millis(250);
@@ -25,7 +25,7 @@ pub struct Housekeeping {
     /// Attempts at dead nodes that failed; another member may have been faster.
     pub failed_nodes: u64,
     /// Unfinished objects, services and nodes removed.
-    pub stillborn: u64,
+    pub incomplete: u64,
 }
 
 #[derive(Default)]
@@ -34,7 +34,7 @@ struct Shared {
     stopped: Condvar,
     dead_nodes: AtomicU64,
     failed_nodes: AtomicU64,
-    stillborn: AtomicU64,
+    incomplete: AtomicU64,
 }
 
 pub(crate) struct Keeper {
@@ -60,7 +60,7 @@ impl Keeper {
         Housekeeping {
             dead_nodes: shared.dead_nodes.load(Ordering::Relaxed),
             failed_nodes: shared.failed_nodes.load(Ordering::Relaxed),
-            stillborn: shared.stillborn.load(Ordering::Relaxed),
+            incomplete: shared.incomplete.load(Ordering::Relaxed),
         }
     }
 
@@ -86,7 +86,7 @@ impl Shared {
                 return;
             }
             if let Ok(removed) = remove_stillborn(domain) {
-                self.stillborn.fetch_add(removed, Ordering::Relaxed);
+                self.incomplete.fetch_add(removed, Ordering::Relaxed);
                 if removed > 0 {
                     tracing::info!(removed, "removed unfinished objects of dead processes");
                 }

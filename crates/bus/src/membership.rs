@@ -13,9 +13,9 @@ use rustix::fs::{FlockOperation, OFlags, flock};
 
 use crate::config::{self, ConfigError};
 use crate::domain::effective_uid;
+use crate::incomplete::objects;
 use crate::keeper::Keeper;
-use crate::leftovers::{SweepError, SweepReport, is_same, remove_all};
-use crate::stillborn::objects;
+use crate::stale_cleanup::{SweepError, SweepReport, is_same, remove_all};
 use crate::{Domain, RootError, WorkerLock};
 
 /// How long a join may take before it is given up.

@@ -16,10 +16,10 @@ use iceoryx2::service::port_factory::event::PortFactory as EventFactory;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use joulebus_wire::{Service, WakeEvent, service_name};
 
-use crate::leftovers::{SweepReport, remove_dead_nodes};
+use crate::incomplete::{remove_abandoned_service, remove_stillborn};
 use crate::limits::Shape;
-use crate::stillborn::{remove_abandoned_service, remove_stillborn};
-use crate::{Bus, Limits, RoomError, clock};
+use crate::stale_cleanup::{SweepReport, remove_dead_nodes};
+use crate::{Bus, CapacityError, Limits, clock};
 
 /// Under which name the limits are written into each service.
 const LIMITS_KEY: &[u8] = b"joulebus.limits";
@@ -111,7 +111,7 @@ fn retry<S, E: Debug>(
         }
         let mut report = SweepReport::default();
         remove_dead_nodes(bus.node.config(), &mut report);
-        report.stillborn = remove_stillborn(bus.domain()).unwrap_or(0)
+        report.incomplete = remove_stillborn(bus.domain()).unwrap_or(0)
             + remove_abandoned_service(bus.domain(), name.as_str());
         tracing::info!(
             service = name.as_str(),
@@ -239,7 +239,7 @@ pub enum OpenError {
     },
     /// Too little shared memory.
     #[error(transparent)]
-    Room(#[from] RoomError),
+    Room(#[from] CapacityError),
     /// The memory was there a moment ago, and could not be taken.
     #[error("cannot take {needed} bytes of shared memory: {source}")]
     Memory {

@@ -21,9 +21,9 @@ use crate::limits::Shape;
 use crate::membership::Membership;
 use crate::open::{OpenError, open};
 use crate::port::{count_degradation, waker};
-use crate::room::{segment_bytes, shared_memory};
+use crate::preflight::{segment_bytes, shared_memory};
 use crate::wait::{WaitError, Waker};
-use crate::{Bus, Limits, RoomError, memory};
+use crate::{Bus, CapacityError, Limits, memory};
 
 /// Sends frames: a header `H` and a slice of `T`, written where readers read it.
 pub struct Writer<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
@@ -272,7 +272,7 @@ where
     let needed = segment_bytes(shape, size_of::<H>(), size_of::<T>(), max_len);
     let (free, _) = shared_memory()?;
     if needed > free {
-        return Err(RoomError::Memory { needed, free }.into());
+        return Err(CapacityError::Memory { needed, free }.into());
     }
     let degraded = Arc::new(AtomicU64::new(0));
     let counted = Arc::clone(&degraded);

@@ -8,7 +8,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use harness::{Member, Place};
-use joulebus_bus::{Ports, check_room, inspect, sweep};
+use joulebus_bus::{Ports, check_capacity, inspect, sweep};
 use rustix::process::Signal;
 
 /// Not a test of its own: what the others start.
@@ -296,7 +296,7 @@ fn an_object_without_a_size_that_somebody_holds_open_stays() {
     std::thread::sleep(Duration::from_millis(800));
     assert!(path.exists(), "its creator is only slow");
     assert_eq!(
-        inspect(&place.domain).unwrap().stillborn,
+        inspect(&place.domain).unwrap().incomplete,
         std::slice::from_ref(&path)
     );
     drop(creator);
@@ -442,7 +442,9 @@ fn what_is_asked_of_shared_memory_covers_what_is_taken() {
         workers: 1,
         planners: 3,
     };
-    let needed = check_room(&harness::limits(), ports).unwrap().needed_bytes;
+    let needed = check_capacity(&harness::limits(), ports)
+        .unwrap()
+        .needed_bytes;
     let roles = [
         "source", "source", "worker", "planner", "planner", "planner",
     ];

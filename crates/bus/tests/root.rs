@@ -6,7 +6,7 @@ use std::os::unix::fs::{PermissionsExt, chown, symlink};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use joulebus_bus::{Domain, Limits, Ports, RoomError, RootError, WorkerLock, check_room};
+use joulebus_bus::{CapacityError, Domain, Limits, Ports, RootError, WorkerLock, check_capacity};
 
 static PLACES: AtomicU32 = AtomicU32::new(0);
 
@@ -111,7 +111,8 @@ fn what_does_not_fit_is_refused_with_bytes_needed_and_free() {
         sample_frames: 256,
         forecast_frames: 64,
     };
-    let Err(RoomError::Memory { needed, free }) = check_room(&huge.checked().unwrap(), ports)
+    let Err(CapacityError::Memory { needed, free }) =
+        check_capacity(&huge.checked().unwrap(), ports)
     else {
         panic!("terabytes cannot fit");
     };
@@ -122,12 +123,12 @@ fn what_does_not_fit_is_refused_with_bytes_needed_and_free() {
         workers: 1,
         planners: 1,
     };
-    let small = check_room(&Limits::default(), one).unwrap();
+    let small = check_capacity(&Limits::default(), one).unwrap();
     let ten_times = Limits {
         capacity: 10_000,
         ..Limits::default()
     };
-    let big = check_room(&ten_times, one).unwrap();
+    let big = check_capacity(&ten_times, one).unwrap();
     assert!(small.needed_bytes < big.needed_bytes / 5);
     assert!(small.descriptors_used > 2 && small.descriptors_used < small.descriptors_limit);
 }

@@ -13,7 +13,7 @@ use std::io::{Read, Seek, SeekFrom};
 
 use mcap::records::Record;
 
-use crate::ros::{Kind, Message};
+use crate::ros::{Message, RosType};
 use crate::scan::{Event, Scan, ScanError};
 pub use join::Row;
 
@@ -55,7 +55,7 @@ struct Channel {
     topic: String,
     type_name: String,
     encoding: String,
-    kind: Result<Kind, crate::ros::RosError>,
+    kind: Result<RosType, crate::ros::RosError>,
     messages: u64,
 }
 
@@ -104,7 +104,7 @@ fn channels(input: &mut (impl Read + Seek)) -> Result<(Vec<Channel>, Vec<String>
             let empty = (String::new(), String::new(), Vec::new());
             let (type_name, encoding, data) = schemas.get(&channel.schema_id).unwrap_or(&empty);
             let found = Channel {
-                kind: Kind::of(&channel.message_encoding, type_name, encoding, data),
+                kind: RosType::of(&channel.message_encoding, type_name, encoding, data),
                 topic: channel.topic,
                 type_name: type_name.clone(),
                 encoding: channel.message_encoding,
@@ -160,7 +160,7 @@ fn read_tracks(
     tracks: &mut [join::Track],
 ) -> Result<Vec<String>, ScanError> {
     let mut schemas = BTreeMap::new();
-    let mut kinds: BTreeMap<u16, (String, Kind)> = BTreeMap::new();
+    let mut kinds: BTreeMap<u16, (String, RosType)> = BTreeMap::new();
     each_record(input, |record| match record {
         Record::Schema { header, data } => {
             schemas.insert(header.id, (header.name, header.encoding, data.into_owned()));
@@ -169,7 +169,7 @@ fn read_tracks(
             let Some((type_name, encoding, data)) = schemas.get(&channel.schema_id) else {
                 return;
             };
-            if let Ok(kind) = Kind::of(&channel.message_encoding, type_name, encoding, data) {
+            if let Ok(kind) = RosType::of(&channel.message_encoding, type_name, encoding, data) {
                 kinds.insert(channel.id, (channel.topic, kind));
             }
         }

@@ -45,7 +45,7 @@ pub enum Message {
 
 /// What messages of a channel are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Kind {
+pub enum MessageKind {
     /// [`Message::Samples`].
     Samples,
     /// [`Message::Forecasts`].
@@ -68,7 +68,7 @@ pub enum Kind {
     RobotBudget,
 }
 
-impl Kind {
+impl MessageKind {
     /// All kinds; first those with a channel of their own for the whole fleet.
     pub const ALL: [Self; 10] = [
         Self::Samples,
@@ -155,18 +155,18 @@ impl Kind {
 impl Message {
     /// What it is; none for what is not ours.
     #[must_use]
-    pub const fn kind(&self) -> Option<Kind> {
+    pub const fn kind(&self) -> Option<MessageKind> {
         Some(match self {
-            Self::Samples(..) => Kind::Samples,
-            Self::Forecasts(..) => Kind::Forecasts,
-            Self::Diagnostics(..) => Kind::Diagnostics,
-            Self::Budgets(..) => Kind::Budgets,
-            Self::Ticks(..) => Kind::Ticks,
-            Self::State(..) => Kind::State,
-            Self::RobotSample(_) => Kind::RobotSample,
-            Self::RobotForecast(_) => Kind::RobotForecast,
-            Self::RobotDiagnostic(_) => Kind::RobotDiagnostic,
-            Self::RobotBudget(_) => Kind::RobotBudget,
+            Self::Samples(..) => MessageKind::Samples,
+            Self::Forecasts(..) => MessageKind::Forecasts,
+            Self::Diagnostics(..) => MessageKind::Diagnostics,
+            Self::Budgets(..) => MessageKind::Budgets,
+            Self::Ticks(..) => MessageKind::Ticks,
+            Self::State(..) => MessageKind::State,
+            Self::RobotSample(_) => MessageKind::RobotSample,
+            Self::RobotForecast(_) => MessageKind::RobotForecast,
+            Self::RobotDiagnostic(_) => MessageKind::RobotDiagnostic,
+            Self::RobotBudget(_) => MessageKind::RobotBudget,
             Self::Other { .. } => return None,
         })
     }
@@ -221,40 +221,44 @@ impl Message {
     ///
     /// # Errors
     /// The bytes are not a message of this kind, or have a number that its field cannot hold.
-    pub fn decode(kind: Kind, data: &[u8]) -> Result<Self, DecodeError> {
+    pub fn decode(kind: MessageKind, data: &[u8]) -> Result<Self, DecodeError> {
         Ok(match kind {
-            Kind::Samples => {
+            MessageKind::Samples => {
                 let read = proto::Samples::decode(data)?;
                 Self::Samples(read.header()?, read.rows()?)
             }
-            Kind::Forecasts => {
+            MessageKind::Forecasts => {
                 let read = proto::Forecasts::decode(data)?;
                 Self::Forecasts(read.header()?, read.rows()?)
             }
-            Kind::Diagnostics => {
+            MessageKind::Diagnostics => {
                 let read = proto::Diagnostics::decode(data)?;
                 Self::Diagnostics(read.header()?, read.rows()?)
             }
-            Kind::Budgets => {
+            MessageKind::Budgets => {
                 let read = proto::Budgets::decode(data)?;
                 Self::Budgets(read.header()?, read.rows()?)
             }
-            Kind::Ticks => {
+            MessageKind::Ticks => {
                 let read = proto::Ticks::decode(data)?;
                 Self::Ticks(read.header()?, read.rows()?)
             }
-            Kind::State => {
+            MessageKind::State => {
                 let read = proto::State::decode(data)?;
                 Self::State(read.header()?, read.bytes)
             }
-            Kind::RobotSample => Self::RobotSample((&proto::Sample::decode(data)?).try_into()?),
-            Kind::RobotForecast => {
+            MessageKind::RobotSample => {
+                Self::RobotSample((&proto::Sample::decode(data)?).try_into()?)
+            }
+            MessageKind::RobotForecast => {
                 Self::RobotForecast((&proto::Forecast::decode(data)?).try_into()?)
             }
-            Kind::RobotDiagnostic => {
+            MessageKind::RobotDiagnostic => {
                 Self::RobotDiagnostic((&proto::Diagnostic::decode(data)?).try_into()?)
             }
-            Kind::RobotBudget => Self::RobotBudget((&proto::Budget::decode(data)?).try_into()?),
+            MessageKind::RobotBudget => {
+                Self::RobotBudget((&proto::Budget::decode(data)?).try_into()?)
+            }
         })
     }
 }

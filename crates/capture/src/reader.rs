@@ -11,7 +11,7 @@ use mcap::records::{MessageHeader, Record};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use crate::scan::parse_record;
-use crate::{Attached, Attachments, DecodeError, Entry, Kind, Message};
+use crate::{Attached, Attachments, DecodeError, Entry, Message, MessageKind};
 
 /// A record or a chunk longer than this is taken for damage, bytes.
 const MOST_BYTES: usize = 256 << 20;
@@ -39,7 +39,7 @@ struct Channel {
     topic: Arc<str>,
     fleet: Arc<str>,
     schema: Arc<str>,
-    kind: Option<Kind>,
+    kind: Option<MessageKind>,
 }
 
 impl Reader<File> {
@@ -188,7 +188,8 @@ impl<S: Read> Iterator for Reader<S> {
 
 impl Channel {
     fn new(channel: &mcap::records::Channel, schema: Arc<str>) -> Self {
-        let kind = Kind::of_schema(&schema).filter(|_| channel.message_encoding == "protobuf");
+        let kind =
+            MessageKind::of_schema(&schema).filter(|_| channel.message_encoding == "protobuf");
         let fleet = channel.metadata.get("fleet").filter(|_| kind.is_some());
         Self {
             topic: channel.topic.as_str().into(),

@@ -162,7 +162,7 @@ pub struct BatteryState {
 
 /// A kind of message that is decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum RosType {
     /// [`BatteryState`].
     BatteryState,
     /// [`Twist`].
@@ -224,7 +224,7 @@ pub enum RosError {
     Bytes(String),
 }
 
-impl Kind {
+impl RosType {
     /// The kind of a channel's messages.
     ///
     /// # Errors
@@ -354,7 +354,7 @@ impl Kind {
 }
 
 /// Compares the definition in a file with that built in.
-fn check_definition(text: &str, kind: Kind) -> Result<(), RosError> {
+fn check_definition(text: &str, kind: RosType) -> Result<(), RosError> {
     let mut sections: Vec<(String, Vec<String>)> = Vec::new();
     let expected = kind.definition();
     sections.push((expected[0].0.to_owned(), Vec::new()));

@@ -45,20 +45,20 @@ impl Preset {
 
 /// How a capture is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Settings {
+pub struct CaptureSettings {
     /// Compression and chunks.
     pub preset: Preset,
     /// What a chunk may span in time before it is written, ns. Counted in log time.
     pub chunk_ns: u64,
 }
 
-impl Default for Settings {
+impl Default for CaptureSettings {
     fn default() -> Self {
         Self::of(Preset::default())
     }
 }
 
-impl Settings {
+impl CaptureSettings {
     /// As the preset has it.
     #[must_use]
     pub const fn of(preset: Preset) -> Self {

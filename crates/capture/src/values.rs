@@ -57,7 +57,7 @@ pub struct Passed {
 enum How {
     Protobuf(MessageDescriptor),
     Json,
-    Ros(ros::Kind),
+    Ros(ros::RosType),
     Unknown(String),
 }
 
@@ -147,7 +147,7 @@ impl Channel {
                 Err(why) => How::Unknown(why),
             },
             "json" => How::Json,
-            other => match ros::Kind::of(other, schema, encoding, data) {
+            other => match ros::RosType::of(other, schema, encoding, data) {
                 Ok(kind) => How::Ros(kind),
                 Err(error) => How::Unknown(error.to_string()),
             },

@@ -11,7 +11,7 @@ use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 
 use crate::output::Output;
-use crate::{Attachments, Kind, Message, Settings};
+use crate::{Attachments, CaptureSettings, Message, MessageKind};
 
 /// Channels that one file may have: their numbers are u16, and 0 is left free.
 pub(crate) const MOST_CHANNELS: usize = 65_535;
@@ -26,15 +26,15 @@ pub struct Times {
 }
 
 /// Writes a capture, chunk by chunk: a chunk goes to the file whole when it spans
-/// [`Settings::chunk_ns`], when [`Writer::flush`] is called, and at the end. What has gone to the file
+/// [`CaptureSettings::chunk_ns`], when [`Writer::flush`] is called, and at the end. What has gone to the file
 /// can be read whatever happens afterwards.
 ///
 /// Dropping it without [`Writer::finish`] leaves a file that may lack its end.
 pub struct Writer<W: Write> {
     mcap: mcap::Writer<NoSeek<Output<W>>>,
-    settings: Settings,
-    schemas: HashMap<Kind, u16>,
-    channels: HashMap<(Kind, u32), Vec<Channel>>,
+    settings: CaptureSettings,
+    schemas: HashMap<MessageKind, u16>,
+    channels: HashMap<(MessageKind, u32), Vec<Channel>>,
     opened: usize,
     sequences: Sequences,
     chunk_from_ns: Option<u64>,
@@ -77,7 +77,7 @@ impl Writer<File> {
     /// [`WriteError`].
     pub fn create(
         path: &Path,
-        settings: Settings,
+        settings: CaptureSettings,
         attachments: &Attachments,
     ) -> Result<Self, WriteError> {
         let file = File::create_new(path).map_err(|source| WriteError::Create {
@@ -93,7 +93,11 @@ impl<W: Write> Writer<W> {
     ///
     /// # Errors
     /// [`WriteError`].
-    pub fn new(out: W, settings: Settings, attachments: &Attachments) -> Result<Self, WriteError> {
+    pub fn new(
+        out: W,
+        settings: CaptureSettings,
+        attachments: &Attachments,
+    ) -> Result<Self, WriteError> {
         Self::go_on(out, settings, attachments, Sequences::default())
     }
 
@@ -103,7 +107,7 @@ impl<W: Write> Writer<W> {
     /// [`WriteError`].
     pub fn go_on(
         out: W,
-        settings: Settings,
+        settings: CaptureSettings,
         attachments: &Attachments,
         sequences: Sequences,
     ) -> Result<Self, WriteError> {
@@ -158,7 +162,7 @@ impl<W: Write> Writer<W> {
         &mut self,
         fleet: &str,
         times: Times,
-        kind: Kind,
+        kind: MessageKind,
         message: &Message,
     ) -> Result<(), WriteError> {
         let log_ns = times.log_ns.max(self.log_ns);
@@ -216,7 +220,7 @@ impl<W: Write> Writer<W> {
         self.bytes.load(Ordering::Relaxed)
     }
 
-    /// Writes the open chunk to the file if it spans [`Settings::chunk_ns`] at `now_ns` (Unix): to be
+    /// Writes the open chunk to the file if it spans [`CaptureSettings::chunk_ns`] at `now_ns` (Unix): to be
     /// called when no messages come.
     ///
     /// # Errors
@@ -272,7 +276,7 @@ impl<W: Write> Writer<W> {
     fn next_place(
         &mut self,
         fleet: &str,
-        kind: Kind,
+        kind: MessageKind,
         robot: u32,
     ) -> Result<(u16, u32), WriteError> {
         let known = self.channels.entry((kind, robot)).or_default();
@@ -290,7 +294,7 @@ impl<W: Write> Writer<W> {
     }
 
     /// Opens the channel and returns its place among those of its kind and robot.
-    fn open(&mut self, fleet: &str, kind: Kind, robot: u32) -> Result<usize, WriteError> {
+    fn open(&mut self, fleet: &str, kind: MessageKind, robot: u32) -> Result<usize, WriteError> {
         if self.opened == MOST_CHANNELS {
             return Err(WriteError::TooManyChannels {
                 allowed: MOST_CHANNELS,

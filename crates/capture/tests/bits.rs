@@ -6,7 +6,9 @@ mod fields;
 
 use std::io::Cursor;
 
-use joulebus_capture::{Attachments, Kind, Message, Preset, Reader, Settings, Times, Writer};
+use joulebus_capture::{
+    Attachments, CaptureSettings, Message, MessageKind, Preset, Reader, Times, Writer,
+};
 use proptest::prelude::*;
 use prost_reflect::{DescriptorPool, DynamicMessage, ReflectMessage as _, Value};
 
@@ -26,8 +28,8 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_make_the_decoder_panic(kind in 0..Kind::ALL.len(), data: Vec<u8>) {
-        let _ = Message::decode(Kind::ALL[kind], &data);
+    fn no_bytes_make_the_decoder_panic(kind in 0..MessageKind::ALL.len(), data: Vec<u8>) {
+        let _ = Message::decode(MessageKind::ALL[kind], &data);
     }
 
     #[test]
@@ -125,7 +127,7 @@ fn rows_and_counts_are_described_as_well() {
 
 #[test]
 fn codes_have_names_in_the_schema() {
-    let pool = DescriptorPool::decode(Kind::Diagnostics.descriptors().as_slice()).unwrap();
+    let pool = DescriptorPool::decode(MessageKind::Diagnostics.descriptors().as_slice()).unwrap();
     let alarms = pool.get_enum_by_name("joulebus.Alarm").unwrap();
     for alarm in joulebus_wire::Alarm::ALL {
         let value = alarms.get_value(i32::from(alarm.code())).unwrap();
@@ -152,7 +154,8 @@ fn a_file_gives_back_what_was_written_in_every_preset() {
             "application/toml",
             b"x = 1".to_vec(),
         );
-        let mut writer = Writer::new(Vec::new(), Settings::of(preset), &attachments).unwrap();
+        let mut writer =
+            Writer::new(Vec::new(), CaptureSettings::of(preset), &attachments).unwrap();
         for (number, message) in written.iter().enumerate() {
             let times = Times {
                 log_ns: 1_000_000_000 + number as u64 * 7_000_000,

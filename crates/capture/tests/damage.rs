@@ -21,39 +21,39 @@ const MOST_BYTES: u64 = 24 << 20;
 
 /// How a file is written.
 #[derive(Debug, Clone, Copy)]
-struct Kind {
+struct MessageKind {
     name: &'static str,
     chunks: bool,
     compression: Option<Compression>,
     summary: bool,
 }
 
-const KINDS: [Kind; 5] = [
-    Kind {
+const KINDS: [MessageKind; 5] = [
+    MessageKind {
         name: "plain chunks",
         chunks: true,
         compression: None,
         summary: true,
     },
-    Kind {
+    MessageKind {
         name: "zstd",
         chunks: true,
         compression: Some(Compression::Zstd),
         summary: true,
     },
-    Kind {
+    MessageKind {
         name: "lz4",
         chunks: true,
         compression: Some(Compression::Lz4),
         summary: true,
     },
-    Kind {
+    MessageKind {
         name: "no chunks",
         chunks: false,
         compression: None,
         summary: true,
     },
-    Kind {
+    MessageKind {
         name: "no summary",
         chunks: true,
         compression: None,
@@ -61,7 +61,7 @@ const KINDS: [Kind; 5] = [
     },
 ];
 
-fn file(kind: Kind) -> Vec<u8> {
+fn file(kind: MessageKind) -> Vec<u8> {
     let mut writer = WriteOptions::new()
         .use_chunks(kind.chunks)
         .chunk_size(Some(400))

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use joulebus_capture::Kind;
+use joulebus_capture::MessageKind;
 use prost_reflect::{DescriptorPool, FieldDescriptor, MessageDescriptor};
 use serde_json::Value;
 
@@ -35,7 +35,7 @@ fn paths(value: &Value, found: &mut Vec<String>) {
     }
 }
 
-fn message(kind: Kind) -> MessageDescriptor {
+fn message(kind: MessageKind) -> MessageDescriptor {
     let pool = DescriptorPool::decode(kind.descriptors().as_slice()).unwrap();
     pool.get_message_by_name(kind.schema()).unwrap()
 }
@@ -48,7 +48,7 @@ fn field(message: &MessageDescriptor, name: &str, path: &str) -> FieldDescriptor
 /// `"topic".field[:]{key==$variable}.field`; the variables that it uses.
 fn check(path: &str) -> Vec<String> {
     let (topic, rest) = path.strip_prefix('"').unwrap().split_once('"').unwrap();
-    let kind = Kind::OF_FLEET
+    let kind = MessageKind::OF_FLEET
         .into_iter()
         .find(|kind| kind.topic(FLEET, 0) == topic)
         .unwrap_or_else(|| panic!("{path}: no topic {topic:?}"));

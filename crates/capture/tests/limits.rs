@@ -7,8 +7,8 @@ mod fields;
 use std::io::{self, Cursor, Write};
 
 use joulebus_capture::{
-    Attachments, Entry, Kind, Message, Preset, ReadError, Reader, Sequences, Settings, Times,
-    WriteError, Writer, Written,
+    Attachments, CaptureSettings, Entry, Message, MessageKind, Preset, ReadError, Reader,
+    Sequences, Times, WriteError, Writer, Written,
 };
 
 use fields::{Bits, all_bits, messages};
@@ -52,7 +52,7 @@ fn write(
     all: &[Message],
     flushed: &mut Vec<(u64, usize)>,
 ) -> Result<Written, WriteError> {
-    let mut writer = Writer::new(disk, Settings::of(preset), &attachments())?;
+    let mut writer = Writer::new(disk, CaptureSettings::of(preset), &attachments())?;
     for (number, message) in all.iter().enumerate() {
         let times = Times {
             log_ns: number as u64,
@@ -94,7 +94,11 @@ fn read(file: &[u8]) -> (Vec<Entry>, Option<ReadError>) {
 
 fn try_all(preset: Preset, step: usize) {
     // Few schemas keep the file, and so the number of limits, small.
-    let few = [Kind::Samples, Kind::Ticks, Kind::RobotSample];
+    let few = [
+        MessageKind::Samples,
+        MessageKind::Ticks,
+        MessageKind::RobotSample,
+    ];
     let mut all = messages(&mut Bits(3));
     all.extend(messages(&mut Bits(4)));
     all.retain(|message| few.contains(&message.kind().unwrap()));

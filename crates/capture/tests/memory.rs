@@ -5,7 +5,7 @@ mod fields;
 
 use std::fs;
 
-use joulebus_capture::{Attachments, Message, Preset, Reader, Settings, Times, Writer};
+use joulebus_capture::{Attachments, CaptureSettings, Message, Preset, Reader, Times, Writer};
 
 use fields::Bits;
 
@@ -23,7 +23,7 @@ fn a_long_capture_is_read_in_little_memory() {
     let bytes = megabytes.map_or(100, |text| text.parse().unwrap()) << 20;
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("long.mcap");
-    let settings = Settings::of(Preset::FastWrite);
+    let settings = CaptureSettings::of(Preset::FastWrite);
     let mut writer = Writer::create(&path, settings, &Attachments::default()).unwrap();
     // 100 robots at 30 Hz, of bits that nothing can make smaller.
     let mut bits = Bits(1);

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use joulebus_bus::{Bus, Domain, SampleWriter, Writer as BusWriter, clock};
 use joulebus_capture::record::{Options, Recorder, Snapshot, Summary, Target};
 use joulebus_capture::{
-    Attachments, Clock, Entry, Message, ReadError, Reader, Settings, Times, Writer,
+    Attachments, CaptureSettings, Clock, Entry, Message, ReadError, Reader, Times, Writer,
 };
 use joulebus_config::Config;
 use joulebus_wire::{
@@ -287,9 +287,9 @@ fn split_files_are_each_whole_and_go_on_from_each_other() {
     let path = stage.path("run.mcap");
     let options = Options {
         max_file_ns: 300_000_000,
-        settings: Settings {
+        settings: CaptureSettings {
             chunk_ns: 1,
-            ..Settings::default()
+            ..CaptureSettings::default()
         },
         ..Options::default()
     };
@@ -431,9 +431,9 @@ fn a_slow_disk_costs_messages_that_are_counted_and_nothing_else() {
     };
     let options = Options {
         queue_bytes: 20_000,
-        settings: Settings {
+        settings: CaptureSettings {
             chunk_ns: 1,
-            ..Settings::default()
+            ..CaptureSettings::default()
         },
         ..Options::default()
     };
@@ -543,7 +543,7 @@ fn two_fleets_lie_in_one_file_side_by_side() {
     let theirs = Clock { offset_ns: 5 };
     let here = Clock::now();
     let attachments = Attachments::of(std::slice::from_ref(&other), theirs).unwrap();
-    let mut writer = Writer::new(Vec::new(), Settings::default(), &attachments).unwrap();
+    let mut writer = Writer::new(Vec::new(), CaptureSettings::default(), &attachments).unwrap();
     // A frame in five is missing.
     for frame_seq in (0..50_u64).filter(|seq| seq % 5 != 3) {
         let header = SampleHeader {

@@ -8,7 +8,9 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use joulebus_capture::verify::{Loss, Verification, Verifier};
-use joulebus_capture::{Attachments, Entry, Kind, Message, Reader, Settings, Times, Writer};
+use joulebus_capture::{
+    Attachments, CaptureSettings, Entry, Message, MessageKind, Reader, Times, Writer,
+};
 use joulebus_fleet::Fleet;
 use joulebus_wire::{
     BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSION, Sample, StateHeader,
@@ -216,7 +218,7 @@ fn recorded(seed: u64, ticks: u64) -> Vec<Message> {
 
 /// As a recorder writes them: numbered by channel.
 fn entries(messages: Vec<Message>) -> Vec<Entry> {
-    let mut sequences: HashMap<Kind, u32> = HashMap::new();
+    let mut sequences: HashMap<MessageKind, u32> = HashMap::new();
     let entry = |(place, message): (usize, Message)| {
         let kind = message.kind().unwrap();
         let sequence = sequences.entry(kind).or_default();
@@ -284,7 +286,7 @@ proptest! {
         let messages = recorded(seed % 8, 120);
         // Each kind keeps its order.
         let mut keyed: Vec<(usize, Message)> = Vec::new();
-        let mut last: HashMap<Kind, usize> = HashMap::new();
+        let mut last: HashMap<MessageKind, usize> = HashMap::new();
         for (place, message) in messages.into_iter().enumerate() {
             let last = last.entry(message.kind().unwrap()).or_default();
             *last = (*last).max(place + (noise.next_u64() % lag as u64) as usize);
@@ -361,14 +363,14 @@ fn a_lost_frame_of_samples_is_named_and_verification_resumes_at_the_next_keyfram
 #[test]
 fn a_flipped_bit_in_any_output_is_named() {
     let messages = recorded(4, 90);
-    let place = |kind: Kind| {
+    let place = |kind: MessageKind| {
         let is_it = |message: &Message| message.kind() == Some(kind) && tick_of(message) == 77;
         messages.iter().position(is_it).unwrap()
     };
     let (forecasts, diagnostics, budgets) = (
-        place(Kind::Forecasts),
-        place(Kind::Diagnostics),
-        place(Kind::Budgets),
+        place(MessageKind::Forecasts),
+        place(MessageKind::Diagnostics),
+        place(MessageKind::Budgets),
     );
     let flip32 = |value: &mut f32| *value = f32::from_bits(value.to_bits() ^ 1);
     let flip64 = |value: &mut f64| *value = f64::from_bits(value.to_bits() ^ 1);
@@ -542,7 +544,7 @@ fn without_a_keyframe_or_with_another_model_nothing_counts_as_verified() {
     let messages = recorded(7, 60);
     let without = messages
         .iter()
-        .filter(|message| message.kind() != Some(Kind::State));
+        .filter(|message| message.kind() != Some(MessageKind::State));
     let report = verify(entries(without.cloned().collect()));
     assert_eq!(
         (
@@ -572,7 +574,7 @@ fn without_a_keyframe_or_with_another_model_nothing_counts_as_verified() {
 #[test]
 fn what_was_not_to_be_recorded_is_said_and_is_no_loss() {
     let messages = recorded(8, 60).into_iter();
-    let kept = messages.filter(|message| message.kind() != Some(Kind::Diagnostics));
+    let kept = messages.filter(|message| message.kind() != Some(MessageKind::Diagnostics));
     let report = verify(entries(kept.collect()));
     assert!(report.is_clean(), "{report}");
     assert_eq!(report.not_recorded, ["diagnostics"]);
@@ -586,7 +588,7 @@ fn split_files_are_verified_as_one_and_each_from_its_keyframe() {
     let mut sequences = joulebus_capture::Sequences::default();
     for part in all.chunks(all.len() / 3 + 1) {
         let attachments = Attachments::default();
-        let settings = Settings::default();
+        let settings = CaptureSettings::default();
         let mut writer = Writer::go_on(Vec::new(), settings, &attachments, sequences).unwrap();
         for entry in part {
             let times = Times {

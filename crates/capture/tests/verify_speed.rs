@@ -10,8 +10,8 @@ use std::sync::mpsc::sync_channel;
 use std::time::Instant;
 
 use joulebus_capture::verify::{Verification, Verifier};
-use joulebus_capture::{Attachments, Entry, Message, Reader, Settings, Times, Writer};
-use joulebus_fleet::{Fleet, Settings as FleetSettings};
+use joulebus_capture::{Attachments, CaptureSettings, Entry, Message, Reader, Times, Writer};
+use joulebus_fleet::{Fleet, FleetSettings};
 use joulebus_wire::{
     BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSION, Sample, StateHeader,
     TakenFrame, TickHeader,
@@ -105,7 +105,7 @@ fn turn(fleet: &mut Fleet, source: &mut Source, tick: u64) -> Vec<Message> {
 fn capture() -> Vec<u8> {
     let (mut fleet, mut source) = (new_fleet(), Source::new(1, 1));
     let attachments = Attachments::default();
-    let mut writer = Writer::new(Vec::new(), Settings::default(), &attachments).unwrap();
+    let mut writer = Writer::new(Vec::new(), CaptureSettings::default(), &attachments).unwrap();
     let mut state = Vec::new();
     fleet.state().encode_into(&mut state);
     let header = StateHeader {

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use joulebus_lab::analyze::{
-    Ablation, Analysis, Member, Series, Settings, TrialAutocorrelation, analyze,
+    Ablation, Analysis, AnalysisSettings, Member, Series, TrialAutocorrelation, analyze,
 };
 use joulebus_lab::split::Split;
 use joulebus_lab::trial::{Resample, Trial};
@@ -13,9 +13,9 @@ use serde::Serialize;
 
 use crate::data::{How, Recordings};
 use crate::exit::{Outcome, UsageError};
-use crate::network;
+use crate::model_source;
 use crate::output::Output;
-use crate::together::Together;
+use crate::split_unit::SplitUnit;
 
 /// What a dataset can teach: autocorrelation, what each input adds, and how much of a score comes
 /// from readings that only repeat the one before
@@ -54,8 +54,8 @@ pub(crate) struct Args {
     #[arg(long, conflicts_with = "resample")]
     native: bool,
     /// What stays together when rows are held out
-    #[arg(long, value_enum, value_name = "BY", default_value_t = Together::Trial)]
-    split: Together,
+    #[arg(long, value_enum, value_name = "BY", default_value_t = SplitUnit::Trial)]
+    split: SplitUnit,
     /// Share that is held out
     #[arg(long, value_name = "SHARE", default_value_t = 0.3)]
     held_out: f64,
@@ -97,8 +97,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 }
 
 impl Args {
-    fn settings(&self) -> Settings {
-        Settings {
+    fn settings(&self) -> AnalysisSettings {
+        AnalysisSettings {
             lags: self.lags,
             window: self.window,
             grids: match self.native {
@@ -128,7 +128,7 @@ impl Args {
 }
 
 fn model(path: &Path) -> anyhow::Result<(String, Model)> {
-    let network = network::load(path)?;
+    let network = model_source::load(path)?;
     let name = format!("network {}", network.card().name);
     Ok((name, Model::Network(network)))
 }

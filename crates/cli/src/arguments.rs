@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 
-use crate::output::Asked;
+use crate::output::OutputFormat;
 use crate::{
     analyze, bench, cat, completions, config, data, demo, doctor, eval, import, info, model,
     publish, record, recover, replay, report, run, serve, train, watch,
@@ -31,8 +31,8 @@ use crate::{
 )]
 pub(crate) struct Cli {
     /// How results are written
-    #[arg(long, global = true, value_enum, default_value_t = Asked::Text)]
-    pub(crate) format: Asked,
+    #[arg(long, global = true, value_enum, default_value_t = OutputFormat::Text)]
+    pub(crate) format: OutputFormat,
     /// Log more to stderr: once for what happens, twice for details, three times for everything
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub(crate) verbose: u8,

@@ -11,7 +11,7 @@ use regex::Regex;
 use serde_json::Value;
 
 use crate::exit::{Outcome, StdoutClosed, UsageError};
-use crate::output::{Asked, Output, say};
+use crate::output::{Output, OutputFormat, say};
 
 /// Write the messages of an MCAP file with their values
 #[derive(Debug, clap::Args)]
@@ -65,7 +65,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 
 /// Messages to stdout.
 struct Out {
-    form: Asked,
+    form: OutputFormat,
     out: BufWriter<io::StdoutLock<'static>>,
     schema: Option<String>,
     columns: Vec<String>,
@@ -82,7 +82,7 @@ fn closed(error: io::Error) -> anyhow::Error {
 }
 
 impl Out {
-    fn new(form: Asked) -> Self {
+    fn new(form: OutputFormat) -> Self {
         Self {
             form,
             out: BufWriter::new(io::stdout().lock()),
@@ -94,12 +94,12 @@ impl Out {
 
     fn take(&mut self, line: &Line<'_>) -> anyhow::Result<()> {
         match self.form {
-            Asked::Json | Asked::Ndjson => {
+            OutputFormat::Json | OutputFormat::Ndjson => {
                 serde_json::to_writer(&mut self.out, line).map_err(|error| closed(error.into()))?;
                 writeln!(self.out).map_err(closed)
             }
-            Asked::Text => self.text(line),
-            Asked::Csv => self.csv(line),
+            OutputFormat::Text => self.text(line),
+            OutputFormat::Csv => self.csv(line),
         }
     }
 

@@ -13,9 +13,9 @@ use joulebus_predictor_worker::load_models;
 use serde::Serialize;
 
 use crate::exit::Outcome;
-use crate::network;
+use crate::model_source;
 use crate::output::{Output, say};
-pub(crate) use subject::{Asked, check_apart, usage};
+pub(crate) use subject::{Selection, check_apart, usage};
 
 /// Live scores that the text shows trial by trial; of more trials, one line a platform.
 const LISTED: usize = 24;
@@ -39,7 +39,7 @@ const LISTED: usize = 24;
     split and seed holds out.")]
 pub(crate) struct Args {
     #[command(flatten)]
-    asked: Asked,
+    asked: Selection,
     /// A model file, for all platforms [default: as the config says]
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -89,7 +89,7 @@ fn is_without_rows(error: &anyhow::Error) -> bool {
 
 /// The model of a file, or one that ships.
 pub(crate) fn load(path: &Path) -> anyhow::Result<Model> {
-    Ok(Model::Network(network::load(path)?))
+    Ok(Model::Network(model_source::load(path)?))
 }
 
 /// The live path's own account, and the evaluation of each platform.

@@ -21,7 +21,7 @@ mod info;
 mod keys;
 mod logging;
 mod model;
-mod network;
+mod model_source;
 mod output;
 mod publish;
 mod record;
@@ -30,9 +30,9 @@ mod replay;
 mod report;
 mod run;
 mod serve;
+mod split_unit;
 mod stop;
 mod supervisor;
-mod together;
 mod train;
 mod trials;
 mod view;
@@ -44,7 +44,7 @@ use clap::{Args as _, FromArgMatches as _, Parser as _};
 
 use arguments::{Cli, Command};
 use exit::Outcome;
-use output::{Asked, Output};
+use output::{Output, OutputFormat};
 
 /// Runs the program with the arguments of this process.
 #[must_use]
@@ -72,7 +72,7 @@ fn parse() -> Result<(Command, Output), clap::Error> {
         None => Command::Demo(default_demo()?),
     };
     let is_cat = matches!(command, Command::Cat(_));
-    if !is_cat && matches!(cli.format, Asked::Ndjson | Asked::Csv) {
+    if !is_cat && matches!(cli.format, OutputFormat::Ndjson | OutputFormat::Csv) {
         let what = "--format ndjson and csv are of `cat` alone; use --format json\n";
         return Err(clap::Error::raw(clap::error::ErrorKind::InvalidValue, what));
     }

@@ -19,7 +19,7 @@ pub(crate) enum Format {
 
 /// What `--format` asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub(crate) enum Asked {
+pub(crate) enum OutputFormat {
     /// For people
     Text,
     /// For programs; not-known numbers are null
@@ -33,23 +33,23 @@ pub(crate) enum Asked {
 /// Writes results to stdout.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Output {
-    asked: Asked,
+    asked: OutputFormat,
 }
 
 impl Output {
-    pub(crate) const fn new(asked: Asked) -> Self {
+    pub(crate) const fn new(asked: OutputFormat) -> Self {
         Self { asked }
     }
 
     /// What was asked for, where a verb has more forms than two.
-    pub(crate) const fn asked(self) -> Asked {
+    pub(crate) const fn asked(self) -> OutputFormat {
         self.asked
     }
 
     pub(crate) const fn format(self) -> Format {
         match self.asked {
-            Asked::Text => Format::Text,
-            Asked::Json | Asked::Ndjson | Asked::Csv => Format::Json,
+            OutputFormat::Text => Format::Text,
+            OutputFormat::Json | OutputFormat::Ndjson | OutputFormat::Csv => Format::Json,
         }
     }
 

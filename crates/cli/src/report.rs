@@ -18,7 +18,7 @@ use crate::config_file::ConfigFile;
 use crate::data::find_recordings;
 use crate::eval::check_apart;
 use crate::exit::Outcome;
-use crate::network;
+use crate::model_source;
 use crate::output::{Output, say};
 use crate::train::write;
 use crate::trials::platform;
@@ -146,7 +146,7 @@ impl Args {
 }
 
 fn model(path: &Path) -> anyhow::Result<Model> {
-    Ok(Model::Network(network::load(path)?))
+    Ok(Model::Network(model_source::load(path)?))
 }
 
 /// The recordings of files and directories, all of them of one robot id: each is run alone.

@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use joulebus_fleet::{Platform, Settings};
+use joulebus_fleet::{FleetSettings, Platform};
 use joulebus_lab::trial::{Form, Trial};
 
 use crate::data::find_recordings;
@@ -40,7 +40,7 @@ impl TrialFiles {
     /// # Errors
     /// A file cannot be read, a name is no platform of the config, or a platform has fewer ids than
     /// there are files. A directory gives as many trials as there are ids.
-    pub(crate) fn read(&self, settings: &Settings) -> anyhow::Result<Vec<(u32, Trial)>> {
+    pub(crate) fn read(&self, settings: &FleetSettings) -> anyhow::Result<Vec<(u32, Trial)>> {
         let mut ids = Ids::new(self.first_robot);
         let mut trials = Vec::new();
         for path in &self.paths {
@@ -72,7 +72,7 @@ impl TrialFiles {
     ///
     /// # Errors
     /// As [`TrialFiles::read`], but for too few ids.
-    pub(crate) fn assigned(&self, settings: &Settings) -> anyhow::Result<Vec<(u32, PathBuf)>> {
+    pub(crate) fn assigned(&self, settings: &FleetSettings) -> anyhow::Result<Vec<(u32, PathBuf)>> {
         let mut ids = Ids::new(self.first_robot);
         let mut assigned = Vec::new();
         for path in &self.paths {
@@ -97,7 +97,7 @@ impl TrialFiles {
     fn whose(
         &self,
         argument: &OsString,
-        settings: &Settings,
+        settings: &FleetSettings,
     ) -> Result<(PathBuf, Option<Who>), UsageError> {
         let (path, who) = split(argument);
         let who = match who {
@@ -108,7 +108,7 @@ impl TrialFiles {
     }
 
     /// Whose ids are taken where the path does not say; none: those that count on.
-    fn usual(&self, settings: &Settings) -> Result<Option<Who>, UsageError> {
+    fn usual(&self, settings: &FleetSettings) -> Result<Option<Who>, UsageError> {
         if self.first_robot.is_some() {
             return Ok(None);
         }
@@ -130,7 +130,7 @@ impl TrialFiles {
 fn assign(
     path: &Path,
     who: Option<&Who>,
-    settings: &Settings,
+    settings: &FleetSettings,
     ids: &mut Ids,
 ) -> anyhow::Result<Vec<(u32, PathBuf)>> {
     let is_directory = path.is_dir();
@@ -212,7 +212,11 @@ impl Ids {
     }
 
     /// The next id; none when there is none left.
-    fn next(&mut self, who: Option<&Who>, settings: &Settings) -> Result<Option<u32>, UsageError> {
+    fn next(
+        &mut self,
+        who: Option<&Who>,
+        settings: &FleetSettings,
+    ) -> Result<Option<u32>, UsageError> {
         let id = match who {
             None => {
                 let id = self.next;
@@ -235,7 +239,10 @@ impl Ids {
 }
 
 /// The platform of that name.
-pub(crate) fn platform<'a>(settings: &'a Settings, name: &str) -> Result<&'a Platform, UsageError> {
+pub(crate) fn platform<'a>(
+    settings: &'a FleetSettings,
+    name: &str,
+) -> Result<&'a Platform, UsageError> {
     let mut platforms = settings.platforms.iter();
     platforms
         .find(|platform| platform.name == name)

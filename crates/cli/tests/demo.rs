@@ -71,10 +71,10 @@ impl Run {
     }
 
     /// What the demonstration has left.
-    fn leftovers(&self) -> Vec<PathBuf> {
+    fn stale_files(&self) -> Vec<PathBuf> {
         let root = self.root();
         let domain = Domain::new("demo", &root, "jbd_").unwrap();
-        leftovers(&domain)
+        stale_files(&domain)
     }
 
     /// What follows `text` in the first line on stderr, from now on, that has it.
@@ -162,7 +162,7 @@ fn is_over(pid: u32) -> bool {
     stat.is_empty() || stat.contains(") Z ")
 }
 
-fn leftovers(domain: &Domain) -> Vec<PathBuf> {
+fn stale_files(domain: &Domain) -> Vec<PathBuf> {
     let objects = fs::read_dir("/dev/shm").unwrap().flatten();
     objects
         .filter(|entry| {
@@ -188,7 +188,7 @@ fn dropped(summary: &Value) -> u64 {
 fn assert_nothing_left(summary: &Value, demo: &Run) {
     assert_eq!(count(&summary["left_behind"]["objects"]), 0);
     assert_eq!(count(&summary["left_behind"]["nodes"]), 0);
-    assert_eq!(demo.leftovers(), Vec::<PathBuf>::new());
+    assert_eq!(demo.stale_files(), Vec::<PathBuf>::new());
 }
 
 #[test]
@@ -292,7 +292,7 @@ fn a_signal_at_any_moment_of_the_start_leaves_nothing() {
             "{after_ms} ms: {status} {:#?}",
             demo.said
         );
-        assert_eq!(demo.leftovers(), Vec::<PathBuf>::new(), "{after_ms} ms");
+        assert_eq!(demo.stale_files(), Vec::<PathBuf>::new(), "{after_ms} ms");
     }
 }
 
@@ -355,7 +355,7 @@ fn killed_itself_its_processes_end_and_the_next_run_cleans_up() {
     let (code, summary) = next.summary();
     assert_eq!(code, 0, "{summary:#}");
     assert_nothing_left(&summary, &next);
-    assert_eq!(demo.leftovers(), Vec::<PathBuf>::new());
+    assert_eq!(demo.stale_files(), Vec::<PathBuf>::new());
 }
 
 /// A fleet of its own.
@@ -408,7 +408,7 @@ fn watch_without_a_worker_says_what_to_do() {
     let mut watch = arena.program(&["watch", "--once"]);
     watch.wait_for("no worker serves fleet w");
     assert_eq!(watch.wait().code(), Some(1));
-    assert_eq!(leftovers(&arena.domain), Vec::<PathBuf>::new());
+    assert_eq!(stale_files(&arena.domain), Vec::<PathBuf>::new());
 }
 
 #[test]
@@ -450,5 +450,5 @@ fn watch_may_begin_before_the_worker_and_goes_on_with_the_next_one() {
         pair[0]["worker_epoch"] != pair[1]["worker_epoch"]
             || count(&pair[0]["tick"]) < count(&pair[1]["tick"])
     }));
-    assert_eq!(leftovers(&arena.domain), Vec::<PathBuf>::new());
+    assert_eq!(stale_files(&arena.domain), Vec::<PathBuf>::new());
 }

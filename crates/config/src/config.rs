@@ -6,12 +6,12 @@ use std::sync::Arc;
 
 use joulebus_bus::Scheduling;
 use joulebus_fleet::{
-    AlarmSettings, Battery, Intake, IntervalSettings, Online, Platform, Policy, Settings,
+    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Online, Platform, Policy,
 };
 
-use crate::contradictions;
+use crate::consistency;
 use crate::document::{FleetFile, Source};
-use crate::key::Kind;
+use crate::key::ValueKind;
 use crate::problem::{ConfigError, Problem};
 use crate::values::Values;
 use crate::{cpus, files, keys, show};
@@ -67,7 +67,7 @@ pub struct Config {
     fleet: String,
     root: PathBuf,
     prefix: String,
-    settings: Settings,
+    settings: FleetSettings,
     policy: Policy,
     tick_period_ns: u64,
     models: Vec<ModelSource>,
@@ -116,7 +116,7 @@ impl Config {
         let mut read = source.fleet(&mut problems);
         if !read.cut_short {
             files::platforms(&mut read, &mut problems);
-            contradictions::check(&read, &source.name, &mut problems, &mut warnings);
+            consistency::check(&read, &source.name, &mut problems, &mut warnings);
         }
         let built = if problems.is_empty() {
             Self::build(&read, &mut problems)
@@ -180,9 +180,9 @@ impl Config {
         &self.prefix
     }
 
-    /// What the tick is told; has passed [`Settings::check`].
+    /// What the tick is told; has passed [`FleetSettings::check`].
     #[must_use]
-    pub const fn settings(&self) -> &Settings {
+    pub const fn settings(&self) -> &FleetSettings {
         &self.settings
     }
 
@@ -295,9 +295,9 @@ impl Builder<'_> {
         })
     }
 
-    fn settings(&self, platforms: Vec<Platform>) -> Option<Settings> {
+    fn settings(&self, platforms: Vec<Platform>) -> Option<FleetSettings> {
         let number = |path| self.single(path);
-        Some(Settings {
+        Some(FleetSettings {
             capacity: self.0.integer("fleet.capacity")?,
             intake: Intake {
                 max_samples_per_tick: self.0.integer("intake.max_samples_per_tick")?,
@@ -331,8 +331,8 @@ impl Builder<'_> {
         let value = self.0.number(path)?;
         let narrow = value as f32;
         match keys::find(path)?.kind {
-            Kind::Number { max, .. } if f64::from(narrow) > max => Some(narrow.next_down()),
-            Kind::Number { min, .. } if f64::from(narrow) < min => Some(narrow.next_up()),
+            ValueKind::Number { max, .. } if f64::from(narrow) > max => Some(narrow.next_down()),
+            ValueKind::Number { min, .. } if f64::from(narrow) < min => Some(narrow.next_up()),
             _ => Some(narrow),
         }
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use toml_edit::{Document, Item, Key as TomlKey, TableLike};
 
-use crate::key::{File, Key, Kind};
+use crate::key::{File, Key, ValueKind};
 use crate::keys::{self, KEYS};
 use crate::problem::Problem;
 use crate::remedy;
@@ -291,7 +291,7 @@ impl Walk<'_> {
             refused(format!("is {}", found(item)), advice)
         };
         match key.kind {
-            Kind::Integer { min, max } => {
+            ValueKind::Integer { min, max } => {
                 let value = item.as_integer().ok_or_else(mistaken)?;
                 if !(min..=max).contains(&value) {
                     let advice = remedy::other_unit(key, value as f64);
@@ -299,7 +299,7 @@ impl Walk<'_> {
                 }
                 Ok(Value::Integer(value))
             }
-            Kind::Number { min, max } => {
+            ValueKind::Number { min, max } => {
                 let whole = || item.as_integer().map(|value| value as f64);
                 let value = item.as_float().or_else(whole).ok_or_else(mistaken)?;
                 if !(min <= value && value <= max) {
@@ -308,7 +308,7 @@ impl Walk<'_> {
                 }
                 Ok(Value::Number(value))
             }
-            Kind::Choice(words) => {
+            ValueKind::Choice(words) => {
                 let text = item.as_str().ok_or_else(mistaken)?;
                 if words.contains(&text) {
                     return Ok(Value::Text(text.to_owned()));
@@ -319,14 +319,14 @@ impl Walk<'_> {
                 let advice = near.map(|word| format!("The nearest word is {word:?}"));
                 Err(refused(format!("is {text:?}"), advice))
             }
-            Kind::Text(rule) => {
+            ValueKind::Text(rule) => {
                 let text = item.as_str().ok_or_else(mistaken)?;
                 if !rule.allows(text) {
                     return Err(refused(format!("is {text:?}"), None));
                 }
                 Ok(Value::Text(text.to_owned()))
             }
-            Kind::Robots => {
+            ValueKind::Robots => {
                 let list = item.as_array().ok_or_else(mistaken)?;
                 let ranges: Result<Vec<_>, String> = list.iter().map(robots::parse).collect();
                 Ok(Value::Robots(ranges.map_err(|what| refused(what, None))?))

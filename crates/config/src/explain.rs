@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::key::{File, Key, Preset};
+use crate::key::{DefaultValue, File, Key};
 use crate::keys::{self, KEYS};
 use crate::remedy;
 
@@ -42,12 +42,12 @@ impl From<&Key> for Explanation {
             file: key.file,
             unit: key.unit,
             range: key.range(),
-            required: key.default == Preset::Required,
+            required: key.default == DefaultValue::Required,
             default: match key.default {
-                Preset::Required | Preset::Unset => None,
-                Preset::Integer(value) => Some(value.to_string()),
-                Preset::Number(value) => Some(value.to_string()),
-                Preset::Text(text) => Some(text.to_owned()),
+                DefaultValue::Required | DefaultValue::Unset => None,
+                DefaultValue::Integer(value) => Some(value.to_string()),
+                DefaultValue::Number(value) => Some(value.to_string()),
+                DefaultValue::Text(text) => Some(text.to_owned()),
             },
             doc: key.doc,
         }

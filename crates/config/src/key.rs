@@ -15,11 +15,11 @@ pub struct Key {
     /// The file that it belongs to.
     pub file: File,
     /// What its value is and may be.
-    pub kind: Kind,
+    pub kind: ValueKind,
     /// Unit of the value; empty where there is none.
     pub unit: &'static str,
     /// Its value when it is left out.
-    pub default: Preset,
+    pub default: DefaultValue,
     /// What it does, in a sentence.
     pub doc: &'static str,
 }
@@ -38,7 +38,7 @@ pub enum File {
 /// What a value is and may be; ends of ranges are allowed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Kind {
+pub enum ValueKind {
     /// A whole number.
     Integer {
         /// Least value.
@@ -84,7 +84,7 @@ pub enum TextRule {
 /// The value of a key that is left out.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Preset {
+pub enum DefaultValue {
     /// None: the key must be given (battery keys: if any of them is).
     Required,
     /// None: the key may be left out.
@@ -117,14 +117,14 @@ impl Key {
     #[must_use]
     pub fn range(&self) -> String {
         match self.kind {
-            Kind::Integer { min, max } => format!("whole number, {min} to {max}"),
-            Kind::Number { min, max } => format!("{min} to {max}"),
-            Kind::Choice(words) => {
+            ValueKind::Integer { min, max } => format!("whole number, {min} to {max}"),
+            ValueKind::Number { min, max } => format!("{min} to {max}"),
+            ValueKind::Choice(words) => {
                 let quoted: Vec<String> = words.iter().map(|word| format!("{word:?}")).collect();
                 quoted.join(" or ")
             }
-            Kind::Text(rule) => rule.words().to_owned(),
-            Kind::Robots => {
+            ValueKind::Text(rule) => rule.words().to_owned(),
+            ValueKind::Robots => {
                 "list of ids 0 to 4294967295 and ranges of them, like [\"0-99\", 120]".to_owned()
             }
         }
@@ -134,11 +134,11 @@ impl Key {
     #[must_use]
     pub fn default_words(&self) -> String {
         match self.default {
-            Preset::Required => "required".to_owned(),
-            Preset::Unset => "default: not set".to_owned(),
-            Preset::Integer(value) => format!("default {value}"),
-            Preset::Number(value) => format!("default {value}"),
-            Preset::Text(text) => format!("default {text:?}"),
+            DefaultValue::Required => "required".to_owned(),
+            DefaultValue::Unset => "default: not set".to_owned(),
+            DefaultValue::Integer(value) => format!("default {value}"),
+            DefaultValue::Number(value) => format!("default {value}"),
+            DefaultValue::Text(text) => format!("default {text:?}"),
         }
     }
 

@@ -26,7 +26,7 @@
 mod builtin;
 mod bundle;
 mod config;
-mod contradictions;
+mod consistency;
 mod cpus;
 mod document;
 mod explain;
@@ -44,6 +44,6 @@ pub use builtin::{Demo, builtin_model, builtin_models, builtin_platform, builtin
 pub use bundle::{Bundle, BundleError};
 pub use config::{Config, ModelSource, Threads};
 pub use explain::{Explanation, UnknownKey, explain, explanations};
-pub use key::{File, Key, Kind, Preset, TextRule};
+pub use key::{DefaultValue, File, Key, TextRule, ValueKind};
 pub use keys::KEYS;
 pub use problem::{ConfigError, Problem};

@@ -1,6 +1,6 @@
 //! What a user probably meant: nearest keys, and numbers in another unit.
 
-use crate::key::{File, Key, Kind};
+use crate::key::{File, Key, ValueKind};
 use crate::keys::KEYS;
 
 /// Units by what they measure, and their size in the first unit of their group.
@@ -78,11 +78,11 @@ fn convert(value: f64, from: &str, to: &str) -> Option<f64> {
 
 fn within(key: &Key, value: f64) -> bool {
     match key.kind {
-        Kind::Integer { min, max } => {
+        ValueKind::Integer { min, max } => {
             value.fract() == 0.0 && min as f64 <= value && value <= max as f64
         }
-        Kind::Number { min, max } => min <= value && value <= max,
-        Kind::Choice(_) | Kind::Text(_) | Kind::Robots => false,
+        ValueKind::Number { min, max } => min <= value && value <= max,
+        ValueKind::Choice(_) | ValueKind::Text(_) | ValueKind::Robots => false,
     }
 }
 

@@ -6,7 +6,7 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use crate::key::{Key, Preset};
+use crate::key::{DefaultValue, Key};
 use crate::keys;
 
 /// A file and a line of it, from 1.
@@ -145,9 +145,9 @@ impl Values {
 
 fn preset(key: &Key) -> Option<Value> {
     match key.default {
-        Preset::Required | Preset::Unset => None,
-        Preset::Integer(value) => Some(Value::Integer(value)),
-        Preset::Number(value) => Some(Value::Number(value)),
-        Preset::Text(text) => Some(Value::Text(text.to_owned())),
+        DefaultValue::Required | DefaultValue::Unset => None,
+        DefaultValue::Integer(value) => Some(Value::Integer(value)),
+        DefaultValue::Number(value) => Some(Value::Number(value)),
+        DefaultValue::Text(text) => Some(Value::Text(text.to_owned())),
     }
 }

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use joulebus_config::{Config, ConfigError, KEYS, Kind, Problem};
+use joulebus_config::{Config, ConfigError, KEYS, Problem, ValueKind};
 use proptest::prelude::*;
 
 /// A whole fleet in one text; each table below changes one line of it.
@@ -563,7 +563,7 @@ fn what_is_set_twice_is_refused_with_both_lines() {
 #[test]
 fn what_is_missing_is_named() {
     for key in KEYS {
-        if key.default != joulebus_config::Preset::Required {
+        if key.default != joulebus_config::DefaultValue::Required {
             continue;
         }
         let lines = WHOLE.lines().collect::<Vec<_>>();
@@ -664,7 +664,7 @@ fn with_value(path: &str, value: f64) -> String {
 #[test]
 fn ends_of_ranges_are_taken_and_what_lies_past_them_is_not() {
     for key in KEYS {
-        let Kind::Number { min, max } = key.kind else {
+        let ValueKind::Number { min, max } = key.kind else {
             continue;
         };
         for (end, past) in [(min, min.next_down()), (max, max.next_up())] {
@@ -718,7 +718,7 @@ proptest! {
         value in any::<f64>(),
     ) {
         let key = &KEYS[index];
-        let Kind::Number { min, max } = key.kind else { return Ok(()) };
+        let ValueKind::Number { min, max } = key.kind else { return Ok(()) };
         match parse(&with_value(key.path, value)) {
             Ok(config) => {
                 prop_assert!(min <= value && value <= max);

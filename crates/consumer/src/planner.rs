@@ -113,7 +113,7 @@ impl Planner {
             until_ns = deadline_ns.min(self.tracker.change_due_ns().unwrap_or(u64::MAX));
         }
         // `fetch` has found a frame, so there is one.
-        Ok(self.newest().map_or(Event::TimedOut, Event::Frame))
+        Ok(self.current().map_or(Event::TimedOut, Event::Frame))
     }
 
     /// The newest frame, without waiting, whether or not it was given before: its header tells the
@@ -125,12 +125,12 @@ impl Planner {
     pub fn latest(&mut self) -> Result<Option<Forecasts<'_>>, ReadError> {
         self.look(0)?;
         self.fetch()?;
-        Ok(self.newest())
+        Ok(self.current())
     }
 
     /// The frame that was given last, once more.
     #[must_use]
-    pub fn newest(&self) -> Option<Forecasts<'_>> {
+    pub fn current(&self) -> Option<Forecasts<'_>> {
         let held = self.reader.held()?;
         let number = self.tracker.counts().frames;
         let frame = Frame::new(held, number, |row| row.robot, &self.index);

@@ -155,7 +155,7 @@ fn plan(config: &Path) {
                 let diagnostics = diagnostics.latest().unwrap();
                 let budgets = budgets.latest().unwrap();
                 // All three are borrowed at once.
-                let forecasts = planner.newest().map(|frame| frame.header().tick);
+                let forecasts = planner.current().map(|frame| frame.header().tick);
                 let diagnosed = diagnostics.map(|frame| {
                     assert_eq!(frame.robot(63).unwrap().robot, 63);
                     frame.header().tick

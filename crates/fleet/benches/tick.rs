@@ -99,18 +99,18 @@ impl Bench {
             last = now;
         };
         fleet.begin(now_ns, false);
-        let mut share = fleet.share();
+        let mut shard = fleet.shard();
         let in_two = round % 2 == 1;
         if in_two {
-            share.forecast(&mut self.batch, outputs.forecasts, &mut on);
-            share.account(
+            shard.forecast(&mut self.batch, outputs.forecasts, &mut on);
+            shard.account(
                 &mut self.batch,
                 outputs.diagnostics,
                 outputs.budgets,
                 &mut on,
             );
         } else {
-            share.run(&mut self.batch, outputs, &mut on);
+            shard.run(&mut self.batch, outputs, &mut on);
         }
         let tick = start.elapsed().as_nanos() as f64;
         black_box(&forecasts[turn]);

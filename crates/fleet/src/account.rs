@@ -4,16 +4,16 @@
 // Lanes are counted: that is the loop that the compiler makes vectors of.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::Wide;
+use joulebus_predictor::SimdTask;
 use joulebus_wire::Alarm;
 
-use crate::columns::Part;
+use crate::columns::ColumnsMut;
 use crate::detector::{Conditions, Detector, DetectorLanes};
-use crate::kind::Kind;
 use crate::lanes::{self, Block as _, LANES, Lanes, block};
 use crate::ledger::LedgerLanes;
 use crate::pass::Rules;
-use crate::robot::{Gate, Last, LastLanes, News, NewsLanes};
+use crate::platform_context::PlatformContext;
+use crate::robot::{AdmissionState, Last, LastLanes, PendingBlock, PendingState};
 use crate::scores::ScoreLanes;
 use crate::slots;
 use crate::window::WindowLanes;
@@ -32,14 +32,14 @@ pub(crate) struct Facts {
 
 impl Facts {
     #[inline(always)]
-    pub(crate) fn of(gate: &Gate, last: &Last) -> Self {
+    pub(crate) fn of(admission: &AdmissionState, last: &Last) -> Self {
         Self {
-            stamp_ns: gate.stamp_ns,
+            stamp_ns: admission.stamp_ns,
             measured_ns: last.measured_ns,
             equal_since_ns: last.equal_since_ns,
-            refused: gate.refused_run > 0,
-            outside_training: gate.outside_training,
-            charging: gate.charging,
+            refused: admission.refused_run > 0,
+            outside_training: admission.outside_training,
+            charging: admission.charging,
         }
     }
 }
@@ -74,35 +74,35 @@ impl Waiting {
     #[inline(always)]
     fn take(
         lanes: u16,
-        gates: &[Gate],
+        admissions: &[AdmissionState],
         lasts: &LastLanes,
         windows: &WindowLanes,
-        news: &mut NewsLanes,
+        pending: &mut PendingBlock,
     ) -> Self {
         let mut its = Self {
             which: [false; LANES],
             platform: [0; LANES],
             broken: [false; LANES],
             reading_w: [f32::NAN; LANES],
-            expected_w: news.expected_w,
+            expected_w: pending.expected_w,
             previous_w: [f32::NAN; LANES],
             facts: FactLanes {
-                stamp_ns: news.samples.stamp_ns,
+                stamp_ns: pending.samples.stamp_ns,
                 measured_ns: lasts.measured_ns,
                 equal_since_ns: lasts.equal_since_ns,
                 ..FactLanes::default()
             },
         };
-        for (lane, gate) in gates.iter().enumerate().take(LANES) {
-            its.platform[lane] = gate.platform;
-            its.facts.refused[lane] = gate.refused_run > 0;
-            its.facts.outside_training[lane] = gate.outside_training;
-            its.facts.charging[lane] = gate.charging;
+        for (lane, admission) in admissions.iter().enumerate().take(LANES) {
+            its.platform[lane] = admission.platform;
+            its.facts.refused[lane] = admission.refused_run > 0;
+            its.facts.outside_training[lane] = admission.outside_training;
+            its.facts.charging[lane] = admission.charging;
         }
         for lane in 0..LANES {
-            let sample = news.samples.get(lane);
-            let broken = news.is(lane, News::Broken);
-            let absorbed = broken | news.is(lane, News::Absorbed);
+            let sample = pending.samples.get(lane);
+            let broken = pending.is(lane, PendingState::Broken);
+            let absorbed = broken | pending.is(lane, PendingState::Absorbed);
             its.which[lane] = absorbed & (lanes >> lane & 1 == 1);
             its.broken[lane] = broken;
             its.reading_w[lane] = if sample.read() {
@@ -111,7 +111,7 @@ impl Waiting {
                 f32::NAN
             };
             its.previous_w[lane] = windows.previous_w(lane);
-            news.mark(lane, its.which[lane], News::None);
+            pending.mark(lane, its.which[lane], PendingState::None);
         }
         its
     }
@@ -133,15 +133,15 @@ impl Waiting {
 /// Accounts for what was absorbed of some robots.
 pub(crate) struct Account<'a, 'b> {
     pub rules: &'a Rules<'a>,
-    pub columns: &'a mut Part<'b>,
+    pub columns: &'a mut ColumnsMut<'b>,
 }
 
-impl Wide for Account<'_, '_> {
+impl SimdTask for Account<'_, '_> {
     #[inline(always)]
     fn run(self) {
-        let Part {
-            gates,
-            news,
+        let ColumnsMut {
+            admissions,
+            pending,
             lasts,
             windows,
             ledgers,
@@ -152,16 +152,16 @@ impl Wide for Account<'_, '_> {
         } = self.columns;
         for (block, lanes) in slots::blocks(words) {
             let from = block * LANES;
-            lanes::ask_ahead(ledgers, block);
-            lanes::ask_ahead(scores, block);
-            lanes::ask_ahead(detectors, block);
-            let gates = &gates[from..from + LANES];
+            lanes::prefetch_ahead(ledgers, block);
+            lanes::prefetch_ahead(scores, block);
+            lanes::prefetch_ahead(detectors, block);
+            let admissions = &admissions[from..from + LANES];
             let waiting = Waiting::take(
                 lanes,
-                gates,
+                admissions,
                 &lasts[block],
                 &windows[block],
-                &mut news[block],
+                &mut pending[block],
             );
             let mut next = waiting.platform_from(0);
             while let Some(platform) = next {
@@ -187,19 +187,19 @@ struct Robots<'a> {
 /// Accounts for the robots of one platform.
 #[inline(always)]
 fn settle(rules: &Rules<'_>, platform: u16, waiting: &Waiting, robots: &mut Robots<'_>) {
-    let kind = &rules.kinds[usize::from(platform)];
+    let context = &rules.contexts[usize::from(platform)];
     let (mut which, mut scored) = ([false; LANES], [false; LANES]);
     for lane in 0..LANES {
         which[lane] = waiting.which[lane] & (waiting.platform[lane] == platform);
         let known = !waiting.reading_w[lane].is_nan() & !waiting.expected_w[lane].is_nan();
         scored[lane] = which[lane] & known;
     }
-    meter(robots.ledgers, waiting, &which, kind.overdue_after_ns);
+    meter(robots.ledgers, waiting, &which, context.overdue_after_ns);
     score(robots.scores, waiting, &scored);
-    detect(rules, kind, waiting, &scored, robots.detectors);
+    detect(rules, context, waiting, &scored, robots.detectors);
     alarm(
         rules,
-        kind,
+        context,
         waiting,
         &which,
         robots.scores,
@@ -261,12 +261,12 @@ fn score(scores: &mut ScoreLanes, waiting: &Waiting, scored: &Lanes<bool>) {
 #[inline(always)]
 fn detect(
     rules: &Rules<'_>,
-    kind: &Kind,
+    context: &PlatformContext,
     waiting: &Waiting,
     scored: &Lanes<bool>,
     detectors: &mut DetectorLanes,
 ) {
-    let (alarms, sigma_w) = (rules.settings.alarms, kind.sigma_w);
+    let (alarms, sigma_w) = (rules.settings.alarms, context.sigma_w);
     for lane in 0..LANES {
         let mut detector = detectors.get(lane);
         let reading_w = waiting.reading_w[lane];
@@ -281,7 +281,7 @@ fn detect(
 #[inline(always)]
 fn alarm(
     rules: &Rules<'_>,
-    kind: &Kind,
+    context: &PlatformContext,
     waiting: &Waiting,
     which: &Lanes<bool>,
     scores: &ScoreLanes,
@@ -291,14 +291,14 @@ fn alarm(
     for lane in 0..LANES {
         let detector = detectors.get(lane);
         let scored = scores.count[lane];
-        let conditions = judge(rules, kind, &waiting.facts.get(lane), scored, &detector);
+        let conditions = judge(rules, context, &waiting.facts.get(lane), scored, &detector);
         moved[lane] = which[lane] & detector.is_moved_by(conditions);
     }
     if lanes::any(&moved) {
         for lane in (0..LANES).filter(|lane| moved[*lane]) {
             let mut detector = detectors.get(lane);
             let scored = scores.count[lane];
-            let conditions = judge(rules, kind, &waiting.facts.get(lane), scored, &detector);
+            let conditions = judge(rules, context, &waiting.facts.get(lane), scored, &detector);
             detector.decide(conditions, &rules.settings.alarms);
             detectors.set(lane, true, detector);
         }
@@ -309,7 +309,7 @@ fn alarm(
 #[inline(always)]
 pub(crate) fn judge(
     rules: &Rules<'_>,
-    kind: &Kind,
+    context: &PlatformContext,
     facts: &Facts,
     scored: u64,
     detector: &Detector,
@@ -319,8 +319,8 @@ pub(crate) fn judge(
     let equal_ns = facts.measured_ns.saturating_sub(facts.equal_since_ns);
     let read = facts.measured_ns > 0;
     let (held, stuck) = (
-        read & (age_ns > kind.platform.hold_max_ns),
-        read & (equal_ns > kind.platform.stuck_after_ns),
+        read & (age_ns > context.platform.hold_max_ns),
+        read & (equal_ns > context.platform.stuck_after_ns),
     );
     conditions.when(facts.refused, Alarm::OutOfRange);
     conditions.when(held, Alarm::HeldTooLong);

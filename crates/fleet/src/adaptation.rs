@@ -157,8 +157,8 @@ mod tests {
             rows in prop::collection::vec((-1e6f32..1e6, -1e6f32..1e6, 0u8..4), 1..400),
         ) {
             let mut adaptation = Adaptation::START;
-            for (network, reading, kind) in rows {
-                let (network, reading) = match kind {
+            for (network, reading, context) in rows {
+                let (network, reading) = match context {
                     0 => (network, reading),
                     1 => (network * 1e-4, reading * 1e-4),
                     2 => (40.0, reading * 1e-5),

@@ -6,10 +6,10 @@ use crate::account::{Facts, judge};
 use crate::columns::Columns;
 use crate::detector::Detector;
 use crate::intake::{check_values, invalid};
-use crate::interval::Interval;
+use crate::interval::ConformalInterval;
 use crate::lanes::{self, Block as _, LANES};
 use crate::mixture::Blend;
-use crate::robot::{Gate, Last, News, Pending};
+use crate::robot::{AdmissionState, Last, Pending, PendingState};
 use crate::window::Window;
 use crate::{Fleet, Ledger, Scores};
 
@@ -23,49 +23,53 @@ impl Fleet {
         let slot = self.slot(header, sample.robot, now_ns)?;
         self.identify(slot, header, sample.seq)?;
         let most = self.settings.intake.max_samples_per_tick;
-        if self.columns.gates[slot].taken >= most {
+        if self.columns.admissions[slot].taken >= most {
             return Err(DropReason::Backlog);
         }
-        if !self.columns.news[slot / LANES].is(slot % LANES, News::None) {
+        if !self.columns.pending[slot / LANES].is(slot % LANES, PendingState::None) {
             self.catch_up(slot);
         }
-        let gate = &self.columns.gates[slot];
-        check_values(sample, &self.kinds[usize::from(gate.platform)].platform)?;
-        let broken = !in_time(gate, sample.stamp_ns, self.settings.intake.max_jump_ns);
-        if broken && !gate.renewed {
+        let admission = &self.columns.admissions[slot];
+        check_values(
+            sample,
+            &self.contexts[usize::from(admission.platform)].platform,
+        )?;
+        let broken = !in_time(admission, sample.stamp_ns, self.settings.intake.max_jump_ns);
+        if broken && !admission.renewed {
             return Err(DropReason::BadTime);
         }
-        let gate = self.hear(slot);
-        gate.taken += 1;
-        gate.renewed = false;
-        (gate.taken_ns, gate.invalid, gate.refused_run) = (now_ns, None, 0);
-        let (news, lane) = (&mut self.columns.news[slot / LANES], slot % LANES);
+        let admission = self.hear(slot);
+        admission.taken += 1;
+        admission.renewed = false;
+        (admission.taken_ns, admission.invalid, admission.refused_run) = (now_ns, None, 0);
+        let (block, lane) = (&mut self.columns.pending[slot / LANES], slot % LANES);
         let pending = Pending::new(sample, broken);
-        news.samples.set(lane, true, pending);
-        news.mark(lane, true, News::Waiting);
+        block.samples.set(lane, true, pending);
+        block.mark(lane, true, PendingState::Waiting);
         Ok(())
     }
 
     /// Ownership, run and order: who may speak for the robot, once.
     fn identify(&mut self, slot: usize, header: &SampleHeader, seq: u64) -> Result<(), DropReason> {
-        let gate = &mut self.columns.gates[slot];
-        if gate.source_id != header.source_id {
+        let admission = &mut self.columns.admissions[slot];
+        if admission.source_id != header.source_id {
             return Err(DropReason::ForeignSource);
         }
-        if header.source_epoch < gate.source_epoch {
+        if header.source_epoch < admission.source_epoch {
             return Err(DropReason::OldEpoch);
         }
-        if header.source_epoch > gate.source_epoch {
-            (gate.source_epoch, gate.ordered, gate.renewed) = (header.source_epoch, false, true);
+        if header.source_epoch > admission.source_epoch {
+            (admission.source_epoch, admission.ordered, admission.renewed) =
+                (header.source_epoch, false, true);
         }
-        if gate.ordered && seq <= gate.seq {
-            return Err(if seq == gate.seq {
+        if admission.ordered && seq <= admission.seq {
+            return Err(if seq == admission.seq {
                 DropReason::Duplicate
             } else {
                 DropReason::OutOfOrder
             });
         }
-        (gate.seq, gate.ordered) = (seq, true);
+        (admission.seq, admission.ordered) = (seq, true);
         Ok(())
     }
 
@@ -76,28 +80,28 @@ impl Fleet {
             return;
         };
         // Nothing better will come of it in this tick: the others need not wait for it.
-        let gate = self.hear(slot);
-        gate.refused_run = gate.refused_run.saturating_add(1);
-        gate.invalid = Some(invalid);
+        let admission = self.hear(slot);
+        admission.refused_run = admission.refused_run.saturating_add(1);
+        admission.invalid = Some(invalid);
         self.columns.lasts[slot / LANES].refused[slot % LANES] += 1;
         let rules = self.rules();
-        let kind = &self.kinds[usize::from(self.columns.gates[slot].platform)];
-        let gate = &self.columns.gates[slot];
+        let context = &self.contexts[usize::from(self.columns.admissions[slot].platform)];
+        let admission = &self.columns.admissions[slot];
         let last = lanes::get(&self.columns.lasts, slot);
         let scored = lanes::get(&self.columns.scores, slot).count;
         let mut detector = lanes::get(&self.columns.detectors, slot);
-        let facts = Facts::of(gate, &last);
-        let conditions = judge(&rules, kind, &facts, scored, &detector);
+        let facts = Facts::of(admission, &last);
+        let conditions = judge(&rules, context, &facts, scored, &detector);
         detector.decide(conditions, &self.settings.alarms);
         lanes::set(&mut self.columns.detectors, slot, detector);
     }
 
     /// Takes note that a sample of the robot has come in this tick.
-    fn hear(&mut self, slot: usize) -> &mut Gate {
-        let gate = &mut self.columns.gates[slot];
-        self.reported += usize::from(!gate.heard);
-        gate.heard = true;
-        gate
+    fn hear(&mut self, slot: usize) -> &mut AdmissionState {
+        let admission = &mut self.columns.admissions[slot];
+        self.reported += usize::from(!admission.heard);
+        admission.heard = true;
+        admission
     }
 
     /// The robot's slot; a robot heard of for the first time is given one.
@@ -109,7 +113,7 @@ impl Fleet {
     ) -> Result<usize, DropReason> {
         let guessed = self
             .columns
-            .gates
+            .admissions
             .get(self.guess)
             .filter(|guess| guess.present && guess.id == robot);
         let found = match guessed {
@@ -120,42 +124,44 @@ impl Fleet {
             self.guess = slot + 1;
             return Ok(slot);
         }
-        let kind = self.platform_of(robot).ok_or(DropReason::UnknownRobot)?;
-        let Columns { slots, gates, .. } = &mut self.columns;
-        let slot = slots.take(kind, |slot| gates[slot].platform);
+        let context = self.platform_of(robot).ok_or(DropReason::UnknownRobot)?;
+        let Columns {
+            slots, admissions, ..
+        } = &mut self.columns;
+        let slot = slots.take(context, |slot| admissions[slot].platform);
         let slot = slot.ok_or(DropReason::OverCapacity)?;
         self.slot_of.insert(robot, slot as u32);
-        self.occupy(slot, robot, kind, header, now_ns);
+        self.occupy(slot, robot, context, header, now_ns);
         Ok(slot)
     }
 
-    fn occupy(&mut self, slot: usize, id: u32, kind: u16, header: &SampleHeader, now_ns: u64) {
+    fn occupy(&mut self, slot: usize, id: u32, context: u16, header: &SampleHeader, now_ns: u64) {
         let departed = self.departed.take(id);
         let columns = &mut self.columns;
-        columns.gates[slot] = Gate {
+        columns.admissions[slot] = AdmissionState {
             id,
             present: true,
-            platform: kind,
-            generation: columns.gates[slot].generation,
+            platform: context,
+            generation: columns.admissions[slot].generation,
             source_id: header.source_id,
             source_epoch: header.source_epoch,
             taken_ns: now_ns,
             charged: departed.is_some_and(|departed| departed.charged),
-            ..Gate::FREE
+            ..AdmissionState::FREE
         };
-        let kind = &self.kinds[usize::from(kind)];
-        if let Some(blending) = &kind.blending {
+        let context = &self.contexts[usize::from(context)];
+        if let Some(blending) = &context.blending {
             columns.blends[slot] = Blend::new(blending);
         }
-        let residual = kind.model.residual();
-        columns.news[slot / LANES].mark(slot % LANES, true, News::None);
+        let residual = context.model.residual();
+        columns.pending[slot / LANES].mark(slot % LANES, true, PendingState::None);
         lanes::set(&mut columns.windows, slot, Window::EMPTY);
         lanes::set(&mut columns.lasts, slot, Last::NONE);
         let ledger = departed.map_or_else(Ledger::default, |departed| departed.ledger);
-        let interval = Interval::new(
+        let interval = ConformalInterval::new(
             residual.q05_w,
             residual.q95_w,
-            kind.platform.power_resolution_w,
+            context.platform.power_resolution_w,
             self.settings.interval.coverage,
         );
         lanes::set(&mut columns.ledgers, slot, ledger);
@@ -166,12 +172,13 @@ impl Fleet {
 
     pub(crate) fn platform_of(&self, robot: u32) -> Option<u16> {
         let after = self.ranges.partition_point(|(start, _, _)| *start <= robot);
-        let (_, end, kind) = self.ranges.get(after.checked_sub(1)?)?;
-        (robot <= *end).then_some(*kind)
+        let (_, end, context) = self.ranges.get(after.checked_sub(1)?)?;
+        (robot <= *end).then_some(*context)
     }
 }
 
 /// Whether a stamp lies after the robot's last one, and not further than `longest_ns`.
-fn in_time(gate: &Gate, stamp_ns: u64, longest_ns: u64) -> bool {
-    !gate.accepted || (stamp_ns > gate.stamp_ns && stamp_ns - gate.stamp_ns <= longest_ns)
+fn in_time(admission: &AdmissionState, stamp_ns: u64, longest_ns: u64) -> bool {
+    !admission.accepted
+        || (stamp_ns > admission.stamp_ns && stamp_ns - admission.stamp_ns <= longest_ns)
 }

@@ -2,10 +2,10 @@
 
 use joulebus_predictor::{FEATURES, FeatureSet, Features, INPUTS, Model};
 
-use crate::columns::Part;
-use crate::kind::Kind;
+use crate::columns::ColumnsMut;
 use crate::lanes::{self, LANES, Lanes};
 use crate::mixture::Blending;
+use crate::platform_context::PlatformContext;
 use crate::slots::WORD;
 
 /// Slots that are worked on together unless told otherwise: their state, their rows and what is
@@ -64,11 +64,11 @@ impl Batch {
     }
 
     /// Empty, for rows of this platform.
-    pub(crate) fn begin(&mut self, kind: &Kind) {
+    pub(crate) fn begin(&mut self, context: &PlatformContext) {
         self.clear();
         self.gaps.clear();
         self.overdue.clear();
-        self.freshness = kind.reads.freshness;
+        self.freshness = context.reads.freshness;
     }
 
     /// Adds the rows of a block that are `ready`; its first robot has the slot `first`.
@@ -124,7 +124,7 @@ impl Batch {
     /// Puts what each robot's experts say together in the place of the network's forecast, after
     /// [`Batch::infer`]. `open`: rows that stand in for samples that have not come, of which nothing
     /// is learned.
-    pub(crate) fn blend(&mut self, blending: &Blending, columns: &mut Part<'_>, open: bool) {
+    pub(crate) fn blend(&mut self, blending: &Blending, columns: &mut ColumnsMut<'_>, open: bool) {
         let rows = self.slots.len();
         if let Some(linear) = &blending.linear {
             let columns = self.columns.each_ref().map(|column| &column[..rows]);
@@ -154,9 +154,9 @@ impl Batch {
     }
 
     /// Marks the rows that have a feature outside the range of the training, or NaN.
-    pub(crate) fn mark_outside(&mut self, kind: &Kind) {
+    pub(crate) fn mark_outside(&mut self, context: &PlatformContext) {
         let outside = &mut self.outside[..self.slots.len()];
-        match &kind.trained {
+        match &context.trained {
             Some(trained) => trained.mark_outside(&self.columns, outside),
             None => outside.fill(false),
         }

@@ -4,12 +4,12 @@ use crate::Ledger;
 use crate::departed::Departed;
 use crate::detector::DetectorLanes;
 use crate::interval::IntervalLanes;
-use crate::kind::Kind;
 use crate::lanes::LANES;
 use crate::ledger::LedgerLanes;
 use crate::mixture::Blend;
+use crate::platform_context::PlatformContext;
 use crate::report::Seen;
-use crate::robot::{Gate, LastLanes, NewsLanes};
+use crate::robot::{AdmissionState, LastLanes, PendingBlock};
 use crate::scores::ScoreLanes;
 use crate::slots::{self, Slots, WORD};
 use crate::window::WindowLanes;
@@ -18,8 +18,8 @@ use crate::window::WindowLanes;
 pub(crate) const BLOCKS: usize = WORD / LANES;
 
 /// Bytes of one robot in the columns.
-const COLUMNS: usize = size_of::<Gate>()
-    + (size_of::<NewsLanes>()
+const COLUMNS: usize = size_of::<AdmissionState>()
+    + (size_of::<PendingBlock>()
         + size_of::<WindowLanes>()
         + size_of::<LastLanes>()
         + size_of::<IntervalLanes>()
@@ -36,8 +36,8 @@ const _: () =
 /// The columns, with room for the capacity, rounded up to a whole block.
 #[derive(Debug)]
 pub(crate) struct Columns {
-    pub gates: Vec<Gate>,
-    pub news: Vec<NewsLanes>,
+    pub admissions: Vec<AdmissionState>,
+    pub pending: Vec<PendingBlock>,
     pub windows: Vec<WindowLanes>,
     pub lasts: Vec<LastLanes>,
     pub intervals: Vec<IntervalLanes>,
@@ -50,13 +50,13 @@ pub(crate) struct Columns {
 }
 
 impl Columns {
-    pub(crate) fn new(capacity: usize, kinds: &[Kind]) -> Self {
-        let learning = kinds.iter().any(|kind| kind.blending.is_some());
+    pub(crate) fn new(capacity: usize, contexts: &[PlatformContext]) -> Self {
+        let learning = contexts.iter().any(|context| context.blending.is_some());
         let blocks = capacity.div_ceil(LANES);
         let robots = blocks * LANES;
         Self {
-            gates: vec![Gate::FREE; robots],
-            news: vec![NewsLanes::default(); blocks],
+            admissions: vec![AdmissionState::FREE; robots],
+            pending: vec![PendingBlock::default(); blocks],
             windows: vec![WindowLanes::default(); blocks],
             lasts: vec![LastLanes::default(); blocks],
             intervals: vec![IntervalLanes::default(); blocks],
@@ -64,14 +64,14 @@ impl Columns {
             scores: vec![ScoreLanes::default(); blocks],
             detectors: vec![DetectorLanes::default(); blocks],
             blends: vec![Blend::NONE; if learning { robots } else { 0 }],
-            slots: Slots::new(capacity, kinds.len()),
+            slots: Slots::new(capacity, contexts.len()),
         }
     }
 
     /// What is said of the robots of a block depends on this.
     pub(crate) fn seen(&self, block: usize) -> Seen<'_> {
         Seen {
-            gates: &self.gates.as_chunks().0[block],
+            admissions: &self.admissions.as_chunks().0[block],
             lasts: &self.lasts[block],
             windows: &self.windows[block],
             intervals: &self.intervals[block],
@@ -81,10 +81,10 @@ impl Columns {
         }
     }
 
-    pub(crate) fn part(&mut self) -> Part<'_> {
-        Part {
-            gates: &mut self.gates,
-            news: &mut self.news,
+    pub(crate) fn view_mut(&mut self) -> ColumnsMut<'_> {
+        ColumnsMut {
+            admissions: &mut self.admissions,
+            pending: &mut self.pending,
             windows: &mut self.windows,
             lasts: &mut self.lasts,
             intervals: &mut self.intervals,
@@ -100,9 +100,9 @@ impl Columns {
 /// The columns of some slots that follow each other; all of one length, and a bit for each that is
 /// in use. Shares of different slots are disjoint.
 #[derive(Debug)]
-pub(crate) struct Part<'a> {
-    pub gates: &'a mut [Gate],
-    pub news: &'a mut [NewsLanes],
+pub(crate) struct ColumnsMut<'a> {
+    pub admissions: &'a mut [AdmissionState],
+    pub pending: &'a mut [PendingBlock],
     pub windows: &'a mut [WindowLanes],
     pub lasts: &'a mut [LastLanes],
     pub intervals: &'a mut [IntervalLanes],
@@ -114,14 +114,14 @@ pub(crate) struct Part<'a> {
     pub words: &'a [u64],
 }
 
-impl<'a> Part<'a> {
+impl<'a> ColumnsMut<'a> {
     /// The slots of the first `words` words, and the rest.
     pub(crate) fn split(self, words: usize) -> (Self, Self) {
         let words = words.min(self.words.len());
         let block = (words * BLOCKS).min(self.intervals.len());
         let at = block * LANES;
-        let gates = self.gates.split_at_mut(at);
-        let news = self.news.split_at_mut(block);
+        let admissions = self.admissions.split_at_mut(at);
+        let pending = self.pending.split_at_mut(block);
         let windows = self.windows.split_at_mut(block);
         let lasts = self.lasts.split_at_mut(block);
         let intervals = self.intervals.split_at_mut(block);
@@ -132,8 +132,8 @@ impl<'a> Part<'a> {
         let words = self.words.split_at(words);
         (
             Self {
-                gates: gates.0,
-                news: news.0,
+                admissions: admissions.0,
+                pending: pending.0,
                 windows: windows.0,
                 lasts: lasts.0,
                 intervals: intervals.0,
@@ -144,8 +144,8 @@ impl<'a> Part<'a> {
                 words: words.0,
             },
             Self {
-                gates: gates.1,
-                news: news.1,
+                admissions: admissions.1,
+                pending: pending.1,
                 windows: windows.1,
                 lasts: lasts.1,
                 intervals: intervals.1,
@@ -159,10 +159,10 @@ impl<'a> Part<'a> {
     }
 
     /// The same columns, for a while.
-    pub(crate) fn reborrow(&mut self) -> Part<'_> {
-        Part {
-            gates: self.gates,
-            news: self.news,
+    pub(crate) fn reborrow(&mut self) -> ColumnsMut<'_> {
+        ColumnsMut {
+            admissions: self.admissions,
+            pending: self.pending,
             windows: self.windows,
             lasts: self.lasts,
             intervals: self.intervals,
@@ -178,7 +178,7 @@ impl<'a> Part<'a> {
     #[inline(always)]
     pub(crate) fn seen(&self, block: usize) -> Seen<'_> {
         Seen {
-            gates: &self.gates.as_chunks().0[block],
+            admissions: &self.admissions.as_chunks().0[block],
             lasts: &self.lasts[block],
             windows: &self.windows[block],
             intervals: &self.intervals[block],

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_predictor::{Model, Processor};
+use joulebus_predictor::{Model, SimdLevel};
 use joulebus_wire::{
     Budget, Diagnostic, DropCounts, DropReason, Forecast, Refusal, SCHEMA_VERSION, Sample,
     SampleHeader,
@@ -11,28 +11,28 @@ use serde::{Deserialize, Serialize};
 
 use crate::account::Account;
 use crate::batch::Batch;
-use crate::columns::{Columns, Part};
+use crate::columns::{Columns, ColumnsMut};
 use crate::departed::{self, Departed};
 use crate::index::Index;
-use crate::kind::{Kind, ranges};
 use crate::lanes::{self, LANES};
 use crate::pass::{self, Rules};
+use crate::platform_context::{PlatformContext, ranges};
 use crate::refused::Refused;
 use crate::report::{Budgets, Diagnostics, Forecasts, Seen};
 use crate::slots::WORD;
 use crate::sources::Sources;
-use crate::{Learned, Ledger, Outputs, Scores, Settings, SettingsError, Share};
+use crate::{FleetSettings, Learned, Ledger, Outputs, Scores, SettingsError, Shard};
 
 /// The state of all robots, in columns indexed by slot, and everything one tick needs.
 ///
 /// All memory is taken in [`Fleet::new`], for the configured capacity.
 #[derive(Debug)]
 pub struct Fleet {
-    pub(crate) settings: Settings,
+    pub(crate) settings: FleetSettings,
     pub(crate) settings_hash: u64,
-    pub(crate) kinds: Vec<Kind>,
+    pub(crate) contexts: Vec<PlatformContext>,
     /// That of the first platform's model.
-    processor: Processor,
+    simd_level: SimdLevel,
     /// Ranges of robot ids, ascending, with the platform they belong to.
     pub(crate) ranges: Vec<(u32, u32, u16)>,
     pub(crate) columns: Columns,
@@ -79,8 +79,8 @@ impl Fleet {
     /// A fleet without robots; `models[i]` is the model of `settings.platforms[i]`.
     ///
     /// # Errors
-    /// When the settings contradict themselves ([`Settings::check`]) or the models do not match.
-    pub fn new(settings: Settings, models: Vec<Model>) -> Result<Self, SettingsError> {
+    /// When the settings contradict themselves ([`FleetSettings::check`]) or the models do not match.
+    pub fn new(settings: FleetSettings, models: Vec<Model>) -> Result<Self, SettingsError> {
         settings.check()?;
         let platforms = settings.platforms.clone();
         if platforms.len() != models.len() {
@@ -89,19 +89,19 @@ impl Fleet {
                 models: models.len(),
             });
         }
-        let kinds: Vec<Kind> = platforms
+        let contexts: Vec<PlatformContext> = platforms
             .into_iter()
             .zip(models)
-            .map(|(platform, model)| Kind::new(platform, model, &settings))
+            .map(|(platform, model)| PlatformContext::new(platform, model, &settings))
             .collect();
         let capacity = settings.capacity as usize;
-        let processor = kinds
+        let simd_level = contexts
             .first()
-            .map_or_else(Processor::best, |kind| kind.model.processor());
+            .map_or_else(SimdLevel::best, |context| context.model.simd_level());
         Ok(Self {
-            processor,
-            ranges: ranges(&kinds),
-            columns: Columns::new(capacity, &kinds),
+            simd_level,
+            ranges: ranges(&contexts),
+            columns: Columns::new(capacity, &contexts),
             settings_hash: settings.fingerprint(),
             slot_of: Index::new(settings.capacity),
             departed: Departed::new(settings.capacity),
@@ -117,7 +117,7 @@ impl Fleet {
             now_ns: 0,
             deadline_missed: false,
             oldest_ns: AtomicU64::new(u64::MAX),
-            kinds,
+            contexts,
             settings,
         })
     }
@@ -192,11 +192,11 @@ impl Fleet {
     pub fn complete(&self, now_ns: u64) -> bool {
         self.reported == self.len()
             || self.columns.slots.iter().all(|slot| {
-                let gate = &self.columns.gates[slot];
-                let platform = &self.kinds[usize::from(gate.platform)].platform;
-                let silent_ns = now_ns.saturating_sub(gate.taken_ns);
+                let admission = &self.columns.admissions[slot];
+                let platform = &self.contexts[usize::from(admission.platform)].platform;
+                let silent_ns = now_ns.saturating_sub(admission.taken_ns);
                 let due = silent_ns > platform.period_ns * 3 / 4;
-                gate.heard || !due || silent_ns > platform.stale_after_ns
+                admission.heard || !due || silent_ns > platform.stale_after_ns
             })
     }
 
@@ -219,8 +219,8 @@ impl Fleet {
             diagnostics: &mut [],
             budgets: &mut [],
         };
-        let (mut share, batch) = self.share_and_batch();
-        share.run(batch, nothing, &mut |_| {});
+        let (mut shard, batch) = self.share_and_batch();
+        shard.run(batch, nothing, &mut |_| {});
         intake
     }
 
@@ -240,23 +240,23 @@ impl Fleet {
 
     /// All robots, to be ticked on one thread or split among several. Between [`Fleet::begin`] and
     /// the next [`Fleet::take`], all of it has to be ticked.
-    pub fn share(&mut self) -> Share<'_> {
+    pub fn shard(&mut self) -> Shard<'_> {
         self.share_and_batch().0
     }
 
-    fn share_and_batch(&mut self) -> (Share<'_>, &mut Batch) {
-        let share = Share {
+    fn share_and_batch(&mut self) -> (Shard<'_>, &mut Batch) {
+        let shard = Shard {
             rules: Rules {
                 settings: &self.settings,
-                kinds: &self.kinds,
-                processor: self.processor,
+                contexts: &self.contexts,
+                simd_level: self.simd_level,
                 now_ns: self.now_ns,
                 deadline_missed: self.deadline_missed,
             },
-            columns: self.columns.part(),
+            columns: self.columns.view_mut(),
             oldest_ns: &self.oldest_ns,
         };
-        (share, &mut self.batch)
+        (shard, &mut self.batch)
     }
 
     /// Robots in the fleet: the length of every frame that is written out.
@@ -298,11 +298,13 @@ impl Fleet {
     /// Hash over the models of all platforms, in order.
     #[must_use]
     pub fn model_hash(&self) -> u64 {
-        self.kinds.iter().fold(0xcbf2_9ce4_8422_2325, |hash, kind| {
-            (hash ^ kind.model.hash())
-                .wrapping_mul(0x0000_0100_0000_01b3)
-                .rotate_left(23)
-        })
+        self.contexts
+            .iter()
+            .fold(0xcbf2_9ce4_8422_2325, |hash, context| {
+                (hash ^ context.model.hash())
+                    .wrapping_mul(0x0000_0100_0000_01b3)
+                    .rotate_left(23)
+            })
     }
 
     /// Scores of a robot, if it is in the fleet.
@@ -317,8 +319,8 @@ impl Fleet {
     #[must_use]
     pub fn learned(&self, robot: u32) -> Option<Learned> {
         let slot = self.find(robot)?;
-        let kind = usize::from(self.columns.gates[slot].platform);
-        let blending = self.kinds[kind].blending.as_ref()?;
+        let context = usize::from(self.columns.admissions[slot].platform);
+        let blending = self.contexts[context].blending.as_ref()?;
         Some(self.columns.blends[slot].learned(blending))
     }
 
@@ -356,15 +358,15 @@ impl Fleet {
     pub(crate) fn find(&self, robot: u32) -> Option<usize> {
         let found = self
             .slot_of
-            .find(robot, |slot| self.columns.gates[slot as usize].id);
+            .find(robot, |slot| self.columns.admissions[slot as usize].id);
         found.map(|slot| slot as usize)
     }
 
     pub(crate) fn rules(&self) -> Rules<'_> {
         Rules {
             settings: &self.settings,
-            kinds: &self.kinds,
-            processor: self.processor,
+            contexts: &self.contexts,
+            simd_level: self.simd_level,
             now_ns: self.now_ns,
             deadline_missed: self.deadline_missed,
         }
@@ -381,22 +383,22 @@ impl Fleet {
     pub(crate) fn catch_up(&mut self, slot: usize) {
         let rules = Rules {
             settings: &self.settings,
-            kinds: &self.kinds,
-            processor: self.processor,
+            contexts: &self.contexts,
+            simd_level: self.simd_level,
             now_ns: self.now_ns,
             deadline_missed: self.deadline_missed,
         };
         let alone = [1 << (slot % WORD)];
-        let (_, from) = self.columns.part().split(slot / WORD);
-        let mut columns = Part {
+        let (_, from) = self.columns.view_mut().split(slot / WORD);
+        let mut columns = ColumnsMut {
             words: &alone,
             ..from.split(1).0
         };
-        let kind = columns.gates[slot % WORD].platform;
-        pass::absorb(&rules, kind, &mut columns, &mut self.single, false);
-        let its = &rules.kinds[usize::from(kind)];
+        let context = columns.admissions[slot % WORD].platform;
+        pass::absorb(&rules, context, &mut columns, &mut self.single, false);
+        let its = &rules.contexts[usize::from(context)];
         pass::infer(its, &mut columns, &mut self.single);
-        rules.processor.run(Account {
+        rules.simd_level.run(Account {
             rules: &rules,
             columns: &mut columns,
         });
@@ -405,19 +407,20 @@ impl Fleet {
     /// Frees the slots of robots that have been silent for too long; their accounts are kept.
     fn release_departed(&mut self) {
         let leave_after_ns = self.settings.intake.leave_after_ns;
-        for slot in 0..self.columns.gates.len() {
-            let gate = &self.columns.gates[slot];
-            let silent_ns = self.now_ns.saturating_sub(gate.taken_ns);
-            if !gate.present || silent_ns <= leave_after_ns {
+        for slot in 0..self.columns.admissions.len() {
+            let admission = &self.columns.admissions[slot];
+            let silent_ns = self.now_ns.saturating_sub(admission.taken_ns);
+            if !admission.present || silent_ns <= leave_after_ns {
                 continue;
             }
             self.catch_up(slot);
-            let gate = &mut self.columns.gates[slot];
-            gate.present = false;
-            gate.generation = gate.generation.wrapping_add(1);
-            let (robot, charged) = (gate.id, gate.charged);
-            let gates = &self.columns.gates;
-            self.slot_of.remove(robot, |slot| gates[slot as usize].id);
+            let admission = &mut self.columns.admissions[slot];
+            admission.present = false;
+            admission.generation = admission.generation.wrapping_add(1);
+            let (robot, charged) = (admission.id, admission.charged);
+            let admissions = &self.columns.admissions;
+            self.slot_of
+                .remove(robot, |slot| admissions[slot as usize].id);
             self.columns.slots.free(slot);
             self.departed.keep(departed::Account {
                 robot,

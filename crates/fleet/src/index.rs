@@ -114,11 +114,11 @@ mod tests {
         #[test]
         fn it_finds_what_a_map_finds_however_ids_come_and_go(
             most in 1u32..40, stride in any::<u32>(),
-            moves in prop::collection::vec((any::<bool>(), 0u32..60), 0..400),
+            quantile_step in prop::collection::vec((any::<bool>(), 0u32..60), 0..400),
         ) {
             let (mut index, mut map) = (Index::new(most), HashMap::new());
             let (mut ids, mut free) = (vec![0; most as usize], (0..most).collect::<Vec<u32>>());
-            for (joins, which) in moves {
+            for (joins, which) in quantile_step {
                 let id = which.wrapping_mul(stride | 1);
                 if !joins {
                     let found = index.remove(id, |place| ids[place as usize]);

@@ -35,14 +35,14 @@ const RESIDUAL_MAX: f32 = 1e6;
 
 /// What the factors are multiplied by.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Moves {
+pub(crate) struct QuantileStep {
     /// Of an end that was missed. Above 1.
     grow: f32,
     /// Of an end that was not. Below 1.
     shrink: f32,
 }
 
-impl Moves {
+impl QuantileStep {
     pub(crate) fn new(settings: &IntervalSettings) -> Self {
         let tail = 0.5 * (1.0 - settings.coverage);
         Self {
@@ -54,7 +54,7 @@ impl Moves {
 
 /// The interval of one robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Interval {
+pub(crate) struct ConformalInterval {
     /// Distance of each end from the mean, in sizes.
     below: f32,
     above: f32,
@@ -72,7 +72,7 @@ pub(crate) struct Interval {
     seen_held: u8,
 }
 
-impl Interval {
+impl ConformalInterval {
     /// From the model's residual quantiles (5 % and 95 %) and the floor of any scale, W.
     pub(crate) fn new(q05_w: f32, q95_w: f32, floor_w: f32, coverage: f32) -> Self {
         // Half of what lies between the quantiles is two mean sizes, if they are normal.
@@ -95,7 +95,13 @@ impl Interval {
     /// Takes a residual (finite), counts whether it was covered, and moves the ends; `due`: whether a
     /// new measurement was.
     #[inline(always)]
-    pub(crate) fn observe(&mut self, residual_w: f32, due: bool, floor_w: f32, moves: Moves) {
+    pub(crate) fn observe(
+        &mut self,
+        residual_w: f32,
+        due: bool,
+        floor_w: f32,
+        quantile_step: QuantileStep,
+    ) {
         let (mean_w, size_w) = self.phase_w(due);
         let over = residual_w > mean_w + size_w * self.above;
         let under = residual_w < mean_w - size_w * self.below;
@@ -103,7 +109,11 @@ impl Interval {
         self.covered += u64::from(covered);
         self.recent += COVERAGE_WEIGHT * (if covered { 1.0 } else { 0.0 } - self.recent);
         let moved = |factor: f32, missed: bool| {
-            let by = if missed { moves.grow } else { moves.shrink };
+            let by = if missed {
+                quantile_step.grow
+            } else {
+                quantile_step.shrink
+            };
             (factor * by).clamp(FACTOR.0, FACTOR.1)
         };
         (self.above, self.below) = (moved(self.above, over), moved(self.below, under));
@@ -166,7 +176,7 @@ block! {
     /// The intervals of a block.
     #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
     #[repr(align(32))]
-    pub(crate) struct IntervalLanes of Interval {
+    pub(crate) struct IntervalLanes of ConformalInterval {
         below: f32,
         above: f32,
         mean_due_w: f32,
@@ -196,13 +206,13 @@ mod tests {
         fn coverage_is_held_whatever_the_scale_and_the_shift(
             scale in 0.01f32..100.0, shift in -2.0f32..2.0, seed in any::<u32>()
         ) {
-            let mut interval = Interval::new(-1.0, 1.0, 0.01, 0.9);
-            let (mut state, moves) = (u64::from(seed) | 1, Moves::new(&SETTINGS));
+            let mut interval = ConformalInterval::new(-1.0, 1.0, 0.01, 0.9);
+            let (mut state, quantile_step) = (u64::from(seed) | 1, QuantileStep::new(&SETTINGS));
             for step in 0..4_000 {
                 state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
                 let uniform = (state >> 40) as f32 / (1 << 24) as f32 - 0.5;
                 let drift = if step > 2_000 { shift } else { 0.0 };
-                interval.observe(scale * (uniform + drift), true, 0.0, moves);
+                interval.observe(scale * (uniform + drift), true, 0.0, quantile_step);
             }
             let (all, recent) = interval.coverage(4_000);
             prop_assert!((0.885..=0.915).contains(&all), "{all}");
@@ -214,13 +224,13 @@ mod tests {
         fn misses_are_bounded_by_how_far_the_factor_has_moved(
             residuals in prop::collection::vec((-1e3f32..1e3, -9i32..3, any::<bool>()), 1..600),
         ) {
-            let mut interval = Interval::new(-1.0, 1.0, 1e-9, 0.9);
-            let moves = Moves::new(&SETTINGS);
+            let mut interval = ConformalInterval::new(-1.0, 1.0, 1e-9, 0.9);
+            let quantile_step = QuantileStep::new(&SETTINGS);
             let (mut missed, mut observed) = (0.0, 0.0);
             for (value, exponent, due) in residuals {
                 let before = interval;
                 let residual_w = value * 10f32.powi(exponent);
-                interval.observe(residual_w, due, 1e-9, moves);
+                interval.observe(residual_w, due, 1e-9, quantile_step);
                 if interval.above <= FACTOR.0 || interval.above >= FACTOR.1 {
                     break;
                 }
@@ -235,7 +245,7 @@ mod tests {
 
     #[test]
     fn the_interval_contains_its_forecast_and_widens_open_loop() {
-        let interval = Interval::new(-0.05, 0.05, 0.01, 0.9);
+        let interval = ConformalInterval::new(-0.05, 0.05, 0.01, 0.9);
         let (mut lo, mut hi) = interval.around(3.6, 0, true);
         assert!(lo < 3.6 && 3.6 < hi);
         for steps in 1..30 {
@@ -247,12 +257,17 @@ mod tests {
 
     #[test]
     fn held_readings_have_an_interval_of_their_own() {
-        let mut interval = Interval::new(-0.2, 0.2, 0.001, 0.9);
-        let moves = Moves::new(&SETTINGS);
+        let mut interval = ConformalInterval::new(-0.2, 0.2, 0.001, 0.9);
+        let quantile_step = QuantileStep::new(&SETTINGS);
         for step in 0..3_000u32 {
             let due = step % 3 == 0;
             let size_w = if due { 0.2 } else { 0.002 };
-            interval.observe(size_w * (step as f32 * 1.7).sin(), due, 0.001, moves);
+            interval.observe(
+                size_w * (step as f32 * 1.7).sin(),
+                due,
+                0.001,
+                quantile_step,
+            );
         }
         let width_w = |due| {
             let (lo_w, hi_w) = interval.around(0.0, 0, due);

@@ -7,7 +7,7 @@
 
 use std::slice;
 
-use joulebus_predictor::bring_near;
+use joulebus_predictor::prefetch;
 
 /// Robots in a block: as many `f32` as the widest vectors hold.
 pub(crate) const LANES: usize = 16;
@@ -94,8 +94,8 @@ pub(crate) const AHEAD: usize = 4;
 
 /// Has the block that will soon be worked on brought near, if there is one.
 #[inline(always)]
-pub(crate) fn ask_ahead<B>(blocks: &[B], block: usize) {
+pub(crate) fn prefetch_ahead<B>(blocks: &[B], block: usize) {
     if let Some(ahead) = blocks.get(block + AHEAD) {
-        bring_near(slice::from_ref(ahead));
+        prefetch(slice::from_ref(ahead));
     }
 }

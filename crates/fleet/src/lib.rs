@@ -22,11 +22,11 @@ mod fleet;
 mod index;
 mod intake;
 mod interval;
-mod kind;
 mod lanes;
 mod ledger;
 mod mixture;
 mod pass;
+mod platform_context;
 mod refused;
 mod remaining;
 mod report;
@@ -34,7 +34,7 @@ mod robot;
 mod schedule;
 mod scores;
 mod settings;
-mod share;
+mod shard;
 mod slots;
 mod sources;
 mod state;
@@ -49,9 +49,9 @@ pub use mixture::Learned;
 pub use schedule::{Next, Schedule};
 pub use scores::Scores;
 pub use settings::{
-    AlarmSettings, Battery, Intake, IntervalSettings, Online, Platform, Policy, Settings,
+    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Online, Platform, Policy,
     SettingsError,
 };
-pub use share::{Outputs, Share, Stage};
+pub use shard::{Outputs, Shard, Stage};
 pub use state::{FleetState, StateError};
 pub use window::missing_steps;

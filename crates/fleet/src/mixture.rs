@@ -88,10 +88,10 @@ impl Blending {
         }
         let (scores, linear) = (&network.card().scores, model.linear());
         let unexplained = |r2: f32| {
-            let share = (1.0 - r2) / (1.0 - scores.network_r2).max(f32::MIN_POSITIVE);
+            let shard = (1.0 - r2) / (1.0 - scores.network_r2).max(f32::MIN_POSITIVE);
             // Scores of 1, or of data that do not vary, say nothing of other data.
-            if share.is_finite() {
-                share.clamp(0.0, WORST)
+            if shard.is_finite() {
+                shard.clamp(0.0, WORST)
             } else {
                 1.0
             }

@@ -1,15 +1,15 @@
 //! The pass over one tile: every waiting sample is one step of its robot, and all steps of a
 //! platform share one batch. Robots do not see each other.
 
-use joulebus_predictor::{Processor, Wide};
+use joulebus_predictor::{SimdLevel, SimdTask};
 use joulebus_wire::{InvalidReason, Quality};
 
-use crate::Settings;
+use crate::FleetSettings;
 use crate::batch::Batch;
-use crate::columns::Part;
-use crate::kind::Kind;
+use crate::columns::ColumnsMut;
 use crate::lanes::{self, Block as _, LANES, Lanes};
-use crate::robot::{Gate, News, Pending};
+use crate::platform_context::PlatformContext;
+use crate::robot::{AdmissionState, Pending, PendingState};
 use crate::slots;
 use crate::step::step;
 use crate::step_block::{Next, step_block};
@@ -18,10 +18,10 @@ use crate::window::{Gap, Window, missing_steps};
 /// What a pass reads and never writes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rules<'a> {
-    pub settings: &'a Settings,
-    pub kinds: &'a [Kind],
+    pub settings: &'a FleetSettings,
+    pub contexts: &'a [PlatformContext],
     /// What all but the models is compiled for.
-    pub processor: Processor,
+    pub simd_level: SimdLevel,
     pub now_ns: u64,
     pub deadline_missed: bool,
 }
@@ -39,8 +39,8 @@ pub(crate) struct Found {
 /// `ticking`: also ends the robots' tick and notes whose next sample is overdue.
 pub(crate) fn absorb(
     rules: &Rules<'_>,
-    kind: u16,
-    columns: &mut Part<'_>,
+    context: u16,
+    columns: &mut ColumnsMut<'_>,
     batch: &mut Batch,
     ticking: bool,
 ) -> Found {
@@ -48,9 +48,9 @@ pub(crate) fn absorb(
         next: None,
         oldest_ns: u64::MAX,
     };
-    rules.processor.run(Absorb {
+    rules.simd_level.run(Absorb {
         rules,
-        kind,
+        context,
         columns,
         batch,
         ticking,
@@ -61,24 +61,24 @@ pub(crate) fn absorb(
 
 struct Absorb<'a, 'b> {
     rules: &'a Rules<'a>,
-    kind: u16,
-    columns: &'a mut Part<'b>,
+    context: u16,
+    columns: &'a mut ColumnsMut<'b>,
     batch: &'a mut Batch,
     ticking: bool,
     found: &'a mut Found,
 }
 
-impl Wide for Absorb<'_, '_> {
+impl SimdTask for Absorb<'_, '_> {
     #[inline(always)]
     fn run(mut self) {
-        let its = &self.rules.kinds[usize::from(self.kind)];
+        let its = &self.rules.contexts[usize::from(self.context)];
         self.batch.begin(its);
         for (block, lanes) in slots::blocks(self.columns.words) {
-            lanes::ask_ahead(self.columns.gates.as_chunks::<LANES>().0, block);
-            lanes::ask_ahead(self.columns.news, block);
-            lanes::ask_ahead(self.columns.windows, block);
-            lanes::ask_ahead(self.columns.lasts, block);
-            lanes::ask_ahead(self.columns.intervals, block);
+            lanes::prefetch_ahead(self.columns.admissions.as_chunks::<LANES>().0, block);
+            lanes::prefetch_ahead(self.columns.pending, block);
+            lanes::prefetch_ahead(self.columns.windows, block);
+            lanes::prefetch_ahead(self.columns.lasts, block);
+            lanes::prefetch_ahead(self.columns.intervals, block);
             let Some(entered) = self.enter(its, block, lanes) else {
                 continue;
             };
@@ -113,40 +113,40 @@ impl Absorb<'_, '_> {
     /// Ends the tick of a block's robots, and looks what waits; `None` if no robot of it is of the
     /// platform.
     #[inline(always)]
-    fn enter(&mut self, its: &Kind, block: usize, lanes: u16) -> Option<Entered> {
+    fn enter(&mut self, its: &PlatformContext, block: usize, lanes: u16) -> Option<Entered> {
         let (mut ours, mut stamp_ns) = ([false; LANES], [0; LANES]);
         for lane in slots::bits(lanes) {
             let slot = block * LANES + lane;
-            let gate = &mut self.columns.gates[slot];
-            if gate.platform != self.kind {
-                let next = self.found.next.is_none_or(|next| gate.platform < next);
-                if gate.platform > self.kind && next {
-                    self.found.next = Some(gate.platform);
+            let admission = &mut self.columns.admissions[slot];
+            if admission.platform != self.context {
+                let next = self.found.next.is_none_or(|next| admission.platform < next);
+                if admission.platform > self.context && next {
+                    self.found.next = Some(admission.platform);
                 }
                 continue;
             }
             if self.ticking {
-                (gate.taken, gate.heard) = (0, false);
-                self.found.oldest_ns = self.found.oldest_ns.min(gate.taken_ns);
-                if self.rules.now_ns.saturating_sub(gate.taken_ns) > its.overdue_after_ns {
+                (admission.taken, admission.heard) = (0, false);
+                self.found.oldest_ns = self.found.oldest_ns.min(admission.taken_ns);
+                if self.rules.now_ns.saturating_sub(admission.taken_ns) > its.overdue_after_ns {
                     self.batch.overdue.push(slot as u32);
                 }
             }
-            (ours[lane], stamp_ns[lane]) = (true, gate.stamp_ns);
+            (ours[lane], stamp_ns[lane]) = (true, admission.stamp_ns);
         }
         if !lanes::any(&ours) {
             return None;
         }
-        let news = &self.columns.news[block];
+        let pending_block = &self.columns.pending[block];
         let mut entered = Entered {
             smooth: [false; LANES],
             rough: [false; LANES],
             elapsed_ns: [0; LANES],
         };
         for lane in 0..LANES {
-            let pending = news.samples.get(lane);
+            let pending = pending_block.samples.get(lane);
             let elapsed_ns = pending.stamp_ns.saturating_sub(stamp_ns[lane]);
-            let waits = ours[lane] & news.is(lane, News::Waiting);
+            let waits = ours[lane] & pending_block.is(lane, PendingState::Waiting);
             let on_time = elapsed_ns <= its.overdue_after_ns;
             let next = pending.read() & !pending.broken & on_time;
             entered.smooth[lane] = waits & next;
@@ -158,12 +158,12 @@ impl Absorb<'_, '_> {
 
     /// Takes samples of a block one by one.
     #[inline(never)]
-    fn step_each(&mut self, its: &Kind, block: usize, which: &Lanes<bool>) {
+    fn step_each(&mut self, its: &PlatformContext, block: usize, which: &Lanes<bool>) {
         for lane in (0..LANES).filter(|lane| which[*lane]) {
             let slot = block * LANES + lane;
-            let pending = self.columns.news[block].samples.get(lane);
+            let pending = self.columns.pending[block].samples.get(lane);
             let window = lanes::get(self.columns.windows, slot);
-            let gap = gap(its, &self.columns.gates[slot], &window, &pending);
+            let gap = gap(its, &self.columns.admissions[slot], &window, &pending);
             if window.can_close(gap) {
                 step(its, self.columns, slot, &pending, gap, self.batch);
             } else {
@@ -174,12 +174,12 @@ impl Absorb<'_, '_> {
 }
 
 /// Runs the collected rows through the model.
-pub(crate) fn infer(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
+pub(crate) fn infer(context: &PlatformContext, columns: &mut ColumnsMut<'_>, batch: &mut Batch) {
     if batch.is_empty() {
         return;
     }
-    batch.infer(&kind.model);
-    if let Some(blending) = &kind.blending {
+    batch.infer(&context.model);
+    if let Some(blending) = &context.blending {
         batch.blend(blending, columns, false);
     }
     for (slot, forecast_w) in batch.forecasts() {
@@ -192,9 +192,9 @@ pub(crate) fn infer(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
             lanes::set(columns.lasts, slot, last);
         }
     }
-    batch.mark_outside(kind);
+    batch.mark_outside(context);
     for (slot, outside) in batch.outside() {
-        columns.gates[slot].outside_training = outside;
+        columns.admissions[slot].outside_training = outside;
     }
 }
 
@@ -202,13 +202,13 @@ pub(crate) fn infer(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
 /// then takes the samples. The rows collected so far are run as well: they are in the way.
 #[cold]
 #[inline(never)]
-fn bridge(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
-    infer(kind, columns, batch);
+fn bridge(context: &PlatformContext, columns: &mut ColumnsMut<'_>, batch: &mut Batch) {
+    infer(context, columns, batch);
     let late = std::mem::take(&mut batch.gaps);
-    let look = |columns: &Part<'_>, slot: usize| {
-        let pending = columns.news[slot / LANES].samples.get(slot % LANES);
+    let look = |columns: &ColumnsMut<'_>, slot: usize| {
+        let pending = columns.pending[slot / LANES].samples.get(slot % LANES);
         let window = lanes::get(columns.windows, slot);
-        let gap = gap(kind, &columns.gates[slot], &window, &pending);
+        let gap = gap(context, &columns.admissions[slot], &window, &pending);
         (pending, window, gap)
     };
     loop {
@@ -222,28 +222,35 @@ fn bridge(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
                 }
             }
         }
-        if !infer_open(kind, columns, batch) {
+        if !infer_open(context, columns, batch) {
             break;
         }
     }
     for slot in late.iter().map(|slot| *slot as usize) {
         let (pending, _, gap) = look(columns, slot);
-        step(kind, columns, slot, &pending, gap, batch);
+        step(context, columns, slot, &pending, gap, batch);
     }
     batch.gaps = late;
 }
 
 /// Shows robots whose sample is overdue what the model expects: provisional, undone by the sample
 /// if it says otherwise.
-pub(crate) fn run_open(rules: &Rules<'_>, kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) {
+pub(crate) fn run_open(
+    rules: &Rules<'_>,
+    context: &PlatformContext,
+    columns: &mut ColumnsMut<'_>,
+    batch: &mut Batch,
+) {
     let overdue = std::mem::take(&mut batch.overdue);
     while !overdue.is_empty() {
         batch.clear();
         for slot in overdue.iter().map(|slot| *slot as usize) {
-            let silent_ns = rules.now_ns.saturating_sub(columns.gates[slot].taken_ns);
-            let steps = missing_steps(silent_ns, kind.platform.period_ns);
+            let silent_ns = rules
+                .now_ns
+                .saturating_sub(columns.admissions[slot].taken_ns);
+            let steps = missing_steps(silent_ns, context.platform.period_ns);
             let mut window = lanes::get(columns.windows, slot);
-            let longest = kind.longest_steps.saturating_sub(window.unread_steps);
+            let longest = context.longest_steps.saturating_sub(window.unread_steps);
             let steps = steps.min(longest.into()) as u16;
             if steps == 0 {
                 continue;
@@ -254,19 +261,19 @@ pub(crate) fn run_open(rules: &Rules<'_>, kind: &Kind, columns: &mut Part<'_>, b
                 batch.push(slot, &row);
             }
         }
-        if !infer_open(kind, columns, batch) {
+        if !infer_open(context, columns, batch) {
             break;
         }
     }
     batch.overdue = overdue;
 }
 
-fn infer_open(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) -> bool {
+fn infer_open(context: &PlatformContext, columns: &mut ColumnsMut<'_>, batch: &mut Batch) -> bool {
     if batch.is_empty() {
         return false;
     }
-    batch.infer(&kind.model);
-    if let Some(blending) = &kind.blending {
+    batch.infer(&context.model);
+    if let Some(blending) = &context.blending {
         batch.blend(blending, columns, true);
     }
     for (slot, forecast_w) in batch.forecasts() {
@@ -276,13 +283,22 @@ fn infer_open(kind: &Kind, columns: &mut Part<'_>, batch: &mut Batch) -> bool {
 }
 
 #[inline]
-fn gap(kind: &Kind, gate: &Gate, window: &Window, pending: &Pending) -> Gap {
+fn gap(
+    context: &PlatformContext,
+    admission: &AdmissionState,
+    window: &Window,
+    pending: &Pending,
+) -> Gap {
     if pending.broken {
         return Gap::Break;
     }
-    let elapsed_ns = pending.stamp_ns.saturating_sub(gate.stamp_ns);
-    if elapsed_ns <= kind.overdue_after_ns {
+    let elapsed_ns = pending.stamp_ns.saturating_sub(admission.stamp_ns);
+    if elapsed_ns <= context.overdue_after_ns {
         return Gap::None;
     }
-    window.gap_before(elapsed_ns, kind.platform.period_ns, kind.longest_steps)
+    window.gap_before(
+        elapsed_ns,
+        context.platform.period_ns,
+        context.longest_steps,
+    )
 }

@@ -43,7 +43,7 @@ impl Remaining {
         // Regeneration fills a battery no further than full.
         let (left_j, left_lo_j) = (left_j.min(capacity_j), left_lo_j.min(capacity_j));
         let reserve_j = capacity_j * battery.reserve;
-        let share = |joules: f64| (joules / capacity_j).clamp(0.0, 1.0) as f32;
+        let shard = |joules: f64| (joules / capacity_j).clamp(0.0, 1.0) as f32;
         let usable_j = (left_j - reserve_j).max(0.0);
         let usable_lo_j = (left_lo_j - reserve_j).max(0.0);
         // Under a lasting bias the interval lies beside the forecast; the safe side stays safe.
@@ -60,8 +60,8 @@ impl Remaining {
             left_j: left_j.max(0.0) as f32,
             usable_j: usable_j as f32,
             usable_lo_j: usable_lo_j as f32,
-            soc: share(left_j),
-            soc_lo: share(left_lo_j),
+            soc: shard(left_j),
+            soc_lo: shard(left_lo_j),
             time_to_empty_s: lasts_s(usable_j, mean_w, draws, f32::NAN),
             time_to_empty_lo_s: lasts_s(usable_lo_j, hi_w, draws, f32::NAN),
             time_to_empty_hi_s: if draws { longest_s } else { f32::NAN },
@@ -103,14 +103,14 @@ impl RemainingLanes {
         let mut its = Self::UNKNOWN;
         let (mut known, mut platform) = ([false; LANES], [0; LANES]);
         let mut silent_ns = [0; LANES];
-        for (lane, gate) in seen.gates.iter().enumerate() {
+        for (lane, admission) in seen.admissions.iter().enumerate() {
             // How much a charger has put back is not known: better no figure than a wrong one.
-            known[lane] = gate.accepted & !gate.charged;
-            platform[lane] = gate.platform;
-            silent_ns[lane] = rules.now_ns.saturating_sub(gate.taken_ns);
+            known[lane] = admission.accepted & !admission.charged;
+            platform[lane] = admission.platform;
+            silent_ns[lane] = rules.now_ns.saturating_sub(admission.taken_ns);
         }
-        for (number, kind) in rules.kinds.iter().enumerate() {
-            let Some(battery) = kind.platform.battery else {
+        for (number, context) in rules.contexts.iter().enumerate() {
+            let Some(battery) = context.platform.battery else {
                 continue;
             };
             let mut which = known;
@@ -118,7 +118,7 @@ impl RemainingLanes {
                 which[lane] &= usize::from(platform[lane]) == number;
             }
             if lanes::any(&which) {
-                its.fill((&battery, &kind.platform), seen, &which, &silent_ns);
+                its.fill((&battery, &context.platform), seen, &which, &silent_ns);
             }
         }
         its

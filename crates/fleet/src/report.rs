@@ -12,14 +12,14 @@ use crate::lanes::{self, Block as _, LANES, Lanes};
 use crate::ledger::LedgerLanes;
 use crate::pass::Rules;
 use crate::remaining::RemainingLanes;
-use crate::robot::{Gate, LastLanes};
+use crate::robot::{AdmissionState, LastLanes};
 use crate::scores::ScoreLanes;
 use crate::window::WindowLanes;
 
 /// The state of a block of robots.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Seen<'a> {
-    pub gates: &'a [Gate; LANES],
+    pub admissions: &'a [AdmissionState; LANES],
     pub lasts: &'a LastLanes,
     pub windows: &'a WindowLanes,
     pub intervals: &'a IntervalLanes,
@@ -87,9 +87,9 @@ impl<'a> Forecasts<'a> {
     /// The robot's in a lane.
     #[inline(always)]
     pub(crate) fn get(&self, rules: &Rules<'_>, lane: usize) -> Forecast {
-        let (gate, last) = (&self.seen.gates[lane], self.seen.lasts.get(lane));
-        let platform = &rules.kinds[usize::from(gate.platform)].platform;
-        let now = self.plain[lane] & gate.invalid.is_none() & !is_stale(rules, gate);
+        let (admission, last) = (&self.seen.admissions[lane], self.seen.lasts.get(lane));
+        let platform = &rules.contexts[usize::from(admission.platform)].platform;
+        let now = self.plain[lane] & admission.invalid.is_none() & !is_stale(rules, admission);
         let (known, (quality, quality_detail), ahead) = if now {
             (true, (last.quality, last.quality_detail), 1)
         } else {
@@ -97,22 +97,24 @@ impl<'a> Forecasts<'a> {
         };
         let watts = |value: f32| if known { value } else { f32::NAN };
         Forecast {
-            robot: gate.id,
+            robot: admission.id,
             flags: flag(known, forecast_flag::POWER | forecast_flag::INTERVAL)
                 | flag(!last.reading_w.is_nan(), forecast_flag::READING)
-                | flag(gate.accepted, forecast_flag::SAMPLE),
+                | flag(admission.accepted, forecast_flag::SAMPLE),
             quality,
             quality_detail,
             reading_w: last.reading_w,
             power_w: watts(self.power_w[lane]),
             lo_w: watts(self.lo_w[lane]),
             hi_w: watts(self.hi_w[lane]),
-            generation: gate.generation,
+            generation: admission.generation,
             sample_seq: last.seq,
-            stamp_ns: gate.stamp_ns,
-            target_ns: gate.stamp_ns.saturating_add(ahead * platform.period_ns),
-            reading_age_ns: gate.stamp_ns.saturating_sub(last.measured_ns),
-            source_epoch: gate.source_epoch,
+            stamp_ns: admission.stamp_ns,
+            target_ns: admission
+                .stamp_ns
+                .saturating_add(ahead * platform.period_ns),
+            reading_age_ns: admission.stamp_ns.saturating_sub(last.measured_ns),
+            source_epoch: admission.source_epoch,
         }
     }
 
@@ -124,7 +126,13 @@ impl<'a> Forecasts<'a> {
         let (code, detail) = self.seen.lasts.quality(lane);
         let (power_w, open_steps) = (self.power_w[lane], self.open_steps[lane]);
         let made = Quality::decode(code, detail);
-        let quality = quality_now(rules, &self.seen.gates[lane], made, power_w, open_steps);
+        let quality = quality_now(
+            rules,
+            &self.seen.admissions[lane],
+            made,
+            power_w,
+            open_steps,
+        );
         let known = matches!(
             quality,
             Quality::Fresh | Quality::Held | Quality::OpenLoop { .. }
@@ -183,25 +191,25 @@ impl<'a> Diagnostics<'a> {
     /// The robot's in a lane.
     #[inline(always)]
     pub(crate) fn get(&self, rules: &Rules<'_>, lane: usize) -> Diagnostic {
-        let (gate, last) = (&self.seen.gates[lane], self.seen.lasts.get(lane));
+        let (admission, last) = (&self.seen.admissions[lane], self.seen.lasts.get(lane));
         let (scored, detectors) = (self.seen.scores.count[lane], self.seen.detectors);
-        let kind = &rules.kinds[usize::from(gate.platform)];
+        let context = &rules.contexts[usize::from(admission.platform)];
         let raised = detectors.raised(lane);
-        let alarms = if is_stale(rules, gate) {
+        let alarms = if is_stale(rules, admission) {
             raised.with(Alarm::NoData)
         } else {
             raised
         };
         let (level, first) = most_important(alarms);
         Diagnostic {
-            robot: gate.id,
+            robot: admission.id,
             flags: flag(!last.residual_w.is_nan(), diagnostic_flag::RESIDUAL)
                 | flag(scored > 0, diagnostic_flag::SCORES),
             level,
             alarm: first,
             alarms: alarms.0,
             residual_w: last.residual_w,
-            residual_z: last.residual_w / kind.sigma_w,
+            residual_z: last.residual_w / context.sigma_w,
             bias_w: detectors.bias_w[lane],
             cusum_up: detectors.cusum_up[lane],
             cusum_down: detectors.cusum_down[lane],
@@ -215,8 +223,8 @@ impl<'a> Diagnostics<'a> {
             persistence_r2: self.persistence_r2[lane],
             skill: self.skill[lane],
             sample_seq: last.seq,
-            stamp_ns: gate.stamp_ns,
-            source_epoch: gate.source_epoch,
+            stamp_ns: admission.stamp_ns,
+            source_epoch: admission.source_epoch,
             refused: last.refused,
         }
     }
@@ -270,10 +278,10 @@ impl<'a> Budgets<'a> {
     /// The robot's in a lane.
     #[inline(always)]
     pub(crate) fn get(&self, rules: &Rules<'_>, lane: usize) -> Budget {
-        let (gate, last) = (&self.seen.gates[lane], self.seen.lasts.get(lane));
-        let platform = &rules.kinds[usize::from(gate.platform)].platform;
+        let (admission, last) = (&self.seen.admissions[lane], self.seen.lasts.get(lane));
+        let platform = &rules.contexts[usize::from(admission.platform)].platform;
         let ledger = self.seen.ledgers.get(lane);
-        let charge_state = match (gate.accepted, gate.charging) {
+        let charge_state = match (admission.accepted, admission.charging) {
             (false, _) => ChargeState::Unknown,
             (true, true) => ChargeState::Charging,
             (true, false) => ChargeState::Discharging,
@@ -281,9 +289,9 @@ impl<'a> Budgets<'a> {
         let stamp_ns = ledger.stamp_ns();
         let remaining = self.remaining.get(lane);
         Budget {
-            robot: gate.id,
+            robot: admission.id,
             flags: flag(stamp_ns.is_some(), budget_flag::LEDGER)
-                | flag(gate.charged, budget_flag::CHARGED)
+                | flag(admission.charged, budget_flag::CHARGED)
                 | flag(remaining.battery, budget_flag::BATTERY)
                 | flag(
                     !remaining.time_to_empty_s.is_nan(),
@@ -314,24 +322,24 @@ impl<'a> Budgets<'a> {
 }
 
 #[inline(always)]
-fn is_stale(rules: &Rules<'_>, gate: &Gate) -> bool {
-    rules.now_ns.saturating_sub(gate.taken_ns)
-        > rules.kinds[usize::from(gate.platform)]
+fn is_stale(rules: &Rules<'_>, admission: &AdmissionState) -> bool {
+    rules.now_ns.saturating_sub(admission.taken_ns)
+        > rules.contexts[usize::from(admission.platform)]
             .platform
             .stale_after_ns
 }
 
 fn quality_now(
     rules: &Rules<'_>,
-    gate: &Gate,
+    admission: &AdmissionState,
     quality: Quality,
     power_w: f32,
     open_steps: u16,
 ) -> Quality {
-    if is_stale(rules, gate) {
+    if is_stale(rules, admission) {
         return Quality::Invalid(InvalidReason::Stale);
     }
-    if let Some(reason) = gate.invalid {
+    if let Some(reason) = admission.invalid {
         return Quality::Invalid(reason);
     }
     match quality {

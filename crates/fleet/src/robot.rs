@@ -12,7 +12,7 @@ const MEAN_POWER_S: f32 = 60.0;
 /// Who holds a slot and what the checks of its next sample need: one line of the cache.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 #[repr(align(64))]
-pub(crate) struct Gate {
+pub(crate) struct AdmissionState {
     /// When the worker last took a sample of it, monotonic ns of the worker.
     pub taken_ns: u64,
     /// Stamp of the last accepted sample, ns; 0 before the first.
@@ -49,9 +49,9 @@ pub(crate) struct Gate {
     pub outside_training: bool,
 }
 
-const _: () = assert!(size_of::<Gate>() == 64);
+const _: () = assert!(size_of::<AdmissionState>() == 64);
 
-impl Gate {
+impl AdmissionState {
     pub(crate) const FREE: Self = Self {
         taken_ns: 0,
         stamp_ns: 0,
@@ -221,7 +221,7 @@ impl Pending {
 
 /// What the tick has to do with a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum News {
+pub(crate) enum PendingState {
     /// Nothing.
     None,
     /// A sample waits to be absorbed.
@@ -250,23 +250,23 @@ block! {
 /// The newest samples of a block, and what has come of them.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(32))]
-pub(crate) struct NewsLanes {
+pub(crate) struct PendingBlock {
     pub samples: PendingLanes,
     /// Of an absorbed sample: the forecast one step ahead that was made for its reading; NaN where
     /// there was none.
     pub expected_w: Lanes<f32>,
-    /// [`News`].
-    news: Lanes<u8>,
+    /// [`PendingState`].
+    pending: Lanes<u8>,
 }
 
-impl NewsLanes {
+impl PendingBlock {
     #[inline(always)]
-    pub(crate) fn is(&self, lane: usize, news: News) -> bool {
-        self.news[lane] == news as u8
+    pub(crate) fn is(&self, lane: usize, pending: PendingState) -> bool {
+        self.pending[lane] == pending as u8
     }
 
     #[inline(always)]
-    pub(crate) fn mark(&mut self, lane: usize, which: bool, news: News) {
-        put(&mut self.news[lane], which, news as u8);
+    pub(crate) fn mark(&mut self, lane: usize, which: bool, pending: PendingState) {
+        put(&mut self.pending[lane], which, pending as u8);
     }
 }

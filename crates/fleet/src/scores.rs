@@ -71,8 +71,8 @@ impl Scores {
 
 #[inline(always)]
 fn explained(error: f64, of: f64) -> f64 {
-    let share = 1.0 - error / of;
-    if of > 0.0 { share } else { f64::NAN }
+    let shard = 1.0 - error / of;
+    if of > 0.0 { shard } else { f64::NAN }
 }
 
 block! {

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 /// Everything the tick needs to know but the models.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Settings {
+pub struct FleetSettings {
     /// Robots that there is room for; the ones past it are refused and named. 1 to 1,000,000.
     pub capacity: u32,
     /// How samples are taken in.
@@ -169,7 +169,7 @@ pub enum SettingsError {
     },
 }
 
-impl Settings {
+impl FleetSettings {
     /// Refuses numbers that contradict each other or lie outside their ranges.
     ///
     /// # Errors

@@ -211,12 +211,12 @@ mod tests {
     proptest! {
         #[test]
         fn the_lowest_free_slot_of_the_platforms_blocks_is_given_and_places_count_the_slots_before(
-            capacity in 1usize..200, moves in prop::collection::vec(any::<(bool, u8, u8)>(), 0..600),
+            capacity in 1usize..200, quantile_step in prop::collection::vec(any::<(bool, u8, u8)>(), 0..600),
         ) {
             const PLATFORMS: u16 = 3;
             let mut slots = Slots::new(capacity, PLATFORMS.into());
             let mut set = BTreeMap::new();
-            for (take, which, platform) in moves {
+            for (take, which, platform) in quantile_step {
                 if take {
                     let platform = u16::from(platform) % PLATFORMS;
                     let found = slots.take(platform, |slot| set[&slot]);

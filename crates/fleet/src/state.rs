@@ -12,11 +12,11 @@ use crate::lanes::{self, LANES};
 use crate::ledger::LedgerLanes;
 use crate::mixture::Blend;
 use crate::refused::Refused;
-use crate::robot::{Gate, LastLanes, NewsLanes};
+use crate::robot::{AdmissionState, LastLanes, PendingBlock};
 use crate::scores::ScoreLanes;
 use crate::sources::Source;
 use crate::window::WindowLanes;
-use crate::{Fleet, Ledger, Online, Platform, Settings};
+use crate::{Fleet, FleetSettings, Ledger, Online, Platform};
 
 pub(crate) use codes::{drop_counts, invalid_reason, refusals};
 
@@ -58,8 +58,8 @@ struct Counters {
 /// The slots that have ever been in use, as in the fleet's own columns.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 struct Columns {
-    gates: Vec<Gate>,
-    news: Vec<NewsLanes>,
+    admissions: Vec<AdmissionState>,
+    pending: Vec<PendingBlock>,
     windows: Vec<WindowLanes>,
     lasts: Vec<LastLanes>,
     intervals: Vec<IntervalLanes>,
@@ -112,7 +112,7 @@ pub enum StateError {
     #[error(
         "a state taken under settings {found:016x}, these are {expected:016x}; use the same config"
     )]
-    Settings {
+    FleetSettings {
         /// Hash of the settings in the state.
         found: u64,
         /// Hash of this fleet's.
@@ -144,7 +144,7 @@ impl FleetState {
     /// Memory for the state of a fleet of `capacity` robots, taken and touched, so that
     /// [`Fleet::state_into`] neither allocates nor faults. Its content is that of no fleet.
     #[must_use]
-    pub fn with_room_for(settings: &Settings) -> Self {
+    pub fn with_room_for(settings: &FleetSettings) -> Self {
         let robots = settings.capacity as usize;
         let blocks = robots.div_ceil(LANES);
         let learns = |platform: &Platform| platform.online != Online::default();
@@ -156,8 +156,8 @@ impl FleetState {
             model_hash: 0,
             counters: Counters::default(),
             columns: Columns {
-                gates: room(robots, Gate::FREE),
-                news: room(blocks, NewsLanes::default()),
+                admissions: room(robots, AdmissionState::FREE),
+                pending: room(blocks, PendingBlock::default()),
                 windows: room(blocks, WindowLanes::default()),
                 lasts: room(blocks, LastLanes::default()),
                 intervals: room(blocks, IntervalLanes::default()),
@@ -223,9 +223,9 @@ impl FleetState {
         self.present().next().is_none()
     }
 
-    fn present(&self) -> impl Iterator<Item = (usize, &Gate)> {
-        let gates = self.columns.gates.iter().enumerate();
-        gates.filter(|(_, gate)| gate.present)
+    fn present(&self) -> impl Iterator<Item = (usize, &AdmissionState)> {
+        let admissions = self.columns.admissions.iter().enumerate();
+        admissions.filter(|(_, admission)| admission.present)
     }
 
     /// As [`Fleet::model_hash`].
@@ -236,7 +236,7 @@ impl FleetState {
 
     /// Refuses what belongs to another fleet.
     fn check_kin(&self, fleet: &Fleet) -> Result<(), StateError> {
-        let (capacity, platforms) = (fleet.capacity(), fleet.kinds.len() as u32);
+        let (capacity, platforms) = (fleet.capacity(), fleet.contexts.len() as u32);
         if self.capacity != capacity {
             return Err(StateError::Capacity {
                 found: self.capacity,
@@ -250,7 +250,7 @@ impl FleetState {
             });
         }
         if self.settings_hash != fleet.settings_hash {
-            return Err(StateError::Settings {
+            return Err(StateError::FleetSettings {
                 found: self.settings_hash,
                 expected: fleet.settings_hash,
             });
@@ -267,11 +267,11 @@ impl FleetState {
     /// Refuses what no fleet can have come to: the tick relies on it.
     fn check_sound(&self, fleet: &Fleet) -> Result<(), StateError> {
         let columns = &self.columns;
-        let slots = columns.gates.len();
+        let slots = columns.admissions.len();
         at_most("slots in use", slots, self.capacity as usize)?;
         let blocks = slots.div_ceil(LANES);
         for (what, length) in [
-            ("blocks of news", columns.news.len()),
+            ("blocks of pending", columns.pending.len()),
             ("blocks of windows", columns.windows.len()),
             ("blocks of last samples", columns.lasts.len()),
             ("blocks of intervals", columns.intervals.len()),
@@ -297,11 +297,13 @@ impl FleetState {
     /// Each slot in use holds a robot of its own, of the platform that the settings say.
     fn check_slots(&self, fleet: &Fleet) -> Result<(), StateError> {
         let mut ids = std::collections::HashSet::new();
-        for (slot, gate) in self.present() {
-            let times = 2 - usize::from(ids.insert(gate.id));
+        for (slot, admission) in self.present() {
+            let times = 2 - usize::from(ids.insert(admission.id));
             exactly("times a robot is listed", times, 1)?;
-            let platform = fleet.platform_of(gate.id).map_or(usize::MAX, usize::from);
-            exactly("platform of a robot", gate.platform.into(), platform)?;
+            let platform = fleet
+                .platform_of(admission.id)
+                .map_or(usize::MAX, usize::from);
+            exactly("platform of a robot", admission.platform.into(), platform)?;
             lanes::get(&self.columns.windows, slot).check()?;
         }
         Ok(())
@@ -321,7 +323,7 @@ impl Fleet {
     /// and allocates nothing. Takes as long as copying all slots ever used.
     pub fn state_into(&self, state: &mut FleetState) {
         state.capacity = self.settings.capacity;
-        state.platforms = self.kinds.len() as u32;
+        state.platforms = self.contexts.len() as u32;
         (state.settings_hash, state.model_hash) = (self.settings_hash, self.model_hash());
         state.counters = Counters {
             drops: self.drops,
@@ -334,8 +336,8 @@ impl Fleet {
         let (to, from) = (&mut state.columns, &self.columns);
         let used = from.slots.reach();
         let blocks = used.div_ceil(LANES);
-        copy(&mut to.gates, &from.gates[..used]);
-        copy(&mut to.news, &from.news[..blocks]);
+        copy(&mut to.admissions, &from.admissions[..used]);
+        copy(&mut to.pending, &from.pending[..blocks]);
         copy(&mut to.windows, &from.windows[..blocks]);
         copy(&mut to.lasts, &from.lasts[..blocks]);
         copy(&mut to.intervals, &from.intervals[..blocks]);
@@ -358,11 +360,11 @@ impl Fleet {
         state.check_kin(self)?;
         state.check_sound(self)?;
         let (from, to) = (&state.columns, &mut self.columns);
-        let used = from.gates.len();
+        let used = from.admissions.len();
         let blocks = used.div_ceil(LANES);
-        to.gates[..used].copy_from_slice(&from.gates);
-        to.gates[used..].fill(Gate::FREE);
-        to.news[..blocks].copy_from_slice(&from.news);
+        to.admissions[..used].copy_from_slice(&from.admissions);
+        to.admissions[used..].fill(AdmissionState::FREE);
+        to.pending[..blocks].copy_from_slice(&from.pending);
         to.windows[..blocks].copy_from_slice(&from.windows);
         to.lasts[..blocks].copy_from_slice(&from.lasts);
         to.intervals[..blocks].copy_from_slice(&from.intervals);
@@ -373,8 +375,8 @@ impl Fleet {
         to.slots
             .replace(used, state.present().map(|(slot, _)| slot));
         self.slot_of.clear();
-        for (slot, gate) in state.present() {
-            self.slot_of.insert(gate.id, slot as u32);
+        for (slot, admission) in state.present() {
+            self.slot_of.insert(admission.id, slot as u32);
         }
         self.guess = 0;
         // Looked up anew at the next tick.

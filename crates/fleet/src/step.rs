@@ -4,31 +4,31 @@ use joulebus_predictor::{Features, LAGS};
 use joulebus_wire::{InvalidReason, Quality, sample_flag};
 
 use crate::batch::Batch;
-use crate::columns::Part;
-use crate::kind::Kind;
+use crate::columns::ColumnsMut;
 use crate::lanes::{Block as _, LANES};
-use crate::robot::{News, Pending};
+use crate::platform_context::PlatformContext;
+use crate::robot::{Pending, PendingState};
 use crate::window::{Gap, Reads, Window, missing_steps};
 
 /// Takes the waiting sample of a slot, whatever it is, and adds the row for its next forecast, if it
 /// gets one.
 pub(crate) fn step(
-    kind: &Kind,
-    columns: &mut Part<'_>,
+    context: &PlatformContext,
+    columns: &mut ColumnsMut<'_>,
     slot: usize,
     pending: &Pending,
     gap: Gap,
     batch: &mut Batch,
 ) {
     let (block, lane) = (slot / LANES, slot % LANES);
-    let gate = &mut columns.gates[slot];
+    let admission = &mut columns.admissions[slot];
     let mut window = columns.windows[block].get(lane);
     let mut last = columns.lasts[block].get(lane);
-    let elapsed_ns = pending.stamp_ns.saturating_sub(gate.stamp_ns);
+    let elapsed_ns = pending.stamp_ns.saturating_sub(admission.stamp_ns);
     if pending.broken {
         window.forget_freshness();
-    } else if elapsed_ns > kind.overdue_after_ns {
-        window.pass(missing_steps(elapsed_ns, kind.platform.period_ns));
+    } else if elapsed_ns > context.overdue_after_ns {
+        window.pass(missing_steps(elapsed_ns, context.platform.period_ns));
     }
     let forecast_w = window.close(gap);
     let elapsed_s = seconds(elapsed_ns);
@@ -36,39 +36,43 @@ pub(crate) fn step(
     let step = if pending.read() {
         last.read(pending, forecast_w, elapsed_s);
         let forecast_w = (forecast_w, gap == Gap::None);
-        let step = read(kind.reads, &mut window, pending, forecast_w, elapsed_s);
-        let quality = quality(kind.reads, pending, window.have(), step.ready);
+        let step = read(context.reads, &mut window, pending, forecast_w, elapsed_s);
+        let quality = quality(context.reads, pending, window.have(), step.ready);
         (last.quality, last.quality_detail) = quality;
         step
     } else {
         last.residual_w = f32::NAN;
-        let step = miss(kind, &mut window, pending, elapsed_s);
-        let quality = quality_unread(kind.reads, pending, &window, step.ready);
+        let step = miss(context, &mut window, pending, elapsed_s);
+        let quality = quality_unread(context.reads, pending, &window, step.ready);
         (last.quality, last.quality_detail) = quality;
         step
     };
-    gate.accept(pending);
+    admission.accept(pending);
     columns.windows[block].set(lane, true, window);
     columns.lasts[block].set(lane, true, last);
-    let news = &mut columns.news[block];
+    let pending_block = &mut columns.pending[block];
     let broken = gap == Gap::Break;
-    news.mark(
+    pending_block.mark(
         lane,
         true,
-        if broken { News::Broken } else { News::Absorbed },
+        if broken {
+            PendingState::Broken
+        } else {
+            PendingState::Absorbed
+        },
     );
-    news.expected_w[lane] = step.expected_w;
+    pending_block.expected_w[lane] = step.expected_w;
     if !step.expected_w.is_nan() {
         let mut interval = columns.intervals[block].get(lane);
         let residual_w = pending.power_w - step.expected_w;
         interval.observe(
             residual_w,
             step.due,
-            kind.platform.power_resolution_w,
-            kind.moves,
+            context.platform.power_resolution_w,
+            context.quantile_step,
         );
         columns.intervals[block].set(lane, true, interval);
-        if let Some(blending) = &kind.blending {
+        if let Some(blending) = &context.blending {
             columns.blends[slot].learn(blending, pending.power_w);
         }
     }
@@ -78,9 +82,9 @@ pub(crate) fn step(
 }
 
 /// Takes a sample without a reading, `elapsed_s` after the one before.
-fn miss(kind: &Kind, window: &mut Window, pending: &Pending, elapsed_s: f32) -> Step {
-    window.miss(kind.longest_steps);
-    let (row, ready) = window.next_row(elapsed_s, pending.command(), kind.reads);
+fn miss(context: &PlatformContext, window: &mut Window, pending: &Pending, elapsed_s: f32) -> Step {
+    window.miss(context.longest_steps);
+    let (row, ready) = window.next_row(elapsed_s, pending.command(), context.reads);
     Step {
         expected_w: f32::NAN,
         due: false,

@@ -6,11 +6,11 @@
 use joulebus_predictor::INPUTS;
 
 use crate::batch::Batch;
-use crate::columns::Part;
+use crate::columns::ColumnsMut;
 use crate::interval::IntervalLanes;
-use crate::kind::Kind;
 use crate::lanes::{Block as _, LANES, Lanes, put};
-use crate::robot::{LastLanes, News, NewsLanes};
+use crate::platform_context::PlatformContext;
+use crate::robot::{LastLanes, PendingBlock, PendingState};
 use crate::step::{Step, quality, read, seconds};
 use crate::window::{ClosedLanes, Gap, Reads, WindowLanes};
 
@@ -26,13 +26,13 @@ pub(crate) struct Next<'a> {
 /// Takes such samples of a block, and adds the rows for the next forecasts.
 #[inline(always)]
 pub(crate) fn step_block(
-    kind: &Kind,
-    columns: &mut Part<'_>,
+    context: &PlatformContext,
+    columns: &mut ColumnsMut<'_>,
     block: usize,
     next: &Next<'_>,
     batch: &mut Batch,
 ) {
-    let (news, windows) = (&mut columns.news[block], &mut columns.windows[block]);
+    let (pending, windows) = (&mut columns.pending[block], &mut columns.windows[block]);
     let (lasts, intervals) = (&mut columns.lasts[block], &mut columns.intervals[block]);
     let (first, which) = (block * LANES, next.which);
     let (mut elapsed_s, mut forecast_w) = ([0.0; LANES], [0.0; LANES]);
@@ -40,19 +40,26 @@ pub(crate) fn step_block(
         elapsed_s[lane] = seconds(next.elapsed_ns[lane]);
         forecast_w[lane] = windows.get(lane).close(Gap::None);
     }
-    read_lasts(lasts, news, which, &elapsed_s, &forecast_w);
+    read_lasts(lasts, pending, which, &elapsed_s, &forecast_w);
     let mut taken = Taken::NONE;
     let closed = &mut windows.closed;
-    read_windows(kind.reads, closed, news, which, &elapsed_s, &mut taken);
-    qualify(kind.reads, lasts, news, which, windows, &taken);
-    expect(news, which, &taken);
-    follow(kind, intervals, news, &taken);
+    read_windows(
+        context.reads,
+        closed,
+        pending,
+        which,
+        &elapsed_s,
+        &mut taken,
+    );
+    qualify(context.reads, lasts, pending, which, windows, &taken);
+    expect(pending, which, &taken);
+    follow(context, intervals, pending, &taken);
     for lane in (0..LANES).filter(|lane| which[*lane]) {
-        columns.gates[first + lane].accept(&news.samples.get(lane));
+        columns.admissions[first + lane].accept(&pending.samples.get(lane));
     }
-    if let Some(blending) = &kind.blending {
+    if let Some(blending) = &context.blending {
         for lane in (0..LANES).filter(|lane| taken.scored[*lane]) {
-            columns.blends[first + lane].learn(blending, news.samples.power_w[lane]);
+            columns.blends[first + lane].learn(blending, pending.samples.power_w[lane]);
         }
     }
     batch.push_block(first, &taken.ready, &taken.rows);
@@ -62,7 +69,7 @@ pub(crate) fn step_block(
 #[inline(always)]
 fn read_lasts(
     lasts: &mut LastLanes,
-    news: &NewsLanes,
+    pending: &PendingBlock,
     which: &Lanes<bool>,
     elapsed_s: &Lanes<f32>,
     forecast_w: &Lanes<f32>,
@@ -71,7 +78,7 @@ fn read_lasts(
     let mut its = *lasts;
     for lane in 0..LANES {
         let mut last = its.get(lane);
-        let pending = news.samples.get(lane);
+        let pending = pending.samples.get(lane);
         last.seq = pending.seq;
         last.read(&pending, forecast_w[lane], elapsed_s[lane]);
         its.set(lane, which[lane], last);
@@ -84,7 +91,7 @@ fn read_lasts(
 fn read_windows(
     reads: Reads,
     windows: &mut ClosedLanes,
-    news: &NewsLanes,
+    pending: &PendingBlock,
     which: &Lanes<bool>,
     elapsed_s: &Lanes<f32>,
     taken: &mut Taken,
@@ -94,7 +101,7 @@ fn read_windows(
     for lane in 0..LANES {
         let mut window = its.get(lane);
         let forecast_w = (window.close(Gap::None), true);
-        let pending = news.samples.get(lane);
+        let pending = pending.samples.get(lane);
         let step = read(reads, &mut window, &pending, forecast_w, elapsed_s[lane]);
         its.put(lane, which[lane], &window);
         taken.set(lane, which[lane], &step);
@@ -107,13 +114,13 @@ fn read_windows(
 fn qualify(
     reads: Reads,
     lasts: &mut LastLanes,
-    news: &NewsLanes,
+    pending: &PendingBlock,
     which: &Lanes<bool>,
     windows: &WindowLanes,
     taken: &Taken,
 ) {
     for lane in 0..LANES {
-        let (pending, have) = (news.samples.get(lane), windows.have(lane));
+        let (pending, have) = (pending.samples.get(lane), windows.have(lane));
         let quality = quality(reads, &pending, have, taken.ready[lane]);
         lasts.set_quality(lane, which[lane], quality);
     }
@@ -121,27 +128,32 @@ fn qualify(
 
 /// Notes what was expected of the readings of a block.
 #[inline(always)]
-fn expect(news: &mut NewsLanes, which: &Lanes<bool>, taken: &Taken) {
+fn expect(pending: &mut PendingBlock, which: &Lanes<bool>, taken: &Taken) {
     for lane in 0..LANES {
-        news.mark(lane, which[lane], News::Absorbed);
+        pending.mark(lane, which[lane], PendingState::Absorbed);
         put(
-            &mut news.expected_w[lane],
+            &mut pending.expected_w[lane],
             which[lane],
             taken.expected_w[lane],
         );
     }
 }
 
-/// Moves the intervals of a block on by the residuals.
+/// QuantileStep the intervals of a block on by the residuals.
 #[inline(always)]
-fn follow(kind: &Kind, intervals: &mut IntervalLanes, news: &NewsLanes, taken: &Taken) {
-    let (floor_w, moves) = (kind.platform.power_resolution_w, kind.moves);
+fn follow(
+    context: &PlatformContext,
+    intervals: &mut IntervalLanes,
+    pending: &PendingBlock,
+    taken: &Taken,
+) {
+    let (floor_w, quantile_step) = (context.platform.power_resolution_w, context.quantile_step);
     // A copy, so that the compiler sees that nothing else writes to it.
     let mut its = *intervals;
     for lane in 0..LANES {
         let mut interval = its.get(lane);
-        let residual_w = news.samples.power_w[lane] - taken.expected_w[lane];
-        interval.observe(residual_w, taken.due[lane], floor_w, moves);
+        let residual_w = pending.samples.power_w[lane] - taken.expected_w[lane];
+        interval.observe(residual_w, taken.due[lane], floor_w, quantile_step);
         its.set(lane, taken.scored[lane], interval);
     }
     *intervals = its;

@@ -2,7 +2,7 @@
 
 mod lanes;
 
-use joulebus_predictor::{FeatureSet, Features, Freshness, LAGS, features};
+use joulebus_predictor::{FeatureSet, Features, LAGS, ReadingAge, features};
 
 use crate::StateError;
 
@@ -22,7 +22,7 @@ impl Lags {
         forecast_w: f32::NAN,
     };
 
-    /// Moves the window on by one sample period.
+    /// QuantileStep the window on by one sample period.
     #[inline(always)]
     fn push(&mut self, power_w: f32) {
         let [first, second, third, fourth, _] = self.lag_w;
@@ -61,7 +61,7 @@ pub(crate) struct Window {
     commanded: bool,
     /// Of the newest reading, after the last sample. It outlives an emptied window, for it knows of
     /// no forecast: only of samples.
-    freshness: Freshness,
+    reading_age: ReadingAge,
 }
 
 impl Window {
@@ -74,7 +74,7 @@ impl Window {
         unread_steps: 0,
         have: 0,
         commanded: false,
-        freshness: Freshness::UNKNOWN,
+        reading_age: ReadingAge::UNKNOWN,
     };
 
     /// Refuses a window that was never filled like this: of one that was written down.
@@ -146,7 +146,9 @@ impl Window {
         self.open.push(forecast_w);
         self.open_steps += 1;
         let mut row = self.row(&self.open, None);
-        self.freshness.after(self.open_steps.into()).fill(&mut row);
+        self.reading_age
+            .after(self.open_steps.into())
+            .fill(&mut row);
         Some(row)
     }
 
@@ -178,37 +180,37 @@ impl Window {
     /// Starts empty.
     fn restart(&mut self) {
         *self = Self {
-            freshness: self.freshness,
+            reading_age: self.reading_age,
             ..Self::EMPTY
         };
     }
 
     /// What was measured before has nothing to do with what comes.
     pub(crate) fn forget_freshness(&mut self) {
-        self.freshness = Freshness::UNKNOWN;
+        self.reading_age = ReadingAge::UNKNOWN;
     }
 
     /// So many sample periods lie between the last sample and the one that now arrives.
     pub(crate) fn pass(&mut self, missing_steps: u64) {
-        self.freshness.pass(missing_steps);
+        self.reading_age.pass(missing_steps);
     }
 
     /// Whether a new measurement is due at the next sample; so too where nobody knows.
     #[inline(always)]
     pub(crate) fn due(&self) -> bool {
-        self.freshness.is_due().unwrap_or(true)
+        self.reading_age.is_due().unwrap_or(true)
     }
 
     /// As [`Window::due`], of the forecast that [`Window::shown`] gives.
     pub(crate) fn shown_due(&self) -> bool {
-        let freshness = self.freshness.after(self.open_steps.into());
-        freshness.is_due().unwrap_or(true)
+        let reading_age = self.reading_age.after(self.open_steps.into());
+        reading_age.is_due().unwrap_or(true)
     }
 
     /// Takes a sample's reading, W, a new one or the last one again: corrected mode.
     #[inline(always)]
     pub(crate) fn read(&mut self, power_w: f32, new: bool) {
-        self.freshness.read(new);
+        self.reading_age.read(new);
         self.closed.push(power_w);
         self.have = (self.have + 1).min(LAGS as u8);
         self.unread_steps = 0;
@@ -217,7 +219,7 @@ impl Window {
     /// Takes a sample without a reading: open loop, if there is a forecast to go on with and no
     /// more than `longest_steps` have gone by; otherwise the window starts empty.
     pub(crate) fn miss(&mut self, longest_steps: u16) {
-        self.freshness.pass(1);
+        self.reading_age.pass(1);
         let forecast_w = self.closed.forecast_w;
         if !forecast_w.is_finite() || self.unread_steps >= longest_steps {
             self.restart();
@@ -245,10 +247,10 @@ impl Window {
         self.commanded = command.is_some();
         (self.v_mps, self.omega_radps) = command.unwrap_or((f32::NAN, f32::NAN));
         let mut row = self.row(&self.closed, previous);
-        self.freshness.fill(&mut row);
+        self.reading_age.fill(&mut row);
         let ready = self.is_full()
             & (self.commanded | !read.command)
-            & (self.freshness.is_known() | !read.freshness);
+            & (self.reading_age.is_known() | !read.freshness);
         (row, ready)
     }
 

@@ -279,10 +279,10 @@ proptest! {
     #[test]
     fn what_may_be_used_never_rises(steps in prop::collection::vec(0u8..6, 1..200)) {
         let (mut fleet, mut source, mut before) = warm();
-        for (index, kind) in steps.iter().enumerate() {
+        for (index, context) in steps.iter().enumerate() {
             let step = 30 + index as u64;
             let mut sample = at(step);
-            match kind {
+            match context {
                 0 => sample.flags &= !sample_flag::POWER,
                 1 => sample.power_w = f32::NAN,
                 2 => {
@@ -291,7 +291,7 @@ proptest! {
                 }
                 _ => {}
             }
-            let shown = match kind {
+            let shown = match context {
                 2 => budget(&fleet, ROBOT),
                 _ => send(&mut fleet, &mut source, sample),
             };

@@ -22,7 +22,7 @@ fn run(halves: bool, with_diagnostics: bool) -> (Vec<Forecast>, Vec<Budget>) {
         let samples: Vec<Sample> = (0..ROBOTS).map(sample).collect();
         source.send(&mut fleet, &samples, now_ns);
         fleet.begin(now_ns, false);
-        let (mut batch, mut share) = (Batch::default(), fleet.share());
+        let (mut batch, mut shard) = (Batch::default(), fleet.shard());
         let outputs = Outputs {
             forecasts: &mut forecasts,
             diagnostics: if with_diagnostics {
@@ -33,13 +33,13 @@ fn run(halves: bool, with_diagnostics: bool) -> (Vec<Forecast>, Vec<Budget>) {
             budgets: &mut budgets,
         };
         if halves {
-            let (mut first, mut second) = share.split_at(ROBOTS as usize / 2);
+            let (mut first, mut second) = shard.split_at(ROBOTS as usize / 2);
             let (to_first, to_second) = outputs.split_at(first.len());
             first.run(&mut batch, to_first, &mut |_| {});
             second.run(&mut batch, to_second, &mut |_| {});
         } else {
-            share.forecast(&mut batch, outputs.forecasts, &mut |_| {});
-            share.account(
+            shard.forecast(&mut batch, outputs.forecasts, &mut |_| {});
+            shard.account(
                 &mut batch,
                 outputs.diagnostics,
                 outputs.budgets,

@@ -1,4 +1,4 @@
-//! What a keyframe costs the tick (a copy) and the clerk (the encoding): figures, no promise.
+//! What a keyframe costs the tick (a copy) and the checkpointer (the encoding): figures, no promise.
 //!
 //! `cargo test --release -p joulebus-fleet --test state_cost -- --ignored --nocapture`
 

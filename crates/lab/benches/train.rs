@@ -3,7 +3,7 @@
 //! `cargo bench -p joulebus-lab --bench train`
 use std::time::Instant;
 
-use joulebus_lab::train::{Dataset, Settings, SimulatedData, Training, dataset_from_plant};
+use joulebus_lab::train::{Dataset, SimulatedData, TrainSettings, Training, dataset_from_plant};
 use joulebus_predictor::FeatureSet;
 
 const EPOCHS: u32 = 100;
@@ -36,10 +36,10 @@ fn main() {
 }
 
 fn run(dataset: &Dataset, threads: usize) -> (f64, u64) {
-    let settings = Settings {
+    let settings = TrainSettings {
         patience: EPOCHS,
         max_epochs: EPOCHS,
-        ..Settings::new("bench", "simulation", FeatureSet::Full, 1)
+        ..TrainSettings::new("bench", "simulation", FeatureSet::Full, 1)
     };
     let start = Instant::now();
     let mut training = Training::new(dataset, &settings, threads).expect("sound data");

@@ -17,7 +17,7 @@ use joulebus_lab::metrics::Tally;
 use joulebus_lab::plant::{protocol, scenario};
 use joulebus_lab::rows::{TrialRows, sample_rows, trial_rows};
 use joulebus_lab::split::{Source, Split, group_of, split};
-use joulebus_lab::train::{Dataset, Row, Settings, train};
+use joulebus_lab::train::{Dataset, Row, TrainSettings, train};
 use joulebus_lab::trial::{Column, Trial};
 use joulebus_predictor::{FEATURES, FeatureSet, Features, Network};
 use joulebus_wire::{Sample, sample_flag};
@@ -328,7 +328,7 @@ fn networks(
     let mut all = Vec::new();
     for seed in 0..options.seeds {
         let start = std::time::Instant::now();
-        let settings = Settings::new("example", &case.name, set, seed);
+        let settings = TrainSettings::new("example", &case.name, set, seed);
         let trained = train(&case.dataset, &settings, |_| ())?;
         let network: Network = trained.network;
         let mut forecasts_w = vec![0.0; inputs.len()];

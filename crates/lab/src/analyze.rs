@@ -20,7 +20,7 @@ pub use autocorrelation::{Autocorrelation, autocorrelation, pooled};
 
 /// What to analyse.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Settings {
+pub struct AnalysisSettings {
     /// Lags of the autocorrelation, 1 or more, rows.
     pub lags: usize,
     /// Readings that the forecasts may see, 1 to 5.
@@ -34,7 +34,7 @@ pub struct Settings {
     pub leave_out: Vec<String>,
 }
 
-impl Default for Settings {
+impl Default for AnalysisSettings {
     /// Ten lags, five readings, held at 30 Hz, 30 % of the trials held out.
     fn default() -> Self {
         Self {
@@ -90,7 +90,7 @@ pub struct Analysis {
     /// The native series, and one for each grid that was asked for.
     pub series: Vec<Series>,
     /// The settings.
-    pub settings: Settings,
+    pub settings: AnalysisSettings,
 }
 
 /// The dataset on one grid of time.
@@ -140,7 +140,7 @@ pub struct TrialAutocorrelation {
 /// [`AnalyzeError`].
 pub fn analyze(
     trials: &[Trial],
-    settings: &Settings,
+    settings: &AnalysisSettings,
     models: &[(String, Model)],
 ) -> Result<Analysis, AnalyzeError> {
     check(trials, settings)?;
@@ -165,7 +165,7 @@ pub fn analyze(
     })
 }
 
-fn check(trials: &[Trial], settings: &Settings) -> Result<(), AnalyzeError> {
+fn check(trials: &[Trial], settings: &AnalysisSettings) -> Result<(), AnalyzeError> {
     if trials.is_empty() {
         return Err(AnalyzeError::NoTrial);
     }
@@ -204,7 +204,7 @@ fn resample(trials: &[Trial], grid: Resample) -> Result<(Vec<Trial>, Vec<String>
 
 fn analyze_series(
     trials: &[Trial],
-    settings: &Settings,
+    settings: &AnalysisSettings,
     models: &[(String, Model)],
     grid: Option<Resample>,
     mut left_out: Vec<String>,

@@ -12,7 +12,7 @@ mod units;
 pub use check::{Check, check_files, check_trial};
 pub use describe::{ColumnReport, Steps, TrialReport, describe};
 pub use find::{FindError, Found, find};
-pub use finding::{Finding, Kind, Place};
+pub use finding::{Finding, FindingKind, Place};
 pub use hold::{Holds, holds};
 pub use limits::{Limits, Range};
 pub use units::{PowerCheck, power_check};

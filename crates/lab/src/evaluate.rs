@@ -5,7 +5,7 @@ mod report;
 use std::collections::HashSet;
 use std::path::PathBuf;
 
-use joulebus_fleet::{Fleet, Learned, Ledger, Platform, Scores, Settings, SettingsError};
+use joulebus_fleet::{Fleet, FleetSettings, Learned, Ledger, Platform, Scores, SettingsError};
 use joulebus_predictor::Model;
 use joulebus_wire::{DropCounts, Quality, SCHEMA_VERSION, Sample, SampleHeader, diagnostic_flag};
 
@@ -116,7 +116,7 @@ pub struct Step {
 /// # Errors
 /// [`EvaluateError`]: no trial, a robot twice or in no platform, settings that are refused.
 pub fn evaluate(
-    settings: &Settings,
+    settings: &FleetSettings,
     models: &[Model],
     trials: &[(u32, Trial)],
 ) -> Result<Evaluation, EvaluateError> {
@@ -139,7 +139,7 @@ pub fn evaluate(
 /// # Errors
 /// [`EvaluateError`]: a robot in no platform, settings that are refused.
 pub fn evaluate_trial(
-    settings: &Settings,
+    settings: &FleetSettings,
     models: &[Model],
     robot: u32,
     trial: &Trial,
@@ -152,7 +152,7 @@ pub fn evaluate_trial(
             platforms: settings.platforms.len(),
         });
     };
-    let alone = Settings {
+    let alone = FleetSettings {
         capacity: 1,
         ..settings.clone()
     };

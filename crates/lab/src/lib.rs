@@ -3,7 +3,6 @@
 #![forbid(unsafe_code)]
 
 pub mod analyze;
-pub mod beyond;
 pub mod bootstrap;
 pub mod data;
 pub mod evaluate;
@@ -12,6 +11,7 @@ pub mod linear;
 pub mod metrics;
 pub mod model_file;
 mod noise;
+pub mod online_learning;
 pub mod plant;
 pub mod report;
 pub mod rows;

@@ -5,7 +5,7 @@ use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
 use joulebus_fleet::missing_steps;
-use joulebus_predictor::{FEATURE_NAMES, Freshness, LAGS, features};
+use joulebus_predictor::{FEATURE_NAMES, LAGS, ReadingAge, features};
 use joulebus_wire::{Sample, sample_flag};
 
 use crate::train::{Dataset, Row};
@@ -22,7 +22,7 @@ pub struct TrialRows {
     pub sample_seq: Vec<u64>,
     /// For each row, how fresh its newest reading is: what its features of freshness say, and how
     /// they go on where no further reading comes.
-    pub freshness: Vec<Freshness>,
+    pub reading_ages: Vec<ReadingAge>,
     /// Samples that lead to no row because a window of five readings is not full there: at the
     /// start, and after a gap, a missing reading, or a time that does not advance.
     pub without_window: usize,
@@ -73,9 +73,9 @@ pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
             Some((v_mps, omega_radps, (elapsed_ns as f64 * 1e-9) as f32))
         });
         let mut features = features(v_mps, omega_radps, previous, &lag_w);
-        age.freshness.fill(&mut features);
+        age.reading_age.fill(&mut features);
         found.sample_seq.push(sample.seq);
-        found.freshness.push(age.freshness);
+        found.reading_ages.push(age.reading_age);
         found.rows.push(Row {
             features,
             target_w: next.power_w,
@@ -87,7 +87,7 @@ pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
 /// How fresh the newest reading is, as the tick finds it: gaps and missing readings go by the
 /// schedule, and a time that does not advance is not taken.
 struct Age {
-    freshness: Freshness,
+    reading_age: ReadingAge,
     /// Stamp of the last sample taken.
     stamp_ns: Option<u64>,
 }
@@ -95,7 +95,7 @@ struct Age {
 impl Default for Age {
     fn default() -> Self {
         Self {
-            freshness: Freshness::UNKNOWN,
+            reading_age: ReadingAge::UNKNOWN,
             stamp_ns: None,
         }
     }
@@ -111,16 +111,16 @@ impl Age {
         }
         let before_ns = self.stamp_ns.replace(sample.stamp_ns);
         match before_ns {
-            _ if sample.has(sample_flag::DISCONTINUITY) => self.freshness = Freshness::UNKNOWN,
+            _ if sample.has(sample_flag::DISCONTINUITY) => self.reading_age = ReadingAge::UNKNOWN,
             Some(before_ns) => {
                 let missing = missing_steps(sample.stamp_ns - before_ns, period_ns);
-                self.freshness.pass(missing);
+                self.reading_age.pass(missing);
             }
             None => {}
         }
         match sample.has(sample_flag::POWER) {
-            true => self.freshness.read(!sample.has(sample_flag::HELD)),
-            false => self.freshness.pass(1),
+            true => self.reading_age.read(!sample.has(sample_flag::HELD)),
+            false => self.reading_age.pass(1),
         }
     }
 }

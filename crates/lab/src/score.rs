@@ -27,7 +27,7 @@ mod recording;
 mod report;
 mod text;
 
-use joulebus_fleet::{Platform, Settings};
+use joulebus_fleet::{FleetSettings, Platform};
 use joulebus_predictor::Model;
 use rayon::prelude::*;
 
@@ -140,7 +140,7 @@ pub enum ScoreError {
 #[derive(Debug, Clone, Copy)]
 pub struct Subject<'a> {
     /// Intake, intervals and alarms of the live path. Its platforms do not count.
-    pub settings: &'a Settings,
+    pub settings: &'a FleetSettings,
     /// The kind of robot; `None` takes period and limits from each recording
     /// ([`recorded_platform`]).
     pub platform: Option<&'a Platform>,

@@ -23,6 +23,6 @@ pub use dataset::{Dataset, Findings, Row};
 pub use error::TrainError;
 pub use saved::ResumeError;
 pub use score::scored;
-pub use settings::Settings;
+pub use settings::TrainSettings;
 pub use simulated::{SimulatedData, dataset_from_plant, settings_for_sim, train_sim};
 pub use training::{Epoch, Trained, Training, train};

@@ -7,7 +7,7 @@ mod live;
 use std::collections::HashSet;
 use std::sync::OnceLock;
 
-use joulebus_fleet::Settings;
+use joulebus_fleet::FleetSettings;
 use joulebus_lab::figure::{Axis, Colour, Figure, Layer, Mark, Panel};
 use joulebus_lab::plant::parts::Parts;
 use joulebus_lab::plant::protocol::Protocol;
@@ -217,7 +217,7 @@ fn recordings(count: usize) -> Vec<Recording> {
 }
 
 fn on<'a>(
-    settings: &'a Settings,
+    settings: &'a FleetSettings,
     models: &'a [Model],
     recordings: &'a [Recording],
 ) -> Recorded<'a> {

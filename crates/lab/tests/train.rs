@@ -2,7 +2,7 @@
 
 use joulebus_lab::rows::sample_rows;
 use joulebus_lab::train::{
-    Dataset, Epoch, Row, Settings, SimulatedData, TrainError, Trained, Training,
+    Dataset, Epoch, Row, SimulatedData, TrainError, TrainSettings, Trained, Training,
     dataset_from_plant, scored, train, train_sim,
 };
 use joulebus_predictor::{FEATURES, FeatureSet, Features, Kernel, Network, ResidualStats, Scores};
@@ -22,10 +22,10 @@ fn tiny_data() -> Dataset {
     })
 }
 
-fn tiny_settings(feature_set: FeatureSet) -> Settings {
-    Settings {
+fn tiny_settings(feature_set: FeatureSet) -> TrainSettings {
+    TrainSettings {
         max_epochs: 4,
-        ..Settings::new("tiny", "simulation", feature_set, 12)
+        ..TrainSettings::new("tiny", "simulation", feature_set, 12)
     }
 }
 
@@ -48,7 +48,7 @@ fn the_same_seed_gives_the_same_bytes_on_every_machine() {
              train the models that ship again"
         );
     }
-    let settings = Settings {
+    let settings = TrainSettings {
         seed: 13,
         ..tiny_settings(FeatureSet::Full)
     };
@@ -71,7 +71,7 @@ fn training_tells_its_progress_and_the_losses_fall() {
 fn training_stops_early_and_keeps_the_best_epoch() {
     let mut data = tiny_data();
     data.training.truncate(256);
-    let settings = Settings {
+    let settings = TrainSettings {
         patience: 2,
         max_epochs: 5_000,
         dropout: 0.0,
@@ -110,7 +110,7 @@ fn variance(rows: &[Row]) -> f64 {
 #[test]
 fn data_that_can_teach_nothing_is_refused_with_its_place() {
     let data = tiny_data();
-    let refused = |data: &Dataset, settings: &Settings| {
+    let refused = |data: &Dataset, settings: &TrainSettings| {
         train(data, settings, |_| ())
             .expect_err("must be refused")
             .to_string()
@@ -152,7 +152,7 @@ fn data_that_can_teach_nothing_is_refused_with_its_place() {
         "{result:?}"
     );
 
-    type Spoil = fn(&mut Settings);
+    type Spoil = fn(&mut TrainSettings);
     let spoiled: [(&str, Spoil); 9] = [
         ("dropout", |s| s.dropout = -0.1),
         ("dropout", |s| s.dropout = 1.0),
@@ -169,7 +169,7 @@ fn data_that_can_teach_nothing_is_refused_with_its_place() {
         spoil(&mut settings);
         assert!(refused(&data, &settings).contains(knob), "{settings:?}");
     }
-    let settings = Settings {
+    let settings = TrainSettings {
         learning_rate: 1.0,
         epsilon: 1e-30,
         second_moment: 0.0,
@@ -231,7 +231,7 @@ fn a_feature_that_never_changes_and_a_tiny_dataset_are_worked_around_and_named()
 fn any_number_of_threads_gives_the_same_bytes() {
     let data = tiny_data();
     for batch in [256, 33, 5_000] {
-        let settings = Settings {
+        let settings = TrainSettings {
             batch,
             ..tiny_settings(FeatureSet::Full)
         };
@@ -281,7 +281,7 @@ fn a_saved_run_goes_on_only_with_its_own_data_and_recipe() {
     let mut training = Training::new(&data, &settings, 1).expect("sound data");
     training.epoch().expect("it does not diverge");
     let saved = training.saved();
-    let refused = |data: &Dataset, settings: &Settings, saved: &[u8]| {
+    let refused = |data: &Dataset, settings: &TrainSettings, saved: &[u8]| {
         let error = Training::resume(data, settings, 1, saved)
             .err()
             .expect("must be refused");
@@ -290,12 +290,12 @@ fn a_saved_run_goes_on_only_with_its_own_data_and_recipe() {
     let mut other = data.clone();
     other.training[0].target_w += 0.5;
     assert!(refused(&other, &settings, &saved).contains("another data hash"));
-    let faster = Settings {
+    let faster = TrainSettings {
         learning_rate: 2e-3,
         ..settings.clone()
     };
     assert!(refused(&data, &faster, &saved).contains("another recipe"));
-    let longer = Settings {
+    let longer = TrainSettings {
         max_epochs: 9,
         ..settings.clone()
     };
@@ -493,9 +493,9 @@ fn a_network_that_reads_freshness_learns_when_the_next_reading_comes() {
         description: "swinging".to_owned(),
     };
     let trained = |set: FeatureSet| {
-        let settings = Settings {
+        let settings = TrainSettings {
             max_epochs: 30,
-            ..Settings::new("swinging", "made up", set, 3)
+            ..TrainSettings::new("swinging", "made up", set, 3)
         };
         train(&data, &settings, |_| ()).expect("sound data")
     };

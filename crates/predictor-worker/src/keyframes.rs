@@ -1,21 +1,21 @@
 //! Keyframes: the fleet's whole state, for those who record.
 //!
-//! The clerk notices that somebody reads them, and hands the tick a box to put the state in; the
-//! tick copies it there after everything else is sent, and hands the box back; the clerk encodes
+//! The checkpointer notices that somebody reads them, and hands the tick a box to put the state in; the
+//! tick copies it there after everything else is sent, and hands the box back; the checkpointer encodes
 //! and sends it. The tick neither allocates nor waits, and without readers there is no box.
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use joulebus_bus::{Bus, Limits, OpenError, StateWriter, clock};
-use joulebus_fleet::{Fleet, FleetState, Settings};
+use joulebus_fleet::{Fleet, FleetSettings, FleetState};
 use joulebus_wire::{SCHEMA_VERSION, StateHeader};
 
 /// Least time between two keyframes, unless somebody new reads, ns.
 const EVERY_NS: u64 = 5_000_000_000;
-/// A keyframe may take at most one part in so many of the clerk's time, and of the tick's.
+/// A keyframe may take at most one part in so many of the checkpointer's time, and of the tick's.
 const SHARE: u64 = 100;
 /// Pieces sent at one look: a reader's buffer holds four times as many, and who records looks at
-/// it several times as often as the clerk comes round.
+/// it several times as often as the checkpointer comes round.
 const BURST: usize = 2;
 
 /// A state, and when it was taken.
@@ -29,7 +29,7 @@ struct Keyframe {
 }
 
 impl Keyframe {
-    fn with_room_for(settings: &Settings) -> Self {
+    fn with_room_for(settings: &FleetSettings) -> Self {
         Self {
             worker_epoch: 0,
             tick: 0,
@@ -47,7 +47,7 @@ pub(crate) struct Keyframes {
     taken: SyncSender<Box<Keyframe>>,
 }
 
-/// The clerk's end, not open yet.
+/// The checkpointer's end, not open yet.
 #[derive(Debug)]
 pub(crate) struct KeyframeOrders {
     ask: SyncSender<Box<Keyframe>>,
@@ -73,16 +73,16 @@ impl Keyframes {
         (keyframe.worker_epoch, keyframe.tick) = (worker_epoch, tick);
         keyframe.copied_in_ns = clock::monotonic_ns().saturating_sub(taken_ns);
         keyframe.taken_ns = taken_ns;
-        // The clerk has ended: so does the worker.
+        // The checkpointer has ended: so does the worker.
         let _ = self.taken.try_send(keyframe);
     }
 }
 
-/// The clerk's end.
+/// The checkpointer's end.
 pub(crate) struct KeyframeSender {
     writer: StateWriter,
     orders: KeyframeOrders,
-    settings: Settings,
+    settings: FleetSettings,
     /// The box while it is here and of no use; none before the first reader.
     spare: Option<Box<Keyframe>>,
     is_asked: bool,
@@ -98,7 +98,7 @@ impl KeyframeSender {
     pub(crate) fn open(
         bus: &Bus,
         limits: &Limits,
-        settings: &Settings,
+        settings: &FleetSettings,
         orders: KeyframeOrders,
     ) -> Result<Self, OpenError> {
         let mut sender = Self {

@@ -5,23 +5,23 @@
 //! into memory borrowed from shared memory. After warm-up the loop allocates nothing of its own
 //! (iceoryx2 0.10 allocates once for each of the four frames that a tick sends), locks nothing,
 //! logs nothing and waits for nothing but samples and its schedule. Logging and the ledger's
-//! checkpoints are the clerk's, a thread that reads the worker's frames like any planner.
+//! checkpoints are the checkpointer's, a thread that reads the worker's frames like any planner.
 #![forbid(unsafe_code)]
 
 mod checkpoint;
-mod clerk;
-mod crew;
+mod checkpointer;
 mod journal;
 mod keyframes;
 mod models;
 mod outbox;
 mod report;
 mod shedding;
+mod tick_pool;
 mod worker;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
-pub use clerk::ClerkError;
-pub use crew::Crew;
+pub use checkpointer::ClerkError;
 pub use models::{ModelsError, load_models};
 pub use report::{Parts, Report, Spread};
+pub use tick_pool::TickPool;
 pub use worker::{OpenError, RunError, Worker};

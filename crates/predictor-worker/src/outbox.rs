@@ -10,7 +10,7 @@ use joulebus_wire::{
     WakeEvent,
 };
 
-use crate::crew::Crew;
+use crate::tick_pool::TickPool;
 
 /// The three ports, and the planners to be woken.
 pub(crate) struct Outbox {
@@ -39,7 +39,7 @@ impl Outbox {
     pub(crate) fn tick(
         &mut self,
         fleet: &mut Fleet,
-        crew: &Crew,
+        pool: &TickPool,
         header: ForecastHeader,
         sheds: bool,
     ) -> u64 {
@@ -48,20 +48,20 @@ impl Outbox {
         let mut forecasts = self.forecasts.loan_to_fill(robots);
         let mut diagnostics = (!sheds).then(|| self.diagnostics.loan_to_fill(robots));
         let mut budgets = self.budgets.loan_to_fill(robots);
-        let mut share = fleet.share();
-        let unsent = if crew.shares(robots) {
+        let mut shard = fleet.shard();
+        let unsent = if pool.shares(robots) {
             let outputs = Outputs {
                 forecasts: forecasts.as_deref_mut().unwrap_or_default(),
                 diagnostics: written(&mut diagnostics),
                 budgets: budgets.as_deref_mut().unwrap_or_default(),
             };
-            crew.run(share, outputs);
+            pool.run(shard, outputs);
             send_forecasts(forecasts, &self.planners, header)
         } else {
-            crew.forecast(&mut share, forecasts.as_deref_mut().unwrap_or_default());
+            pool.forecast(&mut shard, forecasts.as_deref_mut().unwrap_or_default());
             let unsent = send_forecasts(forecasts, &self.planners, header);
-            crew.account(
-                &mut share,
+            pool.account(
+                &mut shard,
                 written(&mut diagnostics),
                 budgets.as_deref_mut().unwrap_or_default(),
             );

@@ -7,7 +7,7 @@ use joulebus_fleet::Stage;
 use joulebus_wire::DropCounts;
 use serde::{Deserialize, Serialize};
 
-use crate::crew::StageTimes;
+use crate::tick_pool::StageTimes;
 
 /// What a run of the worker came to.
 #[derive(Debug, Clone, Serialize)]

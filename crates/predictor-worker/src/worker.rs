@@ -5,22 +5,22 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use hdrhistogram::Histogram;
 use joulebus_bus::{
-    Bus, DomainError, JoinError, Ports, RoomError, SampleReader, SchedulingError, WaitError,
-    Waiter, WorkerLock, WorkerLockError, check_room, clock, set_timer_slack, touch_own_memory,
+    Bus, CapacityError, DomainError, JoinError, Ports, SampleReader, SchedulingError, WaitError,
+    Waiter, WorkerLock, WorkerLockError, check_capacity, clock, set_timer_slack, touch_own_memory,
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, SettingsError, TickIntake};
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
 use crate::checkpoint::CheckpointError;
-use crate::clerk::{Clerk, ClerkError, Failures, recall};
-use crate::crew::Crew;
+use crate::checkpointer::{Checkpointer, ClerkError, Failures, recall};
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::models::{ModelsError, load_models};
 use crate::outbox::Outbox;
 use crate::report::{Parts, Report, Spread, by_name};
 use crate::shedding::Shedding;
+use crate::tick_pool::TickPool;
 
 /// Longest tick that the histogram tells apart, ns.
 const LONGEST_TICK_NS: u64 = 60_000_000_000;
@@ -38,8 +38,8 @@ pub struct Worker {
     journal: Journal,
     keyframes: Keyframes,
     waiter: Waiter,
-    crew: Crew,
-    clerk: Clerk,
+    pool: TickPool,
+    checkpointer: Checkpointer,
     _bus: Bus,
     _lock: WorkerLock,
     /// Where samples are copied to before they are looked at.
@@ -70,7 +70,7 @@ pub enum OpenError {
     Checkpoint(#[from] CheckpointError),
     /// Too little shared memory or too few descriptors.
     #[error(transparent)]
-    Room(#[from] RoomError),
+    Room(#[from] CapacityError),
     /// Another worker serves the fleet.
     #[error(transparent)]
     Lock(#[from] WorkerLockError),
@@ -80,9 +80,9 @@ pub enum OpenError {
     /// A port could not be opened.
     #[error(transparent)]
     Port(#[from] joulebus_bus::OpenError),
-    /// The clerk could not begin.
+    /// The checkpointer could not begin.
     #[error(transparent)]
-    Clerk(#[from] ClerkError),
+    Checkpointer(#[from] ClerkError),
     /// The system refused what the config requires of it.
     #[error("{0} (`worker.if_refused = \"stop\"` in the config)")]
     Scheduling(#[from] SchedulingError),
@@ -131,7 +131,7 @@ impl Worker {
         let ticks_ns = Histogram::new_with_bounds(1, LONGEST_TICK_NS, 3)?;
         // Before the other threads: their stacks need not be touched.
         touch_own_memory();
-        check_room(
+        check_capacity(
             &limits,
             Ports {
                 sources: 1,
@@ -144,13 +144,14 @@ impl Worker {
         let journal = Journal::open(&bus, &limits)?;
         let failures = Arc::new(Failures::default());
         let (keyframes, orders) = keyframes();
-        let clerk = Clerk::start(&domain, config, before, Arc::clone(&failures), orders)?;
+        let checkpointer =
+            Checkpointer::start(&domain, config, before, Arc::clone(&failures), orders)?;
         // After the threads that must not have it: they inherit what their maker has.
         for refused in config.scheduling().apply()? {
             tracing::warn!("{refused}");
         }
         let Threads { count, from } = config.threads();
-        let crew = Crew::assemble(count, from, config.scheduling())?;
+        let pool = TickPool::assemble(count, from, config.scheduling())?;
         // Last: from here on samples come in, and everything is there to take them.
         let waiter = bus.arrivals_waiter(&limits)?;
         let samples = bus.sample_reader(&limits)?;
@@ -183,8 +184,8 @@ impl Worker {
             journal,
             keyframes,
             waiter,
-            crew,
-            clerk,
+            pool,
+            checkpointer,
             _bus: bus,
             _lock: lock,
             failures,
@@ -235,7 +236,7 @@ impl Worker {
     #[must_use]
     pub fn finish(mut self) -> Report {
         self.outbox.end();
-        self.clerk.finish();
+        self.checkpointer.finish();
         self.report()
     }
 
@@ -254,7 +255,7 @@ impl Worker {
             frames_unsent: self.failures.unsent.load(Ordering::Relaxed),
             receive_errors: self.failures.receive.load(Ordering::Relaxed),
             tick: Spread::of(&self.ticks_ns),
-            parts: Parts::of(self.header.tick, self.intake_ns, self.crew.spent()),
+            parts: Parts::of(self.header.tick, self.intake_ns, self.pool.spent()),
         }
     }
 
@@ -289,7 +290,7 @@ impl Worker {
         self.header.tick += 1;
         let header = self.header_of(intake, start_ns);
         let sheds = self.shedding.sheds;
-        let unsent = self.outbox.tick(&mut self.fleet, &self.crew, header, sheds);
+        let unsent = self.outbox.tick(&mut self.fleet, &self.pool, header, sheds);
         self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
         let place = (self.header.worker_epoch, self.header.tick);
         self.journal

@@ -11,8 +11,8 @@
 )]
 
 use joulebus_predictor::{
-    Activation, Card, FEATURES, FeatureSet, Features, Freshness, HIDDEN, INPUTS, Kernel, Layer,
-    Model, Network, Normalisation, Parameters, ResidualStats, RolloutStart, Rollouts, Scores,
+    Activation, FEATURES, FeatureSet, Features, HIDDEN, INPUTS, Kernel, Layer, Model, ModelCard,
+    Network, Normalisation, Parameters, ReadingAge, ResidualStats, RolloutStart, Rollouts, Scores,
     Tiling, TrainingRange,
 };
 use std::hint::black_box;
@@ -66,7 +66,7 @@ fn network(noise: &mut Noise) -> Network {
             layer(third, 1),
         ],
     };
-    let card = Card {
+    let card = ModelCard {
         name: "random".to_owned(),
         source: "random weights".to_owned(),
         training_data: "none".to_owned(),
@@ -183,7 +183,7 @@ impl Bench {
         let network = self.network.clone().with_kernel(cell.kernel);
         let network = network.expect("only kernels that this CPU can run have cells");
         let tiling = match cell.way {
-            Way::RowsByRobot => Tiling::ByRobot,
+            Way::RowsByRobot => Tiling::BatchMajor,
             _ => Tiling::ByInput,
         };
         let model = Model::Network(network.with_tiling(tiling));
@@ -239,7 +239,7 @@ fn main() {
         starts: vec![RolloutStart {
             command: None,
             lag_w: [3.65; 5],
-            freshness: Freshness::UNKNOWN,
+            reading_age: ReadingAge::UNKNOWN,
         }],
         commands: std::array::from_fn(|_| noise.column(ROLLOUT.0 * ROLLOUT.1)),
         out_w: vec![0.0; largest],

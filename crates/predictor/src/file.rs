@@ -6,7 +6,7 @@
 use crate::model::leading_u64;
 use crate::network::layer_sizes;
 use crate::{
-    Activation, Card, FEATURE_NAMES, FeatureSet, Features, INPUTS, Layer, Linear, ModelError,
+    Activation, FEATURE_NAMES, FeatureSet, Features, INPUTS, Layer, Linear, ModelCard, ModelError,
     Normalisation, Parameters, ResidualStats, Scores, TrainingRange,
 };
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -44,7 +44,7 @@ fn convention(set: FeatureSet) -> String {
 }
 
 /// First eight bytes of the SHA-256 that the model file carries.
-pub(crate) fn content_hash(parameters: &Parameters, card: &Card) -> u64 {
+pub(crate) fn content_hash(parameters: &Parameters, card: &ModelCard) -> u64 {
     let fields = fields(parameters, card);
     let tensors = tensors(parameters);
     leading_u64(&digest(
@@ -55,7 +55,7 @@ pub(crate) fn content_hash(parameters: &Parameters, card: &Card) -> u64 {
     ))
 }
 
-pub(crate) fn write(parameters: &Parameters, card: &Card) -> Result<Vec<u8>, ModelError> {
+pub(crate) fn write(parameters: &Parameters, card: &ModelCard) -> Result<Vec<u8>, ModelError> {
     let mut fields = fields(parameters, card);
     let tensors = tensors(parameters);
     let sha256 = digest(
@@ -92,7 +92,7 @@ pub(crate) fn write(parameters: &Parameters, card: &Card) -> Result<Vec<u8>, Mod
     Ok(bytes)
 }
 
-pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, Card), ModelError> {
+pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, ModelCard), ModelError> {
     if bytes.len() > MAX_BYTES {
         return Err(ModelError::TooLarge {
             found: bytes.len(),
@@ -131,8 +131,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, Card), ModelError> {
     Ok((parameters, read_card(&metadata, feature_set)?))
 }
 
-fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<Card, ModelError> {
-    Ok(Card {
+fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<ModelCard, ModelError> {
+    Ok(ModelCard {
         name: metadata.text("name")?.to_owned(),
         source: metadata.text("source")?.to_owned(),
         training_data: metadata.text("training_data")?.to_owned(),
@@ -177,7 +177,7 @@ fn read_linear(
     }))
 }
 
-fn fields(parameters: &Parameters, card: &Card) -> Fields {
+fn fields(parameters: &Parameters, card: &ModelCard) -> Fields {
     let set = parameters.feature_set;
     let normalisation = &parameters.normalisation;
     let list_of = |set: FeatureSet, values: &Features| {

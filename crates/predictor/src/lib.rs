@@ -4,7 +4,7 @@
 //! watt go out.
 //!
 //! - [`features`](features()) builds one row of inputs in SI units.
-//! - [`Freshness`] is how old the newest reading is and when the next one is due.
+//! - [`ReadingAge`] is how old the newest reading is and when the next one is due.
 //! - [`Model::predict`] turns any number of rows into as many forecasts, and
 //!   [`Model::predict_columns`] does so from one column for each feature.
 //! - [`Model::rollout`] feeds a model with its own forecasts: what would these commands cost?
@@ -20,20 +20,20 @@
 mod error;
 mod features;
 mod file;
-mod freshness;
 mod gelu;
 mod kernel;
 mod linear;
 mod model;
 mod network;
+mod reading_age;
 mod rollout;
 
 pub use error::{ModelError, RolloutError};
 pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, features};
-pub use freshness::Freshness;
 pub use gelu::Activation;
-pub use kernel::{Kernel, Processor, Tiling, Wide, bring_near};
+pub use kernel::{Kernel, SimdLevel, SimdTask, Tiling, prefetch};
 pub use linear::Linear;
 pub use model::{Model, Persistence, ResidualStats, TrainingRange};
-pub use network::{Card, HIDDEN, Layer, Network, Normalisation, Parameters, Scores};
+pub use network::{HIDDEN, Layer, ModelCard, Network, Normalisation, Parameters, Scores};
+pub use reading_age::ReadingAge;
 pub use rollout::{RolloutStart, Rollouts};

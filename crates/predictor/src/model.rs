@@ -1,6 +1,6 @@
 //! A model as the tick sees it: the network or a baseline.
 
-use crate::{FEATURE_NAMES, FeatureSet, Features, INPUTS, Linear, ModelError, Network, Processor};
+use crate::{FEATURE_NAMES, FeatureSet, Features, INPUTS, Linear, ModelError, Network, SimdLevel};
 use sha2::{Digest, Sha256};
 
 /// How far a model's forecasts were off on data that it was not trained on.
@@ -163,10 +163,10 @@ impl Model {
     }
 
     /// What the model runs on, for other work: a network's is that of its kernel.
-    pub fn processor(&self) -> Processor {
+    pub fn simd_level(&self) -> SimdLevel {
         match self {
-            Model::Network(network) => network.processor(),
-            Model::Persistence(_) => Processor::best(),
+            Model::Network(network) => network.simd_level(),
+            Model::Persistence(_) => SimdLevel::best(),
         }
     }
 

@@ -1,7 +1,7 @@
 //! The network's parameters, and its slow, obvious evaluation.
 
 use crate::file;
-use crate::kernel::{Engine, Kernel, LINE, Packed, Processor, Tiling, fold, pairwise};
+use crate::kernel::{Engine, Kernel, LINE, Packed, SimdLevel, Tiling, fold, pairwise};
 use crate::{
     Activation, FEATURE_NAMES, FeatureSet, Features, INPUTS, Linear, ModelError, ResidualStats,
     Rollouts, TrainingRange,
@@ -62,7 +62,7 @@ pub struct Scores {
 
 /// Where a network comes from and how good it was.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Card {
+pub struct ModelCard {
     /// Name for people.
     pub name: String,
     /// `simulation` or a description of the recordings.
@@ -87,7 +87,7 @@ pub struct Card {
 #[derive(Clone, Debug)]
 pub struct Network {
     parameters: Box<Parameters>,
-    card: Box<Card>,
+    card: Box<ModelCard>,
     packed: Box<Packed>,
     engine: Engine,
     tiling: Tiling,
@@ -97,7 +97,7 @@ pub struct Network {
 impl Network {
     /// A network from its parts. Refuses wrong sizes, numbers that are not finite and statistics
     /// that contradict one another.
-    pub fn new(parameters: Parameters, card: Card) -> Result<Network, ModelError> {
+    pub fn new(parameters: Parameters, card: ModelCard) -> Result<Network, ModelError> {
         check_parameters(&parameters)?;
         check_card(&card, parameters.feature_set)?;
         let hash = file::content_hash(&parameters, &card);
@@ -136,8 +136,8 @@ impl Network {
     }
 
     /// The instructions of that kernel, for other work.
-    pub fn processor(&self) -> Processor {
-        Processor(self.engine)
+    pub fn simd_level(&self) -> SimdLevel {
+        SimdLevel(self.engine)
     }
 
     /// The same network cut into other tiles: for measurements and tests.
@@ -151,7 +151,7 @@ impl Network {
     }
 
     /// Where the network comes from.
-    pub fn card(&self) -> &Card {
+    pub fn card(&self) -> &ModelCard {
         &self.card
     }
 
@@ -361,7 +361,7 @@ fn check_linear(linear: Option<&Linear>, feature_set: FeatureSet) -> Result<(), 
     linear.check()
 }
 
-fn check_card(card: &Card, feature_set: FeatureSet) -> Result<(), ModelError> {
+fn check_card(card: &ModelCard, feature_set: FeatureSet) -> Result<(), ModelError> {
     card.residual.check()?;
     let TrainingRange {
         feature_set: range_set,

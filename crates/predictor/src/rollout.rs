@@ -1,7 +1,7 @@
 //! What would these commands cost? The model fed with its own forecasts.
 
 use crate::network::canonical;
-use crate::{Freshness, LAGS, Model, RolloutError};
+use crate::{LAGS, Model, ReadingAge, RolloutError};
 use std::ops::Range;
 
 /// Where a robot stands before the first step of its candidates.
@@ -14,8 +14,8 @@ pub struct RolloutStart {
     pub lag_w: [f32; LAGS],
     /// How fresh the newest of them is; read by models that ask for it
     /// ([`Model::needs_freshness`]). From step to step it goes by the schedule
-    /// ([`Freshness::pass`]).
-    pub freshness: Freshness,
+    /// ([`ReadingAge::pass`]).
+    pub reading_age: ReadingAge,
 }
 
 /// Candidate command sequences of any number of robots, all of the same length.

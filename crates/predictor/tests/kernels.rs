@@ -5,7 +5,7 @@
 mod random;
 
 use joulebus_predictor::{
-    FEATURES, FeatureSet, Features, Freshness, INPUTS, Kernel, Model, Network, Persistence,
+    FEATURES, FeatureSet, Features, INPUTS, Kernel, Model, Network, Persistence, ReadingAge,
     ResidualStats, Tiling, features,
 };
 use proptest::prelude::*;
@@ -16,7 +16,7 @@ const SETS: [FeatureSet; 4] = FeatureSet::ALL;
 
 /// The network on every kernel that this CPU has, in every tiling.
 fn kernels(network: &Network) -> Vec<Network> {
-    let tilings = [Tiling::ByInput, Tiling::ByRobot, Tiling::ByNeuron];
+    let tilings = [Tiling::ByInput, Tiling::BatchMajor, Tiling::OutputMajor];
     let all = Kernel::ALL.into_iter();
     all.filter_map(|kernel| network.clone().with_kernel(kernel))
         .flat_map(|network| tilings.map(|tiling| network.clone().with_tiling(tiling)))
@@ -235,7 +235,7 @@ fn a_network_that_needs_velocities_or_freshness_forecasts_nan_without_them() {
     let mut no_velocities = row(&mut Noise(8));
     no_velocities[..6].fill(f32::NAN);
     let mut no_freshness = row(&mut Noise(8));
-    Freshness::UNKNOWN.fill(&mut no_freshness);
+    ReadingAge::UNKNOWN.fill(&mut no_freshness);
     let residual = ResidualStats {
         std_w: 0.1,
         q05_w: -0.2,

@@ -5,7 +5,8 @@
 mod random;
 
 use joulebus_predictor::{
-    FeatureSet, Features, Freshness, INPUTS, Kernel, Model, Network, RolloutStart, Rollouts, Tiling,
+    FeatureSet, Features, INPUTS, Kernel, Model, Network, ReadingAge, RolloutStart, Rollouts,
+    Tiling,
 };
 use random::{Noise, network, row};
 
@@ -40,7 +41,7 @@ fn rows_of_every_length_and_alignment_give_the_reference_bits_and_touch_nothing_
         for count in batches(network.kernel()) {
             let rows: Vec<Features> = (0..count + 1).map(|_| row(&mut noise)).collect();
             let expected = expected(&network, &rows[1..]);
-            for tiling in [Tiling::ByRobot, Tiling::ByNeuron] {
+            for tiling in [Tiling::BatchMajor, Tiling::OutputMajor] {
                 let mut out_w = vec![-1.0; count + 2];
                 let network = network.clone().with_tiling(tiling);
                 network.predict(&rows[1..], &mut out_w[1..=count]);
@@ -86,7 +87,7 @@ fn parts_of_rollouts_write_their_own_places_and_all_of_them() {
     let starts = [RolloutStart {
         command: None,
         lag_w: [0.5; 5],
-        freshness: known(),
+        reading_age: known(),
     }];
     let [v_mps, omega_radps] = [(); 2]
         .map(|()| -> Vec<f32> { (0..candidates * steps).map(|_| noise.next_f32()).collect() });
@@ -103,12 +104,12 @@ fn parts_of_rollouts_write_their_own_places_and_all_of_them() {
     }
 }
 
-fn known() -> Freshness {
-    let mut freshness = Freshness::UNKNOWN;
+fn known() -> ReadingAge {
+    let mut reading_age = ReadingAge::UNKNOWN;
     [true, false, false, true]
         .into_iter()
-        .for_each(|new| freshness.read(new));
-    freshness
+        .for_each(|new| reading_age.read(new));
+    reading_age
 }
 
 fn run_parts(set: FeatureSet, rollouts: &Rollouts<'_>) {

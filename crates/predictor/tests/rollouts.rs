@@ -5,7 +5,7 @@
 mod random;
 
 use joulebus_predictor::{
-    FEATURES, FeatureSet, Features, Freshness, INPUTS, Kernel, LAGS, Model, Network, Persistence,
+    FEATURES, FeatureSet, Features, INPUTS, Kernel, LAGS, Model, Network, Persistence, ReadingAge,
     ResidualStats, RolloutError, RolloutStart, Rollouts, features,
 };
 use proptest::prelude::*;
@@ -78,16 +78,16 @@ fn a_column_of_another_length_is_refused() {
 }
 
 /// That of a robot with a monitor of any rate, at any time; of one in eight nothing is known.
-fn freshness(noise: &mut Noise) -> Freshness {
-    let mut freshness = Freshness::UNKNOWN;
+fn reading_age(noise: &mut Noise) -> ReadingAge {
+    let mut reading_age = ReadingAge::UNKNOWN;
     if noise.next_u64().is_multiple_of(8) {
-        return freshness;
+        return reading_age;
     }
     let interval = 1 + noise.next_u64() % 6;
     for sample in 0..=interval + noise.next_u64() % 8 {
-        freshness.read(sample % interval == 0);
+        reading_age.read(sample % interval == 0);
     }
-    freshness
+    reading_age
 }
 
 /// Everything a rollout is given, owned.
@@ -108,7 +108,7 @@ impl Scene {
                 .map(|robot| RolloutStart {
                     command: (robot % 3 != 2).then(|| (noise.next_f32(), noise.next_f32())),
                     lag_w: std::array::from_fn(|_| noise.next_f32()),
-                    freshness: freshness(noise),
+                    reading_age: reading_age(noise),
                 })
                 .collect(),
             candidates,
@@ -143,7 +143,7 @@ fn by_hand(model: &Model, scene: &Scene) -> (Vec<f32>, Vec<f32>) {
     for lane in 0..lanes {
         let start = scene.starts[lane / scene.candidates];
         let (mut window_w, mut before) = (start.lag_w.to_vec(), start.command);
-        let mut freshness = start.freshness;
+        let mut reading_age = start.reading_age;
         let mut total = 0.0f64;
         for step in 0..scene.steps {
             let (v, omega) = (
@@ -152,14 +152,14 @@ fn by_hand(model: &Model, scene: &Scene) -> (Vec<f32>, Vec<f32>) {
             );
             let lag_w: [f32; LAGS] = std::array::from_fn(|lag| window_w[lag]);
             let mut row = features(v, omega, before.map(|(v, w)| (v, w, step_s)), &lag_w);
-            freshness.fill(&mut row);
+            reading_age.fill(&mut row);
             let mut forecast_w = [0.0];
             model.predict(&[row], &mut forecast_w);
             power_w[step * lanes + lane] = forecast_w[0];
             total += f64::from(forecast_w[0]);
             window_w.insert(0, forecast_w[0]);
             before = Some((v, omega));
-            freshness.pass(1);
+            reading_age.pass(1);
         }
         energy_j[lane] = (total * f64::from(step_s)) as f32;
     }

@@ -112,7 +112,7 @@ impl Publisher {
                 return Err(PublishError::TooMany { found, allowed });
             }
             let Some(sample) = self.registry.sample(&state, self.attempts, now_ns) else {
-                return Err(PublishError::Twice { robot: state.robot });
+                return Err(PublishError::DuplicateRobot { robot: state.robot });
             };
             self.samples.push(sample);
         }
@@ -236,7 +236,7 @@ pub enum PublishError {
     },
     /// One robot twice in a frame.
     #[error("robot {robot} is in the frame twice; give each robot its own id, once a frame")]
-    Twice {
+    DuplicateRobot {
         /// The robot.
         robot: u32,
     },

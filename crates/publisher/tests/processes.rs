@@ -190,7 +190,7 @@ fn misuse(config: &Path) {
         ));
         assert!(matches!(
             publisher.publish(robots(3).chain([RobotState::new(1)])),
-            Err(PublishError::Twice { robot: 1 })
+            Err(PublishError::DuplicateRobot { robot: 1 })
         ));
     }
     let long = vec![Sample::new(1, 0, 1); 65];

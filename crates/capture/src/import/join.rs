@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use mcap::records::MessageHeader;
 
-use super::{CurrentSign, Kind, Mapping, Message, RobotMapping, TimeSource};
+use super::{CurrentSign, Mapping, Message, RobotMapping, RosType, TimeSource};
 use crate::ros::{BatteryState, Header, Odometry, Twist};
 
 /// Rows that are kept of a robot; what comes on top is refused. As many as a trial may have.
@@ -157,7 +157,7 @@ impl Track {
         }
     }
 
-    pub(super) fn take(&mut self, topic: &str, kind: Kind, header: &MessageHeader, data: &[u8]) {
+    pub(super) fn take(&mut self, topic: &str, kind: RosType, header: &MessageHeader, data: &[u8]) {
         let is_battery = topic == self.robot.battery;
         let is_command = self.robot.command.as_deref() == Some(topic);
         let is_odometry = self.robot.odometry.as_deref() == Some(topic);

@@ -5,7 +5,7 @@ use std::str::FromStr;
 use serde::Deserialize;
 
 use super::{Channel, ImportError};
-use crate::ros::Kind;
+use crate::ros::RosType;
 
 /// Which time of a message counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
@@ -186,25 +186,25 @@ pub(super) fn choose(
         }
         return Ok(mapping.robots.clone());
     }
-    let of_kind = |wanted: Kind| {
+    let of_kind = |wanted: RosType| {
         channels
             .iter()
             .filter(move |channel| channel.kind == Ok(wanted) && channel.messages > 0)
     };
     let mut robots = Vec::new();
-    let batteries: Vec<&Channel> = of_kind(Kind::BatteryState).collect();
+    let batteries: Vec<&Channel> = of_kind(RosType::BatteryState).collect();
     for battery in &batteries {
         let namespace = namespace(&battery.topic);
         let ours = |channel: &&Channel| {
             batteries.len() == 1 || self::namespace(&channel.topic) == namespace
         };
-        let commands = of_kind(Kind::Twist).chain(of_kind(Kind::TwistStamped));
+        let commands = of_kind(RosType::Twist).chain(of_kind(RosType::TwistStamped));
         let command = only(
             &commands.filter(ours).collect::<Vec<_>>(),
             "cmd_vel",
             &battery.topic,
         )?;
-        let odometry: Vec<_> = of_kind(Kind::Odometry).filter(ours).collect();
+        let odometry: Vec<_> = of_kind(RosType::Odometry).filter(ours).collect();
         let odometry = only(&odometry, "odom", &battery.topic)?;
         robots.push(RobotMapping {
             name: namespace.unwrap_or(name).to_owned(),
@@ -252,7 +252,7 @@ fn only(found: &[&Channel], usual: &str, battery: &str) -> Result<Option<String>
 
 /// Whether the topics of a robot are there and of the right kind.
 fn check_topics(robot: &RobotMapping, channels: &[Channel]) -> Result<(), ImportError> {
-    let check = |topic: &str, allowed: &[Kind]| {
+    let check = |topic: &str, allowed: &[RosType]| {
         let why = match channels.iter().find(|channel| channel.topic == topic) {
             None => {
                 let topics: Vec<&str> = channels
@@ -272,12 +272,12 @@ fn check_topics(robot: &RobotMapping, channels: &[Channel]) -> Result<(), Import
         let topic = topic.to_owned();
         Err(ImportError::Topic { topic, why })
     };
-    check(&robot.battery, &[Kind::BatteryState])?;
+    check(&robot.battery, &[RosType::BatteryState])?;
     if let Some(command) = &robot.command {
-        check(command, &[Kind::Twist, Kind::TwistStamped])?;
+        check(command, &[RosType::Twist, RosType::TwistStamped])?;
     }
     if let Some(odometry) = &robot.odometry {
-        check(odometry, &[Kind::Odometry])?;
+        check(odometry, &[RosType::Odometry])?;
     }
     Ok(())
 }

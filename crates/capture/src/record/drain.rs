@@ -10,7 +10,7 @@ use joulebus_bus::{
 use joulebus_config::Config;
 
 use super::{Item, Shared};
-use crate::{Clock, Kind, Message, Times};
+use crate::{Clock, Message, MessageKind, Times};
 
 /// How often shared memory is looked at, at least.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
@@ -54,7 +54,7 @@ impl Drain {
     pub(crate) fn open(
         config: &Config,
         clock: Clock,
-        wanted: impl Fn(Kind) -> bool,
+        wanted: impl Fn(MessageKind) -> bool,
     ) -> Result<Self, DrainError> {
         let bus = Bus::join(&config.domain()?, "recorder")?;
         let limits = config.limits();
@@ -63,22 +63,22 @@ impl Drain {
         let frames = limits.forecast_frames.min(limits.sample_frames) as u64;
         let most_ns = config.tick_period_ns().saturating_mul(frames) / 4;
         Ok(Self {
-            samples: open(Kind::Samples)
+            samples: open(MessageKind::Samples)
                 .map(|bus| bus.sample_tap(&limits))
                 .transpose()?,
-            forecasts: open(Kind::Forecasts)
+            forecasts: open(MessageKind::Forecasts)
                 .map(|bus| bus.forecast_reader(&limits))
                 .transpose()?,
-            diagnostics: open(Kind::Diagnostics)
+            diagnostics: open(MessageKind::Diagnostics)
                 .map(|bus| bus.diagnostic_reader(&limits))
                 .transpose()?,
-            budgets: open(Kind::Budgets)
+            budgets: open(MessageKind::Budgets)
                 .map(|bus| bus.budget_reader(&limits))
                 .transpose()?,
-            ticks: open(Kind::Ticks)
+            ticks: open(MessageKind::Ticks)
                 .map(|bus| bus.tick_reader(&limits))
                 .transpose()?,
-            state: open(Kind::State)
+            state: open(MessageKind::State)
                 .map(|bus| bus.state_reader(&limits))
                 .transpose()?,
             _bus: bus,

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::{Item, Options, Snapshot};
-use crate::{Attachments, Kind, Message, Sequences, WriteError, Writer, Written};
+use crate::{Attachments, Message, MessageKind, Sequences, WriteError, Writer, Written};
 
 /// Any place that bytes go to.
 type Out = Box<dyn Write + Send>;
@@ -26,7 +26,7 @@ pub(crate) struct Files {
     target: Target,
     attachments: Attachments,
     options: Options,
-    chosen: HashMap<(Arc<str>, Kind, u32), bool>,
+    chosen: HashMap<(Arc<str>, MessageKind, u32), bool>,
     open: Option<Open>,
     kept: Kept,
     sequences: Sequences,
@@ -223,7 +223,7 @@ impl Files {
         Ok(())
     }
 
-    fn is_chosen(&mut self, item: &Item, kind: Kind, robot: u32) -> bool {
+    fn is_chosen(&mut self, item: &Item, kind: MessageKind, robot: u32) -> bool {
         let key = (Arc::clone(&item.fleet), kind, robot);
         let choose = &self.options.choose;
         *self

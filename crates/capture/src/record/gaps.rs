@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use joulebus_wire::{TickHeader, tick_flag};
 
-use crate::{Kind, Message};
+use crate::{Message, MessageKind};
 
 /// Sources and runs that account is kept of. The rest is recorded, but its gaps are not counted.
 const MOST_RUNS: usize = 4_096;
@@ -16,7 +16,7 @@ const MOST_RUNS: usize = 4_096;
 pub(crate) struct Gaps {
     /// When the recording began, Unix ns: runs that began later are known from their first frame.
     began_unix_ns: u64,
-    runs: HashMap<(Arc<str>, Kind, u64), Run>,
+    runs: HashMap<(Arc<str>, MessageKind, u64), Run>,
 }
 
 /// Where a numbered stream stands.
@@ -63,7 +63,7 @@ impl Gaps {
         if header.flags & tick_flag::NO_DIAGNOSTICS == 0 {
             return 0;
         }
-        let key = (Arc::clone(fleet), Kind::Diagnostics, 0);
+        let key = (Arc::clone(fleet), MessageKind::Diagnostics, 0);
         let (tick, known) = (header.tick, self.runs.get_mut(&key));
         match known.filter(|run| run.epoch == header.worker_epoch) {
             Some(run) if tick < run.next => 1,
@@ -79,16 +79,28 @@ impl Gaps {
         let (kind, source, epoch, number, first) = match message {
             Message::Samples(header, _) => {
                 let (source, epoch) = (header.source_id, header.source_epoch);
-                (Kind::Samples, source, epoch, header.frame_seq, 0)
+                (MessageKind::Samples, source, epoch, header.frame_seq, 0)
             }
-            Message::Forecasts(header, _) => {
-                (Kind::Forecasts, 0, header.worker_epoch, header.tick, 1)
+            Message::Forecasts(header, _) => (
+                MessageKind::Forecasts,
+                0,
+                header.worker_epoch,
+                header.tick,
+                1,
+            ),
+            Message::Diagnostics(header, _) => (
+                MessageKind::Diagnostics,
+                0,
+                header.worker_epoch,
+                header.tick,
+                1,
+            ),
+            Message::Budgets(header, _) => {
+                (MessageKind::Budgets, 0, header.worker_epoch, header.tick, 1)
             }
-            Message::Diagnostics(header, _) => {
-                (Kind::Diagnostics, 0, header.worker_epoch, header.tick, 1)
+            Message::Ticks(header, _) => {
+                (MessageKind::Ticks, 0, header.worker_epoch, header.tick, 1)
             }
-            Message::Budgets(header, _) => (Kind::Budgets, 0, header.worker_epoch, header.tick, 1),
-            Message::Ticks(header, _) => (Kind::Ticks, 0, header.worker_epoch, header.tick, 1),
             // Pieces of a keyframe say themselves whether they are whole.
             _ => return 0,
         };

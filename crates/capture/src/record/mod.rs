@@ -25,7 +25,9 @@ use std::time::Duration;
 use joulebus_bus::clock;
 use joulebus_config::Config;
 
-use crate::{Attachments, Clock, Kind, Message, Reader, Settings, Times, WriteError, Written};
+use crate::{
+    Attachments, CaptureSettings, Clock, Message, MessageKind, Reader, Times, WriteError, Written,
+};
 use drain::Drain;
 use files::Files;
 use gaps::Gaps;
@@ -43,7 +45,7 @@ const NOTE_EVERY_NS: u64 = 500_000_000;
 #[derive(Clone)]
 pub struct Options {
     /// How files are written.
-    pub settings: Settings,
+    pub settings: CaptureSettings,
     /// Channels for single robots as well, for plots.
     pub per_robot: bool,
     /// Which topics are recorded.
@@ -77,7 +79,7 @@ impl Default for Options {
     /// Everything in files of an hour, 128 MiB of patience with the disk.
     fn default() -> Self {
         Self {
-            settings: Settings::default(),
+            settings: CaptureSettings::default(),
             per_robot: false,
             choose: Arc::new(|_| true),
             max_file_bytes: u64::MAX,
@@ -337,12 +339,12 @@ impl Drop for Recorder {
 
 impl Options {
     /// Whether a service of the fleet is needed for any topic that is recorded.
-    fn wants(&self, kind: Kind, fleet: &str) -> bool {
+    fn wants(&self, kind: MessageKind, fleet: &str) -> bool {
         let choose = &self.choose;
         let on_alarm = self.snapshot.is_some_and(|snapshot| snapshot.on_alarm);
-        let alarms = on_alarm && kind == Kind::Diagnostics;
+        let alarms = on_alarm && kind == MessageKind::Diagnostics;
         // The journal tells which diagnostics were never sent.
-        let diagnostics = kind == Kind::Ticks && self.wants(Kind::Diagnostics, fleet);
+        let diagnostics = kind == MessageKind::Ticks && self.wants(MessageKind::Diagnostics, fleet);
         choose(&kind.topic(fleet, 0)) || self.per_robot || alarms || diagnostics
     }
 }
@@ -359,7 +361,7 @@ impl Shared {
             gaps.0.look(&item.fleet, &item.message)
         };
         let topic = item.topic();
-        let diagnostics = Kind::Diagnostics.topic(&item.fleet, 0);
+        let diagnostics = MessageKind::Diagnostics.topic(&item.fleet, 0);
         let unwritten = (!self.queue.push(item)).into();
         self.count(topic, found.missing, unwritten);
         if found.never_sent > 0 {
@@ -416,7 +418,7 @@ impl Shared {
 /// A file holds so many channels: whether those of all robots fit is known before the first.
 fn check_channels(config: &Config, options: &Options) -> Result<(), StartError> {
     let robots = u64::from(config.settings().capacity);
-    let needed = Kind::OF_FLEET.len() as u64 + 4 * robots;
+    let needed = MessageKind::OF_FLEET.len() as u64 + 4 * robots;
     let allowed = crate::writer::MOST_CHANNELS as u64;
     if options.per_robot && needed > allowed {
         return Err(StartError::TooManyChannels {

@@ -9,7 +9,7 @@ use joulebus_wire::{
 };
 
 use super::report::Loss;
-use crate::{Kind, Message};
+use crate::{Message, MessageKind};
 
 /// Ticks that a recorder may run ahead in one service before it looks at another: more than any
 /// service has room for.
@@ -56,7 +56,7 @@ pub(super) struct Assembler {
     runs: BTreeMap<u64, Run>,
     frames: FrameStore,
     /// The newest of each kind, by run; and whether all has come.
-    newest: HashMap<(u64, Kind), u64>,
+    newest: HashMap<(u64, MessageKind), u64>,
     /// The oldest and the newest frame of each run of each source.
     frame_range: HashMap<(u64, u64), (u64, u64)>,
     /// Where the recording begins: run and tick.
@@ -94,19 +94,19 @@ impl Assembler {
             Message::Samples(header, samples) => self.put(header, samples),
             Message::Ticks(header, taken) => {
                 let place = (header.worker_epoch, header.tick);
-                self.parts(place, Kind::Ticks).journal = Some((header, taken));
+                self.parts(place, MessageKind::Ticks).journal = Some((header, taken));
             }
             Message::Forecasts(header, rows) => {
                 let place = (header.worker_epoch, header.tick);
-                self.parts(place, Kind::Forecasts).forecasts = Some((header, rows));
+                self.parts(place, MessageKind::Forecasts).forecasts = Some((header, rows));
             }
             Message::Diagnostics(header, rows) => {
                 let place = (header.worker_epoch, header.tick);
-                self.parts(place, Kind::Diagnostics).diagnostics = Some((header, rows));
+                self.parts(place, MessageKind::Diagnostics).diagnostics = Some((header, rows));
             }
             Message::Budgets(header, rows) => {
                 let place = (header.worker_epoch, header.tick);
-                self.parts(place, Kind::Budgets).budgets = Some((header, rows));
+                self.parts(place, MessageKind::Budgets).budgets = Some((header, rows));
             }
             Message::State(header, bytes) => self.add_piece(header, &bytes),
             _ => return,
@@ -132,7 +132,7 @@ impl Assembler {
     }
 
     /// Why a message of `kind` is missing: lost, or not there because the run ended.
-    pub(super) fn lack(&self, (run, tick): (u64, u64), kind: Kind, lost: Loss) -> Loss {
+    pub(super) fn lack(&self, (run, tick): (u64, u64), kind: MessageKind, lost: Loss) -> Loss {
         let newest = self.newest.get(&(run, kind)).copied().unwrap_or_default();
         if self.is_over(run, tick) && tick > newest {
             Loss::End
@@ -160,7 +160,7 @@ impl Assembler {
     /// Whether nothing more comes of a run, and `tick` is among its last.
     fn is_over(&self, run: u64, tick: u64) -> bool {
         let newest = |kind| self.newest.get(&(run, kind)).copied().unwrap_or_default();
-        let last = newest(Kind::Ticks).max(newest(Kind::Forecasts));
+        let last = newest(MessageKind::Ticks).max(newest(MessageKind::Forecasts));
         let is_newest = self
             .runs
             .keys()
@@ -175,7 +175,7 @@ impl Assembler {
             .is_some_and(|(first_run, first)| run == first_run && tick < first + WINDOW)
     }
 
-    fn parts(&mut self, (worker_epoch, tick): (u64, u64), kind: Kind) -> &mut TickParts {
+    fn parts(&mut self, (worker_epoch, tick): (u64, u64), kind: MessageKind) -> &mut TickParts {
         let newest = self.newest.entry((worker_epoch, kind)).or_default();
         *newest = tick.max(*newest);
         self.first.get_or_insert((worker_epoch, tick));

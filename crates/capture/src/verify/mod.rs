@@ -13,11 +13,11 @@ mod what_if;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use joulebus_fleet::{Fleet, FleetState, Settings, SettingsError};
+use joulebus_fleet::{Fleet, FleetSettings, FleetState, SettingsError};
 use joulebus_predictor::Model;
 use joulebus_wire::{ForecastHeader, TakenFrame, TickHeader, tick_flag};
 
-use crate::{Entry, Kind};
+use crate::{Entry, MessageKind};
 use assemble::{Assembler, Event, SampleFrame, TickParts};
 use compare::FieldDifference;
 
@@ -56,7 +56,7 @@ impl Verifier {
     ///
     /// # Errors
     /// As [`Fleet::new`].
-    pub fn new(settings: Settings, models: Vec<Model>) -> Result<Self, SettingsError> {
+    pub fn new(settings: FleetSettings, models: Vec<Model>) -> Result<Self, SettingsError> {
         Ok(Self {
             fleet: Fleet::new(settings, models)?,
             at: None,
@@ -239,7 +239,10 @@ impl Verifier {
     fn lack(&self, next: &Waiting) -> Option<Loss> {
         let place = (next.worker_epoch, next.tick);
         let Some((header, taken)) = &next.parts.journal else {
-            return Some(self.assembler.lack(place, Kind::Ticks, Loss::Journal));
+            return Some(
+                self.assembler
+                    .lack(place, MessageKind::Ticks, Loss::Journal),
+            );
         };
         if header.unlisted > 0 {
             return Some(Loss::Unlisted);
@@ -274,10 +277,13 @@ impl Verifier {
         comparison.budgets(&self.fleet, &parts);
         let assembler = &self.assembler;
         for (kind, is_there) in [
-            (Kind::Forecasts, parts.forecasts.is_some()),
+            (MessageKind::Forecasts, parts.forecasts.is_some()),
             // Under overload the worker leaves them out, and says so.
-            (Kind::Diagnostics, parts.diagnostics.is_some() || sheds),
-            (Kind::Budgets, parts.budgets.is_some()),
+            (
+                MessageKind::Diagnostics,
+                parts.diagnostics.is_some() || sheds,
+            ),
+            (MessageKind::Budgets, parts.budgets.is_some()),
         ] {
             if !is_there {
                 let loss = assembler.lack(place, kind, Loss::Output);

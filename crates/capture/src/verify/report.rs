@@ -7,7 +7,7 @@ use joulebus_fleet::StateError;
 use serde::Serialize;
 
 use super::compare::FieldDifference;
-use crate::Kind;
+use crate::MessageKind;
 
 /// Losses and refused keyframes that are told one by one.
 const MOST_TOLD: usize = 20;
@@ -130,7 +130,7 @@ impl Verification {
         self.times = Some((first.min(log_time_ns), last.max(log_time_ns)));
     }
 
-    pub(super) fn note_kind(&mut self, kind: Kind) {
+    pub(super) fn note_kind(&mut self, kind: MessageKind) {
         if let Some(place) = OUTPUTS.iter().position(|output| *output == kind) {
             self.seen[place] = true;
         }
@@ -189,7 +189,7 @@ impl Verification {
         }
     }
 
-    pub(super) fn lack_output(&mut self, kind: Kind, (_, tick): (u64, u64), why: Loss) {
+    pub(super) fn lack_output(&mut self, kind: MessageKind, (_, tick): (u64, u64), why: Loss) {
         if why == Loss::End {
             self.ticks_cut_off += 1;
             return;
@@ -228,7 +228,11 @@ impl Verification {
     }
 }
 
-const OUTPUTS: [Kind; 3] = [Kind::Forecasts, Kind::Diagnostics, Kind::Budgets];
+const OUTPUTS: [MessageKind; 3] = [
+    MessageKind::Forecasts,
+    MessageKind::Diagnostics,
+    MessageKind::Budgets,
+];
 
 impl fmt::Display for Loss {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use joulebus_fleet::{Fleet, Settings, SettingsError};
+use joulebus_fleet::{Fleet, FleetSettings, SettingsError};
 use joulebus_predictor::Model;
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, tick_flag};
 use serde::Serialize;
@@ -16,15 +16,15 @@ use crate::Entry;
 #[derive(Debug)]
 pub struct WhatIf {
     assembler: Assembler,
-    recorded: Course,
-    other: Course,
+    recorded: RestartPolicy,
+    other: RestartPolicy,
     ticks: u64,
     frames_missing: u64,
 }
 
 /// One fleet on its way.
 #[derive(Debug)]
-struct Course {
+struct RestartPolicy {
     fleet: Fleet,
     robots: BTreeMap<u32, Standing>,
 }
@@ -90,12 +90,12 @@ impl WhatIf {
     /// # Errors
     /// As [`Fleet::new`].
     pub fn new(
-        settings: Settings,
+        settings: FleetSettings,
         models: Vec<Model>,
         others: Vec<Model>,
     ) -> Result<Self, SettingsError> {
-        let course = |settings, models| -> Result<Course, SettingsError> {
-            Ok(Course {
+        let course = |settings, models| -> Result<RestartPolicy, SettingsError> {
+            Ok(RestartPolicy {
                 fleet: Fleet::new(settings, models)?,
                 robots: BTreeMap::new(),
             })
@@ -149,7 +149,7 @@ impl WhatIf {
     }
 }
 
-impl Course {
+impl RestartPolicy {
     fn tick(&mut self, parts: &TickParts) {
         let Some((header, taken)) = &parts.journal else {
             return;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use joulebus_bus::{Domain, Inspection, NodeInfo, Ports, RoomError, check_room};
+use joulebus_bus::{CapacityError, Domain, Inspection, NodeInfo, Ports, check_capacity};
 use joulebus_config::Config;
 use joulebus_predictor_worker::load_models;
 use rustix::fs::{Access, access, statfs};
@@ -47,12 +47,12 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
         workers: usize::from(inspection.worker_pid.is_none()),
         planners,
     };
-    let room = match check_room(&limits, ports(1, 1)) {
+    let room = match check_capacity(&limits, ports(1, 1)) {
         Ok(room) => room,
         Err(error) => {
             let name = match error {
-                RoomError::Descriptors { .. } => "descriptors",
-                RoomError::Memory { .. } | RoomError::Look(_) => "shared memory",
+                CapacityError::Descriptors { .. } => "descriptors",
+                CapacityError::Memory { .. } | CapacityError::Look(_) => "shared memory",
             };
             return Check::new(name, Status::Fail, error.to_string(), "");
         }
@@ -67,8 +67,8 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
         room.descriptors_used,
         room.descriptors_limit,
     );
-    match check_room(&limits, ports(limits.max_sources, limits.max_planners)) {
-        Err(RoomError::Memory { needed, free }) => {
+    match check_capacity(&limits, ports(limits.max_sources, limits.max_planners)) {
+        Err(CapacityError::Memory { needed, free }) => {
             let what = format!(
                 "with all {} sources and {} planners it would be {:.1} MiB of {:.1} MiB",
                 limits.max_sources,
@@ -198,7 +198,7 @@ fn node_name(node: &NodeInfo) -> String {
 }
 
 /// What nobody uses any more, or nobody of ours.
-pub(super) fn leftovers(inspection: &Inspection) -> Check {
+pub(super) fn stale_files(inspection: &Inspection) -> Check {
     let name = "leftovers";
     if let Some(first) = inspection.foreign.first() {
         let (count, first) = (inspection.foreign.len(), first.display());
@@ -206,8 +206,8 @@ pub(super) fn leftovers(inspection: &Inspection) -> Check {
         let remedy = "have their owner remove them, or set another `root` or `prefix`";
         return Check::new(name, Status::Fail, found, remedy);
     }
-    if let Some(first) = inspection.stillborn.first() {
-        let (count, first) = (inspection.stillborn.len(), first.display());
+    if let Some(first) = inspection.incomplete.first() {
+        let (count, first) = (inspection.incomplete.len(), first.display());
         let found = format!("{count} unfinished objects, one is {first}: who opens one hangs");
         return Check::new(name, Status::Fail, found, FIX);
     }

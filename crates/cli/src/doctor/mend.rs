@@ -16,7 +16,7 @@ pub(super) fn mend(domain: &Domain) -> anyhow::Result<Vec<String>> {
     let swept = sweep(domain).context("cannot remove leftovers")?;
     for (count, what) in [
         (swept.dead_nodes, "nodes of dead processes removed"),
-        (swept.stillborn, "unfinished objects removed"),
+        (swept.incomplete, "unfinished objects removed"),
         (
             swept.objects,
             "objects of dead processes removed from shared memory",

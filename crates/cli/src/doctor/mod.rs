@@ -107,7 +107,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         fleet::root(&domain, &inspection),
         fleet::worker(&inspection),
         fleet::nodes(&inspection),
-        fleet::leftovers(&inspection),
+        fleet::stale_files(&inspection),
     ];
     checks.extend(host::clocks());
     checks.push(rights::scheduling(config.scheduling()));

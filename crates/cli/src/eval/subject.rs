@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use joulebus_config::Config;
-use joulebus_fleet::{Platform, Settings};
+use joulebus_fleet::{FleetSettings, Platform};
 use joulebus_lab::bootstrap::Bootstrap;
 use joulebus_lab::score::{Design, Options, Recording, ScoreError, Subject, read_recordings};
 use joulebus_lab::split::{Placed, Split, check_copies};
@@ -12,12 +12,12 @@ use joulebus_predictor::Model;
 use crate::config_file::ConfigFile;
 use crate::data::find_recordings;
 use crate::exit::UsageError;
-use crate::together::Together;
+use crate::split_unit::SplitUnit;
 use crate::trials::TrialFiles;
 
 /// Recordings, and how they are evaluated.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Asked {
+pub(crate) struct Selection {
     #[command(flatten)]
     trials: TrialFiles,
     #[command(flatten)]
@@ -25,7 +25,7 @@ pub(crate) struct Asked {
     /// Evaluate what a split holds out, and fit the baselines on the rest: what stays together when
     /// the recordings are split [default: evaluate all, baselines fitted on other trials in turn]
     #[arg(long, value_enum, value_name = "BY", conflicts_with = "fit")]
-    split: Option<Together>,
+    split: Option<SplitUnit>,
     /// Share that the split holds out, as in training
     #[arg(long, value_name = "SHARE", default_value_t = Split::default().held_out, requires = "split")]
     held_out: f64,
@@ -61,7 +61,7 @@ pub(crate) struct Section {
     platform: Option<Platform>,
     /// Its place in the config, which is that of its model.
     pub(crate) place: usize,
-    settings: Settings,
+    settings: FleetSettings,
     recordings: Vec<Recording>,
 }
 
@@ -82,7 +82,7 @@ impl Section {
     }
 }
 
-impl Asked {
+impl Selection {
     pub(crate) fn config(&self) -> anyhow::Result<Config> {
         self.config.load()
     }
@@ -110,7 +110,7 @@ impl Asked {
     /// config nor anybody's ids, they are taken as they were recorded.
     pub(crate) fn sections(
         &self,
-        settings: &Settings,
+        settings: &FleetSettings,
         model_named: bool,
     ) -> anyhow::Result<Vec<Section>> {
         let section = |platform, place, recordings| Section {

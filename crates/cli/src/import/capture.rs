@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use joulebus_bus::clock;
-use joulebus_capture::{Attachments, Clock, Message, Preset, Settings, Times, Writer};
+use joulebus_capture::{Attachments, CaptureSettings, Clock, Message, Preset, Times, Writer};
 use joulebus_config::Config;
 use joulebus_lab::trial::{Playback, Trial, TrialFleet};
 use joulebus_wire::{SCHEMA_VERSION, SampleHeader};
@@ -44,7 +44,7 @@ pub(super) fn write(
         .zip(&names)
         .map(|(id, name)| format!("{id} {name}"));
     attachments.tell("imported", robots.collect::<Vec<_>>().join(", "));
-    let settings = Settings::of(Preset::ZstdSmall);
+    let settings = CaptureSettings::of(Preset::ZstdSmall);
     let mut writer = Writer::create(path, settings, &attachments)
         .with_context(|| format!("cannot write {}", path.display()))?;
     let playback = Playback {

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use joulebus_lab::score::{Comparison, Verdict, compare};
 use serde::Serialize;
 
-use crate::eval::{Asked, load, usage};
+use crate::eval::{Selection, load, usage};
 use crate::exit::Outcome;
 use crate::output::Output;
 
@@ -29,7 +29,7 @@ pub(super) struct Args {
     #[arg(value_name = "NEW")]
     new: PathBuf,
     #[command(flatten)]
-    asked: Asked,
+    asked: Selection,
     /// End with 3 if the new model is worse by more than chance
     #[arg(long)]
     fail_worse: bool,

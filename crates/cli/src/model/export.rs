@@ -29,14 +29,14 @@ pub(crate) struct Args {
     /// What to write; a directory for npy
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Kind of file [default: by the ending of --out]
+    /// ExportFormat of file [default: by the ending of --out]
     #[arg(long, value_enum, value_name = "KIND")]
-    to: Option<Kind>,
+    to: Option<ExportFormat>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
-enum Kind {
+enum ExportFormat {
     /// Our own model file
     Safetensors,
     /// An archive of NumPy arrays
@@ -69,12 +69,12 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn by_ending(out: &Path) -> Result<Kind, UsageError> {
+fn by_ending(out: &Path) -> Result<ExportFormat, UsageError> {
     let ending = out.extension().and_then(|ending| ending.to_str());
     match ending {
-        Some("safetensors") => Ok(Kind::Safetensors),
-        Some("npz") => Ok(Kind::Npz),
-        Some("onnx") => Ok(Kind::Onnx),
+        Some("safetensors") => Ok(ExportFormat::Safetensors),
+        Some("npz") => Ok(ExportFormat::Npz),
+        Some("onnx") => Ok(ExportFormat::Onnx),
         _ => {
             let out = out.display();
             let what = format!("{out} does not end in .onnx, .npz or .safetensors");
@@ -84,12 +84,12 @@ fn by_ending(out: &Path) -> Result<Kind, UsageError> {
 }
 
 /// Writes the model; gives the bytes written.
-fn export(network: &Network, kind: Kind, out: &Path) -> anyhow::Result<usize> {
+fn export(network: &Network, kind: ExportFormat, out: &Path) -> anyhow::Result<usize> {
     let bytes = match kind {
-        Kind::Safetensors => network.to_safetensors()?,
-        Kind::Npz => to_npz(network)?,
-        Kind::Onnx => to_onnx(network)?,
-        Kind::Npy => return export_arrays(network, out),
+        ExportFormat::Safetensors => network.to_safetensors()?,
+        ExportFormat::Npz => to_npz(network)?,
+        ExportFormat::Onnx => to_onnx(network)?,
+        ExportFormat::Npy => return export_arrays(network, out),
     };
     write(out, &bytes)?;
     Ok(bytes.len())
@@ -119,7 +119,7 @@ fn export_arrays(network: &Network, folder: &Path) -> anyhow::Result<usize> {
 #[derive(Debug, Serialize)]
 struct ExportReport {
     file: String,
-    kind: Kind,
+    kind: ExportFormat,
     model: String,
     model_hash: String,
     bytes: usize,

@@ -33,7 +33,7 @@ struct HeardWorker {
 
 /// Whether there is room for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Room {
+pub(crate) enum SendWindow {
     /// There is.
     Free,
     /// There is no worker any more.
@@ -64,7 +64,7 @@ impl Flow {
     }
 
     /// Waits until the worker has answered enough for `frame`.
-    pub(crate) fn room(&mut self, frame: &[Sample], stop: &Stop) -> anyhow::Result<Room> {
+    pub(crate) fn room(&mut self, frame: &[Sample], stop: &Stop) -> anyhow::Result<SendWindow> {
         self.wait(stop, None, |window| window.has_room(frame))
     }
 
@@ -100,26 +100,26 @@ impl Flow {
         stop: &Stop,
         until_ns: Option<u64>,
         enough: impl Fn(&Window) -> bool,
-    ) -> anyhow::Result<Room> {
+    ) -> anyhow::Result<SendWindow> {
         let mut mention_ns = clock::monotonic_ns() + PATIENCE_NS;
         loop {
             self.hear()?;
             if enough(&self.window) {
-                return Ok(Room::Free);
+                return Ok(SendWindow::Free);
             }
             let now_ns = clock::monotonic_ns();
             if stop.is_asked() {
                 // What is on its way arrives all the same: nothing of it is lost.
                 self.window.forget();
-                return Ok(Room::Stopped);
+                return Ok(SendWindow::Stopped);
             }
             if self.is_gone()? {
                 self.unanswered += self.window.forget();
                 self.worker = None;
-                return Ok(Room::NoWorker);
+                return Ok(SendWindow::NoWorker);
             }
             if until_ns.is_some_and(|until_ns| now_ns >= until_ns) {
-                return Ok(Room::Free);
+                return Ok(SendWindow::Free);
             }
             if now_ns >= mention_ns {
                 say("the worker runs, but has answered nothing for 2 s; waiting for it");

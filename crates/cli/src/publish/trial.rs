@@ -9,7 +9,7 @@ use joulebus_config::Config;
 use joulebus_lab::trial::{Playback, Trial, TrialFleet};
 use joulebus_wire::Sample;
 
-use super::flow::{Flow, Room};
+use super::flow::{Flow, SendWindow};
 use super::link::{Fate, Link, say_nobody_reads};
 use super::report::{PlayedTrial, PublishReport};
 use super::window::Window;
@@ -322,10 +322,10 @@ impl Player {
     fn has_room(&mut self, part: &[Sample], stop: &Stop) -> anyhow::Result<bool> {
         while let Some(flow) = &mut self.flow {
             match flow.room(part, stop)? {
-                Room::Free => break,
-                Room::Stopped => return Ok(false),
-                Room::NoWorker if !self.waits => break,
-                Room::NoWorker => {
+                SendWindow::Free => break,
+                SendWindow::Stopped => return Ok(false),
+                SendWindow::NoWorker if !self.waits => break,
+                SendWindow::NoWorker => {
                     if !self.link.wait_for_worker(stop)? {
                         return Ok(false);
                     }

@@ -1,6 +1,6 @@
 //! Which topics are recorded.
 
-use joulebus_capture::Kind;
+use joulebus_capture::MessageKind;
 use regex::Regex;
 
 use crate::exit::UsageError;
@@ -14,7 +14,7 @@ pub(super) struct Choice {
 
 impl Choice {
     pub(super) fn new(topics: &[String], regex: Option<&str>) -> Result<Self, UsageError> {
-        let known = Kind::OF_FLEET.map(Kind::name);
+        let known = MessageKind::OF_FLEET.map(MessageKind::name);
         let stranger = topics
             .iter()
             .find(|topic| !topic.contains('/') && !known.contains(&topic.as_str()));

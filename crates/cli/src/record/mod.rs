@@ -1,8 +1,8 @@
 //! `joulebus record`: what goes through a fleet's shared memory, into a file.
 
-mod beside;
 mod choice;
 mod others;
+mod recorder_process;
 mod report;
 
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use joulebus_bus::clock;
 use joulebus_capture::record::{Options, Recorder, Snapshot, Summary, Target};
-use joulebus_capture::{Attachments, Clock, Preset, Settings};
+use joulebus_capture::{Attachments, CaptureSettings, Clock, Preset};
 use joulebus_config::Config;
 use signal_hook::consts::SIGUSR1;
 
@@ -22,9 +22,9 @@ use crate::exit::{Outcome, UsageError};
 use crate::output::{Format, Output, say};
 use crate::stop::Stop;
 
-pub(crate) use beside::Beside;
 use choice::Choice;
 use others::Others;
+pub(crate) use recorder_process::Beside;
 use report::Report;
 
 /// How often it is looked whether to end.
@@ -196,7 +196,7 @@ impl Args {
             return Err(UsageError("--snapshot 0 keeps nothing".to_owned()).into());
         }
         Ok(Options {
-            settings: Settings::of(self.preset),
+            settings: CaptureSettings::of(self.preset),
             per_robot: self.per_robot,
             choose: Arc::new(move |topic| choice.has(topic)),
             max_file_bytes: or_never(self.max_bag_size),

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
 
-use joulebus_capture::Kind;
+use joulebus_capture::MessageKind;
 
 use crate::exit::{Outcome, UsageError};
 use crate::output::Output;
@@ -70,7 +70,7 @@ pub(crate) struct Args {
     step: bool,
     /// Services to play: samples, forecasts, diagnostics, budgets [default: samples]
     #[arg(long, value_name = "TOPIC", num_args = 1.., value_parser = service)]
-    topics: Vec<Kind>,
+    topics: Vec<MessageKind>,
     /// Play a fleet under another name
     #[arg(short = 'm', long, value_name = "OLD:=NEW")]
     remap: Vec<Remap>,
@@ -88,18 +88,18 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 }
 
 /// What can be played.
-const PLAYED: [Kind; 4] = [
-    Kind::Samples,
-    Kind::Forecasts,
-    Kind::Diagnostics,
-    Kind::Budgets,
+const PLAYED: [MessageKind; 4] = [
+    MessageKind::Samples,
+    MessageKind::Forecasts,
+    MessageKind::Diagnostics,
+    MessageKind::Budgets,
 ];
 
 /// A service by its name or its whole topic.
-fn service(text: &str) -> Result<Kind, String> {
+fn service(text: &str) -> Result<MessageKind, String> {
     let name = text.rsplit('/').next().unwrap_or(text);
     let found = PLAYED.into_iter().find(|kind| kind.name() == name);
-    let names = PLAYED.map(Kind::name).join(", ");
+    let names = PLAYED.map(MessageKind::name).join(", ");
     found.ok_or_else(|| format!("{text:?} is none of {names}"))
 }
 
@@ -147,9 +147,9 @@ impl Args {
     }
 
     /// What is played.
-    fn kinds(&self) -> Vec<Kind> {
+    fn kinds(&self) -> Vec<MessageKind> {
         if self.topics.is_empty() {
-            vec![Kind::Samples]
+            vec![MessageKind::Samples]
         } else {
             self.topics.clone()
         }
@@ -182,8 +182,8 @@ mod tests {
 
     #[test]
     fn what_is_played_is_named_by_service_or_topic() {
-        assert_eq!(service("samples"), Ok(Kind::Samples));
-        assert_eq!(service("joulebus/lab/budgets"), Ok(Kind::Budgets));
+        assert_eq!(service("samples"), Ok(MessageKind::Samples));
+        assert_eq!(service("joulebus/lab/budgets"), Ok(MessageKind::Budgets));
         assert!(service("state").unwrap_err().contains("samples, forecasts"));
     }
 }

@@ -103,7 +103,7 @@ fn wish(event: &Event) -> Option<Wish> {
 /// Says when messages are due.
 pub(super) struct Pace {
     keys: Keys,
-    course: Course,
+    course: RestartPolicy,
     paused: bool,
     /// Steps asked for and not done.
     steps: u64,
@@ -111,7 +111,7 @@ pub(super) struct Pace {
 
 /// How recorded time lies in that of now.
 #[derive(Debug, Clone, Copy)]
-struct Course {
+struct RestartPolicy {
     rate: Rate,
     /// When the recorded time 0 is due, monotonic ns.
     zero_ns: u64,
@@ -120,7 +120,7 @@ struct Course {
     held_up_ns: u64,
 }
 
-impl Course {
+impl RestartPolicy {
     fn wall_ns(&self, recorded_ns: u64) -> u64 {
         match self.rate {
             Rate::Max => 0,
@@ -150,7 +150,7 @@ impl Pace {
     pub(super) fn new(rate: Rate, paused: bool, step: bool) -> anyhow::Result<Self> {
         Ok(Self {
             keys: Keys::open(paused, step)?,
-            course: Course {
+            course: RestartPolicy {
                 rate,
                 zero_ns: clock::monotonic_ns(),
                 align: true,
@@ -214,8 +214,8 @@ impl Pace {
 mod tests {
     use super::*;
 
-    fn course(rate: Rate) -> Course {
-        Course {
+    fn course(rate: Rate) -> RestartPolicy {
+        RestartPolicy {
             rate,
             zero_ns: 1_000_000,
             align: true,

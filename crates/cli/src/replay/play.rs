@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use joulebus_bus::{Domain, clock, set_timer_slack};
-use joulebus_capture::{Clock, Entry, Kind};
+use joulebus_capture::{Clock, Entry, MessageKind};
 use joulebus_config::Config;
 use joulebus_wire::Sample;
 
@@ -16,7 +16,7 @@ use super::report::PlayReport;
 use super::span::Place;
 use crate::exit::Outcome;
 use crate::output::{Output, say};
-use crate::publish::flow::{Flow, Room};
+use crate::publish::flow::{Flow, SendWindow};
 use crate::publish::window::Window;
 use crate::publish::{Passes, Rate};
 use crate::stop::Stop;
@@ -49,7 +49,7 @@ struct Player {
     flow: Option<Flow>,
     /// Whether to send no more than the worker answers.
     follows: bool,
-    kinds: Vec<Kind>,
+    kinds: Vec<MessageKind>,
     slower: f64,
     pace: Option<Pace>,
     rebase: Option<Rebase>,
@@ -66,9 +66,9 @@ struct Before {
 impl Before {
     fn keep(&mut self, entry: Entry) {
         let place = match entry.message.kind() {
-            Some(Kind::Budgets) => 0,
-            Some(Kind::Diagnostics) => 1,
-            Some(Kind::Forecasts) => 2,
+            Some(MessageKind::Budgets) => 0,
+            Some(MessageKind::Diagnostics) => 1,
+            Some(MessageKind::Forecasts) => 2,
             _ => return,
         };
         self.entries[place] = Some(entry);
@@ -93,7 +93,7 @@ impl Player {
         let ports = Ports::open(&domain, &limits, &kinds)?;
         let follows = args.rate.is_faster_than_recorded();
         // As the recorded worker there is no other to listen to.
-        let to_worker = kinds == [Kind::Samples];
+        let to_worker = kinds == [MessageKind::Samples];
         let window = Window::new(
             USUAL_WINDOW.min(config.buffer_frames()),
             usize::from(config.settings().intake.max_samples_per_tick),
@@ -238,7 +238,7 @@ impl Player {
     }
 
     /// Sends a message once the worker has room for it; false at a signal.
-    fn send(&mut self, entry: Entry, kind: Kind, stop: &Stop) -> anyhow::Result<bool> {
+    fn send(&mut self, entry: Entry, kind: MessageKind, stop: &Stop) -> anyhow::Result<bool> {
         if let joulebus_capture::Message::Samples(header, samples) = &entry.message {
             let epoch = self
                 .rebase
@@ -261,9 +261,9 @@ impl Player {
         };
         flow.follow(epoch);
         match flow.room(samples, stop)? {
-            Room::Free => Ok(true),
-            Room::Stopped => Ok(false),
-            Room::NoWorker => wait_for_worker(flow, stop),
+            SendWindow::Free => Ok(true),
+            SendWindow::Stopped => Ok(false),
+            SendWindow::NoWorker => wait_for_worker(flow, stop),
         }
     }
 

@@ -5,7 +5,7 @@ use joulebus_bus::{
     BudgetWriter, Bus, DiagnosticWriter, Domain, ForecastWriter, Limits, SampleWriter, SendError,
     Waker, WorkerLock, clock,
 };
-use joulebus_capture::{Kind, Message};
+use joulebus_capture::{Message, MessageKind};
 use joulebus_wire::{Sample, WakeEvent};
 
 use super::rebase::{Moment, Rebase};
@@ -45,15 +45,19 @@ pub(super) fn now() -> Moment {
 
 impl Ports {
     /// Opens what `kinds` need. As a worker only while there is no other.
-    pub(super) fn open(domain: &Domain, limits: &Limits, kinds: &[Kind]) -> anyhow::Result<Self> {
-        let as_worker = kinds.iter().any(|kind| *kind != Kind::Samples);
+    pub(super) fn open(
+        domain: &Domain,
+        limits: &Limits,
+        kinds: &[MessageKind],
+    ) -> anyhow::Result<Self> {
+        let as_worker = kinds.iter().any(|kind| *kind != MessageKind::Samples);
         let lock = as_worker
             .then(|| WorkerLock::acquire(domain))
             .transpose()
             .context("only samples can be played to a running worker")?;
         let bus = Bus::join(domain, "replay")?;
         let samples = kinds
-            .contains(&Kind::Samples)
+            .contains(&MessageKind::Samples)
             .then(|| bus.sample_writer(limits, limits.capacity))
             .transpose()?;
         let worker = as_worker

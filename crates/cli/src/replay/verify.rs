@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::Args;
 use super::files::Files;
 use crate::exit::Outcome;
-use crate::network;
+use crate::model_source;
 use crate::output::Output;
 
 /// A result, with what goes for all of them.
@@ -50,7 +50,7 @@ pub(super) fn verify(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 pub(super) fn compare(args: &Args, other: &Path, output: Output) -> anyhow::Result<Outcome> {
     let files = Files::open(&args.files, args.fleet.as_deref())?;
     let (config, _models) = files.config(args.config.as_ref())?;
-    let network = network::load(other)?;
+    let network = model_source::load(other)?;
     let settings = config.settings().clone();
     let others = vec![Model::Network(network); settings.platforms.len()];
     let mut what_if = WhatIf::new(settings, load_models(&config)?, others)?;

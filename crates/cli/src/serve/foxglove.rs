@@ -14,7 +14,7 @@ use std::time::Duration;
 use ::foxglove::{ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServer};
 use anyhow::Context as _;
 use joulebus_capture::record::{Options, Recorder, Target};
-use joulebus_capture::{Attachments, Clock, Entry, Preset, ReadError, Reader, Settings};
+use joulebus_capture::{Attachments, CaptureSettings, Clock, Entry, Preset, ReadError, Reader};
 use serde::Serialize;
 
 use super::{Args, warn_of};
@@ -55,7 +55,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let attachments = Attachments::of(std::slice::from_ref(&config), clock)?;
     let (reader, writer) = io::pipe().context("cannot make a pipe")?;
     let options = Options {
-        settings: Settings::of(Preset::FastWrite),
+        settings: CaptureSettings::of(Preset::FastWrite),
         per_robot: args.per_robot,
         choose: Arc::new(|_| true),
         max_file_bytes: u64::MAX,

@@ -6,8 +6,8 @@
 //! ([`end_with_stdin`]).
 
 mod child;
-mod course;
-mod leash;
+mod exit_with_parent;
+mod restart_policy;
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -19,9 +19,9 @@ use anyhow::Context as _;
 use joulebus_bus::clock;
 
 use child::Child;
-use course::{Course, Step};
+use restart_policy::{RestartPolicy, Step};
 
-pub(crate) use leash::end_with_stdin;
+pub(crate) use exit_with_parent::end_with_stdin;
 
 /// Hidden flag of every verb: end when stdin closes.
 const LEASH: &str = "--exit-with-stdin";
@@ -99,7 +99,7 @@ pub(crate) struct Ended {
 
 struct Job {
     task: Task,
-    course: Course,
+    course: RestartPolicy,
     child: Option<Child>,
     ended: Option<Ended>,
 }
@@ -132,7 +132,7 @@ impl Supervisor {
     pub(crate) fn add(&mut self, task: Task) {
         self.jobs.push(Job {
             task,
-            course: Course::new(clock::monotonic_ns()),
+            course: RestartPolicy::new(clock::monotonic_ns()),
             child: None,
             ended: None,
         });

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::{Subcommand, ValueEnum};
-use joulebus_lab::train::{Settings, SimulatedData, dataset_from_plant, settings_for_sim};
+use joulebus_lab::train::{SimulatedData, TrainSettings, dataset_from_plant, settings_for_sim};
 use joulebus_predictor::FeatureSet;
 
 use crate::exit::Outcome;
@@ -86,7 +86,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 
 fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
     sim.run.check()?;
-    let settings: Settings = settings_for_sim(sim.seed, sim.features.into());
+    let settings: TrainSettings = settings_for_sim(sim.seed, sim.features.into());
     let dataset = dataset_from_plant(SimulatedData::shipped(sim.seed));
     let start = Instant::now();
     let Some(trained) = sim.run.train(&dataset, &settings)? else {

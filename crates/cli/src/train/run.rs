@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use joulebus_lab::train::{Dataset, Epoch, Settings, Trained, Training};
+use joulebus_lab::train::{Dataset, Epoch, TrainSettings, Trained, Training};
 
 use super::beside;
 use crate::exit::UsageError;
@@ -44,7 +44,7 @@ impl Run {
     pub(super) fn train(
         &self,
         dataset: &Dataset,
-        settings: &Settings,
+        settings: &TrainSettings,
     ) -> anyhow::Result<Option<Trained>> {
         let stop = Stop::on_signals()?;
         let saved_at = beside(&self.out);
@@ -80,7 +80,7 @@ impl Run {
     fn begin(
         &self,
         dataset: &Dataset,
-        settings: &Settings,
+        settings: &TrainSettings,
         saved_at: &Path,
     ) -> anyhow::Result<Training> {
         if !self.resume {

@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Context as _;
 use joulebus_lab::rows::{trial_rows, write_rows};
 use joulebus_lab::split::{By, Dealt, PARTS, Placed, Source, Split, check_copies, group_of, split};
-use joulebus_lab::train::{Dataset, Row, Settings};
+use joulebus_lab::train::{Dataset, Row, TrainSettings};
 use joulebus_lab::trial::Trial;
 use serde::Deserialize;
 
@@ -16,7 +16,7 @@ use super::run::Run;
 use crate::data::find_recordings;
 use crate::exit::{Outcome, UsageError};
 use crate::output::{Output, say};
-use crate::together::Together;
+use crate::split_unit::SplitUnit;
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -38,7 +38,7 @@ pub(super) struct Args {
     hold_out: Vec<PathBuf>,
     /// What stays together when the recordings are split [default: as the recipe says, or trial]
     #[arg(long, value_enum, value_name = "BY", conflicts_with = "validate")]
-    split: Option<Together>,
+    split: Option<SplitUnit>,
     /// The recipe, a TOML file [default: the paper's]
     #[arg(long, value_name = "FILE")]
     recipe: Option<PathBuf>,
@@ -64,7 +64,7 @@ pub(super) struct Args {
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Recipe {
-    training: Settings,
+    training: TrainSettings,
     split: Split,
 }
 
@@ -100,7 +100,7 @@ impl Args {
         }
         if let Some(name) = &self.name {
             settings.name.clone_from(name);
-        } else if settings.name == Settings::default().name
+        } else if settings.name == TrainSettings::default().name
             && let Some(stem) = self.run.out.file_stem().and_then(|stem| stem.to_str())
         {
             stem.clone_into(&mut settings.name);

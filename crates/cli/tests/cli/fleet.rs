@@ -122,7 +122,7 @@ impl Fleet {
     }
 
     /// What is left of the fleet.
-    pub(crate) fn leftovers(&self) -> Vec<PathBuf> {
+    pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
         let shared = fs::read_dir("/dev/shm").unwrap().flatten();
         let ours = shared.map(|entry| entry.path()).filter(|path| {
             let name = path.file_name().unwrap().to_string_lossy();
@@ -135,7 +135,7 @@ impl Fleet {
 
 impl Drop for Fleet {
     fn drop(&mut self) {
-        for path in self.leftovers() {
+        for path in self.stale_files() {
             let _ = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(&path));
         }
     }

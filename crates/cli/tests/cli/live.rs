@@ -34,7 +34,7 @@ fn every_sample_played_as_fast_as_possible_is_accepted() {
     let report = json(&worker);
     assert_eq!(report["samples_accepted"], sent, "{report}");
     assert_eq!(report["samples_dropped"], serde_json::json!({}), "{report}");
-    assert!(fleet.leftovers().is_empty());
+    assert!(fleet.stale_files().is_empty());
 }
 
 #[test]
@@ -75,7 +75,7 @@ fn a_file_gets_the_robot_or_the_platform_that_stands_after_it() {
     ];
     assert_eq!(found, expected);
     assert_eq!(played["frames_unheard"], played["frames_sent"]);
-    assert!(fleet.leftovers().is_empty());
+    assert!(fleet.stale_files().is_empty());
 }
 
 #[test]
@@ -92,7 +92,7 @@ fn a_trial_waits_for_the_worker_and_loses_nothing() {
     assert_eq!(json(&played)["samples_sent"], 60);
     let report = json(&worker.end(Signal::INT));
     assert_eq!(report["samples_accepted"], 60, "{report}");
-    assert!(fleet.leftovers().is_empty());
+    assert!(fleet.stale_files().is_empty());
 }
 
 #[test]
@@ -125,7 +125,7 @@ fn a_worker_killed_under_a_fast_source_costs_at_most_the_window() {
     );
     assert_eq!(report["samples_sent"], 600);
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
-    assert!(fleet.leftovers().is_empty());
+    assert!(fleet.stale_files().is_empty());
 }
 
 #[test]
@@ -147,7 +147,7 @@ fn a_second_worker_ends_with_the_pid_of_the_first() {
         "{found}"
     );
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
-    assert!(fleet.leftovers().is_empty());
+    assert!(fleet.stale_files().is_empty());
 }
 
 #[test]
@@ -177,7 +177,7 @@ fn a_simulated_fleet_is_accepted_whole() {
         sim["samples_sent"].as_u64().unwrap(),
         "{report}"
     );
-    assert!(fleet.leftovers().is_empty());
+    assert!(fleet.stale_files().is_empty());
 }
 
 #[test]
@@ -204,7 +204,7 @@ fn a_signal_ends_a_source_cleanly() {
         let ended = source.end(signal);
         assert_eq!(code(&ended), 0, "{verb}: {}", stderr(&ended));
         assert_eq!(json(&ended)["fleet"], "cli", "{verb}");
-        assert!(fleet.leftovers().is_empty(), "{verb}");
+        assert!(fleet.stale_files().is_empty(), "{verb}");
     }
 }
 

@@ -135,7 +135,7 @@ fn wrong_usage_ends_with_2_and_without_a_result() {
             stderr(&refused)
         );
     }
-    assert_eq!(fleet.leftovers(), Vec::<std::path::PathBuf>::new());
+    assert_eq!(fleet.stale_files(), Vec::<std::path::PathBuf>::new());
 }
 
 #[test]
@@ -257,9 +257,9 @@ fn doctor_finds_a_fresh_place_well_and_leaves_nothing() {
     assert!(about("models").contains("gternal"));
     assert!(about("worker").contains("none runs"));
     assert_eq!(about("leftovers"), "none");
-    assert!(fleet.leftovers().is_empty());
+    assert!(fleet.stale_files().is_empty());
     assert_eq!(code(&fleet.output("doctor --fix")), 0);
-    assert!(fleet.leftovers().is_empty());
+    assert!(fleet.stale_files().is_empty());
 }
 
 #[test]
@@ -295,7 +295,7 @@ fn doctor_finds_what_dead_runs_left_and_mends_it() {
         stdout(&mended)
     );
     assert!(!fs::exists(&unfinished).unwrap());
-    assert!(fleet.leftovers().is_empty());
+    assert!(fleet.stale_files().is_empty());
 }
 
 #[test]

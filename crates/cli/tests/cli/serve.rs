@@ -3,7 +3,7 @@
 use std::net::TcpStream;
 use std::time::Duration;
 
-use joulebus_capture::{Kind, Message};
+use joulebus_capture::{Message, MessageKind};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest as _;
@@ -52,7 +52,7 @@ fn a_client_sees_the_channels_and_a_message_it_can_decode() {
     let mut client = connect(&address);
     let info = next_json(&mut client, "serverInfo");
     assert_eq!(info["name"], "joulebus cli");
-    let topic = Kind::Forecasts.topic("cli", 0);
+    let topic = MessageKind::Forecasts.topic("cli", 0);
     let channel = loop {
         let advertised = next_json(&mut client, "advertise");
         let channels = advertised["channels"].as_array().unwrap().clone();
@@ -64,7 +64,7 @@ fn a_client_sees_the_channels_and_a_message_it_can_decode() {
         }
     };
     assert_eq!(channel["encoding"], "protobuf");
-    assert_eq!(channel["schemaName"], Kind::Forecasts.schema());
+    assert_eq!(channel["schemaName"], MessageKind::Forecasts.schema());
     let subscribe = json!({
         "op": "subscribe",
         "subscriptions": [{ "id": 7, "channelId": channel["id"] }],
@@ -80,7 +80,7 @@ fn a_client_sees_the_channels_and_a_message_it_can_decode() {
         }
         assert_eq!(bytes[1..5], 7_u32.to_le_bytes());
         let Message::Forecasts(_, forecasts) =
-            Message::decode(Kind::Forecasts, &bytes[13..]).unwrap()
+            Message::decode(MessageKind::Forecasts, &bytes[13..]).unwrap()
         else {
             panic!("no forecasts");
         };
@@ -99,5 +99,5 @@ fn a_client_sees_the_channels_and_a_message_it_can_decode() {
     assert!(json(&served)["messages"].as_u64().unwrap() > 0);
     source.end(Signal::TERM);
     worker.end(Signal::TERM);
-    assert!(fleet.leftovers().is_empty());
+    assert!(fleet.stale_files().is_empty());
 }

@@ -5,7 +5,7 @@
 mod random;
 
 use joulebus_fleet::{
-    AlarmSettings, Battery, Fleet, Intake, IntervalSettings, Online, Platform, Settings,
+    AlarmSettings, Battery, Fleet, FleetSettings, Intake, IntervalSettings, Online, Platform,
 };
 use joulebus_predictor::{FeatureSet, Model};
 use joulebus_wire::{Budget, Diagnostic, Forecast, SCHEMA_VERSION, Sample, SampleHeader};
@@ -34,10 +34,11 @@ impl World {
         let model = Model::Network(random::network(1, FeatureSet::Full));
         let settings = settings(robots as u32);
         let models = vec![model.clone(); settings.platforms.len()];
-        let kinds = models.len() as u32;
-        let each = (robots as u32).div_ceil(kinds);
+        let contexts = models.len() as u32;
+        let each = (robots as u32).div_ceil(contexts);
         // Robots of all platforms in turn.
-        let ids = (0..each).flat_map(|place| (0..kinds).map(move |kind| kind * each + place));
+        let ids =
+            (0..each).flat_map(|place| (0..contexts).map(move |context| context * each + place));
         Self {
             fleet: Fleet::new(settings, models).expect("the settings are fine"),
             model,
@@ -81,11 +82,11 @@ fn asked_for(option: &str) -> bool {
     std::env::args().any(|argument| argument == option)
 }
 
-fn settings(capacity: u32) -> Settings {
+fn settings(capacity: u32) -> FleetSettings {
     let learning = asked_for("learning");
-    let kinds = if asked_for("mixed") { 3 } else { 1 };
-    let each = capacity.div_ceil(kinds);
-    Settings {
+    let contexts = if asked_for("mixed") { 3 } else { 1 };
+    let each = capacity.div_ceil(contexts);
+    FleetSettings {
         capacity,
         intake: Intake {
             max_samples_per_tick: 8,
@@ -109,10 +110,10 @@ fn settings(capacity: u32) -> Settings {
             clear_samples: 90,
             training_margin: 0.1,
         },
-        platforms: (0..kinds)
-            .map(|kind| Platform {
-                name: format!("wheeled-{kind}"),
-                robots: vec![kind * each..=kind * each + each - 1],
+        platforms: (0..contexts)
+            .map(|context| Platform {
+                name: format!("wheeled-{context}"),
+                robots: vec![context * each..=context * each + each - 1],
                 period_ns: PERIOD_NS,
                 stale_after_ns: 500 * MS,
                 hold_max_ns: 500 * MS,

@@ -1,6 +1,6 @@
 //! Windows side by side.
 
-use joulebus_predictor::{Freshness, LAGS};
+use joulebus_predictor::{LAGS, ReadingAge};
 use serde::{Deserialize, Serialize};
 
 use super::{Lags, Window};
@@ -27,7 +27,7 @@ pub(crate) struct ClosedLanes {
     unread_steps: Lanes<u16>,
     have: Lanes<u8>,
     commanded: Lanes<bool>,
-    freshness: [Lanes<u8>; 2],
+    reading_age: [Lanes<u8>; 2],
 }
 
 /// [`Lags`] of a block.
@@ -65,7 +65,7 @@ impl ClosedLanes {
     /// A window that was not run open loop.
     #[inline(always)]
     pub(crate) fn get(&self, lane: usize) -> Window {
-        let [age, interval] = &self.freshness;
+        let [age, interval] = &self.reading_age;
         Window {
             closed: Lags {
                 lag_w: self.closed.lags_w(lane),
@@ -78,7 +78,7 @@ impl ClosedLanes {
             unread_steps: self.unread_steps[lane],
             have: self.have[lane],
             commanded: self.commanded[lane],
-            freshness: Freshness::from_bytes([age[lane], interval[lane]]),
+            reading_age: ReadingAge::from_bytes([age[lane], interval[lane]]),
         }
     }
 
@@ -91,9 +91,9 @@ impl ClosedLanes {
         put(&mut self.unread_steps[lane], which, robot.unread_steps);
         put(&mut self.have[lane], which, robot.have);
         put(&mut self.commanded[lane], which, robot.commanded);
-        let [age, interval] = robot.freshness.to_bytes();
-        put(&mut self.freshness[0][lane], which, age);
-        put(&mut self.freshness[1][lane], which, interval);
+        let [age, interval] = robot.reading_age.to_bytes();
+        put(&mut self.reading_age[0][lane], which, age);
+        put(&mut self.reading_age[1][lane], which, interval);
     }
 }
 

@@ -148,10 +148,10 @@ fn start(platform: &Platform, model: &Model) -> [f32; 4] {
         return [0.0; 4];
     };
     let card = network.card();
-    let share = |r2: f32| ((1.0 - r2) / (1.0 - card.scores.network_r2)).clamp(0.0, 10.0);
+    let shard = |r2: f32| ((1.0 - r2) / (1.0 - card.scores.network_r2)).clamp(0.0, 10.0);
     let error = [
-        share(card.scores.persistence_r2),
-        card.linear.map_or(f32::INFINITY, |linear| share(linear.r2)),
+        shard(card.scores.persistence_r2),
+        card.linear.map_or(f32::INFINITY, |linear| shard(linear.r2)),
         1.0,
         if platform.online.adapt {
             1.0

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_fleet::{Platform, Settings};
+use joulebus_fleet::{FleetSettings, Platform};
 use joulebus_predictor::Model;
 use joulebus_wire::{DropReason, InvalidReason, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
@@ -12,7 +12,7 @@ use crate::robot::{Account, Robot};
 #[derive(Debug)]
 pub(crate) struct Member {
     pub robot: Robot,
-    pub kind: usize,
+    pub context: usize,
     owner: u64,
     epoch: u64,
     seqs: Vec<u64>,
@@ -26,7 +26,7 @@ pub(crate) struct Member {
 }
 
 pub(crate) struct Oracle {
-    settings: Settings,
+    settings: FleetSettings,
     pub models: Vec<Model>,
     pub members: BTreeMap<u32, Member>,
     pub departed: BTreeMap<u32, Account>,
@@ -38,7 +38,7 @@ pub(crate) struct Oracle {
 }
 
 impl Oracle {
-    pub(crate) fn new(settings: Settings, models: Vec<Model>) -> Self {
+    pub(crate) fn new(settings: FleetSettings, models: Vec<Model>) -> Self {
         Self {
             settings,
             models,
@@ -120,14 +120,14 @@ impl Oracle {
         if self.members.contains_key(&id) {
             return Ok(());
         }
-        let kind = self.kind_of(id).ok_or(DropReason::UnknownRobot)?;
+        let context = self.kind_of(id).ok_or(DropReason::UnknownRobot)?;
         if self.members.len() == self.settings.capacity as usize {
             return Err(DropReason::OverCapacity);
         }
         let account = self.departed.remove(&id).unwrap_or_default();
         let member = Member {
-            robot: Robot::new(self.settings.platforms[kind].clone(), account),
-            kind,
+            robot: Robot::new(self.settings.platforms[context].clone(), account),
+            context,
             owner: header.source_id,
             epoch: header.source_epoch,
             seqs: Vec::new(),
@@ -189,7 +189,7 @@ impl Oracle {
         member.fresh_run = false;
         member.taken += 1;
         (member.heard_ns, member.invalid) = (now_ns, None);
-        member.robot.accept(&sample, &self.models[member.kind]);
+        member.robot.accept(&sample, &self.models[member.context]);
         Ok(())
     }
 

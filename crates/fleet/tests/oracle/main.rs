@@ -185,7 +185,9 @@ fn compare_forecast(
 ) -> Result<(), TestCaseError> {
     let found = world::forecast(fleet, id);
     let silent_ns = now_ns - member.heard_ns;
-    let (mut quality, mut power_w) = member.robot.shown(&oracle.models[member.kind], silent_ns);
+    let (mut quality, mut power_w) = member
+        .robot
+        .shown(&oracle.models[member.context], silent_ns);
     let stale = silent_ns > member.robot.platform.stale_after_ns;
     if let Some(reason) = member.invalid.filter(|_| !stale) {
         (quality, power_w) = (Quality::Invalid(reason), None);

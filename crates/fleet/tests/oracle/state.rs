@@ -177,7 +177,7 @@ proptest! {
 fn another_fleets_state_is_refused_with_both_numbers() {
     let state = world::fleet(CAPACITY).state();
     let refused = |fleet: &mut Fleet| fleet.restore_state(&state).expect_err("another fleet");
-    let with = |change: &dyn Fn(&mut joulebus_fleet::Settings)| {
+    let with = |change: &dyn Fn(&mut joulebus_fleet::FleetSettings)| {
         let mut settings = world::settings(CAPACITY);
         change(&mut settings);
         let models = world::models().into_iter().take(settings.platforms.len());
@@ -197,10 +197,11 @@ fn another_fleets_state_is_refused_with_both_numbers() {
             expected: 2
         }
     );
-    let sensitive = &|settings: &mut joulebus_fleet::Settings| settings.alarms.cusum_limit += 0.5;
+    let sensitive =
+        &|settings: &mut joulebus_fleet::FleetSettings| settings.alarms.cusum_limit += 0.5;
     assert!(matches!(
         refused(&mut with(sensitive)),
-        StateError::Settings { .. }
+        StateError::FleetSettings { .. }
     ));
     let mut models = world::models();
     models.swap(0, 2);

@@ -5,7 +5,7 @@
 pub(crate) mod random;
 
 use joulebus_fleet::{
-    AlarmSettings, Battery, Fleet, Intake, IntervalSettings, Online, Platform, Settings,
+    AlarmSettings, Battery, Fleet, FleetSettings, Intake, IntervalSettings, Online, Platform,
 };
 use joulebus_predictor::{FeatureSet, Kernel, Model, Persistence, ResidualStats};
 use joulebus_wire::{Budget, Diagnostic, Forecast, Quality, SCHEMA_VERSION, Sample, SampleHeader};
@@ -45,8 +45,8 @@ fn platform(name: &str, first: u32, period_ns: u64) -> Platform {
 
 /// Robots 0 to 99 need velocities and have a battery, 100 to 199 need none and regenerate, 200 to
 /// 299 repeat their last reading.
-pub(crate) fn settings(capacity: u32) -> Settings {
-    Settings {
+pub(crate) fn settings(capacity: u32) -> FleetSettings {
+    FleetSettings {
         capacity,
         intake: Intake {
             max_samples_per_tick: 4,
@@ -123,7 +123,7 @@ fn models_of([first, second]: [FeatureSet; 2]) -> Vec<Model> {
 
 /// As [`settings`], with all that can be learned online: the first platform's robots a mixture, a level
 /// and a gain, the second's a level and a gain.
-pub(crate) fn learning(capacity: u32) -> Settings {
+pub(crate) fn learning(capacity: u32) -> FleetSettings {
     let mut settings = settings(capacity);
     settings.platforms[0].online = Online {
         mixture: true,

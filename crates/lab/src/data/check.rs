@@ -8,7 +8,7 @@ use serde::Serialize;
 use sha2::{Digest as _, Sha256};
 
 use super::constant::only_value;
-use super::finding::{Finding, Kind, Place};
+use super::finding::{Finding, FindingKind, Place};
 use super::hold::runs;
 use super::limits::Limits;
 use super::units::{power_check, suspicions};
@@ -40,7 +40,7 @@ impl Check {
 
     /// What was found of a kind, if anything.
     #[must_use]
-    pub fn finding(&self, kind: Kind) -> Option<&Finding> {
+    pub fn finding(&self, kind: FindingKind) -> Option<&Finding> {
         self.findings.iter().find(|finding| finding.kind == kind)
     }
 }
@@ -63,7 +63,7 @@ pub fn check_files(files: &[PathBuf], limits: &Limits, places: usize) -> Check {
         for digest in &looked.digests {
             if let Some(first) = first_with.insert(*digest, file) {
                 let what = format!("the rows of {}", first.display());
-                all.merge(&single(Kind::Copy, file, what));
+                all.merge(&single(FindingKind::Copy, file, what));
                 first_with.insert(*digest, first);
             }
         }
@@ -100,7 +100,7 @@ fn look(file: &Path, limits: &Limits, places: usize) -> Looked {
             let prefix = format!("{}: ", file.display());
             let what = text.strip_prefix(&prefix).unwrap_or(&text).to_owned();
             Looked {
-                findings: vec![single(Kind::Unreadable, file, what)],
+                findings: vec![single(FindingKind::Unreadable, file, what)],
                 ..Looked::default()
             }
         }
@@ -135,7 +135,7 @@ fn in_one_file(mut findings: Vec<Finding>) -> Vec<Finding> {
     findings
 }
 
-fn single(kind: Kind, file: &Path, what: String) -> Finding {
+fn single(kind: FindingKind, file: &Path, what: String) -> Finding {
     let mut finding = Finding::new(kind);
     (finding.count, finding.files) = (1, 1);
     finding.places = vec![Place {
@@ -166,7 +166,7 @@ fn digest(trial: &Trial) -> [u8; 32] {
 /// Findings by kind, with their first places.
 struct Findings {
     places: usize,
-    kinds: BTreeMap<Kind, Finding>,
+    kinds: BTreeMap<FindingKind, Finding>,
 }
 
 impl Findings {
@@ -177,7 +177,7 @@ impl Findings {
         }
     }
 
-    fn add(&mut self, kind: Kind, count: usize, place: impl FnOnce() -> Place) {
+    fn add(&mut self, kind: FindingKind, count: usize, place: impl FnOnce() -> Place) {
         if count == 0 {
             return;
         }
@@ -202,7 +202,7 @@ impl Findings {
             .extend(other.places.iter().take(room).cloned());
     }
 
-    /// Faults first, each in the order of [`Kind`].
+    /// Faults first, each in the order of [`FindingKind`].
     fn finish(self) -> Vec<Finding> {
         let (faults, others): (Vec<_>, Vec<_>) =
             self.kinds.into_values().partition(|finding| finding.fault);
@@ -219,7 +219,7 @@ pub fn check_trial(trial: &Trial, limits: &Limits, places: usize) -> Vec<Finding
     check_columns(trial, limits, &mut found);
     check_power(trial, limits, &mut found);
     for (column, what) in suspicions(trial) {
-        found.add(Kind::Unit, 1, || whole(trial, column, what));
+        found.add(FindingKind::Unit, 1, || whole(trial, column, what));
     }
     check_file(trial, &mut found);
     in_one_file(found.finish())
@@ -248,10 +248,10 @@ fn check_times(trial: &Trial, found: &mut Findings) {
         let step_ns = now_ns - offset_ns[latest];
         let (now_s, latest_row) = (trial.timestamp_s()[row], trial.file_row(latest));
         match step_ns {
-            0 => found.add(Kind::TimeRepeated, 1, || {
+            0 => found.add(FindingKind::TimeRepeated, 1, || {
                 at(trial, row, None, format!("{now_s} s, as row {latest_row}"))
             }),
-            ..0 => found.add(Kind::TimeBackward, 1, || {
+            ..0 => found.add(FindingKind::TimeBackward, 1, || {
                 let back_s = -step_ns as f64 / 1e9;
                 let what = format!("{now_s} s, {back_s:.6} s before row {latest_row}");
                 at(trial, row, None, what)
@@ -264,7 +264,7 @@ fn check_times(trial: &Trial, found: &mut Findings) {
         (0..trial.rows()).find(|row| trial.file_row(*row) == file_row)
     };
     for gap in &trial.notes().gaps {
-        found.add(Kind::Gap, 1, || {
+        found.add(FindingKind::Gap, 1, || {
             let length_s = gap.length_ns as f64 / 1e9;
             let periods = gap.length_ns as f64 / trial.period_ns() as f64;
             let what = format!("{length_s:.3} s without a row, {periods:.1} periods");
@@ -280,13 +280,13 @@ fn check_readings(trial: &Trial, limits: &Limits, found: &mut Findings) {
     let time_s = trial.timestamp_s();
     for run in &runs {
         if run.rows > 1 {
-            found.add(Kind::Held, run.rows - 1, || {
+            found.add(FindingKind::Held, run.rows - 1, || {
                 at(trial, run.from, None, format!("for {} rows", run.rows))
             });
         }
         let stands_s = time_s[run.from + run.rows - 1] - time_s[run.from];
         if stands_s > limits.stuck_s && run.rows > limits.stuck_holds * usual {
-            found.add(Kind::Stuck, 1, || {
+            found.add(FindingKind::Stuck, 1, || {
                 let what = format!("for {stands_s:.1} s, {} rows; usually {usual}", run.rows);
                 at(trial, run.from, Some(Column::Power), what)
             });
@@ -295,7 +295,7 @@ fn check_readings(trial: &Trial, limits: &Limits, found: &mut Findings) {
     let power_w = trial.column(Column::Power);
     let missing = |row: &usize| power_w.is_none_or(|values| values[*row].is_nan());
     for row in (0..trial.rows()).filter(missing) {
-        found.add(Kind::MissingReading, 1, || {
+        found.add(FindingKind::MissingReading, 1, || {
             at(trial, row, Some(Column::Power), "not recorded".to_owned())
         });
     }
@@ -304,7 +304,7 @@ fn check_readings(trial: &Trial, limits: &Limits, found: &mut Findings) {
 fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
     for column in Column::ALL {
         let Some(values) = trial.column(column) else {
-            found.add(Kind::MissingColumn, 1, || {
+            found.add(FindingKind::MissingColumn, 1, || {
                 whole(trial, Some(column), "no value in any row".to_owned())
             });
             continue;
@@ -314,11 +314,11 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
             if value.is_nan() {
                 // Power has a kind of its own.
                 let counts = usize::from(column != Column::Power);
-                found.add(Kind::MissingValue, counts, || {
+                found.add(FindingKind::MissingValue, counts, || {
                     at(trial, row, Some(column), "not recorded".to_owned())
                 });
             } else if let Some(range) = range.filter(|range| !range.holds(*value)) {
-                found.add(Kind::OutOfRange, 1, || {
+                found.add(FindingKind::OutOfRange, 1, || {
                     let what = format!(
                         "{value} in SI units; from {} to {} can be true",
                         range.least, range.greatest
@@ -328,7 +328,7 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
             }
         }
         if let Some(value) = only_value(trial, column) {
-            found.add(Kind::ConstantColumn, 1, || {
+            found.add(FindingKind::ConstantColumn, 1, || {
                 whole(trial, Some(column), format!("always {value} in SI units"))
             });
         }
@@ -353,7 +353,7 @@ fn check_power(trial: &Trial, limits: &Limits, found: &mut Findings) {
             .power_step_w
             .max(limits.power_share * product_w.abs());
         if away_w > allowed_w {
-            found.add(Kind::PowerMismatch, 1, || {
+            found.add(FindingKind::PowerMismatch, 1, || {
                 let what = format!("{power_w:.4} W; voltage times current is {product_w:.4} W");
                 at(trial, row, Some(Column::Power), what)
             });
@@ -368,18 +368,22 @@ fn check_file(trial: &Trial, found: &mut Findings) {
         ..whole(trial, None, "not read".to_owned())
     };
     for column in &notes.ignored_columns {
-        found.add(Kind::UnknownColumn, 1, || name(column));
+        found.add(FindingKind::UnknownColumn, 1, || name(column));
     }
-    found.add(Kind::CutOff, usize::from(notes.no_final_line_break), || {
-        let last = trial.rows() - 1;
-        at(
-            trial,
-            last,
-            None,
-            "the last line has no line break".to_owned(),
-        )
-    });
-    found.add(Kind::UnnamedRow, notes.unnamed_rows, || {
+    found.add(
+        FindingKind::CutOff,
+        usize::from(notes.no_final_line_break),
+        || {
+            let last = trial.rows() - 1;
+            at(
+                trial,
+                last,
+                None,
+                "the last line has no line break".to_owned(),
+            )
+        },
+    );
+    found.add(FindingKind::UnnamedRow, notes.unnamed_rows, || {
         let robot = trial.robot_name().unwrap_or_default();
         let what = format!("{} rows; the others are of {robot:?}", notes.unnamed_rows);
         whole(trial, None, what)

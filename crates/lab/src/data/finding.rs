@@ -8,7 +8,7 @@ use serde::Serialize;
 /// What was found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Kind {
+pub enum FindingKind {
     /// A file that is no recording.
     Unreadable,
     /// The rows of another file again.
@@ -45,7 +45,7 @@ pub enum Kind {
     Held,
 }
 
-impl Kind {
+impl FindingKind {
     /// Whether it is a fault: something that a researcher has to know before the recording is used.
     /// The rest is how the recording is.
     #[must_use]
@@ -57,7 +57,7 @@ impl Kind {
     }
 }
 
-impl fmt::Display for Kind {
+impl fmt::Display for FindingKind {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
             Self::Unreadable => "files that are no recordings",
@@ -111,7 +111,7 @@ impl fmt::Display for Place {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
     /// What.
-    pub kind: Kind,
+    pub kind: FindingKind,
     /// Whether it is a fault.
     pub fault: bool,
     /// How often.
@@ -123,7 +123,7 @@ pub struct Finding {
 }
 
 impl Finding {
-    pub(super) const fn new(kind: Kind) -> Self {
+    pub(super) const fn new(kind: FindingKind) -> Self {
         Self {
             kind,
             fault: kind.is_fault(),

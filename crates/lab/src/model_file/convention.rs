@@ -15,7 +15,7 @@ use std::str::FromStr;
 use super::{Found, Statistics};
 use crate::trial::Trial;
 use joulebus_predictor::{
-    Card, FEATURES, FeatureSet, INPUTS, LAGS, Layer, ModelError, Network, Normalisation,
+    FEATURES, FeatureSet, INPUTS, LAGS, Layer, ModelCard, ModelError, Network, Normalisation,
     Parameters, TrainingRange,
 };
 
@@ -581,7 +581,7 @@ fn file_place(feature: usize, set: FeatureSet, convention: &Convention) -> usize
     }
 }
 
-fn network(candidate: &Candidate, card: Card) -> Result<Network, ChooseError> {
+fn network(candidate: &Candidate, card: ModelCard) -> Result<Network, ChooseError> {
     Network::new(candidate.parameters.clone(), card).map_err(|source| ChooseError::Model {
         convention: candidate.convention,
         source,
@@ -589,7 +589,7 @@ fn network(candidate: &Candidate, card: Card) -> Result<Network, ChooseError> {
 }
 
 /// A card for a network that is only tried.
-fn placeholder(feature_set: FeatureSet) -> Card {
+fn placeholder(feature_set: FeatureSet) -> ModelCard {
     score::empty_card(TrainingRange {
         feature_set,
         min: [0.0; INPUTS],

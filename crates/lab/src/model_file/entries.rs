@@ -1,6 +1,6 @@
 //! The tree in a file as a list of paths.
 
-use super::npy::Kind;
+use super::npy::ElementType;
 use super::pickle::{Id, Pickle, Storage, Storages, Value};
 use super::{Container, Entry, EntryValue, ReadError, Tensor, npy};
 
@@ -21,7 +21,7 @@ pub(super) type Fetch<'a> = &'a dyn Fn(&Storage) -> Result<&'a [u8], String>;
 /// What a NumPy file holds.
 pub(super) fn of_npy(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
     let header = npy::header("", bytes)?;
-    if header.kind != Kind::Objects {
+    if header.kind != ElementType::Objects {
         let (path, value) = (String::new(), npy::value("", bytes)?);
         return Ok(vec![Entry { path, value }]);
     }

@@ -11,7 +11,7 @@ const ALIGNMENT: usize = 64;
 
 /// What an array is made of.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum ElementType {
     Numbers(Element),
     /// A pickle.
     Objects,
@@ -21,7 +21,7 @@ pub(super) enum Kind {
 
 /// What the header says.
 pub(super) struct Header {
-    pub(super) kind: Kind,
+    pub(super) kind: ElementType,
     pub(super) big_endian: bool,
     pub(super) fortran_order: bool,
     pub(super) shape: Vec<usize>,
@@ -86,15 +86,15 @@ pub(super) fn header(name: &str, bytes: &[u8]) -> Result<Header, ReadError> {
 }
 
 /// The element type that NumPy writes so.
-fn kind(descr: &str) -> Option<Kind> {
+fn kind(descr: &str) -> Option<ElementType> {
     if descr == "|O" {
-        return Some(Kind::Objects);
+        return Some(ElementType::Objects);
     }
     if let Some(length) = descr.strip_prefix("|S") {
-        return size(length).map(Kind::Text);
+        return size(length).map(ElementType::Text);
     }
     let code = descr.strip_prefix(['<', '>', '|'])?;
-    Element::from_code(code).map(Kind::Numbers)
+    Element::from_code(code).map(ElementType::Numbers)
 }
 
 /// Element type, order and shape, if the text is written as NumPy writes it.
@@ -137,10 +137,14 @@ pub(super) fn value(name: &str, bytes: &[u8]) -> Result<EntryValue, ReadError> {
     };
     let shape = header.shape;
     let (size, what) = match header.kind {
-        Kind::Numbers(element) => (element.size(), element.name()),
-        Kind::Text(length) if shape.is_empty() => (length, "text"),
-        Kind::Text(_) => return Err(bad("found an array of texts, allowed: one text".to_owned())),
-        Kind::Objects => return Err(bad("found objects, allowed: numbers and text".to_owned())),
+        ElementType::Numbers(element) => (element.size(), element.name()),
+        ElementType::Text(length) if shape.is_empty() => (length, "text"),
+        ElementType::Text(_) => {
+            return Err(bad("found an array of texts, allowed: one text".to_owned()));
+        }
+        ElementType::Objects => {
+            return Err(bad("found objects, allowed: numbers and text".to_owned()));
+        }
     };
     let needed = product(&shape).and_then(|count| count.checked_mul(size));
     if needed != Some(contents.len()) {
@@ -150,7 +154,7 @@ pub(super) fn value(name: &str, bytes: &[u8]) -> Result<EntryValue, ReadError> {
         return Err(bad(detail));
     }
     match header.kind {
-        Kind::Numbers(element) => {
+        ElementType::Numbers(element) => {
             let (big_endian, fortran_order) = (header.big_endian, header.fortran_order);
             let tensor = Tensor::dense(shape, element, contents, big_endian, fortran_order);
             Ok(EntryValue::Tensor(tensor))

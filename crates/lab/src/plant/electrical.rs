@@ -50,7 +50,7 @@ pub(super) struct Electrical {
     electronics_w: f64,
     friction: f64,
     thermal: f64,
-    processor: f64,
+    simd_level: f64,
     wheels_mps: [f64; 2],
     motors_w: f64,
     burst: Burst,
@@ -64,7 +64,7 @@ impl Electrical {
             electronics_w: ELECTRONICS_W + ELECTRONICS_SPREAD_W * noise.normal().clamp(-2.5, 2.5),
             friction: 1.0 + FRICTION_SPREAD * noise.normal().clamp(-2.5, 2.5),
             thermal: noise.normal(),
-            processor: noise.normal(),
+            simd_level: noise.normal(),
             wheels_mps: [0.0; 2],
             motors_w: 0.0,
             burst: Burst::new(BURST_EVERY_S, BURST_LENGTH_S, BURST_W, noise),
@@ -78,7 +78,7 @@ impl Electrical {
             return;
         }
         self.thermal = drifted(self.thermal, THERMAL_TIME_S, dt_s, noise);
-        self.processor = drifted(self.processor, PROCESSOR_TIME_S, dt_s, noise);
+        self.simd_level = drifted(self.simd_level, PROCESSOR_TIME_S, dt_s, noise);
         self.turn_wheels(dt_s, command);
         self.burst.advance(dt_s, noise);
         self.inrush.advance(dt_s, noise);
@@ -109,7 +109,7 @@ impl Electrical {
     fn power_w(&self) -> f64 {
         self.electronics_w
             + THERMAL_MEAN_W * self.thermal * self.thermal
-            + PROCESSOR_MEAN_W * self.processor * self.processor
+            + PROCESSOR_MEAN_W * self.simd_level * self.simd_level
             + self.motors_w
             + self.burst.power_w
             + self.inrush.power_w

@@ -68,7 +68,7 @@ impl Mission {
         self.command
     }
 
-    /// Moves the robot under the command in force.
+    /// QuantileStep the robot under the command in force.
     pub(super) fn drive(&mut self, dt_s: f64) {
         let Command { v_mps, omega_radps } = self.command;
         self.x_m += v_mps * dt_s * libm::cos(self.heading_rad);

@@ -17,7 +17,7 @@ use super::scenario;
 use crate::linear::{Linear, Terms};
 use crate::metrics::{Tally, quantile, sorted};
 use crate::rows::trial_rows;
-use crate::train::{Dataset, Row, Settings, TrainError, Training};
+use crate::train::{Dataset, Row, TrainError, TrainSettings, Training};
 use crate::trial::{Column, Trial};
 
 /// Seed of the published table: the first for which every figure lies in its band.
@@ -236,7 +236,7 @@ pub fn papers_split(rows: &[Vec<Row>], description: &str) -> Dataset {
 /// [`TrainError`], which the plant's data does not cause.
 pub fn trained(rows: &[Vec<Row>], seed: u64) -> Result<Network, TrainError> {
     let dataset = papers_split(rows, &format!("simulated trials 1-4 / 5 / 6, seed {seed}"));
-    let settings = Settings::new("gternal-trials", "simulation", FeatureSet::Full, seed);
+    let settings = TrainSettings::new("gternal-trials", "simulation", FeatureSet::Full, seed);
     let mut training = Training::new(&dataset, &settings, 0)?;
     while !training.is_done() {
         training.epoch()?;

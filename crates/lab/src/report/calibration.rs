@@ -1,6 +1,6 @@
 //! Figure 7: whether intervals and forecasts mean what they say.
 
-use joulebus_fleet::{Platform, Settings};
+use joulebus_fleet::{FleetSettings, Platform};
 use joulebus_predictor::Model;
 use rayon::prelude::*;
 
@@ -33,9 +33,9 @@ pub(super) struct Level {
 /// Lets the live path make intervals of every level, on every recording.
 ///
 /// # Errors
-/// Settings that are refused.
+/// FleetSettings that are refused.
 pub(super) fn levels(
-    settings: &Settings,
+    settings: &FleetSettings,
     platform: Option<&Platform>,
     model: &Model,
     recordings: &[Recording],
@@ -68,7 +68,7 @@ pub(super) fn levels(
 }
 
 fn live(
-    settings: &Settings,
+    settings: &FleetSettings,
     platform: Option<&Platform>,
     model: &Model,
     recording: &Recording,

@@ -1,11 +1,11 @@
 //! A report on recordings.
 
-use joulebus_fleet::{Platform, Settings};
+use joulebus_fleet::{FleetSettings, Platform};
 use joulebus_predictor::Model;
 
 use super::document::{Cell, Column, Document, Part, Section, Table};
 use super::material::{BASELINES, Material};
-use super::robots::Kind;
+use super::robots::Grouping;
 use super::unit::Unit;
 use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
 use crate::score::{Design, Options, Recording, Scored, Subject, score};
@@ -14,7 +14,7 @@ use crate::score::{Design, Options, Recording, Scored, Subject, score};
 #[derive(Debug, Clone)]
 pub struct Recorded<'a> {
     /// Intake and intervals of the live path; its platforms do not count.
-    pub settings: &'a Settings,
+    pub settings: &'a FleetSettings,
     /// The kind of robot; none takes period and limits from each recording.
     pub platform: Option<&'a Platform>,
     /// The models, at least one; the first is shown in every picture.
@@ -204,7 +204,7 @@ fn inputs(material: &Material<'_>) -> Section {
 }
 
 /// Every table that no section before has shown.
-pub(super) fn all_scores(material: &Material<'_>, shown: Option<Kind>) -> Section {
+pub(super) fn all_scores(material: &Material<'_>, shown: Option<Grouping>) -> Section {
     let report = &material.scored.report;
     let mut parts = vec![Part::Table(scores::table(
         material,
@@ -213,9 +213,9 @@ pub(super) fn all_scores(material: &Material<'_>, shown: Option<Kind>) -> Sectio
         &[&report.all],
     ))];
     let sets = [
-        (Kind::Groups, "group", &report.groups),
-        (Kind::Robots, "robot", &report.robots),
-        (Kind::Trials, "trial", &report.trials),
+        (Grouping::Groups, "group", &report.groups),
+        (Grouping::Robots, "robot", &report.robots),
+        (Grouping::Trials, "trial", &report.trials),
     ];
     for (kind, word, sets) in sets {
         if sets.is_empty() || shown == Some(kind) {

@@ -11,13 +11,13 @@ const MOST: usize = 24;
 
 /// What the sets of recordings are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum Grouping {
     Robots,
     Groups,
     Trials,
 }
 
-impl Kind {
+impl Grouping {
     const fn plural(self) -> &'static str {
         match self {
             Self::Robots => "robots",
@@ -29,12 +29,12 @@ impl Kind {
 
 /// The sets that distinguish best: groups of trials, else robots, else trials; none of one
 /// recording.
-pub(super) fn chosen<'a>(material: &Material<'a>) -> Option<(Kind, &'a [Scores])> {
+pub(super) fn chosen<'a>(material: &Material<'a>) -> Option<(Grouping, &'a [Scores])> {
     let report = &material.scored.report;
     let sets = [
-        (Kind::Groups, &report.groups),
-        (Kind::Robots, &report.robots),
-        (Kind::Trials, &report.trials),
+        (Grouping::Groups, &report.groups),
+        (Grouping::Robots, &report.robots),
+        (Grouping::Trials, &report.trials),
     ];
     let readable = sets
         .iter()
@@ -44,7 +44,7 @@ pub(super) fn chosen<'a>(material: &Material<'a>) -> Option<(Kind, &'a [Scores])
 }
 
 /// The section.
-pub(super) fn section(material: &Material<'_>, kind: Kind, sets: &[Scores]) -> Section {
+pub(super) fn section(material: &Material<'_>, kind: Grouping, sets: &[Scores]) -> Section {
     let shown = &sets[..sets.len().min(MOST)];
     let what = kind.plural();
     let left_out = if shown.len() < sets.len() {
@@ -76,7 +76,7 @@ pub(super) fn section(material: &Material<'_>, kind: Kind, sets: &[Scores]) -> S
     }
 }
 
-fn figure(material: &Material<'_>, kind: Kind, sets: &[Scores]) -> Figure {
+fn figure(material: &Material<'_>, kind: Grouping, sets: &[Scores]) -> Figure {
     let what = kind.plural();
     let names: Vec<String> = sets.iter().map(|set| label(&set.name)).collect();
     let axis = || Axis::names("", names.clone());
@@ -103,7 +103,7 @@ fn figure(material: &Material<'_>, kind: Kind, sets: &[Scores]) -> Figure {
         layers,
     };
     let mut r2 = dots(material, sets, |score| interval(score.r2));
-    if material.beside_paper && kind == Kind::Robots {
+    if material.beside_paper && kind == Grouping::Robots {
         let [mean, std] = paper::R2_ROBOTS;
         let stripe = Mark::Stripe([mean - std, mean + std]);
         r2.insert(

@@ -1,12 +1,12 @@
 //! The paper's whole course on simulated robots: trials, training, evaluation, seven robots.
 
-use joulebus_fleet::Settings;
+use joulebus_fleet::FleetSettings;
 use joulebus_predictor::{Model, Network};
 
 use super::document::{Cell, Column, Document, Part, Section, Table};
 use super::material::Material;
 use super::recorded::{all_scores, options, verdict};
-use super::robots::Kind;
+use super::robots::Grouping;
 use super::unit::Unit;
 use super::{ReportError, ablation, calibration, forecast, horizons, paper, power, robots, scores};
 use crate::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
@@ -14,7 +14,7 @@ use crate::plant::parts::Parts;
 use crate::plant::protocol::{Protocol, SAMPLES};
 use crate::plant::scenario;
 use crate::score::{Cell as Scores, Design, Recording, Scored, Subject, score};
-use crate::train::{Dataset, Epoch, Row, Settings as Recipe, Trained, Training};
+use crate::train::{Dataset, Epoch, Row, TrainSettings as Recipe, Trained, Training};
 
 /// What is said wherever the robots are simulated.
 pub const NOTE: &str = "simulated robots";
@@ -70,7 +70,7 @@ pub struct SimulatedReport {
 /// [`ReportError`].
 pub fn simulated(
     course: &Simulated,
-    settings: &Settings,
+    settings: &FleetSettings,
     mut progress: impl FnMut(Epoch),
 ) -> Result<SimulatedReport, ReportError> {
     for (what, found) in [
@@ -182,7 +182,7 @@ fn document(
     sections.extend(forecast::section(&single, &sixth));
     sections.push(robots::section(
         &fleet,
-        Kind::Robots,
+        Grouping::Robots,
         &together.report.robots,
     ));
     sections.extend(horizons::section(&fleet));
@@ -192,7 +192,7 @@ fn document(
         &together.report.robots,
         &first,
     ));
-    sections.push(all_scores(&fleet, Some(Kind::Robots)));
+    sections.push(all_scores(&fleet, Some(Grouping::Robots)));
     Document {
         title: "The paper's course on simulated robots".to_owned(),
         warning: Some(

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use joulebus_fleet::Settings;
+use joulebus_fleet::FleetSettings;
 use joulebus_predictor::FeatureSet;
 
 use super::blocks::{Block, Sums};
@@ -61,7 +61,7 @@ fn live(subject: Subject<'_>, recording: &Recording) -> Result<Vec<RobotEvaluati
         Some(platform) => platform.clone(),
         None => recorded_platform(*id, trial),
     };
-    let mut settings = Settings {
+    let mut settings = FleetSettings {
         platforms: vec![platform],
         ..subject.settings.clone()
     };

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use joulebus_predictor::{FeatureSet, Features, Freshness, LAGS, Model};
+use joulebus_predictor::{FeatureSet, Features, LAGS, Model, ReadingAge};
 
 use super::blocks::HorizonSums;
 use super::corrected::Lines;
@@ -73,7 +73,7 @@ pub(super) fn sums(
     let rollout = Rollout {
         rows: &recording.rows.rows,
         step_s: &recording.step_s,
-        freshness: &recording.rows.freshness,
+        reading_ages: &recording.rows.reading_ages,
         starts: &starts,
         horizons: &options.horizons,
     };
@@ -88,7 +88,7 @@ pub(super) fn sums(
 struct Rollout<'a> {
     rows: &'a [Row],
     step_s: &'a [f64],
-    freshness: &'a [Freshness],
+    reading_ages: &'a [ReadingAge],
     starts: &'a [Origin],
     horizons: &'a [usize],
 }
@@ -159,7 +159,9 @@ impl Rollout<'_> {
                 let mut inputs = with_lags(&self.rows[start + step], &lag_w[*lane]);
                 if model.needs_freshness() {
                     // What happens to the sensor after the origin is not known: the schedule goes on.
-                    self.freshness[start].after(step as u64).fill(&mut inputs);
+                    self.reading_ages[start]
+                        .after(step as u64)
+                        .fill(&mut inputs);
                 }
                 inputs
             }));

@@ -6,7 +6,7 @@ use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors, serialize};
 use thiserror::Error;
 
-use super::{Dataset, Epoch, Settings, TrainError, Training};
+use super::{Dataset, Epoch, TrainError, TrainSettings, Training};
 
 const FORMAT: &str = "joulebus-training-1";
 
@@ -67,7 +67,7 @@ impl Training {
     /// [`ResumeError`]: damaged bytes, another dataset or other settings.
     pub fn resume(
         dataset: &Dataset,
-        settings: &Settings,
+        settings: &TrainSettings,
         threads: usize,
         saved: &[u8],
     ) -> Result<Self, ResumeError> {
@@ -80,9 +80,9 @@ impl Training {
         };
         same("format", field("format")?, FORMAT.to_owned())?;
         let mut training = Self::new(dataset, settings, threads)?;
-        let before: Settings =
+        let before: TrainSettings =
             serde_json::from_str(&field("settings")?).map_err(|error| format(&error))?;
-        let comparable = Settings {
+        let comparable = TrainSettings {
             max_epochs: settings.max_epochs,
             patience: settings.patience,
             ..before

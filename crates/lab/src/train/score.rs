@@ -1,19 +1,19 @@
 //! The finished network, and what it scores on rows that decided nothing.
 
 use joulebus_predictor::{
-    Activation, Card, FeatureSet, Features, INPUTS, Linear, Network, Normalisation, Parameters,
-    ResidualStats, Scores, TrainingRange,
+    Activation, FeatureSet, Features, INPUTS, Linear, ModelCard, Network, Normalisation,
+    Parameters, ResidualStats, Scores, TrainingRange,
 };
 
 use super::dataset::mean_and_std;
 use super::weights::Weights;
-use super::{Dataset, Row, Settings, TrainError};
+use super::{Dataset, Row, TrainError, TrainSettings};
 use crate::linear::Terms;
 use crate::metrics::Tally;
 
 pub(super) fn finished(
     dataset: &Dataset,
-    settings: &Settings,
+    settings: &TrainSettings,
     normalisation: Normalisation,
     weights: &Weights,
 ) -> Result<Network, TrainError> {
@@ -24,7 +24,7 @@ pub(super) fn finished(
         activation: Activation::GeluErf,
         layers: weights.layers(),
     };
-    let mut card = Card {
+    let mut card = ModelCard {
         name: settings.name.clone(),
         source: settings.source.clone(),
         training_data: dataset.description.clone(),

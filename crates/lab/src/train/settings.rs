@@ -9,7 +9,7 @@ use super::adam::Pace;
 /// How to train. Every knob of the paper's recipe (arXiv 2603.13908, section 5), and those of Adam.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Settings {
+pub struct TrainSettings {
     /// Name of the model.
     pub name: String,
     /// Source of the data: `simulation`, or a description of the recordings.
@@ -39,7 +39,7 @@ pub struct Settings {
     pub epsilon: f64,
 }
 
-impl Default for Settings {
+impl Default for TrainSettings {
     /// The paper's recipe.
     fn default() -> Self {
         Self {
@@ -59,10 +59,10 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl TrainSettings {
     /// The paper's recipe.
-    pub fn new(name: &str, source: &str, feature_set: FeatureSet, seed: u64) -> Settings {
-        Settings {
+    pub fn new(name: &str, source: &str, feature_set: FeatureSet, seed: u64) -> TrainSettings {
+        TrainSettings {
             name: name.to_owned(),
             source: source.to_owned(),
             feature_set,

@@ -1,8 +1,8 @@
 //! Training data from the simulated plant, and the model that ships.
 
-use super::{Dataset, Epoch, Row, Settings, TrainError, Trained, train};
+use super::{Dataset, Epoch, Row, TrainError, TrainSettings, Trained, train};
 use crate::plant::{Plant, SimReading};
-use joulebus_predictor::{FeatureSet, Freshness, LAGS, features};
+use joulebus_predictor::{FeatureSet, LAGS, ReadingAge, features};
 use std::collections::VecDeque;
 
 const TICK_S: f64 = 1.0 / 30.0;
@@ -70,14 +70,14 @@ pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
 struct Recorder {
     /// Newest first.
     readings: VecDeque<SimReading>,
-    freshness: Freshness,
+    reading_age: ReadingAge,
     rows: Vec<Row>,
 }
 
 impl Recorder {
     const EMPTY: Self = Self {
         readings: VecDeque::new(),
-        freshness: Freshness::UNKNOWN,
+        reading_age: ReadingAge::UNKNOWN,
         rows: Vec::new(),
     };
 }
@@ -89,27 +89,27 @@ impl Recorder {
             let (now, before) = (self.readings[0], self.readings[1]);
             let previous = Some((before.v_mps, before.omega_radps, TICK_S as f32));
             let mut features = features(now.v_mps, now.omega_radps, previous, &lag_w);
-            self.freshness.fill(&mut features);
+            self.reading_age.fill(&mut features);
             self.rows.push(Row {
                 features,
                 target_w: reading.power_w,
             });
         }
-        self.freshness.read(!reading.held);
+        self.reading_age.read(!reading.held);
         self.readings.push_front(reading);
         self.readings.truncate(LAGS);
     }
 }
 
 /// The recipe of the models that ship: the paper's, under their name.
-pub fn settings_for_sim(seed: u64, feature_set: FeatureSet) -> Settings {
+pub fn settings_for_sim(seed: u64, feature_set: FeatureSet) -> TrainSettings {
     let name = match feature_set {
         FeatureSet::Full => "gternal-sim",
         FeatureSet::PowerOnly => "gternal-sim-power",
         FeatureSet::Freshness => "gternal-sim-freshness",
         FeatureSet::PowerFreshness => "gternal-sim-power-freshness",
     };
-    Settings::new(name, "simulation", feature_set, seed)
+    TrainSettings::new(name, "simulation", feature_set, seed)
 }
 
 /// Trains the model that ships on [`SimulatedData::shipped`]: the same bytes from the same seed, on

@@ -12,7 +12,7 @@ use super::chunk::{Chunk, Example, Prepared, ROWS};
 use super::dataset::{Findings, constant_features, normalisation, usable};
 use super::score::finished;
 use super::weights::Weights;
-use super::{Dataset, Settings, TrainError};
+use super::{Dataset, TrainError, TrainSettings};
 use crate::noise::Noise;
 
 /// Rows that a network has to be shown at least, to score it and to learn from it.
@@ -50,7 +50,7 @@ pub struct Trained {
 /// number of threads, and whether or not the run was saved and resumed in between.
 pub struct Training {
     pub(super) dataset: Dataset,
-    pub(super) settings: Settings,
+    pub(super) settings: TrainSettings,
     findings: Findings,
     normalisation: Normalisation,
     training: Vec<Example>,
@@ -73,7 +73,11 @@ impl Training {
     ///
     /// # Errors
     /// [`TrainError`]: a knob out of range, too few rows, or a power that never changes.
-    pub fn new(dataset: &Dataset, settings: &Settings, threads: usize) -> Result<Self, TrainError> {
+    pub fn new(
+        dataset: &Dataset,
+        settings: &TrainSettings,
+        threads: usize,
+    ) -> Result<Self, TrainError> {
         settings.check()?;
         let (dataset, unusable_rows) = usable(dataset, settings.feature_set);
         check_rows(&dataset, unusable_rows)?;
@@ -272,7 +276,7 @@ impl Training {
 /// [`TrainError`].
 pub fn train(
     dataset: &Dataset,
-    settings: &Settings,
+    settings: &TrainSettings,
     mut progress: impl FnMut(Epoch),
 ) -> Result<Trained, TrainError> {
     let mut training = Training::new(dataset, settings, 0)?;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use joulebus_lab::analyze::{
-    Analysis, AnalyzeError, Member, Series, Settings, analyze, autocorrelation, pooled,
+    Analysis, AnalysisSettings, AnalyzeError, Member, Series, analyze, autocorrelation, pooled,
 };
 use joulebus_lab::split::{By, Split, SplitError};
 use joulebus_lab::trial::{Column, Method, Resample, Row, Trial};
@@ -51,8 +51,8 @@ fn kept(name: &str, rows: usize, keep: f64, hold: usize, seed: u64) -> Trial {
     trial(name, power)
 }
 
-fn native(trials: &[Trial], settings: &Settings) -> Series {
-    let settings = Settings {
+fn native(trials: &[Trial], settings: &AnalysisSettings) -> Series {
+    let settings = AnalysisSettings {
         grids: Vec::new(),
         ..settings.clone()
     };
@@ -99,7 +99,7 @@ fn a_series_that_keeps_nine_tenths_correlates_at_nine_tenths() {
     let trials: Vec<Trial> = (0..6)
         .map(|n| kept(&format!("t_{n}.npy"), 4_000, 0.9, 1, n))
         .collect();
-    let series = native(&trials, &Settings::default());
+    let series = native(&trials, &AnalysisSettings::default());
     for (lag, value) in series.pooled_autocorrelation.iter().enumerate() {
         let wanted = 0.9_f64.powi(lag as i32 + 1);
         assert!(
@@ -126,7 +126,7 @@ fn what_comes_from_repeated_readings_is_told_apart() {
     let trials: Vec<Trial> = (0..6)
         .map(|n| kept(&format!("t_{n}.npy"), 6_000, 0.0, 3, n))
         .collect();
-    let series = native(&trials, &Settings::default());
+    let series = native(&trials, &AnalysisSettings::default());
     assert!(
         (series.held_share - 2.0 / 3.0).abs() < 1e-3,
         "{}",
@@ -152,12 +152,12 @@ fn what_comes_from_repeated_readings_is_told_apart() {
     assert_eq!(rows, persistence.all.rows);
 
     // The same readings at their own rate: nothing is left.
-    let thinned = Settings {
+    let thinned = AnalysisSettings {
         grids: vec![Resample {
             method: Method::Hold,
             rate_hz: 10.0,
         }],
-        ..Settings::default()
+        ..AnalysisSettings::default()
     };
     let at_10_hz = analyze(&trials, &thinned, &[]).unwrap().series.remove(1);
     assert_eq!(
@@ -182,7 +182,7 @@ fn power_that_follows_the_command_is_found_in_the_velocities() {
             trial(&format!("t_{n}.npy"), rows)
         })
         .collect();
-    let series = native(&trials, &Settings::default());
+    let series = native(&trials, &AnalysisSettings::default());
     assert!(named(&series, "velocities").all.r2 > 0.999_999);
     assert!(named(&series, "velocities + 1 lag").all.mae_w < 1e-5);
     assert!(named(&series, "AR(5)").all.r2 < 0.02);
@@ -209,14 +209,14 @@ fn a_group_is_held_out_by_name_and_what_does_not_exist_is_refused() {
             kept(&format!("{group}_{}.npy", n % 2), 200, 0.5, 1, n)
         })
         .collect();
-    let leave_out = |names: &[&str], by: By| Settings {
+    let leave_out = |names: &[&str], by: By| AnalysisSettings {
         grids: Vec::new(),
         leave_out: names.iter().map(|name| (*name).to_owned()).collect(),
         split: Split {
             by,
-            ..Settings::default().split
+            ..AnalysisSettings::default().split
         },
-        ..Settings::default()
+        ..AnalysisSettings::default()
     };
     let found: Analysis = analyze(&trials, &leave_out(&["ICE"], By::Group), &[]).unwrap();
     let split = &found.series[0].split;
@@ -243,16 +243,16 @@ fn a_group_is_held_out_by_name_and_what_does_not_exist_is_refused() {
     ));
     for (settings, what) in [
         (
-            Settings {
+            AnalysisSettings {
                 lags: 0,
-                ..Settings::default()
+                ..AnalysisSettings::default()
             },
             "lags",
         ),
         (
-            Settings {
+            AnalysisSettings {
                 window: 6,
-                ..Settings::default()
+                ..AnalysisSettings::default()
             },
             "1 to 5",
         ),
@@ -261,7 +261,7 @@ fn a_group_is_held_out_by_name_and_what_does_not_exist_is_refused() {
         assert!(refused.contains(what), "{refused}");
     }
     assert!(matches!(
-        analyze(&[], &Settings::default(), &[]),
+        analyze(&[], &AnalysisSettings::default(), &[]),
         Err(AnalyzeError::NoTrial)
     ));
 }
@@ -281,9 +281,9 @@ fn the_robotino_scores_what_the_reference_says() {
         method: Method::Linear,
         rate_hz: 30.0,
     };
-    let settings = Settings {
+    let settings = AnalysisSettings {
         grids: vec![interpolated],
-        ..Settings::default()
+        ..AnalysisSettings::default()
     };
     let found = analyze(&trials, &settings, &[]).unwrap();
     let wanted = [(0.888, 0.819, 0.03, 0.860), (0.928, 0.895, 0.03, 0.909)];

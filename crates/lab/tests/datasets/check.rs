@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use joulebus_lab::data::{
-    Check, FindError, Kind, Limits, Range, check_files, check_trial, describe, find, holds,
+    Check, FindError, FindingKind, Limits, Range, check_files, check_trial, describe, find, holds,
 };
 use joulebus_lab::trial::Trial;
 
@@ -41,7 +41,7 @@ fn check(name: &str, bytes: &[u8]) -> Check {
     check_files(&[files.write(name, bytes)], &Limits::default(), 100)
 }
 
-fn faults(check: &Check) -> Vec<(Kind, usize)> {
+fn faults(check: &Check) -> Vec<(FindingKind, usize)> {
     let faults = check.findings.iter().filter(|finding| finding.fault);
     faults
         .map(|finding| (finding.kind, finding.count))
@@ -57,10 +57,10 @@ fn a_sound_recording_has_no_fault_in_any_form() {
         let found = check(name, &bytes);
         assert!(found.is_sound(), "{name}: {found:?}");
         assert_eq!((found.trials, found.robots, found.rows), (1, 1, 60));
-        let notes: Vec<Kind> = found.findings.iter().map(|finding| finding.kind).collect();
+        let notes: Vec<FindingKind> = found.findings.iter().map(|finding| finding.kind).collect();
         assert_eq!(
             notes,
-            [Kind::MissingColumn],
+            [FindingKind::MissingColumn],
             "the two that an array has not"
         );
     }
@@ -69,11 +69,11 @@ fn a_sound_recording_has_no_fault_in_any_form() {
 #[test]
 fn each_fault_is_found_with_its_row_and_nothing_else_is() {
     type Spoil = fn(&mut [[f64; 11]]);
-    let cases: [(&str, Spoil, Kind, &[usize], &str); 13] = [
+    let cases: [(&str, Spoil, FindingKind, &[usize], &str); 13] = [
         (
             "again",
             |rows| rows[30..].iter_mut().for_each(|row| row[1] -= 0.1),
-            Kind::TimeRepeated,
+            FindingKind::TimeRepeated,
             &[31],
             "as row 30",
         ),
@@ -83,77 +83,77 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
                 rows[30..].iter_mut().for_each(|row| row[1] -= 0.1);
                 rows[30][1] -= 0.01;
             },
-            Kind::TimeBackward,
+            FindingKind::TimeBackward,
             &[31],
             "before row 30",
         ),
         (
             "gap",
             |rows| rows[30..].iter_mut().for_each(|row| row[1] += 0.4),
-            Kind::Gap,
+            FindingKind::Gap,
             &[31],
             "0.500 s",
         ),
         (
             "lost",
             |rows| rows[9][10] = f64::NAN,
-            Kind::MissingReading,
+            FindingKind::MissingReading,
             &[10],
             "power_mW",
         ),
         (
             "hole",
             |rows| rows[9][3] = f64::NAN,
-            Kind::MissingValue,
+            FindingKind::MissingValue,
             &[10],
             "v_cmd_mps",
         ),
         (
             "fast",
             |rows| rows[9][3] = 12.0,
-            Kind::OutOfRange,
+            FindingKind::OutOfRange,
             &[10],
             "12 in SI units",
         ),
         (
             "negative",
             |rows| rows[9][8] *= -1.0,
-            Kind::OutOfRange,
+            FindingKind::OutOfRange,
             &[10],
             "voltage_mV",
         ),
         (
             "spike",
             |rows| rows[9][10] *= 1.2,
-            Kind::PowerMismatch,
+            FindingKind::PowerMismatch,
             &[10],
             "voltage times current",
         ),
         (
             "watt",
             |rows| rows.iter_mut().for_each(|row| row[10] /= 1e3),
-            Kind::Unit,
+            FindingKind::Unit,
             &[],
             "mW",
         ),
         (
             "volt",
             |rows| rows.iter_mut().for_each(|row| row[8] /= 1e3),
-            Kind::Unit,
+            FindingKind::Unit,
             &[],
             "mV",
         ),
         (
             "ampere",
             |rows| rows.iter_mut().for_each(|row| row[9] /= 1e3),
-            Kind::Unit,
+            FindingKind::Unit,
             &[],
             "voltage times current",
         ),
         (
             "ms",
             |rows| rows.iter_mut().for_each(|row| row[1] *= 1e3),
-            Kind::Unit,
+            FindingKind::Unit,
             &[],
             "seconds?",
         ),
@@ -165,7 +165,7 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
                     other[0][8..].copy_from_slice(&first[99][8..]);
                 }
             },
-            Kind::Stuck,
+            FindingKind::Stuck,
             &[100],
             "131 rows",
         ),
@@ -221,9 +221,13 @@ fn what_is_no_recording_is_a_finding_and_does_not_hide_the_others() {
     ];
     let found = check_files(&paths, &Limits::default(), 2);
     assert_eq!((found.files, found.trials), (7, 4));
-    let wanted = [(Kind::Unreadable, 3), (Kind::Copy, 2), (Kind::CutOff, 1)];
+    let wanted = [
+        (FindingKind::Unreadable, 3),
+        (FindingKind::Copy, 2),
+        (FindingKind::CutOff, 1),
+    ];
     assert_eq!(faults(&found), wanted, "{found:?}");
-    let unreadable = found.finding(Kind::Unreadable).unwrap();
+    let unreadable = found.finding(FindingKind::Unreadable).unwrap();
     assert_eq!(
         (unreadable.places.len(), unreadable.files),
         (2, 3),
@@ -235,7 +239,7 @@ fn what_is_no_recording_is_a_finding_and_does_not_hide_the_others() {
             .contains("row 2, column power_mW"),
         "{unreadable:?}"
     );
-    let copy = found.finding(Kind::Copy).unwrap();
+    let copy = found.finding(FindingKind::Copy).unwrap();
     assert!(copy.places[1].file.ends_with("same.csv"), "{copy:?}");
     assert!(copy.places[1].what.ends_with("b.npy"), "{copy:?}");
 }
@@ -254,7 +258,7 @@ fn a_platform_narrows_what_can_be_true() {
     let found = check_trial(&trial, &limits, 5);
     let finding = found
         .iter()
-        .find(|finding| finding.kind == Kind::OutOfRange)
+        .find(|finding| finding.kind == FindingKind::OutOfRange)
         .unwrap();
     let power_w = trial.column(joulebus_lab::trial::Column::Power).unwrap();
     let wanted = power_w.iter().filter(|power_w| **power_w > 3.3).count();
@@ -373,9 +377,9 @@ fn the_real_recordings_are_as_their_description_says() {
     let found = check_files(&paths, &Limits::default(), 1);
     assert_eq!((found.trials, found.robots, found.rows), (780, 3, 346_887));
     // Gaps of the Robotino, and a Husky that stood still: nothing else.
-    let kinds: Vec<Kind> = faults(&found).iter().map(|fault| fault.0).collect();
-    assert_eq!(kinds, [Kind::Gap, Kind::Stuck]);
-    let gaps = found.finding(Kind::Gap).unwrap();
+    let kinds: Vec<FindingKind> = faults(&found).iter().map(|fault| fault.0).collect();
+    assert_eq!(kinds, [FindingKind::Gap, FindingKind::Stuck]);
+    let gaps = found.finding(FindingKind::Gap).unwrap();
     assert_eq!((gaps.count, gaps.files), (245, 159));
     let one = check_files(&paths[..1], &Limits::default(), 1);
     assert!(one.is_sound(), "{one:?}");

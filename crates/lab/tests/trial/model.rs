@@ -1,8 +1,8 @@
-//! Settings of the three recorded platforms, and networks drawn from a seed.
+//! FleetSettings of the three recorded platforms, and networks drawn from a seed.
 
-use joulebus_fleet::{Intake, Online, Platform, Settings};
+use joulebus_fleet::{FleetSettings, Intake, Online, Platform};
 use joulebus_predictor::{
-    Activation, Card, FEATURES, FeatureSet, INPUTS, Model, Network, Normalisation, Parameters,
+    Activation, FEATURES, FeatureSet, INPUTS, Model, ModelCard, Network, Normalisation, Parameters,
     Persistence, ResidualStats, TrainingRange,
 };
 
@@ -13,7 +13,7 @@ pub(crate) const ROBOTINO: u32 = 1_000;
 pub(crate) const HUSKY: u32 = 2_000;
 pub(crate) const ROVER: u32 = 3_000;
 
-pub(crate) fn settings() -> Settings {
+pub(crate) fn settings() -> FleetSettings {
     let platform = |name: &str, first: u32, period_ns: u64| Platform {
         name: name.to_owned(),
         robots: vec![first..=first + 999],
@@ -29,7 +29,7 @@ pub(crate) fn settings() -> Settings {
         battery: None,
         online: Online::default(),
     };
-    Settings {
+    FleetSettings {
         capacity: 1_000,
         intake: Intake {
             max_samples_per_tick: 1_024,
@@ -72,7 +72,7 @@ pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> 
         activation: Activation::GeluErf,
         ..random::parameters(&mut Noise(seed), feature_set)
     };
-    let card = Card {
+    let card = ModelCard {
         name: format!("random {seed}"),
         seed,
         training_range: TrainingRange {

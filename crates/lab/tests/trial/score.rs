@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use joulebus_fleet::{IntervalSettings, Settings};
+use joulebus_fleet::{FleetSettings, IntervalSettings};
 use joulebus_lab::bootstrap::Bootstrap;
 use joulebus_lab::linear::{Linear, Terms};
 use joulebus_lab::metrics::{ResidualQuantiles, sorted, tally};
@@ -706,7 +706,7 @@ fn what_cannot_be_evaluated_is_refused_with_a_reason() {
         .unwrap_err()
         .to_string();
     assert!(foreign.contains("design of other recordings"), "{foreign}");
-    let refused = Settings {
+    let refused = FleetSettings {
         interval: IntervalSettings {
             coverage: 1.5,
             rate: 0.05,

@@ -1,7 +1,7 @@
 //! Vectors of 8 lanes: AVX2 and FMA.
 
 use super::lanes::{Job, Lanes};
-use super::processor::Wide;
+use super::simd_level::SimdTask;
 use std::arch::x86_64::*;
 use std::mem::MaybeUninit;
 
@@ -121,7 +121,7 @@ impl Lanes for Avx2 {
     }
 
     #[inline(always)]
-    fn run_wide<W: Wide>(self, work: W) {
+    fn run_wide<W: SimdTask>(self, work: W) {
         // SAFETY: an `Avx2` exists only where `detect` found the features.
         unsafe { wide(work) }
     }
@@ -135,6 +135,6 @@ fn entry<J: Job<Avx2>>(lanes: Avx2, job: J) {
 
 #[inline(never)]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-fn wide<W: Wide>(work: W) {
+fn wide<W: SimdTask>(work: W) {
     work.run();
 }

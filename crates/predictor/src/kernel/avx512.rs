@@ -1,7 +1,7 @@
 //! Vectors of 16 lanes: AVX-512.
 
 use super::lanes::{Job, Lanes};
-use super::processor::Wide;
+use super::simd_level::SimdTask;
 use std::arch::x86_64::*;
 use std::mem::MaybeUninit;
 
@@ -126,7 +126,7 @@ impl Lanes for Avx512 {
     }
 
     #[inline(always)]
-    fn run_wide<W: Wide>(self, work: W) {
+    fn run_wide<W: SimdTask>(self, work: W) {
         // SAFETY: an `Avx512` exists only where `detect` found the features.
         unsafe { wide(work) }
     }
@@ -140,6 +140,6 @@ fn entry<J: Job<Avx512>>(lanes: Avx512, job: J) {
 
 #[inline(never)]
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-fn wide<W: Wide>(work: W) {
+fn wide<W: SimdTask>(work: W) {
     work.run();
 }

@@ -6,7 +6,7 @@
 )]
 
 use super::Tiling;
-use super::forward::{ByNeuron, ByRobot};
+use super::forward::{BatchMajor, OutputMajor};
 use super::lanes::{Job, Lanes};
 use super::packed::{Packed, Read};
 use crate::{Features, INPUTS};
@@ -115,7 +115,7 @@ impl Source for Columns<'_> {
     }
 }
 
-/// A batch; `R`, `C` and `N` are the tiles of [`ByRobot`] and [`ByNeuron`] that suit the CPU.
+/// A batch; `R`, `C` and `N` are the tiles of [`BatchMajor`] and [`OutputMajor`] that suit the CPU.
 pub(crate) struct Batch<'a, S: Source, const R: usize, const C: usize, const N: usize> {
     pub(crate) packed: &'a Packed,
     pub(crate) tiling: Tiling,
@@ -133,7 +133,7 @@ impl<L: Lanes, S: Source, const R: usize, const C: usize, const N: usize> Job<L>
         let mut rest = self.out_w;
         let mut done = 0;
         let by_input = self.tiling == Tiling::ByInput && S::IS_COLUMNS;
-        if by_input || self.tiling == Tiling::ByRobot {
+        if by_input || self.tiling == Tiling::BatchMajor {
             let (wide, after) = rest.split_at_mut(whole(rest.len(), R * L::WIDTH));
             by_robot::<L, S, R, C>(lanes, packed, source, done, wide);
             done += wide.len();
@@ -178,7 +178,7 @@ fn by_robot<L: Lanes, S: Source, const R: usize, const C: usize>(
     for (tile, out_w) in out_w.chunks_exact_mut(R * L::WIDTH).enumerate() {
         let start = start + tile * R * L::WIDTH;
         source.columns(lanes, start, packed.read, &mut inputs);
-        lanes.run(ByRobot::<L, R, C> {
+        lanes.run(BatchMajor::<L, R, C> {
             packed,
             inputs: &inputs,
             out_w,
@@ -208,7 +208,7 @@ fn by_neuron<L: Lanes, S: Source, const N: usize>(
     start: usize,
     out_w: &mut [f32; N],
 ) {
-    lanes.run(ByNeuron {
+    lanes.run(OutputMajor {
         packed,
         rows: source.rows(start, packed.read, &mut [[0.0; INPUTS]; N]),
         out_w,

@@ -1,8 +1,8 @@
 //! The network, for a tile of robots, in two tilings.
 //!
-//! - [`ByRobot`]: a vector holds one value of as many robots. Every value of a layer is a column;
+//! - [`BatchMajor`]: a vector holds one value of as many robots. Every value of a layer is a column;
 //!   weights are broadcast. Best for bulk.
-//! - [`ByNeuron`]: a vector holds neighbouring outputs of one robot. Weights are loaded, the inputs
+//! - [`OutputMajor`]: a vector holds neighbouring outputs of one robot. Weights are loaded, the inputs
 //!   of up to four robots broadcast. Best for a few robots.
 //!
 //! Both do the operations of [`Network::predict_reference_f32`](crate::Network) in its order, for
@@ -78,7 +78,7 @@ unsafe fn written<T, const O: usize>(scratch: &Scratch<T, O>) -> &[T; O] {
 }
 
 /// `R` vectors of robots; `C` outputs of them at a time stay in registers.
-pub(crate) struct ByRobot<'a, L: Lanes, const R: usize, const C: usize> {
+pub(crate) struct BatchMajor<'a, L: Lanes, const R: usize, const C: usize> {
     pub(crate) packed: &'a Packed,
     /// Features in their units, as columns; those that are not read may be anything.
     pub(crate) inputs: &'a [[L::Vector; R]; INPUTS],
@@ -86,7 +86,7 @@ pub(crate) struct ByRobot<'a, L: Lanes, const R: usize, const C: usize> {
     pub(crate) out_w: &'a mut [f32],
 }
 
-impl<L: Lanes, const R: usize, const C: usize> Job<L> for ByRobot<'_, L, R, C> {
+impl<L: Lanes, const R: usize, const C: usize> Job<L> for BatchMajor<'_, L, R, C> {
     #[inline(always)]
     fn run(self, lanes: L) {
         let Packed {
@@ -188,7 +188,7 @@ fn last_of_columns<L: Lanes, const R: usize>(
 }
 
 /// `N` robots, one after another in memory.
-pub(crate) struct ByNeuron<'a, const N: usize> {
+pub(crate) struct OutputMajor<'a, const N: usize> {
     pub(crate) packed: &'a Packed,
     /// Features in their units; those that are not read may be anything.
     pub(crate) rows: &'a [Features; N],
@@ -196,7 +196,7 @@ pub(crate) struct ByNeuron<'a, const N: usize> {
     pub(crate) out_w: &'a mut [f32; N],
 }
 
-impl<L: Lanes, const N: usize> Job<L> for ByNeuron<'_, N> {
+impl<L: Lanes, const N: usize> Job<L> for OutputMajor<'_, N> {
     #[inline(always)]
     fn run(self, lanes: L) {
         let packed = self.packed;

@@ -2,7 +2,7 @@
 
 use std::mem::MaybeUninit;
 
-use super::processor::Wide;
+use super::simd_level::SimdTask;
 
 /// A CPU's vectors of `f32`. A value of an implementing type proves that this CPU has them.
 ///
@@ -46,7 +46,7 @@ pub(crate) trait Lanes: Copy {
 
     /// Runs work without vectors of its own compiled for this CPU: as it is, where the target already
     /// stands for all that the CPU is known to do.
-    fn run_wide<W: Wide>(self, work: W) {
+    fn run_wide<W: SimdTask>(self, work: W) {
         work.run();
     }
 }

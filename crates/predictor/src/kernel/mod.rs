@@ -13,15 +13,15 @@ mod batch;
 #[allow(unsafe_code)] // Scratch that is not zeroed.
 mod forward;
 mod lanes;
-#[allow(unsafe_code)] // A hint to the CPU takes an address.
-mod near;
 #[cfg(target_arch = "aarch64")]
 #[allow(unsafe_code)] // Intrinsics that every CPU of the target has.
 mod neon;
 mod packed;
-mod processor;
+#[allow(unsafe_code)] // A hint to the CPU takes an address.
+mod prefetch;
 mod rollout;
 mod scalar;
+mod simd_level;
 
 use batch::{Batch, Columns, Rows, Source};
 use lanes::Lanes;
@@ -31,9 +31,9 @@ use scalar::Scalar;
 use crate::{Features, INPUTS, Rollouts};
 
 pub(crate) use forward::pairwise;
-pub use near::bring_near;
 pub(crate) use packed::{LINE, Packed, fold};
-pub use processor::{Processor, Wide};
+pub use prefetch::prefetch;
+pub use simd_level::{SimdLevel, SimdTask};
 
 /// Which build of the kernel runs; all give the same bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,9 +75,9 @@ pub enum Tiling {
     /// batch, and the default.
     ByInput,
     /// A vector holds one value of as many robots, while there are whole vectors of robots.
-    ByRobot,
+    BatchMajor,
     /// A vector holds neighbouring outputs of one robot.
-    ByNeuron,
+    OutputMajor,
 }
 
 /// A kernel whose CPU features were detected.

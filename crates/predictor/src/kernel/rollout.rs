@@ -7,7 +7,7 @@
 )]
 
 use super::batch::whole;
-use super::forward::{ByNeuron, ByRobot};
+use super::forward::{BatchMajor, OutputMajor};
 use super::lanes::{Job, Lanes};
 use super::packed::Packed;
 use crate::network::canonical;
@@ -18,7 +18,7 @@ const WIDEST: usize = 32;
 /// Position of the newest reading in [`Features`].
 const NEWEST: usize = FeatureSet::PowerOnly.first();
 
-/// Lanes `first..first + energy_j.len()` of checked rollouts; `R` and `C` as in [`ByRobot`].
+/// Lanes `first..first + energy_j.len()` of checked rollouts; `R` and `C` as in [`BatchMajor`].
 pub(crate) struct Roll<'a, const R: usize, const C: usize> {
     pub(crate) packed: &'a Packed,
     pub(crate) rollouts: &'a Rollouts<'a>,
@@ -102,7 +102,7 @@ impl Tiles<'_> {
     #[inline(always)]
     fn fill_freshness(&self, step: usize, lane: usize, row: &mut Features) {
         if self.packed.read.has_freshness() {
-            self.start(lane).freshness.after(step as u64).fill(row);
+            self.start(lane).reading_age.after(step as u64).fill(row);
         }
     }
 
@@ -143,7 +143,7 @@ impl Tiles<'_> {
             } else {
                 self.next_columns(lanes, step, &forecasts_w, &mut inputs);
             }
-            lanes.run(ByRobot::<L, R, C> {
+            lanes.run(BatchMajor::<L, R, C> {
                 packed: self.packed,
                 inputs: &inputs,
                 out_w: &mut forecasts_w[..count],
@@ -237,7 +237,7 @@ impl Tiles<'_> {
                     _ => self.next_row(step, lane, forecasts_w[lane], row),
                 };
             }
-            lanes.run(ByNeuron {
+            lanes.run(OutputMajor {
                 packed: self.packed,
                 rows: &rows,
                 out_w: &mut forecasts_w,

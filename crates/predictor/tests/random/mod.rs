@@ -1,8 +1,8 @@
 //! Networks of both forms of GELU and rows, drawn from a seed.
 
 use joulebus_predictor::{
-    Activation, Card, FeatureSet, Features, HIDDEN, INPUTS, Layer, Linear, Network, Normalisation,
-    Parameters, ResidualStats, Scores, TrainingRange,
+    Activation, FeatureSet, Features, HIDDEN, INPUTS, Layer, Linear, ModelCard, Network,
+    Normalisation, Parameters, ResidualStats, Scores, TrainingRange,
 };
 
 pub(crate) struct Noise(pub(crate) u64);
@@ -61,12 +61,12 @@ pub(crate) fn parameters(noise: &mut Noise, feature_set: FeatureSet) -> Paramete
     }
 }
 
-pub(crate) fn card(feature_set: FeatureSet) -> Card {
+pub(crate) fn card(feature_set: FeatureSet) -> ModelCard {
     let mut min = [0.0; INPUTS];
     let mut max = [0.0; INPUTS];
     min[feature_set.range()].fill(-1.5);
     max[feature_set.range()].fill(2.5);
-    Card {
+    ModelCard {
         name: "random".to_owned(),
         source: "random weights".to_owned(),
         training_data: "none, \"quoted\" and ünïcode".to_owned(),

@@ -32,11 +32,11 @@ impl Forecaster for Ours {
     fn call(&mut self, rows: &[[f32; FEATURES]]) -> anyhow::Result<Call> {
         let mut parts = rows.chunks(rows.len().div_ceil(self.threads));
         let mut own = Part::new(&self.network, parts.next().unwrap_or_default());
-        let crew: Vec<Hand> = parts.map(|rows| Hand::hire(Part::new(&self.network, rows))).collect();
+        let pool: Vec<Hand> = parts.map(|rows| Hand::hire(Part::new(&self.network, rows))).collect();
         Ok(Box::new(move || {
-            crew.iter().for_each(Hand::begin);
+            pool.iter().for_each(Hand::begin);
             own.call();
-            crew.iter().for_each(Hand::end);
+            pool.iter().for_each(Hand::end);
         }))
     }
 }

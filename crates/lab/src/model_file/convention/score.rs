@@ -4,7 +4,7 @@ use super::{ChooseError, Convention, Origin};
 use crate::train::Row;
 use crate::trial::{Column, Trial};
 use joulebus_predictor::{
-    Card, FEATURES, FeatureSet, Features, INPUTS, LAGS, Network, ResidualStats, Scores,
+    FEATURES, FeatureSet, Features, INPUTS, LAGS, ModelCard, Network, ResidualStats, Scores,
     TrainingRange, features,
 };
 
@@ -129,11 +129,11 @@ impl Data {
         score: &Score,
         origin: &Origin<'_>,
         convention: Convention,
-    ) -> Card {
+    ) -> ModelCard {
         let persistence = self.persistence();
         let (rows, trials) = (self.rows.len(), self.trials);
         let Origin { name, file, sha256 } = *origin;
-        Card {
+        ModelCard {
             name: name.to_owned(),
             source: format!("imported from {file} (SHA-256 {sha256}) as {convention}"),
             training_data: format!(
@@ -169,8 +169,8 @@ impl Data {
 }
 
 /// A card that says nothing but the range.
-pub(super) fn empty_card(training_range: TrainingRange) -> Card {
-    Card {
+pub(super) fn empty_card(training_range: TrainingRange) -> ModelCard {
+    ModelCard {
         name: String::new(),
         source: String::new(),
         training_data: String::new(),

@@ -4,7 +4,7 @@ use joulebus_lab::split::By;
 
 /// What stays together.
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
-pub(crate) enum Together {
+pub(crate) enum SplitUnit {
     /// Each trial
     Trial,
     /// All trials of a robot
@@ -15,13 +15,13 @@ pub(crate) enum Together {
     Time,
 }
 
-impl From<Together> for By {
-    fn from(together: Together) -> Self {
+impl From<SplitUnit> for By {
+    fn from(together: SplitUnit) -> Self {
         match together {
-            Together::Trial => Self::Trial,
-            Together::Robot => Self::Robot,
-            Together::Group => Self::Group,
-            Together::Time => Self::Time,
+            SplitUnit::Trial => Self::Trial,
+            SplitUnit::Robot => Self::Robot,
+            SplitUnit::Group => Self::Group,
+            SplitUnit::Time => Self::Time,
         }
     }
 }

@@ -15,7 +15,7 @@ const GRACE: Duration = Duration::from_secs(5);
 /// When the thread that waits for it cannot be started.
 pub(crate) fn end_with_stdin() -> anyhow::Result<()> {
     std::thread::Builder::new()
-        .name("joulebus-leash".to_owned())
+        .name("joulebus-exit_with_parent".to_owned())
         .spawn(|| {
             // Whatever comes is of no interest, and an error is an end as well.
             let _ = io::copy(&mut io::stdin().lock(), &mut io::sink());

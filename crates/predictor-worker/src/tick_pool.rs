@@ -8,7 +8,7 @@ use std::cell::Cell;
 use std::sync::Mutex;
 
 use joulebus_bus::{Scheduling, clock};
-use joulebus_fleet::{Batch, Outputs, Share, Stage};
+use joulebus_fleet::{Batch, Outputs, Shard, Stage};
 use joulebus_wire::{Budget, Diagnostic, Forecast};
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
@@ -19,15 +19,15 @@ const PARTS: usize = 8;
 
 /// The threads, and what each needs.
 #[derive(Debug)]
-pub struct Crew {
-    seats: Vec<Mutex<Seat>>,
+pub struct TickPool {
+    seats: Vec<Mutex<ThreadScratch>>,
     /// Robots from which on a tick is shared.
     from: usize,
 }
 
 /// One thread's own.
 #[derive(Debug, Default)]
-struct Seat {
+struct ThreadScratch {
     batch: Batch,
     spent: StageTimes,
 }
@@ -55,7 +55,7 @@ fn pool(threads: usize, scheduling: Scheduling) -> Result<ThreadPool, ThreadPool
         .build()
 }
 
-impl Crew {
+impl TickPool {
     /// A crew of `threads` threads, the calling one among them; from `from` robots on they share a
     /// tick. `scheduling` is asked for by the others: whoever calls has had it, or does without.
     ///
@@ -88,29 +88,29 @@ impl Crew {
     }
 
     /// Ticks all robots, on all threads if there are enough robots.
-    pub fn run(&self, share: Share<'_>, outputs: Outputs<'_>) {
-        let robots = share.len();
+    pub fn run(&self, shard: Shard<'_>, outputs: Outputs<'_>) {
+        let robots = shard.len();
         if self.shares(robots) {
             let part = robots.div_ceil(PARTS * self.seats.len()).max(LEAST);
-            self.divide(share, outputs, part);
+            self.divide(shard, outputs, part);
         } else {
-            self.part(share, outputs);
+            self.part(shard, outputs);
         }
     }
 
     /// The first half of a tick, on the calling thread.
-    pub(crate) fn forecast(&self, share: &mut Share<'_>, forecasts: &mut [Forecast]) {
-        self.on_seat(|batch, on| share.forecast(batch, forecasts, on));
+    pub(crate) fn forecast(&self, shard: &mut Shard<'_>, forecasts: &mut [Forecast]) {
+        self.on_seat(|batch, on| shard.forecast(batch, forecasts, on));
     }
 
     /// The second half of a tick, on the calling thread.
     pub(crate) fn account(
         &self,
-        share: &mut Share<'_>,
+        shard: &mut Shard<'_>,
         diagnostics: &mut [Diagnostic],
         budgets: &mut [Budget],
     ) {
-        self.on_seat(|batch, on| share.account(batch, diagnostics, budgets, on));
+        self.on_seat(|batch, on| shard.account(batch, diagnostics, budgets, on));
     }
 
     /// Time spent so far in each stage of [`Stage::ALL`], over all threads, ns.
@@ -133,13 +133,13 @@ impl Crew {
         sum
     }
 
-    fn divide(&self, share: Share<'_>, outputs: Outputs<'_>, part: usize) {
-        let robots = share.len();
+    fn divide(&self, shard: Shard<'_>, outputs: Outputs<'_>, part: usize) {
+        let robots = shard.len();
         if robots <= part {
-            self.part(share, outputs);
+            self.part(shard, outputs);
             return;
         }
-        let (first, second) = share.split_at(robots / 2);
+        let (first, second) = shard.split_at(robots / 2);
         let (to_first, to_second) = outputs.split_at(first.len());
         rayon::join(
             || self.divide(first, to_first, part),
@@ -147,8 +147,8 @@ impl Crew {
         );
     }
 
-    fn part(&self, mut share: Share<'_>, outputs: Outputs<'_>) {
-        self.on_seat(|batch, on| share.run(batch, outputs, on));
+    fn part(&self, mut shard: Shard<'_>, outputs: Outputs<'_>) {
+        self.on_seat(|batch, on| shard.run(batch, outputs, on));
     }
 
     /// Works with what belongs to the calling thread; its lock is never waited for.
@@ -159,7 +159,7 @@ impl Crew {
         let mut seat = seat
             .lock()
             .unwrap_or_else(std::sync::PoisonError::into_inner);
-        let Seat { batch, spent } = &mut *seat;
+        let ThreadScratch { batch, spent } = &mut *seat;
         let mut since_ns = clock::monotonic_ns();
         work(batch, &mut |stage| {
             let now_ns = clock::monotonic_ns();

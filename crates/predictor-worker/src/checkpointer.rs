@@ -1,4 +1,4 @@
-//! The clerk: a thread that reads the worker's own frames, as a planner would, and does what the
+//! The checkpointer: a thread that reads the worker's own frames, as a planner would, and does what the
 //! tick must not: writes the ledger's checkpoints and logs what was refused.
 
 use std::path::PathBuf;
@@ -16,14 +16,14 @@ use joulebus_wire::{DropCounts, DropReason};
 use crate::checkpoint::{Checkpoint, CheckpointError};
 use crate::keyframes::{KeyframeOrders, KeyframeSender};
 
-/// How often the clerk looks around.
+/// How often the checkpointer looks around.
 const ROUND: Duration = Duration::from_millis(200);
 /// Looks for a keyframe in a round while one is on its way.
 const GLANCES: u32 = 10;
 /// Rounds between two looks at what was refused.
 const LOOK_EVERY: u64 = 5;
 
-/// Why the clerk could not begin.
+/// Why the checkpointer could not begin.
 #[derive(Debug, thiserror::Error)]
 pub enum ClerkError {
     /// It could not join.
@@ -33,14 +33,14 @@ pub enum ClerkError {
     #[error(transparent)]
     Open(#[from] OpenError),
     /// The thread could not be started, or the machine's run is not known.
-    #[error("the worker's clerk cannot start: {0}")]
+    #[error("the worker's checkpointer cannot start: {0}")]
     Start(#[from] std::io::Error),
     /// The thread died before it was ready.
-    #[error("the worker's clerk died at start")]
+    #[error("the worker's checkpointer died at start")]
     Died,
 }
 
-/// Failures of the worker's loop, counted by it and logged by the clerk.
+/// Failures of the worker's loop, counted by it and logged by the checkpointer.
 #[derive(Debug, Default)]
 pub(crate) struct Failures {
     pub unsent: AtomicU64,
@@ -51,12 +51,12 @@ pub(crate) struct Failures {
 
 /// The running thread; stops when dropped.
 #[derive(Debug)]
-pub(crate) struct Clerk {
+pub(crate) struct Checkpointer {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Clerk {
+impl Checkpointer {
     /// Starts the thread and waits until it reads. `before` is what an earlier run wrote down.
     pub(crate) fn start(
         domain: &Domain,
@@ -69,7 +69,7 @@ impl Clerk {
         let (stopped, domain, config) = (Arc::clone(&stop), domain.clone(), config.clone());
         let (ready, started) = std::sync::mpsc::sync_channel(1);
         let thread = std::thread::Builder::new()
-            .name("joulebus-clerk".to_owned())
+            .name("joulebus-checkpointer".to_owned())
             .spawn(move || {
                 match Desk::open(&domain, &config, before, failures, orders) {
                     Ok(desk) => {
@@ -95,19 +95,19 @@ impl Clerk {
         if let Some(thread) = self.thread.take() {
             thread.thread().unpark();
             if thread.join().is_err() {
-                tracing::error!("the worker's clerk panicked");
+                tracing::error!("the worker's checkpointer panicked");
             }
         }
     }
 }
 
-impl Drop for Clerk {
+impl Drop for Checkpointer {
     fn drop(&mut self) {
         self.finish();
     }
 }
 
-/// What the clerk works with; belongs to its thread.
+/// What the checkpointer works with; belongs to its thread.
 struct Desk {
     // Before the bus: ports go first.
     budgets: BudgetReader,
@@ -134,7 +134,7 @@ impl Desk {
         failures: Arc<Failures>,
         orders: KeyframeOrders,
     ) -> Result<Self, ClerkError> {
-        let bus = Bus::join(domain, "clerk")?;
+        let bus = Bus::join(domain, "checkpointer")?;
         let limits = config.limits();
         let every = config
             .checkpoint_every_ns()
@@ -195,7 +195,7 @@ impl Desk {
                 self.changed = true;
             }
             Ok(None) => {}
-            Err(error) => tracing::warn!(%error, "the clerk cannot read budgets"),
+            Err(error) => tracing::warn!(%error, "the checkpointer cannot read budgets"),
         }
     }
 
@@ -221,7 +221,7 @@ impl Desk {
                 }
             }
             Ok(None) => {}
-            Err(error) => tracing::warn!(%error, "the clerk cannot read forecasts"),
+            Err(error) => tracing::warn!(%error, "the checkpointer cannot read forecasts"),
         }
         let failed = (
             self.failures.unsent.load(Ordering::Relaxed),

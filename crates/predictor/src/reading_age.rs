@@ -10,12 +10,12 @@ use serde::{Deserialize, Serialize};
 /// How long ago a robot's power was last measured, and how often it is, both counted in its own
 /// samples: no clock is asked, so the same samples give the same bits whenever they are replayed.
 ///
-/// Every sample with a reading is [`Freshness::read`]; every sample period without one is
-/// [`Freshness::pass`]ed, by the schedule that the robot has kept so far. The *interval* between two
+/// Every sample with a reading is [`ReadingAge::read`]; every sample period without one is
+/// [`ReadingAge::pass`]ed, by the schedule that the robot has kept so far. The *interval* between two
 /// measurements is learned: a shorter one is believed at once, a longer one by a sample at a
 /// time, for it may be a new measurement that was equal to the one before and so taken for held.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Freshness {
+pub struct ReadingAge {
     /// Samples since the last measurement, or [`NEVER`].
     age_steps: u8,
     /// Samples from one measurement to the next; 0 where two have not been seen.
@@ -25,7 +25,7 @@ pub struct Freshness {
 /// In place of an age: nothing was measured yet. One more than the greatest age that is counted.
 const NEVER: u8 = u8::MAX;
 
-impl Freshness {
+impl ReadingAge {
     /// Number of its features.
     pub const FEATURES: usize = 2;
 
@@ -34,7 +34,7 @@ impl Freshness {
     pub const LONGEST_STEPS: u8 = 30;
 
     /// Nothing was measured yet.
-    pub const UNKNOWN: Freshness = Freshness {
+    pub const UNKNOWN: ReadingAge = ReadingAge {
         age_steps: NEVER,
         interval_steps: 0,
     };
@@ -45,10 +45,10 @@ impl Freshness {
         [self.age_steps, self.interval_steps]
     }
 
-    /// From [`Freshness::to_bytes`]; any two bytes make sense.
+    /// From [`ReadingAge::to_bytes`]; any two bytes make sense.
     #[inline(always)]
-    pub const fn from_bytes([age_steps, interval_steps]: [u8; 2]) -> Freshness {
-        Freshness {
+    pub const fn from_bytes([age_steps, interval_steps]: [u8; 2]) -> ReadingAge {
+        ReadingAge {
             age_steps,
             interval_steps,
         }
@@ -87,9 +87,9 @@ impl Freshness {
         };
     }
 
-    /// As [`Freshness::pass`]ed.
+    /// As [`ReadingAge::pass`]ed.
     #[must_use]
-    pub fn after(mut self, steps: u64) -> Freshness {
+    pub fn after(mut self, steps: u64) -> ReadingAge {
         self.pass(steps);
         self
     }
@@ -120,7 +120,7 @@ impl Freshness {
         self.is_known().then_some(due)
     }
 
-    /// Sets the features of freshness: the age in samples, up to [`Freshness::LONGEST_STEPS`], and
+    /// Sets the features of freshness: the age in samples, up to [`ReadingAge::LONGEST_STEPS`], and
     /// whether a new measurement is due, 1 or 0. Both are NaN where that is not known.
     #[inline(always)]
     pub fn fill(&self, row: &mut Features) {
@@ -148,18 +148,18 @@ impl Freshness {
 mod tests {
     use super::*;
 
-    fn features(freshness: Freshness) -> [f32; 2] {
+    fn features(reading_age: ReadingAge) -> [f32; 2] {
         let mut row = [f32::NAN; FEATURES + 2];
-        freshness.fill(&mut row);
+        reading_age.fill(&mut row);
         [row[FEATURES], row[FEATURES + 1]]
     }
 
-    fn of(pattern: &str) -> Freshness {
-        let mut freshness = Freshness::UNKNOWN;
+    fn of(pattern: &str) -> ReadingAge {
+        let mut reading_age = ReadingAge::UNKNOWN;
         for sample in pattern.bytes() {
-            freshness.read(sample == b'n');
+            reading_age.read(sample == b'n');
         }
-        freshness
+        reading_age
     }
 
     #[test]
@@ -225,14 +225,14 @@ mod tests {
 
     #[test]
     fn nothing_overflows_in_a_robot_at_rest() {
-        let mut freshness = of("nhhn");
+        let mut reading_age = of("nhhn");
         for _ in 0..10_000 {
-            freshness.read(false);
+            reading_age.read(false);
         }
-        assert_eq!(freshness.age_steps(), Some(254));
-        assert_eq!(features(freshness), [30.0, 1.0]);
-        freshness.read(true);
-        assert_eq!(freshness.interval_steps(), Some(4));
+        assert_eq!(reading_age.age_steps(), Some(254));
+        assert_eq!(features(reading_age), [30.0, 1.0]);
+        reading_age.read(true);
+        assert_eq!(reading_age.interval_steps(), Some(4));
         let mut first = of("n");
         first.pass(u64::MAX);
         first.read(true);

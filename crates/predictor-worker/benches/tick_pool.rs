@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::Scheduling;
 use joulebus_fleet::Outputs;
-use joulebus_predictor_worker::Crew;
+use joulebus_predictor_worker::TickPool;
 use world::{FRAMES, World};
 
 const FLEETS: [usize; 6] = [1_000, 2_000, 4_000, 10_000, 100_000, 300_000];
@@ -28,8 +28,9 @@ fn main() {
     for refused in scheduling.apply().into_iter().flatten() {
         println!("{refused}");
     }
-    let crews = [2, 1]
-        .map(|threads| Crew::assemble(threads, 1, &scheduling).expect("threads can be started"));
+    let crews = [2, 1].map(|threads| {
+        TickPool::assemble(threads, 1, &scheduling).expect("threads can be started")
+    });
     println!(
         "{:>8}{:>24}{:>24}{:>8}",
         "robots", "one thread", "two threads", "ratio"
@@ -49,7 +50,7 @@ fn main() {
             };
             let start = Instant::now();
             world.fleet.begin(now_ns, false);
-            crews[round % 2].run(world.fleet.share(), outputs);
+            crews[round % 2].run(world.fleet.shard(), outputs);
             if round >= WARM_UP {
                 times[round % 2].push(start.elapsed().as_secs_f64() * 1e6);
             }

@@ -3,7 +3,7 @@
 
 mod world;
 
-use joulebus_fleet::{Batch, Fleet, Outputs, Share};
+use joulebus_fleet::{Batch, Fleet, Outputs, Shard};
 use joulebus_predictor::Kernel;
 use joulebus_wire::{Budget, Diagnostic, Forecast, Sample, sample_flag};
 use proptest::prelude::*;
@@ -44,19 +44,19 @@ fn frame(step: u64, now_ns: u64, noise: &mut Noise) -> Vec<Sample> {
 }
 
 /// Ticks a share, cut at random and spread over threads.
-fn scatter(share: Share<'_>, outputs: Outputs<'_>, seed: u64, depth: u32) {
+fn scatter(shard: Shard<'_>, outputs: Outputs<'_>, seed: u64, depth: u32) {
     let mut noise = Noise(seed);
-    if depth == 0 || share.is_empty() {
+    if depth == 0 || shard.is_empty() {
         let mut batch = Batch::of_slots(1 + (noise.next_u64() % 700) as usize);
         return tick(
-            share,
+            shard,
             outputs,
             &mut batch,
             noise.next_u64().is_multiple_of(2),
         );
     }
-    let robots = (noise.next_u64() % (share.len() as u64 + 1)) as usize;
-    let (first, second) = share.split_at(robots);
+    let robots = (noise.next_u64() % (shard.len() as u64 + 1)) as usize;
+    let (first, second) = shard.split_at(robots);
     assert!(first.len() >= robots && first.len() < robots + 64);
     let (to_first, to_second) = outputs.split_at(first.len());
     let (one, other) = (noise.next_u64(), noise.next_u64());
@@ -66,12 +66,12 @@ fn scatter(share: Share<'_>, outputs: Outputs<'_>, seed: u64, depth: u32) {
     });
 }
 
-fn tick(mut share: Share<'_>, outputs: Outputs<'_>, batch: &mut Batch, in_two: bool) {
+fn tick(mut shard: Shard<'_>, outputs: Outputs<'_>, batch: &mut Batch, in_two: bool) {
     if !in_two {
-        return share.run(batch, outputs, &mut |_| {});
+        return shard.run(batch, outputs, &mut |_| {});
     }
-    share.forecast(batch, outputs.forecasts, &mut |_| {});
-    share.account(batch, outputs.diagnostics, outputs.budgets, &mut |_| {});
+    shard.forecast(batch, outputs.forecasts, &mut |_| {});
+    shard.account(batch, outputs.diagnostics, outputs.budgets, &mut |_| {});
 }
 
 proptest! {
@@ -107,7 +107,7 @@ proptest! {
                 diagnostics: &mut diagnostics[..robots],
                 budgets: &mut budgets[..robots],
             };
-            scatter(shared.share(), outputs, noise.next_u64(), depth);
+            scatter(shared.shard(), outputs, noise.next_u64(), depth);
             for place in 0..robots {
                 let expected = forecast_bits(&whole.forecast(place));
                 prop_assert_eq!(&forecast_bits(&forecasts[place]), &expected, "step {}", step);

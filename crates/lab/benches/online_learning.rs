@@ -11,13 +11,13 @@ mod live;
 use std::path::{Path, PathBuf};
 
 use joulebus_fleet::Platform;
-use joulebus_lab::beyond::{Judged, VARIANTS, judge};
 use joulebus_lab::metrics::Tally;
+use joulebus_lab::online_learning::{Judged, VARIANTS, judge};
 use joulebus_lab::plant::{protocol, scenario};
 use joulebus_lab::rows::trial_rows;
 use joulebus_lab::score::recorded_platform;
 use joulebus_lab::split::{By, Source, Split, deal, deal_leaving_out, group_of};
-use joulebus_lab::train::{Dataset, Settings, train};
+use joulebus_lab::train::{Dataset, TrainSettings, train};
 use joulebus_lab::trial::Trial;
 use joulebus_predictor::{FeatureSet, Network};
 use live::settings;
@@ -94,12 +94,12 @@ fn line(trained_on: &str, tested_on: &str, judged: &Judged) {
 struct Recordings {
     trials: Vec<Trial>,
     sources: Vec<Source>,
-    recipe: Settings,
+    recipe: TrainSettings,
     resolution_w: f32,
 }
 
 impl Recordings {
-    fn read(folder: &str, recipe: Settings, resolution_w: f32) -> Option<Self> {
+    fn read(folder: &str, recipe: TrainSettings, resolution_w: f32) -> Option<Self> {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
         let Ok(files) = std::fs::read_dir(root.join(folder)) else {
             println!("no recordings in ../shared/data/{folder}: left out");
@@ -115,7 +115,7 @@ impl Recordings {
         Some(Self::new(trials, recipe, resolution_w))
     }
 
-    fn new(trials: Vec<Trial>, recipe: Settings, resolution_w: f32) -> Self {
+    fn new(trials: Vec<Trial>, recipe: TrainSettings, resolution_w: f32) -> Self {
         let sources = trials
             .iter()
             .map(|trial| {
@@ -212,7 +212,7 @@ impl Recordings {
 }
 
 fn husky() {
-    let recipe = Settings::new("husky", "recordings", FeatureSet::Full, SEED);
+    let recipe = TrainSettings::new("husky", "recordings", FeatureSet::Full, SEED);
     let Some(husky) = Recordings::read("borealtc_husky", recipe, 0.24) else {
         return;
     };
@@ -233,9 +233,9 @@ fn husky() {
 }
 
 fn robotino() {
-    let recipe = Settings {
+    let recipe = TrainSettings {
         max_epochs: 20,
-        ..Settings::new("robotino", "recordings", FeatureSet::Full, SEED)
+        ..TrainSettings::new("robotino", "recordings", FeatureSet::Full, SEED)
     };
     let Some(robotino) = Recordings::read("robotino", recipe, 0.6) else {
         return;
@@ -258,7 +258,7 @@ fn robotino() {
 }
 
 fn rover() {
-    let recipe = Settings::new("rover", "recordings", FeatureSet::PowerOnly, SEED);
+    let recipe = TrainSettings::new("rover", "recordings", FeatureSet::PowerOnly, SEED);
     let Some(rover) = Recordings::read("ase_rover", recipe, 0.01) else {
         return;
     };
@@ -284,7 +284,7 @@ fn simulated() {
         ("simulated trials 1–4", FeatureSet::Full),
         ("the same, freshness read", FeatureSet::Freshness),
     ] {
-        let recipe = Settings::new("simulated", "simulation", features, SEED);
+        let recipe = TrainSettings::new("simulated", "simulation", features, SEED);
         let learned = Recordings::new(trials.clone(), recipe.clone(), 0.01);
         let rows = |range: std::ops::Range<usize>| {
             let sources = learned.sources[range].iter();

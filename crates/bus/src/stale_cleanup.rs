@@ -11,8 +11,8 @@ use iceoryx2::prelude::{CallbackProgression, ipc};
 
 use crate::config::{self, ConfigError};
 use crate::domain::{check_private, effective_uid};
+use crate::incomplete::{objects, remove_stillborn};
 use crate::membership::MembersLock;
-use crate::stillborn::{objects, remove_stillborn};
 use crate::{Domain, RootError, WorkerLock};
 
 /// What was removed.
@@ -23,7 +23,7 @@ pub struct SweepReport {
     /// Nodes of dead processes that could not be removed; they go with the last member.
     pub failed_nodes: u64,
     /// Objects, services and nodes that were created but never finished.
-    pub stillborn: u64,
+    pub incomplete: u64,
     /// Objects in shared memory removed because no member was alive.
     pub objects: u64,
     /// Bytes that they took.
@@ -40,7 +40,7 @@ impl SweepReport {
     pub const fn is_clean(&self) -> bool {
         self.dead_nodes == 0
             && self.failed_nodes == 0
-            && self.stillborn == 0
+            && self.incomplete == 0
             && self.objects == 0
             && self.files == 0
     }
@@ -76,7 +76,7 @@ fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
         lock.remove(domain);
     } else {
         let config = config::load(domain)?;
-        report.stillborn = remove_stillborn(domain)?;
+        report.incomplete = remove_stillborn(domain)?;
         remove_dead_nodes(config, &mut report);
     }
     Ok(report)
@@ -109,7 +109,7 @@ pub(crate) fn remove_dead_nodes(config: &Config, report: &mut SweepReport) {
 pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<(), SweepError> {
     check_private(&domain.directory())?;
     let config = config::wanted(domain)?;
-    report.stillborn += remove_stillborn(domain)?;
+    report.incomplete += remove_stillborn(domain)?;
     if is_anybody_alive(&config) {
         remove_dead_nodes(config::load(domain)?, report);
         return Ok(());

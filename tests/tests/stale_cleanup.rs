@@ -22,7 +22,7 @@ fn killed_fleet(arena: &Arena) {
     for process in [&mut worker, &mut controller, &mut planner.child] {
         process.kill();
     }
-    assert!(arena.leftovers().len() > 10, "{:?}", arena.leftovers());
+    assert!(arena.stale_files().len() > 10, "{:?}", arena.stale_files());
 }
 
 /// Starts a worker, a controller and a planner, and waits until the planner is told of the
@@ -64,7 +64,7 @@ fn row_18_leftovers_of_dead_runs_are_removed_at_the_next_start_in_one_log_line()
         .collect();
     assert_eq!(lines.len(), 1, "{}", ended.errors());
     assert!(lines[0].contains("cold: true"), "{}", lines[0]);
-    assert_eq!(arena.leftovers(), Vec::<std::path::PathBuf>::new());
+    assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
     // Nothing was left this time: nothing is said.
     let ended = arena.worker().stop();
     assert!(!ended.errors().contains(CLEANED), "{}", ended.errors());
@@ -76,9 +76,9 @@ fn row_18_leftovers_of_dead_runs_are_removed_at_the_next_start_in_one_log_line()
 fn row_18_doctor_lists_what_dead_runs_left_and_mends_it_but_only_when_told_to() {
     let arena = Arena::new(&Setup::default());
     killed_fleet(&arena);
-    let before = arena.leftovers();
+    let before = arena.stale_files();
     let listed = arena.run(&["doctor", "--format", "json"]).json();
-    assert_eq!(arena.leftovers(), before, "looking changes nothing");
+    assert_eq!(arena.stale_files(), before, "looking changes nothing");
     let found = check(&listed, "leftovers");
     assert_ne!(found["status"], "ok", "{listed}");
     let text = found["found"].as_str().unwrap();
@@ -100,7 +100,7 @@ fn row_18_doctor_lists_what_dead_runs_left_and_mends_it_but_only_when_told_to() 
         "{mended}"
     );
     assert_eq!(check(&mended, "leftovers")["status"], "ok", "{mended}");
-    assert_eq!(arena.leftovers(), Vec::<std::path::PathBuf>::new());
+    assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
     works(&arena, 0);
     arena.close();
 }
@@ -154,7 +154,7 @@ fn trap_1_files_of_length_zero_hold_nobody_up_whether_somebody_lives_or_not() {
         path
     };
     killed_fleet(&arena);
-    for object in arena.leftovers().iter().filter(|path| path.is_file()) {
+    for object in arena.stale_files().iter().filter(|path| path.is_file()) {
         fs::OpenOptions::new()
             .write(true)
             .truncate(true)

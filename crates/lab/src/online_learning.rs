@@ -2,7 +2,7 @@
 //! `adapt` of a platform, judged through the live tick on recorded trials, beside persistence and the
 //! linear baseline AR(5) + velocities of the model file.
 
-use joulebus_fleet::{Online, Platform, Settings};
+use joulebus_fleet::{FleetSettings, Online, Platform};
 use joulebus_predictor::{FEATURES, FeatureSet, Linear, Model, Network};
 
 use crate::evaluate::{EvaluateError, RobotEvaluation, evaluate_trial};
@@ -92,7 +92,7 @@ impl Judged {
 pub fn judge(
     network: &Network,
     platform: &Platform,
-    settings: &Settings,
+    settings: &FleetSettings,
     trials: &[&Trial],
 ) -> Result<Judged, EvaluateError> {
     let model = Model::Network(network.clone());
@@ -106,7 +106,7 @@ pub fn judge(
         let rows = sample_rows(&trial.to_samples(0, 1_000_000_000), trial.period_ns());
         judged.baselines(&rows, model.linear());
         for ((_, online), variant) in VARIANTS.iter().zip(&mut judged.variants) {
-            let settings = Settings {
+            let settings = FleetSettings {
                 platforms: vec![of_trial(platform, trial, *online)],
                 ..settings.clone()
             };

@@ -35,12 +35,12 @@ pub(super) enum Step {
 
 /// The course of one process that is to run until it is asked to end.
 #[derive(Debug, Clone)]
-pub(super) struct Course {
+pub(super) struct RestartPolicy {
     phase: Phase,
     rest_ns: u64,
 }
 
-impl Course {
+impl RestartPolicy {
     /// Of a process that is to start at once.
     pub(super) const fn new(now_ns: u64) -> Self {
         Self {
@@ -118,7 +118,7 @@ mod tests {
 
     #[test]
     fn a_crash_loop_rests_twice_as_long_each_time_up_to_the_longest() {
-        let mut course = Course::new(0);
+        let mut course = RestartPolicy::new(0);
         let mut now_ns = 0;
         for want_ms in [100, 200, 400, 800, 1600, 3200, 5000, 5000] {
             assert_eq!(course.step(now_ns), Step::Start);
@@ -141,7 +141,7 @@ mod tests {
             (3, 10_000, 100),
             (9, 60_000, 100),
         ] {
-            let mut course = Course::new(0);
+            let mut course = RestartPolicy::new(0);
             for _ in 0..failed {
                 course.started(0);
                 course.ended(0);
@@ -154,7 +154,7 @@ mod tests {
 
     #[test]
     fn a_start_that_fails_counts_as_a_run_of_no_length() {
-        let mut course = Course::new(0);
+        let mut course = RestartPolicy::new(0);
         assert_eq!(course.ended(0), Some(100 * MS));
         assert_eq!(course.step(100 * MS), Step::Start);
         assert_eq!(course.ended(100 * MS), Some(200 * MS));
@@ -162,7 +162,7 @@ mod tests {
 
     #[test]
     fn who_is_asked_to_end_is_killed_once_after_the_grace_time_and_never_restarted() {
-        let mut course = Course::new(0);
+        let mut course = RestartPolicy::new(0);
         course.started(0);
         course.ask_to_end(10, 5);
         course.ask_to_end(14, 5);
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn who_rests_when_asked_to_end_does_not_start_again() {
-        let mut course = Course::new(0);
+        let mut course = RestartPolicy::new(0);
         course.started(0);
         course.ended(1);
         course.ask_to_end(2, 5);

@@ -130,7 +130,7 @@ fn unsafe_code_stays_in_its_named_files() {
         "predictor/src/kernel/avx512.rs",
         "predictor/src/kernel/neon.rs",
         "predictor/src/kernel/forward.rs",
-        "predictor/src/kernel/near.rs",
+        "predictor/src/kernel/prefetch.rs",
     ];
     for name in names().iter().filter(|name| *name != "bus") {
         let found = places(

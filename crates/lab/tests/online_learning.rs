@@ -6,11 +6,11 @@ mod live;
 use std::path::{Path, PathBuf};
 
 use joulebus_fleet::Platform;
-use joulebus_lab::beyond::{FEWEST_READINGS, Judged, TOLERANCE, judge};
 use joulebus_lab::metrics::Tally;
+use joulebus_lab::online_learning::{FEWEST_READINGS, Judged, TOLERANCE, judge};
 use joulebus_lab::rows::trial_rows;
 use joulebus_lab::score::recorded_platform;
-use joulebus_lab::train::{Dataset, Row, Settings, train};
+use joulebus_lab::train::{Dataset, Row, TrainSettings, train};
 use joulebus_lab::trial::Trial;
 use joulebus_predictor::FeatureSet;
 use live::settings;
@@ -52,9 +52,9 @@ fn judged(terrain: &str) -> Option<Judged> {
         validation,
         description: "asphalt and flooring".to_owned(),
     };
-    let recipe = Settings {
+    let recipe = TrainSettings {
         max_epochs: 15,
-        ..Settings::new("husky", "recordings", FeatureSet::Full, 1)
+        ..TrainSettings::new("husky", "recordings", FeatureSet::Full, 1)
     };
     let network = train(&dataset, &recipe, |_| ())
         .expect("sound rows")

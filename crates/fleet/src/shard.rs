@@ -3,12 +3,12 @@
 use std::slice;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_predictor::{Wide, bring_near};
+use joulebus_predictor::{SimdTask, prefetch};
 use joulebus_wire::{Budget, Diagnostic, Forecast};
 
 use crate::account::Account;
 use crate::batch::Batch;
-use crate::columns::Part;
+use crate::columns::ColumnsMut;
 use crate::lanes::{AHEAD, LANES};
 use crate::pass::{self, Rules};
 use crate::report::{Budgets, Diagnostics, Forecasts};
@@ -44,9 +44,9 @@ impl Stage {
 /// A share is ticked by [`Share::forecast`] and then [`Share::account`], or by [`Share::run`], which
 /// does both tile by tile. `on` is called after each stage of each tile, for whoever counts the time.
 #[derive(Debug)]
-pub struct Share<'a> {
+pub struct Shard<'a> {
     pub(crate) rules: Rules<'a>,
-    pub(crate) columns: Part<'a>,
+    pub(crate) columns: ColumnsMut<'a>,
     pub(crate) oldest_ns: &'a AtomicU64,
 }
 
@@ -88,7 +88,7 @@ impl<'a> Outputs<'a> {
     }
 }
 
-impl<'a> Share<'a> {
+impl<'a> Shard<'a> {
     /// Robots in it.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -166,10 +166,10 @@ impl<'a> Share<'a> {
     fn absorb(&mut self, batch: &mut Batch, on: &mut dyn FnMut(Stage)) {
         let (rules, columns) = (self.rules, &mut self.columns);
         let mut next = Some(0);
-        while let Some(kind) = next {
-            let found = pass::absorb(&rules, kind, columns, batch, true);
+        while let Some(context) = next {
+            let found = pass::absorb(&rules, context, columns, batch, true);
             on(Stage::Features);
-            let its = &rules.kinds[usize::from(kind)];
+            let its = &rules.contexts[usize::from(context)];
             pass::infer(its, columns, batch);
             pass::run_open(&rules, its, columns, batch);
             on(Stage::Network);
@@ -180,15 +180,15 @@ impl<'a> Share<'a> {
 
     fn settle(&mut self) {
         let (rules, columns) = (self.rules, &mut self.columns);
-        rules.processor.run(Account {
+        rules.simd_level.run(Account {
             rules: &rules,
             columns,
         });
     }
 
     fn write_forecasts(&self, places: &mut slice::IterMut<'_, Forecast>) {
-        self.rules.processor.run(WriteForecasts {
-            share: self,
+        self.rules.simd_level.run(WriteForecasts {
+            shard: self,
             places,
         });
     }
@@ -199,16 +199,16 @@ impl<'a> Share<'a> {
         diagnostics: &mut slice::IterMut<'_, Diagnostic>,
         budgets: &mut slice::IterMut<'_, Budget>,
     ) {
-        self.rules.processor.run(WriteAccounts {
-            share: self,
+        self.rules.simd_level.run(WriteAccounts {
+            shard: self,
             diagnostics,
             budgets,
         });
     }
 
     /// Calls `work` with each tile that has robots in it.
-    fn each_tile(&mut self, words: usize, mut work: impl FnMut(&mut Share<'_>)) {
-        let mut rest = Share {
+    fn each_tile(&mut self, words: usize, mut work: impl FnMut(&mut Shard<'_>)) {
+        let mut rest = Shard {
             rules: self.rules,
             columns: self.columns.reborrow(),
             oldest_ns: self.oldest_ns,
@@ -224,36 +224,36 @@ impl<'a> Share<'a> {
 
     fn split_words(self, words: usize) -> (Self, Self) {
         let (first, second) = self.columns.split(words);
-        let share = |columns| Share {
+        let shard = |columns| Shard {
             rules: self.rules,
             columns,
             oldest_ns: self.oldest_ns,
         };
-        (share(first), share(second))
+        (shard(first), shard(second))
     }
 }
 
 /// Has the places of the next robots brought near.
 #[inline(always)]
-fn ask_ahead<T>(places: &[T]) {
+fn prefetch_ahead<T>(places: &[T]) {
     const FROM: usize = AHEAD * LANES;
     if let Some(places) = places.get(FROM..FROM + LANES) {
-        bring_near(places);
+        prefetch(places);
     }
 }
 
 /// Writes the forecasts of a tile.
 struct WriteForecasts<'a, 'b, 'c> {
-    share: &'a Share<'b>,
+    shard: &'a Shard<'b>,
     places: &'a mut slice::IterMut<'c, Forecast>,
 }
 
-impl Wide for WriteForecasts<'_, '_, '_> {
+impl SimdTask for WriteForecasts<'_, '_, '_> {
     #[inline(always)]
     fn run(self) {
-        let Share { rules, columns, .. } = self.share;
+        let Shard { rules, columns, .. } = self.shard;
         for (block, lanes) in slots::blocks(columns.words) {
-            ask_ahead(self.places.as_slice());
+            prefetch_ahead(self.places.as_slice());
             let forecasts = Forecasts::of(columns.seen(block));
             for (lane, place) in slots::bits(lanes).zip(self.places.by_ref()) {
                 *place = forecasts.get(rules, lane);
@@ -264,18 +264,18 @@ impl Wide for WriteForecasts<'_, '_, '_> {
 
 /// Writes the diagnostics and the budgets of a tile.
 struct WriteAccounts<'a, 'b, 'c, 'd> {
-    share: &'a Share<'b>,
+    shard: &'a Shard<'b>,
     diagnostics: &'a mut slice::IterMut<'c, Diagnostic>,
     budgets: &'a mut slice::IterMut<'d, Budget>,
 }
 
-impl Wide for WriteAccounts<'_, '_, '_, '_> {
+impl SimdTask for WriteAccounts<'_, '_, '_, '_> {
     #[inline(always)]
     fn run(self) {
-        let Share { rules, columns, .. } = self.share;
+        let Shard { rules, columns, .. } = self.shard;
         for (block, lanes) in slots::blocks(columns.words) {
-            ask_ahead(self.diagnostics.as_slice());
-            ask_ahead(self.budgets.as_slice());
+            prefetch_ahead(self.diagnostics.as_slice());
+            prefetch_ahead(self.budgets.as_slice());
             let seen = columns.seen(block);
             if self.diagnostics.len() > 0 {
                 let diagnostics = Diagnostics::of(seen);

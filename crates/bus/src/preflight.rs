@@ -35,7 +35,7 @@ pub struct Ports {
 
 /// Room needed and found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct RoomReport {
+pub struct CapacityReport {
     /// Shared memory that the ports will take at most, bytes.
     pub needed_bytes: u64,
     /// Free in `/dev/shm`, bytes.
@@ -54,22 +54,22 @@ pub struct RoomReport {
 /// that does not fit is a SIGBUS, not an error.
 ///
 /// # Errors
-/// [`RoomError`] with what is needed and what there is.
-pub fn check_room(limits: &Limits, ports: Ports) -> Result<RoomReport, RoomError> {
-    let report = RoomReport {
+/// [`CapacityError`] with what is needed and what there is.
+pub fn check_capacity(limits: &Limits, ports: Ports) -> Result<CapacityReport, CapacityError> {
+    let report = CapacityReport {
         needed_bytes: needed_bytes(limits, ports),
         descriptors_needed: descriptors(limits),
         ..measure()?
     };
     if report.needed_bytes > report.free_bytes {
-        return Err(RoomError::Memory {
+        return Err(CapacityError::Memory {
             needed: report.needed_bytes,
             free: report.free_bytes,
         });
     }
     let descriptors = report.descriptors_needed + report.descriptors_used;
     if descriptors > report.descriptors_limit {
-        return Err(RoomError::Descriptors {
+        return Err(CapacityError::Descriptors {
             needed: descriptors,
             used: report.descriptors_used,
             limit: report.descriptors_limit,
@@ -79,11 +79,11 @@ pub fn check_room(limits: &Limits, ports: Ports) -> Result<RoomReport, RoomError
 }
 
 /// The state of this host and process, with nothing needed.
-pub(crate) fn measure() -> Result<RoomReport, RoomError> {
+pub(crate) fn measure() -> Result<CapacityReport, CapacityError> {
     let (free_bytes, total_bytes) = shared_memory()?;
     let limit = getrlimit(Resource::Nofile).current;
-    let used = std::fs::read_dir("/proc/self/fd").map_err(RoomError::Look)?;
-    Ok(RoomReport {
+    let used = std::fs::read_dir("/proc/self/fd").map_err(CapacityError::Look)?;
+    Ok(CapacityReport {
         needed_bytes: 0,
         free_bytes,
         total_bytes,
@@ -95,8 +95,8 @@ pub(crate) fn measure() -> Result<RoomReport, RoomError> {
 }
 
 /// Free bytes and total bytes of `/dev/shm`.
-pub(crate) fn shared_memory() -> Result<(u64, u64), RoomError> {
-    let shm = rustix::fs::statvfs(SHM_DIR).map_err(|error| RoomError::Look(error.into()))?;
+pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
+    let shm = rustix::fs::statvfs(SHM_DIR).map_err(|error| CapacityError::Look(error.into()))?;
     Ok((
         shm.f_bavail.saturating_mul(shm.f_frsize),
         shm.f_blocks.saturating_mul(shm.f_frsize),
@@ -165,7 +165,7 @@ fn descriptors(limits: &Limits) -> u64 {
 
 /// Why the ports would not fit.
 #[derive(Debug, thiserror::Error)]
-pub enum RoomError {
+pub enum CapacityError {
     /// Too little shared memory.
     #[error(
         "shared memory: {needed} bytes needed, {free} free in {SHM_DIR}; lower `capacity` or \

@@ -4,14 +4,14 @@ use std::ops::RangeInclusive;
 
 use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 
-use crate::interval::Moves;
+use crate::interval::QuantileStep;
 use crate::mixture::Blending;
 use crate::window::Reads;
-use crate::{Platform, Settings};
+use crate::{FleetSettings, Platform};
 
 /// What belongs to one platform.
 #[derive(Debug)]
-pub(crate) struct Kind {
+pub(crate) struct PlatformContext {
     pub platform: Platform,
     pub model: Model,
     /// What the model reads.
@@ -26,7 +26,7 @@ pub(crate) struct Kind {
     /// Range of the features in training, widened by the margin of the alarm.
     pub trained: Option<Trained>,
     /// How intervals follow.
-    pub moves: Moves,
+    pub quantile_step: QuantileStep,
     /// What the robots learn from their own readings, if anything.
     pub blending: Option<Blending>,
 }
@@ -39,8 +39,8 @@ pub(crate) struct Trained {
     hi: Features,
 }
 
-impl Kind {
-    pub(crate) fn new(platform: Platform, model: Model, settings: &Settings) -> Self {
+impl PlatformContext {
+    pub(crate) fn new(platform: Platform, model: Model, settings: &FleetSettings) -> Self {
         let margin = settings.alarms.training_margin;
         let trained = model.training_range().map(|range| {
             let slack: Features =
@@ -54,9 +54,9 @@ impl Kind {
         let sigma_w = model.residual().std_w.max(platform.power_resolution_w);
         Self {
             blending: Blending::new(platform.online, &model, sigma_w),
-            moves: Moves::new(&settings.interval),
+            quantile_step: QuantileStep::new(&settings.interval),
             sigma_w,
-            // `Settings::check` has bounded the quotient by 1000.
+            // `FleetSettings::check` has bounded the quotient by 1000.
             longest_steps: (platform.stale_after_ns / platform.period_ns) as u16,
             overdue_after_ns: platform.period_ns + platform.period_ns / 2,
             trained,
@@ -81,16 +81,17 @@ impl Trained {
 }
 
 /// Ranges of robot ids, ascending, with the platform they belong to.
-pub(crate) fn ranges(kinds: &[Kind]) -> Vec<(u32, u32, u16)> {
-    let of = |(index, kind): (usize, &Kind)| {
+pub(crate) fn ranges(contexts: &[PlatformContext]) -> Vec<(u32, u32, u16)> {
+    let of = |(index, context): (usize, &PlatformContext)| {
         let span = move |range: &RangeInclusive<u32>| (*range.start(), *range.end(), index as u16);
-        kind.platform
+        context
+            .platform
             .robots
             .iter()
             .map(span)
             .collect::<Vec<(u32, u32, u16)>>()
     };
-    let mut ranges: Vec<(u32, u32, u16)> = kinds.iter().enumerate().flat_map(of).collect();
+    let mut ranges: Vec<(u32, u32, u16)> = contexts.iter().enumerate().flat_map(of).collect();
     ranges.sort_unstable();
     ranges
 }

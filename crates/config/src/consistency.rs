@@ -8,7 +8,7 @@ use std::sync::Arc;
 use crate::cpus;
 use crate::document::{FleetFile, Listed};
 use crate::files::{check_model, complaint};
-use crate::key::{File, Key, Preset};
+use crate::key::{DefaultValue, File, Key};
 use crate::keys::KEYS;
 use crate::problem::Problem;
 use crate::robots;
@@ -61,7 +61,7 @@ pub(crate) fn check(
 fn missing(values: &Values, file: &Arc<str>, header: Option<&Place>, problems: &mut Vec<Problem>) {
     let of_platform = header.is_some();
     let wanted = |key: &&Key| {
-        key.default == Preset::Required
+        key.default == DefaultValue::Required
             && key.path.starts_with("platform.") == of_platform
             && !values.names(key.path)
             && (!key.path.starts_with("platform.battery.") || values.names_any("platform.battery."))

@@ -6,7 +6,7 @@ const LINE: usize = 64;
 /// Has these values brought into the core's second cache, since they will soon be needed. It is a hint:
 /// nothing is waited for, and what it does can be seen in time only.
 #[inline(always)]
-pub fn bring_near<T>(values: &[T]) {
+pub fn prefetch<T>(values: &[T]) {
     #[cfg(target_arch = "x86_64")]
     {
         use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
