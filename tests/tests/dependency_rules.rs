@@ -1,6 +1,7 @@
 //! What is true by absence, read from the sources: each room knows only what it may know.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -77,7 +78,7 @@ fn the_core_knows_no_clock_file_thread_or_shared_memory() {
         "tracing",
         "joulebus_bus",
     ];
-    for pure in ["fleet", "predictor"] {
+    for pure in ["settings", "fleet", "predictor"] {
         assert_eq!(
             places(&crates().join(pure).join("src"), &words, &[]),
             Vec::<String>::new()
@@ -179,6 +180,7 @@ fn every_unsafe_block_says_why_it_is_sound() {
 fn dependencies_point_one_way() {
     let order = [
         "wire",
+        "settings",
         "predictor",
         "fleet",
         "bus",
@@ -213,6 +215,58 @@ fn dependencies_point_one_way() {
                 !dependencies.contains(&dependency),
                 "{glue} depends on {other}"
             );
+        }
+    }
+}
+
+/// The workspace's packages and their direct dependencies, other than those of their tests, by the
+/// names of their tables.
+fn direct_dependencies() -> BTreeMap<String, Vec<String>> {
+    let manifests = names().into_iter().map(|name| {
+        let manifest = fs::read_to_string(crates().join(&name).join("Cargo.toml")).unwrap();
+        let (_, after) = manifest.split_once("\n[dependencies]\n").unwrap();
+        let table = after.split("\n[").next().unwrap();
+        let dependencies = table.lines().filter_map(|line| {
+            let end = line.find(['.', ' ', '='])?;
+            Some(line[..end].to_owned()).filter(|name| !name.starts_with('#'))
+        });
+        (format!("joulebus-{name}"), dependencies.collect())
+    });
+    manifests.collect()
+}
+
+/// The packages of `Cargo.lock` and what each depends on.
+fn locked_dependencies() -> BTreeMap<String, Vec<String>> {
+    let lock = fs::read_to_string(crates().parent().unwrap().join("Cargo.lock")).unwrap();
+    let mut locked: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for package in lock.split("[[package]]").skip(1) {
+        let quoted: Vec<&str> = package.split('"').skip(1).step_by(2).collect();
+        let list = package.split_once("dependencies = [");
+        let list = list.map_or("", |(_, list)| list);
+        let names = list.split('"').skip(1).step_by(2);
+        // Of two versions of a package the lock names each with its version.
+        let names = names.filter_map(|name| Some(name.split(' ').next()?.to_owned()));
+        locked.entry(quoted[0].to_owned()).or_default().extend(names);
+    }
+    locked
+}
+
+#[test]
+fn the_sdk_compiles_no_kernel_no_tick_and_no_thread_pool() {
+    let mut graph = locked_dependencies();
+    // The lock does not tell the dependencies of a package's tests from its own.
+    graph.extend(direct_dependencies());
+    for sdk in ["joulebus-publisher", "joulebus-consumer"] {
+        let mut reached = BTreeSet::new();
+        let mut open = vec![sdk.to_owned()];
+        while let Some(name) = open.pop() {
+            if reached.insert(name.clone()) {
+                open.extend(graph[&name].iter().cloned());
+            }
+        }
+        assert!(reached.contains("iceoryx2"), "{reached:?}");
+        for heavy in ["joulebus-predictor", "joulebus-fleet", "rayon"] {
+            assert!(!reached.contains(heavy), "{sdk} reaches {heavy}");
         }
     }
 }

@@ -8,10 +8,11 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use joulebus_bus::{Scheduling, clock};
 use joulebus_config::{Config, Demo};
-use joulebus_fleet::{Batch, Fleet, FleetSettings, Outputs};
+use joulebus_fleet::{Batch, Fleet, Outputs};
 use joulebus_predictor::{Features, Model, Network};
 use joulebus_predictor_worker::TickPool;
 use joulebus_publisher::Pace;
+use joulebus_settings::FleetSettings;
 use joulebus_wire::{Budget, Diagnostic, Forecast};
 
 use crate::world::World;

@@ -11,7 +11,8 @@ use std::time::Instant;
 
 use joulebus_capture::verify::{Verification, Verifier};
 use joulebus_capture::{Attachments, CaptureSettings, Entry, Message, Reader, Times, Writer};
-use joulebus_fleet::{Fleet, FleetSettings};
+use joulebus_fleet::Fleet;
+use joulebus_settings::FleetSettings;
 use joulebus_wire::{
     BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSION, Sample, StateHeader,
     TakenFrame, TickHeader,

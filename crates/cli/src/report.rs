@@ -5,7 +5,6 @@ use std::io::{IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use joulebus_fleet::Platform;
 use joulebus_lab::report::{
     Document, Recorded, Simulated, SimulatedReport, files, recorded, simulated,
 };
@@ -13,6 +12,7 @@ use joulebus_lab::score::Recording;
 use joulebus_lab::train::Epoch;
 use joulebus_lab::trial::Trial;
 use joulebus_predictor::Model;
+use joulebus_settings::Platform;
 
 use crate::config_file::ConfigFile;
 use crate::data::find_recordings;

@@ -4,8 +4,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use joulebus_fleet::{FleetSettings, Platform};
 use joulebus_lab::trial::{Form, Trial};
+use joulebus_settings::{FleetSettings, Platform};
 
 use crate::data::find_recordings;
 use crate::exit::UsageError;

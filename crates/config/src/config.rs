@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use joulebus_bus::Scheduling;
-use joulebus_fleet::{
+use joulebus_settings::{
     AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Online, Platform, Policy,
 };
 

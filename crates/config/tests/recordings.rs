@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use flate2::read::GzDecoder;
 use joulebus_config::Config;
-use joulebus_fleet::Platform;
+use joulebus_settings::Platform;
 
 /// The recordings of a folder; none where they are not at hand, which CI does not allow.
 fn recordings(folder: &str) -> Option<Vec<PathBuf>> {

@@ -8,8 +8,8 @@ use joulebus_config::{
     Config, ConfigError, Demo, File, KEYS, ModelSource, builtin_model, builtin_models,
     builtin_platforms, explain, explanations,
 };
-use joulebus_fleet::Policy;
 use joulebus_predictor::{FeatureSet, Network};
+use joulebus_settings::Policy;
 
 fn configs() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs")

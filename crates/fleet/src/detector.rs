@@ -3,8 +3,8 @@
 use joulebus_wire::{Alarm, AlarmSet};
 use serde::{Deserialize, Serialize};
 
-use crate::AlarmSettings;
 use crate::lanes::{Block, Lanes, put};
+use joulebus_settings::AlarmSettings;
 
 /// Serial correlation above which whitening would only amplify noise.
 const CORRELATION_MAX: f32 = 0.9;

@@ -21,7 +21,8 @@ use crate::refused::Refused;
 use crate::report::{Budgets, Diagnostics, Forecasts, Seen};
 use crate::slots::WORD;
 use crate::sources::Sources;
-use crate::{FleetSettings, Learned, Ledger, Outputs, Scores, SettingsError, Shard};
+use crate::{Learned, Ledger, Outputs, Scores, Shard};
+use joulebus_settings::{FleetSettings, SettingsError};
 
 /// The state of all robots, in columns indexed by slot, and everything one tick needs.
 ///

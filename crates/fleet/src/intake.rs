@@ -2,7 +2,7 @@
 
 use joulebus_wire::{DropReason, InvalidReason, Sample, sample_flag};
 
-use crate::Platform;
+use joulebus_settings::Platform;
 
 /// Refuses values that cannot be true of a robot of this platform.
 ///

@@ -20,8 +20,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::IntervalSettings;
 use crate::lanes::{block, put};
+use joulebus_settings::IntervalSettings;
 
 /// Weight of the newest residual in their mean and size, and in the recent coverage.
 const RECENT_WEIGHT: f32 = 0.01;

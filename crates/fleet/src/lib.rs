@@ -33,7 +33,6 @@ mod report;
 mod robot;
 mod schedule;
 mod scores;
-mod settings;
 mod shard;
 mod slots;
 mod sources;
@@ -48,10 +47,6 @@ pub use ledger::Ledger;
 pub use mixture::Learned;
 pub use schedule::{Next, Schedule};
 pub use scores::Scores;
-pub use settings::{
-    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Online, Platform, Policy,
-    SettingsError,
-};
 pub use shard::{Outputs, Shard, Stage};
 pub use state::{FleetState, StateError};
 pub use window::missing_steps;

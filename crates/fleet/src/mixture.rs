@@ -43,8 +43,8 @@ use std::f32::consts::LN_2;
 use joulebus_predictor::{Linear, Model};
 use serde::{Deserialize, Serialize};
 
-use crate::Online;
 use crate::adaptation::Adaptation;
+use joulebus_settings::Online;
 
 /// Experts that there can be: persistence, the linear baseline, the network, the adapted network.
 pub(crate) const EXPERTS: usize = 4;

@@ -4,7 +4,6 @@
 use joulebus_predictor::{SimdLevel, SimdTask};
 use joulebus_wire::{InvalidReason, Quality};
 
-use crate::FleetSettings;
 use crate::batch::Batch;
 use crate::columns::ColumnsMut;
 use crate::lanes::{self, Block as _, LANES, Lanes};
@@ -14,6 +13,7 @@ use crate::slots;
 use crate::step::step;
 use crate::step_block::{Next, step_block};
 use crate::window::{Gap, Window, missing_steps};
+use joulebus_settings::FleetSettings;
 
 /// What a pass reads and never writes.
 #[derive(Debug, Clone, Copy)]

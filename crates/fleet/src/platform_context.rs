@@ -7,7 +7,7 @@ use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 use crate::interval::QuantileStep;
 use crate::mixture::Blending;
 use crate::window::Reads;
-use crate::{FleetSettings, Platform};
+use joulebus_settings::{FleetSettings, Platform};
 
 /// What belongs to one platform.
 #[derive(Debug)]

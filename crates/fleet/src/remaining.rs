@@ -3,7 +3,7 @@
 use crate::lanes::{self, Block as _, LANES, Lanes, block};
 use crate::pass::Rules;
 use crate::report::Seen;
-use crate::{Battery, Platform};
+use joulebus_settings::{Battery, Platform};
 
 /// What a robot has left; NaN where that is not known.
 #[derive(Debug, Clone, Copy)]

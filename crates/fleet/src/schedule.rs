@@ -1,6 +1,6 @@
 //! When a tick is due. Pure: the shell asks, waits, and tells.
 
-use crate::Policy;
+use joulebus_settings::Policy;
 
 /// Two ticks with frames of the `OnFrame` policy are at least this share of a period apart: a source whose
 /// clock runs a little fast is then followed instead of held back by up to a period.

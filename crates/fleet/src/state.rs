@@ -16,7 +16,8 @@ use crate::robot::{AdmissionState, LastLanes, PendingBlock};
 use crate::scores::ScoreLanes;
 use crate::sources::Source;
 use crate::window::WindowLanes;
-use crate::{Fleet, FleetSettings, Ledger, Online, Platform};
+use crate::{Fleet, Ledger};
+use joulebus_settings::{FleetSettings, Online, Platform};
 
 pub(crate) use codes::{drop_counts, invalid_reason, refusals};
 

@@ -101,7 +101,7 @@ fn a_robot_takes_at_most_512_bytes_with_the_account_of_one_that_has_left() {
 /// What a platform that learns online adds, for every robot that there is room for.
 #[test]
 fn learning_online_takes_at_most_80_bytes_a_robot_more() {
-    let bytes = |settings: joulebus_fleet::FleetSettings| {
+    let bytes = |settings: joulebus_settings::FleetSettings| {
         let models = models();
         let before = counting::bytes();
         let fleet = Fleet::new(settings, models).expect("the settings are fine");

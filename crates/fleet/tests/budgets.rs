@@ -2,7 +2,8 @@
 
 mod world;
 
-use joulebus_fleet::{Battery, Fleet, Ledger};
+use joulebus_fleet::{Fleet, Ledger};
+use joulebus_settings::Battery;
 use joulebus_wire::{Budget, ChargeState, Sample, budget_flag, sample_flag};
 use proptest::prelude::*;
 use world::{MS, PERIOD_NS, Source, battery, budget, fleet, healthy};

@@ -10,7 +10,6 @@ mod live;
 
 use std::path::{Path, PathBuf};
 
-use joulebus_fleet::Platform;
 use joulebus_lab::metrics::Tally;
 use joulebus_lab::online_learning::{Judged, VARIANTS, judge};
 use joulebus_lab::plant::{protocol, scenario};
@@ -20,6 +19,7 @@ use joulebus_lab::split::{By, Source, Split, deal, deal_leaving_out, group_of};
 use joulebus_lab::train::{Dataset, TrainSettings, train};
 use joulebus_lab::trial::Trial;
 use joulebus_predictor::{FeatureSet, Network};
+use joulebus_settings::Platform;
 use live::settings;
 
 /// Seed of splits and networks.

@@ -5,8 +5,9 @@ mod report;
 use std::collections::HashSet;
 use std::path::PathBuf;
 
-use joulebus_fleet::{Fleet, FleetSettings, Learned, Ledger, Platform, Scores, SettingsError};
+use joulebus_fleet::{Fleet, Learned, Ledger, Scores};
 use joulebus_predictor::Model;
+use joulebus_settings::{FleetSettings, Platform, SettingsError};
 use joulebus_wire::{DropCounts, Quality, SCHEMA_VERSION, Sample, SampleHeader, diagnostic_flag};
 
 pub use report::{EvaluationReport, PlatformReport, RobotReport, ScoreReport};

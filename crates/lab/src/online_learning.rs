@@ -2,8 +2,8 @@
 //! `adapt` of a platform, judged through the live tick on recorded trials, beside persistence and the
 //! linear baseline AR(5) + velocities of the model file.
 
-use joulebus_fleet::{FleetSettings, Online, Platform};
 use joulebus_predictor::{FEATURES, FeatureSet, Linear, Model, Network};
+use joulebus_settings::{FleetSettings, Online, Platform};
 
 use crate::evaluate::{EvaluateError, RobotEvaluation, evaluate_trial};
 use crate::metrics::{CoverageTally, Tally};

@@ -27,8 +27,8 @@ mod recording;
 mod report;
 mod text;
 
-use joulebus_fleet::{FleetSettings, Platform};
 use joulebus_predictor::Model;
+use joulebus_settings::{FleetSettings, Platform};
 use rayon::prelude::*;
 
 use crate::bootstrap::Bootstrap;

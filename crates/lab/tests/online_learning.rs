@@ -5,7 +5,6 @@ mod live;
 
 use std::path::{Path, PathBuf};
 
-use joulebus_fleet::Platform;
 use joulebus_lab::metrics::Tally;
 use joulebus_lab::online_learning::{FEWEST_READINGS, Judged, TOLERANCE, judge};
 use joulebus_lab::rows::trial_rows;
@@ -13,6 +12,7 @@ use joulebus_lab::score::recorded_platform;
 use joulebus_lab::train::{Dataset, Row, TrainSettings, train};
 use joulebus_lab::trial::Trial;
 use joulebus_predictor::FeatureSet;
+use joulebus_settings::Platform;
 use live::settings;
 
 /// The first trials of a terrain; `None` where there are no recordings.

@@ -7,7 +7,6 @@ mod live;
 use std::collections::HashSet;
 use std::sync::OnceLock;
 
-use joulebus_fleet::FleetSettings;
 use joulebus_lab::figure::{Axis, Colour, Figure, Layer, Mark, Panel};
 use joulebus_lab::plant::parts::Parts;
 use joulebus_lab::plant::protocol::Protocol;
@@ -17,6 +16,7 @@ use joulebus_lab::report::{
 };
 use joulebus_lab::score::Recording;
 use joulebus_predictor::Model;
+use joulebus_settings::FleetSettings;
 use live::settings;
 use serde_json::Value;
 

@@ -7,7 +7,8 @@
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use joulebus_bus::{Bus, Limits, OpenError, StateWriter, clock};
-use joulebus_fleet::{Fleet, FleetSettings, FleetState};
+use joulebus_fleet::{Fleet, FleetState};
+use joulebus_settings::FleetSettings;
 use joulebus_wire::{SCHEMA_VERSION, StateHeader};
 
 /// Least time between two keyframes, unless somebody new reads, ns.

@@ -34,7 +34,7 @@ pub enum ModelsError {
     },
 }
 
-/// The models of all platforms, in the order of [`joulebus_fleet::FleetSettings::platforms`].
+/// The models of all platforms, in the order of [`joulebus_settings::FleetSettings::platforms`].
 ///
 /// # Errors
 /// The first model that cannot be read or is refused.

@@ -9,7 +9,8 @@ use joulebus_bus::{
     Waiter, WorkerLock, WorkerLockError, check_capacity, clock, set_timer_slack, touch_own_memory,
 };
 use joulebus_config::{Config, Threads};
-use joulebus_fleet::{Fleet, Next, Schedule, SettingsError, TickIntake};
+use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
+use joulebus_settings::SettingsError;
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
 use crate::checkpoint::CheckpointError;

@@ -13,8 +13,9 @@ mod what_if;
 
 use std::collections::{BTreeMap, VecDeque};
 
-use joulebus_fleet::{Fleet, FleetSettings, FleetState, SettingsError};
+use joulebus_fleet::{Fleet, FleetState};
 use joulebus_predictor::Model;
+use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{ForecastHeader, TakenFrame, TickHeader, tick_flag};
 
 use crate::{Entry, MessageKind};

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use joulebus_fleet::{Fleet, FleetSettings, SettingsError};
+use joulebus_fleet::Fleet;
 use joulebus_predictor::Model;
+use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, tick_flag};
 use serde::Serialize;
 

@@ -4,10 +4,11 @@
 #[allow(dead_code)]
 mod random;
 
-use joulebus_fleet::{
-    AlarmSettings, Battery, Fleet, FleetSettings, Intake, IntervalSettings, Online, Platform,
-};
+use joulebus_fleet::Fleet;
 use joulebus_predictor::{FeatureSet, Model};
+use joulebus_settings::{
+    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Online, Platform,
+};
 use joulebus_wire::{Budget, Diagnostic, Forecast, SCHEMA_VERSION, Sample, SampleHeader};
 
 pub(crate) use random::Noise;

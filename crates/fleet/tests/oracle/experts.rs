@@ -1,7 +1,7 @@
 //! What a forecast that learns online must come to, computed anew from all that was ever learned.
 
-use joulebus_fleet::Platform;
 use joulebus_predictor::{Features, Model};
+use joulebus_settings::Platform;
 
 /// A reading and what was forecast for it.
 #[derive(Debug, Clone, Copy)]

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_fleet::{FleetSettings, Platform};
 use joulebus_predictor::Model;
+use joulebus_settings::{FleetSettings, Platform};
 use joulebus_wire::{DropReason, InvalidReason, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 use crate::robot::{Account, Robot};

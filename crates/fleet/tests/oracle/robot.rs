@@ -1,8 +1,8 @@
 //! What must come of one robot's samples, written as plainly as possible: every step and every
 //! score is kept, nothing is updated in place that can be summed up again.
 
-use joulebus_fleet::Platform;
 use joulebus_predictor::{Features, Model};
+use joulebus_settings::Platform;
 use joulebus_wire::{Freshness, InvalidReason, Quality, Sample, sample_flag};
 
 use crate::experts::{Experts, Said};

@@ -177,7 +177,7 @@ proptest! {
 fn another_fleets_state_is_refused_with_both_numbers() {
     let state = world::fleet(CAPACITY).state();
     let refused = |fleet: &mut Fleet| fleet.restore_state(&state).expect_err("another fleet");
-    let with = |change: &dyn Fn(&mut joulebus_fleet::FleetSettings)| {
+    let with = |change: &dyn Fn(&mut joulebus_settings::FleetSettings)| {
         let mut settings = world::settings(CAPACITY);
         change(&mut settings);
         let models = world::models().into_iter().take(settings.platforms.len());
@@ -198,7 +198,7 @@ fn another_fleets_state_is_refused_with_both_numbers() {
         }
     );
     let sensitive =
-        &|settings: &mut joulebus_fleet::FleetSettings| settings.alarms.cusum_limit += 0.5;
+        &|settings: &mut joulebus_settings::FleetSettings| settings.alarms.cusum_limit += 0.5;
     assert!(matches!(
         refused(&mut with(sensitive)),
         StateError::FleetSettings { .. }

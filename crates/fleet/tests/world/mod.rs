@@ -4,10 +4,11 @@
 #[path = "../../../predictor/tests/random/mod.rs"]
 pub(crate) mod random;
 
-use joulebus_fleet::{
-    AlarmSettings, Battery, Fleet, FleetSettings, Intake, IntervalSettings, Online, Platform,
-};
+use joulebus_fleet::Fleet;
 use joulebus_predictor::{FeatureSet, Kernel, Model, Persistence, ResidualStats};
+use joulebus_settings::{
+    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Online, Platform,
+};
 use joulebus_wire::{Budget, Diagnostic, Forecast, Quality, SCHEMA_VERSION, Sample, SampleHeader};
 
 pub(crate) const MS: u64 = 1_000_000;

@@ -1,7 +1,7 @@
 //! Figure 7: whether intervals and forecasts mean what they say.
 
-use joulebus_fleet::{FleetSettings, Platform};
 use joulebus_predictor::Model;
+use joulebus_settings::{FleetSettings, Platform};
 use rayon::prelude::*;
 
 use super::document::{Cell, Column, Part, Section, Table};

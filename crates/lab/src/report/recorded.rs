@@ -1,7 +1,7 @@
 //! A report on recordings.
 
-use joulebus_fleet::{FleetSettings, Platform};
 use joulebus_predictor::Model;
+use joulebus_settings::{FleetSettings, Platform};
 
 use super::document::{Cell, Column, Document, Part, Section, Table};
 use super::material::{BASELINES, Material};

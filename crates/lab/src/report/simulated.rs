@@ -1,7 +1,7 @@
 //! The paper's whole course on simulated robots: trials, training, evaluation, seven robots.
 
-use joulebus_fleet::FleetSettings;
 use joulebus_predictor::{Model, Network};
+use joulebus_settings::FleetSettings;
 
 use super::document::{Cell, Column, Document, Part, Section, Table};
 use super::material::Material;

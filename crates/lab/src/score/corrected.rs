@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use joulebus_fleet::FleetSettings;
 use joulebus_predictor::FeatureSet;
+use joulebus_settings::FleetSettings;
 
 use super::blocks::{Block, Sums};
 use super::{Options, Recording, ScoreError, Subject, open_loop, recorded_platform};

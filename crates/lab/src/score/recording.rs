@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use joulebus_fleet::{Online, Platform};
+use joulebus_settings::{Online, Platform};
 use rayon::prelude::*;
 
 use crate::rows::{TrialRows, trial_rows};

@@ -1,7 +1,7 @@
 //! The settings of the live tick that recordings are judged with.
 
 use joulebus_config::Config;
-use joulebus_fleet::{FleetSettings, Intake};
+use joulebus_settings::{FleetSettings, Intake};
 
 /// Those of the shipped config for one robot, without platforms; but no gap in a recording is too
 /// long for its stamps to be taken.

@@ -1,10 +1,10 @@
 //! FleetSettings of the three recorded platforms, and networks drawn from a seed.
 
-use joulebus_fleet::{FleetSettings, Intake, Online, Platform};
 use joulebus_predictor::{
     Activation, FEATURES, FeatureSet, INPUTS, Model, ModelCard, Network, Normalisation, Parameters,
     Persistence, ResidualStats, TrainingRange,
 };
+use joulebus_settings::{FleetSettings, Intake, Online, Platform};
 
 use crate::live;
 use crate::random::{self, Noise};

@@ -2,7 +2,6 @@
 
 use std::collections::HashSet;
 
-use joulebus_fleet::{FleetSettings, IntervalSettings};
 use joulebus_lab::bootstrap::Bootstrap;
 use joulebus_lab::linear::{Linear, Terms};
 use joulebus_lab::metrics::{ResidualQuantiles, sorted, tally};
@@ -13,6 +12,7 @@ use joulebus_lab::split::{By, Split, split};
 use joulebus_lab::train::Row;
 use joulebus_lab::trial::Trial;
 use joulebus_predictor::{FeatureSet, LAGS, Model};
+use joulebus_settings::{FleetSettings, IntervalSettings};
 use rayon::prelude::*;
 
 use crate::files::{Files, driven, npy_f8};
