@@ -5,35 +5,35 @@ use std::path::PathBuf;
 use toml_edit::{DocumentMut, Item, Table, value};
 
 /// The fleet's file that ships.
-pub(crate) const FLEET: &str = include_str!("../../../configs/fleet.toml");
+pub(crate) const FLEET: &str = include_str!("../configs/fleet.toml");
 
 const PLATFORMS: &[(&str, &str)] = &[
     (
         "gternal",
-        include_str!("../../../configs/platforms/gternal.toml"),
+        include_str!("../configs/platforms/gternal.toml"),
     ),
     (
         "robotino",
-        include_str!("../../../configs/platforms/robotino.toml"),
+        include_str!("../configs/platforms/robotino.toml"),
     ),
     (
         "husky",
-        include_str!("../../../configs/platforms/husky.toml"),
+        include_str!("../configs/platforms/husky.toml"),
     ),
     (
         "rover",
-        include_str!("../../../configs/platforms/rover.toml"),
+        include_str!("../configs/platforms/rover.toml"),
     ),
 ];
 
 const MODELS: &[(&str, &[u8])] = &[
     (
         "gternal-sim",
-        include_bytes!("../../../configs/models/gternal-sim.safetensors"),
+        include_bytes!("../configs/models/gternal-sim.safetensors"),
     ),
     (
         "gternal-sim-power",
-        include_bytes!("../../../configs/models/gternal-sim-power.safetensors"),
+        include_bytes!("../configs/models/gternal-sim-power.safetensors"),
     ),
 ];
 
