@@ -246,7 +246,10 @@ fn locked_dependencies() -> BTreeMap<String, Vec<String>> {
         let names = list.split('"').skip(1).step_by(2);
         // Of two versions of a package the lock names each with its version.
         let names = names.filter_map(|name| Some(name.split(' ').next()?.to_owned()));
-        locked.entry(quoted[0].to_owned()).or_default().extend(names);
+        locked
+            .entry(quoted[0].to_owned())
+            .or_default()
+            .extend(names);
     }
     locked
 }

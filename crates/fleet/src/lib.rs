@@ -11,42 +11,21 @@
 //! After [`Fleet::new`] nothing here allocates.
 #![forbid(unsafe_code)]
 
-mod account;
-mod adaptation;
-mod admission;
-mod batch;
-mod columns;
-mod departed;
-mod detector;
+mod alarms;
+mod estimate;
 mod fleet;
-mod index;
-mod intake;
-mod interval;
-mod lanes;
+mod ingest;
+mod layout;
 mod ledger;
-mod mixture;
-mod pass;
-mod platform_context;
-mod refused;
-mod remaining;
-mod report;
-mod robot;
-mod schedule;
-mod scores;
-mod shard;
-mod slots;
-mod sources;
 mod state;
-mod step;
-mod step_block;
-mod window;
+mod tick;
 
-pub use batch::Batch;
+pub use estimate::mixture::Learned;
+pub use estimate::scores::Scores;
+pub use estimate::window::missing_steps;
 pub use fleet::{Fleet, FrameIntake, TickIntake};
-pub use ledger::Ledger;
-pub use mixture::Learned;
-pub use schedule::{Next, Schedule};
-pub use scores::Scores;
-pub use shard::{Outputs, Shard, Stage};
-pub use state::{FleetState, StateError};
-pub use window::missing_steps;
+pub use ledger::energy::Ledger;
+pub use state::snapshot::{FleetState, StateError};
+pub use tick::batch::Batch;
+pub use tick::schedule::{Next, Schedule};
+pub use tick::shard::{Outputs, Shard, Stage};

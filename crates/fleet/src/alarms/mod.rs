@@ -1,0 +1,3 @@
+//! Which alarms a robot raises.
+
+pub(crate) mod detector;

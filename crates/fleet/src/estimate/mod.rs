@@ -1,0 +1,7 @@
+//! What is estimated of one robot: its lag window, intervals, online learning and scores.
+
+pub(crate) mod adaptation;
+pub(crate) mod interval;
+pub(crate) mod mixture;
+pub(crate) mod scores;
+pub(crate) mod window;

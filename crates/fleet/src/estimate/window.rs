@@ -1,0 +1,380 @@
+//! The lag window of one robot: what the model sees next.
+
+mod lanes;
+
+use joulebus_predictor::{FeatureSet, Features, LAGS, ReadingAge, features};
+
+use crate::state::snapshot::StateError;
+
+pub(crate) use lanes::{ClosedLanes, WindowLanes};
+
+/// The last readings, newest first, and the forecast made from them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Lags {
+    pub lag_w: [f32; LAGS],
+    /// NaN where there is none.
+    pub forecast_w: f32,
+}
+
+impl Lags {
+    const EMPTY: Self = Self {
+        lag_w: [f32::NAN; LAGS],
+        forecast_w: f32::NAN,
+    };
+
+    /// QuantileStep the window on by one sample period.
+    #[inline(always)]
+    fn push(&mut self, power_w: f32) {
+        let [first, second, third, fourth, _] = self.lag_w;
+        self.lag_w = [power_w, first, second, third, fourth];
+        self.forecast_w = f32::NAN;
+    }
+}
+
+/// What came between the last sample and this one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Gap {
+    /// Nothing is missing.
+    None,
+    /// So many sample periods are missing; the model bridges them with its own forecasts.
+    Bridge(u16),
+    /// Too many are missing, or there was no forecast to bridge with: the window starts empty.
+    Break,
+}
+
+/// The lag window. It advances by the robot's *samples*; what the worker's clock adds in between
+/// (`open`) is provisional and never changes what a sample leads to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Window {
+    /// After the last sample.
+    closed: Lags,
+    /// After `open_steps` further periods without one.
+    open: Lags,
+    /// The last command, m/s and rad/s, where `commanded`.
+    v_mps: f32,
+    omega_radps: f32,
+    open_steps: u16,
+    /// Sample periods since the last valid reading, as of the last sample.
+    pub unread_steps: u16,
+    /// Readings in the window.
+    have: u8,
+    commanded: bool,
+    /// Of the newest reading, after the last sample. It outlives an emptied window, for it knows of
+    /// no forecast: only of samples.
+    reading_age: ReadingAge,
+}
+
+impl Window {
+    pub(crate) const EMPTY: Self = Self {
+        closed: Lags::EMPTY,
+        open: Lags::EMPTY,
+        v_mps: f32::NAN,
+        omega_radps: f32::NAN,
+        open_steps: 0,
+        unread_steps: 0,
+        have: 0,
+        commanded: false,
+        reading_age: ReadingAge::UNKNOWN,
+    };
+
+    /// Refuses a window that was never filled like this: of one that was written down.
+    pub(crate) fn check(&self) -> Result<(), StateError> {
+        if usize::from(self.have) > LAGS {
+            return Err(StateError::Corrupt {
+                what: "readings in a window",
+                found: self.have.into(),
+                allowed: LAGS as u64,
+            });
+        }
+        Ok(())
+    }
+
+    #[inline(always)]
+    pub(crate) fn have(&self) -> u8 {
+        self.have
+    }
+
+    #[inline(always)]
+    pub(crate) fn is_full(&self) -> bool {
+        usize::from(self.have) == LAGS
+    }
+
+    /// The forecast to show now, W, and the open-loop steps it rests on.
+    #[inline(always)]
+    pub(crate) fn shown(&self) -> (f32, u16) {
+        let steps = self.unread_steps.saturating_add(self.open_steps);
+        (
+            if self.open_steps > 0 {
+                self.open.forecast_w
+            } else {
+                self.closed.forecast_w
+            },
+            steps,
+        )
+    }
+
+    /// What lies between the last sample and one stamped `elapsed_ns` later.
+    pub(crate) fn gap_before(&self, elapsed_ns: u64, period_ns: u64, longest_steps: u16) -> Gap {
+        let missing = missing_steps(elapsed_ns, period_ns);
+        if missing == 0 || self.have == 0 {
+            return Gap::None;
+        }
+        let within = u64::from(longest_steps) >= missing + u64::from(self.unread_steps);
+        if within && self.is_full() && self.closed.forecast_w.is_finite() {
+            return Gap::Bridge(missing as u16);
+        }
+        Gap::Break
+    }
+
+    /// Begins to run open loop towards `steps` periods after the last sample. Returns the row to
+    /// infer next, or `None` when it is there already or there is nothing to go on with. What the
+    /// worker's clock had run further than `steps` is undone.
+    pub(crate) fn open_towards(&mut self, steps: u16) -> Option<Features> {
+        if self.open_steps > steps {
+            self.open_steps = 0;
+        }
+        if self.open_steps == steps {
+            return None;
+        }
+        if self.open_steps == 0 {
+            self.open = self.closed;
+        }
+        let forecast_w = self.open.forecast_w;
+        if !forecast_w.is_finite() {
+            return None;
+        }
+        self.open.push(forecast_w);
+        self.open_steps += 1;
+        let mut row = self.row(&self.open, None);
+        self.reading_age
+            .after(self.open_steps.into())
+            .fill(&mut row);
+        Some(row)
+    }
+
+    /// Whether [`Window::close`] needs no further steps open loop.
+    #[inline(always)]
+    pub(crate) fn can_close(&self, gap: Gap) -> bool {
+        match gap {
+            Gap::Bridge(steps) => self.open_steps == steps,
+            Gap::None | Gap::Break => true,
+        }
+    }
+
+    /// Makes what was run open loop part of the window, up to the sample that now arrives.
+    /// Returns the forecast made for that sample, W; NaN where there is none.
+    #[inline(always)]
+    pub(crate) fn close(&mut self, gap: Gap) -> f32 {
+        match gap {
+            Gap::None => {}
+            Gap::Bridge(steps) if self.open_steps == steps && self.open.forecast_w.is_finite() => {
+                self.closed = self.open;
+                self.unread_steps += steps;
+            }
+            Gap::Bridge(_) | Gap::Break => self.restart(),
+        }
+        self.open_steps = 0;
+        self.closed.forecast_w
+    }
+
+    /// Starts empty.
+    fn restart(&mut self) {
+        *self = Self {
+            reading_age: self.reading_age,
+            ..Self::EMPTY
+        };
+    }
+
+    /// What was measured before has nothing to do with what comes.
+    pub(crate) fn forget_freshness(&mut self) {
+        self.reading_age = ReadingAge::UNKNOWN;
+    }
+
+    /// So many sample periods lie between the last sample and the one that now arrives.
+    pub(crate) fn pass(&mut self, missing_steps: u64) {
+        self.reading_age.pass(missing_steps);
+    }
+
+    /// Whether a new measurement is due at the next sample; so too where nobody knows.
+    #[inline(always)]
+    pub(crate) fn due(&self) -> bool {
+        self.reading_age.is_due().unwrap_or(true)
+    }
+
+    /// As [`Window::due`], of the forecast that [`Window::shown`] gives.
+    pub(crate) fn shown_due(&self) -> bool {
+        let reading_age = self.reading_age.after(self.open_steps.into());
+        reading_age.is_due().unwrap_or(true)
+    }
+
+    /// Takes a sample's reading, W, a new one or the last one again: corrected mode.
+    #[inline(always)]
+    pub(crate) fn read(&mut self, power_w: f32, new: bool) {
+        self.reading_age.read(new);
+        self.closed.push(power_w);
+        self.have = (self.have + 1).min(LAGS as u8);
+        self.unread_steps = 0;
+    }
+
+    /// Takes a sample without a reading: open loop, if there is a forecast to go on with and no
+    /// more than `longest_steps` have gone by; otherwise the window starts empty.
+    pub(crate) fn miss(&mut self, longest_steps: u16) {
+        self.reading_age.pass(1);
+        let forecast_w = self.closed.forecast_w;
+        if !forecast_w.is_finite() || self.unread_steps >= longest_steps {
+            self.restart();
+            return;
+        }
+        self.closed.push(forecast_w);
+        self.unread_steps += 1;
+    }
+
+    /// Takes a sample's command, `elapsed_s` after the last one, and gives the row for the forecast
+    /// of the next reading, and whether it can be made: the window is full, and command and freshness
+    /// are known where they are `read`.
+    #[inline(always)]
+    pub(crate) fn next_row(
+        &mut self,
+        elapsed_s: f32,
+        command: Option<(f32, f32)>,
+        read: Reads,
+    ) -> (Features, bool) {
+        let previous = (self.commanded & (elapsed_s > 0.0)).then_some((
+            self.v_mps,
+            self.omega_radps,
+            elapsed_s,
+        ));
+        self.commanded = command.is_some();
+        (self.v_mps, self.omega_radps) = command.unwrap_or((f32::NAN, f32::NAN));
+        let mut row = self.row(&self.closed, previous);
+        self.reading_age.fill(&mut row);
+        let ready = self.is_full()
+            & (self.commanded | !read.command)
+            & (self.reading_age.is_known() | !read.freshness);
+        (row, ready)
+    }
+
+    #[inline(always)]
+    fn row(&self, lags: &Lags, previous: Option<(f32, f32, f32)>) -> Features {
+        features(self.v_mps, self.omega_radps, previous, &lags.lag_w)
+    }
+}
+
+/// What a model reads beside the lags.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Reads {
+    pub command: bool,
+    pub freshness: bool,
+}
+
+impl Reads {
+    pub(crate) fn of(set: FeatureSet) -> Self {
+        Self {
+            command: set.needs_command(),
+            freshness: set.needs_freshness(),
+        }
+    }
+}
+
+/// Sample periods that are missing when `elapsed_ns` lie between two samples: none until the next
+/// one is overdue by more than half a period, of `period_ns`, which is not 0.
+#[must_use]
+pub fn missing_steps(elapsed_ns: u64, period_ns: u64) -> u64 {
+    if elapsed_ns <= period_ns + period_ns / 2 {
+        return 0;
+    }
+    ((elapsed_ns - period_ns) + period_ns / 2) / period_ns
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gap_is_declared_past_half_a_period_and_counted_by_rounding() {
+        let cases = [
+            (0, 0),
+            (10, 0),
+            (15, 0),
+            (16, 1),
+            (20, 1),
+            (24, 1),
+            (25, 2),
+            (34, 2),
+            (35, 3),
+        ];
+        for (elapsed, missing) in cases {
+            assert_eq!(
+                missing_steps(elapsed, 10),
+                missing,
+                "after {elapsed} of period 10"
+            );
+        }
+        assert_eq!(missing_steps(u64::MAX, 1), u64::MAX - 1);
+    }
+
+    fn full() -> Window {
+        let mut window = Window::EMPTY;
+        for step in 0..5u8 {
+            window.read(f32::from(step), step % 3 == 0);
+            window.next_row(10e-9, Some((0.1, 0.0)), Reads::of(FeatureSet::Freshness));
+        }
+        window.closed.forecast_w = 4.5;
+        window
+    }
+
+    /// Stands in for the model: any function of the row will do.
+    fn infer(row: &Features) -> f32 {
+        row[6] * 0.5 + row[7] * 0.25 + 1.0 + row[12] * 0.125
+    }
+
+    fn open(window: &mut Window, steps: u16) {
+        while let Some(row) = window.open_towards(steps) {
+            window.open.forecast_w = infer(&row);
+        }
+    }
+
+    #[test]
+    fn what_the_clock_ran_ahead_never_changes_what_a_sample_leads_to() {
+        for missing in 1..6 {
+            let mut reference = full();
+            open(&mut reference, missing);
+            let forecast = reference.close(Gap::Bridge(missing));
+            for ahead in 0..8 {
+                let mut window = full();
+                open(&mut window, ahead);
+                open(&mut window, missing);
+                let again = window.close(Gap::Bridge(missing));
+                assert_eq!(
+                    again.to_bits(),
+                    forecast.to_bits(),
+                    "{missing} missing, {ahead} ahead"
+                );
+                assert_eq!(window.closed, reference.closed);
+            }
+        }
+    }
+
+    #[test]
+    fn the_window_is_newest_first_and_starts_empty_after_a_break() {
+        let mut window = full();
+        assert_eq!(window.closed.lag_w, [4.0, 3.0, 2.0, 1.0, 0.0]);
+        assert_eq!(window.gap_before(10 * 31, 10, 30), Gap::Bridge(30));
+        assert_eq!(window.gap_before(10 * 32, 10, 30), Gap::Break);
+        assert!(window.close(Gap::Break).is_nan());
+        assert_eq!(window.have(), 0);
+        assert_eq!(window.gap_before(1_000_000, 10, 30), Gap::None);
+    }
+
+    #[test]
+    fn open_loop_ends_after_the_longest_gap() {
+        let mut window = full();
+        for step in 1..=30 {
+            window.miss(30);
+            assert_eq!(window.unread_steps, step);
+            window.closed.forecast_w = 3.0;
+        }
+        window.miss(30);
+        assert_eq!((window.have(), window.unread_steps), (0, 0));
+    }
+}

@@ -1,0 +1,150 @@
+//! Windows side by side.
+
+use joulebus_predictor::{LAGS, ReadingAge};
+use serde::{Deserialize, Serialize};
+
+use super::{Lags, Window};
+use crate::layout::lanes::{Block, LANES, Lanes, put};
+
+/// The windows of a block.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[repr(align(64))]
+pub(crate) struct WindowLanes {
+    pub closed: ClosedLanes,
+    open: LagLanes,
+}
+
+const _: () = assert!(size_of::<WindowLanes>() == 64 * LANES);
+
+/// All of them but what was run open loop.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[repr(align(64))]
+pub(crate) struct ClosedLanes {
+    closed: LagLanes,
+    v_mps: Lanes<f32>,
+    omega_radps: Lanes<f32>,
+    open_steps: Lanes<u16>,
+    unread_steps: Lanes<u16>,
+    have: Lanes<u8>,
+    commanded: Lanes<bool>,
+    reading_age: [Lanes<u8>; 2],
+}
+
+/// [`Lags`] of a block.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+struct LagLanes {
+    lag_w: [Lanes<f32>; LAGS],
+    forecast_w: Lanes<f32>,
+}
+
+impl LagLanes {
+    #[inline(always)]
+    fn lags_w(&self, lane: usize) -> [f32; LAGS] {
+        let [first, second, third, fourth, fifth] = &self.lag_w;
+        [
+            first[lane],
+            second[lane],
+            third[lane],
+            fourth[lane],
+            fifth[lane],
+        ]
+    }
+
+    #[inline(always)]
+    fn put(&mut self, lane: usize, which: bool, lags: &Lags) {
+        put(&mut self.lag_w[0][lane], which, lags.lag_w[0]);
+        put(&mut self.lag_w[1][lane], which, lags.lag_w[1]);
+        put(&mut self.lag_w[2][lane], which, lags.lag_w[2]);
+        put(&mut self.lag_w[3][lane], which, lags.lag_w[3]);
+        put(&mut self.lag_w[4][lane], which, lags.lag_w[4]);
+        put(&mut self.forecast_w[lane], which, lags.forecast_w);
+    }
+}
+
+impl ClosedLanes {
+    /// A window that was not run open loop.
+    #[inline(always)]
+    pub(crate) fn get(&self, lane: usize) -> Window {
+        let [age, interval] = &self.reading_age;
+        Window {
+            closed: Lags {
+                lag_w: self.closed.lags_w(lane),
+                forecast_w: self.closed.forecast_w[lane],
+            },
+            open: Lags::EMPTY,
+            v_mps: self.v_mps[lane],
+            omega_radps: self.omega_radps[lane],
+            open_steps: self.open_steps[lane],
+            unread_steps: self.unread_steps[lane],
+            have: self.have[lane],
+            commanded: self.commanded[lane],
+            reading_age: ReadingAge::from_bytes([age[lane], interval[lane]]),
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn put(&mut self, lane: usize, which: bool, robot: &Window) {
+        self.closed.put(lane, which, &robot.closed);
+        put(&mut self.v_mps[lane], which, robot.v_mps);
+        put(&mut self.omega_radps[lane], which, robot.omega_radps);
+        put(&mut self.open_steps[lane], which, robot.open_steps);
+        put(&mut self.unread_steps[lane], which, robot.unread_steps);
+        put(&mut self.have[lane], which, robot.have);
+        put(&mut self.commanded[lane], which, robot.commanded);
+        let [age, interval] = robot.reading_age.to_bytes();
+        put(&mut self.reading_age[0][lane], which, age);
+        put(&mut self.reading_age[1][lane], which, interval);
+    }
+}
+
+impl Block for WindowLanes {
+    type Robot = Window;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Window {
+        Window {
+            open: Lags {
+                lag_w: self.open.lags_w(lane),
+                forecast_w: self.open.forecast_w[lane],
+            },
+            ..self.closed.get(lane)
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, which: bool, robot: Window) {
+        self.open.put(lane, which, &robot.open);
+        self.closed.put(lane, which, &robot);
+    }
+}
+
+impl WindowLanes {
+    /// The forecast for the row that [`Window::next_row`] gave, W; NaN is none.
+    #[inline(always)]
+    pub(crate) fn forecast(&mut self, lane: usize, forecast_w: f32) {
+        self.closed.closed.forecast_w[lane] = forecast_w;
+    }
+
+    /// The forecast for the row that [`Window::open_towards`] gave.
+    pub(crate) fn opened(&mut self, lane: usize, forecast_w: f32) {
+        self.open.forecast_w[lane] = forecast_w;
+    }
+
+    /// Whether a window was run open loop.
+    #[inline(always)]
+    pub(crate) fn is_open(&self, lane: usize) -> bool {
+        self.closed.open_steps[lane] > 0
+    }
+
+    /// Readings in a window.
+    #[inline(always)]
+    pub(crate) fn have(&self, lane: usize) -> u8 {
+        self.closed.have[lane]
+    }
+
+    /// The reading before the newest one, W.
+    #[inline(always)]
+    pub(crate) fn previous_w(&self, lane: usize) -> f32 {
+        self.closed.closed.lag_w[1][lane]
+    }
+}

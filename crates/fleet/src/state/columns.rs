@@ -1,0 +1,195 @@
+//! The state of all robots, in columns indexed by slot.
+
+use crate::alarms::detector::DetectorLanes;
+use crate::estimate::interval::IntervalLanes;
+use crate::estimate::mixture::Blend;
+use crate::estimate::scores::ScoreLanes;
+use crate::estimate::window::WindowLanes;
+use crate::ingest::robot::{AdmissionState, LastLanes, PendingBlock};
+use crate::layout::lanes::LANES;
+use crate::layout::slots::{self, Slots, WORD};
+use crate::ledger::departed::Departed;
+use crate::ledger::energy::Ledger;
+use crate::ledger::energy::LedgerLanes;
+use crate::tick::platform_context::PlatformContext;
+use crate::tick::write::Seen;
+
+/// Blocks of 16 robots in a word of slots.
+pub(crate) const BLOCKS: usize = WORD / LANES;
+
+/// Bytes of one robot in the columns.
+const COLUMNS: usize = size_of::<AdmissionState>()
+    + (size_of::<PendingBlock>()
+        + size_of::<WindowLanes>()
+        + size_of::<LastLanes>()
+        + size_of::<IntervalLanes>()
+        + size_of::<LedgerLanes>()
+        + size_of::<ScoreLanes>()
+        + size_of::<DetectorLanes>())
+    .div_ceil(LANES);
+
+/// A robot takes at most 512 bytes, the account of one that has left included: the columns, that
+/// account, its bit among the slots, and one and a half entries in each of the two tables of ids.
+const _: () =
+    assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 512);
+
+/// The columns, with room for the capacity, rounded up to a whole block.
+#[derive(Debug)]
+pub(crate) struct Columns {
+    pub admissions: Vec<AdmissionState>,
+    pub pending: Vec<PendingBlock>,
+    pub windows: Vec<WindowLanes>,
+    pub lasts: Vec<LastLanes>,
+    pub intervals: Vec<IntervalLanes>,
+    pub ledgers: Vec<LedgerLanes>,
+    pub scores: Vec<ScoreLanes>,
+    pub detectors: Vec<DetectorLanes>,
+    /// Empty unless a platform learns online.
+    pub blends: Vec<Blend>,
+    pub slots: Slots,
+}
+
+impl Columns {
+    pub(crate) fn new(capacity: usize, contexts: &[PlatformContext]) -> Self {
+        let learning = contexts.iter().any(|context| context.blending.is_some());
+        let blocks = capacity.div_ceil(LANES);
+        let robots = blocks * LANES;
+        Self {
+            admissions: vec![AdmissionState::FREE; robots],
+            pending: vec![PendingBlock::default(); blocks],
+            windows: vec![WindowLanes::default(); blocks],
+            lasts: vec![LastLanes::default(); blocks],
+            intervals: vec![IntervalLanes::default(); blocks],
+            ledgers: vec![LedgerLanes::default(); blocks],
+            scores: vec![ScoreLanes::default(); blocks],
+            detectors: vec![DetectorLanes::default(); blocks],
+            blends: vec![Blend::NONE; if learning { robots } else { 0 }],
+            slots: Slots::new(capacity, contexts.len()),
+        }
+    }
+
+    /// What is said of the robots of a block depends on this.
+    pub(crate) fn seen(&self, block: usize) -> Seen<'_> {
+        Seen {
+            admissions: &self.admissions.as_chunks().0[block],
+            lasts: &self.lasts[block],
+            windows: &self.windows[block],
+            intervals: &self.intervals[block],
+            ledgers: &self.ledgers[block],
+            scores: &self.scores[block],
+            detectors: &self.detectors[block],
+        }
+    }
+
+    pub(crate) fn view_mut(&mut self) -> ColumnsMut<'_> {
+        ColumnsMut {
+            admissions: &mut self.admissions,
+            pending: &mut self.pending,
+            windows: &mut self.windows,
+            lasts: &mut self.lasts,
+            intervals: &mut self.intervals,
+            ledgers: &mut self.ledgers,
+            scores: &mut self.scores,
+            detectors: &mut self.detectors,
+            blends: &mut self.blends,
+            words: self.slots.words(),
+        }
+    }
+}
+
+/// The columns of some slots that follow each other; all of one length, and a bit for each that is
+/// in use. Shares of different slots are disjoint.
+#[derive(Debug)]
+pub(crate) struct ColumnsMut<'a> {
+    pub admissions: &'a mut [AdmissionState],
+    pub pending: &'a mut [PendingBlock],
+    pub windows: &'a mut [WindowLanes],
+    pub lasts: &'a mut [LastLanes],
+    pub intervals: &'a mut [IntervalLanes],
+    pub ledgers: &'a mut [LedgerLanes],
+    pub scores: &'a mut [ScoreLanes],
+    pub detectors: &'a mut [DetectorLanes],
+    /// Empty unless a platform learns online.
+    pub blends: &'a mut [Blend],
+    pub words: &'a [u64],
+}
+
+impl<'a> ColumnsMut<'a> {
+    /// The slots of the first `words` words, and the rest.
+    pub(crate) fn split(self, words: usize) -> (Self, Self) {
+        let words = words.min(self.words.len());
+        let block = (words * BLOCKS).min(self.intervals.len());
+        let at = block * LANES;
+        let admissions = self.admissions.split_at_mut(at);
+        let pending = self.pending.split_at_mut(block);
+        let windows = self.windows.split_at_mut(block);
+        let lasts = self.lasts.split_at_mut(block);
+        let intervals = self.intervals.split_at_mut(block);
+        let ledgers = self.ledgers.split_at_mut(block);
+        let scores = self.scores.split_at_mut(block);
+        let detectors = self.detectors.split_at_mut(block);
+        let blends = self.blends.split_at_mut(at.min(self.blends.len()));
+        let words = self.words.split_at(words);
+        (
+            Self {
+                admissions: admissions.0,
+                pending: pending.0,
+                windows: windows.0,
+                lasts: lasts.0,
+                intervals: intervals.0,
+                ledgers: ledgers.0,
+                scores: scores.0,
+                detectors: detectors.0,
+                blends: blends.0,
+                words: words.0,
+            },
+            Self {
+                admissions: admissions.1,
+                pending: pending.1,
+                windows: windows.1,
+                lasts: lasts.1,
+                intervals: intervals.1,
+                ledgers: ledgers.1,
+                scores: scores.1,
+                detectors: detectors.1,
+                blends: blends.1,
+                words: words.1,
+            },
+        )
+    }
+
+    /// The same columns, for a while.
+    pub(crate) fn reborrow(&mut self) -> ColumnsMut<'_> {
+        ColumnsMut {
+            admissions: self.admissions,
+            pending: self.pending,
+            windows: self.windows,
+            lasts: self.lasts,
+            intervals: self.intervals,
+            ledgers: self.ledgers,
+            scores: self.scores,
+            detectors: self.detectors,
+            blends: self.blends,
+            words: self.words,
+        }
+    }
+
+    /// As [`Columns::seen`].
+    #[inline(always)]
+    pub(crate) fn seen(&self, block: usize) -> Seen<'_> {
+        Seen {
+            admissions: &self.admissions.as_chunks().0[block],
+            lasts: &self.lasts[block],
+            windows: &self.windows[block],
+            intervals: &self.intervals[block],
+            ledgers: &self.ledgers[block],
+            scores: &self.scores[block],
+            detectors: &self.detectors[block],
+        }
+    }
+
+    /// Robots in these slots.
+    pub(crate) fn robots(&self) -> usize {
+        slots::count(self.words)
+    }
+}

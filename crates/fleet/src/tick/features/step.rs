@@ -1,0 +1,174 @@
+//! What one sample does to its robot.
+
+use joulebus_predictor::{Features, LAGS};
+use joulebus_wire::{InvalidReason, Quality, sample_flag};
+
+use crate::estimate::window::{Gap, Reads, Window, missing_steps};
+use crate::ingest::robot::{Pending, PendingState};
+use crate::layout::lanes::{Block as _, LANES};
+use crate::state::columns::ColumnsMut;
+use crate::tick::batch::Batch;
+use crate::tick::platform_context::PlatformContext;
+
+/// Takes the waiting sample of a slot, whatever it is, and adds the row for its next forecast, if it
+/// gets one.
+pub(crate) fn step(
+    context: &PlatformContext,
+    columns: &mut ColumnsMut<'_>,
+    slot: usize,
+    pending: &Pending,
+    gap: Gap,
+    batch: &mut Batch,
+) {
+    let (block, lane) = (slot / LANES, slot % LANES);
+    let admission = &mut columns.admissions[slot];
+    let mut window = columns.windows[block].get(lane);
+    let mut last = columns.lasts[block].get(lane);
+    let elapsed_ns = pending.stamp_ns.saturating_sub(admission.stamp_ns);
+    if pending.broken {
+        window.forget_freshness();
+    } else if elapsed_ns > context.overdue_after_ns {
+        window.pass(missing_steps(elapsed_ns, context.platform.period_ns));
+    }
+    let forecast_w = window.close(gap);
+    let elapsed_s = seconds(elapsed_ns);
+    last.seq = pending.seq;
+    let step = if pending.read() {
+        last.read(pending, forecast_w, elapsed_s);
+        let forecast_w = (forecast_w, gap == Gap::None);
+        let step = read(context.reads, &mut window, pending, forecast_w, elapsed_s);
+        let quality = quality(context.reads, pending, window.have(), step.ready);
+        (last.quality, last.quality_detail) = quality;
+        step
+    } else {
+        last.residual_w = f32::NAN;
+        let step = miss(context, &mut window, pending, elapsed_s);
+        let quality = quality_unread(context.reads, pending, &window, step.ready);
+        (last.quality, last.quality_detail) = quality;
+        step
+    };
+    admission.accept(pending);
+    columns.windows[block].set(lane, true, window);
+    columns.lasts[block].set(lane, true, last);
+    let pending_block = &mut columns.pending[block];
+    let broken = gap == Gap::Break;
+    pending_block.mark(
+        lane,
+        true,
+        if broken {
+            PendingState::Broken
+        } else {
+            PendingState::Absorbed
+        },
+    );
+    pending_block.expected_w[lane] = step.expected_w;
+    if !step.expected_w.is_nan() {
+        let mut interval = columns.intervals[block].get(lane);
+        let residual_w = pending.power_w - step.expected_w;
+        interval.observe(
+            residual_w,
+            step.due,
+            context.platform.power_resolution_w,
+            context.quantile_step,
+        );
+        columns.intervals[block].set(lane, true, interval);
+        if let Some(blending) = &context.blending {
+            columns.blends[slot].learn(blending, pending.power_w);
+        }
+    }
+    if step.ready {
+        batch.push(slot, &step.row);
+    }
+}
+
+/// Takes a sample without a reading, `elapsed_s` after the one before.
+fn miss(context: &PlatformContext, window: &mut Window, pending: &Pending, elapsed_s: f32) -> Step {
+    window.miss(context.longest_steps);
+    let (row, ready) = window.next_row(elapsed_s, pending.command(), context.reads);
+    Step {
+        expected_w: f32::NAN,
+        due: false,
+        row,
+        ready,
+    }
+}
+
+/// Of a sample without a reading, as far as it depends on the sample.
+fn quality_unread(reads: Reads, pending: &Pending, window: &Window, ready: bool) -> (u16, u16) {
+    match (window.is_full(), ready) {
+        (false, _) => Quality::Invalid(InvalidReason::NoReading).encode(),
+        (true, false) => missing(reads, pending),
+        (true, true) => {
+            let steps = window.unread_steps;
+            Quality::OpenLoop { steps }.encode()
+        }
+    }
+}
+
+/// What a sample has led to.
+pub(crate) struct Step {
+    /// The forecast one step ahead that was made for its reading, W; NaN where there was none.
+    pub expected_w: f32,
+    /// Whether a new measurement was due with it.
+    pub due: bool,
+    /// For the next forecast, if it is `ready`.
+    pub row: Features,
+    pub ready: bool,
+}
+
+/// Takes a sample with a reading, `elapsed_s` after the one before; `forecast_w` was made for it, one
+/// step ahead if `exact`.
+#[inline(always)]
+pub(crate) fn read(
+    reads: Reads,
+    window: &mut Window,
+    pending: &Pending,
+    (forecast_w, exact): (f32, bool),
+    elapsed_s: f32,
+) -> Step {
+    // Only forecasts one step ahead are scored: the ones over a gap are of another kind.
+    let one_step = exact & (window.unread_steps == 0) & forecast_w.is_finite();
+    let due = window.due();
+    window.read(pending.power_w, !pending.has(sample_flag::HELD));
+    let (row, ready) = window.next_row(elapsed_s, pending.command(), reads);
+    Step {
+        expected_w: if one_step { forecast_w } else { f32::NAN },
+        due,
+        row,
+        ready,
+    }
+}
+
+#[inline(always)]
+pub(crate) fn seconds(elapsed_ns: u64) -> f32 {
+    (elapsed_ns as f64 * 1e-9) as f32
+}
+
+/// Of a sample with a reading, as far as it depends on the sample; `have`: readings in the window.
+#[inline(always)]
+pub(crate) fn quality(reads: Reads, pending: &Pending, have: u8, ready: bool) -> (u16, u16) {
+    const FRESH: (u16, u16) = Quality::Fresh.encode();
+    const HELD: (u16, u16) = Quality::Held.encode();
+    const WARMUP: (u16, u16) = Quality::Warmup { have: 0 }.encode();
+    let held = pending.has(sample_flag::HELD);
+    let fresh = if held { HELD } else { FRESH };
+    let missing = missing(reads, pending);
+    let full = if ready { fresh } else { missing };
+    if usize::from(have) == LAGS {
+        full
+    } else {
+        (WARMUP.0, have.into())
+    }
+}
+
+/// What keeps a full window from leading to a row.
+#[inline(always)]
+fn missing(reads: Reads, pending: &Pending) -> (u16, u16) {
+    const COMMAND: (u16, u16) = Quality::Invalid(InvalidReason::NoCommand).encode();
+    const FRESHNESS: (u16, u16) = Quality::Invalid(InvalidReason::NoFreshness).encode();
+    if reads.command & pending.command().is_none() {
+        COMMAND
+    } else {
+        FRESHNESS
+    }
+}

@@ -1,0 +1,9 @@
+//! The tick: features, network, scores and alarms, and what is written of them.
+
+pub(crate) mod batch;
+pub(crate) mod features;
+pub(crate) mod platform_context;
+pub(crate) mod schedule;
+pub(crate) mod score;
+pub(crate) mod shard;
+pub(crate) mod write;
