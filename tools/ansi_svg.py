@@ -2,8 +2,7 @@
 """Turns a terminal capture with colours into an SVG picture. Needs nothing but Python 3.9.
 
     tmux new-session -d -s view -x 120 -y 40 'target/release/joulebus demo'
-    sleep 18; tmux capture-pane -t view -p -e | tools/ansi_svg.py > docs/demo.svg
-    tmux capture-pane -t view -p > docs/demo.txt
+    sleep 18; tmux capture-pane -t view -p -e | tools/ansi_svg.py > docs/live-view.svg
 """
 
 import re
@@ -93,6 +92,18 @@ def runs(line, style):
     return found, column
 
 
+def placed(text, left):
+    """The x of every character but spaces, and these characters: columns stay in line in every
+    browser and font, with nothing stretched and no white space to preserve."""
+    glyphs, x = [], left
+    for glyph in text:
+        if not glyph.isspace():
+            glyphs.append((f"{x:.1f}".removesuffix(".0"), glyph))
+        x += CELL_W * (2 if unicodedata.east_asian_width(glyph) in "WF" else 1)
+    places = " ".join(place for place, _ in glyphs)
+    return f'x="{places}">{escape("".join(glyph for _, glyph in glyphs))}'
+
+
 def main():
     lines = sys.stdin.read().rstrip("\n").split("\n")
     style, rows, width = Style(), [], 0
@@ -106,7 +117,7 @@ def main():
         f'viewBox="0 0 {w:.0f} {h:.0f}">',
         f'<rect width="100%" height="100%" rx="8" fill="{BACKGROUND}"/>',
         f'<g font-family="ui-monospace, \'DejaVu Sans Mono\', Menlo, Consolas, monospace" '
-        f'font-size="{FONT_PX}" xml:space="preserve">',
+        f'font-size="{FONT_PX}" font-variant-ligatures="none">',
     ]
     for row, found in enumerate(rows):
         top = PAD + row * CELL_H
@@ -119,11 +130,7 @@ def main():
             if not text.strip():
                 continue
             weight = ' font-weight="bold"' if bold else ""
-            # The length keeps columns in line whatever font the reader has.
-            out.append(
-                f'<text x="{x:.1f}" y="{top + 13}" fill="{fg}"{weight} '
-                f'textLength="{wide:.1f}" lengthAdjust="spacingAndGlyphs">{escape(text)}</text>'
-            )
+            out.append(f'<text y="{top + 13}" fill="{fg}"{weight} {placed(text, x)}</text>')
     out.append("</g></svg>")
     print("\n".join(out))
 

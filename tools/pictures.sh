@@ -1,0 +1,48 @@
+#!/usr/bin/env bash
+# Renders every picture of README.md again and takes a screenshot of each in a real browser, to be looked at.
+#
+#     tools/pictures.sh [SCREENSHOTS]     # default: target/pictures
+#
+# Needs Chromium, tmux, Python 3 and the recordings in ../shared/data (Robotino: BrOleg5/research-wheel-slippage
+# at b4303b4c, Apache-2.0; 648 trials of a Festo Robotino v2 on four surfaces). docs/dataflow.svg is drawn by
+# hand; docs/peers.svg is written by tools/measure.sh.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+screenshots=${1:-target/pictures}
+data=../shared/data/robotino
+for program in chromium tmux python3; do
+    command -v "$program" >/dev/null || { echo "pictures.sh: $program is missing: apt-get install $program" >&2; exit 1; }
+done
+[ -d "$data" ] || { echo "pictures.sh: $data is missing: the pictures show these recordings" >&2; exit 1; }
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+mkdir -p "$screenshots"
+cargo build --release --workspace --bins
+joulebus=$PWD/target/release/joulebus
+
+# The live view: a demo in a terminal of 120 columns, just before its end.
+tmux -L pictures new-session -d -s view -x 120 -y 40 "$joulebus demo --out $work/demo.mcap"
+sleep 18
+tmux -L pictures capture-pane -t view -p -e | python3 tools/ansi_svg.py > docs/live-view.svg
+tmux -L pictures kill-server
+
+# Forecast and report: trained on every second trial, shown on trials that were not among them. The picture
+# of the forecast is six seconds of one of them, the first panel of the report's figure.
+"$joulebus" train trials "$data/*exp*[02468].csv.gz" --split trial --out "$work/robotino.safetensors" > /dev/null
+gzip -dc "$data/one_surface_type_gray_surface_exp05.csv.gz" | head -n 201 > "$work/gray_surface_exp05.csv"
+"$joulebus" report "$work/gray_surface_exp05.csv" --model "$work/robotino.safetensors" -o "$work/forecast" > /dev/null
+python3 tools/first_panel.py "$work/forecast/figures/figure-4-time.svg" > docs/forecast.svg
+"$joulebus" report "$data/*gray_surface_exp*[13579].csv.gz" --model "$work/robotino.safetensors" -o "$work/report" > /dev/null
+
+screenshot() { # page, width, height, file
+    chromium --headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking \
+        --disable-component-update --disable-sync --user-data-dir="$work/chromium" --hide-scrollbars \
+        --screenshot="$4" --window-size="$2,$3" "file://$1" > "$work/chromium.log" 2>&1
+}
+screenshot "$work/report/report.html" 1100 1250 "$PWD/docs/report-page.png"
+for picture in docs/*.svg; do
+    size=$(python3 -c 'import re,sys; t=open(sys.argv[1]).read(); print(*re.search(r"<svg[^>]*? width=\"(\d+)[^>]*? height=\"(\d+)", t).groups())' "$picture")
+    screenshot "$PWD/$picture" ${size} "$PWD/$screenshots/$(basename "$picture" .svg).png"
+done
+cp docs/report-page.png "$screenshots"
+echo "rendered into docs/; look at the screenshots in $screenshots"
