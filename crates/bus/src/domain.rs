@@ -5,17 +5,15 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
-/// Where POSIX shared memory lies on Linux.
-pub(crate) const SHM_DIR: &str = "/dev/shm";
+use crate::os::files::{effective_uid, filesystem, is_memory};
+use crate::os::memory::SHM_DIR;
+
 /// `sun_path` of a Unix socket holds 108 bytes with the closing zero.
 const MAX_SOCKET_PATH_BYTES: usize = 107;
 /// A 128-bit port id in decimal, `.event`, and the slashes around the fleet.
 const SOCKET_NAME_BYTES: usize = 39 + 6 + 2;
 const MAX_FLEET_BYTES: usize = 32;
 const MAX_PREFIX_BYTES: usize = 8;
-const TMPFS: u64 = 0x0102_1994;
-const RAMFS: u64 = 0x8584_58f6;
-
 /// Where the shared memory of one fleet lives: the same in every process of the fleet.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Domain {
@@ -141,7 +139,8 @@ impl Domain {
 
     /// What is not as it should be, although it works.
     pub(crate) fn warnings(&self) -> Result<Vec<DomainWarning>, RootError> {
-        let filesystem = filesystem(&self.root)?;
+        let filesystem =
+            filesystem(&self.root).map_err(|error| RootError::io(&self.root, error))?;
         Ok(if is_memory(filesystem) {
             Vec::new()
         } else {
@@ -162,20 +161,6 @@ impl Domain {
         // Another fleet, or another process of this one, may still use it: then it is not empty.
         let _ = fs::remove_dir(&self.root);
     }
-}
-
-pub(crate) fn effective_uid() -> u32 {
-    rustix::process::geteuid().as_raw()
-}
-
-pub(crate) fn filesystem(path: &Path) -> Result<u64, RootError> {
-    let found = rustix::fs::statfs(path).map_err(|error| RootError::io(path, error.into()))?;
-    #[allow(clippy::unnecessary_cast, reason = "the width depends on the platform")]
-    Ok(found.f_type as u64)
-}
-
-pub(crate) fn is_memory(filesystem: u64) -> bool {
-    filesystem == TMPFS || filesystem == RAMFS
 }
 
 fn private_directory(path: &Path) -> Result<(), RootError> {

@@ -8,9 +8,10 @@ use std::path::PathBuf;
 use iceoryx2::node::{Node, NodeState, NodeView};
 use iceoryx2::prelude::{CallbackProgression, ipc};
 
-use crate::config::{self, ConfigError};
-use crate::domain::{effective_uid, filesystem, is_memory};
-use crate::incomplete::{objects, unfinished};
+use crate::cleanup::incomplete::unfinished;
+use crate::cleanup::objects::objects;
+use crate::iceoryx_config::{self, ConfigError};
+use crate::os::files::{effective_uid, filesystem, is_memory};
 use crate::preflight::{CapacityError, measure};
 use crate::{CapacityReport, Domain, RootError, WorkerLock};
 
@@ -102,7 +103,7 @@ fn root_info(domain: &Domain) -> Result<Option<RootInfo>, InspectError> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(RootError::io(path, error).into()),
     };
-    let filesystem = filesystem(path)?;
+    let filesystem = filesystem(path).map_err(|error| RootError::io(path, error))?;
     Ok(Some(RootInfo {
         path: path.to_owned(),
         owner: metadata.uid(),
@@ -114,7 +115,7 @@ fn root_info(domain: &Domain) -> Result<Option<RootInfo>, InspectError> {
 }
 
 fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
-    let config = config::wanted(domain)?;
+    let config = iceoryx_config::wanted(domain)?;
     let mut found = Vec::new();
     Node::<ipc::Service>::list(&config, |node| {
         let (details, alive) = match &node {

@@ -35,43 +35,35 @@
 #![deny(unsafe_code)]
 
 mod bus;
-pub mod clock;
-mod config;
+mod cleanup;
 mod domain;
-mod incomplete;
+mod iceoryx_config;
 mod inspect;
-mod keeper;
 mod limits;
+mod liveness;
 mod membership;
-mod memory;
-mod open;
-mod port;
+mod os;
+mod ports;
 mod preflight;
-mod reader;
-mod repair;
-mod scheduling;
-mod stale_cleanup;
-mod wait;
-mod worker_lock;
-mod writer;
 
 pub use bus::Bus;
-pub use config::ConfigError;
+pub use cleanup::keeper::Housekeeping;
+pub use cleanup::report::SweepReport;
+pub use cleanup::sweep::{SweepError, sweep};
 pub use domain::{Domain, DomainError, DomainWarning, RootError};
+pub use iceoryx_config::ConfigError;
 pub use inspect::{InspectError, Inspection, NodeInfo, RootInfo, inspect};
-pub use keeper::Housekeeping;
 pub use limits::{Limits, LimitsError};
+pub use liveness::peer_watch::PeerWatch;
+pub use liveness::worker_lock::{WorkerLock, WorkerLockError};
 pub use membership::JoinError;
-pub use memory::touch_own_memory;
-pub use open::OpenError;
-pub use port::{
+pub use os::clock;
+pub use os::memory::touch_own_memory;
+pub use os::scheduling::{Rights, Scheduling, SchedulingError, page_faults, set_timer_slack};
+pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    SampleTap, StateReader, StateWriter, TickReader, TickWriter,
+    Frame, FrameBuf, IncomingFrame, Loan, OpenError, Reader, ReceiveError, SampleReader, SampleTap,
+    SampleWriter, SendError, StateReader, StateWriter, TickReader, TickWriter, WaitError, Waiter,
+    Waker, Woken, Writer,
 };
 pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity};
-pub use reader::{Frame, FrameBuf, IncomingFrame, Reader, ReceiveError, SampleReader};
-pub use scheduling::{Rights, Scheduling, SchedulingError, page_faults};
-pub use stale_cleanup::{SweepError, SweepReport, sweep};
-pub use wait::{PeerWatch, WaitError, Waiter, Waker, Woken, set_timer_slack};
-pub use worker_lock::{WorkerLock, WorkerLockError};
-pub use writer::{Loan, SampleWriter, SendError, Writer};

@@ -1,77 +1,20 @@
-//! Who is alive: every member holds a shared lock on one file for as long as it lives.
-//!
-//! The kernel drops the lock with the process, however that ends. Who gets it exclusively knows
-//! that nobody is alive, and may remove everything.
+//! A process's stay in a domain: the members' lock, and the keeper thread.
 
-use std::fs::{self, File};
 use std::io;
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use rustix::fs::{FlockOperation, OFlags, flock};
-
-use crate::config::{self, ConfigError};
-use crate::domain::effective_uid;
-use crate::incomplete::objects;
-use crate::keeper::Keeper;
-use crate::stale_cleanup::{SweepError, SweepReport, is_same, remove_all};
-use crate::{Domain, RootError, WorkerLock};
+use crate::cleanup::keeper::Keeper;
+use crate::cleanup::objects::objects;
+use crate::cleanup::sweep::remove_all;
+use crate::iceoryx_config::{self, ConfigError};
+use crate::liveness::members_lock::MembersLock;
+use crate::os::files::effective_uid;
+use crate::{Domain, RootError, SweepError, SweepReport};
 
 /// How long a join may take before it is given up.
 pub(crate) const JOIN_LIMIT: Duration = Duration::from_secs(5);
 const RETRY_EVERY: Duration = Duration::from_millis(2);
-
-/// The file that members lock.
-pub(crate) struct MembersLock {
-    file: File,
-}
-
-impl MembersLock {
-    pub(crate) fn open(domain: &Domain) -> io::Result<Self> {
-        let file = fs::OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .mode(0o600)
-            .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
-            .open(domain.members_file())?;
-        Ok(Self { file })
-    }
-
-    /// Whether nobody else holds it; then we do, exclusively.
-    pub(crate) fn try_exclusive(&self) -> io::Result<bool> {
-        self.lock(FlockOperation::NonBlockingLockExclusive)
-    }
-
-    fn try_shared(&self) -> io::Result<bool> {
-        self.lock(FlockOperation::NonBlockingLockShared)
-    }
-
-    fn lock(&self, operation: FlockOperation) -> io::Result<bool> {
-        match flock(&self.file, operation) {
-            Ok(()) => Ok(true),
-            Err(rustix::io::Errno::WOULDBLOCK | rustix::io::Errno::INTR) => Ok(false),
-            Err(error) => Err(error.into()),
-        }
-    }
-
-    fn is_current(&self, domain: &Domain) -> io::Result<bool> {
-        is_same(&self.file, &domain.members_file())
-    }
-
-    /// Removes the file, that of a killed worker, and the directories around them, as far as they
-    /// are empty. The caller holds
-    /// the lock exclusively; who opened the file meanwhile sees that it is gone and starts again.
-    pub(crate) fn remove(self, domain: &Domain) {
-        if self.is_current(domain).unwrap_or(false) {
-            let _ = fs::remove_file(domain.members_file());
-            let _ = fs::remove_dir(domain.directory());
-            WorkerLock::remove_stale(domain);
-            domain.remove_root();
-        }
-    }
-}
 
 /// A process's stay in a domain. Ports share it, so that it outlives them.
 pub(crate) struct Membership {
@@ -94,7 +37,7 @@ impl Membership {
                 });
             }
         }
-        let config = config::load(domain)?;
+        let config = iceoryx_config::load(domain)?;
         let keeper = Keeper::start(domain, config).map_err(JoinError::Keeper)?;
         Ok((
             Self {

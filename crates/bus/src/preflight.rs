@@ -6,8 +6,8 @@ use joulebus_wire as wire;
 use rustix::process::{Resource, getrlimit};
 
 use crate::Limits;
-use crate::domain::SHM_DIR;
 use crate::limits::Shape;
+use crate::os::memory::SHM_DIR;
 
 /// iceoryx2's own header of a frame with its padding, generously.
 const FRAME_OVERHEAD: usize = 128;

@@ -8,8 +8,8 @@ use std::path::Path;
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::mm::{Advice, madvise};
 
-use crate::domain::SHM_DIR;
-
+/// Where POSIX shared memory lies on Linux.
+pub(crate) const SHM_DIR: &str = "/dev/shm";
 /// Memory that is mapped at once while ticks go on, bytes: some milliseconds.
 const MOST_AT_ONCE: usize = 64 << 20;
 

@@ -1,4 +1,4 @@
-//! Reading frames in place, or into a process's own memory.
+//! Reading frames in place.
 
 use std::fmt::Debug;
 use std::marker::PhantomData;
@@ -11,14 +11,13 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{ZeroCopySend, ipc};
 use iceoryx2::sample::Sample as Borrowed;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use joulebus_wire::{Sample, SampleHeader, Service};
+use joulebus_wire::Service;
 
+use super::degradation::count_degradation;
+use super::repair::{Look, Repair};
+use super::service::{self, OpenError};
 use crate::limits::Shape;
 use crate::membership::Membership;
-use crate::memory;
-use crate::open::{OpenError, open};
-use crate::port::count_degradation;
-use crate::repair::{Look, Repair};
 use crate::{Bus, Limits, clock};
 
 /// Reads frames in place.
@@ -39,6 +38,27 @@ where
     H: Debug + ZeroCopySend + 'static,
     T: Debug + ZeroCopySend + 'static,
 {
+    pub(super) fn open(
+        bus: &Bus,
+        service: Service,
+        limits: &Limits,
+        shape: Shape,
+    ) -> Result<Self, OpenError> {
+        let factory = service::open::<H, T>(bus, service, limits, shape)?;
+        let degraded = Arc::new(AtomicU64::new(0));
+        let subscriber = subscribe(&factory, shape.buffer, &degraded)
+            .map_err(|reason| OpenError::port(service, reason))?;
+        Ok(Self {
+            held: None,
+            subscriber: Some(subscriber),
+            factory,
+            buffer: shape.buffer,
+            degraded,
+            repair: Repair::default(),
+            _member: Rc::clone(&bus.member),
+        })
+    }
+
     /// The oldest frame that waits, in order; `None` when there is none. Frames that were
     /// overwritten before are known by the numbers in the headers.
     ///
@@ -110,7 +130,9 @@ where
     /// A writer that dies while it is connected to leaves a connection that fails, and one that
     /// waits for nobody: the port is made anew, quietly. Only what fails again a second later is
     /// an error.
-    fn receive(&mut self) -> Result<Option<Borrowed<ipc::Service, [T], H>>, ReceiveError> {
+    pub(super) fn receive(
+        &mut self,
+    ) -> Result<Option<Borrowed<ipc::Service, [T], H>>, ReceiveError> {
         loop {
             if self.repair.is_due(clock::monotonic_ns) {
                 self.renew()?;
@@ -211,200 +233,6 @@ where
     fn deref(&self) -> &[T] {
         self.sample.payload()
     }
-}
-
-/// Sources whose memory a [`SampleReader`] remembers to have mapped.
-const MAPPED: usize = 256;
-
-/// The worker's port for samples of all sources.
-pub struct SampleReader {
-    reader: Reader<SampleHeader, Sample>,
-    /// Ports of sources whose memory has been mapped whole.
-    mapped: Vec<u128>,
-}
-
-impl SampleReader {
-    pub(crate) fn new(reader: Reader<SampleHeader, Sample>) -> Self {
-        Self {
-            reader,
-            mapped: Vec::with_capacity(MAPPED),
-        }
-    }
-
-    /// Copies the next frame into `frame`; whether there was one. Take until there is none: the
-    /// sources come one after the other. Each byte is read from shared memory once, so what is
-    /// checked afterwards cannot change any more.
-    ///
-    /// # Errors
-    /// [`ReceiveError`]; the next call may succeed.
-    pub fn take(&mut self, frame: &mut FrameBuf) -> Result<bool, ReceiveError> {
-        let Some(mut incoming) = self.next(frame.capacity)? else {
-            return Ok(false);
-        };
-        frame.header = *incoming.header();
-        frame.truncated = incoming.truncated();
-        // The buffer has room for all of it, or for none.
-        if incoming.copy_part(&mut frame.samples).is_none() {
-            frame.samples.clear();
-        }
-        Ok(true)
-    }
-
-    /// The next frame, to be copied part by part, at most `most` samples of it; `None` when there
-    /// is none.
-    ///
-    /// # Errors
-    /// [`ReceiveError`]; the next call may succeed.
-    pub fn next(&mut self, most: usize) -> Result<Option<IncomingFrame<'_>>, ReceiveError> {
-        let Some(received) = self.reader.receive()? else {
-            return Ok(None);
-        };
-        let source = received.header().publisher_id().value();
-        if !self.mapped.contains(&source) {
-            // Sources come and go for months: forgetting costs one more look.
-            if self.mapped.len() == MAPPED {
-                self.mapped.clear();
-            }
-            self.mapped.push(source);
-            memory::map(&source.to_string());
-        }
-        Ok(Some(IncomingFrame {
-            header: *received.user_header(),
-            kept: received.payload().len().min(most),
-            received,
-            copied: 0,
-            reader: PhantomData,
-        }))
-    }
-
-    /// Connections to sources that could not be made, or broke.
-    #[must_use]
-    pub fn degraded(&self) -> u64 {
-        self.reader.degraded()
-    }
-}
-
-/// A frame of samples on its way in. Each byte is read from shared memory once, into a buffer that
-/// may be small enough to stay in the core's own cache; what is checked there cannot change any
-/// more.
-pub struct IncomingFrame<'a> {
-    received: Borrowed<ipc::Service, [Sample], SampleHeader>,
-    header: SampleHeader,
-    kept: usize,
-    copied: usize,
-    reader: PhantomData<&'a mut SampleReader>,
-}
-
-impl IncomingFrame<'_> {
-    /// The header.
-    #[must_use]
-    pub const fn header(&self) -> &SampleHeader {
-        &self.header
-    }
-
-    /// Samples that will be copied.
-    #[must_use]
-    pub const fn len(&self) -> usize {
-        self.kept
-    }
-
-    /// Whether there is none.
-    #[must_use]
-    pub const fn is_empty(&self) -> bool {
-        self.kept == 0
-    }
-
-    /// Samples of the frame past those, which will not be.
-    #[must_use]
-    pub fn truncated(&self) -> usize {
-        self.received.payload().len() - self.kept
-    }
-
-    /// Copies the next samples, as many as `part` has room for without growing, and gives them;
-    /// `None` at the end, or if there is no room.
-    pub fn copy_part<'p>(&mut self, part: &'p mut Vec<Sample>) -> Option<&'p [Sample]> {
-        let count = part.capacity().min(self.kept - self.copied);
-        if count == 0 {
-            return None;
-        }
-        let from = self.copied;
-        self.copied += count;
-        part.clear();
-        part.extend_from_slice(&self.received.payload()[from..self.copied]);
-        Some(part)
-    }
-}
-
-/// A process's own copy of a frame of samples. Allocates when made, then never.
-#[derive(Debug, Clone)]
-pub struct FrameBuf {
-    header: SampleHeader,
-    samples: Vec<Sample>,
-    truncated: usize,
-    capacity: usize,
-}
-
-impl FrameBuf {
-    /// Room for frames of up to `capacity` samples.
-    #[must_use]
-    pub fn new(capacity: usize) -> Self {
-        Self {
-            header: SampleHeader::default(),
-            samples: touched(capacity),
-            truncated: 0,
-            capacity,
-        }
-    }
-
-    /// The header.
-    #[must_use]
-    pub const fn header(&self) -> &SampleHeader {
-        &self.header
-    }
-
-    /// The samples, at most the capacity.
-    #[must_use]
-    pub fn samples(&self) -> &[Sample] {
-        &self.samples
-    }
-
-    /// Samples of the frame past the capacity, which were not copied.
-    #[must_use]
-    pub const fn truncated(&self) -> usize {
-        self.truncated
-    }
-}
-
-/// Room for `capacity` samples, every page of it touched: the first long frame takes no page fault.
-fn touched(capacity: usize) -> Vec<Sample> {
-    let mut samples = vec![Sample::new(0, 0, 0); capacity];
-    samples.clear();
-    samples
-}
-
-pub(crate) fn reader<H, T>(
-    bus: &Bus,
-    service: Service,
-    limits: &Limits,
-    shape: Shape,
-) -> Result<Reader<H, T>, OpenError>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
-    let factory = open::<H, T>(bus, service, limits, shape)?;
-    let degraded = Arc::new(AtomicU64::new(0));
-    let subscriber = subscribe(&factory, shape.buffer, &degraded)
-        .map_err(|reason| OpenError::port(service, reason))?;
-    Ok(Reader {
-        held: None,
-        subscriber: Some(subscriber),
-        factory,
-        buffer: shape.buffer,
-        degraded,
-        repair: Repair::default(),
-        _member: Rc::clone(&bus.member),
-    })
 }
 
 /// Why no frame could be read.

@@ -15,15 +15,16 @@ use iceoryx2::prelude::{AllocationStrategy, ZeroCopySend, ipc};
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use joulebus_wire::{Budget, Diagnostic, Forecast, Sample, SampleHeader, Service, WakeEvent};
+use joulebus_wire::{Budget, Diagnostic, Forecast, Service};
 
+use super::degradation::count_degradation;
+use super::service::{self, OpenError};
+use super::wait::WaitError;
 use crate::limits::Shape;
 use crate::membership::Membership;
-use crate::open::{OpenError, open};
-use crate::port::{count_degradation, waker};
+use crate::os::memory;
 use crate::preflight::{segment_bytes, shared_memory};
-use crate::wait::{WaitError, Waker};
-use crate::{Bus, CapacityError, Limits, memory};
+use crate::{Bus, CapacityError, Limits};
 
 /// Sends frames: a header `H` and a slice of `T`, written where readers read it.
 pub struct Writer<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
@@ -34,6 +35,46 @@ pub struct Writer<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + '
     degraded: Arc<AtomicU64>,
     // After the port: it must be gone before the process leaves.
     _member: Rc<Membership>,
+}
+
+impl<H, T> Writer<H, T>
+where
+    H: Debug + ZeroCopySend + 'static,
+    T: Debug + ZeroCopySend + 'static,
+{
+    pub(super) fn open(
+        bus: &Bus,
+        service: Service,
+        limits: &Limits,
+        shape: Shape,
+        max_len: usize,
+    ) -> Result<Self, OpenError> {
+        let needed = segment_bytes(shape, size_of::<H>(), size_of::<T>(), max_len);
+        let (free, _) = shared_memory()?;
+        if needed > free {
+            return Err(CapacityError::Memory { needed, free }.into());
+        }
+        let degraded = Arc::new(AtomicU64::new(0));
+        let counted = Arc::clone(&degraded);
+        let factory = service::open::<H, T>(bus, service, limits, shape)?;
+        let publisher = factory
+            .publisher_builder()
+            .initial_max_slice_len(max_len)
+            .max_loaned_samples(1)
+            .allocation_strategy(AllocationStrategy::Static)
+            .set_degradation_handler(move |_, _| count_degradation(&counted))
+            .create()
+            .map_err(|reason| OpenError::port(service, reason))?;
+        memory::take(&publisher.id().value().to_string())
+            .map_err(|source| OpenError::Memory { needed, source })?;
+        Ok(Self {
+            publisher,
+            factory,
+            max_len,
+            degraded,
+            _member: Rc::clone(&bus.member),
+        })
+    }
 }
 
 impl<H, T> Writer<H, T>
@@ -203,97 +244,6 @@ where
     fn deref_mut(&mut self) -> &mut [T] {
         self.sample.payload_mut()
     }
-}
-
-/// A source's port: sends frames of samples and wakes the worker.
-pub struct SampleWriter {
-    writer: Writer<SampleHeader, Sample>,
-    waker: Waker,
-}
-
-impl SampleWriter {
-    /// Sends a frame of `len` samples, sample `i` being `sample(i)`, written straight into shared
-    /// memory, and wakes the worker. Returns how many readers got it: 0 means that no worker runs.
-    ///
-    /// # Errors
-    /// [`SendError`]; [`SendError::Wake`] if the frame was sent but the worker not woken.
-    pub fn send(
-        &mut self,
-        header: SampleHeader,
-        len: usize,
-        sample: impl FnMut(usize) -> Sample,
-    ) -> Result<usize, SendError> {
-        let readers = self.writer.send(header, len, sample)?;
-        self.waker.wake(WakeEvent::Frame).map_err(SendError::Wake)?;
-        Ok(readers)
-    }
-
-    /// Samples that one frame may hold.
-    #[must_use]
-    pub const fn max_len(&self) -> usize {
-        self.writer.max_len()
-    }
-
-    /// Connections to readers that could not be made, or broke.
-    #[must_use]
-    pub fn degraded(&self) -> u64 {
-        self.writer.degraded()
-    }
-}
-
-pub(crate) fn sample_writer(
-    bus: &Bus,
-    limits: &Limits,
-    max_len: usize,
-) -> Result<SampleWriter, OpenError> {
-    if max_len < 1 || max_len > limits.capacity {
-        return Err(OpenError::Length {
-            found: max_len,
-            allowed: limits.capacity,
-        });
-    }
-    Ok(SampleWriter {
-        writer: writer(bus, Service::Samples, limits, limits.samples(), max_len)?,
-        waker: waker(bus, Service::Arrivals, limits, limits.arrivals())?,
-    })
-}
-
-pub(crate) fn writer<H, T>(
-    bus: &Bus,
-    service: Service,
-    limits: &Limits,
-    shape: Shape,
-    max_len: usize,
-) -> Result<Writer<H, T>, OpenError>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
-    let needed = segment_bytes(shape, size_of::<H>(), size_of::<T>(), max_len);
-    let (free, _) = shared_memory()?;
-    if needed > free {
-        return Err(CapacityError::Memory { needed, free }.into());
-    }
-    let degraded = Arc::new(AtomicU64::new(0));
-    let counted = Arc::clone(&degraded);
-    let factory = open::<H, T>(bus, service, limits, shape)?;
-    let publisher = factory
-        .publisher_builder()
-        .initial_max_slice_len(max_len)
-        .max_loaned_samples(1)
-        .allocation_strategy(AllocationStrategy::Static)
-        .set_degradation_handler(move |_, _| count_degradation(&counted))
-        .create()
-        .map_err(|reason| OpenError::port(service, reason))?;
-    memory::take(&publisher.id().value().to_string())
-        .map_err(|source| OpenError::Memory { needed, source })?;
-    Ok(Writer {
-        publisher,
-        factory,
-        max_len,
-        degraded,
-        _member: Rc::clone(&bus.member),
-    })
 }
 
 /// Why a frame was not sent.

@@ -16,10 +16,10 @@ use iceoryx2::service::port_factory::event::PortFactory as EventFactory;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use joulebus_wire::{Service, WakeEvent, service_name};
 
-use crate::incomplete::{remove_abandoned_service, remove_stillborn};
+use crate::cleanup::dead_nodes::remove_dead_nodes;
+use crate::cleanup::incomplete::{remove_abandoned_service, remove_incomplete};
 use crate::limits::Shape;
-use crate::stale_cleanup::{SweepReport, remove_dead_nodes};
-use crate::{Bus, CapacityError, Limits, clock};
+use crate::{Bus, CapacityError, Limits, SweepReport, clock};
 
 /// Under which name the limits are written into each service.
 const LIMITS_KEY: &[u8] = b"joulebus.limits";
@@ -27,7 +27,7 @@ const LIMITS_KEY: &[u8] = b"joulebus.limits";
 const OPEN_LIMIT_NS: u64 = 4_000_000_000;
 const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
 
-pub(crate) fn open<H, T>(
+pub(super) fn open<H, T>(
     bus: &Bus,
     service: Service,
     limits: &Limits,
@@ -64,7 +64,7 @@ where
     })
 }
 
-pub(crate) fn open_event(
+pub(super) fn open_event(
     bus: &Bus,
     service: Service,
     limits: &Limits,
@@ -111,7 +111,7 @@ fn retry<S, E: Debug>(
         }
         let mut report = SweepReport::default();
         remove_dead_nodes(bus.node.config(), &mut report);
-        report.incomplete = remove_stillborn(bus.domain()).unwrap_or(0)
+        report.incomplete = remove_incomplete(bus.domain()).unwrap_or(0)
             + remove_abandoned_service(bus.domain(), name.as_str());
         tracing::info!(
             service = name.as_str(),
@@ -262,7 +262,7 @@ pub enum OpenError {
 }
 
 impl OpenError {
-    pub(crate) fn port(service: Service, reason: impl std::fmt::Display) -> Self {
+    pub(super) fn port(service: Service, reason: impl std::fmt::Display) -> Self {
         Self::Port {
             service: service.name(),
             reason: reason.to_string(),

@@ -10,7 +10,7 @@ use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::io::Errno;
 use rustix::process::{Pid, test_kill_process};
 
-use crate::stale_cleanup::is_same;
+use crate::os::files::is_same;
 use crate::{Domain, RootError, clock};
 
 /// The right to be a fleet's worker, for as long as it lives. The kernel takes it back with the

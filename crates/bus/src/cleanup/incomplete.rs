@@ -6,79 +6,17 @@
 
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
-use std::os::unix::fs::MetadataExt;
-use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
+use std::path::PathBuf;
 
-use crate::domain::{SHM_DIR, effective_uid};
+use super::objects::{Identity, OWNER_READ, Object, list, objects, open_files};
 use crate::{Domain, RootError};
 
-/// How long something may stay unfinished before it counts as left behind. Creating it takes
-/// microseconds.
-const OLD: Duration = Duration::from_millis(250);
-/// An object, and a node's context, get this right when they are finished.
-const OWNER_READ: u32 = 0o400;
 /// A description (of a service, a node, a port of a node) loses this right when it is finished.
 const OWNER_WRITE: u32 = 0o200;
 /// The files of a node's monitor: `<prefix><id>.node_monitor<suffix>`.
 const MONITOR: &str = ".node_monitor";
 const CONTEXT: &str = "_context";
 const OWNER_LOCK: &str = "_owner_lock";
-
-/// A file of a domain.
-#[derive(Clone)]
-pub(crate) struct Object {
-    pub(crate) path: PathBuf,
-    pub(crate) bytes: u64,
-    pub(crate) owner: u32,
-    pub(crate) mode: u32,
-    modified: Option<SystemTime>,
-    identity: Identity,
-}
-
-/// Device and inode: the same file, whatever path leads to it.
-type Identity = (u64, u64);
-
-impl Object {
-    fn new(path: PathBuf) -> Option<Self> {
-        let metadata = fs::symlink_metadata(&path).ok()?;
-        metadata.is_file().then(|| Self {
-            path,
-            bytes: metadata.size(),
-            owner: metadata.uid(),
-            mode: metadata.mode() & 0o7777,
-            modified: metadata.modified().ok(),
-            identity: (metadata.dev(), metadata.ino()),
-        })
-    }
-
-    fn is_old(&self) -> bool {
-        let age = self.modified.and_then(|at| at.elapsed().ok());
-        self.owner == effective_uid() && age.is_some_and(|age| age > OLD)
-    }
-
-    /// Of an object in shared memory: without a size, or without its final rights.
-    fn is_unfinished(&self) -> bool {
-        self.bytes == 0 || self.mode & OWNER_READ == 0
-    }
-}
-
-/// All objects in shared memory whose names begin with the domain's prefix, whoever owns them.
-pub(crate) fn objects(domain: &Domain) -> Result<Vec<Object>, RootError> {
-    let read = |error| RootError::io(Path::new(SHM_DIR), error);
-    let mut found = Vec::new();
-    for entry in fs::read_dir(SHM_DIR).map_err(read)? {
-        let entry = entry.map_err(read)?;
-        let name = entry.file_name();
-        if name
-            .as_encoded_bytes()
-            .starts_with(domain.shm_prefix().as_bytes())
-        {
-            found.extend(Object::new(entry.path()));
-        }
-    }
-    Ok(found)
-}
 
 /// Objects in shared memory that were not finished in time; their creators may be alive.
 pub(crate) fn unfinished(domain: &Domain) -> Result<Vec<PathBuf>, RootError> {
@@ -93,7 +31,7 @@ pub(crate) fn unfinished(domain: &Domain) -> Result<Vec<PathBuf>, RootError> {
 ///
 /// Only our own, only what is older than 250 ms, and only if no process holds it open. Returns how
 /// many were removed.
-pub(crate) fn remove_stillborn(domain: &Domain) -> Result<u64, RootError> {
+pub(crate) fn remove_incomplete(domain: &Domain) -> Result<u64, RootError> {
     let mut objects = objects(domain)?;
     objects.retain(|object| object.is_unfinished() && object.is_old());
     let mut descriptions = services(domain);
@@ -160,11 +98,6 @@ fn node_details(domain: &Domain) -> Vec<Object> {
         .collect()
 }
 
-fn list(directory: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(directory).into_iter().flatten().flatten();
-    entries.map(|entry| entry.path()).collect()
-}
-
 /// A node on disk: the directory of its details, and the files of its monitor.
 #[derive(Default)]
 struct HalfNode {
@@ -218,14 +151,4 @@ fn unfinished_nodes(domain: &Domain) -> Vec<HalfNode> {
     }
     let unfinished = |node: &HalfNode| node.parts < 3 && node.files.iter().all(Object::is_old);
     nodes.into_values().filter(unfinished).collect()
-}
-
-/// All files that processes of this user have open. Others cannot have ours: they are 0600.
-fn open_files() -> HashSet<Identity> {
-    list(Path::new("/proc"))
-        .into_iter()
-        .flat_map(|process| list(&process.join("fd")))
-        .filter_map(|descriptor| fs::metadata(descriptor).ok())
-        .map(|file| (file.dev(), file.ino()))
-        .collect()
 }

@@ -2,20 +2,19 @@
 #![allow(unsafe_code)]
 
 use std::io;
-use std::num::NonZeroU64;
-use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::fd::{AsFd, BorrowedFd};
 use std::rc::Rc;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::{EventId, FileDescriptorBased, ipc};
-use joulebus_wire::WakeEvent;
+use joulebus_wire::{Service, WakeEvent};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
-use rustix::process::{Pid, PidfdFlags, pidfd_open};
 
-use crate::clock;
+use super::service::{OpenError, open_event};
 use crate::membership::Membership;
+use crate::{Bus, Limits, PeerWatch, clock};
 
 /// The longest sleep without a look. A notification that races with the emptying of the listener
 /// can leave its descriptor silent although events are pending, and a signal may arrive just before
@@ -30,11 +29,21 @@ pub struct Waker {
 }
 
 impl Waker {
-    pub(crate) const fn new(notifier: Notifier<ipc::Service>, member: Rc<Membership>) -> Self {
-        Self {
+    pub(super) fn open(
+        bus: &Bus,
+        service: Service,
+        limits: &Limits,
+        ports: (usize, usize),
+    ) -> Result<Self, OpenError> {
+        let notifier = open_event(bus, service, limits, ports)?
+            .notifier_builder()
+            .default_event_id(EventId::new(WakeEvent::Frame.id()))
+            .create()
+            .map_err(|reason| OpenError::port(service, reason))?;
+        Ok(Self {
             notifier,
-            _member: member,
-        }
+            _member: Rc::clone(&bus.member),
+        })
     }
 
     /// Tells all waiters. About 1 µs for each that sleeps; no allocation unless waiters have come
@@ -83,11 +92,20 @@ pub struct Waiter {
 }
 
 impl Waiter {
-    pub(crate) const fn new(listener: Listener<ipc::Service>, member: Rc<Membership>) -> Self {
-        Self {
+    pub(super) fn open(
+        bus: &Bus,
+        service: Service,
+        limits: &Limits,
+        ports: (usize, usize),
+    ) -> Result<Self, OpenError> {
+        let listener = open_event(bus, service, limits, ports)?
+            .listener_builder()
+            .create()
+            .map_err(|reason| OpenError::port(service, reason))?;
+        Ok(Self {
             listener,
-            _member: member,
-        }
+            _member: Rc::clone(&bus.member),
+        })
     }
 
     /// Sleeps until woken, until `deadline_ns` (monotonic), until `peer` is gone, or until a signal
@@ -161,52 +179,6 @@ impl Waiter {
         // with that of `self`; nobody closes or keeps it.
         unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }
     }
-}
-
-/// Watches a process for its end.
-#[derive(Debug)]
-pub struct PeerWatch {
-    descriptor: OwnedFd,
-}
-
-impl PeerWatch {
-    /// Watches the process `pid`. `None` when there is no such process, or when the system cannot
-    /// watch (Linux before 5.3, some sandboxes).
-    ///
-    /// A pid may have been given to another process already: read it again from a fresh frame
-    /// after opening.
-    #[must_use]
-    pub fn open(pid: u32) -> Option<Self> {
-        let pid = Pid::from_raw(i32::try_from(pid).ok()?)?;
-        let descriptor = pidfd_open(pid, PidfdFlags::empty()).ok()?;
-        Some(Self { descriptor })
-    }
-
-    /// Whether the process has ended, its parent having waited for it or not.
-    #[must_use]
-    pub fn is_gone(&self) -> bool {
-        let mut polled = [PollFd::new(&self.descriptor, PollFlags::IN)];
-        let now = Timespec {
-            tv_sec: 0,
-            tv_nsec: 0,
-        };
-        matches!(poll(&mut polled, Some(&now)), Ok(ready) if ready > 0)
-    }
-}
-
-impl AsFd for PeerWatch {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        self.descriptor.as_fd()
-    }
-}
-
-/// Lets the sleeps of the calling thread end on time: the kernel otherwise delays them by up to
-/// 50 µs to save power. For the worker.
-///
-/// # Errors
-/// When the system refuses; then sleeps stay as they were.
-pub fn set_timer_slack() -> io::Result<()> {
-    rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).map_err(Into::into)
 }
 
 /// Why waiting or waking failed.

@@ -8,12 +8,13 @@ use std::time::Duration;
 
 use iceoryx2::config::Config;
 
+use super::dead_nodes::remove_dead_nodes;
+use super::incomplete::remove_incomplete;
+use super::report::SweepReport;
 use crate::Domain;
-use crate::incomplete::remove_stillborn;
-use crate::stale_cleanup::{SweepReport, remove_dead_nodes};
 
 /// Somebody may be waiting for an unfinished object: look often, it costs 20 µs.
-const STILLBORN_EVERY: Duration = Duration::from_millis(250);
+const INCOMPLETE_EVERY: Duration = Duration::from_millis(250);
 /// Dead nodes are looked for each so many rounds: once a second.
 const DEAD_NODES_EVERY: u64 = 4;
 
@@ -85,7 +86,7 @@ impl Shared {
             if self.wait() {
                 return;
             }
-            if let Ok(removed) = remove_stillborn(domain) {
+            if let Ok(removed) = remove_incomplete(domain) {
                 self.incomplete.fetch_add(removed, Ordering::Relaxed);
                 if removed > 0 {
                     tracing::info!(removed, "removed unfinished objects of dead processes");
@@ -115,7 +116,7 @@ impl Shared {
         let stop = self.stop.lock().unwrap_or_else(PoisonError::into_inner);
         let (stop, _) = self
             .stopped
-            .wait_timeout_while(stop, STILLBORN_EVERY, |stop| !*stop)
+            .wait_timeout_while(stop, INCOMPLETE_EVERY, |stop| !*stop)
             .unwrap_or_else(PoisonError::into_inner);
         *stop
     }

@@ -1,50 +1,19 @@
 //! What dead processes leave behind, and how it goes away.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io;
-use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
-use iceoryx2::config::Config;
-use iceoryx2::node::{Node, NodeState};
-use iceoryx2::prelude::{CallbackProgression, ipc};
-
-use crate::config::{self, ConfigError};
-use crate::domain::{check_private, effective_uid};
-use crate::incomplete::{objects, remove_stillborn};
-use crate::membership::MembersLock;
+use super::dead_nodes::{is_anybody_alive, remove_dead_nodes};
+use super::incomplete::remove_incomplete;
+use super::objects::objects;
+use super::report::SweepReport;
+use crate::domain::check_private;
+use crate::iceoryx_config::{self, ConfigError};
+use crate::liveness::members_lock::MembersLock;
+use crate::os::files::effective_uid;
 use crate::{Domain, RootError, WorkerLock};
-
-/// What was removed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct SweepReport {
-    /// Nodes of dead processes that iceoryx2 removed.
-    pub dead_nodes: u64,
-    /// Nodes of dead processes that could not be removed; they go with the last member.
-    pub failed_nodes: u64,
-    /// Objects, services and nodes that were created but never finished.
-    pub incomplete: u64,
-    /// Objects in shared memory removed because no member was alive.
-    pub objects: u64,
-    /// Bytes that they took.
-    pub bytes: u64,
-    /// Other files removed because no member was alive.
-    pub files: u64,
-    /// Whether no member was alive, so that everything of the domain was removed.
-    pub cold: bool,
-}
-
-impl SweepReport {
-    /// Whether nothing had been left behind.
-    #[must_use]
-    pub const fn is_clean(&self) -> bool {
-        self.dead_nodes == 0
-            && self.failed_nodes == 0
-            && self.incomplete == 0
-            && self.objects == 0
-            && self.files == 0
-    }
-}
 
 /// Removes what dead processes left in `domain`: everything when no member is alive, else their
 /// nodes and unfinished objects. For a supervisor, after it has waited for its children, and for
@@ -75,30 +44,11 @@ fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
         remove_all(domain, &mut report)?;
         lock.remove(domain);
     } else {
-        let config = config::load(domain)?;
-        report.incomplete = remove_stillborn(domain)?;
+        let config = iceoryx_config::load(domain)?;
+        report.incomplete = remove_incomplete(domain)?;
         remove_dead_nodes(config, &mut report);
     }
     Ok(report)
-}
-
-/// Lets iceoryx2 remove the nodes of dead processes. 1 to 25 ms when there is work.
-pub(crate) fn remove_dead_nodes(config: &Config, report: &mut SweepReport) {
-    let listed = Node::<ipc::Service>::list(config, |node| {
-        if let NodeState::Dead(dead) = node {
-            match dead.try_remove_stale_resources() {
-                Ok(()) => report.dead_nodes += 1,
-                Err(reason) => {
-                    tracing::debug!(%reason, "a dead node could not be removed");
-                    report.failed_nodes += 1;
-                }
-            }
-        }
-        CallbackProgression::Continue
-    });
-    if let Err(reason) = listed {
-        tracing::debug!(%reason, "nodes could not be listed");
-    }
 }
 
 /// Removes everything of the domain but the members' lock. The caller holds that exclusively, so
@@ -108,10 +58,10 @@ pub(crate) fn remove_dead_nodes(config: &Config, report: &mut SweepReport) {
 /// Python package): while such a node lives only the dead ones go.
 pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<(), SweepError> {
     check_private(&domain.directory())?;
-    let config = config::wanted(domain)?;
-    report.incomplete += remove_stillborn(domain)?;
+    let config = iceoryx_config::wanted(domain)?;
+    report.incomplete += remove_incomplete(domain)?;
     if is_anybody_alive(&config) {
-        remove_dead_nodes(config::load(domain)?, report);
+        remove_dead_nodes(iceoryx_config::load(domain)?, report);
         return Ok(());
     }
     report.cold = true;
@@ -122,15 +72,6 @@ pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<()
         }
     }
     remove_contents(&domain.directory(), &domain.members_file(), report)
-}
-
-fn is_anybody_alive(config: &Config) -> bool {
-    let mut alive = false;
-    let listed = Node::<ipc::Service>::list(config, |node| {
-        alive |= matches!(node, NodeState::Alive(_));
-        CallbackProgression::Continue
-    });
-    alive || listed.is_err()
 }
 
 fn remove_contents(
@@ -158,16 +99,6 @@ fn remove_contents(
         }
     }
     Ok(())
-}
-
-/// Whether `file` is still what lies at `path`.
-pub(crate) fn is_same(file: &File, path: &Path) -> io::Result<bool> {
-    let held = file.metadata()?;
-    match fs::symlink_metadata(path) {
-        Ok(there) => Ok(held.ino() == there.ino() && held.dev() == there.dev()),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
-        Err(error) => Err(error),
-    }
 }
 
 /// Why leftovers could not be removed.

@@ -1,0 +1,87 @@
+//! The files of a domain, and which files are open.
+
+use std::collections::HashSet;
+use std::fs;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+use crate::os::files::effective_uid;
+use crate::os::memory::SHM_DIR;
+use crate::{Domain, RootError};
+
+/// How long something may stay unfinished before it counts as left behind. Creating it takes
+/// microseconds.
+const OLD: Duration = Duration::from_millis(250);
+/// An object, and a node's context, get this right when they are finished.
+pub(super) const OWNER_READ: u32 = 0o400;
+
+/// A file of a domain.
+#[derive(Clone)]
+pub(crate) struct Object {
+    pub(crate) path: PathBuf,
+    pub(crate) bytes: u64,
+    pub(crate) owner: u32,
+    pub(crate) mode: u32,
+    modified: Option<SystemTime>,
+    pub(super) identity: Identity,
+}
+
+/// Device and inode: the same file, whatever path leads to it.
+pub(super) type Identity = (u64, u64);
+
+impl Object {
+    pub(super) fn new(path: PathBuf) -> Option<Self> {
+        let metadata = fs::symlink_metadata(&path).ok()?;
+        metadata.is_file().then(|| Self {
+            path,
+            bytes: metadata.size(),
+            owner: metadata.uid(),
+            mode: metadata.mode() & 0o7777,
+            modified: metadata.modified().ok(),
+            identity: (metadata.dev(), metadata.ino()),
+        })
+    }
+
+    pub(super) fn is_old(&self) -> bool {
+        let age = self.modified.and_then(|at| at.elapsed().ok());
+        self.owner == effective_uid() && age.is_some_and(|age| age > OLD)
+    }
+
+    /// Of an object in shared memory: without a size, or without its final rights.
+    pub(super) fn is_unfinished(&self) -> bool {
+        self.bytes == 0 || self.mode & OWNER_READ == 0
+    }
+}
+
+/// All objects in shared memory whose names begin with the domain's prefix, whoever owns them.
+pub(crate) fn objects(domain: &Domain) -> Result<Vec<Object>, RootError> {
+    let read = |error| RootError::io(Path::new(SHM_DIR), error);
+    let mut found = Vec::new();
+    for entry in fs::read_dir(SHM_DIR).map_err(read)? {
+        let entry = entry.map_err(read)?;
+        let name = entry.file_name();
+        if name
+            .as_encoded_bytes()
+            .starts_with(domain.shm_prefix().as_bytes())
+        {
+            found.extend(Object::new(entry.path()));
+        }
+    }
+    Ok(found)
+}
+
+pub(super) fn list(directory: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(directory).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).collect()
+}
+
+/// All files that processes of this user have open. Others cannot have ours: they are 0600.
+pub(super) fn open_files() -> HashSet<Identity> {
+    list(Path::new("/proc"))
+        .into_iter()
+        .flat_map(|process| list(&process.join("fd")))
+        .filter_map(|descriptor| fs::metadata(descriptor).ok())
+        .map(|file| (file.dev(), file.ino()))
+        .collect()
+}

@@ -1,0 +1,65 @@
+//! Who is alive: every member holds a shared lock on one file for as long as it lives.
+//!
+//! The kernel drops the lock with the process, however that ends. Who gets it exclusively knows
+//! that nobody is alive, and may remove everything.
+
+use std::fs::{self, File};
+use std::io;
+use std::os::unix::fs::OpenOptionsExt;
+
+use rustix::fs::{FlockOperation, OFlags, flock};
+
+use crate::Domain;
+use crate::liveness::worker_lock::WorkerLock;
+use crate::os::files::is_same;
+
+/// The file that members lock.
+pub(crate) struct MembersLock {
+    file: File,
+}
+
+impl MembersLock {
+    pub(crate) fn open(domain: &Domain) -> io::Result<Self> {
+        let file = fs::OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .mode(0o600)
+            .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
+            .open(domain.members_file())?;
+        Ok(Self { file })
+    }
+
+    /// Whether nobody else holds it; then we do, exclusively.
+    pub(crate) fn try_exclusive(&self) -> io::Result<bool> {
+        self.lock(FlockOperation::NonBlockingLockExclusive)
+    }
+
+    pub(crate) fn try_shared(&self) -> io::Result<bool> {
+        self.lock(FlockOperation::NonBlockingLockShared)
+    }
+
+    fn lock(&self, operation: FlockOperation) -> io::Result<bool> {
+        match flock(&self.file, operation) {
+            Ok(()) => Ok(true),
+            Err(rustix::io::Errno::WOULDBLOCK | rustix::io::Errno::INTR) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    pub(crate) fn is_current(&self, domain: &Domain) -> io::Result<bool> {
+        is_same(&self.file, &domain.members_file())
+    }
+
+    /// Removes the file, that of a killed worker, and the directories around them, as far as they
+    /// are empty. The caller holds
+    /// the lock exclusively; who opened the file meanwhile sees that it is gone and starts again.
+    pub(crate) fn remove(self, domain: &Domain) {
+        if self.is_current(domain).unwrap_or(false) {
+            let _ = fs::remove_file(domain.members_file());
+            let _ = fs::remove_dir(domain.directory());
+            WorkerLock::remove_stale(domain);
+            domain.remove_root();
+        }
+    }
+}

@@ -1,0 +1,6 @@
+//! What the operating system is asked for: clocks, memory, scheduling, files.
+
+pub mod clock;
+pub(crate) mod files;
+pub(crate) mod memory;
+pub(crate) mod scheduling;

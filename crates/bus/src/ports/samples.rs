@@ -1,0 +1,232 @@
+//! Frames of samples: a source's port, the worker's port, and the worker's own copy.
+
+use std::marker::PhantomData;
+
+use iceoryx2::prelude::ipc;
+use iceoryx2::sample::Sample as Borrowed;
+use joulebus_wire::{Sample, SampleHeader, Service, WakeEvent};
+
+use super::reader::{Reader, ReceiveError};
+use super::service::OpenError;
+use super::wait::Waker;
+use super::writer::{SendError, Writer};
+use crate::os::memory;
+use crate::{Bus, Limits};
+
+/// Sources whose memory a [`SampleReader`] remembers to have mapped.
+const MAPPED: usize = 256;
+
+/// The worker's port for samples of all sources.
+pub struct SampleReader {
+    reader: Reader<SampleHeader, Sample>,
+    /// Ports of sources whose memory has been mapped whole.
+    mapped: Vec<u128>,
+}
+
+impl SampleReader {
+    pub(crate) fn new(reader: Reader<SampleHeader, Sample>) -> Self {
+        Self {
+            reader,
+            mapped: Vec::with_capacity(MAPPED),
+        }
+    }
+
+    /// Copies the next frame into `frame`; whether there was one. Take until there is none: the
+    /// sources come one after the other. Each byte is read from shared memory once, so what is
+    /// checked afterwards cannot change any more.
+    ///
+    /// # Errors
+    /// [`ReceiveError`]; the next call may succeed.
+    pub fn take(&mut self, frame: &mut FrameBuf) -> Result<bool, ReceiveError> {
+        let Some(mut incoming) = self.next(frame.capacity)? else {
+            return Ok(false);
+        };
+        frame.header = *incoming.header();
+        frame.truncated = incoming.truncated();
+        // The buffer has room for all of it, or for none.
+        if incoming.copy_part(&mut frame.samples).is_none() {
+            frame.samples.clear();
+        }
+        Ok(true)
+    }
+
+    /// The next frame, to be copied part by part, at most `most` samples of it; `None` when there
+    /// is none.
+    ///
+    /// # Errors
+    /// [`ReceiveError`]; the next call may succeed.
+    pub fn next(&mut self, most: usize) -> Result<Option<IncomingFrame<'_>>, ReceiveError> {
+        let Some(received) = self.reader.receive()? else {
+            return Ok(None);
+        };
+        let source = received.header().publisher_id().value();
+        if !self.mapped.contains(&source) {
+            // Sources come and go for months: forgetting costs one more look.
+            if self.mapped.len() == MAPPED {
+                self.mapped.clear();
+            }
+            self.mapped.push(source);
+            memory::map(&source.to_string());
+        }
+        Ok(Some(IncomingFrame {
+            header: *received.user_header(),
+            kept: received.payload().len().min(most),
+            received,
+            copied: 0,
+            reader: PhantomData,
+        }))
+    }
+
+    /// Connections to sources that could not be made, or broke.
+    #[must_use]
+    pub fn degraded(&self) -> u64 {
+        self.reader.degraded()
+    }
+}
+
+/// A frame of samples on its way in. Each byte is read from shared memory once, into a buffer that
+/// may be small enough to stay in the core's own cache; what is checked there cannot change any
+/// more.
+pub struct IncomingFrame<'a> {
+    received: Borrowed<ipc::Service, [Sample], SampleHeader>,
+    header: SampleHeader,
+    kept: usize,
+    copied: usize,
+    reader: PhantomData<&'a mut SampleReader>,
+}
+
+impl IncomingFrame<'_> {
+    /// The header.
+    #[must_use]
+    pub const fn header(&self) -> &SampleHeader {
+        &self.header
+    }
+
+    /// Samples that will be copied.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.kept
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.kept == 0
+    }
+
+    /// Samples of the frame past those, which will not be.
+    #[must_use]
+    pub fn truncated(&self) -> usize {
+        self.received.payload().len() - self.kept
+    }
+
+    /// Copies the next samples, as many as `part` has room for without growing, and gives them;
+    /// `None` at the end, or if there is no room.
+    pub fn copy_part<'p>(&mut self, part: &'p mut Vec<Sample>) -> Option<&'p [Sample]> {
+        let count = part.capacity().min(self.kept - self.copied);
+        if count == 0 {
+            return None;
+        }
+        let from = self.copied;
+        self.copied += count;
+        part.clear();
+        part.extend_from_slice(&self.received.payload()[from..self.copied]);
+        Some(part)
+    }
+}
+
+/// A process's own copy of a frame of samples. Allocates when made, then never.
+#[derive(Debug, Clone)]
+pub struct FrameBuf {
+    header: SampleHeader,
+    samples: Vec<Sample>,
+    truncated: usize,
+    capacity: usize,
+}
+
+impl FrameBuf {
+    /// Room for frames of up to `capacity` samples.
+    #[must_use]
+    pub fn new(capacity: usize) -> Self {
+        Self {
+            header: SampleHeader::default(),
+            samples: touched(capacity),
+            truncated: 0,
+            capacity,
+        }
+    }
+
+    /// The header.
+    #[must_use]
+    pub const fn header(&self) -> &SampleHeader {
+        &self.header
+    }
+
+    /// The samples, at most the capacity.
+    #[must_use]
+    pub fn samples(&self) -> &[Sample] {
+        &self.samples
+    }
+
+    /// Samples of the frame past the capacity, which were not copied.
+    #[must_use]
+    pub const fn truncated(&self) -> usize {
+        self.truncated
+    }
+}
+
+/// Room for `capacity` samples, every page of it touched: the first long frame takes no page fault.
+fn touched(capacity: usize) -> Vec<Sample> {
+    let mut samples = vec![Sample::new(0, 0, 0); capacity];
+    samples.clear();
+    samples
+}
+
+/// A source's port: sends frames of samples and wakes the worker.
+pub struct SampleWriter {
+    writer: Writer<SampleHeader, Sample>,
+    waker: Waker,
+}
+
+impl SampleWriter {
+    pub(super) fn open(bus: &Bus, limits: &Limits, max_len: usize) -> Result<Self, OpenError> {
+        if max_len < 1 || max_len > limits.capacity {
+            return Err(OpenError::Length {
+                found: max_len,
+                allowed: limits.capacity,
+            });
+        }
+        Ok(Self {
+            writer: Writer::open(bus, Service::Samples, limits, limits.samples(), max_len)?,
+            waker: Waker::open(bus, Service::Arrivals, limits, limits.arrivals())?,
+        })
+    }
+
+    /// Sends a frame of `len` samples, sample `i` being `sample(i)`, written straight into shared
+    /// memory, and wakes the worker. Returns how many readers got it: 0 means that no worker runs.
+    ///
+    /// # Errors
+    /// [`SendError`]; [`SendError::Wake`] if the frame was sent but the worker not woken.
+    pub fn send(
+        &mut self,
+        header: SampleHeader,
+        len: usize,
+        sample: impl FnMut(usize) -> Sample,
+    ) -> Result<usize, SendError> {
+        let readers = self.writer.send(header, len, sample)?;
+        self.waker.wake(WakeEvent::Frame).map_err(SendError::Wake)?;
+        Ok(readers)
+    }
+
+    /// Samples that one frame may hold.
+    #[must_use]
+    pub const fn max_len(&self) -> usize {
+        self.writer.max_len()
+    }
+
+    /// Connections to readers that could not be made, or broke.
+    #[must_use]
+    pub fn degraded(&self) -> u64 {
+        self.writer.degraded()
+    }
+}
