@@ -25,27 +25,20 @@
 
 mod attachments;
 mod clock;
-mod convert;
 pub mod import;
 pub mod inspect;
-mod message;
-mod output;
-mod proto;
+mod messages;
 mod reader;
 pub mod record;
 pub mod recover;
 pub mod ros;
 pub mod scan;
-mod schema;
-mod settings;
-pub mod values;
 pub mod verify;
 mod writer;
 
 pub use attachments::{AttachError, Attached, Attachments};
 pub use clock::Clock;
-pub use convert::OutOfRange;
-pub use message::{DecodeError, Entry, Message, MessageKind};
+pub use inspect::values;
+pub use messages::{DecodeError, Entry, Message, MessageKind, OutOfRange};
 pub use reader::{ReadError, Reader};
-pub use settings::{CaptureSettings, Preset};
-pub use writer::{Sequences, Times, WriteError, Writer, Written};
+pub use writer::{CaptureSettings, Preset, Sequences, Times, WriteError, Writer, Written};

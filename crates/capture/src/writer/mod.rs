@@ -1,5 +1,8 @@
 //! Writes captures.
 
+mod output;
+mod settings;
+
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::Write;
@@ -10,8 +13,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 
-use crate::output::Output;
-use crate::{Attachments, CaptureSettings, Message, MessageKind};
+use crate::{Attachments, Message, MessageKind};
+use output::Output;
+pub use settings::{CaptureSettings, Preset};
 
 /// Channels that one file may have: their numbers are u16, and 0 is left free.
 pub(crate) const MOST_CHANNELS: usize = 65_535;

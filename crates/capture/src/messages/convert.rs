@@ -3,7 +3,7 @@
 use joulebus_wire as wire;
 use prost_types::Timestamp;
 
-use crate::proto;
+use super::proto;
 
 /// A number in a capture that its field in shared memory cannot hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]

@@ -7,6 +7,7 @@ mod channel;
 mod chunks;
 mod report;
 mod summary;
+pub mod values;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek};

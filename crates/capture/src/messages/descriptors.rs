@@ -4,7 +4,7 @@ use prost::Message as _;
 use prost_types::{FileDescriptorProto, FileDescriptorSet};
 
 /// What a protobuf compiler makes of `proto/joulebus/*.proto`; a test makes it again.
-const DESCRIPTORS: &[u8] = include_bytes!("../proto/joulebus.binpb");
+const DESCRIPTORS: &[u8] = include_bytes!("../../proto/joulebus.binpb");
 
 /// The files that declare the message `name` (`joulebus.Samples`), imported ones first. Empty for
 /// a name that is not ours.

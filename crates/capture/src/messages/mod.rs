@@ -1,5 +1,9 @@
 //! Messages of a capture: what went through shared memory, frame by frame.
 
+mod convert;
+mod descriptors;
+mod proto;
+
 use std::sync::Arc;
 
 use joulebus_wire::{
@@ -8,8 +12,7 @@ use joulebus_wire::{
 };
 use prost::Message as _;
 
-use crate::convert::OutOfRange;
-use crate::proto;
+pub use convert::OutOfRange;
 
 /// What a message is.
 #[derive(Debug, Clone, PartialEq)]
@@ -130,7 +133,7 @@ impl MessageKind {
     /// The protobuf file set that describes the messages: the schema's data.
     #[must_use]
     pub fn descriptors(self) -> Vec<u8> {
-        crate::schema::descriptors(self.schema())
+        descriptors::descriptors(self.schema())
     }
 
     /// The kind with this schema.
