@@ -4,9 +4,9 @@ use std::collections::VecDeque;
 
 use joulebus_wire::{Sample, SampleHeader, sample_flag};
 
-use crate::robot::rarely;
-use crate::world::random::Noise;
-use crate::world::{PERIOD_NS, SLOW_NS, Source, healthy};
+use super::robot::rarely;
+use super::world::random::Noise;
+use super::world::{PERIOD_NS, SLOW_NS, Source, healthy};
 
 /// How much goes wrong: one event in so many.
 #[derive(Debug, Clone, Copy)]

@@ -6,7 +6,7 @@ use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_wire::{DropReason, InvalidReason, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
-use crate::robot::{Account, Robot};
+use super::robot::{Account, Robot};
 
 /// A robot in the fleet, with what its admission rests on.
 #[derive(Debug)]
@@ -57,7 +57,8 @@ impl Oracle {
 
     fn drop(&mut self, reason: DropReason, count: u64) {
         if count > 0 {
-            *self.drops.entry(reason.name()).or_default() += count;
+            let counted = self.drops.entry(reason.name()).or_default();
+            *counted = counted.saturating_add(count);
         }
     }
 
@@ -104,7 +105,10 @@ impl Oracle {
         self.drop(reason, header.samples_before - accounted);
         self.sources.insert(
             header.source_id,
-            (header.source_epoch, header.samples_before + count),
+            (
+                header.source_epoch,
+                header.samples_before.saturating_add(count),
+            ),
         );
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! The tick against a slow, obvious oracle, under a virtual clock, with faults drawn from a seed.
 
+mod compare;
 mod experts;
 mod faults;
 mod intake;
@@ -8,12 +9,12 @@ mod state;
 #[path = "../world/mod.rs"]
 mod world;
 
+use compare::compare;
 use faults::{Rates, Sender};
-use intake::{Member, Oracle};
+use intake::Oracle;
 use joulebus_fleet::Fleet;
-use joulebus_wire::{Quality, diagnostic_flag};
 use proptest::prelude::*;
-use robot::{Account, Scored, rarely};
+use robot::rarely;
 use world::random::Noise;
 use world::{MS, PERIOD_NS};
 
@@ -148,138 +149,4 @@ fn simulate(
         qualities.extend((0..fleet.len()).map(|at| format!("{:?}", fleet.forecast(at).quality())));
     }
     Ok((oracle.drops.into_keys().collect(), qualities))
-}
-
-fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(), TestCaseError> {
-    let drops: Vec<_> = fleet
-        .drops()
-        .iter()
-        .map(|(reason, count)| (reason.name(), count))
-        .collect();
-    let mut expected: Vec<_> = oracle.drops.iter().map(|(name, n)| (*name, *n)).collect();
-    expected.sort_by_key(|(name, _)| drops.iter().position(|drop| drop.0 == *name));
-    prop_assert_eq!(drops, expected);
-    prop_assert_eq!(fleet.accepted(), oracle.accepted);
-    prop_assert_eq!(fleet.len(), oracle.members.len());
-    for (id, member) in &oracle.members {
-        compare_forecast(fleet, oracle, *id, member, now_ns)?;
-        compare_scores(fleet, *id, member)?;
-        compare_account(fleet, *id, &member.robot.account)?;
-    }
-    for (id, account) in &oracle.departed {
-        compare_account(fleet, *id, account)?;
-    }
-    Ok(())
-}
-
-fn same(found: f32, expected: Option<f32>) -> bool {
-    expected.map_or(found.is_nan(), |value| value.to_bits() == found.to_bits())
-}
-
-fn compare_forecast(
-    fleet: &Fleet,
-    oracle: &Oracle,
-    id: u32,
-    member: &Member,
-    now_ns: u64,
-) -> Result<(), TestCaseError> {
-    let found = world::forecast(fleet, id);
-    let silent_ns = now_ns - member.heard_ns;
-    let (mut quality, mut power_w) = member
-        .robot
-        .shown(&oracle.models[member.context], silent_ns);
-    let stale = silent_ns > member.robot.platform.stale_after_ns;
-    if let Some(reason) = member.invalid.filter(|_| !stale) {
-        (quality, power_w) = (Quality::Invalid(reason), None);
-    }
-    prop_assert_eq!(found.quality(), quality, "robot {}", id);
-    prop_assert!(
-        same(found.power_w, power_w),
-        "robot {id} at {now_ns}: {} W, expected {power_w:?}",
-        found.power_w
-    );
-    prop_assert_eq!(found.power_w().is_some(), power_w.is_some());
-    if power_w.is_some() {
-        prop_assert!(found.lo_w <= found.hi_w, "robot {}: {:?}", id, found);
-    }
-    if let Some(last) = &member.robot.last {
-        prop_assert_eq!(
-            (found.sample_seq, found.stamp_ns),
-            (last.seq, last.stamp_ns)
-        );
-    }
-    Ok(())
-}
-
-fn compare_scores(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCaseError> {
-    let found = world::diagnostic(fleet, id);
-    let robot = &member.robot;
-    prop_assert!(
-        same(found.residual_w, robot.residual_w),
-        "robot {id}: {found:?}"
-    );
-    prop_assert_eq!(
-        found.flags & diagnostic_flag::RESIDUAL != 0,
-        robot.residual_w.is_some()
-    );
-    prop_assert_eq!(found.refused, member.refused, "robot {}", id);
-    let scored = &robot.scored;
-    prop_assert_eq!(found.scored, scored.len() as u64, "robot {}", id);
-    if scored.is_empty() {
-        prop_assert!(found.mae_w.is_nan());
-        return Ok(());
-    }
-    let n = scored.len() as f64;
-    let step = |s: &Scored| f64::from(s.reading_w) - f64::from(s.previous_w);
-    let sum = |term: &dyn Fn(&Scored) -> f64| scored.iter().fold(0.0, |sum, s| sum + term(s));
-    let error = sum(&|s| f64::from(s.residual_w) * f64::from(s.residual_w));
-    let steps = sum(&|s| step(s) * step(s));
-    let mae_w = sum(&|s| f64::from(s.residual_w).abs()) / n;
-    let persistence_mae_w = sum(&|s| step(s).abs()) / n;
-    prop_assert_eq!(found.mae_w.to_bits(), mae_w.to_bits(), "robot {}", id);
-    prop_assert_eq!(
-        found.persistence_mae_w.to_bits(),
-        persistence_mae_w.to_bits()
-    );
-    if steps > 0.0 {
-        prop_assert_eq!(found.skill.to_bits(), (1.0 - error / steps).to_bits());
-    }
-    let mean = sum(&|s| f64::from(s.reading_w)) / n;
-    let scatter = sum(&|s| (f64::from(s.reading_w) - mean).powi(2));
-    if scatter > 1e-6 {
-        let r2 = 1.0 - error / scatter;
-        prop_assert!(
-            (found.r2 - r2).abs() <= 1e-9 * (1.0 + r2.abs()),
-            "{} {r2}",
-            found.r2
-        );
-    }
-    for value in [
-        found.bias_w,
-        found.cusum_up,
-        found.cusum_down,
-        found.noise_ratio,
-    ] {
-        prop_assert!(value.is_finite(), "robot {}: {:?}", id, found);
-    }
-    Ok(())
-}
-
-fn compare_account(fleet: &Fleet, id: u32, account: &Account) -> Result<(), TestCaseError> {
-    const UNITS_PER_UJ: i128 = 2_000_000_000;
-    let found = fleet.ledger(id).expect("every robot has an account");
-    let drawn = i128::from(found.drawn_uj) * UNITS_PER_UJ + i128::from(found.drawn_remainder);
-    prop_assert_eq!(drawn, account.drawn, "robot {}", id);
-    let expected_uj = account.expected.div_euclid(UNITS_PER_UJ);
-    prop_assert_eq!(i128::from(found.forecast_uj), expected_uj, "robot {}", id);
-    let times = (found.metered_ns, found.unmetered_ns);
-    prop_assert_eq!(
-        times,
-        (account.metered_ns, account.unmetered_ns),
-        "robot {}",
-        id
-    );
-    prop_assert_eq!(found.metered_ns + found.unmetered_ns, account.elapsed_ns);
-    prop_assert_eq!(found.stamp_ns(), account.last.map(|last| last.0));
-    Ok(())
 }

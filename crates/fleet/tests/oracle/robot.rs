@@ -5,8 +5,8 @@ use joulebus_predictor::{Features, Model};
 use joulebus_settings::Platform;
 use joulebus_wire::{Freshness, InvalidReason, Quality, Sample, sample_flag};
 
-use crate::experts::{Experts, Said};
-use crate::world::random::Noise;
+use super::experts::{Experts, Said};
+use super::world::random::Noise;
 
 /// Every sample period of a stay: whether a measurement was made, and whether by a sample or only by
 /// the schedule.
@@ -209,7 +209,7 @@ impl Account {
     ) {
         if let Some((last_ns, before_w)) = self.last {
             let elapsed_ns = stamp_ns.saturating_sub(last_ns);
-            self.elapsed_ns += elapsed_ns;
+            self.elapsed_ns = self.elapsed_ns.saturating_add(elapsed_ns);
             match (before_w, power_w) {
                 (Some(a), Some(b)) if missing(elapsed_ns, period_ns) == 0 => {
                     let both = microwatts(a) + microwatts(b);
@@ -218,7 +218,7 @@ impl Account {
                         * i128::from(elapsed_ns);
                     self.metered_ns += elapsed_ns;
                 }
-                _ => self.unmetered_ns += elapsed_ns,
+                _ => self.unmetered_ns = self.unmetered_ns.saturating_add(elapsed_ns),
             }
         }
         self.last = Some((stamp_ns, power_w));

@@ -4,10 +4,10 @@ use joulebus_fleet::{Fleet, FleetState, StateError};
 use joulebus_wire::Forecast;
 use proptest::prelude::*;
 
-use crate::faults::{Delivery, Rates};
-use crate::world::random::Noise;
-use crate::world::{self, PERIOD_NS, bits};
-use crate::{CAPACITY, START_NS, senders};
+use super::faults::{Delivery, Rates};
+use super::world::random::Noise;
+use super::world::{self, PERIOD_NS, bits};
+use super::{CAPACITY, START_NS, senders};
 
 /// All frames of a run with faults, each with the tick that takes it, and the times of the ticks.
 fn traffic(seed: u64, ticks: usize) -> Vec<(u64, Vec<Delivery>)> {
