@@ -107,15 +107,15 @@ fn only_the_capture_names_mcap() {
 }
 
 #[test]
-fn only_the_laboratory_reads_pickles() {
+fn only_model_files_reads_pickles() {
     let words = ["pickle", "STACK_GLOBAL", "_rebuild_tensor"];
-    for name in names().iter().filter(|name| *name != "lab") {
+    for name in names().iter().filter(|name| *name != "model-files") {
         let found = places(&crates().join(name).join("src"), &words, &[]);
         assert_eq!(found, Vec::<String>::new());
     }
     let worker = fs::read_to_string(crates().join("predictor-worker/Cargo.toml")).unwrap();
     let dependencies = worker.split("[dev-dependencies]").next().unwrap();
-    for reader in ["joulebus-lab", "zip", "pickle"] {
+    for reader in ["joulebus-model-files", "zip", "pickle"] {
         assert!(
             !dependencies.contains(reader),
             "the worker depends on {reader}"
@@ -189,12 +189,19 @@ fn dependencies_point_one_way() {
         "predictor-worker",
         "consumer",
         "capture",
+        "statistics",
+        "dataset",
+        "sim",
+        "train",
+        "eval",
+        "model-files",
+        "report",
     ];
     let manifest = |name: &str| fs::read_to_string(crates().join(name).join("Cargo.toml")).unwrap();
     for (place, name) in order.iter().enumerate() {
         let manifest = manifest(name);
         let dependencies = manifest.split("[dev-dependencies]").next().unwrap();
-        for later in order[place + 1..].iter().chain(&["lab", "benches"]) {
+        for later in order[place + 1..].iter().chain(&["benches"]) {
             let dependency = format!("joulebus-{later}.");
             assert!(
                 !dependencies.contains(&dependency),
@@ -290,7 +297,15 @@ fn measurements_stand_beside_the_program_and_below_nothing_else() {
         );
     }
     let benches = dependencies(root.join("benches/Cargo.toml"));
-    for above in ["\njoulebus.workspace", "joulebus-lab"] {
+    for above in [
+        "\njoulebus.workspace",
+        "joulebus-dataset",
+        "joulebus-sim",
+        "joulebus-train",
+        "joulebus-eval",
+        "joulebus-model-files",
+        "joulebus-report",
+    ] {
         assert!(!benches.contains(above), "benches depends on {above}");
     }
 }

@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::Bus;
 use joulebus_config::Config;
-use joulebus_lab::evaluate::{Evaluation, RobotEvaluation, Step, evaluate};
-use joulebus_lab::trial::Trial;
+use joulebus_dataset::trial::Trial;
+use joulebus_eval::evaluate::{Evaluation, RobotEvaluation, Step, evaluate};
 use joulebus_predictor_worker::load_models;
 use joulebus_wire::{Diagnostic, Forecast, Quality};
 use rustix::process::{Pid, Signal, kill_process};

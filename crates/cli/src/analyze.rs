@@ -3,11 +3,11 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use joulebus_lab::analyze::{
+use joulebus_dataset::split::Split;
+use joulebus_dataset::trial::{Resample, Trial};
+use joulebus_eval::analyze::{
     Ablation, Analysis, AnalysisSettings, Member, Series, TrialAutocorrelation, analyze,
 };
-use joulebus_lab::split::Split;
-use joulebus_lab::trial::{Resample, Trial};
 use joulebus_predictor::Model;
 use serde::Serialize;
 

@@ -8,8 +8,8 @@ mod simulate;
 use std::path::PathBuf;
 
 use clap::{Subcommand, ValueEnum};
-use joulebus_lab::data::{FindError, Found, find};
-use joulebus_lab::trial::Method;
+use joulebus_dataset::inspect::{FindError, Found, find};
+use joulebus_dataset::trial::Method;
 
 use crate::exit::{Outcome, UsageError};
 use crate::output::{Output, say};

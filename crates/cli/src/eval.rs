@@ -6,8 +6,8 @@ mod subject;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use joulebus_lab::evaluate::{Evaluation, EvaluationReport};
-use joulebus_lab::score::{ScoreError, ScoreReport, score};
+use joulebus_eval::evaluate::{Evaluation, EvaluationReport};
+use joulebus_eval::score::{ScoreError, ScoreReport, score};
 use joulebus_predictor::Model;
 use joulebus_predictor_worker::load_models;
 use serde::Serialize;

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use joulebus_capture::import::{Imported, RobotReport, import};
-use joulebus_lab::trial::{Row, Trial};
+use joulebus_dataset::trial::{Row, Trial};
 use serde::Serialize;
 
 use crate::config_file::ConfigFile;

@@ -5,14 +5,12 @@ use std::io::{IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use joulebus_lab::report::{
-    Document, Recorded, Simulated, SimulatedReport, files, recorded, simulated,
-};
-use joulebus_lab::score::Recording;
-use joulebus_lab::train::Epoch;
-use joulebus_lab::trial::Trial;
+use joulebus_dataset::trial::Trial;
+use joulebus_eval::score::Recording;
 use joulebus_predictor::Model;
+use joulebus_report::{Document, Recorded, Simulated, SimulatedReport, files, recorded, simulated};
 use joulebus_settings::Platform;
+use joulebus_train::Epoch;
 
 use crate::config_file::ConfigFile;
 use crate::data::find_recordings;

@@ -1,6 +1,6 @@
 //! `--split`: what stays together when recordings are split.
 
-use joulebus_lab::split::By;
+use joulebus_dataset::split::By;
 
 /// What stays together.
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]

@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use joulebus_lab::trial::{Form, Trial};
+use joulebus_dataset::trial::{Form, Trial};
 use joulebus_settings::{FleetSettings, Platform};
 
 use crate::data::find_recordings;

@@ -8,22 +8,13 @@ use toml_edit::{DocumentMut, Item, Table, value};
 pub(crate) const FLEET: &str = include_str!("../configs/fleet.toml");
 
 const PLATFORMS: &[(&str, &str)] = &[
-    (
-        "gternal",
-        include_str!("../configs/platforms/gternal.toml"),
-    ),
+    ("gternal", include_str!("../configs/platforms/gternal.toml")),
     (
         "robotino",
         include_str!("../configs/platforms/robotino.toml"),
     ),
-    (
-        "husky",
-        include_str!("../configs/platforms/husky.toml"),
-    ),
-    (
-        "rover",
-        include_str!("../configs/platforms/rover.toml"),
-    ),
+    ("husky", include_str!("../configs/platforms/husky.toml")),
+    ("rover", include_str!("../configs/platforms/rover.toml")),
 ];
 
 const MODELS: &[(&str, &[u8])] = &[

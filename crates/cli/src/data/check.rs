@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use joulebus_lab::data::{Check, Finding, Limits, Range, check_files};
+use joulebus_dataset::inspect::{Check, Finding, Limits, Range, check_files};
 use serde::Serialize;
 
 use super::Recordings;

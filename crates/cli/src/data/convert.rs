@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::ValueEnum;
-use joulebus_lab::trial::{Column, Form, Resample, Resampled, Table};
+use joulebus_dataset::trial::{Column, Form, Resample, Resampled, Table};
 use serde::Serialize;
 
 use super::{How, Recordings};

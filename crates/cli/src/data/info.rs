@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 use std::fmt;
 
-use joulebus_lab::data::{Holds, TrialReport, describe};
-use joulebus_lab::trial::Trial;
+use joulebus_dataset::inspect::{Holds, TrialReport, describe};
+use joulebus_dataset::trial::Trial;
 use serde::Serialize;
 
 use super::Recordings;

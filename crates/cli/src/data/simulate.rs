@@ -5,12 +5,12 @@ use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use joulebus_lab::plant::arena::STEP_S;
-use joulebus_lab::plant::parts::Parts;
-use joulebus_lab::plant::protocol::{Protocol, SAMPLES};
-use joulebus_lab::plant::scenario;
-use joulebus_lab::plant::statistics::SEED;
-use joulebus_lab::trial::{MAX_ROWS, Trial};
+use joulebus_dataset::trial::{MAX_ROWS, Trial};
+use joulebus_sim::arena::STEP_S;
+use joulebus_sim::parts::Parts;
+use joulebus_sim::protocol::{Protocol, SAMPLES};
+use joulebus_sim::scenario;
+use joulebus_sim::scenario::SEED;
 use serde::Serialize;
 
 use crate::exit::Outcome;

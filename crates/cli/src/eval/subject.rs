@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use joulebus_config::Config;
-use joulebus_lab::bootstrap::Bootstrap;
-use joulebus_lab::score::{Design, Options, Recording, ScoreError, Subject, read_recordings};
-use joulebus_lab::split::{Placed, Split, check_copies};
+use joulebus_dataset::split::{Placed, Split, check_copies};
+use joulebus_eval::score::{Design, Options, Recording, ScoreError, Subject, read_recordings};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, Platform};
+use joulebus_statistics::bootstrap::Bootstrap;
 
 use crate::config_file::ConfigFile;
 use crate::data::find_recordings;

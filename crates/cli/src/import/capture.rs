@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use joulebus_bus::clock;
 use joulebus_capture::{Attachments, CaptureSettings, Clock, Message, Preset, Times, Writer};
 use joulebus_config::Config;
-use joulebus_lab::trial::{Playback, Trial, TrialFleet};
+use joulebus_dataset::trial::{Playback, Trial, TrialFleet};
 use joulebus_wire::{SCHEMA_VERSION, SampleHeader};
 
 use super::{Recording, Written};

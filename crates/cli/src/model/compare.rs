@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use joulebus_lab::score::{Comparison, Verdict, compare};
+use joulebus_eval::score::{Comparison, Verdict, compare};
 use serde::Serialize;
 
 use crate::eval::{Selection, load, usage};

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::ValueEnum;
-use joulebus_lab::model_file::{to_arrays, to_npz, to_onnx};
+use joulebus_model_files::{to_arrays, to_npz, to_onnx};
 use joulebus_predictor::Network;
 use serde::Serialize;
 

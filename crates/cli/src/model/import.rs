@@ -4,8 +4,8 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use joulebus_lab::model_file::{Choice, Convention, Origin, Ranked};
-use joulebus_lab::trial::Trial;
+use joulebus_dataset::trial::Trial;
+use joulebus_model_files::{Choice, Convention, Origin, Ranked};
 use serde::Serialize;
 
 use super::info::{FoundReport, ScoreReport};

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use joulebus_lab::model_file::{Checkpoint, Entry, EntryValue, Found};
+use joulebus_model_files::{Checkpoint, Entry, EntryValue, Found};
 use joulebus_predictor::{FEATURE_NAMES, Network};
 use serde::Serialize;
 

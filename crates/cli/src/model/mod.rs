@@ -9,7 +9,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use clap::Subcommand;
-use joulebus_lab::model_file::{Checkpoint, MAX_FILE_BYTES};
+use joulebus_model_files::{Checkpoint, MAX_FILE_BYTES};
 
 use crate::exit::Outcome;
 use crate::output::Output;

@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use joulebus_lab::plant::Fault;
+use joulebus_sim::plant::Fault;
 
 use super::number;
 

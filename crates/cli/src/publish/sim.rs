@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use joulebus_bus::{clock, set_timer_slack};
 use joulebus_config::Config;
-use joulebus_lab::plant::{Plant, SimReading};
 use joulebus_publisher::{Grid, PublishError};
 use joulebus_settings::Platform;
+use joulebus_sim::plant::{Plant, SimReading};
 use joulebus_wire::{Sample, sample_flag};
 
 use super::fault::{self, FaultArgument};

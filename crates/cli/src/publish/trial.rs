@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use joulebus_bus::{clock, set_timer_slack};
 use joulebus_config::Config;
-use joulebus_lab::trial::{Playback, Trial, TrialFleet};
+use joulebus_dataset::trial::{Playback, Trial, TrialFleet};
 use joulebus_wire::Sample;
 
 use super::flow::{Flow, SendWindow};

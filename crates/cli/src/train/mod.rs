@@ -8,8 +8,9 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::{Subcommand, ValueEnum};
-use joulebus_lab::train::{SimulatedData, TrainSettings, dataset_from_plant, settings_for_sim};
 use joulebus_predictor::FeatureSet;
+use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
+use joulebus_train::{TrainSettings, settings_for_sim};
 
 use crate::exit::Outcome;
 use crate::output::Output;

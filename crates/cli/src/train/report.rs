@@ -4,8 +4,8 @@ use std::fmt;
 use std::path::Path;
 use std::time::Duration;
 
-use joulebus_lab::split::Dealt;
-use joulebus_lab::train::{Findings, Trained};
+use joulebus_dataset::split::Dealt;
+use joulebus_train::{Findings, Trained};
 use serde::Serialize;
 
 /// What was trained.

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use joulebus_lab::train::{Dataset, Epoch, TrainSettings, Trained, Training};
+use joulebus_dataset::rows::Dataset;
+use joulebus_train::{Epoch, TrainSettings, Trained, Training};
 
 use super::beside;
 use crate::exit::UsageError;

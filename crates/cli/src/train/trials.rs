@@ -4,10 +4,13 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use joulebus_lab::rows::{trial_rows, write_rows};
-use joulebus_lab::split::{By, Dealt, PARTS, Placed, Source, Split, check_copies, group_of, split};
-use joulebus_lab::train::{Dataset, Row, TrainSettings};
-use joulebus_lab::trial::Trial;
+use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_dataset::rows::{trial_rows, write_rows};
+use joulebus_dataset::split::{
+    By, Dealt, PARTS, Placed, Source, Split, check_copies, group_of, split,
+};
+use joulebus_dataset::trial::Trial;
+use joulebus_train::TrainSettings;
 use serde::Deserialize;
 
 use super::Choice;

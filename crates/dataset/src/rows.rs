@@ -1,0 +1,212 @@
+//! Recorded samples as rows to learn from: what was known, and the reading that followed.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write as _};
+use std::path::Path;
+
+use joulebus_fleet::missing_steps;
+use joulebus_predictor::{
+    FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, ReadingAge, features,
+};
+use joulebus_wire::{Sample, sample_flag};
+use sha2::{Digest as _, Sha256};
+
+use crate::trial::{Trial, array_header};
+
+/// One forecast to learn from: what is known, and the reading that followed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row {
+    /// Raw features in SI units; those that the feature set leaves out may be NaN.
+    pub features: Features,
+    /// The next reading in watt.
+    pub target_w: f32,
+}
+
+/// Rows split by robot or trial, never by row: neighbouring rows know each other's answers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dataset {
+    /// Rows that decide the weights and the normalisation.
+    pub training: Vec<Row>,
+    /// Rows that decide when to stop.
+    pub validation: Vec<Row>,
+    /// Rows that decide nothing and give scores and residuals.
+    pub held_out: Vec<Row>,
+    /// Where the rows come from, for the model file.
+    pub description: String,
+}
+
+impl Dataset {
+    /// SHA-256 of all rows, hexadecimal: each part with its length before it, numbers little-endian.
+    /// The features of freshness count only where they are in `feature_set`: rows are told by what
+    /// was learned from them.
+    pub fn sha256(&self, feature_set: FeatureSet) -> String {
+        let counted = match feature_set.needs_freshness() {
+            true => INPUTS,
+            false => FEATURES,
+        };
+        let mut digest = Sha256::new();
+        for rows in [&self.training, &self.validation, &self.held_out] {
+            digest.update((rows.len() as u64).to_le_bytes());
+            for row in rows {
+                for value in row.features[..counted].iter().chain([&row.target_w]) {
+                    digest.update(value.to_le_bytes());
+                }
+            }
+        }
+        digest
+            .finalize()
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect()
+    }
+}
+
+/// The rows of a trial, in order, with what could not be used.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TrialRows {
+    /// One row for each sample that has five readings without a gap behind it, and a reading after
+    /// it.
+    pub rows: Vec<Row>,
+    /// For each row, the number of the sample whose forecast it is for: that of its reading's
+    /// forecast, from 0.
+    pub sample_seq: Vec<u64>,
+    /// For each row, how fresh its newest reading is: what its features of freshness say, and how
+    /// they go on where no further reading comes.
+    pub reading_ages: Vec<ReadingAge>,
+    /// Samples that lead to no row because a window of five readings is not full there: at the
+    /// start, and after a gap, a missing reading, or a time that does not advance.
+    pub without_window: usize,
+}
+
+/// The rows of a trial: the same features, to the bit, that the live tick shows the model.
+///
+/// A gap of more than one and a half median periods empties the window, and so does a missing
+/// reading: a model learns from readings, never from its own forecasts. Velocities that were not
+/// recorded are NaN, and so is freshness until two measurements have been seen.
+#[must_use]
+pub fn trial_rows(trial: &Trial) -> TrialRows {
+    // Only differences of time matter, but 0 means "never measured".
+    sample_rows(&trial.to_samples(0, 1_000_000_000), trial.period_ns())
+}
+
+/// The rows of one robot's samples, which come every `period_ns`.
+#[must_use]
+pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
+    let longest_ns = period_ns + period_ns / 2;
+    let follows = |before: &Sample, after: &Sample| {
+        let elapsed_ns = after.stamp_ns.saturating_sub(before.stamp_ns);
+        elapsed_ns > 0 && elapsed_ns <= longest_ns && after.has(sample_flag::POWER)
+    };
+    let mut found = TrialRows::default();
+    let mut have = 0;
+    let mut age = Age::default();
+    for (at, sample) in samples.iter().enumerate() {
+        age.take(sample, period_ns);
+        let before = at.checked_sub(1).map(|before| &samples[before]);
+        have = match before {
+            _ if !sample.has(sample_flag::POWER) => 0,
+            Some(before) if follows(before, sample) => have + 1,
+            _ => 1,
+        };
+        if have < LAGS {
+            found.without_window += 1;
+            continue;
+        }
+        let Some(next) = samples.get(at + 1).filter(|next| follows(sample, next)) else {
+            continue;
+        };
+        let lag_w = std::array::from_fn(|lag| samples[at - lag].power_w);
+        let (v_mps, omega_radps) = command(sample).unwrap_or((f32::NAN, f32::NAN));
+        let previous = before.and_then(|before| {
+            let (v_mps, omega_radps) = command(before)?;
+            let elapsed_ns = sample.stamp_ns.saturating_sub(before.stamp_ns);
+            Some((v_mps, omega_radps, (elapsed_ns as f64 * 1e-9) as f32))
+        });
+        let mut features = features(v_mps, omega_radps, previous, &lag_w);
+        age.reading_age.fill(&mut features);
+        found.sample_seq.push(sample.seq);
+        found.reading_ages.push(age.reading_age);
+        found.rows.push(Row {
+            features,
+            target_w: next.power_w,
+        });
+    }
+    found
+}
+
+/// How fresh the newest reading is, as the tick finds it: gaps and missing readings go by the
+/// schedule, and a time that does not advance is not taken.
+struct Age {
+    reading_age: ReadingAge,
+    /// Stamp of the last sample taken.
+    stamp_ns: Option<u64>,
+}
+
+impl Default for Age {
+    fn default() -> Self {
+        Self {
+            reading_age: ReadingAge::UNKNOWN,
+            stamp_ns: None,
+        }
+    }
+}
+
+impl Age {
+    fn take(&mut self, sample: &Sample, period_ns: u64) {
+        if self
+            .stamp_ns
+            .is_some_and(|before_ns| sample.stamp_ns <= before_ns)
+        {
+            return;
+        }
+        let before_ns = self.stamp_ns.replace(sample.stamp_ns);
+        match before_ns {
+            _ if sample.has(sample_flag::DISCONTINUITY) => self.reading_age = ReadingAge::UNKNOWN,
+            Some(before_ns) => {
+                let missing = missing_steps(sample.stamp_ns - before_ns, period_ns);
+                self.reading_age.pass(missing);
+            }
+            None => {}
+        }
+        match sample.has(sample_flag::POWER) {
+            true => self.reading_age.read(!sample.has(sample_flag::HELD)),
+            false => self.reading_age.pass(1),
+        }
+    }
+}
+
+/// Writes the rows for other programs: `training.npy`, `validation.npy` and `held_out.npy`, float32 of
+/// shape (rows, features + 1), each row its features and then the reading that followed, W. The
+/// features' names stand in `features.txt`, one a line. What is not known is NaN. The directory is
+/// made; files in it are overwritten.
+///
+/// # Errors
+/// What the system said.
+pub fn write_rows(directory: &Path, dataset: &Dataset) -> io::Result<()> {
+    fs::create_dir_all(directory)?;
+    fs::write(
+        directory.join("features.txt"),
+        FEATURE_NAMES.join("\n") + "\n",
+    )?;
+    let parts = [
+        ("training.npy", &dataset.training),
+        ("validation.npy", &dataset.validation),
+        ("held_out.npy", &dataset.held_out),
+    ];
+    for (name, rows) in parts {
+        let mut file = BufWriter::new(File::create(directory.join(name))?);
+        file.write_all(&array_header("<f4", rows.len(), FEATURE_NAMES.len() + 1))?;
+        for row in rows {
+            for value in row.features.iter().chain([&row.target_w]) {
+                file.write_all(&value.to_le_bytes())?;
+            }
+        }
+        file.flush()?;
+    }
+    Ok(())
+}
+
+fn command(sample: &Sample) -> Option<(f32, f32)> {
+    let known = sample.has(sample_flag::V) && sample.has(sample_flag::OMEGA);
+    known.then_some((sample.v_mps, sample.omega_radps))
+}

@@ -1,0 +1,179 @@
+//! Recorded trials: reading them, what is to be said about them, and the samples they hold.
+//!
+//! A trial is what one robot recorded in one run. Its file is the published layout as a NumPy
+//! array, or the same table as CSV with a header, plain or compressed by gzip. Units are converted
+//! here, once: everything inside is SI, and what was not recorded is NaN or a missing column. A
+//! [`Table`] is the same as it stands in the file, for who writes it again.
+
+mod error;
+mod fleet;
+mod note;
+mod npy;
+mod read;
+mod resample;
+mod sample;
+mod table;
+mod text;
+mod write;
+
+use std::path::{Path, PathBuf};
+
+pub use error::TrialError;
+pub use fleet::{Playback, TrialFleet, TrialFleetError};
+pub use note::{Gap, TrialNotes};
+pub use resample::{Method, Resample, ResampleError, Resampled};
+pub use table::{Column, Table};
+pub use write::{Form, Row, WriteError};
+
+pub use sample::is_held;
+use table::Columns;
+pub(crate) use write::array_header;
+
+/// Most rows that a trial may have: 38 hours at 30 Hz.
+pub const MAX_ROWS: usize = 1 << 22;
+/// Most bytes of text that a CSV may hold, after decompression.
+pub const MAX_TEXT_BYTES: u64 = 512 << 20;
+/// Most robots that a file may hold.
+pub const MAX_ROBOTS: usize = 10_000;
+
+const NPY_MAGIC: &[u8] = b"\x93NUMPY";
+const GZIP_MAGIC: &[u8] = b"\x1f\x8b";
+const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
+
+/// One robot's recorded run: at least two rows, in file order, in SI units.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    path: PathBuf,
+    robot_name: Option<String>,
+    file_row: Vec<u32>,
+    timestamp_s: Vec<f64>,
+    offset_ns: Vec<i64>,
+    period_ns: u64,
+    columns: Columns,
+    notes: TrialNotes,
+}
+
+impl Trial {
+    /// Reads a trial from a file.
+    ///
+    /// The kind of the file is told by its first bytes: a NumPy array of shape (n, 11) and floats
+    /// of 4 or 8 bytes in either byte order and either memory order; gzip with CSV in it; CSV.
+    /// CSV columns are found by name, in any order; `timestamp_s` and `power_mW` must be there.
+    /// `NaN` and an empty field mean "not recorded".
+    ///
+    /// # Errors
+    /// [`TrialError`], naming the file and, where there is one, row and column: what was found and
+    /// what is allowed. A file that ends early is an error; a CSV that only lacks its last line
+    /// break is read, and [`TrialNotes::no_final_line_break`] says so.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, TrialError> {
+        Table::read(path)?.into_trial()
+    }
+
+    /// The trial of a table whose values are in SI units already.
+    fn from_si(table: Table) -> Result<Self, TrialError> {
+        let Table {
+            path,
+            robot_name,
+            file_row,
+            timestamp_s,
+            mut columns,
+            ignored_columns,
+            no_final_line_break,
+            unnamed_rows,
+        } = table;
+        for column in &mut columns {
+            if column
+                .as_ref()
+                .is_some_and(|values| values.iter().all(|value| value.is_nan()))
+            {
+                *column = None;
+            }
+        }
+        let offset_ns = note::offsets_ns(&timestamp_s);
+        let Some(period_ns) = note::median_step_ns(&offset_ns) else {
+            return Err(TrialError::NoPeriod {
+                path,
+                rows: timestamp_s.len(),
+            });
+        };
+        let mut trial = Self {
+            path,
+            robot_name,
+            file_row,
+            timestamp_s,
+            offset_ns,
+            period_ns,
+            columns,
+            notes: TrialNotes::default(),
+        };
+        trial.notes = TrialNotes {
+            ignored_columns,
+            no_final_line_break,
+            unnamed_rows,
+            ..note::take(&trial)
+        };
+        Ok(trial)
+    }
+
+    /// The file that the trial was read from.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The robot's name as recorded, if it was: text in a CSV, a number in an array.
+    #[must_use]
+    pub fn robot_name(&self) -> Option<&str> {
+        self.robot_name.as_deref()
+    }
+
+    /// Row of the file that row `row` (from 0) stands in, from 1, a CSV's header not included: another
+    /// than `row + 1` where several robots share a file.
+    #[must_use]
+    pub fn file_row(&self, row: usize) -> usize {
+        self.file_row.get(row).map_or(row + 1, |row| *row as usize)
+    }
+
+    /// Rows; at least two.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.timestamp_s.len()
+    }
+
+    /// Time of each row as recorded, s; finite, and not always rising (see [`TrialNotes`]).
+    #[must_use]
+    pub fn timestamp_s(&self) -> &[f64] {
+        &self.timestamp_s
+    }
+
+    /// Time of each row after the first one, rounded to whole ns.
+    #[must_use]
+    pub fn offset_ns(&self) -> &[i64] {
+        &self.offset_ns
+    }
+
+    /// One value a row in the SI unit of the [`Column`], NaN where none was recorded; `None` if
+    /// the column is not in the file or holds nothing but NaN.
+    #[must_use]
+    pub fn column(&self, column: Column) -> Option<&[f64]> {
+        self.columns[column as usize].as_deref()
+    }
+
+    /// Median time from a row to the next, ns, over the rows that advance; at least 1.
+    #[must_use]
+    pub fn period_ns(&self) -> u64 {
+        self.period_ns
+    }
+
+    /// What is questionable about the trial although it can be read.
+    #[must_use]
+    pub fn notes(&self) -> &TrialNotes {
+        &self.notes
+    }
+
+    /// The value at `row`, if it was recorded.
+    fn value(&self, column: Column, row: usize) -> Option<f64> {
+        let value = *self.column(column)?.get(row)?;
+        (!value.is_nan()).then_some(value)
+    }
+}

@@ -1,0 +1,323 @@
+//! Rows to learn from have whole windows, and splits leak nothing.
+
+use std::collections::HashSet;
+
+use joulebus_dataset::rows::Row;
+use joulebus_dataset::rows::{sample_rows, write_rows};
+use joulebus_dataset::split::{
+    By, PAUSE_ROWS, Source, Split, SplitError, deal_leaving_out, group_of, split,
+};
+use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet};
+use joulebus_wire::{Sample, sample_flag};
+use proptest::prelude::*;
+
+const PERIOD_NS: u64 = 33_000_000;
+
+#[test]
+fn gaps_missing_readings_and_times_that_stand_still_empty_the_window() {
+    let sample = |seq: u64, stamp_ns: u64, power: bool| {
+        let sample = Sample::new(1, seq, stamp_ns);
+        let sample = sample.reading(3.0 + seq as f32, stamp_ns);
+        Sample {
+            flags: if power {
+                sample.flags
+            } else {
+                sample.flags & !sample_flag::POWER
+            },
+            ..sample
+        }
+    };
+    let regular = |seq: u64| sample(seq, (seq + 1) * PERIOD_NS, true);
+    let rows = |samples: &[Sample]| sample_rows(samples, PERIOD_NS).sample_seq;
+    let whole: Vec<Sample> = (0..12).map(regular).collect();
+    assert_eq!(rows(&whole), [4, 5, 6, 7, 8, 9, 10]);
+
+    let mut late = whole.clone();
+    late[6..]
+        .iter_mut()
+        .for_each(|sample| sample.stamp_ns += PERIOD_NS);
+    assert_eq!(
+        rows(&late),
+        [4, 10],
+        "sample 5 has no reading after it, 6 to 9 no window"
+    );
+    let mut missing = whole.clone();
+    missing[6] = sample(6, 7 * PERIOD_NS, false);
+    assert_eq!(rows(&missing), [4]);
+    let mut still = whole.clone();
+    still[6].stamp_ns = still[5].stamp_ns;
+    assert_eq!(rows(&still), [4], "the step after it is two periods long");
+    assert_eq!(sample_rows(&late, PERIOD_NS).without_window, 8);
+    assert!(
+        rows(&whole[..5]).is_empty(),
+        "a full window, but no reading after it"
+    );
+}
+
+fn sources(trials: usize, rows: usize) -> Vec<Source> {
+    let sources = (0..trials).map(|trial| {
+        let samples: Vec<Sample> = (0..rows as u64 + 5)
+            .map(|seq| {
+                let power_w = (trial as u64 * 10_000 + seq) as f32;
+                Sample::new(0, seq, (seq + 1) * PERIOD_NS).reading(power_w, (seq + 1) * PERIOD_NS)
+            })
+            .collect();
+        Source {
+            trial: format!("t{trial}"),
+            robot: format!("r{}", trial % 4),
+            group: format!("g{}", trial % 3),
+            rows: sample_rows(&samples, PERIOD_NS),
+        }
+    });
+    sources.collect()
+}
+
+/// The same recording once more, as another file of another robot.
+fn copy_of(source: &Source) -> Source {
+    Source {
+        trial: "copy".to_owned(),
+        robot: "other".to_owned(),
+        group: "other".to_owned(),
+        rows: source.rows.clone(),
+    }
+}
+
+#[test]
+fn a_recording_that_is_there_twice_is_never_learned_from_and_scored_on() {
+    let mut sources = sources(6, 80);
+    sources.push(copy_of(&sources[2]));
+    let rows =
+        |rows: &[Row]| -> HashSet<u32> { rows.iter().map(|row| row.target_w.to_bits()).collect() };
+    let mut refused = 0;
+    for by in [By::Trial, By::Robot, By::Group, By::Time] {
+        for seed in 0..20 {
+            let wanted = Split {
+                by,
+                seed,
+                ..Split::default()
+            };
+            match split(&sources, wanted, "x") {
+                Ok((dataset, _)) => {
+                    let [training, validation, held_out] =
+                        [&dataset.training, &dataset.validation, &dataset.held_out]
+                            .map(|part| rows(part));
+                    assert!(training.is_disjoint(&validation), "{by} {seed}");
+                    assert!(training.is_disjoint(&held_out), "{by} {seed}");
+                    assert!(validation.is_disjoint(&held_out), "{by} {seed}");
+                }
+                Err(SplitError::Copy { trials, parts, .. }) => {
+                    assert_eq!(trials, ["t2", "copy"]);
+                    assert_ne!(parts[0], parts[1]);
+                    assert_ne!(by, By::Time, "copies are cut at the same rows");
+                    refused += 1;
+                }
+                Err(other) => panic!("{by} {seed}: {other}"),
+            }
+        }
+    }
+    assert!((1..60).contains(&refused), "{refused} of 60");
+    let wanted = Split {
+        by: By::Group,
+        ..Split::default()
+    };
+    let error = deal_leaving_out(&sources, wanted, &["g2".to_owned()]).unwrap_err();
+    let text = error.to_string();
+    for said in [
+        "t2 and copy",
+        "held out",
+        "80 rows",
+        "leave one of them out",
+    ] {
+        assert!(text.contains(said), "{said:?} not in {text}");
+    }
+}
+
+/// Which unit a row comes from: its readings say so.
+fn trial_of(target_w: f32) -> usize {
+    target_w as usize / 10_000
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 40, failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn no_unit_is_in_two_parts_and_no_row_is_lost(
+        trials in 3_usize..20,
+        seed in any::<u64>(),
+        validation in 0.01_f64..0.5,
+        held_out in 0.01_f64..0.45,
+        by in prop_oneof![Just(By::Trial), Just(By::Robot), Just(By::Group)],
+    ) {
+        let sources = sources(trials, 20);
+        let wanted = Split { by, validation, held_out, seed };
+        let (dataset, dealt) = split(&sources, wanted, "x").expect("three units and more");
+        let unit = |trial: usize| match by {
+            By::Robot => trial % 4,
+            By::Group => trial % 3,
+            _ => trial,
+        };
+        let units = |rows: &[joulebus_dataset::rows::Row]| -> HashSet<usize> {
+            rows.iter().map(|row| unit(trial_of(row.target_w))).collect()
+        };
+        let parts = [&dataset.training, &dataset.validation, &dataset.held_out];
+        let found = parts.map(|rows| units(rows));
+        for (one, other) in [(0, 1), (0, 2), (1, 2)] {
+            prop_assert!(found[one].is_disjoint(&found[other]));
+        }
+        prop_assert!(found.iter().all(|units| !units.is_empty()));
+        prop_assert_eq!(parts.map(Vec::len), dealt.rows);
+        prop_assert_eq!(dealt.rows.iter().sum::<usize>(), trials * 20);
+        let (again, _) = split(&sources, wanted, "x").expect("as before");
+        prop_assert_eq!(again.sha256(FeatureSet::Freshness), dataset.sha256(FeatureSet::Freshness), "the same seed deals the same parts");
+    }
+
+    #[test]
+    fn parts_cut_in_time_share_no_reading(rows in 40_usize..200, validation in 0.05_f64..0.4) {
+        let sources = sources(3, rows);
+        let wanted = Split { by: By::Time, validation, ..Split::default() };
+        let (dataset, dealt) = split(&sources, wanted, "x").expect("time needs no units");
+        let readings = |rows: &[joulebus_dataset::rows::Row]| -> HashSet<u32> {
+            rows.iter()
+                .flat_map(|row| row.features[6..FEATURES].iter().chain([&row.target_w]))
+                .map(|power_w| power_w.to_bits())
+                .collect()
+        };
+        let parts = [&dataset.training, &dataset.validation, &dataset.held_out].map(|rows| readings(rows));
+        for (one, other) in [(0, 1), (0, 2), (1, 2)] {
+            prop_assert!(parts[one].is_disjoint(&parts[other]));
+        }
+        prop_assert_eq!(dealt.pause_rows, 3 * 2 * PAUSE_ROWS);
+        prop_assert_eq!(dealt.rows.iter().sum::<usize>() + dealt.pause_rows, 3 * rows);
+    }
+}
+
+/// Rows of a trial whose sensor is read every `hold` rows: each reading has a value of its own.
+fn held_source(rows: usize, hold: usize) -> Source {
+    let samples: Vec<Sample> = (0..rows as u64 + 5)
+        .map(|seq| {
+            let read_at = seq - seq % hold as u64;
+            let stamp_ns = (seq + 1) * PERIOD_NS;
+            Sample::new(0, seq, stamp_ns).reading(read_at as f32, stamp_ns)
+        })
+        .collect();
+    Source {
+        rows: sample_rows(&samples, PERIOD_NS),
+        ..sources(1, 1).remove(0)
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn a_reading_that_a_slow_sensor_holds_is_in_one_part_only(
+        rows in 3_usize..400,
+        hold in 1_usize..60,
+        validation in 0.05_f64..0.4,
+    ) {
+        let source = held_source(rows, hold);
+        let wanted = Split { by: By::Time, validation, ..Split::default() };
+        let (dataset, dealt) = split(std::slice::from_ref(&source), wanted, "x").expect("time needs no units");
+        let readings = |rows: &[joulebus_dataset::rows::Row]| -> HashSet<u32> {
+            let readings = rows.iter().flat_map(|row| row.features[6..FEATURES].iter().chain([&row.target_w]));
+            readings.map(|power_w| power_w.to_bits()).collect()
+        };
+        let parts = [&dataset.training, &dataset.validation, &dataset.held_out].map(|rows| readings(rows));
+        for (one, other) in [(0, 1), (0, 2), (1, 2)] {
+            prop_assert!(parts[one].is_disjoint(&parts[other]));
+        }
+        prop_assert_eq!(dealt.rows.iter().sum::<usize>() + dealt.pause_rows, source.rows.rows.len());
+        prop_assert!(dealt.name.starts_with("by time"));
+    }
+}
+
+#[test]
+fn rows_are_written_for_other_programs_as_arrays_of_single_precision() {
+    let (dataset, _) = split(&sources(6, 20), Split::default(), "x").expect("six trials");
+    let folder = tempfile::tempdir().expect("a temporary directory");
+    let folder = folder.path().join("rows");
+    write_rows(&folder, &dataset).expect("it can be written");
+    let names = std::fs::read_to_string(folder.join("features.txt")).expect("written");
+    assert_eq!(names.lines().collect::<Vec<_>>(), FEATURE_NAMES);
+    let parts = [
+        ("training.npy", &dataset.training),
+        ("validation.npy", &dataset.validation),
+        ("held_out.npy", &dataset.held_out),
+    ];
+    for (name, rows) in parts {
+        let bytes = std::fs::read(folder.join(name)).expect("written");
+        let (header, data) = bytes.split_at(128);
+        let shape = format!(
+            "'<f4', 'fortran_order': False, 'shape': ({}, {}), }}",
+            rows.len(),
+            FEATURE_NAMES.len() + 1
+        );
+        assert!(String::from_utf8_lossy(header).contains(&shape), "{name}");
+        let found: Vec<u32> = data
+            .chunks_exact(4)
+            .map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]).to_bits())
+            .collect();
+        let wanted: Vec<u32> = rows
+            .iter()
+            .flat_map(|row| row.features.iter().chain([&row.target_w]))
+            .map(|value| value.to_bits())
+            .collect();
+        assert!(!wanted.is_empty());
+        assert_eq!(found, wanted, "{name}");
+    }
+}
+
+#[test]
+fn units_held_out_by_name_are_held_out_alone() {
+    let sources = sources(12, 20);
+    let wanted = Split {
+        by: By::Group,
+        ..Split::default()
+    };
+    let deal = deal_leaving_out(&sources, wanted, &["g1".to_owned()]).expect("three groups");
+    for (source, ranges) in sources.iter().zip(&deal.ranges) {
+        let held_out = source.group == "g1";
+        assert_eq!(!ranges[2].is_empty(), held_out, "{}", source.group);
+        assert_eq!(ranges[0].is_empty() && ranges[1].is_empty(), held_out);
+    }
+    assert_eq!(deal.dealt.rows.iter().sum::<usize>(), 12 * 20);
+    assert_eq!(deal.dealt.held_out, ["g1"]);
+    let refused = deal_leaving_out(&sources, wanted, &["g9".to_owned()]).expect_err("no g9");
+    assert!(refused.to_string().contains("g0, g1, g2"), "{refused}");
+}
+
+#[test]
+fn shares_and_units_that_leave_a_part_empty_are_refused() {
+    let sources = sources(2, 20);
+    let error = split(&sources, Split::default(), "x").expect_err("two trials");
+    assert_eq!(
+        error,
+        SplitError::TooFew {
+            by: By::Trial,
+            found: 2
+        }
+    );
+    for (validation, held_out) in [(0.0, 0.2), (0.2, 0.0), (0.5, 0.5), (f64::NAN, 0.2)] {
+        let wanted = Split {
+            validation,
+            held_out,
+            ..Split::default()
+        };
+        let error = split(&sources, wanted, "x").expect_err("no such shares");
+        assert!(error.to_string().contains("come to less than 1"), "{error}");
+    }
+}
+
+#[test]
+fn a_group_is_the_file_name_without_its_number() {
+    for (name, group) in [
+        ("ICE_03.csv.gz", "ICE"),
+        (
+            "one_surface_type_brown_surface_exp205.csv.gz",
+            "one_surface_type_brown_surface_exp",
+        ),
+        ("trial1.npy", "trial"),
+        ("7.csv", "7"),
+        ("plain", "plain"),
+    ] {
+        assert_eq!(group_of(name), group);
+    }
+}

@@ -1,0 +1,60 @@
+//! A file that was cut off anywhere is an error, or a shorter trial that says so.
+
+use joulebus_dataset::trial::TrialError;
+
+use crate::files::{Files, ROWS, csv, gzip, npy_f8};
+
+#[test]
+fn an_array_cut_at_any_byte_is_an_error_that_says_so() {
+    let files = Files::new();
+    let whole = npy_f8(&ROWS);
+    for length in 1..whole.len() {
+        let error = files.read("cut.npy", &whole[..length]).unwrap_err();
+        let expected_rows = length.saturating_sub(whole.len() - 5 * 88) / 88;
+        let TrialError::Truncated { rows, .. } = &error else {
+            panic!("{length} bytes: {error:?}");
+        };
+        assert_eq!(*rows, expected_rows, "{length} bytes");
+        assert!(error.to_string().contains("truncated"));
+    }
+    files.read("cut.npy", &whole).unwrap();
+}
+
+#[test]
+fn compressed_text_cut_at_any_byte_is_an_error_that_says_so() {
+    let files = Files::new();
+    let whole = gzip(csv(&ROWS).as_bytes());
+    for length in 2..whole.len() {
+        let error = files.read("cut.csv.gz", &whole[..length]).unwrap_err();
+        assert!(
+            matches!(error, TrialError::Truncated { .. }),
+            "{length} bytes: {error:?}"
+        );
+        assert!(error.to_string().contains("truncated"));
+    }
+    files.read("cut.csv.gz", &whole[..1]).unwrap_err();
+    files.read("cut.csv.gz", &whole).unwrap();
+}
+
+#[test]
+fn plain_text_cut_at_any_byte_is_an_error_or_a_shorter_trial_that_says_so() {
+    let files = Files::new();
+    let whole = csv(&ROWS);
+    // Cut at a line break nothing shows it but the number of rows, which is reported.
+    let mut shorter = 0;
+    for length in 0..whole.len() {
+        let Ok(trial) = files.read("cut.csv", &whole.as_bytes()[..length]) else {
+            continue;
+        };
+        let whole_lines = whole[..length].ends_with('\n');
+        assert_eq!(
+            trial.notes().no_final_line_break,
+            !whole_lines,
+            "{length} bytes"
+        );
+        let lines = whole[..length].lines().count();
+        assert_eq!(trial.notes().rows, lines - 1, "{length} bytes");
+        shorter += usize::from(trial.notes().rows < 5);
+    }
+    assert!(shorter > 0);
+}

@@ -1,0 +1,312 @@
+//! What the options beyond the paper gain, on recordings and on simulated robots: the table of
+//! `docs/beyond.md`.
+//!
+//! `cargo bench -p joulebus-eval --bench online_learning` makes all of it (some minutes: 18 networks are
+//! trained); with names behind `--`, such as `husky rover robotino simulated`, those alone. Recordings
+//! are looked for in `../shared/data`, beside the repository.
+
+#[path = "../tests/live/mod.rs"]
+mod live;
+
+use std::path::{Path, PathBuf};
+
+use joulebus_dataset::rows::Dataset;
+use joulebus_dataset::rows::trial_rows;
+use joulebus_dataset::split::{By, Source, Split, deal, deal_leaving_out, group_of};
+use joulebus_dataset::trial::Trial;
+use joulebus_eval::online_learning::{Judged, VARIANTS, judge};
+use joulebus_eval::score::recorded_platform;
+use joulebus_predictor::{FeatureSet, Network};
+use joulebus_settings::Platform;
+use joulebus_sim::{protocol, scenario};
+use joulebus_statistics::metrics::Tally;
+use joulebus_train::{TrainSettings, train};
+use live::settings;
+
+/// Seed of splits and networks.
+const SEED: u64 = 1;
+
+fn main() {
+    let wanted: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|arg| !arg.starts_with('-'))
+        .collect();
+    let want = |name: &str| wanted.is_empty() || wanted.iter().any(|word| word == name);
+    heading();
+    if want("husky") {
+        husky();
+    }
+    if want("robotino") {
+        robotino();
+    }
+    if want("rover") {
+        rover();
+    }
+    if want("simulated") {
+        simulated();
+    }
+}
+
+fn heading() {
+    println!(
+        "| trained on | tested on | trials · readings | persistence | linear | {} | best member | \
+         mixture + adapted, MAE in W | coverage: all · least and most of a trial · trials within 2 % · where a new measurement was due | \
+         the same, network alone |",
+        VARIANTS.map(|(name, _)| name).join(" | ")
+    );
+    println!("|{}", "---|".repeat(12));
+}
+
+fn line(trained_on: &str, tested_on: &str, judged: &Judged) {
+    let r2 = |tally: &Tally| format!("{:.4}", tally.r2());
+    let [network, .., last] = &judged.variants;
+    let coverage = |of: usize| {
+        let variant = &judged.variants[of];
+        let ends =
+            |fold: fn(f64, f64) -> f64, start| variant.coverage.iter().copied().fold(start, fold);
+        format!(
+            "{:.3} · {:.3}–{:.3} · {:.0} % · {:.3}",
+            variant.intervals.coverage(),
+            ends(f64::min, f64::INFINITY),
+            ends(f64::max, f64::NEG_INFINITY),
+            100.0 * variant.held(0.9),
+            variant.due.coverage()
+        )
+    };
+    println!(
+        "| {trained_on} | {tested_on} | {} · {} | {} | {} | {} | {:+.4} | {:.4} | {} | {} |",
+        judged.trials,
+        network.forecasts.count(),
+        r2(&judged.persistence),
+        judged.linear.as_ref().map_or("–".to_owned(), r2),
+        judged
+            .variants
+            .each_ref()
+            .map(|variant| r2(&variant.forecasts))
+            .join(" | "),
+        last.forecasts.r2() - judged.best_member_r2(),
+        last.forecasts.mae_w(),
+        coverage(VARIANTS.len() - 1),
+        coverage(0),
+    );
+}
+
+/// Recordings of one kind of robot.
+struct Recordings {
+    trials: Vec<Trial>,
+    sources: Vec<Source>,
+    recipe: TrainSettings,
+    resolution_w: f32,
+}
+
+impl Recordings {
+    fn read(folder: &str, recipe: TrainSettings, resolution_w: f32) -> Option<Self> {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+        let Ok(files) = std::fs::read_dir(root.join(folder)) else {
+            println!("no recordings in ../shared/data/{folder}: left out");
+            return None;
+        };
+        let mut paths: Vec<PathBuf> = files.flatten().map(|file| file.path()).collect();
+        paths.retain(|path| path.to_string_lossy().ends_with(".csv.gz"));
+        paths.sort();
+        let trials: Vec<Trial> = paths
+            .iter()
+            .map(|path| Trial::read(path).unwrap_or_else(|error| panic!("{error}")))
+            .collect();
+        Some(Self::new(trials, recipe, resolution_w))
+    }
+
+    fn new(trials: Vec<Trial>, recipe: TrainSettings, resolution_w: f32) -> Self {
+        let sources = trials
+            .iter()
+            .map(|trial| {
+                let name = trial
+                    .path()
+                    .file_name()
+                    .unwrap_or_default()
+                    .to_string_lossy();
+                Source {
+                    trial: name.to_string(),
+                    robot: trial.robot_name().unwrap_or_default().to_owned(),
+                    group: group_of(&name),
+                    rows: trial_rows(trial),
+                }
+            })
+            .collect();
+        Self {
+            trials,
+            sources,
+            recipe,
+            resolution_w,
+        }
+    }
+
+    fn platform(&self) -> Platform {
+        Platform {
+            power_resolution_w: self.resolution_w,
+            ..recorded_platform(0, &self.trials[0])
+        }
+    }
+
+    fn network(&self, dataset: &Dataset) -> Network {
+        let trained = train(dataset, &self.recipe, |_| ());
+        trained.unwrap_or_else(|error| panic!("{error}")).network
+    }
+
+    fn judge(&self, network: &Network, is_tested: impl Fn(&Source) -> bool) -> Judged {
+        let tested: Vec<&Trial> = self
+            .trials
+            .iter()
+            .zip(&self.sources)
+            .filter_map(|(trial, source)| is_tested(source).then_some(trial))
+            .collect();
+        let judged = judge(network, &self.platform(), &settings(), &tested);
+        judged.unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// Three of ten trials decide nothing and are tested on.
+    fn by_trial(&self, name: &str) {
+        let split = Split {
+            by: By::Trial,
+            held_out: 0.3,
+            seed: SEED,
+            ..Split::default()
+        };
+        let deal = deal(&self.sources, split).unwrap_or_else(|error| panic!("{error}"));
+        let network = self.network(&deal.dataset(&self.sources, name.to_owned()));
+        let judged = self.judge(&network, |source| {
+            deal.dealt.held_out.contains(&source.trial)
+        });
+        line(name, "other trials of the same", &judged);
+    }
+
+    /// Learns from all trials but those that are left out, and is tested on each group of those.
+    fn without(
+        &self,
+        trained_on: &str,
+        is_left_out: impl Fn(&str) -> bool,
+        tests: &[(&str, &str)],
+    ) {
+        let split = Split {
+            by: By::Trial,
+            seed: SEED,
+            ..Split::default()
+        };
+        let left_out: Vec<String> = self
+            .sources
+            .iter()
+            .filter(|source| is_left_out(&source.group))
+            .map(|source| source.trial.clone())
+            .collect();
+        let deal = deal_leaving_out(&self.sources, split, &left_out)
+            .unwrap_or_else(|error| panic!("{error}"));
+        // The scores that a file states are those of what it was trained for: nobody has the others
+        // when the model is made.
+        let mut dataset = deal.dataset(&self.sources, trained_on.to_owned());
+        dataset.held_out.clone_from(&dataset.validation);
+        let network = self.network(&dataset);
+        for (tested_on, group) in tests {
+            let judged = self.judge(&network, |source| source.group == *group);
+            line(trained_on, tested_on, &judged);
+        }
+    }
+}
+
+fn husky() {
+    let recipe = TrainSettings::new("husky", "recordings", FeatureSet::Full, SEED);
+    let Some(husky) = Recordings::read("borealtc_husky", recipe, 0.24) else {
+        return;
+    };
+    husky.by_trial("Husky");
+    for (name, group) in [
+        ("asphalt", "ASPHALT"),
+        ("flooring", "FLOORING"),
+        ("mixed ground", "MIXED"),
+        ("sandy loam", "SANDY_LOAM"),
+        ("snow", "SNOW"),
+    ] {
+        husky.without(
+            &format!("Husky but {name} and ice"),
+            |other| other == group || other == "ICE",
+            &[(name, group), ("ice", "ICE")],
+        );
+    }
+}
+
+fn robotino() {
+    let recipe = TrainSettings {
+        max_epochs: 20,
+        ..TrainSettings::new("robotino", "recordings", FeatureSet::Full, SEED)
+    };
+    let Some(robotino) = Recordings::read("robotino", recipe, 0.6) else {
+        return;
+    };
+    robotino.by_trial("Robotino");
+    const LOAD: &str = "wheel_load_distribution_gray_surface_exp";
+    for surface in ["brown", "gray", "green", "table"] {
+        let group = format!("one_surface_type_{surface}_surface_exp");
+        robotino.without(
+            &format!("Robotino's surfaces but {surface}"),
+            |other| other == group || other == LOAD,
+            &[(surface, &group)],
+        );
+    }
+    robotino.without(
+        "Robotino's surfaces",
+        |other| other == LOAD,
+        &[("unseen wheel load", LOAD)],
+    );
+}
+
+fn rover() {
+    let recipe = TrainSettings::new("rover", "recordings", FeatureSet::PowerOnly, SEED);
+    let Some(rover) = Recordings::read("ase_rover", recipe, 0.01) else {
+        return;
+    };
+    rover.by_trial("Rover");
+    let (before, after) = ("baseline_on_track", "final_intervention_on_track");
+    rover.without(
+        "Rover, changed software",
+        |group| group == before,
+        &[("before the change", before)],
+    );
+    rover.without(
+        "Rover, before the change",
+        |group| group == after,
+        &[("changed software", after)],
+    );
+}
+
+/// The paper's setting: trials 1 to 4 to learn from, 5 to stop by, 6 and the seven robots to test on.
+fn simulated() {
+    let trials = protocol::trials(SEED);
+    let seven = scenario::seven_robots(SEED, 8_000);
+    for (name, features) in [
+        ("simulated trials 1–4", FeatureSet::Full),
+        ("the same, freshness read", FeatureSet::Freshness),
+    ] {
+        let recipe = TrainSettings::new("simulated", "simulation", features, SEED);
+        let learned = Recordings::new(trials.clone(), recipe.clone(), 0.01);
+        let rows = |range: std::ops::Range<usize>| {
+            let sources = learned.sources[range].iter();
+            sources
+                .flat_map(|source| source.rows.rows.iter().copied())
+                .collect()
+        };
+        let dataset = Dataset {
+            training: rows(0..4),
+            validation: rows(4..5),
+            held_out: rows(5..6),
+            description: name.to_owned(),
+        };
+        let network = learned.network(&dataset);
+        let sixth = learned.sources[5].trial.clone();
+        line(
+            name,
+            "trial 6",
+            &learned.judge(&network, |source| source.trial == sixth),
+        );
+        let tested = Recordings::new(seven.clone(), recipe, 0.01);
+        line(name, "seven robots", &tested.judge(&network, |_| true));
+    }
+}

@@ -1,0 +1,238 @@
+//! What each kind of input adds to a forecast, and on which readings.
+
+use joulebus_predictor::{Features, Model};
+use serde::Serialize;
+
+use super::target_is_held;
+use joulebus_dataset::rows::Row;
+use joulebus_dataset::split::{Deal, Source};
+use joulebus_dataset::trial::Trial;
+use joulebus_statistics::metrics::Tally;
+use joulebus_train::linear::{Linear, Terms};
+
+/// Forecasts of the same held-out readings by rules that see more or less.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Ablation {
+    /// Rows that the lines were fitted on: those of training and validation.
+    pub fitted_rows: usize,
+    /// Held-out rows, all of which every member forecasts.
+    pub rows: usize,
+    /// Of these, readings that repeat the one before to the bit.
+    pub held_rows: usize,
+    /// Rows left out because a velocity is missing, of both parts.
+    pub unusable_rows: usize,
+    /// Mean of the held-out readings, W.
+    pub power_mean_w: f64,
+    /// Their standard deviation, W.
+    pub power_std_w: f64,
+    /// The rules.
+    pub members: Vec<Member>,
+}
+
+/// A rule and its scores.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Member {
+    /// Its name: `persistence`, `velocities + 1 lag`, a model's name.
+    pub name: String,
+    /// On all held-out readings.
+    pub all: Part,
+    /// On those that repeat the one before.
+    pub held: Part,
+    /// On those that do not.
+    pub new: Part,
+    /// Squared error that the rule saves against the mean of all held-out readings: the share of
+    /// that saving that falls on held readings. NaN where nothing is saved.
+    pub held_share_of_gain: f64,
+}
+
+/// Scores on a part of the readings. NaN where the part has no spread.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Part {
+    /// Readings.
+    pub rows: u64,
+    /// Coefficient of determination, about the mean of the part.
+    pub r2: f64,
+    /// Mean absolute error, W.
+    pub mae_w: f64,
+    /// Root of the mean squared error, W.
+    pub rmse_w: f64,
+}
+
+/// The held-out readings.
+struct HeldOut {
+    rows: Vec<Row>,
+    held: Vec<bool>,
+}
+
+/// The ablation, and what is not in it, with the reasons.
+pub(super) fn ablation(
+    trials: &[Trial],
+    sources: &[Source],
+    deal: &Deal,
+    window: usize,
+    models: &[(String, Model)],
+) -> (Option<Ablation>, Vec<String>) {
+    let mut not_done = Vec::new();
+    let has_velocities = sources
+        .iter()
+        .flat_map(|source| &source.rows.rows)
+        .any(|row| velocities_known(&row.features));
+    let usable = |row: &Row| {
+        row.target_w.is_finite() && (!has_velocities || velocities_known(&row.features))
+    };
+    let (fitted, held_out, unusable_rows) = gather(trials, sources, deal, usable);
+    let wanted = if has_velocities {
+        vec![
+            Terms::VELOCITIES,
+            Terms::velocities_and_lags(1),
+            Terms::velocities_and_lags(window),
+            Terms::lags(1),
+            Terms::lags(window),
+        ]
+    } else {
+        not_done.push("rules with velocities: no trial has recorded them".to_owned());
+        vec![Terms::lags(1), Terms::lags(window)]
+    };
+    let readings: Vec<f64> = held_out
+        .rows
+        .iter()
+        .map(|row| f64::from(row.target_w))
+        .collect();
+    let baseline = tally_of(&readings, &readings);
+    if held_out.rows.len() < 2 {
+        not_done.push("the ablation: fewer than two rows are held out".to_owned());
+        return (None, not_done);
+    }
+    let persistence = Linear::persistence();
+    let mut members = vec![member(
+        "persistence",
+        &held_out,
+        &persistence.predict_rows(&held_out.rows),
+    )];
+    let mut wanted = wanted;
+    wanted.dedup();
+    for terms in wanted {
+        match Linear::fit(&fitted, terms) {
+            Ok(line) => {
+                let forecasts_w = line.predict_rows(&held_out.rows);
+                members.push(member(&terms.to_string(), &held_out, &forecasts_w));
+            }
+            Err(error) => not_done.push(format!("{terms}: {error}")),
+        }
+    }
+    for (name, model) in models {
+        let forecasts_w = predict(model, &held_out.rows);
+        if forecasts_w.iter().all(|forecast_w| forecast_w.is_finite()) {
+            members.push(member(name, &held_out, &forecasts_w));
+        } else {
+            not_done.push(format!(
+                "{name}: it reads velocities, which are not recorded"
+            ));
+        }
+    }
+    let found = Ablation {
+        fitted_rows: fitted.len(),
+        rows: held_out.rows.len(),
+        held_rows: held_out.held.iter().filter(|held| **held).count(),
+        unusable_rows,
+        power_mean_w: baseline.reading_mean_w(),
+        power_std_w: baseline.reading_std_w(),
+        members,
+    };
+    (Some(found), not_done)
+}
+
+fn velocities_known(features: &Features) -> bool {
+    Terms::VELOCITIES
+        .features()
+        .all(|feature| features[feature].is_finite())
+}
+
+/// The rows to fit on, those held out, and how many could not be used.
+fn gather(
+    trials: &[Trial],
+    sources: &[Source],
+    deal: &Deal,
+    usable: impl Fn(&Row) -> bool,
+) -> (Vec<Row>, HeldOut, usize) {
+    let mut fitted = Vec::new();
+    let mut held_out = HeldOut {
+        rows: Vec::new(),
+        held: Vec::new(),
+    };
+    let mut unusable = 0;
+    for ((trial, source), [training, validation, last]) in
+        trials.iter().zip(sources).zip(&deal.ranges)
+    {
+        let rows = &source.rows.rows;
+        for row in training.clone().chain(validation.clone()) {
+            match usable(&rows[row]) {
+                true => fitted.push(rows[row]),
+                false => unusable += 1,
+            }
+        }
+        for row in last.clone() {
+            if usable(&rows[row]) {
+                held_out.rows.push(rows[row]);
+                let sample = source.rows.sample_seq[row];
+                held_out.held.push(target_is_held(trial, sample));
+            } else {
+                unusable += 1;
+            }
+        }
+    }
+    (fitted, held_out, unusable)
+}
+
+fn predict(model: &Model, rows: &[Row]) -> Vec<f64> {
+    let inputs: Vec<Features> = rows.iter().map(|row| row.features).collect();
+    let mut forecasts_w = vec![0.0; rows.len()];
+    model.predict(&inputs, &mut forecasts_w);
+    forecasts_w.into_iter().map(f64::from).collect()
+}
+
+fn tally_of(readings_w: &[f64], forecasts_w: &[f64]) -> Tally {
+    joulebus_statistics::metrics::tally(readings_w, forecasts_w, f64::NAN)
+}
+
+fn member(name: &str, held_out: &HeldOut, forecasts_w: &[f64]) -> Member {
+    let pairs = || {
+        let readings = held_out.rows.iter().map(|row| f64::from(row.target_w));
+        readings.zip(forecasts_w).zip(&held_out.held)
+    };
+    let (mut all, mut parts) = (Tally::default(), [Tally::default(); 2]);
+    for ((reading_w, forecast_w), held) in pairs() {
+        all.add(reading_w, *forecast_w, f64::NAN);
+        parts[usize::from(*held)].add(reading_w, *forecast_w, f64::NAN);
+    }
+    let mean_w = all.reading_mean_w();
+    // Squared error saved against the mean of all readings, on new and on held ones.
+    let mut gain_w2 = [0.0; 2];
+    for ((reading_w, forecast_w), held) in pairs() {
+        let (from_mean, from_forecast) = (reading_w - mean_w, reading_w - forecast_w);
+        gain_w2[usize::from(*held)] += from_mean * from_mean - from_forecast * from_forecast;
+    }
+    let total_w2 = gain_w2[0] + gain_w2[1];
+    Member {
+        name: name.to_owned(),
+        all: Part::of(&all),
+        held: Part::of(&parts[1]),
+        new: Part::of(&parts[0]),
+        held_share_of_gain: if total_w2 > 0.0 {
+            gain_w2[1] / total_w2
+        } else {
+            f64::NAN
+        },
+    }
+}
+
+impl Part {
+    fn of(tally: &Tally) -> Self {
+        Self {
+            rows: tally.count(),
+            r2: tally.r2(),
+            mae_w: tally.mae_w(),
+            rmse_w: tally.rmse_w(),
+        }
+    }
+}

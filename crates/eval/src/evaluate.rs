@@ -1,0 +1,238 @@
+//! Recorded trials through the tick, offline, in one pass: what a live run gives to the bit.
+
+mod report;
+
+use std::collections::HashSet;
+use std::path::PathBuf;
+
+use joulebus_fleet::{Fleet, Learned, Ledger, Scores};
+use joulebus_predictor::Model;
+use joulebus_settings::{FleetSettings, Platform, SettingsError};
+use joulebus_wire::{DropCounts, Quality, SCHEMA_VERSION, Sample, SampleHeader, diagnostic_flag};
+
+pub use report::{EvaluationReport, PlatformReport, RobotReport, ScoreReport};
+
+use joulebus_dataset::trial::{Trial, TrialNotes};
+
+/// Time of every trial's first row. Only differences of time matter, but 0 means "never measured".
+const BASE_NS: u64 = 1_000_000_000;
+
+/// Why trials could not be evaluated.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EvaluateError {
+    /// No trial was given.
+    #[error("found no trial to evaluate; name one or more files")]
+    NoTrial,
+    /// The robot's id is in no platform.
+    #[error(
+        "robot {robot} belongs to none of the {platforms} platforms; add its id to one of them"
+    )]
+    UnknownRobot {
+        /// The robot.
+        robot: u32,
+        /// Platforms in the settings.
+        platforms: usize,
+    },
+    /// Two trials have the same robot.
+    #[error("robot {robot} has more than one trial; give each trial an id of its own")]
+    DuplicateRobot {
+        /// The robot.
+        robot: u32,
+    },
+    /// The settings contradict themselves, or the models do not match them.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+}
+
+/// What came of the trials, in their order.
+#[derive(Debug, Clone)]
+pub struct Evaluation {
+    /// One entry a trial.
+    pub robots: Vec<RobotEvaluation>,
+}
+
+/// What came of one trial.
+#[derive(Debug, Clone)]
+pub struct RobotEvaluation {
+    /// Id of the robot.
+    pub robot: u32,
+    /// The trial's file.
+    pub path: PathBuf,
+    /// What is questionable about the trial.
+    pub notes: TrialNotes,
+    /// Name of the robot's platform.
+    pub platform: String,
+    /// Name of the model.
+    pub model: String,
+    /// One entry a sample, in order.
+    pub steps: Vec<Step>,
+    /// How good the forecasts were.
+    pub scores: Scores,
+    /// Share of scored readings inside their interval; NaN before the first.
+    pub coverage: f32,
+    /// What its forecast has learned from the trial; `None` where the platform learns nothing online.
+    pub learned: Option<Learned>,
+    /// Account of energy.
+    pub ledger: Ledger,
+    /// Samples accepted.
+    pub accepted: u64,
+    /// Samples dropped, by reason.
+    pub drops: DropCounts,
+}
+
+/// What one sample led to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// Number of the sample: that of its row, from 0.
+    pub sample_seq: u64,
+    /// The sample's stamp after the trial's first row, ns.
+    pub stamp_ns: u64,
+    /// Whether the sample was accepted; one that was not leads to nothing.
+    pub accepted: bool,
+    /// The sample's reading, W.
+    pub reading_w: Option<f32>,
+    /// The reading minus the forecast that had been made for it, W.
+    pub residual_w: Option<f32>,
+    /// Whether the residual counts in the scores: its forecast was one step ahead.
+    pub scored: bool,
+    /// Forecast of the next reading, W.
+    pub power_w: Option<f32>,
+    /// Lower end of its interval, W.
+    pub lo_w: Option<f32>,
+    /// Upper end of its interval, W.
+    pub hi_w: Option<f32>,
+    /// How far the forecast can be trusted, or why there is none.
+    pub quality: Quality,
+}
+
+/// Runs each trial through the tick, sample by sample, each robot alone.
+///
+/// Robot ids decide the platform, as in a live run; `models[i]` is the model of
+/// `settings.platforms[i]`. A live run of the same trials gives the same forecasts, residuals and
+/// scores to the bit, in a mixed fleet and at any speed, because nothing in a robot's results
+/// depends on other robots or on the worker's clock. The exception is a gap after which the live
+/// worker has given the robot's place away (`leave_after`): here it never does.
+///
+/// # Errors
+/// [`EvaluateError`]: no trial, a robot twice or in no platform, settings that are refused.
+pub fn evaluate(
+    settings: &FleetSettings,
+    models: &[Model],
+    trials: &[(u32, Trial)],
+) -> Result<Evaluation, EvaluateError> {
+    if trials.is_empty() {
+        return Err(EvaluateError::NoTrial);
+    }
+    let mut robots = HashSet::new();
+    if let Some((robot, _)) = trials.iter().find(|(robot, _)| !robots.insert(*robot)) {
+        return Err(EvaluateError::DuplicateRobot { robot: *robot });
+    }
+    let robots = trials
+        .iter()
+        .map(|(robot, trial)| evaluate_trial(settings, models, *robot, trial))
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(Evaluation { robots })
+}
+
+/// Runs one trial through the tick, as [`evaluate`] does.
+///
+/// # Errors
+/// [`EvaluateError`]: a robot in no platform, settings that are refused.
+pub fn evaluate_trial(
+    settings: &FleetSettings,
+    models: &[Model],
+    robot: u32,
+    trial: &Trial,
+) -> Result<RobotEvaluation, EvaluateError> {
+    let is_its = |platform: &Platform| platform.robots.iter().any(|ids| ids.contains(&robot));
+    let kind = settings.platforms.iter().position(is_its);
+    let Some(kind) = kind else {
+        return Err(EvaluateError::UnknownRobot {
+            robot,
+            platforms: settings.platforms.len(),
+        });
+    };
+    let alone = FleetSettings {
+        capacity: 1,
+        ..settings.clone()
+    };
+    let mut fleet = Fleet::new(alone, models.to_vec())?;
+    let mut steps = Vec::with_capacity(trial.rows());
+    let mut now_ns = 0;
+    for sample in trial.to_samples(robot, BASE_NS) {
+        now_ns = sample.stamp_ns.max(now_ns);
+        steps.push(step(&mut fleet, &sample, now_ns));
+    }
+    let coverage = (!fleet.is_empty()).then(|| fleet.diagnostic(0).coverage);
+    Ok(RobotEvaluation {
+        robot,
+        path: trial.path().to_owned(),
+        notes: trial.notes().clone(),
+        platform: settings.platforms[kind].name.clone(),
+        model: models[kind].name().to_owned(),
+        steps,
+        scores: fleet.scores(robot).unwrap_or_default(),
+        coverage: coverage.unwrap_or(f32::NAN),
+        learned: fleet.learned(robot),
+        ledger: fleet.ledger(robot).unwrap_or_default(),
+        accepted: fleet.accepted(),
+        drops: fleet.drops(),
+    })
+}
+
+/// A tick with one sample.
+fn step(fleet: &mut Fleet, sample: &Sample, now_ns: u64) -> Step {
+    let header = SampleHeader {
+        schema: SCHEMA_VERSION,
+        source_id: 1,
+        source_epoch: 1,
+        frame_seq: sample.seq,
+        samples_before: sample.seq,
+        intended_ns: now_ns,
+        sent_ns: now_ns,
+        ..SampleHeader::default()
+    };
+    let (accepted_before, scored_before) = (fleet.accepted(), scored(fleet, sample.robot));
+    fleet.take(&header, std::slice::from_ref(sample), now_ns);
+    fleet.tick(now_ns, false);
+    // A robot of a known platform always finds its place: the capacity is 1, and it is the first.
+    let (forecast, diagnostic) = (fleet.forecast(0), fleet.diagnostic(0));
+    let accepted = fleet.accepted() > accepted_before;
+    let known = |value: Option<f32>| value.filter(|_| accepted);
+    let interval = forecast.interval_w();
+    let has_residual = diagnostic.flags & diagnostic_flag::RESIDUAL != 0;
+    Step {
+        sample_seq: sample.seq,
+        stamp_ns: sample.stamp_ns.saturating_sub(BASE_NS),
+        accepted,
+        reading_w: sample
+            .has(joulebus_wire::sample_flag::POWER)
+            .then_some(sample.power_w),
+        residual_w: known(has_residual.then_some(diagnostic.residual_w)),
+        scored: scored(fleet, sample.robot) > scored_before,
+        power_w: known(forecast.power_w()),
+        lo_w: known(interval.map(|(lo_w, _)| lo_w)),
+        hi_w: known(interval.map(|(_, hi_w)| hi_w)),
+        quality: forecast.quality(),
+    }
+}
+
+fn scored(fleet: &Fleet, robot: u32) -> u64 {
+    fleet.scores(robot).map_or(0, |scores| scores.count)
+}
+
+impl RobotEvaluation {
+    /// Adds this robot's scored readings to `pooled`, in order.
+    fn pool_into(&self, pooled: &mut Scores) {
+        let mut previous_w = None;
+        for step in self.steps.iter().filter(|step| step.accepted) {
+            if let (true, Some(reading_w), Some(residual_w), Some(previous_w)) =
+                (step.scored, step.reading_w, step.residual_w, previous_w)
+            {
+                pooled.observe(reading_w, residual_w, previous_w);
+            }
+            previous_w = step.reading_w;
+        }
+    }
+}

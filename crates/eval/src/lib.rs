@@ -1,0 +1,9 @@
+//! Offline evaluation: forecasts of recordings by the live code, scores with intervals, and analysis of
+//! datasets.
+#![forbid(unsafe_code)]
+
+pub mod analyze;
+pub mod evaluate;
+pub mod online_learning;
+pub mod plant_statistics;
+pub mod score;

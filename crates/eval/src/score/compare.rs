@@ -1,0 +1,258 @@
+//! Two models on the same rows: what changes, where, and whether it is more than chance.
+
+use std::fmt;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::blocks::{Block, Draws, HorizonSums, Set, Tallied};
+use super::design::DesignReport;
+use super::report::ModelReport;
+use super::{Options, ScoreError, Scored, Subject, score};
+use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
+
+/// Places of the two models among the forecasters.
+const OLD: usize = 0;
+const NEW: usize = 1;
+
+/// Two models beside each other. Every difference is new less old.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    /// Name of the kind of robot; `recorded` where period and limits are the recordings'.
+    pub platform: String,
+    /// The old model.
+    pub old: ModelReport,
+    /// The new model.
+    pub new: ModelReport,
+    /// Which rows were compared.
+    pub design: DesignReport,
+    /// How confidence intervals were made; the same draws serve both models.
+    pub bootstrap: Bootstrap,
+    /// All recordings.
+    pub all: Difference,
+    /// By group; empty if there is but one.
+    pub groups: Vec<Difference>,
+    /// By robot; empty if there is but one.
+    pub robots: Vec<Difference>,
+    /// By trial; empty if there is but one.
+    pub trials: Vec<Difference>,
+    /// Open loop, all recordings.
+    pub open_loop: Vec<HorizonDifference>,
+}
+
+/// The two models on some recordings, corrected mode.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Difference {
+    /// `all`, or the name of the group, robot or trial.
+    pub name: String,
+    /// Trials.
+    pub trials: usize,
+    /// Rows that both models have a forecast for.
+    pub rows: u64,
+    /// Rows for which one of them has none.
+    pub unscored: u64,
+    /// Scores of the old model.
+    pub old: Side,
+    /// Scores of the new model.
+    pub new: Side,
+    /// Difference of R².
+    pub r2: Estimate,
+    /// Difference of the mean absolute residuals, W: below 0 where the new one is better.
+    pub mae_w: Estimate,
+    /// Difference of the roots of the mean squared residuals, W: below 0 where the new one is better.
+    pub rmse_w: Estimate,
+    /// 1 − mean squared error of the new over that of the old: above 0 where the new one is better.
+    pub skill: Estimate,
+    /// Difference of the shares of readings inside the live intervals.
+    pub coverage: Estimate,
+    /// What the interval of the skill says.
+    pub verdict: Verdict,
+}
+
+/// The scores of one of the two.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Side {
+    /// Coefficient of determination.
+    pub r2: f64,
+    /// Root of the mean squared residual, W.
+    pub rmse_w: f64,
+    /// Mean absolute residual, W.
+    pub mae_w: f64,
+    /// Mean residual, W.
+    pub bias_w: f64,
+    /// Share of readings inside the live intervals.
+    pub coverage: f64,
+    /// Their mean width, W.
+    pub width_w: f64,
+    /// Skill against persistence.
+    pub skill_persistence: f64,
+}
+
+/// The two models at one horizon.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct HorizonDifference {
+    /// Ticks ahead.
+    pub ticks: usize,
+    /// Rollouts that reach it.
+    pub origins: u64,
+    /// Mean absolute residual of the old model, W.
+    pub old_mae_w: f64,
+    /// Mean absolute residual of the new model, W.
+    pub new_mae_w: f64,
+    /// Their difference, W.
+    pub mae_w: Estimate,
+    /// 1 − mean squared error of the new over that of the old.
+    pub skill: Estimate,
+}
+
+/// Whether two models can be told apart: by whether the confidence interval of the skill of the new
+/// one against the old one holds 0.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The interval lies above 0.
+    Better,
+    /// It lies below 0.
+    Worse,
+    /// It holds 0, or there is none: too few blocks, or no error to compare.
+    Undecided,
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.pad(match self {
+            Self::Better => "better",
+            Self::Worse => "worse",
+            Self::Undecided => "undecided",
+        })
+    }
+}
+
+impl Verdict {
+    fn of(skill: &Estimate) -> Self {
+        if skill.is_above(0.0) {
+            Self::Better
+        } else if skill.is_below(0.0) {
+            Self::Worse
+        } else {
+            Self::Undecided
+        }
+    }
+}
+
+/// Evaluates the two models of the subject, the old one first, on the same rows, and compares them.
+/// Its baselines stand aside.
+///
+/// # Errors
+/// [`ScoreError`], as [`score`].
+///
+/// # Panics
+/// If the subject has not exactly two models.
+pub fn compare(subject: Subject<'_>, options: &Options) -> Result<Comparison, ScoreError> {
+    assert!(
+        subject.models.len() == 2,
+        "{} models, two are compared",
+        subject.models.len()
+    );
+    let options = Options {
+        baselines: Vec::new(),
+        ..options.clone()
+    };
+    let Scored { report, blocks, .. } = score(subject, &options)?;
+    let differences = |sets: Vec<Set>| -> Vec<Difference> {
+        let sets = if sets.len() > 1 { sets } else { Vec::new() };
+        let each = sets.par_iter();
+        each.map(|set| difference(&blocks, set, &options.bootstrap))
+            .collect()
+    };
+    // Two models were scored, so there are two reports.
+    let [old, new] = [OLD, NEW].map(|at| report.models[at].clone());
+    Ok(Comparison {
+        platform: report.platform,
+        old,
+        new,
+        design: report.design,
+        bootstrap: options.bootstrap,
+        all: difference(&blocks, &blocks.all(), &options.bootstrap),
+        groups: differences(blocks.groups()),
+        robots: differences(blocks.robots()),
+        trials: differences(blocks.trials()),
+        open_loop: open_loop(&blocks, &options),
+    })
+}
+
+fn difference(tallied: &Tallied, set: &Set, bootstrap: &Bootstrap) -> Difference {
+    let (blocks, _) = tallied.blocks(set, bootstrap);
+    let draws = Draws::new(&blocks);
+    let estimates = bootstrap.estimate(blocks.len(), |drawn| {
+        let Block {
+            forecasters,
+            intervals,
+        } = draws.merged(drawn);
+        let (old, new) = (&forecasters[OLD], &forecasters[NEW]);
+        vec![
+            new.r2() - old.r2(),
+            new.mae_w() - old.mae_w(),
+            new.rmse_w() - old.rmse_w(),
+            new.skill(old),
+            intervals[NEW].coverage() - intervals[OLD].coverage(),
+        ]
+    });
+    let whole = Block::merged(&blocks);
+    let side = |at: usize| {
+        let (tally, interval) = (&whole.forecasters[at], &whole.intervals[at]);
+        Side {
+            r2: tally.r2(),
+            rmse_w: tally.rmse_w(),
+            mae_w: tally.mae_w(),
+            bias_w: tally.bias_w(),
+            coverage: interval.coverage(),
+            width_w: interval.width_w(),
+            skill_persistence: tally.skill(&whole.forecasters[NEW + 1]),
+        }
+    };
+    Difference {
+        name: set.name.clone(),
+        trials: set.trials(),
+        rows: whole.forecasters[OLD].count(),
+        unscored: whole.forecasters[OLD].unscored(),
+        old: side(OLD),
+        new: side(NEW),
+        r2: estimates[0],
+        mae_w: estimates[1],
+        rmse_w: estimates[2],
+        skill: estimates[3],
+        coverage: estimates[4],
+        verdict: Verdict::of(&estimates[3]),
+    }
+}
+
+fn open_loop(tallied: &Tallied, options: &Options) -> Vec<HorizonDifference> {
+    let all = tallied.all();
+    let each = options.horizons.iter().enumerate();
+    each.map(|(place, &ticks)| {
+        let reaching: Vec<&HorizonSums> = tallied
+            .horizon(&all, place)
+            .filter(|sums| sums.power[OLD].count() > 0)
+            .collect();
+        let blocks: Vec<Block> = reaching.iter().map(|sums| sums.block()).collect();
+        let draws = Draws::new(&blocks);
+        let estimates = options.bootstrap.estimate(blocks.len(), |drawn| {
+            match draws.merged(drawn).forecasters.as_slice() {
+                [old, new, ..] => vec![new.mae_w() - old.mae_w(), new.skill(old)],
+                _ => vec![f64::NAN; 2],
+            }
+        });
+        let whole = HorizonSums::merged(reaching.iter().copied()).power;
+        let of = |at: usize| whole.get(at).copied().unwrap_or_default();
+        HorizonDifference {
+            ticks,
+            origins: of(OLD).count(),
+            old_mae_w: of(OLD).mae_w(),
+            new_mae_w: of(NEW).mae_w(),
+            mae_w: estimates[0],
+            skill: estimates[1],
+        }
+    })
+    .collect()
+}

@@ -1,0 +1,178 @@
+//! One recording: the live path, the baselines beside it, and the sums.
+
+use std::ops::Range;
+
+use joulebus_predictor::FeatureSet;
+use joulebus_settings::FleetSettings;
+
+use super::blocks::{Block, Sums};
+use super::{Options, Recording, ScoreError, Subject, open_loop, recorded_platform};
+use crate::evaluate::{RobotEvaluation, evaluate_trial};
+use joulebus_statistics::metrics::{CoverageTally, Tally};
+use joulebus_train::linear::Linear;
+
+/// The lines of each fold, where they could be fitted.
+pub(super) type Lines = [Vec<Option<Linear>>];
+
+/// Forecasts for each row of a recording.
+struct Column {
+    /// NaN where there is none.
+    power_w: Vec<f32>,
+    lo_w: Vec<f32>,
+    hi_w: Vec<f32>,
+}
+
+/// Sums of one recording, and the live path of each model. Without rows to evaluate, both are
+/// empty.
+pub(super) fn one(
+    subject: Subject<'_>,
+    options: &Options,
+    lines: &Lines,
+    at: usize,
+) -> Result<(Sums, Vec<RobotEvaluation>), ScoreError> {
+    let recording = &subject.recordings[at];
+    let parts: Vec<_> = subject.design.evaluated(at).collect();
+    if parts.iter().all(|(_, rows)| rows.is_empty()) {
+        return Ok((Sums::default(), Vec::new()));
+    }
+    let live = live(subject, recording)?;
+    let columns: Vec<Column> = live.iter().map(|live| column(recording, live)).collect();
+    let mut sums = Sums::default();
+    for (fold, rows) in &parts {
+        add_rows(
+            &mut sums,
+            recording,
+            &columns,
+            &lines[*fold],
+            rows.clone(),
+            options,
+        );
+    }
+    for residuals_w in &mut sums.residuals_w {
+        residuals_w.sort_unstable_by(f32::total_cmp);
+    }
+    sums.horizons = open_loop::sums(subject.models, recording, &parts, lines, options);
+    Ok((sums, live))
+}
+
+fn live(subject: Subject<'_>, recording: &Recording) -> Result<Vec<RobotEvaluation>, ScoreError> {
+    let Recording { id, trial, .. } = recording;
+    let platform = match subject.platform {
+        Some(platform) => platform.clone(),
+        None => recorded_platform(*id, trial),
+    };
+    let mut settings = FleetSettings {
+        platforms: vec![platform],
+        ..subject.settings.clone()
+    };
+    // A longer silence than this frees a robot's place; here nobody waits for it.
+    let stale_after_ns = settings.platforms[0].stale_after_ns;
+    let leave_after_ns = &mut settings.intake.leave_after_ns;
+    *leave_after_ns = stale_after_ns.max(*leave_after_ns);
+    let models = subject.models.iter();
+    models
+        .map(|model| {
+            let model = std::slice::from_ref(model);
+            Ok(evaluate_trial(&settings, model, *id, trial)?)
+        })
+        .collect()
+}
+
+fn column(recording: &Recording, live: &RobotEvaluation) -> Column {
+    let of = |value: fn(&crate::evaluate::Step) -> Option<f32>| -> Vec<f32> {
+        let seqs = recording.rows.sample_seq.iter();
+        // Samples count from 0 in the order of their rows, a step each.
+        seqs.map(|seq| live.steps.get(*seq as usize).and_then(value))
+            .map(|value| value.unwrap_or(f32::NAN))
+            .collect()
+    };
+    Column {
+        power_w: of(|step| step.power_w),
+        lo_w: of(|step| step.lo_w),
+        hi_w: of(|step| step.hi_w),
+    }
+}
+
+/// Adds a part of the rows, in blocks.
+fn add_rows(
+    sums: &mut Sums,
+    recording: &Recording,
+    columns: &[Column],
+    lines: &[Option<Linear>],
+    rows: Range<usize>,
+    options: &Options,
+) {
+    let forecasters = columns.len() + 1 + lines.len();
+    sums.residuals_w.resize(forecasters, Vec::new());
+    let mut forecasts_w = Vec::with_capacity(forecasters);
+    for block_rows in stretches(rows, options.bootstrap.block_rows) {
+        let mut block = Block {
+            forecasters: vec![Tally::default(); forecasters],
+            intervals: vec![CoverageTally::default(); columns.len()],
+        };
+        for at in block_rows {
+            let row = &recording.rows.rows[at];
+            forecasts_w.clear();
+            forecasts_w.extend(columns.iter().map(|column| f64::from(column.power_w[at])));
+            let all_known = forecasts_w
+                .iter()
+                .all(|forecast_w: &f64| forecast_w.is_finite());
+            forecasts_w.push(f64::from(row.features[FeatureSet::PowerOnly.first()]));
+            let predict =
+                |line: &Option<Linear>| line.as_ref().map(|line| line.predict(&row.features));
+            forecasts_w.extend(lines.iter().map(|line| predict(line).unwrap_or(f64::NAN)));
+            // Without a forecast of each model, no forecaster is scored on this row.
+            let reading_w = if all_known {
+                f64::from(row.target_w)
+            } else {
+                f64::NAN
+            };
+            for (place, forecast_w) in forecasts_w.iter().enumerate() {
+                block.forecasters[place].add(reading_w, *forecast_w, recording.step_s[at]);
+                let residual_w = (reading_w - forecast_w) as f32;
+                if residual_w.is_finite() {
+                    sums.residuals_w[place].push(residual_w);
+                }
+            }
+            for (interval, column) in block.intervals.iter_mut().zip(columns) {
+                interval.add(reading_w, column.lo_w[at].into(), column.hi_w[at].into());
+            }
+        }
+        sums.blocks.push(block);
+    }
+}
+
+/// Stretches of `length` rows; a rest of less than half of it belongs to the last.
+fn stretches(rows: Range<usize>, length: usize) -> impl Iterator<Item = Range<usize>> {
+    let count = ((rows.len() + length / 2) / length).max(1);
+    (0..count).map(move |at| {
+        let start = rows.start + at * length;
+        let end = if at + 1 == count {
+            rows.end
+        } else {
+            start + length
+        };
+        start..end
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn stretches_hold_every_row_once_and_are_about_as_long_as_asked(
+            start in 0usize..50, rows in 1usize..500, length in 1usize..120
+        ) {
+            let found: Vec<_> = super::stretches(start..start + rows, length).collect();
+            let flat: Vec<usize> = found.iter().cloned().flatten().collect();
+            prop_assert_eq!(flat, (start..start + rows).collect::<Vec<_>>());
+            for (at, stretch) in found.iter().enumerate() {
+                let is_last = at + 1 == found.len();
+                prop_assert!(stretch.len() == length || is_last);
+                prop_assert!(2 * stretch.len() < 3 * length + 1 || length == 1);
+            }
+        }
+    }
+}

@@ -1,0 +1,345 @@
+//! Which rows are evaluated, and which rows the baselines may learn from.
+
+use std::collections::{HashMap, HashSet};
+use std::ops::Range;
+
+use joulebus_predictor::FeatureSet;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::{Recording, ScoreError};
+use joulebus_dataset::rows::Row;
+use joulebus_dataset::split::{
+    By, Deal, PAUSE_ROWS, Source, Split, deal, deal_leaving_out, digest,
+};
+use joulebus_train::linear::{Linear, Moments, Terms, known_terms};
+
+/// Folds of [`Design::folds`].
+const FOLDS: usize = 10;
+
+/// Number of a recording, and some of its rows.
+pub type Part = (usize, Range<usize>);
+
+/// Evaluated rows, and the rows that baselines for them are fitted on. The two never share a
+/// reading.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Design {
+    /// In words: what was held out, or how the folds were made.
+    pub description: String,
+    /// What stayed together, where a split was asked for.
+    pub split: Option<Split>,
+    /// One or more pairs of rows to evaluate and rows to fit on.
+    pub folds: Vec<Fold>,
+    /// Names of the units that are evaluated; for a split in time, and without a split, the trials.
+    pub units: Vec<String>,
+    /// SHA-256 of the split's three parts for each set of features, to be compared with what a model
+    /// was trained on.
+    data_sha256: Vec<(FeatureSet, String)>,
+    /// Recordings that serve only to fit.
+    others: Vec<Recording>,
+}
+
+/// Rows that are evaluated together.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Fold {
+    /// Number of a recording, and which of its rows are evaluated.
+    pub evaluated: Vec<Part>,
+    /// Number of a recording, and which of its rows the baselines are fitted on. Numbers past the
+    /// evaluated recordings are of those that serve only to fit.
+    pub fitted: Vec<Part>,
+}
+
+impl PartialEq for Recording {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.name, &self.rows) == (&other.name, &other.rows)
+    }
+}
+
+impl Design {
+    /// Evaluates what a split holds out; baselines are fitted on all the rest, the part for
+    /// validation included, since nothing else is decided by it.
+    ///
+    /// The parts are those of [`deal`]: a model trained with the same split of the same recordings
+    /// has not seen what is evaluated.
+    ///
+    /// # Errors
+    /// [`ScoreError::Split`].
+    pub fn held_out(recordings: &[Recording], wanted: Split) -> Result<Self, ScoreError> {
+        let sources = sources(recordings);
+        Ok(Self::dealt(&sources, deal(&sources, wanted)?, wanted))
+    }
+
+    /// The same with the units named that are held out: the surfaces or robots that a model is to
+    /// meet for the first time.
+    ///
+    /// # Errors
+    /// [`ScoreError::Split`].
+    pub fn leaving_out(
+        recordings: &[Recording],
+        wanted: Split,
+        names: &[String],
+    ) -> Result<Self, ScoreError> {
+        let sources = sources(recordings);
+        let deal = deal_leaving_out(&sources, wanted, names)?;
+        Ok(Self::dealt(&sources, deal, wanted))
+    }
+
+    fn dealt(sources: &[Source], deal: Deal, wanted: Split) -> Self {
+        let mut fold = Fold::default();
+        for (at, [training, validation, held_out]) in deal.ranges.iter().cloned().enumerate() {
+            fold.fitted.extend([(at, training), (at, validation)]);
+            fold.evaluated.push((at, held_out));
+        }
+        for parts in [&mut fold.fitted, &mut fold.evaluated] {
+            parts.retain(|part| !part.1.is_empty());
+        }
+        let dataset = deal.dataset(sources, String::new());
+        let hash = |set: FeatureSet| (set, dataset.sha256(set));
+        // Sets that read the same columns of freshness have the same hash.
+        let hashes = [FeatureSet::Full, FeatureSet::Freshness].map(hash);
+        Self {
+            description: format!("split {}", deal.dealt.name),
+            split: Some(wanted),
+            folds: vec![fold],
+            units: match wanted.by {
+                By::Time => deal.dealt.training,
+                _ => deal.dealt.held_out,
+            },
+            data_sha256: hashes.into(),
+            others: Vec::new(),
+        }
+    }
+
+    /// SHA-256 of the split's three parts as a model with these features would have learned them,
+    /// hexadecimal; `None` without a split.
+    #[must_use]
+    pub fn data_sha256(&self, set: FeatureSet) -> Option<&str> {
+        let same = |other: &FeatureSet| other.needs_freshness() == set.needs_freshness();
+        let mut hashes = self.data_sha256.iter();
+        hashes
+            .find(|hash| same(&hash.0))
+            .map(|hash| hash.1.as_str())
+    }
+
+    /// Evaluates every row. The recordings are dealt out in turn among up to ten folds, and the
+    /// baselines for each are fitted on the others; a single recording is cut in two halves, each
+    /// of which is evaluated with baselines from the other. Copies of a recording share its fold.
+    #[must_use]
+    pub fn folds(recordings: &[Recording]) -> Self {
+        let (folds, description) = match recordings {
+            [only] => (
+                in_halves(only.rows.rows.len()),
+                "no split: all rows; baselines of each half are fitted on the other".to_owned(),
+            ),
+            several => {
+                let count = several.len().min(FOLDS);
+                let description = format!(
+                    "no split: all trials; baselines are fitted on the other trials, {count} folds"
+                );
+                (in_turn(several, count), description)
+            }
+        };
+        Self {
+            description,
+            split: None,
+            folds,
+            units: names(recordings),
+            data_sha256: Vec::new(),
+            others: Vec::new(),
+        }
+    }
+
+    /// Evaluates every row; baselines are fitted on other recordings.
+    #[must_use]
+    pub fn fitted_on(recordings: &[Recording], others: Vec<Recording>) -> Self {
+        let whole = |(at, recording): (usize, &Recording)| (at, 0..recording.rows.rows.len());
+        let fold = Fold {
+            evaluated: recordings.iter().enumerate().map(whole).collect(),
+            fitted: (recordings.len()..).zip(&others).map(whole).collect(),
+        };
+        Self {
+            description: format!(
+                "all trials; baselines are fitted on {} named ones",
+                others.len()
+            ),
+            split: None,
+            folds: vec![fold],
+            units: names(recordings),
+            data_sha256: Vec::new(),
+            others,
+        }
+    }
+
+    /// Refuses recordings that have not the rows of the design.
+    pub(super) fn check(&self, recordings: &[Recording]) -> Result<(), ScoreError> {
+        let all: Vec<usize> = recordings
+            .iter()
+            .chain(&self.others)
+            .map(|recording| recording.rows.rows.len())
+            .collect();
+        let parts = self
+            .folds
+            .iter()
+            .flat_map(|fold| fold.evaluated.iter().chain(&fold.fitted));
+        for (recording, rows) in parts {
+            let allowed = all.get(*recording).copied().unwrap_or(0);
+            if rows.end > allowed {
+                return Err(ScoreError::Design {
+                    recording: *recording,
+                    found: rows.end - 1,
+                    allowed,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Which rows of a recording are evaluated, each with the number of its fold.
+    pub fn evaluated(&self, recording: usize) -> impl Iterator<Item = (usize, Range<usize>)> + '_ {
+        self.folds.iter().enumerate().flat_map(move |(fold, rows)| {
+            let own = rows
+                .evaluated
+                .iter()
+                .filter(move |part| part.0 == recording);
+            own.map(move |part| (fold, part.1.clone()))
+        })
+    }
+
+    fn rows<'a>(&'a self, recordings: &'a [Recording], part: &Part) -> &'a [Row] {
+        let recording = match part.0.checked_sub(recordings.len()) {
+            None => &recordings[part.0],
+            Some(other) => &self.others[other],
+        };
+        &recording.rows.rows[part.1.clone()]
+    }
+
+    /// In numbers.
+    #[must_use]
+    pub fn report(&self) -> DesignReport {
+        let rows = |of: fn(&Fold) -> &Vec<Part>| -> usize {
+            let parts = self.folds.iter().flat_map(of);
+            parts.map(|part| part.1.len()).sum()
+        };
+        let evaluated: HashSet<usize> = self
+            .folds
+            .iter()
+            .flat_map(|fold| &fold.evaluated)
+            .map(|part| part.0)
+            .collect();
+        DesignReport {
+            description: self.description.clone(),
+            split: self.split,
+            folds: self.folds.len(),
+            trials: evaluated.len(),
+            rows: rows(|fold| &fold.evaluated),
+            fitted_rows: rows(|fold| &fold.fitted),
+            units: self.units.clone(),
+        }
+    }
+}
+
+/// Which rows were evaluated, for people and programs.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DesignReport {
+    /// In words.
+    pub description: String,
+    /// The split, where one was asked for.
+    pub split: Option<Split>,
+    /// Folds; 1 where the evaluated rows are apart from the fitted ones as a whole.
+    pub folds: usize,
+    /// Trials of which rows are evaluated.
+    pub trials: usize,
+    /// Rows to be evaluated.
+    pub rows: usize,
+    /// Rows that baselines are fitted on, summed over the folds.
+    pub fitted_rows: usize,
+    /// Names of the evaluated units.
+    pub units: Vec<String>,
+}
+
+fn sources(recordings: &[Recording]) -> Vec<Source> {
+    recordings.iter().map(Recording::source).collect()
+}
+
+fn names(recordings: &[Recording]) -> Vec<String> {
+    let names = recordings.iter().map(|recording| recording.name.clone());
+    names.collect()
+}
+
+/// Every recording once, the fitted ones all the others.
+fn in_turn(recordings: &[Recording], count: usize) -> Vec<Fold> {
+    let mut folds = vec![Fold::default(); count];
+    let mut first_with = HashMap::new();
+    for (at, recording) in recordings.iter().enumerate() {
+        let whole = (at, 0..recording.rows.rows.len());
+        let first = *first_with.entry(digest(&recording.rows)).or_insert(at);
+        for (number, fold) in folds.iter_mut().enumerate() {
+            if number == first % count {
+                fold.evaluated.push(whole.clone());
+            } else {
+                fold.fitted.push(whole.clone());
+            }
+        }
+    }
+    folds
+}
+
+/// Two halves that share no reading.
+fn in_halves(rows: usize) -> Vec<Fold> {
+    let middle = rows / 2;
+    let (first, second) = (0..middle, middle..rows);
+    let (until, from) = (
+        middle.saturating_sub(PAUSE_ROWS),
+        (middle + PAUSE_ROWS).min(rows),
+    );
+    let fold = |evaluated: Range<usize>, fitted: Range<usize>| Fold {
+        evaluated: vec![(0, evaluated)],
+        fitted: vec![(0, fitted)],
+    };
+    vec![fold(first, from..rows), fold(second, 0..until)]
+}
+
+/// The baselines of each fold: `lines[fold][i]` is `baselines[i]`, `None` where there are too few
+/// rows to fit it on.
+///
+/// # Errors
+/// [`ScoreError::Design`]: the design is of other recordings.
+pub fn fit_lines(
+    design: &Design,
+    recordings: &[Recording],
+    baselines: &[Terms],
+) -> Result<Vec<Vec<Option<Linear>>>, ScoreError> {
+    design.check(recordings)?;
+    // Rows of a part are looked at once, and folds share most of their parts.
+    let mut parts: Vec<&Part> = design.folds.iter().flat_map(|fold| &fold.fitted).collect();
+    parts.sort_unstable_by_key(|part| (part.0, part.1.start, part.1.end));
+    parts.dedup();
+    let slices: Vec<&[Row]> = parts
+        .iter()
+        .map(|part| design.rows(recordings, part))
+        .collect();
+    let place = |part: &Part| {
+        let key = |part: &Part| (part.0, part.1.start, part.1.end);
+        parts.binary_search_by_key(&key(part), |part| key(part))
+    };
+    let mut lines = vec![Vec::new(); design.folds.len()];
+    for &terms in baselines {
+        let (known, missing) = known_terms(&slices, terms);
+        let moments: Vec<Moments> = slices
+            .par_iter()
+            .map(|rows| Moments::of(rows, known))
+            .collect();
+        for (fold, lines) in design.folds.iter().zip(&mut lines) {
+            let mut merged = Moments::new(known);
+            for at in fold.fitted.iter().filter_map(|part| place(part).ok()) {
+                merged.merge(&moments[at])?;
+            }
+            let mut line = merged.fit(known).ok();
+            if let Some(line) = &mut line {
+                line.miss(terms, &missing);
+            }
+            lines.push(line);
+        }
+    }
+    Ok(lines)
+}

@@ -1,0 +1,223 @@
+//! Forecasters fed with their own forecasts: how far ahead they can be trusted.
+
+use std::ops::Range;
+
+use joulebus_predictor::{FeatureSet, Features, LAGS, Model, ReadingAge};
+
+use super::blocks::HorizonSums;
+use super::corrected::Lines;
+use super::{Options, Recording};
+use joulebus_dataset::rows::Row;
+use joulebus_statistics::metrics::Tally;
+
+/// Position of the newest reading in [`Features`].
+const NEWEST: usize = FeatureSet::PowerOnly.first();
+
+/// Where a rollout begins, and where the rows end that it can be held against.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Origin {
+    row: usize,
+    end: usize,
+    fold: usize,
+}
+
+/// Rows at which rollouts begin: every `every`-th of each stretch of `rows` without a gap, with the
+/// row that ends the stretch.
+pub fn origins(
+    recording: &Recording,
+    rows: Range<usize>,
+    every: usize,
+) -> impl Iterator<Item = (usize, usize)> {
+    let seqs = &recording.rows.sample_seq;
+    let mut stretches = Vec::new();
+    let mut start = rows.start;
+    for at in rows.clone() {
+        let is_last = at + 1 == rows.end || seqs[at + 1] != seqs[at] + 1;
+        if is_last {
+            stretches.push((start, at + 1));
+            start = at + 1;
+        }
+    }
+    let each = stretches.into_iter();
+    each.flat_map(move |(start, end)| (start..end).step_by(every).map(move |row| (row, end)))
+}
+
+/// Forecasts of one forecaster at every horizon of every origin: power, W, and energy up to there,
+/// J. NaN past the end of the rows.
+struct Trace {
+    /// `horizon * origins + origin`.
+    power_w: Vec<f64>,
+    energy_j: Vec<f64>,
+}
+
+/// The sums at each horizon, over the evaluated parts of a recording.
+pub(super) fn sums(
+    models: &[Model],
+    recording: &Recording,
+    parts: &[(usize, Range<usize>)],
+    lines: &Lines,
+    options: &Options,
+) -> Vec<HorizonSums> {
+    let Some(&longest) = options.horizons.last() else {
+        return Vec::new();
+    };
+    let mut starts = Vec::new();
+    for (fold, rows) in parts {
+        let found = origins(recording, rows.clone(), options.origins_every);
+        starts.extend(found.map(|(row, end)| Origin {
+            row,
+            end: end.min(row + longest),
+            fold: *fold,
+        }));
+    }
+    let rollout = Rollout {
+        rows: &recording.rows.rows,
+        step_s: &recording.step_s,
+        reading_ages: &recording.rows.reading_ages,
+        starts: &starts,
+        horizons: &options.horizons,
+    };
+    let measured = rollout.alone(|_, row, _| row.target_w);
+    let traces = rollout.traces(models, lines);
+    let places = 0..options.horizons.len();
+    places
+        .map(|place| rollout.sum(place, &measured, &traces, models.len()))
+        .collect()
+}
+
+struct Rollout<'a> {
+    rows: &'a [Row],
+    step_s: &'a [f64],
+    reading_ages: &'a [ReadingAge],
+    starts: &'a [Origin],
+    horizons: &'a [usize],
+}
+
+impl Rollout<'_> {
+    /// The models, persistence, the lines.
+    fn traces(&self, models: &[Model], lines: &Lines) -> Vec<Trace> {
+        let mut traces: Vec<Trace> = models.iter().map(|model| self.together(model)).collect();
+        traces.push(self.alone(|_, _, [newest_w, ..]| *newest_w));
+        let baselines = 0..lines.first().map_or(0, Vec::len);
+        traces.extend(baselines.map(|place| {
+            self.alone(|start, row, lag_w| {
+                let Some(line) = &lines[start.fold][place] else {
+                    return f32::NAN;
+                };
+                line.predict(&with_lags(row, lag_w)) as f32
+            })
+        }));
+        traces
+    }
+
+    fn unknown(&self) -> Trace {
+        let places = self.horizons.len() * self.starts.len();
+        Trace {
+            power_w: vec![f64::NAN; places],
+            energy_j: vec![f64::NAN; places],
+        }
+    }
+
+    /// Origin by origin: from a row and the last readings or forecasts, the next forecast, W.
+    fn alone(&self, mut forecast: impl FnMut(&Origin, &Row, &[f32; LAGS]) -> f32) -> Trace {
+        let mut trace = self.unknown();
+        for (lane, start) in self.starts.iter().enumerate() {
+            let mut lag_w = lags(&self.rows[start.row]);
+            let (mut place, mut energy_j) = (0, 0.0);
+            for at in start.row..start.end {
+                let power_w = forecast(start, &self.rows[at], &lag_w);
+                push(&mut lag_w, power_w);
+                energy_j += f64::from(power_w) * self.step_s[at];
+                if self.horizons.get(place) == Some(&(at + 1 - start.row)) {
+                    trace.power_w[place * self.starts.len() + lane] = power_w.into();
+                    trace.energy_j[place * self.starts.len() + lane] = energy_j;
+                    place += 1;
+                }
+            }
+        }
+        trace
+    }
+
+    /// All origins at once, each step as one batch of the kernel.
+    fn together(&self, model: &Model) -> Trace {
+        let count = self.starts.len();
+        let mut trace = self.unknown();
+        let mut lanes: Vec<usize> = (0..count).collect();
+        let start = |start: &Origin| lags(&self.rows[start.row]);
+        let mut lag_w: Vec<[f32; LAGS]> = self.starts.iter().map(start).collect();
+        let mut energy_j = vec![0.0; count];
+        let (mut inputs, mut out_w) = (Vec::with_capacity(count), vec![0.0; count]);
+        let mut place = 0;
+        for step in 0.. {
+            lanes.retain(|lane| self.starts[*lane].row + step < self.starts[*lane].end);
+            if lanes.is_empty() {
+                break;
+            }
+            inputs.clear();
+            inputs.extend(lanes.iter().map(|lane| {
+                let start = self.starts[*lane].row;
+                let mut inputs = with_lags(&self.rows[start + step], &lag_w[*lane]);
+                if model.needs_freshness() {
+                    // What happens to the sensor after the origin is not known: the schedule goes on.
+                    self.reading_ages[start]
+                        .after(step as u64)
+                        .fill(&mut inputs);
+                }
+                inputs
+            }));
+            let out_w = &mut out_w[..lanes.len()];
+            model.predict(&inputs, out_w);
+            let at_horizon = self.horizons.get(place) == Some(&(step + 1));
+            for (&lane, &power_w) in lanes.iter().zip(out_w.iter()) {
+                push(&mut lag_w[lane], power_w);
+                energy_j[lane] += f64::from(power_w) * self.step_s[self.starts[lane].row + step];
+                if at_horizon {
+                    trace.power_w[place * count + lane] = power_w.into();
+                    trace.energy_j[place * count + lane] = energy_j[lane];
+                }
+            }
+            place += usize::from(at_horizon);
+        }
+        trace
+    }
+
+    /// One horizon, origin by origin. Where a model has no forecast, no forecaster is scored.
+    fn sum(&self, place: usize, measured: &Trace, traces: &[Trace], models: usize) -> HorizonSums {
+        let mut sums = HorizonSums {
+            power: vec![Tally::default(); traces.len()],
+            energy: vec![Tally::default(); traces.len()],
+        };
+        for (origin, start) in self.starts.iter().enumerate() {
+            if start.row + self.horizons[place] > start.end {
+                continue;
+            }
+            let at = place * self.starts.len() + origin;
+            let known = traces[..models]
+                .iter()
+                .all(|trace| trace.power_w[at].is_finite());
+            let of = |value: f64| if known { value } else { f64::NAN };
+            for (forecaster, trace) in traces.iter().enumerate() {
+                let (power, energy) = (&mut sums.power[forecaster], &mut sums.energy[forecaster]);
+                power.add(of(measured.power_w[at]), trace.power_w[at], f64::NAN);
+                energy.add(of(measured.energy_j[at]), trace.energy_j[at], 1.0);
+            }
+        }
+        sums
+    }
+}
+
+fn lags(row: &Row) -> [f32; LAGS] {
+    std::array::from_fn(|lag| row.features[NEWEST + lag])
+}
+
+fn push(lag_w: &mut [f32; LAGS], power_w: f32) {
+    lag_w.copy_within(..LAGS - 1, 1);
+    lag_w[0] = power_w;
+}
+
+/// The row's features with other readings behind it.
+fn with_lags(row: &Row, lag_w: &[f32; LAGS]) -> Features {
+    let mut features = row.features;
+    features[NEWEST..NEWEST + LAGS].copy_from_slice(lag_w);
+    features
+}

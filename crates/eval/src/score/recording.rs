@@ -1,0 +1,117 @@
+//! A recording and what is evaluated of it.
+
+use std::path::PathBuf;
+
+use joulebus_settings::{Online, Platform};
+use rayon::prelude::*;
+
+use joulebus_dataset::rows::{TrialRows, trial_rows};
+use joulebus_dataset::split::{Source, group_of};
+use joulebus_dataset::trial::{Trial, TrialError};
+
+/// A trial with its names and its rows.
+#[derive(Debug, Clone)]
+pub struct Recording {
+    /// Id of its robot, for the live path.
+    pub id: u32,
+    /// The trial's name: its file.
+    pub name: String,
+    /// The robot's name: as recorded, else the file's.
+    pub robot: String,
+    /// The group's name: [`group_of`] its file.
+    pub group: String,
+    /// The trial.
+    pub trial: Trial,
+    /// Rows that can be forecast, and the readings that followed them.
+    pub rows: TrialRows,
+    /// For each row, the time from the reading before to the one that is forecast, s: the time that
+    /// the forecast stands for.
+    pub step_s: Vec<f64>,
+}
+
+impl Recording {
+    /// With names from the trial's file.
+    #[must_use]
+    pub fn new(id: u32, trial: Trial) -> Self {
+        let file = trial.path().file_name().and_then(|name| name.to_str());
+        let file = file.unwrap_or_default().to_owned();
+        let rows = trial_rows(&trial);
+        let offset_ns = trial.offset_ns();
+        // Sample k carries the reading of row k; its forecast is for that of row k + 1.
+        let step_s = rows.sample_seq.iter().map(|seq| {
+            let at = *seq as usize;
+            (offset_ns[at + 1] - offset_ns[at]) as f64 * 1e-9
+        });
+        Self {
+            id,
+            name: trial.path().display().to_string(),
+            robot: trial.robot_name().unwrap_or(&file).to_owned(),
+            group: group_of(&file),
+            step_s: step_s.collect(),
+            rows,
+            trial,
+        }
+    }
+
+    /// As what the splits deal out.
+    #[must_use]
+    pub fn source(&self) -> Source {
+        Source {
+            trial: self.name.clone(),
+            robot: self.robot.clone(),
+            group: self.group.clone(),
+            rows: self.rows.clone(),
+        }
+    }
+}
+
+/// Reads recordings in parallel, and gives them in the order of their files. Each has the id that
+/// stands beside its file; of a file with several robots, each is a recording of its own.
+///
+/// # Errors
+/// That of the first file, in their order, that cannot be read.
+pub fn read_recordings(files: &[(u32, PathBuf)]) -> Result<Vec<Recording>, TrialError> {
+    let each = files.par_iter();
+    let read = each.map(|(id, path)| -> Result<Vec<Recording>, TrialError> {
+        let trials = Trial::read_robots(path)?;
+        let several = trials.len() > 1;
+        let named = trials.into_iter().map(|trial| {
+            let mut recording = Recording::new(*id, trial);
+            if several {
+                recording.name = format!("{} {}", recording.name, recording.robot);
+            }
+            recording
+        });
+        Ok(named.collect())
+    });
+    // Collected before errors are looked at, so that it is always the first one.
+    let read: Vec<Result<Vec<Recording>, TrialError>> = read.collect();
+    let mut recordings = Vec::new();
+    for read in read {
+        recordings.extend(read?);
+    }
+    Ok(recordings)
+}
+
+/// A platform that takes a trial as it was recorded: its median period, and limits that refuse
+/// nothing but what is no number. For recordings of robots that no config describes.
+#[must_use]
+pub fn recorded_platform(robot: u32, trial: &Trial) -> Platform {
+    const SECOND_NS: u64 = 1_000_000_000;
+    let period_ns = trial.period_ns().clamp(SECOND_NS / 10_000, 60 * SECOND_NS);
+    Platform {
+        name: "recorded".to_owned(),
+        robots: vec![robot..=robot],
+        period_ns,
+        stale_after_ns: (SECOND_NS / 2).clamp(5 * period_ns, 500 * period_ns),
+        hold_max_ns: u64::MAX,
+        stuck_after_ns: u64::MAX,
+        power_min_w: -1e6,
+        power_max_w: 1e6,
+        v_max_mps: 1e3,
+        omega_max_radps: 1e3,
+        power_resolution_w: 1e-3,
+        battery: None,
+        online: Online::default(),
+    }
+}

@@ -1,0 +1,175 @@
+//! All scores of an evaluation, as numbers with names.
+
+use joulebus_predictor::Model;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::blocks::{Set, Tallied};
+use super::cell::{Cell, HorizonCell, Names, cell, horizon_cell};
+use super::corrected::Lines;
+use super::design::DesignReport;
+use super::{Options, Subject};
+use joulebus_statistics::bootstrap::Bootstrap;
+use joulebus_train::linear::LinearReport;
+
+/// An evaluation: what was evaluated, beside what, and how it came out. `Display` gives tables; in
+/// JSON, what is not defined is null.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ScoreReport {
+    /// Name of the kind of robot; `recorded` where period and limits are the recordings'.
+    pub platform: String,
+    /// The models, in order.
+    pub models: Vec<ModelReport>,
+    /// Which rows were evaluated.
+    pub design: DesignReport,
+    /// The linear baselines, in order.
+    pub baselines: Vec<BaselineReport>,
+    /// How confidence intervals were made.
+    pub bootstrap: Bootstrap,
+    /// Median period of the recordings, s.
+    pub period_s: f64,
+    /// Corrected mode, all recordings.
+    pub all: Cell,
+    /// By group; empty if there is but one.
+    pub groups: Vec<Cell>,
+    /// By robot; empty if there is but one.
+    pub robots: Vec<Cell>,
+    /// By trial; empty if there is but one.
+    pub trials: Vec<Cell>,
+    /// Rows from one origin of the open loop to the next.
+    pub origins_every: usize,
+    /// Open loop, all recordings.
+    pub open_loop: HorizonCell,
+    /// By group; empty if there is but one.
+    pub open_loop_groups: Vec<HorizonCell>,
+    /// By robot; empty if there is but one.
+    pub open_loop_robots: Vec<HorizonCell>,
+    /// By trial; empty if there is but one.
+    pub open_loop_trials: Vec<HorizonCell>,
+}
+
+/// A model that was evaluated.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ModelReport {
+    /// Its name.
+    pub name: String,
+    /// Its hash, hexadecimal.
+    pub hash: String,
+    /// What it was trained on, as its file says; none for persistence.
+    pub training_data: Option<String>,
+    /// Whether it was trained with this very split: the evaluated rows decided nothing. `None`
+    /// where nobody can tell.
+    pub split_is_its_own: Option<bool>,
+}
+
+/// A linear baseline.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct BaselineReport {
+    /// Its name.
+    pub name: String,
+    /// The line of the first fold; none where there were too few rows to fit it on.
+    pub line: Option<LinearReport>,
+    /// Folds in which it could be fitted.
+    pub fitted_folds: usize,
+}
+
+pub(super) fn report(
+    subject: Subject<'_>,
+    options: &Options,
+    lines: &Lines,
+    tallied: &Tallied,
+) -> ScoreReport {
+    let names = names(subject, options);
+    let tables = |sets: Vec<Set>| -> (Vec<Cell>, Vec<HorizonCell>) {
+        let sets = if sets.len() > 1 { sets } else { Vec::new() };
+        let of = |set: &Set| {
+            (
+                cell(tallied, set, &names, options),
+                horizon_cell(tallied, set, &names, options),
+            )
+        };
+        sets.par_iter().map(of).unzip()
+    };
+    let all = tallied.all();
+    let (groups, open_loop_groups) = tables(tallied.groups());
+    let (robots, open_loop_robots) = tables(tallied.robots());
+    let (trials, open_loop_trials) = tables(tallied.trials());
+    ScoreReport {
+        platform: subject
+            .platform
+            .map_or_else(|| "recorded".to_owned(), |platform| platform.name.clone()),
+        models: subject
+            .models
+            .iter()
+            .map(|model| of_model(model, subject))
+            .collect(),
+        design: subject.design.report(),
+        baselines: baselines(options, lines),
+        bootstrap: options.bootstrap,
+        period_s: tallied.period_s(),
+        all: cell(tallied, &all, &names, options),
+        groups,
+        robots,
+        trials,
+        origins_every: options.origins_every,
+        open_loop: horizon_cell(tallied, &all, &names, options),
+        open_loop_groups,
+        open_loop_robots,
+        open_loop_trials,
+    }
+}
+
+/// Names of the forecasters; two models of the same name are told apart by their hash.
+pub(super) fn names(subject: Subject<'_>, options: &Options) -> Names {
+    let models = subject.models;
+    let mut forecasters: Vec<String> = Vec::new();
+    for model in models {
+        let is_twice = models
+            .iter()
+            .filter(|other| other.name() == model.name())
+            .count()
+            > 1;
+        let is_persistence = matches!(model, Model::Persistence(_));
+        forecasters.push(match (is_persistence, is_twice) {
+            (true, _) => "persistence (model)".to_owned(),
+            (false, true) => format!("{} {:08x}", model.name(), model.hash() >> 32),
+            (false, false) => model.name().to_owned(),
+        });
+    }
+    forecasters.push("persistence".to_owned());
+    forecasters.extend(options.baselines.iter().map(ToString::to_string));
+    Names {
+        forecasters,
+        models: models.len(),
+        nominal: f64::from(subject.settings.interval.coverage),
+    }
+}
+
+fn of_model(model: &Model, subject: Subject<'_>) -> ModelReport {
+    let card = match model {
+        Model::Network(network) => Some(network.card()),
+        Model::Persistence(_) => None,
+    };
+    let split = subject.design.data_sha256(model.feature_set());
+    ModelReport {
+        name: model.name().to_owned(),
+        hash: format!("{:016x}", model.hash()),
+        training_data: card.map(|card| card.training_data.clone()),
+        split_is_its_own: card
+            .zip(split)
+            .map(|(card, split)| card.training_data_sha256 == split),
+    }
+}
+
+fn baselines(options: &Options, lines: &Lines) -> Vec<BaselineReport> {
+    let each = options.baselines.iter().enumerate();
+    each.map(|(at, terms)| {
+        let fitted = lines.iter().filter_map(|lines| lines[at].as_ref());
+        BaselineReport {
+            name: terms.to_string(),
+            fitted_folds: fitted.clone().count(),
+            line: fitted.map(joulebus_train::linear::Linear::report).next(),
+        }
+    })
+    .collect()
+}

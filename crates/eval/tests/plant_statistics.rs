@@ -1,0 +1,57 @@
+//! The simulated robots against the figures that the paper gives.
+
+use std::path::Path;
+
+use joulebus_eval::plant_statistics::{Basics, measure, six_trials};
+use joulebus_sim::parts::Parts;
+use joulebus_sim::scenario::{SCENARIO_STEPS, SEED};
+
+fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let count = values.clone().count() as f64;
+    values.sum::<f64>() / count
+}
+
+/// The table of `docs/plant.md`, measured again.
+#[test]
+fn every_figure_of_the_paper_holds_within_its_band_and_stands_in_the_docs() {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/plant.md");
+    let docs = std::fs::read_to_string(docs).expect("the docs are in the repository");
+    let measured = measure(Parts::default(), SEED, SCENARIO_STEPS).expect("sound data");
+    let mut wrong = Vec::new();
+    for figure in measured.figures() {
+        println!("{figure} held within {:?}", figure.held);
+        if !figure.holds() {
+            wrong.push(format!("{figure} is not within {:?}", figure.held));
+        }
+        if !docs.contains(&figure.to_string()) {
+            wrong.push(format!("{figure} is not what docs/plant.md says"));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn the_fit_is_no_accident_of_a_seed() {
+    let all: Vec<Basics> = (201..209)
+        .map(|seed| {
+            let (trials, rows) = six_trials(Parts::default(), seed);
+            Basics::of(&trials, &rows)
+        })
+        .collect();
+    let average = |figure: fn(&Basics) -> f64| mean(all.iter().map(figure));
+    let figures: [(&str, f64, f64, f64); 6] = [
+        ("mean, W", average(|b| b.mean_w), 3.652, 0.04),
+        ("deviation, W", average(|b| b.std_w), 0.375, 0.02),
+        ("lowest, W", average(|b| b.min_w), 3.0, 0.15),
+        ("ρ₁", average(|b| mean(b.rho1.iter().copied())), 0.95, 0.004),
+        ("R² of velocities", average(|b| b.r2_velocities), 0.16, 0.03),
+        ("R² with one lag", average(|b| b.r2_one_lag), 0.90, 0.01),
+    ];
+    for (name, found, paper, tolerance) in figures {
+        println!("{name}: {found:.4}, the paper {paper}");
+        assert!(
+            (found - paper).abs() <= tolerance,
+            "{name}: {found}, the paper {paper}"
+        );
+    }
+}

@@ -1,0 +1,111 @@
+//! A model for other programs: plain arrays, or an ONNX graph.
+
+use prost::Message as _;
+
+use super::{archive, npy, onnx, own};
+use crate::{Entry, EntryValue};
+use joulebus_predictor::{Features, ModelError, Network};
+use joulebus_statistics::noise::Noise;
+
+/// Rows that exported arrays carry with their forecasts.
+pub const CHECK_ROWS: usize = 32;
+
+/// Why a model was not exported.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// The model file could not be made.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The archive could not be made.
+    #[error("the archive cannot be written: {0}")]
+    Archive(#[from] zip::result::ZipError),
+}
+
+/// The model as plain NumPy arrays: name without `.npy`, and the bytes of its file. Everything is
+/// `<f4`, in SI units.
+///
+/// - `layers.0.weight` (64, 11) … `layers.3.bias` (1): a row of inputs for each output;
+/// - `feature_mean`, `feature_std` (11), `power_mean_w`, `power_std_w` (scalars): the forecast is
+///   the last layer times `power_std_w` plus `power_mean_w`, and a feature whose deviation is 0
+///   counts as 0;
+/// - `feature_min`, `feature_max` (11): the range in training;
+/// - `metadata` (text): everything else that the model file says, as JSON; with it, the arrays are
+///   read back as the same model;
+/// - `check_features` ([`CHECK_ROWS`], 11) and `check_power_w` ([`CHECK_ROWS`]): rows within the
+///   range in training and the forecasts for them, for whoever writes the network anew.
+///
+/// A network of readings alone has 5 in place of 11; one that reads freshness has two more, the last.
+///
+/// # Errors
+/// [`ExportError`]: a card too long for a model file.
+pub fn to_arrays(network: &Network) -> Result<Vec<(String, Vec<u8>)>, ExportError> {
+    let metadata = own::metadata(&network.to_safetensors()?)?;
+    let descr = format!("|S{}", metadata.len());
+    let mut arrays = vec![(
+        own::METADATA.to_owned(),
+        npy::write(&descr, &[], metadata.as_bytes()),
+    )];
+    for Entry { path, value } in own::entries(network) {
+        if let EntryValue::Tensor(tensor) = value {
+            let values = tensor.values().iter().map(|value| *value as f32);
+            arrays.push((path, plain(tensor.shape(), values)));
+        }
+    }
+    let rows = check_rows(network);
+    let mut forecasts_w = [0.0; CHECK_ROWS];
+    network.predict(&rows, &mut forecasts_w);
+    let set = network.feature_set();
+    let inputs = rows.iter().flat_map(|row| row[set.range()].to_vec());
+    let name = |what: &str| format!("{}{what}", own::CHECK);
+    let shape = [CHECK_ROWS, set.inputs()];
+    arrays.push((name("features"), plain(&shape, inputs)));
+    arrays.push((
+        name("power_w"),
+        plain(&[CHECK_ROWS], forecasts_w.into_iter()),
+    ));
+    Ok(arrays)
+}
+
+/// The model as an archive of [`to_arrays`], uncompressed: the same bytes for the same model.
+///
+/// # Errors
+/// As [`to_arrays`].
+pub fn to_npz(network: &Network) -> Result<Vec<u8>, ExportError> {
+    let arrays = to_arrays(network)?.into_iter();
+    let members: Vec<_> = arrays
+        .map(|(name, bytes)| (format!("{name}.npy"), bytes))
+        .collect();
+    Ok(archive::write(&members)?)
+}
+
+/// The model as an ONNX graph, opset 17: input `features` (n, 11) in SI units, as the worker has
+/// them, and output `power_w` (n, 1). The normalisation is part of the graph; GELU is written with
+/// `Erf` (or `Tanh`), which every runtime knows, while the operator `Gelu` needs opset 20.
+///
+/// # Errors
+/// [`ExportError`]: a card too long for a model file.
+pub fn to_onnx(network: &Network) -> Result<Vec<u8>, ExportError> {
+    let metadata = own::metadata(&network.to_safetensors()?)?;
+    Ok(onnx::model(network, &metadata).encode_to_vec())
+}
+
+fn plain(shape: &[usize], values: impl Iterator<Item = f32>) -> Vec<u8> {
+    let bytes: Vec<u8> = values.flat_map(f32::to_le_bytes).collect();
+    npy::write("<f4", shape, &bytes)
+}
+
+/// Rows drawn from the range in training.
+fn check_rows(network: &Network) -> [Features; CHECK_ROWS] {
+    let range = &network.card().training_range;
+    let mut noise = Noise::new(network.hash(), 0);
+    std::array::from_fn(|_| {
+        std::array::from_fn(|feature| {
+            if feature >= network.feature_set().end() {
+                return 0.0;
+            }
+            let (min, max) = (range.min[feature], range.max[feature]);
+            min + (max - min) * noise.uniform() as f32
+        })
+    })
+}

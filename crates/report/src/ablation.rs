@@ -1,0 +1,140 @@
+//! Figure 2: what a forecast needs to know.
+
+use super::document::{Cell, Column, Part, Section, Table};
+use super::material::{Material, interval, scaled};
+use super::paper;
+use crate::figure::{Axis, Colour, Direction, Figure, Interval, Layer, Mark, Panel};
+use joulebus_eval::score::ForecasterScore;
+
+/// The section: from velocities alone to the network.
+pub(super) fn section(material: &Material<'_>) -> Section {
+    let ladder = ladder(material);
+    Section {
+        id: "ablation".to_owned(),
+        title: "What a forecast needs to know".to_owned(),
+        parts: vec![
+            Part::Words(format!(
+                "Linear models of more and more past readings, and the network, on the same rows \
+                 ({}). What the last reading alone is worth shows in persistence.",
+                material.scored.report.design.description
+            )),
+            Part::Figure(figure(material, &ladder)),
+            Part::Table(table(material, &ladder)),
+        ],
+    }
+}
+
+/// From what knows least to what knows most.
+fn ladder<'a>(material: &Material<'a>) -> Vec<&'a ForecasterScore> {
+    let forecasters = &material.scored.report.all.forecasters;
+    let models = material.models().min(forecasters.len());
+    let (networks, others) = forecasters.split_at(models);
+    let persistence = others.iter().take(1);
+    let mut lines: Vec<&ForecasterScore> = others.iter().skip(1).collect();
+    // Velocities alone know no reading at all.
+    let first = lines.drain(..1.min(lines.len())).collect::<Vec<_>>();
+    first
+        .into_iter()
+        .chain(persistence)
+        .chain(lines)
+        .chain(networks)
+        .collect()
+}
+
+fn papers(score: &ForecasterScore) -> f64 {
+    match score.name.as_str() {
+        "velocities" => paper::R2_VELOCITIES,
+        "velocities + 1 lag" => paper::R2_ONE_LAG,
+        _ => f64::NAN,
+    }
+}
+
+fn figure(material: &Material<'_>, ladder: &[&ForecasterScore]) -> Figure {
+    let names: Vec<String> = ladder.iter().map(|score| score.name.clone()).collect();
+    let bars = |values: Vec<Interval>| Mark::Bars {
+        values,
+        slot: [0, 1],
+        direction: Direction::Across,
+    };
+    let r2 = ladder.iter().map(|score| interval(score.r2)).collect();
+    let unit = material.unit;
+    let mae = ladder
+        .iter()
+        .map(|score| scaled(score.mae_w, |value_w| unit.scaled_w(value_w)));
+    let mut layers = vec![Layer::named(
+        "here, with 95 % interval",
+        Colour::Blue,
+        bars(r2),
+    )];
+    if material.beside_paper {
+        let values = ladder
+            .iter()
+            .map(|score| Interval::exact(papers(score)))
+            .collect();
+        let dots = Mark::Dots {
+            values,
+            slot: [0, 1],
+            direction: Direction::Across,
+        };
+        layers.push(Layer::named("paper", Colour::Vermilion, dots));
+    }
+    let panel = |title: &str, x: Axis, layers: Vec<Layer>| Panel {
+        title: title.to_owned(),
+        x,
+        y: Axis::names("", names.clone()),
+        layers,
+    };
+    material.noted(Figure::new(
+        "figure-2-ablation",
+        "Figure 2. What a forecast needs to know.",
+        "Coefficient of determination and mean absolute error of linear models with more and more \
+         past readings, of persistence and of the network.",
+        vec![
+            panel("coefficient of determination", Axis::new("R²"), layers),
+            panel(
+                "error",
+                Axis::new(format!("MAE ({})", unit.name())),
+                vec![Layer::named("here", Colour::Blue, bars(mae.collect()))],
+            ),
+        ],
+    ))
+}
+
+fn table(material: &Material<'_>, ladder: &[&ForecasterScore]) -> Table {
+    let unit = material.unit;
+    let row = |score: &&ForecasterScore| {
+        let mut row = vec![
+            Cell::words(&score.name),
+            Cell::Count(score.count),
+            Cell::Number(score.r2.value, 3),
+            Cell::Range([score.r2.lo, score.r2.hi], 3),
+            unit.cell(score.mae_w.value, true),
+        ];
+        if material.beside_paper {
+            let papers = papers(score);
+            row.push(if papers.is_nan() {
+                Cell::Nothing
+            } else {
+                Cell::Number(papers, 2)
+            });
+        }
+        row
+    };
+    let mut columns = vec![
+        Column::new("forecaster", "forecaster"),
+        Column::new("rows", "rows"),
+        Column::new("r2", "R²"),
+        Column::new("r2_interval", "R², 95 % interval"),
+        unit.column("mae", "MAE"),
+    ];
+    if material.beside_paper {
+        columns.push(Column::new("paper_r2", "R² in the paper"));
+    }
+    Table {
+        id: "table-ablation".to_owned(),
+        caption: "What a forecast needs to know: the numbers of figure 2.".to_owned(),
+        columns,
+        rows: ladder.iter().map(row).collect(),
+        folded: false,
+    }
+}

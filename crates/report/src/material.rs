@@ -1,0 +1,124 @@
+//! What the sections of a report are made from.
+
+use crate::figure::{Colour, Figure, Interval};
+use joulebus_eval::evaluate::RobotEvaluation;
+use joulebus_eval::score::{ForecasterScore, Recording, Scored};
+use joulebus_train::linear::Terms;
+
+use super::series::Series;
+use super::unit::Unit;
+use joulebus_statistics::bootstrap::Estimate;
+
+/// An evaluation and its recordings.
+#[derive(Clone, Copy)]
+pub(super) struct Material<'a> {
+    pub(super) recordings: &'a [Recording],
+    pub(super) scored: &'a Scored,
+    pub(super) unit: Unit,
+    /// Written into every picture.
+    pub(super) note: Option<&'a str>,
+    /// Whether the robots are GTernal's, so that the paper's numbers can stand beside.
+    pub(super) beside_paper: bool,
+}
+
+/// The baselines of a report: what the ablation steps through.
+pub(super) const BASELINES: [Terms; 4] = [
+    Terms::VELOCITIES,
+    Terms::velocities_and_lags(1),
+    Terms::AR5,
+    Terms::AR5_AND_VELOCITIES,
+];
+
+impl<'a> Material<'a> {
+    /// Number of models; they are the first forecasters.
+    pub(super) fn models(&self) -> usize {
+        self.scored.report.models.len()
+    }
+
+    /// The forecasters that stand side by side everywhere: the models, persistence, and the line
+    /// that is shown all that the network is.
+    pub(super) fn contenders(&self) -> Vec<(usize, String)> {
+        let forecasters = &self.scored.report.all.forecasters;
+        let line = Terms::AR5_AND_VELOCITIES.to_string();
+        forecasters
+            .iter()
+            .enumerate()
+            .filter(|(at, score)| *at <= self.models() || score.name == line)
+            .map(|(at, score)| (at, score.name.clone()))
+            .collect()
+    }
+
+    /// The colour of a forecaster, the same in every picture.
+    pub(super) fn colour(&self, forecaster: usize) -> Colour {
+        match forecaster.checked_sub(self.models()) {
+            None if forecaster == 0 => Colour::Blue,
+            None => Colour::Purple,
+            Some(0) => Colour::Orange,
+            Some(past) if past == BASELINES.len() => Colour::Green,
+            Some(_) => Colour::Sky,
+        }
+    }
+
+    /// Name of the first model.
+    pub(super) fn model(&self) -> &'a str {
+        let models = self.scored.report.models.first();
+        models.map_or("model", |model| model.name.as_str())
+    }
+
+    /// Recordings of the first model's live path with their curves.
+    pub(super) fn live(&self) -> &'a [RobotEvaluation] {
+        self.scored
+            .live
+            .first()
+            .map_or(&[], |live| live.robots.as_slice())
+    }
+
+    /// The curves of the trial of this name.
+    pub(super) fn series(&self, name: &str) -> Option<Series> {
+        let mut robots = self.live().iter();
+        let robot = robots.find(|robot| robot.path.display().to_string() == name)?;
+        Some(Series::of(robot))
+    }
+
+    /// A picture with the note that goes with it everywhere.
+    pub(super) fn noted(&self, mut figure: Figure) -> Figure {
+        figure.note = self.note.map(str::to_owned);
+        figure
+    }
+}
+
+/// The file's name of a trial without folder and ending; robots of the published layout are numbers.
+pub(super) fn label(name: &str) -> String {
+    if name.parse::<u32>().is_ok() {
+        return format!("robot {name}");
+    }
+    let file = name.rsplit('/').next().unwrap_or(name);
+    let stem = file.split('.').next().unwrap_or(file);
+    let stem = stem.strip_prefix("energy_data_").unwrap_or(stem);
+    if stem.is_empty() { name } else { stem }.replace('_', " ")
+}
+
+pub(super) fn interval(estimate: Estimate) -> Interval {
+    Interval {
+        value: estimate.value,
+        low: estimate.lo,
+        high: estimate.hi,
+    }
+}
+
+pub(super) fn scaled(estimate: Estimate, scale: impl Fn(f64) -> f64) -> Interval {
+    Interval {
+        value: scale(estimate.value),
+        low: scale(estimate.lo),
+        high: scale(estimate.hi),
+    }
+}
+
+/// Skill against persistence; NaN for persistence itself.
+pub(super) fn skill_against_persistence(score: &ForecasterScore) -> Estimate {
+    let against = score
+        .skill
+        .iter()
+        .find(|skill| skill.against == "persistence");
+    against.map_or(Estimate::alone(f64::NAN), |skill| skill.skill)
+}

@@ -1,0 +1,256 @@
+//! A report on recordings.
+
+use joulebus_predictor::Model;
+use joulebus_settings::{FleetSettings, Platform};
+
+use super::document::{Cell, Column, Document, Part, Section, Table};
+use super::material::{BASELINES, Material};
+use super::robots::Grouping;
+use super::unit::Unit;
+use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
+use joulebus_eval::score::{Design, Options, Recording, Scored, Subject, score};
+
+/// What a report on recordings is made from.
+#[derive(Debug, Clone)]
+pub struct Recorded<'a> {
+    /// Intake and intervals of the live path; its platforms do not count.
+    pub settings: &'a FleetSettings,
+    /// The kind of robot; none takes period and limits from each recording.
+    pub platform: Option<&'a Platform>,
+    /// The models, at least one; the first is shown in every picture.
+    pub models: &'a [Model],
+    /// What is evaluated.
+    pub recordings: &'a [Recording],
+    /// Recordings that the baselines are fitted on; empty: the evaluated ones, in turn.
+    pub learned_from: Vec<Recording>,
+    /// Whether these are the recordings that the paper published, so that its numbers stand beside.
+    pub published: bool,
+}
+
+/// Evaluates the models on the recordings and reports it.
+///
+/// # Errors
+/// [`ReportError`]: nothing to evaluate, or settings that are refused.
+pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
+    let Recorded {
+        settings,
+        platform,
+        models,
+        recordings,
+        published,
+        ..
+    } = *what;
+    let design = if what.learned_from.is_empty() {
+        Design::folds(recordings)
+    } else {
+        Design::fitted_on(recordings, what.learned_from.clone())
+    };
+    let subject = Subject {
+        settings,
+        platform,
+        models,
+        recordings,
+        design: &design,
+    };
+    let scored = score(subject, &options())?;
+    let levels = match models.first() {
+        Some(model) => calibration::levels(settings, platform, model, recordings)?,
+        None => Vec::new(),
+    };
+    let note = simulation(models);
+    let material = Material {
+        recordings,
+        scored: &scored,
+        unit: Unit::of(scored.report.all.reading_mean_w),
+        note: note.as_deref(),
+        beside_paper: published,
+    };
+    let trial = shown_trial(recordings, published);
+    let mut sections = vec![
+        inputs(&material),
+        power::section(&material),
+        ablation::section(&material),
+    ];
+    sections.extend(forecast::section(&material, &trial));
+    let chosen = robots::chosen(&material);
+    sections.extend(chosen.map(|(kind, sets)| robots::section(&material, kind, sets)));
+    sections.extend(horizons::section(&material));
+    let sets = chosen.map_or(&[] as &[_], |(_, sets)| sets);
+    sections.push(calibration::section(&material, &levels, sets, &trial));
+    sections.push(all_scores(&material, chosen.map(|(kind, _)| kind)));
+    let trials = recordings.len();
+    Ok(Document {
+        title: format!(
+            "Power forecasts of {}, on {trials} recordings",
+            material.model()
+        ),
+        warning: note,
+        summary: vec![verdict(&scored)],
+        sections,
+    })
+}
+
+/// How the evaluations of reports are made.
+pub(super) fn options() -> Options {
+    Options {
+        baselines: BASELINES.to_vec(),
+        ..Options::default()
+    }
+}
+
+/// What must be said of a model that knows no real robot.
+fn simulation(models: &[Model]) -> Option<String> {
+    let simulated = models.iter().filter(|model| match model {
+        Model::Network(network) => network.card().source == "simulation",
+        Model::Persistence(_) => false,
+    });
+    let names: Vec<&str> = simulated.map(Model::name).collect();
+    (!names.is_empty()).then(|| {
+        let names = names.join(", ");
+        format!("trained on simulated robots: {names}")
+    })
+}
+
+/// The paper's trial 6 where it is there, else the longest.
+fn shown_trial(recordings: &[Recording], published: bool) -> String {
+    let sixth = recordings
+        .iter()
+        .find(|recording| recording.name.contains("trial6"));
+    let longest = || {
+        let longest = |recording: &&Recording| recording.rows.rows.len();
+        recordings.iter().rev().max_by_key(longest)
+    };
+    let shown = sixth.filter(|_| published).or_else(longest);
+    shown
+        .map(|recording| recording.name.clone())
+        .unwrap_or_default()
+}
+
+/// In a sentence, how the first model stands against what it has to beat.
+pub(super) fn verdict(scored: &Scored) -> String {
+    let all = &scored.report.all;
+    let Some(first) = all.forecasters.first() else {
+        return String::new();
+    };
+    let skills = first
+        .skill
+        .iter()
+        .filter(|skill| skill.against == "persistence" || skill.against == "AR(5) + velocities");
+    let skills: Vec<String> = skills
+        .map(|skill| {
+            let found = skill.skill;
+            let word = if found.is_above(0.0) {
+                "better than"
+            } else if found.is_below(0.0) {
+                "worse than"
+            } else {
+                "not to be told from"
+            };
+            let [value, lo, hi] =
+                [found.value, found.lo, found.hi].map(|skill| Cell::Number(skill, 3).shown());
+            format!(
+                "{word} {} (skill {value}, 95 % interval {lo} to {hi})",
+                skill.against
+            )
+        })
+        .collect();
+    format!(
+        "On {} rows of {} trials, one tick ahead, {} reaches R² {:.3} and is {}.",
+        all.rows,
+        all.trials,
+        first.name,
+        first.r2.value,
+        skills.join(", and ")
+    )
+}
+
+/// What was evaluated.
+fn inputs(material: &Material<'_>) -> Section {
+    let report = &material.scored.report;
+    let mut rows: Vec<Vec<Cell>> = Vec::new();
+    let mut row =
+        |what: &str, value: String| rows.push(vec![Cell::words(what), Cell::Words(value)]);
+    for model in &report.models {
+        let data = model.training_data.as_deref().unwrap_or("nothing");
+        row(
+            "model",
+            format!("{} ({}), trained on: {data}", model.name, model.hash),
+        );
+    }
+    row("platform", report.platform.clone());
+    row("recordings", report.design.trials.to_string());
+    row("rows to evaluate", report.design.rows.to_string());
+    row("baselines", report.design.description.clone());
+    row("period", format!("{:.1} ms", 1e3 * report.period_s));
+    let bootstrap = report.bootstrap;
+    row(
+        "95 % intervals",
+        format!(
+            "block bootstrap, {} draws, seed {}; blocks of {} rows, or whole trials from {} trials on",
+            bootstrap.resamples, bootstrap.seed, bootstrap.block_rows, bootstrap.trials_from
+        ),
+    );
+    Section {
+        id: "inputs".to_owned(),
+        title: "What was evaluated".to_owned(),
+        parts: vec![Part::Table(Table {
+            id: "table-inputs".to_owned(),
+            caption: "Models, recordings and method.".to_owned(),
+            columns: vec![Column::new("what", "what"), Column::new("value", "value")],
+            rows,
+            folded: false,
+        })],
+    }
+}
+
+/// Every table that no section before has shown.
+pub(super) fn all_scores(material: &Material<'_>, shown: Option<Grouping>) -> Section {
+    let report = &material.scored.report;
+    let mut parts = vec![Part::Table(scores::table(
+        material,
+        "table-all",
+        "All recordings together, one tick ahead.",
+        &[&report.all],
+    ))];
+    let sets = [
+        (Grouping::Groups, "group", &report.groups),
+        (Grouping::Robots, "robot", &report.robots),
+        (Grouping::Trials, "trial", &report.trials),
+    ];
+    for (kind, word, sets) in sets {
+        if sets.is_empty() || shown == Some(kind) {
+            continue;
+        }
+        let sets: Vec<_> = sets.iter().collect();
+        let caption = format!("By {word}, one tick ahead.");
+        let mut table = scores::table(material, &format!("table-by-{word}"), &caption, &sets);
+        table.folded = true;
+        parts.push(Part::Table(table));
+    }
+    Section {
+        id: "scores".to_owned(),
+        title: "All scores".to_owned(),
+        parts,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::material::label;
+
+    #[test]
+    fn trials_are_called_by_what_distinguishes_them() {
+        for (name, called) in [
+            (
+                "simulated/energy_data_trial6_steady_state.npy",
+                "trial6 steady state",
+            ),
+            ("recordings/ICE_03.csv.gz", "ICE 03"),
+            ("all", "all"),
+            ("7", "robot 7"),
+            ("", ""),
+        ] {
+            assert_eq!(label(name), called);
+        }
+    }
+}

@@ -1,0 +1,58 @@
+//! Tables of scores: who forecasts how well, on which recordings.
+
+use super::document::{Cell, Column, Table};
+use super::material::{Material, label, skill_against_persistence};
+use joulebus_eval::score::{Cell as Scores, ForecasterScore};
+
+/// One row for each set of recordings and each contender.
+pub(super) fn table(material: &Material<'_>, id: &str, caption: &str, sets: &[&Scores]) -> Table {
+    let unit = material.unit;
+    let columns = vec![
+        Column::new("recordings", "recordings"),
+        Column::new("forecaster", "forecaster"),
+        Column::new("rows", "rows"),
+        Column::new("r2", "R²"),
+        Column::new("r2_interval", "R², 95 % interval"),
+        unit.column("mae", "MAE"),
+        unit.column("rmse", "RMSE"),
+        unit.column("bias", "bias"),
+        Column::new("energy_error_percent", "energy error (%)"),
+        Column::new("skill", "skill against persistence"),
+        Column::new("coverage_percent", "inside interval (%)"),
+    ];
+    let rows = sets.iter().flat_map(|set| {
+        let contenders = material.contenders().into_iter();
+        contenders.filter_map(|(at, _)| Some(row(material, set, set.forecasters.get(at)?)))
+    });
+    Table {
+        id: id.to_owned(),
+        caption: caption.to_owned(),
+        columns,
+        rows: rows.collect(),
+        folded: false,
+    }
+}
+
+fn row(material: &Material<'_>, set: &Scores, score: &ForecasterScore) -> Vec<Cell> {
+    let unit = material.unit;
+    let skill = skill_against_persistence(score);
+    vec![
+        Cell::words(label(&set.name)),
+        Cell::words(&score.name),
+        Cell::Count(score.count),
+        Cell::Number(score.r2.value, 3),
+        Cell::Range([score.r2.lo, score.r2.hi], 3),
+        unit.cell(score.mae_w.value, true),
+        unit.cell(score.rmse_w.value, true),
+        unit.cell(score.bias_w.value, true),
+        Cell::Number(100.0 * score.energy_error.value, 3),
+        if skill.value.is_nan() {
+            Cell::Nothing
+        } else {
+            Cell::Number(skill.value, 3)
+        },
+        score.interval.as_ref().map_or(Cell::Nothing, |interval| {
+            Cell::Number(100.0 * interval.scores.coverage, 1)
+        }),
+    ]
+}

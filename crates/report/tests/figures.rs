@@ -1,0 +1,417 @@
+//! Figures: well-formed, complete, the same bytes for the same data, and honest about missing data.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+use joulebus_report::figure::{
+    Axis, Colour, Direction, Figure, FigureError, Interval, Layer, Mark, Panel, bins, tiles,
+};
+use proptest::prelude::*;
+use roxmltree::{Document, Node};
+
+fn panel(layers: Vec<Layer>) -> Panel {
+    Panel {
+        title: "a panel".to_owned(),
+        x: Axis::new("time (s)"),
+        y: Axis::new("power (W)"),
+        layers,
+    }
+}
+
+fn figure(panels: Vec<Panel>) -> Figure {
+    Figure::new("a-figure", "A figure", "What is to be seen.", panels)
+}
+
+fn line(points: &[[f64; 2]], dashed: bool) -> Mark {
+    Mark::Line {
+        points: points.to_vec(),
+        dashed,
+    }
+}
+
+/// One panel of every kind of mark.
+fn everything() -> Figure {
+    let wave: Vec<[f64; 2]> = (0..500)
+        .map(|i| [f64::from(i) / 30.0, (f64::from(i) / 20.0).sin()])
+        .collect();
+    let names = || {
+        vec![
+            "network".to_owned(),
+            "AR(5)".to_owned(),
+            "persistence".to_owned(),
+        ]
+    };
+    let values = |shift: f64| -> Vec<Interval> {
+        [0.9, 0.8, f64::NAN]
+            .map(|value| Interval {
+                value: value + shift,
+                low: value + shift - 0.05,
+                high: value + shift + 0.02,
+            })
+            .to_vec()
+    };
+    let heights = wave.iter().map(|[_, y]| *y);
+    let mut panels = vec![
+        panel(vec![
+            Layer::plain(Colour::Sky, Mark::Stripe([2.0, 4.0])),
+            Layer::named(
+                "interval",
+                Colour::Blue,
+                Mark::Band(wave.iter().map(|[x, y]| [*x, y - 0.2, y + 0.2]).collect()),
+            ),
+            Layer::named("reading", Colour::Ink, line(&wave, false)),
+            Layer::named("forecast", Colour::Orange, line(&wave[..40], true)),
+            Layer::plain(
+                Colour::Grey,
+                Mark::Rule {
+                    at: 0.5,
+                    direction: Direction::Across,
+                },
+            ),
+        ]),
+        panel(vec![
+            Layer::named(
+                "density",
+                Colour::Blue,
+                Mark::density(&bins(heights, [-1.0, 1.0], 20)),
+            ),
+            Layer::plain(
+                Colour::Vermilion,
+                Mark::Rule {
+                    at: 0.0,
+                    direction: Direction::Up,
+                },
+            ),
+        ]),
+        panel(vec![
+            Layer::named(
+                "pairs",
+                Colour::Blue,
+                Mark::Tiles(tiles(wave.iter().copied(), [0.0, 17.0], [-1.0, 1.0], 20)),
+            ),
+            Layer::named("same", Colour::Grey, Mark::Diagonal),
+            Layer::named("some", Colour::Green, Mark::Points(wave[..20].to_vec())),
+        ]),
+        panel(vec![
+            Layer::named(
+                "here",
+                Colour::Blue,
+                Mark::Dots {
+                    values: values(0.0),
+                    slot: [0, 2],
+                    direction: Direction::Across,
+                },
+            ),
+            Layer::named(
+                "paper",
+                Colour::Vermilion,
+                Mark::Dots {
+                    values: values(0.05),
+                    slot: [1, 2],
+                    direction: Direction::Across,
+                },
+            ),
+        ]),
+        panel(vec![Layer::named(
+            "energy",
+            Colour::Green,
+            Mark::Bars {
+                values: values(0.0),
+                slot: [0, 1],
+                direction: Direction::Up,
+            },
+        )]),
+    ];
+    panels[3].y = Axis::names("model", names());
+    panels[4].x = Axis::names("model", names());
+    panels[4].y = Axis::new("R²").including(0.0);
+    Figure {
+        note: Some("simulated".to_owned()),
+        ..figure(panels)
+    }
+}
+
+fn words<'a>(document: &'a Document<'_>) -> Vec<&'a str> {
+    let texts = document
+        .descendants()
+        .filter(|node| node.has_tag_name("text"));
+    texts
+        .filter_map(|node| node.text())
+        .map(str::trim)
+        .collect()
+}
+
+/// Every x and y at which something is drawn.
+fn places(node: Node<'_, '_>) -> Vec<[f64; 2]> {
+    let number = |name: &str| {
+        node.attribute(name)
+            .and_then(|text| text.parse::<f64>().ok())
+    };
+    let pair = |x: &str, y: &str| Some([number(x)?, number(y)?]);
+    let listed = node.attribute("points").unwrap_or_default();
+    let listed = listed.split_whitespace().map(|pair| {
+        let (x, y) = pair.split_once(',').unwrap();
+        [x.parse().unwrap(), y.parse().unwrap()]
+    });
+    let single = [
+        pair("x", "y"),
+        pair("x1", "y1"),
+        pair("x2", "y2"),
+        pair("cx", "cy"),
+    ];
+    listed.chain(single.into_iter().flatten()).collect()
+}
+
+fn check(svg: &str) {
+    let document = Document::parse(svg).unwrap();
+    let root = document.root_element();
+    let size: Vec<f64> = root
+        .attribute("viewBox")
+        .unwrap()
+        .split(' ')
+        .map(|number| number.parse().unwrap())
+        .collect();
+    for node in document.descendants() {
+        for [x, y] in places(node) {
+            assert!(
+                (0.0..=size[2]).contains(&x),
+                "{x} of {} in {node:?}",
+                size[2]
+            );
+            assert!(
+                (0.0..=size[3]).contains(&y),
+                "{y} of {} in {node:?}",
+                size[3]
+            );
+        }
+    }
+}
+
+#[test]
+fn every_kind_of_mark_is_drawn_within_the_picture() {
+    let svg = everything().svg().unwrap();
+    check(&svg);
+    let document = Document::parse(&svg).unwrap();
+    for tag in ["polyline", "polygon", "rect", "circle", "text"] {
+        assert!(
+            document.descendants().any(|node| node.has_tag_name(tag)),
+            "{tag}"
+        );
+    }
+    for colour in [
+        Colour::Blue,
+        Colour::Orange,
+        Colour::Green,
+        Colour::Vermilion,
+        Colour::Sky,
+    ] {
+        let hex = Colour::hex(colour.light());
+        assert!(svg.contains(&hex), "{colour:?}");
+    }
+    let words = words(&document);
+    for said in [
+        "(a) a panel",
+        "time (s)",
+        "power (W)",
+        "reading",
+        "persistence",
+        "simulated",
+    ] {
+        assert!(words.contains(&said), "{said}: {words:?}");
+    }
+}
+
+#[test]
+fn who_does_not_see_a_picture_is_told_what_it_shows() {
+    let figure = Figure {
+        title: "R² < 1 & \"skill\"".to_owned(),
+        ..everything()
+    };
+    let svg = figure.svg().unwrap();
+    let document = Document::parse(&svg).unwrap();
+    let root = document.root_element();
+    assert_eq!(root.attribute("role"), Some("img"));
+    for id in root.attribute("aria-labelledby").unwrap().split(' ') {
+        let named = root
+            .children()
+            .find(|node| node.attribute("id") == Some(id));
+        assert!(named.unwrap().text().is_some(), "{id}");
+    }
+    let title = root.children().find(|node| node.has_tag_name("title"));
+    assert_eq!(title.unwrap().text(), Some("R² < 1 & \"skill\""));
+}
+
+#[test]
+fn nothing_to_show_says_so() {
+    let nothing = [
+        Vec::new(),
+        vec![Layer::named("a", Colour::Blue, line(&[], false))],
+        vec![Layer::named(
+            "a",
+            Colour::Blue,
+            line(&[[f64::NAN, 1.0]], true),
+        )],
+        vec![Layer::named(
+            "a",
+            Colour::Blue,
+            Mark::Band(vec![[0.0, f64::NAN, 1.0]]),
+        )],
+        vec![Layer::named(
+            "a",
+            Colour::Blue,
+            Mark::Points(vec![[f64::INFINITY, 1.0]]),
+        )],
+        vec![Layer::named(
+            "a",
+            Colour::Blue,
+            Mark::density(&bins([].into_iter(), [0.0, 1.0], 9)),
+        )],
+        vec![Layer::named(
+            "a",
+            Colour::Blue,
+            Mark::Tiles(tiles([].into_iter(), [0.0, 1.0], [0.0, 1.0], 9)),
+        )],
+        vec![Layer::plain(
+            Colour::Grey,
+            Mark::Rule {
+                at: 1.0,
+                direction: Direction::Up,
+            },
+        )],
+        vec![Layer::plain(Colour::Grey, Mark::Diagonal)],
+    ];
+    for layers in nothing {
+        let svg = figure(vec![panel(layers.clone())]).svg().unwrap();
+        let document = Document::parse(&svg).unwrap();
+        assert!(words(&document).contains(&"no data"), "{layers:?}");
+    }
+}
+
+#[test]
+fn a_hole_in_a_line_stays_a_hole() {
+    let points = [
+        [0.0, 1.0],
+        [1.0, 2.0],
+        [2.0, f64::NAN],
+        [3.0, 1.0],
+        [4.0, 2.0],
+    ];
+    let svg = figure(vec![panel(vec![Layer::plain(
+        Colour::Blue,
+        line(&points, false),
+    )])])
+    .svg()
+    .unwrap();
+    let document = Document::parse(&svg).unwrap();
+    let blue = Colour::hex(Colour::Blue.light());
+    let lines = document
+        .descendants()
+        .filter(|node| node.attribute("stroke") == Some(&blue))
+        .count();
+    assert_eq!(lines, 2);
+}
+
+#[test]
+fn the_same_data_gives_the_same_bytes() {
+    assert_eq!(everything().svg().unwrap(), everything().svg().unwrap());
+    assert_eq!(
+        everything().png(1.0).unwrap(),
+        everything().png(1.0).unwrap()
+    );
+}
+
+#[test]
+fn a_picture_of_pixels_has_its_size_and_its_words() {
+    let with = everything();
+    let png = with.png(1.0).unwrap();
+    assert_eq!(&png[..8], b"\x89PNG\r\n\x1a\n");
+    let width = u32::from_be_bytes(png[16..20].try_into().unwrap());
+    assert_eq!(width, 760);
+    // Words are drawn with a font of our own: without the title the pixels are others.
+    let mut without = everything();
+    without.panels[0].title = String::new();
+    assert_ne!(png, without.png(1.0).unwrap());
+    for scale in [0.0, f32::NAN, 9.0] {
+        let refused = with.png(scale).unwrap_err();
+        assert!(refused.to_string().contains("0.5 to 8"), "{refused}");
+    }
+}
+
+#[test]
+fn a_layout_out_of_range_is_refused_with_its_numbers() {
+    let sound = everything();
+    let wrong = [
+        Figure {
+            panels: Vec::new(),
+            ..sound.clone()
+        },
+        Figure {
+            columns: 0,
+            ..sound.clone()
+        },
+        Figure {
+            columns: 9,
+            ..sound.clone()
+        },
+        Figure {
+            panel_height_px: 99,
+            ..sound.clone()
+        },
+    ];
+    for figure in wrong {
+        assert!(
+            matches!(figure.svg(), Err(FigureError::Layout { .. })),
+            "{figure:?}"
+        );
+    }
+}
+
+fn numbers() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        8 => -1e3..1e3f64,
+        2 => proptest::num::f64::ANY,
+        1 => Just(0.0),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn no_data_breaks_a_picture(
+        points in proptest::collection::vec([numbers(), numbers()], 0..40),
+        bands in proptest::collection::vec([numbers(), numbers(), numbers()], 0..10),
+        values in proptest::collection::vec([numbers(), numbers(), numbers()], 0..5),
+        label in "\\PC{0,12}|[\u{0}-\u{40}]{0,6}",
+        log: [bool; 2],
+        limits in proptest::option::of([numbers(), numbers()]),
+    ) {
+        let axis = |log: bool| if log { Axis::log(label.clone()) } else { Axis::new(label.clone()) };
+        let mut lines = panel(vec![
+            Layer::named(label.clone(), Colour::Blue, line(&points, false)),
+            Layer::plain(Colour::Blue, line(&points, true)),
+            Layer::named(label.clone(), Colour::Green, Mark::Band(bands)),
+            Layer::plain(Colour::Sky, Mark::Points(points)),
+            Layer::plain(Colour::Sky, Mark::Diagonal),
+        ]);
+        (lines.x, lines.y) = (axis(log[0]), axis(log[1]));
+        if let Some([from, to]) = limits.filter(|[from, to]| from < to && from.is_finite() && to.is_finite()) {
+            lines.y = lines.y.within(from, to);
+        }
+        let intervals: Vec<Interval> = values
+            .iter()
+            .map(|[value, low, high]| Interval { value: *value, low: *low, high: *high })
+            .collect();
+        let names = (0..intervals.len()).map(|_| label.clone()).collect();
+        let mut bars = panel(vec![
+            Layer::named(label.clone(), Colour::Blue, Mark::Bars {
+                values: intervals.clone(), slot: [0, 2], direction: Direction::Across,
+            }),
+            Layer::plain(Colour::Blue, Mark::Dots {
+                values: intervals, slot: [1, 2], direction: Direction::Across,
+            }),
+        ]);
+        bars.x = Axis::new("x").including(0.0);
+        bars.y = Axis::names("y", names);
+        let svg = Figure { note: Some(label), ..figure(vec![lines, bars]) }.svg().unwrap();
+        check(&svg);
+    }
+}

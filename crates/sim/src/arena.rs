@@ -1,0 +1,73 @@
+//! The Robotarium: its floor, its control period, and how its robots turn commands into motion.
+
+use std::f64::consts::TAU;
+
+/// Largest linear velocity that is commanded, in m/s.
+pub const V_MAX_MPS: f64 = 0.2;
+/// Largest angular velocity that is commanded, in rad/s.
+pub const OMEGA_MAX_RADPS: f64 = 3.6;
+/// Time between two commands, s.
+pub const STEP_S: f64 = 0.033;
+/// Half of the arena's sides, m: the origin lies in its middle, x runs along the long side.
+pub const HALF_ARENA_M: (f64, f64) = (1.6, 1.0);
+/// Diameter of a robot and distance between its wheels, m.
+pub const ROBOT_M: f64 = 0.11;
+
+/// Velocities in force.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct Command {
+    /// Linear velocity, m/s.
+    pub v_mps: f64,
+    /// Angular velocity, counterclockwise, rad/s.
+    pub omega_radps: f64,
+}
+
+/// Where a robot is.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct Pose {
+    /// Position along the long side, m.
+    pub x_m: f64,
+    /// Position along the short side, m.
+    pub y_m: f64,
+    /// Heading from the x axis, rad, within ±π.
+    pub theta_rad: f64,
+}
+
+/// Speeds of the left and the right wheel, m/s.
+#[must_use]
+pub fn wheels_mps(command: Command) -> [f64; 2] {
+    let turn_mps = command.omega_radps * ROBOT_M / 2.0;
+    [command.v_mps - turn_mps, command.v_mps + turn_mps]
+}
+
+/// The command that the wheels can follow: each wheel's speed is cut to ±[`V_MAX_MPS`] on its own,
+/// as the testbed does it, and the command follows from what is left.
+#[must_use]
+pub fn saturated(command: Command) -> Command {
+    let [left_mps, right_mps] =
+        wheels_mps(command).map(|speed_mps| speed_mps.clamp(-V_MAX_MPS, V_MAX_MPS));
+    Command {
+        v_mps: (left_mps + right_mps) / 2.0,
+        omega_radps: (right_mps - left_mps) / ROBOT_M,
+    }
+}
+
+impl Pose {
+    /// The pose after `dt_s` seconds of a command, the heading taken in the middle of the turn.
+    #[must_use]
+    pub fn driven(self, command: Command, dt_s: f64) -> Self {
+        let Command { v_mps, omega_radps } = command;
+        let (sin, cos) = libm::sincos(self.theta_rad + 0.5 * omega_radps * dt_s);
+        Self {
+            x_m: self.x_m + v_mps * dt_s * cos,
+            y_m: self.y_m + v_mps * dt_s * sin,
+            theta_rad: wrapped(self.theta_rad + omega_radps * dt_s),
+        }
+    }
+}
+
+/// The same angle within ±π, for angles that are at most a few turns off.
+#[must_use]
+pub fn wrapped(angle_rad: f64) -> f64 {
+    angle_rad - TAU * libm::round(angle_rad / TAU)
+}

@@ -1,0 +1,77 @@
+//! One robot with all its parts, under the commands of any controller.
+
+use super::arena::{Command, Pose};
+use super::loads::Loads;
+use super::monitor::{Battery, Measurement, POLL_NS};
+use super::parts::Parts;
+use joulebus_statistics::noise::Noise;
+
+/// Most energy that was taken from a battery before a run begins, J.
+const MOST_DRAWN_J: f64 = 6_000.0;
+
+/// A robot: pose, loads, battery and monitor.
+#[derive(Clone, Debug)]
+pub(super) struct Body {
+    pub(super) pose: Pose,
+    noise: Noise,
+    parts: Parts,
+    loads: Loads,
+    battery: Battery,
+    measured: Measurement,
+    measured_ns: u64,
+    next_poll_ns: u64,
+}
+
+impl Body {
+    /// A robot at rest at time 0. See [`Loads::new`] for the parameters.
+    pub(super) fn new(
+        parts: Parts,
+        extra_w: f64,
+        neighbours: usize,
+        pose: Pose,
+        made: &mut Noise,
+        mut noise: Noise,
+    ) -> Self {
+        let mut loads = Loads::new(parts, extra_w, neighbours, made, &mut noise);
+        let mut battery = Battery::new(noise.between(0.0, MOST_DRAWN_J));
+        let power_w = loads.poll(&mut noise);
+        let measured = battery.measure(power_w, power_w);
+        let next_poll_ns = (noise.uniform() * POLL_NS as f64) as u64;
+        Self {
+            pose,
+            noise,
+            parts,
+            loads,
+            battery,
+            measured,
+            measured_ns: 0,
+            next_poll_ns,
+        }
+    }
+
+    /// Runs from `now_ns` to `end_ns` under a command; what the monitor returns at the end.
+    pub(super) fn run(&mut self, now_ns: u64, end_ns: u64, command: Command) -> Measurement {
+        self.loads.command(command, &mut self.noise);
+        self.pose = self
+            .pose
+            .driven(command, end_ns.saturating_sub(now_ns) as f64 * 1e-9);
+        let mut now_ns = now_ns;
+        while self.next_poll_ns <= end_ns {
+            self.turn(now_ns, self.next_poll_ns, command);
+            now_ns = self.next_poll_ns;
+            let power_w = self.loads.poll(&mut self.noise);
+            let shown_w = power_w + self.parts.monitor_noise_w * self.noise.normal();
+            self.measured = self.battery.measure(power_w, shown_w);
+            self.measured_ns = now_ns;
+            self.next_poll_ns += POLL_NS;
+        }
+        self.turn(now_ns, end_ns, command);
+        self.measured
+    }
+
+    fn turn(&mut self, now_ns: u64, end_ns: u64, command: Command) {
+        if end_ns > now_ns {
+            self.loads.turn((end_ns - now_ns) as f64 * 1e-9, command);
+        }
+    }
+}

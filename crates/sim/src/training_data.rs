@@ -1,0 +1,102 @@
+//! Training data from the simulated plant.
+
+use crate::plant::{Plant, SimReading};
+use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_predictor::{LAGS, ReadingAge, features};
+use std::collections::VecDeque;
+
+const TICK_S: f64 = 1.0 / 30.0;
+
+/// How much of the plant to record, at 30 Hz.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SimulatedData {
+    /// Seed of the plant.
+    pub seed: u64,
+    /// Robots whose rows decide the weights.
+    pub training_robots: usize,
+    /// Robots whose rows decide when to stop.
+    pub validation_robots: usize,
+    /// Robots that the training never sees.
+    pub held_out_robots: usize,
+    /// Control ticks recorded of each robot; the first five give no rows.
+    pub ticks: usize,
+}
+
+impl SimulatedData {
+    /// What the models that ship were trained on: 60 robots for 40 s.
+    pub fn shipped(seed: u64) -> SimulatedData {
+        SimulatedData {
+            seed,
+            training_robots: 60,
+            validation_robots: 15,
+            held_out_robots: 25,
+            ticks: 1_200,
+        }
+    }
+}
+
+/// Records a simulated fleet. A row pairs the command just issued and the readings up to now with
+/// the reading of the next tick, as the live path does.
+pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
+    let SimulatedData {
+        seed,
+        training_robots,
+        validation_robots,
+        held_out_robots,
+        ticks,
+    } = data;
+    let robots = training_robots + validation_robots + held_out_robots;
+    let mut plant = Plant::new(seed, robots);
+    let mut recorders = vec![Recorder::EMPTY; robots];
+    for _ in 0..ticks {
+        for (recorder, reading) in recorders.iter_mut().zip(plant.step(TICK_S)) {
+            recorder.add(*reading);
+        }
+    }
+    let mut rows = recorders.into_iter().map(|recorder| recorder.rows);
+    let mut part = |robots: usize| rows.by_ref().take(robots).flatten().collect();
+    Dataset {
+        training: part(training_robots),
+        validation: part(validation_robots),
+        held_out: part(held_out_robots),
+        description: format!(
+            "simulated GTernal robots, seed {seed}, 30 Hz, {ticks} ticks each; {training_robots} for \
+             training, {validation_robots} for validation, {held_out_robots} held out"
+        ),
+    }
+}
+
+#[derive(Clone)]
+struct Recorder {
+    /// Newest first.
+    readings: VecDeque<SimReading>,
+    reading_age: ReadingAge,
+    rows: Vec<Row>,
+}
+
+impl Recorder {
+    const EMPTY: Self = Self {
+        readings: VecDeque::new(),
+        reading_age: ReadingAge::UNKNOWN,
+        rows: Vec::new(),
+    };
+}
+
+impl Recorder {
+    fn add(&mut self, reading: SimReading) {
+        if self.readings.len() == LAGS {
+            let lag_w: [f32; LAGS] = std::array::from_fn(|lag| self.readings[lag].power_w);
+            let (now, before) = (self.readings[0], self.readings[1]);
+            let previous = Some((before.v_mps, before.omega_radps, TICK_S as f32));
+            let mut features = features(now.v_mps, now.omega_radps, previous, &lag_w);
+            self.reading_age.fill(&mut features);
+            self.rows.push(Row {
+                features,
+                target_w: reading.power_w,
+            });
+        }
+        self.reading_age.read(!reading.held);
+        self.readings.push_front(reading);
+        self.readings.truncate(LAGS);
+    }
+}

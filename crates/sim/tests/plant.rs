@@ -1,0 +1,348 @@
+//! The simulated fleet: repeatable, within its limits, and close to the published figures.
+
+use joulebus_dataset::trial::{Column, Trial};
+use joulebus_sim::arena::{Command, HALF_ARENA_M, STEP_S, saturated, wheels_mps};
+use joulebus_sim::arena::{OMEGA_MAX_RADPS, V_MAX_MPS};
+use joulebus_sim::plant::{Fault, Plant, PlantError, SimReading};
+use joulebus_sim::protocol::{Protocol, SAMPLES, UnknownTrial, trial};
+use joulebus_sim::scenario::{self, seven_robots};
+
+const DT_S: f64 = 1.0 / 30.0;
+
+/// One series of readings for each robot.
+fn recorded(mut plant: Plant, steps: usize) -> Vec<Vec<SimReading>> {
+    let mut series: Vec<Vec<SimReading>> = Vec::new();
+    for _ in 0..steps {
+        let readings = plant.step(DT_S);
+        series.resize(readings.len(), Vec::new());
+        for reading in readings {
+            series[reading.robot].push(*reading);
+        }
+    }
+    series
+}
+
+fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let count = values.clone().count() as f64;
+    values.sum::<f64>() / count
+}
+
+#[test]
+fn the_same_seed_gives_the_same_robots_in_any_fleet() {
+    let small = recorded(Plant::new(3, 2), 300);
+    let large = recorded(Plant::new(3, 5), 300);
+    assert_eq!(small[..], large[..2]);
+    assert_ne!(large[0], large[1], "robots differ");
+    assert_ne!(recorded(Plant::new(4, 1), 300)[0], small[0], "seeds differ");
+}
+
+#[test]
+fn readings_are_polled_at_10_hz_and_held_in_between() {
+    for series in recorded(Plant::new(5, 4), 900) {
+        let fresh = series.iter().filter(|reading| !reading.held).count();
+        assert!(
+            (298..=302).contains(&fresh),
+            "{fresh} fresh readings in 30 s"
+        );
+        for pair in series.windows(2) {
+            if pair[1].held {
+                assert_eq!(pair[0].power_w, pair[1].power_w);
+                assert_eq!(pair[0].measured_ns, pair[1].measured_ns);
+            } else if pair[0].measured_ns > 0 {
+                assert_eq!(pair[1].measured_ns - pair[0].measured_ns, 100_000_000);
+            }
+        }
+    }
+}
+
+#[test]
+fn every_command_and_reading_is_one_that_the_platform_allows() {
+    for reading in recorded(Plant::new(6, 10), 3_000).iter().flatten() {
+        assert!(
+            f64::from(reading.v_mps.abs()) <= V_MAX_MPS + 1e-6,
+            "{reading:?}"
+        );
+        assert!(
+            f64::from(reading.omega_radps.abs()) <= OMEGA_MAX_RADPS + 1e-6,
+            "{reading:?}"
+        );
+        assert!((2.5..9.0).contains(&reading.power_w), "{reading:?}");
+        assert!((3.0..4.2).contains(&reading.voltage_v), "{reading:?}");
+        let product_w = reading.voltage_v * reading.current_a;
+        assert!((product_w - reading.power_w).abs() < 1e-4, "{reading:?}");
+        let steps = f64::from(reading.power_w) * 100.0;
+        assert!((steps - steps.round()).abs() < 1e-3, "{reading:?}");
+    }
+}
+
+/// R² of the least-squares fit of power on a constant, v, ω, |v| and |ω|.
+fn velocities_alone(series: &[Vec<SimReading>]) -> f64 {
+    const TERMS: usize = 5;
+    let mut normal = [[0.0; TERMS + 1]; TERMS];
+    let mut powers = Vec::new();
+    for pair in series.iter().flat_map(|series| series.windows(2)) {
+        let (v, omega) = (f64::from(pair[0].v_mps), f64::from(pair[0].omega_radps));
+        let terms = [1.0, v, omega, v.abs(), omega.abs()];
+        let power = f64::from(pair[1].power_w);
+        for (i, line) in normal.iter_mut().enumerate() {
+            for (j, term) in terms.iter().enumerate() {
+                line[j] += terms[i] * term;
+            }
+            line[TERMS] += terms[i] * power;
+        }
+        powers.push((terms, power));
+    }
+    for pivot in 0..TERMS {
+        for other in 0..TERMS {
+            if other != pivot {
+                let share = normal[other][pivot] / normal[pivot][pivot];
+                let from = normal[pivot];
+                normal[other]
+                    .iter_mut()
+                    .zip(from)
+                    .for_each(|(x, y)| *x -= share * y);
+            }
+        }
+    }
+    let centre = mean(powers.iter().map(|(_, power)| *power));
+    let (mut left, mut total) = (0.0, 0.0);
+    for (terms, power) in &powers {
+        let fit: f64 = (0..TERMS)
+            .map(|i| terms[i] * normal[i][TERMS] / normal[i][i])
+            .sum();
+        left += (power - fit) * (power - fit);
+        total += (power - centre) * (power - centre);
+    }
+    1.0 - left / total
+}
+
+#[test]
+fn the_fleet_resembles_the_published_dataset() {
+    let series = recorded(Plant::new(7, 40), 9_000);
+    let powers = || {
+        series
+            .iter()
+            .flatten()
+            .map(|reading| f64::from(reading.power_w))
+    };
+    let average_w = mean(powers());
+    let std_w = mean(powers().map(|w| (w - average_w) * (w - average_w))).sqrt();
+    let lowest_w = powers().fold(f64::MAX, f64::min);
+    let highest_w = powers().fold(f64::MIN, f64::max);
+    let pairs = || series.iter().flat_map(|series| series.windows(2));
+    let product = |pair: &[SimReading]| {
+        (f64::from(pair[0].power_w) - average_w) * (f64::from(pair[1].power_w) - average_w)
+    };
+    let autocorrelation = mean(pairs().map(product)) / (std_w * std_w);
+    let velocities = velocities_alone(&series);
+    let commands = |pick: fn(&SimReading) -> f32| {
+        let values = || {
+            series
+                .iter()
+                .flatten()
+                .map(|reading| f64::from(pick(reading)))
+        };
+        let centre = mean(values());
+        (
+            centre,
+            mean(values().map(|x| (x - centre) * (x - centre))).sqrt(),
+        )
+    };
+    let (v_mps, v_std_mps) = commands(|reading| reading.v_mps);
+    let (omega_radps, omega_std_radps) = commands(|reading| reading.omega_radps);
+    println!(
+        "power {average_w:.3} ± {std_w:.3} W, {lowest_w:.2} to {highest_w:.2} W, lag-1 \
+         autocorrelation {autocorrelation:.3}, R² of velocities {velocities:.3}, v {v_mps:.4} ± \
+         {v_std_mps:.4} m/s, ω {omega_radps:.3} ± {omega_std_radps:.3} rad/s"
+    );
+    assert!((average_w - 3.65).abs() < 0.1, "{average_w}");
+    assert!((std_w - 0.375).abs() < 0.04, "{std_w}");
+    assert!((2.6..3.2).contains(&lowest_w), "{lowest_w}");
+    assert!((7.0..9.0).contains(&highest_w), "{highest_w}");
+    assert!((autocorrelation - 0.95).abs() < 0.01, "{autocorrelation}");
+    assert!((0.1..0.25).contains(&velocities), "{velocities}");
+    assert!((v_std_mps - 0.0736).abs() < 0.02, "{v_std_mps}");
+    assert!((omega_std_radps - 1.0187).abs() < 0.35, "{omega_std_radps}");
+}
+
+#[test]
+fn a_fault_changes_its_robot_from_its_time_on_and_no_other() {
+    let healthy = recorded(Plant::new(8, 4), 1_200);
+    let plant = Plant::new(8, 4)
+        .with_fault(1, Fault::ExtraLoad { power_w: 0.8 }, 20.0)
+        .and_then(|plant| plant.with_fault(2, Fault::StuckSensor, 20.0))
+        .and_then(|plant| plant.with_fault(3, Fault::Noise { std_w: 0.5 }, 20.0))
+        .expect("robots 1 to 3 exist");
+    let faulty = recorded(plant, 1_200);
+    assert_eq!(faulty[0], healthy[0]);
+    for robot in 1..4 {
+        assert_eq!(
+            faulty[robot][..599],
+            healthy[robot][..599],
+            "robot {robot} before the fault"
+        );
+    }
+    let late = |series: &[SimReading]| {
+        let series = series[610..].to_vec();
+        move || {
+            series
+                .clone()
+                .into_iter()
+                .map(|reading| f64::from(reading.power_w))
+        }
+    };
+    let spread = |values: &dyn Fn() -> Vec<f64>| {
+        let steps: Vec<f64> = values().windows(2).map(|pair| pair[1] - pair[0]).collect();
+        mean(steps.iter().map(|step| step * step)).sqrt()
+    };
+    let more_w = mean(late(&faulty[1])()) - mean(late(&healthy[1])());
+    assert!((more_w - 0.8).abs() < 0.01, "{more_w}");
+    let stuck = late(&faulty[2]);
+    let first_w = stuck().next();
+    assert!(stuck().all(|w| Some(w) == first_w));
+    assert!(
+        faulty[2][610..].iter().any(|reading| !reading.held),
+        "it claims to be fresh"
+    );
+    let (noisy, quiet) = (late(&faulty[3]), late(&healthy[3]));
+    let ratio = spread(&|| noisy().collect()) / spread(&|| quiet().collect());
+    assert!(ratio > 1.5, "{ratio}");
+    let refused = Plant::new(8, 4)
+        .with_fault(4, Fault::StuckSensor, 0.0)
+        .err();
+    assert_eq!(
+        refused,
+        Some(PlantError::UnknownRobot {
+            robot: 4,
+            robots: 4
+        })
+    );
+}
+
+#[test]
+fn steps_that_are_no_time_change_nothing() {
+    let mut plant = Plant::new(9, 3);
+    let before = plant.step(DT_S).to_vec();
+    let now_ns = plant.now_ns();
+    for dt_s in [0.0, -1.0, f64::NAN, f64::NEG_INFINITY] {
+        assert_eq!(plant.step(dt_s), &before[..], "{dt_s}");
+    }
+    assert_eq!(plant.now_ns(), now_ns);
+    plant.step(f64::INFINITY);
+    assert_eq!(plant.now_ns(), now_ns + 1_000_000_000);
+}
+
+fn values(trial: &Trial, column: Column) -> &[f64] {
+    trial
+        .column(column)
+        .expect("the plant records every column of the layout")
+}
+
+#[test]
+fn the_six_trials_have_the_published_shape_and_the_platforms_limits() {
+    for protocol in Protocol::ALL {
+        let trial = trial(protocol.number(), 3).expect("it is one of the six");
+        assert_eq!(trial.rows(), SAMPLES, "{protocol}");
+        assert_eq!(trial.period_ns(), 33_000_000, "{protocol}");
+        let notes = trial.notes();
+        assert!(
+            notes.gaps.is_empty() && notes.not_advancing.is_empty(),
+            "{protocol}"
+        );
+        // Ten readings a second; two equal ones in a row look held.
+        let fresh = SAMPLES - notes.held_readings;
+        let polls = (SAMPLES as f64 * STEP_S * 10.0) as usize;
+        assert!(
+            (polls * 9 / 10..=polls + 1).contains(&fresh),
+            "{protocol}: {fresh} of {polls}"
+        );
+        let (v, omega) = (values(&trial, Column::V), values(&trial, Column::Omega));
+        for (v_mps, omega_radps) in v.iter().copied().zip(omega.iter().copied()) {
+            let command = Command { v_mps, omega_radps };
+            let within = |speed_mps: &f64| speed_mps.abs() <= V_MAX_MPS + 1e-12;
+            assert!(
+                wheels_mps(command).iter().all(within),
+                "{protocol}: {command:?}"
+            );
+        }
+        for (column, half_m) in [(Column::X, HALF_ARENA_M.0), (Column::Y, HALF_ARENA_M.1)] {
+            let inside = |at_m: &f64| at_m.abs() < half_m;
+            assert!(
+                values(&trial, column).iter().all(inside),
+                "{protocol} leaves the arena"
+            );
+        }
+        for power_w in values(&trial, Column::Power) {
+            let steps = power_w * 100.0;
+            assert!(
+                (steps - steps.round()).abs() < 1e-6,
+                "{protocol}: {power_w}"
+            );
+        }
+    }
+    for number in [0, 7] {
+        assert_eq!(trial(number, 3).err(), Some(UnknownTrial { found: number }));
+    }
+}
+
+#[test]
+fn each_wheel_is_cut_to_what_it_can_do_and_nothing_else_is_changed() {
+    let far = saturated(Command {
+        v_mps: 0.3,
+        omega_radps: 2.0,
+    });
+    let [left_mps, right_mps] = wheels_mps(far);
+    assert!((left_mps - 0.19).abs() < 1e-12, "{left_mps} was possible");
+    assert!((right_mps - 0.2).abs() < 1e-12, "{right_mps} is the most");
+    let near = Command {
+        v_mps: -0.05,
+        omega_radps: 1.5,
+    };
+    let kept = saturated(near);
+    assert!((kept.v_mps - near.v_mps).abs() < 1e-12);
+    assert!((kept.omega_radps - near.omega_radps).abs() < 1e-12);
+}
+
+#[test]
+fn the_same_seed_gives_the_same_trials() {
+    let rows = |trial: &Trial| -> Vec<u64> {
+        let columns = Column::ALL
+            .into_iter()
+            .filter_map(|column| trial.column(column));
+        columns.flatten().map(|value| value.to_bits()).collect()
+    };
+    for protocol in Protocol::ALL {
+        let [first, again, other] = [4, 4, 5].map(|seed| rows(&protocol.trial(seed)));
+        assert!(first == again, "{protocol}");
+        assert!(first != other, "{protocol}: seeds differ");
+    }
+    let [first, again, other] = [4, 4, 5].map(|seed| {
+        let trials = seven_robots(seed, 500);
+        trials.iter().map(rows).collect::<Vec<_>>()
+    });
+    assert!(first == again);
+    assert!(first != other);
+    assert_eq!(first.len(), scenario::ROBOTS);
+}
+
+#[test]
+fn trials_are_written_in_the_published_layout_and_read_again() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let trials = [Protocol::Extremes.trial(6), seven_robots(6, 900).remove(2)];
+    for (trial, robot) in trials.iter().zip(["8", "3"]) {
+        let path = directory.path().join(format!("{robot}.npy"));
+        trial.to_table().write(&path).expect("it can be written");
+        let again = Trial::read(&path).expect("it can be read");
+        assert_eq!(again.robot_name(), Some(robot));
+        assert_eq!(again.rows(), trial.rows());
+        assert_eq!(again.timestamp_s(), trial.timestamp_s());
+        for column in Column::ALL.into_iter().take(9) {
+            for (read, written) in values(&again, column).iter().zip(values(trial, column)) {
+                assert!(
+                    (read - written).abs() < 1e-12,
+                    "{column:?}: {read} {written}"
+                );
+            }
+        }
+    }
+}

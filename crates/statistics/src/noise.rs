@@ -1,0 +1,48 @@
+//! Random numbers that are the same on every machine.
+
+use rand::Rng;
+use rand_pcg::Pcg64;
+
+/// A seeded stream; robots and purposes have streams of their own, so that adding a robot changes no
+/// other one.
+#[derive(Clone, Debug)]
+pub struct Noise(Pcg64);
+
+impl Noise {
+    /// Stream number `stream` of `seed`.
+    #[must_use]
+    pub fn new(seed: u64, stream: u64) -> Noise {
+        Noise(Pcg64::new(u128::from(seed), u128::from(stream)))
+    }
+
+    /// 64 random bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0.next_u64()
+    }
+
+    /// Uniform on [0, 1).
+    pub fn uniform(&mut self) -> f64 {
+        (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Uniform on [low, high).
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.uniform()
+    }
+
+    /// Mean 0, deviation 1 (Box and Muller; the second number is not kept).
+    pub fn normal(&mut self) -> f64 {
+        let radius = libm::sqrt(-2.0 * libm::log(1.0 - self.uniform()));
+        radius * libm::cos(std::f64::consts::TAU * self.uniform())
+    }
+
+    /// Waiting time in seconds until the next event of a process without memory.
+    pub fn waiting_s(&mut self, mean_s: f64) -> f64 {
+        -mean_s * libm::log(1.0 - self.uniform())
+    }
+
+    /// Uniform on 0..bound; the bias of the multiplication is below 2⁻³² for bounds below 2³².
+    pub fn below(&mut self, bound: usize) -> usize {
+        ((u128::from(self.0.next_u64()) * bound as u128) >> 64) as usize
+    }
+}

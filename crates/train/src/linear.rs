@@ -1,0 +1,519 @@
+//! Linear baselines: least squares over any of the features that the network is shown.
+//!
+//! The columns are centred and scaled to unit deviation, and the normal equations are solved by a
+//! Cholesky factorisation in double precision, without a ridge. A column that never changes, or that
+//! the columns before it already determine, is left out and reported, so that a fit never fails on
+//! them and coefficients stay finite.
+
+use std::fmt;
+
+use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet, Features, LAGS};
+use serde::Serialize;
+
+use joulebus_dataset::rows::Row;
+
+/// Position of the newest reading in [`Features`].
+const NEWEST: usize = FeatureSet::PowerOnly.first();
+/// The features and, after them, the reading that is learned.
+const COLUMNS: usize = FEATURES + 1;
+const TARGET: usize = FEATURES;
+/// Share of a column's variance that the columns before it must leave unexplained. Features are
+/// single precision, so less than the square of its rounding is no information.
+const LEAST_OWN_VARIANCE: f64 = 1e-10;
+
+/// A choice of features.
+///
+/// ```
+/// use joulebus_train::linear::Terms;
+/// assert_eq!(Terms::VELOCITIES.to_string(), "velocities");
+/// assert_eq!(Terms::velocities_and_lags(2).to_string(), "velocities + 2 lags");
+/// assert_eq!(Terms::lags(5).to_string(), "AR(5)");
+/// assert_eq!(Terms::AR5_AND_VELOCITIES.to_string(), "AR(5) + velocities");
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Terms(u32);
+
+impl Terms {
+    /// v, ω, their derivatives and magnitudes: what the command alone says.
+    pub const VELOCITIES: Terms = Terms((1 << NEWEST) - 1);
+    /// The five readings before.
+    pub const AR5: Terms = Terms::lags(LAGS);
+    /// All that the paper's network is shown.
+    pub const AR5_AND_VELOCITIES: Terms = Terms::velocities_and_lags(LAGS);
+
+    /// The last `count` readings; of more than [`LAGS`], all.
+    #[must_use]
+    pub const fn lags(count: usize) -> Terms {
+        let count = if count < LAGS { count } else { LAGS };
+        Terms(((1 << count) - 1) << NEWEST)
+    }
+
+    /// The velocities and the last `count` readings.
+    #[must_use]
+    pub const fn velocities_and_lags(count: usize) -> Terms {
+        Terms(Terms::VELOCITIES.0 | Terms::lags(count).0)
+    }
+
+    /// The features at these positions in [`Features`]; others do not exist and are left out.
+    #[must_use]
+    pub fn of(features: &[usize]) -> Terms {
+        let known = features.iter().filter(|feature| **feature < FEATURES);
+        Terms(known.fold(0, |bits, feature| bits | 1 << feature))
+    }
+
+    /// Whether the feature at this position is among them.
+    #[must_use]
+    pub const fn has(self, feature: usize) -> bool {
+        feature < FEATURES && self.0 >> feature & 1 == 1
+    }
+
+    /// Positions of the features, ascending.
+    pub fn features(self) -> impl Iterator<Item = usize> + Clone {
+        (0..FEATURES).filter(move |feature| self.has(*feature))
+    }
+
+    /// Number of features.
+    #[must_use]
+    pub const fn count(self) -> usize {
+        self.0.count_ones() as usize
+    }
+
+    fn without(self, feature: usize) -> Terms {
+        Terms(self.0 & !(1 << feature))
+    }
+}
+
+impl fmt::Display for Terms {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let lags = (0..=LAGS).rev().find(|count| {
+            let lags = Terms::lags(*count);
+            *self == lags || *self == Terms::velocities_and_lags(*count)
+        });
+        let with_velocities = self.0 & Terms::VELOCITIES.0 == Terms::VELOCITIES.0;
+        match (lags, with_velocities) {
+            (Some(0), true) => out.write_str("velocities"),
+            (Some(LAGS), true) => write!(out, "AR({LAGS}) + velocities"),
+            (Some(1), true) => out.write_str("velocities + 1 lag"),
+            (Some(lags), true) => write!(out, "velocities + {lags} lags"),
+            (Some(0), false) => out.write_str("constant"),
+            (Some(lags), false) => write!(out, "AR({lags})"),
+            (None, _) => {
+                let names: Vec<&str> = self.features().map(|i| FEATURE_NAMES[i]).collect();
+                out.write_str(&names.join(" + "))
+            }
+        }
+    }
+}
+
+/// Why a line could not be fitted.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum LinearError {
+    /// There are fewer rows than numbers to find.
+    #[error(
+        "{terms} needs at least {allowed} rows with every number known, found {found} of {rows}; \
+         name more or longer recordings, or fewer features"
+    )]
+    TooFewRows {
+        /// What was to be fitted.
+        terms: Terms,
+        /// Usable rows.
+        found: usize,
+        /// All rows.
+        rows: usize,
+        /// Rows needed.
+        allowed: usize,
+    },
+    /// A feature was asked for that the moments were not taken of.
+    #[error("moments of {taken} were taken, {asked} needs others; take them of both")]
+    NotTaken {
+        /// What they were taken of.
+        taken: Terms,
+        /// What was asked for.
+        asked: Terms,
+    },
+}
+
+/// Why a feature has no coefficient.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Dropped {
+    /// It has the same value in every row.
+    Constant,
+    /// The features before it determine it.
+    Dependent,
+    /// It is not known in any row.
+    Missing,
+}
+
+/// Means and products of the features and readings of some rows: all that a fit needs. Moments of
+/// parts can be merged, and one set of moments gives the fit of any subset of its features: an
+/// ablation on the same rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Moments {
+    terms: Terms,
+    rows: usize,
+    count: usize,
+    /// Of the features, and of the reading at [`TARGET`].
+    mean: [f64; COLUMNS],
+    /// Least and greatest value: equal where a column never changes.
+    range: [(f64, f64); COLUMNS],
+    /// Sums of products of deviations from the means; the lower triangle.
+    products: Box<[[f64; COLUMNS]; COLUMNS]>,
+}
+
+impl Moments {
+    /// Of no rows.
+    #[must_use]
+    pub fn new(terms: Terms) -> Moments {
+        Moments {
+            terms,
+            rows: 0,
+            count: 0,
+            mean: [0.0; COLUMNS],
+            range: [(f64::INFINITY, f64::NEG_INFINITY); COLUMNS],
+            products: Box::new([[0.0; COLUMNS]; COLUMNS]),
+        }
+    }
+
+    /// Of rows in which every feature of `terms` and the reading are finite; the others are counted
+    /// ([`Moments::unusable_rows`]).
+    #[must_use]
+    pub fn of(rows: &[Row], terms: Terms) -> Moments {
+        let mut moments = Moments::new(terms);
+        moments.rows = rows.len();
+        let columns = moments.columns();
+        let usable: Vec<[f64; COLUMNS]> = rows
+            .iter()
+            .map(values)
+            .filter(|values| columns.iter().all(|at| values[*at].is_finite()))
+            .collect();
+        moments.count = usable.len();
+        if usable.is_empty() {
+            return moments;
+        }
+        for &at in &columns {
+            let column = || usable.iter().map(|values| values[at]);
+            moments.mean[at] = column().sum::<f64>() / usable.len() as f64;
+            moments.range[at] = (
+                column().fold(f64::INFINITY, f64::min),
+                column().fold(f64::NEG_INFINITY, f64::max),
+            );
+        }
+        for values in &usable {
+            let mut apart = [0.0; COLUMNS];
+            for &at in &columns {
+                apart[at] = values[at] - moments.mean[at];
+            }
+            for (i, products) in moments.products.iter_mut().enumerate() {
+                for (product, other) in products[..=i].iter_mut().zip(&apart) {
+                    *product += apart[i] * other;
+                }
+            }
+        }
+        moments
+    }
+
+    /// Adds the rows of other moments of the same terms. Merged in the same order, the same bits.
+    ///
+    /// # Errors
+    /// [`LinearError::NotTaken`].
+    pub fn merge(&mut self, other: &Moments) -> Result<(), LinearError> {
+        if self.terms != other.terms {
+            return Err(LinearError::NotTaken {
+                taken: other.terms,
+                asked: self.terms,
+            });
+        }
+        self.rows += other.rows;
+        if other.count == 0 {
+            return Ok(());
+        }
+        let share = other.count as f64 / (self.count + other.count) as f64;
+        let weight = self.count as f64 * share;
+        let apart: [f64; COLUMNS] = std::array::from_fn(|at| other.mean[at] - self.mean[at]);
+        for i in 0..COLUMNS {
+            for j in 0..=i {
+                self.products[i][j] += other.products[i][j] + weight * apart[i] * apart[j];
+            }
+            self.mean[i] += share * apart[i];
+            let ((least, greatest), other) = (self.range[i], other.range[i]);
+            self.range[i] = (least.min(other.0), greatest.max(other.1));
+        }
+        self.count += other.count;
+        Ok(())
+    }
+
+    /// Rows in which a feature or the reading is not finite.
+    #[must_use]
+    pub const fn unusable_rows(&self) -> usize {
+        self.rows - self.count
+    }
+
+    /// Least squares over `terms`, a subset of the terms of these moments.
+    ///
+    /// # Errors
+    /// [`LinearError`]: fewer usable rows than numbers to find, or features that were not taken.
+    pub fn fit(&self, terms: Terms) -> Result<Linear, LinearError> {
+        if terms.features().any(|feature| !self.terms.has(feature)) {
+            return Err(LinearError::NotTaken {
+                taken: self.terms,
+                asked: terms,
+            });
+        }
+        let allowed = terms.count() + 1;
+        if self.count < allowed {
+            return Err(LinearError::TooFewRows {
+                terms,
+                found: self.count,
+                rows: self.rows,
+                allowed,
+            });
+        }
+        let (kept, scaled) = self.solve(terms);
+        let coefficients: Vec<(usize, f64)> = kept
+            .used
+            .iter()
+            .zip(scaled)
+            .map(|(&feature, scaled)| (feature, scaled / self.scale(feature)))
+            .collect();
+        let at_means: f64 = coefficients
+            .iter()
+            .map(|(feature, coefficient)| coefficient * self.mean[*feature])
+            .sum();
+        Ok(Linear {
+            terms,
+            intercept_w: self.mean[TARGET] - at_means,
+            coefficients,
+            dropped: kept.dropped,
+            rows: self.count,
+            unusable_rows: self.unusable_rows(),
+        })
+    }
+
+    /// The features that are used, and the coefficients of their scaled columns.
+    fn solve(&self, terms: Terms) -> (Kept, Vec<f64>) {
+        let mut kept = Kept::default();
+        // Row i: how the i-th used column is made of orthogonal ones; the Cholesky factor.
+        let mut factor: Vec<Vec<f64>> = Vec::new();
+        // The reading in terms of the same orthogonal columns.
+        let mut projected: Vec<f64> = Vec::new();
+        for feature in terms.features() {
+            let (least, greatest) = self.range[feature];
+            let changes = least < greatest;
+            if !changes {
+                kept.dropped.push((feature, Dropped::Constant));
+                continue;
+            }
+            let mut row: Vec<f64> = Vec::with_capacity(factor.len() + 1);
+            for (other, before) in kept.used.iter().zip(&factor) {
+                let known: f64 = row.iter().zip(before).map(|(a, b)| a * b).sum();
+                row.push((self.correlation(feature, *other) - known) / before[before.len() - 1]);
+            }
+            let own = 1.0 - row.iter().map(|a| a * a).sum::<f64>();
+            let says_more = own > LEAST_OWN_VARIANCE;
+            if !says_more {
+                kept.dropped.push((feature, Dropped::Dependent));
+                continue;
+            }
+            let known: f64 = row.iter().zip(&projected).map(|(a, b)| a * b).sum();
+            let diagonal = libm::sqrt(own);
+            let target = self.product(feature, TARGET) / self.scale(feature);
+            projected.push((target - known) / diagonal);
+            row.push(diagonal);
+            factor.push(row);
+            kept.used.push(feature);
+        }
+        (kept, back_substitute(&factor, &projected))
+    }
+
+    /// Root of the sum of squared deviations.
+    fn scale(&self, at: usize) -> f64 {
+        libm::sqrt(self.products[at][at])
+    }
+
+    fn product(&self, i: usize, j: usize) -> f64 {
+        self.products[i.max(j)][i.min(j)]
+    }
+
+    fn correlation(&self, i: usize, j: usize) -> f64 {
+        self.product(i, j) / (self.scale(i) * self.scale(j))
+    }
+
+    fn columns(&self) -> Vec<usize> {
+        self.terms.features().chain([TARGET]).collect()
+    }
+}
+
+#[derive(Default)]
+struct Kept {
+    used: Vec<usize>,
+    dropped: Vec<(usize, Dropped)>,
+}
+
+/// Solves the transposed triangle.
+fn back_substitute(factor: &[Vec<f64>], projected: &[f64]) -> Vec<f64> {
+    let mut solved = projected.to_vec();
+    for i in (0..solved.len()).rev() {
+        let known: f64 = (i + 1..solved.len())
+            .map(|j| factor[j][i] * solved[j])
+            .sum();
+        solved[i] = (solved[i] - known) / factor[i][i];
+    }
+    solved
+}
+
+fn values(row: &Row) -> [f64; COLUMNS] {
+    std::array::from_fn(|at| match at {
+        TARGET => f64::from(row.target_w),
+        feature => f64::from(row.features[feature]),
+    })
+}
+
+/// A fitted line: what it forecasts is the intercept plus a coefficient times each feature.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Linear {
+    terms: Terms,
+    intercept_w: f64,
+    coefficients: Vec<(usize, f64)>,
+    dropped: Vec<(usize, Dropped)>,
+    rows: usize,
+    unusable_rows: usize,
+}
+
+impl Linear {
+    /// Least squares over `terms` on some rows. Rows with a number that is not finite are left out
+    /// and counted; a feature that is finite in no row (a robot whose velocities nobody knows) is
+    /// dropped and reported instead.
+    ///
+    /// # Errors
+    /// [`LinearError::TooFewRows`].
+    pub fn fit(rows: &[Row], terms: Terms) -> Result<Linear, LinearError> {
+        let (terms_there, missing) = known_terms(&[rows], terms);
+        let mut linear = Moments::of(rows, terms_there).fit(terms_there)?;
+        linear.miss(terms, &missing);
+        Ok(linear)
+    }
+
+    /// The last reading again.
+    #[must_use]
+    pub fn persistence() -> Linear {
+        Linear {
+            terms: Terms::lags(1),
+            intercept_w: 0.0,
+            coefficients: vec![(NEWEST, 1.0)],
+            dropped: Vec::new(),
+            rows: 0,
+            unusable_rows: 0,
+        }
+    }
+
+    /// Takes note that `terms` were asked for, of which `missing` are known in no row.
+    pub fn miss(&mut self, terms: Terms, missing: &[usize]) {
+        self.terms = terms;
+        let missing = missing.iter().map(|feature| (*feature, Dropped::Missing));
+        self.dropped.extend(missing);
+        self.dropped.sort_unstable_by_key(|(feature, _)| *feature);
+    }
+
+    /// The forecast for a row of features, W. NaN where a feature that has a coefficient is NaN;
+    /// features without one do not matter.
+    #[must_use]
+    pub fn predict(&self, features: &Features) -> f64 {
+        let terms = self.coefficients.iter();
+        terms.fold(self.intercept_w, |sum, (feature, coefficient)| {
+            sum + coefficient * f64::from(features[*feature])
+        })
+    }
+
+    /// The forecast for each row, W.
+    #[must_use]
+    pub fn predict_rows(&self, rows: &[Row]) -> Vec<f64> {
+        rows.iter().map(|row| self.predict(&row.features)).collect()
+    }
+
+    /// What was asked for.
+    #[must_use]
+    pub const fn terms(&self) -> Terms {
+        self.terms
+    }
+
+    /// The forecast where every feature is 0, W.
+    #[must_use]
+    pub const fn intercept_w(&self) -> f64 {
+        self.intercept_w
+    }
+
+    /// Position of each feature that is used, and its coefficient in W per unit of the feature.
+    #[must_use]
+    pub fn coefficients(&self) -> &[(usize, f64)] {
+        &self.coefficients
+    }
+
+    /// Position of each feature that was asked for and is not used, and why.
+    #[must_use]
+    pub fn dropped(&self) -> &[(usize, Dropped)] {
+        &self.dropped
+    }
+
+    /// Rows that it was fitted on.
+    #[must_use]
+    pub const fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Rows that could not be used.
+    #[must_use]
+    pub const fn unusable_rows(&self) -> usize {
+        self.unusable_rows
+    }
+
+    /// The same as plain numbers with names.
+    #[must_use]
+    pub fn report(&self) -> LinearReport {
+        let name = |feature: usize| FEATURE_NAMES[feature];
+        let coefficients = self.coefficients.iter();
+        LinearReport {
+            terms: self.terms.to_string(),
+            intercept_w: self.intercept_w,
+            coefficients: coefficients.map(|(i, value)| (name(*i), *value)).collect(),
+            dropped: self
+                .dropped
+                .iter()
+                .map(|(i, why)| (name(*i), *why))
+                .collect(),
+            rows: self.rows,
+            unusable_rows: self.unusable_rows,
+        }
+    }
+}
+
+/// The terms that are finite in any of the rows of some parts, and the positions of those that are
+/// in none.
+#[must_use]
+pub fn known_terms(parts: &[&[Row]], terms: Terms) -> (Terms, Vec<usize>) {
+    let is_known = |feature: &usize| {
+        let mut rows = parts.iter().copied().flatten();
+        rows.any(|row| row.features[*feature].is_finite())
+    };
+    let missing: Vec<usize> = terms.features().filter(|i| !is_known(i)).collect();
+    let known = missing.iter().fold(terms, |terms, i| terms.without(*i));
+    (known, missing)
+}
+
+/// A fitted line for people and programs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LinearReport {
+    /// What was asked for.
+    pub terms: String,
+    /// The forecast where every feature is 0, W.
+    pub intercept_w: f64,
+    /// Name of each feature that is used, and its coefficient in W per unit of the feature.
+    pub coefficients: Vec<(&'static str, f64)>,
+    /// Name of each feature that was asked for and is not used, and why.
+    pub dropped: Vec<(&'static str, Dropped)>,
+    /// Rows that it was fitted on.
+    pub rows: usize,
+    /// Rows that could not be used.
+    pub unusable_rows: usize,
+}

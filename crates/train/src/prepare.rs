@@ -1,0 +1,119 @@
+//! Rows to learn from, and what is done to them before anything is learned.
+
+use joulebus_predictor::{FEATURE_NAMES, FeatureSet, INPUTS, Normalisation};
+use serde::Serialize;
+
+use joulebus_dataset::rows::{Dataset, Row};
+
+use super::TrainError;
+use super::chunk::{Example, ROOM};
+
+/// What was found in the data and worked around. Nothing is left out in silence.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Findings {
+    /// Rows left out because a number that is read is NaN or infinite: training, validation,
+    /// held out.
+    pub unusable_rows: [usize; 3],
+    /// Features that never change in the training rows: the network gets 0 for them.
+    pub constant_features: Vec<&'static str>,
+    /// Rows that were learned from.
+    pub training_rows: usize,
+    /// Whether there are fewer training rows than weights: what was learned may be by heart.
+    pub few_rows: bool,
+}
+
+/// The rows that can be used.
+pub(super) fn usable(dataset: &Dataset, feature_set: FeatureSet) -> (Dataset, [usize; 3]) {
+    let finite = |row: &&Row| {
+        let read = row.features[feature_set.range()].iter();
+        read.chain([&row.target_w]).all(|value| value.is_finite())
+    };
+    let keep = |rows: &[Row]| -> Vec<Row> { rows.iter().filter(finite).copied().collect() };
+    let kept = Dataset {
+        training: keep(&dataset.training),
+        validation: keep(&dataset.validation),
+        held_out: keep(&dataset.held_out),
+        description: dataset.description.clone(),
+    };
+    let unusable = [
+        dataset.training.len() - kept.training.len(),
+        dataset.validation.len() - kept.validation.len(),
+        dataset.held_out.len() - kept.held_out.len(),
+    ];
+    (kept, unusable)
+}
+
+/// Names of the features without any spread.
+pub(super) fn constant_features(
+    normalisation: &Normalisation,
+    feature_set: FeatureSet,
+) -> Vec<&'static str> {
+    feature_set
+        .range()
+        .filter(|i| normalisation.feature_std[*i] == 0.0)
+        .map(|i| FEATURE_NAMES[i])
+        .collect()
+}
+
+impl Example {
+    pub(super) fn new(row: &Row, normalisation: &Normalisation, feature_set: FeatureSet) -> Self {
+        let Normalisation {
+            feature_mean,
+            feature_std,
+            power_mean_w,
+            power_std_w,
+        } = normalisation;
+        let scaled = |value: f32, mean: f32, std: f32| {
+            if std > 0.0 {
+                ((f64::from(value) - f64::from(mean)) / f64::from(std)) as f32
+            } else {
+                0.0
+            }
+        };
+        let mut inputs = [0.0; ROOM];
+        for (input, i) in inputs.iter_mut().zip(feature_set.range()) {
+            *input = scaled(row.features[i], feature_mean[i], feature_std[i]);
+        }
+        Self {
+            inputs,
+            target: scaled(row.target_w, *power_mean_w, *power_std_w),
+        }
+    }
+}
+
+pub(super) fn normalisation(
+    rows: &[Row],
+    feature_set: FeatureSet,
+) -> Result<Normalisation, TrainError> {
+    let mut feature_mean = [0.0; INPUTS];
+    let mut feature_std = [0.0; INPUTS];
+    for i in feature_set.range() {
+        (feature_mean[i], feature_std[i]) = mean_and_std(rows.iter().map(|row| row.features[i]));
+    }
+    let (power_mean_w, power_std_w) = mean_and_std(rows.iter().map(|row| row.target_w));
+    if power_std_w > 0.0 {
+        Ok(Normalisation {
+            feature_mean,
+            feature_std,
+            power_mean_w,
+            power_std_w,
+        })
+    } else {
+        Err(TrainError::ConstantPower {
+            rows: rows.len(),
+            power_w: power_mean_w,
+        })
+    }
+}
+
+/// In two passes; the deviation of equal values is exactly 0.
+pub(super) fn mean_and_std(values: impl Iterator<Item = f32> + Clone) -> (f32, f32) {
+    let count = values.clone().count() as f64;
+    let mean = values.clone().map(f64::from).sum::<f64>() / count;
+    let first = values.clone().next();
+    if values.clone().all(|value| Some(value) == first) {
+        return (mean as f32, 0.0);
+    }
+    let squares = values.map(|value| (f64::from(value) - mean) * (f64::from(value) - mean));
+    (mean as f32, libm::sqrt(squares.sum::<f64>() / count) as f32)
+}

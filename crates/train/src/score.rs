@@ -1,0 +1,151 @@
+//! The finished network, and what it scores on rows that decided nothing.
+
+use joulebus_predictor::{
+    Activation, FeatureSet, Features, INPUTS, Linear, ModelCard, Network, Normalisation,
+    Parameters, ResidualStats, Scores, TrainingRange,
+};
+
+use super::prepare::mean_and_std;
+use super::weights::Weights;
+use super::{TrainError, TrainSettings};
+use crate::linear::Terms;
+use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_statistics::metrics::Tally;
+
+pub(super) fn finished(
+    dataset: &Dataset,
+    settings: &TrainSettings,
+    normalisation: Normalisation,
+    weights: &Weights,
+) -> Result<Network, TrainError> {
+    let feature_set = settings.feature_set;
+    let parameters = Parameters {
+        feature_set,
+        normalisation,
+        activation: Activation::GeluErf,
+        layers: weights.layers(),
+    };
+    let mut card = ModelCard {
+        name: settings.name.clone(),
+        source: settings.source.clone(),
+        training_data: dataset.description.clone(),
+        training_data_sha256: dataset.sha256(feature_set),
+        seed: settings.seed,
+        training_range: training_range(&dataset.training, feature_set),
+        residual: ResidualStats {
+            std_w: 0.0,
+            q05_w: 0.0,
+            q95_w: 0.0,
+        },
+        scores: Scores {
+            rows: 0,
+            network_r2: 0.0,
+            network_mae_w: 0.0,
+            persistence_r2: 0.0,
+            persistence_mae_w: 0.0,
+        },
+        linear: None,
+    };
+    card.linear = linear(dataset, feature_set);
+    // The finished arithmetic gives the scores, so the network is built once without them.
+    let unscored = Network::new(parameters.clone(), card.clone())?;
+    (card.scores, card.residual) = scored(&unscored, &dataset.held_out);
+    Ok(Network::new(parameters, card)?)
+}
+
+fn training_range(rows: &[Row], feature_set: FeatureSet) -> TrainingRange {
+    let mut min = [0.0; INPUTS];
+    let mut max = [0.0; INPUTS];
+    for i in feature_set.range() {
+        let values = || rows.iter().map(|row| row.features[i]);
+        min[i] = values().fold(f32::INFINITY, f32::min);
+        max[i] = values().fold(f32::NEG_INFINITY, f32::max);
+    }
+    TrainingRange {
+        feature_set,
+        min,
+        max,
+    }
+}
+
+/// The linear baseline of the rows that the network has learned from, with its score on the rows held
+/// out; `None` where there are too few rows for it, or none that vary.
+fn linear(dataset: &Dataset, feature_set: FeatureSet) -> Option<Linear> {
+    let feature_set = Linear::feature_set_beside(feature_set);
+    let terms = if feature_set.needs_command() {
+        Terms::AR5_AND_VELOCITIES
+    } else {
+        Terms::AR5
+    };
+    let fitted = crate::linear::Linear::fit(&dataset.training, terms).ok()?;
+    let mut weights = [0.0; INPUTS];
+    for (feature, coefficient) in fitted.coefficients() {
+        weights[*feature] = *coefficient as f32;
+    }
+    let mut linear = Linear {
+        feature_set,
+        bias_w: fitted.intercept_w() as f32,
+        weights,
+        r2: 0.0,
+    };
+    let mut scores = Tally::default();
+    for row in &dataset.held_out {
+        scores.add(
+            row.target_w.into(),
+            linear.predict(&row.features).into(),
+            0.0,
+        );
+    }
+    linear.r2 = scores.r2() as f32;
+    linear.check().is_ok().then_some(linear)
+}
+
+/// Scores and residuals of a network on rows, with persistence beside it.
+pub fn scored(network: &Network, rows: &[Row]) -> (Scores, ResidualStats) {
+    let inputs: Vec<Features> = rows.iter().map(|row| row.features).collect();
+    let mut forecasts_w = vec![0.0; rows.len()];
+    network.predict(&inputs, &mut forecasts_w);
+    let last_w: Vec<f32> = inputs
+        .iter()
+        .map(|features| features[FeatureSet::PowerOnly.first()])
+        .collect();
+
+    let count = rows.len() as f64;
+    let mean_w = rows.iter().map(|row| f64::from(row.target_w)).sum::<f64>() / count;
+    let spread =
+        |row: &Row| (f64::from(row.target_w) - mean_w) * (f64::from(row.target_w) - mean_w);
+    let total: f64 = rows.iter().map(spread).sum();
+    let errors = |forecasts_w: &[f32]| -> Vec<f64> {
+        let pairs = rows.iter().zip(forecasts_w);
+        pairs
+            .map(|(row, &forecast_w)| f64::from(row.target_w) - f64::from(forecast_w))
+            .collect()
+    };
+    let r2 = |errors: &[f64]| (1.0 - errors.iter().map(|e| e * e).sum::<f64>() / total) as f32;
+    let mae_w = |errors: &[f64]| (errors.iter().map(|e| e.abs()).sum::<f64>() / count) as f32;
+
+    let (mut network_errors, persistence_errors) = (errors(&forecasts_w), errors(&last_w));
+    let scores = Scores {
+        rows: rows.len() as u64,
+        network_r2: r2(&network_errors),
+        network_mae_w: mae_w(&network_errors),
+        persistence_r2: r2(&persistence_errors),
+        persistence_mae_w: mae_w(&persistence_errors),
+    };
+    let (_, std_w) = mean_and_std(network_errors.iter().map(|&error| error as f32));
+    network_errors.sort_by(f64::total_cmp);
+    let quantile = |share: f64| {
+        let position = (share * (count - 1.0)).max(0.0) as usize;
+        network_errors
+            .get(position)
+            .map_or(f32::NAN, |&error| error as f32)
+    };
+    (
+        scores,
+        ResidualStats {
+            std_w,
+            q05_w: quantile(0.05),
+            q95_w: quantile(0.95),
+        },
+    )
+}
