@@ -5,6 +5,8 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
+use joulebus_wire::fnv1a;
+
 use crate::os::files::{effective_uid, filesystem, is_memory};
 use crate::os::memory::SHM_DIR;
 
@@ -197,15 +199,10 @@ pub(crate) fn check_private(path: &Path) -> Result<(), RootError> {
     Ok(())
 }
 
-/// FNV-1a, folded to 32 bits: the same in every version, unlike the standard library's hasher.
+/// FNV-1a, folded to 32 bits.
 fn hash(parts: &[&str]) -> u32 {
-    let mut state = 0xcbf2_9ce4_8422_2325_u64;
-    for part in parts {
-        for byte in part.bytes().chain([0]) {
-            state = (state ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
-        }
-    }
-    (state ^ (state >> 32)) as u32
+    let hash = fnv1a(parts.iter().flat_map(|part| part.bytes().chain([0])));
+    (hash ^ (hash >> 32)) as u32
 }
 
 /// Why a [`Domain`] cannot be named so.

@@ -280,9 +280,7 @@ impl FleetSettings {
     pub fn fingerprint(&self) -> u64 {
         // Never an error: a vector grows, and every length is known.
         let bytes = postcard::to_allocvec(self).unwrap_or_default();
-        bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-            (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3)
-        })
+        fnv1a(bytes)
     }
 
     fn check_robots_apart(&self) -> Result<(), SettingsError> {

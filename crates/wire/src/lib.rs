@@ -15,6 +15,7 @@
 mod budget;
 mod diagnostic;
 mod forecast;
+mod hash;
 mod journal;
 mod marker;
 mod reason;
@@ -25,6 +26,7 @@ mod state;
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
 pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};
 pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
+pub use hash::fnv1a;
 pub use journal::{TakenFrame, TickHeader, tick_flag};
 pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
 pub use sample::{Freshness, Sample, SampleHeader, sample_flag};
