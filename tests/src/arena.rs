@@ -313,7 +313,7 @@ impl Drop for Arena {
         if !std::thread::panicking() {
             assert!(
                 self.closed,
-                "an arena must be closed, or its leftovers go unnoticed"
+                "an arena must be closed, or its stale files go unnoticed"
             );
         }
     }

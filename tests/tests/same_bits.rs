@@ -126,7 +126,7 @@ impl Published {
             waiter.wait_until(None, None).unwrap();
             rounds_after += u32::from(ended.load(Ordering::Relaxed));
             while let Some(frame) = forecasts.take_next().unwrap() {
-                for forecast in frame.iter() {
+                for forecast in frame.payload() {
                     let live = !matches!(forecast.quality(), Quality::OpenLoop { .. });
                     // Open loop by the worker's clock is provisional: no part of the promise.
                     if live {
@@ -137,7 +137,7 @@ impl Published {
                 }
             }
             while let Some(frame) = diagnostics.take_next().unwrap() {
-                for diagnostic in frame.iter() {
+                for diagnostic in frame.payload() {
                     published
                         .diagnostics
                         .insert((diagnostic.robot, diagnostic.sample_seq), *diagnostic);

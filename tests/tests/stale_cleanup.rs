@@ -52,7 +52,7 @@ fn check<'a>(report: &'a Value, name: &str) -> &'a Value {
 }
 
 #[test]
-fn row_18_leftovers_of_dead_runs_are_removed_at_the_next_start_in_one_log_line() {
+fn row_18_stale_files_of_dead_runs_are_removed_at_the_next_start_in_one_log_line() {
     let arena = Arena::new(&Setup::default());
     killed_fleet(&arena);
     let mut worker = arena.worker();
@@ -79,7 +79,7 @@ fn row_18_doctor_lists_what_dead_runs_left_and_mends_it_but_only_when_told_to() 
     let before = arena.stale_files();
     let listed = arena.run(&["doctor", "--format", "json"]).json();
     assert_eq!(arena.stale_files(), before, "looking changes nothing");
-    let found = check(&listed, "leftovers");
+    let found = check(&listed, "stale files");
     assert_ne!(found["status"], "ok", "{listed}");
     let text = found["found"].as_str().unwrap();
     assert!(
@@ -99,7 +99,7 @@ fn row_18_doctor_lists_what_dead_runs_left_and_mends_it_but_only_when_told_to() 
         0,
         "{mended}"
     );
-    assert_eq!(check(&mended, "leftovers")["status"], "ok", "{mended}");
+    assert_eq!(check(&mended, "stale files")["status"], "ok", "{mended}");
     assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
     works(&arena, 0);
     arena.close();

@@ -22,6 +22,7 @@ const NODE_AGAIN_AFTER: Duration = Duration::from_millis(10);
 /// everything.
 ///
 /// Belongs to one thread. iceoryx2's own signal handling is off: signals stay the program's.
+#[derive(Debug)]
 pub struct Bus {
     pub(crate) node: Node<ipc::Service>,
     pub(crate) member: Rc<Membership>,

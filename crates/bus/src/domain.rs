@@ -207,6 +207,7 @@ fn hash(parts: &[&str]) -> u32 {
 
 /// Why a [`Domain`] cannot be named so.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum DomainError {
     /// The fleet's name.
     #[error("fleet name {found:?}: allowed are 1 to {MAX_FLEET_BYTES} of a-z A-Z 0-9 - _")]
@@ -226,7 +227,7 @@ pub enum DomainError {
         /// The path.
         found: PathBuf,
     },
-    /// The root path leaves no room for the names of sockets below it.
+    /// The root path is too long for the names of sockets below it.
     #[error(
         "root {root:?} has {found} bytes, allowed are {allowed}: choose a shorter one, such as \
          /dev/shm/joulebus"
@@ -243,6 +244,7 @@ pub enum DomainError {
 
 /// Why a root directory is not used.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum RootError {
     /// A link could be turned to another place.
     #[error("{path:?} is a symbolic link; remove it, or set `root` to the directory itself")]
@@ -303,6 +305,7 @@ impl RootError {
 
 /// What works, but not as well as it could.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum DomainWarning {
     /// The root lies on a disk: joining takes 23 ms instead of 1 ms, and a kill at the start can
     /// leave nodes that only a cold start removes.
@@ -320,7 +323,7 @@ impl std::fmt::Display for DomainWarning {
             Self::NotInMemory { root, filesystem } => write!(
                 f,
                 "{root:?} is not on a tmpfs (filesystem {filesystem:#x}): starts are slower and \
-                 leftovers more likely; set `root` below /dev/shm or /run/user"
+                 stale files more likely; set `root` below /dev/shm or /run/user"
             ),
         }
     }

@@ -95,6 +95,7 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
 
 /// Why iceoryx2 could not be set to a domain.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ConfigError {
     /// iceoryx2 does not take the name.
     #[error("iceoryx2 refuses the {what} of {domain:?}; choose a shorter `root` and `fleet`")]

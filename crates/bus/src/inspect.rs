@@ -17,6 +17,7 @@ use crate::{CapacityReport, Domain, RootError, WorkerLock};
 
 /// The state of a domain. Looking changes nothing.
 #[derive(Debug)]
+#[non_exhaustive]
 pub struct Inspection {
     /// The root directory, if it exists.
     pub root: Option<RootInfo>,
@@ -35,11 +36,12 @@ pub struct Inspection {
     /// Their sizes together, bytes; only what has been written takes memory.
     pub object_bytes: u64,
     /// Shared memory and file descriptors of the host and this process.
-    pub room: CapacityReport,
+    pub capacity: CapacityReport,
 }
 
 /// A process's node.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct NodeInfo {
     /// Its name; empty when its details are missing.
     pub name: String,
@@ -53,6 +55,7 @@ pub struct NodeInfo {
 
 /// The root directory.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct RootInfo {
     /// Where.
     pub path: PathBuf,
@@ -90,7 +93,7 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
         foreign: others.into_iter().map(|object| object.path).collect(),
         objects: mine.len() as u64,
         object_bytes: mine.iter().map(|object| object.bytes).sum(),
-        room: measure()?,
+        capacity: measure()?,
         root,
         root_error,
     })
@@ -143,6 +146,7 @@ fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
 
 /// Why a domain could not be looked at.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum InspectError {
     /// A directory could not be read.
     #[error(transparent)]
@@ -150,9 +154,9 @@ pub enum InspectError {
     /// iceoryx2 does not take the domain's names.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The system did not tell what room there is.
+    /// Free shared memory or file descriptors could not be read.
     #[error(transparent)]
-    Room(#[from] CapacityError),
+    Capacity(#[from] CapacityError),
     /// iceoryx2 could not list its nodes.
     #[error("cannot list nodes: {reason}")]
     Nodes {

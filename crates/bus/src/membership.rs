@@ -17,6 +17,7 @@ pub(crate) const JOIN_LIMIT: Duration = Duration::from_secs(5);
 const RETRY_EVERY: Duration = Duration::from_millis(2);
 
 /// A process's stay in a domain. Ports share it, so that it outlives them.
+#[derive(Debug)]
 pub(crate) struct Membership {
     pub(crate) domain: Domain,
     pub(crate) keeper: Keeper,
@@ -112,6 +113,7 @@ impl Drop for Membership {
 
 /// Why a process could not join.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum JoinError {
     /// The root directory is not private.
     #[error(transparent)]
@@ -119,7 +121,7 @@ pub enum JoinError {
     /// iceoryx2 could not be set to the domain.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// Leftovers could not be removed.
+    /// Stale files could not be removed.
     #[error("{0}; run `joulebus doctor --fix`")]
     Sweep(#[from] SweepError),
     /// The members' lock could not be taken.

@@ -1,4 +1,4 @@
-//! Whether there is room: shared memory and file descriptors, before anything is created.
+//! The preflight check: whether shared memory and file descriptors suffice, before anything is created.
 
 use std::io;
 
@@ -33,8 +33,9 @@ pub struct Ports {
     pub planners: usize,
 }
 
-/// Room needed and found.
+/// Capacity needed and found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct CapacityReport {
     /// Shared memory that the ports will take at most, bytes.
     pub needed_bytes: u64,
@@ -82,7 +83,7 @@ pub fn check_capacity(limits: &Limits, ports: Ports) -> Result<CapacityReport, C
 pub(crate) fn measure() -> Result<CapacityReport, CapacityError> {
     let (free_bytes, total_bytes) = shared_memory()?;
     let limit = getrlimit(Resource::Nofile).current;
-    let used = std::fs::read_dir("/proc/self/fd").map_err(CapacityError::Look)?;
+    let used = std::fs::read_dir("/proc/self/fd").map_err(CapacityError::Measure)?;
     Ok(CapacityReport {
         needed_bytes: 0,
         free_bytes,
@@ -96,7 +97,7 @@ pub(crate) fn measure() -> Result<CapacityReport, CapacityError> {
 
 /// Free bytes and total bytes of `/dev/shm`.
 pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
-    let shm = rustix::fs::statvfs(SHM_DIR).map_err(|error| CapacityError::Look(error.into()))?;
+    let shm = rustix::fs::statvfs(SHM_DIR).map_err(|error| CapacityError::Measure(error.into()))?;
     Ok((
         shm.f_bavail.saturating_mul(shm.f_frsize),
         shm.f_blocks.saturating_mul(shm.f_frsize),
@@ -165,12 +166,13 @@ fn descriptors(limits: &Limits) -> u64 {
 
 /// Why the ports would not fit.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CapacityError {
     /// Too little shared memory.
     #[error(
         "shared memory: {needed} bytes needed, {free} free in {SHM_DIR}; lower `capacity` or \
          `max_planners`, enlarge it (`mount -o remount,size=… {SHM_DIR}`, in a container \
-         `--shm-size`), or remove leftovers with `joulebus doctor --fix`"
+         `--shm-size`), or remove stale files with `joulebus doctor --fix`"
     )]
     Memory {
         /// Bytes needed.
@@ -191,7 +193,7 @@ pub enum CapacityError {
         /// Allowed.
         limit: u64,
     },
-    /// The system did not say.
-    #[error("cannot look for room: {0}")]
-    Look(io::Error),
+    /// Free shared memory or file descriptors could not be read.
+    #[error("cannot read how much shared memory or how many file descriptors are free: {0}")]
+    Measure(io::Error),
 }

@@ -52,13 +52,13 @@ fn only_loans_allocate_and_only_once() {
         let answered = allocations(|| {
             let mut loan = forecasts.loan(100).unwrap();
             *loan.header_mut() = ForecastHeader::default();
-            loan.fill(Forecast::default());
+            loan.payload_mut().fill(Forecast::default());
             assert_eq!(loan.send().unwrap(), 1);
             waker.wake(WakeEvent::Frame).unwrap();
         });
         let read = allocations(|| {
             assert!(wake.wait_until(None, None).unwrap().frame);
-            assert_eq!(planner.take_latest().unwrap().unwrap().len(), 100);
+            assert_eq!(planner.take_latest().unwrap().unwrap().payload().len(), 100);
             assert!(planner.take_latest().unwrap().is_none());
         });
         if round >= 10 {

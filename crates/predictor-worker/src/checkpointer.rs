@@ -189,7 +189,7 @@ impl Desk {
     fn read_budgets(&mut self) {
         match self.budgets.take_latest() {
             Ok(Some(frame)) => {
-                self.checkpoint.take(&frame);
+                self.checkpoint.take(frame.payload());
                 self.checkpoint.written_ns = frame.header().sent_ns;
                 self.checkpoint.written_unix_ns = frame.header().sent_unix_ns;
                 self.changed = true;
@@ -213,7 +213,7 @@ impl Desk {
         match self.forecasts.take_latest() {
             Ok(Some(frame)) => {
                 let drops = frame.header().samples_dropped;
-                let (newer, robots) = (drops.since(&self.drops), frame.len());
+                let (newer, robots) = (drops.since(&self.drops), frame.payload().len());
                 self.drops = drops;
                 drop(frame);
                 if newer.total() > 0 {

@@ -6,8 +6,8 @@ use joulebus_bus::{
 };
 use joulebus_fleet::{Fleet, Outputs};
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, SCHEMA_VERSION,
-    WakeEvent,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Payload,
+    SCHEMA_VERSION, WakeEvent,
 };
 
 use crate::tick_pool::TickPool;
@@ -51,19 +51,19 @@ impl Outbox {
         let mut shard = fleet.shard();
         let unsent = if pool.shares(robots) {
             let outputs = Outputs {
-                forecasts: forecasts.as_deref_mut().unwrap_or_default(),
-                diagnostics: written(&mut diagnostics),
-                budgets: budgets.as_deref_mut().unwrap_or_default(),
+                forecasts: payload(Some(&mut forecasts)),
+                diagnostics: payload(diagnostics.as_mut()),
+                budgets: payload(Some(&mut budgets)),
             };
             pool.run(shard, outputs);
             send_forecasts(forecasts, &self.planners, header)
         } else {
-            pool.forecast(&mut shard, forecasts.as_deref_mut().unwrap_or_default());
+            pool.forecast(&mut shard, payload(Some(&mut forecasts)));
             let unsent = send_forecasts(forecasts, &self.planners, header);
             pool.account(
                 &mut shard,
-                written(&mut diagnostics),
-                budgets.as_deref_mut().unwrap_or_default(),
+                payload(diagnostics.as_mut()),
+                payload(Some(&mut budgets)),
             );
             unsent
         };
@@ -103,12 +103,12 @@ impl Outbox {
     }
 }
 
-/// Where the diagnostics go: nowhere if they are left out, or if there is no memory for them.
-fn written<'a>(
-    diagnostics: &'a mut Option<Result<DiagnosticLoan<'_>, SendError>>,
-) -> &'a mut [Diagnostic] {
-    match diagnostics {
-        Some(Ok(loan)) => loan,
+/// Where a frame is written: nowhere if it is left out, or if there is no memory for it.
+fn payload<'a, H: Payload, T: Payload>(
+    loan: Option<&'a mut Result<Loan<'_, H, T>, SendError>>,
+) -> &'a mut [T] {
+    match loan {
+        Some(Ok(loan)) => loan.payload_mut(),
         _ => &mut [],
     }
 }

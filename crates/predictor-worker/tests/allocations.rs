@@ -86,7 +86,8 @@ fn record(domain: &Domain, config: &Config, stop: &AtomicBool) -> u32 {
     let (mut bytes, mut keyframes) = (0, 0);
     while !stop.load(Ordering::Relaxed) {
         while let Some(piece) = states.take_next().unwrap() {
-            bytes = if piece.header().offset == 0 { 0 } else { bytes } + piece.len() as u64;
+            bytes =
+                if piece.header().offset == 0 { 0 } else { bytes } + piece.payload().len() as u64;
             keyframes += u32::from(bytes == piece.header().total_bytes);
         }
         std::thread::sleep(Duration::from_millis(5));

@@ -64,18 +64,20 @@ fn record(config: &Config, ready: &AtomicBool, stop: &AtomicBool) -> Recorded {
             let tick = frame.header().tick;
             recorded
                 .ticks
-                .insert(tick, (*frame.header(), frame.to_vec()));
+                .insert(tick, (*frame.header(), frame.payload().to_vec()));
         }
         while let Some(frame) = forecasts.take_next().unwrap() {
             recorded
                 .forecasts
-                .insert(frame.header().tick, frame.to_vec());
+                .insert(frame.header().tick, frame.payload().to_vec());
         }
         while let Some(frame) = budgets.take_next().unwrap() {
-            recorded.budgets.insert(frame.header().tick, frame.to_vec());
+            recorded
+                .budgets
+                .insert(frame.header().tick, frame.payload().to_vec());
         }
         while let Some(piece) = states.take_next().unwrap() {
-            add_piece(piece.header(), &piece, &mut pieces, &mut recorded);
+            add_piece(piece.header(), piece.payload(), &mut pieces, &mut recorded);
         }
         waiter.wait_until(None, None).unwrap();
     }

@@ -2,6 +2,7 @@
 
 use std::ops::RangeInclusive;
 
+use joulebus_wire::fnv1a;
 use serde::Serialize;
 
 /// Everything the tick needs to know but the models.

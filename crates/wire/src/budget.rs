@@ -1,5 +1,9 @@
 //! What each robot has drawn, and what it has left.
 
+use bytemuck::{Pod, Zeroable};
+
+use crate::layout::ZeroCopySend;
+
 /// Bits of [`Budget::flags`].
 pub mod budget_flag {
     /// The platform's config describes a battery: energy left, usable and state of charge are known.
@@ -19,7 +23,8 @@ pub mod budget_flag {
 /// exact: `metered_ns + unmetered_ns` is the time from the first sample to `stamp_ns`. What follows
 /// is derived from it and widens with every unmetered second.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
+#[type_name("joulebus.Budget.v1")]
 pub struct Budget {
     /// Id of the robot.
     pub robot: u32,
@@ -81,7 +86,8 @@ impl Budget {
 
 /// Header of a frame of budgets.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
+#[type_name("joulebus.BudgetHeader.v1")]
 pub struct BudgetHeader {
     /// [`crate::SCHEMA_VERSION`].
     pub schema: u32,

@@ -1,5 +1,9 @@
 //! What the worker thinks of each robot's residuals.
 
+use bytemuck::{Pod, Zeroable};
+
+use crate::layout::ZeroCopySend;
+
 /// Bits of [`Diagnostic::flags`].
 pub mod diagnostic_flag {
     /// `residual_w` and `residual_z` are of the sample `sample_seq`; otherwise they are NaN.
@@ -10,7 +14,8 @@ pub mod diagnostic_flag {
 
 /// One robot's diagnostics. 128 bytes.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
+#[type_name("joulebus.Diagnostic.v1")]
 pub struct Diagnostic {
     /// Id of the robot.
     pub robot: u32,
@@ -82,7 +87,8 @@ impl Diagnostic {
 
 /// Header of a frame of diagnostics.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
+#[type_name("joulebus.DiagnosticHeader.v1")]
 pub struct DiagnosticHeader {
     /// [`crate::SCHEMA_VERSION`].
     pub schema: u32,

@@ -1,6 +1,9 @@
 //! What the worker forecasts.
 
+use bytemuck::{Pod, Zeroable};
+
 use crate::InvalidReason;
+use crate::layout::ZeroCopySend;
 
 /// Bits of [`Forecast::flags`].
 pub mod forecast_flag {
@@ -16,7 +19,8 @@ pub mod forecast_flag {
 
 /// One robot's forecast. 72 bytes.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
+#[type_name("joulebus.Forecast.v1")]
 pub struct Forecast {
     /// Id of the robot.
     pub robot: u32,
@@ -129,7 +133,8 @@ impl Quality {
 
 /// Header of a frame of forecasts: what the tick was, and how the intake stands.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
+#[type_name("joulebus.ForecastHeader.v1")]
 pub struct ForecastHeader {
     /// [`crate::SCHEMA_VERSION`].
     pub schema: u32,

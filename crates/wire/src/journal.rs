@@ -1,5 +1,9 @@
 //! What the worker took in each tick, in which order, at which time: enough to compute it again.
 
+use bytemuck::{Pod, Zeroable};
+
+use crate::layout::ZeroCopySend;
+
 /// Bits of [`TickHeader::flags`].
 pub mod tick_flag {
     /// The tick before this one started too late: what the tick was told.
@@ -13,7 +17,8 @@ pub mod tick_flag {
 /// Names the frame; its samples are those of the frame with the same source, epoch and number on
 /// [`crate::Service::Samples`].
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
+#[type_name("joulebus.TakenFrame.v1")]
 pub struct TakenFrame {
     /// [`crate::SampleHeader::source_id`] of the frame.
     pub source_id: u64,
@@ -32,7 +37,8 @@ pub struct TakenFrame {
 /// Header of a tick's journal: the slice holds the frames taken since the tick before, in the
 /// order in which they were taken.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
+#[type_name("joulebus.TickHeader.v1")]
 pub struct TickHeader {
     /// [`crate::SCHEMA_VERSION`].
     pub schema: u32,

@@ -1,8 +1,8 @@
 //! What lies in shared memory: fixed-size payloads, codes, flags and service names.
 //!
 //! Everything here is read by other processes, and by other languages: `#[repr(C)]`, no implicit
-//! padding, no Rust enums or bools (another process could write an invalid one), SI units, `u64`
-//! nanoseconds for time. A value that is not known is NaN *and* has its flag cleared; it is never
+//! padding and no Rust enums or bools, of which another process could write an invalid one (the
+//! compiler checks it: each is a [`Payload`]), SI units, `u64` nanoseconds for time. A value that is not known is NaN *and* has its flag cleared; it is never
 //! 0 or −1. Codes are decoded with [`Quality::decode`] and friends, which accept every bit pattern.
 //!
 //! ```
@@ -10,14 +10,14 @@
 //! let sample = Sample::new(7, 0, 1_000_000).command(0.1, 0.0).reading(3.65, 1_000_000);
 //! assert!(sample.flags & sample_flag::POWER != 0);
 //! ```
-#![deny(unsafe_code)]
+#![forbid(unsafe_code)]
 
 mod budget;
 mod diagnostic;
 mod forecast;
 mod hash;
 mod journal;
-mod marker;
+mod layout;
 mod reason;
 mod sample;
 mod service;
@@ -28,6 +28,7 @@ pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagn
 pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
 pub use hash::fnv1a;
 pub use journal::{TakenFrame, TickHeader, tick_flag};
+pub use layout::Payload;
 pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
 pub use sample::{Freshness, Sample, SampleHeader, sample_flag};
 pub use service::{Service, WakeEvent, service_name};

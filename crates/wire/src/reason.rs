@@ -1,5 +1,9 @@
 //! Why a sample was not accepted, and why a robot has no forecast.
 
+use bytemuck::{Pod, Zeroable};
+
+use crate::layout::ZeroCopySend;
+
 /// Why a sample was dropped. Sent = accepted + dropped, summed over all reasons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DropReason {
@@ -84,7 +88,7 @@ impl DropReason {
 
 /// One robot's refusals for one reason, as the worker names them to operators. 16 bytes.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
 pub struct Refusal {
     /// Id of the robot that the samples claimed to be of.
     pub robot: u32,
@@ -107,7 +111,7 @@ impl Refusal {
 
 /// Samples dropped, one counter per [`DropReason`], with room for later reasons.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
 pub struct DropCounts {
     /// Indexed by the reason's position in [`DropReason::ALL`].
     pub counts: [u64; 24],

@@ -1,5 +1,9 @@
 //! What a fleet controller publishes.
 
+use bytemuck::{Pod, Zeroable};
+
+use crate::layout::ZeroCopySend;
+
 /// Bits of [`Sample::flags`]. A bit that is not listed here makes the sample refused.
 pub mod sample_flag {
     /// `v_mps` is known.
@@ -25,7 +29,8 @@ pub mod sample_flag {
 
 /// One robot's command and latest reading in one control tick. 56 bytes.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
+#[type_name("joulebus.Sample.v1")]
 pub struct Sample {
     /// Id of the robot, unique in the fleet.
     pub robot: u32,
@@ -136,7 +141,8 @@ pub enum Freshness {
 
 /// Header of a frame of samples: one frame is what one source sends at once.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
+#[type_name("joulebus.SampleHeader.v1")]
 pub struct SampleHeader {
     /// [`crate::SCHEMA_VERSION`].
     pub schema: u32,

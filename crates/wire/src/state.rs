@@ -1,13 +1,18 @@
 //! Keyframes: the worker's whole state at one tick, so that a recording that begins in the middle
 //! can be computed again.
 
+use bytemuck::{Pod, Zeroable};
+
+use crate::layout::ZeroCopySend;
+
 /// Header of a piece of a keyframe. The payload is bytes.
 ///
 /// A keyframe is too long for one frame: it comes in pieces, in order, and is whole when they add
 /// up to `total_bytes`. What the bytes mean is `joulebus_fleet::FleetState`'s to say. A keyframe of
 /// which a piece is missing is of no use; the next one comes soon.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
+#[type_name("joulebus.StateHeader.v1")]
 pub struct StateHeader {
     /// [`crate::SCHEMA_VERSION`].
     pub schema: u32,

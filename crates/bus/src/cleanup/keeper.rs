@@ -20,6 +20,7 @@ const DEAD_NODES_EVERY: u64 = 4;
 
 /// What this process has removed since it joined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub struct Housekeeping {
     /// Nodes of dead processes removed.
     pub dead_nodes: u64,
@@ -29,7 +30,7 @@ pub struct Housekeeping {
     pub incomplete: u64,
 }
 
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Shared {
     stop: Mutex<bool>,
     stopped: Condvar,
@@ -38,6 +39,7 @@ struct Shared {
     incomplete: AtomicU64,
 }
 
+#[derive(Debug)]
 pub(crate) struct Keeper {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,

@@ -17,7 +17,7 @@ const OLD: Duration = Duration::from_millis(250);
 pub(super) const OWNER_READ: u32 = 0o400;
 
 /// A file of a domain.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub(crate) struct Object {
     pub(crate) path: PathBuf,
     pub(crate) bytes: u64,

@@ -2,6 +2,7 @@
 
 /// What was removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub struct SweepReport {
     /// Nodes of dead processes that iceoryx2 removed.
     pub dead_nodes: u64,

@@ -101,8 +101,9 @@ fn remove_contents(
     Ok(())
 }
 
-/// Why leftovers could not be removed.
+/// Why stale files could not be removed.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SweepError {
     /// The root is not ours to clean.
     #[error(transparent)]

@@ -14,6 +14,7 @@ use crate::liveness::worker_lock::WorkerLock;
 use crate::os::files::is_same;
 
 /// The file that members lock.
+#[derive(Debug)]
 pub(crate) struct MembersLock {
     file: File,
 }

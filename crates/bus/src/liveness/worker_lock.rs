@@ -158,6 +158,7 @@ fn is_alive(pid: u32) -> bool {
 
 /// Why a process may not be the worker.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum WorkerLockError {
     /// There is one.
     #[error(

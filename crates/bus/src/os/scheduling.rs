@@ -147,6 +147,7 @@ impl Rights {
 
 /// What the system refused.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SchedulingError {
     /// The processor is not there, or not for this process.
     #[error(

@@ -1,17 +1,15 @@
 //! Reading frames in place.
 
-use std::fmt::Debug;
 use std::marker::PhantomData;
-use std::ops::Deref;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::prelude::{ZeroCopySend, ipc};
+use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as Borrowed;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use joulebus_wire::Service;
+use joulebus_wire::{Payload, Service};
 
 use super::degradation::count_degradation;
 use super::repair::{Look, Repair};
@@ -21,7 +19,8 @@ use crate::membership::Membership;
 use crate::{Bus, Limits, clock};
 
 /// Reads frames in place.
-pub struct Reader<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
+#[derive(Debug)]
+pub struct Reader<H: Payload, T: Payload> {
     // Before the port, it before the factory, and all before the membership: the order in which
     // they must go.
     held: Option<Borrowed<ipc::Service, [T], H>>,
@@ -33,11 +32,7 @@ pub struct Reader<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + '
     _member: Rc<Membership>,
 }
 
-impl<H, T> Reader<H, T>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
+impl<H: Payload, T: Payload> Reader<H, T> {
     pub(super) fn open(
         bus: &Bus,
         service: Service,
@@ -176,15 +171,11 @@ where
     }
 }
 
-fn subscribe<H, T>(
+fn subscribe<H: Payload, T: Payload>(
     factory: &PortFactory<ipc::Service, [T], H>,
     buffer: usize,
     degraded: &Arc<AtomicU64>,
-) -> Result<Subscriber<ipc::Service, [T], H>, ReceiveError>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
+) -> Result<Subscriber<ipc::Service, [T], H>, ReceiveError> {
     let counted = Arc::clone(degraded);
     factory
         .subscriber_builder()
@@ -196,19 +187,16 @@ where
         })
 }
 
-/// A frame in shared memory, held for as long as this lives: the slice by dereferencing.
+/// A frame in shared memory, held for as long as this lives.
 ///
 /// Its writer could still change it (it does not): who must be sure copies first.
-pub struct Frame<'a, H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
+#[derive(Debug)]
+pub struct Frame<'a, H: Payload, T: Payload> {
     sample: Borrowed<ipc::Service, [T], H>,
     reader: PhantomData<&'a mut Reader<H, T>>,
 }
 
-impl<H, T> Frame<'_, H, T>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
+impl<H: Payload, T: Payload> Frame<'_, H, T> {
     const fn new(sample: Borrowed<ipc::Service, [T], H>) -> Self {
         Self {
             sample,
@@ -221,22 +209,17 @@ where
     pub fn header(&self) -> &H {
         self.sample.user_header()
     }
-}
 
-impl<H, T> Deref for Frame<'_, H, T>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
-    type Target = [T];
-
-    fn deref(&self) -> &[T] {
+    /// The frame's slice.
+    #[must_use]
+    pub fn payload(&self) -> &[T] {
         self.sample.payload()
     }
 }
 
 /// Why no frame could be read.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ReceiveError {
     /// A writer could not be connected to for a second and more; its frames are missing. The port
     /// is made anew each second. A writer that died meanwhile is no error.

@@ -17,6 +17,7 @@ use crate::{Bus, Limits};
 const MAPPED: usize = 256;
 
 /// The worker's port for samples of all sources.
+#[derive(Debug)]
 pub struct SampleReader {
     reader: Reader<SampleHeader, Sample>,
     /// Ports of sources whose memory has been mapped whole.
@@ -87,6 +88,7 @@ impl SampleReader {
 /// A frame of samples on its way in. Each byte is read from shared memory once, into a buffer that
 /// may be small enough to stay in the core's own cache; what is checked there cannot change any
 /// more.
+#[derive(Debug)]
 pub struct IncomingFrame<'a> {
     received: Borrowed<ipc::Service, [Sample], SampleHeader>,
     header: SampleHeader,
@@ -183,6 +185,7 @@ fn touched(capacity: usize) -> Vec<Sample> {
 }
 
 /// A source's port: sends frames of samples and wakes the worker.
+#[derive(Debug)]
 pub struct SampleWriter {
     writer: Writer<SampleHeader, Sample>,
     waker: Waker,

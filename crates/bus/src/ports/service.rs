@@ -3,9 +3,7 @@
 use std::fmt::Debug;
 use std::time::Duration;
 
-use iceoryx2::prelude::{
-    EventId, MessagingPattern, SemanticString, ServiceName, ZeroCopySend, ipc,
-};
+use iceoryx2::prelude::{EventId, MessagingPattern, SemanticString, ServiceName, ipc};
 use iceoryx2::service::Service as _;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue, AttributeVerifier};
 use iceoryx2::service::builder::event::{EventCreateError, EventOpenError, EventOpenOrCreateError};
@@ -14,7 +12,7 @@ use iceoryx2::service::builder::publish_subscribe::{
 };
 use iceoryx2::service::port_factory::event::PortFactory as EventFactory;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use joulebus_wire::{Service, WakeEvent, service_name};
+use joulebus_wire::{Payload, Service, WakeEvent, service_name};
 
 use crate::cleanup::dead_nodes::remove_dead_nodes;
 use crate::cleanup::incomplete::{remove_abandoned_service, remove_incomplete};
@@ -27,16 +25,12 @@ const LIMITS_KEY: &[u8] = b"joulebus.limits";
 const OPEN_LIMIT_NS: u64 = 4_000_000_000;
 const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
 
-pub(super) fn open<H, T>(
+pub(super) fn open<H: Payload, T: Payload>(
     bus: &Bus,
     service: Service,
     limits: &Limits,
     shape: Shape,
-) -> Result<PortFactory<ipc::Service, [T], H>, OpenError>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
+) -> Result<PortFactory<ipc::Service, [T], H>, OpenError> {
     let name = name(bus, service)?;
     let open = || {
         bus.node
@@ -215,6 +209,7 @@ fn refused(
 
 /// Why a port could not be opened.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum OpenError {
     /// Another process of the fleet runs with other limits.
     #[error(
@@ -239,7 +234,7 @@ pub enum OpenError {
     },
     /// Too little shared memory.
     #[error(transparent)]
-    Room(#[from] CapacityError),
+    Capacity(#[from] CapacityError),
     /// The memory was there a moment ago, and could not be taken.
     #[error("cannot take {needed} bytes of shared memory: {source}")]
     Memory {

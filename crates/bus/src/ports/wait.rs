@@ -22,6 +22,7 @@ use crate::{Bus, Limits, PeerWatch, clock};
 const LONGEST_SLEEP_NS: u64 = 100_000_000;
 
 /// Wakes those who wait on a service.
+#[derive(Debug)]
 pub struct Waker {
     notifier: Notifier<ipc::Service>,
     // After the port: it must be gone before the process leaves.
@@ -63,6 +64,7 @@ impl Waker {
 /// Why [`Waiter::wait_until`] returned. Nothing set: the deadline has passed, or it is just time
 /// to look around (at least ten times a second).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub struct Woken {
     /// A frame can be read.
     pub frame: bool,
@@ -85,6 +87,7 @@ impl Woken {
 }
 
 /// Waits to be woken.
+#[derive(Debug)]
 pub struct Waiter {
     listener: Listener<ipc::Service>,
     // After the port: it must be gone before the process leaves.
@@ -183,6 +186,7 @@ impl Waiter {
 
 /// Why waiting or waking failed.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum WaitError {
     /// iceoryx2 could not notify.
     #[error("cannot wake the others: {reason}")]

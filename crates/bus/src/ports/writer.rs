@@ -1,9 +1,7 @@
 //! Sending frames: a header and a slice, written where readers read it.
 #![allow(unsafe_code)] // Memory of a frame is lent without being written to first.
 
-use std::fmt::Debug;
 use std::marker::PhantomData;
-use std::ops::{Deref, DerefMut};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,11 +9,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use iceoryx2::port::LoanError;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::{AllocationStrategy, ZeroCopySend, ipc};
+use iceoryx2::prelude::{AllocationStrategy, ipc};
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use joulebus_wire::{Budget, Diagnostic, Forecast, Service};
+use joulebus_wire::{Payload, Service};
 
 use super::degradation::count_degradation;
 use super::service::{self, OpenError};
@@ -27,7 +25,8 @@ use crate::preflight::{segment_bytes, shared_memory};
 use crate::{Bus, CapacityError, Limits};
 
 /// Sends frames: a header `H` and a slice of `T`, written where readers read it.
-pub struct Writer<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
+#[derive(Debug)]
+pub struct Writer<H: Payload, T: Payload> {
     // The port before its factory: the order in which they must go.
     publisher: Publisher<ipc::Service, [T], H>,
     factory: PortFactory<ipc::Service, [T], H>,
@@ -37,11 +36,7 @@ pub struct Writer<H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + '
     _member: Rc<Membership>,
 }
 
-impl<H, T> Writer<H, T>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
+impl<H: Payload, T: Payload> Writer<H, T> {
     pub(super) fn open(
         bus: &Bus,
         service: Service,
@@ -75,13 +70,7 @@ where
             _member: Rc::clone(&bus.member),
         })
     }
-}
 
-impl<H, T> Writer<H, T>
-where
-    H: Debug + Copy + Default + ZeroCopySend + 'static,
-    T: Debug + Copy + Default + ZeroCopySend + 'static,
-{
     /// Sends a frame of `len` elements, element `i` being `element(i)`, written straight into
     /// shared memory. Returns how many readers got it. iceoryx2 allocates once.
     ///
@@ -111,6 +100,28 @@ where
         self.check(len)?;
         let mut sample = self.publisher.loan_slice(len).map_err(SendError::loan)?;
         *sample.user_header_mut() = H::default();
+        Ok(Loan {
+            sample,
+            writer: PhantomData,
+        })
+    }
+
+    /// As [`Writer::loan`], for who writes every element: until then they hold what the last frame
+    /// in that memory held, or zeros. Saves a pass over memory that does not fit into any cache.
+    ///
+    /// # Errors
+    /// [`SendError`].
+    pub fn loan_to_fill(&mut self, len: usize) -> Result<Loan<'_, H, T>, SendError> {
+        self.check(len)?;
+        let mut sample = self
+            .publisher
+            .loan_slice_uninit(len)
+            .map_err(SendError::loan)?;
+        *sample.user_header_mut() = H::default();
+        // SAFETY: the memory is a mapping of a shared memory object: the system hands it out as
+        // zeros, and every later byte in it is that of an earlier frame. So all of it is
+        // initialised, and of a payload any bytes are a value.
+        let sample = unsafe { sample.assume_init() };
         Ok(Loan {
             sample,
             writer: PhantomData,
@@ -154,65 +165,22 @@ where
     }
 }
 
-/// Payloads for which every bit pattern is a value.
-///
-/// # Safety
-/// Any bytes of its size are one: no padding, no enum, no bool, no reference.
-unsafe trait AnyBits {}
-
-// SAFETY: integers and floats without padding, as `joulebus-wire` asserts of each.
-unsafe impl AnyBits for Forecast {}
-// SAFETY: as above.
-unsafe impl AnyBits for Diagnostic {}
-// SAFETY: as above.
-unsafe impl AnyBits for Budget {}
-
-#[allow(
-    private_bounds,
-    reason = "only payloads of which this is known can be lent unwritten"
-)]
-impl<H, T> Writer<H, T>
-where
-    H: Debug + Copy + Default + ZeroCopySend + 'static,
-    T: Debug + Copy + Default + ZeroCopySend + AnyBits + 'static,
-{
-    /// As [`Writer::loan`], for who writes every element: until then they hold what the last frame
-    /// in that memory held, or zeros. Saves a pass over memory that does not fit into any cache.
-    ///
-    /// # Errors
-    /// [`SendError`].
-    pub fn loan_to_fill(&mut self, len: usize) -> Result<Loan<'_, H, T>, SendError> {
-        self.check(len)?;
-        let mut sample = self
-            .publisher
-            .loan_slice_uninit(len)
-            .map_err(SendError::loan)?;
-        *sample.user_header_mut() = H::default();
-        // SAFETY: the memory is a mapping of a shared memory object: the system hands it out as
-        // zeros, and every later byte in it is that of an earlier frame. So all of it is
-        // initialised, and of `T` any bytes are a value.
-        let sample = unsafe { sample.assume_init() };
-        Ok(Loan {
-            sample,
-            writer: PhantomData,
-        })
-    }
-}
-
-/// Memory of a frame to be sent: the slice by dereferencing.
-pub struct Loan<'a, H: Debug + ZeroCopySend + 'static, T: Debug + ZeroCopySend + 'static> {
+/// Memory of a frame to be sent.
+#[derive(Debug)]
+pub struct Loan<'a, H: Payload, T: Payload> {
     sample: SampleMut<ipc::Service, [T], H>,
     writer: PhantomData<&'a mut Writer<H, T>>,
 }
 
-impl<H, T> Loan<'_, H, T>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
+impl<H: Payload, T: Payload> Loan<'_, H, T> {
     /// The frame's header.
     pub fn header_mut(&mut self) -> &mut H {
         self.sample.user_header_mut()
+    }
+
+    /// The frame's slice.
+    pub fn payload_mut(&mut self) -> &mut [T] {
+        self.sample.payload_mut()
     }
 
     /// Sends the frame. Returns how many readers got it.
@@ -224,30 +192,9 @@ where
     }
 }
 
-impl<H, T> Deref for Loan<'_, H, T>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
-    type Target = [T];
-
-    fn deref(&self) -> &[T] {
-        self.sample.payload()
-    }
-}
-
-impl<H, T> DerefMut for Loan<'_, H, T>
-where
-    H: Debug + ZeroCopySend + 'static,
-    T: Debug + ZeroCopySend + 'static,
-{
-    fn deref_mut(&mut self) -> &mut [T] {
-        self.sample.payload_mut()
-    }
-}
-
 /// Why a frame was not sent.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SendError {
     /// The frame is longer than the port was opened for.
     #[error("a frame of {found} elements, allowed are {allowed}")]

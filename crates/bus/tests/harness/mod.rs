@@ -397,7 +397,7 @@ impl Ports {
             let mut loan = forecasts.loan(3)?;
             loan.header_mut().tick = tick;
             loan.header_mut().pid = std::process::id();
-            for (robot, forecast) in loan.iter_mut().enumerate() {
+            for (robot, forecast) in loan.payload_mut().iter_mut().enumerate() {
                 *forecast = Forecast {
                     robot: robot as u32,
                     power_w: tick as f32,
@@ -444,17 +444,21 @@ impl Ports {
             let header: &ForecastHeader = frame.header();
             assert!(
                 frame
+                    .payload()
                     .iter()
                     .all(|forecast| forecast.power_w == header.tick as f32)
             );
-            assert_eq!(frame.len(), 3);
+            assert_eq!(frame.payload().len(), 3);
             header.tick
         }));
         let reader = self.diagnostic_reader.as_mut().ok_or("no port")?;
         ticks.push(reader.take_latest()?.map(|frame| frame.header().tick));
         let reader = self.budget_reader.as_mut().ok_or("no port")?;
         ticks.push(reader.take_latest()?.map(|frame| {
-            assert_eq!(frame[0].drawn_uj, frame.header().tick.cast_signed());
+            assert_eq!(
+                frame.payload()[0].drawn_uj,
+                frame.header().tick.cast_signed()
+            );
             frame.header().tick
         }));
         Ok(format!("{ticks:?}"))

@@ -52,7 +52,7 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
         Err(error) => {
             let name = match error {
                 CapacityError::Descriptors { .. } => "descriptors",
-                CapacityError::Memory { .. } | CapacityError::Look(_) => "shared memory",
+                _ => "shared memory",
             };
             return Check::new(name, Status::Fail, error.to_string(), "");
         }
@@ -108,7 +108,7 @@ pub(super) fn root(domain: &Domain, inspection: &Inspection) -> Check {
         return Check::new(name, Status::Fail, error.to_string(), FIX);
     }
     let slow = "keep `root` on a tmpfs, below /dev/shm or /run/user: on a disk starts are slower and \
-                leftovers more likely";
+                stale files more likely";
     let Some(root) = &inspection.root else {
         return missing_root(domain.root(), slow);
     };
@@ -199,7 +199,7 @@ fn node_name(node: &NodeInfo) -> String {
 
 /// What nobody uses any more, or nobody of ours.
 pub(super) fn stale_files(inspection: &Inspection) -> Check {
-    let name = "leftovers";
+    let name = "stale files";
     if let Some(first) = inspection.foreign.first() {
         let (count, first) = (inspection.foreign.len(), first.display());
         let found = format!("{count} objects of another user under our names, one is {first}");

@@ -13,7 +13,7 @@ pub(super) fn mend(domain: &Domain) -> anyhow::Result<Vec<String>> {
     for directory in [domain.root(), &domain.directory()] {
         mended.extend(close_to_others(directory)?);
     }
-    let swept = sweep(domain).context("cannot remove leftovers")?;
+    let swept = sweep(domain).context("cannot remove stale files")?;
     for (count, what) in [
         (swept.dead_nodes, "nodes of dead processes removed"),
         (swept.incomplete, "unfinished objects removed"),

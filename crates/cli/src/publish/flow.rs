@@ -164,7 +164,7 @@ impl Flow {
                 process: PeerWatch::open(header.pid),
             });
         }
-        let answers = frame.iter().filter(|forecast| {
+        let answers = frame.payload().iter().filter(|forecast| {
             forecast.flags & forecast_flag::SAMPLE != 0
                 && forecast.source_epoch == self.source_epoch
         });

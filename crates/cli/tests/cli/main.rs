@@ -256,7 +256,7 @@ fn doctor_finds_a_fresh_place_well_and_leaves_nothing() {
     assert!(about("shared memory").contains("MiB needed"));
     assert!(about("models").contains("gternal"));
     assert!(about("worker").contains("none runs"));
-    assert_eq!(about("leftovers"), "none");
+    assert_eq!(about("stale files"), "none");
     assert!(fleet.stale_files().is_empty());
     assert_eq!(code(&fleet.output("doctor --fix")), 0);
     assert!(fleet.stale_files().is_empty());
@@ -283,7 +283,7 @@ fn doctor_finds_what_dead_runs_left_and_mends_it() {
         .filter(|check| check["status"] == "fail")
         .map(|check| check["name"].as_str().unwrap())
         .collect();
-    assert_eq!(failed, ["root", "leftovers"]);
+    assert_eq!(failed, ["root", "stale files"]);
     let mode = |path| fs::metadata(path).unwrap().mode() & 0o777;
     assert_eq!(mode(fleet.root()), 0o755, "looking changes nothing");
 

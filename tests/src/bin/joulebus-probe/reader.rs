@@ -83,17 +83,17 @@ impl Ports {
         let mut newest = None;
         while let Some(frame) = self.forecasts.take_next()? {
             newest = Some(frame.header().pid);
-            let line = ForecastFrame::new(frame.header(), &frame, clock::monotonic_ns());
+            let line = ForecastFrame::new(frame.header(), frame.payload(), clock::monotonic_ns());
             tell(&ReaderLine::Forecasts(line))?;
         }
         while let Some(frame) = self.diagnostics.take_next()? {
-            let line = DiagnosticFrame::new(frame.header(), &frame);
+            let line = DiagnosticFrame::new(frame.header(), frame.payload());
             tell(&ReaderLine::Diagnostics(line))?;
         }
         while let Some(frame) = self.budgets.take_next()? {
             tell(&ReaderLine::Budgets(BudgetFrame::new(
                 frame.header(),
-                &frame,
+                frame.payload(),
             )))?;
         }
         Ok(newest)

@@ -1,0 +1,41 @@
+//! The layout of the payloads: the same for every process, and part of the schema.
+//!
+//! [`Pod`] is derived for each payload, so the compiler refuses padding and fields of which
+//! not every bit pattern is a value; [`ZeroCopySend`] gives it the name that other processes compare.
+
+use std::fmt::Debug;
+
+use bytemuck::Pod;
+pub(crate) use iceoryx2_bb_derive_macros::ZeroCopySend;
+pub(crate) use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
+
+use crate::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
+    SampleHeader, StateHeader, TakenFrame, TickHeader,
+};
+
+/// What lies in shared memory: any bytes of its size are a value, it has no padding, and it means the
+/// same in every process. Implemented for every payload and header of this crate, and for bytes.
+pub trait Payload: Pod + ZeroCopySend + Debug + Default {}
+
+impl<T: Pod + ZeroCopySend + Debug + Default> Payload for T {}
+
+/// Fixes the size and alignment of a payload.
+macro_rules! layout {
+    ($type:ty, $bytes:literal) => {
+        const _: () = assert!(size_of::<$type>() == $bytes);
+        const _: () = assert!(align_of::<$type>() == 8);
+    };
+}
+
+layout!(Sample, 56);
+layout!(SampleHeader, 64);
+layout!(Forecast, 72);
+layout!(ForecastHeader, 320);
+layout!(Diagnostic, 128);
+layout!(DiagnosticHeader, 280);
+layout!(Budget, 112);
+layout!(BudgetHeader, 40);
+layout!(StateHeader, 64);
+layout!(TakenFrame, 40);
+layout!(TickHeader, 48);
