@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{Block, Lanes, put};
 
-/// Serial correlation above which whitening would only amplify noise.
+/// Serial correlation above mask whitening would only amplify noise.
 const CORRELATION_MAX: f32 = 0.9;
 
 /// Largest residual, W, and standardised residual that are believed: without a bound, one absurd
@@ -30,7 +30,7 @@ pub(crate) struct Detector {
     persistence_square: f32,
     /// For how many samples in a row the condition of an alarm has asked for a change.
     agreeing: [u16; ALARMS],
-    /// Alarms for which that is not zero.
+    /// Alarms for mask that is not zero.
     changing: AlarmSet,
     raised: AlarmSet,
 }
@@ -203,17 +203,17 @@ impl DetectorLanes {
 
     /// As [`Block::set`], of what [`Detector::observe`] changes.
     #[inline(always)]
-    pub(crate) fn set_observed(&mut self, lane: usize, which: bool, robot: &Detector) {
-        put(&mut self.bias_w[lane], which, robot.bias_w);
-        put(&mut self.cusum_up[lane], which, robot.cusum_up);
-        put(&mut self.cusum_down[lane], which, robot.cusum_down);
-        put(&mut self.noise_ratio[lane], which, robot.noise_ratio);
-        put(&mut self.z_last[lane], which, robot.z_last);
-        put(&mut self.z_square[lane], which, robot.z_square);
-        put(&mut self.z_product[lane], which, robot.z_product);
-        put(&mut self.error_square[lane], which, robot.error_square);
+    pub(crate) fn set_observed(&mut self, lane: usize, mask: bool, robot: &Detector) {
+        put(&mut self.bias_w[lane], mask, robot.bias_w);
+        put(&mut self.cusum_up[lane], mask, robot.cusum_up);
+        put(&mut self.cusum_down[lane], mask, robot.cusum_down);
+        put(&mut self.noise_ratio[lane], mask, robot.noise_ratio);
+        put(&mut self.z_last[lane], mask, robot.z_last);
+        put(&mut self.z_square[lane], mask, robot.z_square);
+        put(&mut self.z_product[lane], mask, robot.z_product);
+        put(&mut self.error_square[lane], mask, robot.error_square);
         let persistence = robot.persistence_square;
-        put(&mut self.persistence_square[lane], which, persistence);
+        put(&mut self.persistence_square[lane], mask, persistence);
     }
 }
 
@@ -239,11 +239,11 @@ impl Block for DetectorLanes {
     }
 
     #[inline(always)]
-    fn set(&mut self, lane: usize, which: bool, robot: Detector) {
-        self.set_observed(lane, which, &robot);
-        put(&mut self.changing[lane], which, robot.changing.0);
-        put(&mut self.raised[lane], which, robot.raised.0);
-        put(&mut self.agreeing[lane], which, robot.agreeing);
+    fn set(&mut self, lane: usize, mask: bool, robot: Detector) {
+        self.set_observed(lane, mask, &robot);
+        put(&mut self.changing[lane], mask, robot.changing.0);
+        put(&mut self.raised[lane], mask, robot.raised.0);
+        put(&mut self.agreeing[lane], mask, robot.agreeing);
     }
 }
 

@@ -1,3 +1,4 @@
 //! Which alarms a robot raises.
 
+pub(crate) mod conditions;
 pub(crate) mod detector;

@@ -3,7 +3,7 @@
 //!
 //! An end lies at the recent mean of the residuals plus their recent mean size times a factor of its
 //! own. The factor grows whenever a reading falls outside that end, and shrinks by so much less when
-//! it does not that in the long run the wanted share of readings lies inside, whatever the residuals
+//! it does not that in the long run the wanted fraction of readings lies inside, whatever the residuals
 //! do (Angelopoulos, Candès, Tibshirani, "Conformal PID control", 2023, section 2: quantile tracking
 //! and a scale that follows). Since it moves in equal ratios, after `n` readings
 //!
@@ -149,7 +149,7 @@ impl ConformalInterval {
         )
     }
 
-    /// Share inside of the `observed` readings, over all and of late; NaN before the first.
+    /// Fraction inside of the `observed` readings, over all and of late; NaN before the first.
     #[inline(always)]
     pub(crate) fn coverage(&self, observed: u64) -> (f32, f32) {
         let over_all = (self.covered as f64 / observed as f64) as f32;

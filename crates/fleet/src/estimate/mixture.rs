@@ -32,7 +32,7 @@
 //! **Where it starts.** Not equal: as if each expert had made the mean squared error that the model
 //! file states, over [`TRUST`] readings. A robot of few readings, or of rare large changes, then
 //! profits from what is known of the others; against expert i the right side of (1) grows by that
-//! start's share, `λ^T L_{i,0}`.
+//! start's term, `λ^T L_{i,0}`.
 //!
 //! Readings that are held are of another kind than new ones: persistence is then exactly right. So
 //! weights are kept apart by whether a new measurement is due, and (1) holds in each phase, over the
@@ -88,10 +88,10 @@ impl Blending {
         }
         let (scores, linear) = (&network.card().scores, model.linear());
         let unexplained = |r2: f32| {
-            let shard = (1.0 - r2) / (1.0 - scores.network_r2).max(f32::MIN_POSITIVE);
+            let ratio = (1.0 - r2) / (1.0 - scores.network_r2).max(f32::MIN_POSITIVE);
             // Scores of 1, or of data that do not vary, say nothing of other data.
-            if shard.is_finite() {
-                shard.clamp(0.0, WORST)
+            if ratio.is_finite() {
+                ratio.clamp(0.0, WORST)
             } else {
                 1.0
             }

@@ -71,8 +71,8 @@ impl Scores {
 
 #[inline(always)]
 fn explained(error: f64, of: f64) -> f64 {
-    let shard = 1.0 - error / of;
-    if of > 0.0 { shard } else { f64::NAN }
+    let explained = 1.0 - error / of;
+    if of > 0.0 { explained } else { f64::NAN }
 }
 
 block! {

@@ -4,8 +4,6 @@ mod lanes;
 
 use joulebus_predictor::{FeatureSet, Features, LAGS, ReadingAge, features};
 
-use crate::state::snapshot::StateError;
-
 pub(crate) use lanes::{ClosedLanes, WindowLanes};
 
 /// The last readings, newest first, and the forecast made from them.
@@ -22,7 +20,7 @@ impl Lags {
         forecast_w: f32::NAN,
     };
 
-    /// QuantileStep the window on by one sample period.
+    /// Moves the window on by one sample period.
     #[inline(always)]
     fn push(&mut self, power_w: f32) {
         let [first, second, third, fourth, _] = self.lag_w;
@@ -76,18 +74,6 @@ impl Window {
         commanded: false,
         reading_age: ReadingAge::UNKNOWN,
     };
-
-    /// Refuses a window that was never filled like this: of one that was written down.
-    pub(crate) fn check(&self) -> Result<(), StateError> {
-        if usize::from(self.have) > LAGS {
-            return Err(StateError::Corrupt {
-                what: "readings in a window",
-                found: self.have.into(),
-                allowed: LAGS as u64,
-            });
-        }
-        Ok(())
-    }
 
     #[inline(always)]
     pub(crate) fn have(&self) -> u8 {
@@ -186,12 +172,12 @@ impl Window {
     }
 
     /// What was measured before has nothing to do with what comes.
-    pub(crate) fn forget_freshness(&mut self) {
+    pub(crate) fn reset_reading_age(&mut self) {
         self.reading_age = ReadingAge::UNKNOWN;
     }
 
     /// So many sample periods lie between the last sample and the one that now arrives.
-    pub(crate) fn pass(&mut self, missing_steps: u64) {
+    pub(crate) fn skip_periods(&mut self, missing_steps: u64) {
         self.reading_age.pass(missing_steps);
     }
 
@@ -231,13 +217,13 @@ impl Window {
 
     /// Takes a sample's command, `elapsed_s` after the last one, and gives the row for the forecast
     /// of the next reading, and whether it can be made: the window is full, and command and freshness
-    /// are known where they are `read`.
+    /// are known where they are `required`.
     #[inline(always)]
     pub(crate) fn next_row(
         &mut self,
         elapsed_s: f32,
         command: Option<(f32, f32)>,
-        read: Reads,
+        required: RequiredInputs,
     ) -> (Features, bool) {
         let previous = (self.commanded & (elapsed_s > 0.0)).then_some((
             self.v_mps,
@@ -249,8 +235,8 @@ impl Window {
         let mut row = self.row(&self.closed, previous);
         self.reading_age.fill(&mut row);
         let ready = self.is_full()
-            & (self.commanded | !read.command)
-            & (self.reading_age.is_known() | !read.freshness);
+            & (self.commanded | !required.command)
+            & (self.reading_age.is_known() | !required.freshness);
         (row, ready)
     }
 
@@ -260,14 +246,14 @@ impl Window {
     }
 }
 
-/// What a model reads beside the lags.
+/// What a model requires beside the lags.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Reads {
+pub(crate) struct RequiredInputs {
     pub command: bool,
     pub freshness: bool,
 }
 
-impl Reads {
+impl RequiredInputs {
     pub(crate) fn of(set: FeatureSet) -> Self {
         Self {
             command: set.needs_command(),
@@ -317,7 +303,11 @@ mod tests {
         let mut window = Window::EMPTY;
         for step in 0..5u8 {
             window.read(f32::from(step), step % 3 == 0);
-            window.next_row(10e-9, Some((0.1, 0.0)), Reads::of(FeatureSet::Freshness));
+            window.next_row(
+                10e-9,
+                Some((0.1, 0.0)),
+                RequiredInputs::of(FeatureSet::Freshness),
+            );
         }
         window.closed.forecast_w = 4.5;
         window

@@ -1,46 +1,92 @@
-//! How a sample gets in: its robot's slot, who may speak for the robot, and what is refused.
+//! How samples get in: frames, the checks of each sample in their order, and what is refused.
 
-use joulebus_wire::{DropReason, Sample, SampleHeader};
+use std::sync::atomic::Ordering;
 
-use crate::alarms::detector::Detector;
-use crate::estimate::interval::ConformalInterval;
-use crate::estimate::mixture::Blend;
-use crate::estimate::scores::Scores;
-use crate::estimate::window::Window;
+use joulebus_wire::{DropReason, SCHEMA_VERSION, Sample, SampleHeader};
+
+use crate::alarms::conditions::{AlarmInputs, judge};
 use crate::fleet::Fleet;
-use crate::ingest::check::{check_values, invalid};
-use crate::ingest::robot::{AdmissionState, Last, Pending, PendingState};
+use crate::ingest::admission::AdmissionState;
+use crate::ingest::check;
+use crate::ingest::frame::FrameIntake;
+use crate::ingest::pending::{Pending, PendingState};
 use crate::layout::lanes::{self, Block as _, LANES};
-use crate::ledger::energy::Ledger;
 use crate::state::columns::Columns;
-use crate::tick::score::{Facts, judge};
 
 impl Fleet {
-    pub(crate) fn accept(
+    /// Takes a frame of samples, in the order in which they were sent; `now_ns` is the worker's
+    /// monotonic time. What is refused is counted, named, and harms no other robot.
+    pub fn take(&mut self, header: &SampleHeader, samples: &[Sample], now_ns: u64) {
+        let frame = self.begin_frame(header, samples.len() as u64, now_ns);
+        self.take_part(&frame, samples);
+    }
+
+    /// Begins a frame of `count` samples that are [taken](Fleet::take_part) in parts, in their
+    /// order, all before the next frame or tick. The same as [`Fleet::take`] of the whole frame.
+    pub fn begin_frame(&mut self, header: &SampleHeader, count: u64, now_ns: u64) -> FrameIntake {
+        self.intake.frames += 1;
+        self.intake
+            .first
+            .get_or_insert((header.intended_ns, header.sent_ns, now_ns));
+        let admitted = if header.schema == SCHEMA_VERSION {
+            self.sources.frame(header, count, &mut self.drops)
+        } else {
+            self.drops.add(DropReason::Schema, count);
+            Err(DropReason::Schema)
+        };
+        FrameIntake {
+            header: *header,
+            now_ns,
+            admitted,
+        }
+    }
+
+    /// Takes the next samples of a frame.
+    pub fn take_part(&mut self, frame: &FrameIntake, samples: &[Sample]) {
+        let FrameIntake {
+            header,
+            now_ns,
+            admitted,
+        } = frame;
+        match admitted {
+            Ok(()) => {
+                for sample in samples {
+                    match self.accept(header, sample, *now_ns) {
+                        Ok(()) => self.accepted += 1,
+                        Err(reason) => self.refuse(header, sample, reason),
+                    }
+                }
+                self.oldest_ns.fetch_min(*now_ns, Ordering::Relaxed);
+            }
+            // Nothing in it can be relied on, not even the names of the robots; it is counted.
+            Err(DropReason::Schema) => {}
+            Err(reason) => {
+                for sample in samples {
+                    self.refuse(header, sample, *reason);
+                }
+            }
+        }
+    }
+
+    fn accept(
         &mut self,
         header: &SampleHeader,
         sample: &Sample,
         now_ns: u64,
     ) -> Result<(), DropReason> {
         let slot = self.slot(header, sample.robot, now_ns)?;
-        self.identify(slot, header, sample.seq)?;
-        let most = self.settings.intake.max_samples_per_tick;
-        if self.columns.admissions[slot].taken >= most {
-            return Err(DropReason::Backlog);
-        }
+        check::sender(&mut self.columns.admissions[slot], header, sample.seq)?;
+        let most = self.tick.settings.intake.max_samples_per_tick;
+        check::backlog(&self.columns.admissions[slot], most)?;
         if !self.columns.pending[slot / LANES].is(slot % LANES, PendingState::None) {
             self.catch_up(slot);
         }
         let admission = &self.columns.admissions[slot];
-        check_values(
-            sample,
-            &self.contexts[usize::from(admission.platform)].platform,
-        )?;
-        let broken = !in_time(admission, sample.stamp_ns, self.settings.intake.max_jump_ns);
-        if broken && !admission.renewed {
-            return Err(DropReason::BadTime);
-        }
-        let admission = self.hear(slot);
+        let context = &self.tick.platforms[usize::from(admission.platform)];
+        check::values(sample, &context.platform)?;
+        let max_jump_ns = self.tick.settings.intake.max_jump_ns;
+        let broken = check::time(admission, sample.stamp_ns, max_jump_ns)?;
+        let admission = self.mark_reported(slot);
         admission.taken += 1;
         admission.renewed = false;
         (admission.taken_ns, admission.invalid, admission.refused_run) = (now_ns, None, 0);
@@ -51,136 +97,66 @@ impl Fleet {
         Ok(())
     }
 
-    /// Ownership, run and order: who may speak for the robot, once.
-    fn identify(&mut self, slot: usize, header: &SampleHeader, seq: u64) -> Result<(), DropReason> {
-        let admission = &mut self.columns.admissions[slot];
-        if admission.source_id != header.source_id {
-            return Err(DropReason::ForeignSource);
-        }
-        if header.source_epoch < admission.source_epoch {
-            return Err(DropReason::OldEpoch);
-        }
-        if header.source_epoch > admission.source_epoch {
-            (admission.source_epoch, admission.ordered, admission.renewed) =
-                (header.source_epoch, false, true);
-        }
-        if admission.ordered && seq <= admission.seq {
-            return Err(if seq == admission.seq {
-                DropReason::Duplicate
-            } else {
-                DropReason::OutOfOrder
-            });
-        }
-        (admission.seq, admission.ordered) = (seq, true);
-        Ok(())
-    }
-
-    pub(crate) fn refuse(&mut self, header: &SampleHeader, sample: &Sample, reason: DropReason) {
+    fn refuse(&mut self, header: &SampleHeader, sample: &Sample, reason: DropReason) {
         self.drops.add(reason, 1);
         self.refused.note(sample.robot, reason, header.pid);
-        let (Some(invalid), Some(slot)) = (invalid(reason), self.find(sample.robot)) else {
+        let (Some(invalid), Some(slot)) = (check::invalid(reason), self.find(sample.robot)) else {
             return;
         };
         // Nothing better will come of it in this tick: the others need not wait for it.
-        let admission = self.hear(slot);
+        let admission = self.mark_reported(slot);
         admission.refused_run = admission.refused_run.saturating_add(1);
         admission.invalid = Some(invalid);
         self.columns.lasts[slot / LANES].refused[slot % LANES] += 1;
-        let rules = self.rules();
-        let context = &self.contexts[usize::from(self.columns.admissions[slot].platform)];
         let admission = &self.columns.admissions[slot];
+        let context = &self.tick.platforms[usize::from(admission.platform)];
         let last = lanes::get(&self.columns.lasts, slot);
         let scored = lanes::get(&self.columns.scores, slot).count;
         let mut detector = lanes::get(&self.columns.detectors, slot);
-        let facts = Facts::of(admission, &last);
-        let conditions = judge(&rules, context, &facts, scored, &detector);
-        detector.decide(conditions, &self.settings.alarms);
+        let inputs = AlarmInputs::of(admission, &last);
+        let (alarms, missed) = (&self.tick.settings.alarms, self.tick.deadline_missed);
+        let platform = &context.platform;
+        let conditions = judge(alarms, platform, &inputs, scored, &detector, missed);
+        detector.decide(conditions, alarms);
         lanes::set(&mut self.columns.detectors, slot, detector);
     }
 
     /// Takes note that a sample of the robot has come in this tick.
-    fn hear(&mut self, slot: usize) -> &mut AdmissionState {
+    fn mark_reported(&mut self, slot: usize) -> &mut AdmissionState {
         let admission = &mut self.columns.admissions[slot];
-        self.reported += usize::from(!admission.heard);
-        admission.heard = true;
+        self.reported += usize::from(!admission.reported);
+        admission.reported = true;
         admission
     }
 
-    /// The robot's slot; a robot heard of for the first time is given one.
+    /// The robot's slot; a robot that is not in the fleet is given one.
     fn slot(
         &mut self,
         header: &SampleHeader,
         robot: u32,
         now_ns: u64,
     ) -> Result<usize, DropReason> {
-        let guessed = self
+        let likely = self
             .columns
             .admissions
-            .get(self.guess)
-            .filter(|guess| guess.present && guess.id == robot);
-        let found = match guessed {
-            Some(_) => Some(self.guess),
+            .get(self.likely_slot)
+            .filter(|admission| admission.present && admission.id == robot);
+        let found = match likely {
+            Some(_) => Some(self.likely_slot),
             None => self.find(robot),
         };
         if let Some(slot) = found {
-            self.guess = slot + 1;
+            self.likely_slot = slot + 1;
             return Ok(slot);
         }
-        let context = self.platform_of(robot).ok_or(DropReason::UnknownRobot)?;
+        let platform = self.platform_of(robot).ok_or(DropReason::UnknownRobot)?;
         let Columns {
             slots, admissions, ..
         } = &mut self.columns;
-        let slot = slots.take(context, |slot| admissions[slot].platform);
+        let slot = slots.take(platform, |slot| admissions[slot].platform);
         let slot = slot.ok_or(DropReason::OverCapacity)?;
         self.slot_of.insert(robot, slot as u32);
-        self.occupy(slot, robot, context, header, now_ns);
+        self.occupy(slot, robot, platform, header, now_ns);
         Ok(slot)
     }
-
-    fn occupy(&mut self, slot: usize, id: u32, context: u16, header: &SampleHeader, now_ns: u64) {
-        let departed = self.departed.take(id);
-        let columns = &mut self.columns;
-        columns.admissions[slot] = AdmissionState {
-            id,
-            present: true,
-            platform: context,
-            generation: columns.admissions[slot].generation,
-            source_id: header.source_id,
-            source_epoch: header.source_epoch,
-            taken_ns: now_ns,
-            charged: departed.is_some_and(|departed| departed.charged),
-            ..AdmissionState::FREE
-        };
-        let context = &self.contexts[usize::from(context)];
-        if let Some(blending) = &context.blending {
-            columns.blends[slot] = Blend::new(blending);
-        }
-        let residual = context.model.residual();
-        columns.pending[slot / LANES].mark(slot % LANES, true, PendingState::None);
-        lanes::set(&mut columns.windows, slot, Window::EMPTY);
-        lanes::set(&mut columns.lasts, slot, Last::NONE);
-        let ledger = departed.map_or_else(Ledger::default, |departed| departed.ledger);
-        let interval = ConformalInterval::new(
-            residual.q05_w,
-            residual.q95_w,
-            context.platform.power_resolution_w,
-            self.settings.interval.coverage,
-        );
-        lanes::set(&mut columns.ledgers, slot, ledger);
-        lanes::set(&mut columns.intervals, slot, interval);
-        lanes::set(&mut columns.scores, slot, Scores::default());
-        lanes::set(&mut columns.detectors, slot, Detector::new());
-    }
-
-    pub(crate) fn platform_of(&self, robot: u32) -> Option<u16> {
-        let after = self.ranges.partition_point(|(start, _, _)| *start <= robot);
-        let (_, end, context) = self.ranges.get(after.checked_sub(1)?)?;
-        (robot <= *end).then_some(*context)
-    }
-}
-
-/// Whether a stamp lies after the robot's last one, and not further than `longest_ns`.
-fn in_time(admission: &AdmissionState, stamp_ns: u64, longest_ns: u64) -> bool {
-    !admission.accepted
-        || (stamp_ns > admission.stamp_ns && stamp_ns - admission.stamp_ns <= longest_ns)
 }

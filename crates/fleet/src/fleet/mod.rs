@@ -1,84 +1,64 @@
 //! The fleet's state, and the tick.
 
 mod intake;
+mod membership;
+mod snapshot;
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
 
-use joulebus_predictor::{Model, SimdLevel};
+use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
-use joulebus_wire::{
-    Budget, Diagnostic, DropCounts, DropReason, Forecast, Refusal, SCHEMA_VERSION, Sample,
-    SampleHeader,
-};
-use serde::{Deserialize, Serialize};
+use joulebus_wire::{Budget, Diagnostic, DropCounts, Forecast, Refusal};
 
 use crate::estimate::mixture::Learned;
 use crate::estimate::scores::Scores;
+use crate::ingest::frame::TickIntake;
 use crate::ingest::refused::Refused;
 use crate::ingest::sources::Sources;
 use crate::layout::index::Index;
 use crate::layout::lanes::{self, LANES};
 use crate::layout::slots::WORD;
-use crate::ledger::departed::{self, Departed};
+use crate::ledger::departed::Departed;
 use crate::ledger::energy::Ledger;
-use crate::state::columns::{Columns, ColumnsMut};
+use crate::state::columns::{BlockRef, Columns, ColumnsMut};
 use crate::tick::batch::Batch;
-use crate::tick::features::{self, Rules};
-use crate::tick::platform_context::{PlatformContext, ranges};
-use crate::tick::score::Account;
+use crate::tick::context::TickContext;
+use crate::tick::features::build_rows;
+use crate::tick::infer::infer;
+use crate::tick::score::Score;
 use crate::tick::shard::{Outputs, Shard};
-use crate::tick::write::{Budgets, Diagnostics, Forecasts, Seen};
+use crate::tick::write::budgets::Budgets;
+use crate::tick::write::diagnostics::Diagnostics;
+use crate::tick::write::forecasts::Forecasts;
 
 /// The state of all robots, in columns indexed by slot, and everything one tick needs.
 ///
 /// All memory is taken in [`Fleet::new`], for the configured capacity.
 #[derive(Debug)]
 pub struct Fleet {
-    pub(crate) settings: FleetSettings,
-    pub(crate) settings_hash: u64,
-    pub(crate) contexts: Vec<PlatformContext>,
-    /// That of the first platform's model.
-    simd_level: SimdLevel,
+    /// What a tick reads: settings, platforms with their models, and the time.
+    tick: TickContext,
+    settings_hash: u64,
     /// Ranges of robot ids, ascending, with the platform they belong to.
-    pub(crate) ranges: Vec<(u32, u32, u16)>,
-    pub(crate) columns: Columns,
-    pub(crate) slot_of: Index,
-    pub(crate) departed: Departed,
+    ranges: Vec<(u32, u32, u16)>,
+    columns: Columns,
+    slot_of: Index,
+    departed: Departed,
     /// Slot that the next sample is probably of: sources name their robots in the same order.
-    pub(crate) guess: usize,
-    /// For the samples that cannot wait for the tick.
+    likely_slot: usize,
+    /// For samples that cannot wait for the tick.
     single: Batch,
     /// For a tick on one thread.
     batch: Batch,
-    pub(crate) sources: Sources,
-    pub(crate) refused: Refused,
-    pub(crate) drops: DropCounts,
-    pub(crate) accepted: u64,
-    /// Robots heard of in this tick.
-    pub(crate) reported: usize,
-    pub(crate) intake: TickIntake,
-    pub(crate) now_ns: u64,
-    pub(crate) deadline_missed: bool,
+    sources: Sources,
+    refused: Refused,
+    drops: DropCounts,
+    accepted: u64,
+    /// Robots that a sample has come of in this tick.
+    reported: usize,
+    intake: TickIntake,
     /// No robot's last sample was taken before this, monotonic ns.
-    pub(crate) oldest_ns: AtomicU64,
-}
-
-/// What one tick took in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct TickIntake {
-    /// Frames taken.
-    pub frames: u32,
-    /// When the first of them was meant to be sent, was sent, and was taken, monotonic ns.
-    pub first: Option<(u64, u64, u64)>,
-}
-
-/// A frame that is being taken in.
-#[derive(Debug, Clone, Copy)]
-pub struct FrameIntake {
-    header: SampleHeader,
-    now_ns: u64,
-    /// Whether its samples may be looked at.
-    admitted: Result<(), DropReason>,
+    oldest_ns: AtomicU64,
 }
 
 impl Fleet {
@@ -88,30 +68,17 @@ impl Fleet {
     /// When the settings contradict themselves ([`FleetSettings::check`]) or the models do not match.
     pub fn new(settings: FleetSettings, models: Vec<Model>) -> Result<Self, SettingsError> {
         settings.check()?;
-        let platforms = settings.platforms.clone();
-        if platforms.len() != models.len() {
-            return Err(SettingsError::Models {
-                platforms: platforms.len(),
-                models: models.len(),
-            });
-        }
-        let contexts: Vec<PlatformContext> = platforms
-            .into_iter()
-            .zip(models)
-            .map(|(platform, model)| PlatformContext::new(platform, model, &settings))
-            .collect();
+        let tick = TickContext::new(settings, models)?;
+        let settings = &tick.settings;
+        let learning = tick.platforms.iter().any(|it| it.blending.is_some());
         let capacity = settings.capacity as usize;
-        let simd_level = contexts
-            .first()
-            .map_or_else(SimdLevel::best, |context| context.model.simd_level());
         Ok(Self {
-            simd_level,
-            ranges: ranges(&contexts),
-            columns: Columns::new(capacity, &contexts),
             settings_hash: settings.fingerprint(),
+            ranges: tick.robot_ranges(),
+            columns: Columns::new(capacity, tick.platforms.len(), learning),
             slot_of: Index::new(settings.capacity),
             departed: Departed::new(settings.capacity),
-            guess: 0,
+            likely_slot: 0,
             single: Batch::of_slots(WORD),
             batch: Batch::default(),
             sources: Sources::new(settings.intake.max_sources),
@@ -120,77 +87,9 @@ impl Fleet {
             accepted: 0,
             reported: 0,
             intake: TickIntake::default(),
-            now_ns: 0,
-            deadline_missed: false,
             oldest_ns: AtomicU64::new(u64::MAX),
-            contexts,
-            settings,
+            tick,
         })
-    }
-
-    /// Goes on with the account of a robot that an earlier run wrote down. Call before the robot's
-    /// first sample. `charged`: it has been on its charger since, so that what is in its battery is
-    /// not known. As many accounts as the capacity are kept; returns whether this one was.
-    pub fn restore(&mut self, robot: u32, ledger: Ledger, charged: bool) -> bool {
-        self.departed.keep(departed::Account {
-            robot,
-            charged,
-            ledger,
-        })
-    }
-
-    /// Takes a frame of samples, in the order in which they were sent; `now_ns` is the worker's
-    /// monotonic time. What is refused is counted, named, and harms no other robot.
-    pub fn take(&mut self, header: &SampleHeader, samples: &[Sample], now_ns: u64) {
-        let frame = self.begin_frame(header, samples.len() as u64, now_ns);
-        self.take_part(&frame, samples);
-    }
-
-    /// Begins a frame of `count` samples that are [taken](Fleet::take_part) in parts, in their
-    /// order, all before the next frame or tick. The same as [`Fleet::take`] of the whole frame.
-    pub fn begin_frame(&mut self, header: &SampleHeader, count: u64, now_ns: u64) -> FrameIntake {
-        self.intake.frames += 1;
-        self.intake
-            .first
-            .get_or_insert((header.intended_ns, header.sent_ns, now_ns));
-        let admitted = if header.schema == SCHEMA_VERSION {
-            self.sources.frame(header, count, &mut self.drops)
-        } else {
-            self.drops.add(DropReason::Schema, count);
-            Err(DropReason::Schema)
-        };
-        FrameIntake {
-            header: *header,
-            now_ns,
-            admitted,
-        }
-    }
-
-    /// Takes the next samples of a frame.
-    pub fn take_part(&mut self, frame: &FrameIntake, samples: &[Sample]) {
-        let FrameIntake {
-            header,
-            now_ns,
-            admitted,
-        } = frame;
-        match admitted {
-            Ok(()) => {
-                for sample in samples {
-                    match self.accept(header, sample, *now_ns) {
-                        Ok(()) => self.accepted += 1,
-                        Err(reason) => self.refuse(header, sample, reason),
-                    }
-                }
-                self.oldest_ns.fetch_min(*now_ns, Ordering::Relaxed);
-            }
-            // Nothing in it can be relied on, not even the names of the robots; it is counted.
-            Err(DropReason::Schema) => {}
-            Err(reason) => {
-                for sample in samples {
-                    self.refuse(header, sample, *reason);
-                }
-            }
-        }
     }
 
     /// Whether every robot whose next sample is due at `now_ns` has reported since the last tick.
@@ -199,10 +98,10 @@ impl Fleet {
         self.reported == self.len()
             || self.columns.slots.iter().all(|slot| {
                 let admission = &self.columns.admissions[slot];
-                let platform = &self.contexts[usize::from(admission.platform)].platform;
+                let platform = &self.tick.platforms[usize::from(admission.platform)].platform;
                 let silent_ns = now_ns.saturating_sub(admission.taken_ns);
                 let due = silent_ns > platform.period_ns * 3 / 4;
-                admission.heard || !due || silent_ns > platform.stale_after_ns
+                admission.reported || !due || silent_ns > platform.stale_after_ns
             })
     }
 
@@ -215,7 +114,7 @@ impl Fleet {
     /// Computes: residuals, ledgers, windows, forecasts, intervals, alarms. `deadline_missed` says
     /// that the tick before this one was late or skipped others. Returns what was taken in.
     ///
-    /// The same as [`Fleet::begin`] and a [`Share`] of all robots, with nothing written out: ask
+    /// The same as [`Fleet::begin`] and a [`Shard`] of all robots, with nothing written out: ask
     /// for [forecasts](Fleet::forecast), [diagnostics](Fleet::diagnostic) and
     /// [budgets](Fleet::budget) afterwards.
     pub fn tick(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
@@ -225,18 +124,18 @@ impl Fleet {
             diagnostics: &mut [],
             budgets: &mut [],
         };
-        let (mut shard, batch) = self.share_and_batch();
+        let (mut shard, batch) = self.shard_and_batch();
         shard.run(batch, nothing, &mut |_| {});
         intake
     }
 
     /// Begins a tick: robots that have been silent for too long leave, and what is left is
-    /// [`Fleet::len`] robots to be ticked as a [`Fleet::share`], once. Returns what was taken in.
+    /// [`Fleet::len`] robots to be ticked as a [`Fleet::shard`], once. Returns what was taken in.
     pub fn begin(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
-        self.now_ns = now_ns;
-        self.deadline_missed = deadline_missed;
+        self.tick.now_ns = now_ns;
+        self.tick.deadline_missed = deadline_missed;
         let silent_ns = now_ns.saturating_sub(*self.oldest_ns.get_mut());
-        if silent_ns > self.settings.intake.leave_after_ns {
+        if silent_ns > self.tick.settings.intake.leave_after_ns {
             self.release_departed();
         }
         *self.oldest_ns.get_mut() = u64::MAX;
@@ -247,18 +146,12 @@ impl Fleet {
     /// All robots, to be ticked on one thread or split among several. Between [`Fleet::begin`] and
     /// the next [`Fleet::take`], all of it has to be ticked.
     pub fn shard(&mut self) -> Shard<'_> {
-        self.share_and_batch().0
+        self.shard_and_batch().0
     }
 
-    fn share_and_batch(&mut self) -> (Shard<'_>, &mut Batch) {
+    fn shard_and_batch(&mut self) -> (Shard<'_>, &mut Batch) {
         let shard = Shard {
-            rules: Rules {
-                settings: &self.settings,
-                contexts: &self.contexts,
-                simd_level: self.simd_level,
-                now_ns: self.now_ns,
-                deadline_missed: self.deadline_missed,
-            },
+            tick: &self.tick,
             columns: self.columns.view_mut(),
             oldest_ns: &self.oldest_ns,
         };
@@ -271,16 +164,16 @@ impl Fleet {
         self.columns.slots.used()
     }
 
-    /// Whether no robot has been heard of.
+    /// Whether no robot is in the fleet.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Robots that there is room for.
+    /// Robots that the fleet holds at most.
     #[must_use]
     pub fn capacity(&self) -> u32 {
-        self.settings.capacity
+        self.tick.settings.capacity
     }
 
     /// Samples accepted so far.
@@ -304,7 +197,8 @@ impl Fleet {
     /// Hash over the models of all platforms, in order.
     #[must_use]
     pub fn model_hash(&self) -> u64 {
-        self.contexts
+        self.tick
+            .platforms
             .iter()
             .fold(0xcbf2_9ce4_8422_2325, |hash, context| {
                 (hash ^ context.model.hash())
@@ -325,8 +219,8 @@ impl Fleet {
     #[must_use]
     pub fn learned(&self, robot: u32) -> Option<Learned> {
         let slot = self.find(robot)?;
-        let context = usize::from(self.columns.admissions[slot].platform);
-        let blending = self.contexts[context].blending.as_ref()?;
+        let platform = usize::from(self.columns.admissions[slot].platform);
+        let blending = self.tick.platforms[platform].blending.as_ref()?;
         Some(self.columns.blends[slot].learned(blending))
     }
 
@@ -339,100 +233,50 @@ impl Fleet {
     }
 
     /// The forecast of the robot at `place` (0 to [`Fleet::len`] − 1), as of the last tick. A
-    /// [`Share`] writes those of all robots faster.
+    /// [`Shard`] writes those of all robots faster.
     #[must_use]
     pub fn forecast(&self, place: usize) -> Forecast {
-        let (seen, lane) = self.seen(place);
-        Forecasts::of(seen).get(&self.rules(), lane)
+        let (block, lane) = self.block_of(place);
+        Forecasts::of(block).get(&self.tick, lane)
     }
 
     /// The diagnostics of the robot at `place`, as of the last tick.
     #[must_use]
     pub fn diagnostic(&self, place: usize) -> Diagnostic {
-        let (seen, lane) = self.seen(place);
-        Diagnostics::of(seen).get(&self.rules(), lane)
+        let (block, lane) = self.block_of(place);
+        Diagnostics::of(block).get(&self.tick, lane)
     }
 
     /// The budget of the robot at `place`, as of the last tick.
     #[must_use]
     pub fn budget(&self, place: usize) -> Budget {
-        let (seen, lane) = self.seen(place);
-        Budgets::of(&self.rules(), seen).get(&self.rules(), lane)
-    }
-
-    /// The slot of a robot that is in the fleet.
-    pub(crate) fn find(&self, robot: u32) -> Option<usize> {
-        let found = self
-            .slot_of
-            .find(robot, |slot| self.columns.admissions[slot as usize].id);
-        found.map(|slot| slot as usize)
-    }
-
-    pub(crate) fn rules(&self) -> Rules<'_> {
-        Rules {
-            settings: &self.settings,
-            contexts: &self.contexts,
-            simd_level: self.simd_level,
-            now_ns: self.now_ns,
-            deadline_missed: self.deadline_missed,
-        }
+        let (block, lane) = self.block_of(place);
+        Budgets::of(&self.tick, block).get(&self.tick, lane)
     }
 
     /// The block that the robot at a place lies in, and its lane.
-    fn seen(&self, place: usize) -> (Seen<'_>, usize) {
+    fn block_of(&self, place: usize) -> (BlockRef<'_>, usize) {
         let slot = self.columns.slots.at(place);
         let slot = slot.expect("a place is below the number of robots");
-        (self.columns.seen(slot / LANES), slot % LANES)
+        (self.columns.block(slot / LANES), slot % LANES)
     }
 
     /// Takes the waiting sample of one robot at once, because another of it has come.
-    pub(crate) fn catch_up(&mut self, slot: usize) {
-        let rules = Rules {
-            settings: &self.settings,
-            contexts: &self.contexts,
-            simd_level: self.simd_level,
-            now_ns: self.now_ns,
-            deadline_missed: self.deadline_missed,
-        };
+    fn catch_up(&mut self, slot: usize) {
+        let tick = &self.tick;
         let alone = [1 << (slot % WORD)];
         let (_, from) = self.columns.view_mut().split(slot / WORD);
         let mut columns = ColumnsMut {
             words: &alone,
             ..from.split(1).0
         };
-        let context = columns.admissions[slot % WORD].platform;
-        features::absorb(&rules, context, &mut columns, &mut self.single, false);
-        let its = &rules.contexts[usize::from(context)];
-        features::infer(its, &mut columns, &mut self.single);
-        rules.simd_level.run(Account {
-            rules: &rules,
+        let platform = columns.admissions[slot % WORD].platform;
+        build_rows(tick, platform, &mut columns, &mut self.single, false);
+        let context = &tick.platforms[usize::from(platform)];
+        infer(context, &mut columns, &mut self.single);
+        tick.simd_level.run(Score {
+            tick,
             columns: &mut columns,
         });
-    }
-
-    /// Frees the slots of robots that have been silent for too long; their accounts are kept.
-    fn release_departed(&mut self) {
-        let leave_after_ns = self.settings.intake.leave_after_ns;
-        for slot in 0..self.columns.admissions.len() {
-            let admission = &self.columns.admissions[slot];
-            let silent_ns = self.now_ns.saturating_sub(admission.taken_ns);
-            if !admission.present || silent_ns <= leave_after_ns {
-                continue;
-            }
-            self.catch_up(slot);
-            let admission = &mut self.columns.admissions[slot];
-            admission.present = false;
-            admission.generation = admission.generation.wrapping_add(1);
-            let (robot, charged) = (admission.id, admission.charged);
-            let admissions = &self.columns.admissions;
-            self.slot_of
-                .remove(robot, |slot| admissions[slot as usize].id);
-            self.columns.slots.free(slot);
-            self.departed.keep(departed::Account {
-                robot,
-                charged,
-                ledger: lanes::get(&self.columns.ledgers, slot),
-            });
-        }
     }
 }

@@ -1,12 +1,50 @@
-//! The checks that one sample must pass, in the order in which they are made.
+//! The checks of a sample of a known robot, in the order in which they are made.
 
 use joulebus_settings::Platform;
-use joulebus_wire::{DropReason, InvalidReason, Sample, sample_flag};
+use joulebus_wire::{DropReason, InvalidReason, Sample, SampleHeader, sample_flag};
+
+use crate::ingest::admission::AdmissionState;
+
+/// Who may speak for the robot, and once: refuses other sources, older runs, and numbers that do not
+/// rise.
+pub(crate) fn sender(
+    admission: &mut AdmissionState,
+    header: &SampleHeader,
+    seq: u64,
+) -> Result<(), DropReason> {
+    if admission.source_id != header.source_id {
+        return Err(DropReason::ForeignSource);
+    }
+    if header.source_epoch < admission.source_epoch {
+        return Err(DropReason::OldEpoch);
+    }
+    if header.source_epoch > admission.source_epoch {
+        (admission.source_epoch, admission.ordered, admission.renewed) =
+            (header.source_epoch, false, true);
+    }
+    if admission.ordered && seq <= admission.seq {
+        return Err(if seq == admission.seq {
+            DropReason::Duplicate
+        } else {
+            DropReason::OutOfOrder
+        });
+    }
+    (admission.seq, admission.ordered) = (seq, true);
+    Ok(())
+}
+
+/// Refuses what is more than `most` samples of the robot in one tick.
+pub(crate) fn backlog(admission: &AdmissionState, most: u16) -> Result<(), DropReason> {
+    if admission.taken >= most {
+        return Err(DropReason::Backlog);
+    }
+    Ok(())
+}
 
 /// Refuses values that cannot be true of a robot of this platform.
 ///
 /// A value whose flag is cleared is not looked at: it is unknown.
-pub(crate) fn check_values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
+pub(crate) fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
     if sample.flags & !sample_flag::ALL != 0 || sample.reserved != 0 {
         return Err(DropReason::BadFlags);
     }
@@ -37,6 +75,21 @@ pub(crate) fn check_values(sample: &Sample, platform: &Platform) -> Result<(), D
         return Err(DropReason::BadTime);
     }
     Ok(())
+}
+
+/// Refuses a stamp that does not lie after the robot's last one, or lies further than `max_jump_ns`
+/// after it; but of the first sample of a new run it only says that it breaks the sequence.
+pub(crate) fn time(
+    admission: &AdmissionState,
+    stamp_ns: u64,
+    max_jump_ns: u64,
+) -> Result<bool, DropReason> {
+    let in_time = !admission.accepted
+        || (stamp_ns > admission.stamp_ns && stamp_ns - admission.stamp_ns <= max_jump_ns);
+    if !in_time && !admission.renewed {
+        return Err(DropReason::BadTime);
+    }
+    Ok(!in_time)
 }
 
 /// What a refused value means for the robot; `None` where the robot is not to blame.

@@ -1,7 +1,10 @@
 //! What a sample must pass to be taken, and what is kept of it.
 
+pub(crate) mod admission;
 pub(crate) mod check;
 pub(crate) mod codes;
+pub(crate) mod frame;
+pub(crate) mod last_sample;
+pub(crate) mod pending;
 pub(crate) mod refused;
-pub(crate) mod robot;
 pub(crate) mod sources;

@@ -12,13 +12,13 @@ pub(crate) struct Source {
     accounted: u64,
 }
 
-/// The sources heard so far.
+/// The sources that have sent a frame.
 #[derive(Debug)]
 pub(crate) struct Sources {
     sources: Vec<Source>,
     most: usize,
-    /// Whether a source seen for the first time may have sent before the worker was there.
-    newest: usize,
+    /// Place of the source that was looked up last.
+    recent: usize,
 }
 
 impl Sources {
@@ -27,7 +27,7 @@ impl Sources {
         Self {
             sources: Vec::with_capacity(most),
             most,
-            newest: 0,
+            recent: 0,
         }
     }
 
@@ -84,20 +84,20 @@ impl Sources {
     pub(crate) fn replace(&mut self, sources: &[Source]) {
         self.sources.clear();
         self.sources.extend_from_slice(sources);
-        self.newest = 0;
+        self.recent = 0;
     }
 
     /// The last one found is looked at first: frames of one source follow each other.
     fn find(&mut self, id: u64) -> Option<usize> {
         if self
             .sources
-            .get(self.newest)
+            .get(self.recent)
             .is_some_and(|source| source.id == id)
         {
-            return Some(self.newest);
+            return Some(self.recent);
         }
         let at = self.sources.iter().position(|source| source.id == id)?;
-        self.newest = at;
+        self.recent = at;
         Some(at)
     }
 }

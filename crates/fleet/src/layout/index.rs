@@ -1,10 +1,10 @@
-//! Where a robot is found by its id: an open table of places, whose ids stand elsewhere.
+//! Robots by id: an open-addressing hash table of places; the ids themselves are kept elsewhere.
 
 /// No place.
 const EMPTY: u32 = u32::MAX;
 
 /// Places by id, in a table half as large again as what it holds at most, so that it never grows.
-/// The ids are not in it: `id_of` tells the id at a place.
+/// The ids are not in it: `id_of` gives the id at a place.
 #[derive(Debug)]
 pub(crate) struct Index {
     table: Vec<u32>,
@@ -114,11 +114,11 @@ mod tests {
         #[test]
         fn it_finds_what_a_map_finds_however_ids_come_and_go(
             most in 1u32..40, stride in any::<u32>(),
-            quantile_step in prop::collection::vec((any::<bool>(), 0u32..60), 0..400),
+            steps in prop::collection::vec((any::<bool>(), 0u32..60), 0..400),
         ) {
             let (mut index, mut map) = (Index::new(most), HashMap::new());
             let (mut ids, mut free) = (vec![0; most as usize], (0..most).collect::<Vec<u32>>());
-            for (joins, which) in quantile_step {
+            for (joins, which) in steps {
                 let id = which.wrapping_mul(stride | 1);
                 if !joins {
                     let found = index.remove(id, |place| ids[place as usize]);

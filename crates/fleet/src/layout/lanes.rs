@@ -1,9 +1,9 @@
-//! Robots side by side: of sixteen of them each value lies in a line of its own, so that a loop over
-//! them is a handful of vector instructions.
+//! Blocks of sixteen robots in structure-of-arrays layout: each value of the sixteen is contiguous, so
+//! that a loop over them compiles to a handful of vector instructions.
 //!
 //! What is done to one robot is written once, for one robot, without branches; the loop around it
 //! takes the robot out of its lane and puts it back, and the compiler makes vectors of the whole.
-//! What is rare is done robot by robot, with the same functions.
+//! Rare cases are handled robot by robot, with the same functions.
 
 use std::slice;
 
@@ -15,7 +15,7 @@ pub(crate) const LANES: usize = 16;
 /// One value of each robot of a block.
 pub(crate) type Lanes<T> = [T; LANES];
 
-/// What is kept of one subject of 16 robots.
+/// One subject of 16 robots, in columns.
 pub(crate) trait Block: Copy {
     /// The same of one robot.
     type Robot: Copy;
@@ -23,8 +23,8 @@ pub(crate) trait Block: Copy {
     /// The robot in a lane.
     fn get(&self, lane: usize) -> Self::Robot;
 
-    /// Puts the robot into a lane, if `which`.
-    fn set(&mut self, lane: usize, which: bool, robot: Self::Robot);
+    /// Puts the robot into a lane, where the mask is set.
+    fn set(&mut self, lane: usize, mask: bool, robot: Self::Robot);
 }
 
 /// Declares the block of a struct whose fields are all numbers: each of them by itself, in this order.
@@ -51,8 +51,8 @@ macro_rules! block {
             }
 
             #[inline(always)]
-            fn set(&mut self, lane: usize, which: bool, robot: $robot) {
-                $($crate::layout::lanes::put(&mut self.$field[lane], which, robot.$field);)*
+            fn set(&mut self, lane: usize, mask: bool, robot: $robot) {
+                $($crate::layout::lanes::put(&mut self.$field[lane], mask, robot.$field);)*
             }
         }
     };
@@ -60,10 +60,10 @@ macro_rules! block {
 
 pub(crate) use block;
 
-/// Stores the value, if `which`: a selection and no branch.
+/// Stores the value where the mask is set: a select and no branch.
 #[inline(always)]
-pub(crate) fn put<T: Copy>(place: &mut T, which: bool, value: T) {
-    *place = if which { value } else { *place };
+pub(crate) fn put<T: Copy>(place: &mut T, mask: bool, value: T) {
+    *place = if mask { value } else { *place };
 }
 
 /// The robot in a slot.
@@ -80,19 +80,19 @@ pub(crate) fn set<B: Block>(blocks: &mut [B], slot: usize, robot: B::Robot) {
 
 /// Whether one of them is.
 #[inline(always)]
-pub(crate) fn any(which: &Lanes<bool>) -> bool {
+pub(crate) fn any(mask: &Lanes<bool>) -> bool {
     let mut any = 0;
-    for which in which {
-        any |= u8::from(*which);
+    for lane in mask {
+        any |= u8::from(*lane);
     }
     any != 0
 }
 
-/// Blocks that are asked for ahead of the one that is worked on: vectors are done with a block before
-/// the processor has noticed which memory comes next.
+/// Distance, in blocks, between the block being prefetched and the one being worked on: vector code
+/// finishes a block before the hardware prefetcher has recognised the stride.
 pub(crate) const AHEAD: usize = 4;
 
-/// Has the block that will soon be worked on brought near, if there is one.
+/// Prefetches the block that will be worked on [`AHEAD`] blocks later, if there is one.
 #[inline(always)]
 pub(crate) fn prefetch_ahead<B>(blocks: &[B], block: usize) {
     if let Some(ahead) = blocks.get(block + AHEAD) {

@@ -3,10 +3,12 @@
 use std::ops::Range;
 
 use crate::layout::lanes::LANES;
-use crate::state::columns::BLOCKS;
 
 /// Slots in one word.
 pub(crate) const WORD: usize = u64::BITS as usize;
+
+/// Blocks of 16 slots in one word.
+pub(crate) const BLOCKS: usize = WORD / LANES;
 
 /// A bit per slot. The lowest free slot is given first, so that robots lie close together in
 /// memory, and in the order in which their source first named them; but robots of different
@@ -211,12 +213,12 @@ mod tests {
     proptest! {
         #[test]
         fn the_lowest_free_slot_of_the_platforms_blocks_is_given_and_places_count_the_slots_before(
-            capacity in 1usize..200, quantile_step in prop::collection::vec(any::<(bool, u8, u8)>(), 0..600),
+            capacity in 1usize..200, steps in prop::collection::vec(any::<(bool, u8, u8)>(), 0..600),
         ) {
             const PLATFORMS: u16 = 3;
             let mut slots = Slots::new(capacity, PLATFORMS.into());
             let mut set = BTreeMap::new();
-            for (take, which, platform) in quantile_step {
+            for (take, which, platform) in steps {
                 if take {
                     let platform = u16::from(platform) % PLATFORMS;
                     let found = slots.take(platform, |slot| set[&slot]);

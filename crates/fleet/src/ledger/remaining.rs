@@ -1,10 +1,8 @@
 //! What is left in the battery, and for how long.
 
-use joulebus_settings::{Battery, Platform};
+use joulebus_settings::Battery;
 
-use crate::layout::lanes::{self, Block as _, LANES, Lanes, block};
-use crate::tick::features::Rules;
-use crate::tick::write::Seen;
+use crate::layout::lanes::{LANES, block};
 
 /// What a robot has left; NaN where that is not known.
 #[derive(Debug, Clone, Copy)]
@@ -26,7 +24,7 @@ impl Remaining {
     /// in `unmetered_ns` more time nobody knows how much, at most `most_w`. `ends_w`: the interval
     /// around the mean power `mean_w`.
     #[inline(always)]
-    fn of(
+    pub(crate) fn of(
         battery: &Battery,
         most_w: f32,
         (drawn_uj, unmetered_ns): (i64, u64),
@@ -44,10 +42,10 @@ impl Remaining {
         // Regeneration fills a battery no further than full.
         let (left_j, left_lo_j) = (left_j.min(capacity_j), left_lo_j.min(capacity_j));
         let reserve_j = capacity_j * battery.reserve;
-        let shard = |joules: f64| (joules / capacity_j).clamp(0.0, 1.0) as f32;
+        let soc = |joules: f64| (joules / capacity_j).clamp(0.0, 1.0) as f32;
         let usable_j = (left_j - reserve_j).max(0.0);
         let usable_lo_j = (left_lo_j - reserve_j).max(0.0);
-        // Under a lasting bias the interval lies beside the forecast; the safe side stays safe.
+        // Under persistent bias the interval may exclude the forecast; the bounds stay conservative.
         let lo_w = f64::from(ends_w.0).min(mean_w);
         let hi_w = f64::from(ends_w.1).max(mean_w);
         let lasts_s = |joules: f64, watts: f64, positive: bool, otherwise: f32| {
@@ -61,8 +59,8 @@ impl Remaining {
             left_j: left_j.max(0.0) as f32,
             usable_j: usable_j as f32,
             usable_lo_j: usable_lo_j as f32,
-            soc: shard(left_j),
-            soc_lo: shard(left_lo_j),
+            soc: soc(left_j),
+            soc_lo: soc(left_lo_j),
             time_to_empty_s: lasts_s(usable_j, mean_w, draws, f32::NAN),
             time_to_empty_lo_s: lasts_s(usable_lo_j, hi_w, draws, f32::NAN),
             time_to_empty_hi_s: if draws { longest_s } else { f32::NAN },
@@ -98,53 +96,4 @@ impl RemainingLanes {
         time_to_empty_lo_s: [f32::NAN; LANES],
         time_to_empty_hi_s: [f32::NAN; LANES],
     };
-
-    #[inline(always)]
-    pub(crate) fn of(rules: &Rules<'_>, seen: &Seen<'_>) -> Self {
-        let mut its = Self::UNKNOWN;
-        let (mut known, mut platform) = ([false; LANES], [0; LANES]);
-        let mut silent_ns = [0; LANES];
-        for (lane, admission) in seen.admissions.iter().enumerate() {
-            // How much a charger has put back is not known: better no figure than a wrong one.
-            known[lane] = admission.accepted & !admission.charged;
-            platform[lane] = admission.platform;
-            silent_ns[lane] = rules.now_ns.saturating_sub(admission.taken_ns);
-        }
-        for (number, context) in rules.contexts.iter().enumerate() {
-            let Some(battery) = context.platform.battery else {
-                continue;
-            };
-            let mut which = known;
-            for lane in 0..LANES {
-                which[lane] &= usize::from(platform[lane]) == number;
-            }
-            if lanes::any(&which) {
-                its.fill((&battery, &context.platform), seen, &which, &silent_ns);
-            }
-        }
-        its
-    }
-
-    /// Fills in the robots of one platform.
-    #[inline(always)]
-    fn fill(
-        &mut self,
-        (battery, platform): (&Battery, &Platform),
-        seen: &Seen<'_>,
-        which: &Lanes<bool>,
-        silent_ns: &Lanes<u64>,
-    ) {
-        let (period_ns, most_w) = (platform.period_ns, platform.power_max_w);
-        let mean_w = &seen.lasts.mean_power_w;
-        for lane in 0..LANES {
-            let ends_w = seen.intervals.get(lane).around(mean_w[lane], 0, true);
-            let (drawn_uj, unmetered_ns) =
-                (seen.ledgers.drawn_uj[lane], seen.ledgers.unmetered_ns[lane]);
-            let silent_ns = silent_ns[lane].saturating_sub(period_ns);
-            let unmetered_ns = unmetered_ns.saturating_add(silent_ns);
-            let drawn = (drawn_uj, unmetered_ns);
-            let its = Remaining::of(battery, most_w, drawn, mean_w[lane], ends_w);
-            self.set(lane, which[lane], its);
-        }
-    }
 }

@@ -5,17 +5,14 @@ use crate::estimate::interval::IntervalLanes;
 use crate::estimate::mixture::Blend;
 use crate::estimate::scores::ScoreLanes;
 use crate::estimate::window::WindowLanes;
-use crate::ingest::robot::{AdmissionState, LastLanes, PendingBlock};
+use crate::ingest::admission::AdmissionState;
+use crate::ingest::last_sample::LastLanes;
+use crate::ingest::pending::PendingBlock;
 use crate::layout::lanes::LANES;
-use crate::layout::slots::{self, Slots, WORD};
+use crate::layout::slots::{self, BLOCKS, Slots};
 use crate::ledger::departed::Departed;
 use crate::ledger::energy::Ledger;
 use crate::ledger::energy::LedgerLanes;
-use crate::tick::platform_context::PlatformContext;
-use crate::tick::write::Seen;
-
-/// Blocks of 16 robots in a word of slots.
-pub(crate) const BLOCKS: usize = WORD / LANES;
 
 /// Bytes of one robot in the columns.
 const COLUMNS: usize = size_of::<AdmissionState>()
@@ -32,6 +29,18 @@ const COLUMNS: usize = size_of::<AdmissionState>()
 /// account, its bit among the slots, and one and a half entries in each of the two tables of ids.
 const _: () =
     assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 512);
+
+/// The state of a block of robots.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct BlockRef<'a> {
+    pub admissions: &'a [AdmissionState; LANES],
+    pub lasts: &'a LastLanes,
+    pub windows: &'a WindowLanes,
+    pub intervals: &'a IntervalLanes,
+    pub ledgers: &'a LedgerLanes,
+    pub scores: &'a ScoreLanes,
+    pub detectors: &'a DetectorLanes,
+}
 
 /// The columns, with room for the capacity, rounded up to a whole block.
 #[derive(Debug)]
@@ -50,8 +59,8 @@ pub(crate) struct Columns {
 }
 
 impl Columns {
-    pub(crate) fn new(capacity: usize, contexts: &[PlatformContext]) -> Self {
-        let learning = contexts.iter().any(|context| context.blending.is_some());
+    /// `learning`: whether a platform learns online.
+    pub(crate) fn new(capacity: usize, platforms: usize, learning: bool) -> Self {
         let blocks = capacity.div_ceil(LANES);
         let robots = blocks * LANES;
         Self {
@@ -64,13 +73,13 @@ impl Columns {
             scores: vec![ScoreLanes::default(); blocks],
             detectors: vec![DetectorLanes::default(); blocks],
             blends: vec![Blend::NONE; if learning { robots } else { 0 }],
-            slots: Slots::new(capacity, contexts.len()),
+            slots: Slots::new(capacity, platforms),
         }
     }
 
     /// What is said of the robots of a block depends on this.
-    pub(crate) fn seen(&self, block: usize) -> Seen<'_> {
-        Seen {
+    pub(crate) fn block(&self, block: usize) -> BlockRef<'_> {
+        BlockRef {
             admissions: &self.admissions.as_chunks().0[block],
             lasts: &self.lasts[block],
             windows: &self.windows[block],
@@ -174,10 +183,10 @@ impl<'a> ColumnsMut<'a> {
         }
     }
 
-    /// As [`Columns::seen`].
+    /// As [`Columns::block`].
     #[inline(always)]
-    pub(crate) fn seen(&self, block: usize) -> Seen<'_> {
-        Seen {
+    pub(crate) fn block(&self, block: usize) -> BlockRef<'_> {
+        BlockRef {
             admissions: &self.admissions.as_chunks().0[block],
             lasts: &self.lasts[block],
             windows: &self.windows[block],

@@ -14,7 +14,7 @@ const SLOTS: usize = 512;
 /// Position of the newest reading in a row.
 const LAST: usize = FeatureSet::PowerOnly.first();
 
-/// Room for the rows of one tile, for [`crate::Share`]: one for each thread.
+/// Room for the rows of one tile, for [`crate::Shard`]: one for each thread.
 #[derive(Debug, Clone)]
 pub struct Batch {
     /// Words of slots in a tile.
@@ -68,7 +68,7 @@ impl Batch {
         self.clear();
         self.gaps.clear();
         self.overdue.clear();
-        self.freshness = context.reads.freshness;
+        self.freshness = context.required.freshness;
     }
 
     /// Adds the rows of a block that are `ready`; its first robot has the slot `first`.

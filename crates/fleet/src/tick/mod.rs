@@ -1,7 +1,9 @@
 //! The tick: features, network, scores and alarms, and what is written of them.
 
 pub(crate) mod batch;
+pub(crate) mod context;
 pub(crate) mod features;
+pub(crate) mod infer;
 pub(crate) mod platform_context;
 pub(crate) mod schedule;
 pub(crate) mod score;

@@ -1,21 +1,19 @@
 //! What belongs to one platform, made ready for the tick.
 
-use std::ops::RangeInclusive;
-
 use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 use joulebus_settings::{FleetSettings, Platform};
 
 use crate::estimate::interval::QuantileStep;
 use crate::estimate::mixture::Blending;
-use crate::estimate::window::Reads;
+use crate::estimate::window::RequiredInputs;
 
 /// What belongs to one platform.
 #[derive(Debug)]
 pub(crate) struct PlatformContext {
     pub platform: Platform,
     pub model: Model,
-    /// What the model reads.
-    pub reads: Reads,
+    /// What the model requires beside the lags.
+    pub required: RequiredInputs,
     /// Standard deviation of the residuals in training, not below the monitor's resolution, W.
     pub sigma_w: f32,
     /// Sample periods that the model may run open loop.
@@ -60,7 +58,7 @@ impl PlatformContext {
             longest_steps: (platform.stale_after_ns / platform.period_ns) as u16,
             overdue_after_ns: platform.period_ns + platform.period_ns / 2,
             trained,
-            reads: Reads::of(model.feature_set()),
+            required: RequiredInputs::of(model.feature_set()),
             platform,
             model,
         }
@@ -78,20 +76,4 @@ impl Trained {
             }
         }
     }
-}
-
-/// Ranges of robot ids, ascending, with the platform they belong to.
-pub(crate) fn ranges(contexts: &[PlatformContext]) -> Vec<(u32, u32, u16)> {
-    let of = |(index, context): (usize, &PlatformContext)| {
-        let span = move |range: &RangeInclusive<u32>| (*range.start(), *range.end(), index as u16);
-        context
-            .platform
-            .robots
-            .iter()
-            .map(span)
-            .collect::<Vec<(u32, u32, u16)>>()
-    };
-    let mut ranges: Vec<(u32, u32, u16)> = contexts.iter().enumerate().flat_map(of).collect();
-    ranges.sort_unstable();
-    ranges
 }

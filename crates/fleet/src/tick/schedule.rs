@@ -2,7 +2,7 @@
 
 use joulebus_settings::Policy;
 
-/// Two ticks with frames of the `OnFrame` policy are at least this share of a period apart: a source whose
+/// Two ticks with frames of the `OnFrame` policy are at least this fraction of a period apart: a source whose
 /// clock runs a little fast is then followed instead of held back by up to a period.
 const CLOSEST: (u64, u64) = (4, 5);
 

@@ -1,20 +1,20 @@
-//! The tick of a share of the fleet, tile by tile.
+//! The tick of a shard of the fleet, tile by tile.
 
 use std::slice;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_predictor::{SimdTask, prefetch};
 use joulebus_wire::{Budget, Diagnostic, Forecast};
 
-use crate::layout::lanes::{AHEAD, LANES};
-use crate::layout::slots::{self, words_of};
+use crate::layout::slots::words_of;
 use crate::state::columns::ColumnsMut;
 use crate::tick::batch::Batch;
-use crate::tick::features::{self, Rules};
-use crate::tick::score::Account;
-use crate::tick::write::{Budgets, Diagnostics, Forecasts};
+use crate::tick::context::TickContext;
+use crate::tick::features::build_rows;
+use crate::tick::infer::{infer, run_overdue};
+use crate::tick::score::Score;
+use crate::tick::write::{WriteAccounts, WriteForecasts};
 
-/// What a share of the tick's time has gone to, for one tile.
+/// The stages of a tick, for whoever measures where its time goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
     /// Samples absorbed, lag windows and intervals moved on, features laid in columns.
@@ -37,20 +37,20 @@ impl Stage {
     ];
 }
 
-/// Robots that one thread ticks: disjoint from all other shares of the fleet, so that each may be
+/// Robots that one thread ticks: disjoint from all other shards of the fleet, so that each may be
 /// worked on by a thread of its own. What any robot is told does not depend on how the fleet is
-/// shared out.
+/// split.
 ///
-/// A share is ticked by [`Share::forecast`] and then [`Share::account`], or by [`Share::run`], which
+/// A shard is ticked by [`Shard::forecast`] and then [`Shard::account`], or by [`Shard::run`], which
 /// does both tile by tile. `on` is called after each stage of each tile, for whoever counts the time.
 #[derive(Debug)]
 pub struct Shard<'a> {
-    pub(crate) rules: Rules<'a>,
+    pub(crate) tick: &'a TickContext,
     pub(crate) columns: ColumnsMut<'a>,
     pub(crate) oldest_ns: &'a AtomicU64,
 }
 
-/// Where [`Share::run`] writes: three slices as long as the share.
+/// Where [`Shard::run`] writes: three slices as long as the shard.
 #[derive(Debug)]
 pub struct Outputs<'a> {
     /// Forecasts.
@@ -101,7 +101,7 @@ impl<'a> Shard<'a> {
         self.columns.words.iter().all(|word| *word == 0)
     }
 
-    /// Two shares: the first holds at least `robots` robots, if there are as many, and at most 63
+    /// Two shards: the first holds at least `robots` robots, if there are as many, and at most 63
     /// more; the second all others. Places are counted through the first and on into the second.
     #[must_use]
     pub fn split_at(self, robots: usize) -> (Self, Self) {
@@ -120,13 +120,13 @@ impl<'a> Shard<'a> {
     ) {
         let mut forecasts = forecasts.iter_mut();
         self.each_tile(batch.words, |tile| {
-            tile.absorb(batch, on);
+            tile.infer(batch, on);
             tile.write_forecasts(&mut forecasts);
             on(Stage::Writing);
         });
     }
 
-    /// Accounts for what [`Share::forecast`] absorbed, and writes the diagnostics and the budgets;
+    /// Accounts for what [`Shard::forecast`] absorbed, and writes the diagnostics and the budgets;
     /// an empty list is one that is not wanted.
     pub fn account(
         &mut self,
@@ -137,14 +137,14 @@ impl<'a> Shard<'a> {
     ) {
         let (mut diagnostics, mut budgets) = (diagnostics.iter_mut(), budgets.iter_mut());
         self.each_tile(batch.words, |tile| {
-            tile.settle();
+            tile.score();
             on(Stage::Bookkeeping);
             tile.write_accounts(&mut diagnostics, &mut budgets);
             on(Stage::Writing);
         });
     }
 
-    /// [`Share::forecast`] and [`Share::account`] in one go through memory.
+    /// [`Shard::forecast`] and [`Shard::account`] in one go through memory.
     pub fn run(&mut self, batch: &mut Batch, outputs: Outputs<'_>, on: &mut dyn FnMut(Stage)) {
         let Outputs {
             forecasts,
@@ -154,8 +154,8 @@ impl<'a> Shard<'a> {
         let mut forecasts = forecasts.iter_mut();
         let (mut diagnostics, mut budgets) = (diagnostics.iter_mut(), budgets.iter_mut());
         self.each_tile(batch.words, |tile| {
-            tile.absorb(batch, on);
-            tile.settle();
+            tile.infer(batch, on);
+            tile.score();
             on(Stage::Bookkeeping);
             tile.write_forecasts(&mut forecasts);
             tile.write_accounts(&mut diagnostics, &mut budgets);
@@ -163,32 +163,30 @@ impl<'a> Shard<'a> {
         });
     }
 
-    fn absorb(&mut self, batch: &mut Batch, on: &mut dyn FnMut(Stage)) {
-        let (rules, columns) = (self.rules, &mut self.columns);
+    fn infer(&mut self, batch: &mut Batch, on: &mut dyn FnMut(Stage)) {
+        let (tick, columns) = (self.tick, &mut self.columns);
         let mut next = Some(0);
-        while let Some(context) = next {
-            let found = features::absorb(&rules, context, columns, batch, true);
+        while let Some(platform) = next {
+            let found = build_rows(tick, platform, columns, batch, true);
             on(Stage::Features);
-            let its = &rules.contexts[usize::from(context)];
-            features::infer(its, columns, batch);
-            features::run_open(&rules, its, columns, batch);
+            let context = &tick.platforms[usize::from(platform)];
+            infer(context, columns, batch);
+            run_overdue(tick, context, columns, batch);
             on(Stage::Network);
             self.oldest_ns.fetch_min(found.oldest_ns, Ordering::Relaxed);
             next = found.next;
         }
     }
 
-    fn settle(&mut self) {
-        let (rules, columns) = (self.rules, &mut self.columns);
-        rules.simd_level.run(Account {
-            rules: &rules,
-            columns,
-        });
+    fn score(&mut self) {
+        let (tick, columns) = (self.tick, &mut self.columns);
+        tick.simd_level.run(Score { tick, columns });
     }
 
     fn write_forecasts(&self, places: &mut slice::IterMut<'_, Forecast>) {
-        self.rules.simd_level.run(WriteForecasts {
-            shard: self,
+        self.tick.simd_level.run(WriteForecasts {
+            tick: self.tick,
+            columns: &self.columns,
             places,
         });
     }
@@ -199,8 +197,9 @@ impl<'a> Shard<'a> {
         diagnostics: &mut slice::IterMut<'_, Diagnostic>,
         budgets: &mut slice::IterMut<'_, Budget>,
     ) {
-        self.rules.simd_level.run(WriteAccounts {
-            shard: self,
+        self.tick.simd_level.run(WriteAccounts {
+            tick: self.tick,
+            columns: &self.columns,
             diagnostics,
             budgets,
         });
@@ -209,7 +208,7 @@ impl<'a> Shard<'a> {
     /// Calls `work` with each tile that has robots in it.
     fn each_tile(&mut self, words: usize, mut work: impl FnMut(&mut Shard<'_>)) {
         let mut rest = Shard {
-            rules: self.rules,
+            tick: self.tick,
             columns: self.columns.reborrow(),
             oldest_ns: self.oldest_ns,
         };
@@ -225,70 +224,10 @@ impl<'a> Shard<'a> {
     fn split_words(self, words: usize) -> (Self, Self) {
         let (first, second) = self.columns.split(words);
         let shard = |columns| Shard {
-            rules: self.rules,
+            tick: self.tick,
             columns,
             oldest_ns: self.oldest_ns,
         };
         (shard(first), shard(second))
-    }
-}
-
-/// Has the places of the next robots brought near.
-#[inline(always)]
-fn prefetch_ahead<T>(places: &[T]) {
-    const FROM: usize = AHEAD * LANES;
-    if let Some(places) = places.get(FROM..FROM + LANES) {
-        prefetch(places);
-    }
-}
-
-/// Writes the forecasts of a tile.
-struct WriteForecasts<'a, 'b, 'c> {
-    shard: &'a Shard<'b>,
-    places: &'a mut slice::IterMut<'c, Forecast>,
-}
-
-impl SimdTask for WriteForecasts<'_, '_, '_> {
-    #[inline(always)]
-    fn run(self) {
-        let Shard { rules, columns, .. } = self.shard;
-        for (block, lanes) in slots::blocks(columns.words) {
-            prefetch_ahead(self.places.as_slice());
-            let forecasts = Forecasts::of(columns.seen(block));
-            for (lane, place) in slots::bits(lanes).zip(self.places.by_ref()) {
-                *place = forecasts.get(rules, lane);
-            }
-        }
-    }
-}
-
-/// Writes the diagnostics and the budgets of a tile.
-struct WriteAccounts<'a, 'b, 'c, 'd> {
-    shard: &'a Shard<'b>,
-    diagnostics: &'a mut slice::IterMut<'c, Diagnostic>,
-    budgets: &'a mut slice::IterMut<'d, Budget>,
-}
-
-impl SimdTask for WriteAccounts<'_, '_, '_, '_> {
-    #[inline(always)]
-    fn run(self) {
-        let Shard { rules, columns, .. } = self.shard;
-        for (block, lanes) in slots::blocks(columns.words) {
-            prefetch_ahead(self.diagnostics.as_slice());
-            prefetch_ahead(self.budgets.as_slice());
-            let seen = columns.seen(block);
-            if self.diagnostics.len() > 0 {
-                let diagnostics = Diagnostics::of(seen);
-                for (lane, place) in slots::bits(lanes).zip(self.diagnostics.by_ref()) {
-                    *place = diagnostics.get(rules, lane);
-                }
-            }
-            if self.budgets.len() > 0 {
-                let budgets = Budgets::of(rules, seen);
-                for (lane, place) in slots::bits(lanes).zip(self.budgets.by_ref()) {
-                    *place = budgets.get(rules, lane);
-                }
-            }
-        }
     }
 }

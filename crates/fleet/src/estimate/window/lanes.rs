@@ -51,13 +51,13 @@ impl LagLanes {
     }
 
     #[inline(always)]
-    fn put(&mut self, lane: usize, which: bool, lags: &Lags) {
-        put(&mut self.lag_w[0][lane], which, lags.lag_w[0]);
-        put(&mut self.lag_w[1][lane], which, lags.lag_w[1]);
-        put(&mut self.lag_w[2][lane], which, lags.lag_w[2]);
-        put(&mut self.lag_w[3][lane], which, lags.lag_w[3]);
-        put(&mut self.lag_w[4][lane], which, lags.lag_w[4]);
-        put(&mut self.forecast_w[lane], which, lags.forecast_w);
+    fn put(&mut self, lane: usize, mask: bool, lags: &Lags) {
+        put(&mut self.lag_w[0][lane], mask, lags.lag_w[0]);
+        put(&mut self.lag_w[1][lane], mask, lags.lag_w[1]);
+        put(&mut self.lag_w[2][lane], mask, lags.lag_w[2]);
+        put(&mut self.lag_w[3][lane], mask, lags.lag_w[3]);
+        put(&mut self.lag_w[4][lane], mask, lags.lag_w[4]);
+        put(&mut self.forecast_w[lane], mask, lags.forecast_w);
     }
 }
 
@@ -83,17 +83,17 @@ impl ClosedLanes {
     }
 
     #[inline(always)]
-    pub(crate) fn put(&mut self, lane: usize, which: bool, robot: &Window) {
-        self.closed.put(lane, which, &robot.closed);
-        put(&mut self.v_mps[lane], which, robot.v_mps);
-        put(&mut self.omega_radps[lane], which, robot.omega_radps);
-        put(&mut self.open_steps[lane], which, robot.open_steps);
-        put(&mut self.unread_steps[lane], which, robot.unread_steps);
-        put(&mut self.have[lane], which, robot.have);
-        put(&mut self.commanded[lane], which, robot.commanded);
+    pub(crate) fn put(&mut self, lane: usize, mask: bool, robot: &Window) {
+        self.closed.put(lane, mask, &robot.closed);
+        put(&mut self.v_mps[lane], mask, robot.v_mps);
+        put(&mut self.omega_radps[lane], mask, robot.omega_radps);
+        put(&mut self.open_steps[lane], mask, robot.open_steps);
+        put(&mut self.unread_steps[lane], mask, robot.unread_steps);
+        put(&mut self.have[lane], mask, robot.have);
+        put(&mut self.commanded[lane], mask, robot.commanded);
         let [age, interval] = robot.reading_age.to_bytes();
-        put(&mut self.reading_age[0][lane], which, age);
-        put(&mut self.reading_age[1][lane], which, interval);
+        put(&mut self.reading_age[0][lane], mask, age);
+        put(&mut self.reading_age[1][lane], mask, interval);
     }
 }
 
@@ -112,9 +112,9 @@ impl Block for WindowLanes {
     }
 
     #[inline(always)]
-    fn set(&mut self, lane: usize, which: bool, robot: Window) {
-        self.open.put(lane, which, &robot.open);
-        self.closed.put(lane, which, &robot);
+    fn set(&mut self, lane: usize, mask: bool, robot: Window) {
+        self.open.put(lane, mask, &robot.open);
+        self.closed.put(lane, mask, &robot);
     }
 }
 

@@ -6,8 +6,9 @@
 use joulebus_predictor::INPUTS;
 
 use crate::estimate::interval::IntervalLanes;
-use crate::estimate::window::{ClosedLanes, Gap, Reads, WindowLanes};
-use crate::ingest::robot::{LastLanes, PendingBlock, PendingState};
+use crate::estimate::window::{ClosedLanes, Gap, RequiredInputs, WindowLanes};
+use crate::ingest::last_sample::LastLanes;
+use crate::ingest::pending::{PendingBlock, PendingState};
 use crate::layout::lanes::{Block as _, LANES, Lanes, put};
 use crate::state::columns::ColumnsMut;
 use crate::tick::batch::Batch;
@@ -16,9 +17,9 @@ use crate::tick::platform_context::PlatformContext;
 
 /// Samples that are the next of their robots, with readings.
 #[derive(Clone, Copy)]
-pub(crate) struct Next<'a> {
+pub(crate) struct InSequence<'a> {
     /// Whose.
-    pub which: &'a Lanes<bool>,
+    pub mask: &'a Lanes<bool>,
     /// Time since the sample before, ns.
     pub elapsed_ns: &'a Lanes<u64>,
 }
@@ -29,40 +30,40 @@ pub(crate) fn step_block(
     context: &PlatformContext,
     columns: &mut ColumnsMut<'_>,
     block: usize,
-    next: &Next<'_>,
+    next: &InSequence<'_>,
     batch: &mut Batch,
 ) {
     let (pending, windows) = (&mut columns.pending[block], &mut columns.windows[block]);
     let (lasts, intervals) = (&mut columns.lasts[block], &mut columns.intervals[block]);
-    let (first, which) = (block * LANES, next.which);
+    let (first, mask) = (block * LANES, next.mask);
     let (mut elapsed_s, mut forecast_w) = ([0.0; LANES], [0.0; LANES]);
     for lane in 0..LANES {
         elapsed_s[lane] = seconds(next.elapsed_ns[lane]);
         forecast_w[lane] = windows.get(lane).close(Gap::None);
     }
-    read_lasts(lasts, pending, which, &elapsed_s, &forecast_w);
-    let mut taken = Taken::NONE;
+    read_lasts(lasts, pending, mask, &elapsed_s, &forecast_w);
+    let mut steps = StepLanes::NONE;
     let closed = &mut windows.closed;
     read_windows(
-        context.reads,
+        context.required,
         closed,
         pending,
-        which,
+        mask,
         &elapsed_s,
-        &mut taken,
+        &mut steps,
     );
-    qualify(context.reads, lasts, pending, which, windows, &taken);
-    expect(pending, which, &taken);
-    follow(context, intervals, pending, &taken);
-    for lane in (0..LANES).filter(|lane| which[*lane]) {
+    qualify(context.required, lasts, pending, mask, windows, &steps);
+    expect(pending, mask, &steps);
+    follow(context, intervals, pending, &steps);
+    for lane in (0..LANES).filter(|lane| mask[*lane]) {
         columns.admissions[first + lane].accept(&pending.samples.get(lane));
     }
     if let Some(blending) = &context.blending {
-        for lane in (0..LANES).filter(|lane| taken.scored[*lane]) {
+        for lane in (0..LANES).filter(|lane| steps.scored[*lane]) {
             columns.blends[first + lane].learn(blending, pending.samples.power_w[lane]);
         }
     }
-    batch.push_block(first, &taken.ready, &taken.rows);
+    batch.push_block(first, &steps.ready, &steps.rows);
 }
 
 /// Has the last samples of a block replaced by the next.
@@ -70,97 +71,97 @@ pub(crate) fn step_block(
 fn read_lasts(
     lasts: &mut LastLanes,
     pending: &PendingBlock,
-    which: &Lanes<bool>,
+    mask: &Lanes<bool>,
     elapsed_s: &Lanes<f32>,
     forecast_w: &Lanes<f32>,
 ) {
     // A copy, so that the compiler sees that nothing else writes to it.
-    let mut its = *lasts;
+    let mut copy = *lasts;
     for lane in 0..LANES {
-        let mut last = its.get(lane);
+        let mut last = copy.get(lane);
         let pending = pending.samples.get(lane);
         last.seq = pending.seq;
         last.read(&pending, forecast_w[lane], elapsed_s[lane]);
-        its.set(lane, which[lane], last);
+        copy.set(lane, mask[lane], last);
     }
-    *lasts = its;
+    *lasts = copy;
 }
 
 /// Has the windows of a block take their readings and commands.
 #[inline(always)]
 fn read_windows(
-    reads: Reads,
+    required: RequiredInputs,
     windows: &mut ClosedLanes,
     pending: &PendingBlock,
-    which: &Lanes<bool>,
+    mask: &Lanes<bool>,
     elapsed_s: &Lanes<f32>,
-    taken: &mut Taken,
+    steps: &mut StepLanes,
 ) {
     // A copy, so that the compiler sees that nothing else writes to it.
-    let mut its = *windows;
+    let mut copy = *windows;
     for lane in 0..LANES {
-        let mut window = its.get(lane);
+        let mut window = copy.get(lane);
         let forecast_w = (window.close(Gap::None), true);
         let pending = pending.samples.get(lane);
-        let step = read(reads, &mut window, &pending, forecast_w, elapsed_s[lane]);
-        its.put(lane, which[lane], &window);
-        taken.set(lane, which[lane], &step);
+        let step = read(required, &mut window, &pending, forecast_w, elapsed_s[lane]);
+        copy.put(lane, mask[lane], &window);
+        steps.set(lane, mask[lane], &step);
     }
-    *windows = its;
+    *windows = copy;
 }
 
 /// Notes what the forecasts of a block may be called.
 #[inline(always)]
 fn qualify(
-    reads: Reads,
+    required: RequiredInputs,
     lasts: &mut LastLanes,
     pending: &PendingBlock,
-    which: &Lanes<bool>,
+    mask: &Lanes<bool>,
     windows: &WindowLanes,
-    taken: &Taken,
+    steps: &StepLanes,
 ) {
     for lane in 0..LANES {
         let (pending, have) = (pending.samples.get(lane), windows.have(lane));
-        let quality = quality(reads, &pending, have, taken.ready[lane]);
-        lasts.set_quality(lane, which[lane], quality);
+        let quality = quality(required, &pending, have, steps.ready[lane]);
+        lasts.set_quality(lane, mask[lane], quality);
     }
 }
 
 /// Notes what was expected of the readings of a block.
 #[inline(always)]
-fn expect(pending: &mut PendingBlock, which: &Lanes<bool>, taken: &Taken) {
+fn expect(pending: &mut PendingBlock, mask: &Lanes<bool>, steps: &StepLanes) {
     for lane in 0..LANES {
-        pending.mark(lane, which[lane], PendingState::Absorbed);
+        pending.mark(lane, mask[lane], PendingState::Absorbed);
         put(
             &mut pending.expected_w[lane],
-            which[lane],
-            taken.expected_w[lane],
+            mask[lane],
+            steps.expected_w[lane],
         );
     }
 }
 
-/// QuantileStep the intervals of a block on by the residuals.
+/// Has the intervals of a block observe the residuals.
 #[inline(always)]
 fn follow(
     context: &PlatformContext,
     intervals: &mut IntervalLanes,
     pending: &PendingBlock,
-    taken: &Taken,
+    steps: &StepLanes,
 ) {
     let (floor_w, quantile_step) = (context.platform.power_resolution_w, context.quantile_step);
     // A copy, so that the compiler sees that nothing else writes to it.
-    let mut its = *intervals;
+    let mut copy = *intervals;
     for lane in 0..LANES {
-        let mut interval = its.get(lane);
-        let residual_w = pending.samples.power_w[lane] - taken.expected_w[lane];
-        interval.observe(residual_w, taken.due[lane], floor_w, quantile_step);
-        its.set(lane, taken.scored[lane], interval);
+        let mut interval = copy.get(lane);
+        let residual_w = pending.samples.power_w[lane] - steps.expected_w[lane];
+        interval.observe(residual_w, steps.due[lane], floor_w, quantile_step);
+        copy.set(lane, steps.scored[lane], interval);
     }
-    *intervals = its;
+    *intervals = copy;
 }
 
 /// [`Step`]s of a block.
-struct Taken {
+struct StepLanes {
     expected_w: Lanes<f32>,
     /// Whether there was such a forecast.
     scored: Lanes<bool>,
@@ -169,7 +170,7 @@ struct Taken {
     rows: [Lanes<f32>; INPUTS],
 }
 
-impl Taken {
+impl StepLanes {
     const NONE: Self = Self {
         expected_w: [f32::NAN; LANES],
         scored: [false; LANES],
@@ -179,11 +180,11 @@ impl Taken {
     };
 
     #[inline(always)]
-    fn set(&mut self, lane: usize, which: bool, step: &Step) {
+    fn set(&mut self, lane: usize, mask: bool, step: &Step) {
         self.expected_w[lane] = step.expected_w;
-        self.scored[lane] = which & !step.expected_w.is_nan();
+        self.scored[lane] = mask & !step.expected_w.is_nan();
         self.due[lane] = step.due;
-        self.ready[lane] = which & step.ready;
+        self.ready[lane] = mask & step.ready;
         for feature in 0..INPUTS {
             self.rows[feature][lane] = step.row[feature];
         }

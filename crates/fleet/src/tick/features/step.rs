@@ -3,8 +3,8 @@
 use joulebus_predictor::{Features, LAGS};
 use joulebus_wire::{InvalidReason, Quality, sample_flag};
 
-use crate::estimate::window::{Gap, Reads, Window, missing_steps};
-use crate::ingest::robot::{Pending, PendingState};
+use crate::estimate::window::{Gap, RequiredInputs, Window, missing_steps};
+use crate::ingest::pending::{Pending, PendingState};
 use crate::layout::lanes::{Block as _, LANES};
 use crate::state::columns::ColumnsMut;
 use crate::tick::batch::Batch;
@@ -26,9 +26,9 @@ pub(crate) fn step(
     let mut last = columns.lasts[block].get(lane);
     let elapsed_ns = pending.stamp_ns.saturating_sub(admission.stamp_ns);
     if pending.broken {
-        window.forget_freshness();
+        window.reset_reading_age();
     } else if elapsed_ns > context.overdue_after_ns {
-        window.pass(missing_steps(elapsed_ns, context.platform.period_ns));
+        window.skip_periods(missing_steps(elapsed_ns, context.platform.period_ns));
     }
     let forecast_w = window.close(gap);
     let elapsed_s = seconds(elapsed_ns);
@@ -36,14 +36,20 @@ pub(crate) fn step(
     let step = if pending.read() {
         last.read(pending, forecast_w, elapsed_s);
         let forecast_w = (forecast_w, gap == Gap::None);
-        let step = read(context.reads, &mut window, pending, forecast_w, elapsed_s);
-        let quality = quality(context.reads, pending, window.have(), step.ready);
+        let step = read(
+            context.required,
+            &mut window,
+            pending,
+            forecast_w,
+            elapsed_s,
+        );
+        let quality = quality(context.required, pending, window.have(), step.ready);
         (last.quality, last.quality_detail) = quality;
         step
     } else {
         last.residual_w = f32::NAN;
         let step = miss(context, &mut window, pending, elapsed_s);
-        let quality = quality_unread(context.reads, pending, &window, step.ready);
+        let quality = quality_unread(context.required, pending, &window, step.ready);
         (last.quality, last.quality_detail) = quality;
         step
     };
@@ -84,7 +90,7 @@ pub(crate) fn step(
 /// Takes a sample without a reading, `elapsed_s` after the one before.
 fn miss(context: &PlatformContext, window: &mut Window, pending: &Pending, elapsed_s: f32) -> Step {
     window.miss(context.longest_steps);
-    let (row, ready) = window.next_row(elapsed_s, pending.command(), context.reads);
+    let (row, ready) = window.next_row(elapsed_s, pending.command(), context.required);
     Step {
         expected_w: f32::NAN,
         due: false,
@@ -94,10 +100,15 @@ fn miss(context: &PlatformContext, window: &mut Window, pending: &Pending, elaps
 }
 
 /// Of a sample without a reading, as far as it depends on the sample.
-fn quality_unread(reads: Reads, pending: &Pending, window: &Window, ready: bool) -> (u16, u16) {
+fn quality_unread(
+    required: RequiredInputs,
+    pending: &Pending,
+    window: &Window,
+    ready: bool,
+) -> (u16, u16) {
     match (window.is_full(), ready) {
         (false, _) => Quality::Invalid(InvalidReason::NoReading).encode(),
-        (true, false) => missing(reads, pending),
+        (true, false) => missing(required, pending),
         (true, true) => {
             let steps = window.unread_steps;
             Quality::OpenLoop { steps }.encode()
@@ -120,7 +131,7 @@ pub(crate) struct Step {
 /// step ahead if `exact`.
 #[inline(always)]
 pub(crate) fn read(
-    reads: Reads,
+    required: RequiredInputs,
     window: &mut Window,
     pending: &Pending,
     (forecast_w, exact): (f32, bool),
@@ -130,7 +141,7 @@ pub(crate) fn read(
     let one_step = exact & (window.unread_steps == 0) & forecast_w.is_finite();
     let due = window.due();
     window.read(pending.power_w, !pending.has(sample_flag::HELD));
-    let (row, ready) = window.next_row(elapsed_s, pending.command(), reads);
+    let (row, ready) = window.next_row(elapsed_s, pending.command(), required);
     Step {
         expected_w: if one_step { forecast_w } else { f32::NAN },
         due,
@@ -146,13 +157,18 @@ pub(crate) fn seconds(elapsed_ns: u64) -> f32 {
 
 /// Of a sample with a reading, as far as it depends on the sample; `have`: readings in the window.
 #[inline(always)]
-pub(crate) fn quality(reads: Reads, pending: &Pending, have: u8, ready: bool) -> (u16, u16) {
+pub(crate) fn quality(
+    required: RequiredInputs,
+    pending: &Pending,
+    have: u8,
+    ready: bool,
+) -> (u16, u16) {
     const FRESH: (u16, u16) = Quality::Fresh.encode();
     const HELD: (u16, u16) = Quality::Held.encode();
     const WARMUP: (u16, u16) = Quality::Warmup { have: 0 }.encode();
     let held = pending.has(sample_flag::HELD);
     let fresh = if held { HELD } else { FRESH };
-    let missing = missing(reads, pending);
+    let missing = missing(required, pending);
     let full = if ready { fresh } else { missing };
     if usize::from(have) == LAGS {
         full
@@ -163,10 +179,10 @@ pub(crate) fn quality(reads: Reads, pending: &Pending, have: u8, ready: bool) ->
 
 /// What keeps a full window from leading to a row.
 #[inline(always)]
-fn missing(reads: Reads, pending: &Pending) -> (u16, u16) {
+fn missing(required: RequiredInputs, pending: &Pending) -> (u16, u16) {
     const COMMAND: (u16, u16) = Quality::Invalid(InvalidReason::NoCommand).encode();
     const FRESHNESS: (u16, u16) = Quality::Invalid(InvalidReason::NoFreshness).encode();
-    if reads.command & pending.command().is_none() {
+    if required.command & pending.command().is_none() {
         COMMAND
     } else {
         FRESHNESS

@@ -1,0 +1,75 @@
+//! The conditions of a robot's alarms: what its samples say, beside its residuals.
+
+use joulebus_settings::{AlarmSettings, Platform};
+use joulebus_wire::Alarm;
+
+use crate::alarms::detector::{Conditions, Detector};
+use crate::ingest::admission::AdmissionState;
+use crate::ingest::last_sample::Last;
+use crate::layout::lanes::block;
+
+/// What alarms depend on beside the residuals.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct AlarmInputs {
+    pub stamp_ns: u64,
+    /// 0 where nothing was ever measured.
+    pub measured_ns: u64,
+    pub equal_since_ns: u64,
+    pub refused: bool,
+    pub outside_training: bool,
+    pub charging: bool,
+}
+
+impl AlarmInputs {
+    #[inline(always)]
+    pub(crate) fn of(admission: &AdmissionState, last: &Last) -> Self {
+        Self {
+            stamp_ns: admission.stamp_ns,
+            measured_ns: last.measured_ns,
+            equal_since_ns: last.equal_since_ns,
+            refused: admission.refused_run > 0,
+            outside_training: admission.outside_training,
+            charging: admission.charging,
+        }
+    }
+}
+
+block! {
+    /// [`AlarmInputs`] of a block.
+    #[derive(Clone, Copy, Default)]
+    pub(crate) struct AlarmInputLanes of AlarmInputs {
+        pub stamp_ns: u64,
+        pub measured_ns: u64,
+        pub equal_since_ns: u64,
+        pub refused: bool,
+        pub outside_training: bool,
+        pub charging: bool,
+    }
+}
+
+/// The conditions of a robot's alarms; `scored` residuals have been observed.
+#[inline(always)]
+pub(crate) fn judge(
+    settings: &AlarmSettings,
+    platform: &Platform,
+    inputs: &AlarmInputs,
+    scored: u64,
+    detector: &Detector,
+    deadline_missed: bool,
+) -> Conditions {
+    let mut conditions = detector.conditions(scored, settings);
+    let age_ns = inputs.stamp_ns.saturating_sub(inputs.measured_ns);
+    let equal_ns = inputs.measured_ns.saturating_sub(inputs.equal_since_ns);
+    let read = inputs.measured_ns > 0;
+    let (held, stuck) = (
+        read & (age_ns > platform.hold_max_ns),
+        read & (equal_ns > platform.stuck_after_ns),
+    );
+    conditions.when(inputs.refused, Alarm::OutOfRange);
+    conditions.when(held, Alarm::HeldTooLong);
+    conditions.when(stuck, Alarm::StuckSensor);
+    conditions.when(inputs.outside_training, Alarm::OutOfTraining);
+    conditions.when(inputs.charging, Alarm::OfflineCharging);
+    conditions.when(deadline_missed, Alarm::DeadlineMissed);
+    conditions
+}

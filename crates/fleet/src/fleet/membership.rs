@@ -1,0 +1,111 @@
+//! Who is in the fleet: robots join with their first sample and leave after long silence.
+
+use joulebus_wire::SampleHeader;
+
+use crate::alarms::detector::Detector;
+use crate::estimate::interval::ConformalInterval;
+use crate::estimate::mixture::Blend;
+use crate::estimate::scores::Scores;
+use crate::estimate::window::Window;
+use crate::fleet::Fleet;
+use crate::ingest::admission::AdmissionState;
+use crate::ingest::last_sample::Last;
+use crate::ingest::pending::PendingState;
+use crate::layout::lanes::{self, LANES};
+use crate::ledger::departed;
+use crate::ledger::energy::Ledger;
+
+impl Fleet {
+    /// Goes on with the account of a robot that an earlier run wrote down. Call before the robot's
+    /// first sample. `charged`: it has been on its charger since, so that what is in its battery is
+    /// not known. As many accounts as the capacity are kept; returns whether this one was.
+    pub fn restore(&mut self, robot: u32, ledger: Ledger, charged: bool) -> bool {
+        self.departed.keep(departed::Account {
+            robot,
+            charged,
+            ledger,
+        })
+    }
+
+    /// The slot of a robot that is in the fleet.
+    pub(super) fn find(&self, robot: u32) -> Option<usize> {
+        let found = self
+            .slot_of
+            .find(robot, |slot| self.columns.admissions[slot as usize].id);
+        found.map(|slot| slot as usize)
+    }
+
+    pub(super) fn occupy(
+        &mut self,
+        slot: usize,
+        id: u32,
+        platform: u16,
+        header: &SampleHeader,
+        now_ns: u64,
+    ) {
+        let departed = self.departed.take(id);
+        let columns = &mut self.columns;
+        columns.admissions[slot] = AdmissionState {
+            id,
+            present: true,
+            platform,
+            generation: columns.admissions[slot].generation,
+            source_id: header.source_id,
+            source_epoch: header.source_epoch,
+            taken_ns: now_ns,
+            charged: departed.is_some_and(|departed| departed.charged),
+            ..AdmissionState::FREE
+        };
+        let context = &self.tick.platforms[usize::from(platform)];
+        if let Some(blending) = &context.blending {
+            columns.blends[slot] = Blend::new(blending);
+        }
+        let residual = context.model.residual();
+        columns.pending[slot / LANES].mark(slot % LANES, true, PendingState::None);
+        lanes::set(&mut columns.windows, slot, Window::EMPTY);
+        lanes::set(&mut columns.lasts, slot, Last::NONE);
+        let ledger = departed.map_or_else(Ledger::default, |departed| departed.ledger);
+        let interval = ConformalInterval::new(
+            residual.q05_w,
+            residual.q95_w,
+            context.platform.power_resolution_w,
+            self.tick.settings.interval.coverage,
+        );
+        lanes::set(&mut columns.ledgers, slot, ledger);
+        lanes::set(&mut columns.intervals, slot, interval);
+        lanes::set(&mut columns.scores, slot, Scores::default());
+        lanes::set(&mut columns.detectors, slot, Detector::new());
+    }
+
+    pub(super) fn platform_of(&self, robot: u32) -> Option<u16> {
+        let after = self.ranges.partition_point(|(start, _, _)| *start <= robot);
+        let (_, end, platform) = self.ranges.get(after.checked_sub(1)?)?;
+        (robot <= *end).then_some(*platform)
+    }
+
+    /// Frees the slots of robots that have been silent for too long; their accounts are kept.
+    pub(super) fn release_departed(&mut self) {
+        let leave_after_ns = self.tick.settings.intake.leave_after_ns;
+        for slot in 0..self.columns.admissions.len() {
+            let admission = &self.columns.admissions[slot];
+            let silent_ns = self.tick.now_ns.saturating_sub(admission.taken_ns);
+            if !admission.present || silent_ns <= leave_after_ns {
+                continue;
+            }
+            self.catch_up(slot);
+            let admission = &mut self.columns.admissions[slot];
+            admission.present = false;
+            admission.generation = admission.generation.wrapping_add(1);
+            let (robot, charged) = (admission.id, admission.charged);
+            let admissions = &self.columns.admissions;
+            self.slot_of
+                .remove(robot, |slot| admissions[slot as usize].id);
+            self.columns.slots.free(slot);
+            self.departed.keep(departed::Account {
+                robot,
+                charged,
+                ledger: lanes::get(&self.columns.ledgers, slot),
+            });
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! The state of a fleet as a value: taken of it, and given back.
+
+use joulebus_predictor::LAGS;
+
+use crate::fleet::Fleet;
+use crate::ingest::admission::AdmissionState;
+use crate::layout::lanes::{self, LANES};
+use crate::state::snapshot::{Counters, FleetState, StateError};
+
+impl Fleet {
+    /// The fleet's state as it is now. Allocates.
+    #[must_use]
+    pub fn state(&self) -> FleetState {
+        let mut state = FleetState::with_room_for(&self.tick.settings);
+        self.state_into(&mut state);
+        state
+    }
+
+    /// As [`Fleet::state`], into memory of [`FleetState::with_room_for`] the same settings: copies
+    /// and allocates nothing. Takes as long as copying all slots ever used.
+    pub fn state_into(&self, state: &mut FleetState) {
+        state.capacity = self.tick.settings.capacity;
+        state.platforms = self.tick.platforms.len() as u32;
+        (state.settings_hash, state.model_hash) = (self.settings_hash, self.model_hash());
+        state.counters = Counters {
+            drops: self.drops,
+            accepted: self.accepted,
+            reported: self.reported as u32,
+            intake: self.intake,
+            now_ns: self.tick.now_ns,
+            deadline_missed: self.tick.deadline_missed,
+        };
+        let (to, from) = (&mut state.columns, &self.columns);
+        let used = from.slots.reach();
+        let blocks = used.div_ceil(LANES);
+        copy(&mut to.admissions, &from.admissions[..used]);
+        copy(&mut to.pending, &from.pending[..blocks]);
+        copy(&mut to.windows, &from.windows[..blocks]);
+        copy(&mut to.lasts, &from.lasts[..blocks]);
+        copy(&mut to.intervals, &from.intervals[..blocks]);
+        copy(&mut to.ledgers, &from.ledgers[..blocks]);
+        copy(&mut to.scores, &from.scores[..blocks]);
+        copy(&mut to.detectors, &from.detectors[..blocks]);
+        copy(&mut to.blends, &from.blends[..used.min(from.blends.len())]);
+        state.departed.clear();
+        state.departed.extend(self.departed.accounts());
+        copy(&mut state.sources, self.sources.all());
+        state.refused.clone_from(&self.refused);
+    }
+
+    /// Goes on from `state`, which replaces all that this fleet has come to. It must have been
+    /// taken of a fleet with the same settings and models.
+    ///
+    /// # Errors
+    /// [`StateError`]; the fleet is as it was.
+    pub fn restore_state(&mut self, state: &FleetState) -> Result<(), StateError> {
+        self.check_origin(state)?;
+        self.check_consistency(state)?;
+        let (from, to) = (&state.columns, &mut self.columns);
+        let used = from.admissions.len();
+        let blocks = used.div_ceil(LANES);
+        to.admissions[..used].copy_from_slice(&from.admissions);
+        to.admissions[used..].fill(AdmissionState::FREE);
+        to.pending[..blocks].copy_from_slice(&from.pending);
+        to.windows[..blocks].copy_from_slice(&from.windows);
+        to.lasts[..blocks].copy_from_slice(&from.lasts);
+        to.intervals[..blocks].copy_from_slice(&from.intervals);
+        to.ledgers[..blocks].copy_from_slice(&from.ledgers);
+        to.scores[..blocks].copy_from_slice(&from.scores);
+        to.detectors[..blocks].copy_from_slice(&from.detectors);
+        to.blends[..from.blends.len()].copy_from_slice(&from.blends);
+        to.slots
+            .replace(used, state.present().map(|(slot, _)| slot));
+        self.slot_of.clear();
+        for (slot, admission) in state.present() {
+            self.slot_of.insert(admission.id, slot as u32);
+        }
+        self.likely_slot = 0;
+        // Looked up anew at the next tick.
+        *self.oldest_ns.get_mut() = 0;
+        self.departed.replace(&state.departed);
+        self.sources.replace(&state.sources);
+        self.refused.clone_from(&state.refused);
+        let counters = state.counters;
+        (self.drops, self.accepted) = (counters.drops, counters.accepted);
+        (self.reported, self.intake) = (counters.reported as usize, counters.intake);
+        (self.tick.now_ns, self.tick.deadline_missed) = (counters.now_ns, counters.deadline_missed);
+        Ok(())
+    }
+
+    /// Refuses what belongs to another fleet.
+    fn check_origin(&self, state: &FleetState) -> Result<(), StateError> {
+        let (capacity, platforms) = (self.capacity(), self.tick.platforms.len() as u32);
+        if state.capacity != capacity {
+            return Err(StateError::Capacity {
+                found: state.capacity,
+                expected: capacity,
+            });
+        }
+        if state.platforms != platforms {
+            return Err(StateError::Platforms {
+                found: state.platforms,
+                expected: platforms,
+            });
+        }
+        if state.settings_hash != self.settings_hash {
+            return Err(StateError::FleetSettings {
+                found: state.settings_hash,
+                expected: self.settings_hash,
+            });
+        }
+        if state.model_hash != self.model_hash() {
+            return Err(StateError::Models {
+                found: state.model_hash,
+                expected: self.model_hash(),
+            });
+        }
+        Ok(())
+    }
+
+    /// Refuses what no fleet can have come to: the tick relies on it.
+    fn check_consistency(&self, state: &FleetState) -> Result<(), StateError> {
+        let columns = &state.columns;
+        let slots = columns.admissions.len();
+        at_most("slots in use", slots, state.capacity as usize)?;
+        let blocks = slots.div_ceil(LANES);
+        for (what, length) in [
+            ("blocks of pending", columns.pending.len()),
+            ("blocks of windows", columns.windows.len()),
+            ("blocks of last samples", columns.lasts.len()),
+            ("blocks of intervals", columns.intervals.len()),
+            ("blocks of ledgers", columns.ledgers.len()),
+            ("blocks of scores", columns.scores.len()),
+            ("blocks of detectors", columns.detectors.len()),
+        ] {
+            exactly(what, length, blocks)?;
+        }
+        let blends = slots.min(self.columns.blends.len());
+        exactly(
+            "length of what is learned online",
+            columns.blends.len(),
+            blends,
+        )?;
+        at_most("accounts", state.departed.len(), state.capacity as usize)?;
+        let most = self.tick.settings.intake.max_sources;
+        at_most("sources", state.sources.len(), most.into())?;
+        at_most(
+            "robots that have reported",
+            state.counters.reported as usize,
+            slots,
+        )?;
+        self.check_slots(state)
+    }
+
+    /// Each slot in use holds a robot of its own, of the platform that the settings say.
+    fn check_slots(&self, state: &FleetState) -> Result<(), StateError> {
+        let mut ids = std::collections::HashSet::new();
+        for (slot, admission) in state.present() {
+            let times = 2 - usize::from(ids.insert(admission.id));
+            exactly("times a robot is listed", times, 1)?;
+            let platform = self
+                .platform_of(admission.id)
+                .map_or(usize::MAX, usize::from);
+            exactly("platform of a robot", admission.platform.into(), platform)?;
+            let readings = lanes::get(&state.columns.windows, slot).have();
+            at_most("readings in a window", readings.into(), LAGS)?;
+        }
+        Ok(())
+    }
+}
+
+fn copy<T: Copy>(to: &mut Vec<T>, from: &[T]) {
+    to.clear();
+    to.extend_from_slice(from);
+}
+
+fn at_most(what: &'static str, found: usize, allowed: usize) -> Result<(), StateError> {
+    if found > allowed {
+        return Err(corrupt(what, found, allowed));
+    }
+    Ok(())
+}
+
+fn exactly(what: &'static str, found: usize, allowed: usize) -> Result<(), StateError> {
+    if found != allowed {
+        return Err(corrupt(what, found, allowed));
+    }
+    Ok(())
+}
+
+fn corrupt(what: &'static str, found: usize, allowed: usize) -> StateError {
+    StateError::Corrupt {
+        what,
+        found: found as u64,
+        allowed: allowed as u64,
+    }
+}

@@ -1,0 +1,84 @@
+//! Who holds a slot, and what the checks of its next sample need.
+
+use joulebus_wire::{InvalidReason, sample_flag};
+use serde::{Deserialize, Serialize};
+
+use crate::ingest::codes::invalid_reason;
+use crate::ingest::pending::Pending;
+
+/// Who holds a slot and what the checks of its next sample need: one line of the cache.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[repr(align(64))]
+pub(crate) struct AdmissionState {
+    /// When the worker last took a sample of it, monotonic ns of the worker.
+    pub taken_ns: u64,
+    /// Stamp of the last accepted sample, ns; 0 before the first.
+    pub stamp_ns: u64,
+    /// Highest sequence number taken or refused in the epoch, where `ordered`.
+    pub seq: u64,
+    pub source_id: u64,
+    pub source_epoch: u64,
+    pub id: u32,
+    /// Times the slot has changed its owner.
+    pub generation: u32,
+    pub platform: u16,
+    /// Samples taken in this tick.
+    pub taken: u16,
+    /// Samples refused in a row for what was in them.
+    pub refused_run: u16,
+    /// Why the last sample was refused, if it was.
+    #[serde(with = "invalid_reason")]
+    pub invalid: Option<InvalidReason>,
+    /// Whether the slot is in use.
+    pub present: bool,
+    /// Whether a sample of the epoch has been seen.
+    pub ordered: bool,
+    /// Whether a new run of the source has taken over and none of its samples was accepted yet.
+    pub renewed: bool,
+    /// Whether a sample has come in this tick, taken or refused.
+    pub reported: bool,
+    /// Whether a sample has ever been accepted.
+    pub accepted: bool,
+    pub charging: bool,
+    /// Whether the robot has ever been seen charging: its state of charge is then not known.
+    pub charged: bool,
+    /// Whether the last row lay outside the range of the training.
+    pub outside_training: bool,
+}
+
+const _: () = assert!(size_of::<AdmissionState>() == 64);
+
+impl AdmissionState {
+    pub(crate) const FREE: Self = Self {
+        taken_ns: 0,
+        stamp_ns: 0,
+        seq: 0,
+        source_id: 0,
+        source_epoch: 0,
+        id: 0,
+        generation: 0,
+        platform: 0,
+        taken: 0,
+        refused_run: 0,
+        invalid: None,
+        present: false,
+        ordered: false,
+        renewed: false,
+        reported: false,
+        accepted: false,
+        charging: false,
+        charged: false,
+        outside_training: false,
+    };
+
+    /// Takes what of an absorbed sample does not depend on the forecast. Without a row for the
+    /// model there is nothing that could lie outside the training.
+    #[inline(always)]
+    pub(crate) fn accept(&mut self, sample: &Pending) {
+        self.accepted = true;
+        self.stamp_ns = sample.stamp_ns;
+        self.charging = sample.has(sample_flag::CHARGING);
+        self.charged |= self.charging;
+        self.outside_training = false;
+    }
+}

@@ -1,0 +1,92 @@
+//! What is kept of a robot's last accepted sample.
+
+use joulebus_wire::{Quality, sample_flag};
+use serde::{Deserialize, Serialize};
+
+use crate::ingest::pending::Pending;
+use crate::layout::lanes::{block, put};
+
+/// Time over which the mean power is taken, s.
+const MEAN_POWER_S: f32 = 60.0;
+
+/// What is kept of the last accepted sample, and how many were refused.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Last {
+    pub seq: u64,
+    /// 0 before the first reading.
+    pub measured_ns: u64,
+    /// Stamp since mask new measurements have all been equal to `reading_w`.
+    pub equal_since_ns: u64,
+    pub refused: u64,
+    pub reading_w: f32,
+    /// NaN where there was no forecast for it or no reading in it.
+    pub residual_w: f32,
+    pub mean_power_w: f32,
+    /// [`Quality`], as it lies in shared memory.
+    pub quality: u16,
+    pub quality_detail: u16,
+}
+
+impl Last {
+    pub(crate) const NONE: Self = Self {
+        seq: 0,
+        measured_ns: 0,
+        equal_since_ns: 0,
+        refused: 0,
+        reading_w: f32::NAN,
+        residual_w: f32::NAN,
+        mean_power_w: f32::NAN,
+        quality: Quality::Warmup { have: 0 }.encode().0,
+        quality_detail: 0,
+    };
+
+    /// Takes a sample with a reading, `elapsed_s` after the one before; `forecast_w` was made for it.
+    #[inline(always)]
+    pub(crate) fn read(&mut self, sample: &Pending, forecast_w: f32, elapsed_s: f32) {
+        self.residual_w = sample.power_w - forecast_w;
+        // The first reading counts as new, or a robot that joins while its reading is held would
+        // have been stuck since the beginning of time.
+        let new = !sample.has(sample_flag::HELD) | self.reading_w.is_nan();
+        let changed = new & (sample.power_w.to_bits() != self.reading_w.to_bits());
+        put(&mut self.equal_since_ns, changed, sample.stamp_ns);
+        self.reading_w = sample.power_w;
+        self.measured_ns = sample.measured_ns;
+        let weight = elapsed_s / (MEAN_POWER_S + elapsed_s);
+        let mean_w = self.mean_power_w + weight * (sample.power_w - self.mean_power_w);
+        self.mean_power_w = if self.mean_power_w.is_nan() {
+            sample.power_w
+        } else {
+            mean_w
+        };
+    }
+}
+
+block! {
+    /// The last samples of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    #[repr(align(64))]
+    pub(crate) struct LastLanes of Last {
+        seq: u64,
+        pub measured_ns: u64,
+        pub equal_since_ns: u64,
+        pub refused: u64,
+        reading_w: f32,
+        residual_w: f32,
+        pub mean_power_w: f32,
+        quality: u16,
+        quality_detail: u16,
+    }
+}
+
+impl LastLanes {
+    #[inline(always)]
+    pub(crate) fn quality(&self, lane: usize) -> (u16, u16) {
+        (self.quality[lane], self.quality_detail[lane])
+    }
+
+    #[inline(always)]
+    pub(crate) fn set_quality(&mut self, lane: usize, mask: bool, quality: (u16, u16)) {
+        put(&mut self.quality[lane], mask, quality.0);
+        put(&mut self.quality_detail[lane], mask, quality.1);
+    }
+}

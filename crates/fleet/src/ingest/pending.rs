@@ -1,0 +1,109 @@
+//! Samples that have passed the checks and wait for the tick.
+
+use joulebus_wire::{Sample, sample_flag};
+use serde::{Deserialize, Serialize};
+
+use crate::layout::lanes::{Lanes, block, put};
+
+/// A sample that waits for the next pass: what the checks have left to be used.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pending {
+    pub seq: u64,
+    pub stamp_ns: u64,
+    pub measured_ns: u64,
+    pub v_mps: f32,
+    pub omega_radps: f32,
+    pub power_w: f32,
+    flags: u8,
+    /// Whether what came before has nothing to do with it.
+    pub broken: bool,
+}
+
+// All flags that a sample may have fit.
+const _: () = assert!(sample_flag::ALL <= u8::MAX as u32);
+
+impl Pending {
+    /// From a sample whose flags are all known; `broken` also where the flags do not say so.
+    #[inline(always)]
+    pub(crate) fn new(sample: &Sample, broken: bool) -> Self {
+        Self {
+            seq: sample.seq,
+            stamp_ns: sample.stamp_ns,
+            measured_ns: sample.measured_ns,
+            v_mps: sample.v_mps,
+            omega_radps: sample.omega_radps,
+            power_w: sample.power_w,
+            flags: sample.flags as u8,
+            broken: broken | sample.has(sample_flag::DISCONTINUITY),
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn has(&self, flags: u32) -> bool {
+        u32::from(self.flags) & flags == flags
+    }
+
+    /// Whether there is a reading.
+    #[inline(always)]
+    pub(crate) fn read(&self) -> bool {
+        self.has(sample_flag::POWER)
+    }
+
+    #[inline(always)]
+    pub(crate) fn command(&self) -> Option<(f32, f32)> {
+        let known = self.has(sample_flag::V | sample_flag::OMEGA);
+        known.then_some((self.v_mps, self.omega_radps))
+    }
+}
+
+/// What the tick has to do with a robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum PendingState {
+    /// Nothing.
+    None,
+    /// A sample waits to be absorbed.
+    Waiting,
+    /// A sample was absorbed, and waits to be accounted for.
+    Absorbed,
+    /// The same of one that has nothing to do with what came before.
+    Broken,
+}
+
+block! {
+    /// [`Pending`] samples of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    pub(crate) struct PendingLanes of Pending {
+        seq: u64,
+        pub stamp_ns: u64,
+        measured_ns: u64,
+        v_mps: f32,
+        omega_radps: f32,
+        pub power_w: f32,
+        flags: u8,
+        broken: bool,
+    }
+}
+
+/// The newest samples of a block, and what has come of them.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[repr(align(32))]
+pub(crate) struct PendingBlock {
+    pub samples: PendingLanes,
+    /// Of an absorbed sample: the forecast one step ahead that was made for its reading; NaN where
+    /// there was none.
+    pub expected_w: Lanes<f32>,
+    /// [`PendingState`].
+    pending: Lanes<u8>,
+}
+
+impl PendingBlock {
+    #[inline(always)]
+    pub(crate) fn is(&self, lane: usize, pending: PendingState) -> bool {
+        self.pending[lane] == pending as u8
+    }
+
+    #[inline(always)]
+    pub(crate) fn mark(&mut self, lane: usize, mask: bool, pending: PendingState) {
+        put(&mut self.pending[lane], mask, pending as u8);
+    }
+}

@@ -1,0 +1,122 @@
+//! Budgets.
+
+use joulebus_settings::{Battery, Platform};
+use joulebus_wire::{Budget, ChargeState, budget_flag};
+
+use crate::layout::lanes::{self, Block as _, LANES, Lanes};
+use crate::ledger::remaining::{Remaining, RemainingLanes};
+use crate::state::columns::BlockRef;
+use crate::tick::context::TickContext;
+use crate::tick::write::flag::flag;
+
+/// The budgets of a block.
+pub(crate) struct Budgets<'a> {
+    block: BlockRef<'a>,
+    remaining: RemainingLanes,
+}
+
+impl<'a> Budgets<'a> {
+    #[inline(always)]
+    pub(crate) fn of(tick: &TickContext, block: BlockRef<'a>) -> Self {
+        let remaining = remaining(tick, &block);
+        Self { block, remaining }
+    }
+
+    /// The robot's in a lane.
+    #[inline(always)]
+    pub(crate) fn get(&self, tick: &TickContext, lane: usize) -> Budget {
+        let (admission, last) = (&self.block.admissions[lane], self.block.lasts.get(lane));
+        let platform = &tick.platforms[usize::from(admission.platform)].platform;
+        let ledger = self.block.ledgers.get(lane);
+        let charge_state = match (admission.accepted, admission.charging) {
+            (false, _) => ChargeState::Unknown,
+            (true, true) => ChargeState::Charging,
+            (true, false) => ChargeState::Discharging,
+        };
+        let stamp_ns = ledger.stamp_ns();
+        let remaining = self.remaining.get(lane);
+        Budget {
+            robot: admission.id,
+            flags: flag(stamp_ns.is_some(), budget_flag::LEDGER)
+                | flag(admission.charged, budget_flag::CHARGED)
+                | flag(remaining.battery, budget_flag::BATTERY)
+                | flag(
+                    !remaining.time_to_empty_s.is_nan(),
+                    budget_flag::TIME_TO_EMPTY,
+                ),
+            charge_state: charge_state.code(),
+            reserved: 0,
+            drawn_uj: ledger.drawn_uj,
+            drawn_remainder: ledger.drawn_remainder.into(),
+            forecast_uj: ledger.forecast_uj,
+            metered_ns: ledger.metered_ns,
+            unmetered_ns: ledger.unmetered_ns,
+            stamp_ns: stamp_ns.unwrap_or(0),
+            valid_until_ns: stamp_ns
+                .map_or(0, |stamp| stamp.saturating_add(platform.stale_after_ns)),
+            mean_power_w: last.mean_power_w,
+            left_j: remaining.left_j,
+            usable_j: remaining.usable_j,
+            usable_lo_j: remaining.usable_lo_j,
+            soc: remaining.soc,
+            soc_lo: remaining.soc_lo,
+            time_to_empty_s: remaining.time_to_empty_s,
+            time_to_empty_lo_s: remaining.time_to_empty_lo_s,
+            time_to_empty_hi_s: remaining.time_to_empty_hi_s,
+            reserved2: 0,
+        }
+    }
+}
+
+/// What the robots of a block have left.
+#[inline(always)]
+fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
+    let mut left = RemainingLanes::UNKNOWN;
+    let (mut known, mut platform) = ([false; LANES], [0; LANES]);
+    let mut silent_ns = [0; LANES];
+    for (lane, admission) in block.admissions.iter().enumerate() {
+        // How much a charger has put back is not known: better no figure than a wrong one.
+        known[lane] = admission.accepted & !admission.charged;
+        platform[lane] = admission.platform;
+        silent_ns[lane] = tick.now_ns.saturating_sub(admission.taken_ns);
+    }
+    for (number, context) in tick.platforms.iter().enumerate() {
+        let Some(battery) = context.platform.battery else {
+            continue;
+        };
+        let mut mask = known;
+        for lane in 0..LANES {
+            mask[lane] &= usize::from(platform[lane]) == number;
+        }
+        if lanes::any(&mask) {
+            let platform = (&battery, &context.platform);
+            fill(&mut left, platform, block, &mask, &silent_ns);
+        }
+    }
+    left
+}
+
+/// Fills in the robots of one platform.
+#[inline(always)]
+fn fill(
+    left: &mut RemainingLanes,
+    (battery, platform): (&Battery, &Platform),
+    block: &BlockRef<'_>,
+    mask: &Lanes<bool>,
+    silent_ns: &Lanes<u64>,
+) {
+    let (period_ns, most_w) = (platform.period_ns, platform.power_max_w);
+    let mean_w = &block.lasts.mean_power_w;
+    for lane in 0..LANES {
+        let ends_w = block.intervals.get(lane).around(mean_w[lane], 0, true);
+        let (drawn_uj, unmetered_ns) = (
+            block.ledgers.drawn_uj[lane],
+            block.ledgers.unmetered_ns[lane],
+        );
+        let silent_ns = silent_ns[lane].saturating_sub(period_ns);
+        let unmetered_ns = unmetered_ns.saturating_add(silent_ns);
+        let drawn = (drawn_uj, unmetered_ns);
+        let remaining = Remaining::of(battery, most_w, drawn, mean_w[lane], ends_w);
+        left.set(lane, mask[lane], remaining);
+    }
+}

@@ -1,0 +1,140 @@
+//! Diagnostics.
+
+use joulebus_wire::{Alarm, AlarmSet, Diagnostic, Level, diagnostic_flag};
+
+use crate::layout::lanes::{Block as _, LANES, Lanes};
+use crate::state::columns::BlockRef;
+use crate::tick::context::TickContext;
+use crate::tick::write::flag::flag;
+
+/// The diagnostics of a block.
+pub(crate) struct Diagnostics<'a> {
+    block: BlockRef<'a>,
+    mae_w: Lanes<f64>,
+    r2: Lanes<f64>,
+    persistence_mae_w: Lanes<f64>,
+    persistence_r2: Lanes<f64>,
+    skill: Lanes<f64>,
+    coverage: Lanes<f32>,
+    coverage_recent: Lanes<f32>,
+}
+
+impl<'a> Diagnostics<'a> {
+    #[inline(always)]
+    pub(crate) fn of(block: BlockRef<'a>) -> Self {
+        let mut diagnostics = Self {
+            block,
+            mae_w: [0.0; LANES],
+            r2: [0.0; LANES],
+            persistence_mae_w: [0.0; LANES],
+            persistence_r2: [0.0; LANES],
+            skill: [0.0; LANES],
+            coverage: [0.0; LANES],
+            coverage_recent: [0.0; LANES],
+        };
+        for lane in 0..LANES {
+            let scores = block.scores.get(lane);
+            diagnostics.mae_w[lane] = scores.mae_w();
+            diagnostics.r2[lane] = scores.r2();
+            diagnostics.persistence_mae_w[lane] = scores.persistence_mae_w();
+            diagnostics.persistence_r2[lane] = scores.persistence_r2();
+            diagnostics.skill[lane] = scores.skill();
+        }
+        for lane in 0..LANES {
+            let observed = block.scores.count[lane];
+            let coverage = block.intervals.get(lane).coverage(observed);
+            (
+                diagnostics.coverage[lane],
+                diagnostics.coverage_recent[lane],
+            ) = coverage;
+        }
+        diagnostics
+    }
+
+    /// The robot's in a lane.
+    #[inline(always)]
+    pub(crate) fn get(&self, tick: &TickContext, lane: usize) -> Diagnostic {
+        let (admission, last) = (&self.block.admissions[lane], self.block.lasts.get(lane));
+        let (scored, detectors) = (self.block.scores.count[lane], self.block.detectors);
+        let context = &tick.platforms[usize::from(admission.platform)];
+        let raised = detectors.raised(lane);
+        let alarms = if tick.is_stale(admission) {
+            raised.with(Alarm::NoData)
+        } else {
+            raised
+        };
+        let (level, first) = most_important(alarms);
+        Diagnostic {
+            robot: admission.id,
+            flags: flag(!last.residual_w.is_nan(), diagnostic_flag::RESIDUAL)
+                | flag(scored > 0, diagnostic_flag::SCORES),
+            level,
+            alarm: first,
+            alarms: alarms.0,
+            residual_w: last.residual_w,
+            residual_z: last.residual_w / context.sigma_w,
+            bias_w: detectors.bias_w[lane],
+            cusum_up: detectors.cusum_up[lane],
+            cusum_down: detectors.cusum_down[lane],
+            noise_ratio: detectors.noise_ratio[lane],
+            coverage: self.coverage[lane],
+            coverage_recent: self.coverage_recent[lane],
+            scored,
+            mae_w: self.mae_w[lane],
+            r2: self.r2[lane],
+            persistence_mae_w: self.persistence_mae_w[lane],
+            persistence_r2: self.persistence_r2[lane],
+            skill: self.skill[lane],
+            sample_seq: last.seq,
+            stamp_ns: admission.stamp_ns,
+            source_epoch: admission.source_epoch,
+            refused: last.refused,
+        }
+    }
+}
+
+/// Alarms of one level, as bits.
+const fn of_level(level: Level) -> u32 {
+    let (mut bits, mut place) = (0, 0);
+    while place < Alarm::ALL.len() {
+        if Alarm::ALL[place].level().code() == level.code() {
+            bits |= AlarmSet(0).with(Alarm::ALL[place]).0;
+        }
+        place += 1;
+    }
+    bits
+}
+
+const STALE: u32 = of_level(Level::Stale);
+const ERROR: u32 = of_level(Level::Error);
+const WARN: u32 = of_level(Level::Warn);
+
+/// Codes of the worst level and of the most important alarm of a set, without going through all.
+fn most_important(alarms: AlarmSet) -> (u16, u16) {
+    let level = match alarms.0 {
+        bits if bits & STALE != 0 => Level::Stale,
+        bits if bits & ERROR != 0 => Level::Error,
+        bits if bits & WARN != 0 => Level::Warn,
+        _ => Level::Ok,
+    };
+    // The first of a set is its lowest bit, and the code of an alarm is its bit's place plus 1.
+    let first = match alarms.0 {
+        0 => Alarm::None.code(),
+        bits => bits.trailing_zeros() as u16 + 1,
+    };
+    (level.code(), first)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_short_way_to_the_worst_alarm_names_the_same_for_every_set() {
+        for bits in 0..1 << Alarm::ALL.len() {
+            let set = AlarmSet(bits);
+            let expected = (set.level().code(), set.first().code());
+            assert_eq!(most_important(set), expected, "{bits:b}");
+        }
+    }
+}
