@@ -32,7 +32,7 @@ SLOW_SIZES = [1, 7]
 
 
 def cargo_build():
-    command = ["cargo", "build", "--release", "--locked", "-p", "joulebus-benches", "--bin", "joulebus-count",
+    command = ["cargo", "build", "--release", "--locked", "-p", "joulebus-bench", "--bin", "joulebus-bench",
                "--message-format", "json-render-diagnostics"]
     out = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True).stdout
     made = [message.get("executable") for line in out.splitlines() if (message := json.loads(line))["reason"] == "compiler-artifact"]
@@ -43,7 +43,7 @@ def count(program, what, size, kernel):
     with tempfile.TemporaryDirectory() as place:
         out = pathlib.Path(place) / "out"
         command = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}", "--collect-atstart=no",
-                   "--toggle-collect=joulebus_benches::counted::collected*", program, what, str(size)]
+                   "--toggle-collect=joulebus_bench::callgrind::collected*", program, "count", what, str(size)]
         if kernel:
             command += ["--kernel", kernel]
         run = subprocess.run(command, capture_output=True, text=True)

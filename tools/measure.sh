@@ -22,14 +22,13 @@ step() {
 bench() {
     local name=$1
     shift
-    step "$program" bench "$name" --json "$results/$name.json" "${quick[@]}" "$@"
+    step "$program" "$name" --json "$results/$name.json" "${quick[@]}" "$@"
 }
 
 # All that compiles first, so that nothing heats the machine between measurements.
-step cargo build --release --locked -p joulebus
-step cargo build --release --locked -p joulebus-benches --bin joulebus-count
+step cargo build --release --locked -p joulebus-bench
 target=$(cargo metadata --no-deps --format-version 1 | python3 -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])')
-program=$target/release/joulebus
+program=$target/release/joulebus-bench
 step python3 tools/peers/network.py --directory "$peers" --install
 step cargo build --release --locked --manifest-path tools/peers/transport/Cargo.toml --target-dir "$peers/target"
 

@@ -1,6 +1,5 @@
-//! Work to be counted instruction by instruction: figures that hold on a busy machine.
-//!
-//! `tools/instructions.py` runs it under callgrind, which collects inside of [`collected`] only.
+//! Work for callgrind to count instruction by instruction (`tools/instructions.py`): figures that hold
+//! on a busy machine.
 
 use std::hint::black_box;
 
@@ -8,11 +7,12 @@ use anyhow::Context as _;
 use clap::ValueEnum;
 use joulebus_predictor::Network;
 
+use crate::callgrind::collected;
 use crate::{input, kernel, rollout, tick};
 
 /// What is counted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Counted {
+pub(crate) enum Counted {
     /// One call of the kernel.
     Kernel,
     /// Samples of one tick taken.
@@ -27,7 +27,7 @@ pub enum Counted {
 
 /// One piece of work.
 #[derive(Debug, Clone, clap::Parser)]
-pub struct Count {
+pub(crate) struct Count {
     /// What is counted.
     #[arg(value_enum)]
     what: Counted,
@@ -39,21 +39,13 @@ pub struct Count {
     kernel: Option<String>,
 }
 
-/// What callgrind is told to collect.
-#[inline(never)]
-pub fn collected(work: &mut dyn FnMut()) {
-    work();
-    // A tail call would leave the function before the work begins.
-    black_box(());
-}
-
 impl Count {
     /// Does the work once, after it has been warmed up; returns the kernel's name and how many
     /// forecasts that made.
     ///
     /// # Errors
     /// No such kernel here.
-    pub fn run(&self) -> anyhow::Result<(String, usize)> {
+    pub(crate) fn run(&self) -> anyhow::Result<(String, usize)> {
         let (_, network) = input::network(None)?;
         let kernel = *kernel::kernels(self.kernel.as_deref())?
             .last()

@@ -5,9 +5,9 @@ use std::time::Instant;
 
 use anyhow::{Context as _, bail};
 use joulebus_predictor::{Features, INPUTS, Kernel, Model, Network, Tiling};
+use joulebus_program::verbs::bench::BenchOptions;
 
 use crate::figure::robots;
-use crate::options::Options;
 use crate::peak::Isa;
 use crate::rounds::{Turn, calls, take_turns};
 use crate::{Distribution, Figure, Report, input, threads};
@@ -18,14 +18,12 @@ pub(crate) const BATCHES: [usize; 7] = [1, 7, 20, 100, 1_000, 10_000, 100_000];
 const WORTH_SHARING: usize = 1_000;
 /// Robots past which a kernel without vector instructions takes seconds a call.
 const MOST_SLOW: usize = 1_000;
-/// Batches past which no tail is left to the tiling by neuron.
-const MOST_BY_NEURON: usize = 100;
 
 /// Measures each kernel on each batch, and the peak, in turns.
 ///
 /// # Errors
 /// The model cannot be read, or a kernel that was asked for does not exist here.
-pub(crate) fn measure(options: &Options) -> anyhow::Result<Report> {
+pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let (model, network) = input::network(options.model.as_deref())?;
     let kernels = kernels(options.kernel.as_deref())?;
     let batches = options.sizes(&BATCHES);
@@ -86,7 +84,7 @@ pub(crate) fn name(kernel: Kernel) -> String {
 /// The network on a kernel.
 pub(crate) fn on(network: &Network, kernel: Kernel) -> anyhow::Result<Network> {
     let on = network.clone().with_kernel(kernel);
-    on.with_context(|| format!("this simd_level cannot run the kernel {}", name(kernel)))
+    on.with_context(|| format!("this processor cannot run the kernel {}", name(kernel)))
 }
 
 /// Whose peak a kernel is held against; `None` for one that computes value by value.
@@ -106,9 +104,9 @@ enum Way {
     Rows,
     /// A column for each feature, as the tick has them.
     Columns,
-    /// Rows, each vector always holding neighbouring outputs of one robot: the tiling that the
-    /// others take for tails alone.
-    OutputMajor,
+    /// Rows, transposed so that a vector holds one value of as many robots, as columns need no
+    /// transposition for.
+    RowsBatchMajor,
 }
 
 /// Ways and batches that are worth measuring.
@@ -116,10 +114,9 @@ fn ways(kernel: Kernel, batches: &[usize]) -> Vec<(Way, usize)> {
     let slow = isa(kernel).is_none() && kernel != Kernel::best();
     let worth = |way: Way, batch: usize| match way {
         Way::Rows => !slow || batch <= MOST_SLOW,
-        Way::Columns => !slow,
-        Way::OutputMajor => !slow && batch <= MOST_BY_NEURON,
+        Way::Columns | Way::RowsBatchMajor => !slow,
     };
-    [Way::Rows, Way::Columns, Way::OutputMajor]
+    [Way::Rows, Way::Columns, Way::RowsBatchMajor]
         .into_iter()
         .flat_map(|way| batches.iter().map(move |batch| (way, *batch)))
         .filter(|(way, batch)| worth(*way, *batch))
@@ -145,7 +142,7 @@ impl Case {
         let kernel = network.kernel();
         let network = network.clone();
         let tiled = match way {
-            Way::OutputMajor => network.with_tiling(Tiling::OutputMajor),
+            Way::RowsBatchMajor => network.with_tiling(Tiling::BatchMajor),
             Way::Rows | Way::Columns => network,
         };
         let mut case = Self {
@@ -170,7 +167,7 @@ impl Case {
         match self.way {
             Way::Rows => kernel,
             Way::Columns => format!("{kernel}_columns"),
-            Way::OutputMajor => format!("{kernel}_by_neuron"),
+            Way::RowsBatchMajor => format!("{kernel}_rows_batch_major"),
         }
     }
 
@@ -194,7 +191,7 @@ impl Case {
     }
 }
 
-fn alone(report: &mut Report, cases: &mut [Case], sum: usize, options: &Options) {
+fn alone(report: &mut Report, cases: &mut [Case], sum: usize, options: &BenchOptions) {
     let sum = sum as f64;
     let mut isas: Vec<Isa> = Vec::new();
     for isa in cases.iter().filter_map(|case| isa(case.kernel)) {
@@ -234,7 +231,7 @@ fn alone(report: &mut Report, cases: &mut [Case], sum: usize, options: &Options)
 }
 
 /// One pinned thread and several on the same batch, in turns.
-fn shared(report: &mut Report, network: &Network, batch: usize, options: &Options) {
+fn shared(report: &mut Report, network: &Network, batch: usize, options: &BenchOptions) {
     let new = |batch| Case::new(network, Way::Rows, batch, options.seed);
     let each = batch.div_ceil(options.threads);
     let part = |place: usize| ((place + 1) * each).min(batch) - (place * each).min(batch);

@@ -9,7 +9,6 @@
 mod figures;
 mod kernel;
 pub mod raw;
-mod table;
 pub mod through;
 
 pub use figures::distribution;
@@ -23,8 +22,10 @@ use hdrhistogram::Histogram;
 use joulebus_bus::Scheduling;
 use joulebus_predictor::{Model, Network};
 use joulebus_predictor_worker::Spread;
+use joulebus_program::verbs::bench::BenchOptions;
 use joulebus_publisher::Pace;
-use serde::{Deserialize, Serialize};
+
+use crate::{Report, threads};
 
 /// Frames before the figures count.
 pub const WARM_UP: u64 = 30;
@@ -34,22 +35,7 @@ const SHARES: u64 = 3;
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Fleets measured by default.
-pub const ROBOTS: [usize; 5] = [1, 20, 100, 1_000, 10_000];
-
-/// What is to be measured.
-#[derive(Debug, Clone)]
-pub struct Options {
-    /// Sizes of the fleet, robots, each at least 1.
-    pub robots: Vec<usize>,
-    /// Time for each size, s.
-    pub seconds: u64,
-    /// Frames a second, 1 to 1000.
-    pub rate_hz: u64,
-    /// What the worker asks of the system for the tick's thread.
-    pub scheduling: Scheduling,
-    /// How this program is started in a [`Role`].
-    pub launcher: Launcher,
-}
+const ROBOTS: [usize; 5] = [1, 20, 100, 1_000, 10_000];
 
 /// How to start the running program so that it ends up in [`play`].
 #[derive(Debug, Clone)]
@@ -143,84 +129,73 @@ pub fn play(role: &Role) -> anyhow::Result<()> {
     }
 }
 
-/// What was measured.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Report {
-    /// What was sent, how often, and from when times are counted.
-    pub input: String,
-    /// One for each size.
-    pub rows: Vec<Row>,
-}
-
 /// Figures of one fleet size.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Row {
+#[derive(Debug)]
+struct Row {
     /// Robots in a frame.
-    pub robots: usize,
+    robots: usize,
     /// From the frame's intended time to the forecast readable.
-    pub end_to_end_us: Spread,
+    end_to_end_us: Spread,
     /// From the frame's sending to the forecast readable: the broker's share.
-    pub sent_to_readable_us: Spread,
+    sent_to_readable_us: Spread,
     /// From the frame's intended time to its sending: the source's own share.
-    pub source_us: Spread,
+    source_us: Spread,
     /// From the frame's sending to the worker's taking.
-    pub one_way_us: Spread,
+    one_way_us: Spread,
     /// From the tick's start to the last forecast written.
-    pub compute_us: Spread,
+    compute_us: Spread,
     /// The whole tick, diagnostics and budgets included.
-    pub tick_us: Spread,
+    tick_us: Spread,
     /// Two raw iceoryx2 hops of frames of the same sizes, from the intended time.
-    pub raw_two_hops_us: Spread,
+    raw_two_hops_us: Spread,
     /// The kernel alone after the same sleep.
-    pub kernel_us: Spread,
+    kernel_us: Spread,
     /// Median end to end over (median of two hops + median of the kernel).
-    pub ratio_p50: f64,
+    ratio_p50: f64,
     /// The same of the 99th percentiles.
-    pub ratio_p99: f64,
+    ratio_p99: f64,
     /// Memory of the worker that is its own, bytes.
-    pub worker_bytes: u64,
+    worker_bytes: u64,
     /// Ticks whose forecasts the planner did not see.
-    pub missed: u64,
+    missed: u64,
     /// Places on the grid that the source passed over: counted in the times, sent with the next.
-    pub passed_over: u64,
+    passed_over: u64,
 }
 
-/// Measures all sizes, each in turn; says on stderr what it is at.
+/// Measures all sizes, each in turn; says on stderr what it is at. `launcher` starts this program in
+/// a [`Role`].
 ///
 /// # Errors
 /// A process could not be started, or did not do its part.
-pub fn run(options: &Options) -> anyhow::Result<Report> {
-    if !(1..=1000).contains(&options.rate_hz) {
-        bail!("{} frames a second, allowed are 1 to 1000", options.rate_hz);
-    }
+pub(crate) fn measure(options: &BenchOptions, launcher: &Launcher) -> anyhow::Result<Report> {
+    let (rate_hz, seconds) = (options.rate_hz, options.seconds_or(10));
+    let scheduling = threads::scheduling(options);
     let model = model()?;
-    let rows: anyhow::Result<Vec<Row>> = options
-        .robots
-        .iter()
-        .map(|robots| {
-            eprintln!("latency: {robots} robots, {} s", options.seconds);
-            row(&model, *robots, options)
-        })
-        .collect();
-    Ok(Report {
-        input: format!(
-            "{} frames a second for {} s a size, built-in GTernal model, policy on_frame; the way \
-             through the worker, two raw hops and the kernel take turns; times from the place on \
-             the grid at which a frame was due, places passed over included; {}",
-            options.rate_hz,
-            options.seconds,
-            asked_for(&options.scheduling)
-        ),
-        rows: rows?,
-    })
+    let mut rows = Vec::new();
+    for robots in options.sizes(&ROBOTS) {
+        eprintln!("latency: {robots} robots, {seconds} s");
+        rows.push(row(&model, robots, options, launcher)?);
+    }
+    let input = format!(
+        "{rate_hz} frames a second for {seconds} s a size, built-in GTernal model, policy on_frame; \
+         the way through the worker, two raw hops and the kernel take turns; times from the place \
+         on the grid at which a frame was due, places passed over included; {}",
+        asked_for(&scheduling)
+    );
+    Ok(figures::report(&input, &rows))
 }
 
-fn row(model: &Model, robots: usize, options: &Options) -> anyhow::Result<Row> {
-    let frames = options.rate_hz * options.seconds;
+fn row(
+    model: &Model,
+    robots: usize,
+    options: &BenchOptions,
+    launcher: &Launcher,
+) -> anyhow::Result<Row> {
+    let frames = options.rate_hz * options.seconds_or(10);
     let period_ns = 1_000_000_000 / options.rate_hz;
-    let mut through =
-        through::Way::open(&options.launcher, robots, period_ns, &options.scheduling)?;
-    let mut raw = raw::Way::open(&options.launcher, robots, period_ns, false)?;
+    let scheduling = threads::scheduling(options);
+    let mut through = through::Way::open(launcher, robots, period_ns, &scheduling)?;
+    let mut raw = raw::Way::open(launcher, robots, period_ns, false)?;
     let mut kernel = kernel::Alone::new(model, robots);
     let mut pace = Pace::every(Duration::from_nanos(period_ns / SHARES));
     for frame in 0..WARM_UP + frames {

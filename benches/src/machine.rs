@@ -14,7 +14,7 @@ const NOT_TOLD: &str = "not told";
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Machine {
     /// Model name of the processor.
-    pub simd_level: String,
+    pub processor: String,
     /// Processors that this process may use.
     pub processors: usize,
     /// Operating system's kernel.
@@ -56,7 +56,7 @@ impl Machine {
         let flags = field("flags").unwrap_or_default();
         let cpu = "/sys/devices/system/cpu";
         Self {
-            simd_level: field("model name").unwrap_or_else(|| NOT_TOLD.to_owned()),
+            processor: field("model name").unwrap_or_else(|| NOT_TOLD.to_owned()),
             processors: std::thread::available_parallelism().map_or(1, usize::from),
             kernel: told("/proc/sys/kernel/osrelease"),
             governor: told(&format!("{cpu}/cpu0/cpufreq/scaling_governor")),
@@ -106,7 +106,7 @@ fn turbo(boost: &str, no_turbo: &str) -> String {
 impl fmt::Display for Machine {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
-            simd_level,
+            processor,
             processors,
             kernel,
             governor,
@@ -115,7 +115,7 @@ impl fmt::Display for Machine {
         } = self;
         write!(
             out,
-            "{simd_level}, {processors} processors, Linux {kernel}, governor {governor}, turbo {turbo}"
+            "{processor}, {processors} processors, Linux {kernel}, governor {governor}, turbo {turbo}"
         )?;
         if *virtual_machine {
             write!(out, ", virtual machine")?;

@@ -38,7 +38,7 @@ impl Isa {
             Isa::Avx512 => level.as_avx512().map(timed),
             #[cfg(target_arch = "aarch64")]
             Isa::Neon => level.as_neon().map(timed),
-            #[allow(unreachable_patterns, reason = "not every simd_level family has all")]
+            #[allow(unreachable_patterns, reason = "not every processor family has all")]
             _ => {
                 let _ = level;
                 None

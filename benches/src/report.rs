@@ -177,7 +177,7 @@ mod tests {
         let suite = suite();
         let text = suite.to_string();
         for needed in [
-            suite.machine.simd_level.as_str(),
+            suite.machine.processor.as_str(),
             &suite.build.rustc,
             "seed 7",
             "p99.9",

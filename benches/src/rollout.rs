@@ -8,10 +8,10 @@ use anyhow::Context as _;
 use joulebus_predictor::{
     FEATURE_NAMES, FeatureSet, Features, Model, Network, ReadingAge, RolloutStart, Rollouts,
 };
+use joulebus_program::verbs::bench::BenchOptions;
 
-use crate::counted::collected;
+use crate::callgrind::collected;
 use crate::figure::grouped;
-use crate::options::Options;
 use crate::rounds::{Turn, take_turns};
 use crate::{Distribution, Figure, Report, input, kernel, threads};
 
@@ -32,7 +32,7 @@ const KERNEL_ROWS: usize = 1_024;
 ///
 /// # Errors
 /// The model cannot be read, or a kernel that was asked for does not exist here.
-pub(crate) fn measure(options: &Options) -> anyhow::Result<Report> {
+pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let (name, network) = input::network(options.model.as_deref())?;
     let kernel = *kernel::kernels(options.kernel.as_deref())?
         .last()
@@ -146,7 +146,7 @@ impl Work {
     }
 }
 
-fn alone(report: &mut Report, network: &Network, works: &mut [Work], options: &Options) {
+fn alone(report: &mut Report, network: &Network, works: &mut [Work], options: &BenchOptions) {
     let rows = input::rows(network, options.seed, KERNEL_ROWS);
     let mut forecasts_w = vec![0.0; KERNEL_ROWS];
     let bare = move || {
@@ -192,7 +192,12 @@ fn alone(report: &mut Report, network: &Network, works: &mut [Work], options: &O
 }
 
 /// One pinned thread and several on the same candidates, in turns.
-fn shared(report: &mut Report, network: &Network, case: (usize, usize, usize), options: &Options) {
+fn shared(
+    report: &mut Report,
+    network: &Network,
+    case: (usize, usize, usize),
+    options: &BenchOptions,
+) {
     let new = || Work::new(network, case, options.seed);
     let lanes = case.0 * case.1;
     let each = lanes.div_ceil(options.threads);

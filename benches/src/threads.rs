@@ -6,7 +6,8 @@ use std::thread;
 use std::time::Instant;
 
 use crate::Distribution;
-use crate::options::Options;
+use joulebus_bus::Scheduling;
+use joulebus_program::verbs::bench::BenchOptions;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// The processors that this process may use, ascending; empty if the system does not tell.
@@ -15,14 +16,24 @@ pub(crate) fn processors() -> Vec<usize> {
         return Vec::new();
     };
     (0..CpuSet::MAX_CPU)
-        .filter(|simd_level| allowed.is_set(*simd_level))
+        .filter(|processor| allowed.is_set(*processor))
         .collect()
 }
 
+/// What the thread that is measured asks of the system, and must get.
+pub(crate) fn scheduling(options: &BenchOptions) -> Scheduling {
+    Scheduling {
+        cpus: options.worker_cpus.clone(),
+        priority: options.worker_priority,
+        lock_memory: options.worker_locked,
+        required: true,
+    }
+}
+
 /// Keeps the thread that calls on one processor; returns whether the system did so.
-pub(crate) fn pin(simd_level: usize) -> bool {
+pub(crate) fn pin(processor: usize) -> bool {
     let mut only = CpuSet::new();
-    only.set(simd_level);
+    only.set(processor);
     sched_setaffinity(None, &only).is_ok()
 }
 
@@ -44,9 +55,9 @@ fn side_by_side<W: Send>(
             .enumerate()
             .map(|(place, work)| {
                 let (round, done, ready) = (&round, &done, &ready);
-                let simd_level = processors.get(place).copied();
+                let processor = processors.get(place).copied();
                 scope.spawn(move || {
-                    simd_level.map(pin);
+                    processor.map(pin);
                     ready.wait();
                     let run = |repetition| {
                         let start = Instant::now();
@@ -101,7 +112,7 @@ pub(crate) fn compare<W: Send>(
     whole: &mut [W; 1],
     parts: &mut [W],
     call: impl Fn(&mut W) + Copy + Send,
-    options: &Options,
+    options: &BenchOptions,
 ) -> Compared {
     const TURNS: usize = 20;
     let turns = options.repetitions().clamp(1, TURNS);

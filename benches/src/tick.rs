@@ -6,10 +6,10 @@ use std::thread;
 
 use anyhow::{Context as _, anyhow};
 use joulebus_predictor::Network;
+use joulebus_program::verbs::bench::{BenchOptions, TickFleet};
 
-use crate::counted::collected;
+use crate::callgrind::collected;
 use crate::figure::robots;
-use crate::options::Options;
 use crate::{Figure, Report, input, kernel};
 use bench::{Bench, Round};
 
@@ -30,7 +30,7 @@ const LEAST_WEIGHED: usize = 10_000;
 ///
 /// # Errors
 /// The model cannot be read, or a kernel that was asked for does not exist here.
-pub(crate) fn measure(options: &Options) -> anyhow::Result<Report> {
+pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let (name, network) = input::network(options.model.as_deref())?;
     let kernel = *kernel::kernels(options.kernel.as_deref())?
         .last()
@@ -39,6 +39,7 @@ pub(crate) fn measure(options: &Options) -> anyhow::Result<Report> {
     let mut report = Report::new("tick")
         .with_input("model", name)
         .with_input("kernel", kernel::name(kernel))
+        .with_input("fleet", format!("{:?}", options.fleet).to_lowercase())
         .with_input("seed", options.seed)
         .with_input("rate_hz", options.rate_hz)
         .with_input("paced_s", options.seconds_or(10));
@@ -71,9 +72,9 @@ pub(crate) fn measure(options: &Options) -> anyhow::Result<Report> {
     Ok(report)
 }
 
-fn figures(network: &Network, size: usize, options: &Options) -> anyhow::Result<Vec<Figure>> {
+fn figures(network: &Network, size: usize, options: &BenchOptions) -> anyhow::Result<Vec<Figure>> {
     let mut report = Report::new("tick");
-    let mut bench = Bench::new(network, size, 1, options.seed)?;
+    let mut bench = Bench::new(network, (options.fleet, size), 1, options.seed)?;
     let one = back_to_back(&mut bench, options);
     push_one_thread(&mut report, size, &one);
     if size >= LEAST_WEIGHED {
@@ -88,9 +89,14 @@ fn figures(network: &Network, size: usize, options: &Options) -> anyhow::Result<
     paced(&mut report, "1_thread", &mut bench, options);
     drop(bench);
     if options.threads > 1 {
-        // The crew's first thread belongs to its pool for good: it gets a thread of its own.
+        // The pool's first thread belongs to it for good: it gets a thread of its own.
         let shared = || -> anyhow::Result<()> {
-            let mut bench = Bench::new(network, size, options.threads, options.seed)?;
+            let mut bench = Bench::new(
+                network,
+                (options.fleet, size),
+                options.threads,
+                options.seed,
+            )?;
             let several = back_to_back(&mut bench, options);
             push_several(&mut report, size, options.threads, &one, &several);
             let title = format!("{}_threads", options.threads);
@@ -104,7 +110,7 @@ fn figures(network: &Network, size: usize, options: &Options) -> anyhow::Result<
 }
 
 /// Rounds without a pause.
-fn back_to_back(bench: &mut Bench, options: &Options) -> Vec<Round> {
+fn back_to_back(bench: &mut Bench, options: &BenchOptions) -> Vec<Round> {
     for _ in 0..WARM_UP {
         bench.tick_in_one();
     }
@@ -186,7 +192,7 @@ fn push_several(
 }
 
 /// On a grid, with a sleep before each tick.
-fn paced(report: &mut Report, title: &str, bench: &mut Bench, options: &Options) {
+fn paced(report: &mut Report, title: &str, bench: &mut Bench, options: &BenchOptions) {
     let period_us = 1e6 / options.rate_hz as f64;
     let paced = bench.paced(options.rate_hz, options.seconds_or(10));
     let case = robots(bench.robots());
@@ -207,7 +213,7 @@ fn paced(report: &mut Report, title: &str, bench: &mut Bench, options: &Options)
 
 /// One tick of which `part` is counted; returns the forecasts that it made.
 pub(crate) fn count(network: &Network, robots: usize, part: Part) -> anyhow::Result<usize> {
-    let mut bench = Bench::new(network, robots, 1, SEED)?;
+    let mut bench = Bench::new(network, (TickFleet::Uniform, robots), 1, SEED)?;
     for _ in 0..WARM_UP {
         bench.tick_in_two(&mut |_, work| work());
     }

@@ -2,57 +2,23 @@
 //! system: as the timeout of `ppoll`, or as a timer descriptor beside the other one. What the worker
 //! does is decided by this figure.
 
-use std::fmt;
 use std::num::NonZeroU64;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::net::UnixDatagram;
 
 use anyhow::Context;
-use hdrhistogram::Histogram;
-use joulebus_bus::{Scheduling, clock};
-use joulebus_predictor_worker::Spread;
+use joulebus_bus::clock;
+use joulebus_program::verbs::bench::BenchOptions;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::{
     ClockId, Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, Timespec, clock_gettime,
     timerfd_create, timerfd_settime,
 };
-use serde::{Deserialize, Serialize};
 
-use crate::{histogram, line};
+use crate::{Figure, Report, threads};
 
 /// What Linux gives every thread, ns: sleeps may end so much late.
 const USUAL_SLACK_NS: u64 = 50_000;
-
-/// What is to be measured.
-#[derive(Debug, Clone)]
-pub struct Options {
-    /// Waits of each way; they take turns.
-    pub waits: u64,
-    /// Length of a wait, ns.
-    pub length_ns: u64,
-    /// SimdLevel and priority of the thread that waits.
-    pub scheduling: Scheduling,
-}
-
-/// What was measured.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Report {
-    /// How it was measured.
-    pub input: String,
-    /// One for each way.
-    pub rows: Vec<Row>,
-}
-
-/// Figures of one way.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Row {
-    /// The way.
-    pub name: String,
-    /// From the deadline to the thread running again.
-    pub late_us: Spread,
-    /// SimdLevel time of the thread for a wait, mean, µs.
-    pub cpu_us: f64,
-}
 
 /// A way to wait.
 #[derive(Debug, Clone, Copy)]
@@ -87,33 +53,31 @@ const WAYS: [(&str, Way); 4] = [
 ///
 /// # Errors
 /// The system refuses a descriptor, a wait, or what the scheduling asks for.
-pub fn run(options: &Options) -> anyhow::Result<Report> {
-    options.scheduling.apply_to_thread(0)?;
+pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
+    let length_ns = 1_000_000_000 / options.rate_hz;
+    threads::scheduling(options).apply_to_thread(0)?;
     let silent = UnixDatagram::unbound().context("a socket")?;
     let timer = timerfd_create(TimerfdClockId::Monotonic, TimerfdFlags::NONBLOCK)?;
-    let mut late: Vec<Histogram<u64>> = WAYS.iter().map(|_| histogram()).collect();
-    let mut cpu_ns = [0; WAYS.len()];
-    for _ in 0..options.waits {
+    let mut late_us = WAYS.map(|_| Vec::new());
+    let mut cpu_us = WAYS.map(|_| Vec::new());
+    for _ in 0..options.repetitions_or(300) {
         for (place, (_, way)) in WAYS.iter().enumerate() {
             let before_ns = thread_ns();
-            let late_ns = way.wait(&silent, &timer, options.length_ns)?;
-            cpu_ns[place] += thread_ns() - before_ns;
-            late[place].saturating_record(late_ns);
+            late_us[place].push(way.wait(&silent, &timer, length_ns)? as f64 * 1e-3);
+            cpu_us[place].push((thread_ns() - before_ns) as f64 * 1e-3);
         }
     }
-    let row = |place: usize| Row {
-        name: WAYS[place].0.to_owned(),
-        late_us: Spread::of(&late[place]),
-        cpu_us: cpu_ns[place] as f64 * 1e-3 / options.waits.max(1) as f64,
-    };
-    Ok(Report {
-        input: format!(
-            "{} waits of {} ms each, the ways in turns; from the deadline to running again",
-            options.waits,
-            options.length_ns as f64 * 1e-6
-        ),
-        rows: (0..WAYS.len()).map(row).collect(),
-    })
+    let mut report = Report::new("wait").with_input("length_ms", length_ns as f64 * 1e-6);
+    for (name, values) in [("late_us", &late_us), ("cpu_us", &cpu_us)] {
+        for ((way, _), values) in WAYS.iter().zip(values) {
+            report.push(Figure::less, name, way, "µs", values);
+        }
+    }
+    report.notes = vec![
+        "Late: from the deadline to the thread running again. CPU: the thread's time for one wait."
+            .to_owned(),
+    ];
+    Ok(report)
 }
 
 impl Way {
@@ -158,34 +122,31 @@ fn thread_ns() -> u64 {
     time.tv_sec.cast_unsigned() * 1_000_000_000 + time.tv_nsec as u64
 }
 
-impl fmt::Display for Report {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(out, "{}; µs: p50, p99, p99.9, max; CPU a wait", self.input)?;
-        for row in &self.rows {
-            let (late, cpu_us) = (line(&row.late_us), row.cpu_us);
-            writeln!(out, "{:<50}{late} {cpu_us:>8.1}", row.name)?;
-        }
-        Ok(())
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use clap::{Args as _, FromArgMatches as _};
+    use joulebus_program::verbs::bench::BenchArguments;
+
     use super::*;
 
     #[test]
     fn no_way_of_waiting_ends_before_its_deadline_or_is_left_out() {
-        let report = run(&Options {
-            waits: 3,
-            length_ns: 2_000_000,
-            scheduling: Scheduling::default(),
-        })
-        .unwrap_or_else(|error| panic!("{error:#}"));
-        assert_eq!(report.rows.len(), WAYS.len());
-        for row in &report.rows {
+        let arguments = ["bench", "wait", "--repetitions", "3", "--rate-hz", "500"];
+        let arguments = BenchArguments::augment_args(clap::Command::new("bench"))
+            .try_get_matches_from(arguments)
+            .and_then(|matches| BenchArguments::from_arg_matches(&matches))
+            .unwrap_or_else(|error| panic!("{error}"));
+        let report = measure(&arguments.options).unwrap_or_else(|error| panic!("{error:#}"));
+        let late = report
+            .figures
+            .iter()
+            .filter(|figure| figure.name == "late_us");
+        let late: Vec<_> = late.collect();
+        assert_eq!(late.len(), WAYS.len());
+        for figure in late {
             // Lateness 0 would mean that the wait ended early: waking takes longer than 1 ns.
-            assert_eq!(row.late_us.count, 3, "{report}");
-            assert!(row.late_us.p50_us > 0.0, "{report}");
+            assert_eq!(figure.spread.count, 3, "{report}");
+            assert!(figure.spread.p50 > 0.0, "{report}");
         }
     }
 }

@@ -1,5 +1,7 @@
 //! A fleet in step: what its robots send, tick by tick.
 
+use joulebus_program::verbs::bench::TickFleet;
+use joulebus_settings::{FleetSettings, Platform};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 /// Steps after which commands and powers repeat.
@@ -12,13 +14,21 @@ pub(crate) struct World {
     samples: Vec<Sample>,
     period_ns: u64,
     step: u64,
+    /// One sample in so many has no reading.
+    missing_every: Option<u64>,
     command: Vec<(f32, f32)>,
     power_w: Vec<f32>,
 }
 
 impl World {
-    /// Robots 0 to `robots` − 1, whose samples are `period_ns` apart.
-    pub(crate) fn new(robots: usize, period_ns: u64) -> Self {
+    /// The first `robots` robots of the platforms, which send in turn.
+    pub(crate) fn new(kind: TickFleet, settings: &FleetSettings, robots: usize) -> Self {
+        let platforms = &settings.platforms;
+        let each = robots.div_ceil(platforms.len());
+        let ids = (0..each).flat_map(|place| {
+            let id = move |platform: &Platform| platform.robots[0].start() + place as u32;
+            platforms.iter().map(id)
+        });
         let wave = |step: usize, times: f32| {
             let turn = std::f32::consts::TAU * step as f32 / CYCLE as f32;
             (turn * times).sin()
@@ -32,9 +42,10 @@ impl World {
                 source_epoch: 1,
                 ..SampleHeader::default()
             },
-            samples: vec![Sample::new(0, 0, 0); robots],
-            period_ns,
+            samples: ids.take(robots).map(|id| Sample::new(id, 0, 0)).collect(),
+            period_ns: platforms[0].period_ns,
             step: 0,
+            missing_every: (kind == TickFleet::MissingReadings).then_some(10),
             command: (0..CYCLE).map(command).collect(),
             power_w: (0..CYCLE)
                 .map(|step| 3.65 + 0.3 * wave(step, 7.0))
@@ -75,9 +86,16 @@ impl World {
             let at = |step: u64| (step as usize + robot * 37) % CYCLE;
             let (v_mps, omega_radps) = self.command[at(self.step)];
             let power_w = self.power_w[at(self.step + 2 - since)];
-            *sample = Sample::new(robot as u32, self.step, stamp_ns)
-                .command(v_mps, omega_radps)
-                .reading(power_w, stamp_ns - since * self.period_ns);
+            *sample = Sample::new(sample.robot, self.step, stamp_ns).command(v_mps, omega_radps);
+            // A stride without a common factor: each time other robots.
+            let draw = (robot as u64).wrapping_add(self.step * 7);
+            if self
+                .missing_every
+                .is_some_and(|every| draw.is_multiple_of(every))
+            {
+                continue;
+            }
+            *sample = sample.reading(power_w, stamp_ns - since * self.period_ns);
             if since > 0 {
                 *sample = sample.with(sample_flag::HELD);
             }

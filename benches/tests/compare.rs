@@ -1,6 +1,6 @@
 //! What is said of two runs.
 
-use joulebus_benches::{
+use joulebus_bench::{
     Better, CompareError, Comparison, Distribution, Figure, Report, Suite, Verdict,
 };
 
@@ -118,7 +118,7 @@ fn another_layout_is_refused_with_what_was_found() {
 fn another_machine_build_or_input_is_said() {
     let new = suite(vec![figure("time", Better::Less, 1.0)]);
     let mut old = new.clone();
-    old.machine.simd_level = "abacus".to_owned();
+    old.machine.processor = "abacus".to_owned();
     old.build.rustc = "rustc 0.1".to_owned();
     old.reports[0]
         .input

@@ -2,29 +2,26 @@
 
 use joulebus_predictor_worker::Spread;
 
-use super::{Report, Row};
+use super::Row;
 use crate::figure::robots;
-use crate::{Distribution, Figure};
+use crate::{Distribution, Figure, Report};
 
-impl Report {
-    /// The same figures with names and cases, for text, JSON and comparison.
-    #[must_use]
-    pub fn figures(&self) -> crate::Report {
-        let mut report = crate::Report::new("latency").with_input("input", &self.input);
-        for (name, of) in TIMES {
-            let figures = self.rows.iter().filter_map(|row| {
-                let spread = distribution(of(row))?;
-                Some(Figure::less(name, &robots(row.robots), "µs", spread))
-            });
-            report.figures.extend(figures);
-        }
-        for (name, unit, of) in ONCE {
-            for row in &self.rows {
-                report.push(Figure::less, name, &robots(row.robots), unit, &[of(row)]);
-            }
-        }
-        report
+/// Figures with names and cases, for text, JSON and comparison.
+pub(super) fn report(input: &str, rows: &[Row]) -> Report {
+    let mut report = Report::new("latency").with_input("input", input);
+    for (name, of) in TIMES {
+        let figures = rows.iter().filter_map(|row| {
+            let spread = distribution(of(row))?;
+            Some(Figure::less(name, &robots(row.robots), "µs", spread))
+        });
+        report.figures.extend(figures);
     }
+    for (name, unit, of) in ONCE {
+        for row in rows {
+            report.push(Figure::less, name, &robots(row.robots), unit, &[of(row)]);
+        }
+    }
+    report
 }
 
 type Time = (&'static str, fn(&Row) -> &Spread);

@@ -11,8 +11,9 @@ use joulebus_config::{Config, Demo};
 use joulebus_fleet::{Batch, Fleet, Outputs};
 use joulebus_predictor::{Features, Model, Network};
 use joulebus_predictor_worker::TickPool;
+use joulebus_program::verbs::bench::TickFleet;
 use joulebus_publisher::Pace;
-use joulebus_settings::FleetSettings;
+use joulebus_settings::{FleetSettings, Online, Platform};
 use joulebus_wire::{Budget, Diagnostic, Forecast};
 
 use crate::world::World;
@@ -55,6 +56,9 @@ impl Round {
     }
 }
 
+/// Platforms of a mixed fleet.
+const PLATFORMS: u32 = 3;
+
 /// What a paced run came to.
 pub(super) struct Paced {
     pub(super) tick_us: Vec<f64>,
@@ -77,17 +81,17 @@ pub(super) struct Bench {
 }
 
 impl Bench {
-    /// A fleet of so many robots, ticked by a crew of `threads` that share every tick.
+    /// A fleet of so many robots, ticked by `threads` that share every tick.
     pub(super) fn new(
         network: &Network,
-        robots: usize,
+        (kind, robots): (TickFleet, usize),
         threads: usize,
         seed: u64,
     ) -> anyhow::Result<Self> {
-        let settings = settings(robots)?;
-        let period_ns = settings.platforms[0].period_ns;
+        let settings = settings(kind, robots)?;
+        let models = vec![Model::Network(network.clone()); settings.platforms.len()];
         let rows = input::rows(network, seed, robots);
-        let world = World::new(robots, period_ns);
+        let world = World::new(kind, &settings, robots);
         let forecasts = vec![Forecast::default(); robots];
         let diagnostics = vec![Diagnostic::default(); robots];
         let budgets = vec![Budget::default(); robots];
@@ -98,7 +102,7 @@ impl Bench {
             rows,
             forecasts_w,
             world,
-            fleet: Fleet::new(settings, vec![Model::Network(network.clone())])?,
+            fleet: Fleet::new(settings, models)?,
             pool: pool(threads)?,
             batch: Batch::default(),
             forecasts,
@@ -174,7 +178,7 @@ impl Bench {
     }
 
     /// On the calling thread, forecasts first; `around` is given each part's work and has to do it
-    /// once. Reads no clock itself: under valgrind the one that the crew reads ends the program.
+    /// once. Reads no clock itself: under valgrind the one that the pool reads ends the program.
     pub(super) fn tick_in_two(&mut self, around: &mut dyn FnMut(Part, &mut dyn FnMut())) {
         let now_ns = self.world.now_ns();
         let Self { fleet, batch, .. } = self;
@@ -229,7 +233,7 @@ fn pool(threads: usize) -> anyhow::Result<TickPool> {
 }
 
 /// Those of the demo: GTernal robots with a battery.
-fn settings(robots: usize) -> anyhow::Result<FleetSettings> {
+fn settings(kind: TickFleet, robots: usize) -> anyhow::Result<FleetSettings> {
     let demo = Demo {
         fleet: "bench".to_owned(),
         root: "/dev/shm/joulebus-bench".into(),
@@ -237,7 +241,28 @@ fn settings(robots: usize) -> anyhow::Result<FleetSettings> {
         robots: u32::try_from(robots).context("too many robots")?,
     };
     let config = Config::parse(&demo.toml(), Path::new("/"))?;
-    Ok(config.settings().clone())
+    let mut settings = config.settings().clone();
+    if kind == TickFleet::Mixed {
+        settings.platforms = split(&settings.platforms[0], demo.robots);
+    }
+    if kind == TickFleet::Learning {
+        settings.platforms[0].online = Online {
+            mixture: true,
+            adapt: true,
+        };
+    }
+    Ok(settings)
+}
+
+/// Three platforms like `one`, with a third of the robots each.
+fn split(one: &Platform, robots: u32) -> Vec<Platform> {
+    let each = robots.div_ceil(PLATFORMS);
+    let third = |place| Platform {
+        name: format!("{}-{place}", one.name),
+        robots: vec![place * each..=place * each + each - 1],
+        ..one.clone()
+    };
+    (0..PLATFORMS).map(third).collect()
 }
 
 /// Anonymous memory of this process; `None` where the system does not tell.

@@ -9,12 +9,12 @@ use joulebus_eval::analyze::{
     Ablation, Analysis, AnalysisSettings, Member, Series, TrialAutocorrelation, analyze,
 };
 use joulebus_predictor::Model;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::model_source;
+use joulebus_program::output::Output;
 use serde::Serialize;
 
 use crate::data::{How, Recordings};
-use crate::exit::{Outcome, UsageError};
-use crate::model_source;
-use crate::output::Output;
 use crate::split_unit::SplitUnit;
 
 /// What a dataset can teach: autocorrelation, what each input adds, and how much of a score comes

@@ -1,11 +1,13 @@
 //! The verbs and what goes for all of them.
 
 use clap::{Parser, Subcommand};
+use joulebus_program::options::GlobalOptions;
+use joulebus_program::verbs::bench::BenchArguments;
+use joulebus_program::verbs::serve::ServeArguments;
 
-use crate::output::OutputFormat;
 use crate::{
-    analyze, bench, cat, completions, config, data, demo, doctor, eval, import, info, model,
-    publish, record, recover, replay, report, run, serve, train, watch,
+    analyze, cat, completions, config, data, demo, doctor, eval, import, info, model, publish,
+    record, recover, replay, report, run, train, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -30,15 +32,8 @@ use crate::{
         JOULEBUS_LOG sets what is logged, like RUST_LOG: JOULEBUS_LOG=debug."
 )]
 pub(crate) struct Cli {
-    /// How results are written
-    #[arg(long, global = true, value_enum, default_value_t = OutputFormat::Text)]
-    pub(crate) format: OutputFormat,
-    /// Log more to stderr: once for what happens, twice for details, three times for everything
-    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
-    pub(crate) verbose: u8,
-    /// End when stdin closes: set by a supervisor, so that nobody outlives it
-    #[arg(long, global = true, hide = true)]
-    pub(crate) exit_with_stdin: bool,
+    #[command(flatten)]
+    pub(crate) options: GlobalOptions,
     #[command(subcommand)]
     pub(crate) command: Option<Command>,
 }
@@ -55,7 +50,7 @@ pub(crate) enum Command {
     Info(info::Args),
     Cat(cat::Args),
     Recover(recover::Args),
-    Serve(serve::Args),
+    Serve(ServeArguments),
     Import(import::Args),
     Data(data::Args),
     Doctor(doctor::Args),
@@ -65,9 +60,7 @@ pub(crate) enum Command {
     Eval(eval::Args),
     Report(report::Args),
     Model(model::Args),
-    Bench(bench::Args),
-    #[command(hide = true)]
-    BenchRole(bench::RoleArgs),
+    Bench(BenchArguments),
     Completions(completions::Args),
 }
 

@@ -7,11 +7,10 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use joulebus_capture::values::{Line, values};
+use joulebus_program::exit::{Outcome, StdoutClosed, UsageError};
+use joulebus_program::output::{Output, OutputFormat, say};
 use regex::Regex;
 use serde_json::Value;
-
-use crate::exit::{Outcome, StdoutClosed, UsageError};
-use crate::output::{Output, OutputFormat, say};
 
 /// Write the messages of an MCAP file with their values
 #[derive(Debug, clap::Args)]

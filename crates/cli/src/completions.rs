@@ -1,11 +1,8 @@
 //! `joulebus completions`.
 
-use clap::CommandFactory as _;
 use clap_complete::Shell;
-
-use crate::arguments::Cli;
-use crate::exit::Outcome;
-use crate::output::{self, Output};
+use joulebus_program::exit::Outcome;
+use joulebus_program::output;
 
 /// Write completions for a shell
 #[derive(Debug, clap::Args)]
@@ -18,9 +15,10 @@ pub(crate) struct Args {
     shell: Shell,
 }
 
-pub(crate) fn run(args: &Args, _: Output) -> anyhow::Result<Outcome> {
+/// Writes those of `program`.
+pub(crate) fn run(args: &Args, mut program: clap::Command) -> anyhow::Result<Outcome> {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "joulebus", &mut script);
+    clap_complete::generate(args.shell, &mut program, "joulebus", &mut script);
     output::text(&String::from_utf8_lossy(&script))?;
     Ok(Outcome::Done)
 }

@@ -5,11 +5,10 @@ use std::path::PathBuf;
 
 use clap::Subcommand;
 use joulebus_config::{Config, ConfigError, Explanation, Problem, explain, explanations};
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::{self, Format, Output, say};
 use serde::Serialize;
-
-use crate::config_file::ConfigFile;
-use crate::exit::{Outcome, UsageError};
-use crate::output::{self, Format, Output, say};
 
 /// Check, show and explain configs
 #[derive(Debug, clap::Args)]

@@ -10,9 +10,8 @@ use std::path::PathBuf;
 use clap::{Subcommand, ValueEnum};
 use joulebus_dataset::inspect::{FindError, Found, find};
 use joulebus_dataset::trial::Method;
-
-use crate::exit::{Outcome, UsageError};
-use crate::output::{Output, say};
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::{Output, say};
 
 /// Look at recorded trials, check them, write them in another form, and write simulated ones
 #[derive(Debug, clap::Args)]

@@ -10,11 +10,11 @@ use joulebus_eval::evaluate::{Evaluation, EvaluationReport};
 use joulebus_eval::score::{ScoreError, ScoreReport, score};
 use joulebus_predictor::Model;
 use joulebus_predictor_worker::load_models;
+use joulebus_program::exit::Outcome;
+use joulebus_program::model_source;
+use joulebus_program::output::{Output, say};
 use serde::Serialize;
 
-use crate::exit::Outcome;
-use crate::model_source;
-use crate::output::{Output, say};
 pub(crate) use subject::{Selection, check_apart, usage};
 
 /// Live scores that the text shows trial by trial; of more trials, one line a platform.

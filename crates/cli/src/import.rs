@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 use joulebus_capture::import::{Imported, RobotReport, import};
 use joulebus_dataset::trial::{Row, Trial};
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::config_file::ConfigFile;
-use crate::exit::{Outcome, UsageError};
-use crate::output::Output;
 use options::Options;
 
 /// Import recordings (rosbag2 MCAP, .npy, .csv, .csv.gz) as datasets or as a capture

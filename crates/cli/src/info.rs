@@ -7,10 +7,9 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use joulebus_capture::inspect::{Finding, Inspection, inspect};
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
 use serde::Serialize;
-
-use crate::exit::Outcome;
-use crate::output::Output;
 
 /// Show what is in captures and other MCAP files: counts, rates, gaps, clocks, schemas, attachments
 #[derive(Debug, clap::Args)]

@@ -1,37 +1,30 @@
 //! The `joulebus` program as a library, so that other packages can build the same program.
 //!
-//! Results go to stdout, everything else to stderr. Exit codes: 0 done; 1 failed; 2 wrong usage or
-//! a config that was refused; 3 finished, but data was lost or differs.
+//! Heavy verbs are programs of their own, `joulebus-VERB`, which this one becomes when it is asked for
+//! such a verb; what all programs share is `joulebus_program`.
 #![forbid(unsafe_code)]
 
 mod analyze;
 mod arguments;
-mod bench;
 mod cat;
 mod completions;
 mod config;
-mod config_file;
 mod data;
 mod demo;
 mod doctor;
 mod eval;
-mod exit;
+mod external;
 mod import;
 mod info;
 mod keys;
-mod logging;
 mod model;
-mod model_source;
-mod output;
 mod publish;
 mod record;
 mod recover;
 mod replay;
 mod report;
 mod run;
-mod serve;
 mod split_unit;
-mod stop;
 mod supervisor;
 mod train;
 mod trials;
@@ -40,43 +33,29 @@ mod watch;
 
 use std::process::ExitCode;
 
-use clap::{Args as _, FromArgMatches as _, Parser as _};
+use clap::{Args as _, CommandFactory as _, FromArgMatches as _, Parser as _};
+use joulebus_program::exit::{self, Outcome};
+use joulebus_program::output::Output;
 
 use arguments::{Cli, Command};
-use exit::Outcome;
-use output::{Output, OutputFormat};
 
 /// Runs the program with the arguments of this process.
 #[must_use]
 pub fn main() -> ExitCode {
     match parse() {
         Ok((command, output)) => exit::code(execute(&command, output)),
-        Err(refused) => {
-            // Help on a closed pipe is nobody's loss.
-            let _ = refused.print();
-            ExitCode::from(u8::try_from(refused.exit_code()).unwrap_or(exit::USAGE))
-        }
+        Err(refused) => exit::refused(&refused),
     }
 }
 
 fn parse() -> Result<(Command, Output), clap::Error> {
     let cli = Cli::try_parse()?;
-    logging::start(cli.verbose);
-    if cli.exit_with_stdin {
-        supervisor::end_with_stdin().map_err(|error| {
-            clap::Error::raw(clap::error::ErrorKind::Io, format!("{error:#}\n"))
-        })?;
-    }
     let command = match cli.command {
         Some(command) => command,
         None => Command::Demo(default_demo()?),
     };
-    let is_cat = matches!(command, Command::Cat(_));
-    if !is_cat && matches!(cli.format, OutputFormat::Ndjson | OutputFormat::Csv) {
-        let what = "--format ndjson and csv are of `cat` alone; use --format json\n";
-        return Err(clap::Error::raw(clap::error::ErrorKind::InvalidValue, what));
-    }
-    Ok((command, Output::new(cli.format)))
+    let has_rows = matches!(command, Command::Cat(_));
+    Ok((command, cli.options.start(has_rows)?))
 }
 
 /// `demo` as if it had been asked for without options.
@@ -96,7 +75,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Info(args) => info::run(args, output),
         Command::Cat(args) => cat::run(args, output),
         Command::Recover(args) => recover::run(args, output),
-        Command::Serve(args) => serve::run(args, output),
+        Command::Serve(_) => external::run("serve"),
         Command::Import(args) => import::run(args, output),
         Command::Data(args) => data::run(args, output),
         Command::Doctor(args) => doctor::run(args, output),
@@ -106,8 +85,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Eval(args) => eval::run(args, output),
         Command::Report(args) => report::run(args, output),
         Command::Model(args) => model::run(args, output),
-        Command::Bench(args) => bench::run(args, output),
-        Command::BenchRole(args) => bench::play(args, output),
-        Command::Completions(args) => completions::run(args, output),
+        Command::Bench(_) => external::run("bench"),
+        Command::Completions(args) => completions::run(args, Cli::command()),
     }
 }

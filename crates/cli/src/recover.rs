@@ -8,10 +8,9 @@ use std::time::Instant;
 use anyhow::{Context as _, bail};
 use joulebus_capture::inspect::inspect;
 use joulebus_capture::recover::{Recovery, recover};
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::Output;
 use serde::Serialize;
-
-use crate::exit::{Outcome, UsageError};
-use crate::output::Output;
 
 /// Make a whole file of a cut off or damaged MCAP file, and say what is lost
 #[derive(Debug, clap::Args)]

@@ -8,16 +8,16 @@ use anyhow::Context as _;
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::score::Recording;
 use joulebus_predictor::Model;
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::Outcome;
+use joulebus_program::model_source;
+use joulebus_program::output::{Output, say};
 use joulebus_report::{Document, Recorded, Simulated, SimulatedReport, files, recorded, simulated};
 use joulebus_settings::Platform;
 use joulebus_train::Epoch;
 
-use crate::config_file::ConfigFile;
 use crate::data::find_recordings;
 use crate::eval::check_apart;
-use crate::exit::Outcome;
-use crate::model_source;
-use crate::output::{Output, say};
 use crate::train::write;
 use crate::trials::platform;
 

@@ -5,13 +5,13 @@ use std::path::PathBuf;
 
 use joulebus_config::{Config, ModelSource};
 use joulebus_predictor_worker::{Report, Worker};
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::{Output, say};
+use joulebus_program::stop::Stop;
 use serde::Serialize;
 
-use crate::config_file::ConfigFile;
-use crate::exit::Outcome;
-use crate::output::{Output, say};
 use crate::record::Beside;
-use crate::stop::Stop;
 
 /// Run the predictor-worker of a fleet until SIGINT or SIGTERM, then report
 #[derive(Debug, clap::Args)]

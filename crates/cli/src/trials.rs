@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use joulebus_dataset::trial::{Form, Trial};
+use joulebus_program::exit::UsageError;
+use joulebus_program::output::say;
 use joulebus_settings::{FleetSettings, Platform};
 
 use crate::data::find_recordings;
-use crate::exit::UsageError;
-use crate::output::say;
 
 /// Recordings, one robot each.
 #[derive(Debug, Clone, clap::Args)]

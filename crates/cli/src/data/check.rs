@@ -3,12 +3,12 @@
 use std::fmt;
 
 use joulebus_dataset::inspect::{Check, Finding, Limits, Range, check_files};
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
 use serde::Serialize;
 
 use super::Recordings;
-use crate::config_file::ConfigFile;
-use crate::exit::Outcome;
-use crate::output::Output;
 use crate::trials::platform;
 
 /// Find what is wrong with recorded trials, with file and row

@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::ValueEnum;
 use joulebus_dataset::trial::{Column, Form, Resample, Resampled, Table};
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::Output;
 use serde::Serialize;
 
 use super::{How, Recordings};
-use crate::exit::{Outcome, UsageError};
-use crate::output::Output;
 
 /// Write recorded trials in another form, to the same bits; on another grid of time only when asked
 #[derive(Debug, clap::Args)]

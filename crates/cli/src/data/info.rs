@@ -5,11 +5,11 @@ use std::fmt;
 
 use joulebus_dataset::inspect::{Holds, TrialReport, describe};
 use joulebus_dataset::trial::Trial;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
 use serde::Serialize;
 
 use super::Recordings;
-use crate::exit::Outcome;
-use crate::output::Output;
 
 /// Show rows, rate, gaps, held readings, ranges and missing columns of recorded trials
 #[derive(Debug, clap::Args)]

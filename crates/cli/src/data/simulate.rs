@@ -6,15 +6,14 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use joulebus_dataset::trial::{MAX_ROWS, Trial};
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
 use joulebus_sim::arena::STEP_S;
 use joulebus_sim::parts::Parts;
 use joulebus_sim::protocol::{Protocol, SAMPLES};
 use joulebus_sim::scenario;
 use joulebus_sim::scenario::SEED;
 use serde::Serialize;
-
-use crate::exit::Outcome;
-use crate::output::Output;
 
 /// Write simulated trials in the published layout: six of one robot, and seven robots together
 #[derive(Debug, clap::Args)]

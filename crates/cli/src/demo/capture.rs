@@ -3,9 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use joulebus_bus::clock;
+use joulebus_program::exit::UsageError;
 use serde::{Deserialize, Serialize};
-
-use crate::exit::UsageError;
 
 /// Where the capture goes.
 ///

@@ -3,10 +3,10 @@
 use std::io::IsTerminal as _;
 
 use joulebus_bus::clock;
+use joulebus_program::output::{say, text};
+use joulebus_program::stop::Stop;
 
 use super::{Demo, LOOK_EVERY};
-use crate::output::{say, text};
-use crate::stop::Stop;
 use crate::supervisor::Event;
 use crate::view::{Feed, Screen, line, show};
 

@@ -9,11 +9,10 @@ use std::fmt;
 use std::path::PathBuf;
 
 use joulebus_bus::inspect;
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
 use serde::Serialize;
-
-use crate::config_file::ConfigFile;
-use crate::exit::Outcome;
-use crate::output::Output;
 
 /// Check this host and a fleet's shared memory (exit 1 if something fails), or captures (exit 3)
 #[derive(Debug, clap::Args)]

@@ -6,12 +6,12 @@ use joulebus_config::Config;
 use joulebus_dataset::split::{Placed, Split, check_copies};
 use joulebus_eval::score::{Design, Options, Recording, ScoreError, Subject, read_recordings};
 use joulebus_predictor::Model;
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::UsageError;
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_statistics::bootstrap::Bootstrap;
 
-use crate::config_file::ConfigFile;
 use crate::data::find_recordings;
-use crate::exit::UsageError;
 use crate::split_unit::SplitUnit;
 use crate::trials::TrialFiles;
 

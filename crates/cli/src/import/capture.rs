@@ -8,10 +8,10 @@ use joulebus_bus::clock;
 use joulebus_capture::{Attachments, CaptureSettings, Clock, Message, Preset, Times, Writer};
 use joulebus_config::Config;
 use joulebus_dataset::trial::{Playback, Trial, TrialFleet};
+use joulebus_program::exit::UsageError;
 use joulebus_wire::{SCHEMA_VERSION, SampleHeader};
 
 use super::{Recording, Written};
-use crate::exit::UsageError;
 
 /// Monotonic time of the first row, ns: a sample's stamp of 0 would look like none.
 const BASE_NS: u64 = 1_000_000_000;

@@ -4,8 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use joulebus_capture::import::{CurrentSign, Mapping, RobotMapping, TimeSource};
-
-use crate::exit::UsageError;
+use joulebus_program::exit::UsageError;
 
 /// How a rosbag2 recording is meant.
 #[derive(Debug, clap::Args)]

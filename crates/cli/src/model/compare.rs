@@ -4,11 +4,11 @@ use std::fmt;
 use std::path::PathBuf;
 
 use joulebus_eval::score::{Comparison, Verdict, compare};
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
 use serde::Serialize;
 
 use crate::eval::{Selection, load, usage};
-use crate::exit::Outcome;
-use crate::output::Output;
 
 /// Compare two models on the same recordings: by group, robot and trial, with paired intervals
 #[derive(Debug, clap::Args)]

@@ -7,10 +7,10 @@ use anyhow::Context as _;
 use clap::ValueEnum;
 use joulebus_model_files::{to_arrays, to_npz, to_onnx};
 use joulebus_predictor::Network;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::exit::{Outcome, UsageError};
-use crate::output::Output;
 use crate::train::write;
 
 /// Export a model for NumPy, PyTorch or any runtime of ONNX

@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use joulebus_dataset::trial::Trial;
 use joulebus_model_files::{Choice, Convention, Origin, Ranked};
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::Output;
 use serde::Serialize;
 
 use super::info::{FoundReport, ScoreReport};
-use crate::exit::{Outcome, UsageError};
-use crate::output::Output;
 use crate::train::write;
 use crate::trials::recordings;
 

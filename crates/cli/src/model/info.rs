@@ -5,10 +5,9 @@ use std::path::PathBuf;
 
 use joulebus_model_files::{Checkpoint, Entry, EntryValue, Found};
 use joulebus_predictor::{FEATURE_NAMES, Network};
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
 use serde::Serialize;
-
-use crate::exit::Outcome;
-use crate::output::Output;
 
 /// Entries that the text shows; JSON has all.
 const SHOWN: usize = 40;

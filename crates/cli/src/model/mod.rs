@@ -10,9 +10,8 @@ use std::path::Path;
 use anyhow::Context as _;
 use clap::Subcommand;
 use joulebus_model_files::{Checkpoint, MAX_FILE_BYTES};
-
-use crate::exit::Outcome;
-use crate::output::Output;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
 
 /// Look into model files, import, export and compare them
 #[derive(Debug, clap::Args)]

@@ -1,11 +1,11 @@
 //! Listening to the worker, so that it is not sent more than it can take.
 
 use joulebus_bus::{Bus, Domain, ForecastReader, Limits, PeerWatch, Waiter, WorkerLock, clock};
+use joulebus_program::output::say;
+use joulebus_program::stop::Stop;
 use joulebus_wire::{SCHEMA_VERSION, Sample, forecast_flag};
 
 use super::window::Window;
-use crate::output::say;
-use crate::stop::Stop;
 
 /// How long nothing may be heard before it is mentioned, ns.
 const PATIENCE_NS: u64 = 2_000_000_000;

@@ -2,12 +2,12 @@
 
 use joulebus_bus::{Domain, WorkerLock, clock};
 use joulebus_config::Config;
+use joulebus_program::output::say;
+use joulebus_program::stop::Stop;
 use joulebus_publisher::{PublishError, Publisher};
 use joulebus_wire::Sample;
 
 use super::report::PublishReport;
-use crate::output::say;
-use crate::stop::Stop;
 
 /// How often to look for a worker, ns.
 const LOOK_EVERY_NS: u64 = 100_000_000;

@@ -14,9 +14,8 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use clap::Subcommand;
-
-use crate::exit::Outcome;
-use crate::output::Output;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
 
 /// Publish samples of a simulated fleet or of recorded trials, as a fleet controller would
 #[derive(Debug, clap::Args)]

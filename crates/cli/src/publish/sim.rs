@@ -4,6 +4,10 @@ use std::time::Duration;
 
 use joulebus_bus::{clock, set_timer_slack};
 use joulebus_config::Config;
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::Output;
+use joulebus_program::stop::Stop;
 use joulebus_publisher::{Grid, PublishError};
 use joulebus_settings::Platform;
 use joulebus_sim::plant::{Plant, SimReading};
@@ -13,10 +17,6 @@ use super::fault::{self, FaultArgument};
 use super::link::{Link, say_nobody_reads};
 use super::report::PublishReport;
 use super::{Hertz, seconds};
-use crate::config_file::ConfigFile;
-use crate::exit::{Outcome, UsageError};
-use crate::output::Output;
-use crate::stop::Stop;
 use crate::trials::platform;
 
 /// The plant takes no longer step, ns.

@@ -7,6 +7,10 @@ use std::time::Duration;
 use joulebus_bus::{clock, set_timer_slack};
 use joulebus_config::Config;
 use joulebus_dataset::trial::{Playback, Trial, TrialFleet};
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
+use joulebus_program::stop::Stop;
 use joulebus_wire::Sample;
 
 use super::flow::{Flow, SendWindow};
@@ -14,10 +18,6 @@ use super::link::{Fate, Link, say_nobody_reads};
 use super::report::{PlayedTrial, PublishReport};
 use super::window::Window;
 use super::{Hertz, number, seconds};
-use crate::config_file::ConfigFile;
-use crate::exit::Outcome;
-use crate::output::Output;
-use crate::stop::Stop;
 use crate::trials::TrialFiles;
 
 /// Frames on their way when the source could send faster than the worker ticks.

@@ -1,9 +1,8 @@
 //! Which topics are recorded.
 
 use joulebus_capture::MessageKind;
+use joulebus_program::exit::UsageError;
 use regex::Regex;
-
-use crate::exit::UsageError;
 
 /// A choice of topics. Without any wish, all.
 #[derive(Debug)]

@@ -15,12 +15,11 @@ use joulebus_bus::clock;
 use joulebus_capture::record::{Options, Recorder, Snapshot, Summary, Target};
 use joulebus_capture::{Attachments, CaptureSettings, Clock, Preset};
 use joulebus_config::Config;
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::{Format, Output, say};
+use joulebus_program::stop::Stop;
 use signal_hook::consts::SIGUSR1;
-
-use crate::config_file::ConfigFile;
-use crate::exit::{Outcome, UsageError};
-use crate::output::{Format, Output, say};
-use crate::stop::Stop;
 
 use choice::Choice;
 use others::Others;

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use anyhow::Context as _;
-
-use crate::exit::UsageError;
+use joulebus_program::exit::UsageError;
 
 /// The processes. Dropping it kills those that were not ended.
 pub(super) struct Others(Vec<Child>);

@@ -9,9 +9,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::Context as _;
-
-use crate::config_file::ConfigFile;
-use crate::output::say;
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::output::say;
 
 /// How long the recorder may take until it records.
 const START_LIMIT: Duration = Duration::from_secs(15);

@@ -8,9 +8,8 @@ use std::thread;
 use anyhow::Context as _;
 use joulebus_capture::{Attachments, Entry, ReadError, Reader};
 use joulebus_config::Config;
-
-use crate::exit::UsageError;
-use crate::output::say;
+use joulebus_program::exit::UsageError;
+use joulebus_program::output::say;
 
 /// Messages that go from the reading thread to the working one at once.
 const AT_ONCE: usize = 64;

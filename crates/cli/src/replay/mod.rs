@@ -14,9 +14,9 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use joulebus_capture::MessageKind;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::Output;
 
-use crate::exit::{Outcome, UsageError};
-use crate::output::Output;
 use crate::publish::{Passes, Rate, seconds};
 
 /// Play a capture back into shared memory, or prove that its samples lead to what it says

@@ -8,10 +8,10 @@ use std::time::Duration;
 use anyhow::Context as _;
 use crossterm::event::{self, Event, KeyCode};
 use joulebus_bus::clock;
+use joulebus_program::stop::Stop;
 
 use crate::keys::{asks_for_the_end, pressed};
 use crate::publish::Rate;
-use crate::stop::Stop;
 
 /// How often keys are looked for, ns.
 const LOOK_EVERY_NS: u64 = 20_000_000;

@@ -5,6 +5,9 @@ use std::time::Duration;
 use joulebus_bus::{Domain, clock, set_timer_slack};
 use joulebus_capture::{Clock, Entry, MessageKind};
 use joulebus_config::Config;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::{Output, say};
+use joulebus_program::stop::Stop;
 use joulebus_wire::Sample;
 
 use super::Args;
@@ -14,12 +17,9 @@ use super::ports::{Ports, Sent, now};
 use super::rebase::{Moment, Rebase};
 use super::report::PlayReport;
 use super::span::Place;
-use crate::exit::Outcome;
-use crate::output::{Output, say};
 use crate::publish::flow::{Flow, SendWindow};
 use crate::publish::window::Window;
 use crate::publish::{Passes, Rate};
-use crate::stop::Stop;
 
 /// Frames on their way when they could be sent faster than the worker ticks.
 const USUAL_WINDOW: usize = 4;

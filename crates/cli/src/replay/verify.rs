@@ -7,13 +7,13 @@ use std::time::Instant;
 use joulebus_capture::verify::{Comparison, Verification, Verifier, WhatIf};
 use joulebus_predictor::Model;
 use joulebus_predictor_worker::load_models;
+use joulebus_program::exit::Outcome;
+use joulebus_program::model_source;
+use joulebus_program::output::Output;
 use serde::Serialize;
 
 use super::Args;
 use super::files::Files;
-use crate::exit::Outcome;
-use crate::model_source;
-use crate::output::Output;
 
 /// A result, with what goes for all of them.
 #[derive(Debug, Serialize)]

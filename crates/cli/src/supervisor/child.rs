@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::{LEASH, Task};
+use super::{EXIT_WITH_STDIN, Task};
 
 pub(super) struct Child {
     process: std::process::Child,
@@ -26,7 +26,7 @@ impl Child {
     ) -> io::Result<Self> {
         let mut process = Command::new(program)
             .args(&task.arguments)
-            .arg(LEASH)
+            .arg(EXIT_WITH_STDIN)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())

@@ -3,10 +3,9 @@
 //!
 //! Children run in process groups of their own, so that Ctrl-C reaches only the supervisor, which
 //! ends them in order. Their stdin is a pipe that closes with the supervisor, killed or not
-//! ([`end_with_stdin`]).
+//! ([`joulebus_program::exit_with_parent`]).
 
 mod child;
-mod exit_with_parent;
 mod restart_policy;
 
 use std::ffi::OsString;
@@ -21,10 +20,8 @@ use joulebus_bus::clock;
 use child::Child;
 use restart_policy::{RestartPolicy, Step};
 
-pub(crate) use exit_with_parent::end_with_stdin;
-
 /// Hidden flag of every verb: end when stdin closes.
-const LEASH: &str = "--exit-with-stdin";
+const EXIT_WITH_STDIN: &str = "--exit-with-stdin";
 /// How often the end of a process is looked for while waiting for nothing else.
 const LOOK_EVERY: Duration = Duration::from_millis(5);
 /// What processes have for their end when everything ends at once.

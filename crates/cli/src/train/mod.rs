@@ -9,11 +9,11 @@ use std::time::Instant;
 
 use clap::{Subcommand, ValueEnum};
 use joulebus_predictor::FeatureSet;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
 use joulebus_train::{TrainSettings, settings_for_sim};
 
-use crate::exit::Outcome;
-use crate::output::Output;
 use report::TrainReport;
 use run::Run;
 

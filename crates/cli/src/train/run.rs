@@ -6,12 +6,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use joulebus_dataset::rows::Dataset;
+use joulebus_program::exit::UsageError;
+use joulebus_program::output::say;
+use joulebus_program::stop::Stop;
 use joulebus_train::{Epoch, TrainSettings, Trained, Training};
 
 use super::beside;
-use crate::exit::UsageError;
-use crate::output::say;
-use crate::stop::Stop;
 
 /// How often a run is written down, so that not even a power cut loses more.
 const SAVE_EVERY: Duration = Duration::from_secs(10);

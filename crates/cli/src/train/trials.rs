@@ -10,6 +10,8 @@ use joulebus_dataset::split::{
     By, Dealt, PARTS, Placed, Source, Split, check_copies, group_of, split,
 };
 use joulebus_dataset::trial::Trial;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::{Output, say};
 use joulebus_train::TrainSettings;
 use serde::Deserialize;
 
@@ -17,8 +19,6 @@ use super::Choice;
 use super::report::TrainReport;
 use super::run::Run;
 use crate::data::find_recordings;
-use crate::exit::{Outcome, UsageError};
-use crate::output::{Output, say};
 use crate::split_unit::SplitUnit;
 
 #[derive(Debug, clap::Args)]

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use crossterm::event::{self, Event, KeyCode};
+use joulebus_program::stop::Stop;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
@@ -12,7 +13,6 @@ use super::board::Board;
 use super::feed::Feed;
 use super::screen::Screen;
 use crate::keys::{asks_for_the_end, pressed};
-use crate::stop::Stop;
 
 /// How often the processes and the end are looked after.
 const LOOK_EVERY: Duration = Duration::from_millis(30);

@@ -8,11 +8,11 @@ use std::time::Duration;
 
 use joulebus_bus::clock;
 use joulebus_config::Config;
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::{Format, Output, say, text};
+use joulebus_program::stop::Stop;
 
-use crate::config_file::ConfigFile;
-use crate::exit::Outcome;
-use crate::output::{Format, Output, say, text};
-use crate::stop::Stop;
 use crate::view::{Board, Feed, FrameRecord, Link, Reading, Row, Screen, line, show, table};
 
 pub(crate) use summary::PlannerReport;

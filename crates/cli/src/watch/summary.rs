@@ -5,11 +5,11 @@ use std::fmt;
 
 use joulebus_bus::{clock, set_timer_slack};
 use joulebus_config::Config;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
+use joulebus_program::stop::Stop;
 use serde::{Deserialize, Serialize};
 
-use crate::exit::Outcome;
-use crate::output::Output;
-use crate::stop::Stop;
 use crate::view::{Board, Latency, Reading};
 
 /// What a planner has seen.

@@ -1,16 +1,14 @@
 //! The program as its users meet it: real processes, exit codes, what goes where.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
-mod bench;
 mod captures;
 mod data;
 mod evaluate;
+mod external;
 mod fleet;
 mod live;
 mod model;
 mod report;
-#[cfg(feature = "foxglove")]
-mod serve;
 mod train;
 
 use std::fs;

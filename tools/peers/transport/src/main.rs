@@ -16,8 +16,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use clap::{Parser, Subcommand};
-use joulebus_benches::latency::{self, Launcher, WARM_UP, distribution, raw, through};
-use joulebus_benches::{Figure, Report, Suite};
+use joulebus_bench::latency::{self, Launcher, WARM_UP, distribution, raw, through};
+use joulebus_bench::{Figure, Report, Suite};
 use joulebus_bus::{Scheduling, clock};
 use joulebus_publisher::Pace;
 

@@ -4,8 +4,8 @@ use std::io::{self, Write as _};
 
 use anyhow::ensure;
 use hdrhistogram::Histogram;
-use joulebus_benches::latency::{WARM_UP, record_places};
-use joulebus_benches::{Spread, histogram};
+use joulebus_bench::latency::{WARM_UP, record_places};
+use joulebus_bench::{Spread, histogram};
 use joulebus_bus::clock;
 
 use crate::frame::{forecast_bytes, stamps};

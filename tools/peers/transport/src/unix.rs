@@ -6,8 +6,8 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::process::Child;
 
-use joulebus_benches::Spread;
-use joulebus_benches::latency::{Launcher, finish};
+use joulebus_bench::Spread;
+use joulebus_bench::latency::{Launcher, finish};
 use joulebus_bus::clock;
 
 use crate::frame::{Stamps, forecast_bytes, sample_bytes, stamps, write_forecasts, write_samples};

@@ -4,8 +4,8 @@ use std::io::Read as _;
 use std::process::Child;
 
 use anyhow::{Context as _, bail};
-use joulebus_benches::Spread;
-use joulebus_benches::latency::{raw, through};
+use joulebus_bench::Spread;
+use joulebus_bench::latency::{raw, through};
 
 /// A way from a source to a sink, by another process in the middle.
 pub trait Way {

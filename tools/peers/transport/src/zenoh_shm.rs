@@ -7,8 +7,8 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
-use joulebus_benches::Spread;
-use joulebus_benches::latency::{Launcher, finish};
+use joulebus_bench::Spread;
+use joulebus_bench::latency::{Launcher, finish};
 use joulebus_bus::clock;
 use zenoh::qos::CongestionControl;
 use zenoh::shm::{

@@ -1,0 +1,147 @@
+//! `joulebus-bench`: measures, writes the figures down, compares them with an earlier run.
+
+use std::fmt;
+use std::fs;
+use std::path::Path;
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use clap::Parser;
+use joulebus_program::exit::{self, Outcome};
+use joulebus_program::output::{Output, say, text};
+use joulebus_program::verb;
+use joulebus_program::verbs::bench::{BenchArguments, BenchOptions, Benchmark};
+use serde::Serialize;
+
+use crate::counted::Count;
+use crate::latency::{self, Launcher, Role};
+use crate::{Comparison, Report, Suite, kernel, rollout, tick, wait};
+
+/// First argument of the processes that the latency benchmark starts.
+const ROLE: &str = "role";
+/// First argument under callgrind.
+const COUNT: &str = "count";
+
+/// The program: measures, plays a role of the latency benchmark, or works to be counted.
+#[must_use]
+pub fn main() -> ExitCode {
+    let arguments = || std::env::args_os().skip(1);
+    let first = arguments().next();
+    match first.as_ref().and_then(|first| first.to_str()) {
+        Some(ROLE) => exit::code(play(&RoleArguments::parse_from(arguments()))),
+        Some(COUNT) => exit::code(count(&Count::parse_from(arguments()))),
+        _ => verb::main("bench", run),
+    }
+}
+
+fn play(arguments: &RoleArguments) -> anyhow::Result<Outcome> {
+    latency::play(&arguments.role)?;
+    Ok(Outcome::Done)
+}
+
+/// Prints the kernel and how many forecasts were made.
+fn count(arguments: &Count) -> anyhow::Result<Outcome> {
+    let (kernel, forecasts) = arguments.run()?;
+    text(&format!("{kernel} {forecasts}"))?;
+    Ok(Outcome::Done)
+}
+
+/// The processes of the latency benchmark, which starts this program in these roles
+#[derive(Debug, Parser)]
+struct RoleArguments {
+    #[command(subcommand)]
+    role: Role,
+}
+
+fn run(arguments: &BenchArguments, output: Output) -> anyhow::Result<Outcome> {
+    if cfg!(debug_assertions) {
+        say("warning: a dev build is measured; build with --release");
+    }
+    // Before minutes of measuring, not after.
+    let old = arguments.compare.as_deref().map(read).transpose()?;
+    let suite = Suite::here(measure(arguments.benchmark, &arguments.options)?);
+    if let Some(path) = &arguments.json {
+        write(path, &suite)?;
+    }
+    let comparison = old.map(|old| Comparison::new(&old, &suite)).transpose()?;
+    let allowed = arguments.fail_above.unwrap_or(f64::INFINITY);
+    let worse = comparison.iter().flat_map(|all| all.worse_than(allowed));
+    let worse: Vec<String> = worse
+        .map(|change| {
+            let times = change.times_worse;
+            format!(
+                "{} {}, {}: {times:.3} times worse",
+                change.benchmark, change.name, change.case
+            )
+        })
+        .collect();
+    let is_worse = !worse.is_empty();
+    output.report(&Measured {
+        suite,
+        comparison,
+        worse,
+    })?;
+    Ok(Outcome::unless_lost(is_worse))
+}
+
+/// A measurement that was run.
+#[derive(Debug, Serialize)]
+struct Measured {
+    #[serde(flatten)]
+    suite: Suite,
+    /// Beside an earlier run, if that was asked for.
+    comparison: Option<Comparison>,
+    /// Figures that are worse than `--fail-above` allows.
+    worse: Vec<String>,
+}
+
+fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<Report>> {
+    Ok(match benchmark {
+        Benchmark::Kernel => vec![kernel::measure(options)?],
+        Benchmark::Tick => vec![tick::measure(options)?],
+        Benchmark::Rollout => vec![rollout::measure(options)?],
+        Benchmark::Latency => vec![latency::measure(options, &Launcher::this(&[ROLE])?)?],
+        Benchmark::Wait => vec![wait::measure(options)?],
+        Benchmark::All => {
+            let each = [
+                Benchmark::Kernel,
+                Benchmark::Tick,
+                Benchmark::Rollout,
+                Benchmark::Latency,
+                Benchmark::Wait,
+            ];
+            let reports = each.map(|benchmark| measure(benchmark, options));
+            let reports: anyhow::Result<Vec<_>> = reports.into_iter().collect();
+            reports?.concat()
+        }
+    })
+}
+
+fn read(path: &Path) -> anyhow::Result<Suite> {
+    let shown = path.display();
+    let text = fs::read_to_string(path).with_context(|| format!("cannot read {shown}"))?;
+    serde_json::from_str(&text)
+        .with_context(|| format!("{shown} has no figures: write it with --json"))
+}
+
+fn write(path: &Path, suite: &Suite) -> anyhow::Result<()> {
+    let shown = path.display();
+    let json = serde_json::to_string_pretty(suite)? + "\n";
+    path.parent()
+        .map_or(Ok(()), fs::create_dir_all)
+        .and_then(|()| fs::write(path, json))
+        .with_context(|| format!("cannot write {shown}"))
+}
+
+impl fmt::Display for Measured {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}", self.suite)?;
+        if let Some(comparison) = &self.comparison {
+            write!(out, "\n{comparison}")?;
+        }
+        for worse in &self.worse {
+            writeln!(out, "too slow: {worse}")?;
+        }
+        Ok(())
+    }
+}

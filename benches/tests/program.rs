@@ -1,0 +1,186 @@
+//! Measurements: that they run and what is said of them, never how fast it is.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn output<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-bench"));
+    command.args(arguments).env_remove("JOULEBUS_LOG");
+    command.output().unwrap()
+}
+
+fn stdout(output: &Output) -> &str {
+    str::from_utf8(&output.stdout).unwrap()
+}
+
+fn stderr(output: &Output) -> &str {
+    str::from_utf8(&output.stderr).unwrap()
+}
+
+fn code(output: &Output) -> i32 {
+    output
+        .status
+        .code()
+        .unwrap_or_else(|| panic!("killed: {output:?}"))
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_str(stdout(output)).unwrap_or_else(|error| panic!("{error}: {output:?}"))
+}
+
+fn figures(suite: &Value) -> Vec<&Value> {
+    let reports = suite["reports"].as_array().unwrap();
+    reports
+        .iter()
+        .flat_map(|report| report["figures"].as_array().unwrap())
+        .collect()
+}
+
+#[test]
+fn a_quick_measurement_gives_finite_figures_with_machine_and_build() {
+    let measured = output(["kernel", "--quick", "--format", "json"]);
+    assert_eq!(code(&measured), 0, "{}", stderr(&measured));
+    let suite = json(&measured);
+    for (part, name) in [
+        ("machine", "processor"),
+        ("build", "rustc"),
+        ("build", "iceoryx2"),
+    ] {
+        assert!(
+            suite[part][name].as_str().unwrap().len() > 2,
+            "{part} {name}"
+        );
+    }
+    let input = &suite["reports"][0]["input"];
+    assert_eq!(
+        (&input["seed"], &input["model"]),
+        (&"7".into(), &"builtin:gternal-sim".into())
+    );
+    let figures = figures(&suite);
+    assert!(
+        figures
+            .iter()
+            .any(|figure| figure["name"] == "scalar_ns_per_robot")
+    );
+    for figure in figures {
+        for quantile in ["min", "p25", "p50", "p75", "p99", "p999", "max"] {
+            let value = figure[quantile].as_f64();
+            assert!(
+                value.is_some_and(|value| value > 0.0),
+                "{quantile} of {figure}"
+            );
+        }
+        assert!(figure["count"].as_u64().unwrap() > 0, "{figure}");
+    }
+}
+
+#[test]
+fn the_tick_and_rollouts_are_measured_too() {
+    for (benchmark, name) in [("tick", "tick_over_kernel"), ("rollout", "ns_per_step")] {
+        let measured = output([
+            benchmark,
+            "--quick",
+            "--robots",
+            "10",
+            "--threads",
+            "1",
+            "--format",
+            "json",
+        ]);
+        assert_eq!(code(&measured), 0, "{}", stderr(&measured));
+        let suite = json(&measured);
+        let figures = figures(&suite);
+        assert!(
+            figures.iter().any(|figure| figure["name"] == name),
+            "{figures:?}"
+        );
+    }
+}
+
+/// Makes the figures of a file so many times better: what is measured again is then worse.
+fn flatter(path: &Path, times: f64) {
+    let mut suite: Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();
+    for report in suite["reports"].as_array_mut().unwrap() {
+        for figure in report["figures"].as_array_mut().unwrap() {
+            let times = if figure["better"] == "less" {
+                1.0 / times
+            } else {
+                times
+            };
+            for quantile in ["min", "p25", "p50", "p75", "p99", "p999", "max"] {
+                figure[quantile] = (figure[quantile].as_f64().unwrap() * times).into();
+            }
+        }
+    }
+    fs::write(path, suite.to_string()).unwrap();
+}
+
+#[test]
+fn a_comparison_fails_only_when_it_is_asked_to() {
+    let place = tempfile::tempdir().unwrap();
+    let old = place.path().join("old.json");
+    let old_name = old.display().to_string();
+    let base = [
+        "kernel",
+        "--repetitions",
+        "5",
+        "--robots",
+        "7",
+        "--kernel",
+        "scalar",
+        "--threads",
+        "1",
+    ];
+    let with = |more: &[&str]| output(base.into_iter().chain(more.iter().copied()));
+    let first = with(&["--json", &old_name]);
+    assert_eq!(code(&first), 0, "{}", stderr(&first));
+    flatter(&old, 1e6);
+    let compared = with(&["--compare", &old_name]);
+    assert_eq!(code(&compared), 0, "{}", stderr(&compared));
+    assert!(stdout(&compared).contains("WORSE"), "{}", stdout(&compared));
+    let failed = with(&["--compare", &old_name, "--fail-above", "100"]);
+    assert_eq!(code(&failed), 3, "{}", stderr(&failed));
+    assert!(
+        stdout(&failed).contains("too slow: kernel scalar_ns_per_robot, 7 robots"),
+        "{}",
+        stdout(&failed)
+    );
+    let allowed = with(&["--compare", &old_name, "--fail-above", "1e12"]);
+    assert_eq!(code(&allowed), 0, "{}", stderr(&allowed));
+}
+
+#[test]
+fn what_cannot_be_measured_or_compared_is_said_before_anything_is_measured() {
+    let place = tempfile::tempdir().unwrap();
+    let other = place.path().join("other.json");
+    fs::write(&other, "{}").unwrap();
+    let other = other.display().to_string();
+    for (more, exit, says) in [
+        (vec!["--kernel", "abacus"], 1, "scalar"),
+        (vec!["--compare", "/nowhere.json"], 1, "/nowhere.json"),
+        (vec!["--compare", &other], 1, "--json"),
+        (vec!["--fail-above", "1.1"], 2, "--compare"),
+        (
+            vec!["--fail-above", "0.5", "--compare", &other],
+            2,
+            "from 1",
+        ),
+        (vec!["--robots", "0"], 2, "1 to 1000000"),
+    ] {
+        let arguments = ["kernel", "--quick"]
+            .into_iter()
+            .chain(more.iter().copied());
+        let refused = output(arguments);
+        assert_eq!(code(&refused), exit, "{more:?}: {}", stderr(&refused));
+        assert!(
+            stderr(&refused).contains(says),
+            "{more:?}: {}",
+            stderr(&refused)
+        );
+        assert_eq!(stdout(&refused), "", "{more:?}");
+    }
+}

@@ -1,0 +1,107 @@
+//! Verbs that are programs of their own: how they are found, and what passes through.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use crate::fleet::{code, output, stderr, stdout};
+
+/// The program in a directory of its own, without others beside it.
+struct Installed(tempfile::TempDir);
+
+impl Installed {
+    fn new() -> Self {
+        let place = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
+        let program = env!("CARGO_BIN_EXE_joulebus");
+        fs::hard_link(program, place.path().join("joulebus")).unwrap();
+        Self(place)
+    }
+
+    fn joulebus(&self, path: &str, words: &str) -> Output {
+        Command::new(self.0.path().join("joulebus"))
+            .args(words.split(' '))
+            .env("PATH", path)
+            .current_dir(self.directory("stands-here"))
+            .output()
+            .unwrap()
+    }
+
+    fn directory(&self, name: &str) -> PathBuf {
+        let directory = self.0.path().join(name);
+        fs::create_dir_all(&directory).unwrap();
+        directory
+    }
+}
+
+/// A program that says who it is and what it is told, and then does as told.
+fn write_program(directory: &Path, verb: &str, then: &str) {
+    let file = directory.join(format!("joulebus-{verb}"));
+    fs::write(&file, format!("#!/bin/sh\necho \"$0\" \"$@\"\n{then}\n")).unwrap();
+    fs::set_permissions(file, PermissionsExt::from_mode(0o755)).unwrap();
+}
+
+#[test]
+fn a_program_beside_this_one_gets_the_arguments_and_its_exit_code_and_signals_are_ours() {
+    let installed = Installed::new();
+    let in_path = installed.directory("path");
+    write_program(&in_path, "serve", "exit 9");
+    write_program(installed.0.path(), "serve", "exit 3");
+    let path = format!("{}:/usr/bin:/bin", in_path.display());
+    let ended = installed.joulebus(&path, "-v --format json serve --foxglove --port 0");
+    assert_eq!(code(&ended), 3, "{}", stderr(&ended));
+    let beside = installed.0.path().join("joulebus-serve");
+    let told = format!(
+        "{} -v --format json --foxglove --port 0\n",
+        beside.display()
+    );
+    assert_eq!(stdout(&ended), told);
+
+    write_program(installed.0.path(), "serve", "kill -TERM $$");
+    let killed = installed.joulebus(&path, "serve --foxglove");
+    assert_eq!(killed.status.signal(), Some(15), "{killed:?}");
+}
+
+#[test]
+fn without_one_beside_it_comes_from_path_and_never_from_where_one_stands() {
+    let installed = Installed::new();
+    write_program(&installed.directory("stands-here"), "bench", "exit 9");
+    for path in ["", ".", ":", "../stands-here"] {
+        let refused = installed.joulebus(path, "bench kernel");
+        assert_eq!(code(&refused), 1, "{path:?}: {}", stdout(&refused));
+        let said = stderr(&refused);
+        assert!(
+            said.contains("cargo build --release -p joulebus-bench"),
+            "{said}"
+        );
+        assert_eq!(stdout(&refused), "", "{path:?}");
+    }
+    let in_path = installed.directory("path");
+    write_program(&in_path, "bench", "exit 0");
+    let path = format!(".:{}:/usr/bin:/bin", in_path.display());
+    let found = installed.joulebus(&path, "bench kernel");
+    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    assert!(stdout(&found).starts_with(in_path.to_str().unwrap()));
+}
+
+#[test]
+fn help_and_usage_errors_need_no_program() {
+    let installed = Installed::new();
+    for (words, exit, says) in [
+        ("help serve", 0, "--foxglove"),
+        ("bench --help", 0, "--fail-above"),
+        ("serve", 2, "--foxglove"),
+        ("bench abacus", 2, "kernel"),
+        ("serve --foxglove --format csv", 2, "--format json"),
+    ] {
+        let ended = installed.joulebus("", words);
+        assert_eq!(code(&ended), exit, "{words}");
+        let said = stdout(&ended) + &stderr(&ended);
+        assert!(said.contains(says), "{words}: {said}");
+    }
+    let script = output(["completions", "bash"]);
+    for option in ["--per-robot", "--fail-above", "--worker-cpus"] {
+        assert!(stdout(&script).contains(option), "{option}");
+    }
+}

@@ -1,0 +1,16 @@
+//! What every joulebus program shares: how it is called, how it writes results, how it ends.
+//!
+//! Results go to stdout, everything else to stderr; [`exit`] defines the exit codes. A verb that is
+//! a program of its own has its arguments in [`verbs`] and its `main` from [`verb`].
+#![forbid(unsafe_code)]
+
+pub mod config_file;
+pub mod exit;
+pub mod exit_with_parent;
+pub mod logging;
+pub mod model_source;
+pub mod options;
+pub mod output;
+pub mod stop;
+pub mod verb;
+pub mod verbs;

@@ -1,0 +1,42 @@
+//! The model that a user names: a file, or one that ships with the program.
+
+use std::borrow::Cow;
+use std::path::Path;
+
+use anyhow::{Context as _, anyhow};
+use joulebus_config::{builtin_model, builtin_models};
+use joulebus_predictor::Network;
+
+use crate::exit::UsageError;
+
+/// How the name of a model that ships begins, as in a config.
+const BUILTIN: &str = "builtin:";
+
+/// The network of a safetensors file, or of `builtin:NAME`.
+///
+/// # Errors
+/// There is no such file or no such model, or the file is refused.
+pub fn load(path: &Path) -> anyhow::Result<Network> {
+    let shown = path.display();
+    let builtin = path.to_str().and_then(|name| name.strip_prefix(BUILTIN));
+    let bytes: Cow<'_, [u8]> = match builtin {
+        Some(name) => shipped(name)?.into(),
+        None => std::fs::read(path)
+            .with_context(|| format!("cannot read the model {shown}"))?
+            .into(),
+    };
+    Network::from_safetensors(&bytes).with_context(|| format!("the model {shown} is refused"))
+}
+
+fn shipped(name: &str) -> anyhow::Result<&'static [u8]> {
+    let (_, bytes) = builtin_model(name).ok_or_else(|| {
+        let names: Vec<String> = builtin_models()
+            .map(|known| format!("{BUILTIN}{known}"))
+            .collect();
+        let names = names.join(", ");
+        anyhow!(UsageError(format!(
+            "no model {BUILTIN}{name} ships with the program: there are {names}"
+        )))
+    })?;
+    Ok(bytes)
+}

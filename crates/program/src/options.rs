@@ -1,0 +1,40 @@
+//! The options that every verb has.
+
+use clap::error::ErrorKind;
+
+use crate::output::{Output, OutputFormat};
+use crate::{exit_with_parent, logging};
+
+/// Options of every verb.
+#[derive(Debug, Clone, Copy, clap::Args)]
+pub struct GlobalOptions {
+    /// How results are written
+    #[arg(long, global = true, value_enum, default_value_t = OutputFormat::Text)]
+    format: OutputFormat,
+    /// Log more to stderr: once for what happens, twice for details, three times for everything
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+    /// End when stdin closes: set by a supervisor, so that nobody outlives it
+    #[arg(long, global = true, hide = true)]
+    exit_with_stdin: bool,
+}
+
+impl GlobalOptions {
+    /// Starts logging and, if asked for, the watch over stdin; `has_rows`: results may be written
+    /// row by row.
+    ///
+    /// # Errors
+    /// A format that the verb does not have, or a thread that cannot be started.
+    pub fn start(self, has_rows: bool) -> Result<Output, clap::Error> {
+        logging::start(self.verbose);
+        if self.exit_with_stdin {
+            exit_with_parent::end_with_stdin()
+                .map_err(|error| clap::Error::raw(ErrorKind::Io, format!("{error:#}\n")))?;
+        }
+        if !has_rows && matches!(self.format, OutputFormat::Ndjson | OutputFormat::Csv) {
+            let what = "--format ndjson and csv are of `cat` alone; use --format json\n";
+            return Err(clap::Error::raw(ErrorKind::InvalidValue, what));
+        }
+        Ok(Output::new(self.format))
+    }
+}

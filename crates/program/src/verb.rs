@@ -1,0 +1,70 @@
+//! A verb that is a program of its own: `joulebus VERB …` becomes `joulebus-VERB …`.
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::FromArgMatches as _;
+
+use crate::exit::{self, Outcome};
+use crate::options::GlobalOptions;
+use crate::output::Output;
+
+/// The `main` of `joulebus-VERB`: takes the arguments of this process, does `work`, and gives the
+/// exit code. Help, errors and options are those of `joulebus VERB`.
+#[must_use]
+pub fn main<A: clap::Args>(
+    verb: &'static str,
+    work: impl FnOnce(&A, Output) -> anyhow::Result<Outcome>,
+) -> ExitCode {
+    match parse(verb, std::env::args_os().skip(1)) {
+        Ok((arguments, output)) => exit::code(work(&arguments, output)),
+        Err(refused) => exit::refused(&refused),
+    }
+}
+
+fn parse<A: clap::Args>(
+    verb: &'static str,
+    arguments: impl Iterator<Item = OsString>,
+) -> Result<(A, Output), clap::Error> {
+    let program = <GlobalOptions as clap::Args>::augment_args(clap::Command::new("joulebus"))
+        .subcommand(A::augment_args(clap::Command::new(verb)));
+    let called = ["joulebus", verb].map(OsString::from).into_iter();
+    let matches = program.try_get_matches_from(called.chain(arguments))?;
+    let options = GlobalOptions::from_arg_matches(&matches)?;
+    let matches = matches.subcommand_matches(verb).unwrap_or(&matches);
+    Ok((A::from_arg_matches(matches)?, options.start(false)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::output::OutputFormat;
+    use crate::verbs::serve::ServeArguments;
+
+    fn parsed(words: &[&str]) -> Result<(ServeArguments, Output), clap::Error> {
+        parse("serve", words.iter().map(OsString::from))
+    }
+
+    #[test]
+    fn options_of_every_verb_are_taken_before_and_after_its_own() {
+        for words in [
+            ["--format", "json", "--foxglove"],
+            ["--foxglove", "--format", "json"],
+        ] {
+            let (arguments, output) = parsed(&words).expect("both are allowed");
+            assert!(arguments.foxglove);
+            assert_eq!(output.asked(), OutputFormat::Json);
+        }
+    }
+
+    #[test]
+    fn help_and_errors_are_those_of_the_verb() {
+        let help = parsed(&["--help"]).expect_err("help").to_string();
+        assert!(help.contains("Usage: joulebus serve"), "{help}");
+        let refused = parsed(&[]).expect_err("an option is missing");
+        assert_eq!(refused.exit_code(), i32::from(exit::USAGE));
+        assert!(refused.to_string().contains("Usage: joulebus serve"));
+        let rows = parsed(&["--foxglove", "--format", "csv"]).expect_err("no rows");
+        assert_eq!(rows.exit_code(), i32::from(exit::USAGE));
+    }
+}

@@ -1,0 +1,151 @@
+//! The same channels as in a capture, over the Foxglove WebSocket protocol.
+//!
+//! A recorder writes its capture into a pipe, and what is read from the pipe goes to whoever is
+//! connected: so live and recorded are the same by construction. A client that cannot follow loses
+//! messages, never the fleet.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use ::foxglove::{ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServer};
+use anyhow::Context as _;
+use joulebus_capture::record::{Options, Recorder, Target};
+use joulebus_capture::{Attachments, CaptureSettings, Clock, Entry, Preset, ReadError, Reader};
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::{Output, say};
+use joulebus_program::stop::Stop;
+use joulebus_program::verbs::serve::ServeArguments;
+use serde::Serialize;
+
+/// How often it is looked whether to end.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Messages that wait for a reader that is slow, bytes.
+const QUEUE_BYTES: usize = 64 << 20;
+
+#[derive(Debug, Serialize)]
+struct Report {
+    fleet: String,
+    address: String,
+    messages: u64,
+    /// Messages that were overwritten in shared memory or did not fit the queue.
+    lost: u64,
+}
+
+pub(super) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outcome> {
+    let stop = Stop::on_signals()?;
+    let config = args.config.load()?;
+    if !args.host.is_loopback() {
+        say(&format!(
+            "warning: {} can be reached from other hosts, and there is no password",
+            args.host
+        ));
+    }
+    let context = Context::new();
+    let server = WebSocketServer::new()
+        .name(format!("joulebus {}", config.fleet()))
+        .bind(args.host.to_string(), args.port)
+        .context(&context)
+        .start_blocking()
+        .with_context(|| format!("cannot listen at {} port {}", args.host, args.port))?;
+    let address = format!(
+        "ws://{}",
+        std::net::SocketAddr::new(args.host, server.port())
+    );
+    let clock = Clock::now();
+    let attachments = Attachments::of(std::slice::from_ref(&config), clock)?;
+    let (reader, writer) = io::pipe().context("cannot make a pipe")?;
+    let options = Options {
+        settings: CaptureSettings::of(Preset::FastWrite),
+        per_robot: args.per_robot,
+        choose: Arc::new(|_| true),
+        max_file_bytes: u64::MAX,
+        max_file_ns: u64::MAX,
+        go_on: false,
+        snapshot: None,
+        queue_bytes: QUEUE_BYTES,
+    };
+    let target = Target::Stream(Box::new(writer));
+    let recorder = Recorder::start(&config, Vec::new(), clock, attachments, target, &options)?;
+    let sent = Arc::new(AtomicU64::new(0));
+    let counted = Arc::clone(&sent);
+    let forward = std::thread::Builder::new()
+        .name("joulebus-serve".to_owned())
+        .spawn(move || forward(reader, &context, &counted))?;
+    say(&format!("serving fleet {} at {address}", config.fleet()));
+    while !stop.is_asked() && !recorder.is_over() && !forward.is_finished() {
+        std::thread::sleep(LOOK_EVERY);
+    }
+    let lost = recorder.finish().messages_lost();
+    // The pipe has ended with the recorder, and so has whoever reads it.
+    forward
+        .join()
+        .map_err(|_| anyhow::anyhow!("the server's thread has panicked"))??;
+    server.stop().wait_blocking();
+    output.report(&Report {
+        fleet: config.fleet().to_owned(),
+        address,
+        messages: sent.load(Ordering::Relaxed),
+        lost,
+    })?;
+    Ok(Outcome::unless_lost(lost > 0))
+}
+
+/// Hands on what comes through the pipe until it ends.
+fn forward(pipe: io::PipeReader, context: &Arc<Context>, sent: &AtomicU64) -> anyhow::Result<()> {
+    let mut channels: HashMap<Arc<str>, Arc<RawChannel>> = HashMap::new();
+    let mut bytes = Vec::new();
+    let mut reader = Reader::new(pipe)?;
+    loop {
+        let entry = match reader.next_entry() {
+            Ok(Some(entry)) => entry,
+            // A recorder that was stopped before its first message ends its stream early.
+            Ok(None) | Err(ReadError::Truncated { .. }) => return Ok(()),
+            Err(error) => return Err(error.into()),
+        };
+        let channel = match channels.get(&entry.topic) {
+            Some(channel) => channel,
+            None => {
+                let channel = open(&entry, context)?;
+                channels.entry(Arc::clone(&entry.topic)).or_insert(channel)
+            }
+        };
+        bytes.clear();
+        entry.message.encode(&mut bytes);
+        channel.log_with_meta(&bytes, PartialMetadata::with_log_time(entry.log_time_ns));
+        sent.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// A channel as a capture has it.
+fn open(entry: &Entry, context: &Arc<Context>) -> anyhow::Result<Arc<RawChannel>> {
+    let builder = ChannelBuilder::new(entry.topic.to_string())
+        .context(context)
+        .message_encoding("protobuf")
+        .add_metadata("fleet", &entry.fleet);
+    let builder = match entry.message.kind() {
+        Some(kind) => builder.schema(Schema::new(kind.schema(), "protobuf", kind.descriptors())),
+        None => builder,
+    };
+    builder
+        .build_raw()
+        .with_context(|| format!("cannot open a channel for {}", entry.topic))
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            fleet,
+            address,
+            messages,
+            lost,
+        } = self;
+        writeln!(
+            out,
+            "served fleet {fleet} at {address}: {messages} messages, {lost} lost"
+        )
+    }
+}
