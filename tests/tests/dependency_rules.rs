@@ -194,13 +194,15 @@ fn dependencies_point_one_way() {
         "train",
         "eval",
         "model-files",
+        "program",
         "report",
+        "serve",
     ];
     let manifest = |name: &str| fs::read_to_string(crates().join(name).join("Cargo.toml")).unwrap();
     for (place, name) in order.iter().enumerate() {
         let manifest = manifest(name);
         let dependencies = manifest.split("[dev-dependencies]").next().unwrap();
-        for later in order[place + 1..].iter().chain(&["benches"]) {
+        for later in order[place + 1..].iter().chain(&["bench"]) {
             let dependency = format!("joulebus-{later}.");
             assert!(
                 !dependencies.contains(&dependency),
@@ -222,6 +224,19 @@ fn dependencies_point_one_way() {
                 "{glue} depends on {other}"
             );
         }
+    }
+}
+
+#[test]
+fn what_all_programs_share_is_light() {
+    let graph = direct_dependencies();
+    let ours = graph["joulebus-program"]
+        .iter()
+        .filter(|name| name.starts_with("joulebus"));
+    for name in ours {
+        let light =
+            ["bus", "config", "predictor", "settings"].map(|name| format!("joulebus-{name}"));
+        assert!(light.contains(name), "program depends on {name}");
     }
 }
 
@@ -281,18 +296,18 @@ fn the_sdk_compiles_no_kernel_no_tick_and_no_thread_pool() {
 }
 
 #[test]
-fn measurements_stand_beside_the_program_and_below_nothing_else() {
+fn measurements_stand_below_nothing() {
     let root = crates().parent().unwrap().to_owned();
     let dependencies = |manifest: PathBuf| {
         let manifest = fs::read_to_string(manifest).unwrap();
         let normal = manifest.split("[dev-dependencies]").next().unwrap();
         normal.to_owned()
     };
-    for name in names().iter().filter(|name| *name != "cli") {
-        let dependencies = dependencies(crates().join(name).join("Cargo.toml"));
+    for name in names() {
+        let dependencies = dependencies(crates().join(&name).join("Cargo.toml"));
         assert!(
-            !dependencies.contains("joulebus-benches"),
-            "{name} depends on benches"
+            !dependencies.contains("joulebus-bench"),
+            "{name} depends on the measurements"
         );
     }
     let benches = dependencies(root.join("benches/Cargo.toml"));
