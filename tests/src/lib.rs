@@ -6,11 +6,6 @@
 //! order to synchronise: everything waits for a condition, with [`PATIENCE`].
 #![forbid(unsafe_code)]
 
-/// The programs in the README are compiled as they stand.
-#[cfg(doctest)]
-#[doc = include_str!("../../README.md")]
-pub struct Readme;
-
 mod arena;
 mod child;
 mod figure;

@@ -4,7 +4,7 @@
 
 #[path = "../../publisher/tests/harness/mod.rs"]
 mod harness;
-#[path = "../examples/planner.rs"]
+#[path = "../../../examples/planner.rs"]
 #[allow(dead_code, reason = "its `main`")]
 mod planner;
 

@@ -1,7 +1,7 @@
 //! What a source promises, between real processes.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
-#[path = "../examples/controller.rs"]
+#[path = "../../../examples/controller.rs"]
 #[allow(dead_code, reason = "its `main`")]
 mod controller;
 mod harness;

@@ -1,4 +1,5 @@
-//! A planner: `cargo run -p joulebus-consumer --example planner configs/fleet.toml`
+//! A planner waits for forecasts, and learns at once when the worker that makes them ends:
+//! `cargo run -p joulebus-examples --example planner configs/fleet.toml`
 
 use std::error::Error;
 use std::path::Path;
@@ -8,10 +9,8 @@ use joulebus_consumer::{Event, Planner, wire::Forecast};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let config = std::env::args().nth(1);
-    run(
-        config.as_deref().unwrap_or("configs/fleet.toml").as_ref(),
-        300,
-    )
+    let config = config.as_deref().unwrap_or("configs/fleet.toml");
+    run(config.as_ref(), 60)
 }
 
 /// Shows `frames` frames of forecasts, and whatever happens to the worker meanwhile.

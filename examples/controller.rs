@@ -1,4 +1,5 @@
-//! A fleet controller: `cargo run -p joulebus-publisher --example controller configs/fleet.toml`
+//! A fleet controller publishes what it commanded and what it read, 30 times a second, whether or
+//! not a worker runs: `cargo run -p joulebus-examples --example controller configs/fleet.toml`
 
 use std::error::Error;
 use std::path::Path;
@@ -9,7 +10,7 @@ use joulebus_publisher::{Pace, Publisher, RobotState};
 fn main() -> Result<(), Box<dyn Error>> {
     let config = std::env::args().nth(1);
     let config = config.as_deref().unwrap_or("configs/fleet.toml");
-    let sent = run(config.as_ref(), 300)?;
+    let sent = run(config.as_ref(), 90)?;
     println!("{sent} samples sent");
     Ok(())
 }

@@ -1,0 +1,57 @@
+//! One fleet of three platforms, each with its own model, rate and limits; one worker forecasts all.
+//! `cargo run -p joulebus-examples --example mixed_fleet`
+
+use std::error::Error;
+use std::time::Duration;
+
+use joulebus_consumer::{Event, Planner};
+use joulebus_examples::PrivateFleet;
+use joulebus_publisher::{Pace, Publisher, RobotState};
+
+/// What is not set comes from the platform's file; `joulebus config explain` describes each key.
+const PLATFORMS: &str = r#"
+[[platform]]
+file = "builtin:gternal"
+robots = ["0-9"]
+[[platform]]
+file = "builtin:husky"
+robots = ["100-101"]
+[[platform]]
+file = "builtin:rover"
+robots = ["200"]
+power_max_w = 150.0
+"#;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let fleet = PrivateFleet::with_worker(PLATFORMS)?;
+    let mut publisher = Publisher::connect(fleet.config(), "controller")?;
+    let mut planner = Planner::connect(fleet.config())?;
+    let mut pace = Pace::every(Duration::from_nanos(33_333_333));
+    for tick in 0..60_u32 {
+        pace.wait();
+        let gternals = (0..10).map(|id| RobotState::new(id).command(0.2, 0.0).reading(4.6));
+        // Every fifth tick: Huskies send 6.5 samples a second. Rovers report no velocities.
+        let huskies = (100..102).filter(|_| tick % 5 == 0);
+        let huskies = huskies.map(|id| RobotState::new(id).command(0.5, 0.1).reading(140.0));
+        let rovers = [RobotState::new(200).reading(31.0)];
+        publisher.publish(gternals.chain(huskies).chain(rovers))?;
+        if let Event::Frame(_) = planner.wait_next(Duration::from_secs(1))? {}
+    }
+    let Some(frame) = planner.current() else {
+        return Err("the worker has sent no forecasts".into());
+    };
+    for (platform, ids) in [
+        ("gternal", 0..100),
+        ("husky", 100..200),
+        ("rover", 200..300),
+    ] {
+        let robots = frame
+            .robots()
+            .iter()
+            .filter(|forecast| ids.contains(&forecast.robot));
+        let powers_w: Vec<f32> = robots.filter_map(|forecast| forecast.power_w()).collect();
+        let sum_w: f32 = powers_w.iter().sum();
+        println!("{platform}: {} robots, {sum_w:.1} W", powers_w.len());
+    }
+    Ok(())
+}

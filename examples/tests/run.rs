@@ -1,0 +1,145 @@
+//! Every example ends well by itself and says what it promises. Cargo builds examples before the
+//! tests of their package, as long as it is not told to run a single one: `cargo test -p joulebus-examples`.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use joulebus_examples::PrivateFleet;
+
+fn program(name: &str) -> PathBuf {
+    let tests = std::env::current_exe().unwrap();
+    let profile = tests.parent().and_then(Path::parent).unwrap();
+    let program = profile.join("examples").join(name);
+    assert!(
+        program.exists(),
+        "{} is not built: run `cargo test -p joulebus-examples` without `--test`",
+        program.display()
+    );
+    program
+}
+
+fn start(name: &str, arguments: &[&Path]) -> Child {
+    let mut command = Command::new(program(name));
+    command.args(arguments).stdout(Stdio::piped());
+    command.spawn().unwrap()
+}
+
+/// The lines that an example prints until it ends, well.
+fn lines(example: Child) -> Vec<String> {
+    let output = example.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(
+        output.status.success(),
+        "{}; it said:\n{said}",
+        output.status
+    );
+    said.lines().map(str::to_owned).collect()
+}
+
+fn run(name: &str) -> Vec<String> {
+    lines(start(name, &[]))
+}
+
+#[track_caller]
+fn assert_starts(lines: &[String], starts: &[&str]) {
+    assert_eq!(lines.len(), starts.len(), "{lines:#?}");
+    for (line, start) in lines.iter().zip(starts) {
+        assert!(
+            line.starts_with(start),
+            "{line:?} does not begin with {start:?}"
+        );
+    }
+}
+
+#[test]
+fn every_example_has_a_test() {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let tests = fs::read_to_string(here.join("tests/run.rs")).unwrap();
+    let manifest = fs::read_to_string(here.join("Cargo.toml")).unwrap();
+    for file in fs::read_dir(here).unwrap() {
+        let path = file.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "rs") {
+            let name = path.file_stem().unwrap().to_str().unwrap();
+            let called = ["run", "start"].map(|function| format!("{function}(\"{name}\""));
+            assert!(
+                called.iter().any(|call| tests.contains(call)),
+                "{name} is not run"
+            );
+            assert!(
+                manifest.contains(&format!("name = \"{name}\"")),
+                "{name} is not built"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_controller_and_a_planner_meet_in_a_worker() {
+    let fleet = PrivateFleet::with_worker(
+        "[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-19\"]\n",
+    )
+    .unwrap();
+    let planner = start("planner", &[fleet.config()]);
+    let controller = start("controller", &[fleet.config()]);
+    assert_eq!(lines(controller), ["1800 samples sent"]);
+    let told = lines(planner);
+    let frames = told.iter().filter(|line| line.starts_with("tick "));
+    assert_eq!(frames.count(), 60, "{told:#?}");
+}
+
+#[test]
+fn budgets() {
+    assert_starts(
+        &run("budgets"),
+        &[
+            "robot 0: ",
+            "robot 1: ",
+            "robot 2: 0.0 J metered over 0.0 s",
+        ],
+    );
+}
+
+#[test]
+fn alarms() {
+    assert_starts(
+        &run("alarms"),
+        &["robot 2 refused: Some(NotFinite)", "robot 1: StuckSensor"],
+    );
+}
+
+#[test]
+fn worker_death() {
+    assert_starts(
+        &run("worker_death"),
+        &["tick ", "the worker is gone", "tick "],
+    );
+}
+
+#[test]
+fn mixed_fleet() {
+    assert_starts(
+        &run("mixed_fleet"),
+        &[
+            "gternal: 10 robots",
+            "husky: 2 robots, 280.0 W",
+            "rover: 1 robots, 31.0 W",
+        ],
+    );
+}
+
+#[test]
+fn rollouts() {
+    let lines = run("rollouts");
+    assert_starts(
+        &lines,
+        &[
+            "gternal-sim has seen 2.99",
+            "0.05 m/s",
+            "0.20 m/s",
+            "0.00 m/s",
+        ],
+    );
+    assert!(!lines.concat().contains("NaN"), "{lines:#?}");
+}

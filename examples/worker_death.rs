@@ -1,0 +1,61 @@
+//! The worker is killed and started again: a planner learns of both at once, and stays connected.
+//! `cargo run -p joulebus-examples --example worker_death`
+
+use std::error::Error;
+use std::path::Path;
+use std::process::{Child, Command};
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use joulebus_consumer::{Config, Event, Planner};
+use joulebus_examples::PrivateFleet;
+use joulebus_predictor_worker::Worker;
+
+const PLATFORMS: &str = r#"
+[[platform]]
+file = "builtin:gternal"
+robots = ["0-9"]
+"#;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    // This program is also the worker that it starts.
+    if let Some(config) = std::env::args().nth(1) {
+        Worker::open(&Config::load(config)?)?.run(&AtomicBool::new(false))?;
+        return Ok(());
+    }
+    let fleet = PrivateFleet::new(PLATFORMS)?;
+    let mut planner = Planner::connect(fleet.config())?;
+    let mut worker = start(fleet.config())?;
+    let mut killed = false;
+    loop {
+        match planner.wait_next(Duration::from_secs(10))? {
+            Event::Frame(frame) if frame.arrival.restarted => {
+                println!("tick {} of a new worker", frame.header().tick);
+                break;
+            }
+            Event::Frame(frame) if !killed => {
+                println!("tick {}; now the worker is killed", frame.header().tick);
+                worker.kill()?;
+                killed = true;
+            }
+            Event::Gone(end) => {
+                println!("the worker is gone ({end:?}): stop relying on forecasts");
+                worker.wait()?;
+                worker = start(fleet.config())?;
+            }
+            Event::TimedOut => {
+                worker.kill()?;
+                return Err("nothing for ten seconds".into());
+            }
+            // Frames sent before the end, and a silence before it is told: nothing to do.
+            _ => {}
+        }
+    }
+    worker.kill()?;
+    worker.wait()?;
+    Ok(())
+}
+
+fn start(config: &Path) -> std::io::Result<Child> {
+    Command::new(std::env::current_exe()?).arg(config).spawn()
+}
