@@ -14,7 +14,7 @@ use joulebus_program::model_source;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::data::{How, Recordings};
+use crate::recordings::{How, Recordings};
 use crate::split_unit::SplitUnit;
 
 /// What a dataset can teach: autocorrelation, what each input adds, and how much of a score comes

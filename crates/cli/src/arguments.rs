@@ -3,11 +3,12 @@
 use clap::{Parser, Subcommand};
 use joulebus_program::options::GlobalOptions;
 use joulebus_program::verbs::bench::BenchArguments;
+use joulebus_program::verbs::report::ReportArguments;
 use joulebus_program::verbs::serve::ServeArguments;
 
 use crate::{
     analyze, cat, completions, config, data, demo, doctor, eval, import, info, model, publish,
-    record, recover, replay, report, run, train, watch,
+    record, recover, replay, run, train, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -58,7 +59,7 @@ pub(crate) enum Command {
     Train(train::Args),
     Analyze(analyze::Args),
     Eval(eval::Args),
-    Report(report::Args),
+    Report(ReportArguments),
     Model(model::Args),
     Bench(BenchArguments),
     Completions(completions::Args),

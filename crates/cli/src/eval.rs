@@ -15,7 +15,7 @@ use joulebus_program::model_source;
 use joulebus_program::output::{Output, say};
 use serde::Serialize;
 
-pub(crate) use subject::{Selection, check_apart, usage};
+pub(crate) use subject::{Selection, usage};
 
 /// Live scores that the text shows trial by trial; of more trials, one line a platform.
 const LISTED: usize = 24;

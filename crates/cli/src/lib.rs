@@ -20,9 +20,9 @@ mod keys;
 mod model;
 mod publish;
 mod record;
+mod recordings;
 mod recover;
 mod replay;
-mod report;
 mod run;
 mod split_unit;
 mod supervisor;
@@ -83,7 +83,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Train(args) => train::run(args, output),
         Command::Analyze(args) => analyze::run(args, output),
         Command::Eval(args) => eval::run(args, output),
-        Command::Report(args) => report::run(args, output),
+        Command::Report(_) => external::run("report"),
         Command::Model(args) => model::run(args, output),
         Command::Bench(_) => external::run("bench"),
         Command::Completions(args) => completions::run(args, Cli::command()),

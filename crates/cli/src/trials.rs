@@ -7,9 +7,10 @@ use anyhow::Context as _;
 use joulebus_dataset::trial::{Form, Trial};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
-use joulebus_settings::{FleetSettings, Platform};
+use joulebus_program::platform::{names, platform};
+use joulebus_settings::FleetSettings;
 
-use crate::data::find_recordings;
+use crate::recordings::find_recordings;
 
 /// Recordings, one robot each.
 #[derive(Debug, Clone, clap::Args)]
@@ -236,28 +237,4 @@ impl Ids {
     fn first_free(&self, mut ids: impl Iterator<Item = u32>) -> Option<u32> {
         ids.find(|id| !self.taken.contains(id))
     }
-}
-
-/// The platform of that name.
-pub(crate) fn platform<'a>(
-    settings: &'a FleetSettings,
-    name: &str,
-) -> Result<&'a Platform, UsageError> {
-    let mut platforms = settings.platforms.iter();
-    platforms
-        .find(|platform| platform.name == name)
-        .ok_or_else(|| {
-            let known = names(&settings.platforms);
-            UsageError(format!(
-                "{name:?} is no platform of the config; those are: {known}"
-            ))
-        })
-}
-
-fn names(platforms: &[Platform]) -> String {
-    let names: Vec<&str> = platforms
-        .iter()
-        .map(|platform| platform.name.as_str())
-        .collect();
-    names.join(", ")
 }

@@ -40,7 +40,7 @@ pub use cell::{Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore
 pub use compare::{Comparison, Difference, Verdict, compare};
 pub use design::{Design, DesignReport, Fold, Part, fit_lines};
 pub use open_loop::origins;
-pub use recording::{Recording, read_recordings, recorded_platform};
+pub use recording::{Recording, check_apart, read_recordings, recorded_platform};
 pub use report::{BaselineReport, ModelReport, ScoreReport};
 
 /// The longest horizon, ticks.

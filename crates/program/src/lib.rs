@@ -7,10 +7,12 @@
 pub mod config_file;
 pub mod exit;
 pub mod exit_with_parent;
+pub mod file;
 pub mod logging;
 pub mod model_source;
 pub mod options;
 pub mod output;
+pub mod platform;
 pub mod stop;
 pub mod verb;
 pub mod verbs;

@@ -8,8 +8,8 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use super::Recordings;
-use crate::trials::platform;
+use crate::recordings::Recordings;
+use joulebus_program::platform::platform;
 
 /// Find what is wrong with recorded trials, with file and row
 #[derive(Debug, clap::Args)]

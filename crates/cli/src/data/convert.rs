@@ -10,7 +10,7 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use super::{How, Recordings};
+use crate::recordings::{How, Recordings};
 
 /// Write recorded trials in another form, to the same bits; on another grid of time only when asked
 #[derive(Debug, clap::Args)]

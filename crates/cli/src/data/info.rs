@@ -9,7 +9,7 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use super::Recordings;
+use crate::recordings::Recordings;
 
 /// Show rows, rate, gaps, held readings, ranges and missing columns of recorded trials
 #[derive(Debug, clap::Args)]

@@ -3,15 +3,17 @@
 use std::path::PathBuf;
 
 use joulebus_config::Config;
-use joulebus_dataset::split::{Placed, Split, check_copies};
-use joulebus_eval::score::{Design, Options, Recording, ScoreError, Subject, read_recordings};
+use joulebus_dataset::split::Split;
+use joulebus_eval::score::{
+    Design, Options, Recording, ScoreError, Subject, check_apart, read_recordings,
+};
 use joulebus_predictor::Model;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::UsageError;
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_statistics::bootstrap::Bootstrap;
 
-use crate::data::find_recordings;
+use crate::recordings::find_recordings;
 use crate::split_unit::SplitUnit;
 use crate::trials::TrialFiles;
 
@@ -164,27 +166,10 @@ impl Selection {
             return Ok(Design::folds(recordings));
         }
         let others = read_recordings(&numbered(find_recordings(&self.fit)?))?;
-        check_apart(recordings, (&others, "after --fit"))?;
+        check_apart(recordings, (&others, "after --fit"))
+            .map_err(|error| UsageError(error.to_string()))?;
         Ok(Design::fitted_on(recordings, others))
     }
-}
-
-/// Refuses recordings that are evaluated and learned from, under the same name or another.
-pub(crate) fn check_apart(
-    evaluated: &[Recording],
-    learned: (&[Recording], &'static str),
-) -> Result<(), UsageError> {
-    let placed = [(evaluated, "evaluated"), learned];
-    let placed = placed.into_iter().flat_map(|(recordings, part)| {
-        recordings
-            .iter()
-            .map(move |Recording { name, rows, .. }| Placed {
-                trial: name,
-                rows,
-                part,
-            })
-    });
-    check_copies(placed).map_err(|error| UsageError(error.to_string()))
 }
 
 /// What is wrong with the arguments is wrong usage.

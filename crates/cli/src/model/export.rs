@@ -11,7 +11,7 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::train::write;
+use joulebus_program::file::write;
 
 /// Export a model for NumPy, PyTorch or any runtime of ONNX
 #[derive(Debug, clap::Args)]

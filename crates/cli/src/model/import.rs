@@ -11,8 +11,8 @@ use joulebus_program::output::Output;
 use serde::Serialize;
 
 use super::info::{FoundReport, ScoreReport};
-use crate::train::write;
 use crate::trials::recordings;
+use joulebus_program::file::write;
 
 /// Conventions that the report shows.
 const SHOWN: usize = 5;

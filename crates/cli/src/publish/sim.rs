@@ -17,7 +17,7 @@ use super::fault::{self, FaultArgument};
 use super::link::{Link, say_nobody_reads};
 use super::report::PublishReport;
 use super::{Hertz, seconds};
-use crate::trials::platform;
+use joulebus_program::platform::platform;
 
 /// The plant takes no longer step, ns.
 const LONGEST_STEP_NS: u64 = 1_000_000_000;

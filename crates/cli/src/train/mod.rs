@@ -17,8 +17,6 @@ use joulebus_train::{TrainSettings, settings_for_sim};
 use report::TrainReport;
 use run::Run;
 
-pub(crate) use run::write;
-
 /// Train a model
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use joulebus_dataset::rows::Dataset;
 use joulebus_program::exit::UsageError;
+use joulebus_program::file::write;
 use joulebus_program::output::say;
 use joulebus_program::stop::Stop;
 use joulebus_train::{Epoch, TrainSettings, Trained, Training};
@@ -125,19 +126,4 @@ fn progress(epoch: Epoch, max_epochs: u32, start: Instant, before: usize) {
     } else {
         say(&line);
     }
-}
-
-/// The file appears whole or not at all.
-pub(crate) fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let failed = || format!("cannot write {}", path.display());
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
-    let mut draft = tempfile::Builder::new()
-        .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o644))
-        .tempfile_in(folder.unwrap_or(Path::new(".")))
-        .with_context(failed)?;
-    draft.write_all(bytes).with_context(failed)?;
-    draft.persist(path).with_context(failed)?;
-    Ok(())
 }

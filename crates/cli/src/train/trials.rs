@@ -18,7 +18,7 @@ use serde::Deserialize;
 use super::Choice;
 use super::report::TrainReport;
 use super::run::Run;
-use crate::data::find_recordings;
+use crate::recordings::find_recordings;
 use crate::split_unit::SplitUnit;
 
 #[derive(Debug, clap::Args)]

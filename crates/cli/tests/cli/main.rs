@@ -8,7 +8,6 @@ mod external;
 mod fleet;
 mod live;
 mod model;
-mod report;
 mod train;
 
 use std::fs;

@@ -18,6 +18,22 @@ pub struct Found {
     pub repeated: Vec<PathBuf>,
 }
 
+impl Found {
+    /// What was named and is not among the files, in words.
+    pub fn remarks(&self) -> impl Iterator<Item = String> {
+        let told = |files: &[PathBuf], what: &str| {
+            let first = files.first()?.display().to_string();
+            Some(format!("{} {what}, the first {first}", files.len()))
+        };
+        let others = told(
+            &self.others,
+            "other files in the directories are not looked at",
+        );
+        let repeated = told(&self.repeated, "files are named twice and count once");
+        others.into_iter().chain(repeated)
+    }
+}
+
 /// Why recordings could not be found.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -52,6 +68,14 @@ pub enum FindError {
         /// What is wrong.
         reason: &'static str,
     },
+}
+
+impl FindError {
+    /// Whether other arguments are the remedy.
+    #[must_use]
+    pub const fn is_usage(&self) -> bool {
+        !matches!(self, Self::Io { .. })
+    }
 }
 
 /// The recordings that the arguments name: files, directories with all that lies below them, and

@@ -6,7 +6,7 @@ use joulebus_settings::{Online, Platform};
 use rayon::prelude::*;
 
 use joulebus_dataset::rows::{TrialRows, trial_rows};
-use joulebus_dataset::split::{Source, group_of};
+use joulebus_dataset::split::{Placed, Source, SplitError, check_copies, group_of};
 use joulebus_dataset::trial::{Trial, TrialError};
 
 /// A trial with its names and its rows.
@@ -114,4 +114,25 @@ pub fn recorded_platform(robot: u32, trial: &Trial) -> Platform {
         battery: None,
         online: Online::default(),
     }
+}
+
+/// Refuses recordings that are evaluated and learned from, under the same name or another.
+///
+/// # Errors
+/// [`SplitError::Copy`], the first that is found.
+pub fn check_apart(
+    evaluated: &[Recording],
+    learned: (&[Recording], &'static str),
+) -> Result<(), SplitError> {
+    let placed = [(evaluated, "evaluated"), learned];
+    let placed = placed.into_iter().flat_map(|(recordings, part)| {
+        recordings
+            .iter()
+            .map(move |Recording { name, rows, .. }| Placed {
+                trial: name,
+                rows,
+                part,
+            })
+    });
+    check_copies(placed)
 }

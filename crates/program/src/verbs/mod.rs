@@ -2,4 +2,5 @@
 //! read them: `joulebus` for its help and completions, and the verb's own.
 
 pub mod bench;
+pub mod report;
 pub mod serve;

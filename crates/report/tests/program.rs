@@ -1,8 +1,51 @@
 //! `joulebus report`: one command, one directory, one page.
 
-use std::fs;
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
-use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use std::ffi::OsStr;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-report"));
+    command.args(arguments).env_remove("JOULEBUS_LOG");
+    command.output().unwrap()
+}
+
+fn stdout(output: &Output) -> &str {
+    str::from_utf8(&output.stdout).unwrap()
+}
+
+fn stderr(output: &Output) -> &str {
+    str::from_utf8(&output.stderr).unwrap()
+}
+
+fn code(output: &Output) -> i32 {
+    output
+        .status
+        .code()
+        .unwrap_or_else(|| panic!("killed: {output:?}"))
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_str(stdout(output)).unwrap_or_else(|error| panic!("{error}: {output:?}"))
+}
+
+/// A recording of `rows` rows at 30 Hz whose power changes in each of them.
+fn recording(folder: &Path, name: &str, rows: u32) -> PathBuf {
+    let mut text = "timestamp_s,power_mW,v_cmd_mps,omega_cmd_radps\n".to_owned();
+    for row in 0..rows {
+        let time_s = f64::from(row) / 30.0;
+        let power_mw = 3_600 + row % 97 + 10 * (row % 7);
+        text += &format!("{time_s},{power_mw},0.1,{}\n", f64::from(row % 5) * 0.1);
+    }
+    let path = folder.join(name);
+    fs::write(&path, text).unwrap();
+    path
+}
 
 #[test]
 fn a_newcomer_gets_the_simulated_course_with_one_command() {
@@ -11,7 +54,6 @@ fn a_newcomer_gets_the_simulated_course_with_one_command() {
     let arguments = [
         "--format",
         "json",
-        "report",
         "--simulated",
         "--samples",
         "700",
@@ -39,11 +81,10 @@ fn a_newcomer_gets_the_simulated_course_with_one_command() {
     }
 
     // Its network is a model like any other, and recordings are reported with it.
-    let fleet = Fleet::new();
-    let recordings = ["a.csv", "b.csv"].map(|name| fleet.recording(name, 300));
+    let recordings = ["a.csv", "b.csv"].map(|name| recording(folder.path(), name, 300));
     let model = out.join("network.safetensors");
     let second = folder.path().join("second");
-    let mut arguments = vec!["report", "--model", model.to_str().unwrap()];
+    let mut arguments = vec!["--model", model.to_str().unwrap()];
     arguments.extend(["-o", second.to_str().unwrap()]);
     arguments.extend(recordings.iter().map(|path| path.to_str().unwrap()));
     let made = output(arguments);
@@ -62,33 +103,22 @@ fn a_newcomer_gets_the_simulated_course_with_one_command() {
 
 #[test]
 fn what_cannot_be_reported_is_refused_before_the_work() {
-    let fleet = Fleet::new();
-    let recording = fleet.recording("a.csv", 100);
+    let folder = tempfile::tempdir().unwrap();
+    let recording = recording(folder.path(), "a.csv", 100);
     let recording = recording.to_str().unwrap();
-    let out = fleet.path("report");
+    let out = folder.path().join("report");
     let out = out.to_str().unwrap();
     for (arguments, says, expected) in [
-        (vec!["report", "-o", out], "PATH", 2),
-        (vec!["report", recording, "-o", out], "--model", 2),
+        (vec!["-o", out], "PATH", 2),
+        (vec![recording, "-o", out], "--model", 2),
+        (vec!["--simulated", recording, "-o", out], "--simulated", 2),
         (
-            vec!["report", "--simulated", recording, "-o", out],
-            "--simulated",
-            2,
-        ),
-        (
-            vec![
-                "report",
-                recording,
-                "--model",
-                "none.safetensors",
-                "-o",
-                out,
-            ],
+            vec![recording, "--model", "none.safetensors", "-o", out],
             "none.safetensors",
             1,
         ),
         (
-            vec!["report", "--simulated", "--samples", "9", "-o", out],
+            vec!["--simulated", "--samples", "9", "-o", out],
             "100 or more",
             1,
         ),

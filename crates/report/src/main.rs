@@ -1,0 +1,135 @@
+//! `joulebus report`, a program of its own: an evaluation as one HTML file, pictures, text and JSON.
+#![forbid(unsafe_code)]
+
+use std::fs;
+use std::io::{IsTerminal as _, Write as _};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use joulebus_dataset::inspect::find;
+use joulebus_dataset::trial::Trial;
+use joulebus_eval::score::{Recording, check_apart};
+use joulebus_predictor::Model;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::file::write;
+use joulebus_program::output::{Output, say};
+use joulebus_program::platform::platform;
+use joulebus_program::verbs::report::ReportArguments;
+use joulebus_program::{model_source, verb};
+use joulebus_report::{Document, Recorded, Simulated, SimulatedReport, files, recorded, simulated};
+use joulebus_settings::Platform;
+use joulebus_train::Epoch;
+
+fn main() -> ExitCode {
+    verb::main("report", run)
+}
+
+fn run(args: &ReportArguments, output: Output) -> anyhow::Result<Outcome> {
+    // Half a minute of work should not be lost to a directory that cannot be.
+    let pictures = args.out.join("figures");
+    fs::create_dir_all(&pictures)
+        .with_context(|| format!("cannot make the directory {}", pictures.display()))?;
+    let document = if args.simulated {
+        simulate(args)?
+    } else {
+        evaluate(args)?
+    };
+    say("drawing and writing");
+    for file in files(&document)? {
+        write(&args.out.join(&file.path), &file.bytes)?;
+    }
+    say(&format!(
+        "written: {}",
+        args.out.join("report.html").display()
+    ));
+    output.report(&document)?;
+    Ok(Outcome::Done)
+}
+
+fn simulate(args: &ReportArguments) -> anyhow::Result<Document> {
+    let mut course = Simulated::new(args.seed);
+    (course.samples, course.robot_steps) = (args.samples, args.samples);
+    course.recipe.max_epochs = args.max_epochs;
+    let config = args.config.load()?;
+    say(&format!(
+        "simulating six trials and seven robots of {} samples, training on trials 1 to 4",
+        args.samples
+    ));
+    let report = simulated(&course, config.settings(), |epoch| {
+        progress(epoch, args.max_epochs);
+    });
+    if std::io::stderr().is_terminal() {
+        say("");
+    }
+    let SimulatedReport { document, network } = report?;
+    write(
+        &args.out.join("network.safetensors"),
+        &network.to_safetensors()?,
+    )?;
+    Ok(document)
+}
+
+fn evaluate(args: &ReportArguments) -> anyhow::Result<Document> {
+    let config = args.config.load()?;
+    let settings = config.settings();
+    let kind: Option<&Platform> = match &args.platform {
+        Some(name) => Some(platform(settings, name)?),
+        None => None,
+    };
+    let models = args.model.iter().map(|path| model(path));
+    let models = models.collect::<anyhow::Result<Vec<_>>>()?;
+    // The live path asks which platform a robot belongs to: all of them to this one.
+    let first = kind
+        .and_then(|kind| kind.robots.first())
+        .map_or(0, |ids| *ids.start());
+    let evaluated = read(&args.paths, first)?;
+    let learned_from = read(&args.train, first)?;
+    check_apart(&evaluated, (&learned_from, "in --train"))
+        .map_err(|error| UsageError(error.to_string()))?;
+    say(&format!("evaluating {} recordings", evaluated.len()));
+    Ok(recorded(&Recorded {
+        settings,
+        platform: kind,
+        models: &models,
+        recordings: &evaluated,
+        learned_from,
+        published: args.published,
+    })?)
+}
+
+fn model(path: &Path) -> anyhow::Result<Model> {
+    Ok(Model::Network(model_source::load(path)?))
+}
+
+/// The recordings of files and directories, all of them of one robot id: each is run alone.
+fn read(paths: &[PathBuf], robot: u32) -> anyhow::Result<Vec<Recording>> {
+    if paths.is_empty() {
+        return Ok(Vec::new());
+    }
+    let found = find(paths).map_err(|error| match error.is_usage() {
+        true => UsageError(error.to_string()).into(),
+        false => anyhow::Error::from(error),
+    })?;
+    found.remarks().for_each(|remark| say(&remark));
+    let recordings = found.files.into_iter();
+    recordings
+        .map(|file| Ok(Recording::new(robot, Trial::read(file)?)))
+        .collect()
+}
+
+/// In a terminal, the same line again; elsewhere a line for every tenth epoch.
+fn progress(epoch: Epoch, max_epochs: u32) {
+    let Epoch {
+        number,
+        validation_loss,
+        ..
+    } = epoch;
+    let line = format!("epoch {number:3} of at most {max_epochs}: loss {validation_loss:.5}");
+    let mut stderr = std::io::stderr();
+    if stderr.is_terminal() {
+        let _ = write!(stderr, "\r\x1b[K{line}");
+    } else if number % 10 == 0 {
+        say(&line);
+    }
+}
