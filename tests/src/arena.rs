@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::Domain;
 
-use crate::{Child, Ended, PATIENCE, Planner, Source};
+use crate::{Child, Ended, PATIENCE, Planner, ReaderLine, Source};
 
 static ARENAS: AtomicU32 = AtomicU32::new(0);
 const FLEET: &str = "t";
@@ -59,8 +59,10 @@ impl Default for Setup {
             max_planners: 4,
             ledger: false,
             robots: "0-99",
-            rate_hz: 10.0,
-            stale_after_s: 1.0,
+            // Slower than a test sends: however long a process waits for a processor, no sample is
+            // overdue and no robot silent by the worker's clock.
+            rate_hz: 1.0,
+            stale_after_s: 30.0,
             model: None,
             more: String::new(),
         }
@@ -68,8 +70,7 @@ impl Default for Setup {
 }
 
 impl Setup {
-    /// For [`Arena::simulate`] and a recorder beside it: nothing is stale on a busy machine, and frames
-    /// wait for who is late.
+    /// For [`Arena::simulate`] and a recorder beside it: frames wait for who is late.
     #[must_use]
     pub fn simulated() -> Self {
         Self {
@@ -115,7 +116,7 @@ impl Setup {
         let _ = write!(
             text,
             "[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"{}\"]\n\
-             rate_hz = {:?}\nstale_after_s = {:?}\n",
+             rate_hz = {:?}\nstale_after_s = {:?}\nhold_max_s = 1.0\n",
             self.robots, self.rate_hz, self.stale_after_s,
         );
         if let Some(model) = &self.model {
@@ -201,13 +202,24 @@ impl Arena {
         child.wait()
     }
 
-    /// Simulates robots for some seconds, the same each time: the program under test, which must end
-    /// well.
-    pub fn simulate(&self, robots: u32, seconds: &str) {
-        let robots = robots.to_string();
-        let fleet = ["publish", "sim", "--robots", &robots, "--seed", "7"];
-        let ended = self.run(&[&fleet[..], &["--duration", seconds]].concat());
-        assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+    /// Simulates robots beside a worker until it has accepted so many more frames of them, the same
+    /// robots each time: the program under test, which must end well. A busy machine takes longer.
+    pub fn simulate(&self, robots: u32, frames: u64) {
+        let mut planner = self.consumer();
+        let arguments = ["publish", "sim", "--seed", "7", "--robots"];
+        let mut command = self.command(&arguments);
+        command.arg(robots.to_string());
+        let mut source = Child::spawn("simulation", command);
+        let mut wanted = None;
+        planner.until("the frames are accepted", |line| match line {
+            ReaderLine::Given { accepted, .. } => {
+                let wanted = wanted.get_or_insert(accepted + frames * u64::from(robots));
+                (*accepted >= *wanted).then_some(())
+            }
+            _ => None,
+        });
+        source.stop();
+        planner.leave();
     }
 
     /// Starts `joulebus record` into a file, with more arguments, its report as JSON, and waits until it
@@ -328,12 +340,27 @@ pub fn alone(arguments: &[&str]) -> Ended {
     Child::spawn(&arguments.join(" "), command).wait()
 }
 
+/// Records until nothing is lost, five times at most: a recorder that waits too long for a processor loses
+/// messages, and says so with exit code 3. Each attempt has its number.
+pub fn without_loss<T>(mut record: impl FnMut(usize) -> (T, Ended)) -> (T, Ended) {
+    const ATTEMPTS: usize = 5;
+    for attempt in 0..ATTEMPTS {
+        let (recorded, ended) = record(attempt);
+        match ended.code() {
+            Some(0) => return (recorded, ended),
+            Some(3) => println!("a recorder lost messages, attempt {attempt}"),
+            _ => panic!("{ended:?}"),
+        }
+    }
+    panic!("the recorder lost messages {ATTEMPTS} times");
+}
+
 /// Waits until `condition` holds.
 pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !condition() {
         assert!(begin.elapsed() < PATIENCE, "not after {PATIENCE:?}: {what}");
-        std::thread::sleep(Duration::from_millis(2));
+        std::thread::sleep(Duration::from_millis(5));
     }
 }
 

@@ -16,7 +16,7 @@ mod source;
 
 use std::time::Duration;
 
-pub use arena::{Arena, Setup, alone, eventually, program};
+pub use arena::{Arena, Setup, alone, eventually, program, without_loss};
 pub use child::{Child, Ended};
 pub use figure::{Dice, Spread, figure};
 pub use planner::{Answers, Planner};
@@ -27,5 +27,6 @@ pub use protocol::{
 pub use script::{is_whole, sample, script, steady, steady_uw};
 pub use source::Source;
 
-/// A condition that has not come true after so long never will.
-pub const PATIENCE: Duration = Duration::from_secs(30);
+/// A condition that has not come true after so long never will, however busy the machine is: only what
+/// is broken waits that long.
+pub const PATIENCE: Duration = Duration::from_secs(180);

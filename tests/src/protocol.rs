@@ -138,6 +138,10 @@ pub enum ReaderLine {
         restarted: bool,
         /// Gaps counted so far.
         gaps: u64,
+        /// Robots in it.
+        robots: usize,
+        /// Samples that the worker has accepted so far.
+        accepted: u64,
     },
     /// The consumer library says that the worker is gone.
     WorkerGone {

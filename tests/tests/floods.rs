@@ -154,26 +154,43 @@ fn row_22_overload_skips_ticks_sheds_diagnostics_first_and_ends_by_itself() {
         // machine, and of a few any.
         tick_hz: 1000.0,
         robots: "0-59999",
-        leave_after_s: 1.0,
+        rate_hz: 10.0,
+        stale_after_s: 2.0,
+        leave_after_s: 2.0,
         more: "power_max_w = 10000.0\n".to_owned(),
         ..Setup::default()
     };
     let arena = Arena::new(&setup);
     let mut worker = arena.worker();
+    let mut watcher = arena.consumer();
+    let mut robots_given = |what: &str, wanted: u32| {
+        watcher.until(what, |line| match line {
+            ReaderLine::Given { robots, tick, .. } => (*robots == wanted as usize).then_some(*tick),
+            _ => None,
+        })
+    };
     let mut many = arena.controller("many", 0, MANY, setup.rate_hz);
+    robots_given("the many have joined", MANY);
     worker.says("diagnostics are left out");
     many.finish();
     let left = Instant::now();
-    // They leave a second after their last sample; nobody touches the worker.
-    worker.says("diagnostics are back");
+    // They leave two seconds after their last sample, and nobody touches the worker. Until then
+    // their robots are theirs: what another source sent of them would be refused.
+    let emptied = robots_given("the many have left", 0);
+    let mut planner = arena.planner();
+    planner.until("diagnostics again", |line| match line {
+        ReaderLine::Diagnostics(frame) => (frame.tick > emptied).then_some(()),
+        _ => None,
+    });
     let recovered_s = left.elapsed().as_secs_f64();
+    worker.says("diagnostics are back");
 
     // As if nothing had been: what comes now is answered.
-    let mut planner = arena.planner();
     let mut source = arena.source("few");
     let frames = script(&ROBOTS, 10, setup.period_ns());
     planner.play(&mut source, &frames);
     source.leave();
+    watcher.leave();
     planner.leave();
     let report = worker.stop().json();
     let (skipped, shed) = (
@@ -187,7 +204,7 @@ fn row_22_overload_skips_ticks_sheds_diagnostics_first_and_ends_by_itself() {
         "row 22, overload",
         format_args!(
             "{skipped} ticks skipped, {shed} of {} without diagnostics, the longest {:.0} ms of a \
-             period of 1 ms; {recovered_s:.1} s from the last sample of the many, who leave after 1 s, \
+             period of 1 ms; {recovered_s:.1} s from the last sample of the many, who leave after 2 s, \
              to diagnostics again",
             report["ticks"],
             report["tick"]["max_us"].as_f64().unwrap() * 1e-3,

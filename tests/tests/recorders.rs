@@ -6,12 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use joulebus_capture::{Message, Reader};
-use joulebus_tests::{Arena, Child, Ended, Setup, alone, eventually, program};
+use joulebus_tests::{Arena, Child, Ended, Setup, alone, eventually, program, without_loss};
 use rustix::process::Signal;
 
 const ROBOTS: u32 = 12;
-/// A recorder on a busy machine may lose messages, and says so: then it records again.
-const TRIES: u32 = 5;
 
 /// Samples in a capture.
 fn samples(file: &Path) -> u64 {
@@ -28,7 +26,7 @@ fn samples(file: &Path) -> u64 {
 
 /// A worker that records itself while robots are simulated; the capture and the worker's end.
 fn recorded(arena: &Arena, name: &str) -> (PathBuf, Ended) {
-    for attempt in 0..TRIES {
+    without_loss(|attempt| {
         let file = arena.files().join(format!("{attempt}-{name}"));
         let arguments = [
             "run",
@@ -39,14 +37,9 @@ fn recorded(arena: &Arena, name: &str) -> (PathBuf, Ended) {
         ];
         let mut worker = Child::spawn("worker", arena.command(&arguments));
         worker.says("ready:");
-        arena.simulate(ROBOTS, "2");
-        let ended = worker.end();
-        if ended.code() == Some(0) {
-            return (file, ended);
-        }
-        assert_eq!(ended.code(), Some(3), "{}", ended.errors());
-    }
-    panic!("the recorder lost messages {TRIES} times");
+        arena.simulate(ROBOTS, 60);
+        (file, worker.end())
+    })
 }
 
 #[test]
@@ -72,7 +65,7 @@ fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
     let mut recorder = Child::spawn("recorder", arena.command(&arguments));
     recorder.says("recording t into");
     let mut worker = arena.worker();
-    arena.simulate(ROBOTS, "1");
+    arena.simulate(ROBOTS, 30);
     assert!(!file.exists(), "nobody asked for it yet");
     recorder.signal(Signal::USR1);
     eventually("the first snapshot", || {
@@ -80,7 +73,7 @@ fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
     });
     assert!(samples(&file) > 0);
 
-    arena.simulate(ROBOTS, "1");
+    arena.simulate(ROBOTS, 30);
     let second = arena.files().join("snapshot_1.mcap");
     recorder.signal(Signal::USR1);
     eventually("the second snapshot", || second.exists());

@@ -13,7 +13,9 @@ use std::process::Command;
 
 use joulebus_capture::{CaptureSettings, Entry, Message, Reader, Writer};
 use joulebus_predictor::FeatureSet;
-use joulebus_tests::{Arena, Child, ReaderLine, Setup, alone, eventually, program};
+use joulebus_tests::{
+    Arena, Child, Ended, ReaderLine, Setup, alone, eventually, program, without_loss,
+};
 use joulebus_wire::{Diagnostic, Forecast, Quality, Sample, sample_flag};
 use serde_json::Value;
 
@@ -105,11 +107,8 @@ fn same<R>(
     compared
 }
 
-/// Tries to record without a loss: on a machine that is too busy for a recorder, each proves nothing.
-const TRIES: usize = 5;
-
-/// Ends a recorder; whether it has lost nothing.
-fn ended_whole(recorder: &mut Child) -> bool {
+/// Ends a recorder, whose exit code says whether it has lost anything.
+fn end(recorder: &mut Child) -> Ended {
     let ended = recorder.end();
     let lost = ended.json()["messages_lost"].as_u64().unwrap();
     assert_eq!(
@@ -118,23 +117,21 @@ fn ended_whole(recorder: &mut Child) -> bool {
         "{}",
         ended.errors()
     );
-    lost == 0
+    ended
 }
 
-/// Worker, recorder and a simulated fleet from the first sample on.
-fn record(arena: &Arena, name: &str, seconds: &str) -> PathBuf {
-    for attempt in 0..TRIES {
+/// Worker, recorder and a simulated fleet from the first sample on, for so many frames.
+fn record(arena: &Arena, name: &str, frames: u64) -> PathBuf {
+    let (file, _) = without_loss(|attempt| {
         let file = arena.files().join(format!("{attempt}-{name}"));
         let mut worker = arena.worker();
         let mut recorder = arena.recording(&file, &[]);
-        arena.simulate(ROBOTS, seconds);
-        let is_whole = ended_whole(&mut recorder);
-        assert_eq!(worker.stop().code(), Some(0));
-        if is_whole {
-            return file;
-        }
-    }
-    panic!("the recorder lost messages {TRIES} times");
+        arena.simulate(ROBOTS, frames);
+        let ended = end(&mut recorder);
+        worker.stop();
+        (file, ended)
+    });
+    file
 }
 
 /// The capture with one value changed, written as the recorder would have.
@@ -156,10 +153,22 @@ fn spoilt(file: &Path, to: &Path, spoil: impl Fn(&mut Message) -> bool) {
     let (_, _, _): (_, _, File) = writer.finish().unwrap();
 }
 
+/// Every tick since the first keyframe was computed again, but for those that the end cut in two.
+fn assert_every_tick_verified(report: &Value) {
+    let count = |name: &str| report[name].as_u64().unwrap();
+    let verified = count("ticks_verified");
+    let told = verified + count("ticks_before_first_keyframe") + count("ticks_cut_off");
+    assert_eq!(told, count("ticks"), "{report:#}");
+    assert!(
+        verified > count("ticks_before_first_keyframe"),
+        "{report:#}"
+    );
+}
+
 #[test]
 fn a_recorded_run_is_verified_and_a_flipped_bit_is_named() {
     let arena = Arena::new(&Setup::simulated());
-    let file = record(&arena, "run.mcap", "3");
+    let file = record(&arena, "run.mcap", 90);
     let name = file.to_str().unwrap();
 
     let ended = alone(&["replay", "--verify", name]);
@@ -167,10 +176,7 @@ fn a_recorded_run_is_verified_and_a_flipped_bit_is_named() {
     assert_eq!(ended.code(), Some(0), "{report:#}");
     assert_eq!(report["differences"], 0, "{report:#}");
     assert_eq!(report["robots"], 12);
-    assert!(
-        report["ticks_verified"].as_u64().unwrap() > 60,
-        "{report:#}"
-    );
+    assert_every_tick_verified(&report);
     let text = arena.run(&["replay", "--verify", name]).text();
     assert!(
         text.contains(" ticks, 12 robots, 0 differences\n"),
@@ -181,7 +187,7 @@ fn a_recorded_run_is_verified_and_a_flipped_bit_is_named() {
     let (mut tick, mut robot) = (0, 0);
     let place = std::cell::RefCell::new((&mut tick, &mut robot));
     spoilt(&file, &flipped, |message| match message {
-        Message::Forecasts(header, rows) if header.tick > 60 && rows.len() == 12 => {
+        Message::Forecasts(header, rows) if header.tick > 20 && rows.len() == 12 => {
             rows[7].hi_w = f32::from_bits(rows[7].hi_w.to_bits() ^ 1);
             let mut place = place.borrow_mut();
             (*place.0, *place.1) = (header.tick, rows[7].robot);
@@ -226,13 +232,10 @@ fn a_run_with_a_model_that_reads_freshness_is_verified() {
         model: Some(path),
         ..Setup::simulated()
     });
-    let file = record(&arena, "fresh.mcap", "3");
+    let file = record(&arena, "fresh.mcap", 90);
     let report = alone(&["replay", "--verify", file.to_str().unwrap()]).json();
     assert_eq!(report["differences"], 0, "{report:#}");
-    assert!(
-        report["ticks_verified"].as_u64().unwrap() > 60,
-        "{report:#}"
-    );
+    assert_every_tick_verified(&report);
     let mut counts = [0; 2];
     for entry in entries(&file) {
         let Message::Forecasts(_, rows) = entry.message else {
@@ -255,30 +258,28 @@ fn a_run_with_a_model_that_reads_freshness_is_verified() {
 
 /// The recording of a replay at twice the speed, and what the replay reported.
 fn replayed_and_recorded(arena: &Arena, first: &Path) -> (PathBuf, Value) {
-    for attempt in 0..TRIES {
+    let (recorded, _) = without_loss(|attempt| {
         let second = arena.files().join(format!("{attempt}-second.mcap"));
         let mut worker = arena.worker();
         let mut recorder = arena.recording(&second, &[]);
         let ended = alone(&["replay", first.to_str().unwrap(), "--rate", "2"]);
         let report = ended.json();
         assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
-        let is_whole = ended_whole(&mut recorder);
+        let ended = end(&mut recorder);
         worker.stop();
-        if is_whole {
-            return (second, report);
-        }
-    }
-    panic!("the recorder lost messages {TRIES} times");
+        ((second, report), ended)
+    });
+    recorded
 }
 
 #[test]
 fn what_is_recorded_of_a_replay_is_what_was_replayed() {
     let arena = Arena::new(&Setup::simulated());
-    let first = record(&arena, "first.mcap", "3");
+    let first = record(&arena, "first.mcap", 90);
     let (second, report) = replayed_and_recorded(&arena, &first);
 
     let (before, after) = (heard(&first), heard(&second));
-    assert!(before.samples.len() > 700, "{}", before.samples.len());
+    assert!(before.samples.len() >= 90 * 12, "{}", before.samples.len());
     assert_eq!(before.samples.len(), after.samples.len());
     assert_eq!(report["samples"], before.samples.len());
     let starts = |heard: &Heard| {
@@ -326,17 +327,16 @@ fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
     let mut planner = arena.planner();
     planner.quality("a forecast", 3, |quality| quality == Quality::Fresh);
     let _ = planner.leave();
-    let split = (0..TRIES).find(|attempt| {
+    let (split, _) = without_loss(|attempt| {
         let name = format!("split{attempt}");
         let file = arena.files().join(format!("{name}.mcap"));
         let mut recorder = arena.recording(&file, &["--max-bag-duration", "4"]);
         let third = arena.files().join(format!("{name}_2.mcap"));
         eventually("the third file", || third.exists());
-        ended_whole(&mut recorder)
+        (attempt, end(&mut recorder))
     });
     source.finish();
     worker.stop();
-    let split = split.expect("the recorder lost messages each time");
 
     let files = [".mcap", "_1.mcap", "_2.mcap"].map(|end| {
         let file = arena.files().join(format!("split{split}{end}"));
@@ -345,12 +345,7 @@ fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
     let ended = alone(&["replay", "--verify", &files[0], &files[1], &files[2]]);
     let report = ended.json();
     assert_eq!(ended.code(), Some(0), "{report:#}");
-    assert!(
-        report["ticks_verified"].as_u64().unwrap() > 150,
-        "{report:#}"
-    );
-    let before = report["ticks_before_first_keyframe"].as_u64().unwrap();
-    assert!(before < 300, "{report:#}");
+    assert_every_tick_verified(&report);
     // The second file by itself: a keyframe comes every five seconds.
     let report = alone(&["replay", "--verify", &files[1]]).json();
     assert_eq!(report["differences"], 0, "{report:#}");
@@ -365,7 +360,7 @@ fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
 #[test]
 fn another_model_is_compared_robot_by_robot() {
     let arena = Arena::new(&Setup::simulated());
-    let file = record(&arena, "run.mcap", "3");
+    let file = record(&arena, "run.mcap", 90);
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/models");
     let other = models.join("gternal-sim-power.safetensors");
     let arguments = [
@@ -382,7 +377,7 @@ fn another_model_is_compared_robot_by_robot() {
     assert_eq!(robots.len(), 12, "{report:#}");
     for robot in robots {
         let (recorded, other) = (&robot["recorded"], &robot["other"]);
-        assert!(recorded["scored"].as_u64().unwrap() > 40, "{robot:#}");
+        assert!(recorded["scored"].as_u64().unwrap() > 0, "{robot:#}");
         assert_ne!(recorded["mae_w"], other["mae_w"], "{robot:#}");
         assert!(other["coverage"].as_f64().unwrap() > 0.5, "{robot:#}");
     }
@@ -406,7 +401,7 @@ fn another_model_is_compared_robot_by_robot() {
 #[test]
 fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
     let arena = Arena::new(&Setup::simulated());
-    let file = record(&arena, "run.mcap", "3");
+    let file = record(&arena, "run.mcap", 90);
     let name = file.to_str().unwrap();
     let outputs = ["--topics", "forecasts", "diagnostics", "budgets"];
 
@@ -474,7 +469,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
 #[test]
 fn a_replay_goes_step_by_step() {
     let arena = Arena::new(&Setup::simulated());
-    let file = record(&arena, "run.mcap", "2");
+    let file = record(&arena, "run.mcap", 60);
     let mut planner = arena.recorder();
     let arguments = [
         "replay",

@@ -480,6 +480,8 @@ fn row_9_in_bursts_what_was_sent_is_what_was_accepted_and_dropped_by_reason() {
     let setup = Setup {
         buffer_frames: 4,
         tick_hz: 50.0,
+        // What a burst loses is a gap that a robot may jump over.
+        rate_hz: 10.0,
         ..Setup::default()
     };
     let arena = Arena::new(&setup);

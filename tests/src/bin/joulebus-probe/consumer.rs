@@ -24,6 +24,8 @@ pub(crate) fn run(config: &Config) -> Done {
                 ticks_missed: frame.arrival.ticks_missed,
                 restarted: frame.arrival.restarted,
                 gaps: gaps + u64::from(frame.arrival.ticks_missed > 0),
+                robots: frame.robots().len(),
+                accepted: frame.header().samples_accepted,
             },
             Event::Gone(end) => ReaderLine::WorkerGone {
                 end: format!("{end:?}"),
