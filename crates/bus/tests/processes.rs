@@ -7,7 +7,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use harness::{Member, Place};
+use harness::{Member, Place, eventually};
 use joulebus_bus::{Ports, check_capacity, inspect, sweep};
 use rustix::process::Signal;
 
@@ -32,7 +32,7 @@ fn samples_and_forecasts_cross_processes() {
     let mut planner = joined(&place, "planner");
 
     assert_eq!(source.must("send 64"), "1");
-    assert!(worker.must("wait 5000").contains("frame: true"));
+    assert!(worker.must("wait").contains("frame: true"));
     assert_eq!(worker.must("take"), "0:64");
     assert_eq!(worker.must("take"), "none");
     assert!(
@@ -42,7 +42,7 @@ fn samples_and_forecasts_cross_processes() {
     );
 
     worker.must("tick 1");
-    assert!(planner.must("wait 5000").contains("frame: true"));
+    assert!(planner.must("wait").contains("frame: true"));
     assert_eq!(planner.must("latest"), "[Some(1), Some(1), Some(1)]");
     assert_eq!(planner.must("latest"), "[None, None, None]");
 
@@ -170,7 +170,7 @@ fn a_planner_sees_at_once_that_the_worker_is_gone() {
         println!("skipped: this system cannot watch processes");
         return;
     }
-    planner.tell("wait 10000");
+    planner.tell("wait");
     worker.kill();
     assert!(planner.answer().unwrap().contains("peer_gone: true"));
 }
@@ -181,14 +181,11 @@ fn the_living_clean_up_after_the_dead() {
     let mut planner = joined(&place, "planner");
     joined(&place, "worker").kill();
     // Told by whoever cleans up, within a second or so.
-    assert!(planner.must("wait 10000").contains("died: true"));
+    assert!(planner.must("wait").contains("died: true"));
     let dead = |node: &joulebus_bus::NodeInfo| node.alive != Some(true);
-    for _ in 0..100 {
-        if !inspect(&place.domain).unwrap().nodes.iter().any(dead) {
-            break;
-        }
-        std::thread::sleep(Duration::from_millis(100));
-    }
+    eventually("no dead node", || {
+        !inspect(&place.domain).unwrap().nodes.iter().any(dead)
+    });
     let nodes = inspect(&place.domain).unwrap().nodes;
     assert_eq!(nodes.len(), 1, "{nodes:?}");
     assert_eq!(nodes[0].pid, Some(planner.pid()));
@@ -212,7 +209,7 @@ fn killed_twenty_times_at_the_start_and_the_next_one_joins() {
     }
     let mut worker = joined(&place, "worker");
     source.must("send 7");
-    assert!(worker.must("wait 5000").contains("frame: true"));
+    assert!(worker.must("wait").contains("frame: true"));
     assert!(worker.must("take").ends_with(":7"));
     source.quit();
     worker.quit();
@@ -300,13 +297,7 @@ fn an_object_without_a_size_that_somebody_holds_open_stays() {
         std::slice::from_ref(&path)
     );
     drop(creator);
-    for _ in 0..100 {
-        if !path.exists() {
-            break;
-        }
-        std::thread::sleep(Duration::from_millis(100));
-    }
-    assert!(!path.exists(), "nobody will ever size it");
+    eventually("nobody will ever size it", || !path.exists());
     member.quit();
     place.assert_nothing_left();
 }

@@ -41,7 +41,8 @@ fn only_loans_allocate_and_only_once() {
             pid: std::process::id(),
             worker_epoch: 1,
             tick: round,
-            period_ns: 1_000_000_000,
+            // Never stale, however long this process waits for a processor.
+            period_ns: 3_600_000_000_000,
             sent_ns: clock::monotonic_ns(),
             ..ForecastHeader::default()
         };

@@ -4,7 +4,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use joulebus_bus::{Bus, FrameBuf, clock};
@@ -17,7 +17,16 @@ use joulebus_wire::{
 };
 
 const ROBOTS: u32 = 300;
-const PATIENCE: Duration = Duration::from_secs(60);
+/// What has not happened after so long never will.
+const PATIENCE: Duration = Duration::from_secs(180);
+
+fn eventually(mut condition: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !condition() {
+        assert!(begun.elapsed() < PATIENCE, "not after {PATIENCE:?}");
+        std::thread::sleep(Duration::from_micros(200));
+    }
+}
 
 fn config(root: &Path) -> Config {
     let text = format!(
@@ -42,7 +51,8 @@ struct Recorded {
     keyframes: BTreeMap<u64, FleetState>,
 }
 
-fn record(config: &Config, ready: &AtomicBool, stop: &AtomicBool) -> Recorded {
+/// Reads until told to stop; says that it begins, and up to which tick it has read.
+fn record(config: &Config, ready: &AtomicBool, read: &AtomicU64, stop: &AtomicBool) -> Recorded {
     let (domain, limits) = (config.domain().unwrap(), config.limits());
     let bus = Bus::join(&domain, "recorder").unwrap();
     let mut waiter = bus.planner_waiter(&limits).unwrap();
@@ -65,6 +75,7 @@ fn record(config: &Config, ready: &AtomicBool, stop: &AtomicBool) -> Recorded {
             recorded
                 .ticks
                 .insert(tick, (*frame.header(), frame.payload().to_vec()));
+            read.store(tick, Ordering::Relaxed);
         }
         while let Some(frame) = forecasts.take_next().unwrap() {
             recorded
@@ -187,25 +198,35 @@ fn every_tick_can_be_computed_again_from_the_first_keyframe_and_from_a_later_one
     let root = format!("/dev/shm/joulebus-test-keyframes-{}", std::process::id());
     let root = PathBuf::from(root);
     let config = config(&root);
-    let [ready, stop, later] = [const { AtomicBool::new(false) }; 3];
+    let [ready, stop] = [const { AtomicBool::new(false) }; 2];
+    // Before its first tick a recorder keeps nobody waiting.
+    let [read_early, read_late] = [const { AtomicU64::new(u64::MAX) }; 2];
     let (early, late) = std::thread::scope(|scope| {
-        let early = scope.spawn(|| record(&config, &ready, &stop));
-        while !ready.load(Ordering::Relaxed) {
-            std::thread::yield_now();
-        }
+        let early = scope.spawn(|| record(&config, &ready, &read_early, &stop));
+        eventually(|| ready.load(Ordering::Relaxed));
         let mut worker = Worker::open(&config).unwrap();
         scope.spawn(|| feed(&config, &stop));
+        // A tick when both have read all but the last few: on a busy machine frames would be
+        // overwritten before they are read.
         let mut run = |ticks: u32| {
             let mut done = 0;
             while done < ticks {
                 done += u32::from(worker.turn().unwrap());
+                let tick = worker.report().ticks;
+                let is_read =
+                    |read: &AtomicU64| read.load(Ordering::Relaxed) >= tick.saturating_sub(4);
+                eventually(|| is_read(&read_early) && is_read(&read_late));
             }
         };
         run(150);
-        let late = scope.spawn(|| record(&config, &later, &stop));
+        let late = scope.spawn(|| record(&config, &ready, &read_late, &stop));
         let begun = Instant::now();
-        while !later.load(Ordering::Relaxed) && begun.elapsed() < PATIENCE {
+        while read_late.load(Ordering::Relaxed) == u64::MAX {
             run(1);
+            assert!(
+                begun.elapsed() < PATIENCE,
+                "the second recorder does not begin"
+            );
         }
         run(300);
         stop.store(true, Ordering::Relaxed);

@@ -11,12 +11,12 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use joulebus_bus::{
     BudgetReader, BudgetWriter, Bus, DiagnosticReader, DiagnosticWriter, Domain, ForecastReader,
     ForecastWriter, FrameBuf, Limits, PeerWatch, SampleReader, SampleWriter, StateWriter,
-    TickWriter, Waiter, Waker, WorkerLock, clock,
+    TickWriter, Waiter, Waker, WorkerLock,
 };
 use joulebus_wire::{
     Budget, BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, Sample, SampleHeader,
@@ -27,7 +27,7 @@ use joulebus_wire::{
 const MARK: &str = "@ ";
 const CHILD: &str = "JOULEBUS_TEST_CHILD";
 /// A member that does not answer for so long hangs.
-const PATIENCE: Duration = Duration::from_secs(20);
+pub const PATIENCE: Duration = Duration::from_secs(180);
 static PLACES: AtomicU32 = AtomicU32::new(0);
 
 /// A domain of one test, removed with it.
@@ -206,6 +206,15 @@ pub fn limits() -> Limits {
     }
 }
 
+/// Waits until `condition` holds.
+pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
+    let begin = Instant::now();
+    while !condition() {
+        assert!(begin.elapsed() < PATIENCE, "not after {PATIENCE:?}: {what}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
 /// Obeys the parent if this process was started by one.
 pub fn run_member() {
     let Some(root) = std::env::var_os(CHILD) else {
@@ -298,7 +307,7 @@ impl Ports {
             "tick" => self.tick(number),
             "latest" => self.latest(),
             "count" => self.count(),
-            "wait" => self.wait(number),
+            "wait" => self.wait(),
             "watch" => {
                 self.peer = PeerWatch::open(number as u32);
                 Ok(self.peer.is_some().to_string())
@@ -474,14 +483,13 @@ impl Ports {
         Ok(format!("{ticks:?}"))
     }
 
-    /// Waits up to so many milliseconds for something to happen.
-    fn wait(&mut self, millis: u64) -> Answer {
+    /// Waits until something happens.
+    fn wait(&mut self) -> Answer {
         let waiter = self.arrivals.as_mut().or(self.planner.as_mut());
         let waiter = waiter.ok_or("no port")?;
-        let deadline_ns = clock::monotonic_ns() + millis * 1_000_000;
         loop {
-            let woken = waiter.wait_until(Some(deadline_ns), self.peer.as_ref())?;
-            if !woken.is_nothing() || clock::monotonic_ns() >= deadline_ns {
+            let woken = waiter.wait_until(None, self.peer.as_ref())?;
+            if !woken.is_nothing() {
                 return Ok(format!("{woken:?}"));
             }
         }

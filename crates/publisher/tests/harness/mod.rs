@@ -24,7 +24,7 @@ const MARK: &str = "@ ";
 const ROLE: &str = "JOULEBUS_TEST_ROLE";
 const CONFIG: &str = "JOULEBUS_TEST_CONFIG";
 /// A member that says nothing for so long hangs.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_secs(180);
 static PLACES: AtomicU32 = AtomicU32::new(0);
 
 /// The fleet of one test, removed with it.
