@@ -11,11 +11,11 @@ pub(super) fn section(material: &Material<'_>) -> Section {
     let ladder = ladder(material);
     Section {
         id: "ablation".to_owned(),
-        title: "What a forecast needs to know".to_owned(),
+        title: "Ablation: which features a forecast needs".to_owned(),
         parts: vec![
             Part::Words(format!(
-                "Linear models of more and more past readings, and the network, on the same rows \
-                 ({}). What the last reading alone is worth shows in persistence.",
+                "Linear models with an increasing number of past readings, and the network, on the \
+                 same rows ({}). Persistence shows what the last reading alone is worth.",
                 material.scored.report.design.description
             )),
             Part::Figure(figure(material, &ladder)),
@@ -86,7 +86,7 @@ fn figure(material: &Material<'_>, ladder: &[&ForecasterScore]) -> Figure {
     };
     material.noted(Figure::new(
         "figure-2-ablation",
-        "Figure 2. What a forecast needs to know.",
+        "Figure 2. Ablation of the features.",
         "Coefficient of determination and mean absolute error of linear models with more and more \
          past readings, of persistence and of the network.",
         vec![
@@ -132,7 +132,7 @@ fn table(material: &Material<'_>, ladder: &[&ForecasterScore]) -> Table {
     }
     Table {
         id: "table-ablation".to_owned(),
-        caption: "What a forecast needs to know: the numbers of figure 2.".to_owned(),
+        caption: "Ablation of the features: the numbers of figure 2.".to_owned(),
         columns,
         rows: ladder.iter().map(row).collect(),
         folded: false,

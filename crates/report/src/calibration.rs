@@ -109,12 +109,12 @@ pub(super) fn section(
 ) -> Section {
     Section {
         id: "calibration".to_owned(),
-        title: "Do the intervals hold what they promise?".to_owned(),
+        title: "Calibration of the intervals".to_owned(),
         parts: vec![
             Part::Words(
-                "The live path keeps its intervals at the share of readings that it is asked for, by \
-                 moving their ends after every reading. Beside it stands what a fixed width would \
-                 hold: that of a normal distribution with the deviation in the model's file."
+                "The live path adapts the ends of its intervals after every reading, to hold the nominal \
+                 coverage. For comparison: intervals of fixed width, those of a normal distribution \
+                 with the standard deviation in the model file."
                     .to_owned(),
             ),
             Part::Figure(figure(material, levels, sets, trial)),

@@ -14,11 +14,11 @@ pub(super) fn section(material: &Material<'_>) -> Option<Section> {
     }
     Some(Section {
         id: "horizons".to_owned(),
-        title: "Further ahead: open loop".to_owned(),
+        title: "Longer horizons: open loop".to_owned(),
         parts: vec![
             Part::Words(format!(
-                "From every {}th row on, each forecaster is fed with its own forecasts, the commands \
-                 being known. The paper evaluates one tick ahead; a planner needs the whole curve.",
+                "Starting at every {}th row, each forecaster is fed with its own forecasts and the true \
+                 commands. The paper evaluates one tick ahead; a planner needs the whole curve.",
                 material.scored.report.origins_every
             )),
             Part::Figure(figure(material, horizons)),

@@ -102,9 +102,8 @@ pub(super) fn section(material: &Material<'_>) -> Section {
     let found: Vec<Readings> = material.recordings.iter().map(Readings::of).collect();
     let mut parts = vec![
         Part::Words(
-            "Power readings and how they depend on those before them. A reading that a slow monitor \
-             repeats resembles the one before by force: the share of repeated readings stands in \
-             the table."
+            "Distribution and autocorrelation of the power readings. A slow monitor that repeats its \
+             readings inflates the autocorrelation: the table gives the share of repeated readings."
                 .to_owned(),
         ),
         Part::Figure(figure(material, &found)),
@@ -112,7 +111,7 @@ pub(super) fn section(material: &Material<'_>) -> Section {
     parts.push(Part::Table(table(material, &found)));
     Section {
         id: "power".to_owned(),
-        title: "Power and its memory".to_owned(),
+        title: "Power distribution and autocorrelation".to_owned(),
         parts,
     }
 }
@@ -121,7 +120,7 @@ fn figure(material: &Material<'_>, found: &[Readings]) -> Figure {
     let panels = vec![distribution(material), memory(material, found)];
     material.noted(Figure::new(
         "figure-1-power",
-        "Figure 1. Power and its memory.",
+        "Figure 1. Power distribution and autocorrelation.",
         "Left: share of readings by power, all recordings together. Right: autocorrelation of the \
          readings by lag, of each trial.",
         panels,

@@ -144,7 +144,7 @@ pub(super) fn verdict(scored: &Scored) -> String {
             } else if found.is_below(0.0) {
                 "worse than"
             } else {
-                "not to be told from"
+                "statistically indistinguishable from"
             };
             let [value, lo, hi] =
                 [found.value, found.lo, found.hi].map(|skill| Cell::Number(skill, 3).shown());

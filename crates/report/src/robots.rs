@@ -65,7 +65,7 @@ pub(super) fn section(material: &Material<'_>, kind: Grouping, sets: &[Scores]) 
     table.folded = sets.len() > 12;
     Section {
         id: what.to_owned(),
-        title: format!("From one of the {what} to the next"),
+        title: format!("Generalisation across {what}"),
         parts: vec![
             Part::Words(format!(
                 "Forecasts one tick ahead by {what}, on the same rows.{left_out}"

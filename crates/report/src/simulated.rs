@@ -195,7 +195,7 @@ fn document(
     ));
     sections.push(all_scores(&fleet, Some(Grouping::Robots)));
     Document {
-        title: "The paper's course on simulated robots".to_owned(),
+        title: "The paper's experiments on simulated robots".to_owned(),
         warning: Some(
             "Every number here is of simulated robots. They stand in for the dataset of arXiv \
              2603.13908; nothing here is a claim about real robots."
@@ -205,7 +205,7 @@ fn document(
             format!(
                 "Six simulated trials of {} samples (seed {}); a network trained on trials 1 to 4 \
                  with the paper's recipe, trial 5 deciding when to stop; evaluated on all six and on \
-                 seven simulated robots that it has never seen.",
+                 seven simulated robots that are not in its training data.",
                 course.samples, course.seed
             ),
             format!("Seven robots: {}", verdict(together)),
@@ -226,12 +226,12 @@ fn comparison(trials: &[Recording], alone: &Scored, together: &Scored) -> Sectio
     robot_rows(&mut rows, together);
     Section {
         id: "paper".to_owned(),
-        title: "Beside the paper".to_owned(),
+        title: "Compared with the paper".to_owned(),
         parts: vec![
             Part::Words(
-                "What the paper reports of its real robots, and the same of the simulated ones. The \
-                 simulation's parts were fitted to some of these numbers; docs/plant.md says to \
-                 which. The linear models are fitted on trials 1 to 4 and scored on all six."
+                "The paper's figures for its real robots, and the same figures for the simulated ones. \
+                 The plant was fitted to some of these numbers (docs/plant.md says which). The \
+                 linear models are fitted on trials 1 to 4 and scored on all six."
                     .to_owned(),
             ),
             Part::Table(Table {
