@@ -364,6 +364,12 @@ mod tests {
     }
 
     #[test]
+    fn names_in_shared_memory_are_those_of_every_version() {
+        let domain = Domain::new("lab", Path::new("/dev/shm/joulebus-0"), "jb_").unwrap();
+        assert_eq!(domain.shm_prefix(), "jb_e0675357_");
+    }
+
+    #[test]
     fn domains_never_share_a_prefix() {
         let domain = |fleet, root: &str| Domain::new(fleet, Path::new(root), "jb_").unwrap();
         let base = domain("a", "/dev/shm/x");

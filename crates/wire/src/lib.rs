@@ -26,7 +26,7 @@ mod state;
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
 pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};
 pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
-pub use hash::fnv1a;
+pub use hash::{combine_hashes, fnv1a};
 pub use journal::{TakenFrame, TickHeader, tick_flag};
 pub use layout::Payload;
 pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};

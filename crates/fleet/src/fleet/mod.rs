@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicU64;
 
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
-use joulebus_wire::{Budget, Diagnostic, DropCounts, Forecast, Refusal};
+use joulebus_wire::{Budget, Diagnostic, DropCounts, Forecast, Refusal, combine_hashes};
 
 use crate::estimate::mixture::Learned;
 use crate::estimate::scores::Scores;
@@ -197,14 +197,12 @@ impl Fleet {
     /// Hash over the models of all platforms, in order.
     #[must_use]
     pub fn model_hash(&self) -> u64 {
-        self.tick
-            .platforms
-            .iter()
-            .fold(0xcbf2_9ce4_8422_2325, |hash, context| {
-                (hash ^ context.model.hash())
-                    .wrapping_mul(0x0000_0100_0000_01b3)
-                    .rotate_left(23)
-            })
+        combine_hashes(
+            self.tick
+                .platforms
+                .iter()
+                .map(|context| context.model.hash()),
+        )
     }
 
     /// Scores of a robot, if it is in the fleet.
