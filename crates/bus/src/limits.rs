@@ -1,18 +1,22 @@
 //! How much of everything a fleet's services hold.
 
+use joulebus_settings::bounds;
+
 /// Limits of a fleet's services. Every process of the fleet must use the same: whoever opens a
 /// service first fixes them, and a later one that differs gets an error that shows both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Robots: the longest frame that can be sent. 1 to 1,000,000.
+    /// Robots: the longest frame that can be sent. At least 1, as all of these; at most
+    /// [`bounds::CAPACITY`].
     pub capacity: usize,
-    /// Processes that may publish samples at once. 1 to 1,024.
+    /// Processes that may publish samples at once; at most [`bounds::MAX_SOURCES`].
     pub max_sources: usize,
-    /// Processes that may read forecasts at once. 1 to 256.
+    /// Processes that may read forecasts at once; at most [`bounds::MAX_PLANNERS`].
     pub max_planners: usize,
-    /// Frames of samples that wait for the worker, per source; older ones are overwritten. 1 to 256.
+    /// Frames of samples that wait for the worker, per source; older ones are overwritten; at most
+    /// [`bounds::BUFFER_FRAMES`].
     pub sample_frames: usize,
-    /// Frames of forecasts, diagnostics and budgets that wait for a reader. 1 to 64.
+    /// Frames of forecasts, diagnostics and budgets that wait for a reader; at most 64.
     pub forecast_frames: usize,
 }
 
@@ -51,12 +55,21 @@ impl Limits {
     /// [`LimitsError`] names the first that does not.
     pub fn checked(self) -> Result<Self, LimitsError> {
         for (name, found, max) in [
-            ("capacity", self.capacity, 1_000_000),
-            ("max_sources", self.max_sources, 1_024),
-            ("max_planners", self.max_planners, 256),
-            ("sample_frames", self.sample_frames, 256),
+            ("capacity", self.capacity, *bounds::CAPACITY.end()),
+            ("max_sources", self.max_sources, *bounds::MAX_SOURCES.end()),
+            (
+                "max_planners",
+                self.max_planners,
+                *bounds::MAX_PLANNERS.end(),
+            ),
+            (
+                "sample_frames",
+                self.sample_frames,
+                *bounds::BUFFER_FRAMES.end(),
+            ),
             ("forecast_frames", self.forecast_frames, 64),
         ] {
+            let max = max as usize;
             if found < 1 || found > max {
                 return Err(LimitsError { name, found, max });
             }

@@ -5,6 +5,8 @@
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
+use joulebus_settings::bounds;
+
 use crate::cpus;
 use crate::document::{FleetFile, Listed};
 use crate::files::{check_model, complaint};
@@ -264,11 +266,12 @@ fn times(values: &Values, fleet: &Values, problems: &mut Vec<Problem>) {
         return;
     };
     let rate = values.quote("platform.rate_hz");
-    let mut in_periods = |key: &'static str, least: f64, most: f64, remedy: &str| {
+    let mut in_periods = |key: &'static str, allowed: &RangeInclusive<f64>, remedy: &str| {
         let Some(time_s) = values.number(key) else {
             return;
         };
         let periods = time_s * rate_hz;
+        let (least, most) = (*allowed.start(), *allowed.end());
         // 1e-9: `2.0 / rate` as written in decimals counts as two periods.
         if !(least * (1.0 - 1e-9) <= periods && periods <= most * (1.0 + 1e-9)) {
             let what = format!(
@@ -284,20 +287,17 @@ fn times(values: &Values, fleet: &Values, problems: &mut Vec<Problem>) {
     };
     in_periods(
         "platform.stale_after_s",
-        2.0,
-        1000.0,
+        &bounds::STALE_AFTER_PERIODS,
         "One late sample must not make a robot Invalid, nor a gap be bridged for ever: change one of them",
     );
     in_periods(
         "platform.hold_max_s",
-        1.0,
-        f64::MAX,
+        &(1.0..=f64::INFINITY),
         "Every sample would raise HeldTooLong: raise hold_max_s",
     );
     in_periods(
         "platform.stuck_after_s",
-        2.0,
-        f64::MAX,
+        &(2.0..=f64::INFINITY),
         "Two equal readings would raise StuckSensor: raise stuck_after_s",
     );
     let ordered = [

@@ -1,6 +1,10 @@
 //! The one table of keys: explanations, range checks and the comments in the shipped files come
 //! from it.
 
+use std::ops::RangeInclusive;
+
+use joulebus_settings::bounds;
+
 use crate::key::{
     DefaultValue,
     File::{Fleet, Platform},
@@ -29,20 +33,33 @@ const fn of_platform(mut key: Key) -> Key {
     key
 }
 
-const fn int(min: i64, max: i64) -> ValueKind {
-    ValueKind::Integer { min, max }
+const fn int(allowed: RangeInclusive<u32>) -> ValueKind {
+    ValueKind::Integer {
+        min: *allowed.start() as i64,
+        max: *allowed.end() as i64,
+    }
 }
 
-const fn num(min: f64, max: f64) -> ValueKind {
-    ValueKind::Number { min, max }
+const fn num(allowed: RangeInclusive<f64>) -> ValueKind {
+    ValueKind::Number {
+        min: *allowed.start(),
+        max: *allowed.end(),
+    }
 }
+
+/// Ticks of a fleet and samples of a robot, per second.
+const RATE_HZ: RangeInclusive<f64> = 0.1..=1000.0;
+/// What a robot's silence, or the age of a measurement, may be set to, s.
+const SILENCE_S: RangeInclusive<f64> = 0.002..=3600.0;
+/// A time after which a robot is taken for another, s: up to a week.
+const ABSENCE_S: RangeInclusive<f64> = 0.01..=604_800.0;
 
 /// Every key, in the order of the shipped files.
 #[rustfmt::skip]
 pub const KEYS: &[Key] = &[
     key("fleet.name", ValueKind::Text(TextRule::Name), "", DefaultValue::Required,
         "Name of the fleet: part of every service's name, so that fleets keep apart."),
-    key("fleet.capacity", int(1, 1_000_000), "robots", DefaultValue::Integer(1000),
+    key("fleet.capacity", int(bounds::CAPACITY), "robots", DefaultValue::Integer(1000),
         "Robots that there is room for; those past it are refused, counted and named."),
 
     key("domain.root", ValueKind::Text(TextRule::Root), "", DefaultValue::Text("/dev/shm/joulebus-{uid}"),
@@ -52,67 +69,67 @@ pub const KEYS: &[Key] = &[
 
     key("tick.policy", ValueKind::Choice(&["on_frame", "timer"]), "", DefaultValue::Text("on_frame"),
         "When a tick is due: as soon as every robot that is due has reported, or on a fixed grid."),
-    key("tick.rate_hz", num(0.1, 1000.0), "Hz", DefaultValue::Number(30.0),
+    key("tick.rate_hz", num(RATE_HZ), "Hz", DefaultValue::Number(30.0),
         "Most ticks per second, whatever the policy."),
-    key("tick.deadline_ms", num(0.1, 10_000.0), "ms", DefaultValue::Number(10.0),
+    key("tick.deadline_ms", num(0.1..=10_000.0), "ms", DefaultValue::Number(10.0),
         "With on_frame: how long to wait for the others after the first sample of a tick."),
 
-    key("intake.max_samples_per_tick", int(1, 1024), "samples", DefaultValue::Integer(8),
+    key("intake.max_samples_per_tick", int(bounds::MAX_SAMPLES_PER_TICK), "samples", DefaultValue::Integer(8),
         "Samples of one robot that one tick takes; the rest is dropped and counted as Backlog."),
-    key("intake.max_jump_s", num(0.01, 604_800.0), "s", DefaultValue::Number(60.0),
+    key("intake.max_jump_s", num(ABSENCE_S), "s", DefaultValue::Number(60.0),
         "A stamp further than this after the robot's last one is refused."),
-    key("intake.leave_after_s", num(0.01, 604_800.0), "s", DefaultValue::Number(30.0),
+    key("intake.leave_after_s", num(ABSENCE_S), "s", DefaultValue::Number(30.0),
         "A robot silent for longer than this has left: its place is free for another."),
-    key("intake.max_sources", int(1, 4096), "sources", DefaultValue::Integer(64),
+    key("intake.max_sources", int(bounds::MAX_SOURCES), "sources", DefaultValue::Integer(64),
         "Sources that the worker keeps account of."),
-    key("intake.buffer_frames", int(2, 256), "frames", DefaultValue::Integer(8),
+    key("intake.buffer_frames", int(bounds::BUFFER_FRAMES), "frames", DefaultValue::Integer(8),
         "Frames of each source that wait in shared memory for a slow worker; then the oldest is lost."),
 
-    key("interval.coverage", num(0.5, 0.99), "share", DefaultValue::Number(0.9),
+    key("interval.coverage", num(bounds::COVERAGE), "share", DefaultValue::Number(0.9),
         "Share of readings that are to fall inside the interval around their forecast."),
-    key("interval.rate", num(0.001, 0.5), "share", DefaultValue::Number(0.2),
+    key("interval.rate", num(bounds::INTERVAL_RATE), "share", DefaultValue::Number(0.2),
         "How far an end of the interval moves when a reading falls outside it, as a share of its distance."),
 
-    key("alarms.bias_weight", num(1e-4, 0.5), "share", DefaultValue::Number(0.005),
+    key("alarms.bias_weight", num(bounds::ALARM_WEIGHT), "share", DefaultValue::Number(0.005),
         "Weight of the newest residual in the running bias."),
-    key("alarms.cusum_slack", num(0.0, 5.0), "standard deviations", DefaultValue::Number(1.0),
+    key("alarms.cusum_slack", num(bounds::CUSUM_SLACK), "standard deviations", DefaultValue::Number(1.0),
         "Shift of the residuals that the cumulative sums ignore."),
-    key("alarms.cusum_limit", num(1.0, 1000.0), "standard deviations", DefaultValue::Number(50.0),
+    key("alarms.cusum_limit", num(bounds::CUSUM_LIMIT), "standard deviations", DefaultValue::Number(50.0),
         "Cumulative sum at which BiasHigh or BiasLow is raised; cleared below half of it."),
-    key("alarms.noise_weight", num(1e-4, 0.5), "share", DefaultValue::Number(0.005),
+    key("alarms.noise_weight", num(bounds::ALARM_WEIGHT), "share", DefaultValue::Number(0.005),
         "Weight of the newest squared residual in the noise ratio."),
-    key("alarms.noise_limit", num(1.5, 100.0), "ratio", DefaultValue::Number(15.0),
+    key("alarms.noise_limit", num(bounds::NOISE_LIMIT), "ratio", DefaultValue::Number(15.0),
         "Noise ratio (1 = as in training) at which NoiseHigh is raised; cleared below half of it."),
-    key("alarms.mismatch_limit", num(1.0, 100.0), "ratio", DefaultValue::Number(1.5),
+    key("alarms.mismatch_limit", num(bounds::MISMATCH_LIMIT), "ratio", DefaultValue::Number(1.5),
         "Squared error over that of persistence at which ModelMismatch is raised; cleared below 0.9 of it."),
-    key("alarms.settle_samples", int(1, 1_000_000), "samples", DefaultValue::Integer(300),
+    key("alarms.settle_samples", int(bounds::SETTLE_SAMPLES), "samples", DefaultValue::Integer(300),
         "Residuals of a robot before any alarm on them is raised."),
-    key("alarms.raise_samples", int(1, 10_000), "samples", DefaultValue::Integer(15),
+    key("alarms.raise_samples", int(bounds::ALARM_SAMPLES), "samples", DefaultValue::Integer(15),
         "Samples in a row that must agree before an alarm is raised."),
-    key("alarms.clear_samples", int(1, 10_000), "samples", DefaultValue::Integer(90),
+    key("alarms.clear_samples", int(bounds::ALARM_SAMPLES), "samples", DefaultValue::Integer(90),
         "Samples in a row that must agree before an alarm is cleared."),
-    key("alarms.training_margin", num(0.0, 10.0), "share", DefaultValue::Number(0.1),
+    key("alarms.training_margin", num(bounds::TRAINING_MARGIN), "share", DefaultValue::Number(0.1),
         "How far outside the training range a feature may lie, as a share of that range."),
 
     key("ledger.checkpoint", ValueKind::Text(TextRule::OptionalPath), "", DefaultValue::Text(""),
         "File that the energy ledger is saved to and restored from; empty: the ledger ends with the worker."),
-    key("ledger.every_s", num(0.05, 3600.0), "s", DefaultValue::Number(1.0),
+    key("ledger.every_s", num(0.05..=3600.0), "s", DefaultValue::Number(1.0),
         "Time between two checkpoints: a killed worker loses at most this much of the ledger."),
 
-    key("worker.threads", int(0, 64), "threads", DefaultValue::Integer(0),
+    key("worker.threads", int(0..=64), "threads", DefaultValue::Integer(0),
         "Threads that share a large tick, no more than cpus lists; 0: one for each of cpus, or without these one for each processor, at most 8."),
-    key("worker.threads_from", int(1, 1_000_000), "robots", DefaultValue::Integer(4000),
+    key("worker.threads_from", int(bounds::CAPACITY), "robots", DefaultValue::Integer(4000),
         "Robots from which on a tick is shared: below, another thread comes too late to help."),
     key("worker.cpus", ValueKind::Text(TextRule::Cpus), "", DefaultValue::Text(""),
         "CPUs that the tick's threads stay on, one each, the tick's own first; empty: wherever the system puts them."),
-    key("worker.priority", int(0, 99), "", DefaultValue::Integer(0),
+    key("worker.priority", int(0..=99), "", DefaultValue::Integer(0),
         "Real-time priority (SCHED_FIFO) of the tick's threads; 0: ordinary threads."),
     key("worker.memory", ValueKind::Choice(&["unlocked", "locked"]), "", DefaultValue::Text("unlocked"),
         "locked: all memory of the worker stays in memory (mlockall) and is touched at the start."),
     key("worker.if_refused", ValueKind::Choice(&["warn", "stop"]), "", DefaultValue::Text("warn"),
         "Where the system refuses one of these three: go on with a warning, or not start."),
 
-    key("readers.max_planners", int(1, 256), "readers", DefaultValue::Integer(16),
+    key("readers.max_planners", int(bounds::MAX_PLANNERS), "readers", DefaultValue::Integer(16),
         "Planners, watchers and recorders that can be connected at the same time."),
 
     key("platform.file", ValueKind::Text(TextRule::PlatformFile), "", DefaultValue::Unset,
@@ -128,34 +145,34 @@ pub const KEYS: &[Key] = &[
         "mixture: persistence, the linear baseline and the network, weighed for each robot by its own readings.")),
     of_platform(key("platform.adapt", ValueKind::Choice(&["off", "on"]), "", DefaultValue::Text("off"),
         "on: each robot's own level and gain on the network's forecast are learned from its readings.")),
-    of_platform(key("platform.residual_std_w", num(1e-6, 1e6), "W", DefaultValue::Unset,
+    of_platform(key("platform.residual_std_w", num(1e-6..=1e6), "W", DefaultValue::Unset,
         "With model = \"persistence\": standard deviation of the difference of two readings in a row.")),
-    of_platform(key("platform.rate_hz", num(0.1, 1000.0), "Hz", DefaultValue::Required,
+    of_platform(key("platform.rate_hz", num(RATE_HZ), "Hz", DefaultValue::Required,
         "Samples per second of each robot.")),
-    of_platform(key("platform.stale_after_s", num(0.002, 3600.0), "s", DefaultValue::Number(0.5),
+    of_platform(key("platform.stale_after_s", num(SILENCE_S), "s", DefaultValue::Number(0.5),
         "Silence after which a robot is Invalid; a longer gap empties its lag window.")),
-    of_platform(key("platform.hold_max_s", num(0.002, 3600.0), "s", DefaultValue::Number(0.5),
+    of_platform(key("platform.hold_max_s", num(SILENCE_S), "s", DefaultValue::Number(0.5),
         "Age of a measurement past which HeldTooLong is raised.")),
-    of_platform(key("platform.stuck_after_s", num(0.01, 86_400.0), "s", DefaultValue::Number(10.0),
+    of_platform(key("platform.stuck_after_s", num(0.01..=86_400.0), "s", DefaultValue::Number(10.0),
         "Time over which new measurements may all be equal before StuckSensor is raised.")),
-    of_platform(key("platform.power_min_w", num(-1e6, 1e6), "W", DefaultValue::Required,
+    of_platform(key("platform.power_min_w", num(bounds::POWER_MIN_W), "W", DefaultValue::Required,
         "Least power that can be true; negative where the robot regenerates.")),
-    of_platform(key("platform.power_max_w", num(0.0, 1e6), "W", DefaultValue::Required,
+    of_platform(key("platform.power_max_w", num(bounds::POWER_MAX_W), "W", DefaultValue::Required,
         "Greatest power that can be true; also what unmetered time is charged at, on the safe side.")),
-    of_platform(key("platform.power_resolution_w", num(1e-9, 1e6), "W", DefaultValue::Required,
+    of_platform(key("platform.power_resolution_w", num(bounds::POWER_RESOLUTION_W), "W", DefaultValue::Required,
         "Smallest step of the power monitor: no residual scale is taken to be finer.")),
-    of_platform(key("platform.v_max_mps", num(0.0, 1000.0), "m/s", DefaultValue::Required,
+    of_platform(key("platform.v_max_mps", num(bounds::V_MAX_MPS), "m/s", DefaultValue::Required,
         "Greatest |v| that can be commanded; 0 for robots that report no velocity.")),
-    of_platform(key("platform.omega_max_radps", num(0.0, 1000.0), "rad/s", DefaultValue::Required,
+    of_platform(key("platform.omega_max_radps", num(bounds::OMEGA_MAX_RADPS), "rad/s", DefaultValue::Required,
         "Greatest |omega| that can be commanded; 0 for robots that report no velocity.")),
 
-    of_platform(key("platform.battery.capacity_wh", num(0.001, 1e6), "Wh", DefaultValue::Required,
+    of_platform(key("platform.battery.capacity_wh", num(bounds::BATTERY_CAPACITY_WH), "Wh", DefaultValue::Required,
         "Energy of the battery from full to empty. Leave [battery] out where it is not known.")),
-    of_platform(key("platform.battery.reserve", num(0.0, 1.0), "share", DefaultValue::Number(0.1),
+    of_platform(key("platform.battery.reserve", num(bounds::SHARE), "share", DefaultValue::Number(0.1),
         "Share of the capacity that is never counted as usable.")),
-    of_platform(key("platform.battery.initial_soc", num(0.0, 1.0), "share", DefaultValue::Number(1.0),
+    of_platform(key("platform.battery.initial_soc", num(bounds::SHARE), "share", DefaultValue::Number(1.0),
         "State of charge when the ledger starts, best estimate.")),
-    of_platform(key("platform.battery.initial_soc_lo", num(0.0, 1.0), "share", DefaultValue::Required,
+    of_platform(key("platform.battery.initial_soc_lo", num(bounds::SHARE), "share", DefaultValue::Required,
         "The same, on the safe side; at most initial_soc.")),
 ];
 

@@ -4,9 +4,9 @@
 //! [`FleetSettings::check`] refuses what is out of range or contradictory.
 #![forbid(unsafe_code)]
 
+pub mod bounds;
 mod fleet;
+mod platform;
 
-pub use fleet::{
-    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Online, Platform, Policy,
-    SettingsError,
-};
+pub use fleet::{AlarmSettings, FleetSettings, Intake, IntervalSettings, Policy, SettingsError};
+pub use platform::{Battery, Online, Platform};

@@ -1,0 +1,75 @@
+//! What each setting may be: the check of the values and the keys of the config file
+//! (`joulebus config explain`) take their bounds from here. Both ends are allowed.
+//!
+//! A bound that only a config file can break stands with its key, in `joulebus-config`.
+
+use std::ops::RangeInclusive;
+
+use crate::SettingsError;
+
+/// Robots of a fleet.
+pub const CAPACITY: RangeInclusive<u32> = 1..=1_000_000;
+/// Samples of one robot that one tick takes.
+pub const MAX_SAMPLES_PER_TICK: RangeInclusive<u32> = 1..=1024;
+/// Sources that the worker keeps account of, and that can be connected at once.
+pub const MAX_SOURCES: RangeInclusive<u32> = 1..=1024;
+/// Frames of each source that wait in shared memory.
+pub const BUFFER_FRAMES: RangeInclusive<u32> = 2..=256;
+/// Planners, watchers and recorders that can be connected at once.
+pub const MAX_PLANNERS: RangeInclusive<u32> = 1..=256;
+/// Share of readings inside their intervals.
+pub const COVERAGE: RangeInclusive<f64> = 0.5..=0.99;
+/// Step of an interval's end, as a share of its distance.
+pub const INTERVAL_RATE: RangeInclusive<f64> = 0.001..=0.5;
+/// Weight of the newest residual in the bias and in the noise ratio.
+pub const ALARM_WEIGHT: RangeInclusive<f64> = 1e-4..=0.5;
+/// Shift that the cumulative sums ignore, standard deviations.
+pub const CUSUM_SLACK: RangeInclusive<f64> = 0.0..=5.0;
+/// Cumulative sum at which a bias alarm is raised, standard deviations.
+pub const CUSUM_LIMIT: RangeInclusive<f64> = 1.0..=1000.0;
+/// Noise ratio at which an alarm is raised.
+pub const NOISE_LIMIT: RangeInclusive<f64> = 1.5..=100.0;
+/// Squared error over that of persistence at which an alarm is raised.
+pub const MISMATCH_LIMIT: RangeInclusive<f64> = 1.0..=100.0;
+/// Residuals of a robot before an alarm on them.
+pub const SETTLE_SAMPLES: RangeInclusive<u32> = 1..=1_000_000;
+/// Samples in a row that raise or clear an alarm.
+pub const ALARM_SAMPLES: RangeInclusive<u32> = 1..=10_000;
+/// Distance of a feature from its training range, as a share of that range.
+pub const TRAINING_MARGIN: RangeInclusive<f64> = 0.0..=10.0;
+/// Time between two samples of a robot, ms. A live fleet has 1 ms to 10 s, by the keys of its
+/// rates; recordings may be faster and slower.
+pub const PERIOD_MS: RangeInclusive<f64> = 0.1..=60_000.0;
+/// Silence that ends a robot's forecasts, sample periods.
+pub const STALE_AFTER_PERIODS: RangeInclusive<f64> = 2.0..=1000.0;
+/// Least power that can be true, W; it is also at most the greatest.
+pub const POWER_MIN_W: RangeInclusive<f64> = -1e6..=1e6;
+/// Greatest power that can be true, W.
+pub const POWER_MAX_W: RangeInclusive<f64> = 0.0..=1e6;
+/// Smallest step of a power monitor, W.
+pub const POWER_RESOLUTION_W: RangeInclusive<f64> = 1e-9..=1e6;
+/// Greatest linear velocity that can be commanded, m/s.
+pub const V_MAX_MPS: RangeInclusive<f64> = 0.0..=1000.0;
+/// Greatest angular velocity that can be commanded, rad/s.
+pub const OMEGA_MAX_RADPS: RangeInclusive<f64> = 0.0..=1000.0;
+/// Energy of a battery from full to empty, Wh.
+pub const BATTERY_CAPACITY_WH: RangeInclusive<f64> = 0.001..=1e6;
+/// Reserve and state of charge of a battery.
+pub const SHARE: RangeInclusive<f64> = 0.0..=1.0;
+
+/// Refuses `found` outside `allowed`, NaN included.
+pub(crate) fn within<T: Copy + PartialOrd + Into<f64>>(
+    what: &str,
+    found: T,
+    allowed: &RangeInclusive<T>,
+) -> Result<(), SettingsError> {
+    if allowed.contains(&found) {
+        return Ok(());
+    }
+    Err(SettingsError::OutOfRange {
+        what: what.to_owned(),
+        found: found.into(),
+        min: (*allowed.start()).into(),
+        max: (*allowed.end()).into(),
+    })
+}

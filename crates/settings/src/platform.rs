@@ -1,0 +1,123 @@
+//! A kind of robot: its times, limits and battery.
+
+use std::ops::RangeInclusive;
+
+use serde::Serialize;
+
+use crate::bounds::{self, within};
+use crate::{Intake, SettingsError};
+
+/// A kind of robot.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Platform {
+    /// Its name, for messages.
+    pub name: String,
+    /// The robots that are of this kind.
+    pub robots: Vec<RangeInclusive<u32>>,
+    /// Time between two samples, ns.
+    pub period_ns: u64,
+    /// Silence after which a robot is `Invalid(Stale)`, ns. Also the longest gap that the model
+    /// bridges open loop; a longer one empties the lag window.
+    pub stale_after_ns: u64,
+    /// Age of a measurement past which `HeldTooLong` is raised, ns.
+    pub hold_max_ns: u64,
+    /// Time over which new measurements may all be equal before `StuckSensor` is raised, ns.
+    pub stuck_after_ns: u64,
+    /// Least power that can be true, W. Negative where the robot regenerates.
+    pub power_min_w: f32,
+    /// Greatest power that can be true, W.
+    pub power_max_w: f32,
+    /// Greatest |v| that can be commanded, m/s.
+    pub v_max_mps: f32,
+    /// Greatest |ω| that can be commanded, rad/s.
+    pub omega_max_radps: f32,
+    /// Smallest step of the power monitor, W: the floor of every residual scale.
+    pub power_resolution_w: f32,
+    /// The battery, where it is known.
+    pub battery: Option<Battery>,
+    /// What each robot's forecast learns from its own readings.
+    pub online: Online,
+}
+
+/// What each robot's forecast learns from its own readings; nothing unless asked. Needs a network: a
+/// platform that repeats the last reading has nothing to learn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Online {
+    /// Persistence, the model's linear baseline and its network are weighed against each other.
+    pub mixture: bool,
+    /// A level and a gain on the network's forecast are learned.
+    pub adapt: bool,
+}
+
+/// A battery.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Battery {
+    /// Energy from full to empty, J.
+    pub capacity_j: f64,
+    /// Share of the capacity that is kept in reserve.
+    pub reserve: f64,
+    /// State of charge when the ledger starts, best estimate.
+    pub initial_soc: f64,
+    /// The same, on the safe side; at most `initial_soc`.
+    pub initial_soc_lo: f64,
+}
+
+impl Platform {
+    /// Refuses numbers that contradict each other or lie outside their ranges.
+    pub(crate) fn check(&self, intake: &Intake) -> Result<(), SettingsError> {
+        let check = |what: &str, found: f64, allowed: RangeInclusive<f64>| {
+            within(
+                &format!("{what} of platform {}", self.name),
+                found,
+                &allowed,
+            )
+        };
+        let ms = |ns: u64| ns as f64 / 1e6;
+        let stale_after = self.stale_after_ns as f64 / self.period_ns as f64;
+        let (least_w, most_w) = bounds::POWER_MIN_W.into_inner();
+        let greatest_w = f64::from(self.power_max_w);
+        check("period_ms", ms(self.period_ns), bounds::PERIOD_MS)?;
+        check(
+            "stale_after, in sample periods,",
+            stale_after,
+            bounds::STALE_AFTER_PERIODS,
+        )?;
+        check(
+            "leave_after_ms beside stale_after",
+            ms(intake.leave_after_ns),
+            ms(self.stale_after_ns)..=f64::INFINITY,
+        )?;
+        check("power_max_w", greatest_w, bounds::POWER_MAX_W)?;
+        check(
+            "power_min_w beside power_max_w",
+            self.power_min_w.into(),
+            least_w..=most_w.min(greatest_w),
+        )?;
+        check(
+            "power_resolution_w",
+            self.power_resolution_w.into(),
+            bounds::POWER_RESOLUTION_W,
+        )?;
+        check("v_max_mps", self.v_max_mps.into(), bounds::V_MAX_MPS)?;
+        check(
+            "omega_max_radps",
+            self.omega_max_radps.into(),
+            bounds::OMEGA_MAX_RADPS,
+        )?;
+        let Some(battery) = &self.battery else {
+            return Ok(());
+        };
+        check(
+            "battery capacity_wh",
+            battery.capacity_j / 3600.0,
+            bounds::BATTERY_CAPACITY_WH,
+        )?;
+        check("battery reserve", battery.reserve, bounds::SHARE)?;
+        check("battery initial_soc", battery.initial_soc, bounds::SHARE)?;
+        check(
+            "battery initial_soc_lo beside initial_soc",
+            battery.initial_soc_lo,
+            *bounds::SHARE.start()..=battery.initial_soc,
+        )
+    }
+}
