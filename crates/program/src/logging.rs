@@ -1,31 +1,44 @@
 //! What is logged, to stderr.
 
-use tracing_subscriber::EnvFilter;
+use std::io::{self, IsTerminal as _};
+
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::fmt;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
+
+use crate::output::say;
 
 const VARIABLE: &str = "JOULEBUS_LOG";
 
 /// Starts logging: `JOULEBUS_LOG` decides, else how often `--verbose` was given.
 pub fn start(verbose: u8) {
-    let level = match verbose {
-        // What iceoryx2 warns of, the bus handles and reports in its own words.
-        0 => "warn,iceoryx2=error",
-        1 => "info,iceoryx2=error",
-        2 => "debug,iceoryx2=warn",
-        _ => "trace",
-    };
-    let filter = match EnvFilter::try_from_env(VARIABLE) {
-        Ok(filter) => filter,
+    let told = std::env::var(VARIABLE).ok().filter(|told| !told.is_empty());
+    let asked = told.and_then(|told| match told.parse() {
+        Ok(targets) => Some(targets),
         Err(error) => {
-            if std::env::var_os(VARIABLE).is_some_and(|value| !value.is_empty()) {
-                crate::output::say(&format!("{VARIABLE} is not used: {error}"));
-            }
-            EnvFilter::new(level)
+            say(&format!("{VARIABLE} is not used: {error}"));
+            None
         }
-    };
+    });
+    let layer = fmt::layer()
+        .with_writer(io::stderr)
+        .with_ansi(io::stderr().is_terminal());
     // Fails only when logging was started before: then it stays as it is.
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()))
+    let _ = tracing_subscriber::registry()
+        .with(asked.unwrap_or_else(|| by_verbosity(verbose)))
+        .with(layer)
         .try_init();
+}
+
+fn by_verbosity(verbose: u8) -> Targets {
+    // What iceoryx2 warns of, the bus handles and reports in its own words.
+    let (level, iceoryx2) = match verbose {
+        0 => (LevelFilter::WARN, LevelFilter::ERROR),
+        1 => (LevelFilter::INFO, LevelFilter::ERROR),
+        2 => (LevelFilter::DEBUG, LevelFilter::WARN),
+        _ => (LevelFilter::TRACE, LevelFilter::TRACE),
+    };
+    let targets = Targets::new().with_default(level);
+    targets.with_target("iceoryx2", iceoryx2)
 }

@@ -20,11 +20,7 @@ use serde::Serialize;
 type Done = Result<(), Box<dyn Error>>;
 
 fn main() -> ExitCode {
-    tracing_subscriber::fmt()
-        .with_env_filter("info,iceoryx2=error")
-        .with_writer(std::io::stderr)
-        .with_ansi(false)
-        .init();
+    joulebus_program::logging::start(1);
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match run(&arguments) {
