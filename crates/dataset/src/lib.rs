@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 pub mod inspect;
+pub mod npy;
 pub mod rows;
 pub mod split;
 pub mod trial;

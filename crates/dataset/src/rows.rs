@@ -11,7 +11,8 @@ use joulebus_predictor::{
 use joulebus_wire::{Sample, sample_flag};
 use sha2::{Digest as _, Sha256};
 
-use crate::trial::{Trial, array_header};
+use crate::npy;
+use crate::trial::Trial;
 
 /// One forecast to learn from: what is known, and the reading that followed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -195,7 +196,7 @@ pub fn write_rows(directory: &Path, dataset: &Dataset) -> io::Result<()> {
     ];
     for (name, rows) in parts {
         let mut file = BufWriter::new(File::create(directory.join(name))?);
-        file.write_all(&array_header("<f4", rows.len(), FEATURE_NAMES.len() + 1))?;
+        file.write_all(&npy::header("<f4", &[rows.len(), FEATURE_NAMES.len() + 1]))?;
         for row in rows {
             for value in row.features.iter().chain([&row.target_w]) {
                 file.write_all(&value.to_le_bytes())?;

@@ -27,7 +27,6 @@ pub use write::{Form, Row, WriteError};
 
 pub use sample::is_held;
 use table::Columns;
-pub(crate) use write::array_header;
 
 /// Most rows that a trial may have: 38 hours at 30 Hz.
 pub const MAX_ROWS: usize = 1 << 22;
@@ -36,7 +35,6 @@ pub const MAX_TEXT_BYTES: u64 = 512 << 20;
 /// Most robots that a file may hold.
 pub const MAX_ROBOTS: usize = 10_000;
 
-const NPY_MAGIC: &[u8] = b"\x93NUMPY";
 const GZIP_MAGIC: &[u8] = b"\x1f\x8b";
 const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 

@@ -5,7 +5,7 @@ use std::fmt;
 use sha2::{Digest as _, Sha256};
 
 use super::{MAX_FILE_BYTES, PickleError, Tensor};
-use super::{archive, entries, npy, own, torch};
+use super::{archive, entries, own, torch};
 use joulebus_predictor::{ModelError, Network};
 
 /// The kinds of files that are read.
@@ -130,7 +130,7 @@ impl Checkpoint {
         if found > MAX_FILE_BYTES {
             return Err(ReadError::TooLarge { found });
         }
-        if bytes.starts_with(npy::MAGIC) {
+        if bytes.starts_with(joulebus_dataset::npy::MAGIC) {
             return checkpoint(Container::Npy, bytes, entries::of_npy(bytes)?);
         }
         if bytes.starts_with(archive::MAGIC) {

@@ -20,17 +20,18 @@ pub(super) type Fetch<'a> = &'a dyn Fn(&Storage) -> Result<&'a [u8], String>;
 
 /// What a NumPy file holds.
 pub(super) fn of_npy(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
-    let header = npy::header("", bytes)?;
-    if header.kind != ElementType::Objects {
+    let (header, kind) = npy::header("", bytes)?;
+    if kind != ElementType::Objects {
         let (path, value) = (String::new(), npy::value("", bytes)?);
         return Ok(vec![Entry { path, value }]);
     }
-    let pickle =
-        Pickle::read(bytes, header.end, Storages::Inside).map_err(|source| ReadError::Pickle {
+    let pickle = Pickle::read(bytes, header.length(), Storages::Inside).map_err(|source| {
+        ReadError::Pickle {
             container: Container::Npy,
             part: "object array".to_owned(),
             source,
-        })?;
+        }
+    })?;
     if pickle.end != bytes.len() {
         return Err(ReadError::Part {
             container: Container::Npy,

@@ -1,13 +1,10 @@
-//! NumPy's array files: the header, and arrays of numbers. Objects are [`pickle`](super::pickle)'s.
+//! NumPy's array files: arrays of numbers, and single texts. Objects are [`pickle`](super::pickle)'s.
+
+use joulebus_dataset::npy::Header;
 
 use super::element::Element;
 use super::pickle::product;
 use super::{Container, EntryValue, ReadError, Tensor};
-
-pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
-/// NumPy itself reads no longer header unless told to.
-const MAX_HEADER_BYTES: usize = 10_000;
-const ALIGNMENT: usize = 64;
 
 /// What an array is made of.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -19,70 +16,23 @@ pub(super) enum ElementType {
     Text(usize),
 }
 
-/// What the header says.
-pub(super) struct Header {
-    pub(super) kind: ElementType,
-    pub(super) big_endian: bool,
-    pub(super) fortran_order: bool,
-    pub(super) shape: Vec<usize>,
-    /// Where the contents begin.
-    pub(super) end: usize,
-}
-
 /// Reads the header; `name` is the file's place in messages.
-pub(super) fn header(name: &str, bytes: &[u8]) -> Result<Header, ReadError> {
+pub(super) fn header(name: &str, bytes: &[u8]) -> Result<(Header, ElementType), ReadError> {
     let bad = |at: usize, detail: String| ReadError::Part {
         container: Container::Npy,
         part: format!("{name}header, byte {at}"),
         detail,
     };
-    let ends = || bad(bytes.len(), "the file ends here".to_owned());
-    if !bytes.starts_with(MAGIC) {
-        return Err(bad(0, "found no NumPy array".to_owned()));
-    }
-    let length_bytes = match bytes.get(6).ok_or_else(ends)? {
-        1 => 2,
-        2 | 3 => 4,
-        version => {
-            let detail = format!("found format version {version}, allowed: 1 to 3");
-            return Err(bad(6, detail));
-        }
-    };
-    if bytes.get(7).ok_or_else(ends)? != &0 {
-        let detail = format!("found minor version {}, allowed: 0", bytes[7]);
-        return Err(bad(7, detail));
-    }
-    let start = 8 + length_bytes;
-    let length = bytes.get(8..start).ok_or_else(ends)?.iter().rev();
-    let length = length.fold(0_usize, |length, byte| length << 8 | usize::from(*byte));
-    if length > MAX_HEADER_BYTES {
-        let detail = format!("found a length of {length}, allowed: {MAX_HEADER_BYTES}");
-        return Err(bad(8, detail));
-    }
-    let end = start + length;
-    let text = bytes.get(start..end).ok_or_else(ends)?;
-    let text = String::from_utf8_lossy(text);
-    let parsed = parse(&text);
-    let (descr, fortran_order, shape) = parsed.ok_or_else(|| {
-        let found: String = text.trim_end().chars().take(200).collect();
-        let allowed = "{'descr': '<f4', 'fortran_order': False, 'shape': (64, 11), }";
-        bad(start, format!("found {found:?}, allowed: {allowed}"))
-    })?;
-    let kind = kind(descr).ok_or_else(|| {
-        let found: String = descr.chars().take(50).collect();
+    let header = Header::read(bytes).map_err(|error| bad(error.at(), error.to_string()))?;
+    let kind = kind(&header.element).ok_or_else(|| {
         let allowed = "numbers, bytes of text and objects";
-        bad(
-            start,
-            format!("found element type {found:?}, allowed: {allowed}"),
-        )
+        let detail = format!(
+            "found element type {:?}, allowed: {allowed}",
+            header.element
+        );
+        bad(0, detail)
     })?;
-    Ok(Header {
-        kind,
-        big_endian: descr.starts_with('>'),
-        fortran_order,
-        shape,
-        end,
-    })
+    Ok((header, kind))
 }
 
 /// The element type that NumPy writes so.
@@ -91,52 +41,23 @@ fn kind(descr: &str) -> Option<ElementType> {
         return Some(ElementType::Objects);
     }
     if let Some(length) = descr.strip_prefix("|S") {
-        return size(length).map(ElementType::Text);
+        return length.parse().ok().map(ElementType::Text);
     }
     let code = descr.strip_prefix(['<', '>', '|'])?;
     Element::from_code(code).map(ElementType::Numbers)
 }
 
-/// Element type, order and shape, if the text is written as NumPy writes it.
-fn parse(text: &str) -> Option<(&str, bool, Vec<usize>)> {
-    let rest = text.strip_prefix("{'descr': '")?;
-    let (descr, rest) = rest.split_once("', 'fortran_order': ")?;
-    let (fortran_order, rest) = rest.split_once(", 'shape': (")?;
-    let fortran_order = match fortran_order {
-        "True" => true,
-        "False" => false,
-        _ => return None,
-    };
-    let (sizes, rest) = rest.split_once(')')?;
-    if rest.strip_suffix('\n')?.trim_end_matches(' ') != ", }" {
-        return None;
-    }
-    let sizes = sizes.strip_suffix(',').unwrap_or(sizes);
-    let shape: Option<Vec<usize>> = match sizes {
-        "" => Some(Vec::new()),
-        _ => sizes.split(", ").map(size).collect(),
-    };
-    shape
-        .filter(|shape| shape.len() <= 8)
-        .map(|shape| (descr, fortran_order, shape))
-}
-
-fn size(text: &str) -> Option<usize> {
-    let digits = text.len() <= 9 && text.bytes().all(|byte| byte.is_ascii_digit());
-    digits.then(|| text.parse().ok()).flatten()
-}
-
 /// An array of numbers, or a single text.
 pub(super) fn value(name: &str, bytes: &[u8]) -> Result<EntryValue, ReadError> {
-    let header = header(name, bytes)?;
-    let contents = &bytes[header.end..];
+    let (header, kind) = header(name, bytes)?;
+    let contents = &bytes[header.length()..];
     let bad = |detail: String| ReadError::Part {
         container: Container::Npy,
-        part: format!("{name}contents, byte {}", header.end),
+        part: format!("{name}contents, byte {}", header.length()),
         detail,
     };
-    let shape = header.shape;
-    let (size, what) = match header.kind {
+    let shape = header.shape.clone();
+    let (size, what) = match kind {
         ElementType::Numbers(element) => (element.size(), element.name()),
         ElementType::Text(length) if shape.is_empty() => (length, "text"),
         ElementType::Text(_) => {
@@ -153,10 +74,10 @@ pub(super) fn value(name: &str, bytes: &[u8]) -> Result<EntryValue, ReadError> {
         let detail = format!("found {found} bytes, the shape {shape:?} of {what} needs {needed}");
         return Err(bad(detail));
     }
-    match header.kind {
+    match kind {
         ElementType::Numbers(element) => {
-            let (big_endian, fortran_order) = (header.big_endian, header.fortran_order);
-            let tensor = Tensor::dense(shape, element, contents, big_endian, fortran_order);
+            let big_endian = header.element.starts_with('>');
+            let tensor = Tensor::dense(shape, element, contents, big_endian, header.fortran_order);
             Ok(EntryValue::Tensor(tensor))
         }
         _ => match std::str::from_utf8(contents) {
@@ -166,24 +87,9 @@ pub(super) fn value(name: &str, bytes: &[u8]) -> Result<EntryValue, ReadError> {
     }
 }
 
-/// An array file as NumPy writes it. `descr` is the element type and `contents` its bytes.
-pub(super) fn write(descr: &str, shape: &[usize], contents: &[u8]) -> Vec<u8> {
-    let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();
-    let comma = if shape.len() == 1 { "," } else { "" };
-    let sizes = sizes.join(", ");
-    let mut text =
-        format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({sizes}{comma}), }}");
-    let before = MAGIC.len() + 4;
-    let filled = (before + text.len() + 1).next_multiple_of(ALIGNMENT);
-    while before + text.len() + 1 < filled {
-        text.push(' ');
-    }
-    text.push('\n');
-    let mut bytes = MAGIC.to_vec();
-    bytes.extend([1, 0]);
-    // The header is a line with a few sizes: far below 64 KiB.
-    bytes.extend((text.len() as u16).to_le_bytes());
-    bytes.extend(text.bytes());
+/// An array file as NumPy writes it. `element` is the type and `contents` its bytes.
+pub(super) fn write(element: &str, shape: &[usize], contents: &[u8]) -> Vec<u8> {
+    let mut bytes = joulebus_dataset::npy::header(element, shape);
     bytes.extend(contents);
     bytes
 }

@@ -33,7 +33,7 @@ pub(super) struct Level {
 /// Lets the live path make intervals of every level, on every recording.
 ///
 /// # Errors
-/// FleetSettings that are refused.
+/// Settings that are refused.
 pub(super) fn levels(
     settings: &FleetSettings,
     platform: Option<&Platform>,

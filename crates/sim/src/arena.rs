@@ -2,6 +2,11 @@
 
 use std::f64::consts::TAU;
 
+use nalgebra::Vector2;
+
+/// A position in m, or a velocity in m/s: along the long side and along the short one.
+pub type Vector = Vector2<f64>;
+
 /// Largest linear velocity that is commanded, in m/s.
 pub const V_MAX_MPS: f64 = 0.2;
 /// Largest angular velocity that is commanded, in rad/s.
@@ -25,10 +30,8 @@ pub struct Command {
 /// Where a robot is.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Pose {
-    /// Position along the long side, m.
-    pub x_m: f64,
-    /// Position along the short side, m.
-    pub y_m: f64,
+    /// Position, m.
+    pub at_m: Vector,
     /// Heading from the x axis, rad, within ±π.
     pub theta_rad: f64,
 }
@@ -52,15 +55,21 @@ pub fn saturated(command: Command) -> Command {
     }
 }
 
+/// The unit vector of an angle from the x axis.
+#[must_use]
+pub fn direction(angle_rad: f64) -> Vector {
+    let (sin, cos) = libm::sincos(angle_rad);
+    Vector::new(cos, sin)
+}
+
 impl Pose {
     /// The pose after `dt_s` seconds of a command, the heading taken in the middle of the turn.
     #[must_use]
     pub fn driven(self, command: Command, dt_s: f64) -> Self {
         let Command { v_mps, omega_radps } = command;
-        let (sin, cos) = libm::sincos(self.theta_rad + 0.5 * omega_radps * dt_s);
+        let middle_rad = self.theta_rad + 0.5 * omega_radps * dt_s;
         Self {
-            x_m: self.x_m + v_mps * dt_s * cos,
-            y_m: self.y_m + v_mps * dt_s * sin,
+            at_m: self.at_m + direction(middle_rad) * (v_mps * dt_s),
             theta_rad: wrapped(self.theta_rad + omega_radps * dt_s),
         }
     }

@@ -19,10 +19,7 @@ use clarabel::solver::{
     DefaultSettings, DefaultSolver, IPSolver as _, NonnegativeConeT, SolverStatus,
 };
 
-use super::arena::HALF_ARENA_M;
-
-/// A position in m, or a velocity in m/s.
-pub type Vector = [f64; 2];
+use super::arena::{HALF_ARENA_M, Vector};
 
 /// An answer may miss a barrier's condition by this much, m/s or m²/s: the solver's accuracy.
 const TOLERANCE: f64 = 1e-7;
@@ -108,12 +105,8 @@ impl Condition {
     /// By how much velocities violate it; at most 0 where they do not.
     fn excess(&self, velocities: &[Vector]) -> f64 {
         let [a, b] = self.robots;
-        dot(self.slopes[0], velocities[a]) + dot(self.slopes[1], velocities[b]) - self.bound
+        self.slopes[0].dot(&velocities[a]) + self.slopes[1].dot(&velocities[b]) - self.bound
     }
-}
-
-fn dot(a: Vector, b: Vector) -> f64 {
-    a[0] * b[0] + a[1] * b[1]
 }
 
 impl Barrier {
@@ -189,25 +182,22 @@ impl Barrier {
     }
 
     fn pair(&self, robots: [usize; 2], [a, b]: [Vector; 2]) -> Condition {
-        let apart = [a[0] - b[0], a[1] - b[1]];
-        let h = dot(apart, apart) - self.distance_m * self.distance_m;
+        let apart = a - b;
+        let h = apart.norm_squared() - self.distance_m * self.distance_m;
         Condition {
             robots,
-            slopes: [
-                [-2.0 * apart[0], -2.0 * apart[1]],
-                [2.0 * apart[0], 2.0 * apart[1]],
-            ],
+            slopes: [apart * -2.0, apart * 2.0],
             bound: self.gain * h * h * h,
         }
     }
 
     fn wall(&self, robot: usize, axis: usize, side: f64, away_m: f64) -> Condition {
         let h = away_m - self.wall_m;
-        let mut slope = [0.0; 2];
+        let mut slope = Vector::zeros();
         slope[axis] = side;
         Condition {
             robots: [robot, robot],
-            slopes: [slope, [0.0; 2]],
+            slopes: [slope, Vector::zeros()],
             bound: self.wall_gain * h * h * h,
         }
     }
@@ -240,8 +230,8 @@ fn within_walls(conditions: &[Condition], wanted: &[Vector]) -> Vec<Vector> {
         let holds = condition.excess(&velocities) <= 0.0;
         if robot == other && !holds {
             // The slope of a wall is ±1 along its axis.
-            for (speed_mps, slope) in velocities[robot].iter_mut().zip(condition.slopes[0]) {
-                if slope != 0.0 {
+            for (speed_mps, slope) in velocities[robot].iter_mut().zip(&condition.slopes[0]) {
+                if *slope != 0.0 {
                     *speed_mps = slope * condition.bound;
                 }
             }
@@ -271,11 +261,11 @@ fn nearest(
         let condition = &conditions[*number];
         bounds.push(condition.bound);
         for (robot, slope) in condition.robots.into_iter().zip(condition.slopes) {
-            for (axis, slope) in slope.into_iter().enumerate() {
-                if slope != 0.0 {
+            for (axis, slope) in slope.iter().enumerate() {
+                if *slope != 0.0 {
                     row.push(line);
                     column.push(2 * place(robot) + axis);
-                    value.push(slope);
+                    value.push(*slope);
                 }
             }
         }
@@ -283,7 +273,7 @@ fn nearest(
     let slopes = CscMatrix::new_from_triplets(active.len(), variables, row, column, value);
     let linear: Vec<f64> = robots
         .iter()
-        .flat_map(|robot| wanted[*robot].map(|speed_mps| -speed_mps))
+        .flat_map(|robot| wanted[*robot].data.0[0].map(|speed_mps| -speed_mps))
         .collect();
     let unsolved = |status: String| BarrierError::Unsolved {
         robots: robots.len(),
@@ -309,7 +299,7 @@ fn nearest(
     }
     let mut velocities = wanted.to_vec();
     for (robot, speeds) in robots.iter().zip(solver.solution.x.chunks_exact(2)) {
-        velocities[*robot] = [speeds[0], speeds[1]];
+        velocities[*robot] = Vector::from_column_slice(speeds);
     }
     Ok(velocities)
 }

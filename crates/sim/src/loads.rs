@@ -24,7 +24,7 @@ const WIDEST: f64 = 2.5;
 #[derive(Clone, Copy, Debug)]
 struct Kept {
     drift: f64,
-    simd_level: f64,
+    processor: f64,
     roughness: f64,
     thermal: f64,
     burst: f64,
@@ -39,7 +39,7 @@ pub(super) struct Loads {
     electronics_w: f64,
     friction: [f64; 2],
     drift: f64,
-    simd_level: f64,
+    processor: f64,
     roughness: f64,
     warm_w: f64,
     wheels_mps: [f64; 2],
@@ -66,7 +66,7 @@ impl Loads {
             parts,
             kept: Kept {
                 drift: libm::exp(-POLL_S / parts.drift_time_s),
-                simd_level: libm::exp(-POLL_S / parts.processor_time_s),
+                processor: libm::exp(-POLL_S / parts.processor_time_s),
                 roughness: libm::exp(-POLL_S / parts.roughness_time_s),
                 thermal: libm::exp(-POLL_S / parts.thermal_time_s),
                 burst: libm::exp(-POLL_S * busy / parts.burst_time_s),
@@ -75,7 +75,7 @@ impl Loads {
             electronics_w: parts.electronics_w + parts.electronics_spread_w * spread() + extra_w,
             friction: std::array::from_fn(|_| 1.0 + parts.friction_spread * spread()),
             drift: noise.normal(),
-            simd_level: noise.normal(),
+            processor: noise.normal(),
             roughness: noise.normal(),
             warm_w: 0.0,
             wheels_mps: [0.0; 2],
@@ -121,13 +121,13 @@ impl Loads {
     pub(super) fn poll(&mut self, noise: &mut Noise) -> f64 {
         let Kept {
             drift,
-            simd_level,
+            processor,
             roughness,
             thermal,
             ..
         } = self.kept;
         self.drift = drifted(self.drift, drift, noise);
-        self.simd_level = drifted(self.simd_level, simd_level, noise);
+        self.processor = drifted(self.processor, processor, noise);
         self.roughness = drifted(self.roughness, roughness, noise);
         let smooth_w = if self.motors_s > 0.0 {
             self.motors_j / self.motors_s
@@ -141,7 +141,7 @@ impl Loads {
         self.stuck = false;
         self.electronics_w
             + self.parts.drift_w * self.drift
-            + self.parts.processor_w * self.simd_level * self.simd_level
+            + self.parts.processor_w * self.processor * self.processor
             + motors_w
             + self.parts.thermal_share * self.warm_w
             + self.radio_w(noise)
@@ -167,6 +167,6 @@ impl Loads {
 }
 
 /// A step of a mean-reverting drift of mean 0 and deviation 1 of which `kept` stays.
-fn drifted(value: f64, kept: f64, noise: &mut Noise) -> f64 {
+pub(super) fn drifted(value: f64, kept: f64, noise: &mut Noise) -> f64 {
     value * kept + libm::sqrt(1.0 - kept * kept) * noise.normal()
 }

@@ -8,7 +8,7 @@ pub(super) const POLL_S: f64 = 0.1;
 /// Time between two polls, ns.
 pub(super) const POLL_NS: u64 = 100_000_000;
 
-const POWER_STEP_W: f64 = 0.01;
+pub(super) const POWER_STEP_W: f64 = 0.01;
 const VOLTAGE_STEP_V: f64 = 1.25e-3;
 const CURRENT_STEP_A: f64 = 1.25e-3;
 
@@ -42,11 +42,7 @@ impl Battery {
     pub(super) fn measure(&mut self, power_w: f64, shown_w: f64) -> Measurement {
         self.drawn_j += power_w * POLL_S;
         let shown_w = shown_w.max(0.0);
-        let open_v = (FULL_V - FALL_V_PER_J * self.drawn_j).max(EMPTY_V);
-        // The voltage at which cell and load agree: u = open - R·P/u. A load beyond what the cell
-        // can give gets the voltage of the largest possible one.
-        let left = (open_v * open_v - 4.0 * RESISTANCE_OHM * shown_w).max(0.0);
-        let voltage_v = (open_v + libm::sqrt(left)) / 2.0;
+        let voltage_v = voltage_v(self.drawn_j, shown_w);
         Measurement {
             power_w: stepped(shown_w, POWER_STEP_W),
             voltage_v: stepped(voltage_v, VOLTAGE_STEP_V),
@@ -55,6 +51,15 @@ impl Battery {
     }
 }
 
-fn stepped(value: f64, step: f64) -> f64 {
+/// The voltage at which cell and load agree, u = open - R·P/u, after `drawn_j` have been taken. A load
+/// beyond what the cell can give gets the voltage of the largest possible one.
+pub(super) fn voltage_v(drawn_j: f64, power_w: f64) -> f64 {
+    let open_v = (FULL_V - FALL_V_PER_J * drawn_j).max(EMPTY_V);
+    let left = (open_v * open_v - 4.0 * RESISTANCE_OHM * power_w).max(0.0);
+    (open_v + libm::sqrt(left)) / 2.0
+}
+
+/// `value` in whole steps, as the monitor's converter gives it.
+pub(super) fn stepped(value: f64, step: f64) -> f64 {
     libm::round(value / step) * step
 }

@@ -18,12 +18,12 @@
 mod electrical;
 mod motion;
 
-use electrical::{Electrical, Measurement};
+use crate::monitor::{Measurement, POLL_NS};
+use electrical::Electrical;
 use joulebus_statistics::noise::Noise;
 use motion::Mission;
 use thiserror::Error;
 
-const POLL_PERIOD_NS: u64 = 100_000_000;
 const LONGEST_STEP_S: f64 = 1.0;
 
 /// What a controller has in hand at one control tick: the latest reading of a robot and the command
@@ -162,7 +162,7 @@ impl Robot {
         let mission = Mission::new(&mut noise);
         let electrical = Electrical::new(&mut noise);
         let measured = electrical.measure(0.0, &mut noise);
-        let next_poll_ns = (noise.uniform() * POLL_PERIOD_NS as f64) as u64;
+        let next_poll_ns = (noise.uniform() * POLL_NS as f64) as u64;
         let faults = Vec::new();
         Robot {
             noise,
@@ -183,7 +183,7 @@ impl Robot {
             now_ns = self.next_poll_ns;
             self.poll(now_ns);
             polled = true;
-            self.next_poll_ns += POLL_PERIOD_NS;
+            self.next_poll_ns += POLL_NS;
         }
         self.advance((end_ns - now_ns) as f64 * 1e-9);
         polled

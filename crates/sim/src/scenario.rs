@@ -9,8 +9,8 @@
 
 use std::path::PathBuf;
 
-use super::arena::{Command, HALF_ARENA_M, Pose, STEP_S, V_MAX_MPS, saturated};
-use super::barrier::{Answer, Barrier, Vector};
+use super::arena::{Command, HALF_ARENA_M, Pose, STEP_S, V_MAX_MPS, Vector, direction, saturated};
+use super::barrier::{Answer, Barrier};
 use super::body::Body;
 use super::parts::Parts;
 use super::protocol::{MADE, SAMPLES};
@@ -107,8 +107,10 @@ impl Fleet {
         let mut pose = |robot: usize| {
             let (column, line) = (robot % 4, robot / 4);
             Pose {
-                x_m: -1.2 + 0.8 * column as f64 + places.between(-0.1, 0.1),
-                y_m: -0.5 + line as f64 + places.between(-0.1, 0.1),
+                at_m: Vector::new(
+                    -1.2 + 0.8 * column as f64 + places.between(-0.1, 0.1),
+                    -0.5 + line as f64 + places.between(-0.1, 0.1),
+                ),
                 theta_rad: places.between(-PI, PI),
             }
         };
@@ -146,7 +148,7 @@ impl Fleet {
             }
             Err(_) => {
                 self.stopped_steps += 1;
-                vec![[0.0; 2]; ROBOTS]
+                vec![Vector::zeros(); ROBOTS]
             }
         };
         let robots = self.bodies.iter().zip(wanted).zip(allowed);
@@ -162,8 +164,7 @@ impl Fleet {
         let mut closest_m = f64::INFINITY;
         for (i, a) in self.bodies.iter().enumerate() {
             for b in &self.bodies[..i] {
-                let (dx_m, dy_m) = (a.pose.x_m - b.pose.x_m, a.pose.y_m - b.pose.y_m);
-                closest_m = closest_m.min(libm::sqrt(dx_m * dx_m + dy_m * dy_m));
+                closest_m = closest_m.min((a.pose.at_m - b.pose.at_m).norm());
             }
         }
         closest_m
@@ -172,16 +173,15 @@ impl Fleet {
 
 /// The projected point of a robot.
 fn point(pose: Pose) -> Vector {
-    let (sin, cos) = libm::sincos(pose.theta_rad);
-    [pose.x_m + PROJECTION_M * cos, pose.y_m + PROJECTION_M * sin]
+    pose.at_m + direction(pose.theta_rad) * PROJECTION_M
 }
 
 /// The command that moves the projected point at a velocity.
-fn command(pose: Pose, [x_mps, y_mps]: Vector) -> Command {
-    let (sin, cos) = libm::sincos(pose.theta_rad);
+fn command(pose: Pose, velocity: Vector) -> Command {
+    let ahead = direction(pose.theta_rad);
     Command {
-        v_mps: x_mps * cos + y_mps * sin,
-        omega_radps: (y_mps * cos - x_mps * sin) / PROJECTION_M,
+        v_mps: ahead.dot(&velocity),
+        omega_radps: ahead.perp(&velocity) / PROJECTION_M,
     }
 }
 
@@ -201,7 +201,7 @@ impl Walk {
     fn new(noise: Noise) -> Self {
         Self {
             noise,
-            wanted: [0.0; 2],
+            wanted: Vector::zeros(),
             left_s: 0.0,
         }
     }
@@ -218,18 +218,18 @@ impl Walk {
         let noise = &mut self.noise;
         self.left_s = noise.between(Self::LEAST_S, Self::MOST_S);
         let rests = noise.uniform() < Self::REST_SHARE;
-        let (sin, cos) = libm::sincos(noise.between(-PI, PI));
+        let ahead = direction(noise.between(-PI, PI));
         let speed_mps = noise.between(0.05, V_MAX_MPS);
         self.wanted = if rests {
-            [0.0; 2]
+            Vector::zeros()
         } else {
-            [speed_mps * cos, speed_mps * sin]
+            ahead * speed_mps
         };
         // Near a wall a walker turns to the middle, as one that sees the wall does.
         for (wanted_mps, (at_m, half_m)) in self
             .wanted
             .iter_mut()
-            .zip(point.into_iter().zip([HALF_ARENA_M.0, HALF_ARENA_M.1]))
+            .zip(point.iter().zip([HALF_ARENA_M.0, HALF_ARENA_M.1]))
         {
             if at_m.abs() > half_m - Self::MARGIN_M && at_m * *wanted_mps > 0.0 {
                 *wanted_mps = -*wanted_mps;

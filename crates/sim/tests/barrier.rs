@@ -1,8 +1,8 @@
 //! Collision avoidance: the quick way gives what the whole quadratic program gives, and what a slow
 //! solver of another kind gives; robots stay apart.
 
-use joulebus_sim::arena::{HALF_ARENA_M, ROBOT_M};
-use joulebus_sim::barrier::{Answer, Barrier, BarrierError, Vector};
+use joulebus_sim::arena::{HALF_ARENA_M, ROBOT_M, Vector};
+use joulebus_sim::barrier::{Answer, Barrier, BarrierError};
 use joulebus_sim::parts::Parts;
 use joulebus_sim::scenario;
 use proptest::prelude::*;
@@ -21,8 +21,8 @@ fn group() -> impl Strategy<Value = (Vec<Vector>, Vec<Vector>)> {
     (proptest::collection::vec(robot, 1..8), 0.2..1.0)
         .prop_map(|(robots, spread)| {
             let spread: f64 = spread;
-            let point = |&(x, y, _, _): &(f64, f64, f64, f64)| [x * spread, y * spread];
-            let wanted = |&(_, _, x, y): &(f64, f64, f64, f64)| [x, y];
+            let point = |&(x, y, _, _): &(f64, f64, f64, f64)| Vector::new(x * spread, y * spread);
+            let wanted = |&(_, _, x, y): &(f64, f64, f64, f64)| Vector::new(x, y);
             (
                 robots.iter().map(point).collect(),
                 robots.iter().map(wanted).collect(),
@@ -33,10 +33,9 @@ fn group() -> impl Strategy<Value = (Vec<Vector>, Vec<Vector>)> {
             |(points, _)| {
                 let points: &Vec<Vector> = points;
                 (1..points.len()).all(|i| {
-                    points[..i].iter().all(|other| {
-                        let (x, y) = (points[i][0] - other[0], points[i][1] - other[1]);
-                        x.hypot(y) > 0.23
-                    })
+                    points[..i]
+                        .iter()
+                        .all(|other| (points[i] - other).norm() > 0.23)
                 })
             },
         )
@@ -66,7 +65,7 @@ fn projected(barrier: Barrier, points: &[Vector], wanted: &[Vector]) -> Vec<Vect
             }
         }
     }
-    let mut velocities = wanted.concat();
+    let mut velocities: Vec<f64> = wanted.iter().flatten().copied().collect();
     let mut multipliers = vec![0.0; conditions.len()];
     for _ in 0..100_000 {
         let mut moved = 0.0_f64;
@@ -86,7 +85,7 @@ fn projected(barrier: Barrier, points: &[Vector], wanted: &[Vector]) -> Vec<Vect
     }
     velocities
         .chunks(2)
-        .map(|pair| [pair[0], pair[1]])
+        .map(Vector::from_column_slice)
         .collect()
 }
 
@@ -118,7 +117,7 @@ proptest! {
 
 #[test]
 fn one_velocity_is_needed_for_every_robot() {
-    let refused = Barrier::default().allowed(&[[0.0; 2]; 2], &[[0.0; 2]]);
+    let refused = Barrier::default().allowed(&[Vector::zeros(); 2], &[Vector::zeros()]);
     let expected = BarrierError::Lengths {
         points: 2,
         wanted: 1,

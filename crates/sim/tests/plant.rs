@@ -6,6 +6,7 @@ use joulebus_sim::arena::{OMEGA_MAX_RADPS, V_MAX_MPS};
 use joulebus_sim::plant::{Fault, Plant, PlantError, SimReading};
 use joulebus_sim::protocol::{Protocol, SAMPLES, UnknownTrial, trial};
 use joulebus_sim::scenario::{self, seven_robots};
+use nalgebra::{DVector, Dyn, OMatrix, RowVector5, U5};
 
 const DT_S: f64 = 1.0 / 30.0;
 
@@ -77,43 +78,19 @@ fn every_command_and_reading_is_one_that_the_platform_allows() {
 
 /// R² of the least-squares fit of power on a constant, v, ω, |v| and |ω|.
 fn velocities_alone(series: &[Vec<SimReading>]) -> f64 {
-    const TERMS: usize = 5;
-    let mut normal = [[0.0; TERMS + 1]; TERMS];
-    let mut powers = Vec::new();
-    for pair in series.iter().flat_map(|series| series.windows(2)) {
+    let pairs = || series.iter().flat_map(|series| series.windows(2));
+    let rows = pairs().map(|pair| {
         let (v, omega) = (f64::from(pair[0].v_mps), f64::from(pair[0].omega_radps));
-        let terms = [1.0, v, omega, v.abs(), omega.abs()];
-        let power = f64::from(pair[1].power_w);
-        for (i, line) in normal.iter_mut().enumerate() {
-            for (j, term) in terms.iter().enumerate() {
-                line[j] += terms[i] * term;
-            }
-            line[TERMS] += terms[i] * power;
-        }
-        powers.push((terms, power));
-    }
-    for pivot in 0..TERMS {
-        for other in 0..TERMS {
-            if other != pivot {
-                let share = normal[other][pivot] / normal[pivot][pivot];
-                let from = normal[pivot];
-                normal[other]
-                    .iter_mut()
-                    .zip(from)
-                    .for_each(|(x, y)| *x -= share * y);
-            }
-        }
-    }
-    let centre = mean(powers.iter().map(|(_, power)| *power));
-    let (mut left, mut total) = (0.0, 0.0);
-    for (terms, power) in &powers {
-        let fit: f64 = (0..TERMS)
-            .map(|i| terms[i] * normal[i][TERMS] / normal[i][i])
-            .sum();
-        left += (power - fit) * (power - fit);
-        total += (power - centre) * (power - centre);
-    }
-    1.0 - left / total
+        RowVector5::new(1.0, v, omega, v.abs(), omega.abs())
+    });
+    let terms = OMatrix::<f64, Dyn, U5>::from_rows(&rows.collect::<Vec<_>>());
+    let powers: Vec<f64> = pairs().map(|pair| f64::from(pair[1].power_w)).collect();
+    let powers = DVector::from_vec(powers);
+    let normal = (terms.tr_mul(&terms))
+        .cholesky()
+        .expect("no term is another's");
+    let residuals = &powers - &terms * normal.solve(&terms.tr_mul(&powers));
+    1.0 - residuals.norm_squared() / powers.add_scalar(-powers.mean()).norm_squared()
 }
 
 #[test]

@@ -1,13 +1,14 @@
 //! Linear baselines: least squares over any of the features that the network is shown.
 //!
-//! The columns are centred and scaled to unit deviation, and the normal equations are solved by a
-//! Cholesky factorisation in double precision, without a ridge. A column that never changes, or that
+//! The columns are centred and scaled to unit deviation, and the normal equations are solved by
+//! nalgebra's Cholesky factorisation in double precision, without a ridge. A column that never changes, or that
 //! the columns before it already determine, is left out and reported, so that a fit never fails on
 //! them and coefficients stay finite.
 
 use std::fmt;
 
 use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet, Features, LAGS};
+use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
 use serde::Serialize;
 
 use joulebus_dataset::rows::Row;
@@ -20,6 +21,8 @@ const TARGET: usize = FEATURES;
 /// Share of a column's variance that the columns before it must leave unexplained. Features are
 /// single precision, so less than the square of its rounding is no information.
 const LEAST_OWN_VARIANCE: f64 = 1e-10;
+
+type Columns = SVector<f64, COLUMNS>;
 
 /// A choice of features.
 ///
@@ -155,11 +158,12 @@ pub struct Moments {
     rows: usize,
     count: usize,
     /// Of the features, and of the reading at [`TARGET`].
-    mean: [f64; COLUMNS],
+    mean: Columns,
     /// Least and greatest value: equal where a column never changes.
-    range: [(f64, f64); COLUMNS],
-    /// Sums of products of deviations from the means; the lower triangle.
-    products: Box<[[f64; COLUMNS]; COLUMNS]>,
+    least: Columns,
+    greatest: Columns,
+    /// Sums of products of deviations from the means; only the lower triangle is read.
+    products: SMatrix<f64, COLUMNS, COLUMNS>,
 }
 
 impl Moments {
@@ -170,9 +174,10 @@ impl Moments {
             terms,
             rows: 0,
             count: 0,
-            mean: [0.0; COLUMNS],
-            range: [(f64::INFINITY, f64::NEG_INFINITY); COLUMNS],
-            products: Box::new([[0.0; COLUMNS]; COLUMNS]),
+            mean: Columns::zeros(),
+            least: Columns::repeat(f64::INFINITY),
+            greatest: Columns::repeat(f64::NEG_INFINITY),
+            products: SMatrix::zeros(),
         }
     }
 
@@ -182,34 +187,24 @@ impl Moments {
     pub fn of(rows: &[Row], terms: Terms) -> Moments {
         let mut moments = Moments::new(terms);
         moments.rows = rows.len();
-        let columns = moments.columns();
-        let usable: Vec<[f64; COLUMNS]> = rows
+        let usable: Vec<Columns> = rows
             .iter()
-            .map(values)
-            .filter(|values| columns.iter().all(|at| values[*at].is_finite()))
+            .map(|row| values(row, terms))
+            .filter(|values| values.iter().all(|value| value.is_finite()))
             .collect();
         moments.count = usable.len();
         if usable.is_empty() {
             return moments;
         }
-        for &at in &columns {
-            let column = || usable.iter().map(|values| values[at]);
-            moments.mean[at] = column().sum::<f64>() / usable.len() as f64;
-            moments.range[at] = (
-                column().fold(f64::INFINITY, f64::min),
-                column().fold(f64::NEG_INFINITY, f64::max),
-            );
-        }
         for values in &usable {
-            let mut apart = [0.0; COLUMNS];
-            for &at in &columns {
-                apart[at] = values[at] - moments.mean[at];
-            }
-            for (i, products) in moments.products.iter_mut().enumerate() {
-                for (product, other) in products[..=i].iter_mut().zip(&apart) {
-                    *product += apart[i] * other;
-                }
-            }
+            moments.mean += values;
+            moments.least = moments.least.inf(values);
+            moments.greatest = moments.greatest.sup(values);
+        }
+        moments.mean /= usable.len() as f64;
+        for values in &usable {
+            let apart = values - moments.mean;
+            moments.products.ger(1.0, &apart, &apart, 1.0);
         }
         moments
     }
@@ -231,15 +226,12 @@ impl Moments {
         }
         let share = other.count as f64 / (self.count + other.count) as f64;
         let weight = self.count as f64 * share;
-        let apart: [f64; COLUMNS] = std::array::from_fn(|at| other.mean[at] - self.mean[at]);
-        for i in 0..COLUMNS {
-            for j in 0..=i {
-                self.products[i][j] += other.products[i][j] + weight * apart[i] * apart[j];
-            }
-            self.mean[i] += share * apart[i];
-            let ((least, greatest), other) = (self.range[i], other.range[i]);
-            self.range[i] = (least.min(other.0), greatest.max(other.1));
-        }
+        let apart = other.mean - self.mean;
+        self.products += other.products;
+        self.products.ger(weight, &apart, &apart, 1.0);
+        self.mean += apart * share;
+        self.least = self.least.inf(&other.least);
+        self.greatest = self.greatest.sup(&other.greatest);
         self.count += other.count;
         Ok(())
     }
@@ -274,7 +266,7 @@ impl Moments {
         let coefficients: Vec<(usize, f64)> = kept
             .used
             .iter()
-            .zip(scaled)
+            .zip(&scaled)
             .map(|(&feature, scaled)| (feature, scaled / self.scale(feature)))
             .collect();
         let at_means: f64 = coefficients
@@ -292,56 +284,47 @@ impl Moments {
     }
 
     /// The features that are used, and the coefficients of their scaled columns.
-    fn solve(&self, terms: Terms) -> (Kept, Vec<f64>) {
+    fn solve(&self, terms: Terms) -> (Kept, DVector<f64>) {
         let mut kept = Kept::default();
-        // Row i: how the i-th used column is made of orthogonal ones; the Cholesky factor.
-        let mut factor: Vec<Vec<f64>> = Vec::new();
-        // The reading in terms of the same orthogonal columns.
-        let mut projected: Vec<f64> = Vec::new();
+        let mut cholesky = Cholesky::pack_dirty(DMatrix::zeros(0, 0));
         for feature in terms.features() {
-            let (least, greatest) = self.range[feature];
-            let changes = least < greatest;
+            let changes = self.least[feature] < self.greatest[feature];
             if !changes {
                 kept.dropped.push((feature, Dropped::Constant));
                 continue;
             }
-            let mut row: Vec<f64> = Vec::with_capacity(factor.len() + 1);
-            for (other, before) in kept.used.iter().zip(&factor) {
-                let known: f64 = row.iter().zip(before).map(|(a, b)| a * b).sum();
-                row.push((self.correlation(feature, *other) - known) / before[before.len() - 1]);
-            }
-            let own = 1.0 - row.iter().map(|a| a * a).sum::<f64>();
+            let place = kept.used.len();
+            let others = kept.used.iter();
+            let correlations = others.map(|other| self.correlation(feature, *other));
+            let column = DVector::from_iterator(place + 1, correlations.chain([1.0]));
+            let grown = cholesky.insert_column(place, column);
+            // NaN where rounding makes it negative.
+            let own = grown.l_dirty()[(place, place)].powi(2);
             let says_more = own > LEAST_OWN_VARIANCE;
             if !says_more {
                 kept.dropped.push((feature, Dropped::Dependent));
                 continue;
             }
-            let known: f64 = row.iter().zip(&projected).map(|(a, b)| a * b).sum();
-            let diagonal = libm::sqrt(own);
-            let target = self.product(feature, TARGET) / self.scale(feature);
-            projected.push((target - known) / diagonal);
-            row.push(diagonal);
-            factor.push(row);
+            cholesky = grown;
             kept.used.push(feature);
         }
-        (kept, back_substitute(&factor, &projected))
+        let target = |feature: &usize| self.product(*feature, TARGET) / self.scale(*feature);
+        let targets = DVector::from_iterator(kept.used.len(), kept.used.iter().map(target));
+        let scaled = cholesky.solve(&targets);
+        (kept, scaled)
     }
 
     /// Root of the sum of squared deviations.
     fn scale(&self, at: usize) -> f64 {
-        libm::sqrt(self.products[at][at])
+        self.products[(at, at)].sqrt()
     }
 
     fn product(&self, i: usize, j: usize) -> f64 {
-        self.products[i.max(j)][i.min(j)]
+        self.products[(i.max(j), i.min(j))]
     }
 
     fn correlation(&self, i: usize, j: usize) -> f64 {
         self.product(i, j) / (self.scale(i) * self.scale(j))
-    }
-
-    fn columns(&self) -> Vec<usize> {
-        self.terms.features().chain([TARGET]).collect()
     }
 }
 
@@ -351,22 +334,12 @@ struct Kept {
     dropped: Vec<(usize, Dropped)>,
 }
 
-/// Solves the transposed triangle.
-fn back_substitute(factor: &[Vec<f64>], projected: &[f64]) -> Vec<f64> {
-    let mut solved = projected.to_vec();
-    for i in (0..solved.len()).rev() {
-        let known: f64 = (i + 1..solved.len())
-            .map(|j| factor[j][i] * solved[j])
-            .sum();
-        solved[i] = (solved[i] - known) / factor[i][i];
-    }
-    solved
-}
-
-fn values(row: &Row) -> [f64; COLUMNS] {
-    std::array::from_fn(|at| match at {
+/// The features of `terms` and the reading; what is not asked for is 0.
+fn values(row: &Row, terms: Terms) -> Columns {
+    Columns::from_fn(|at, _| match at {
         TARGET => f64::from(row.target_w),
-        feature => f64::from(row.features[feature]),
+        feature if terms.has(feature) => f64::from(row.features[feature]),
+        _ => 0.0,
     })
 }
 

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufReader, Cursor, Read};
 use std::path::Path;
 
-use super::{GZIP_MAGIC, NPY_MAGIC, Table, Trial, TrialError, ZIP_MAGIC, npy, text};
+use super::{GZIP_MAGIC, Table, Trial, TrialError, ZIP_MAGIC, npy, text};
 
 const HEAD_BYTES: u64 = 8;
 
@@ -40,7 +40,7 @@ impl Table {
             });
         }
         let named_npy = path.extension().is_some_and(|extension| extension == "npy");
-        if head.starts_with(NPY_MAGIC) || named_npy {
+        if head.starts_with(crate::npy::MAGIC) || named_npy {
             let file_bytes = file.metadata().map_err(io)?.len();
             let whole = head.as_slice().chain(BufReader::new(file));
             npy::read(path, whole, file_bytes)

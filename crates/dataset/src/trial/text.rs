@@ -7,7 +7,7 @@ use csv::ByteRecord;
 use flate2::bufread::MultiGzDecoder;
 
 use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table, Tables};
-use super::{MAX_TEXT_BYTES, NPY_MAGIC, TrialError};
+use super::{MAX_TEXT_BYTES, TrialError};
 
 /// Reads the table; `zipped` says that the bytes are gzip.
 pub(super) fn read(
@@ -33,7 +33,7 @@ pub(super) fn read(
         Ok(header) => header.clone(),
         Err(error) => return Err(explain(path, zipped, reader.get_ref(), 0, error)),
     };
-    if header.as_slice().starts_with(NPY_MAGIC) {
+    if header.as_slice().starts_with(crate::npy::MAGIC) {
         return Err(TrialError::Kind {
             path: path.to_owned(),
             found: "a compressed NumPy array (decompress it first)",

@@ -9,7 +9,8 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 
 use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
-use super::{NPY_MAGIC, Trial, TrialError};
+use super::{Trial, TrialError};
+use crate::npy;
 
 /// A row that was not read from a trial's file.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -257,7 +258,7 @@ impl Table {
         let columns = columns
             .map(|column| self.column(*column))
             .collect::<Vec<_>>();
-        out.write_all(&array_header("<f8", self.rows(), 2 + Column::LAYOUT))?;
+        out.write_all(&npy::header("<f8", &[self.rows(), 2 + Column::LAYOUT]))?;
         for (row, time_s) in self.timestamp_s.iter().enumerate() {
             out.write_all(&robot.to_le_bytes())?;
             out.write_all(&time_s.to_le_bytes())?;
@@ -268,25 +269,6 @@ impl Table {
         }
         out.flush()
     }
-}
-
-/// What NumPy writes before an array of `rows` by `width` elements in C order; `descr` is their type
-/// in its notation. The data begin at a multiple of 64 bytes.
-pub(crate) fn array_header(descr: &str, rows: usize, width: usize) -> Vec<u8> {
-    const ALIGNMENT: usize = 64;
-    const BEFORE_TEXT: usize = 10;
-    let mut text =
-        format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({rows}, {width}), }}");
-    while !(BEFORE_TEXT + text.len() + 1).is_multiple_of(ALIGNMENT) {
-        text.push(' ');
-    }
-    text.push('\n');
-    let mut header = NPY_MAGIC.to_vec();
-    header.extend([1, 0]);
-    // Some hundred bytes: the longest number has twenty digits.
-    header.extend((text.len() as u16).to_le_bytes());
-    header.extend(text.as_bytes());
-    header
 }
 
 /// Writes a file that must not exist, so that it is there whole or not at all.

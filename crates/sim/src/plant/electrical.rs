@@ -1,6 +1,8 @@
 //! What the robots draw, and what the power monitor shows of it.
 
-use super::motion::Command;
+use crate::arena::{Command, wheels_mps};
+use crate::loads::drifted;
+use crate::monitor::{Measurement, POWER_STEP_W, stepped, voltage_v};
 use joulebus_statistics::noise::Noise;
 
 // Electronics, with the spread of manufacturing between robots (fitted).
@@ -17,7 +19,6 @@ const FRICTION_W_PER_MPS: f64 = 0.75;
 const FRICTION_SPREAD: f64 = 0.15;
 const LOSSES_W_PER_MPS2: f64 = 2.0;
 const ACCELERATION_W_PER_M2PS3: f64 = 2.0;
-const WHEEL_DISTANCE_M: f64 = 0.11;
 const MOTOR_TIME_S: f64 = 0.08;
 // Radio bursts (fitted).
 const BURST_EVERY_S: f64 = 1.2;
@@ -29,20 +30,6 @@ const INRUSH_LENGTH_S: f64 = 0.12;
 const INRUSH_W: (f64, f64) = (1.0, 3.9);
 // Monitor: INA260.
 const MONITOR_NOISE_W: f64 = 0.01;
-const MONITOR_STEP_W: f64 = 0.01;
-// Battery (assumed): one lithium cell and its wiring.
-const FULL_V: f64 = 4.1;
-const FALL_V_PER_J: f64 = 2.5e-5;
-const EMPTY_V: f64 = 3.3;
-const RESISTANCE_OHM: f64 = 0.09;
-
-/// One reading of the power monitor.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Measurement {
-    pub(super) power_w: f64,
-    pub(super) voltage_v: f64,
-    pub(super) current_a: f64,
-}
 
 /// The electrical side of one robot.
 #[derive(Clone, Debug)]
@@ -50,7 +37,7 @@ pub(super) struct Electrical {
     electronics_w: f64,
     friction: f64,
     thermal: f64,
-    simd_level: f64,
+    processor: f64,
     wheels_mps: [f64; 2],
     motors_w: f64,
     burst: Burst,
@@ -64,7 +51,7 @@ impl Electrical {
             electronics_w: ELECTRONICS_W + ELECTRONICS_SPREAD_W * noise.normal().clamp(-2.5, 2.5),
             friction: 1.0 + FRICTION_SPREAD * noise.normal().clamp(-2.5, 2.5),
             thermal: noise.normal(),
-            simd_level: noise.normal(),
+            processor: noise.normal(),
             wheels_mps: [0.0; 2],
             motors_w: 0.0,
             burst: Burst::new(BURST_EVERY_S, BURST_LENGTH_S, BURST_W, noise),
@@ -77,8 +64,8 @@ impl Electrical {
         if dt_s <= 0.0 {
             return;
         }
-        self.thermal = drifted(self.thermal, THERMAL_TIME_S, dt_s, noise);
-        self.simd_level = drifted(self.simd_level, PROCESSOR_TIME_S, dt_s, noise);
+        self.thermal = drifted(self.thermal, libm::exp(-dt_s / THERMAL_TIME_S), noise);
+        self.processor = drifted(self.processor, libm::exp(-dt_s / PROCESSOR_TIME_S), noise);
         self.turn_wheels(dt_s, command);
         self.burst.advance(dt_s, noise);
         self.inrush.advance(dt_s, noise);
@@ -86,15 +73,9 @@ impl Electrical {
     }
 
     fn turn_wheels(&mut self, dt_s: f64, command: Command) {
-        let Command { v_mps, omega_radps } = command;
-        let turn_mps = omega_radps * WHEEL_DISTANCE_M / 2.0;
         let reached = 1.0 - libm::exp(-dt_s / MOTOR_TIME_S);
         self.motors_w = 0.0;
-        for (wheel_mps, wanted_mps) in self
-            .wheels_mps
-            .iter_mut()
-            .zip([v_mps - turn_mps, v_mps + turn_mps])
-        {
+        for (wheel_mps, wanted_mps) in self.wheels_mps.iter_mut().zip(wheels_mps(command)) {
             let change_mps = (wanted_mps - *wheel_mps) * reached;
             *wheel_mps += change_mps;
             let speed_mps = wheel_mps.abs();
@@ -106,10 +87,12 @@ impl Electrical {
         }
     }
 
+    /// Loads that drift are a drift's square times their mean: never negative, with a long tail, as the
+    /// published readings are.
     fn power_w(&self) -> f64 {
         self.electronics_w
             + THERMAL_MEAN_W * self.thermal * self.thermal
-            + PROCESSOR_MEAN_W * self.simd_level * self.simd_level
+            + PROCESSOR_MEAN_W * self.processor * self.processor
             + self.motors_w
             + self.burst.power_w
             + self.inrush.power_w
@@ -118,26 +101,14 @@ impl Electrical {
     /// What the monitor shows, with an additional load.
     pub(super) fn measure(&self, extra_w: f64, noise: &mut Noise) -> Measurement {
         let shown_w = self.power_w() + extra_w + MONITOR_NOISE_W * noise.normal();
-        let power_w = libm::round(shown_w.max(0.0) / MONITOR_STEP_W) * MONITOR_STEP_W;
-        let open_v = (FULL_V - FALL_V_PER_J * self.drawn_j).max(EMPTY_V);
-        // The voltage at which cell and load agree: u = open - R·P/u. No load of interest exceeds
-        // what the cell can give, and one that does gets the voltage of the largest possible.
-        let voltage_v = (open_v
-            + libm::sqrt((open_v * open_v - 4.0 * RESISTANCE_OHM * power_w).max(0.0)))
-            / 2.0;
+        let power_w = stepped(shown_w.max(0.0), POWER_STEP_W);
+        let voltage_v = voltage_v(self.drawn_j, power_w);
         Measurement {
             power_w,
             voltage_v,
             current_a: power_w / voltage_v,
         }
     }
-}
-
-/// One step of a mean-reverting drift of mean 0 and deviation 1; exact for any step. Loads are its
-/// square times their mean: never negative, with a long tail, as the published readings are.
-fn drifted(value: f64, time_s: f64, dt_s: f64, noise: &mut Noise) -> f64 {
-    let kept = libm::exp(-dt_s / time_s);
-    value * kept + libm::sqrt(1.0 - kept * kept) * noise.normal()
 }
 
 /// A load that comes and goes.

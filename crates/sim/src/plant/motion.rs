@@ -1,8 +1,8 @@
 //! Where the robots go: from waypoint to waypoint with pauses, as in a coverage experiment.
 
-use crate::arena::{OMEGA_MAX_RADPS, V_MAX_MPS};
+use crate::arena::{Command, OMEGA_MAX_RADPS, Pose, V_MAX_MPS, Vector, direction, wrapped};
 use joulebus_statistics::noise::Noise;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 
 const ARENA_M: (f64, f64) = (3.2, 2.0);
 const ARRIVED_M: f64 = 0.03;
@@ -16,21 +16,13 @@ const WANDER_TIME_S: f64 = 1.0;
 const V_SLEW_MPS2: f64 = 0.5;
 const OMEGA_SLEW_RADPS2: f64 = 12.0;
 
-/// Velocities in force.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Command {
-    pub(super) v_mps: f64,
-    pub(super) omega_radps: f64,
-}
-
 #[derive(Clone, Copy, Debug)]
 enum Leg {
     Pause {
         left_s: f64,
     },
     Drive {
-        x_m: f64,
-        y_m: f64,
+        goal_m: Vector,
         speed_mps: f64,
         reverse: bool,
     },
@@ -39,9 +31,7 @@ enum Leg {
 /// A robot's pose, its current leg and the command in force.
 #[derive(Clone, Debug)]
 pub(super) struct Mission {
-    x_m: f64,
-    y_m: f64,
-    heading_rad: f64,
+    pose: Pose,
     leg: Leg,
     wander_radps: f64,
     command: Command,
@@ -50,17 +40,15 @@ pub(super) struct Mission {
 impl Mission {
     pub(super) fn new(noise: &mut Noise) -> Mission {
         Mission {
-            x_m: noise.between(0.0, ARENA_M.0),
-            y_m: noise.between(0.0, ARENA_M.1),
-            heading_rad: noise.between(-PI, PI),
+            pose: Pose {
+                at_m: place(noise),
+                theta_rad: noise.between(-PI, PI),
+            },
             leg: Leg::Pause {
                 left_s: noise.waiting_s(PAUSE_MEAN_S),
             },
             wander_radps: 0.0,
-            command: Command {
-                v_mps: 0.0,
-                omega_radps: 0.0,
-            },
+            command: Command::default(),
         }
     }
 
@@ -68,12 +56,12 @@ impl Mission {
         self.command
     }
 
-    /// QuantileStep the robot under the command in force.
+    /// Moves the robot under the command in force.
     pub(super) fn drive(&mut self, dt_s: f64) {
         let Command { v_mps, omega_radps } = self.command;
-        self.x_m += v_mps * dt_s * libm::cos(self.heading_rad);
-        self.y_m += v_mps * dt_s * libm::sin(self.heading_rad);
-        self.heading_rad = wrapped(self.heading_rad + omega_radps * dt_s);
+        let Pose { at_m, theta_rad } = &mut self.pose;
+        *at_m += direction(*theta_rad) * (v_mps * dt_s);
+        *theta_rad = wrapped(*theta_rad + omega_radps * dt_s);
     }
 
     /// The controller's decision at a tick, `dt_s` after the one before.
@@ -97,31 +85,23 @@ impl Mission {
                 self.leg = Leg::Pause {
                     left_s: left_s - dt_s,
                 };
-                Command {
-                    v_mps: 0.0,
-                    omega_radps: 0.0,
-                }
+                Command::default()
             }
             Leg::Pause { .. } => {
                 self.leg = Leg::Drive {
-                    x_m: noise.between(0.0, ARENA_M.0),
-                    y_m: noise.between(0.0, ARENA_M.1),
+                    goal_m: place(noise),
                     speed_mps: noise.between(SLOWEST_MPS, V_MAX_MPS),
                     reverse: noise.uniform() < REVERSE_SHARE,
                 };
-                Command {
-                    v_mps: 0.0,
-                    omega_radps: 0.0,
-                }
+                Command::default()
             }
             Leg::Drive {
-                x_m,
-                y_m,
+                goal_m,
                 speed_mps,
                 reverse,
             } => {
-                let (dx_m, dy_m) = (x_m - self.x_m, y_m - self.y_m);
-                let distance_m = libm::sqrt(dx_m * dx_m + dy_m * dy_m);
+                let left_m = goal_m - self.pose.at_m;
+                let distance_m = left_m.norm();
                 if distance_m < ARRIVED_M {
                     self.leg = Leg::Pause {
                         left_s: noise.waiting_s(PAUSE_MEAN_S),
@@ -131,7 +111,8 @@ impl Mission {
                 self.wander_radps = self.wander_radps * kept
                     + WANDER_RADPS * libm::sqrt(1.0 - kept * kept) * noise.normal();
                 let behind = if reverse { PI } else { 0.0 };
-                let error_rad = wrapped(libm::atan2(dy_m, dx_m) + behind - self.heading_rad);
+                let error_rad =
+                    wrapped(libm::atan2(left_m.y, left_m.x) + behind - self.pose.theta_rad);
                 let speed_mps = speed_mps.min(APPROACH_PER_S * distance_m);
                 let v_mps = speed_mps * libm::cos(error_rad).max(0.0);
                 let omega_radps = TURN_PER_S * error_rad + self.wander_radps;
@@ -144,7 +125,7 @@ impl Mission {
     }
 }
 
-/// The same angle within ±π, for angles that are at most a few turns off.
-fn wrapped(angle_rad: f64) -> f64 {
-    angle_rad - TAU * libm::round(angle_rad / TAU)
+/// Anywhere in the arena.
+fn place(noise: &mut Noise) -> Vector {
+    Vector::new(noise.between(0.0, ARENA_M.0), noise.between(0.0, ARENA_M.1))
 }

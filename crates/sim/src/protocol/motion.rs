@@ -1,7 +1,7 @@
 //! What the robot is told in each protocol, step by step.
 
 use super::Protocol;
-use crate::arena::{Command, HALF_ARENA_M, Pose, STEP_S, V_MAX_MPS, wrapped};
+use crate::arena::{Command, HALF_ARENA_M, Pose, STEP_S, V_MAX_MPS, Vector, direction, wrapped};
 use joulebus_statistics::noise::Noise;
 
 /// A robot closer to a wall than this turns back, m.
@@ -35,7 +35,7 @@ pub(super) struct Motion {
     stretch: Stretch,
     step: u32,
     turned_back: bool,
-    goal_m: Option<(f64, f64)>,
+    goal_m: Option<Vector>,
 }
 
 impl Motion {
@@ -83,7 +83,10 @@ impl Motion {
             HALF_ARENA_M.0 - GOAL_MARGIN_M,
             HALF_ARENA_M.1 - GOAL_MARGIN_M,
         );
-        self.goal_m = Some((noise.between(-x_m, x_m), noise.between(-y_m, y_m)));
+        self.goal_m = Some(Vector::new(
+            noise.between(-x_m, x_m),
+            noise.between(-y_m, y_m),
+        ));
         self.stretch.phase = 1;
     }
 
@@ -120,12 +123,12 @@ impl Motion {
             ..command
         };
         let wanted = if self.turned_back { reversed } else { command };
-        let (sin, cos) = libm::sincos(pose.theta_rad);
+        let velocity = direction(pose.theta_rad) * wanted.v_mps;
         let leads_out = |at_m: f64, half_m: f64, speed_mps: f64| {
             at_m.abs() > half_m - MARGIN_M && at_m * speed_mps > 0.0
         };
-        if leads_out(pose.x_m, HALF_ARENA_M.0, wanted.v_mps * cos)
-            || leads_out(pose.y_m, HALF_ARENA_M.1, wanted.v_mps * sin)
+        if leads_out(pose.at_m.x, HALF_ARENA_M.0, velocity.x)
+            || leads_out(pose.at_m.y, HALF_ARENA_M.1, velocity.y)
         {
             self.turned_back = !self.turned_back;
             return if self.turned_back { reversed } else { command };
@@ -151,13 +154,13 @@ fn ramp(phase: u32, from: Command, to: Command, time_s: f64) -> Stretch {
 }
 
 /// The command that leads to a goal, `None` once it is reached.
-fn towards((x_m, y_m): (f64, f64), pose: Pose) -> Option<Command> {
-    let (dx_m, dy_m) = (x_m - pose.x_m, y_m - pose.y_m);
-    let distance_m = libm::sqrt(dx_m * dx_m + dy_m * dy_m);
+fn towards(goal_m: Vector, pose: Pose) -> Option<Command> {
+    let left_m = goal_m - pose.at_m;
+    let distance_m = left_m.norm();
     if distance_m < ARRIVED_M {
         return None;
     }
-    let off_rad = wrapped(libm::atan2(dy_m, dx_m) - pose.theta_rad);
+    let off_rad = wrapped(libm::atan2(left_m.y, left_m.x) - pose.theta_rad);
     let speed_mps = (APPROACH_PER_S * distance_m).min(GOAL_MPS);
     Some(Command {
         v_mps: speed_mps * libm::cos(off_rad).max(0.0),
