@@ -1,6 +1,5 @@
 //! What the network is shown.
 
-use crate::ReadingAge;
 use std::ops::Range;
 
 /// Number of power readings in the lag window.
@@ -9,8 +8,8 @@ pub const LAGS: usize = 5;
 /// Number of features that the paper's network reads: the first ones of a row.
 pub const FEATURES: usize = 11;
 
-/// Number of features of one row: the paper's, and then the two of [`ReadingAge`].
-pub const INPUTS: usize = FEATURES + ReadingAge::FEATURES;
+/// Number of features of one row: the paper's, and then the two of [`crate::ReadingAge`].
+pub const INPUTS: usize = FEATURES + 2;
 
 /// One row of raw features in SI units, in the order of [`FEATURE_NAMES`]. What is not known is NaN.
 pub type Features = [f32; INPUTS];
@@ -39,7 +38,7 @@ pub const FEATURE_NAMES: [&str; INPUTS] = [
 /// Without a previous command both derivatives are 0. A time step that is not positive makes both
 /// derivatives NaN, so that the forecast is visibly invalid instead of plausible and wrong.
 ///
-/// The features of freshness are NaN: [`ReadingAge::fill`] sets them.
+/// The features of freshness are NaN: [`crate::ReadingAge::fill`] sets them.
 #[inline(always)]
 pub fn features(
     v_mps: f32,

@@ -3,16 +3,17 @@
 //! The header is written here instead of by the `safetensors` crate, which takes the metadata in an
 //! order that changes from run to run: the same model has to give the same bytes.
 
-use crate::model::leading_u64;
-use crate::network::layer_sizes;
-use crate::{
-    Activation, FEATURE_NAMES, FeatureSet, Features, INPUTS, Layer, Linear, ModelCard, ModelError,
-    Normalisation, Parameters, ResidualStats, Scores, TrainingRange,
-};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};
 use std::str::FromStr;
+
+use crate::card::{ModelCard, ResidualStats, Scores, TrainingRange};
+use crate::error::ModelError;
+use crate::features::{FEATURE_NAMES, FeatureSet, Features, INPUTS};
+use crate::gelu::Activation;
+use crate::linear::Linear;
+use crate::parameters::{Layer, Normalisation, Parameters, layer_sizes};
 
 const FORMAT: &str = "joulebus-model";
 const VERSION: &str = "1";
@@ -403,4 +404,12 @@ fn digest<'a>(
 
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The first eight bytes, most significant first.
+pub(crate) fn leading_u64(digest: &[u8]) -> u64 {
+    digest
+        .iter()
+        .take(8)
+        .fold(0, |hash, &byte| hash << 8 | u64::from(byte))
 }

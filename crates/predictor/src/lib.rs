@@ -17,6 +17,8 @@
 //! columns and rollouts; the scalar [`Network::predict_reference_f32`] is the definition that the
 //! kernels are tested against. Forecasts that are not a number are all the one [`f32::NAN`].
 
+mod card;
+mod check;
 mod error;
 mod features;
 mod file;
@@ -24,16 +26,22 @@ mod gelu;
 mod kernel;
 mod linear;
 mod model;
+mod nan;
 mod network;
+mod parameters;
+mod persistence;
 mod reading_age;
 mod rollout;
 
+pub use card::{ModelCard, ResidualStats, Scores, TrainingRange};
 pub use error::{ModelError, RolloutError};
 pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, features};
 pub use gelu::Activation;
 pub use kernel::{Kernel, SimdLevel, SimdTask, Tiling, prefetch};
 pub use linear::Linear;
-pub use model::{Model, Persistence, ResidualStats, TrainingRange};
-pub use network::{HIDDEN, Layer, ModelCard, Network, Normalisation, Parameters, Scores};
+pub use model::Model;
+pub use network::Network;
+pub use parameters::{HIDDEN, Layer, Normalisation, Parameters};
+pub use persistence::Persistence;
 pub use reading_age::ReadingAge;
 pub use rollout::{RolloutStart, Rollouts};

@@ -1,6 +1,7 @@
 //! The linear baseline: AR(5) and velocities.
 
-use crate::{FeatureSet, Features, INPUTS, ModelError};
+use crate::error::ModelError;
+use crate::features::{FeatureSet, Features, INPUTS};
 
 /// A forecast that is linear in the features: the last five readings (an autoregression, AR(5)) and,
 /// where they are read, the velocities. The trainer fits it by least squares on the rows that the

@@ -1,97 +1,16 @@
 //! A model as the tick sees it: the network or a baseline.
 
-use crate::{FEATURE_NAMES, FeatureSet, Features, INPUTS, Linear, ModelError, Network, SimdLevel};
-use sha2::{Digest, Sha256};
+use std::ops::Range;
 
-/// How far a model's forecasts were off on data that it was not trained on.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ResidualStats {
-    /// Standard deviation of reading minus forecast, in watt, not negative.
-    pub std_w: f32,
-    /// 5 % quantile of reading minus forecast, in watt.
-    pub q05_w: f32,
-    /// 95 % quantile of reading minus forecast, in watt, at least `q05_w`.
-    pub q95_w: f32,
-}
-
-impl ResidualStats {
-    /// Refuses values that are not finite or contradict one another.
-    pub fn check(&self) -> Result<(), ModelError> {
-        let std_fine = self.std_w >= 0.0 && self.std_w.is_finite();
-        if !std_fine {
-            return Err(ModelError::field(
-                "residual_std_w",
-                &self.std_w,
-                "finite and >= 0",
-            ));
-        }
-        let ordered = self.q05_w.is_finite() && self.q95_w.is_finite() && self.q05_w <= self.q95_w;
-        if !ordered {
-            let found = format!("{} to {}", self.q05_w, self.q95_w);
-            return Err(ModelError::field(
-                "residual_q05_w to residual_q95_w",
-                &found,
-                "ascending",
-            ));
-        }
-        Ok(())
-    }
-}
-
-/// Smallest and largest value of each feature in the training data, in SI units.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TrainingRange {
-    /// The features that the model reads; the entries of the others mean nothing.
-    pub feature_set: FeatureSet,
-    /// Smallest value of each feature.
-    pub min: Features,
-    /// Largest value of each feature.
-    pub max: Features,
-}
-
-impl TrainingRange {
-    /// Position of the first feature that the model reads and that lies outside the range, or is
-    /// NaN; `None` if all lie inside. `margin` widens each side by that share of the range's width.
-    pub fn outside(&self, row: &Features, margin: f32) -> Option<usize> {
-        self.feature_set.range().find(|&index| {
-            let slack = margin * (self.max[index] - self.min[index]);
-            let inside =
-                self.min[index] - slack <= row[index] && row[index] <= self.max[index] + slack;
-            !inside
-        })
-    }
-}
-
-/// The baseline that repeats the last reading.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Persistence {
-    residual: ResidualStats,
-    hash: u64,
-}
-
-impl Persistence {
-    /// Persistence with the residuals that it has on the platform's data; they set the width of
-    /// the first intervals. Refuses residuals that are not finite or contradict one another.
-    pub fn new(residual: ResidualStats) -> Result<Persistence, ModelError> {
-        residual.check()?;
-        let mut digest = Sha256::new();
-        digest.update(b"persistence");
-        for value in [residual.std_w, residual.q05_w, residual.q95_w] {
-            digest.update(value.to_le_bytes());
-        }
-        Ok(Persistence {
-            residual,
-            hash: leading_u64(&digest.finalize()),
-        })
-    }
-}
-
-pub(crate) fn leading_u64(digest: &[u8]) -> u64 {
-    digest
-        .iter()
-        .take(8)
-        .fold(0, |hash, &byte| hash << 8 | u64::from(byte))
-}
+use crate::card::{ResidualStats, TrainingRange};
+use crate::error::RolloutError;
+use crate::features::{FEATURE_NAMES, FeatureSet, Features, INPUTS};
+use crate::kernel::SimdLevel;
+use crate::linear::Linear;
+use crate::nan::canonical;
+use crate::network::Network;
+use crate::persistence::Persistence;
+use crate::rollout::Rollouts;
 
 /// What forecasts the power of the robots of one platform.
 #[derive(Clone, Debug)]
@@ -208,5 +127,59 @@ impl Model {
             Model::Network(network) => network.card().linear.as_ref(),
             Model::Persistence(_) => None,
         }
+    }
+
+    /// Runs the candidates of `lanes` and writes the energy of each in joule, and if wanted its
+    /// forecast of every step in watt (step by step: `power_w[t * lanes.len() + l]`).
+    ///
+    /// At each step the model sees the command of that step, the derivatives over `step_s`, and as
+    /// lag window its own forecasts, with the robot's readings behind them. The bits are those of
+    /// [`Model::predict`] called step by step by hand with rows of [`features`](crate::features()); the energy is
+    /// `step_s` times the sum of the forecasts in step order, both in double precision, rounded
+    /// once. A lane with a command or reading that is not finite gives results that are not finite
+    /// from that step on, and changes no other lane.
+    ///
+    /// `lanes` is a part of `0..rollouts.lanes()`, so that threads can share the work: the outputs
+    /// are those of the part alone. Allocates nothing.
+    ///
+    /// # Errors
+    /// [`RolloutError`] where the time step is not positive and finite, lanes do not exist, or a slice
+    /// has another length than the shape says; nothing is written then.
+    pub fn rollout(
+        &self,
+        rollouts: &Rollouts<'_>,
+        lanes: Range<usize>,
+        energy_j: &mut [f32],
+        power_w: Option<&mut [f32]>,
+    ) -> Result<(), RolloutError> {
+        rollouts.check(&lanes, energy_j.len(), power_w.as_deref().map(<[f32]>::len))?;
+        match self {
+            Model::Network(network) => {
+                network.rollout(rollouts, lanes.start, energy_j, power_w);
+            }
+            Model::Persistence(_) => repeat(rollouts, lanes, energy_j, power_w),
+        }
+        Ok(())
+    }
+}
+
+/// Persistence fed with its own forecasts: the newest reading for ever.
+fn repeat(
+    rollouts: &Rollouts<'_>,
+    lanes: Range<usize>,
+    energy_j: &mut [f32],
+    mut power_w: Option<&mut [f32]>,
+) {
+    let count = lanes.len();
+    for (index, lane) in lanes.enumerate() {
+        let [newest_w, ..] = rollouts.starts[lane / rollouts.candidates].lag_w;
+        let mut sum_w = 0.0f64;
+        for step in 0..rollouts.steps {
+            sum_w += f64::from(newest_w);
+            if let Some(power_w) = power_w.as_deref_mut() {
+                power_w[step * count + index] = newest_w;
+            }
+        }
+        energy_j[index] = canonical((sum_w * f64::from(rollouts.step_s)) as f32);
     }
 }

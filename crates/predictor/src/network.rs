@@ -1,87 +1,16 @@
 //! The network's parameters, and its slow, obvious evaluation.
 
+use nalgebra::{DMatrix, DVector};
+
+use crate::card::ModelCard;
+use crate::check::{check_card, check_parameters};
+use crate::error::ModelError;
+use crate::features::{FeatureSet, Features, INPUTS};
 use crate::file;
 use crate::kernel::{Engine, Kernel, LINE, Packed, SimdLevel, Tiling, fold, pairwise};
-use crate::{
-    Activation, FEATURE_NAMES, FeatureSet, Features, INPUTS, Linear, ModelError, ResidualStats,
-    Rollouts, TrainingRange,
-};
-
-/// Widths of the hidden layers.
-pub const HIDDEN: [usize; 3] = [64, 64, 32];
-
-/// A dense layer.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Layer {
-    /// Weights, row-major, one row of inputs for each output.
-    pub weights: Vec<f32>,
-    /// One bias for each output.
-    pub bias: Vec<f32>,
-}
-
-/// Training statistics that scale features and power to zero mean and unit deviation.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Normalisation {
-    /// Mean of each feature, in its unit.
-    pub feature_mean: Features,
-    /// Standard deviation of each feature; 0 for a constant feature, which is then ignored.
-    pub feature_std: Features,
-    /// Mean power in watt.
-    pub power_mean_w: f32,
-    /// Standard deviation of power in watt, positive: the output scale.
-    pub power_std_w: f32,
-}
-
-/// Everything that decides a forecast.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Parameters {
-    /// The features that are read; entries of the others in the normalisation mean nothing.
-    pub feature_set: FeatureSet,
-    /// Statistics of the training data.
-    pub normalisation: Normalisation,
-    /// What follows each hidden layer.
-    pub activation: Activation,
-    /// Inputs→64, 64→64, 64→32, 32→1.
-    pub layers: [Layer; 4],
-}
-
-/// Scores on held-out data, with persistence beside the network.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Scores {
-    /// Number of forecasts scored.
-    pub rows: u64,
-    /// Coefficient of determination of the network.
-    pub network_r2: f32,
-    /// Mean absolute error of the network in watt.
-    pub network_mae_w: f32,
-    /// Coefficient of determination of persistence.
-    pub persistence_r2: f32,
-    /// Mean absolute error of persistence in watt.
-    pub persistence_mae_w: f32,
-}
-
-/// Where a network comes from and how good it was.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ModelCard {
-    /// Name for people.
-    pub name: String,
-    /// `simulation` or a description of the recordings.
-    pub source: String,
-    /// Description of the training data.
-    pub training_data: String,
-    /// SHA-256 of the training rows, hexadecimal.
-    pub training_data_sha256: String,
-    /// Seed of initial weights, batches and dropout.
-    pub seed: u64,
-    /// Range of the features in training.
-    pub training_range: TrainingRange,
-    /// Residuals on held-out data.
-    pub residual: ResidualStats,
-    /// Scores on held-out data.
-    pub scores: Scores,
-    /// The linear forecast fitted to the same rows, if there is one.
-    pub linear: Option<Linear>,
-}
+use crate::nan::canonical;
+use crate::parameters::{Layer, Normalisation, Parameters};
+use crate::rollout::Rollouts;
 
 /// A network that passed every check and is ready to run.
 #[derive(Clone, Debug)]
@@ -95,8 +24,11 @@ pub struct Network {
 }
 
 impl Network {
-    /// A network from its parts. Refuses wrong sizes, numbers that are not finite and statistics
-    /// that contradict one another.
+    /// A network from its parts.
+    ///
+    /// # Errors
+    /// [`ModelError`] on wrong sizes, numbers that are not finite and statistics that contradict one
+    /// another.
     pub fn new(parameters: Parameters, card: ModelCard) -> Result<Network, ModelError> {
         check_parameters(&parameters)?;
         check_card(&card, parameters.feature_set)?;
@@ -112,14 +44,21 @@ impl Network {
         })
     }
 
-    /// Reads a model file. Each error names the part of the file with what was found and what is
-    /// allowed; a file that was changed or cut anywhere is refused.
+    /// Reads a model file.
+    ///
+    /// # Errors
+    /// [`ModelError`] names the part of the file with what was found and what is allowed; a file that
+    /// was changed or cut anywhere is refused.
     pub fn from_safetensors(bytes: &[u8]) -> Result<Network, ModelError> {
         let (parameters, card) = file::read(bytes)?;
         Network::new(parameters, card)
     }
 
     /// The model file: the same bytes for the same network on every machine.
+    ///
+    /// # Errors
+    /// [`ModelError::TooLarge`] where names and descriptions on the card make it larger than a model
+    /// file may be.
     pub fn to_safetensors(&self) -> Result<Vec<u8>, ModelError> {
         file::write(&self.parameters, &self.card)
     }
@@ -224,186 +163,27 @@ impl Network {
             power_mean_w,
             power_std_w,
         } = self.parameters.normalisation;
-        let normalised = |i: usize| {
+        let normalised = self.feature_set().range().map(|i| {
             let std = f64::from(feature_std[i]);
             let inverse = if std > 0.0 { 1.0 / std } else { 0.0 };
             (f64::from(row[i]) - f64::from(feature_mean[i])) * inverse
-        };
-        let mut values: Vec<f64> = self.feature_set().range().map(normalised).collect();
-        for (number, layer) in self.parameters.layers.iter().enumerate() {
-            let hidden = number < HIDDEN.len();
-            let dense = |(weights, &bias): (&[f32], &f32)| {
-                let products = weights.iter().zip(&values).map(|(&w, &x)| f64::from(w) * x);
-                let sum = f64::from(bias) + products.sum::<f64>();
-                if hidden {
-                    self.parameters.activation.value_f64(sum)
-                } else {
-                    sum
-                }
-            };
-            values = layer
-                .weights
-                .chunks(values.len())
-                .zip(&layer.bias)
-                .map(dense)
-                .collect();
-        }
-        values[0] * f64::from(power_std_w) + f64::from(power_mean_w)
-    }
-}
-
-/// One bit pattern for every NaN: CPUs and compilers disagree on sign and payload.
-#[inline(always)]
-pub(crate) fn canonical(value: f32) -> f32 {
-    if value.is_nan() { f32::NAN } else { value }
-}
-
-/// Inputs and outputs of each layer.
-pub(crate) fn layer_sizes(feature_set: FeatureSet) -> [(usize, usize); 4] {
-    let [first, second, third] = HIDDEN;
-    [
-        (feature_set.inputs(), first),
-        (first, second),
-        (second, third),
-        (third, 1),
-    ]
-}
-
-fn check_parameters(parameters: &Parameters) -> Result<(), ModelError> {
-    let sizes = layer_sizes(parameters.feature_set);
-    for (number, (layer, (inputs, outputs))) in parameters.layers.iter().zip(sizes).enumerate() {
-        check_values(&file::weight_name(number), &layer.weights, inputs * outputs)?;
-        check_values(&file::bias_name(number), &layer.bias, outputs)?;
-    }
-    let Normalisation {
-        feature_mean,
-        feature_std,
-        power_mean_w,
-        power_std_w,
-    } = parameters.normalisation;
-    for i in parameters.feature_set.range() {
-        if !feature_mean[i].is_finite() {
-            let field = format!("feature_mean of {}", FEATURE_NAMES[i]);
-            return Err(ModelError::field(field, &feature_mean[i], "finite numbers"));
-        }
-        let std_fine =
-            feature_std[i] == 0.0 || (feature_std[i] > 0.0 && feature_std[i].recip().is_finite());
-        if !(std_fine && feature_std[i].is_finite()) {
-            let field = format!("feature_std of {}", FEATURE_NAMES[i]);
-            return Err(ModelError::field(
-                field,
-                &feature_std[i],
-                "0, or 1e-38 to 3e38",
-            ));
-        }
-    }
-    if !power_mean_w.is_finite() {
-        return Err(ModelError::field(
-            "power_mean_w",
-            &power_mean_w,
-            "finite numbers",
-        ));
-    }
-    let power_std_fine = power_std_w > 0.0 && power_std_w.is_finite();
-    if !power_std_fine {
-        return Err(ModelError::field(
-            "power_std_w",
-            &power_std_w,
-            "finite and > 0",
-        ));
-    }
-    check_folded(parameters)
-}
-
-/// What the kernels compute with has to be finite too.
-fn check_folded(parameters: &Parameters) -> Result<(), ModelError> {
-    let names = ["first", "second", "third", "last"];
-    for (name, layer) in names.into_iter().zip(fold(parameters)) {
-        let mut values = layer.weights.iter().chain(&layer.bias);
-        if let Some(value) = values.find(|value| !value.is_finite()) {
-            let field = format!("scale folded into the {name} layer");
-            return Err(ModelError::field(field, value, "finite numbers"));
-        }
-    }
-    Ok(())
-}
-
-fn check_values(tensor: &str, values: &[f32], expected: usize) -> Result<(), ModelError> {
-    if values.len() != expected {
-        return Err(ModelError::Shape {
-            tensor: tensor.to_owned(),
-            found: format!("{} values", values.len()),
-            allowed: format!("{expected} values"),
         });
-    }
-    match values.iter().position(|value| !value.is_finite()) {
-        Some(index) => Err(ModelError::NotFinite {
-            tensor: tensor.to_owned(),
-            index,
-            value: values[index],
-        }),
-        None => Ok(()),
+        let [first, second, third, last] = &self.parameters.layers;
+        let activation = self.parameters.activation;
+        let mut values = DVector::from_iterator(self.feature_set().inputs(), normalised);
+        for layer in [first, second, third] {
+            values = affine(layer, &values).map(|sum| activation.value_f64(sum));
+        }
+        let forecast = affine(last, &values)[0];
+        forecast * f64::from(power_std_w) + f64::from(power_mean_w)
     }
 }
 
-fn check_linear(linear: Option<&Linear>, feature_set: FeatureSet) -> Result<(), ModelError> {
-    let Some(linear) = linear else {
-        return Ok(());
-    };
-    let allowed = Linear::feature_set_beside(feature_set);
-    if linear.feature_set != allowed {
-        return Err(ModelError::field(
-            "feature set of linear_weights",
-            linear.feature_set.name(),
-            allowed.name(),
-        ));
-    }
-    linear.check()
-}
-
-fn check_card(card: &ModelCard, feature_set: FeatureSet) -> Result<(), ModelError> {
-    card.residual.check()?;
-    let TrainingRange {
-        feature_set: range_set,
-        min,
-        max,
-    } = card.training_range;
-    if range_set != feature_set {
-        let allowed = feature_set.name();
-        return Err(ModelError::field(
-            "feature set of training_range",
-            range_set.name(),
-            allowed,
-        ));
-    }
-    for i in feature_set.range() {
-        let ordered = min[i].is_finite() && max[i].is_finite() && min[i] <= max[i];
-        if !ordered {
-            let field = format!("training range of {}", FEATURE_NAMES[i]);
-            return Err(ModelError::field(
-                field,
-                &format!("{} to {}", min[i], max[i]),
-                "ascending",
-            ));
-        }
-    }
-    check_linear(card.linear.as_ref(), feature_set)?;
-    let Scores {
-        network_r2,
-        network_mae_w,
-        persistence_r2,
-        persistence_mae_w,
-        ..
-    } = card.scores;
-    for (field, value) in [
-        ("score_network_r2", network_r2),
-        ("score_network_mae_w", network_mae_w),
-        ("score_persistence_r2", persistence_r2),
-        ("score_persistence_mae_w", persistence_mae_w),
-    ] {
-        if !value.is_finite() {
-            return Err(ModelError::field(field, &value, "finite numbers"));
-        }
-    }
-    Ok(())
+/// Weights times values, plus bias.
+fn affine(layer: &Layer, values: &DVector<f64>) -> DVector<f64> {
+    let (outputs, inputs) = (layer.bias.len(), values.len());
+    let weights = layer.weights.iter().copied().map(f64::from);
+    let weights = DMatrix::from_row_iterator(outputs, inputs, weights);
+    let bias = layer.bias.iter().copied().map(f64::from);
+    weights * values + DVector::from_iterator(outputs, bias)
 }

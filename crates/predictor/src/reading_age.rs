@@ -1,11 +1,12 @@
-//! How fresh the newest reading is.
+//! How old the newest reading is.
 //!
 //! A power monitor that measures less often than the robot is sampled repeats itself: of the
 //! GTernal's readings, polled at 10 Hz and returned at 30 Hz, two of three are the one before. Such
 //! a reading is known in advance, and a network that is told so need not hedge.
 
-use crate::{FEATURES, Features};
 use serde::{Deserialize, Serialize};
+
+use crate::features::{FEATURES, Features};
 
 /// How long ago a robot's power was last measured, and how often it is, both counted in its own
 /// samples: no clock is asked, so the same samples give the same bits whenever they are replayed.
@@ -26,9 +27,6 @@ pub struct ReadingAge {
 const NEVER: u8 = u8::MAX;
 
 impl ReadingAge {
-    /// Number of its features.
-    pub const FEATURES: usize = 2;
-
     /// The age at which the feature ends to grow: a second at 30 Hz, in which even the public
     /// firmware's default has measured again. A robot at rest for an hour is no outlier then.
     pub const LONGEST_STEPS: u8 = 30;

@@ -1,7 +1,6 @@
 //! Vectors of 8 lanes: AVX2 and FMA.
 
-use super::lanes::{Job, Lanes};
-use super::simd_level::SimdTask;
+use super::lanes::{Job, Lanes, SimdTask};
 use std::arch::x86_64::*;
 use std::mem::MaybeUninit;
 
@@ -21,7 +20,8 @@ impl Avx2 {
     }
 }
 
-impl Lanes for Avx2 {
+// SAFETY: `store_new` writes 8 places, or panics where there are fewer.
+unsafe impl Lanes for Avx2 {
     type Vector = __m256;
     type Table = __m256;
 

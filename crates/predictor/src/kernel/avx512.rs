@@ -1,7 +1,6 @@
 //! Vectors of 16 lanes: AVX-512.
 
-use super::lanes::{Job, Lanes};
-use super::simd_level::SimdTask;
+use super::lanes::{Job, Lanes, SimdTask};
 use std::arch::x86_64::*;
 use std::mem::MaybeUninit;
 
@@ -20,7 +19,8 @@ impl Avx512 {
     }
 }
 
-impl Lanes for Avx512 {
+// SAFETY: `store_new` writes 16 places, or panics where there are fewer.
+unsafe impl Lanes for Avx512 {
     type Vector = __m512;
     type Table = __m512;
 

@@ -5,11 +5,23 @@
     reason = "indices of tiles are plainer than iterators, and every loop has to unroll"
 )]
 
-use super::Tiling;
 use super::forward::{BatchMajor, OutputMajor};
 use super::lanes::{Job, Lanes};
 use super::packed::{Packed, Read};
-use crate::{Features, INPUTS};
+use crate::features::{Features, INPUTS};
+
+/// How a batch is cut into tiles; the bits are the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Tiling {
+    /// Rows by neuron; columns by robot, and what is left of them by neuron. The fastest for every
+    /// batch, and the default.
+    ByInput,
+    /// A vector holds one value of as many robots, while there are whole vectors of robots.
+    BatchMajor,
+    /// A vector holds neighbouring outputs of one robot.
+    OutputMajor,
+}
 
 /// Rows to forecast.
 pub(crate) trait Source: Copy {

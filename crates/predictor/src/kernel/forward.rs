@@ -16,9 +16,10 @@
 use super::lanes::{Job, Lanes};
 use super::packed::{Dense, LINE, Packed, Read};
 use super::scalar::Scalar;
+use crate::features::{Features, INPUTS};
 use crate::gelu::{LIMIT, MAGIC};
-use crate::network::canonical;
-use crate::{Features, HIDDEN, INPUTS};
+use crate::nan::canonical;
+use crate::parameters::HIDDEN;
 use std::mem::MaybeUninit;
 
 const WIDE: usize = HIDDEN[0];
@@ -137,7 +138,7 @@ fn columns<
     input: &[[L::Vector; R]; I],
     output: &'a mut Scratch<[L::Vector; R], O>,
 ) -> &'a [[L::Vector; R]; O] {
-    const { assert!(O == N * LINE && LINE.is_multiple_of(C)) };
+    const { assert!(O == N * LINE && LINE.is_multiple_of(C) && LINE.is_multiple_of(L::WIDTH)) };
     for line in 0..N {
         let (weights, bias) = (&layer.weights[line], &layer.bias[line].0);
         for part in 0..LINE / C {
@@ -226,7 +227,11 @@ fn rows_of_layer<'a, L: Lanes, const N: usize, const I: usize, const M: usize, c
     input: [&[f32; I]; N],
     output: &'a mut [Scratch<f32, O>; N],
 ) -> [&'a [f32; O]; N] {
-    const { assert!(O == M * LINE && L::SUMS >= 8 && N <= 4) };
+    const {
+        assert!(O == M * LINE && L::SUMS >= 8 && N <= 4);
+        // Groups of 8, 4 or 2 vectors of `WIDTH` are all `O` outputs.
+        assert!(LINE.is_multiple_of(L::WIDTH) && (O / L::WIDTH).is_multiple_of(2));
+    };
     // A constant: all branches but one are gone before code is made.
     match (O / L::WIDTH).min(L::SUMS / N) {
         8.. => grouped::<L, N, 8, I, M, O>(lanes, gelu, layer, read, input, output),

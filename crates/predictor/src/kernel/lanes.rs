@@ -2,19 +2,21 @@
 
 use std::mem::MaybeUninit;
 
-use super::simd_level::SimdTask;
-
 /// A CPU's vectors of `f32`. A value of an implementing type proves that this CPU has them.
 ///
 /// Every operation is done lane by lane and rounded once, as IEEE 754 says; so each gives the same
 /// bits on every implementation, NaN payloads apart.
-pub(crate) trait Lanes: Copy {
+///
+/// # Safety
+/// The kernels read what [`store_new`](Lanes::store_new) has written without looking at it again:
+/// an implementation initialises the first `WIDTH` places, or panics.
+pub(crate) unsafe trait Lanes: Copy {
     /// A vector.
     type Vector: Copy;
     /// Eight values that [`lookup`](Lanes::lookup) picks from.
     type Table: Copy;
 
-    /// Lanes of a vector: a divisor of [`super::packed::LINE`].
+    /// Lanes of a vector: a divisor of [`super::packed::LINE`], which the kernels assert.
     const WIDTH: usize;
     /// Sums that stay in registers beside what is multiplied.
     const SUMS: usize;
@@ -56,4 +58,11 @@ pub(crate) trait Job<L: Lanes> {
     /// Implementations are `#[inline(always)]`, and so is all that they call: a function that is
     /// not inlined would be compiled for the baseline CPU.
     fn run(self, lanes: L);
+}
+
+/// Work over columns of numbers that is worth compiling for the processor that it runs on.
+pub trait SimdTask {
+    /// Implementations are `#[inline(always)]`, and so is all that they call: a function that is
+    /// not inlined is compiled for the baseline processor.
+    fn run(self);
 }

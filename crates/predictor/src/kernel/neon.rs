@@ -8,7 +8,8 @@ use std::mem::MaybeUninit;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Neon;
 
-impl Lanes for Neon {
+// SAFETY: `store_new` writes 4 places, or panics where there are fewer.
+unsafe impl Lanes for Neon {
     type Vector = float32x4_t;
     type Table = uint8x16x2_t;
 

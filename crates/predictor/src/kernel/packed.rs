@@ -1,7 +1,8 @@
 //! The parameters in the order in which the kernels read them.
 
+use crate::features::{FEATURES, INPUTS};
 use crate::gelu::SCALE;
-use crate::{FEATURES, HIDDEN, INPUTS, Layer, Parameters};
+use crate::parameters::{HIDDEN, Layer, Parameters};
 use std::ops::Range;
 
 /// Outputs that are packed together: a cache line, and the widest vector that any CPU has.

@@ -10,8 +10,9 @@ use super::batch::whole;
 use super::forward::{BatchMajor, OutputMajor};
 use super::lanes::{Job, Lanes};
 use super::packed::Packed;
-use crate::network::canonical;
-use crate::{FEATURES, FeatureSet, Features, INPUTS, LAGS, RolloutStart, Rollouts, features};
+use crate::features::{FEATURES, FeatureSet, Features, INPUTS, LAGS, features};
+use crate::nan::canonical;
+use crate::rollout::{RolloutStart, Rollouts};
 
 /// Lanes of the widest tile of any CPU.
 const WIDEST: usize = 32;

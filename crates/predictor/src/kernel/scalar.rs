@@ -6,7 +6,8 @@ use std::mem::MaybeUninit;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scalar;
 
-impl Lanes for Scalar {
+// SAFETY: `store_new` writes the one place.
+unsafe impl Lanes for Scalar {
     type Vector = f32;
     type Table = [f32; 8];
 

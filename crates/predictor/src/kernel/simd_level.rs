@@ -1,14 +1,7 @@
 //! The kernels' instructions, for code of others.
 
-use super::Engine;
-use super::lanes::Lanes;
-
-/// Work over columns of numbers that is worth compiling for the processor that it runs on.
-pub trait SimdTask {
-    /// Implementations are `#[inline(always)]`, and so is all that they call: a function that is
-    /// not inlined is compiled for the baseline processor.
-    fn run(self);
-}
+use super::engine::Engine;
+use super::lanes::{Lanes, SimdTask};
 
 /// What this processor can do, asked once.
 #[derive(Clone, Copy, Debug)]

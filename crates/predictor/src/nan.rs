@@ -1,0 +1,7 @@
+//! Forecasts that are not a number.
+
+/// One bit pattern for every NaN: CPUs and compilers disagree on sign and payload.
+#[inline(always)]
+pub(crate) fn canonical(value: f32) -> f32 {
+    if value.is_nan() { f32::NAN } else { value }
+}

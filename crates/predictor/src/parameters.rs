@@ -1,0 +1,53 @@
+//! What decides a forecast: weights, normalisation and activation.
+
+use crate::features::{FeatureSet, Features};
+use crate::gelu::Activation;
+
+/// Widths of the hidden layers.
+pub const HIDDEN: [usize; 3] = [64, 64, 32];
+
+/// A dense layer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Layer {
+    /// Weights, row-major, one row of inputs for each output.
+    pub weights: Vec<f32>,
+    /// One bias for each output.
+    pub bias: Vec<f32>,
+}
+
+/// Training statistics that scale features and power to zero mean and unit deviation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Normalisation {
+    /// Mean of each feature, in its unit.
+    pub feature_mean: Features,
+    /// Standard deviation of each feature; 0 for a constant feature, which is then ignored.
+    pub feature_std: Features,
+    /// Mean power in watt.
+    pub power_mean_w: f32,
+    /// Standard deviation of power in watt, positive: the output scale.
+    pub power_std_w: f32,
+}
+
+/// Everything that decides a forecast.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    /// The features that are read; entries of the others in the normalisation mean nothing.
+    pub feature_set: FeatureSet,
+    /// Statistics of the training data.
+    pub normalisation: Normalisation,
+    /// What follows each hidden layer.
+    pub activation: Activation,
+    /// Inputs→64, 64→64, 64→32, 32→1.
+    pub layers: [Layer; 4],
+}
+
+/// Inputs and outputs of each layer.
+pub(crate) fn layer_sizes(feature_set: FeatureSet) -> [(usize, usize); 4] {
+    let [first, second, third] = HIDDEN;
+    [
+        (feature_set.inputs(), first),
+        (first, second),
+        (second, third),
+        (third, 1),
+    ]
+}
