@@ -229,7 +229,7 @@ fn pool(threads: usize) -> anyhow::Result<TickPool> {
         scheduling.cpus = threads::processors();
         scheduling.cpus.first().copied().map(threads::pin);
     }
-    Ok(TickPool::assemble(threads, 1, &scheduling)?)
+    Ok(TickPool::new(threads, 1, &scheduling)?)
 }
 
 /// Those of the demo: GTernal robots with a battery.

@@ -43,6 +43,7 @@ pub struct Account {
 
 /// Why a checkpoint could not be read or written.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CheckpointError {
     /// The system refused.
     #[error("ledger checkpoint {path}: {source}")]

@@ -16,16 +16,17 @@ use joulebus_wire::{DropCounts, DropReason};
 use crate::checkpoint::{Checkpoint, CheckpointError};
 use crate::keyframes::{KeyframeOrders, KeyframeSender};
 
-/// How often the checkpointer looks around.
-const ROUND: Duration = Duration::from_millis(200);
-/// Looks for a keyframe in a round while one is on its way.
-const GLANCES: u32 = 10;
-/// Rounds between two looks at what was refused.
-const LOOK_EVERY: u64 = 5;
+/// Period of the checkpointer.
+const PERIOD: Duration = Duration::from_millis(200);
+/// Times in a period that a keyframe is looked for while one is on its way.
+const POLLS: u32 = 10;
+/// Periods from one log of what was refused to the next.
+const LOG_EVERY: u64 = 5;
 
 /// Why the checkpointer could not begin.
 #[derive(Debug, thiserror::Error)]
-pub enum ClerkError {
+#[non_exhaustive]
+pub enum CheckpointerError {
     /// It could not join.
     #[error(transparent)]
     Join(#[from] JoinError),
@@ -64,25 +65,25 @@ impl Checkpointer {
         before: Checkpoint,
         failures: Arc<Failures>,
         orders: KeyframeOrders,
-    ) -> Result<Self, ClerkError> {
+    ) -> Result<Self, CheckpointerError> {
         let stop = Arc::new(AtomicBool::new(false));
         let (stopped, domain, config) = (Arc::clone(&stop), domain.clone(), config.clone());
         let (ready, started) = std::sync::mpsc::sync_channel(1);
         let thread = std::thread::Builder::new()
             .name("joulebus-checkpointer".to_owned())
             .spawn(move || {
-                match Desk::open(&domain, &config, before, failures, orders) {
-                    Ok(desk) => {
+                match CheckpointerLoop::open(&domain, &config, before, failures, orders) {
+                    Ok(checkpointer) => {
                         // The worker waits on the other end.
                         let _ = ready.send(Ok(()));
-                        desk.work(&stopped);
+                        checkpointer.run(&stopped);
                     }
                     Err(error) => {
                         let _ = ready.send(Err(error));
                     }
                 }
             })?;
-        started.recv().map_err(|_| ClerkError::Died)??;
+        started.recv().map_err(|_| CheckpointerError::Died)??;
         Ok(Self {
             stop,
             thread: Some(thread),
@@ -107,8 +108,8 @@ impl Drop for Checkpointer {
     }
 }
 
-/// What the checkpointer works with; belongs to its thread.
-struct Desk {
+/// What belongs to the checkpointer's thread.
+struct CheckpointerLoop {
     // Before the bus: ports go first.
     budgets: BudgetReader,
     diagnostics: DiagnosticReader,
@@ -126,19 +127,19 @@ struct Desk {
     sheds: bool,
 }
 
-impl Desk {
+impl CheckpointerLoop {
     fn open(
         domain: &Domain,
         config: &Config,
         checkpoint: Checkpoint,
         failures: Arc<Failures>,
         orders: KeyframeOrders,
-    ) -> Result<Self, ClerkError> {
+    ) -> Result<Self, CheckpointerError> {
         let bus = Bus::join(domain, "checkpointer")?;
         let limits = config.limits();
         let every = config
             .checkpoint_every_ns()
-            .div_ceil(ROUND.as_nanos() as u64);
+            .div_ceil(PERIOD.as_nanos() as u64);
         Ok(Self {
             budgets: bus.budget_reader(&limits)?,
             diagnostics: bus.diagnostic_reader(&limits)?,
@@ -157,32 +158,32 @@ impl Desk {
         })
     }
 
-    fn work(mut self, stop: &AtomicBool) {
-        for round in 1_u64.. {
+    fn run(mut self, stop: &AtomicBool) {
+        for period in 1_u64.. {
             let last = stop.load(Ordering::Relaxed);
             self.read_budgets();
-            if last || round % self.every == 0 {
+            if last || period % self.every == 0 {
                 self.write();
             }
-            if last || round % LOOK_EVERY == 0 {
+            if last || period % LOG_EVERY == 0 {
                 self.log();
             }
             if last {
                 return;
             }
-            self.rest();
+            self.wait();
         }
     }
 
-    /// Until the next round; with an eye on a keyframe that is on its way.
-    fn rest(&mut self) {
-        self.keyframes.look();
+    /// Until the next period; polls for a keyframe that is on its way.
+    fn wait(&mut self) {
+        self.keyframes.poll();
         if !self.keyframes.is_busy() {
-            return std::thread::park_timeout(ROUND);
+            return std::thread::park_timeout(PERIOD);
         }
-        for _ in 0..GLANCES {
-            std::thread::park_timeout(ROUND / GLANCES);
-            self.keyframes.look();
+        for _ in 0..POLLS {
+            std::thread::park_timeout(PERIOD / POLLS);
+            self.keyframes.poll();
         }
     }
 
@@ -271,13 +272,13 @@ impl Desk {
             tracing::warn!(reason = reason.name(), count, robots, "samples dropped");
         }
         if !named.is_empty() {
-            tracing::warn!("refused of late: {named}");
+            tracing::warn!("recently refused: {named}");
         }
     }
 }
 
 /// What an earlier run wrote down for this fleet, made to fit the machine's present run.
-pub(crate) fn recall(config: &Config) -> Result<Checkpoint, CheckpointError> {
+pub(crate) fn read_checkpoint(config: &Config) -> Result<Checkpoint, CheckpointError> {
     let io = |source| CheckpointError::Io {
         path: "/proc/sys/kernel/random/boot_id".into(),
         source,

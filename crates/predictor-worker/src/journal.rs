@@ -6,6 +6,7 @@ use joulebus_bus::{Bus, IncomingFrame, Limits, OpenError, TickWriter, clock};
 use joulebus_wire::{SCHEMA_VERSION, TakenFrame, TickHeader, tick_flag};
 
 /// Collects what the intake takes, and sends it after each tick.
+#[derive(Debug)]
 pub(crate) struct Journal {
     writer: TickWriter,
     taken: Vec<TakenFrame>,

@@ -14,9 +14,9 @@ use joulebus_wire::{SCHEMA_VERSION, StateHeader};
 /// Least time between two keyframes, unless somebody new reads, ns.
 const EVERY_NS: u64 = 5_000_000_000;
 /// A keyframe may take at most one part in so many of the checkpointer's time, and of the tick's.
-const SHARE: u64 = 100;
-/// Pieces sent at one look: a reader's buffer holds four times as many, and who records looks at
-/// it several times as often as the checkpointer comes round.
+const TIME_DIVISOR: u64 = 100;
+/// Pieces sent at one poll: a reader's buffer holds four times as many, and a recorder reads it
+/// several times as often as the checkpointer polls.
 const BURST: usize = 2;
 
 /// A state, and when it was taken.
@@ -123,7 +123,7 @@ impl KeyframeSender {
     }
 
     /// Asks for a state if it is time, takes one that has come, and sends some of it.
-    pub(crate) fn look(&mut self) {
+    pub(crate) fn poll(&mut self) {
         self.ask_if_wanted();
         if let Ok(keyframe) = self.orders.taken.try_recv() {
             self.begin(keyframe);
@@ -179,7 +179,7 @@ impl KeyframeSender {
         keyframe.state.encode_into(&mut self.bytes);
         let now_ns = clock::monotonic_ns();
         let (copied_ns, encoded_ns) = (keyframe.copied_in_ns, now_ns.saturating_sub(begun_ns));
-        let every_ns = EVERY_NS.max(SHARE.saturating_mul(encoded_ns.max(copied_ns)));
+        let every_ns = EVERY_NS.max(TIME_DIVISOR.saturating_mul(encoded_ns.max(copied_ns)));
         // Unless somebody new has come since it was asked for.
         if self.next_ns > 0 {
             self.next_ns = now_ns.saturating_add(every_ns);

@@ -2,7 +2,8 @@
 //!
 //! [`Worker::open`] takes everything that can fail (models, memory, the right to be the fleet's only
 //! worker); [`Worker::run`] then ticks until told to stop. What the tick says is written straight
-//! into memory borrowed from shared memory. After warm-up the loop allocates nothing of its own
+//! into memory borrowed from shared memory. The network runs in the tick that [`TickPool`] spreads over
+//! threads (`joulebus-fleet`, `src/tick/infer.rs`). After warm-up the loop allocates nothing of its own
 //! (iceoryx2 0.10 allocates once for each of the four frames that a tick sends), locks nothing,
 //! logs nothing and waits for nothing but samples and its schedule. Logging and the ledger's
 //! checkpoints are the checkpointer's, a thread that reads the worker's frames like any planner.
@@ -20,8 +21,8 @@ mod tick_pool;
 mod worker;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
-pub use checkpointer::ClerkError;
+pub use checkpointer::CheckpointerError;
 pub use models::{ModelsError, load_models};
 pub use report::{Parts, Report, Spread};
-pub use tick_pool::TickPool;
+pub use tick_pool::{TickPool, TickPoolError};
 pub use worker::{OpenError, RunError, Worker};

@@ -11,6 +11,7 @@ const NORMAL_95: f32 = 1.645;
 
 /// Why a platform's model cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ModelsError {
     /// The file cannot be read.
     #[error("model {path} of platform {platform}: {source}")]

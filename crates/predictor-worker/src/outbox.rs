@@ -13,6 +13,7 @@ use joulebus_wire::{
 use crate::tick_pool::TickPool;
 
 /// The three ports, and the planners to be woken.
+#[derive(Debug)]
 pub(crate) struct Outbox {
     forecasts: ForecastWriter,
     diagnostics: DiagnosticWriter,

@@ -1,6 +1,6 @@
 //! The threads that share a tick.
 //!
-//! The thread that makes the crew is one of them, so that a tick begins without waiting for
+//! The thread that makes the pool is one of them, so that a tick begins without waiting for
 //! another thread, and what no other has begun by then it does itself: waking a thread takes
 //! longer than the tick of a thousand robots.
 
@@ -14,23 +14,28 @@ use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
 /// Robots that a thread takes at a time, at least: two tiles.
 const LEAST: usize = 1024;
-/// Parts for each thread, so that one that comes late finds something to do.
+/// Parts for each thread, so that one that wakes late finds something to do.
 const PARTS: usize = 8;
 
 /// The threads, and what each needs.
 #[derive(Debug)]
 pub struct TickPool {
-    seats: Vec<Mutex<ThreadScratch>>,
+    scratch: Vec<Mutex<ThreadScratch>>,
     /// Robots from which on a tick is shared.
     from: usize,
 }
 
-/// One thread's own.
+/// What belongs to one thread: rows on their way through a model, and times.
 #[derive(Debug, Default)]
 struct ThreadScratch {
     batch: Batch,
     spent: StageTimes,
 }
+
+/// A thread that shares a tick could not be started.
+#[derive(Debug, thiserror::Error)]
+#[error("the threads of the tick (`worker.threads` in the config): {0}")]
+pub struct TickPoolError(ThreadPoolBuildError);
 
 /// Time spent in each stage of the tick, over all threads, ns.
 #[derive(Debug, Clone, Copy, Default)]
@@ -38,7 +43,7 @@ pub(crate) struct StageTimes(pub [u64; Stage::ALL.len()]);
 
 thread_local! {
     /// The pool that the thread belongs to. A thread cannot leave its pool: this one lasts as long
-    /// as the thread, and the next crew of the thread works with it.
+    /// as the thread, and the next tick pool of the thread works with it.
     static POOL: Cell<Option<ThreadPool>> = const { Cell::new(None) };
 }
 
@@ -56,27 +61,27 @@ fn pool(threads: usize, scheduling: Scheduling) -> Result<ThreadPool, ThreadPool
 }
 
 impl TickPool {
-    /// A crew of `threads` threads, the calling one among them; from `from` robots on they share a
+    /// A pool of `threads` threads, the calling one among them; from `from` robots on they share a
     /// tick. `scheduling` is asked for by the others: whoever calls has had it, or does without.
     ///
     /// # Errors
-    /// A thread could not be started.
-    pub fn assemble(
+    /// [`TickPoolError`]: a thread could not be started.
+    pub fn new(
         threads: usize,
         from: usize,
         scheduling: &Scheduling,
-    ) -> Result<Self, ThreadPoolBuildError> {
+    ) -> Result<Self, TickPoolError> {
         let threads = match rayon::current_thread_index() {
             _ if threads <= 1 => 1,
             Some(_) => threads.min(rayon::current_num_threads()),
             None => {
-                let pool = pool(threads, scheduling.clone())?;
+                let pool = pool(threads, scheduling.clone()).map_err(TickPoolError)?;
                 POOL.with(|of_thread| of_thread.set(Some(pool)));
                 threads
             }
         };
         Ok(Self {
-            seats: (0..threads).map(|_| Mutex::default()).collect(),
+            scratch: (0..threads).map(|_| Mutex::default()).collect(),
             from,
         })
     }
@@ -84,23 +89,23 @@ impl TickPool {
     /// Whether a tick of so many robots is shared.
     #[must_use]
     pub fn shares(&self, robots: usize) -> bool {
-        self.seats.len() > 1 && robots >= self.from
+        self.scratch.len() > 1 && robots >= self.from
     }
 
     /// Ticks all robots, on all threads if there are enough robots.
     pub fn run(&self, shard: Shard<'_>, outputs: Outputs<'_>) {
         let robots = shard.len();
         if self.shares(robots) {
-            let part = robots.div_ceil(PARTS * self.seats.len()).max(LEAST);
+            let part = robots.div_ceil(PARTS * self.scratch.len()).max(LEAST);
             self.divide(shard, outputs, part);
         } else {
-            self.part(shard, outputs);
+            self.run_here(shard, outputs);
         }
     }
 
     /// The first half of a tick, on the calling thread.
     pub(crate) fn forecast(&self, shard: &mut Shard<'_>, forecasts: &mut [Forecast]) {
-        self.on_seat(|batch, on| shard.forecast(batch, forecasts, on));
+        self.with_scratch(|batch, on| shard.forecast(batch, forecasts, on));
     }
 
     /// The second half of a tick, on the calling thread.
@@ -110,7 +115,7 @@ impl TickPool {
         diagnostics: &mut [Diagnostic],
         budgets: &mut [Budget],
     ) {
-        self.on_seat(|batch, on| shard.account(batch, diagnostics, budgets, on));
+        self.with_scratch(|batch, on| shard.account(batch, diagnostics, budgets, on));
     }
 
     /// Time spent so far in each stage of [`Stage::ALL`], over all threads, ns.
@@ -122,11 +127,11 @@ impl TickPool {
     /// Time spent so far.
     pub(crate) fn spent(&self) -> StageTimes {
         let mut sum = StageTimes::default();
-        for seat in &self.seats {
-            let seat = seat
+        for scratch in &self.scratch {
+            let scratch = scratch
                 .lock()
                 .unwrap_or_else(std::sync::PoisonError::into_inner);
-            for (sum, spent) in sum.0.iter_mut().zip(seat.spent.0) {
+            for (sum, spent) in sum.0.iter_mut().zip(scratch.spent.0) {
                 *sum += spent;
             }
         }
@@ -136,7 +141,7 @@ impl TickPool {
     fn divide(&self, shard: Shard<'_>, outputs: Outputs<'_>, part: usize) {
         let robots = shard.len();
         if robots <= part {
-            self.part(shard, outputs);
+            self.run_here(shard, outputs);
             return;
         }
         let (first, second) = shard.split_at(robots / 2);
@@ -147,19 +152,19 @@ impl TickPool {
         );
     }
 
-    fn part(&self, mut shard: Shard<'_>, outputs: Outputs<'_>) {
-        self.on_seat(|batch, on| shard.run(batch, outputs, on));
+    fn run_here(&self, mut shard: Shard<'_>, outputs: Outputs<'_>) {
+        self.with_scratch(|batch, on| shard.run(batch, outputs, on));
     }
 
     /// Works with what belongs to the calling thread; its lock is never waited for.
-    fn on_seat(&self, work: impl FnOnce(&mut Batch, &mut dyn FnMut(Stage))) {
+    fn with_scratch(&self, work: impl FnOnce(&mut Batch, &mut dyn FnMut(Stage))) {
         let place = rayon::current_thread_index().unwrap_or(0);
-        let seat = &self.seats[place % self.seats.len()];
+        let scratch = &self.scratch[place % self.scratch.len()];
         // Scratch and sums: whatever a panic has left there does no harm.
-        let mut seat = seat
+        let mut scratch = scratch
             .lock()
             .unwrap_or_else(std::sync::PoisonError::into_inner);
-        let ThreadScratch { batch, spent } = &mut *seat;
+        let ThreadScratch { batch, spent } = &mut *scratch;
         let mut since_ns = clock::monotonic_ns();
         work(batch, &mut |stage| {
             let now_ns = clock::monotonic_ns();

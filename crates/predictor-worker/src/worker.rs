@@ -14,14 +14,14 @@ use joulebus_settings::SettingsError;
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
 use crate::checkpoint::CheckpointError;
-use crate::checkpointer::{Checkpointer, ClerkError, Failures, recall};
+use crate::checkpointer::{Checkpointer, CheckpointerError, Failures, read_checkpoint};
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::models::{ModelsError, load_models};
 use crate::outbox::Outbox;
 use crate::report::{Parts, Report, Spread, by_name};
 use crate::shedding::Shedding;
-use crate::tick_pool::TickPool;
+use crate::tick_pool::{TickPool, TickPoolError};
 
 /// Longest tick that the histogram tells apart, ns.
 const LONGEST_TICK_NS: u64 = 60_000_000_000;
@@ -30,6 +30,7 @@ const LONGEST_TICK_NS: u64 = 60_000_000_000;
 const PART: usize = 512;
 
 /// A predictor-worker: the only one of its fleet.
+#[derive(Debug)]
 pub struct Worker {
     fleet: Fleet,
     schedule: Schedule,
@@ -56,6 +57,7 @@ pub struct Worker {
 
 /// Why a worker could not begin.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum OpenError {
     /// The config's domain.
     #[error(transparent)]
@@ -71,7 +73,7 @@ pub enum OpenError {
     Checkpoint(#[from] CheckpointError),
     /// Too little shared memory or too few descriptors.
     #[error(transparent)]
-    Room(#[from] CapacityError),
+    Capacity(#[from] CapacityError),
     /// Another worker serves the fleet.
     #[error(transparent)]
     Lock(#[from] WorkerLockError),
@@ -83,20 +85,18 @@ pub enum OpenError {
     Port(#[from] joulebus_bus::OpenError),
     /// The checkpointer could not begin.
     #[error(transparent)]
-    Checkpointer(#[from] ClerkError),
+    Checkpointer(#[from] CheckpointerError),
     /// The system refused what the config requires of it.
     #[error("{0} (`worker.if_refused = \"stop\"` in the config)")]
     Scheduling(#[from] SchedulingError),
     /// The threads that share a tick could not be started.
-    #[error("the threads of the tick (`worker.threads` in the config): {0}")]
-    Threads(#[from] rayon::ThreadPoolBuildError),
-    /// The histogram of tick times.
-    #[error("the histogram of tick times: {0}")]
-    Histogram(#[from] hdrhistogram::CreationError),
+    #[error(transparent)]
+    Threads(#[from] TickPoolError),
 }
 
 /// Why a worker had to stop.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum RunError {
     /// It can no longer be woken, or wake.
     #[error(transparent)]
@@ -115,7 +115,7 @@ impl Worker {
         let domain = config.domain()?;
         let limits = config.limits();
         let lock = WorkerLock::acquire(&domain)?;
-        let before = recall(config)?;
+        let before = read_checkpoint(config)?;
         let kept = before
             .ledgers()
             .filter(|(robot, ledger, charged)| fleet.restore(*robot, *ledger, *charged));
@@ -129,7 +129,8 @@ impl Worker {
         }
         let mut part = vec![Sample::new(0, 0, 0); PART];
         part.clear();
-        let ticks_ns = Histogram::new_with_bounds(1, LONGEST_TICK_NS, 3)?;
+        let ticks_ns = Histogram::new_with_bounds(1, LONGEST_TICK_NS, 3)
+            .expect("these bounds are constant, and valid");
         // Before the other threads: their stacks need not be touched.
         touch_own_memory();
         check_capacity(
@@ -152,7 +153,7 @@ impl Worker {
             tracing::warn!("{refused}");
         }
         let Threads { count, from } = config.threads();
-        let pool = TickPool::assemble(count, from, config.scheduling())?;
+        let pool = TickPool::new(count, from, config.scheduling())?;
         // Last: from here on samples come in, and everything is there to take them.
         let waiter = bus.arrivals_waiter(&limits)?;
         let samples = bus.sample_reader(&limits)?;

@@ -72,6 +72,7 @@ pub(crate) struct SavedColumns {
 
 /// Why a state was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum StateError {
     /// Not a state, or one of another version.
     #[error(

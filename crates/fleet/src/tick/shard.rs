@@ -16,6 +16,7 @@ use crate::tick::write::{WriteAccounts, WriteForecasts};
 
 /// The stages of a tick, for whoever measures where its time goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Stage {
     /// Samples absorbed, lag windows and intervals moved on, features laid in columns.
     Features,
