@@ -80,9 +80,9 @@ pub enum TrialError {
         /// What is wrong with it, and what is allowed.
         detail: String,
     },
-    /// The array holds Python objects, that is a pickle: reading it would mean running it.
+    /// The array holds Python objects: reading them would mean running them.
     #[error(
-        "{path}: found an array of Python objects (a pickle), which is never read; save the table \
+        "{path}: found an array of Python objects, which is never read; save the table \
          as a plain float64 array",
         path = path.display()
     )]
