@@ -10,8 +10,8 @@ fn directory() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("proto")
 }
 
-/// What a protobuf compiler makes of the files.
-fn compiled() -> FileDescriptorSet {
+/// What a protobuf compiler makes of the files; with `comments`, what they say about each field too.
+fn compiled(comments: bool) -> FileDescriptorSet {
     let mut files: Vec<PathBuf> = std::fs::read_dir(directory().join("joulebus"))
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -20,21 +20,41 @@ fn compiled() -> FileDescriptorSet {
     protox::Compiler::new([directory()])
         .unwrap()
         .include_imports(true)
+        .include_source_info(comments)
         .open_files(files)
         .unwrap()
         .file_descriptor_set()
 }
 
-/// With `JOULEBUS_WRITE_DESCRIPTORS` set, writes it instead: to be run after a change to a file.
+/// Compares a file that is made of the `.proto` files with what is checked in. With
+/// `JOULEBUS_WRITE_SCHEMAS` set, writes it first: to be run after a change to one of them.
+fn check(path: &Path, made: &[u8]) {
+    if std::env::var_os("JOULEBUS_WRITE_SCHEMAS").is_some() {
+        std::fs::write(path, made).unwrap();
+    }
+    assert!(
+        std::fs::read(path).unwrap() == made,
+        "{} is stale; run again with JOULEBUS_WRITE_SCHEMAS=1",
+        path.display()
+    );
+}
+
 #[test]
 fn the_descriptors_are_those_of_the_files() {
     let path = directory().join("joulebus.binpb");
-    let compiled = compiled().encode_to_vec();
-    if std::env::var_os("JOULEBUS_WRITE_DESCRIPTORS").is_some() {
-        std::fs::write(&path, &compiled).unwrap();
-    }
-    assert!(
-        std::fs::read(&path).unwrap() == compiled,
-        "run again with JOULEBUS_WRITE_DESCRIPTORS=1"
-    );
+    check(&path, &compiled(false).encode_to_vec());
+}
+
+#[test]
+fn the_messages_in_rust_are_those_of_the_files() {
+    let made = tempfile::tempdir().unwrap();
+    prost_build::Config::new()
+        .out_dir(made.path())
+        .compile_fds(compiled(true))
+        .unwrap();
+    let text = std::fs::read_to_string(made.path().join("joulebus.rs")).unwrap();
+    let head = "// Generated from `proto/joulebus/*.proto`; do not edit. Written by\n\
+                // `JOULEBUS_WRITE_SCHEMAS=1 cargo test -p joulebus-capture --test schemas`.\n";
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/messages/proto.rs");
+    check(&path, format!("{head}{text}").as_bytes());
 }

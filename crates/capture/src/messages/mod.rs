@@ -2,6 +2,8 @@
 
 mod convert;
 mod descriptors;
+#[rustfmt::skip]
+#[allow(dead_code, unreachable_pub, clippy::all, reason = "generated")]
 mod proto;
 
 use std::sync::Arc;

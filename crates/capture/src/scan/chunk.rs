@@ -2,16 +2,13 @@
 
 use std::io::{self, Read, Seek, Take};
 
-use mcap::records::ChunkHeader;
-
-use super::resume::{Failure, is_record};
+use super::chunk_header::{self, FIXED_BYTES, MAX_NAME_BYTES};
+use super::error::ScanError;
+use super::plausible::is_record;
+use super::record::{ChunkFrame, Crc, HEAD_BYTES, Head, MAX_RECORD_BYTES, Place, is_opcode};
+use super::resume::Failure;
 use super::source::{Source, fill};
-use super::{ChunkFrame, Crc, HEAD_BYTES, Head, MAX_RECORD_BYTES, Place, ScanError};
 
-/// Fields of a chunk's head without the name of its compression, bytes.
-const FIXED_BYTES: u64 = 40;
-/// Longest name of a compression that is looked at, bytes.
-const MAX_NAME_BYTES: u64 = 64;
 /// Largest window of a zstd frame, as a power of two: 32 MiB, more than levels up to 19 use.
 const MAX_WINDOW_LOG: u32 = 25;
 
@@ -135,7 +132,7 @@ impl<R: Read + Seek> Chunk<R> {
             None => return Err(self.ends_early(place)),
         };
         let left = size.saturating_sub(self.read);
-        if !super::is_opcode(opcode) {
+        if !is_opcode(opcode) {
             return Err(ScanError::Opcode {
                 place,
                 found: opcode,
@@ -333,16 +330,14 @@ fn failed(frame: &ChunkFrame, read: u64, error: &io::Error) -> ScanError {
 fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFrame, ScanError> {
     let place = Place::top(head.offset);
     let refuse = |detail: String| ScanError::ChunkHeader { place, detail };
-    let header =
-        header(source.peek(HEAD_BYTES + FIXED_BYTES + MAX_NAME_BYTES)?).map_err(|detail| {
-            match detail {
-                Some(detail) => refuse(detail),
-                None => ScanError::EndsEarly {
-                    place,
-                    what: "chunk",
-                    missing: None,
-                },
-            }
+    let header = chunk_header::parse(source.peek(HEAD_BYTES + FIXED_BYTES + MAX_NAME_BYTES)?)
+        .map_err(|detail| match detail {
+            Some(detail) => refuse(detail),
+            None => ScanError::EndsEarly {
+                place,
+                what: "chunk",
+                missing: None,
+            },
         })?;
     let header_bytes = FIXED_BYTES + header.compression.len() as u64;
     let fits = header
@@ -360,38 +355,5 @@ fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFram
         offset: head.offset,
         bytes: HEAD_BYTES + head.bytes,
         header,
-    })
-}
-
-/// The fields of a chunk's head; without a reason where the bytes end.
-pub(super) fn header(bytes: &[u8]) -> Result<ChunkHeader, Option<String>> {
-    fn number<const N: usize>(bytes: &mut &[u8]) -> Result<[u8; N], Option<String>> {
-        let (number, rest) = bytes.split_first_chunk::<N>().ok_or(None)?;
-        *bytes = rest;
-        Ok(*number)
-    }
-    let mut rest = bytes.get(HEAD_BYTES as usize..).ok_or(None)?;
-    let message_start_time = u64::from_le_bytes(number(&mut rest)?);
-    let message_end_time = u64::from_le_bytes(number(&mut rest)?);
-    let uncompressed_size = u64::from_le_bytes(number(&mut rest)?);
-    let uncompressed_crc = u32::from_le_bytes(number(&mut rest)?);
-    let name_bytes = u32::from_le_bytes(number(&mut rest)?);
-    if u64::from(name_bytes) > MAX_NAME_BYTES {
-        let detail = format!(
-            "the name of its compression has {name_bytes} bytes; allowed are {MAX_NAME_BYTES}"
-        );
-        return Err(Some(detail));
-    }
-    let (name, mut rest) = rest.split_at_checked(name_bytes as usize).ok_or(None)?;
-    let compression = String::from_utf8(name.to_vec())
-        .map_err(|_| Some("the name of its compression is no UTF-8".to_owned()))?;
-    let compressed_size = u64::from_le_bytes(number(&mut rest)?);
-    Ok(ChunkHeader {
-        message_start_time,
-        message_end_time,
-        uncompressed_size,
-        uncompressed_crc,
-        compression,
-        compressed_size,
     })
 }

@@ -1,6 +1,6 @@
 //! What may be wrong with a file, and where.
 
-use super::Place;
+use super::record::Place;
 
 /// Why a file cannot be read on from a place.
 #[derive(Debug, thiserror::Error)]

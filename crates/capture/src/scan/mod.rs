@@ -6,74 +6,24 @@
 //! at the next place that looks like a record.
 
 mod chunk;
+mod chunk_header;
 mod error;
 mod layout;
+mod plausible;
+mod record;
 mod resume;
 mod source;
 
-use std::fmt;
 use std::io::{Read, Seek};
 
-use mcap::records::{self, ChunkHeader, op};
-use serde::Serialize;
+use mcap::records::{self, op};
 
 use chunk::Chunk;
 pub use error::ScanError;
+pub use record::{ChunkFrame, Crc, MAX_RECORD_BYTES, Place, kind_name};
+use record::{HEAD_BYTES, Head, MAGIC_BYTES, is_opcode};
 pub use resume::Skipped;
 use source::Source;
-
-/// Longest record that is read into memory, bytes; longer ones are passed over and reported.
-/// Chunks may be longer: they are read as a stream.
-pub const MAX_RECORD_BYTES: u64 = 64 << 20;
-
-/// Opcode and length before every record, bytes.
-const HEAD_BYTES: u64 = 9;
-const MAGIC_BYTES: u64 = mcap::MAGIC.len() as u64;
-
-/// Where a record stands.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Place {
-    /// Bytes before the record, or before the chunk that it is in.
-    pub offset: u64,
-    /// Bytes before the record in the decompressed chunk, if it is in one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub in_chunk: Option<u64>,
-}
-
-impl Place {
-    pub(crate) const fn top(offset: u64) -> Self {
-        Self {
-            offset,
-            in_chunk: None,
-        }
-    }
-}
-
-impl fmt::Display for Place {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.in_chunk {
-            None => write!(out, "byte {}", self.offset),
-            Some(inner) => write!(out, "chunk at byte {}, byte {inner} in it", self.offset),
-        }
-    }
-}
-
-/// A checksum in the file and the one of the bytes found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Crc {
-    /// As written in the file; 0 means that none was written.
-    pub saved: u32,
-    /// Of the bytes in the file.
-    pub found: u32,
-}
-
-impl Crc {
-    /// Whether the file says something else than its bytes.
-    #[must_use]
-    pub const fn is_wrong(&self) -> bool {
-        self.saved != 0 && self.saved != self.found
-    }
-}
 
 /// What a scan comes across.
 #[derive(Debug)]
@@ -154,17 +104,6 @@ fn in_words(error: &dyn std::error::Error) -> String {
     words.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// The head of a chunk and where it stands.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ChunkFrame {
-    /// Bytes before the chunk's record.
-    pub offset: u64,
-    /// Length of the whole record with its head, bytes.
-    pub bytes: u64,
-    /// Its fields.
-    pub header: ChunkHeader,
-}
-
 /// A scan over a file.
 pub struct Scan<R> {
     state: State<R>,
@@ -180,21 +119,6 @@ enum State<R> {
     Chunk(Box<Chunk<R>>),
     /// Only while the source moves, or when a decompressor has kept it.
     Gone,
-}
-
-/// What a record's head says.
-#[derive(Debug, Clone, Copy)]
-struct Head {
-    offset: u64,
-    opcode: u8,
-    bytes: u64,
-}
-
-impl Head {
-    /// The first byte after the record; `None` beyond what a file can have.
-    fn end(self) -> Option<u64> {
-        self.offset.checked_add(HEAD_BYTES)?.checked_add(self.bytes)
-    }
 }
 
 impl<R: Read + Seek> Scan<R> {
@@ -235,6 +159,28 @@ impl<R: Read + Seek> Scan<R> {
             source.restart_crc();
         }
         Ok(())
+    }
+
+    /// After an error: goes on at the next place that looks like a record, and says what is passed
+    /// over. Within an uncompressed chunk its further records are found, and yielded as if they
+    /// stood at top level. `None` when nothing more looks like a record.
+    ///
+    /// # Errors
+    /// [`ScanError::Io`].
+    pub fn resume(&mut self) -> Result<Option<Skipped>, ScanError> {
+        let Some(failure) = self.failed.take() else {
+            return Ok(None);
+        };
+        let State::Top(mut source) = std::mem::replace(&mut self.state, State::Gone) else {
+            return Ok(None);
+        };
+        let Some(to) = failure.next_record(&mut source)? else {
+            return Ok(None);
+        };
+        source.go_to(to)?;
+        self.state = State::Top(source);
+        let from = failure.from;
+        Ok(Some(Skipped { from, to }))
     }
 
     /// The next thing in the file; `None` after the last byte of a complete one.
@@ -498,32 +444,4 @@ fn checked(body: &[u8], at: usize, found: Option<u32>) -> Option<Crc> {
     let saved = u32::from_le_bytes(*body.get(at..)?.first_chunk::<4>()?);
     let found = found?;
     Some(Crc { saved, found })
-}
-
-/// 0 is none; all others are either known, or kept for later versions and applications.
-const fn is_opcode(opcode: u8) -> bool {
-    opcode != 0
-}
-
-/// What a record is, in words.
-#[must_use]
-pub const fn kind_name(opcode: u8) -> &'static str {
-    match opcode {
-        op::HEADER => "header",
-        op::FOOTER => "footer",
-        op::SCHEMA => "schema",
-        op::CHANNEL => "channel",
-        op::MESSAGE => "message",
-        op::CHUNK => "chunk",
-        op::MESSAGE_INDEX => "message index",
-        op::CHUNK_INDEX => "chunk index",
-        op::ATTACHMENT => "attachment",
-        op::ATTACHMENT_INDEX => "attachment index",
-        op::STATISTICS => "statistics",
-        op::METADATA => "metadata",
-        op::METADATA_INDEX => "metadata index",
-        op::SUMMARY_OFFSET => "summary offset",
-        op::DATA_END => "end of data",
-        _ => "record of an unknown kind",
-    }
 }

@@ -2,7 +2,8 @@
 
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
 
-use super::{Place, ScanError};
+use super::error::ScanError;
+use super::record::Place;
 
 const BUFFER_BYTES: usize = 256 << 10;
 /// Room made at once for a record whose length nobody has vouched for, bytes.

@@ -1,0 +1,113 @@
+//! What a record is, and where it stands.
+
+use std::fmt;
+
+use mcap::records::{ChunkHeader, op};
+use serde::Serialize;
+
+/// Longest record that is read into memory, bytes; longer ones are passed over and reported.
+/// Chunks may be longer: they are read as a stream.
+pub const MAX_RECORD_BYTES: u64 = 64 << 20;
+
+/// Opcode and length before every record, bytes.
+pub(super) const HEAD_BYTES: u64 = 9;
+pub(super) const MAGIC_BYTES: u64 = mcap::MAGIC.len() as u64;
+
+/// Where a record stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Place {
+    /// Bytes before the record, or before the chunk that it is in.
+    pub offset: u64,
+    /// Bytes before the record in the decompressed chunk, if it is in one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub in_chunk: Option<u64>,
+}
+
+impl Place {
+    pub(crate) const fn top(offset: u64) -> Self {
+        Self {
+            offset,
+            in_chunk: None,
+        }
+    }
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.in_chunk {
+            None => write!(out, "byte {}", self.offset),
+            Some(inner) => write!(out, "chunk at byte {}, byte {inner} in it", self.offset),
+        }
+    }
+}
+
+/// A checksum in the file and the one of the bytes found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Crc {
+    /// As written in the file; 0 means that none was written.
+    pub saved: u32,
+    /// Of the bytes in the file.
+    pub found: u32,
+}
+
+impl Crc {
+    /// Whether the file says something else than its bytes.
+    #[must_use]
+    pub const fn is_wrong(&self) -> bool {
+        self.saved != 0 && self.saved != self.found
+    }
+}
+
+/// The head of a chunk and where it stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ChunkFrame {
+    /// Bytes before the chunk's record.
+    pub offset: u64,
+    /// Length of the whole record with its head, bytes.
+    pub bytes: u64,
+    /// Its fields.
+    pub header: ChunkHeader,
+}
+
+/// What a record's head says.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Head {
+    pub(super) offset: u64,
+    pub(super) opcode: u8,
+    pub(super) bytes: u64,
+}
+
+impl Head {
+    /// The first byte after the record; `None` beyond what a file can have.
+    pub(super) fn end(self) -> Option<u64> {
+        self.offset.checked_add(HEAD_BYTES)?.checked_add(self.bytes)
+    }
+}
+
+/// 0 is none; all others are either known, or kept for later versions and applications.
+pub(super) const fn is_opcode(opcode: u8) -> bool {
+    opcode != 0
+}
+
+/// What a record is, in words.
+#[must_use]
+pub const fn kind_name(opcode: u8) -> &'static str {
+    match opcode {
+        op::HEADER => "header",
+        op::FOOTER => "footer",
+        op::SCHEMA => "schema",
+        op::CHANNEL => "channel",
+        op::MESSAGE => "message",
+        op::CHUNK => "chunk",
+        op::MESSAGE_INDEX => "message index",
+        op::CHUNK_INDEX => "chunk index",
+        op::ATTACHMENT => "attachment",
+        op::ATTACHMENT_INDEX => "attachment index",
+        op::STATISTICS => "statistics",
+        op::METADATA => "metadata",
+        op::METADATA_INDEX => "metadata index",
+        op::SUMMARY_OFFSET => "summary offset",
+        op::DATA_END => "end of data",
+        _ => "record of an unknown kind",
+    }
+}
