@@ -38,7 +38,7 @@ pub const FEATURE_NAMES: [&str; INPUTS] = [
 /// Without a previous command both derivatives are 0. A time step that is not positive makes both
 /// derivatives NaN, so that the forecast is visibly invalid instead of plausible and wrong.
 ///
-/// The features of freshness are NaN: [`crate::ReadingAge::fill`] sets them.
+/// The features of the reading age are NaN: [`crate::ReadingAge::fill`] sets them.
 #[inline(always)]
 pub fn features(
     v_mps: f32,
@@ -79,9 +79,9 @@ pub enum FeatureSet {
     Full,
     /// The power readings alone: for robots whose velocities nobody knows.
     PowerOnly,
-    /// The paper's eleven, and how fresh the newest reading is.
+    /// The paper's eleven, and the age of the newest reading.
     Freshness,
-    /// The power readings, and how fresh the newest one is.
+    /// The power readings, and the age of the newest one.
     PowerFreshness,
 }
 
@@ -131,7 +131,7 @@ impl FeatureSet {
         matches!(self, FeatureSet::Full | FeatureSet::Freshness)
     }
 
-    /// Whether it is read how fresh the newest reading is.
+    /// Whether the age of the newest reading is read.
     pub const fn needs_freshness(self) -> bool {
         matches!(self, FeatureSet::Freshness | FeatureSet::PowerFreshness)
     }

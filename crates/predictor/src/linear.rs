@@ -21,7 +21,7 @@ pub struct Linear {
 
 impl Linear {
     /// What the linear forecast reads beside a network that reads `network`: the same but for
-    /// freshness, in which nothing is linear.
+    /// the reading age, in which nothing is linear.
     pub const fn feature_set_beside(network: FeatureSet) -> FeatureSet {
         if network.needs_command() {
             FeatureSet::Full

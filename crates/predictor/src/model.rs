@@ -36,7 +36,7 @@ impl Model {
         self.feature_set().needs_command()
     }
 
-    /// Whether forecasts need to know how fresh the newest reading is. Without it, a model for which
+    /// Whether forecasts need the age of the newest reading. Without it, a model for which
     /// this is `true` forecasts NaN.
     pub fn needs_freshness(&self) -> bool {
         self.feature_set().needs_freshness()

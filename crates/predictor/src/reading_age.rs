@@ -118,7 +118,7 @@ impl ReadingAge {
         self.is_known().then_some(due)
     }
 
-    /// Sets the features of freshness: the age in samples, up to [`ReadingAge::LONGEST_STEPS`], and
+    /// Sets its two features: the age in samples, up to [`ReadingAge::LONGEST_STEPS`], and
     /// whether a new measurement is due, 1 or 0. Both are NaN where that is not known.
     #[inline(always)]
     pub fn fill(&self, row: &mut Features) {

@@ -14,7 +14,7 @@ pub struct RolloutStart {
     pub command: Option<(f32, f32)>,
     /// The last readings in watt, newest first.
     pub lag_w: [f32; LAGS],
-    /// How fresh the newest of them is; read by models that ask for it
+    /// How old the newest of them is; read by models that ask for it
     /// ([`crate::Model::needs_freshness`]). From step to step it goes by the schedule
     /// ([`ReadingAge::pass`]).
     pub reading_age: ReadingAge,

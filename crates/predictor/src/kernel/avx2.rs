@@ -121,9 +121,9 @@ unsafe impl Lanes for Avx2 {
     }
 
     #[inline(always)]
-    fn run_wide<W: SimdTask>(self, work: W) {
+    fn run_task<W: SimdTask>(self, work: W) {
         // SAFETY: an `Avx2` exists only where `detect` found the features.
-        unsafe { wide(work) }
+        unsafe { task(work) }
     }
 }
 
@@ -135,6 +135,6 @@ fn entry<J: Job<Avx2>>(lanes: Avx2, job: J) {
 
 #[inline(never)]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-fn wide<W: SimdTask>(work: W) {
+fn task<W: SimdTask>(work: W) {
     work.run();
 }

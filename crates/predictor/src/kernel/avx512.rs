@@ -126,9 +126,9 @@ unsafe impl Lanes for Avx512 {
     }
 
     #[inline(always)]
-    fn run_wide<W: SimdTask>(self, work: W) {
+    fn run_task<W: SimdTask>(self, work: W) {
         // SAFETY: an `Avx512` exists only where `detect` found the features.
-        unsafe { wide(work) }
+        unsafe { task(work) }
     }
 }
 
@@ -140,6 +140,6 @@ fn entry<J: Job<Avx512>>(lanes: Avx512, job: J) {
 
 #[inline(never)]
 #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
-fn wide<W: SimdTask>(work: W) {
+fn task<W: SimdTask>(work: W) {
     work.run();
 }

@@ -1,4 +1,4 @@
-//! A batch as tiles: as many robots by vectors as there are whole vectors, the rest by neurons.
+//! A batch cut into tiles: batch-major while there are whole vectors of robots, the rest output-major.
 
 #![allow(
     clippy::needless_range_loop,
@@ -14,7 +14,7 @@ use crate::features::{Features, INPUTS};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Tiling {
-    /// Rows by neuron; columns by robot, and what is left of them by neuron. The fastest for every
+    /// Rows output-major; columns batch-major, and their remainder output-major. The fastest for every
     /// batch, and the default.
     ByInput,
     /// A vector holds one value of as many robots, while there are whole vectors of robots.
@@ -74,14 +74,14 @@ impl Source for Rows<'_> {
     ) {
         for r in 0..R {
             let rows = &self.0[start + r * L::WIDTH..][..L::WIDTH];
-            let mut turned = [[0.0; 16]; INPUTS];
+            let mut transposed = [[0.0; 16]; INPUTS];
             for (lane, row) in rows.iter().enumerate() {
                 for feature in 0..INPUTS {
-                    turned[feature][lane] = row[feature];
+                    transposed[feature][lane] = row[feature];
                 }
             }
             for feature in read.first..read.end {
-                columns[feature][r] = lanes.load(&turned[feature]);
+                columns[feature][r] = lanes.load(&transposed[feature]);
             }
         }
     }
@@ -147,16 +147,16 @@ impl<L: Lanes, S: Source, const R: usize, const C: usize, const N: usize> Job<L>
         let by_input = self.tiling == Tiling::ByInput && S::IS_COLUMNS;
         if by_input || self.tiling == Tiling::BatchMajor {
             let (wide, after) = rest.split_at_mut(whole(rest.len(), R * L::WIDTH));
-            by_robot::<L, S, R, C>(lanes, packed, source, done, wide);
+            batch_major::<L, S, R, C>(lanes, packed, source, done, wide);
             done += wide.len();
             let (narrow, after) = after.split_at_mut(whole(after.len(), L::WIDTH));
-            by_robot::<L, S, 1, 8>(lanes, packed, source, done, narrow);
+            batch_major::<L, S, 1, 8>(lanes, packed, source, done, narrow);
             done += narrow.len();
             rest = after;
         }
         let (tiles, rest) = rest.as_chunks_mut::<N>();
         for tile in tiles {
-            by_neuron(lanes, packed, source, done, tile);
+            output_major(lanes, packed, source, done, tile);
             done += N;
         }
         match rest.len() {
@@ -176,7 +176,7 @@ pub(crate) const fn whole(count: usize, tile: usize) -> usize {
 
 /// Whole tiles of `R` vectors of robots.
 #[inline(always)]
-fn by_robot<L: Lanes, S: Source, const R: usize, const C: usize>(
+fn batch_major<L: Lanes, S: Source, const R: usize, const C: usize>(
     lanes: L,
     packed: &Packed,
     source: S,
@@ -208,12 +208,12 @@ fn few<L: Lanes, S: Source, const N: usize>(
 ) {
     let (tiles, _) = out_w.as_chunks_mut::<N>();
     for tile in tiles {
-        by_neuron(lanes, packed, source, start, tile);
+        output_major(lanes, packed, source, start, tile);
     }
 }
 
 #[inline(always)]
-fn by_neuron<L: Lanes, S: Source, const N: usize>(
+fn output_major<L: Lanes, S: Source, const N: usize>(
     lanes: L,
     packed: &Packed,
     source: S,

@@ -61,8 +61,8 @@ impl<L: Lanes> Gelu<L> {
     }
 }
 
-/// Room for the values of a layer, which nobody fills in vain. On cache lines of its own: a vector
-/// that lies across two costs twice.
+/// Memory for the values of a layer, not zeroed first. Aligned to cache lines: a load across two costs
+/// twice.
 #[repr(C, align(64))]
 struct Scratch<T, const O: usize>([MaybeUninit<T>; O]);
 

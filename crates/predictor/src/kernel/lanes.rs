@@ -48,7 +48,7 @@ pub(crate) unsafe trait Lanes: Copy {
 
     /// Runs work without vectors of its own compiled for this CPU: as it is, where the target already
     /// stands for all that the CPU is known to do.
-    fn run_wide<W: SimdTask>(self, work: W) {
+    fn run_task<W: SimdTask>(self, work: W) {
         work.run();
     }
 }

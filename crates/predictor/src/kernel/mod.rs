@@ -19,7 +19,7 @@ mod lanes;
 #[allow(unsafe_code)] // Intrinsics that every CPU of the target has.
 mod neon;
 mod packed;
-#[allow(unsafe_code)] // A hint to the CPU takes an address.
+#[allow(unsafe_code)] // A prefetch takes an address.
 mod prefetch;
 mod rollout;
 #[allow(unsafe_code)] // Keeps that promise.

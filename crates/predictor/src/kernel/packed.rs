@@ -58,8 +58,8 @@ impl Read {
         }
     }
 
-    /// Whether the features of freshness are among them.
-    pub(crate) const fn has_freshness(self) -> bool {
+    /// Whether the features of the reading age are among them.
+    pub(crate) const fn has_reading_age(self) -> bool {
         self.end > FEATURES
     }
 }

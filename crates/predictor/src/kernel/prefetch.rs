@@ -1,10 +1,10 @@
-//! Memory asked for before it is needed.
+//! Memory prefetched before it is needed.
 
-/// Bytes that come at a time.
+/// Bytes of a cache line.
 const LINE: usize = 64;
 
-/// Has these values brought into the core's second cache, since they will soon be needed. It is a hint:
-/// nothing is waited for, and what it does can be seen in time only.
+/// Prefetches these values into the core's L2. It is a hint: nothing waits for it, and only the time
+/// taken shows it.
 #[inline(always)]
 pub fn prefetch<T>(values: &[T]) {
     #[cfg(target_arch = "x86_64")]

@@ -43,19 +43,19 @@ impl<L: Lanes, const R: usize, const C: usize> Job<L> for Roll<'_, R, C> {
         let energy_j = self.energy_j;
         let (wide, rest) = energy_j.split_at_mut(whole(energy_j.len(), R * L::WIDTH));
         for tile in wide.chunks_exact_mut(R * L::WIDTH) {
-            tiles.by_robot::<L, R, C>(lanes, tile);
+            tiles.batch_major::<L, R, C>(lanes, tile);
         }
         let (narrow, rest) = rest.split_at_mut(whole(rest.len(), L::WIDTH));
         for tile in narrow.chunks_exact_mut(L::WIDTH) {
-            tiles.by_robot::<L, 1, 8>(lanes, tile);
+            tiles.batch_major::<L, 1, 8>(lanes, tile);
         }
         let (fours, rest) = rest.as_chunks_mut::<4>();
         for tile in fours {
-            tiles.by_neuron(lanes, tile);
+            tiles.output_major(lanes, tile);
         }
         let (ones, _) = rest.as_chunks_mut::<1>();
         for tile in ones {
-            tiles.by_neuron(lanes, tile);
+            tiles.output_major(lanes, tile);
         }
     }
 }
@@ -95,14 +95,14 @@ impl Tiles<'_> {
             .command
             .map(|(v, omega)| (v, omega, self.rollouts.step_s));
         let mut row = features(v_mps[lane], omega_radps[lane], before, &start.lag_w);
-        self.fill_freshness(0, lane, &mut row);
+        self.fill_reading_age(0, lane, &mut row);
         row
     }
 
-    /// The features of freshness, where they are read: by the schedule that the robot kept.
+    /// The features of the reading age, where they are read: by the schedule that the robot kept.
     #[inline(always)]
-    fn fill_freshness(&self, step: usize, lane: usize, row: &mut Features) {
-        if self.packed.read.has_freshness() {
+    fn fill_reading_age(&self, step: usize, lane: usize, row: &mut Features) {
+        if self.packed.read.has_reading_age() {
             self.start(lane).reading_age.after(step as u64).fill(row);
         }
     }
@@ -128,7 +128,7 @@ impl Tiles<'_> {
     }
 
     #[inline(always)]
-    fn by_robot<L: Lanes, const R: usize, const C: usize>(
+    fn batch_major<L: Lanes, const R: usize, const C: usize>(
         &mut self,
         lanes: L,
         energy_j: &mut [f32],
@@ -160,16 +160,16 @@ impl Tiles<'_> {
         lanes: L,
         columns: &mut [[L::Vector; R]; INPUTS],
     ) {
-        let mut turned = [[0.0; WIDEST]; INPUTS];
+        let mut transposed = [[0.0; WIDEST]; INPUTS];
         for lane in 0..R * L::WIDTH {
             let row = self.row_of_first_step(lane);
             for feature in 0..INPUTS {
-                turned[feature][lane] = row[feature];
+                transposed[feature][lane] = row[feature];
             }
         }
         for feature in 0..INPUTS {
             for r in 0..R {
-                columns[feature][r] = lanes.load(&turned[feature][r * L::WIDTH..]);
+                columns[feature][r] = lanes.load(&transposed[feature][r * L::WIDTH..]);
             }
         }
     }
@@ -199,35 +199,35 @@ impl Tiles<'_> {
             }
             columns[NEWEST][r] = lanes.load(&newest_w[r * L::WIDTH..]);
         }
-        if self.packed.read.has_freshness() {
-            self.freshness_columns(lanes, step, columns);
+        if self.packed.read.has_reading_age() {
+            self.reading_age_columns(lanes, step, columns);
         }
     }
 
     #[inline(always)]
-    fn freshness_columns<L: Lanes, const R: usize>(
+    fn reading_age_columns<L: Lanes, const R: usize>(
         &self,
         lanes: L,
         step: usize,
         columns: &mut [[L::Vector; R]; INPUTS],
     ) {
-        let mut turned = [[0.0; WIDEST]; INPUTS - FEATURES];
+        let mut transposed = [[0.0; WIDEST]; INPUTS - FEATURES];
         for lane in 0..R * L::WIDTH {
             let mut row = [0.0; INPUTS];
-            self.fill_freshness(step, lane, &mut row);
+            self.fill_reading_age(step, lane, &mut row);
             for feature in FEATURES..INPUTS {
-                turned[feature - FEATURES][lane] = row[feature];
+                transposed[feature - FEATURES][lane] = row[feature];
             }
         }
         for feature in FEATURES..INPUTS {
             for r in 0..R {
-                columns[feature][r] = lanes.load(&turned[feature - FEATURES][r * L::WIDTH..]);
+                columns[feature][r] = lanes.load(&transposed[feature - FEATURES][r * L::WIDTH..]);
             }
         }
     }
 
     #[inline(always)]
-    fn by_neuron<L: Lanes, const N: usize>(&mut self, lanes: L, energy_j: &mut [f32; N]) {
+    fn output_major<L: Lanes, const N: usize>(&mut self, lanes: L, energy_j: &mut [f32; N]) {
         let mut sums_w = [0.0; N];
         let mut forecasts_w = [0.0; N];
         let mut rows = [[0.0; INPUTS]; N];
@@ -255,7 +255,7 @@ impl Tiles<'_> {
         lag_w[1..].copy_from_slice(&before[NEWEST..FEATURES - 1]);
         let previous = (before[0], before[1], self.rollouts.step_s);
         let mut row = features(v_mps[lane], omega_radps[lane], Some(previous), &lag_w);
-        self.fill_freshness(step, lane, &mut row);
+        self.fill_reading_age(step, lane, &mut row);
         row
     }
 }
