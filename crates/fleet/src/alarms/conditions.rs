@@ -1,4 +1,4 @@
-//! The conditions of a robot's alarms: what its samples say, beside its residuals.
+//! The conditions of a robot's alarms: those of its residuals, and those of its samples.
 
 use joulebus_settings::{AlarmSettings, Platform};
 use joulebus_wire::Alarm;

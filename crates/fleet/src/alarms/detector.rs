@@ -1,4 +1,4 @@
-//! Which alarms a robot raises: bias, noise, mismatch, and what its samples say about themselves.
+//! Residual monitoring (bias by CUSUM, noise, model mismatch), and hysteresis for all alarms.
 
 use joulebus_settings::AlarmSettings;
 use joulebus_wire::{Alarm, AlarmSet};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{Block, Lanes, put};
 
-/// Serial correlation above mask whitening would only amplify noise.
+/// Serial correlation above which whitening would only amplify noise.
 const CORRELATION_MAX: f32 = 0.9;
 
 /// Largest residual, W, and standardised residual that are believed: without a bound, one absurd
@@ -30,7 +30,7 @@ pub(crate) struct Detector {
     persistence_square: f32,
     /// For how many samples in a row the condition of an alarm has asked for a change.
     agreeing: [u16; ALARMS],
-    /// Alarms for mask that is not zero.
+    /// Alarms for which that is not zero.
     changing: AlarmSet,
     raised: AlarmSet,
 }

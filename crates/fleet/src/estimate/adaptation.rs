@@ -1,4 +1,4 @@
-//! What one robot differs in from those that its model has learned from: a level and a gain.
+//! How one robot differs from those that its model was trained on: a level and a gain.
 //!
 //! The adapted forecast is the network's times a gain, plus a level. Both are fitted to the robot's
 //! own readings by least squares in which older readings count less (recursive least squares with

@@ -121,7 +121,7 @@ impl Fleet {
         lanes::set(&mut self.columns.detectors, slot, detector);
     }
 
-    /// Takes note that a sample of the robot has come in this tick.
+    /// Marks the robot as having reported in this tick.
     fn mark_reported(&mut self, slot: usize) -> &mut AdmissionState {
         let admission = &mut self.columns.admissions[slot];
         self.reported += usize::from(!admission.reported);

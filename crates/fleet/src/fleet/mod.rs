@@ -1,4 +1,4 @@
-//! The fleet's state, and the tick.
+//! The fleet: samples in, ticks, and what they say of each robot.
 
 mod intake;
 mod membership;
@@ -54,7 +54,7 @@ pub struct Fleet {
     refused: Refused,
     drops: DropCounts,
     accepted: u64,
-    /// Robots that a sample has come of in this tick.
+    /// Robots that have reported in this tick.
     reported: usize,
     intake: TickIntake,
     /// No robot's last sample was taken before this, monotonic ns.
@@ -188,7 +188,7 @@ impl Fleet {
         self.drops
     }
 
-    /// Robots refused of late, with the reason and the source.
+    /// Recently refused robots, with the reason and the source.
     #[must_use]
     pub fn refusals(&self) -> [Refusal; 16] {
         self.refused.places()
@@ -259,7 +259,7 @@ impl Fleet {
         (self.columns.block(slot / LANES), slot % LANES)
     }
 
-    /// Takes the waiting sample of one robot at once, because another of it has come.
+    /// Absorbs and scores the waiting sample of one robot at once, because the next one has arrived.
     fn catch_up(&mut self, slot: usize) {
         let tick = &self.tick;
         let alone = [1 << (slot % WORD)];

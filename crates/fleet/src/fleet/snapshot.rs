@@ -118,7 +118,7 @@ impl Fleet {
         Ok(())
     }
 
-    /// Refuses what no fleet can have come to: the tick relies on it.
+    /// Refuses states that no fleet can reach: the tick relies on that.
     fn check_consistency(&self, state: &FleetState) -> Result<(), StateError> {
         let columns = &state.columns;
         let slots = columns.admissions.len();

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use crate::ingest::codes::invalid_reason;
 use crate::ingest::pending::Pending;
 
-/// Who holds a slot and what the checks of its next sample need: one line of the cache.
+/// Admission state of one robot: who holds the slot, and what the checks of its next sample need. One
+/// cache line per robot, because samples arrive in any order.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 #[repr(align(64))]
 pub(crate) struct AdmissionState {

@@ -43,7 +43,7 @@ pub(crate) fn backlog(admission: &AdmissionState, most: u16) -> Result<(), DropR
 
 /// Refuses values that cannot be true of a robot of this platform.
 ///
-/// A value whose flag is cleared is not looked at: it is unknown.
+/// A value whose flag is cleared is unknown and not checked.
 pub(crate) fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
     if sample.flags & !sample_flag::ALL != 0 || sample.reserved != 0 {
         return Err(DropReason::BadFlags);

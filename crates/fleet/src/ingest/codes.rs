@@ -35,7 +35,7 @@ pub(crate) mod drop_counts {
     }
 }
 
-/// The places for names of refused robots.
+/// The list of refused robots.
 pub(crate) mod refusals {
     use joulebus_wire::Refusal;
     use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};

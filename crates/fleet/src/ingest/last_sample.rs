@@ -15,7 +15,7 @@ pub(crate) struct Last {
     pub seq: u64,
     /// 0 before the first reading.
     pub measured_ns: u64,
-    /// Stamp since mask new measurements have all been equal to `reading_w`.
+    /// Stamp since which new measurements have all been equal to `reading_w`.
     pub equal_since_ns: u64,
     pub refused: u64,
     pub reading_w: f32,

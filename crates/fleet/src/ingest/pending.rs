@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{Lanes, block, put};
 
-/// A sample that waits for the next pass: what the checks have left to be used.
+/// A sample that has passed the checks and waits for the tick: the fields that the tick uses.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pending {
     pub seq: u64,
@@ -15,7 +15,7 @@ pub(crate) struct Pending {
     pub omega_radps: f32,
     pub power_w: f32,
     flags: u8,
-    /// Whether what came before has nothing to do with it.
+    /// Whether it breaks the sequence: nothing before it counts.
     pub broken: bool,
 }
 
@@ -23,7 +23,7 @@ pub(crate) struct Pending {
 const _: () = assert!(sample_flag::ALL <= u8::MAX as u32);
 
 impl Pending {
-    /// From a sample whose flags are all known; `broken` also where the flags do not say so.
+    /// From a sample whose flags are all known; `broken` holds beside the sample's own flag.
     #[inline(always)]
     pub(crate) fn new(sample: &Sample, broken: bool) -> Self {
         Self {
@@ -56,16 +56,16 @@ impl Pending {
     }
 }
 
-/// What the tick has to do with a robot.
+/// How far a robot's newest sample has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum PendingState {
     /// Nothing.
     None,
     /// A sample waits to be absorbed.
     Waiting,
-    /// A sample was absorbed, and waits to be accounted for.
+    /// A sample was absorbed, and waits to be scored.
     Absorbed,
-    /// The same of one that has nothing to do with what came before.
+    /// As `Absorbed`, of a sample that breaks the sequence.
     Broken,
 }
 
@@ -84,7 +84,7 @@ block! {
     }
 }
 
-/// The newest samples of a block, and what has come of them.
+/// The newest samples of a block, and how far each has come.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(32))]
 pub(crate) struct PendingBlock {

@@ -1,4 +1,4 @@
-//! Names of the robots refused of late, for operators.
+//! Names of recently refused robots, for operators.
 
 use joulebus_wire::{DropReason, Refusal};
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! Account of what each source sent, so that sent = accepted + dropped to zero.
+//! Accounts for every sample of each source: sent = accepted + dropped, exactly.
 
 use joulebus_wire::{DropCounts, DropReason, SampleHeader};
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! Which slots are in use.
+//! Slots of robots: a bitmap of those in use.
 
 use std::ops::Range;
 

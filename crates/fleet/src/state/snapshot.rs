@@ -1,4 +1,4 @@
-//! The state of a fleet as a value: to be kept, written down, and gone on with.
+//! A fleet's state as a value: to be stored, sent, and resumed from.
 
 use joulebus_settings::{FleetSettings, Online, Platform};
 use serde::{Deserialize, Serialize};

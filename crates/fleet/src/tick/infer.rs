@@ -53,8 +53,8 @@ pub(crate) fn infer_open(
     true
 }
 
-/// Shows robots whose sample is overdue what the model expects: provisional, undone by the sample
-/// if it says otherwise.
+/// Forecasts robots whose sample is overdue open loop: provisional, and discarded where the sample says
+/// otherwise.
 pub(crate) fn run_overdue(
     tick: &TickContext,
     context: &PlatformContext,

@@ -1,5 +1,4 @@
-//! What becomes of the samples that a tick has absorbed: ledgers, scores and alarms, a block of
-//! robots at a time.
+//! Ledgers, scores and alarms of the samples that a tick has absorbed, a block of robots at a time.
 
 // Lanes are counted: that is the loop that the compiler makes vectors of.
 #![allow(clippy::needless_range_loop)]
@@ -33,7 +32,7 @@ struct Absorbed {
 }
 
 impl Absorbed {
-    /// Takes what was absorbed of the robots in `lanes`, a bit each.
+    /// Takes the absorbed samples of the robots in `lanes`, a bit each.
     #[inline(always)]
     fn take(
         lanes: u16,
@@ -93,7 +92,7 @@ impl Absorbed {
     }
 }
 
-/// Accounts for what was absorbed of some robots.
+/// Scores the absorbed samples of some robots.
 pub(crate) struct Score<'a, 'b> {
     pub tick: &'a TickContext,
     pub columns: &'a mut ColumnsMut<'b>,
@@ -140,14 +139,14 @@ impl SimdTask for Score<'_, '_> {
     }
 }
 
-/// What is kept of a block of robots.
+/// The columns of a block that scoring writes.
 struct Robots<'a> {
     ledgers: &'a mut LedgerLanes,
     scores: &'a mut ScoreLanes,
     detectors: &'a mut DetectorLanes,
 }
 
-/// Accounts for the robots of one platform.
+/// Scores the robots of one platform.
 #[inline(always)]
 fn score_platform(tick: &TickContext, platform: u16, absorbed: &Absorbed, robots: &mut Robots<'_>) {
     let context = &tick.platforms[usize::from(platform)];

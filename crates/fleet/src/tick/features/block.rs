@@ -1,4 +1,5 @@
-//! What the next samples of a block's robots do to them: as [`crate::tick::features::step`], sixteen at a time.
+//! The common case, sixteen robots at a time: samples with readings that follow the last ones without
+//! a gap. The same functions as [`super::step`].
 
 // Lanes are counted: that is the loop that the compiler makes vectors of.
 #![allow(clippy::needless_range_loop)]
@@ -15,10 +16,10 @@ use crate::tick::batch::Batch;
 use crate::tick::features::step::{Step, quality, read, seconds};
 use crate::tick::platform_context::PlatformContext;
 
-/// Samples that are the next of their robots, with readings.
+/// Samples that follow the last ones of their robots without a gap, with readings.
 #[derive(Clone, Copy)]
 pub(crate) struct InSequence<'a> {
-    /// Whose.
+    /// Lanes that have one.
     pub mask: &'a Lanes<bool>,
     /// Time since the sample before, ns.
     pub elapsed_ns: &'a Lanes<u64>,
@@ -53,8 +54,8 @@ pub(crate) fn step_block(
         &mut steps,
     );
     qualify(context.required, lasts, pending, mask, windows, &steps);
-    expect(pending, mask, &steps);
-    follow(context, intervals, pending, &steps);
+    store_expected(pending, mask, &steps);
+    adapt_intervals(context, intervals, pending, &steps);
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
         columns.admissions[first + lane].accept(&pending.samples.get(lane));
     }
@@ -66,7 +67,7 @@ pub(crate) fn step_block(
     batch.push_block(first, &steps.ready, &steps.rows);
 }
 
-/// Has the last samples of a block replaced by the next.
+/// Replaces the last samples of a block by the next.
 #[inline(always)]
 fn read_lasts(
     lasts: &mut LastLanes,
@@ -87,7 +88,7 @@ fn read_lasts(
     *lasts = copy;
 }
 
-/// Has the windows of a block take their readings and commands.
+/// Advances the windows of a block by their readings and commands.
 #[inline(always)]
 fn read_windows(
     required: RequiredInputs,
@@ -110,7 +111,7 @@ fn read_windows(
     *windows = copy;
 }
 
-/// Notes what the forecasts of a block may be called.
+/// Sets the quality of the forecasts of a block.
 #[inline(always)]
 fn qualify(
     required: RequiredInputs,
@@ -127,9 +128,9 @@ fn qualify(
     }
 }
 
-/// Notes what was expected of the readings of a block.
+/// Stores the forecasts that were made for the readings of a block.
 #[inline(always)]
-fn expect(pending: &mut PendingBlock, mask: &Lanes<bool>, steps: &StepLanes) {
+fn store_expected(pending: &mut PendingBlock, mask: &Lanes<bool>, steps: &StepLanes) {
     for lane in 0..LANES {
         pending.mark(lane, mask[lane], PendingState::Absorbed);
         put(
@@ -140,9 +141,9 @@ fn expect(pending: &mut PendingBlock, mask: &Lanes<bool>, steps: &StepLanes) {
     }
 }
 
-/// Has the intervals of a block observe the residuals.
+/// Adapts the intervals of a block to the residuals.
 #[inline(always)]
-fn follow(
+fn adapt_intervals(
     context: &PlatformContext,
     intervals: &mut IntervalLanes,
     pending: &PendingBlock,

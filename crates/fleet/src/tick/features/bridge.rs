@@ -11,7 +11,7 @@ use crate::tick::infer::{infer, infer_open};
 use crate::tick::platform_context::PlatformContext;
 
 /// Runs robots with a gap before their waiting sample open loop up to it, a step per round, and
-/// then takes the samples. The rows collected so far are run as well: they are in the way.
+/// then takes the samples. The rows collected so far are run first, since the batch is reused.
 #[cold]
 #[inline(never)]
 pub(crate) fn bridge(context: &PlatformContext, columns: &mut ColumnsMut<'_>, batch: &mut Batch) {

@@ -18,17 +18,17 @@ use crate::tick::features::bridge::{bridge, gap};
 use crate::tick::features::step::step;
 use crate::tick::platform_context::PlatformContext;
 
-/// What a look at a tile has found.
+/// What one pass over a tile has found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Found {
     /// The next platform that has robots in the tile, if any.
     pub next: Option<u16>,
-    /// When the sample that is longest ago was taken, monotonic ns.
+    /// When the oldest of the robots' last samples was taken, monotonic ns.
     pub oldest_ns: u64,
 }
 
 /// Takes the waiting samples of a platform's robots and collects the rows for their forecasts.
-/// `ticking`: also ends the robots' tick and notes whose next sample is overdue.
+/// `ticking`: also resets what is counted per tick, and lists the robots whose next sample is overdue.
 pub(crate) fn build_rows(
     tick: &TickContext,
     platform: u16,
@@ -91,7 +91,7 @@ impl SimdTask for BuildRows<'_, '_> {
     }
 }
 
-/// What waits in a block for one platform.
+/// The samples that wait in a block, of one platform.
 struct Waiting {
     /// Whose sample has a reading and follows the last one without a gap.
     in_sequence: Lanes<bool>,
@@ -102,8 +102,8 @@ struct Waiting {
 }
 
 impl BuildRows<'_, '_> {
-    /// Ends the tick of a block's robots, and looks what waits; `None` if no robot of it is of the
-    /// platform.
+    /// Resets what is counted per tick for the robots of a block, and finds the samples that wait;
+    /// `None` if no robot of the block is of the platform.
     #[inline(always)]
     fn collect_waiting(
         &mut self,
@@ -153,7 +153,7 @@ impl BuildRows<'_, '_> {
         Some(waiting)
     }
 
-    /// Takes samples of a block one by one.
+    /// Takes the irregular samples of a block one by one.
     #[inline(never)]
     fn step_each(&mut self, context: &PlatformContext, block: usize, mask: &Lanes<bool>) {
         for lane in (0..LANES).filter(|lane| mask[*lane]) {

@@ -99,7 +99,7 @@ fn miss(context: &PlatformContext, window: &mut Window, pending: &Pending, elaps
     }
 }
 
-/// Of a sample without a reading, as far as it depends on the sample.
+/// Quality of the forecast after a sample without a reading, as far as it depends on the sample.
 fn quality_unread(
     required: RequiredInputs,
     pending: &Pending,
@@ -116,7 +116,7 @@ fn quality_unread(
     }
 }
 
-/// What a sample has led to.
+/// The result of one sample.
 pub(crate) struct Step {
     /// The forecast one step ahead that was made for its reading, W; NaN where there was none.
     pub expected_w: f32,
@@ -155,7 +155,7 @@ pub(crate) fn seconds(elapsed_ns: u64) -> f32 {
     (elapsed_ns as f64 * 1e-9) as f32
 }
 
-/// Of a sample with a reading, as far as it depends on the sample; `have`: readings in the window.
+/// Quality of the forecast after a sample with a reading, as far as it depends on the sample; `have`: readings in the window.
 #[inline(always)]
 pub(crate) fn quality(
     required: RequiredInputs,
@@ -177,7 +177,7 @@ pub(crate) fn quality(
     }
 }
 
-/// What keeps a full window from leading to a row.
+/// Why a full window gives no row.
 #[inline(always)]
 fn missing(required: RequiredInputs, pending: &Pending) -> (u16, u16) {
     const COMMAND: (u16, u16) = Quality::Invalid(InvalidReason::NoCommand).encode();
