@@ -14,7 +14,7 @@ use joulebus_program::model_source;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::recordings::{How, Recordings};
+use crate::recordings::{Recordings, Resampling};
 use crate::split_unit::SplitUnit;
 
 /// What a dataset can teach: autocorrelation, what each input adds, and how much of a score comes
@@ -46,7 +46,7 @@ pub(crate) struct Args {
         value_delimiter = ',',
         default_value = "hold"
     )]
-    resample: Vec<How>,
+    resample: Vec<Resampling>,
     /// Rows a second of the grid
     #[arg(long, value_name = "HZ", default_value_t = 30.0)]
     rate: f64,
@@ -74,7 +74,7 @@ pub(crate) struct Args {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct AnalyzeReport {
     #[serde(flatten)]
     analysis: Analysis,
     #[serde(skip)]
@@ -89,7 +89,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let analysis = analyze(&trials, &args.settings(), &models);
     let analysis = analysis.map_err(|error| UsageError(error.to_string()))?;
-    output.report(&Report {
+    output.report(&AnalyzeReport {
         analysis,
         each: args.each,
     })?;
@@ -115,7 +115,7 @@ impl Args {
         }
     }
 
-    fn grid(&self, how: How) -> Resample {
+    fn grid(&self, how: Resampling) -> Resample {
         Resample {
             method: how.into(),
             rate_hz: self.rate,
@@ -133,7 +133,7 @@ fn model(path: &Path) -> anyhow::Result<(String, Model)> {
     Ok((name, Model::Network(network)))
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for AnalyzeReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Analysis {
             trials,

@@ -18,11 +18,11 @@ use serde::Serialize;
     joulebus config explain tick               the keys of a section, with unit, range, default")]
 pub(crate) struct Args {
     #[command(subcommand)]
-    what: What,
+    verb: Verb,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum Verb {
     /// Check fleets' configs and the platform files they name; exit 2 if one is refused
     #[command(after_help = "Example:\n  joulebus config check configs/fleet.toml")]
     Check {
@@ -48,10 +48,10 @@ enum What {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    match &args.what {
-        What::Check { files } => check(files, output),
-        What::Show { file } => show(file.clone(), output),
-        What::Explain { key } => explain_key(key.as_deref(), output),
+    match &args.verb {
+        Verb::Check { files } => check(files, output),
+        Verb::Show { file } => show(file.clone(), output),
+        Verb::Explain { key } => explain_key(key.as_deref(), output),
     }
 }
 

@@ -18,11 +18,11 @@ use joulebus_program::output::Output;
     joulebus data simulate simulated")]
 pub(crate) struct Args {
     #[command(subcommand)]
-    what: What,
+    verb: Verb,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum Verb {
     Info(info::Args),
     Check(check::Args),
     Convert(convert::Args),
@@ -30,10 +30,10 @@ enum What {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    match &args.what {
-        What::Info(args) => info::run(args, output),
-        What::Check(args) => check::run(args, output),
-        What::Convert(args) => convert::run(args, output),
-        What::Simulate(args) => simulate::run(args, output),
+    match &args.verb {
+        Verb::Info(args) => info::run(args, output),
+        Verb::Check(args) => check::run(args, output),
+        Verb::Convert(args) => convert::run(args, output),
+        Verb::Simulate(args) => simulate::run(args, output),
     }
 }

@@ -15,7 +15,7 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use options::Options;
+use options::ImportArguments;
 
 /// Import recordings (rosbag2 MCAP, .npy, .csv, .csv.gz) as datasets or as a capture
 #[derive(Debug, clap::Args)]
@@ -51,7 +51,7 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "PATH")]
     output: PathBuf,
     #[command(flatten)]
-    options: Options,
+    options: ImportArguments,
     /// Id in a capture of the first robot without one; the others count on [default: the lowest
     /// of the config]
     #[arg(long, value_name = "ID")]
@@ -71,7 +71,7 @@ struct Recording {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct ImportReport {
     sources: Vec<Source>,
     /// Files written.
     written: Vec<Written>,
@@ -110,7 +110,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             read_trial(file, &mut recordings)?
         });
     }
-    let mut report = Report {
+    let mut report = ImportReport {
         sources,
         written: Vec::new(),
     };
@@ -252,7 +252,7 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
     Ok(written)
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for ImportReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         for source in &self.sources {
             writeln!(out, "{}", source.file)?;

@@ -37,7 +37,7 @@ pub(crate) struct FileReport {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct InfoReport {
     files: Vec<FileReport>,
 }
 
@@ -64,7 +64,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         .iter()
         .map(look)
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let report = Report { files };
+    let report = InfoReport { files };
     output.report(&report)?;
     let is_sound = report.files.iter().all(|file| file.found.is_sound());
     Ok(Outcome::unless_lost(!is_sound))
@@ -80,7 +80,7 @@ impl fmt::Display for FileReport {
     }
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for InfoReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (number, file) in self.files.iter().enumerate() {
             if number > 0 {

@@ -40,7 +40,7 @@ pub(crate) fn find_recordings(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>>
 
 /// How to resample.
 #[derive(Debug, Clone, Copy, ValueEnum)]
-pub(crate) enum How {
+pub(crate) enum Resampling {
     /// The latest row
     Hold,
     /// The mean over the period that ends
@@ -49,12 +49,12 @@ pub(crate) enum How {
     Linear,
 }
 
-impl From<How> for Method {
-    fn from(how: How) -> Self {
+impl From<Resampling> for Method {
+    fn from(how: Resampling) -> Self {
         match how {
-            How::Hold => Self::Hold,
-            How::Mean => Self::Mean,
-            How::Linear => Self::Linear,
+            Resampling::Hold => Self::Hold,
+            Resampling::Mean => Self::Mean,
+            Resampling::Linear => Self::Linear,
         }
     }
 }

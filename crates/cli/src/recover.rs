@@ -31,7 +31,7 @@ pub(crate) struct Args {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct RecoverReport {
     input: String,
     output: String,
     input_bytes: u64,
@@ -62,7 +62,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let duration_s = started.elapsed().as_secs_f64();
     check(&args.output, &recovery)?;
     let is_whole = recovery.is_lossless();
-    output.report(&Report {
+    output.report(&RecoverReport {
         input: args.input.display().to_string(),
         output: args.output.display().to_string(),
         input_bytes,
@@ -97,7 +97,7 @@ fn check(path: &Path, recovery: &Recovery) -> anyhow::Result<()> {
     Ok(())
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for RecoverReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{}", self.recovery)?;
         let megabytes = self.input_bytes as f64 / 1e6;

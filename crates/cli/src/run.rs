@@ -11,7 +11,7 @@ use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
 use serde::Serialize;
 
-use crate::record::Beside;
+use crate::record::RecorderProcess;
 
 /// Run the predictor-worker of a fleet until SIGINT or SIGTERM, then report
 #[derive(Debug, clap::Args)]
@@ -34,13 +34,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
     let recorder = match &args.record {
-        Some(file) => Some(Beside::start(&args.config, file)?),
+        Some(file) => Some(RecorderProcess::start(&args.config, file)?),
         None => None,
     };
     let worker = Worker::open(&config)?;
     say(&ready(&config));
     let report = worker.run(stop.flag())?;
-    let whole = recorder.is_none_or(Beside::finish);
+    let whole = recorder.is_none_or(RecorderProcess::finish);
     output.report(&RunReport(report))?;
     Ok(Outcome::unless_lost(!whole))
 }

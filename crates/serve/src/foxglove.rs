@@ -27,7 +27,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 const QUEUE_BYTES: usize = 64 << 20;
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct ServeReport {
     fleet: String,
     address: String,
     messages: u64,
@@ -85,7 +85,7 @@ pub(super) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
         .join()
         .map_err(|_| anyhow::anyhow!("the server's thread has panicked"))??;
     server.stop().wait_blocking();
-    output.report(&Report {
+    output.report(&ServeReport {
         fleet: config.fleet().to_owned(),
         address,
         messages: sent.load(Ordering::Relaxed),
@@ -135,7 +135,7 @@ fn open(entry: &Entry, context: &Arc<Context>) -> anyhow::Result<Arc<RawChannel>
         .with_context(|| format!("cannot open a channel for {}", entry.topic))
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for ServeReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
             fleet,

@@ -37,7 +37,7 @@ pub(super) struct Args {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct CheckReport {
     sound: bool,
     #[serde(flatten)]
     check: Check,
@@ -49,7 +49,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let limits = args.limits()?;
     let check = check_files(&files, &limits, args.places);
     let sound = check.is_sound();
-    output.report(&Report {
+    output.report(&CheckReport {
         sound,
         check,
         limits,
@@ -76,7 +76,7 @@ impl Args {
     }
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for CheckReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Check {
             files,

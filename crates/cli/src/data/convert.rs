@@ -10,7 +10,7 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::recordings::{How, Recordings};
+use crate::recordings::{Recordings, Resampling};
 
 /// Write recorded trials in another form, to the same bits; on another grid of time only when asked
 #[derive(Debug, clap::Args)]
@@ -35,7 +35,7 @@ pub(super) struct Args {
     to: Option<To>,
     /// Another grid of time
     #[arg(long, value_enum, value_name = "METHOD", requires = "rate")]
-    resample: Option<How>,
+    resample: Option<Resampling>,
     /// Rows a second of that grid
     #[arg(long, value_name = "HZ", requires = "resample")]
     rate: Option<f64>,
@@ -59,7 +59,7 @@ enum To {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct ConvertReport {
     resample: Option<Resample>,
     files: Vec<Written>,
 }
@@ -112,7 +112,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let lost = |file: &Written| file.resampled.is_some_and(|told| told.not_advancing > 0);
     let lost = files.iter().any(lost);
-    output.report(&Report { resample, files })?;
+    output.report(&ConvertReport { resample, files })?;
     Ok(Outcome::unless_lost(lost))
 }
 
@@ -236,7 +236,7 @@ fn drop_columns(
     Ok(dropped)
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for ConvertReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         for written in &self.files {
             let (from, file, rows) = (written.from.display(), written.file.display(), written.rows);

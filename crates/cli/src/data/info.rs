@@ -31,7 +31,7 @@ pub(super) struct Args {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct DataInfoReport {
     trials: Vec<TrialReport>,
     sums: Sums,
     #[serde(skip)]
@@ -61,7 +61,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let sums = Sums::of(&trials);
     let (columns, short) = (args.columns, args.short);
-    output.report(&Report {
+    output.report(&DataInfoReport {
         trials,
         sums,
         columns,
@@ -89,7 +89,7 @@ impl Sums {
     }
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for DataInfoReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         if !self.short {
             for trial in &self.trials {

@@ -36,7 +36,7 @@ pub(crate) struct Args {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct SimulateReport {
     simulated: bool,
     directory: String,
     seed: u64,
@@ -80,7 +80,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     for (trial, robot) in run.trials.iter().zip(1..) {
         write(trial, &scenario::file_stem(robot))?;
     }
-    output.report(&Report {
+    output.report(&SimulateReport {
         simulated: true,
         directory: args.directory.display().to_string(),
         seed: args.seed,
@@ -92,7 +92,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for SimulateReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(out, "simulated, seed {}:", self.seed)?;
         for file in &self.files {

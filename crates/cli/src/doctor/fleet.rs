@@ -38,8 +38,8 @@ pub(super) fn models(config: &Config) -> Check {
     }
 }
 
-/// Whether a worker, a source and a planner have room, or the fleet's further processes if a worker
-/// runs already.
+/// Whether memory and descriptors suffice for a worker, a source and a planner, or for
+/// the fleet's further processes if a worker runs already.
 pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
     let limits = config.limits();
     let ports = |sources, planners| Ports {
@@ -47,8 +47,8 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
         workers: usize::from(inspection.worker_pid.is_none()),
         planners,
     };
-    let room = match check_capacity(&limits, ports(1, 1)) {
-        Ok(room) => room,
+    let capacity = match check_capacity(&limits, ports(1, 1)) {
+        Ok(capacity) => capacity,
         Err(error) => {
             let name = match error {
                 CapacityError::Descriptors { .. } => "descriptors",
@@ -60,12 +60,12 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
     let mebi = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let found = format!(
         "{:.1} MiB needed, {:.1} MiB of {:.1} MiB free; {} file descriptors needed, {} of {} used",
-        mebi(room.needed_bytes),
-        mebi(room.free_bytes),
-        mebi(room.total_bytes),
-        room.descriptors_needed,
-        room.descriptors_used,
-        room.descriptors_limit,
+        mebi(capacity.needed_bytes),
+        mebi(capacity.free_bytes),
+        mebi(capacity.total_bytes),
+        capacity.descriptors_needed,
+        capacity.descriptors_used,
+        capacity.descriptors_limit,
     );
     match check_capacity(&limits, ports(limits.max_sources, limits.max_planners)) {
         Err(CapacityError::Memory { needed, free }) => {
@@ -197,7 +197,7 @@ fn node_name(node: &NodeInfo) -> String {
     }
 }
 
-/// What nobody uses any more, or nobody of ours.
+/// Objects in shared memory that no process of ours uses any more.
 pub(super) fn stale_files(inspection: &Inspection) -> Check {
     let name = "stale files";
     if let Some(first) = inspection.foreign.first() {

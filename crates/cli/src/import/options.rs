@@ -8,7 +8,7 @@ use joulebus_program::exit::UsageError;
 
 /// How a rosbag2 recording is meant.
 #[derive(Debug, clap::Args)]
-pub(super) struct Options {
+pub(super) struct ImportArguments {
     /// A TOML file that says it for each robot
     #[arg(long, value_name = "FILE", conflicts_with_all = ["battery", "command", "odometry", "robot_name", "robot_id"])]
     mapping: Option<PathBuf>,
@@ -59,7 +59,7 @@ enum Clock {
     Publish,
 }
 
-impl Options {
+impl ImportArguments {
     /// The mapping that file and options give together; options win.
     pub(super) fn mapping(&self) -> anyhow::Result<Mapping> {
         let mut mapping = match &self.mapping {

@@ -24,11 +24,11 @@ use joulebus_program::output::Output;
     directories of .npy. Nothing in a file is ever run.")]
 pub(crate) struct Args {
     #[command(subcommand)]
-    what: What,
+    verb: Verb,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum Verb {
     Info(info::Args),
     Import(import::Args),
     Export(export::Args),
@@ -36,11 +36,11 @@ enum What {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    match &args.what {
-        What::Info(args) => info::run(args, output),
-        What::Import(args) => import::run(args, output),
-        What::Export(args) => export::run(args, output),
-        What::Compare(args) => compare::run(args, output),
+    match &args.verb {
+        Verb::Info(args) => info::run(args, output),
+        Verb::Import(args) => import::run(args, output),
+        Verb::Export(args) => export::run(args, output),
+        Verb::Compare(args) => compare::run(args, output),
     }
 }
 

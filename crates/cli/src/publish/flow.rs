@@ -31,7 +31,7 @@ struct HeardWorker {
     process: Option<PeerWatch>,
 }
 
-/// Whether there is room for a frame.
+/// Whether the fleet can take a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum SendWindow {
     /// There is.
@@ -64,8 +64,12 @@ impl Flow {
     }
 
     /// Waits until the worker has answered enough for `frame`.
-    pub(crate) fn room(&mut self, frame: &[Sample], stop: &Stop) -> anyhow::Result<SendWindow> {
-        self.wait(stop, None, |window| window.has_room(frame))
+    pub(crate) fn wait_for_capacity(
+        &mut self,
+        frame: &[Sample],
+        stop: &Stop,
+    ) -> anyhow::Result<SendWindow> {
+        self.wait(stop, None, |window| window.has_capacity(frame))
     }
 
     /// Waits until everything is answered, at most until `until_ns` (monotonic).

@@ -109,6 +109,6 @@ impl Link {
 }
 
 /// Says that frames go nowhere for now.
-pub(super) fn say_nobody_reads() {
+pub(super) fn warn_without_worker() {
     say("no worker runs: what is sent before one comes is lost (`joulebus run` starts it)");
 }

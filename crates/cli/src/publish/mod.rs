@@ -24,19 +24,19 @@ use joulebus_program::output::Output;
     joulebus publish trial recordings/*.csv.gz --rate max")]
 pub(crate) struct Args {
     #[command(subcommand)]
-    what: What,
+    verb: Verb,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum Verb {
     Sim(sim::Args),
     Trial(trial::Args),
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    match &args.what {
-        What::Sim(args) => sim::run(args, output),
-        What::Trial(args) => trial::run(args, output),
+    match &args.verb {
+        Verb::Sim(args) => sim::run(args, output),
+        Verb::Trial(args) => trial::run(args, output),
     }
 }
 

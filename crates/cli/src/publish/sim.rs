@@ -14,7 +14,7 @@ use joulebus_sim::plant::{Plant, SimReading};
 use joulebus_wire::{Sample, sample_flag};
 
 use super::fault::{self, FaultArgument};
-use super::link::{Link, say_nobody_reads};
+use super::link::{Link, warn_without_worker};
 use super::report::PublishReport;
 use super::{Hertz, seconds};
 use joulebus_program::platform::platform;
@@ -71,7 +71,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     };
     let mut link = Link::open(&config, &name)?;
     if !link.has_worker()? {
-        say_nobody_reads();
+        warn_without_worker();
     }
     let mut source = Source {
         link,

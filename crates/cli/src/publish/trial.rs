@@ -14,7 +14,7 @@ use joulebus_program::stop::Stop;
 use joulebus_wire::Sample;
 
 use super::flow::{Flow, SendWindow};
-use super::link::{Fate, Link, say_nobody_reads};
+use super::link::{Fate, Link, warn_without_worker};
 use super::report::{PlayedTrial, PublishReport};
 use super::window::Window;
 use super::{Hertz, number, seconds};
@@ -150,7 +150,7 @@ impl Args {
             return link.wait_for_worker(stop);
         }
         if !link.has_worker()? {
-            say_nobody_reads();
+            warn_without_worker();
         }
         Ok(true)
     }
@@ -298,7 +298,7 @@ impl Player {
         self.frame.is_empty() && !self.most_samples.is_empty() && self.played_samples >= most
     }
 
-    /// Sends the frame, in parts if it is longer than the fleet has room for; false at a signal.
+    /// Sends the frame, in parts if it is longer than the fleet can take; false at a signal.
     fn send(&mut self, intended_ns: u64, stop: &Stop) -> anyhow::Result<bool> {
         let frame = std::mem::take(&mut self.frame);
         for part in frame.chunks(self.link.capacity()) {
@@ -321,7 +321,7 @@ impl Player {
     /// Waits until the worker has answered enough; false at a signal.
     fn has_room(&mut self, part: &[Sample], stop: &Stop) -> anyhow::Result<bool> {
         while let Some(flow) = &mut self.flow {
-            match flow.room(part, stop)? {
+            match flow.wait_for_capacity(part, stop)? {
                 SendWindow::Free => break,
                 SendWindow::Stopped => return Ok(false),
                 SendWindow::NoWorker if !self.waits => break,

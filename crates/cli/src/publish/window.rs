@@ -48,7 +48,7 @@ impl Window {
 
     /// Whether the frame can be sent without overflowing anything. When nothing is outstanding it
     /// always can: waiting would change nothing.
-    pub(crate) fn has_room(&self, frame: &[Sample]) -> bool {
+    pub(crate) fn has_capacity(&self, frame: &[Sample]) -> bool {
         if self.frames.is_empty() {
             return true;
         }
@@ -120,12 +120,18 @@ mod tests {
     fn no_more_frames_go_out_than_the_window_holds() {
         let mut window = Window::new(2, 8);
         for seq in 0..2 {
-            assert!(window.has_room(&frame(&[(1, seq)])));
+            assert!(window.has_capacity(&frame(&[(1, seq)])));
             window.sent(&frame(&[(1, seq)]), 10 + seq);
         }
-        assert!(!window.has_room(&frame(&[(1, 2)])), "two are outstanding");
+        assert!(
+            !window.has_capacity(&frame(&[(1, 2)])),
+            "two are outstanding"
+        );
         window.answered(5, [(1, 0)].into_iter());
-        assert!(window.has_room(&frame(&[(1, 2)])), "the first was answered");
+        assert!(
+            window.has_capacity(&frame(&[(1, 2)])),
+            "the first was answered"
+        );
         assert_eq!(window.len(), 1);
     }
 
@@ -133,15 +139,15 @@ mod tests {
     fn no_more_samples_of_a_robot_go_out_than_a_tick_takes() {
         let mut window = Window::new(8, 3);
         window.sent(&frame(&[(1, 0), (1, 1), (2, 0)]), 10);
-        assert!(window.has_room(&frame(&[(1, 2), (2, 1)])));
+        assert!(window.has_capacity(&frame(&[(1, 2), (2, 1)])));
         assert!(
-            !window.has_room(&frame(&[(1, 2), (1, 3)])),
+            !window.has_capacity(&frame(&[(1, 2), (1, 3)])),
             "four of robot 1"
         );
         window.answered(5, [(2, 0)].into_iter());
-        assert!(window.has_room(&frame(&[(1, 2), (1, 3)])));
+        assert!(window.has_capacity(&frame(&[(1, 2), (1, 3)])));
         // A frame that could never fit is not waited for.
-        assert!(window.has_room(&frame(&[(1, 2), (1, 3), (1, 4), (1, 5)])));
+        assert!(window.has_capacity(&frame(&[(1, 2), (1, 3), (1, 4), (1, 5)])));
     }
 
     #[test]

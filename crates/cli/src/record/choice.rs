@@ -6,12 +6,12 @@ use regex::Regex;
 
 /// A choice of topics. Without any wish, all.
 #[derive(Debug)]
-pub(super) struct Choice {
+pub(super) struct TopicChoice {
     topics: Vec<String>,
     regex: Option<Regex>,
 }
 
-impl Choice {
+impl TopicChoice {
     pub(super) fn new(topics: &[String], regex: Option<&str>) -> Result<Self, UsageError> {
         let known = MessageKind::OF_FLEET.map(MessageKind::name);
         let stranger = topics
@@ -71,7 +71,7 @@ mod tests {
             (vec!["ticks"], Some("^joulebus/lab/"), vec![0, 1, 2]),
         ] {
             let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
-            let choice = Choice::new(&topics, regex).unwrap();
+            let choice = TopicChoice::new(&topics, regex).unwrap();
             let found: Vec<usize> = (0..all.len()).filter(|at| choice.has(all[*at])).collect();
             assert_eq!(found, chosen, "{topics:?} {regex:?}");
         }
@@ -79,8 +79,8 @@ mod tests {
 
     #[test]
     fn a_service_that_does_not_exist_is_refused_with_those_that_do() {
-        let error = Choice::new(&["sample".to_owned()], None).unwrap_err();
+        let error = TopicChoice::new(&["sample".to_owned()], None).unwrap_err();
         assert!(error.to_string().contains("samples, forecasts"), "{error}");
-        assert!(Choice::new(&[], Some("(")).is_err());
+        assert!(TopicChoice::new(&[], Some("(")).is_err());
     }
 }

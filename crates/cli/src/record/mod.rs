@@ -21,10 +21,10 @@ use joulebus_program::output::{Format, Output, say};
 use joulebus_program::stop::Stop;
 use signal_hook::consts::SIGUSR1;
 
-use choice::Choice;
+use choice::TopicChoice;
 use others::Others;
-pub(crate) use recorder_process::Beside;
-use report::Report;
+pub(crate) use recorder_process::RecorderProcess;
+use report::RecordReport;
 
 /// How often it is looked whether to end.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -140,7 +140,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let summary = recorder.finish();
     let duration_s = (clock::monotonic_ns() - began_ns) as f64 * 1e-9;
     let (failed, lost) = (summary.failure.is_some(), summary.messages_lost() > 0);
-    args.report(&Report::new(&summary, duration_s), output)?;
+    args.report(&RecordReport::new(&summary, duration_s), output)?;
     if failed {
         return Ok(Outcome::Failed);
     }
@@ -189,7 +189,7 @@ impl Args {
     }
 
     fn options(&self) -> anyhow::Result<Options> {
-        let choice = Choice::new(&self.topics, self.regex.as_deref())?;
+        let choice = TopicChoice::new(&self.topics, self.regex.as_deref())?;
         let or_never = |limit: u64| if limit == 0 { u64::MAX } else { limit };
         if self.snapshot == Some(0.0) {
             return Err(UsageError("--snapshot 0 keeps nothing".to_owned()).into());
@@ -219,7 +219,7 @@ impl Args {
     }
 
     /// To stdout, unless that is where the capture goes.
-    fn report(&self, report: &Report, output: Output) -> anyhow::Result<()> {
+    fn report(&self, report: &RecordReport, output: Output) -> anyhow::Result<()> {
         if self.output != Path::new(STDOUT) {
             return output.report(report);
         }

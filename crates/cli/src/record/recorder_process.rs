@@ -16,12 +16,12 @@ use joulebus_program::output::say;
 const START_LIMIT: Duration = Duration::from_secs(15);
 
 /// The recorder. Dropping it ends it and waits for it.
-pub(crate) struct Beside {
+pub(crate) struct RecorderProcess {
     process: Child,
     report: Option<JoinHandle<String>>,
 }
 
-impl Beside {
+impl RecorderProcess {
     /// Starts it and waits until it records, so that nothing of the worker is missed.
     ///
     /// # Errors
@@ -51,10 +51,10 @@ impl Beside {
             })
         });
         let lines = process.stderr.take().map(pass_on);
-        let beside = Self { process, report };
+        let recorder = Self { process, report };
         let records = lines.is_some_and(|lines| lines.recv_timeout(START_LIMIT).is_ok());
         anyhow::ensure!(records, "the recorder does not record");
-        Ok(beside)
+        Ok(recorder)
     }
 
     /// Ends it, tells what it came to, and returns whether the capture is whole.
@@ -73,7 +73,7 @@ impl Beside {
     }
 }
 
-impl Drop for Beside {
+impl Drop for RecorderProcess {
     fn drop(&mut self) {
         if self.report.is_some() {
             self.end();

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 /// What a recording came to.
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub(super) struct RecordReport {
     /// From its start to its end, s.
     duration_s: f64,
     /// CPU time of the recorder over that time: 1 is a whole core.
@@ -41,7 +41,7 @@ struct Lost {
     unwritten: u64,
 }
 
-impl Report {
+impl RecordReport {
     pub(super) fn new(summary: &Summary, duration_s: f64) -> Self {
         let files = summary.files.iter().map(|(path, written)| File {
             path: path.display().to_string(),
@@ -81,7 +81,7 @@ fn cpu_s() -> f64 {
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for RecordReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let per_hour = self.bytes as f64 * 1e-9 * 3_600.0 / self.duration_s.max(1e-9);
         writeln!(

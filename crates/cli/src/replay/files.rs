@@ -66,7 +66,8 @@ impl Files {
         if let Some(path) = instead {
             return Ok((Config::load(path)?, None));
         }
-        let directory = tempfile::tempdir().context("no room for the attached models")?;
+        let directory =
+            tempfile::tempdir().context("cannot make a directory for the attached models")?;
         let unpacked = self
             .attachments
             .unpack(&self.fleet, directory.path())

@@ -237,7 +237,7 @@ impl Player {
         Ok(true)
     }
 
-    /// Sends a message once the worker has room for it; false at a signal.
+    /// Sends a message once the worker can take it; false at a signal.
     fn send(&mut self, entry: Entry, kind: MessageKind, stop: &Stop) -> anyhow::Result<bool> {
         if let joulebus_capture::Message::Samples(header, samples) = &entry.message {
             let epoch = self
@@ -260,7 +260,7 @@ impl Player {
             return Ok(true);
         };
         flow.follow(epoch);
-        match flow.room(samples, stop)? {
+        match flow.wait_for_capacity(samples, stop)? {
             SendWindow::Free => Ok(true),
             SendWindow::Stopped => Ok(false),
             SendWindow::NoWorker => wait_for_worker(flow, stop),

@@ -15,7 +15,7 @@ use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
 use joulebus_train::{TrainSettings, settings_for_sim};
 
 use report::TrainReport;
-use run::Run;
+use run::RunArguments;
 
 /// Train a model
 #[derive(Debug, clap::Args)]
@@ -25,11 +25,11 @@ use run::Run;
     Ctrl-C writes the run down beside the model; --resume goes on with it, to the same bytes.")]
 pub(crate) struct Args {
     #[command(subcommand)]
-    what: What,
+    verb: Verb,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum Verb {
     /// On simulated GTernal robots: the same bytes from the same seed on every machine
     #[command(after_help = "Examples:\n  \
         joulebus train sim --seed 7 --out configs/models/gternal-sim.safetensors\n  \
@@ -47,14 +47,14 @@ struct Sim {
     #[arg(long, value_name = "N")]
     seed: u64,
     /// What the network reads
-    #[arg(long, value_enum, default_value_t = Choice::Full)]
-    features: Choice,
+    #[arg(long, value_enum, default_value_t = FeatureChoice::Full)]
+    features: FeatureChoice,
     #[command(flatten)]
-    run: Run,
+    run: RunArguments,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Choice {
+enum FeatureChoice {
     /// Velocities and five past readings
     Full,
     /// Five past readings: for robots that report no velocities
@@ -65,21 +65,21 @@ enum Choice {
     PowerFreshness,
 }
 
-impl From<Choice> for FeatureSet {
-    fn from(choice: Choice) -> Self {
+impl From<FeatureChoice> for FeatureSet {
+    fn from(choice: FeatureChoice) -> Self {
         match choice {
-            Choice::Full => Self::Full,
-            Choice::Power => Self::PowerOnly,
-            Choice::Freshness => Self::Freshness,
-            Choice::PowerFreshness => Self::PowerFreshness,
+            FeatureChoice::Full => Self::Full,
+            FeatureChoice::Power => Self::PowerOnly,
+            FeatureChoice::Freshness => Self::Freshness,
+            FeatureChoice::PowerFreshness => Self::PowerFreshness,
         }
     }
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    match &args.what {
-        What::Sim(sim) => simulated(sim, output),
-        What::Trials(args) => trials::run(args, output),
+    match &args.verb {
+        Verb::Sim(sim) => simulated(sim, output),
+        Verb::Trials(args) => trials::run(args, output),
     }
 }
 
@@ -101,7 +101,7 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
 }
 
 /// Where a run that is not finished is written down: beside the model.
-fn beside(out: &std::path::Path) -> PathBuf {
+fn checkpoint_path(out: &std::path::Path) -> PathBuf {
     let mut name = out.as_os_str().to_owned();
     name.push(".training");
     PathBuf::from(name)

@@ -12,14 +12,14 @@ use joulebus_program::output::say;
 use joulebus_program::stop::Stop;
 use joulebus_train::{Epoch, TrainSettings, Trained, Training};
 
-use super::beside;
+use super::checkpoint_path;
 
 /// How often a run is written down, so that not even a power cut loses more.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
 
 /// Where the model goes, and how the run goes on.
 #[derive(Debug, clap::Args)]
-pub(super) struct Run {
+pub(super) struct RunArguments {
     /// The model file to write
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
@@ -31,7 +31,7 @@ pub(super) struct Run {
     threads: usize,
 }
 
-impl Run {
+impl RunArguments {
     /// Minutes of work should not be lost to a directory that is not there.
     pub(super) fn check(&self) -> anyhow::Result<()> {
         let folder = self.out.parent();
@@ -49,7 +49,7 @@ impl Run {
         settings: &TrainSettings,
     ) -> anyhow::Result<Option<Trained>> {
         let stop = Stop::on_signals()?;
-        let saved_at = beside(&self.out);
+        let saved_at = checkpoint_path(&self.out);
         let mut training = self.begin(dataset, settings, &saved_at)?;
         let (start, before) = (Instant::now(), training.epochs().len());
         let mut saved = Instant::now();

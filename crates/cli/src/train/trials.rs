@@ -15,9 +15,9 @@ use joulebus_program::output::{Output, say};
 use joulebus_train::TrainSettings;
 use serde::Deserialize;
 
-use super::Choice;
+use super::FeatureChoice;
 use super::report::TrainReport;
-use super::run::Run;
+use super::run::RunArguments;
 use crate::recordings::find_recordings;
 use crate::split_unit::SplitUnit;
 
@@ -53,14 +53,14 @@ pub(super) struct Args {
     name: Option<String>,
     /// What the network reads, instead of what the recipe says
     #[arg(long, value_enum)]
-    features: Option<Choice>,
+    features: Option<FeatureChoice>,
     /// Also write the rows of each part into this directory, for other programs: training.npy,
     /// validation.npy and held_out.npy, float32, the features in the order of features.txt and then
     /// the reading that followed, W
     #[arg(long, value_name = "DIR")]
     rows: Option<PathBuf>,
     #[command(flatten)]
-    run: Run,
+    run: RunArguments,
 }
 
 /// A recipe file.
