@@ -9,15 +9,37 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
+use joulebus_capture::record::{Options, Recorder, Target};
+use joulebus_capture::{Attachments, Clock};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
+use joulebus_publisher::{Pace, Publisher, RobotState};
 use tempfile::TempDir;
 
-/// The programs in the README are compiled as they stand.
+/// The programs in the README and in the crates' READMEs are compiled as they stand.
 #[cfg(doctest)]
-#[doc = include_str!("../../README.md")]
-pub struct Readme;
+mod readme {
+    macro_rules! compile {
+        ($($name:ident = $file:literal),* $(,)?) => { $(#[doc = include_str!($file)] pub struct $name;)* };
+    }
+    compile! {
+        Joulebus = "../../README.md",
+        Wire = "../../crates/wire/README.md",
+        Predictor = "../../crates/predictor/README.md",
+        Config = "../../crates/config/README.md",
+        Publisher = "../../crates/publisher/README.md",
+        Consumer = "../../crates/consumer/README.md",
+        PredictorWorker = "../../crates/predictor-worker/README.md",
+        Capture = "../../crates/capture/README.md",
+        Dataset = "../../crates/dataset/README.md",
+        Sim = "../../crates/sim/README.md",
+        Train = "../../crates/train/README.md",
+        Eval = "../../crates/eval/README.md",
+        ModelFiles = "../../crates/model-files/README.md",
+    }
+}
 
 /// A config file and shared memory that nobody else uses. Ending it stops the worker and removes both.
 #[derive(Debug)]
@@ -55,11 +77,20 @@ impl PrivateFleet {
     /// The config is refused, or the worker cannot start.
     pub fn with_worker(platforms: &str) -> Result<Self, Box<dyn Error>> {
         let mut fleet = Self::new(platforms)?;
-        let config = Config::load(&fleet.config)?;
-        let stop = Arc::clone(&fleet.stop);
+        fleet.start_worker()?;
+        Ok(fleet)
+    }
+
+    /// Starts the worker in a thread of this process, once.
+    ///
+    /// # Errors
+    /// The config is refused, or the worker cannot start.
+    pub fn start_worker(&mut self) -> Result<(), Box<dyn Error>> {
+        let config = Config::load(&self.config)?;
+        let stop = Arc::clone(&self.stop);
         let (ready, started) = mpsc::channel();
         // A worker belongs to the thread that opened it.
-        fleet.worker = Some(thread::spawn(move || match Worker::open(&config) {
+        self.worker = Some(thread::spawn(move || match Worker::open(&config) {
             Ok(worker) => {
                 let _ = ready.send(Ok(()));
                 if let Err(error) = worker.run(&stop) {
@@ -71,7 +102,7 @@ impl PrivateFleet {
             }
         }));
         started.recv()??;
-        Ok(fleet)
+        Ok(())
     }
 
     /// Its config file, for every process of the fleet.
@@ -87,5 +118,46 @@ impl Drop for PrivateFleet {
         if let Some(worker) = self.worker.take() {
             let _ = worker.join();
         }
+    }
+}
+
+/// Records a fleet of ten robots for two seconds, as `joulebus record` does, into `file`.
+///
+/// # Errors
+/// The fleet cannot start, or the file cannot be written.
+pub fn record(file: &Path) -> Result<(), Box<dyn Error>> {
+    let mut fleet =
+        PrivateFleet::new("[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n")?;
+    let config = Config::load(fleet.config())?;
+    let clock = Clock::now();
+    // Config, models and build lie in the file: it can be replayed on its own.
+    let attachments = Attachments::of(std::slice::from_ref(&config), clock)?;
+    let target = Target::File(file.to_owned());
+    // Before the worker, so that its first tick is in the capture.
+    let recorder = Recorder::start(
+        &config,
+        Vec::new(),
+        clock,
+        attachments,
+        target,
+        &Options::default(),
+    )?;
+    fleet.start_worker()?;
+    let mut publisher = Publisher::with_config(&config, "controller")?;
+    let mut pace = Pace::every(Duration::from_nanos(33_333_333));
+    for tick in 0..60 {
+        pace.wait();
+        let robots = (0..10).map(|robot| {
+            let v_mps = 0.1 + 0.05 * (0.1 * tick as f32 + robot as f32).sin();
+            RobotState::new(robot)
+                .command(v_mps, 0.0)
+                .reading(2.8 + 9.0 * v_mps)
+        });
+        publisher.publish(robots)?;
+    }
+    let summary = recorder.finish();
+    match summary.failure {
+        Some(failure) => Err(failure.into()),
+        None => Ok(()),
     }
 }

@@ -143,3 +143,67 @@ fn rollouts() {
     );
     assert!(!lines.concat().contains("NaN"), "{lines:#?}");
 }
+
+#[test]
+fn training() {
+    assert_starts(
+        &run("training"),
+        &[
+            "epoch 1",
+            "epoch 2",
+            "epoch 3",
+            "1180 forecasts of robots",
+            "a model file of",
+        ],
+    );
+}
+
+#[test]
+fn offline_evaluation() {
+    assert_starts(
+        &run("offline_evaluation"),
+        &[
+            "simulated/energy_data_trial1",
+            "simulated/energy_data_trial5",
+        ],
+    );
+}
+
+#[test]
+fn model_import() {
+    assert_starts(
+        &run("model_import"),
+        &[
+            "found layers.0.weight",
+            "found layers.1.weight",
+            "found layers.2.weight",
+            "found layers.3.weight",
+            "convention ",
+            "a model file of",
+        ],
+    );
+}
+
+#[test]
+fn read_capture() {
+    let lines = run("read_capture");
+    assert!(
+        lines
+            .iter()
+            .any(|line| line == "joulebus/example/samples: 60 messages"),
+        "{lines:#?}"
+    );
+    assert!(lines.last().unwrap().contains(" forecasts, "), "{lines:#?}");
+}
+
+#[test]
+fn replay() {
+    let [line] = &run("replay")[..] else {
+        panic!("one line")
+    };
+    assert!(
+        line.ends_with(" forecasts compared, 0 values differ"),
+        "{line}"
+    );
+    assert!(!line.starts_with("0 of "), "{line}");
+}

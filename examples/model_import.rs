@@ -1,0 +1,48 @@
+//! Model import: weights of another program become a model that the worker loads. The file is read
+//! by a parser that runs nothing. `cargo run -p joulebus-examples --example model_import`
+
+use std::error::Error;
+
+use joulebus_model_files::{Checkpoint, Origin, to_arrays};
+use joulebus_predictor::Network;
+use joulebus_sim::protocol;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let checkpoint = Checkpoint::from_arrays(&arrays_of_another_program()?)?;
+    // The network is found by the shapes of its arrays, the normalisation by its names.
+    let found = checkpoint.find(None)?;
+    for layer in &found.layers {
+        println!("found {}", layer.weight_path);
+    }
+
+    // Files do not say how features were computed: what forecasts recordings best is taken.
+    let recordings = [protocol::trial(1, 7)?, protocol::trial(5, 7)?];
+    let origin = Origin {
+        name: "imported",
+        file: "arrays",
+        sha256: "",
+    };
+    let choice = found.choose(&recordings, None, &origin)?;
+    println!(
+        "convention {}: R² {:.3}",
+        choice.convention, choice.ranking[0].r2
+    );
+
+    let model_file = choice.network().to_safetensors()?;
+    println!("a model file of {} bytes", model_file.len());
+    Ok(())
+}
+
+/// Weights and statistics as plain NumPy arrays: what somebody who trained elsewhere would have.
+fn arrays_of_another_program() -> Result<Vec<(String, Vec<u8>)>, Box<dyn Error>> {
+    let (_, bytes) = joulebus_config::builtin_model("gternal-sim").ok_or("no such model")?;
+    let mut arrays = to_arrays(&Network::from_safetensors(bytes)?)?;
+    // Without what only our own files have, it is a foreign one.
+    arrays.retain(|(name, _)| {
+        name.starts_with("layers.")
+            || name.ends_with("mean")
+            || name.ends_with("std")
+            || name.ends_with("_w")
+    });
+    Ok(arrays)
+}

@@ -1,0 +1,40 @@
+//! A capture is an MCAP file; this reads one message by message, in little memory however long it is.
+//! `cargo run -p joulebus-examples --example read_capture [FILE]`
+
+use std::collections::BTreeMap;
+use std::error::Error;
+
+use joulebus_capture::{Message, Reader};
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let directory = tempfile::tempdir()?;
+    let file = match std::env::args().nth(1) {
+        Some(file) => file.into(),
+        None => {
+            let file = directory.path().join("two_seconds.mcap");
+            joulebus_examples::record(&file)?;
+            file
+        }
+    };
+    let mut reader = Reader::open(file)?;
+    let mut messages: BTreeMap<String, u64> = BTreeMap::new();
+    let (mut sum_w, mut forecasts) = (0.0, 0);
+    while let Some(entry) = reader.next_entry()? {
+        *messages.entry(entry.topic.to_string()).or_default() += 1;
+        // The payloads are those of shared memory, with the same bits.
+        if let Message::Forecasts(_header, robots) = entry.message {
+            for power_w in robots.iter().filter_map(|robot| robot.power_w()) {
+                sum_w += f64::from(power_w);
+                forecasts += 1;
+            }
+        }
+    }
+    for (topic, count) in messages {
+        println!("{topic}: {count} messages");
+    }
+    println!(
+        "{forecasts} forecasts, {:.2} W on average",
+        sum_w / f64::from(forecasts)
+    );
+    Ok(())
+}

@@ -1,0 +1,47 @@
+//! A replay in this process, without shared memory: the tick computes every forecast, diagnostic and
+//! budget of a capture again and compares the bits. `cargo run -p joulebus-examples --example replay [FILE]`
+
+use std::error::Error;
+
+use joulebus_capture::{Reader, verify::Verifier};
+use joulebus_config::Config;
+use joulebus_predictor_worker::load_models;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let directory = tempfile::tempdir()?;
+    let file = match std::env::args().nth(1) {
+        Some(file) => file.into(),
+        None => {
+            let file = directory.path().join("two_seconds.mcap");
+            joulebus_examples::record(&file)?;
+            file
+        }
+    };
+    let mut reader = Reader::open(file)?;
+
+    // The config and the models that the worker ran with are attached to the capture.
+    let attachments = reader.attachments();
+    let fleet = attachments
+        .fleets()
+        .next()
+        .ok_or("no fleet in it")?
+        .to_owned();
+    let unpacked = attachments.unpack(&fleet, directory.path())?;
+    let config = Config::load(unpacked.ok_or("no config in it")?)?;
+
+    let mut verifier = Verifier::new(config.settings().clone(), load_models(&config)?)?;
+    while let Some(entry) = reader.next_entry()? {
+        if *entry.fleet == *fleet {
+            verifier.push(entry);
+        }
+    }
+    let verification = verifier.finish();
+    println!(
+        "{} of {} ticks computed again, {} forecasts compared, {} values differ",
+        verification.ticks_verified,
+        verification.ticks,
+        verification.forecasts_compared,
+        verification.differences,
+    );
+    Ok(())
+}

@@ -1,0 +1,206 @@
+//! What crates.io asks of every crate that is published, and what its users need: metadata, licences, a
+//! README, versions of all dependencies, and every embedded file inside the package.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+
+use std::fs;
+use std::path::{Component, Path, PathBuf};
+use std::process::Command;
+
+use serde_json::Value;
+
+/// What Cargo knows of the workspace; with `dependencies`, of all crates that it is built of.
+fn metadata(dependencies: bool) -> Value {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let mut cargo = Command::new(env!("CARGO"));
+    cargo.args(["metadata", "--format-version", "1", "--locked", "--offline"]);
+    if dependencies {
+        cargo.args(["--filter-platform", "x86_64-unknown-linux-gnu"]);
+    } else {
+        cargo.arg("--no-deps");
+    }
+    let output = cargo.current_dir(root).output().unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn packages(metadata: &Value) -> impl Iterator<Item = &Value> {
+    metadata["packages"].as_array().unwrap().iter()
+}
+
+/// Crates that go to crates.io: all but those with `publish = false`.
+fn published(metadata: &Value) -> Vec<&Value> {
+    packages(metadata)
+        .filter(|package| package["publish"] != serde_json::json!([]))
+        .collect()
+}
+
+fn name(package: &Value) -> &str {
+    package["name"].as_str().unwrap()
+}
+
+fn folder(package: &Value) -> PathBuf {
+    let manifest = Path::new(package["manifest_path"].as_str().unwrap());
+    manifest.parent().unwrap().to_owned()
+}
+
+fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            sources(&path, found);
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+#[test]
+fn only_tests_and_examples_stay_unpublished() {
+    let metadata = metadata(false);
+    let mut kept: Vec<&str> = packages(&metadata)
+        .filter(|package| package["publish"] == serde_json::json!([]))
+        .map(name)
+        .collect();
+    kept.sort_unstable();
+    assert_eq!(kept, ["joulebus-examples", "joulebus-tests"]);
+}
+
+#[test]
+fn every_published_crate_describes_itself() {
+    let metadata = metadata(false);
+    let mut missing = Vec::new();
+    for package in published(&metadata) {
+        let text = |key: &str| package[key].as_str().unwrap_or_default();
+        let list = |key: &str| package[key].as_array().map_or(0, Vec::len);
+        for (what, is_there) in [
+            (
+                "a description of 20 to 200 bytes",
+                (20..=200).contains(&text("description").len()),
+            ),
+            ("1 to 5 keywords", (1..=5).contains(&list("keywords"))),
+            ("1 to 5 categories", (1..=5).contains(&list("categories"))),
+            ("a repository", text("repository").starts_with("https://")),
+            ("the licence", text("license") == "MIT OR Apache-2.0"),
+            ("a README.md", text("readme") == "README.md"),
+            (
+                "the licences' texts",
+                ["LICENSE-MIT", "LICENSE-APACHE"]
+                    .iter()
+                    .all(|file| folder(package).join(file).is_file()),
+            ),
+            ("a rust-version", !text("rust_version").is_empty()),
+        ] {
+            if !is_there {
+                missing.push(format!("{}: {what}", name(package)));
+            }
+        }
+    }
+    assert!(missing.is_empty(), "{missing:#?}");
+}
+
+/// A description, as `joulebus-<what>`, that two crates share would be of no use in a search.
+#[test]
+fn no_two_crates_have_one_description() {
+    let metadata = metadata(false);
+    let mut descriptions: Vec<&str> = published(&metadata)
+        .iter()
+        .filter_map(|package| package["description"].as_str())
+        .collect();
+    let count = descriptions.len();
+    descriptions.sort_unstable();
+    descriptions.dedup();
+    assert_eq!(descriptions.len(), count);
+}
+
+#[test]
+fn crates_of_the_workspace_need_each_other_in_one_exact_version() {
+    let metadata = metadata(false);
+    let published = published(&metadata);
+    let version = published[0]["version"].as_str().unwrap();
+    for package in &published {
+        assert_eq!(package["version"], version, "{}", name(package));
+        for dependency in package["dependencies"].as_array().unwrap() {
+            if !dependency["path"].is_null() {
+                let needed = (&dependency["name"], &dependency["req"]);
+                assert_eq!(
+                    dependency["req"],
+                    format!("={version}"),
+                    "{}: {needed:?}",
+                    name(package)
+                );
+                assert!(
+                    published
+                        .iter()
+                        .any(|other| other["name"] == dependency["name"]),
+                    "{needed:?}"
+                );
+            }
+        }
+    }
+}
+
+/// Files outside a crate's folder are not in its package. Links inside it are, as files.
+#[test]
+fn no_embedded_file_lies_outside_its_crate() {
+    let metadata = metadata(false);
+    for package in published(&metadata) {
+        let folder = folder(package);
+        let mut files = Vec::new();
+        sources(&folder.join("src"), &mut files);
+        for file in files {
+            let text = fs::read_to_string(&file).unwrap();
+            // Unit tests are compiled in the repository only, and stand last.
+            let shipped = text.split("#[cfg(test)]\nmod tests").next().unwrap();
+            let code = shipped
+                .lines()
+                .filter(|line| !line.trim_start().starts_with("//"));
+            let shipped: String = code.flat_map(|line| [line, "\n"]).collect();
+            for embedded in ["include_str!(", "include_bytes!(", "include!("]
+                .iter()
+                .flat_map(|call| shipped.split(call).skip(1))
+                .filter_map(|rest| rest.trim_start().strip_prefix('"')?.split('"').next())
+            {
+                let depth = file.strip_prefix(&folder).unwrap().components().count() - 1;
+                let up = Path::new(embedded).components();
+                let up = up.filter(|part| *part == Component::ParentDir).count();
+                assert!(up <= depth, "{} embeds {embedded}", file.display());
+                assert!(
+                    file.parent().unwrap().join(embedded).is_file(),
+                    "{embedded}"
+                );
+            }
+            assert!(
+                !shipped.contains("CARGO_MANIFEST_DIR"),
+                "{} needs the repository",
+                file.display()
+            );
+        }
+    }
+}
+
+/// `1.89` or `1.89.0` as major and minor number.
+fn version(text: &str) -> (u32, u32) {
+    let mut parts = text.split('.').map(|part| part.parse().unwrap());
+    (parts.next().unwrap(), parts.next().unwrap_or(0))
+}
+
+#[test]
+fn no_dependency_asks_for_a_newer_compiler_than_is_promised() {
+    let metadata = metadata(true);
+    let ours = packages(&metadata).find(|package| package["source"].is_null());
+    let promised = version(ours.unwrap()["rust_version"].as_str().unwrap());
+    let newer: Vec<String> = packages(&metadata)
+        .filter(|package| !package["source"].is_null())
+        .filter_map(|package| Some((name(package), package["rust_version"].as_str()?)))
+        .filter(|(_, needed)| version(needed) > promised)
+        .map(|(name, needed)| format!("{name} needs {needed}"))
+        .collect();
+    assert!(
+        newer.is_empty(),
+        "rust-version is {promised:?}, but {newer:?}"
+    );
+}
