@@ -7,6 +7,7 @@
 
 mod error;
 mod fleet;
+mod limits;
 mod note;
 mod npy;
 mod read;
@@ -20,23 +21,13 @@ use std::path::{Path, PathBuf};
 
 pub use error::TrialError;
 pub use fleet::{Playback, TrialFleet, TrialFleetError};
+pub use limits::{MAX_ROBOTS, MAX_ROWS, MAX_TEXT_BYTES};
 pub use note::{Gap, TrialNotes};
 pub use resample::{Method, Resample, ResampleError, Resampled};
 pub use table::{Column, Table};
 pub use write::{Form, Row, WriteError};
 
-pub use sample::is_held;
 use table::Columns;
-
-/// Most rows that a trial may have: 38 hours at 30 Hz.
-pub const MAX_ROWS: usize = 1 << 22;
-/// Most bytes of text that a CSV may hold, after decompression.
-pub const MAX_TEXT_BYTES: u64 = 512 << 20;
-/// Most robots that a file may hold.
-pub const MAX_ROBOTS: usize = 10_000;
-
-const GZIP_MAGIC: &[u8] = b"\x1f\x8b";
-const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 
 /// One robot's recorded run: at least two rows, in file order, in SI units.
 #[derive(Debug, Clone)]
@@ -108,7 +99,9 @@ impl Trial {
             ignored_columns,
             no_final_line_break,
             unnamed_rows,
-            ..note::take(&trial)
+            ..note::take(&trial.offset_ns, period_ns, &trial.columns, |row| {
+                trial.file_row(row)
+            })
         };
         Ok(trial)
     }
@@ -157,6 +150,13 @@ impl Trial {
         self.columns[column as usize].as_deref()
     }
 
+    /// Whether the reading of `row` (from 0) repeats that of the row before: power, voltage and
+    /// current, to the bit.
+    #[must_use]
+    pub fn is_held(&self, row: usize) -> bool {
+        table::is_held(&self.columns, row)
+    }
+
     /// Median time from a row to the next, ns, over the rows that advance; at least 1.
     #[must_use]
     pub fn period_ns(&self) -> u64 {
@@ -171,7 +171,6 @@ impl Trial {
 
     /// The value at `row`, if it was recorded.
     fn value(&self, column: Column, row: usize) -> Option<f64> {
-        let value = *self.column(column)?.get(row)?;
-        (!value.is_nan()).then_some(value)
+        table::value(&self.columns, column, row)
     }
 }

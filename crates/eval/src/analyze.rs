@@ -15,7 +15,7 @@ use joulebus_dataset::rows::trial_rows;
 use joulebus_dataset::split::{
     Deal, Dealt, Source, Split, SplitError, deal, deal_leaving_out, group_of,
 };
-use joulebus_dataset::trial::{Method, Resample, ResampleError, Trial, is_held};
+use joulebus_dataset::trial::{Method, Resample, ResampleError, Trial};
 
 pub use ablation::{Ablation, Member, Part};
 pub use autocorrelation::{Autocorrelation, autocorrelation, pooled};
@@ -286,9 +286,4 @@ fn source(trial: &Trial) -> Source {
         group: group_of(file_name(trial.path())),
         rows: trial_rows(trial),
     }
-}
-
-/// Whether the reading that a sample's forecast is for repeats the one before.
-fn target_is_held(trial: &Trial, sample_seq: u64) -> bool {
-    usize::try_from(sample_seq).is_ok_and(|sample| is_held(trial, sample + 1))
 }

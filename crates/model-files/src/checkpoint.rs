@@ -1,110 +1,11 @@
 //! What a model file of any kind holds.
 
-use std::fmt;
-
 use sha2::{Digest as _, Sha256};
 
-use super::{MAX_FILE_BYTES, PickleError, Tensor};
+use super::entry::{Container, Entry};
+use super::error::{MAX_FILE_BYTES, ReadError};
 use super::{archive, entries, own, torch};
 use joulebus_predictor::{ModelError, Network};
-
-/// The kinds of files that are read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Container {
-    /// An own model file.
-    Safetensors,
-    /// A NumPy array: of numbers, or of objects, which is a pickle.
-    Npy,
-    /// A zip archive of NumPy arrays.
-    Npz,
-    /// A PyTorch file since version 1.6: a zip archive with a pickle.
-    TorchZip,
-    /// A PyTorch file before that: five pickles and the numbers.
-    TorchLegacy,
-    /// A directory of NumPy arrays.
-    Arrays,
-}
-
-impl fmt::Display for Container {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Container::Safetensors => "safetensors",
-            Container::Npy => "npy",
-            Container::Npz => "npz",
-            Container::TorchZip => "PyTorch (zip)",
-            Container::TorchLegacy => "PyTorch (legacy)",
-            Container::Arrays => "directory of npy",
-        })
-    }
-}
-
-/// Why a file could not be read. The caller adds the file's name.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ReadError {
-    /// Far larger than any model of this kind.
-    #[error("the file has {found} bytes, at most {MAX_FILE_BYTES} are read; is it another file?")]
-    TooLarge {
-        /// Bytes found.
-        found: usize,
-    },
-    /// None of the kinds that are read.
-    #[error(
-        "byte 0: {found}; expected a NumPy file (.npy, .npz), a PyTorch file (.pt, .pth) or a model of \
-         joulebus (.safetensors)"
-    )]
-    Kind {
-        /// What was found.
-        found: String,
-    },
-    /// A part of the file is damaged or of another kind.
-    #[error("{container}, {part}: {detail}")]
-    Part {
-        /// Kind of the file.
-        container: Container,
-        /// The part, with its place.
-        part: String,
-        /// What was found and what is allowed.
-        detail: String,
-    },
-    /// A pickle in the file was refused.
-    #[error("{container}, {part}: {source}")]
-    Pickle {
-        /// Kind of the file.
-        container: Container,
-        /// The part of the file that the pickle is.
-        part: String,
-        /// Why.
-        source: PickleError,
-    },
-    /// An own model file was refused.
-    #[error(transparent)]
-    Model(#[from] ModelError),
-}
-
-/// One thing in a file.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
-    /// Keys and positions on the way to it, joined by dots.
-    pub path: String,
-    /// What it is.
-    pub value: EntryValue,
-}
-
-/// What an entry is.
-#[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
-pub enum EntryValue {
-    /// An array, a tensor, or lists of numbers of equal length.
-    Tensor(Tensor),
-    /// A number or a truth value (0 or 1).
-    Number(f64),
-    /// Text.
-    Text(String),
-    /// Something else, by its name.
-    Other(&'static str),
-}
 
 /// Everything in a model file.
 #[derive(Clone, Debug)]

@@ -1,79 +1,9 @@
 //! The network in a file whose names nobody has written down.
 
+use super::names::tokens;
 use super::normalisation::{self, FoundNormalisation};
-use super::{Checkpoint, Entry, EntryValue, Tensor};
+use super::{Checkpoint, Entry, EntryValue, FindError, Tensor};
 use joulebus_predictor::{Activation, FeatureSet, HIDDEN, Layer};
-
-/// Why no network was found in a file.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum FindError {
-    /// No part of the file has the arrays of the network.
-    #[error(
-        "no part of the file has exactly the arrays of the network (weights 64×11 or 64×5, 64×64, \
-         32×64, 1×32, all of them or none transposed; biases 64, 64, 32, 1); a network that reads \
-         freshness comes as an own model only; found: {found}"
-    )]
-    NoNetwork {
-        /// The arrays found, with their shapes.
-        found: String,
-    },
-    /// Several parts of the file have.
-    #[error("several parts of the file hold a network: {found}; name one of them")]
-    Several {
-        /// The parts.
-        found: String,
-    },
-    /// The part that was asked for is not there.
-    #[error("no part of the file is called {asked:?}; parts: {found}")]
-    NoSuchPart {
-        /// What was asked for.
-        asked: String,
-        /// The parts.
-        found: String,
-    },
-    /// A weight or bias is NaN, infinite or too large for f32.
-    #[error("{path:?} has {value} at position {index}, allowed: finite numbers of f32")]
-    NotFinite {
-        /// The array.
-        path: String,
-        /// Position in C order.
-        index: usize,
-        /// The value.
-        value: f64,
-    },
-    /// The activation is another one, or not the same everywhere.
-    #[error(
-        "{path:?} is {found:?}, allowed: \"none\" (GELU by the error function) or \"tanh\", the same \
-         in every layer"
-    )]
-    Activation {
-        /// The setting.
-        path: String,
-        /// Its value.
-        found: String,
-    },
-    /// Some statistics of the normalisation are there and some are not.
-    #[error("the normalisation is incomplete: found {found}; missing: {missing}")]
-    Normalisation {
-        /// The statistics found.
-        found: String,
-        /// Those missing.
-        missing: String,
-    },
-    /// A statistic cannot be one.
-    #[error("{path:?} is {value}, allowed for {what}: {allowed}")]
-    Statistic {
-        /// Where it stands.
-        path: String,
-        /// Its value.
-        value: f64,
-        /// What it is.
-        what: &'static str,
-        /// What is allowed.
-        allowed: &'static str,
-    },
-}
 
 /// A network as found, before it is known what its inputs are.
 #[derive(Clone, Debug, PartialEq)]
@@ -328,27 +258,6 @@ fn stem(path: &str) -> Vec<String> {
         _ => token,
     };
     tokens(path).into_iter().map(same).collect()
-}
-
-/// The words and numbers of a path, in lower case.
-pub(super) fn tokens(path: &str) -> Vec<String> {
-    let mut tokens: Vec<String> = Vec::new();
-    let mut last = None;
-    for character in path.chars() {
-        let kind = (character.is_alphabetic(), character.is_ascii_digit());
-        if kind == (false, false) {
-            last = None;
-            continue;
-        }
-        if last != Some(kind) {
-            tokens.push(String::new());
-        }
-        last = Some(kind);
-        if let Some(token) = tokens.last_mut() {
-            token.extend(character.to_lowercase());
-        }
-    }
-    tokens
 }
 
 fn finite(named: &Named<'_>, transposed: bool) -> Result<Vec<f32>, FindError> {

@@ -17,8 +17,11 @@ mod checkpoint;
 mod convention;
 mod element;
 mod entries;
+mod entry;
+mod error;
 mod export;
 mod find;
+mod names;
 mod normalisation;
 mod npy;
 mod onnx;
@@ -27,17 +30,15 @@ mod pickle;
 mod tensor;
 mod torch;
 
-pub use checkpoint::{Checkpoint, Container, Entry, EntryValue, ReadError};
+pub use checkpoint::Checkpoint;
 pub use convention::{
     BLOCK_ROWS, Choice, ChooseError, Convention, Derivative, LagOrder, Lags, Magnitude, Origin,
     PowerUnit, Ranked,
 };
+pub use entry::{Container, Entry, EntryValue};
+pub use error::{FindError, MAX_FILE_BYTES, ReadError};
 pub use export::{CHECK_ROWS, ExportError, to_arrays, to_npz, to_onnx};
-pub use find::{FindError, Found, FoundLayer};
+pub use find::{Found, FoundLayer};
 pub use normalisation::{FoundNormalisation, Statistics};
 pub use pickle::PickleError;
 pub use tensor::Tensor;
-
-/// Largest file that is read, in bytes: a checkpoint of this network with its optimizer has some
-/// 100 kB.
-pub const MAX_FILE_BYTES: usize = 16 << 20;

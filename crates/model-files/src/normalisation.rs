@@ -1,6 +1,6 @@
 //! The statistics with which a network's inputs were normalised, found by their names.
 
-use super::find::tokens;
+use super::names::tokens;
 use super::{Entry, EntryValue, FindError};
 use joulebus_predictor::{FEATURES, FeatureSet, LAGS};
 

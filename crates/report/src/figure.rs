@@ -12,6 +12,7 @@ mod bins;
 mod colour;
 mod draw;
 mod mark;
+mod paint;
 mod picture;
 mod thin;
 
@@ -140,30 +141,5 @@ impl Figure {
             panels,
             panel_height_px: 260,
         }
-    }
-
-    /// The figure as an SVG document of its own, on white.
-    ///
-    /// # Errors
-    /// [`FigureError::Layout`], or what the drawing library said.
-    pub fn svg(&self) -> Result<String, FigureError> {
-        draw::document(self)
-    }
-
-    /// The figure as an SVG element within an HTML document: without ground, so that the page's
-    /// own shows, and without a namespace, which HTML knows.
-    ///
-    /// # Errors
-    /// [`FigureError::Layout`], or what the drawing library said.
-    pub fn inline_svg(&self) -> Result<String, FigureError> {
-        draw::inline(self)
-    }
-
-    /// The figure as a PNG file, on white, with `scale` pixels a CSS pixel, 0.5 to 8.
-    ///
-    /// # Errors
-    /// [`FigureError`].
-    pub fn png(&self, scale: f32) -> Result<Vec<u8>, FigureError> {
-        picture::png(self, scale)
     }
 }

@@ -3,7 +3,6 @@
 use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, label};
 use super::paper;
-use super::simulated::ends;
 use crate::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel, bins};
 use joulebus_dataset::trial::Column as Recorded;
 use joulebus_eval::analyze::autocorrelation;
@@ -262,4 +261,10 @@ fn table(material: &Material<'_>, found: &[Readings]) -> Table {
         rows: found.iter().map(row).collect(),
         folded: found.len() > 16,
     }
+}
+
+pub(super) fn ends(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::NAN; 2], |[low, high], value| {
+        [low.min(value), high.max(value)]
+    })
 }

@@ -309,7 +309,7 @@ fn network_rows(rows: &mut Rows, alone: &Scored) {
     rows.add(
         "R² of the network, least to greatest of the trials",
         Cell::Range(paper::R2_TRIALS, 2),
-        Cell::Range(ends(r2), 3),
+        Cell::Range(power::ends(r2), 3),
     );
     let first = |trial: usize| {
         let cell = alone.report.trials.get(trial);
@@ -403,12 +403,6 @@ fn robot_rows(rows: &mut Rows, together: &Scored) {
         Cell::Count(4),
         Cell::Count(exact as u64),
     );
-}
-
-pub(super) fn ends(values: impl Iterator<Item = f64>) -> [f64; 2] {
-    values.fold([f64::NAN; 2], |[low, high], value| {
-        [low.min(value), high.max(value)]
-    })
 }
 
 /// How the training went.

@@ -6,18 +6,13 @@
 //! a form that could be read for this work; the protocols here are plausible ones of those names,
 //! with speeds chosen to give that mean and spread.
 
+mod drive;
 mod motion;
 
 use std::fmt;
-use std::path::PathBuf;
 
-use super::arena::{Pose, saturated};
-use super::body::Body;
-use super::parts::Parts;
-use super::recorder::Recorder;
-use joulebus_dataset::trial::Trial;
-use joulebus_statistics::noise::Noise;
-use motion::Motion;
+pub(crate) use drive::MADE;
+pub use drive::{trial, trials};
 
 /// Samples of a trial.
 pub const SAMPLES: usize = 8_000;
@@ -95,38 +90,6 @@ impl Protocol {
     pub fn file_stem(self) -> String {
         format!("energy_data_trial{}_{}", self.number(), self.name())
     }
-
-    /// Drives the robot of `seed` through the protocol: [`SAMPLES`] rows, [`STEP_S`](super::arena::STEP_S) apart.
-    ///
-    /// A row holds the command in force during a step, and pose and reading at its end. The six
-    /// trials of a seed are of the same robot; its battery, its temperature and everything random
-    /// begin anew in each. `Trial::path` says that it is simulated; nothing is read or written.
-    #[must_use]
-    pub fn trial(self, seed: u64) -> Trial {
-        self.trial_with(Parts::default(), seed, SAMPLES)
-    }
-
-    /// As [`Protocol::trial`], of other parts and length, at least two samples.
-    #[must_use]
-    pub fn trial_with(self, parts: Parts, seed: u64, samples: usize) -> Trial {
-        let mut made = Noise::new(seed, MADE + u64::from(TRIAL_ROBOT));
-        let state = Noise::new(seed, STATE + self.number() as u64);
-        let mut noise = Noise::new(seed, MOTION + self.number() as u64);
-        let pose = Pose {
-            theta_rad: noise.between(-std::f64::consts::PI, std::f64::consts::PI),
-            ..Pose::default()
-        };
-        let mut body = Body::new(parts, 0.0, 0, pose, &mut made, state);
-        let mut motion = Motion::new(self);
-        let mut recorder = Recorder::with_capacity(samples);
-        for step in 0..samples.max(2) {
-            let (phase, command) = motion.next(body.pose, &mut noise);
-            let command = saturated(command);
-            recorder.step(&mut body, step, phase, command);
-        }
-        let path = PathBuf::from(format!("simulated/{}.npy", self.file_stem()));
-        recorder.finish(&path, TRIAL_ROBOT)
-    }
 }
 
 impl fmt::Display for Protocol {
@@ -134,22 +97,3 @@ impl fmt::Display for Protocol {
         out.write_str(self.name())
     }
 }
-
-/// Trial `number` (1 to 6) of `seed`: see [`Protocol::trial`].
-///
-/// # Errors
-/// [`UnknownTrial`].
-pub fn trial(number: usize, seed: u64) -> Result<Trial, UnknownTrial> {
-    Ok(Protocol::of_trial(number)?.trial(seed))
-}
-
-/// All six trials of `seed`, in order.
-#[must_use]
-pub fn trials(seed: u64) -> Vec<Trial> {
-    Protocol::ALL.map(|protocol| protocol.trial(seed)).into()
-}
-
-/// Streams of random numbers: what manufacturing gave a robot, its state in a trial, its motion.
-pub(super) const MADE: u64 = 1 << 32;
-const STATE: u64 = 2 << 32;
-const MOTION: u64 = 3 << 32;

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::trial::{Trial, is_held};
+use crate::trial::Trial;
 
 /// How readings repeat. A reading repeats if power, voltage and current all equal those of the row
 /// before to the bit; a load that stands still within the sensor's step looks the same.
@@ -45,7 +45,7 @@ pub(super) fn runs(trial: &Trial) -> Vec<Run> {
     for row in 0..trial.rows() {
         let known = power.is_some_and(|values| !values[row].is_nan());
         match runs.last_mut() {
-            Some(run) if is_held(trial, row) => run.rows += 1,
+            Some(run) if trial.is_held(row) => run.rows += 1,
             _ if known => runs.push(Run { from: row, rows: 1 }),
             _ => {}
         }

@@ -2,8 +2,7 @@
 
 use std::fmt;
 
-use super::sample::is_held;
-use super::{Column, Trial};
+use super::table::{Column, Columns, is_held, value};
 
 /// What a reader of the trial should know. Nothing here is dropped from the trial; rows count from
 /// 1, the header of a CSV not included.
@@ -126,30 +125,35 @@ pub(super) fn median_step_ns(offset_ns: &[i64]) -> Option<u64> {
     Some(*steps.select_nth_unstable(middle).1)
 }
 
-/// The notes that follow from the table itself.
-pub(super) fn take(trial: &Trial) -> TrialNotes {
+/// The notes that follow from the table itself. `file_row` tells the file's row of a row.
+pub(super) fn take(
+    offset_ns: &[i64],
+    period_ns: u64,
+    columns: &Columns,
+    file_row: impl Fn(usize) -> usize,
+) -> TrialNotes {
     let mut notes = TrialNotes {
-        rows: trial.rows(),
-        rate_hz: 1e9 / trial.period_ns as f64,
+        rows: offset_ns.len(),
+        rate_hz: 1e9 / period_ns as f64,
         ..TrialNotes::default()
     };
-    for (before, step_ns) in steps_ns(&trial.offset_ns).enumerate() {
-        let row = trial.file_row(before + 1);
+    for (before, step_ns) in steps_ns(offset_ns).enumerate() {
+        let row = file_row(before + 1);
         match u64::try_from(step_ns) {
             Err(_) | Ok(0) => notes.not_advancing.push(row),
-            Ok(length_ns) if length_ns > trial.period_ns + trial.period_ns / 2 => {
+            Ok(length_ns) if length_ns > period_ns + period_ns / 2 => {
                 notes.gaps.push(Gap { row, length_ns });
             }
             Ok(_) => {}
         }
     }
-    for row in 0..trial.rows() {
-        notes.held_readings += usize::from(is_held(trial, row));
-        notes.missing_readings += usize::from(trial.value(Column::Power, row).is_none());
+    for row in 0..offset_ns.len() {
+        notes.held_readings += usize::from(is_held(columns, row));
+        notes.missing_readings += usize::from(value(columns, Column::Power, row).is_none());
     }
     notes.missing_columns = Column::ALL
         .into_iter()
-        .filter(|column| trial.column(*column).is_none())
+        .filter(|column| columns[*column as usize].is_none())
         .collect();
     notes
 }

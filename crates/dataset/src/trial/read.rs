@@ -4,7 +4,8 @@ use std::fs::File;
 use std::io::{BufReader, Cursor, Read};
 use std::path::Path;
 
-use super::{GZIP_MAGIC, Table, Trial, TrialError, ZIP_MAGIC, npy, text};
+use super::limits::{GZIP_MAGIC, ZIP_MAGIC};
+use super::{Table, Trial, TrialError, npy, text};
 
 const HEAD_BYTES: u64 = 8;
 

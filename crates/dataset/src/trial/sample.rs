@@ -21,7 +21,7 @@ impl Trial {
         let mut measured_ns = base_ns;
         (0..self.rows())
             .map(|row| {
-                let held = is_held(self, row);
+                let held = self.is_held(row);
                 if !held {
                     measured_ns = base_ns.saturating_add_signed(self.offset_ns[row]);
                 }
@@ -71,17 +71,4 @@ impl Trial {
                 .saturating_add(self.period_ns),
         }
     }
-}
-
-/// Whether the reading of `row` repeats that of the row before: power, voltage and current, to the
-/// bit.
-pub fn is_held(trial: &Trial, row: usize) -> bool {
-    let Some(before) = row.checked_sub(1) else {
-        return false;
-    };
-    let bits = |column, row| trial.value(column, row).map(f64::to_bits);
-    bits(Column::Power, row).is_some()
-        && [Column::Power, Column::Voltage, Column::Current]
-            .into_iter()
-            .all(|column| bits(column, row) == bits(column, before))
 }

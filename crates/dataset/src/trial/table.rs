@@ -120,6 +120,25 @@ pub struct Table {
 /// Values of each [`Column`], in the order of [`Column::ALL`].
 pub(crate) type Columns = [Option<Vec<f64>>; Column::ALL.len()];
 
+/// The value at `row`, if it was recorded.
+pub(super) fn value(columns: &Columns, column: Column, row: usize) -> Option<f64> {
+    let value = *columns[column as usize].as_ref()?.get(row)?;
+    (!value.is_nan()).then_some(value)
+}
+
+/// Whether the reading of `row` repeats that of the row before: power, voltage and current, to the
+/// bit.
+pub(super) fn is_held(columns: &Columns, row: usize) -> bool {
+    let Some(before) = row.checked_sub(1) else {
+        return false;
+    };
+    let bits = |column, row| value(columns, column, row).map(f64::to_bits);
+    bits(Column::Power, row).is_some()
+        && [Column::Power, Column::Voltage, Column::Current]
+            .into_iter()
+            .all(|column| bits(column, row) == bits(column, before))
+}
+
 /// A value and where it stands, for checks and their messages.
 #[derive(Clone, Copy)]
 pub(super) struct Cell<'a> {

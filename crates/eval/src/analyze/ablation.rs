@@ -3,7 +3,6 @@
 use joulebus_predictor::{Features, Model};
 use serde::Serialize;
 
-use super::target_is_held;
 use joulebus_dataset::rows::Row;
 use joulebus_dataset::split::{Deal, Source};
 use joulebus_dataset::trial::Trial;
@@ -235,4 +234,9 @@ impl Part {
             rmse_w: tally.rmse_w(),
         }
     }
+}
+
+/// Whether the reading that a sample's forecast is for repeats the one before.
+fn target_is_held(trial: &Trial, sample_seq: u64) -> bool {
+    usize::try_from(sample_seq).is_ok_and(|sample| trial.is_held(sample + 1))
 }

@@ -8,7 +8,8 @@ use serde::Serialize;
 use super::blocks::{Block, Draws, HorizonSums, Set, Tallied};
 use super::design::DesignReport;
 use super::report::ModelReport;
-use super::{Options, ScoreError, Scored, Subject, score};
+use super::run::{Scored, score};
+use super::{Options, ScoreError, Subject};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
 
 /// Places of the two models among the forecasters.

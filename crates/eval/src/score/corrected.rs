@@ -6,13 +6,11 @@ use joulebus_predictor::FeatureSet;
 use joulebus_settings::FleetSettings;
 
 use super::blocks::{Block, Sums};
+use super::design::Lines;
 use super::{Options, Recording, ScoreError, Subject, open_loop, recorded_platform};
 use crate::evaluate::{RobotEvaluation, evaluate_trial};
 use joulebus_statistics::metrics::{CoverageTally, Tally};
 use joulebus_train::linear::Linear;
-
-/// The lines of each fold, where they could be fitted.
-pub(super) type Lines = [Vec<Option<Linear>>];
 
 /// Forecasts for each row of a recording.
 struct Column {

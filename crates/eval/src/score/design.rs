@@ -299,6 +299,9 @@ fn in_halves(rows: usize) -> Vec<Fold> {
     vec![fold(first, from..rows), fold(second, 0..until)]
 }
 
+/// The lines of each fold, where they could be fitted.
+pub(super) type Lines = [Vec<Option<Linear>>];
+
 /// The baselines of each fold: `lines[fold][i]` is `baselines[i]`, `None` where there are too few
 /// rows to fit it on.
 ///

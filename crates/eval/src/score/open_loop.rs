@@ -5,7 +5,7 @@ use std::ops::Range;
 use joulebus_predictor::{FeatureSet, Features, LAGS, Model, ReadingAge};
 
 use super::blocks::HorizonSums;
-use super::corrected::Lines;
+use super::design::Lines;
 use super::{Options, Recording};
 use joulebus_dataset::rows::Row;
 use joulebus_statistics::metrics::Tally;

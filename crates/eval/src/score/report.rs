@@ -6,8 +6,7 @@ use serde::Serialize;
 
 use super::blocks::{Set, Tallied};
 use super::cell::{Cell, HorizonCell, Names, cell, horizon_cell};
-use super::corrected::Lines;
-use super::design::DesignReport;
+use super::design::{DesignReport, Lines};
 use super::{Options, Subject};
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_train::linear::LinearReport;

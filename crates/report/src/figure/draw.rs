@@ -7,7 +7,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{Color as _, IntoFont as _, TextStyle};
 use plotters_svg::SVGBackend;
 
-use super::mark::{Drawn, Ground, Swatch, UNITS, rgb};
+use super::paint::{Drawn, Ground, Swatch, UNITS, rgb};
 use super::{Axis, Colour, Figure, FigureError, Layer, Panel, Scale};
 
 /// Sizes in CSS pixels.
@@ -28,7 +28,26 @@ const LETTER: f64 = 0.6;
 const LEGEND_LETTERS: usize = 44;
 const TICK_LETTERS: usize = 28;
 
-pub(super) fn document(figure: &Figure) -> Result<String, FigureError> {
+impl Figure {
+    /// The figure as an SVG document of its own, on white.
+    ///
+    /// # Errors
+    /// [`FigureError::Layout`], or what the drawing library said.
+    pub fn svg(&self) -> Result<String, FigureError> {
+        document(self)
+    }
+
+    /// The figure as an SVG element within an HTML document: without ground, so that the page's
+    /// own shows, and without a namespace, which HTML knows.
+    ///
+    /// # Errors
+    /// [`FigureError::Layout`], or what the drawing library said.
+    pub fn inline_svg(&self) -> Result<String, FigureError> {
+        inline(self)
+    }
+}
+
+fn document(figure: &Figure) -> Result<String, FigureError> {
     let body = body(figure)?;
     let (width, height) = size_px(figure);
     let head = head(figure, " xmlns=\"http://www.w3.org/2000/svg\"");
@@ -42,7 +61,7 @@ pub(super) fn document(figure: &Figure) -> Result<String, FigureError> {
         + &body)
 }
 
-pub(super) fn inline(figure: &Figure) -> Result<String, FigureError> {
+fn inline(figure: &Figure) -> Result<String, FigureError> {
     Ok(head(figure, "") + &body(figure)?)
 }
 

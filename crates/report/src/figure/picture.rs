@@ -12,7 +12,17 @@ use super::{Figure, FigureError};
 const FONT: &[u8] = include_bytes!("../../fonts/DejaVuSans-part.ttf");
 const FAMILY: &str = "DejaVu Sans";
 
-pub(super) fn png(figure: &Figure, scale: f32) -> Result<Vec<u8>, FigureError> {
+impl Figure {
+    /// The figure as a PNG file, on white, with `scale` pixels a CSS pixel, 0.5 to 8.
+    ///
+    /// # Errors
+    /// [`FigureError`].
+    pub fn png(&self, scale: f32) -> Result<Vec<u8>, FigureError> {
+        png(self, scale)
+    }
+}
+
+fn png(figure: &Figure, scale: f32) -> Result<Vec<u8>, FigureError> {
     let failed = |reason: String| FigureError::Picture {
         name: figure.name.clone(),
         reason,

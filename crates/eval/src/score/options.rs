@@ -1,0 +1,146 @@
+//! How recordings are evaluated, and why they could not be.
+
+use joulebus_dataset::split::SplitError;
+use joulebus_statistics::bootstrap::Bootstrap;
+use joulebus_train::linear::{LinearError, Terms};
+
+use crate::evaluate::EvaluateError;
+
+/// The longest horizon, ticks.
+pub const LONGEST_HORIZON: usize = 300;
+
+/// How recordings are evaluated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Options {
+    /// Horizons of the open loop, ticks, ascending, each 1 to [`LONGEST_HORIZON`]; empty for none.
+    pub horizons: Vec<usize>,
+    /// Rows from one origin of the open loop to the next; at least 1.
+    pub origins_every: usize,
+    /// Linear models to stand beside persistence.
+    pub baselines: Vec<Terms>,
+    /// The confidence intervals.
+    pub bootstrap: Bootstrap,
+}
+
+impl Default for Options {
+    /// Horizons of 1 to 300 ticks in half decades, an origin every 10 rows, AR(5) and AR(5) +
+    /// velocities.
+    fn default() -> Self {
+        Self {
+            horizons: vec![1, 3, 10, 30, 100, 300],
+            origins_every: 10,
+            baselines: vec![Terms::AR5, Terms::AR5_AND_VELOCITIES],
+            bootstrap: Bootstrap::default(),
+        }
+    }
+}
+
+/// Why recordings could not be evaluated.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ScoreError {
+    /// Nothing was given.
+    #[error("found no recording to evaluate; name one or more files")]
+    NoRecording,
+    /// No model was given.
+    #[error("found no model to evaluate; name one")]
+    NoModel,
+    /// Nothing can be scored.
+    #[error(
+        "none of the {rows} rows of {recordings} recordings can be evaluated: a row needs five \
+         readings without a gap behind it, a reading after it, and a forecast; name longer or more \
+         recordings"
+    )]
+    NoRows {
+        /// Recordings.
+        recordings: usize,
+        /// Their rows.
+        rows: usize,
+    },
+    /// A horizon is not allowed.
+    #[error("horizon {found} after {before}: allowed are 1 to {LONGEST_HORIZON} ticks, ascending")]
+    Horizon {
+        /// The horizon.
+        found: usize,
+        /// The one before it, or 0.
+        before: usize,
+    },
+    /// A number is not allowed.
+    #[error("{what} is {found}, allowed is {allowed}")]
+    Option {
+        /// Which.
+        what: &'static str,
+        /// What it is.
+        found: f64,
+        /// What it may be.
+        allowed: &'static str,
+    },
+    /// The design has rows that the recordings have not.
+    #[error(
+        "the design of other recordings: it has row {found} of recording {recording}, which has \
+         {allowed} rows; make it from the recordings that are evaluated"
+    )]
+    Design {
+        /// Number of the recording.
+        recording: usize,
+        /// Row asked for.
+        found: usize,
+        /// Rows there are.
+        allowed: usize,
+    },
+    /// The split is not possible.
+    #[error(transparent)]
+    Split(#[from] SplitError),
+    /// The live path refused.
+    #[error(transparent)]
+    Evaluate(#[from] EvaluateError),
+    /// A baseline has other features than its moments; never from data.
+    #[error(transparent)]
+    Linear(#[from] LinearError),
+}
+
+impl Options {
+    pub(super) fn check(&self) -> Result<(), ScoreError> {
+        let mut before = 0;
+        for &found in &self.horizons {
+            if !(before < found && found <= LONGEST_HORIZON) {
+                return Err(ScoreError::Horizon { found, before });
+            }
+            before = found;
+        }
+        let Bootstrap {
+            confidence,
+            block_rows,
+            ..
+        } = self.bootstrap;
+        for (what, found, fine, allowed) in [
+            (
+                "origins_every",
+                self.origins_every as f64,
+                self.origins_every > 0,
+                "1 row or more",
+            ),
+            (
+                "block_rows",
+                block_rows as f64,
+                block_rows > 0,
+                "1 row or more",
+            ),
+            (
+                "confidence",
+                confidence,
+                0.0 < confidence && confidence < 1.0,
+                "a share above 0 and below 1",
+            ),
+        ] {
+            if !fine {
+                return Err(ScoreError::Option {
+                    what,
+                    found,
+                    allowed,
+                });
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,89 @@
+//! An evaluation from recordings to scores.
+
+use rayon::prelude::*;
+
+use super::blocks::Tallied;
+use super::design::fit_lines;
+use super::report::{ScoreReport, report};
+use super::{Options, ScoreError, Subject, corrected};
+use crate::evaluate::{Evaluation, RobotEvaluation};
+
+/// What came of an evaluation.
+#[derive(Debug, Clone)]
+pub struct Scored {
+    /// All scores.
+    pub report: ScoreReport,
+    /// The live path of each model, step by step.
+    pub live: Vec<Evaluation>,
+    pub(crate) blocks: Tallied,
+}
+
+/// Evaluates the models on the recordings, in parallel.
+///
+/// ```
+/// use joulebus_config::{Config, builtin_model};
+/// use joulebus_sim::protocol;
+/// use joulebus_eval::score::{Design, Options, Recording, Subject, score};
+/// use joulebus_predictor::{Model, Network};
+///
+/// let config = Config::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/fleet.toml"))?;
+/// let (_, file) = builtin_model("gternal-sim").ok_or("no such model ships")?;
+/// let models = [Model::Network(Network::from_safetensors(file)?)];
+/// // Simulated; of a file, `Trial::read` makes one.
+/// let trials = [protocol::trial(4, 7)?, protocol::trial(6, 7)?];
+/// let recordings: Vec<_> = (0..).zip(trials).map(|(id, trial)| Recording::new(id, trial)).collect();
+/// let subject = Subject {
+///     settings: config.settings(),
+///     platform: None,
+///     models: &models,
+///     recordings: &recordings,
+///     design: &Design::folds(&recordings),
+/// };
+/// let scored = score(subject, &Options::default())?;
+/// println!("{}", scored.report);
+/// // The network, persistence and the lines: all on the same rows.
+/// let all = &scored.report.all;
+/// assert!(all.forecasters.iter().all(|one| one.count == all.rows));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`ScoreError`]: nothing to evaluate, options or settings that are refused.
+pub fn score(subject: Subject<'_>, options: &Options) -> Result<Scored, ScoreError> {
+    options.check()?;
+    let Subject {
+        models, recordings, ..
+    } = subject;
+    if recordings.is_empty() {
+        return Err(ScoreError::NoRecording);
+    }
+    if models.is_empty() {
+        return Err(ScoreError::NoModel);
+    }
+    let lines = fit_lines(subject.design, recordings, &options.baselines)?;
+    let all = (0..recordings.len())
+        .into_par_iter()
+        .map(|at| corrected::one(subject, options, &lines, at))
+        .collect::<Result<Vec<_>, _>>()?;
+    let (tallied, by_recording): (Vec<_>, Vec<Vec<RobotEvaluation>>) = all.into_iter().unzip();
+    let blocks = Tallied::new(recordings, tallied);
+    if blocks.rows() == 0 {
+        let rows = recordings.iter().map(|recording| recording.trial.rows());
+        return Err(ScoreError::NoRows {
+            recordings: recordings.len(),
+            rows: rows.sum(),
+        });
+    }
+    let mut live = vec![Evaluation { robots: Vec::new() }; models.len()];
+    for robots in by_recording {
+        for (evaluation, robot) in live.iter_mut().zip(robots) {
+            evaluation.robots.push(robot);
+        }
+    }
+    let report = report(subject, options, &lines, &blocks);
+    Ok(Scored {
+        report,
+        live,
+        blocks,
+    })
+}

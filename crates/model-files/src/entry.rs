@@ -1,0 +1,59 @@
+//! What stands in a model file.
+
+use std::fmt;
+
+use super::tensor::Tensor;
+
+/// The kinds of files that are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Container {
+    /// An own model file.
+    Safetensors,
+    /// A NumPy array: of numbers, or of objects, which is a pickle.
+    Npy,
+    /// A zip archive of NumPy arrays.
+    Npz,
+    /// A PyTorch file since version 1.6: a zip archive with a pickle.
+    TorchZip,
+    /// A PyTorch file before that: five pickles and the numbers.
+    TorchLegacy,
+    /// A directory of NumPy arrays.
+    Arrays,
+}
+
+impl fmt::Display for Container {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Container::Safetensors => "safetensors",
+            Container::Npy => "npy",
+            Container::Npz => "npz",
+            Container::TorchZip => "PyTorch (zip)",
+            Container::TorchLegacy => "PyTorch (legacy)",
+            Container::Arrays => "directory of npy",
+        })
+    }
+}
+
+/// One thing in a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// Keys and positions on the way to it, joined by dots.
+    pub path: String,
+    /// What it is.
+    pub value: EntryValue,
+}
+
+/// What an entry is.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum EntryValue {
+    /// An array, a tensor, or lists of numbers of equal length.
+    Tensor(Tensor),
+    /// A number or a truth value (0 or 1).
+    Number(f64),
+    /// Text.
+    Text(String),
+    /// Something else, by its name.
+    Other(&'static str),
+}
