@@ -164,6 +164,7 @@ pub struct Dealt {
 
 /// Why a split is not possible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum SplitError {
     /// A share is out of range.
     #[error(

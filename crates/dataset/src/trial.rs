@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 pub use error::TrialError;
 pub use fleet::{Playback, TrialFleet, TrialFleetError};
-pub use limits::{MAX_ROBOTS, MAX_ROWS, MAX_TEXT_BYTES};
+pub use limits::MAX_ROWS;
 pub use note::{Gap, TrialNotes};
 pub use resample::{Method, Resample, ResampleError, Resampled};
 pub use table::{Column, Table};

@@ -5,5 +5,4 @@
 pub mod analyze;
 pub mod evaluate;
 pub mod online_learning;
-pub mod plant_statistics;
 pub mod score;

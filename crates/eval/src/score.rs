@@ -32,7 +32,7 @@ mod text;
 
 pub use cell::{Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, Skill};
 pub use compare::{Comparison, Difference, Verdict, compare};
-pub use design::{Design, DesignReport, Fold, Part, fit_lines};
+pub use design::{Design, DesignReport, Fold, Part};
 pub use open_loop::origins;
 pub use options::{LONGEST_HORIZON, Options, ScoreError};
 pub use recording::{Recording, check_apart, read_recordings, recorded_platform};

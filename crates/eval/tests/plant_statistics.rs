@@ -1,10 +1,17 @@
 //! The simulated robots against the figures that the paper gives.
 
+#[allow(
+    dead_code,
+    reason = "the test uses some of it, the example other parts"
+)]
+#[path = "../examples/plant/statistics.rs"]
+mod statistics;
+
 use std::path::Path;
 
-use joulebus_eval::plant_statistics::{Basics, measure, six_trials};
 use joulebus_sim::parts::Parts;
 use joulebus_sim::scenario::{SCENARIO_STEPS, SEED};
+use statistics::{Basics, measure, six_trials};
 
 fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
     let count = values.clone().count() as f64;

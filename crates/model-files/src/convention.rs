@@ -16,7 +16,6 @@ use std::str::FromStr;
 use joulebus_predictor::ModelError;
 
 pub use choose::{Choice, Ranked};
-pub use score::BLOCK_ROWS;
 
 /// The unit of the file's power statistics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

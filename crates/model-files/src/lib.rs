@@ -32,8 +32,8 @@ mod torch;
 
 pub use checkpoint::Checkpoint;
 pub use convention::{
-    BLOCK_ROWS, Choice, ChooseError, Convention, Derivative, LagOrder, Lags, Magnitude, Origin,
-    PowerUnit, Ranked,
+    Choice, ChooseError, Convention, Derivative, LagOrder, Lags, Magnitude, Origin, PowerUnit,
+    Ranked,
 };
 pub use entry::{Container, Entry, EntryValue};
 pub use error::{FindError, MAX_FILE_BYTES, ReadError};

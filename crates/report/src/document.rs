@@ -124,7 +124,7 @@ impl Cell {
 
     /// Whether it is read by its digits, and so stands at the right.
     #[must_use]
-    pub fn is_number(&self) -> bool {
+    pub(super) fn is_number(&self) -> bool {
         matches!(self, Self::Count(_) | Self::Number(..) | Self::Range(..))
     }
 }

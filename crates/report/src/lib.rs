@@ -15,7 +15,7 @@ mod forecast;
 mod horizons;
 mod html;
 mod material;
-pub mod paper;
+mod paper;
 mod power;
 mod recorded;
 mod robots;

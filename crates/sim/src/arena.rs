@@ -56,8 +56,7 @@ pub fn saturated(command: Command) -> Command {
 }
 
 /// The unit vector of an angle from the x axis.
-#[must_use]
-pub fn direction(angle_rad: f64) -> Vector {
+pub(crate) fn direction(angle_rad: f64) -> Vector {
     let (sin, cos) = libm::sincos(angle_rad);
     Vector::new(cos, sin)
 }
@@ -76,7 +75,6 @@ impl Pose {
 }
 
 /// The same angle within ±π, for angles that are at most a few turns off.
-#[must_use]
-pub fn wrapped(angle_rad: f64) -> f64 {
+pub(crate) fn wrapped(angle_rad: f64) -> f64 {
     angle_rad - TAU * libm::round(angle_rad / TAU)
 }

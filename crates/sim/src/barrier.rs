@@ -72,6 +72,7 @@ pub enum Answer {
 
 /// Why there are no allowed velocities.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum BarrierError {
     /// Positions and velocities are not of the same robots.
     #[error("{points} positions and {wanted} velocities; give one of each for every robot")]

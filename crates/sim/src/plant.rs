@@ -50,6 +50,7 @@ pub struct SimReading {
 
 /// Something that makes a robot stand out.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Fault {
     /// A constant load on top, such as a dragging brush, in watt.
     ExtraLoad {
@@ -67,6 +68,7 @@ pub enum Fault {
 
 /// Why a plant can't be set up as asked.
 #[derive(Debug, Error, PartialEq)]
+#[non_exhaustive]
 pub enum PlantError {
     /// A fault was meant for a robot that does not exist.
     #[error("fault for robot {robot}, the fleet has {robots}: allowed are 0 to {robots} - 1")]
@@ -107,6 +109,9 @@ impl Plant {
 
     /// Gives a robot a fault from a time on, in seconds since the plant's start. A robot can have
     /// several.
+    ///
+    /// # Errors
+    /// [`PlantError::UnknownRobot`].
     pub fn with_fault(
         mut self,
         robot: usize,

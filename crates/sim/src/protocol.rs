@@ -17,7 +17,7 @@ pub use drive::{trial, trials};
 /// Samples of a trial.
 pub const SAMPLES: usize = 8_000;
 /// Id of the robot that drives all six trials; the scenario's seven have other ids.
-pub const TRIAL_ROBOT: u32 = 8;
+pub(crate) const TRIAL_ROBOT: u32 = 8;
 
 /// How the robot is driven.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

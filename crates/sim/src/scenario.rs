@@ -5,7 +5,7 @@
 //! lead to a collision or out of the arena; the changed motion becomes v and ω, and the wheels cut
 //! them to what they can do. The seven share a radio channel, so each has more bursts than a robot
 //! alone. Four of the paper's seven (1, 2, 3 and 6) drew more than the rest: that is given here, by
-//! [`EXTRA_W`], and does not follow from anything.
+//! `EXTRA_W`, and does not follow from anything.
 
 use std::path::PathBuf;
 
@@ -26,9 +26,9 @@ pub const SCENARIO_STEPS: usize = SAMPLES;
 /// Robots of the scenario.
 pub const ROBOTS: usize = 7;
 /// What robots 1 to 7 draw on top of the robot of the trials, W.
-pub const EXTRA_W: [f64; ROBOTS] = [0.6, 0.8, 0.5, 0.0, 0.0, 0.4, 0.0];
+const EXTRA_W: [f64; ROBOTS] = [0.6, 0.8, 0.5, 0.0, 0.0, 0.4, 0.0];
 /// Distance from a robot's centre to its projected point, m.
-pub const PROJECTION_M: f64 = 0.05;
+const PROJECTION_M: f64 = 0.05;
 
 /// Streams of random numbers: a robot's state, its walk, where all begin.
 const STATE: u64 = 4 << 32;

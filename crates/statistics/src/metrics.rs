@@ -1,4 +1,4 @@
-//! How good forecasts are: every score of the laboratory, defined once.
+//! How good forecasts are: every score, defined once.
 //!
 //! A *pair* is a reading and the forecast that was made for it; its *residual* is reading minus
 //! forecast, as in the live diagnostics. All sums are double precision and in the order of the
@@ -10,8 +10,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Sums that merely add up: a line of the widest vectors.
-/// Sums that add up over parts of a series.
+/// Sums that add up over parts of a series: a line of the widest vectors.
 pub type Additive = [f64; 8];
 
 /// Sums over pairs, from which the scores follow. Tallies of parts can be merged.
@@ -161,9 +160,7 @@ impl Tally {
         libm::sqrt(self.mse_w2())
     }
 
-    /// Mean squared residual, W²; NaN without a pair.
-    #[must_use]
-    pub fn mse_w2(&self) -> f64 {
+    fn mse_w2(&self) -> f64 {
         self.sum_sq_w2 / self.count as f64
     }
 
@@ -223,18 +220,6 @@ impl Tally {
         } else {
             f64::NAN
         }
-    }
-
-    /// Energy of the scored readings, J.
-    #[must_use]
-    pub const fn reading_j(&self) -> f64 {
-        self.reading_j
-    }
-
-    /// Energy of their forecasts, J.
-    #[must_use]
-    pub const fn forecast_j(&self) -> f64 {
-        self.forecast_j
     }
 
     /// Skill against a baseline: 1 − mean squared error over that of the baseline. Above 0 is

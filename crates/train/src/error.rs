@@ -5,6 +5,7 @@ use thiserror::Error;
 
 /// Why nothing was trained.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum TrainError {
     /// A part of the dataset is too small.
     #[error(

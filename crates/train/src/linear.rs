@@ -140,6 +140,7 @@ pub enum LinearError {
 /// Why a feature has no coefficient.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Dropped {
     /// It has the same value in every row.
     Constant,

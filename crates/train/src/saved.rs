@@ -14,6 +14,7 @@ const FORMAT: &str = "joulebus-training-1";
 
 /// Why a saved run could not be gone on with.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum ResumeError {
     /// The run itself cannot begin.
     #[error(transparent)]

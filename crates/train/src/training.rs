@@ -1,5 +1,7 @@
 //! A training run, epoch by epoch.
 
+use std::fmt;
+
 use fearless_simd::{Level, dispatch};
 use joulebus_predictor::{Network, Normalisation};
 use rayon::iter::{IndexedParallelIterator as _, ParallelIterator as _};
@@ -66,6 +68,16 @@ pub struct Training {
     losses: Vec<f64>,
     level: Level,
     pool: ThreadPool,
+}
+
+impl fmt::Debug for Training {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Training")
+            .field("settings", &self.settings)
+            .field("findings", &self.findings)
+            .field("epochs", &self.epochs)
+            .finish_non_exhaustive()
+    }
 }
 
 impl Training {

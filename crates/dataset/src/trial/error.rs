@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use super::{MAX_ROBOTS, MAX_ROWS, MAX_TEXT_BYTES};
+use super::limits::{MAX_ROBOTS, MAX_ROWS, MAX_TEXT_BYTES};
 
 /// Why a trial could not be read. Rows count from 1, the header of a CSV not included.
 #[derive(Debug, thiserror::Error)]

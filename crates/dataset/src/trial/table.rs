@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use super::{MAX_ROBOTS, MAX_ROWS, TrialError};
+use super::error::TrialError;
+use super::limits::{MAX_ROBOTS, MAX_ROWS};
 
 /// A column of a trial, without robot and time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -6,8 +6,9 @@ use std::path::Path;
 use csv::ByteRecord;
 use flate2::bufread::MultiGzDecoder;
 
+use super::TrialError;
+use super::limits::MAX_TEXT_BYTES;
 use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table, Tables};
-use super::{MAX_TEXT_BYTES, TrialError};
 
 /// Reads the table; `zipped` says that the bytes are gzip.
 pub(super) fn read(

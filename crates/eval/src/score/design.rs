@@ -307,7 +307,7 @@ pub(super) type Lines = [Vec<Option<Linear>>];
 ///
 /// # Errors
 /// [`ScoreError::Design`]: the design is of other recordings.
-pub fn fit_lines(
+pub(super) fn fit_lines(
     design: &Design,
     recordings: &[Recording],
     baselines: &[Terms],

@@ -38,7 +38,7 @@ pub struct Choice {
     pub ranking: Vec<Ranked>,
     /// R² of the best minus that of the next one; infinite if there is no other.
     pub margin_r2: f64,
-    /// Stretches of [`BLOCK_ROWS`](super::BLOCK_ROWS) readings.
+    /// Stretches of 300 readings, ten seconds at 30 Hz.
     pub blocks: usize,
     /// Those in which the best has the smaller squared error than the next one.
     pub blocks_won: usize,

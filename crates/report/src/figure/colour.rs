@@ -56,7 +56,7 @@ impl Colour {
 
     /// Red, green and blue on dark ground.
     #[must_use]
-    pub const fn dark(self) -> [u8; 3] {
+    pub(crate) const fn dark(self) -> [u8; 3] {
         match self {
             Self::Ink => [0xE6, 0xE9, 0xED],
             Self::Grey => [0x9A, 0xA4, 0xAF],

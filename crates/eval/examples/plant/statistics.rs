@@ -9,7 +9,6 @@ use std::fmt;
 use std::ops::RangeInclusive;
 
 use joulebus_predictor::{FeatureSet, Network};
-use serde::Serialize;
 
 use joulebus_dataset::rows::trial_rows;
 use joulebus_dataset::rows::{Dataset, Row};
@@ -23,18 +22,18 @@ use joulebus_train::{TrainError, TrainSettings, Training};
 
 /// What a figure is to come to on average over the seeds of the fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Target {
+pub(crate) struct Target {
     /// The figure's name.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// What it is to be.
-    pub value: f64,
+    pub(crate) value: f64,
     /// How far off it counts as one.
-    pub scale: f64,
+    pub(crate) scale: f64,
 }
 
 /// What the fit goes by. The paper gives the range of the six autocorrelations; their deviation is
 /// that of six numbers evenly spread over it.
-pub const TARGETS: [Target; 13] = [
+pub(crate) const TARGETS: [Target; 13] = [
     target("power, mean (mW)", 3652.0, 15.0),
     target("power, standard deviation (mW)", 375.0, 8.0),
     target("power, lowest (mW)", 3000.0, 40.0),
@@ -59,9 +58,8 @@ const fn target(name: &'static str, value: f64, scale: f64) -> Target {
 }
 
 /// What was done about a figure.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Role {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Role {
     /// A target of the fit.
     Fitted,
     /// Not looked at by the fit.
@@ -73,18 +71,18 @@ pub enum Role {
 }
 
 /// One figure.
-#[derive(Clone, Debug, Serialize)]
-pub struct Figure {
+#[derive(Clone, Debug)]
+pub(crate) struct Figure {
     /// What is measured, with its unit.
-    pub name: String,
+    pub(crate) name: String,
     /// What the paper says.
-    pub paper: String,
+    pub(crate) paper: String,
     /// What the plant gives.
-    pub found: f64,
+    pub(crate) found: f64,
     /// What it is held to, both ends included; `None` where it is only reported.
-    pub held: Option<(f64, f64)>,
+    pub(crate) held: Option<(f64, f64)>,
     /// What was done about it.
-    pub role: Role,
+    pub(crate) role: Role,
 }
 
 impl Figure {
@@ -96,8 +94,7 @@ impl Figure {
     }
 
     /// Whether the figure lies in its band; none that is only reported leaves one.
-    #[must_use]
-    pub fn holds(&self) -> bool {
+    pub(crate) fn holds(&self) -> bool {
         self.held
             .is_none_or(|(low, high)| (low..=high).contains(&self.found))
     }
@@ -105,27 +102,27 @@ impl Figure {
 
 /// What six trials say without a network.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Basics {
+pub(crate) struct Basics {
     /// Mean power, W.
-    pub mean_w: f64,
+    pub(crate) mean_w: f64,
     /// Standard deviation of power, W.
-    pub std_w: f64,
+    pub(crate) std_w: f64,
     /// Lowest reading, W.
-    pub min_w: f64,
+    pub(crate) min_w: f64,
     /// Highest reading, W.
-    pub max_w: f64,
+    pub(crate) max_w: f64,
     /// Autocorrelation of power from a sample to the next, of each trial.
-    pub rho1: Vec<f64>,
+    pub(crate) rho1: Vec<f64>,
     /// R² of least squares on the six velocity features, fitted and scored on all trials.
-    pub r2_velocities: f64,
+    pub(crate) r2_velocities: f64,
     /// The same with the last reading beside them.
-    pub r2_one_lag: f64,
+    pub(crate) r2_one_lag: f64,
     /// 5 % and 95 % quantiles of the residuals of AR(5) with velocities over all trials, W.
-    pub ar_q05_q95_w: (f64, f64),
+    pub(crate) ar_q05_q95_w: (f64, f64),
     /// Mean absolute residual of persistence over all trials, W.
-    pub persistence_mae_w: f64,
+    pub(crate) persistence_mae_w: f64,
     /// Mean and standard deviation of v, m/s, and of ω, rad/s.
-    pub commands: [(f64, f64); 2],
+    pub(crate) commands: [(f64, f64); 2],
 }
 
 fn mean_and_std(values: &[f64]) -> (f64, f64) {
@@ -151,8 +148,7 @@ fn column(trial: &Trial, column: Column) -> &[f64] {
 
 impl Basics {
     /// Measures trials, and their rows in the same order.
-    #[must_use]
-    pub fn of(trials: &[Trial], rows: &[Vec<Row>]) -> Self {
+    pub(crate) fn of(trials: &[Trial], rows: &[Vec<Row>]) -> Self {
         let all = |kind: Column| -> Vec<f64> {
             let values = trials.iter().flat_map(|trial| column(trial, kind));
             values.copied().collect()
@@ -199,8 +195,7 @@ fn residuals(rows: &[Row], forecasts_w: &[f64]) -> Vec<f64> {
 }
 
 /// The six trials of a seed and their rows.
-#[must_use]
-pub fn six_trials(parts: Parts, seed: u64) -> (Vec<Trial>, Vec<Vec<Row>>) {
+pub(crate) fn six_trials(parts: Parts, seed: u64) -> (Vec<Trial>, Vec<Vec<Row>>) {
     let trials: Vec<Trial> = Protocol::ALL
         .iter()
         .map(|protocol| protocol.trial_with(parts, seed, SAMPLES))
@@ -212,8 +207,7 @@ pub fn six_trials(parts: Parts, seed: u64) -> (Vec<Trial>, Vec<Vec<Row>>) {
 /// The paper's split: trials 1 to 4 decide the weights, 5 when to stop, 6 is held out.
 ///
 /// `rows` are those of the six trials, in order; what is beyond six is left out.
-#[must_use]
-pub fn papers_split(rows: &[Vec<Row>], description: &str) -> Dataset {
+pub(crate) fn papers_split(rows: &[Vec<Row>], description: &str) -> Dataset {
     let part = |range: std::ops::Range<usize>| -> Vec<Row> {
         let parts = rows.iter().skip(range.start).take(range.len());
         parts.flatten().copied().collect()
@@ -230,7 +224,7 @@ pub fn papers_split(rows: &[Vec<Row>], description: &str) -> Dataset {
 ///
 /// # Errors
 /// [`TrainError`], which the plant's data does not cause.
-pub fn trained(rows: &[Vec<Row>], seed: u64) -> Result<Network, TrainError> {
+pub(crate) fn trained(rows: &[Vec<Row>], seed: u64) -> Result<Network, TrainError> {
     let dataset = papers_split(rows, &format!("simulated trials 1-4 / 5 / 6, seed {seed}"));
     let settings = TrainSettings::new("gternal-trials", "simulation", FeatureSet::Full, seed);
     let mut training = Training::new(&dataset, &settings, 0)?;
@@ -242,16 +236,15 @@ pub fn trained(rows: &[Vec<Row>], seed: u64) -> Result<Network, TrainError> {
 
 /// How a network does on a trial's rows.
 #[derive(Clone, Debug)]
-pub struct Score {
+pub(crate) struct Score {
     /// R², MAE, bias, energy.
-    pub tally: Tally,
+    pub(crate) tally: Tally,
     /// Residuals, reading minus forecast, ascending, W.
-    pub residuals_w: Vec<f64>,
+    pub(crate) residuals_w: Vec<f64>,
 }
 
 /// Scores a network on rows that are `step_s` seconds apart.
-#[must_use]
-pub fn score(network: &Network, rows: &[Row], step_s: f64) -> Score {
+pub(crate) fn score(network: &Network, rows: &[Row], step_s: f64) -> Score {
     let inputs: Vec<_> = rows.iter().map(|row| row.features).collect();
     let mut forecasts_w = vec![0.0; rows.len()];
     network.predict(&inputs, &mut forecasts_w);
@@ -268,22 +261,26 @@ pub fn score(network: &Network, rows: &[Row], step_s: f64) -> Score {
 
 /// Everything measured on one seed.
 #[derive(Clone, Debug)]
-pub struct Measured {
+pub(crate) struct Measured {
     /// Without a network.
-    pub basics: Basics,
+    pub(crate) basics: Basics,
     /// The network on each of the six trials.
-    pub trials: Vec<Score>,
+    pub(crate) trials: Vec<Score>,
     /// The network on each of the seven robots.
-    pub robots: Vec<Score>,
+    pub(crate) robots: Vec<Score>,
     /// Mean power of each of the seven robots, W.
-    pub robots_w: Vec<f64>,
+    pub(crate) robots_w: Vec<f64>,
 }
 
 /// Measures the plant: six trials, a network trained on them, seven robots. Takes some seconds.
 ///
 /// # Errors
 /// [`TrainError`], which the plant's data does not cause.
-pub fn measure(parts: Parts, seed: u64, scenario_steps: usize) -> Result<Measured, TrainError> {
+pub(crate) fn measure(
+    parts: Parts,
+    seed: u64,
+    scenario_steps: usize,
+) -> Result<Measured, TrainError> {
     let (trials, rows) = six_trials(parts, seed);
     let network = trained(&rows, seed)?;
     let step_s = joulebus_sim::arena::STEP_S;
@@ -309,8 +306,7 @@ pub fn measure(parts: Parts, seed: u64, scenario_steps: usize) -> Result<Measure
 
 impl Measured {
     /// Every figure that the paper gives, in its order.
-    #[must_use]
-    pub fn figures(&self) -> Vec<Figure> {
+    pub(crate) fn figures(&self) -> Vec<Figure> {
         let mut figures = self.power_figures();
         figures.extend(self.network_figures());
         figures.extend(self.robot_figures());
@@ -547,8 +543,7 @@ impl Figure {
     }
 
     /// A line of the table in the docs; `others` are the same figure on several seeds.
-    #[must_use]
-    pub fn line(&self, others: &[Self]) -> String {
+    pub(crate) fn line(&self, others: &[Self]) -> String {
         let places = self.places();
         let found: Vec<f64> = others.iter().map(|figure| figure.found).collect();
         let (mean, std) = mean_and_std(&found);

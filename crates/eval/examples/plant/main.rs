@@ -4,11 +4,17 @@
 //! `docs/plant.md`; `-- fit` searches for the parts and prints the best of them as it finds them.
 //! `name=value` after either changes a part beforehand, as in `-- table burst_w=0.4`.
 
+#[allow(
+    dead_code,
+    reason = "the test uses some of it, the example other parts"
+)]
+mod statistics;
+
 use std::process::ExitCode;
 
-use joulebus_eval::plant_statistics::{Figure, TARGETS, Target, measure};
 use joulebus_sim::parts::Parts;
 use joulebus_sim::scenario::{SCENARIO_STEPS, SEED};
+use statistics::{Figure, TARGETS, Target, measure};
 
 /// Seeds over which the table gives mean and deviation, from 1 on.
 const SEEDS: u64 = 24;
