@@ -6,11 +6,10 @@ use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, Instant};
 
 use joulebus_bus::Domain;
 
-use crate::{Child, Ended, PATIENCE, Planner, ReaderLine, Source};
+use crate::{Child, Ended, Planner, ReaderLine, Source};
 
 static ARENAS: AtomicU32 = AtomicU32::new(0);
 const FLEET: &str = "t";
@@ -353,15 +352,6 @@ pub fn without_loss<T>(mut record: impl FnMut(usize) -> (T, Ended)) -> (T, Ended
         }
     }
     panic!("the recorder lost messages {ATTEMPTS} times");
-}
-
-/// Waits until `condition` holds.
-pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
-    let begin = Instant::now();
-    while !condition() {
-        assert!(begin.elapsed() < PATIENCE, "not after {PATIENCE:?}: {what}");
-        std::thread::sleep(Duration::from_millis(5));
-    }
 }
 
 /// A program of this package: cargo builds it before the tests, next to them.

@@ -7,18 +7,15 @@
 #![forbid(unsafe_code)]
 
 mod arena;
-mod child;
 mod figure;
 mod planner;
 mod protocol;
 mod script;
 mod source;
 
-use std::time::Duration;
-
-pub use arena::{Arena, Setup, alone, eventually, program, without_loss};
-pub use child::{Child, Ended};
+pub use arena::{Arena, Setup, alone, program, without_loss};
 pub use figure::{Dice, Spread, figure};
+pub use joulebus_test_processes::{Child, Ended, PATIENCE, eventually};
 pub use planner::{Answers, Planner};
 pub use protocol::{
     BudgetFrame, BudgetLine, DiagnosticFrame, DiagnosticLine, ForecastFrame, ForecastLine, Forge,
@@ -26,7 +23,3 @@ pub use protocol::{
 };
 pub use script::{is_whole, sample, script, steady, steady_uw};
 pub use source::Source;
-
-/// A condition that has not come true after so long never will, however busy the machine is: only what
-/// is broken waits that long.
-pub const PATIENCE: Duration = Duration::from_secs(180);

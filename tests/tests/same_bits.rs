@@ -6,21 +6,17 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use joulebus_bus::Bus;
 use joulebus_config::Config;
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::evaluate::{Evaluation, RobotEvaluation, Step, evaluate};
 use joulebus_predictor_worker::load_models;
+use joulebus_tests::{Child, PATIENCE, program};
 use joulebus_wire::{Diagnostic, Forecast, Quality};
-use rustix::process::{Pid, Signal, kill_process};
-
-const PROGRAM: &str = env!("CARGO_BIN_EXE_joulebus-under-test");
-/// Longer than any of this takes on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(240);
 
 /// Files of a folder of recordings, sorted; none when the recordings are not there.
 fn recordings(folder: &str) -> Vec<PathBuf> {
@@ -66,8 +62,9 @@ capacity = 128
 root = "{}"
 prefix = "t_"
 [tick]
-rate_hz = 500.0
-deadline_ms = 1.0
+# So that a planner that waits for a processor misses few of the frames.
+rate_hz = 250.0
+deadline_ms = 2.0
 [intake]
 leave_after_s = 600.0
 max_jump_s = 600.0
@@ -90,16 +87,6 @@ model = "builtin:gternal-sim"
 "#,
         root.display()
     )
-}
-
-/// Ends its process when dropped, whatever became of the test.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }
 
 /// What the worker published: by robot and sample, and the last of each robot.
@@ -233,19 +220,14 @@ fn compare(published: &Published, offline: &Evaluation) -> (usize, usize) {
     (forecasts, residuals)
 }
 
-fn start_worker(config: &Path) -> Process {
-    let mut command = Command::new(PROGRAM);
-    let child = command
-        .args(["run", "--config"])
-        .arg(config)
-        .stdout(Stdio::null())
-        .spawn()
-        .unwrap();
-    Process(child)
+fn start_worker(config: &Path) -> Child {
+    let mut command = Command::new(program("joulebus-under-test"));
+    command.args(["run", "--config"]).arg(config);
+    Child::spawn("worker", command)
 }
 
-fn start_source(config: &Path, fleet: &[(u32, PathBuf)]) -> Process {
-    let mut command = Command::new(PROGRAM);
+fn start_source(config: &Path, fleet: &[(u32, PathBuf)]) -> Child {
+    let mut command = Command::new(program("joulebus-under-test"));
     command.args([
         "publish",
         "trial",
@@ -263,14 +245,7 @@ fn start_source(config: &Path, fleet: &[(u32, PathBuf)]) -> Process {
             .iter()
             .map(|(robot, path)| format!("{}@{robot}", path.display())),
     );
-    Process(command.stdout(Stdio::null()).spawn().unwrap())
-}
-
-/// Ends the worker as an operator does.
-fn end(mut worker: Process) {
-    let pid = Pid::from_raw(i32::try_from(worker.0.id()).unwrap()).unwrap();
-    kill_process(pid, Signal::TERM).unwrap();
-    assert!(worker.0.wait().unwrap().success());
+    Child::spawn("source", command)
 }
 
 #[test]
@@ -278,7 +253,7 @@ fn a_recorded_fleet_gives_the_same_bits_live_and_offline() {
     let fleet = fleet();
     if fleet.is_empty() {
         assert!(
-            std::env::var_os("CI").is_none(),
+            std::env::var("CI").as_deref() != Ok("true"),
             "the recordings under ../shared/data are missing"
         );
         println!("skipped: the recordings under ../shared/data are not there");
@@ -294,17 +269,16 @@ fn a_recorded_fleet_gives_the_same_bits_live_and_offline() {
     let trials: Vec<(u32, Trial)> = fleet.iter().map(read).collect();
     let offline = evaluate(config.settings(), &models, &trials).unwrap();
 
-    let worker = start_worker(&path);
+    let mut worker = start_worker(&path);
     let mut source = start_source(&path, &fleet);
     let ended = AtomicBool::new(false);
     let published = std::thread::scope(|scope| {
         let reader = scope.spawn(|| Published::read(&config, &ended));
-        let status = source.0.wait().unwrap();
+        let status = source.finish();
         ended.store(true, Ordering::Relaxed);
-        assert!(status.success(), "the source ended with {status}");
         reader.join().unwrap()
     });
-    end(worker);
+    worker.stop();
 
     let (forecasts, residuals) = compare(&published, &offline);
     let steps: usize = offline.robots.iter().map(|robot| robot.steps.len()).sum();

@@ -2,58 +2,24 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 use std::fs;
-use std::io::{BufRead as _, BufReader, Read as _};
-use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::process::Command;
+use std::time::Duration;
 
 use joulebus_bus::Domain;
 use joulebus_config::Demo as DemoConfig;
+use joulebus_test_processes::{Child, eventually};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-/// What has not happened after so long never will.
-const PATIENCE: Duration = Duration::from_secs(180);
-
-/// A run of the program; killed if the test ends before it does.
-struct Run {
-    process: Child,
-    stdout: Option<JoinHandle<String>>,
-    stderr: Receiver<String>,
-    said: Vec<String>,
-}
+/// A run of the program.
+struct Run(Child);
 
 impl Run {
     fn start(arguments: &[&str]) -> Self {
-        let mut process = Command::new(env!("CARGO_BIN_EXE_joulebus"))
-            .args(arguments)
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut out = process.stdout.take().unwrap();
-        let stdout = std::thread::spawn(move || {
-            let mut text = String::new();
-            out.read_to_string(&mut text).unwrap();
-            text
-        });
-        let err = BufReader::new(process.stderr.take().unwrap());
-        let (say, stderr) = channel();
-        std::thread::spawn(move || {
-            for line in err.lines().map_while(Result::ok) {
-                let _ = say.send(line);
-            }
-        });
-        Self {
-            process,
-            stdout: Some(stdout),
-            stderr,
-            said: Vec::new(),
-        }
+        let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus"));
+        command.args(arguments);
+        Self(Child::spawn(arguments[0], command))
     }
 
     fn demo(arguments: &[&str]) -> Self {
@@ -68,7 +34,7 @@ impl Run {
 
     fn root(&self) -> PathBuf {
         let root = Domain::default_root().display().to_string();
-        PathBuf::from(format!("{root}-demo-{}", self.process.id()))
+        PathBuf::from(format!("{root}-demo-{}", self.0.pid()))
     }
 
     /// What the demonstration has left.
@@ -80,19 +46,8 @@ impl Run {
 
     /// What follows `text` in the first line on stderr, from now on, that has it.
     fn wait_for(&mut self, text: &str) -> String {
-        let give_up = Instant::now() + PATIENCE;
-        loop {
-            match self.stderr.recv_timeout(Duration::from_millis(100)) {
-                Ok(line) => {
-                    self.said.push(line.clone());
-                    if let Some((_, rest)) = line.split_once(text) {
-                        return rest.to_owned();
-                    }
-                }
-                Err(RecvTimeoutError::Timeout) if Instant::now() < give_up => {}
-                Err(_) => panic!("{text:?} does not come: {:#?}", self.said),
-            }
-        }
+        let line = self.0.says(text);
+        line.split_once(text).unwrap().1.to_owned()
     }
 
     /// The pid of one of the demonstration's processes.
@@ -114,48 +69,11 @@ impl Run {
         }
     }
 
-    fn signal(&self, signal: Signal) {
-        send(self.process.id(), signal);
-    }
-
-    fn end(&mut self) -> (ExitStatus, String) {
-        let status = self.wait();
-        let stdout = self.stdout.take().unwrap().join().unwrap();
-        // Its end may come before its last words.
-        self.said.extend(self.stderr.iter());
-        (status, stdout)
-    }
-
-    /// The exit status, waited for with patience.
-    fn wait(&mut self) -> ExitStatus {
-        let give_up = Instant::now() + PATIENCE;
-        while Instant::now() < give_up {
-            if let Some(status) = self.process.try_wait().unwrap() {
-                return status;
-            }
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        panic!("does not end: {:#?}", self.said);
-    }
-
     /// Exit code and summary of a demonstration.
     fn summary(&mut self) -> (i32, Value) {
-        let (status, stdout) = self.end();
-        let code = status
-            .code()
-            .unwrap_or_else(|| panic!("{status}: {:#?}", self.said));
-        let summary = serde_json::from_str(&stdout);
-        (
-            code,
-            summary.unwrap_or_else(|error| panic!("{error}: {stdout} {:#?}", self.said)),
-        )
-    }
-}
-
-impl Drop for Run {
-    fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
+        let ended = self.0.wait();
+        let code = ended.code().unwrap_or_else(|| panic!("{ended:?}"));
+        (code, ended.json())
     }
 }
 
@@ -277,7 +195,7 @@ fn signals_end_it_with_a_summary_of_what_there_was() {
     for signal in [Signal::INT, Signal::TERM, Signal::HUP] {
         let mut demo = Run::demo(&["--duration", "600", "--robots", "3"]);
         demo.wait_for_samples(0);
-        demo.signal(signal);
+        demo.0.signal(signal);
         let (code, summary) = demo.summary();
         assert_eq!(code, 0, "{signal:?}: {summary:#}");
         assert_eq!(summary["adds_up"], true, "{signal:?}");
@@ -293,15 +211,11 @@ fn a_signal_at_any_moment_of_the_start_leaves_nothing() {
         std::thread::sleep(Duration::from_millis(after_ms));
         // Not SIGINT: where that is ignored from the start (a shell's background job), a signal that
         // comes before the handler would be lost.
-        demo.signal(Signal::TERM);
-        let (status, _) = demo.end();
+        demo.0.signal(Signal::TERM);
+        let ended = demo.0.wait();
         // Before the handler is there, the signal kills: then nothing was begun or said yet.
-        let early = status.signal() == Some(15) && demo.said.is_empty();
-        assert!(
-            status.success() || early,
-            "{after_ms} ms: {status} {:#?}",
-            demo.said
-        );
+        let early = ended.signal() == Some(15) && ended.stderr.is_empty();
+        assert!(ended.code() == Some(0) || early, "{after_ms} ms: {ended:?}");
         assert_eq!(demo.stale_files(), Vec::<PathBuf>::new(), "{after_ms} ms");
     }
 }
@@ -314,7 +228,7 @@ fn a_killed_worker_is_restarted_and_the_summary_adds_up() {
     send(worker, Signal::KILL);
     assert_ne!(demo.pid_of("worker"), worker);
     demo.wait_for_samples(samples);
-    demo.signal(Signal::TERM);
+    demo.0.signal(Signal::TERM);
     let (code, summary) = demo.summary();
     assert_eq!(code, 0, "{summary:#}");
     assert_eq!(count(&summary["workers"]), 2, "{summary:#}");
@@ -340,7 +254,7 @@ fn a_killed_source_is_restarted_and_the_summary_adds_up() {
     send(source, Signal::KILL);
     assert_ne!(demo.pid_of("source"), source);
     demo.wait_for_samples(samples);
-    demo.signal(Signal::TERM);
+    demo.0.signal(Signal::TERM);
     let (code, summary) = demo.summary();
     assert_eq!(code, 0, "{summary:#}");
     assert_eq!(summary["adds_up"], true);
@@ -358,13 +272,11 @@ fn killed_itself_its_processes_end_and_the_next_run_cleans_up() {
         demo.pid_of("source"),
     ];
     demo.wait_for_samples(0);
-    demo.signal(Signal::KILL);
-    demo.wait();
-    let give_up = Instant::now() + PATIENCE;
-    while !children.into_iter().all(is_over) {
-        assert!(Instant::now() < give_up, "{children:?} go on");
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    demo.0.signal(Signal::KILL);
+    demo.0.wait();
+    eventually("its processes are over", || {
+        children.into_iter().all(is_over)
+    });
     let mut next = Run::demo(&["--duration", "0.5", "--robots", "1"]);
     let (code, summary) = next.summary();
     assert_eq!(code, 0, "{summary:#}");
@@ -421,7 +333,7 @@ fn watch_without_a_worker_says_what_to_do() {
     let arena = Arena::new(2);
     let mut watch = arena.program(&["watch", "--once"]);
     watch.wait_for("no worker serves fleet w");
-    assert_eq!(watch.wait().code(), Some(1));
+    assert_eq!(watch.0.wait().code(), Some(1));
     assert_eq!(stale_files(&arena.domain), Vec::<PathBuf>::new());
 }
 
@@ -433,34 +345,33 @@ fn watch_may_begin_before_the_worker_and_goes_on_with_the_next_one() {
     let mut source = arena.program(&["publish", "sim", "--robots", "2"]);
     for _ in 0..2 {
         let mut worker = arena.program(&["run"]);
-        let pid = worker.process.id();
+        let pid = worker.0.pid();
         watch.wait_for(&format!("worker {pid} serves"));
-        worker.signal(Signal::KILL);
-        worker.wait();
+        worker.0.signal(Signal::KILL);
+        worker.0.wait();
         watch.wait_for(&format!("worker {pid} is gone"));
     }
     let mut worker = arena.program(&["run"]);
-    let pid = worker.process.id();
+    let pid = worker.0.pid();
     watch.wait_for(&format!("worker {pid} serves"));
     // It gives up after three seconds, in which a busy machine may not come so far.
-    let give_up = Instant::now() + PATIENCE;
-    let stdout = loop {
+    let mut frame = Value::Null;
+    eventually("the robot is there", || {
         let mut once = arena.program(&["watch", "--once", "--robot", "1", "--format", "json"]);
-        let (status, stdout) = once.end();
-        if status.success() {
-            break stdout;
+        let ended = once.0.wait();
+        let is_there = ended.code() == Some(0);
+        if is_there {
+            frame = ended.json();
         }
-        assert!(Instant::now() < give_up, "{:#?}", once.said);
-    };
-    let frame: Value = serde_json::from_str(&stdout).unwrap();
+        is_there
+    });
     assert_eq!(frame["worker_pid"], pid);
     assert_eq!(frame["robots"].as_array().unwrap().len(), 1);
     assert_eq!(frame["robots"][0]["robot"], 1);
     for run in [&mut source, &mut worker, &mut watch] {
-        run.signal(Signal::TERM);
-        assert!(run.wait().success());
+        run.0.stop();
     }
-    let frames = frames(&watch.end().1);
+    let frames = frames(&watch.0.wait().text());
     let mut epochs: Vec<u64> = frames
         .iter()
         .map(|frame| count(&frame["worker_epoch"]))

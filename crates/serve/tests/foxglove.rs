@@ -2,10 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
 
 use std::fs;
-use std::io::{BufRead as _, BufReader, Read as _};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
 use std::thread;
@@ -15,13 +14,11 @@ use joulebus_capture::{Message, MessageKind};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
-use rustix::process::{Pid, Signal, kill_process};
+use joulebus_test_processes::{Child, PATIENCE};
+use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message as Frame, WebSocket};
-
-/// What has not happened after so long never will.
-const PATIENCE: Duration = Duration::from_secs(180);
 
 /// A fleet whose worker and source are threads of the test.
 struct Fleet {
@@ -77,36 +74,11 @@ impl Fleet {
     }
 }
 
-/// The server, which is killed if the test does not get to its end.
-struct Server(Child);
-
-impl Server {
-    fn start(config: &Path) -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
-        command.args(["--foxglove", "--port", "0", "--format", "json", "--config"]);
-        command.arg(config).env_remove("JOULEBUS_LOG");
-        command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        Self(command.spawn().unwrap())
-    }
-
-    /// Where it says that it serves.
-    fn address(&mut self) -> String {
-        let mut line = String::new();
-        let mut stderr = BufReader::new(self.0.stderr.take().unwrap());
-        stderr.read_line(&mut line).unwrap();
-        let (_, address) = line
-            .trim_end()
-            .split_once("serving fleet serve at ")
-            .expect(&line);
-        address.to_owned()
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+fn start(config: &Path) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
+    command.args(["--foxglove", "--port", "0", "--format", "json", "--config"]);
+    command.arg(config).env_remove("JOULEBUS_LOG");
+    Child::spawn("serve", command)
 }
 
 fn connect(address: &str) -> WebSocket<TcpStream> {
@@ -163,11 +135,12 @@ fn a_client_sees_the_channels_and_a_message_it_can_decode() {
 }
 
 fn see_a_forecast(config: &Path) {
-    let mut server = Server::start(config);
-    let address = server.address();
+    let mut server = start(config);
+    let line = server.says("serving fleet serve at ");
+    let address = line.rsplit(' ').next().unwrap();
     assert!(address.starts_with("ws://127.0.0.1:"), "{address}");
 
-    let mut client = connect(&address);
+    let mut client = connect(address);
     let info = next_json(&mut client, "serverInfo");
     assert_eq!(info["name"], "joulebus serve");
     let topic = MessageKind::Forecasts.topic("serve", 0);
@@ -212,16 +185,9 @@ fn see_a_forecast(config: &Path) {
     );
     drop(client);
 
-    kill_process(Pid::from_child(&server.0), Signal::INT).unwrap();
-    let mut report = String::new();
-    server
-        .0
-        .stdout
-        .take()
-        .unwrap()
-        .read_to_string(&mut report)
-        .unwrap();
-    assert_eq!(server.0.wait().unwrap().code(), Some(0), "{report}");
-    let report: Value = serde_json::from_str(&report).unwrap();
+    server.signal(Signal::INT);
+    let ended = server.wait();
+    assert_eq!(ended.code(), Some(0), "{ended:?}");
+    let report = ended.json();
     assert!(report["messages"].as_u64().unwrap() > 0, "{report}");
 }

@@ -3,16 +3,13 @@
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output};
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, Instant};
 
 use joulebus_config::Config;
-use rustix::process::{Pid, Signal, kill_process};
+use joulebus_test_processes::Child;
+use rustix::process::Signal;
 use serde_json::Value;
-
-/// What has not happened after so long never will.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(180);
 
 pub(crate) fn joulebus<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus"));
@@ -141,82 +138,34 @@ impl Drop for Fleet {
     }
 }
 
-/// A program that runs beside the test; its stderr goes to a file, so that it never blocks.
-pub(crate) struct Program {
-    child: Option<Child>,
-    log: tempfile::NamedTempFile,
-}
+/// A program that runs beside the test.
+pub(crate) struct Program(Child);
 
 impl Program {
-    pub(crate) fn start(mut command: Command) -> Self {
-        let log = tempfile::NamedTempFile::new().unwrap();
-        let child = command
-            .stdout(Stdio::piped())
-            .stderr(log.reopen().unwrap())
-            .spawn()
-            .unwrap();
-        Self {
-            child: Some(child),
-            log,
-        }
+    pub(crate) fn start(command: Command) -> Self {
+        Self(Child::spawn("joulebus", command))
     }
 
     pub(crate) fn pid(&self) -> u32 {
-        self.child.as_ref().unwrap().id()
+        self.0.pid()
     }
 
     pub(crate) fn wait_for_stderr(&mut self, text: &str) {
-        let start = Instant::now();
-        while !self.stderr().contains(text) {
-            let ended = self.child.as_mut().unwrap().try_wait().unwrap();
-            assert!(
-                ended.is_none(),
-                "{ended:?} without {text:?}: {}",
-                self.stderr()
-            );
-            assert!(start.elapsed() < PATIENCE, "no {text:?}: {}", self.stderr());
-            std::thread::sleep(Duration::from_millis(10));
-        }
-    }
-
-    pub(crate) fn stderr(&self) -> String {
-        fs::read_to_string(self.log.path()).unwrap()
-    }
-
-    pub(crate) fn signal(&self, signal: Signal) {
-        let pid = Pid::from_child(self.child.as_ref().unwrap());
-        kill_process(pid, signal).unwrap();
+        self.0.says(text);
     }
 
     /// Asks it to end, and waits.
-    pub(crate) fn end(self, signal: Signal) -> Output {
-        self.signal(signal);
+    pub(crate) fn end(mut self, signal: Signal) -> Output {
+        self.0.signal(signal);
         self.wait()
     }
 
     pub(crate) fn wait(mut self) -> Output {
-        let mut child = self.child.take().unwrap();
-        let start = Instant::now();
-        while child.try_wait().unwrap().is_none() {
-            if start.elapsed() > PATIENCE {
-                child.kill().unwrap();
-                child.wait().unwrap();
-                panic!("does not end: {}", self.stderr());
-            }
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        // A report is far shorter than what a pipe holds.
-        let mut output = child.wait_with_output().unwrap();
-        output.stderr = self.stderr().into_bytes();
-        output
-    }
-}
-
-impl Drop for Program {
-    fn drop(&mut self) {
-        if let Some(mut child) = self.child.take() {
-            let _ = child.kill();
-            let _ = child.wait();
+        let ended = self.0.wait();
+        Output {
+            status: ended.status,
+            stdout: ended.text().into_bytes(),
+            stderr: ended.errors().into_bytes(),
         }
     }
 }

@@ -1,11 +1,11 @@
 //! Worker and sources together.
 
 use std::fs;
-use std::time::Instant;
 
+use joulebus_test_processes::eventually;
 use rustix::process::Signal;
 
-use crate::fleet::{Fleet, PATIENCE, Program, code, json, stderr, stdout};
+use crate::fleet::{Fleet, Program, code, json, stderr, stdout};
 
 #[test]
 fn every_sample_played_as_fast_as_possible_is_accepted() {
@@ -106,11 +106,10 @@ fn a_worker_killed_under_a_fast_source_costs_at_most_the_window() {
         fleet.joulebus("publish trial --first-robot 0 --rate max --window 3 --format json");
     play.arg(&file);
     let mut play = Program::start(play);
-    // Until a robot has been heard of; one look gives up after three seconds.
-    let begin = Instant::now();
-    while code(&fleet.output("watch --once")) != 0 {
-        assert!(begin.elapsed() < PATIENCE, "{}", play.stderr());
-    }
+    // One look gives up after three seconds.
+    eventually("a robot has been heard of", || {
+        code(&fleet.output("watch --once")) == 0
+    });
     let killed = worker.end(Signal::KILL);
     assert_eq!(killed.status.code(), None);
     play.wait_for_stderr("waiting for one");

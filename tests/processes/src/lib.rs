@@ -1,4 +1,6 @@
-//! Real processes: started, signalled, always waited for.
+//! Real processes for the tests of every crate: started, signalled, always waited for. Whatever a
+//! test waits for has [`PATIENCE`].
+#![forbid(unsafe_code)]
 
 use std::io::{BufRead as _, BufReader, Read, Write as _};
 use std::os::unix::process::ExitStatusExt as _;
@@ -9,7 +11,18 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::PATIENCE;
+/// What has not happened after so long never will, however busy the machine is: only what is broken
+/// waits that long.
+pub const PATIENCE: Duration = Duration::from_secs(180);
+
+/// Waits until `condition` holds.
+pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
+    let begin = Instant::now();
+    while !condition() {
+        assert!(begin.elapsed() < PATIENCE, "not after {PATIENCE:?}: {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
 
 /// A process. Killed and waited for when dropped; what it wrote is shown when a test fails.
 #[derive(Debug)]
@@ -21,6 +34,8 @@ pub struct Child {
     stderr: Output,
     ended: Option<ExitStatus>,
     started: Instant,
+    /// Lines of stderr that have been waited for.
+    heard: usize,
 }
 
 /// How a process ended, and all that it wrote.
@@ -86,6 +101,7 @@ impl Child {
             process,
             ended: None,
             started,
+            heard: 0,
         }
     }
 
@@ -156,7 +172,7 @@ impl Child {
                 self.name,
                 self.tail()
             );
-            std::thread::sleep(Duration::from_micros(500));
+            std::thread::sleep(Duration::from_millis(1));
         }
         Ended {
             status: self.ended.unwrap_or_default(),
@@ -165,7 +181,7 @@ impl Child {
         }
     }
 
-    /// Waits until a line on stderr contains `part`; the line.
+    /// Waits until a line on stderr contains `part`; the line. Later calls go on after that line.
     pub fn says(&mut self, part: &str) -> String {
         match self.try_says(part, PATIENCE) {
             Some(line) => line,
@@ -175,8 +191,24 @@ impl Child {
 
     /// Like [`Self::says`]; `None` when it ends or the time is over without having said it.
     pub fn try_says(&mut self, part: &str, within: Duration) -> Option<String> {
-        self.stderr
-            .find(within, |line| line.contains(part).then(|| line.to_owned()))
+        let begin = Instant::now();
+        loop {
+            let left = within.saturating_sub(begin.elapsed());
+            let lines = self.stderr.after(self.heard, left);
+            let found = lines.iter().position(|line| line.contains(part));
+            self.heard += found.map_or(lines.len(), |at| at + 1);
+            match found {
+                Some(at) => return lines.into_iter().nth(at),
+                None if lines.is_empty() => return None,
+                None => {}
+            }
+        }
+    }
+
+    /// What it has written to stderr so far.
+    #[must_use]
+    pub fn errors(&self) -> String {
+        self.stderr.lock().lines.join("\n")
     }
 
     /// Writes a line to its stdin. One that has ended does not read it.
@@ -259,22 +291,6 @@ impl Output {
 
     fn lock(&self) -> MutexGuard<'_, Lines> {
         lock(&self.shared.0)
-    }
-
-    /// Waits until a line gives something.
-    fn find<T>(&self, within: Duration, mut look: impl FnMut(&str) -> Option<T>) -> Option<T> {
-        let begin = Instant::now();
-        let mut at = 0;
-        loop {
-            let lines = self.after(at, within.saturating_sub(begin.elapsed()));
-            at += lines.len();
-            if let Some(found) = lines.iter().find_map(|line| look(line)) {
-                return Some(found);
-            }
-            if lines.is_empty() {
-                return None;
-            }
-        }
     }
 
     fn after(&self, from: usize, within: Duration) -> Vec<String> {
