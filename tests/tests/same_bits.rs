@@ -274,7 +274,7 @@ fn a_recorded_fleet_gives_the_same_bits_live_and_offline() {
     let ended = AtomicBool::new(false);
     let published = std::thread::scope(|scope| {
         let reader = scope.spawn(|| Published::read(&config, &ended));
-        let status = source.finish();
+        source.finish();
         ended.store(true, Ordering::Relaxed);
         reader.join().unwrap()
     });

@@ -7,9 +7,9 @@ use std::os::unix::fs::PermissionsExt;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use harness::{Member, Place, eventually};
+use harness::{Place, must};
 use joulebus_bus::{Ports, check_capacity, inspect, sweep};
-use rustix::process::Signal;
+use joulebus_test_processes::{Member, eventually};
 
 /// Not a test of its own: what the others start.
 #[test]
@@ -19,8 +19,8 @@ fn member() {
 
 fn joined(place: &Place, role: &str) -> Member {
     let mut member = place.member();
-    member.must("join");
-    member.must(role);
+    must(&mut member, "join");
+    must(&mut member, role);
     member
 }
 
@@ -31,23 +31,23 @@ fn samples_and_forecasts_cross_processes() {
     let mut worker = joined(&place, "worker");
     let mut planner = joined(&place, "planner");
 
-    assert_eq!(source.must("send 64"), "1");
-    assert!(worker.must("wait").contains("frame: true"));
-    assert_eq!(worker.must("take"), "0:64");
-    assert_eq!(worker.must("take"), "none");
+    assert_eq!(must(&mut source, "send 64"), "1");
+    assert!(must(&mut worker, "wait").contains("frame: true"));
+    assert_eq!(must(&mut worker, "take"), "0:64");
+    assert_eq!(must(&mut worker, "take"), "none");
     assert!(
         source
             .ask("send 65")
             .contains("65 elements, allowed are 64")
     );
 
-    worker.must("tick 1");
-    assert!(planner.must("wait").contains("frame: true"));
-    assert_eq!(planner.must("latest"), "[Some(1), Some(1), Some(1)]");
-    assert_eq!(planner.must("latest"), "[None, None, None]");
+    must(&mut worker, "tick 1");
+    assert!(must(&mut planner, "wait").contains("frame: true"));
+    assert_eq!(must(&mut planner, "latest"), "[Some(1), Some(1), Some(1)]");
+    assert_eq!(must(&mut planner, "latest"), "[None, None, None]");
 
     for member in [source, worker, planner] {
-        member.quit();
+        member.finish();
     }
     place.assert_nothing_left();
 }
@@ -75,18 +75,18 @@ fn whoever_comes_first_everybody_joins() {
             members.next().unwrap(),
             members.next().unwrap(),
         );
-        source.must("send 3");
-        assert_eq!(worker.must("take"), "0:3", "{order:?}");
-        worker.must("tick 2");
+        must(&mut source, "send 3");
+        assert_eq!(must(&mut worker, "take"), "0:3", "{order:?}");
+        must(&mut worker, "tick 2");
         assert_eq!(
-            planner.must("latest"),
+            must(&mut planner, "latest"),
             "[Some(2), Some(2), Some(2)]",
             "{order:?}"
         );
         // The first to come is the first to leave.
-        source.quit();
-        worker.quit();
-        planner.quit();
+        source.finish();
+        worker.finish();
+        planner.finish();
         place.assert_nothing_left();
     }
 }
@@ -102,7 +102,7 @@ fn many_start_and_leave_at_once() {
         }
         for member in &mut members {
             for _ in 0..2 {
-                let answer = member.answer().unwrap();
+                let answer = member.hear();
                 assert!(answer.starts_with("ok"), "{answer}");
             }
         }
@@ -110,7 +110,7 @@ fn many_start_and_leave_at_once() {
             member.tell("quit");
         }
         for mut member in members {
-            assert!(member.wait().success());
+            assert!(member.wait().status.success());
         }
         place.assert_nothing_left();
     }
@@ -120,11 +120,11 @@ fn many_start_and_leave_at_once() {
 fn a_newcomer_gets_the_newest_budgets() {
     let place = Place::new();
     let mut worker = joined(&place, "worker");
-    worker.must("tick 5");
+    must(&mut worker, "tick 5");
     let mut planner = joined(&place, "planner");
     // History goes out with the next send or update of the worker.
-    worker.must("latest");
-    assert_eq!(planner.must("latest"), "[None, None, Some(5)]");
+    must(&mut worker, "latest");
+    assert_eq!(must(&mut planner, "latest"), "[None, None, Some(5)]");
 }
 
 #[test]
@@ -132,8 +132,8 @@ fn differing_limits_are_told_with_both_values() {
     let place = Place::new();
     let _source = joined(&place, "source");
     let mut worker = place.member();
-    worker.must("join");
-    worker.must("capacity 65");
+    must(&mut worker, "join");
+    must(&mut worker, "capacity 65");
     let answer = worker.ask("worker");
     assert!(answer.contains("capacity=64"), "{answer}");
     assert!(answer.contains("capacity=65"), "{answer}");
@@ -145,20 +145,20 @@ fn a_stopped_planner_costs_nobody_anything_and_resumes_at_the_newest() {
     let mut worker = joined(&place, "worker");
     let mut stuck = joined(&place, "planner");
     let mut other = joined(&place, "planner");
-    worker.must("tick 1");
+    must(&mut worker, "tick 1");
     for planner in [&mut stuck, &mut other] {
-        assert_eq!(planner.must("count"), "[1]");
+        assert_eq!(must(planner, "count"), "[1]");
     }
-    stuck.signal(Signal::STOP);
+    stuck.stop();
     for tick in 2..=200 {
-        assert_eq!(worker.must("tick 1"), tick.to_string());
-        assert_eq!(other.must("count"), format!("[{tick}]"));
+        assert_eq!(must(&mut worker, "tick 1"), tick.to_string());
+        assert_eq!(must(&mut other, "count"), format!("[{tick}]"));
     }
-    stuck.signal(Signal::CONT);
+    stuck.go_on();
     // Two frames wait, as the limits say; what lies between is the gap.
-    assert_eq!(stuck.must("count"), "[199, 200]");
-    worker.must("tick 1");
-    assert_eq!(stuck.must("count"), "[201]");
+    assert_eq!(must(&mut stuck, "count"), "[199, 200]");
+    must(&mut worker, "tick 1");
+    assert_eq!(must(&mut stuck, "count"), "[201]");
 }
 
 #[test]
@@ -166,13 +166,13 @@ fn a_planner_sees_at_once_that_the_worker_is_gone() {
     let place = Place::new();
     let worker = joined(&place, "worker");
     let mut planner = joined(&place, "planner");
-    if planner.must(&format!("watch {}", worker.pid())) != "true" {
+    if must(&mut planner, &format!("watch {}", worker.pid())) != "true" {
         println!("skipped: this system cannot watch processes");
         return;
     }
     planner.tell("wait");
     worker.kill();
-    assert!(planner.answer().unwrap().contains("peer_gone: true"));
+    assert!(planner.hear().contains("peer_gone: true"));
 }
 
 #[test]
@@ -181,7 +181,7 @@ fn the_living_clean_up_after_the_dead() {
     let mut planner = joined(&place, "planner");
     joined(&place, "worker").kill();
     // Told by whoever cleans up, within a second or so.
-    assert!(planner.must("wait").contains("died: true"));
+    assert!(must(&mut planner, "wait").contains("died: true"));
     let dead = |node: &joulebus_bus::NodeInfo| node.alive != Some(true);
     eventually("no dead node", || {
         !inspect(&place.domain).unwrap().nodes.iter().any(dead)
@@ -189,8 +189,8 @@ fn the_living_clean_up_after_the_dead() {
     let nodes = inspect(&place.domain).unwrap().nodes;
     assert_eq!(nodes.len(), 1, "{nodes:?}");
     assert_eq!(nodes[0].pid, Some(planner.pid()));
-    assert!(planner.must("housekeeping").contains("dead_nodes: 1"));
-    planner.quit();
+    assert!(must(&mut planner, "housekeeping").contains("dead_nodes: 1"));
+    planner.finish();
     place.assert_nothing_left();
 }
 
@@ -208,11 +208,11 @@ fn killed_twenty_times_at_the_start_and_the_next_one_joins() {
         member.kill();
     }
     let mut worker = joined(&place, "worker");
-    source.must("send 7");
-    assert!(worker.must("wait").contains("frame: true"));
-    assert!(worker.must("take").ends_with(":7"));
-    source.quit();
-    worker.quit();
+    must(&mut source, "send 7");
+    assert!(must(&mut worker, "wait").contains("frame: true"));
+    assert!(must(&mut worker, "take").ends_with(":7"));
+    source.finish();
+    worker.finish();
     place.assert_nothing_left();
 }
 
@@ -225,21 +225,21 @@ fn with_everybody_dead_the_next_start_removes_all_and_with_anybody_alive_nothing
     assert!(before > 5);
 
     worker.kill();
-    let report = place.member().must("join");
+    let report = must(&mut place.member(), "join");
     assert!(report.contains("cold: false"), "{report}");
     assert!(!sweep(&place.domain).unwrap().cold);
     assert_eq!(
-        source.must("send 1"),
+        must(&mut source, "send 1"),
         "0",
         "the living must not be disturbed"
     );
 
     source.kill();
     let mut next = place.member();
-    let report = next.must("join");
+    let report = must(&mut next, "join");
     assert!(report.contains("cold: true"), "{report}");
     assert!(!report.contains("objects: 0"), "{report}");
-    next.quit();
+    next.finish();
     place.assert_nothing_left();
 }
 
@@ -278,8 +278,8 @@ fn an_object_without_a_size_holds_nobody_up() {
         .open(counter)
         .unwrap();
     let worker = joined(&place, "worker");
-    source.quit();
-    worker.quit();
+    source.finish();
+    worker.finish();
     place.assert_nothing_left();
 }
 
@@ -298,7 +298,7 @@ fn an_object_without_a_size_that_somebody_holds_open_stays() {
     );
     drop(creator);
     eventually("nobody will ever size it", || !path.exists());
-    member.quit();
+    member.finish();
     place.assert_nothing_left();
 }
 
@@ -367,7 +367,7 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
             for command in ["join", "worker", "quit"] {
                 victim.tell(command);
             }
-            if victim.wait().success() {
+            if victim.wait().status.success() {
                 break;
             }
             killed += 1;
@@ -375,17 +375,17 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
             // The living must not be held up either: its next send connects to the newcomer.
             let begin = Instant::now();
             let mut next = joined(&place, "worker");
-            source.must("send 2");
+            must(&mut source, "send 2");
             slowest = slowest.max(begin.elapsed());
             assert!(
-                next.must("take").ends_with(":2"),
+                must(&mut next, "take").ends_with(":2"),
                 "killed at {call} {number}"
             );
-            next.quit();
+            next.finish();
         }
     }
     println!("killed at {killed} calls, the next one ready after at most {slowest:?}");
-    source.quit();
+    source.finish();
     place.assert_nothing_left();
     Some(killed)
 }
@@ -395,7 +395,7 @@ fn one_worker_per_fleet_and_the_second_is_told_the_pid() {
     let place = Place::new();
     let mut first = place.member();
     let mut second = place.member();
-    first.must("lock");
+    must(&mut first, "lock");
     let answer = second.ask("lock");
     assert!(answer.contains(&format!("pid {}", first.pid())), "{answer}");
     assert_eq!(
@@ -403,10 +403,10 @@ fn one_worker_per_fleet_and_the_second_is_told_the_pid() {
         Some(first.pid())
     );
     first.kill();
-    second.must("lock");
-    second.must("unlock");
-    second.must("lock");
-    second.quit();
+    must(&mut second, "lock");
+    must(&mut second, "unlock");
+    must(&mut second, "lock");
+    second.finish();
     place.assert_nothing_left();
 }
 
@@ -440,8 +440,8 @@ fn what_is_asked_of_shared_memory_covers_what_is_taken() {
         "source", "source", "worker", "planner", "planner", "planner",
     ];
     let mut members = roles.map(|role| joined(&place, role));
-    members[0].must("send 64");
-    members[2].must("tick 10");
+    must(&mut members[0], "send 64");
+    must(&mut members[2], "tick 10");
     let taken: u64 = place
         .objects()
         .iter()
@@ -466,16 +466,16 @@ fn too_little_shared_memory_is_an_error_and_no_signal() {
     let place = Place::new();
     let script = "mount -t tmpfs -o size=4m tmpfs /dev/shm && exec \"$0\" \"$@\"";
     let mut member = place.member_under("unshare", &["-m", "sh", "-c", script]);
-    member.must("join");
-    member.must("worker");
+    must(&mut member, "join");
+    must(&mut member, "worker");
     let mut crowded = place.member_under("unshare", &["-m", "sh", "-c", script]);
-    crowded.must("capacity 10000");
-    crowded.must("join");
+    must(&mut crowded, "capacity 10000");
+    must(&mut crowded, "join");
     let answer = crowded.ask("worker");
     assert!(
         answer.contains("bytes needed") && answer.contains("free"),
         "{answer}"
     );
-    crowded.quit();
-    member.quit();
+    crowded.finish();
+    member.finish();
 }

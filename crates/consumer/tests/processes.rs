@@ -11,9 +11,10 @@ mod planner;
 use std::path::Path;
 use std::time::Duration;
 
-use harness::{Member, Place, run_member, say, told};
+use harness::{Place, run_member, told};
 use joulebus_bus::{Bus, clock};
 use joulebus_consumer::{BudgetFeed, Config, DiagnosticFeed, Event, Planner, WorkerState};
+use joulebus_test_processes::{Member, say};
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, SCHEMA_VERSION,
     WakeEvent, forecast_flag,

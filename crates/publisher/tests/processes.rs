@@ -8,9 +8,10 @@ mod harness;
 
 use std::path::Path;
 
-use harness::{Place, run_member, say, told};
+use harness::{Place, run_member, told};
 use joulebus_bus::{Bus, FrameBuf, SampleReader, Waiter};
 use joulebus_publisher::{Config, PublishError, Publisher, RobotState, clock};
+use joulebus_test_processes::say;
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 /// Not a test of its own: what the others start.

@@ -2,6 +2,8 @@
 //! test waits for has [`PATIENCE`].
 #![forbid(unsafe_code)]
 
+mod member;
+
 use std::io::{BufRead as _, BufReader, Read, Write as _};
 use std::os::unix::process::ExitStatusExt as _;
 use std::process::{ChildStdin, Command, ExitStatus, Stdio};
@@ -10,6 +12,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
+
+pub use member::{Member, say};
 
 /// What has not happened after so long never will, however busy the machine is: only what is broken
 /// waits that long.

@@ -6,28 +6,22 @@
 )]
 
 use std::fs;
-use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::time::{Duration, Instant};
 
 use joulebus_bus::{
     BudgetReader, BudgetWriter, Bus, DiagnosticReader, DiagnosticWriter, Domain, ForecastReader,
     ForecastWriter, FrameBuf, Limits, PeerWatch, SampleReader, SampleWriter, StateWriter,
     TickWriter, Waiter, Waker, WorkerLock,
 };
+use joulebus_test_processes::{Member, say};
 use joulebus_wire::{
     Budget, BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, Sample, SampleHeader,
     WakeEvent,
 };
 
-/// Marks the answers among what the test runner prints.
-const MARK: &str = "@ ";
 const CHILD: &str = "JOULEBUS_TEST_CHILD";
-/// A member that does not answer for so long hangs.
-pub const PATIENCE: Duration = Duration::from_secs(180);
 static PLACES: AtomicU32 = AtomicU32::new(0);
 
 /// A domain of one test, removed with it.
@@ -66,24 +60,21 @@ impl Place {
     }
 
     pub fn member(&self) -> Member {
-        Member::spawn(self.command())
+        Member::spawn("member", self.as_member(Member::command()))
     }
 
     /// A member, run by another program, such as `strace`.
     pub fn member_under(&self, program: &str, arguments: &[&str]) -> Member {
-        let mine = self.command();
+        let mine = Member::command();
         let mut command = Command::new(program);
         command
             .args(arguments)
             .arg(mine.get_program())
             .args(mine.get_args());
-        command.env(CHILD, self.domain.root());
-        Member::spawn(command)
+        Member::spawn(program, self.as_member(command))
     }
 
-    fn command(&self) -> Command {
-        let mut command = Command::new(std::env::current_exe().unwrap());
-        command.args(["--exact", "member", "--nocapture", "--test-threads=1"]);
+    fn as_member(&self, mut command: Command) -> Command {
         command.env(CHILD, self.domain.root());
         command
     }
@@ -106,94 +97,12 @@ fn tree(path: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// A member in a process of its own.
-pub struct Member {
-    child: Child,
-    answers: Receiver<String>,
-}
-
-impl Member {
-    fn spawn(mut command: Command) -> Self {
-        let mut child = command
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::inherit())
-            .spawn()
-            .unwrap();
-        let (send, answers) = channel();
-        let output = BufReader::new(child.stdout.take().unwrap());
-        std::thread::spawn(move || {
-            for line in output.lines().map_while(Result::ok) {
-                // The runner may have begun the line.
-                if let Some(at) = line.find(MARK) {
-                    let _ = send.send(line[at + MARK.len()..].to_owned());
-                }
-            }
-        });
-        Self { child, answers }
-    }
-
-    pub fn pid(&self) -> u32 {
-        self.child.id()
-    }
-
-    /// Gives a command without waiting for the answer.
-    pub fn tell(&mut self, command: &str) {
-        let input = self.child.stdin.as_mut().unwrap();
-        // It may have been killed already: then the answer is missing, which is noticed.
-        let _ = writeln!(input, "{command}");
-    }
-
-    pub fn answer(&mut self) -> Result<String, RecvTimeoutError> {
-        self.answers.recv_timeout(PATIENCE)
-    }
-
-    pub fn try_ask(&mut self, command: &str) -> Result<String, RecvTimeoutError> {
-        self.tell(command);
-        self.answer()
-    }
-
-    pub fn ask(&mut self, command: &str) -> String {
-        match self.try_ask(command) {
-            Ok(answer) => answer,
-            Err(error) => panic!("{command:?}: {error}"),
-        }
-    }
-
-    /// Gives a command that must succeed; what it answers.
-    pub fn must(&mut self, command: &str) -> String {
-        let answer = self.ask(command);
-        match answer.strip_prefix("ok ") {
-            Some(answer) => answer.to_owned(),
-            None => panic!("{command:?}: {answer}"),
-        }
-    }
-
-    pub fn signal(&self, signal: rustix::process::Signal) {
-        let pid = rustix::process::Pid::from_raw(self.child.id().cast_signed()).unwrap();
-        rustix::process::kill_process(pid, signal).unwrap();
-    }
-
-    pub fn kill(mut self) {
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
-    }
-
-    /// Lets it leave, and waits for it.
-    pub fn quit(mut self) {
-        self.tell("quit");
-        assert!(self.child.wait().unwrap().success());
-    }
-
-    pub fn wait(&mut self) -> ExitStatus {
-        self.child.wait().unwrap()
-    }
-}
-
-impl Drop for Member {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+/// Gives a command that must succeed; what the member answers.
+pub fn must(member: &mut Member, command: &str) -> String {
+    let answer = member.ask(command);
+    match answer.strip_prefix("ok ") {
+        Some(answer) => answer.to_owned(),
+        None => panic!("{command:?}: {answer}"),
     }
 }
 
@@ -203,15 +112,6 @@ pub fn limits() -> Limits {
         max_sources: 3,
         max_planners: 3,
         ..Limits::default()
-    }
-}
-
-/// Waits until `condition` holds.
-pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
-    let begin = Instant::now();
-    while !condition() {
-        assert!(begin.elapsed() < PATIENCE, "not after {PATIENCE:?}: {what}");
-        std::thread::sleep(Duration::from_millis(20));
     }
 }
 
@@ -228,8 +128,8 @@ pub fn run_member() {
             break;
         }
         match ports.obey(&line) {
-            Ok(answer) => println!("{MARK}ok {answer}"),
-            Err(error) => println!("{MARK}err {error}"),
+            Ok(answer) => say(format_args!("ok {answer}")),
+            Err(error) => say(format_args!("err {error}")),
         }
     }
 }

@@ -8,23 +8,15 @@
 )]
 
 use std::fs;
-use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::mpsc::{Receiver, channel};
-use std::time::Duration;
 
 use joulebus_bus::Domain;
 use joulebus_config::Config;
-use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
+use joulebus_test_processes::Member;
 
-/// Marks what members say among what the test runner prints.
-const MARK: &str = "@ ";
 const ROLE: &str = "JOULEBUS_TEST_ROLE";
 const CONFIG: &str = "JOULEBUS_TEST_CONFIG";
-/// A member that says nothing for so long hangs.
-const PATIENCE: Duration = Duration::from_secs(180);
 static PLACES: AtomicU32 = AtomicU32::new(0);
 
 /// The fleet of one test, removed with it.
@@ -68,26 +60,9 @@ impl Place {
     /// Starts a member in a process of its own; it runs the function that the test binary's
     /// `member` names so.
     pub fn start(&self, role: &str) -> Member {
-        let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "member", "--nocapture", "--test-threads=1"])
-            .env(ROLE, role)
-            .env(CONFIG, &self.config)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let (send, lines) = channel();
-        let output = BufReader::new(child.stdout.take().unwrap());
-        std::thread::spawn(move || {
-            for line in output.lines().map_while(Result::ok) {
-                // The runner may have begun the line.
-                if let Some(at) = line.find(MARK) {
-                    let _ = send.send(line[at + MARK.len()..].to_owned());
-                }
-            }
-        });
-        let role = role.to_owned();
-        Member { child, lines, role }
+        let mut command = Member::command();
+        command.env(ROLE, role).env(CONFIG, &self.config);
+        Member::spawn(role, command)
     }
 
     pub fn assert_nothing_left(&self) {
@@ -117,77 +92,11 @@ impl Drop for Place {
     }
 }
 
-/// A member in a process of its own.
-pub struct Member {
-    child: Child,
-    lines: Receiver<String>,
-    role: String,
-}
-
-impl Member {
-    pub fn tell(&mut self, line: &str) {
-        let input = self.child.stdin.as_mut().unwrap();
-        // It may have been killed already: then the answer is missing, which is noticed.
-        let _ = writeln!(input, "{line}");
-    }
-
-    pub fn hear(&mut self) -> String {
-        match self.lines.recv_timeout(PATIENCE) {
-            Ok(line) => line,
-            Err(error) => panic!("{}: {error}", self.role),
-        }
-    }
-
-    pub fn ask(&mut self, line: &str) -> String {
-        self.tell(line);
-        self.hear()
-    }
-
-    /// Stops it; it has stopped when this returns.
-    pub fn stop(&self) {
-        kill_process(self.pid(), Signal::STOP).unwrap();
-        let stopped = waitpid(Some(self.pid()), WaitOptions::UNTRACED).unwrap();
-        assert!(stopped.unwrap().1.stopped());
-    }
-
-    /// Lets it go on.
-    pub fn go_on(&self) {
-        kill_process(self.pid(), Signal::CONT).unwrap();
-    }
-
-    fn pid(&self) -> Pid {
-        Pid::from_raw(self.child.id().cast_signed()).unwrap()
-    }
-
-    pub fn kill(mut self) {
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
-    }
-
-    /// Ends its input, and waits until it has ended, without a failure.
-    pub fn finish(mut self) {
-        drop(self.child.stdin.take());
-        assert!(self.child.wait().unwrap().success(), "{}", self.role);
-    }
-}
-
-impl Drop for Member {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
 /// Runs `member` with its role and the config's path, if this process was started as one.
 pub fn run_member(member: impl FnOnce(&str, &Path)) {
     if let (Ok(role), Some(config)) = (std::env::var(ROLE), std::env::var_os(CONFIG)) {
         member(&role, Path::new(&config));
     }
-}
-
-/// As a member: says a line to the test.
-pub fn say(line: impl std::fmt::Display) {
-    println!("{MARK}{line}");
 }
 
 /// As a member: the next line of the test; none at the end.
