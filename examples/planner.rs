@@ -31,7 +31,7 @@ pub(crate) fn run(config: &Path, frames: u64) -> Result<(), Box<dyn Error>> {
             Event::Gone(end) => println!("the worker is gone ({end:?}): rely on nothing"),
             Event::Stale { age_ns } => println!("nothing new for {} ms", age_ns / 1_000_000),
             Event::Interrupted => break,
-            Event::TimedOut => println!("waiting for the worker"),
+            _ => println!("waiting for the worker"),
         }
     }
     Ok(())

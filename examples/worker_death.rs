@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut killed = false;
     loop {
         match planner.wait_next(Duration::from_secs(10))? {
-            Event::Frame(frame) if frame.arrival.restarted => {
+            Event::Frame(frame) if frame.arrival().restarted => {
                 println!("tick {} of a new worker", frame.header().tick);
                 break;
             }

@@ -1,6 +1,7 @@
 //! Two raw iceoryx2 hops: source → relay → sink, frames of the same sizes, an event each, nothing
 //! computed. What no broker on iceoryx2 can be faster than.
 
+use std::fmt;
 use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::Child;
@@ -34,6 +35,14 @@ pub struct Way {
     sink: Child,
     root: PathBuf,
     robots: usize,
+}
+
+impl fmt::Debug for Way {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Way")
+            .field("robots", &self.robots)
+            .finish_non_exhaustive()
+    }
 }
 
 impl Way {

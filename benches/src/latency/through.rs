@@ -1,5 +1,6 @@
 //! Through the broker: a source (this process), a worker and a planner.
 
+use std::fmt;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::Child;
@@ -51,6 +52,14 @@ pub struct Way {
     config: Config,
     path: PathBuf,
     robots: usize,
+}
+
+impl fmt::Debug for Way {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Way")
+            .field("robots", &self.robots)
+            .finish_non_exhaustive()
+    }
 }
 
 impl Way {

@@ -16,8 +16,8 @@ use crate::Domain;
 const CREATION_TIMEOUT_MS: u64 = 300;
 
 /// What iceoryx2 must be set to for `domain`.
-pub(crate) fn wanted(domain: &Domain) -> Result<Config, ConfigError> {
-    let refused = |what: &'static str| ConfigError::Refused {
+pub(crate) fn wanted(domain: &Domain) -> Result<Config, IceoryxConfigError> {
+    let refused = |what: &'static str| IceoryxConfigError::Refused {
         what,
         domain: Box::new(domain.clone()),
     };
@@ -36,28 +36,30 @@ pub(crate) fn wanted(domain: &Domain) -> Result<Config, ConfigError> {
 ///
 /// The global one must be it: when the details of a dead node are missing, iceoryx2 cleans up by
 /// the global configuration, and would look in the wrong place.
-pub(crate) fn load(domain: &Domain) -> Result<&'static Config, ConfigError> {
+pub(crate) fn load(domain: &Domain) -> Result<&'static Config, IceoryxConfigError> {
     let wanted = wanted(domain)?;
     let path = domain.config_file();
-    write(&path, &text(domain)).map_err(|source| ConfigError::Write {
+    write(&path, &text(domain)).map_err(|source| IceoryxConfigError::Write {
         path: path.clone(),
         source,
     })?;
-    let file =
-        FilePath::new(path.as_os_str().as_encoded_bytes()).map_err(|_| ConfigError::Refused {
+    let file = FilePath::new(path.as_os_str().as_encoded_bytes()).map_err(|_| {
+        IceoryxConfigError::Refused {
             what: "path of the configuration file",
             domain: Box::new(domain.clone()),
-        })?;
-    let loaded =
-        Config::setup_global_config_from_file(&file).map_err(|reason| ConfigError::Load {
+        }
+    })?;
+    let loaded = Config::setup_global_config_from_file(&file).map_err(|reason| {
+        IceoryxConfigError::Load {
             path,
             reason: reason.to_string(),
-        })?;
+        }
+    })?;
     // Unknown keys are ignored in silence and an earlier configuration stays: compare.
     if *loaded == wanted {
         Ok(loaded)
     } else {
-        Err(ConfigError::AnotherDomain {
+        Err(IceoryxConfigError::AnotherDomain {
             wanted: domain.shm_prefix().to_owned(),
             wanted_root: domain.directory(),
             found: loaded.global.prefix.to_string(),
@@ -96,7 +98,7 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
 /// Why iceoryx2 could not be set to a domain.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum ConfigError {
+pub enum IceoryxConfigError {
     /// iceoryx2 does not take the name.
     #[error("iceoryx2 refuses the {what} of {domain:?}; choose a shorter `root` and `fleet`")]
     Refused {

@@ -10,7 +10,7 @@ use iceoryx2::prelude::{CallbackProgression, ipc};
 
 use crate::cleanup::incomplete::unfinished;
 use crate::cleanup::objects::objects;
-use crate::iceoryx_config::{self, ConfigError};
+use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::os::files::{effective_uid, filesystem, is_memory};
 use crate::preflight::{CapacityError, measure};
 use crate::{CapacityReport, Domain, RootError, WorkerLock};
@@ -153,7 +153,7 @@ pub enum InspectError {
     Root(#[from] RootError),
     /// iceoryx2 does not take the domain's names.
     #[error(transparent)]
-    Config(#[from] ConfigError),
+    Config(#[from] IceoryxConfigError),
     /// Free shared memory or file descriptors could not be read.
     #[error(transparent)]
     Capacity(#[from] CapacityError),

@@ -51,7 +51,7 @@ pub use cleanup::keeper::Housekeeping;
 pub use cleanup::report::SweepReport;
 pub use cleanup::sweep::{SweepError, sweep};
 pub use domain::{Domain, DomainError, DomainWarning, RootError};
-pub use iceoryx_config::ConfigError;
+pub use iceoryx_config::IceoryxConfigError;
 pub use inspect::{InspectError, Inspection, NodeInfo, RootInfo, inspect};
 pub use limits::{Limits, LimitsError};
 pub use liveness::peer_watch::PeerWatch;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use crate::cleanup::keeper::Keeper;
 use crate::cleanup::objects::objects;
 use crate::cleanup::sweep::remove_all;
-use crate::iceoryx_config::{self, ConfigError};
+use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::liveness::members_lock::MembersLock;
 use crate::os::files::effective_uid;
 use crate::{Domain, RootError, SweepError, SweepReport};
@@ -120,7 +120,7 @@ pub enum JoinError {
     Root(#[from] RootError),
     /// iceoryx2 could not be set to the domain.
     #[error(transparent)]
-    Config(#[from] ConfigError),
+    Config(#[from] IceoryxConfigError),
     /// Stale files could not be removed.
     #[error("{0}; run `joulebus doctor --fix`")]
     Sweep(#[from] SweepError),

@@ -1,6 +1,7 @@
 //! Reads captures, one message at a time.
 
 use std::collections::HashMap;
+use std::fmt;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -33,6 +34,15 @@ pub struct Reader<S> {
     first: Option<(MessageHeader, Vec<u8>)>,
     read_bytes: u64,
     done: bool,
+}
+
+impl<S> fmt::Debug for Reader<S> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Reader")
+            .field("read_bytes", &self.read_bytes)
+            .field("done", &self.done)
+            .finish_non_exhaustive()
+    }
 }
 
 struct Channel {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use toml_edit::{DocumentMut, Item, value};
+use toml_edit::{DocumentMut, Item, TomlError, value};
 
 use crate::{Config, ModelSource};
 
@@ -17,6 +17,7 @@ pub struct Bundle {
 
 /// Why a config could not be made independent of its files.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum BundleError {
     /// A model could not be read.
     #[error("cannot read model {path:?}: {source}")]
@@ -27,8 +28,11 @@ pub enum BundleError {
         source: std::io::Error,
     },
     /// The config's own text was not understood.
-    #[error("the config cannot be written out: {0}")]
-    Text(#[from] toml_edit::TomlError),
+    #[error("the config cannot be written out: {reason}")]
+    Text {
+        /// What is wrong with it.
+        reason: String,
+    },
 }
 
 impl Config {
@@ -38,7 +42,10 @@ impl Config {
     /// # Errors
     /// A model that was there when the config was read cannot be read any more.
     pub fn bundle(&self) -> Result<Bundle, BundleError> {
-        let mut document: DocumentMut = self.to_toml().parse()?;
+        let document: Result<DocumentMut, TomlError> = self.to_toml().parse();
+        let mut document = document.map_err(|error| BundleError::Text {
+            reason: error.to_string(),
+        })?;
         let mut files = Vec::new();
         for (place, source) in self.models().iter().enumerate() {
             let Some((name, bytes)) = model(source)? else {

@@ -38,6 +38,7 @@ pub enum File {
 /// What a value is and may be; ends of ranges are allowed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum ValueKind {
     /// A whole number.
     Integer {
@@ -64,6 +65,7 @@ pub enum ValueKind {
 /// What a text may be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum TextRule {
     /// 1 to 32 letters, digits, `-` and `_`.
     Name,
@@ -84,6 +86,7 @@ pub enum TextRule {
 /// The value of a key that is left out.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum DefaultValue {
     /// None: the key must be given (battery keys: if any of them is).
     Required,

@@ -47,3 +47,15 @@ pub use explain::{Explanation, UnknownKey, explain, explanations};
 pub use key::{DefaultValue, File, Key, TextRule, ValueKind};
 pub use keys::KEYS;
 pub use problem::{ConfigError, Problem};
+pub use shared_memory::ConnectError;
+
+/// What [`ConnectError`], and the errors of the ports that a fleet's processes open, are made of.
+pub mod error {
+    pub use joulebus_bus::{
+        CapacityError, DomainError, IceoryxConfigError, JoinError, LimitsError, OpenError,
+        ReceiveError, RootError, SendError, SweepError, WaitError,
+    };
+    pub use joulebus_settings::SettingsError;
+
+    pub use crate::{BundleError, ConfigError, ConnectError, Problem};
+}

@@ -35,6 +35,7 @@ impl fmt::Display for Problem {
 
 /// Why a config was not taken.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ConfigError {
     /// The file of the fleet could not be read.
     #[error("cannot read the config {}: {source}. Name an existing file with --config", path.display())]

@@ -1,8 +1,8 @@
 //! Where the fleet's shared memory lies and how much of it there is, for the bus.
 
-use joulebus_bus::{Domain, DomainError, Limits};
+use joulebus_bus::{Bus, Domain, DomainError, JoinError, Limits, OpenError};
 
-use crate::Config;
+use crate::{Config, ConfigError};
 
 /// Frames of forecasts that wait for a reader, at least and at most. A planner wants the newest, and
 /// a few to tell a gap from a late look; a recorder wants all, and may be late by half a second where
@@ -21,6 +21,14 @@ impl Config {
         Domain::new(self.fleet(), self.root(), self.prefix())
     }
 
+    /// Joins the fleet as `name`, 1 to 128 bytes.
+    ///
+    /// # Errors
+    /// [`ConnectError`] says what is in the way and what to do.
+    pub fn join(&self, name: &str) -> Result<Bus, ConnectError> {
+        Ok(Bus::join(&self.domain()?, name)?)
+    }
+
     /// What every process of the fleet must agree on.
     #[must_use]
     pub fn limits(&self) -> Limits {
@@ -34,4 +42,22 @@ impl Config {
             forecast_frames: (FORECAST_ROWS / capacity.max(1)).clamp(least, most),
         }
     }
+}
+
+/// Why a process could not join the fleet of a config, or open a port of it.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConnectError {
+    /// The config was not read, or refused.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The config names a domain that shared memory cannot hold.
+    #[error(transparent)]
+    Domain(#[from] DomainError),
+    /// The fleet could not be joined.
+    #[error(transparent)]
+    Join(#[from] JoinError),
+    /// A port could not be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
 }

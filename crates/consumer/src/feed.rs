@@ -1,25 +1,43 @@
 //! Diagnostics and budgets.
 
 use std::cell::RefCell;
+use std::fmt;
 
-use joulebus_bus::{BudgetReader, DiagnosticReader};
+use joulebus_bus::Reader;
+use joulebus_wire::{Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Payload};
 
 use crate::index::RobotIndex;
 use crate::planner::{check_schema, newer};
-use crate::{Budgets, Diagnostics, ReadError};
+use crate::tracker::Place;
+use crate::{Arrival, Frame, ReadError};
 
-/// Diagnostics, robot by robot. Belongs to the thread of its planner, and may outlive it.
-pub struct DiagnosticFeed {
-    reader: DiagnosticReader,
-    place: Option<(u64, u64)>,
+/// Frames that the worker sends beside its forecasts, robot by robot. Belongs to the thread of its
+/// planner, and may outlive it.
+pub struct Feed<H: Payload, T: Payload> {
+    reader: Reader<H, T>,
+    /// Schema and place in time of a frame.
+    of_header: fn(&H) -> (u32, Place),
+    id: fn(&T) -> u32,
+    place: Option<Place>,
     frames: u64,
     index: RefCell<RobotIndex>,
 }
 
-impl DiagnosticFeed {
-    pub(crate) fn new(reader: DiagnosticReader) -> Self {
+/// Diagnostics, robot by robot.
+pub type DiagnosticFeed = Feed<DiagnosticHeader, Diagnostic>;
+/// Budgets, robot by robot.
+pub type BudgetFeed = Feed<BudgetHeader, Budget>;
+
+impl<H: Payload, T: Payload> Feed<H, T> {
+    pub(crate) fn new(
+        reader: Reader<H, T>,
+        of_header: fn(&H) -> (u32, Place),
+        id: fn(&T) -> u32,
+    ) -> Self {
         Self {
             reader,
+            of_header,
+            id,
             place: None,
             frames: 0,
             index: RefCell::default(),
@@ -31,54 +49,26 @@ impl DiagnosticFeed {
     ///
     /// # Errors
     /// [`ReadError`]; the next call may succeed.
-    pub fn latest(&mut self) -> Result<Option<Diagnostics<'_>>, ReadError> {
-        let (mut place, mut schema) = (self.place, None);
+    pub fn latest(&mut self) -> Result<Option<Frame<'_, H, T>>, ReadError> {
+        let (mut place, mut foreign) = (self.place, None);
         let found = self.reader.hold_latest(|header| {
-            let at = (header.worker_epoch, header.tick);
-            newer(header.schema, at, &mut place, &mut schema)
+            let (schema, at) = (self.of_header)(header);
+            newer(schema, at, &mut place, &mut foreign)
         })?;
-        check_schema(found, schema)?;
+        check_schema(found, foreign)?;
         self.place = place;
         self.frames += u64::from(found);
         let held = self.reader.held();
-        Ok(held.map(|held| Diagnostics::new(held, self.frames, |row| row.robot, &self.index)))
+        let frame = |held| Frame::new(held, self.frames, self.id, &self.index, Arrival::default());
+        Ok(held.map(frame))
     }
 }
 
-/// Budgets, robot by robot. Belongs to the thread of its planner, and may outlive it.
-pub struct BudgetFeed {
-    reader: BudgetReader,
-    place: Option<(u64, u64)>,
-    frames: u64,
-    index: RefCell<RobotIndex>,
-}
-
-impl BudgetFeed {
-    pub(crate) fn new(reader: BudgetReader) -> Self {
-        Self {
-            reader,
-            place: None,
-            frames: 0,
-            index: RefCell::default(),
-        }
-    }
-
-    /// The newest frame, whether or not it was given before: its header tells the tick. A newcomer
-    /// gets what was sent before it came as soon as the worker sends, or looks for newcomers. `None`
-    /// until then. Borrowed until the next call.
-    ///
-    /// # Errors
-    /// [`ReadError`]; the next call may succeed.
-    pub fn latest(&mut self) -> Result<Option<Budgets<'_>>, ReadError> {
-        let (mut place, mut schema) = (self.place, None);
-        let found = self.reader.hold_latest(|header| {
-            let at = (header.worker_epoch, header.tick);
-            newer(header.schema, at, &mut place, &mut schema)
-        })?;
-        check_schema(found, schema)?;
-        self.place = place;
-        self.frames += u64::from(found);
-        let held = self.reader.held();
-        Ok(held.map(|held| Budgets::new(held, self.frames, |row| row.robot, &self.index)))
+impl<H: Payload, T: Payload> fmt::Debug for Feed<H, T> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Feed")
+            .field("frames", &self.frames)
+            .field("place", &self.place)
+            .finish_non_exhaustive()
     }
 }

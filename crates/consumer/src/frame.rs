@@ -1,7 +1,7 @@
 //! Frames as planners see them.
 
 use std::cell::RefCell;
-use std::ops::Deref;
+use std::slice;
 
 use joulebus_bus::clock;
 use joulebus_wire::{Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader};
@@ -9,8 +9,7 @@ use joulebus_wire::{Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast
 use crate::Arrival;
 use crate::index::RobotIndex;
 
-/// A frame in shared memory, borrowed from the reader that holds it: the robots by dereferencing
-/// to a slice, in no particular order.
+/// A frame in shared memory, borrowed from the reader that holds it.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a, H, T> {
     header: &'a H,
@@ -18,8 +17,11 @@ pub struct Frame<'a, H, T> {
     number: u64,
     id: fn(&T) -> u32,
     index: &'a RefCell<RobotIndex>,
+    arrival: Arrival,
 }
 
+/// A frame of forecasts.
+pub type Forecasts<'a> = Frame<'a, ForecastHeader, Forecast>;
 /// A frame of diagnostics.
 pub type Diagnostics<'a> = Frame<'a, DiagnosticHeader, Diagnostic>;
 /// A frame of budgets.
@@ -31,6 +33,7 @@ impl<'a, H, T> Frame<'a, H, T> {
         number: u64,
         id: fn(&T) -> u32,
         index: &'a RefCell<RobotIndex>,
+        arrival: Arrival,
     ) -> Self {
         Self {
             header,
@@ -38,6 +41,7 @@ impl<'a, H, T> Frame<'a, H, T> {
             number,
             id,
             index,
+            arrival,
         }
     }
 
@@ -47,10 +51,15 @@ impl<'a, H, T> Frame<'a, H, T> {
         self.header
     }
 
-    /// All robots of the frame.
+    /// All robots of the frame, in no particular order.
     #[must_use]
     pub const fn robots(&self) -> &'a [T] {
         self.robots
+    }
+
+    /// Goes through [`Frame::robots`].
+    pub fn iter(&self) -> slice::Iter<'a, T> {
+        self.robots.iter()
     }
 
     /// The robot with the id `robot`, if the frame has it. Usually one look-up in a table that is
@@ -66,38 +75,25 @@ impl<'a, H, T> Frame<'a, H, T> {
     }
 }
 
-impl<T, H> Deref for Frame<'_, H, T> {
-    type Target = [T];
+impl<'a, H, T> IntoIterator for &Frame<'a, H, T> {
+    type Item = &'a T;
+    type IntoIter = slice::Iter<'a, T>;
 
-    fn deref(&self) -> &[T] {
-        self.robots
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter()
     }
 }
 
-/// A frame of forecasts, and how it came.
-#[derive(Debug, Clone, Copy)]
-pub struct Forecasts<'a> {
-    frame: Frame<'a, ForecastHeader, Forecast>,
+impl Forecasts<'_> {
     /// What lies between this frame and the one before.
-    pub arrival: Arrival,
-}
-
-impl<'a> Forecasts<'a> {
-    pub(crate) const fn new(frame: Frame<'a, ForecastHeader, Forecast>, arrival: Arrival) -> Self {
-        Self { frame, arrival }
+    #[must_use]
+    pub const fn arrival(&self) -> Arrival {
+        self.arrival
     }
 
     /// Time since the frame was sent, ns, on the monotonic clock.
     #[must_use]
     pub fn age_ns(&self) -> u64 {
-        clock::monotonic_ns().saturating_sub(self.header().sent_ns)
-    }
-}
-
-impl<'a> Deref for Forecasts<'a> {
-    type Target = Frame<'a, ForecastHeader, Forecast>;
-
-    fn deref(&self) -> &Self::Target {
-        &self.frame
+        clock::monotonic_ns().saturating_sub(self.header.sent_ns)
     }
 }

@@ -2,27 +2,27 @@
 //! the worker has written it.
 //!
 //! ```no_run
+//! use std::time::Duration;
+//!
 //! use joulebus_consumer::{Event, Planner};
-//! # use std::time::Duration;
-//! # fn plan(_: f32, _: (f32, f32)) {}
-//! # fn stop_relying_on_forecasts() {}
-//! let mut planner = Planner::connect("configs/fleet.toml")?;
-//! loop {
-//!     match planner.wait_next(Duration::from_secs(1))? {
-//!         Event::Frame(frame) => {
-//!             let forecast = frame.robot(7);
-//!             if let Some((power_w, interval_w)) =
-//!                 forecast.and_then(|forecast| forecast.power_w().zip(forecast.interval_w()))
-//!             {
-//!                 plan(power_w, interval_w);
+//!
+//! fn main() -> Result<(), Box<dyn std::error::Error>> {
+//!     let mut planner = Planner::connect("configs/fleet.toml")?;
+//!     loop {
+//!         match planner.wait_next(Duration::from_secs(1))? {
+//!             Event::Frame(frame) => {
+//!                 for robot in &frame {
+//!                     if let Some((lo_w, hi_w)) = robot.interval_w() {
+//!                         println!("robot {} will draw {lo_w:.2} to {hi_w:.2} W", robot.robot);
+//!                     }
+//!                 }
 //!             }
+//!             Event::Gone(_) | Event::Stale { .. } => println!("do not rely on forecasts"),
+//!             Event::Interrupted => return Ok(()),
+//!             _ => {}
 //!         }
-//!         Event::Gone(_) | Event::Stale { .. } => stop_relying_on_forecasts(),
-//!         Event::Interrupted | Event::TimedOut => {}
 //!     }
 //! }
-//! # #[allow(unreachable_code)]
-//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
 //! **Units**: W, J, s, ns. Times are of the host's monotonic clock ([`clock::monotonic_ns`]). What
@@ -35,7 +35,7 @@
 //! ([`Event::Stale`]). After either, the next frame says that all is well again.
 //!
 //! **Gaps.** A planner always gets the newest frame. Those that it was too slow for are counted
-//! ([`Arrival::ticks_missed`], [`Counts`]). A slow or stopped planner costs the worker nothing.
+//! ([`Forecasts::arrival`], [`Counts`]). A slow or stopped planner costs the worker nothing.
 //!
 //! **Lifetimes.** A frame lies in shared memory and is borrowed from the [`Planner`], or from the
 //! [`DiagnosticFeed`] or [`BudgetFeed`], each of which holds exactly one: it stays as it is until
@@ -43,8 +43,8 @@
 //! `Copy`. [`Frame::robot`] takes constant time as long as no robots come or go. Feeds are separate
 //! so that a frame of each may be looked at together.
 //!
-//! **Errors** say what to do: [`ConnectError`] at the start, [`ReadError`] later; after the latter
-//! the planner may be used again.
+//! **Errors** say what to do: [`ConnectError`] at the start, [`OpenError`] for a feed, [`ReadError`]
+//! later; after the latter the planner may be used again. [`error`] has all that they are made of.
 //!
 //! **Leaving** is dropping. Everything here belongs to the thread that connected it, and all
 //! planners of one process to one fleet.
@@ -56,10 +56,10 @@ mod index;
 mod planner;
 mod tracker;
 
-pub use feed::{BudgetFeed, DiagnosticFeed};
+pub use feed::{BudgetFeed, DiagnosticFeed, Feed};
 pub use frame::{Budgets, Diagnostics, Forecasts, Frame};
 pub use joulebus_bus::{OpenError, clock};
-pub use joulebus_config::Config;
+pub use joulebus_config::{Config, ConnectError, error};
 pub use joulebus_wire as wire;
-pub use planner::{ConnectError, Event, Planner, ReadError};
+pub use planner::{Event, Planner, ReadError};
 pub use tracker::{Arrival, Counts, End, WorkerState};

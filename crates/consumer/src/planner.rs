@@ -1,15 +1,16 @@
 //! The connection of a planner to its fleet.
 
 use std::cell::RefCell;
+use std::fmt;
 use std::path::Path;
 use std::time::Duration;
 
 use joulebus_bus::{
-    Bus, DomainError, ForecastReader, JoinError, Limits, OpenError, PeerWatch, ReceiveError,
-    WaitError, Waiter, Woken, clock,
+    Bus, ForecastReader, Limits, OpenError, PeerWatch, ReceiveError, WaitError, Waiter, Woken,
+    clock,
 };
-use joulebus_config::{Config, ConfigError};
-use joulebus_wire::SCHEMA_VERSION;
+use joulebus_config::{Config, ConnectError};
+use joulebus_wire::{BudgetHeader, DiagnosticHeader, Forecast, SCHEMA_VERSION};
 
 use crate::frame::Frame;
 use crate::index::RobotIndex;
@@ -34,6 +35,7 @@ pub struct Planner {
 /// What [`Planner::wait_next`] has waited for.
 #[derive(Debug, Clone, Copy)]
 #[must_use]
+#[non_exhaustive]
 pub enum Event<'a> {
     /// A frame that was not given before.
     Frame(Forecasts<'a>),
@@ -66,7 +68,7 @@ impl Planner {
     /// [`ConnectError`].
     pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
         let limits = config.limits();
-        let bus = Bus::join(&config.domain()?, name)?;
+        let bus = config.join(name)?;
         // The waiter first: a frame that comes in between is found without an event.
         let waiter = bus.planner_waiter(&limits)?;
         let reader = bus.forecast_reader(&limits)?;
@@ -133,8 +135,8 @@ impl Planner {
     pub fn current(&self) -> Option<Forecasts<'_>> {
         let held = self.reader.held()?;
         let number = self.tracker.counts().frames;
-        let frame = Frame::new(held, number, |row| row.robot, &self.index);
-        Some(Forecasts::new(frame, self.arrival))
+        let id = |row: &Forecast| row.robot;
+        Some(Frame::new(held, number, id, &self.index, self.arrival))
     }
 
     /// How the worker stands at this moment, as far as the last call to [`Planner::wait_next`] or
@@ -156,16 +158,20 @@ impl Planner {
     /// [`OpenError`] says what is in the way and what to do.
     pub fn diagnostics(&self) -> Result<DiagnosticFeed, OpenError> {
         let reader = self.bus.diagnostic_reader(&self.limits)?;
-        Ok(DiagnosticFeed::new(reader))
+        let of_header =
+            |header: &DiagnosticHeader| (header.schema, (header.worker_epoch, header.tick));
+        Ok(DiagnosticFeed::new(reader, of_header, |row| row.robot))
     }
 
-    /// Opens the budgets. The newest frame can be read at once, or as soon as the worker has
-    /// noticed.
+    /// Opens the budgets. What was sent before can be read as soon as the worker sends again, or
+    /// looks for newcomers.
     ///
     /// # Errors
     /// [`OpenError`] says what is in the way and what to do.
     pub fn budgets(&self) -> Result<BudgetFeed, OpenError> {
-        Ok(BudgetFeed::new(self.bus.budget_reader(&self.limits)?))
+        let reader = self.bus.budget_reader(&self.limits)?;
+        let of_header = |header: &BudgetHeader| (header.schema, (header.worker_epoch, header.tick));
+        Ok(BudgetFeed::new(reader, of_header, |row| row.robot))
     }
 
     /// Connections to workers that could not be made, or broke: frames are missing.
@@ -214,6 +220,16 @@ impl Planner {
     }
 }
 
+impl fmt::Debug for Planner {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Planner")
+            .field("worker", &self.worker())
+            .field("counts", &self.counts())
+            .field("limits", &self.limits)
+            .finish_non_exhaustive()
+    }
+}
+
 /// Whether a frame is of our version and later than the one at `at`, which then moves on.
 pub(crate) fn newer(
     schema: u32,
@@ -240,25 +256,9 @@ pub(crate) const fn check_schema(found: bool, schema: Option<u32>) -> Result<(),
     }
 }
 
-/// Why a planner could not join its fleet.
-#[derive(Debug, thiserror::Error)]
-pub enum ConnectError {
-    /// The config was not read, or refused.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The config names a domain that shared memory cannot hold.
-    #[error(transparent)]
-    Domain(#[from] DomainError),
-    /// The fleet could not be joined.
-    #[error(transparent)]
-    Join(#[from] JoinError),
-    /// A port could not be opened.
-    #[error(transparent)]
-    Open(#[from] OpenError),
-}
-
 /// Why nothing could be read.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ReadError {
     /// The worker is of another version.
     #[error(

@@ -4,6 +4,7 @@ use joulebus_wire::ForecastHeader;
 
 /// How the worker stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum WorkerState {
     /// No frame has come yet.
     Waiting,
@@ -20,6 +21,7 @@ pub enum WorkerState {
 
 /// How a worker went, and how that was noticed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum End {
     /// It said that it ends.
     Ended,
@@ -31,6 +33,7 @@ pub enum End {
 
 /// How a frame of forecasts came.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub struct Arrival {
     /// Ticks of this worker whose frames were passed over or lost since the last frame that this
     /// planner was given. 0 for the first frame of all.
@@ -41,6 +44,7 @@ pub struct Arrival {
 
 /// What a planner has been given so far.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
 pub struct Counts {
     /// Frames.
     pub frames: u64,

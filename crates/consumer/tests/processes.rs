@@ -182,7 +182,7 @@ fn describe(event: &Event<'_>) -> String {
                 assert_eq!(found.power_w(), Some(power_w(robot.into(), tick)));
             }
             assert!(frame.robot(64).is_none());
-            let arrival = frame.arrival;
+            let arrival = frame.arrival();
             format!(
                 "tick {tick}, missed {}{}",
                 arrival.ticks_missed,

@@ -19,6 +19,9 @@ pub struct Stop {
 
 impl Stop {
     /// From now on the two signals ask to stop instead of killing.
+    ///
+    /// # Errors
+    /// The system does not let a signal be handled.
     pub fn on_signals() -> anyhow::Result<Self> {
         let asked = Arc::new(AtomicBool::new(false));
         for signal in [SIGINT, SIGTERM] {
@@ -29,6 +32,9 @@ impl Stop {
     }
 
     /// Stops when the terminal is closed as well: for who shows something in it.
+    ///
+    /// # Errors
+    /// The system does not let the signal be handled.
     pub fn or_hangup(self) -> anyhow::Result<Self> {
         signal_hook::flag::register(SIGHUP, Arc::clone(&self.asked))
             .context("cannot handle the end of the terminal")?;

@@ -2,15 +2,23 @@
 //! per control tick for the whole fleet.
 //!
 //! ```no_run
-//! use joulebus_publisher::{Publisher, RobotState};
-//! # struct Robot { id: u32, v_mps: f32, omega_radps: f32, power_w: f32 }
-//! # let robots: Vec<Robot> = Vec::new();
-//! let mut publisher = Publisher::connect("configs/fleet.toml", "fleet-controller")?;
-//! // 30 times a second, when the commands have been issued:
-//! publisher.publish(robots.iter().map(|robot| {
-//!     RobotState::new(robot.id).command(robot.v_mps, robot.omega_radps).reading(robot.power_w)
-//! }))?;
-//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! use std::time::Duration;
+//!
+//! use joulebus_publisher::{Pace, Publisher, RobotState};
+//!
+//! fn main() -> Result<(), Box<dyn std::error::Error>> {
+//!     let mut publisher = Publisher::connect("configs/fleet.toml", "fleet-controller")?;
+//!     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
+//!     loop {
+//!         let slot = pace.wait();
+//!         // What was just commanded to each robot, and what its power monitor says.
+//!         let (v_mps, omega_radps, power_w) = (0.2, 0.0, 4.6);
+//!         let robots = (0..20).map(|robot| {
+//!             RobotState::new(robot).command(v_mps, omega_radps).reading(power_w)
+//!         });
+//!         publisher.publish_intended(slot.intended_ns, robots)?;
+//!     }
+//! }
 //! ```
 //!
 //! **Units**: m/s, rad/s, W, V, A (positive while discharging), ns. Times are of the host's
@@ -28,7 +36,7 @@
 //! counted by its reason and shown to operators, without harm to other robots.
 //!
 //! **Errors** say what to do: [`ConnectError`] at the start, [`PublishError`] for a frame; after
-//! the latter the publisher may be used again.
+//! the latter the publisher may be used again. [`error`] has all that they are made of.
 //!
 //! **Leaving** is dropping. A running worker still gets the frames that were sent before, unless
 //! the source had come only after the worker last woke up: a program that sends for less than a
@@ -40,9 +48,9 @@ mod pace;
 mod publisher;
 mod state;
 
-pub use joulebus_bus::clock;
-pub use joulebus_config::Config;
+pub use joulebus_bus::{SendError, clock};
+pub use joulebus_config::{Config, ConnectError, error};
 pub use joulebus_wire as wire;
 pub use pace::{Grid, Pace, Slot};
-pub use publisher::{ConnectError, PublishError, Publisher, Sent};
+pub use publisher::{PublishError, Publisher, Sent};
 pub use state::RobotState;

@@ -6,6 +6,7 @@ use joulebus_bus::clock;
 
 /// A place on the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Slot {
     /// When the frame was meant to be sent, monotonic ns: on the grid, however late it is now.
     pub intended_ns: u64,

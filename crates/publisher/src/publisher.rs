@@ -1,9 +1,10 @@
 //! The connection of a source to its fleet.
 
+use std::fmt;
 use std::path::Path;
 
-use joulebus_bus::{Bus, DomainError, JoinError, OpenError, SampleWriter, SendError, clock};
-use joulebus_config::{Config, ConfigError};
+use joulebus_bus::{Bus, SampleWriter, SendError, clock};
+use joulebus_config::{Config, ConnectError};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a};
 
 use crate::RobotState;
@@ -28,6 +29,7 @@ pub struct Publisher {
 
 /// A frame that was sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Sent {
     /// Processes that can read it: 0 means that no worker runs.
     pub readers: usize,
@@ -58,7 +60,7 @@ impl Publisher {
     /// [`ConnectError`].
     pub fn with_config(config: &Config, source_name: &str) -> Result<Self, ConnectError> {
         let limits = config.limits();
-        let bus = Bus::join(&config.domain()?, source_name)?;
+        let bus = config.join(source_name)?;
         let writer = bus.sample_writer(&limits, limits.capacity)?;
         let header = SampleHeader {
             schema: SCHEMA_VERSION,
@@ -196,25 +198,21 @@ impl Publisher {
     }
 }
 
-/// Why a source could not join its fleet.
-#[derive(Debug, thiserror::Error)]
-pub enum ConnectError {
-    /// The config was not read, or refused.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The config names a domain that shared memory cannot hold.
-    #[error(transparent)]
-    Domain(#[from] DomainError),
-    /// The fleet could not be joined.
-    #[error(transparent)]
-    Join(#[from] JoinError),
-    /// The port for samples could not be opened.
-    #[error(transparent)]
-    Open(#[from] OpenError),
+impl fmt::Debug for Publisher {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Publisher")
+            .field("source_id", &self.source_id())
+            .field("source_epoch", &self.source_epoch())
+            .field("frames_sent", &self.frames_sent)
+            .field("samples_sent", &self.samples_sent)
+            .field("capacity", &self.capacity())
+            .finish_non_exhaustive()
+    }
 }
 
 /// Why a frame was not sent.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum PublishError {
     /// More robots than the fleet has room for.
     #[error(

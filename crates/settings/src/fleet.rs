@@ -298,7 +298,8 @@ mod tests {
     #[test]
     fn what_is_refused_is_named_with_its_value_and_both_bounds() {
         assert_eq!(settings().check(), Ok(()));
-        let cases: &[(fn(&mut FleetSettings), &str)] = &[
+        type Change = fn(&mut FleetSettings);
+        let cases: &[(Change, &str)] = &[
             (|s| s.capacity = 0, "capacity is 0, allowed is 1 to 1000000"),
             (
                 |s| s.intake.max_sources = 1025,

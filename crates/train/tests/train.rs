@@ -282,9 +282,7 @@ fn a_saved_run_goes_on_only_with_its_own_data_and_recipe() {
     training.epoch().expect("it does not diverge");
     let saved = training.saved();
     let refused = |data: &Dataset, settings: &TrainSettings, saved: &[u8]| {
-        let error = Training::resume(data, settings, 1, saved)
-            .err()
-            .expect("must be refused");
+        let error = Training::resume(data, settings, 1, saved).expect_err("must be refused");
         error.to_string()
     };
     let mut other = data.clone();

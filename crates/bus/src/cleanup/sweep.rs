@@ -10,7 +10,7 @@ use super::incomplete::remove_incomplete;
 use super::objects::objects;
 use super::report::SweepReport;
 use crate::domain::check_private;
-use crate::iceoryx_config::{self, ConfigError};
+use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::liveness::members_lock::MembersLock;
 use crate::os::files::effective_uid;
 use crate::{Domain, RootError, WorkerLock};
@@ -110,7 +110,7 @@ pub enum SweepError {
     Root(#[from] RootError),
     /// iceoryx2 could not be set to the domain.
     #[error(transparent)]
-    Config(#[from] ConfigError),
+    Config(#[from] IceoryxConfigError),
     /// The members' lock could not be read.
     #[error("members' lock: {0}")]
     Lock(#[from] io::Error),
@@ -128,7 +128,7 @@ impl SweepError {
     fn vanished(&self) -> bool {
         let source = match self {
             Self::Root(error) => return error.vanished(),
-            Self::Config(ConfigError::Write { source, .. })
+            Self::Config(IceoryxConfigError::Write { source, .. })
             | Self::Lock(source)
             | Self::Remove { source, .. } => source,
             Self::Config(_) => return false,

@@ -2,6 +2,7 @@
 //! written down when something happens.
 
 use std::collections::{HashMap, VecDeque};
+use std::fmt;
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -19,6 +20,15 @@ pub enum Target {
     File(PathBuf),
     /// A pipe, or what else takes bytes; never split.
     Stream(Box<dyn Write + Send>),
+}
+
+impl fmt::Debug for Target {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(path) => write!(out, "File({})", path.display()),
+            Self::Stream(_) => out.write_str("Stream"),
+        }
+    }
 }
 
 /// Files of a capture, open and done.

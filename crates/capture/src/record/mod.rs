@@ -14,6 +14,7 @@ mod gaps;
 mod queue;
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::io::Read;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -61,6 +62,20 @@ pub struct Options {
     pub snapshot: Option<Snapshot>,
     /// Messages that wait for the disk, bytes in memory; those that come on top are lost.
     pub queue_bytes: usize,
+}
+
+impl fmt::Debug for Options {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Options")
+            .field("settings", &self.settings)
+            .field("per_robot", &self.per_robot)
+            .field("max_file_bytes", &self.max_file_bytes)
+            .field("max_file_ns", &self.max_file_ns)
+            .field("go_on", &self.go_on)
+            .field("snapshot", &self.snapshot)
+            .field("queue_bytes", &self.queue_bytes)
+            .finish_non_exhaustive()
+    }
 }
 
 /// What is kept in memory, and when it is written down.
@@ -195,6 +210,14 @@ pub struct Recorder {
     shared: Arc<Shared>,
     feeds: Vec<JoinHandle<()>>,
     writer: Option<JoinHandle<()>>,
+}
+
+impl fmt::Debug for Recorder {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Recorder")
+            .field("feeds", &self.feeds.len())
+            .finish_non_exhaustive()
+    }
 }
 
 /// What the threads share.

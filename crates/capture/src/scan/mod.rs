@@ -14,6 +14,7 @@ mod record;
 mod resume;
 mod source;
 
+use std::fmt;
 use std::io::{Read, Seek};
 
 use mcap::records::{self, op};
@@ -111,6 +112,14 @@ pub struct Scan<R> {
     /// Where the last error was, and what follows it.
     failed: Option<resume::Failure>,
     file_bytes: u64,
+}
+
+impl<R> fmt::Debug for Scan<R> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Scan")
+            .field("file_bytes", &self.file_bytes)
+            .finish_non_exhaustive()
+    }
 }
 
 /// Where the scan stands. The source moves into the decompressor and back.

@@ -4,6 +4,7 @@ mod output;
 mod settings;
 
 use std::collections::{BTreeMap, HashMap};
+use std::fmt;
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -48,6 +49,16 @@ pub struct Writer<W: Write> {
     bytes: Arc<AtomicU64>,
     failed: bool,
     scratch: Vec<u8>,
+}
+
+impl<W: Write> fmt::Debug for Writer<W> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Writer")
+            .field("settings", &self.settings)
+            .field("messages", &self.messages)
+            .field("failed", &self.failed)
+            .finish_non_exhaustive()
+    }
 }
 
 /// An open channel.

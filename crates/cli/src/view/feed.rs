@@ -117,7 +117,8 @@ const fn link(worker: WorkerState) -> Link {
         WorkerState::Alive => Link::Live,
         WorkerState::Stale { .. } => Link::Stale,
         WorkerState::Gone(End::Ended) => Link::Ended,
-        WorkerState::Gone(_) => Link::Gone,
+        // Gone, or a state that only a later version has: nothing to rely on.
+        _ => Link::Gone,
     }
 }
 

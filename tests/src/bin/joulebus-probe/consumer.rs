@@ -21,9 +21,9 @@ pub(crate) fn run(config: &Config) -> Done {
             Event::Frame(frame) => ReaderLine::Given {
                 worker_epoch: frame.header().worker_epoch,
                 tick: frame.header().tick,
-                ticks_missed: frame.arrival.ticks_missed,
-                restarted: frame.arrival.restarted,
-                gaps: gaps + u64::from(frame.arrival.ticks_missed > 0),
+                ticks_missed: frame.arrival().ticks_missed,
+                restarted: frame.arrival().restarted,
+                gaps: gaps + u64::from(frame.arrival().ticks_missed > 0),
                 robots: frame.robots().len(),
                 accepted: frame.header().samples_accepted,
             },
@@ -32,7 +32,7 @@ pub(crate) fn run(config: &Config) -> Done {
                 at_ns: clock::monotonic_ns(),
             },
             Event::Stale { age_ns } => ReaderLine::Stale { age_ns },
-            Event::Interrupted | Event::TimedOut => continue,
+            _ => continue,
         };
         tell(&line)?;
     }
