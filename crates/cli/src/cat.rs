@@ -7,7 +7,8 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use joulebus_capture::values::{Line, values};
-use joulebus_program::exit::{Outcome, StdoutClosed, UsageError};
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::StdoutClosed;
 use joulebus_program::output::{Output, OutputFormat, say};
 use regex::Regex;
 use serde_json::Value;

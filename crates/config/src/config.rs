@@ -1,6 +1,5 @@
 //! A checked config.
 
-use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -12,35 +11,10 @@ use joulebus_settings::{
 use crate::consistency;
 use crate::document::{FleetFile, Source};
 use crate::key::ValueKind;
+use crate::model_source::ModelSource;
 use crate::problem::{ConfigError, Problem};
 use crate::values::Values;
 use crate::{cpus, files, keys, show};
-
-/// What forecasts a platform's power.
-#[derive(Clone, PartialEq)]
-pub enum ModelSource {
-    /// A model file, existing when the config was read.
-    File(PathBuf),
-    /// A model that ships: its name and the bytes of its file.
-    Builtin(&'static str, &'static [u8]),
-    /// The last reading again.
-    Persistence {
-        /// Standard deviation of the difference of two readings in a row, W.
-        residual_std_w: f32,
-    },
-}
-
-impl fmt::Debug for ModelSource {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::File(path) => write!(out, "File({})", path.display()),
-            Self::Builtin(name, bytes) => write!(out, "Builtin({name}, {} bytes)", bytes.len()),
-            Self::Persistence { residual_std_w } => {
-                write!(out, "Persistence({residual_std_w} W)")
-            }
-        }
-    }
-}
 
 /// The threads of the worker's tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -278,7 +252,7 @@ impl Builder<'_> {
         let checkpoint = files::resolve(&read.values, "ledger.checkpoint")?;
         Some(Config {
             fleet: fleet.0.text("fleet.name")?,
-            root: root(&fleet.0.text("domain.root")?),
+            root: files::root(&fleet.0.text("domain.root")?),
             prefix: fleet.0.text("domain.prefix")?,
             settings: fleet.settings(platforms?)?,
             policy: fleet.policy()?,
@@ -405,10 +379,4 @@ impl Builder<'_> {
             initial_soc_lo: self.0.number("platform.battery.initial_soc_lo")?,
         })
     }
-}
-
-/// The root directory, with the user's number filled in.
-pub(crate) fn root(text: &str) -> PathBuf {
-    let uid = rustix::process::geteuid().as_raw();
-    PathBuf::from(text.replace("{uid}", &uid.to_string()))
 }

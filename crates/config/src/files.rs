@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::builtin;
-use crate::config::ModelSource;
 use crate::document::{FleetFile, Source};
+use crate::model_source::ModelSource;
 use crate::problem::Problem;
 use crate::values::Values;
 
@@ -144,4 +144,10 @@ pub(crate) fn complaint(values: &Values, key: &str, what: String, remedy: String
         what,
         remedy,
     }
+}
+
+/// The root directory, with the user's number filled in.
+pub(crate) fn root(text: &str) -> PathBuf {
+    let uid = rustix::process::geteuid().as_raw();
+    PathBuf::from(text.replace("{uid}", &uid.to_string()))
 }

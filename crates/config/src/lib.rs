@@ -33,6 +33,7 @@ mod explain;
 mod files;
 mod key;
 mod keys;
+mod model_source;
 mod problem;
 mod remedy;
 mod robots;
@@ -42,10 +43,11 @@ mod values;
 
 pub use builtin::{Demo, builtin_model, builtin_models, builtin_platform, builtin_platforms};
 pub use bundle::{Bundle, BundleError};
-pub use config::{Config, ModelSource, Threads};
+pub use config::{Config, Threads};
 pub use explain::{Explanation, UnknownKey, explain, explanations};
 pub use key::{DefaultValue, File, Key, TextRule, ValueKind};
 pub use keys::KEYS;
+pub use model_source::ModelSource;
 pub use problem::{ConfigError, Problem};
 pub use shared_memory::ConnectError;
 

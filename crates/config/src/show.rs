@@ -2,11 +2,11 @@
 
 use std::fmt::Write as _;
 
-use crate::config::{ModelSource, root};
 use crate::document::FleetFile;
 use crate::files;
 use crate::key::Key;
 use crate::keys::KEYS;
+use crate::model_source::ModelSource;
 use crate::values::{Place, Value, Values};
 
 /// Every key with its value and where it comes from; a config file itself.
@@ -57,7 +57,7 @@ fn line(text: &mut String, values: &Values, key: &Key) {
 /// The value with paths made independent of the file that they stand in.
 fn resolved(values: &Values, key: &Key) -> Option<Value> {
     let path = match key.path {
-        "domain.root" => root(&values.text(key.path)?),
+        "domain.root" => files::root(&values.text(key.path)?),
         "ledger.checkpoint" => files::resolve(values, key.path)?,
         "platform.model" => match files::model(values)? {
             ModelSource::File(path) => path,

@@ -4,6 +4,8 @@ use std::process::ExitCode;
 
 use joulebus_config::{ConfigError, UnknownKey};
 
+use crate::output::{self, StdoutClosed};
+
 /// It failed, or what was to be found out is bad news.
 pub const FAILED: u8 = 1;
 /// Wrong usage, or a config that was refused; clap's own code for wrong usage.
@@ -35,11 +37,6 @@ impl Outcome {
 #[error("{0}")]
 pub struct UsageError(pub String);
 
-/// Nobody reads stdout any more, so there is nothing left to do.
-#[derive(Debug, thiserror::Error)]
-#[error("stdout was closed")]
-pub struct StdoutClosed;
-
 /// The error and its causes, each said once: many of ours quote their cause already.
 fn in_words(error: &anyhow::Error) -> String {
     let mut words = error.to_string();
@@ -60,7 +57,7 @@ pub fn code(result: anyhow::Result<Outcome>) -> ExitCode {
         Ok(Outcome::Incomplete) => INCOMPLETE.into(),
         Err(error) if error.is::<StdoutClosed>() => ExitCode::SUCCESS,
         Err(error) => {
-            crate::output::say(&format!("error: {}", in_words(&error)));
+            output::say(&format!("error: {}", in_words(&error)));
             let is_usage = error.chain().any(|cause| {
                 cause.is::<UsageError>() || cause.is::<ConfigError>() || cause.is::<UnknownKey>()
             });

@@ -6,7 +6,10 @@ use std::io::{self, Write as _};
 use anyhow::Context as _;
 use serde::Serialize;
 
-use crate::exit::StdoutClosed;
+/// Nobody reads stdout any more, so there is nothing left to do.
+#[derive(Debug, thiserror::Error)]
+#[error("stdout was closed")]
+pub struct StdoutClosed;
 
 /// How results are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

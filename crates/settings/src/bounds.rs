@@ -5,7 +5,7 @@
 
 use std::ops::RangeInclusive;
 
-use crate::SettingsError;
+use crate::error::SettingsError;
 
 /// Robots of a fleet.
 pub const CAPACITY: RangeInclusive<u32> = 1..=1_000_000;

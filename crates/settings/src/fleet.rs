@@ -5,8 +5,9 @@ use std::ops::RangeInclusive;
 use joulebus_wire::fnv1a;
 use serde::Serialize;
 
-use crate::Platform;
 use crate::bounds::{self, within};
+use crate::error::SettingsError;
+use crate::platform::Platform;
 
 /// Everything the tick needs to know but the models. [`bounds`] says what each number may be.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -83,53 +84,6 @@ pub enum Policy {
     Timer,
 }
 
-/// Why settings were refused.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum SettingsError {
-    /// A number lies outside what is allowed.
-    #[error("{what} is {found}, allowed is {}", words(*.min, *.max))]
-    OutOfRange {
-        /// Which setting.
-        what: String,
-        /// What it is.
-        found: f64,
-        /// Least value allowed.
-        min: f64,
-        /// Greatest value allowed; infinite where there is none.
-        max: f64,
-    },
-    /// There is not one model for each platform.
-    #[error("{platforms} platforms but {models} models: each platform needs exactly one")]
-    Models {
-        /// Platforms in the settings.
-        platforms: usize,
-        /// Models given.
-        models: usize,
-    },
-    /// A robot id belongs to two platforms.
-    #[error(
-        "robot {robot} belongs to platform {first} and to platform {second}: take it out of one of them"
-    )]
-    SharedRobot {
-        /// The robot.
-        robot: u32,
-        /// The platform that names it first.
-        first: String,
-        /// The platform that names it again.
-        second: String,
-    },
-}
-
-/// A range of numbers, in words.
-fn words(min: f64, max: f64) -> String {
-    if max == f64::INFINITY {
-        format!("at least {min}")
-    } else {
-        format!("{min} to {max}")
-    }
-}
-
 impl FleetSettings {
     /// Refuses numbers that contradict each other or lie outside their ranges.
     ///
@@ -195,7 +149,7 @@ impl FleetSettings {
         }
         self.platforms
             .iter()
-            .try_for_each(|platform| platform.check(&self.intake))?;
+            .try_for_each(|platform| platform.check(self.intake.leave_after_ns))?;
         self.check_robots_apart()
     }
 

@@ -5,8 +5,10 @@
 #![forbid(unsafe_code)]
 
 pub mod bounds;
+mod error;
 mod fleet;
 mod platform;
 
-pub use fleet::{AlarmSettings, FleetSettings, Intake, IntervalSettings, Policy, SettingsError};
+pub use error::SettingsError;
+pub use fleet::{AlarmSettings, FleetSettings, Intake, IntervalSettings, Policy};
 pub use platform::{Battery, Online, Platform};

@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use serde::Serialize;
 
 use crate::bounds::{self, within};
-use crate::{Intake, SettingsError};
+use crate::error::SettingsError;
 
 /// A kind of robot.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -63,8 +63,9 @@ pub struct Battery {
 }
 
 impl Platform {
-    /// Refuses numbers that contradict each other or lie outside their ranges.
-    pub(crate) fn check(&self, intake: &Intake) -> Result<(), SettingsError> {
+    /// Refuses numbers that contradict each other or lie outside their ranges; `leave_after_ns`: silence
+    /// after which a robot has left.
+    pub(crate) fn check(&self, leave_after_ns: u64) -> Result<(), SettingsError> {
         let check = |what: &str, found: f64, allowed: RangeInclusive<f64>| {
             within(
                 &format!("{what} of platform {}", self.name),
@@ -84,7 +85,7 @@ impl Platform {
         )?;
         check(
             "leave_after_ms beside stale_after",
-            ms(intake.leave_after_ns),
+            ms(leave_after_ns),
             ms(self.stale_after_ns)..=f64::INFINITY,
         )?;
         check("power_max_w", greatest_w, bounds::POWER_MAX_W)?;
