@@ -7,9 +7,9 @@ use joulebus_bus::Reader;
 use joulebus_wire::{Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Payload};
 
 use crate::index::RobotIndex;
-use crate::planner::{check_schema, newer};
+use crate::newest::{ReadError, check_schema, newer};
 use crate::tracker::Place;
-use crate::{Arrival, Frame, ReadError};
+use crate::{Arrival, Frame};
 
 /// Frames that the worker sends beside its forecasts, robot by robot. Belongs to the thread of its
 /// planner, and may outlive it.

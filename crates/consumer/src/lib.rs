@@ -53,6 +53,7 @@
 mod feed;
 mod frame;
 mod index;
+mod newest;
 mod planner;
 mod tracker;
 
@@ -61,5 +62,6 @@ pub use frame::{Budgets, Diagnostics, Forecasts, Frame};
 pub use joulebus_bus::{OpenError, clock};
 pub use joulebus_config::{Config, ConnectError, error};
 pub use joulebus_wire as wire;
-pub use planner::{Event, Planner, ReadError};
+pub use newest::ReadError;
+pub use planner::{Event, Planner};
 pub use tracker::{Arrival, Counts, End, WorkerState};

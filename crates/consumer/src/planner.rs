@@ -5,16 +5,14 @@ use std::fmt;
 use std::path::Path;
 use std::time::Duration;
 
-use joulebus_bus::{
-    Bus, ForecastReader, Limits, OpenError, PeerWatch, ReceiveError, WaitError, Waiter, Woken,
-    clock,
-};
+use joulebus_bus::{Bus, ForecastReader, Limits, OpenError, PeerWatch, Waiter, Woken, clock};
 use joulebus_config::{Config, ConnectError};
-use joulebus_wire::{BudgetHeader, DiagnosticHeader, Forecast, SCHEMA_VERSION};
+use joulebus_wire::{BudgetHeader, DiagnosticHeader, Forecast};
 
 use crate::frame::Frame;
 use crate::index::RobotIndex;
-use crate::tracker::{Place, Tracker, place};
+use crate::newest::{ReadError, check_schema, newer};
+use crate::tracker::{Tracker, place};
 use crate::{Arrival, BudgetFeed, Counts, DiagnosticFeed, End, Forecasts, WorkerState};
 
 /// A reader of forecasts: a planner, a watcher, a recorder.
@@ -228,51 +226,4 @@ impl fmt::Debug for Planner {
             .field("limits", &self.limits)
             .finish_non_exhaustive()
     }
-}
-
-/// Whether a frame is of our version and later than the one at `at`, which then moves on.
-pub(crate) fn newer(
-    schema: u32,
-    place: Place,
-    at: &mut Option<Place>,
-    foreign: &mut Option<u32>,
-) -> bool {
-    if schema != SCHEMA_VERSION {
-        *foreign = Some(schema);
-        return false;
-    }
-    let newer = Some(place) > *at;
-    if newer {
-        *at = Some(place);
-    }
-    newer
-}
-
-/// Complains of frames of another version, unless there was one to be used.
-pub(crate) const fn check_schema(found: bool, schema: Option<u32>) -> Result<(), ReadError> {
-    match schema {
-        Some(schema) if !found => Err(ReadError::Schema { found: schema }),
-        _ => Ok(()),
-    }
-}
-
-/// Why nothing could be read.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ReadError {
-    /// The worker is of another version.
-    #[error(
-        "a frame of schema version {found}, allowed is {SCHEMA_VERSION}; use the same release of \
-         joulebus for the worker and its planners"
-    )]
-    Schema {
-        /// The frame's version.
-        found: u32,
-    },
-    /// The frames could not be received.
-    #[error(transparent)]
-    Receive(#[from] ReceiveError),
-    /// The wait failed.
-    #[error(transparent)]
-    Wait(#[from] WaitError),
 }

@@ -1,0 +1,53 @@
+//! Which frame a reader takes: the newest of this version, and one that it has not had.
+
+use joulebus_bus::{ReceiveError, WaitError};
+use joulebus_wire::SCHEMA_VERSION;
+
+use crate::tracker::Place;
+
+/// Whether a frame is of our version and later than the one at `at`, which then moves on.
+pub(crate) fn newer(
+    schema: u32,
+    place: Place,
+    at: &mut Option<Place>,
+    foreign: &mut Option<u32>,
+) -> bool {
+    if schema != SCHEMA_VERSION {
+        *foreign = Some(schema);
+        return false;
+    }
+    let newer = Some(place) > *at;
+    if newer {
+        *at = Some(place);
+    }
+    newer
+}
+
+/// Complains of frames of another version, unless there was one to be used.
+pub(crate) const fn check_schema(found: bool, schema: Option<u32>) -> Result<(), ReadError> {
+    match schema {
+        Some(schema) if !found => Err(ReadError::Schema { found: schema }),
+        _ => Ok(()),
+    }
+}
+
+/// Why nothing could be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadError {
+    /// The worker is of another version.
+    #[error(
+        "a frame of schema version {found}, allowed is {SCHEMA_VERSION}; use the same release of \
+         joulebus for the worker and its planners"
+    )]
+    Schema {
+        /// The frame's version.
+        found: u32,
+    },
+    /// The frames could not be received.
+    #[error(transparent)]
+    Receive(#[from] ReceiveError),
+    /// The wait failed.
+    #[error(transparent)]
+    Wait(#[from] WaitError),
+}
