@@ -205,12 +205,36 @@ impl Message {
     pub fn encode(&self, out: &mut Vec<u8>) {
         // Writing to a vector cannot fail for want of room.
         let _ = match self {
-            Self::Samples(header, rows) => proto::Samples::new(header, rows).encode(out),
-            Self::Forecasts(header, rows) => proto::Forecasts::new(header, rows).encode(out),
-            Self::Diagnostics(header, rows) => proto::Diagnostics::new(header, rows).encode(out),
-            Self::Budgets(header, rows) => proto::Budgets::new(header, rows).encode(out),
-            Self::Ticks(header, rows) => proto::Ticks::new(header, rows).encode(out),
-            Self::State(header, bytes) => proto::State::new(header, bytes).encode(out),
+            Self::Samples(header, rows) => proto::Samples {
+                samples: to_proto(rows),
+                ..header.into()
+            }
+            .encode(out),
+            Self::Forecasts(header, rows) => proto::Forecasts {
+                forecasts: to_proto(rows),
+                ..header.into()
+            }
+            .encode(out),
+            Self::Diagnostics(header, rows) => proto::Diagnostics {
+                diagnostics: to_proto(rows),
+                ..header.into()
+            }
+            .encode(out),
+            Self::Budgets(header, rows) => proto::Budgets {
+                budgets: to_proto(rows),
+                ..header.into()
+            }
+            .encode(out),
+            Self::Ticks(header, rows) => proto::Ticks {
+                frames: to_proto(rows),
+                ..header.into()
+            }
+            .encode(out),
+            Self::State(header, bytes) => proto::State {
+                bytes: bytes.clone(),
+                ..header.into()
+            }
+            .encode(out),
             Self::RobotSample(row) => proto::Sample::from(row).encode(out),
             Self::RobotForecast(row) => proto::Forecast::from(row).encode(out),
             Self::RobotDiagnostic(row) => proto::Diagnostic::from(row).encode(out),
@@ -230,27 +254,27 @@ impl Message {
         Ok(match kind {
             MessageKind::Samples => {
                 let read = proto::Samples::decode(data)?;
-                Self::Samples(read.header()?, read.rows()?)
+                Self::Samples((&read).try_into()?, from_proto(&read.samples)?)
             }
             MessageKind::Forecasts => {
                 let read = proto::Forecasts::decode(data)?;
-                Self::Forecasts(read.header()?, read.rows()?)
+                Self::Forecasts((&read).try_into()?, from_proto(&read.forecasts)?)
             }
             MessageKind::Diagnostics => {
                 let read = proto::Diagnostics::decode(data)?;
-                Self::Diagnostics(read.header()?, read.rows()?)
+                Self::Diagnostics((&read).try_into()?, from_proto(&read.diagnostics)?)
             }
             MessageKind::Budgets => {
                 let read = proto::Budgets::decode(data)?;
-                Self::Budgets(read.header()?, read.rows()?)
+                Self::Budgets((&read).try_into()?, from_proto(&read.budgets)?)
             }
             MessageKind::Ticks => {
                 let read = proto::Ticks::decode(data)?;
-                Self::Ticks(read.header()?, read.rows()?)
+                Self::Ticks((&read).try_into()?, from_proto(&read.frames)?)
             }
             MessageKind::State => {
                 let read = proto::State::decode(data)?;
-                Self::State(read.header()?, read.bytes)
+                Self::State((&read).try_into()?, read.bytes)
             }
             MessageKind::RobotSample => {
                 Self::RobotSample((&proto::Sample::decode(data)?).try_into()?)
@@ -266,6 +290,14 @@ impl Message {
             }
         })
     }
+}
+
+fn to_proto<'a, W: 'a, P: From<&'a W>>(rows: &'a [W]) -> Vec<P> {
+    rows.iter().map(Into::into).collect()
+}
+
+fn from_proto<'a, P: 'a, W: TryFrom<&'a P>>(rows: &'a [P]) -> Result<Vec<W>, W::Error> {
+    rows.iter().map(TryInto::try_into).collect()
 }
 
 /// Why bytes are not a message.

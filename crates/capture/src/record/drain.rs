@@ -4,10 +4,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use joulebus_bus::{
-    BudgetReader, Bus, DiagnosticReader, ForecastReader, JoinError, OpenError, ReceiveError,
-    SampleTap, StateReader, TickReader, clock,
+    BudgetReader, Bus, DiagnosticReader, ForecastReader, JoinError, OpenError, Reader,
+    ReceiveError, SampleTap, StateReader, TickReader, clock,
 };
 use joulebus_config::Config;
+use joulebus_wire::Payload;
 
 use super::{Item, Shared};
 use crate::{Clock, Message, MessageKind, Times};
@@ -58,28 +59,27 @@ impl Drain {
     ) -> Result<Self, DrainError> {
         let bus = Bus::join(&config.domain()?, "recorder")?;
         let limits = config.limits();
-        let open = |kind| wanted(kind).then_some(&bus);
         // A quarter of what waits in shared memory passes between two looks.
         let frames = limits.forecast_frames.min(limits.sample_frames) as u64;
         let most_ns = config.tick_period_ns().saturating_mul(frames) / 4;
         Ok(Self {
-            samples: open(MessageKind::Samples)
-                .map(|bus| bus.sample_tap(&limits))
+            samples: wanted(MessageKind::Samples)
+                .then(|| bus.sample_tap(&limits))
                 .transpose()?,
-            forecasts: open(MessageKind::Forecasts)
-                .map(|bus| bus.forecast_reader(&limits))
+            forecasts: wanted(MessageKind::Forecasts)
+                .then(|| bus.forecast_reader(&limits))
                 .transpose()?,
-            diagnostics: open(MessageKind::Diagnostics)
-                .map(|bus| bus.diagnostic_reader(&limits))
+            diagnostics: wanted(MessageKind::Diagnostics)
+                .then(|| bus.diagnostic_reader(&limits))
                 .transpose()?,
-            budgets: open(MessageKind::Budgets)
-                .map(|bus| bus.budget_reader(&limits))
+            budgets: wanted(MessageKind::Budgets)
+                .then(|| bus.budget_reader(&limits))
                 .transpose()?,
-            ticks: open(MessageKind::Ticks)
-                .map(|bus| bus.tick_reader(&limits))
+            ticks: wanted(MessageKind::Ticks)
+                .then(|| bus.tick_reader(&limits))
                 .transpose()?,
-            state: open(MessageKind::State)
-                .map(|bus| bus.state_reader(&limits))
+            state: wanted(MessageKind::State)
+                .then(|| bus.state_reader(&limits))
                 .transpose()?,
             _bus: bus,
             fleet: Arc::from(config.fleet()),
@@ -128,24 +128,12 @@ impl Drain {
     /// taken after it, and so are here too. A service that fails does not keep the others waiting.
     fn take_all(&mut self) -> Result<(), ReceiveError> {
         let batch = &mut self.batch;
-        let state = self.state.as_mut().map_or(Ok(()), |reader| {
-            reader.take_all(|header, rows| batch.push(Message::State(*header, rows.to_vec())))
-        });
-        let ticks = self.ticks.as_mut().map_or(Ok(()), |reader| {
-            reader.take_all(|header, rows| batch.push(Message::Ticks(*header, rows.to_vec())))
-        });
-        let budgets = self.budgets.as_mut().map_or(Ok(()), |reader| {
-            reader.take_all(|header, rows| batch.push(Message::Budgets(*header, rows.to_vec())))
-        });
-        let diagnostics = self.diagnostics.as_mut().map_or(Ok(()), |reader| {
-            reader.take_all(|header, rows| batch.push(Message::Diagnostics(*header, rows.to_vec())))
-        });
-        let forecasts = self.forecasts.as_mut().map_or(Ok(()), |reader| {
-            reader.take_all(|header, rows| batch.push(Message::Forecasts(*header, rows.to_vec())))
-        });
-        let samples = self.samples.as_mut().map_or(Ok(()), |reader| {
-            reader.take_all(|header, rows| batch.push(Message::Samples(*header, rows.to_vec())))
-        });
+        let state = take_all(&mut self.state, batch, Message::State);
+        let ticks = take_all(&mut self.ticks, batch, Message::Ticks);
+        let budgets = take_all(&mut self.budgets, batch, Message::Budgets);
+        let diagnostics = take_all(&mut self.diagnostics, batch, Message::Diagnostics);
+        let forecasts = take_all(&mut self.forecasts, batch, Message::Forecasts);
+        let samples = take_all(&mut self.samples, batch, Message::Samples);
         state
             .and(ticks)
             .and(budgets)
@@ -161,6 +149,18 @@ impl Drain {
             tracing::warn!(%error, "the recorder cannot receive");
         }
     }
+}
+
+/// Takes all frames that wait, if there is a reader.
+fn take_all<H: Payload, T: Payload>(
+    reader: &mut Option<Reader<H, T>>,
+    batch: &mut Vec<Message>,
+    message: impl Fn(H, Vec<T>) -> Message,
+) -> Result<(), ReceiveError> {
+    let Some(reader) = reader else {
+        return Ok(());
+    };
+    reader.take_all(|header, rows| batch.push(message(*header, rows.to_vec())))
 }
 
 /// Causes before effects: samples first, then tick by tick. What cannot be told apart stays in the

@@ -307,11 +307,11 @@ fn take(
         };
         let sent = u64::from(taken.samples) + u64::from(taken.truncated);
         if samples.len() as u64 != sent {
-            let recorded = Value::count(samples.len() as u64);
+            let recorded = Value::from(samples.len() as u64);
             comparison.differs(
                 "samples",
                 None,
-                ("samples in a frame", recorded, Value::count(sent)),
+                ("samples in a frame", recorded, Value::from(sent)),
             );
         }
         let looked_at = samples.len().min(taken.samples as usize);
@@ -373,7 +373,7 @@ impl TickComparison<'_> {
         for (place, (recorded, computed)) in header.refused.iter().zip(&refusals).enumerate() {
             if recorded != computed {
                 let robots = (recorded.robot, computed.robot);
-                let values = (Value::count(robots.0.into()), Value::count(robots.1.into()));
+                let values = (Value::from(robots.0), Value::from(robots.1));
                 let robot = Some(refusals[place].robot);
                 self.differs("diagnostics", robot, ("refused robots", values.0, values.1));
             }
@@ -403,8 +403,8 @@ impl TickComparison<'_> {
     fn length(&mut self, what: &'static str, recorded: usize, fleet: &Fleet) {
         if recorded != fleet.len() {
             let values = (
-                Value::count(recorded as u64),
-                Value::count(fleet.len() as u64),
+                Value::from(recorded as u64),
+                Value::from(fleet.len() as u64),
             );
             self.differs(what, None, ("robots", values.0, values.1));
         }
