@@ -45,6 +45,7 @@ pub struct Attachments {
 
 /// Why the files could not be put together.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum AttachError {
     /// A model could not be read, or the config not made independent of its files.
     #[error(transparent)]

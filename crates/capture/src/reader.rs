@@ -39,6 +39,7 @@ pub struct Reader<S> {
 impl<S> fmt::Debug for Reader<S> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.debug_struct("Reader")
+            .field("attachments", &self.attachments)
             .field("read_bytes", &self.read_bytes)
             .field("done", &self.done)
             .finish_non_exhaustive()
@@ -120,7 +121,8 @@ impl<S: Read> Reader<S> {
     fn entry(&self, header: MessageHeader, data: &[u8]) -> Result<Entry, ReadError> {
         let Some(channel) = self.channels.get(&header.channel_id) else {
             let (sequence, id) = (header.sequence, header.channel_id);
-            return Err(McapError::UnknownChannel(sequence, id).into());
+            let error = McapError::UnknownChannel(sequence, id);
+            return Err(damage(error, self.read_bytes));
         };
         let message = match channel.kind {
             Some(kind) => Message::decode(kind, data).map_err(|source| ReadError::Message {
@@ -148,8 +150,8 @@ impl<S: Read> Reader<S> {
         while let Some(event) = self.mcap.next_event() {
             let (opcode, data) = match event.map_err(|error| damage(error, self.read_bytes))? {
                 LinearReadEvent::ReadRequest(wanted) => {
-                    let room = self.mcap.insert(wanted.clamp(1, MOST_AT_ONCE));
-                    let read = self.source.read(room)?;
+                    let buffer = self.mcap.insert(wanted.clamp(1, MOST_AT_ONCE));
+                    let read = self.source.read(buffer)?;
                     self.mcap.notify_read(read);
                     self.read_bytes += read as u64;
                     continue;
@@ -213,12 +215,15 @@ impl Channel {
 fn damage(error: McapError, read_bytes: u64) -> ReadError {
     match error {
         McapError::UnexpectedEof => ReadError::Truncated { bytes: read_bytes },
-        error => ReadError::Mcap(error),
+        error => ReadError::Damaged {
+            detail: error.to_string(),
+        },
     }
 }
 
 /// Why a capture could not be read, or not further.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ReadError {
     /// The file could not be opened or read.
     #[error("cannot read the capture: {0}")]
@@ -233,8 +238,11 @@ pub enum ReadError {
         bytes: u64,
     },
     /// The file is damaged, or none of ours.
-    #[error("the capture is damaged: {0}; `joulebus recover` saves what can be read")]
-    Mcap(#[from] McapError),
+    #[error("the capture is damaged: {detail}; `joulebus recover` saves what can be read")]
+    Damaged {
+        /// What is wrong.
+        detail: String,
+    },
     /// A message is not what its channel says. The next one can be read.
     #[error("message {sequence} of {topic} cannot be read: {source}")]
     Message {

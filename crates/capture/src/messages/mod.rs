@@ -253,43 +253,49 @@ impl Message {
     pub fn decode(kind: MessageKind, data: &[u8]) -> Result<Self, DecodeError> {
         Ok(match kind {
             MessageKind::Samples => {
-                let read = proto::Samples::decode(data)?;
+                let read: proto::Samples = parse(data)?;
                 Self::Samples((&read).try_into()?, from_proto(&read.samples)?)
             }
             MessageKind::Forecasts => {
-                let read = proto::Forecasts::decode(data)?;
+                let read: proto::Forecasts = parse(data)?;
                 Self::Forecasts((&read).try_into()?, from_proto(&read.forecasts)?)
             }
             MessageKind::Diagnostics => {
-                let read = proto::Diagnostics::decode(data)?;
+                let read: proto::Diagnostics = parse(data)?;
                 Self::Diagnostics((&read).try_into()?, from_proto(&read.diagnostics)?)
             }
             MessageKind::Budgets => {
-                let read = proto::Budgets::decode(data)?;
+                let read: proto::Budgets = parse(data)?;
                 Self::Budgets((&read).try_into()?, from_proto(&read.budgets)?)
             }
             MessageKind::Ticks => {
-                let read = proto::Ticks::decode(data)?;
+                let read: proto::Ticks = parse(data)?;
                 Self::Ticks((&read).try_into()?, from_proto(&read.frames)?)
             }
             MessageKind::State => {
-                let read = proto::State::decode(data)?;
+                let read: proto::State = parse(data)?;
                 Self::State((&read).try_into()?, read.bytes)
             }
             MessageKind::RobotSample => {
-                Self::RobotSample((&proto::Sample::decode(data)?).try_into()?)
+                Self::RobotSample((&parse::<proto::Sample>(data)?).try_into()?)
             }
             MessageKind::RobotForecast => {
-                Self::RobotForecast((&proto::Forecast::decode(data)?).try_into()?)
+                Self::RobotForecast((&parse::<proto::Forecast>(data)?).try_into()?)
             }
             MessageKind::RobotDiagnostic => {
-                Self::RobotDiagnostic((&proto::Diagnostic::decode(data)?).try_into()?)
+                Self::RobotDiagnostic((&parse::<proto::Diagnostic>(data)?).try_into()?)
             }
             MessageKind::RobotBudget => {
-                Self::RobotBudget((&proto::Budget::decode(data)?).try_into()?)
+                Self::RobotBudget((&parse::<proto::Budget>(data)?).try_into()?)
             }
         })
     }
+}
+
+fn parse<P: prost::Message + Default>(data: &[u8]) -> Result<P, DecodeError> {
+    P::decode(data).map_err(|error| DecodeError::Protobuf {
+        reason: error.to_string(),
+    })
 }
 
 fn to_proto<'a, W: 'a, P: From<&'a W>>(rows: &'a [W]) -> Vec<P> {
@@ -302,10 +308,14 @@ fn from_proto<'a, P: 'a, W: TryFrom<&'a P>>(rows: &'a [P]) -> Result<Vec<W>, W::
 
 /// Why bytes are not a message.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum DecodeError {
     /// Not protobuf, or not of this kind.
-    #[error(transparent)]
-    Protobuf(#[from] prost::DecodeError),
+    #[error("{reason}")]
+    Protobuf {
+        /// What is wrong.
+        reason: String,
+    },
     /// A number that its field cannot hold.
     #[error(transparent)]
     OutOfRange(#[from] OutOfRange),

@@ -20,6 +20,7 @@ const SAY_EVERY_NS: u64 = 1_000_000_000;
 
 /// Why the services could not be opened.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum DrainError {
     /// The config's domain.
     #[error(transparent)]

@@ -25,8 +25,8 @@ pub enum Target {
 impl fmt::Debug for Target {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::File(path) => write!(out, "File({})", path.display()),
-            Self::Stream(_) => out.write_str("Stream"),
+            Self::File(path) => out.debug_tuple("File").field(path).finish(),
+            Self::Stream(_) => out.debug_tuple("Stream").finish_non_exhaustive(),
         }
     }
 }

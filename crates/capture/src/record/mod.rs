@@ -178,6 +178,7 @@ impl Summary {
 
 /// Why a recording could not begin.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum StartError {
     /// The fleet's services could not be opened.
     #[error(transparent)]
@@ -206,6 +207,7 @@ pub enum StartError {
 }
 
 /// A recording that runs.
+#[derive(Debug)]
 pub struct Recorder {
     shared: Arc<Shared>,
     feeds: Vec<JoinHandle<()>>,
@@ -221,6 +223,7 @@ impl fmt::Debug for Recorder {
 }
 
 /// What the threads share.
+#[derive(Debug)]
 pub(crate) struct Shared {
     stop: AtomicBool,
     write_down: AtomicBool,

@@ -31,8 +31,11 @@ pub enum RecoverError {
     #[error(transparent)]
     Read(#[from] ScanError),
     /// The result cannot be written.
-    #[error("cannot write: {0}")]
-    Write(McapError),
+    #[error("cannot write: {reason}")]
+    Write {
+        /// What the system or the format said.
+        reason: String,
+    },
 }
 
 /// Reads what can be read of `input` and writes it to `output` as a whole file.
@@ -193,14 +196,12 @@ impl<W: Write + Seek> Rescue<W> {
                 .chunk_size(Some(CHUNK_BYTES))
                 .disable_seeking(true)
                 .create(output)
-                .map_err(RecoverError::Write)?;
+                .map_err(failed)?;
             self.out = Out::Open(Box::new(writer));
         }
         match &mut self.out {
             Out::Open(writer) => Ok(writer),
-            Out::Waiting(_) | Out::Gone => {
-                Err(RecoverError::Write(McapError::AttemptedWriteAfterFailure))
-            }
+            Out::Waiting(_) | Out::Gone => Err(failed(McapError::AttemptedWriteAfterFailure)),
         }
     }
 
@@ -240,15 +241,13 @@ impl<W: Write + Seek> Rescue<W> {
                     media_type: header.media_type,
                     data,
                 };
-                self.writer(None)?
-                    .attach(&attachment)
-                    .map_err(RecoverError::Write)?;
+                self.writer(None)?.attach(&attachment).map_err(failed)?;
                 self.ledger.attachments.recovered += 1;
             }
             Record::Metadata(metadata) => {
                 self.writer(None)?
                     .write_metadata(&metadata)
-                    .map_err(RecoverError::Write)?;
+                    .map_err(failed)?;
                 self.ledger.metadata.recovered += 1;
             }
             Record::MessageIndex(index) => self.ledger.message_index(index.records.len() as u64),
@@ -333,7 +332,7 @@ impl<W: Write + Seek> Rescue<W> {
         self.ledger.message(topic);
         self.writer(None)?
             .write_to_known_channel(header, data)
-            .map_err(RecoverError::Write)
+            .map_err(failed)
     }
 
     fn finish(mut self) -> Result<(Recovery, W), RecoverError> {
@@ -344,15 +343,13 @@ impl<W: Write + Seek> Rescue<W> {
                 name: RECOVERED.to_owned(),
                 metadata: recovery.notes(),
             };
-            self.writer(None)?
-                .write_metadata(&note)
-                .map_err(RecoverError::Write)?;
+            self.writer(None)?.write_metadata(&note).map_err(failed)?;
         }
         self.writer(None)?;
         let Out::Open(mut writer) = self.out else {
-            return Err(RecoverError::Write(McapError::AttemptedWriteAfterFailure));
+            return Err(failed(McapError::AttemptedWriteAfterFailure));
         };
-        writer.finish().map_err(RecoverError::Write)?;
+        writer.finish().map_err(failed)?;
         Ok((recovery, writer.into_inner()))
     }
 }
@@ -362,8 +359,15 @@ fn refused(added: Result<u16, McapError>) -> Result<Option<String>, RecoverError
     match added {
         Ok(_) => Ok(None),
         Err(error @ (McapError::Io(_) | McapError::AttemptedWriteAfterFailure)) => {
-            Err(RecoverError::Write(error))
+            Err(failed(error))
         }
         Err(error) => Ok(Some(error.to_string())),
+    }
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "for `map_err`")]
+fn failed(error: McapError) -> RecoverError {
+    RecoverError::Write {
+        reason: error.to_string(),
     }
 }

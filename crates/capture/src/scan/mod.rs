@@ -117,6 +117,7 @@ pub struct Scan<R> {
 impl<R> fmt::Debug for Scan<R> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.debug_struct("Scan")
+            .field("failed", &self.failed)
             .field("file_bytes", &self.file_bytes)
             .finish_non_exhaustive()
     }

@@ -56,6 +56,7 @@ impl<W: Write> fmt::Debug for Writer<W> {
         out.debug_struct("Writer")
             .field("settings", &self.settings)
             .field("messages", &self.messages)
+            .field("bytes", &self.bytes)
             .field("failed", &self.failed)
             .finish_non_exhaustive()
     }
@@ -128,14 +129,18 @@ impl<W: Write> Writer<W> {
     ) -> Result<Self, WriteError> {
         let bytes = Arc::default();
         let output = Output::new(out, Arc::clone(&bytes));
-        let mut mcap = settings.options().create(NoSeek::new(output))?;
+        let mut mcap = settings
+            .options()
+            .create(NoSeek::new(output))
+            .map_err(failed)?;
         for record in attachments.metadata_records() {
-            mcap.write_metadata(&record)?;
+            mcap.write_metadata(&record).map_err(failed)?;
         }
         for file in &attachments.files {
-            mcap.attach(&file.record(attachments.created_unix_ns))?;
+            mcap.attach(&file.record(attachments.created_unix_ns))
+                .map_err(failed)?;
         }
-        mcap.flush()?;
+        mcap.flush().map_err(failed)?;
         Ok(Self {
             mcap,
             settings,
@@ -169,7 +174,7 @@ impl<W: Write> Writer<W> {
         };
         self.check()?;
         let written = self.append(fleet, times, kind, message);
-        self.failed = matches!(&written, Err(WriteError::Mcap(_)));
+        self.failed = matches!(&written, Err(WriteError::Failed { .. }));
         written
     }
 
@@ -198,7 +203,9 @@ impl<W: Write> Writer<W> {
             log_time: log_ns,
             publish_time: times.publish_ns,
         };
-        self.mcap.write_to_known_channel(&header, &self.scratch)?;
+        self.mcap
+            .write_to_known_channel(&header, &self.scratch)
+            .map_err(failed)?;
         self.messages += 1;
         self.encoded += self.scratch.len() as u64;
         Ok(())
@@ -213,7 +220,7 @@ impl<W: Write> Writer<W> {
         self.chunk_from_ns = None;
         let flushed = self.mcap.flush();
         self.failed = flushed.is_err();
-        Ok(flushed?)
+        flushed.map_err(failed)
     }
 
     /// Ends the file with its summary, and returns what was written, the numbers with which the
@@ -223,7 +230,7 @@ impl<W: Write> Writer<W> {
     /// [`WriteError`]: the summary is not whole.
     pub fn finish(mut self) -> Result<(Written, Sequences, W), WriteError> {
         self.check()?;
-        self.mcap.finish()?;
+        self.mcap.finish().map_err(failed)?;
         let (written, sequences) = (self.written(), self.sequences());
         let output = self.mcap.into_inner().into_inner();
         Ok((written, sequences, output.into_inner()))
@@ -319,7 +326,10 @@ impl<W: Write> Writer<W> {
             Some(schema) => *schema,
             None => {
                 let data = kind.descriptors();
-                let schema = self.mcap.add_schema(kind.schema(), "protobuf", &data)?;
+                let schema = self
+                    .mcap
+                    .add_schema(kind.schema(), "protobuf", &data)
+                    .map_err(failed)?;
                 self.schemas.insert(kind, schema);
                 schema
             }
@@ -328,7 +338,8 @@ impl<W: Write> Writer<W> {
         let metadata = BTreeMap::from([("fleet".to_owned(), fleet.to_owned())]);
         let id = self
             .mcap
-            .add_channel(schema, &topic, "protobuf", &metadata)?;
+            .add_channel(schema, &topic, "protobuf", &metadata)
+            .map_err(failed)?;
         self.opened += 1;
         let channels = self.channels.entry((kind, robot)).or_default();
         channels.push(Channel {
@@ -342,6 +353,7 @@ impl<W: Write> Writer<W> {
 
 /// Why something was not written.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum WriteError {
     /// The file could not be created.
     #[error("cannot create {path:?}: {source}")]
@@ -352,8 +364,11 @@ pub enum WriteError {
         source: std::io::Error,
     },
     /// Writing failed: what is in the file so far can be recovered.
-    #[error("cannot write the capture: {}", in_words(.0))]
-    Mcap(#[from] mcap::McapError),
+    #[error("cannot write the capture: {reason}")]
+    Failed {
+        /// What the system or the format said.
+        reason: String,
+    },
     /// An earlier write failed.
     #[error("the capture has stopped: an earlier write failed")]
     Stopped,
@@ -370,10 +385,12 @@ pub enum WriteError {
     },
 }
 
-/// Says what the system said, which mcap's own words leave out.
-fn in_words(error: &mcap::McapError) -> String {
-    match error {
+/// With what the system said, which mcap's own words leave out.
+#[expect(clippy::needless_pass_by_value, reason = "for `map_err`")]
+fn failed(error: mcap::McapError) -> WriteError {
+    let reason = match &error {
         mcap::McapError::Io(reason) => reason.to_string(),
         error => error.to_string(),
-    }
+    };
+    WriteError::Failed { reason }
 }
