@@ -14,7 +14,7 @@ use crate::cleanup::objects::objects;
 use crate::membership::Membership;
 use crate::{Domain, Housekeeping, JoinError, SweepReport};
 
-/// For how long a node is tried to be created.
+/// How long creating a node is retried.
 const NODE_LIMIT: Duration = Duration::from_secs(2);
 const NODE_AGAIN_AFTER: Duration = Duration::from_millis(10);
 
@@ -30,11 +30,11 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// Joins `domain` as `name`, for example `worker`. First removes what dead processes have left;
-    /// if nobody is alive, everything. Takes 1 ms on a tmpfs, at most 5 s.
+    /// Joins `domain` as `name`, for example `worker`. First removes stale files of dead processes;
+    /// if no member is alive, everything. Takes 1 ms on a tmpfs, at most 5 s.
     ///
     /// # Errors
-    /// [`JoinError`] says what is in the way and what to do.
+    /// [`JoinError`] names the obstacle and the remedy.
     pub fn join(domain: &Domain, name: &str) -> Result<Self, JoinError> {
         let node_name = NodeName::new(name)
             .ok()
@@ -68,17 +68,17 @@ impl Bus {
         &self.member.domain
     }
 
-    /// What was removed while joining.
+    /// What joining removed.
     #[must_use]
     pub const fn joined(&self) -> SweepReport {
         self.joined
     }
 
-    /// What the keeper has removed since: it looks for unfinished objects four times a second and
-    /// for dead nodes once a second.
+    /// What the cleanup thread has removed since: it looks for incomplete objects four times a second
+    /// and for dead nodes once a second.
     #[must_use]
     pub fn housekeeping(&self) -> Housekeeping {
-        self.member.keeper.counts()
+        self.member.cleanup.counts()
     }
 }
 

@@ -1,4 +1,4 @@
-//! Where a fleet's shared memory lives, and who may enter.
+//! The location of a fleet's shared memory, and its access rights.
 
 use std::fs;
 use std::io;
@@ -16,7 +16,7 @@ const MAX_SOCKET_PATH_BYTES: usize = 107;
 const SOCKET_NAME_BYTES: usize = 39 + 6 + 2;
 const MAX_FLEET_BYTES: usize = 32;
 const MAX_PREFIX_BYTES: usize = 8;
-/// Where the shared memory of one fleet lives: the same in every process of the fleet.
+/// The location of one fleet's shared memory: the same in every process of the fleet.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Domain {
     fleet: String,
@@ -128,7 +128,7 @@ impl Domain {
     }
 
     /// Creates the root directory, and the fleet's below it, with mode 0700 if they are missing,
-    /// and checks that they are private. Call it as often as you like; [`crate::Bus::join`] does.
+    /// and checks that they are private. [`crate::Bus::join`] calls it; calling it again is harmless.
     ///
     /// # Errors
     /// [`RootError`] when either is not a directory, belongs to somebody else, or can be entered
@@ -139,7 +139,7 @@ impl Domain {
         self.warnings()
     }
 
-    /// What is not as it should be, although it works.
+    /// What works, but not as well as it could.
     pub(crate) fn warnings(&self) -> Result<Vec<DomainWarning>, RootError> {
         let filesystem =
             filesystem(&self.root).map_err(|error| RootError::io(&self.root, error))?;
@@ -160,7 +160,7 @@ impl Domain {
 
     /// Removes the root directory if it is empty.
     pub(crate) fn remove_root(&self) {
-        // Another fleet, or another process of this one, may still use it: then it is not empty.
+        // Fails while another fleet, or another process of this one, uses it: then it is not empty.
         let _ = fs::remove_dir(&self.root);
     }
 }
@@ -174,7 +174,7 @@ fn private_directory(path: &Path) -> Result<(), RootError> {
     check_private(path)
 }
 
-/// Whether `path` is a directory of ours that nobody else can enter.
+/// Whether `path` is a directory of this user that no other user can enter.
 pub(crate) fn check_private(path: &Path) -> Result<(), RootError> {
     let found = fs::symlink_metadata(path).map_err(|error| RootError::io(path, error))?;
     let path = path.to_owned();
@@ -205,7 +205,7 @@ fn hash(parts: &[&str]) -> u32 {
     (hash ^ (hash >> 32)) as u32
 }
 
-/// Why a [`Domain`] cannot be named so.
+/// Why a [`Domain`] is not valid.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DomainError {
@@ -246,19 +246,19 @@ pub enum DomainError {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RootError {
-    /// A link could be turned to another place.
+    /// A symbolic link could be redirected.
     #[error("{path:?} is a symbolic link; remove it, or set `root` to the directory itself")]
     Symlink {
         /// The path.
         path: PathBuf,
     },
-    /// Something else is there.
+    /// The path is no directory.
     #[error("{path:?} is not a directory; remove it, or set another `root`")]
     NotADirectory {
         /// The path.
         path: PathBuf,
     },
-    /// Somebody else owns it.
+    /// Another user owns it.
     #[error(
         "{path:?} belongs to uid {found}, expected uid {expected}; set another `root`, or have its \
          owner remove it"
@@ -271,7 +271,7 @@ pub enum RootError {
         /// The effective uid of this process.
         expected: u32,
     },
-    /// Others may enter it.
+    /// Other users may enter it.
     #[error("{path:?} has mode {found:04o}, allowed is 0700; run `chmod 700 {}`", path.display())]
     Mode {
         /// The path.
@@ -297,7 +297,7 @@ impl RootError {
         }
     }
 
-    /// Somebody removed the directory while we worked in it: the last member left.
+    /// The last member has removed the directory in the meantime.
     pub(crate) fn vanished(&self) -> bool {
         matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
     }

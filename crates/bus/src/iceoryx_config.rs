@@ -11,8 +11,7 @@ use iceoryx2::prelude::{FileName, FilePath, Path as BusPath, SemanticString};
 
 use crate::Domain;
 
-/// How long iceoryx2 waits for another process that is creating something; then we look whether that
-/// process is dead, and try again.
+/// How long iceoryx2 waits for another process that is creating a service; then we clean up and retry.
 const CREATION_TIMEOUT_MS: u64 = 300;
 
 /// What iceoryx2 must be set to for `domain`.
@@ -81,7 +80,7 @@ fn text(domain: &Domain) -> String {
     )
 }
 
-/// Other members read the file while we write: it appears whole or not at all.
+/// Written to a draft and renamed: members that read it meanwhile see a complete file or none.
 fn write(path: &Path, text: &str) -> io::Result<()> {
     let draft = path.with_extension(format!("toml.{}", std::process::id()));
     let mut file = fs::OpenOptions::new()

@@ -1,4 +1,4 @@
-//! What a domain looks like, for `doctor`.
+//! The state of a domain, for `joulebus doctor`.
 
 use std::fs;
 use std::io;
@@ -8,14 +8,14 @@ use std::path::PathBuf;
 use iceoryx2::node::{Node, NodeState, NodeView};
 use iceoryx2::prelude::{CallbackProgression, ipc};
 
-use crate::cleanup::incomplete::unfinished;
+use crate::cleanup::incomplete::incomplete_objects;
 use crate::cleanup::objects::objects;
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::os::files::{effective_uid, filesystem, is_memory};
 use crate::preflight::{CapacityError, measure};
 use crate::{CapacityReport, Domain, RootError, WorkerLock};
 
-/// The state of a domain. Looking changes nothing.
+/// The state of a domain. Reading it changes nothing.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct Inspection {
@@ -27,7 +27,7 @@ pub struct Inspection {
     pub nodes: Vec<NodeInfo>,
     /// Process id of the worker, if one runs.
     pub worker_pid: Option<u32>,
-    /// Unfinished objects that somebody may be waiting for.
+    /// Incomplete objects on which a process may be blocked.
     pub incomplete: Vec<PathBuf>,
     /// Objects with our prefix that belong to another user.
     pub foreign: Vec<PathBuf>,
@@ -49,7 +49,7 @@ pub struct NodeInfo {
     pub pid: Option<u32>,
     /// Its program; empty when its details are missing.
     pub executable: String,
-    /// Whether the process lives. `None` when that cannot be told.
+    /// Whether the process is alive; `None` when unknown.
     pub alive: Option<bool>,
 }
 
@@ -71,11 +71,10 @@ pub struct RootInfo {
     pub in_memory: bool,
 }
 
-/// Looks at a domain without joining it. May be called from any thread.
+/// Reads the state of a domain without joining it. May be called from any thread.
 ///
 /// # Errors
-/// [`InspectError`] when the system does not answer; what is wrong with the domain itself is in
-/// the result.
+/// [`InspectError`] when the system does not answer; defects of the domain itself are in the result.
 pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     let root = root_info(domain)?;
     let root_error = match &root {
@@ -89,7 +88,7 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     Ok(Inspection {
         nodes: nodes(domain)?,
         worker_pid: WorkerLock::owner(domain).unwrap_or_default(),
-        incomplete: unfinished(domain)?,
+        incomplete: incomplete_objects(domain)?,
         foreign: others.into_iter().map(|object| object.path).collect(),
         objects: mine.len() as u64,
         object_bytes: mine.iter().map(|object| object.bytes).sum(),
@@ -144,7 +143,7 @@ fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
     Ok(found)
 }
 
-/// Why a domain could not be looked at.
+/// Why the state of a domain could not be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InspectError {

@@ -1,8 +1,8 @@
 //! The bus: everything that happens in shared memory, and the only crate that names iceoryx2.
 //!
-//! A [`Domain`] says where a fleet's shared memory lives. A process joins it with [`Bus::join`],
+//! A [`Domain`] is the location of a fleet's shared memory. A process joins it with [`Bus::join`],
 //! opens the ports it needs, and leaves by dropping them. Limits are the same for every process of
-//! a fleet; whoever comes first creates a service.
+//! a fleet; the first process to open a service creates it.
 //!
 //! | port | direction | payload |
 //! |---|---|---|
@@ -14,24 +14,22 @@
 //! | [`TickWriter`] → [`TickReader`] | worker → recorders | [`joulebus_wire::TakenFrame`] |
 //! | [`Waker`] → [`Waiter`] | sources → worker, worker → planners | events |
 //!
-//! Ports, the [`Bus`] and the [`Waiter`] belong to the thread that made them. Every member has a
-//! small keeper thread that removes what dead processes leave behind ([`Bus::housekeeping`]).
-//! When the last member leaves, nothing of the domain is left, neither in `/dev/shm` nor in the
-//! root directory.
+//! Ports, the [`Bus`] and the [`Waiter`] belong to the thread that made them. Every member runs a
+//! cleanup thread that removes stale files of dead processes ([`Bus::housekeeping`]). The last
+//! member to leave removes everything of the domain, in `/dev/shm` and in the root directory.
 //!
-//! Facts of iceoryx2 0.10.0 that this crate answers for, each with a test:
-//! - Who opens a shared-memory object of length zero waits for it for ever, not only while
-//!   joining: a process killed between creating and sizing a connection stops living members in
-//!   their next send or receive too. So each keeper removes such files, as long as nobody holds
-//!   them open.
-//! - A creator killed half-way leaves a service that fails with `HangsInCreation` for ever, or a node
-//!   that counts as starting and is never removed; a half-written tag keeps a dead node from being
-//!   removed. Whoever makes or uses something has its file open: what is unfinished, old, and open
-//!   in no process is removed.
-//! - A connection that could not be made is never tried again until the list of ports changes:
-//!   readers make their port anew.
+//! Behaviour of iceoryx2 0.10.0 that this crate compensates for, each with a test:
+//! - Opening a shared-memory object of length zero blocks for ever, not only while joining: a process
+//!   killed between creating and sizing a connection also blocks living members in their next send
+//!   or receive. The cleanup threads remove such files once no process has them open.
+//! - A creator killed before it has finished leaves a service that fails with `HangsInCreation` for
+//!   ever, or a node that counts as starting and is never removed; an incomplete tag keeps a dead node
+//!   from being removed. A process that creates or uses an object has its file open, so what is
+//!   incomplete, old, and open in no process is removed.
+//! - A connection that could not be established is not retried until the list of ports changes:
+//!   readers recreate their port.
 //! - The object that counts nodes (`…global_mgmt`) is readable and writable by every user of the
-//!   host: [`Bus::join`] takes that right away.
+//!   host: [`Bus::join`] restricts it to its owner.
 #![deny(unsafe_code)]
 
 mod bus;
@@ -47,9 +45,9 @@ mod ports;
 mod preflight;
 
 pub use bus::Bus;
-pub use cleanup::keeper::Housekeeping;
 pub use cleanup::report::SweepReport;
 pub use cleanup::sweep::{SweepError, sweep};
+pub use cleanup::thread::Housekeeping;
 pub use domain::{Domain, DomainError, DomainWarning, RootError};
 pub use iceoryx_config::IceoryxConfigError;
 pub use inspect::{InspectError, Inspection, NodeInfo, RootInfo, inspect};

@@ -1,9 +1,9 @@
-//! How much of everything a fleet's services hold.
+//! Limits of a fleet's services, and the size of each that follows from them.
 
 use joulebus_settings::bounds;
 
-/// Limits of a fleet's services. Every process of the fleet must use the same: whoever opens a
-/// service first fixes them, and a later one that differs gets an error that shows both.
+/// Limits of a fleet's services. Every process of the fleet must use the same: the first to open a
+/// service fixes them, and a later one that differs gets an error with both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// Robots: the longest frame that can be sent. At least 1, as all of these; at most
@@ -32,8 +32,8 @@ impl Default for Limits {
     }
 }
 
-/// Ports a service must have room for beyond those in use: a killed process holds its ports until
-/// somebody cleans up, and its successor comes sooner.
+/// Ports that a service can hold beyond those in use: a killed process holds its ports until they are
+/// cleaned up, and its successor may start earlier.
 const SPARE: usize = 2;
 /// Processes that may record a fleet at once.
 const RECORDERS: usize = 2;
@@ -93,8 +93,8 @@ impl Limits {
         2 * (self.max_sources + self.max_planners + SPARE)
     }
 
-    /// Frames of samples that a tick's journal has room for: all that can wait when a tick begins,
-    /// up to 4,096.
+    /// Frames of samples that a tick's journal can list: all that can wait when a tick begins, up to
+    /// 4,096.
     #[must_use]
     pub const fn listed_frames(&self) -> usize {
         let waiting = self.max_sources * self.sample_frames;
@@ -108,7 +108,7 @@ impl Limits {
     pub(crate) const fn samples(&self) -> Shape {
         Shape {
             publishers: self.max_sources + SPARE,
-            // The worker, and who records.
+            // The worker, and recorders.
             subscribers: 1 + RECORDERS + SPARE,
             buffer: self.sample_frames,
             borrowed: 1,
@@ -121,7 +121,7 @@ impl Limits {
             publishers: 1 + SPARE,
             subscribers: self.max_planners + SPARE,
             buffer: self.forecast_frames,
-            // The newest is looked for while the one before is held.
+            // The newest is received while the previous one is held.
             borrowed: 2,
             history: 0,
         }
@@ -129,13 +129,13 @@ impl Limits {
 
     pub(crate) const fn budgets(&self) -> Shape {
         Shape {
-            // Who plans wants the newest; who records wants all.
+            // Planners need the newest frame at once; recorders take all.
             history: 1,
             ..self.forecasts()
         }
     }
 
-    /// Keyframes, in pieces: who reads takes what waits at every tick.
+    /// Keyframes, in pieces: a reader takes what waits at every tick.
     pub(crate) const fn state(&self) -> Shape {
         Shape {
             publishers: 1 + SPARE,

@@ -1,31 +1,31 @@
-//! A process's stay in a domain: the members' lock, and the keeper thread.
+//! Membership of a process: the members' lock and the cleanup thread.
 
 use std::io;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use crate::cleanup::keeper::Keeper;
 use crate::cleanup::objects::objects;
 use crate::cleanup::sweep::remove_all;
+use crate::cleanup::thread::CleanupThread;
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::liveness::members_lock::MembersLock;
 use crate::os::files::effective_uid;
 use crate::{Domain, RootError, SweepError, SweepReport};
 
-/// How long a join may take before it is given up.
+/// How long a join is retried.
 pub(crate) const JOIN_LIMIT: Duration = Duration::from_secs(5);
 const RETRY_EVERY: Duration = Duration::from_millis(2);
 
-/// A process's stay in a domain. Ports share it, so that it outlives them.
+/// A process's membership. Ports share it, so that it outlives them.
 #[derive(Debug)]
 pub(crate) struct Membership {
     pub(crate) domain: Domain,
-    pub(crate) keeper: Keeper,
+    pub(crate) cleanup: CleanupThread,
     lock: Option<MembersLock>,
 }
 
 impl Membership {
-    /// Takes the lock, cleans up if nobody is alive, sets iceoryx2 up and starts the keeper.
+    /// Takes the lock, cleans up if nobody is alive, configures iceoryx2 and starts the cleanup thread.
     pub(crate) fn join(domain: &Domain) -> Result<(Self, SweepReport), JoinError> {
         let mut report = SweepReport::default();
         let lock = Self::lock(domain, &mut report)?;
@@ -39,11 +39,11 @@ impl Membership {
             }
         }
         let config = iceoryx_config::load(domain)?;
-        let keeper = Keeper::start(domain, config).map_err(JoinError::Keeper)?;
+        let cleanup = CleanupThread::start(domain, config).map_err(JoinError::CleanupThread)?;
         Ok((
             Self {
                 domain: domain.clone(),
-                keeper,
+                cleanup,
                 lock: Some(lock),
             },
             report,
@@ -55,7 +55,7 @@ impl Membership {
         loop {
             match Self::try_lock(domain, report) {
                 Ok(Some(lock)) => return Ok(lock),
-                // Somebody cleans up, or has just removed the directory under us.
+                // Another process cleans up, or has just removed the directory.
                 Ok(None) => {}
                 Err(JoinError::Root(error)) if error.vanished() => {}
                 Err(JoinError::Lock { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
@@ -85,7 +85,7 @@ impl Membership {
         if lock.try_exclusive().map_err(failed)? && lock.is_current(domain).map_err(failed)? {
             remove_all(domain, report)?;
         }
-        // Nothing of ours exists yet: whoever gets the lock while we change ours may clean up too.
+        // We have created nothing yet, so another process may clean up while we change our lock.
         let mine = lock.try_shared().map_err(failed)? && lock.is_current(domain).map_err(failed)?;
         Ok(mine.then_some(lock))
     }
@@ -93,10 +93,10 @@ impl Membership {
 
 impl Drop for Membership {
     fn drop(&mut self) {
-        self.keeper.stop();
+        self.cleanup.stop();
         let Some(lock) = self.lock.take() else { return };
-        // Asking for the exclusive lock gives up the shared one, granted or not: of several that
-        // leave at once exactly the last gets it.
+        // Requesting the exclusive lock releases the shared one, granted or not: of several members
+        // that leave at once exactly the last gets it.
         match lock.try_exclusive() {
             Ok(true) if lock.is_current(&self.domain).unwrap_or(false) => {
                 let mut report = SweepReport::default();
@@ -132,7 +132,7 @@ pub enum JoinError {
         /// What the system said.
         source: io::Error,
     },
-    /// Somebody holds the members' lock exclusively for too long.
+    /// Another process has held the members' lock exclusively for too long.
     #[error(
         "{path:?} has been locked for {waited_s} s by a process that cleans up; is one stopped? \
          Run `joulebus doctor --fix`"
@@ -143,7 +143,7 @@ pub enum JoinError {
         /// Seconds waited.
         waited_s: u64,
     },
-    /// Another user has put something in our way.
+    /// An object with the domain's prefix belongs to another user.
     #[error(
         "{path:?} belongs to uid {owner}, expected uid {expected}; have its owner remove it, or \
          set another `root` or `prefix`"
@@ -156,9 +156,9 @@ pub enum JoinError {
         /// The effective uid of this process.
         expected: u32,
     },
-    /// The keeper thread could not be started.
-    #[error("cannot start the keeper thread: {0}")]
-    Keeper(io::Error),
+    /// The cleanup thread could not be started.
+    #[error("cannot start the cleanup thread: {0}")]
+    CleanupThread(io::Error),
     /// The node's name.
     #[error("node name {name:?}: allowed are 1 to 128 bytes")]
     Name {

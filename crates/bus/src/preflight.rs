@@ -2,7 +2,10 @@
 
 use std::io;
 
-use joulebus_wire as wire;
+use joulebus_wire::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
+    SampleHeader, StateHeader, TakenFrame, TickHeader,
+};
 use rustix::process::{Resource, getrlimit};
 
 use crate::Limits;
@@ -104,59 +107,24 @@ pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
     ))
 }
 
-/// Bytes of the memory that one publisher writes its frames to.
-pub(crate) const fn segment_bytes(
-    shape: Shape,
-    header: usize,
-    element: usize,
-    capacity: usize,
-) -> u64 {
-    (shape.frames() * (FRAME_OVERHEAD + header + element * capacity) + SEGMENT_OVERHEAD) as u64
+/// Bytes of the memory that one publisher writes its frames to: a header `H` and up to `max_len` of `T`.
+pub(crate) const fn segment_bytes<H, T>(shape: Shape, max_len: usize) -> u64 {
+    let frame = FRAME_OVERHEAD + size_of::<H>() + size_of::<T>() * max_len;
+    (shape.frames() * frame + SEGMENT_OVERHEAD) as u64
 }
 
 fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
-    let samples = segment_bytes(
-        limits.samples(),
-        size_of::<wire::SampleHeader>(),
-        size_of::<wire::Sample>(),
-        limits.capacity,
-    );
-    let forecasts = segment_bytes(
-        limits.forecasts(),
-        size_of::<wire::ForecastHeader>(),
-        size_of::<wire::Forecast>(),
-        limits.capacity,
-    );
-    let diagnostics = segment_bytes(
-        limits.forecasts(),
-        size_of::<wire::DiagnosticHeader>(),
-        size_of::<wire::Diagnostic>(),
-        limits.capacity,
-    );
-    let budgets = segment_bytes(
-        limits.budgets(),
-        size_of::<wire::BudgetHeader>(),
-        size_of::<wire::Budget>(),
-        limits.capacity,
-    );
-    let state = segment_bytes(
-        limits.state(),
-        size_of::<wire::StateHeader>(),
-        1,
-        limits.state_piece_bytes(),
-    );
-    let ticks = segment_bytes(
-        limits.ticks(),
-        size_of::<wire::TickHeader>(),
-        size_of::<wire::TakenFrame>(),
-        limits.listed_frames(),
-    );
+    let (capacity, listed) = (limits.capacity, limits.listed_frames());
+    let samples = segment_bytes::<SampleHeader, Sample>(limits.samples(), capacity);
+    let of_worker = segment_bytes::<ForecastHeader, Forecast>(limits.forecasts(), capacity)
+        + segment_bytes::<DiagnosticHeader, Diagnostic>(limits.forecasts(), capacity)
+        + segment_bytes::<BudgetHeader, Budget>(limits.budgets(), capacity)
+        + segment_bytes::<StateHeader, u8>(limits.state(), limits.state_piece_bytes())
+        + segment_bytes::<TickHeader, TakenFrame>(limits.ticks(), listed);
     let connections = ports.workers * (ports.sources + 3 * ports.planners);
     let processes = ports.sources + ports.workers + ports.planners;
     let small = connections * CONNECTION_BYTES + processes * PROCESS_BYTES;
-    ports.sources as u64 * samples
-        + ports.workers as u64 * (forecasts + diagnostics + budgets + state + ticks)
-        + small as u64
+    ports.sources as u64 * samples + ports.workers as u64 * of_worker + small as u64
 }
 
 fn descriptors(limits: &Limits) -> u64 {

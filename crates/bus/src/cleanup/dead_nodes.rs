@@ -25,7 +25,7 @@ pub(crate) fn remove_dead_nodes(config: &Config, report: &mut SweepReport) {
     }
 }
 
-pub(crate) fn is_anybody_alive(config: &Config) -> bool {
+pub(crate) fn is_any_node_alive(config: &Config) -> bool {
     let mut alive = false;
     let listed = Node::<ipc::Service>::list(config, |node| {
         alive |= matches!(node, NodeState::Alive(_));

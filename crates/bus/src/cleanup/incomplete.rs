@@ -1,8 +1,8 @@
-//! What was begun and never finished, because its creator was killed: objects, services, nodes.
+//! Objects, services and nodes whose creator was killed before they were complete.
 //!
-//! iceoryx2 removes nodes of dead processes, but only finished ones, and it cannot tell an
-//! unfinished object from one that is just being made. The kernel can: whoever makes or uses
-//! something has its file open.
+//! iceoryx2 removes nodes of dead processes, but only complete ones, and it cannot distinguish an
+//! incomplete object from one that is being created. The kernel can: a process that creates or uses
+//! an object has its file open.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
@@ -11,44 +11,44 @@ use std::path::PathBuf;
 use super::objects::{Identity, OWNER_READ, Object, list, objects, open_files};
 use crate::{Domain, RootError};
 
-/// A description (of a service, a node, a port of a node) loses this right when it is finished.
+/// A description (of a service, a node, a port of a node) loses this permission when it is complete.
 const OWNER_WRITE: u32 = 0o200;
 /// The files of a node's monitor: `<prefix><id>.node_monitor<suffix>`.
 const MONITOR: &str = ".node_monitor";
 const CONTEXT: &str = "_context";
 const OWNER_LOCK: &str = "_owner_lock";
 
-/// Objects in shared memory that were not finished in time; their creators may be alive.
-pub(crate) fn unfinished(domain: &Domain) -> Result<Vec<PathBuf>, RootError> {
-    let unfinished = |object: &Object| object.is_unfinished() && object.is_old();
-    let found = objects(domain)?.into_iter().filter(unfinished);
+/// Objects in shared memory that were not completed in time; their creators may be alive.
+pub(crate) fn incomplete_objects(domain: &Domain) -> Result<Vec<PathBuf>, RootError> {
+    let incomplete = |object: &Object| object.is_incomplete() && object.is_old();
+    let found = objects(domain)?.into_iter().filter(incomplete);
     Ok(found.map(|object| object.path).collect())
 }
 
-/// Removes what was created but never finished: who opens an object without a size waits for it for
-/// ever, a service half created stays so, nobody cleans up after half a node, and a dead node with a
-/// half-written tag of a port or service cannot be removed.
+/// Removes incomplete objects, services and nodes: opening an object without a size blocks for ever, an
+/// incomplete service stays so, iceoryx2 ignores an incomplete node, and cannot remove a dead node with
+/// an incomplete tag of a port or service.
 ///
-/// Only our own, only what is older than 250 ms, and only if no process holds it open. Returns how
+/// Only this user's, only what is older than 250 ms, and only if no process has it open. Returns how
 /// many were removed.
 pub(crate) fn remove_incomplete(domain: &Domain) -> Result<u64, RootError> {
     let mut objects = objects(domain)?;
-    objects.retain(|object| object.is_unfinished() && object.is_old());
+    objects.retain(|object| object.is_incomplete() && object.is_old());
     let mut descriptions = services(domain);
     descriptions.extend(node_details(domain));
     descriptions.retain(|file| file.mode & OWNER_WRITE != 0 && file.is_old());
-    let nodes = unfinished_nodes(domain);
+    let nodes = incomplete_nodes(domain);
     if objects.is_empty() && descriptions.is_empty() && nodes.is_empty() {
         return Ok(0);
     }
-    // Looked at after the candidates: a creator that lives has them open ever since.
+    // Read after the candidates: a living creator has had them open since before.
     let open = open_files();
     let mut removed = 0;
     objects.retain(|object| !open.contains(&object.identity));
     for object in objects {
-        // Finished in the meantime, then it is somebody's.
+        // It may have been completed in the meantime.
         let still = Object::new(object.path)
-            .is_some_and(|object| object.is_unfinished() && fs::remove_file(&object.path).is_ok());
+            .is_some_and(|object| object.is_incomplete() && fs::remove_file(&object.path).is_ok());
         removed += u64::from(still);
     }
     removed += remove_unless_open(descriptions, &open);
@@ -60,8 +60,8 @@ pub(crate) fn remove_incomplete(domain: &Domain) -> Result<u64, RootError> {
     Ok(removed)
 }
 
-/// Removes the description of service `name` if nobody uses it any more: its creator was killed
-/// before its shared memory existed, or its last user before the description was removed.
+/// Removes the description of service `name` if no process uses it any more: its creator was killed
+/// before its shared memory existed, or its last user before it removed the description.
 pub(crate) fn remove_abandoned_service(domain: &Domain, name: &str) -> u64 {
     let mut services = services(domain);
     services.retain(|service| {
@@ -89,7 +89,7 @@ fn services(domain: &Domain) -> Vec<Object> {
         .collect()
 }
 
-/// What nodes say about themselves: their details, and tags of their services and ports.
+/// The details of nodes, and the tags of their services and ports.
 fn node_details(domain: &Domain) -> Vec<Object> {
     list(&domain.directory().join("nodes"))
         .into_iter()
@@ -100,14 +100,14 @@ fn node_details(domain: &Domain) -> Vec<Object> {
 
 /// A node on disk: the directory of its details, and the files of its monitor.
 #[derive(Default)]
-struct HalfNode {
+struct NodeFiles {
     directory: Option<PathBuf>,
     files: Vec<Object>,
-    /// Monitor, finished context, and owner lock: three make a node that iceoryx2 can handle.
+    /// Monitor, complete context and owner lock: iceoryx2 handles nodes that have all three.
     parts: u32,
 }
 
-impl HalfNode {
+impl NodeFiles {
     fn remove(self) -> bool {
         let files = self
             .files
@@ -120,9 +120,10 @@ impl HalfNode {
     }
 }
 
-/// Nodes whose creator, or cleaner, was killed half-way: they hold no port yet, or no more.
-fn unfinished_nodes(domain: &Domain) -> Vec<HalfNode> {
-    let mut nodes: BTreeMap<String, HalfNode> = BTreeMap::new();
+/// Nodes whose creator, or the process that removed them, was killed before it had finished: they have
+/// no port yet, or none any more.
+fn incomplete_nodes(domain: &Domain) -> Vec<NodeFiles> {
+    let mut nodes: BTreeMap<String, NodeFiles> = BTreeMap::new();
     for path in list(&domain.directory().join("nodes")) {
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
             continue;
@@ -149,6 +150,6 @@ fn unfinished_nodes(domain: &Domain) -> Vec<HalfNode> {
         node.parts += u32::from(is_whole);
         node.files.push(object);
     }
-    let unfinished = |node: &HalfNode| node.parts < 3 && node.files.iter().all(Object::is_old);
-    nodes.into_values().filter(unfinished).collect()
+    let incomplete = |node: &NodeFiles| node.parts < 3 && node.files.iter().all(Object::is_old);
+    nodes.into_values().filter(incomplete).collect()
 }

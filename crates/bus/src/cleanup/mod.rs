@@ -1,8 +1,8 @@
-//! Removing what dead processes leave behind.
+//! Removing stale files of dead processes.
 
 pub(crate) mod dead_nodes;
 pub(crate) mod incomplete;
-pub(crate) mod keeper;
 pub(crate) mod objects;
 pub(crate) mod report;
 pub(crate) mod sweep;
+pub(crate) mod thread;

@@ -10,10 +10,9 @@ use crate::os::files::effective_uid;
 use crate::os::memory::SHM_DIR;
 use crate::{Domain, RootError};
 
-/// How long something may stay unfinished before it counts as left behind. Creating it takes
-/// microseconds.
+/// How long an object may stay incomplete before it counts as stale. Creating one takes microseconds.
 const OLD: Duration = Duration::from_millis(250);
-/// An object, and a node's context, get this right when they are finished.
+/// An object, and a node's context, get this permission when they are complete.
 pub(super) const OWNER_READ: u32 = 0o400;
 
 /// A file of a domain.
@@ -27,7 +26,7 @@ pub(crate) struct Object {
     pub(super) identity: Identity,
 }
 
-/// Device and inode: the same file, whatever path leads to it.
+/// Device and inode: identify a file, whatever its path.
 pub(super) type Identity = (u64, u64);
 
 impl Object {
@@ -48,8 +47,8 @@ impl Object {
         self.owner == effective_uid() && age.is_some_and(|age| age > OLD)
     }
 
-    /// Of an object in shared memory: without a size, or without its final rights.
-    pub(super) fn is_unfinished(&self) -> bool {
+    /// Of an object in shared memory: without a size, or without its final permissions.
+    pub(super) fn is_incomplete(&self) -> bool {
         self.bytes == 0 || self.mode & OWNER_READ == 0
     }
 }
@@ -76,7 +75,7 @@ pub(super) fn list(directory: &Path) -> Vec<PathBuf> {
     entries.map(|entry| entry.path()).collect()
 }
 
-/// All files that processes of this user have open. Others cannot have ours: they are 0600.
+/// All files that processes of this user have open. Other users cannot open ours, which have mode 0600.
 pub(super) fn open_files() -> HashSet<Identity> {
     list(Path::new("/proc"))
         .into_iter()

@@ -8,7 +8,7 @@ pub struct SweepReport {
     pub dead_nodes: u64,
     /// Nodes of dead processes that could not be removed; they go with the last member.
     pub failed_nodes: u64,
-    /// Objects, services and nodes that were created but never finished.
+    /// Incomplete objects, services and nodes.
     pub incomplete: u64,
     /// Objects in shared memory removed because no member was alive.
     pub objects: u64,
@@ -21,7 +21,7 @@ pub struct SweepReport {
 }
 
 impl SweepReport {
-    /// Whether nothing had been left behind.
+    /// Whether nothing stale was found.
     #[must_use]
     pub const fn is_clean(&self) -> bool {
         self.dead_nodes == 0

@@ -1,11 +1,11 @@
-//! What dead processes leave behind, and how it goes away.
+//! Removing everything stale in a domain.
 
 use std::fs;
 use std::io;
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
-use super::dead_nodes::{is_anybody_alive, remove_dead_nodes};
+use super::dead_nodes::{is_any_node_alive, remove_dead_nodes};
 use super::incomplete::remove_incomplete;
 use super::objects::objects;
 use super::report::SweepReport;
@@ -15,8 +15,8 @@ use crate::liveness::members_lock::MembersLock;
 use crate::os::files::effective_uid;
 use crate::{Domain, RootError, WorkerLock};
 
-/// Removes what dead processes left in `domain`: everything when no member is alive, else their
-/// nodes and unfinished objects. For a supervisor, after it has waited for its children, and for
+/// Removes stale files of dead processes in `domain`: everything when no member is alive, else their
+/// nodes and incomplete objects. For a supervisor, after it has waited for its children, and for
 /// `doctor --fix`. The caller must not be a member itself. May be called from any thread.
 ///
 /// # Errors
@@ -24,7 +24,7 @@ use crate::{Domain, RootError, WorkerLock};
 pub fn sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
     loop {
         match try_sweep(domain) {
-            // The last member has just removed the directory under us.
+            // The last member has just removed the directory.
             Err(error) if error.vanished() => {}
             result => return result,
         }
@@ -54,13 +54,13 @@ fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
 /// Removes everything of the domain but the members' lock. The caller holds that exclusively, so
 /// no member is alive.
 ///
-/// Somebody may use iceoryx2 in our domain without being a member (its own command-line tool, the
-/// Python package): while such a node lives only the dead ones go.
+/// A process may use iceoryx2 in our domain without being a member (its own command-line tool, the
+/// Python package): while such a node lives, only dead nodes are removed.
 pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<(), SweepError> {
     check_private(&domain.directory())?;
     let config = iceoryx_config::wanted(domain)?;
     report.incomplete += remove_incomplete(domain)?;
-    if is_anybody_alive(&config) {
+    if is_any_node_alive(&config) {
         remove_dead_nodes(iceoryx_config::load(domain)?, report);
         return Ok(());
     }

@@ -1,7 +1,7 @@
 //! Who is alive: every member holds a shared lock on one file for as long as it lives.
 //!
-//! The kernel drops the lock with the process, however that ends. Who gets it exclusively knows
-//! that nobody is alive, and may remove everything.
+//! The kernel releases the lock when the process ends, however it ends. A process that gets it
+//! exclusively knows that no member is alive, and may remove everything.
 
 use std::fs::{self, File};
 use std::io;
@@ -31,7 +31,7 @@ impl MembersLock {
         Ok(Self { file })
     }
 
-    /// Whether nobody else holds it; then we do, exclusively.
+    /// Takes the lock exclusively; false while another process holds it.
     pub(crate) fn try_exclusive(&self) -> io::Result<bool> {
         self.lock(FlockOperation::NonBlockingLockExclusive)
     }
@@ -53,8 +53,8 @@ impl MembersLock {
     }
 
     /// Removes the file, that of a killed worker, and the directories around them, as far as they
-    /// are empty. The caller holds
-    /// the lock exclusively; who opened the file meanwhile sees that it is gone and starts again.
+    /// are empty. The caller holds the lock exclusively; a process that opened the file meanwhile
+    /// sees that it is gone and retries.
     pub(crate) fn remove(self, domain: &Domain) {
         if self.is_current(domain).unwrap_or(false) {
             let _ = fs::remove_file(domain.members_file());

@@ -1,4 +1,4 @@
-//! Who is alive: locks and descriptors that the kernel gives back when their process ends.
+//! Which processes are alive: locks and descriptors that the kernel releases when a process ends.
 
 pub(crate) mod members_lock;
 pub(crate) mod peer_watch;

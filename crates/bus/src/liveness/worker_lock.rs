@@ -13,8 +13,8 @@ use rustix::process::{Pid, test_kill_process};
 use crate::os::files::is_same;
 use crate::{Domain, RootError, clock};
 
-/// The right to be a fleet's worker, for as long as it lives. The kernel takes it back with the
-/// process, however that ends.
+/// The right to be a fleet's worker, held while this value lives. The kernel releases the lock when the
+/// process ends, however it ends.
 #[derive(Debug)]
 pub struct WorkerLock {
     file: File,
@@ -30,7 +30,7 @@ impl WorkerLock {
         loop {
             match Self::try_acquire(domain) {
                 Ok(Some(lock)) => return Ok(lock),
-                // The last owner has just removed the file, or the directory around it.
+                // The previous owner has just removed the file, or its directory.
                 Ok(None) => {}
                 Err(WorkerLockError::Io { source, .. })
                     if source.kind() == io::ErrorKind::NotFound => {}
@@ -58,8 +58,8 @@ impl WorkerLock {
         }
     }
 
-    /// Removes the file of a worker that was killed; not one that is held. Whoever takes the lock at
-    /// this moment sees that the file is gone, and starts again.
+    /// Removes the file of a killed worker, but not one that is held. A process that takes the lock at
+    /// this moment sees that the file is gone and retries.
     pub(crate) fn remove_stale(domain: &Domain) {
         let path = domain.worker_file();
         if let Ok(file) = fs::OpenOptions::new().read(true).open(&path)
@@ -119,7 +119,7 @@ impl WorkerLock {
 impl Drop for WorkerLock {
     fn drop(&mut self) {
         let path = self.domain.worker_file();
-        // Only what we locked: the path may have been cleared by hand.
+        // Only the file that we locked: somebody may have removed it by hand.
         if is_same(&self.file, &path).unwrap_or(false) {
             let _ = fs::remove_file(&path);
         }
@@ -127,8 +127,8 @@ impl Drop for WorkerLock {
     }
 }
 
-/// Pid and start of the owner. It writes them right after locking; until then the file may still
-/// name one that was killed: wait a little for that.
+/// Pid and start of the owner. It writes them right after locking; until then the file may still name
+/// a killed one, so this waits briefly.
 fn read(file: &mut File) -> io::Result<(u32, u64)> {
     let mut found = (0, 0);
     for _ in 0..50 {

@@ -1,4 +1,4 @@
-//! Memory taken and touched before it is needed.
+//! Memory that is allocated and mapped before it is needed.
 #![allow(unsafe_code)]
 
 use std::fs;
@@ -10,11 +10,11 @@ use rustix::mm::{Advice, madvise};
 
 /// Where POSIX shared memory lies on Linux.
 pub(crate) const SHM_DIR: &str = "/dev/shm";
-/// Memory that is mapped at once while ticks go on, bytes: some milliseconds.
+/// Longest mapping that is populated at once while ticks run, bytes: takes some milliseconds.
 const MOST_AT_ONCE: usize = 64 << 20;
 
-/// Takes all memory of the objects in shared memory that this process has mapped for writing and
-/// whose name contains `part`, and maps it now: no SIGBUS and no page fault later.
+/// Allocates and populates all memory of the shared-memory objects that this process has mapped for
+/// writing and whose name contains `part`: no SIGBUS and no page fault later.
 ///
 /// # Errors
 /// `StorageFull` when it does not fit.
@@ -30,9 +30,9 @@ pub(crate) fn take(part: &str) -> io::Result<u64> {
     Ok(bytes)
 }
 
-/// Maps all pages of the objects in shared memory whose name contains `part` and that this process
-/// reads: no page fault later. Best effort; more than 64 MiB is left to be mapped as it is used, for
-/// that would take longer than a frame may.
+/// Populates the mappings of the shared-memory objects whose name contains `part` and that this process
+/// reads: no page fault later. Best effort; mappings over 64 MiB are left to page faults, because
+/// populating them would take longer than a frame may.
 pub(crate) fn map(part: &str) {
     let Ok(maps) = fs::read_to_string("/proc/self/maps") else {
         return;

@@ -1,4 +1,4 @@
-//! What the operating system is asked for: clocks, memory, scheduling, files.
+//! The operating system: clocks, memory, scheduling, files.
 
 pub mod clock;
 pub(crate) mod files;

@@ -1,5 +1,5 @@
-//! How the system is to treat the threads of the tick: processors, real-time priority, memory that
-//! stays. All of it is optional, and most of it needs rights.
+//! Scheduling of the tick's threads: processors, real-time priority, locked memory. All of it is
+//! optional, and most of it needs privileges.
 #![allow(unsafe_code)]
 
 use std::fs;
@@ -19,7 +19,7 @@ pub struct Scheduling {
     pub priority: u8,
     /// Whether all memory of the process is to stay in memory (`mlockall`).
     pub lock_memory: bool,
-    /// Whether what the system refuses stops the start; else it is told in a warning.
+    /// Whether a request that the system refuses stops the start; else it is a warning.
     pub required: bool,
 }
 
@@ -31,8 +31,7 @@ impl Scheduling {
     }
 
     /// Asks for all of it, for the calling thread, which is the tick's own, and for the process.
-    /// Threads that are started before are left as they are. Returns what was refused and is to be
-    /// gone without.
+    /// Threads started earlier are unaffected. Returns what was refused, if none of it is required.
     ///
     /// # Errors
     /// What was refused first, if it is required.
@@ -63,8 +62,8 @@ impl Scheduling {
         cpu.and(priority)
     }
 
-    /// What would be refused here and now: processors and priority are tried, on threads that end
-    /// at once; memory is judged by the rights. Changes nothing for the caller.
+    /// What would be refused now: processors and priority are tried on threads that end at once, memory
+    /// is judged by the privileges. Changes nothing for the caller.
     ///
     /// # Errors
     /// A thread could not be started.
@@ -245,7 +244,7 @@ fn take_priority(priority: u8) -> Result<(), SchedulingError> {
     Err(SchedulingError::Priority {
         priority,
         limit: limit_words(rights.priority_limit, 1, ""),
-        capability: there(rights.may_take_any_priority),
+        capability: held(rights.may_take_any_priority),
         remedy,
         source,
     })
@@ -256,7 +255,7 @@ fn lock_memory() -> Result<(), SchedulingError> {
     let rights = Rights::of_this_process();
     let refused = |reason: String| SchedulingError::Memory {
         limit: limit_words(rights.memory_limit, 1024, " kB"),
-        capability: there(rights.may_lock_any_memory),
+        capability: held(rights.may_lock_any_memory),
         reason,
     };
     if !rights.allow_locking() {
@@ -293,7 +292,7 @@ fn limit_words(limit: Option<u64>, unit: u64, name: &str) -> String {
     )
 }
 
-const fn there(capability: bool) -> &'static str {
+const fn held(capability: bool) -> &'static str {
     if capability { "there" } else { "missing" }
 }
 

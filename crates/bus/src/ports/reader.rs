@@ -21,8 +21,7 @@ use crate::{Bus, Limits, clock};
 /// Reads frames in place.
 #[derive(Debug)]
 pub struct Reader<H: Payload, T: Payload> {
-    // Before the port, it before the factory, and all before the membership: the order in which
-    // they must go.
+    // Dropped in this order: held frame, port, factory, membership.
     held: Option<Borrowed<ipc::Service, [T], H>>,
     subscriber: Option<Subscriber<ipc::Service, [T], H>>,
     factory: PortFactory<ipc::Service, [T], H>,
@@ -109,7 +108,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     }
 
     /// The frame that [`Reader::hold_latest`] keeps: its header and its slice. Its writer could
-    /// still change it (it does not): who must be sure copies first.
+    /// still change it (it does not): copy it where that matters.
     #[must_use]
     pub fn held(&self) -> Option<(&H, &[T])> {
         let held = self.held.as_ref()?;
@@ -122,9 +121,8 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         self.degraded.load(Ordering::Relaxed)
     }
 
-    /// A writer that dies while it is connected to leaves a connection that fails, and one that
-    /// waits for nobody: the port is made anew, quietly. Only what fails again a second later is
-    /// an error.
+    /// A writer that dies while its connection is established leaves a failed connection: the port is
+    /// recreated without an error. Only a connection that still fails a second later is one.
     pub(super) fn receive(
         &mut self,
     ) -> Result<Option<Borrowed<ipc::Service, [T], H>>, ReceiveError> {
@@ -153,8 +151,8 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         }
     }
 
-    /// iceoryx2 does not try a failed connection again: only a new port does. What waits in the old
-    /// one has been read by then, and the old one goes first: the service may have no room for both.
+    /// iceoryx2 does not retry a failed connection; only a new port does. The old one has been emptied
+    /// by then, and is dropped first: the service may be at its limit of ports.
     fn renew(&mut self) -> Result<(), ReceiveError> {
         self.subscriber = None;
         match subscribe(&self.factory, self.buffer, &self.degraded) {
@@ -164,7 +162,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
             }
             Err(error) if self.repair.failed(clock::monotonic_ns()) => Err(error),
             Err(error) => {
-                tracing::debug!(%error, "a port could not be made anew yet");
+                tracing::debug!(%error, "a port could not be recreated yet");
                 Ok(())
             }
         }
@@ -187,9 +185,9 @@ fn subscribe<H: Payload, T: Payload>(
         })
 }
 
-/// A frame in shared memory, held for as long as this lives.
+/// A frame in shared memory, held while this value lives.
 ///
-/// Its writer could still change it (it does not): who must be sure copies first.
+/// Its writer could still change it (it does not): copy it where that matters.
 #[derive(Debug)]
 pub struct Frame<'a, H: Payload, T: Payload> {
     sample: Borrowed<ipc::Service, [T], H>,
@@ -221,8 +219,8 @@ impl<H: Payload, T: Payload> Frame<'_, H, T> {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReceiveError {
-    /// A writer could not be connected to for a second and more; its frames are missing. The port
-    /// is made anew each second. A writer that died meanwhile is no error.
+    /// The connection to a writer has failed for a second or more; its frames are missing. The port is
+    /// recreated each second. A writer that died meanwhile is no error.
     #[error(
         "{connections} connections to writers failed so far; are there file descriptors left \
          (`ulimit -n`), and shared memory? `joulebus doctor` tells"

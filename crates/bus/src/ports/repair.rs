@@ -1,16 +1,16 @@
-//! When a port is made anew, and when its failing is an error.
+//! When a port is recreated, and when its failure is an error.
 
-/// How often a port is made anew at most, ns; a failure that outlasts it is an error.
+/// Shortest time between two recreations of a port, ns; a failure that lasts longer is an error.
 const RENEW_EVERY_NS: u64 = 1_000_000_000;
-/// While there is no port at all, ns.
+/// The same while there is no port at all, ns.
 const RETRY_EVERY_NS: u64 = 20_000_000;
 
-/// What a look at a port's failed connections has found.
+/// What the count of a port's failed connections means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Look {
     /// Nothing new has failed.
     Whole,
-    /// A connection has failed: make the port anew and receive again.
+    /// A connection has failed: recreate the port and receive again.
     Renew,
     /// Connections still fail a second after the first one did.
     Failing {
@@ -19,7 +19,7 @@ pub(crate) enum Look {
     },
 }
 
-/// The state of a port that may have to be made anew. Times are monotonic ns.
+/// When a port has failed and was recreated. Times are monotonic ns.
 #[derive(Debug, Default)]
 pub(crate) struct Repair {
     /// Failed connections, when they were last looked at.
@@ -33,8 +33,7 @@ pub(crate) struct Repair {
 }
 
 impl Repair {
-    /// Whether the port is to be made anew now; the caller does. The clock is asked only when
-    /// something is broken.
+    /// Whether the caller is to recreate the port now. The clock is read only after a failure.
     pub(crate) fn is_due(&mut self, now_ns: impl FnOnce() -> u64) -> bool {
         if !self.broken {
             return false;
@@ -70,8 +69,7 @@ impl Repair {
         Look::Renew
     }
 
-    /// The port could not be made anew. Returns whether that has gone on for long enough to be an
-    /// error.
+    /// The port could not be recreated. Returns whether that has lasted long enough to be an error.
     pub(crate) fn failed(&mut self, now_ns: u64) -> bool {
         self.broken = true;
         self.renew_from_ns = now_ns.saturating_add(RETRY_EVERY_NS);
@@ -95,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_connection_that_fails_once_is_made_anew_at_once_and_is_no_error() {
+    fn a_connection_that_fails_once_is_recreated_at_once_and_is_no_error() {
         let mut repair = Repair::default();
         assert!(!repair.is_due(at(0)));
         assert_eq!(repair.look(1, at(5 * MS)), Look::Renew);
@@ -130,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_cannot_be_made_is_tried_again_soon_and_an_error_after_a_second() {
+    fn a_port_that_cannot_be_created_is_retried_soon_and_an_error_after_a_second() {
         let mut repair = Repair::default();
         assert_eq!(repair.look(1, at(0)), Look::Renew);
         assert!(repair.is_due(at(0)));

@@ -32,8 +32,8 @@ impl SampleReader {
         }
     }
 
-    /// Copies the next frame into `frame`; whether there was one. Take until there is none: the
-    /// sources come one after the other. Each byte is read from shared memory once, so what is
+    /// Copies the next frame into `frame` and returns whether there was one. Call it until there is
+    /// none: frames of different sources come one after the other. Each byte is read from shared memory once, so what is
     /// checked afterwards cannot change any more.
     ///
     /// # Errors
@@ -44,7 +44,7 @@ impl SampleReader {
         };
         frame.header = *incoming.header();
         frame.truncated = incoming.truncated();
-        // The buffer has room for all of it, or for none.
+        // The buffer holds all of it, or has no capacity at all.
         if incoming.copy_part(&mut frame.samples).is_none() {
             frame.samples.clear();
         }
@@ -62,7 +62,7 @@ impl SampleReader {
         };
         let source = received.header().publisher_id().value();
         if !self.mapped.contains(&source) {
-            // Sources come and go for months: forgetting costs one more look.
+            // Bounded, because sources come and go for months; forgetting one costs one more scan.
             if self.mapped.len() == MAPPED {
                 self.mapped.clear();
             }
@@ -122,8 +122,8 @@ impl IncomingFrame<'_> {
         self.received.payload().len() - self.kept
     }
 
-    /// Copies the next samples, as many as `part` has room for without growing, and gives them;
-    /// `None` at the end, or if there is no room.
+    /// Copies the next samples, at most the capacity of `part`, and returns them; `None` at the end, or
+    /// if the capacity is 0.
     pub fn copy_part<'p>(&mut self, part: &'p mut Vec<Sample>) -> Option<&'p [Sample]> {
         let count = part.capacity().min(self.kept - self.copied);
         if count == 0 {
@@ -147,7 +147,7 @@ pub struct FrameBuf {
 }
 
 impl FrameBuf {
-    /// Room for frames of up to `capacity` samples.
+    /// A buffer for frames of up to `capacity` samples.
     #[must_use]
     pub fn new(capacity: usize) -> Self {
         Self {
@@ -177,7 +177,7 @@ impl FrameBuf {
     }
 }
 
-/// Room for `capacity` samples, every page of it touched: the first long frame takes no page fault.
+/// A buffer for `capacity` samples, every page of it touched: the first long frame takes no page fault.
 fn touched(capacity: usize) -> Vec<Sample> {
     let mut samples = vec![Sample::new(0, 0, 0); capacity];
     samples.clear();

@@ -1,4 +1,4 @@
-//! Opening services: whoever comes first creates one, with limits that all others must share.
+//! Opening services: the first process creates one, with limits that all others must share.
 
 use std::fmt::Debug;
 use std::time::Duration;
@@ -19,9 +19,9 @@ use crate::cleanup::incomplete::{remove_abandoned_service, remove_incomplete};
 use crate::limits::Shape;
 use crate::{Bus, CapacityError, Limits, SweepReport, clock};
 
-/// Under which name the limits are written into each service.
+/// The attribute of a service that holds its limits.
 const LIMITS_KEY: &[u8] = b"joulebus.limits";
-/// For how long a service is tried to be opened, ns.
+/// How long opening a service is retried, ns.
 const OPEN_LIMIT_NS: u64 = 4_000_000_000;
 const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
 
@@ -46,7 +46,7 @@ pub(super) fn open<H: Payload, T: Payload>(
             .enable_safe_overflow(true)
             .open_or_create_with_attributes(&verifier(limits))
     };
-    retry(bus, &name, open, is_passing).map_err(|reason| {
+    retry(bus, &name, open, is_transient).map_err(|reason| {
         let differs = matches!(
             reason,
             PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
@@ -76,7 +76,7 @@ pub(super) fn open_event(
             .notifier_dead_event(EventId::new(WakeEvent::Died.id()))
             .open_or_create_with_attributes(&verifier(limits))
     };
-    retry(bus, &name, open, is_passing_event).map_err(|reason| {
+    retry(bus, &name, open, is_transient_event).map_err(|reason| {
         let differs = matches!(
             reason,
             EventOpenOrCreateError::EventOpenError(EventOpenError::IncompatibleAttributes)
@@ -86,18 +86,18 @@ pub(super) fn open_event(
     })
 }
 
-/// Opens a service. What comes of somebody having been killed while creating or leaving it passes
-/// once that is cleaned up.
+/// Opens a service. Errors caused by a process that was killed while it created or left the service
+/// disappear after cleaning up, so they are retried.
 fn retry<S, E: Debug>(
     bus: &Bus,
     name: &ServiceName,
     open: impl Fn() -> Result<S, E>,
-    is_passing: impl Fn(&E) -> bool,
+    is_transient: impl Fn(&E) -> bool,
 ) -> Result<S, E> {
     let limit_ns = clock::monotonic_ns() + OPEN_LIMIT_NS;
     loop {
         let error = match open() {
-            Err(error) if is_passing(&error) => error,
+            Err(error) if is_transient(&error) => error,
             result => return result,
         };
         if clock::monotonic_ns() > limit_ns {
@@ -117,7 +117,7 @@ fn retry<S, E: Debug>(
     }
 }
 
-const fn is_passing(error: &PublishSubscribeOpenOrCreateError) -> bool {
+const fn is_transient(error: &PublishSubscribeOpenOrCreateError) -> bool {
     use PublishSubscribeCreateError as Create;
     use PublishSubscribeOpenError as Open;
     use PublishSubscribeOpenOrCreateError as Error;
@@ -142,7 +142,7 @@ const fn is_passing(error: &PublishSubscribeOpenOrCreateError) -> bool {
     )
 }
 
-const fn is_passing_event(error: &EventOpenOrCreateError) -> bool {
+const fn is_transient_event(error: &EventOpenOrCreateError) -> bool {
     use EventCreateError as Create;
     use EventOpenError as Open;
     use EventOpenOrCreateError as Error;
@@ -224,7 +224,7 @@ pub enum OpenError {
         /// Limits of this process.
         wanted: String,
     },
-    /// Frames longer than the capacity, or empty ones only.
+    /// A length of frame of 0, or beyond the capacity.
     #[error("frames of up to {found} samples: allowed are 1 to {allowed}, the fleet's capacity")]
     Length {
         /// Length wanted.
@@ -235,7 +235,7 @@ pub enum OpenError {
     /// Too little shared memory.
     #[error(transparent)]
     Capacity(#[from] CapacityError),
-    /// The memory was there a moment ago, and could not be taken.
+    /// The memory was free a moment ago, but could not be allocated.
     #[error("cannot take {needed} bytes of shared memory: {source}")]
     Memory {
         /// Bytes needed.

@@ -1,4 +1,4 @@
-//! Waking others, and being woken: a descriptor and `poll`, nanosecond deadlines, no allocation.
+//! Events: sending them, and waiting for them by `poll` with nanosecond deadlines, without allocation.
 #![allow(unsafe_code)]
 
 use std::io;
@@ -16,16 +16,16 @@ use super::service::{OpenError, open_event};
 use crate::membership::Membership;
 use crate::{Bus, Limits, PeerWatch, clock};
 
-/// The longest sleep without a look. A notification that races with the emptying of the listener
+/// The longest sleep. A notification that races with the emptying of the listener
 /// can leave its descriptor silent although events are pending, and a signal may arrive just before
 /// the sleep: this bounds both.
 const LONGEST_SLEEP_NS: u64 = 100_000_000;
 
-/// Wakes those who wait on a service.
+/// Sends a service's event.
 #[derive(Debug)]
 pub struct Waker {
     notifier: Notifier<ipc::Service>,
-    // After the port: it must be gone before the process leaves.
+    // Dropped after the port.
     _member: Rc<Membership>,
 }
 
@@ -61,8 +61,7 @@ impl Waker {
     }
 }
 
-/// Why [`Waiter::wait_until`] returned. Nothing set: the deadline has passed, or it is just time
-/// to look around (at least ten times a second).
+/// Why [`Waiter::wait_until`] returned. Nothing set: the deadline has passed, or 100 ms have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Woken {
@@ -86,11 +85,11 @@ impl Woken {
     }
 }
 
-/// Waits to be woken.
+/// Waits for a service's events.
 #[derive(Debug)]
 pub struct Waiter {
     listener: Listener<ipc::Service>,
-    // After the port: it must be gone before the process leaves.
+    // Dropped after the port.
     _member: Rc<Membership>,
 }
 
@@ -156,7 +155,7 @@ impl Waiter {
         })
     }
 
-    /// Takes all events that are pending, so that the descriptor falls silent.
+    /// Takes all pending events, so that the descriptor is no longer readable.
     fn drain(&self) -> Result<Woken, WaitError> {
         let mut woken = Woken::default();
         loop {

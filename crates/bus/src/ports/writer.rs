@@ -27,12 +27,11 @@ use crate::{Bus, CapacityError, Limits};
 /// Sends frames: a header `H` and a slice of `T`, written where readers read it.
 #[derive(Debug)]
 pub struct Writer<H: Payload, T: Payload> {
-    // The port before its factory: the order in which they must go.
+    // Dropped in this order: port, factory, membership.
     publisher: Publisher<ipc::Service, [T], H>,
     factory: PortFactory<ipc::Service, [T], H>,
     max_len: usize,
     degraded: Arc<AtomicU64>,
-    // After the port: it must be gone before the process leaves.
     _member: Rc<Membership>,
 }
 
@@ -44,7 +43,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         shape: Shape,
         max_len: usize,
     ) -> Result<Self, OpenError> {
-        let needed = segment_bytes(shape, size_of::<H>(), size_of::<T>(), max_len);
+        let needed = segment_bytes::<H, T>(shape, max_len);
         let (free, _) = shared_memory()?;
         if needed > free {
             return Err(CapacityError::Memory { needed, free }.into());
@@ -91,8 +90,8 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         loan.write_from_fn(element).send().map_err(SendError::send)
     }
 
-    /// Borrows memory for a frame of `len` elements, all default, to compute into; the frame goes
-    /// with [`Loan::send`], or comes to nothing when dropped. iceoryx2 allocates once.
+    /// Borrows memory for a frame of `len` elements, all default, to compute into; [`Loan::send`] sends
+    /// the frame, dropping it discards it. iceoryx2 allocates once.
     ///
     /// # Errors
     /// [`SendError`].
@@ -106,8 +105,8 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         })
     }
 
-    /// As [`Writer::loan`], for who writes every element: until then they hold what the last frame
-    /// in that memory held, or zeros. Saves a pass over memory that does not fit into any cache.
+    /// As [`Writer::loan`], for a caller that writes every element: until then they hold those of an
+    /// earlier frame, or zeros. Saves a pass over memory that fits into no cache.
     ///
     /// # Errors
     /// [`SendError`].
@@ -131,12 +130,12 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     /// Connects to readers that have come since the last frame: they get the history. Cheap when
     /// none have.
     pub fn update(&mut self) {
-        // Failures are counted by the handler of degradations.
+        // The degradation handler counts failures.
         let _ = self.publisher.update_connections();
     }
 
-    /// Readers of the service, wherever they are; one that was killed counts until the next
-    /// cleaning up.
+    /// Readers of the service, wherever they are; one that was killed counts until it is
+    /// cleaned up.
     #[must_use]
     pub fn readers(&self) -> usize {
         self.factory.dynamic_config().number_of_subscribers()

@@ -214,14 +214,6 @@ pub struct Recorder {
     writer: Option<JoinHandle<()>>,
 }
 
-impl fmt::Debug for Recorder {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_struct("Recorder")
-            .field("feeds", &self.feeds.len())
-            .finish_non_exhaustive()
-    }
-}
-
 /// What the threads share.
 #[derive(Debug)]
 pub(crate) struct Shared {

@@ -1,4 +1,4 @@
-//! The keeper: a thread of each member that removes what dead processes leave behind.
+//! The cleanup thread of each member: removes stale files of dead processes while members live.
 
 use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,9 +13,9 @@ use super::incomplete::remove_incomplete;
 use super::report::SweepReport;
 use crate::Domain;
 
-/// Somebody may be waiting for an unfinished object: look often, it costs 20 µs.
+/// A member may be blocked on an incomplete object, so this is frequent; one pass takes 20 µs.
 const INCOMPLETE_EVERY: Duration = Duration::from_millis(250);
-/// Dead nodes are looked for each so many rounds: once a second.
+/// Dead nodes are looked for every so many rounds: once a second.
 const DEAD_NODES_EVERY: u64 = 4;
 
 /// What this process has removed since it joined.
@@ -26,7 +26,7 @@ pub struct Housekeeping {
     pub dead_nodes: u64,
     /// Attempts at dead nodes that failed; another member may have been faster.
     pub failed_nodes: u64,
-    /// Unfinished objects, services and nodes removed.
+    /// Incomplete objects, services and nodes removed.
     pub incomplete: u64,
 }
 
@@ -40,17 +40,17 @@ struct Shared {
 }
 
 #[derive(Debug)]
-pub(crate) struct Keeper {
+pub(crate) struct CleanupThread {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Keeper {
+impl CleanupThread {
     pub(crate) fn start(domain: &Domain, config: &'static Config) -> io::Result<Self> {
         let shared = Arc::new(Shared::default());
         let (domain, inside) = (domain.clone(), Arc::clone(&shared));
         let thread = std::thread::Builder::new()
-            .name("joulebus-keeper".to_owned())
+            .name("joulebus-clean".to_owned())
             .spawn(move || inside.run(&domain, config))?;
         Ok(Self {
             shared,
@@ -77,7 +77,7 @@ impl Keeper {
         if let Some(thread) = self.thread.take()
             && thread.join().is_err()
         {
-            tracing::warn!("the keeper thread panicked");
+            tracing::warn!("the cleanup thread panicked");
         }
     }
 }
@@ -91,7 +91,7 @@ impl Shared {
             if let Ok(removed) = remove_incomplete(domain) {
                 self.incomplete.fetch_add(removed, Ordering::Relaxed);
                 if removed > 0 {
-                    tracing::info!(removed, "removed unfinished objects of dead processes");
+                    tracing::info!(removed, "removed incomplete objects of dead processes");
                 }
             }
             if round % DEAD_NODES_EVERY == 0 {
@@ -113,7 +113,7 @@ impl Shared {
         }
     }
 
-    /// Sleeps for a round; whether to stop.
+    /// Sleeps for one round; returns whether to stop.
     fn wait(&self) -> bool {
         let stop = self.stop.lock().unwrap_or_else(PoisonError::into_inner);
         let (stop, _) = self
