@@ -5,7 +5,7 @@ use crate::features::{FeatureSet, Features};
 use crate::linear::Linear;
 
 /// How far a model's forecasts were off on data that it was not trained on.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ResidualStats {
     /// Standard deviation of reading minus forecast, in watt, not negative.
     pub std_w: f32,
@@ -54,6 +54,25 @@ pub struct TrainingRange {
 }
 
 impl TrainingRange {
+    /// The range of some rows, of the features that a model reads.
+    #[must_use]
+    pub fn of<'a>(
+        feature_set: FeatureSet,
+        rows: impl Iterator<Item = &'a Features> + Clone,
+    ) -> Self {
+        let mut range = Self {
+            feature_set,
+            min: Features::default(),
+            max: Features::default(),
+        };
+        for feature in feature_set.range() {
+            let values = rows.clone().map(|row| row[feature]);
+            range.min[feature] = values.clone().fold(f32::INFINITY, f32::min);
+            range.max[feature] = values.fold(f32::NEG_INFINITY, f32::max);
+        }
+        range
+    }
+
     /// Position of the first feature that the model reads and that lies outside the range, or is
     /// NaN; `None` if all lie inside. `margin` widens each side by that share of the range's width.
     pub fn outside(&self, row: &Features, margin: f32) -> Option<usize> {
@@ -67,7 +86,7 @@ impl TrainingRange {
 }
 
 /// Scores on held-out data, with persistence beside the network.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Scores {
     /// Number of forecasts scored.
     pub rows: u64,
@@ -102,4 +121,22 @@ pub struct ModelCard {
     pub scores: Scores,
     /// The linear forecast fitted to the same rows, if there is one.
     pub linear: Option<Linear>,
+}
+
+impl ModelCard {
+    /// A card that states the range and nothing else yet.
+    #[must_use]
+    pub fn new(training_range: TrainingRange) -> Self {
+        Self {
+            name: String::new(),
+            source: String::new(),
+            training_data: String::new(),
+            training_data_sha256: String::new(),
+            seed: 0,
+            training_range,
+            residual: ResidualStats::default(),
+            scores: Scores::default(),
+            linear: None,
+        }
+    }
 }

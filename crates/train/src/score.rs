@@ -25,47 +25,20 @@ pub(super) fn finished(
         activation: Activation::GeluErf,
         layers: weights.layers(),
     };
+    let rows = dataset.training.iter().map(|row| &row.features);
     let mut card = ModelCard {
         name: settings.name.clone(),
         source: settings.source.clone(),
         training_data: dataset.description.clone(),
         training_data_sha256: dataset.sha256(feature_set),
         seed: settings.seed,
-        training_range: training_range(&dataset.training, feature_set),
-        residual: ResidualStats {
-            std_w: 0.0,
-            q05_w: 0.0,
-            q95_w: 0.0,
-        },
-        scores: Scores {
-            rows: 0,
-            network_r2: 0.0,
-            network_mae_w: 0.0,
-            persistence_r2: 0.0,
-            persistence_mae_w: 0.0,
-        },
-        linear: None,
+        linear: linear(dataset, feature_set),
+        ..ModelCard::new(TrainingRange::of(feature_set, rows))
     };
-    card.linear = linear(dataset, feature_set);
     // The finished arithmetic gives the scores, so the network is built once without them.
     let unscored = Network::new(parameters.clone(), card.clone())?;
     (card.scores, card.residual) = scored(&unscored, &dataset.held_out);
     Ok(Network::new(parameters, card)?)
-}
-
-fn training_range(rows: &[Row], feature_set: FeatureSet) -> TrainingRange {
-    let mut min = [0.0; INPUTS];
-    let mut max = [0.0; INPUTS];
-    for i in feature_set.range() {
-        let values = || rows.iter().map(|row| row.features[i]);
-        min[i] = values().fold(f32::INFINITY, f32::min);
-        max[i] = values().fold(f32::NEG_INFINITY, f32::max);
-    }
-    TrainingRange {
-        feature_set,
-        min,
-        max,
-    }
 }
 
 /// The linear baseline of the rows that the network has learned from, with its score on the rows held

@@ -355,7 +355,7 @@ fn network(candidate: &Candidate, card: ModelCard) -> Result<Network, ChooseErro
 
 /// A card for a network that is only tried.
 fn placeholder(feature_set: FeatureSet) -> ModelCard {
-    score::empty_card(TrainingRange {
+    ModelCard::new(TrainingRange {
         feature_set,
         min: [0.0; INPUTS],
         max: [0.0; INPUTS],

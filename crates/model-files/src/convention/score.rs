@@ -4,8 +4,8 @@ use super::{ChooseError, Convention, Origin};
 use joulebus_dataset::rows::Row;
 use joulebus_dataset::trial::{Column, Trial};
 use joulebus_predictor::{
-    FEATURES, FeatureSet, Features, INPUTS, LAGS, ModelCard, Network, ResidualStats, Scores,
-    TrainingRange, features,
+    FEATURES, FeatureSet, Features, LAGS, ModelCard, Network, ResidualStats, Scores, TrainingRange,
+    features,
 };
 
 /// Readings of a stretch: ten seconds at 30 Hz.
@@ -131,6 +131,7 @@ impl Data {
         convention: Convention,
     ) -> ModelCard {
         let persistence = self.persistence();
+        let features = self.rows.iter().map(|row| &row.features);
         let (rows, trials) = (self.rows.len(), self.trials);
         let Origin { name, file, sha256 } = *origin;
         ModelCard {
@@ -148,48 +149,8 @@ impl Data {
                 persistence_r2: persistence.r2 as f32,
                 persistence_mae_w: persistence.mae_w as f32,
             },
-            ..empty_card(self.range(set))
+            ..ModelCard::new(TrainingRange::of(set, features))
         }
-    }
-
-    fn range(&self, feature_set: FeatureSet) -> TrainingRange {
-        let mut min = [0.0; INPUTS];
-        let mut max = [0.0; INPUTS];
-        for feature in feature_set.range() {
-            let values = || self.rows.iter().map(|row| row.features[feature]);
-            min[feature] = values().fold(f32::INFINITY, f32::min);
-            max[feature] = values().fold(f32::NEG_INFINITY, f32::max);
-        }
-        TrainingRange {
-            feature_set,
-            min,
-            max,
-        }
-    }
-}
-
-/// A card that says nothing but the range.
-pub(super) fn empty_card(training_range: TrainingRange) -> ModelCard {
-    ModelCard {
-        name: String::new(),
-        source: String::new(),
-        training_data: String::new(),
-        training_data_sha256: String::new(),
-        seed: 0,
-        training_range,
-        residual: ResidualStats {
-            std_w: 0.0,
-            q05_w: 0.0,
-            q95_w: 0.0,
-        },
-        scores: Scores {
-            rows: 0,
-            network_r2: 0.0,
-            network_mae_w: 0.0,
-            persistence_r2: 0.0,
-            persistence_mae_w: 0.0,
-        },
-        linear: None,
     }
 }
 
