@@ -11,9 +11,9 @@ const SHIPPED: &str = concat!(
 );
 const CONVENTION: &str = "mW+newest-first+lags-last+d-normalised-per-second+abs-as-velocity";
 
-/// A model file of NumPy or PyTorch, from the laboratory's tests.
+/// A model file of NumPy or PyTorch, from the tests of `model-files`.
 fn foreign(folder: &Path, name: &str) -> PathBuf {
-    let packed = format!("../lab/tests/fixtures/{name}.gz");
+    let packed = format!("../model-files/tests/fixtures/{name}.gz");
     let packed = std::fs::File::open(Path::new(env!("CARGO_MANIFEST_DIR")).join(packed)).unwrap();
     let mut bytes = Vec::new();
     flate2::read::GzDecoder::new(packed)
