@@ -7,7 +7,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 thread_local! {
-    /// Calls and bytes of this thread alone: keepers, clerks and other tests run beside it.
+    /// Calls and bytes of this thread alone: keepers, checkpointers and other tests run beside it.
     static CALLS: Cell<u64> = const { Cell::new(0) };
     static BYTES: Cell<u64> = const { Cell::new(0) };
     /// What is allocated now, and the most that was, bytes.
