@@ -33,8 +33,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
+/// Each array's name, and its `.npy` file.
+type Arrays = Vec<(String, Vec<u8>)>;
+
 /// Weights and statistics as plain NumPy arrays: what somebody who trained elsewhere would have.
-fn arrays_of_another_program() -> Result<Vec<(String, Vec<u8>)>, Box<dyn Error>> {
+fn arrays_of_another_program() -> Result<Arrays, Box<dyn Error>> {
     let (_, bytes) = joulebus_config::builtin_model("gternal-sim").ok_or("no such model")?;
     let mut arrays = to_arrays(&Network::from_safetensors(bytes)?)?;
     // Without what only our own files have, it is a foreign one.
