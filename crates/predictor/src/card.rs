@@ -56,19 +56,19 @@ pub struct TrainingRange {
 impl TrainingRange {
     /// The range of some rows, of the features that a model reads.
     #[must_use]
-    pub fn of<'a>(
-        feature_set: FeatureSet,
-        rows: impl Iterator<Item = &'a Features> + Clone,
-    ) -> Self {
+    pub fn of<'a>(feature_set: FeatureSet, rows: impl Iterator<Item = &'a Features>) -> Self {
         let mut range = Self {
             feature_set,
             min: Features::default(),
             max: Features::default(),
         };
-        for feature in feature_set.range() {
-            let values = rows.clone().map(|row| row[feature]);
-            range.min[feature] = values.clone().fold(f32::INFINITY, f32::min);
-            range.max[feature] = values.fold(f32::NEG_INFINITY, f32::max);
+        range.min[feature_set.range()].fill(f32::INFINITY);
+        range.max[feature_set.range()].fill(f32::NEG_INFINITY);
+        for row in rows {
+            for feature in feature_set.range() {
+                range.min[feature] = range.min[feature].min(row[feature]);
+                range.max[feature] = range.max[feature].max(row[feature]);
+            }
         }
         range
     }
