@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use mcap::records::MessageHeader;
 
-use super::{CurrentSign, Mapping, Message, RobotMapping, RosType, TimeSource};
-use crate::ros::{BatteryState, Header, Odometry, Twist};
+use super::mapping::{CurrentSign, Mapping, RobotMapping, TimeSource};
+use crate::ros::{BatteryState, Header, Message, Odometry, RosType, Twist};
 
 /// Rows that are kept of a robot; what comes on top is refused. As many as a trial may have.
 const MOST_ROWS: usize = 1 << 22;

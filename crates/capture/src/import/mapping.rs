@@ -4,7 +4,8 @@ use std::str::FromStr;
 
 use serde::Deserialize;
 
-use super::{Channel, ImportError};
+use super::channel::Channel;
+use super::error::ImportError;
 use crate::ros::RosType;
 
 /// Which time of a message counts.

@@ -4,60 +4,25 @@
 //! stands for one battery reading: the command in force when it was made, the odometry known then,
 //! and NaN for what is not known.
 
+mod channel;
+mod error;
 mod join;
 mod mapping;
 mod report;
 
 use std::collections::BTreeMap;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{Read, Seek};
 
 use mcap::records::Record;
 
-use crate::ros::{Message, RosType};
-use crate::scan::{Event, Scan, ScanError};
+use crate::ros::RosType;
+use crate::scan::{self, ScanError};
+use channel::Channel;
+pub use error::ImportError;
 pub use join::Row;
 
 pub use mapping::{CurrentSign, Mapping, MappingError, RobotMapping, TimeSource};
 pub use report::{Imported, RobotReport, TopicReport, Unusable};
-
-/// Why a recording cannot be imported.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ImportError {
-    /// It is no MCAP file, or cannot be read.
-    #[error(transparent)]
-    Scan(#[from] ScanError),
-    /// A topic of the mapping is not in the file, or cannot be used.
-    #[error("topic {topic:?}: {why}")]
-    Topic {
-        /// The topic.
-        topic: String,
-        /// Why not.
-        why: String,
-    },
-    /// Nothing says which topics are a robot's.
-    #[error("{what}; name them with options or a mapping file")]
-    Choice {
-        /// What is ambiguous.
-        what: String,
-    },
-    /// No two robots may have the same name.
-    #[error("two robots named {name:?}; give them names of their own in a mapping file")]
-    TwoOfAName {
-        /// The name.
-        name: String,
-    },
-}
-
-/// A channel of the file.
-#[derive(Debug, Clone)]
-struct Channel {
-    topic: String,
-    type_name: String,
-    encoding: String,
-    kind: Result<RosType, crate::ros::RosError>,
-    messages: u64,
-}
 
 /// Reads a recording.
 ///
@@ -84,75 +49,37 @@ pub fn import(
     Ok(report::imported(tracks, &channels, damage))
 }
 
-fn rewind(input: &mut impl Seek) -> Result<(), ScanError> {
-    let io = |source| ScanError::Io {
-        place: crate::scan::Place::top(0),
-        source,
-    };
-    input.seek(SeekFrom::Start(0)).map(|_| ()).map_err(io)
-}
-
 /// The channels of a file with their messages, and what is damaged.
 fn channels(input: &mut (impl Read + Seek)) -> Result<(Vec<Channel>, Vec<String>), ScanError> {
     let mut schemas = BTreeMap::new();
     let mut channels: BTreeMap<u16, Channel> = BTreeMap::new();
-    let damage = each_record(input, |record| match record {
-        Record::Schema { header, data } => {
-            schemas.insert(header.id, (header.name, header.encoding, data.into_owned()));
-        }
-        Record::Channel(channel) => {
-            let empty = (String::new(), String::new(), Vec::new());
-            let (type_name, encoding, data) = schemas.get(&channel.schema_id).unwrap_or(&empty);
-            let found = Channel {
-                kind: RosType::of(&channel.message_encoding, type_name, encoding, data),
-                topic: channel.topic,
-                type_name: type_name.clone(),
-                encoding: channel.message_encoding,
-                messages: 0,
-            };
-            channels.entry(channel.id).or_insert(found);
-        }
-        Record::Message { header, .. } => {
-            if let Some(channel) = channels.get_mut(&header.channel_id) {
-                channel.messages += 1;
+    let damage = scan::each_record(input, |record| {
+        match record {
+            Record::Schema { header, data } => {
+                schemas.insert(header.id, (header.name, header.encoding, data.into_owned()));
             }
-        }
-        _ => {}
-    })?;
-    Ok((channels.into_values().collect(), damage))
-}
-
-/// Calls `take` with every record of the data; says what is damaged.
-fn each_record(
-    input: &mut (impl Read + Seek),
-    mut take: impl FnMut(Record<'_>),
-) -> Result<Vec<String>, ScanError> {
-    rewind(input)?;
-    let mut scan = Scan::new(input)?;
-    let mut damage = Vec::new();
-    loop {
-        match scan.next_event() {
-            Ok(Some(Event::Record(raw))) => match raw.parse() {
-                Ok(record) => take(record),
-                Err(error) => damage.push(error.to_string()),
-            },
-            Ok(Some(Event::ChunkEnds { frame, crc })) if crc.is_wrong() => {
-                damage.push(format!(
-                    "byte {}: chunk: its checksum is wrong",
-                    frame.offset
-                ));
+            Record::Channel(channel) => {
+                let empty = (String::new(), String::new(), Vec::new());
+                let (type_name, encoding, data) = schemas.get(&channel.schema_id).unwrap_or(&empty);
+                let found = Channel {
+                    kind: RosType::of(&channel.message_encoding, type_name, encoding, data),
+                    topic: channel.topic,
+                    type_name: type_name.clone(),
+                    encoding: channel.message_encoding,
+                    messages: 0,
+                };
+                channels.entry(channel.id).or_insert(found);
             }
-            Ok(Some(_)) => {}
-            Ok(None) => return Ok(damage),
-            Err(error @ ScanError::Io { .. }) => return Err(error),
-            Err(error) => {
-                damage.push(error.to_string());
-                if scan.resume()?.is_none() {
-                    return Ok(damage);
+            Record::Message { header, .. } => {
+                if let Some(channel) = channels.get_mut(&header.channel_id) {
+                    channel.messages += 1;
                 }
             }
+            _ => {}
         }
-    }
+        Ok(())
+    })?;
+    Ok((channels.into_values().collect(), damage))
 }
 
 fn read_tracks(
@@ -161,25 +88,29 @@ fn read_tracks(
 ) -> Result<Vec<String>, ScanError> {
     let mut schemas = BTreeMap::new();
     let mut kinds: BTreeMap<u16, (String, RosType)> = BTreeMap::new();
-    each_record(input, |record| match record {
-        Record::Schema { header, data } => {
-            schemas.insert(header.id, (header.name, header.encoding, data.into_owned()));
-        }
-        Record::Channel(channel) => {
-            let Some((type_name, encoding, data)) = schemas.get(&channel.schema_id) else {
-                return;
-            };
-            if let Ok(kind) = RosType::of(&channel.message_encoding, type_name, encoding, data) {
-                kinds.insert(channel.id, (channel.topic, kind));
+    scan::each_record(input, |record| {
+        match record {
+            Record::Schema { header, data } => {
+                schemas.insert(header.id, (header.name, header.encoding, data.into_owned()));
             }
-        }
-        Record::Message { header, data } => {
-            if let Some((topic, kind)) = kinds.get(&header.channel_id) {
-                for track in tracks.iter_mut() {
-                    track.take(topic, *kind, &header, &data);
+            Record::Channel(channel) => {
+                let Some((type_name, encoding, data)) = schemas.get(&channel.schema_id) else {
+                    return Ok(());
+                };
+                if let Ok(kind) = RosType::of(&channel.message_encoding, type_name, encoding, data)
+                {
+                    kinds.insert(channel.id, (channel.topic, kind));
                 }
             }
+            Record::Message { header, data } => {
+                if let Some((topic, kind)) = kinds.get(&header.channel_id) {
+                    for track in tracks.iter_mut() {
+                        track.take(topic, *kind, &header, &data);
+                    }
+                }
+            }
+            _ => {}
         }
-        _ => {}
+        Ok(())
     })
 }

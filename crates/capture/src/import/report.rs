@@ -5,8 +5,9 @@ use std::fmt;
 
 use serde::Serialize;
 
+use super::channel::Channel;
 use super::join::{Row, Track};
-use super::{Channel, TimeSource};
+use super::mapping::TimeSource;
 use crate::ros::RosError;
 
 /// What became of the messages of a topic.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use mcap::records::{Channel, MessageHeader};
 use serde::Serialize;
 
-use super::SchemaReport;
+use super::records::SchemaReport;
 use crate::scan::Place;
 
 /// A step longer than this many median steps is a gap.

@@ -5,6 +5,8 @@
 
 mod channel;
 mod chunks;
+mod finding;
+mod records;
 mod report;
 mod summary;
 pub mod values;
@@ -13,13 +15,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek};
 
 use mcap::records::{Record, op};
-use serde::Serialize;
 
 use crate::scan::{ChunkFrame, Crc, Event, Place, Raw, Scan, ScanError};
 use channel::Tally;
 pub use channel::{ChannelReport, Sequence};
 use chunks::Chunks;
 pub use chunks::CompressionReport;
+pub use finding::{Finding, Severity};
+pub use records::{AttachmentReport, MetadataReport, SchemaReport};
+pub use report::Inspection;
 pub use summary::StatisticsCheck;
 use summary::Summary;
 
@@ -27,123 +31,6 @@ use summary::Summary;
 const LISTED_FINDINGS: usize = 200;
 /// Attachments and metadata records that are listed; more are only counted.
 const LISTED_RECORDS: usize = 1000;
-
-/// How bad a finding is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Severity {
-    /// Allowed, but worth knowing: messages out of order, a missing index.
-    Note,
-    /// The file is damaged, incomplete or contradicts itself.
-    Error,
-}
-
-/// Something about a file that a user should know.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Finding {
-    /// How bad it is.
-    pub severity: Severity,
-    /// Where it is; nothing for what concerns the whole file.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub place: Option<Place>,
-    /// What was found and what is allowed.
-    pub what: String,
-}
-
-/// A schema of the file.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct SchemaReport {
-    /// Its number in the file.
-    pub id: u16,
-    /// Its name.
-    pub name: String,
-    /// How it is written: `protobuf`, `ros2msg`, …
-    pub encoding: String,
-    /// Length of its definition, bytes.
-    pub bytes: u64,
-    /// Checksum of its definition; a second definition has to be the same.
-    #[serde(skip)]
-    crc: u32,
-}
-
-/// An attachment of the file.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct AttachmentReport {
-    /// Its name.
-    pub name: String,
-    /// Its media type.
-    pub media_type: String,
-    /// Length of its data, bytes.
-    pub bytes: u64,
-    /// When it was recorded, ns.
-    pub log_ns: u64,
-    /// When it was made, ns.
-    pub create_ns: u64,
-}
-
-/// A metadata record of the file.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct MetadataReport {
-    /// Its name.
-    pub name: String,
-    /// What it says.
-    pub entries: BTreeMap<String, String>,
-}
-
-/// What is in a file.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Inspection {
-    /// Length of the file, bytes.
-    pub bytes: u64,
-    /// Profile in its header.
-    pub profile: String,
-    /// The library that wrote it, as it says.
-    pub library: String,
-    /// Whether it could be read from the first byte to the last.
-    pub complete: bool,
-    /// Messages.
-    pub messages: u64,
-    /// Log time of the earliest message, ns.
-    pub start_ns: Option<u64>,
-    /// Log time of the latest message, ns.
-    pub end_ns: Option<u64>,
-    /// From the earliest to the latest, s.
-    pub duration_s: Option<f64>,
-    /// Messages whose log time is before that of a message that stands before them.
-    pub out_of_order: u64,
-    /// Its chunks by compression.
-    pub chunks: Vec<CompressionReport>,
-    /// Messages outside of chunks.
-    pub messages_outside_chunks: u64,
-    /// Its schemas by number.
-    pub schemas: Vec<SchemaReport>,
-    /// Its channels by number.
-    pub channels: Vec<ChannelReport>,
-    /// Attachments.
-    pub attachment_count: u64,
-    /// The first of them.
-    pub attachments: Vec<AttachmentReport>,
-    /// Metadata records.
-    pub metadata_count: u64,
-    /// The first of them.
-    pub metadata: Vec<MetadataReport>,
-    /// Whether the statistics in the file say the same.
-    pub statistics: StatisticsCheck,
-    /// Errors found.
-    pub errors: u64,
-    /// Notes.
-    pub notes: u64,
-    /// The first of both, in the order of the file.
-    pub findings: Vec<Finding>,
-}
-
-impl Inspection {
-    /// Whether nothing is wrong with the file.
-    #[must_use]
-    pub fn is_sound(&self) -> bool {
-        self.errors == 0
-    }
-}
 
 /// Reads a file and says what is in it.
 ///

@@ -1,8 +1,69 @@
-//! The report for people.
+//! What an inspection has found, and its text.
 
 use std::fmt;
 
-use super::{ChannelReport, Finding, Inspection, Sequence, Severity, StatisticsCheck};
+use serde::Serialize;
+
+use super::channel::{ChannelReport, Sequence};
+use super::chunks::CompressionReport;
+use super::finding::{Finding, Severity};
+use super::records::{AttachmentReport, MetadataReport, SchemaReport};
+use super::summary::StatisticsCheck;
+
+/// What is in a file.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Inspection {
+    /// Length of the file, bytes.
+    pub bytes: u64,
+    /// Profile in its header.
+    pub profile: String,
+    /// The library that wrote it, as it says.
+    pub library: String,
+    /// Whether it could be read from the first byte to the last.
+    pub complete: bool,
+    /// Messages.
+    pub messages: u64,
+    /// Log time of the earliest message, ns.
+    pub start_ns: Option<u64>,
+    /// Log time of the latest message, ns.
+    pub end_ns: Option<u64>,
+    /// From the earliest to the latest, s.
+    pub duration_s: Option<f64>,
+    /// Messages whose log time is before that of a message that stands before them.
+    pub out_of_order: u64,
+    /// Its chunks by compression.
+    pub chunks: Vec<CompressionReport>,
+    /// Messages outside of chunks.
+    pub messages_outside_chunks: u64,
+    /// Its schemas by number.
+    pub schemas: Vec<SchemaReport>,
+    /// Its channels by number.
+    pub channels: Vec<ChannelReport>,
+    /// Attachments.
+    pub attachment_count: u64,
+    /// The first of them.
+    pub attachments: Vec<AttachmentReport>,
+    /// Metadata records.
+    pub metadata_count: u64,
+    /// The first of them.
+    pub metadata: Vec<MetadataReport>,
+    /// Whether the statistics in the file say the same.
+    pub statistics: StatisticsCheck,
+    /// Errors found.
+    pub errors: u64,
+    /// Notes.
+    pub notes: u64,
+    /// The first of both, in the order of the file.
+    pub findings: Vec<Finding>,
+}
+
+impl Inspection {
+    /// Whether nothing is wrong with the file.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        self.errors == 0
+    }
+}
 
 impl fmt::Display for Finding {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, HashMap};
 use mcap::records::{AttachmentHeader, Footer, Record, Statistics, op};
 use serde::Serialize;
 
-use super::Severity;
 use super::chunks::Chunks;
+use super::finding::Severity;
 
 /// Whether the statistics in a file agree with what was counted.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

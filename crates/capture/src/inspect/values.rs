@@ -12,7 +12,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use crate::ros;
-use crate::scan::{Event, Scan, ScanError};
+use crate::scan::{ScanError, each_record};
 
 /// Nested deeper than this, fields are not listed as columns.
 const MOST_DEPTH: usize = 8;
@@ -79,42 +79,23 @@ pub fn values<E: From<ScanError>>(
     wanted: impl Fn(&str) -> bool,
     mut take: impl FnMut(Line<'_>) -> Result<(), E>,
 ) -> Result<Passed, E> {
-    let mut scan = Scan::new(input)?;
     let mut schemas = BTreeMap::new();
     let mut channels: BTreeMap<u16, Channel> = BTreeMap::new();
     let mut passed = Passed::default();
-    loop {
-        let raw = match scan.next_event() {
-            Ok(Some(Event::Record(raw))) => raw,
-            Ok(Some(Event::ChunkEnds { frame, crc })) if crc.is_wrong() => {
-                let what = format!("byte {}: chunk: its checksum is wrong", frame.offset);
-                passed.damage.push(what);
-                continue;
-            }
-            Ok(Some(_)) => continue,
-            Ok(None) => return Ok(passed),
-            Err(error @ ScanError::Io { .. }) => return Err(error.into()),
-            Err(error) => {
-                passed.damage.push(error.to_string());
-                match scan.resume()? {
-                    Some(_) => continue,
-                    None => return Ok(passed),
-                }
-            }
-        };
-        match raw.parse() {
-            Ok(Record::Schema { header, data }) => {
+    passed.damage = each_record::<E>(input, |record| {
+        match record {
+            Record::Schema { header, data } => {
                 schemas
                     .entry(header.id)
                     .or_insert_with(|| (header.name, header.encoding, data.into_owned()));
             }
-            Ok(Record::Channel(channel)) => {
+            Record::Channel(channel) => {
                 let id = channel.id;
                 channels
                     .entry(id)
                     .or_insert_with(|| Channel::new(channel, &schemas, &wanted));
             }
-            Ok(Record::Message { header, data }) => {
+            Record::Message { header, data } => {
                 if let Some(channel) = channels
                     .get(&header.channel_id)
                     .filter(|channel| channel.wanted)
@@ -127,10 +108,11 @@ pub fn values<E: From<ScanError>>(
                     take(line)?;
                 }
             }
-            Ok(_) => {}
-            Err(error) => passed.damage.push(error.to_string()),
+            _ => {}
         }
-    }
+        Ok(())
+    })?;
+    Ok(passed)
 }
 
 impl Channel {

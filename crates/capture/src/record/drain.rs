@@ -10,7 +10,8 @@ use joulebus_bus::{
 use joulebus_config::Config;
 use joulebus_wire::Payload;
 
-use super::{Item, Shared};
+use super::item::Item;
+use super::shared::Shared;
 use crate::{Clock, Message, MessageKind, Times};
 
 /// How often shared memory is looked at, at least.

@@ -8,7 +8,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{Item, Options, Snapshot};
+use super::item::Item;
+use super::options::{Options, Snapshot};
 use crate::{Attachments, Message, MessageKind, Sequences, WriteError, Writer, Written};
 
 /// Any place that bytes go to.

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use super::Item;
+use super::item::Item;
 
 /// The queue.
 #[derive(Debug)]

@@ -373,6 +373,42 @@ impl<R: Read + Seek> Scan<R> {
     }
 }
 
+/// Calls `take` with every record that can be read, from the beginning of the file; returns what is
+/// damaged.
+///
+/// # Errors
+/// What `take` returns, or [`ScanError`] if the file is no MCAP file or cannot be read.
+pub(crate) fn each_record<E: From<ScanError>>(
+    input: impl Read + Seek,
+    mut take: impl FnMut(records::Record<'_>) -> Result<(), E>,
+) -> Result<Vec<String>, E> {
+    let mut scan = Scan::new(input)?;
+    let mut damage = Vec::new();
+    loop {
+        match scan.next_event() {
+            Ok(Some(Event::Record(raw))) => match raw.parse() {
+                Ok(record) => take(record)?,
+                Err(error) => damage.push(error.to_string()),
+            },
+            Ok(Some(Event::ChunkEnds { frame, crc })) if crc.is_wrong() => {
+                damage.push(format!(
+                    "byte {}: chunk: its checksum is wrong",
+                    frame.offset
+                ));
+            }
+            Ok(Some(_)) => {}
+            Ok(None) => return Ok(damage),
+            Err(error @ ScanError::Io { .. }) => return Err(error.into()),
+            Err(error) => {
+                damage.push(error.to_string());
+                if scan.resume()?.is_none() {
+                    return Ok(damage);
+                }
+            }
+        }
+    }
+}
+
 /// Reads the head of the record that comes next, without passing over it.
 fn head<R: Read + Seek>(source: &mut Source<R>) -> Result<Head, ScanError> {
     let offset = source.offset();

@@ -1,0 +1,45 @@
+//! Schemas, attachments and metadata records of a file.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+/// A schema of the file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct SchemaReport {
+    /// Its number in the file.
+    pub id: u16,
+    /// Its name.
+    pub name: String,
+    /// How it is written: `protobuf`, `ros2msg`, …
+    pub encoding: String,
+    /// Length of its definition, bytes.
+    pub bytes: u64,
+    /// Checksum of its definition; a second definition has to be the same.
+    #[serde(skip)]
+    pub(super) crc: u32,
+}
+
+/// An attachment of the file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct AttachmentReport {
+    /// Its name.
+    pub name: String,
+    /// Its media type.
+    pub media_type: String,
+    /// Length of its data, bytes.
+    pub bytes: u64,
+    /// When it was recorded, ns.
+    pub log_ns: u64,
+    /// When it was made, ns.
+    pub create_ns: u64,
+}
+
+/// A metadata record of the file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct MetadataReport {
+    /// Its name.
+    pub name: String,
+    /// What it says.
+    pub entries: BTreeMap<String, String>,
+}

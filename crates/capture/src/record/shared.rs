@@ -1,0 +1,143 @@
+//! What the threads of a recording share: the queue, what was lost, and what it has come to.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use joulebus_bus::clock;
+
+use super::files::Files;
+use super::gaps::Gaps;
+use super::item::Item;
+use super::queue::Queue;
+use crate::{MessageKind, Written};
+
+/// What a topic lost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Lost {
+    /// Messages overwritten in shared memory before the recorder came round to them.
+    pub overwritten: u64,
+    /// Messages that found the queue full: the disk was too slow.
+    pub unwritten: u64,
+}
+
+/// What a recording has come to.
+#[derive(Debug, Clone, Default)]
+pub struct Summary {
+    /// Files, with what is in them.
+    pub files: Vec<(PathBuf, Written)>,
+    /// What was lost, by topic; topics that lost nothing are left out.
+    pub lost: BTreeMap<String, Lost>,
+    /// Why it stopped by itself, if it did.
+    pub failure: Option<String>,
+}
+
+impl Summary {
+    /// Messages in all files.
+    #[must_use]
+    pub fn messages(&self) -> u64 {
+        self.files.iter().map(|(_, written)| written.messages).sum()
+    }
+
+    /// Bytes of all files.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.files.iter().map(|(_, written)| written.bytes).sum()
+    }
+
+    /// Messages lost.
+    #[must_use]
+    pub fn messages_lost(&self) -> u64 {
+        let lost = self.lost.values();
+        lost.map(|lost| lost.overwritten + lost.unwritten).sum()
+    }
+}
+
+/// What the threads share.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    pub(super) stop: AtomicBool,
+    pub(super) write_down: AtomicBool,
+    pub(super) over: AtomicBool,
+    pub(super) queue: Queue,
+    gaps: Mutex<(Gaps, BTreeMap<String, Lost>)>,
+    summary: Mutex<Summary>,
+}
+
+impl Shared {
+    pub(super) fn new(queue_bytes: usize) -> Self {
+        Self {
+            stop: AtomicBool::new(false),
+            write_down: AtomicBool::new(false),
+            over: AtomicBool::new(false),
+            queue: Queue::new(queue_bytes),
+            gaps: Mutex::new((Gaps::new(clock::unix_ns()), BTreeMap::new())),
+            summary: Mutex::default(),
+        }
+    }
+
+    pub(crate) fn is_stopping(&self) -> bool {
+        self.stop.load(Ordering::Relaxed) || self.queue.is_closed()
+    }
+
+    /// Puts the item into the queue; counts what is missing before it, and it if it is lost.
+    pub(crate) fn hand_on(&self, item: Item) {
+        let found = {
+            let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+            gaps.0.look(&item.fleet, &item.message)
+        };
+        let topic = item.topic();
+        let diagnostics = MessageKind::Diagnostics.topic(&item.fleet, 0);
+        let unwritten = (!self.queue.push(item)).into();
+        self.count(topic, found.missing, unwritten);
+        if found.never_sent > 0 {
+            self.forgive(&diagnostics, found.never_sent);
+        }
+    }
+
+    fn forgive(&self, topic: &str, never_sent: u64) {
+        let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(lost) = gaps.1.get_mut(topic) {
+            lost.overwritten = lost.overwritten.saturating_sub(never_sent);
+            if *lost == Lost::default() {
+                gaps.1.remove(topic);
+            }
+        }
+    }
+
+    pub(super) fn count(&self, topic: String, overwritten: u64, unwritten: u64) {
+        if overwritten + unwritten > 0 {
+            let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+            let lost = gaps.1.entry(topic).or_default();
+            lost.overwritten += overwritten;
+            lost.unwritten += unwritten;
+        }
+    }
+
+    pub(super) fn summary(&self) -> Summary {
+        let summary = self.summary.lock().unwrap_or_else(PoisonError::into_inner);
+        let gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+        Summary {
+            lost: gaps.1.clone(),
+            ..summary.clone()
+        }
+    }
+
+    pub(super) fn note_files(&self, files: &Files) {
+        let mut summary = self.summary.lock().unwrap_or_else(PoisonError::into_inner);
+        summary.files = files.written();
+    }
+
+    pub(super) fn note_failure(&self, reason: String) {
+        let mut summary = self.summary.lock().unwrap_or_else(PoisonError::into_inner);
+        summary.failure.get_or_insert(reason);
+    }
+
+    /// Ends everything: what comes from now on is lost, and counted.
+    pub(super) fn fail(&self, reason: String) {
+        self.note_failure(reason);
+        self.over.store(true, Ordering::Relaxed);
+        self.queue.close();
+    }
+}
