@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use toml_edit::{DocumentMut, Item, Table, value};
+use crate::values::quoted;
 
 /// The fleet's file that ships.
 pub(crate) const FLEET: &str = include_str!("../configs/fleet.toml");
@@ -69,37 +69,28 @@ impl Demo {
     /// The annotated file of the fleet, for every process of it; [`crate::Config::load`] checks it.
     #[must_use]
     pub fn toml(&self) -> String {
-        // The text ships in the program, and the tests parse it.
-        let mut file: DocumentMut = FLEET.parse().expect("the shipped fleet file is TOML");
-        file["fleet"]["name"] = value(self.fleet.as_str());
-        file["fleet"]["capacity"] = value(i64::from(self.robots));
-        file["domain"]["root"] = value(self.root.to_string_lossy().as_ref());
-        file["domain"]["prefix"] = value(self.prefix.as_str());
-        let ids = 0..=self.robots.saturating_sub(1);
-        if let Some(platform) = file
-            .get_mut("platform")
-            .and_then(Item::as_array_of_tables_mut)
-            .and_then(|platforms| platforms.get_mut(0))
-        {
-            platform["file"] = value("builtin:gternal");
-            platform["battery"] = Item::Table(battery());
-            platform["robots"] = value(toml_edit::Array::from_iter([format!("0-{}", ids.end())]));
-        }
-        file.to_string()
+        let root = self.root.to_string_lossy();
+        let last = self.robots.saturating_sub(1);
+        let lines = FLEET.lines().map(|line| match line.split(" = ").next() {
+            Some("name") => format!("name = {}\n", quoted(&self.fleet)),
+            Some("capacity") => format!("capacity = {}\n", self.robots),
+            Some("root") => format!("root = {}\n", quoted(&root)),
+            Some("prefix") => format!("prefix = {}\n", quoted(&self.prefix)),
+            Some("file") => "file = \"builtin:gternal\"\n".to_owned(),
+            Some("robots") => format!("robots = [\"0-{last}\"]\n"),
+            _ => format!("{line}\n"),
+        });
+        // The platform is the last section of the file.
+        lines.collect::<String>() + BATTERY
     }
 }
 
 /// A battery for the simulated robots, so that their budgets can be seen: 10 Wh, assumed, for no
 /// source gives that of GTernal.
-fn battery() -> Table {
-    let mut battery = Table::new();
-    for (key, figure) in [
-        ("capacity_wh", 10.0),
-        ("reserve", 0.1),
-        ("initial_soc", 1.0),
-        ("initial_soc_lo", 0.9),
-    ] {
-        battery[key] = value(figure);
-    }
-    battery
-}
+const BATTERY: &str = "
+[platform.battery]
+capacity_wh = 10.0
+reserve = 0.1
+initial_soc = 1.0
+initial_soc_lo = 0.9
+";

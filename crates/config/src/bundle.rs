@@ -2,8 +2,7 @@
 
 use std::path::PathBuf;
 
-use toml_edit::{DocumentMut, Item, TomlError, value};
-
+use crate::values::quoted;
 use crate::{Config, ModelSource};
 
 /// A config as one text, and the files that it names by paths relative to it.
@@ -27,12 +26,6 @@ pub enum BundleError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// The config's own text was not understood.
-    #[error("the config cannot be written out: {reason}")]
-    Text {
-        /// What is wrong with it.
-        reason: String,
-    },
 }
 
 impl Config {
@@ -42,29 +35,30 @@ impl Config {
     /// # Errors
     /// A model that was there when the config was read cannot be read any more.
     pub fn bundle(&self) -> Result<Bundle, BundleError> {
-        let document: Result<DocumentMut, TomlError> = self.to_toml().parse();
-        let mut document = document.map_err(|error| BundleError::Text {
-            reason: error.to_string(),
-        })?;
+        let mut toml = String::new();
         let mut files = Vec::new();
-        for (place, source) in self.models().iter().enumerate() {
-            let Some((name, bytes)) = model(source)? else {
-                continue;
-            };
-            let path = format!("models/{place}-{name}");
-            let platforms = document
-                .get_mut("platform")
-                .and_then(Item::as_array_of_tables_mut);
-            if let Some(platform) = platforms.and_then(|platforms| platforms.get_mut(place)) {
-                platform["model"] = value(path.as_str());
+        let mut sources = self.models().iter().enumerate();
+        let mut of_platform = None;
+        // `to_toml` gives each value a line of its own.
+        for line in self.to_toml().lines() {
+            if line == "[[platform]]" {
+                of_platform = sources.next();
             }
-            files.push((path, bytes));
+            match (line.split(" = ").next(), of_platform) {
+                (Some("checkpoint"), None) => toml += "checkpoint = \"\"",
+                (Some("model"), Some((place, source))) => match model(source)? {
+                    Some((name, bytes)) => {
+                        let path = format!("models/{place}-{name}");
+                        toml += &format!("model = {}", quoted(&path));
+                        files.push((path, bytes));
+                    }
+                    None => toml += line,
+                },
+                _ => toml += line,
+            }
+            toml.push('\n');
         }
-        document["ledger"]["checkpoint"] = value("");
-        Ok(Bundle {
-            toml: document.to_string(),
-            files,
-        })
+        Ok(Bundle { toml, files })
     }
 }
 

@@ -4,7 +4,8 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use toml_edit::{Document, Item, Key as TomlKey, TableLike};
+use toml::Spanned;
+use toml::de::{DeString, DeTable, DeValue};
 
 use crate::key::{File, Key, ValueKind};
 use crate::keys::{self, KEYS};
@@ -52,13 +53,13 @@ impl Source<'_> {
             file: File::Fleet,
             problems,
         };
-        for (key, item) in entries(document.as_table()) {
-            if key.get() != "platform" {
-                walk.item(key, item, key.get(), &mut read.values);
+        for (key, item) in document.get_ref() {
+            if key.get_ref() != "platform" {
+                walk.item(key, item, key.get_ref(), &mut read.values);
                 continue;
             }
             let place = walk.source.place(key.span());
-            let Some(tables) = tables(item) else {
+            let Some(tables) = tables(item.get_ref()) else {
                 walk.wrong(
                     &place,
                     "platform",
@@ -73,7 +74,7 @@ impl Source<'_> {
                 walk.table(table, "platform", &mut values);
                 read.platforms.push(Listed {
                     values,
-                    header: walk.source.place(span.or_else(|| key.span())),
+                    header: walk.source.place(span),
                     cut_short: false,
                 });
             }
@@ -90,12 +91,12 @@ impl Source<'_> {
             file: File::Platform,
             problems,
         };
-        walk.table(document.as_table(), "platform", &mut values);
+        walk.table(document.get_ref(), "platform", &mut values);
         Some(values)
     }
 
-    fn document(&self, problems: &mut Vec<Problem>) -> Option<Document<&str>> {
-        match Document::parse(self.text) {
+    fn document(&self, problems: &mut Vec<Problem>) -> Option<Spanned<DeTable<'_>>> {
+        match DeTable::parse(self.text) {
             Ok(document) => Some(document),
             Err(error) => {
                 problems.push(self.syntax(&error));
@@ -104,16 +105,28 @@ impl Source<'_> {
         }
     }
 
-    fn place(&self, span: Option<Range<usize>>) -> Place {
+    fn place(&self, span: Range<usize>) -> Place {
         Place {
             file: Arc::clone(&self.name),
             directory: self.directory.clone(),
-            line: line_of(self.text, span.map_or(0, |span| span.start)),
+            line: line_of(self.text, span.start),
         }
     }
 
-    fn syntax(&self, error: &toml_edit::TomlError) -> Problem {
-        let place = self.place(error.span());
+    /// What stands there, in words.
+    fn found(&self, item: &Spanned<DeValue<'_>>) -> String {
+        let text = self.text.get(item.span()).unwrap_or_default();
+        match item.get_ref() {
+            DeValue::Table(_) if text.starts_with('[') => "a table".to_owned(),
+            value => {
+                let text: String = text.chars().take(60).collect();
+                format!("{text} ({})", value.type_str())
+            }
+        }
+    }
+
+    fn syntax(&self, error: &toml::de::Error) -> Problem {
+        let place = self.place(error.span().unwrap_or_default());
         let message = error.message().trim().replace('\n', "; ");
         let (key, what, remedy) = if message.contains("duplicate key") {
             let key = error
@@ -167,33 +180,25 @@ fn first_of(text: &str, line: usize) -> Option<usize> {
     Some(index + 1)
 }
 
-fn entries(table: &dyn TableLike) -> impl Iterator<Item = (&TomlKey, &Item)> {
-    table
-        .iter()
-        .filter_map(|(name, _)| table.get_key_value(name))
+type SpannedTable<'t> = (&'t DeTable<'t>, Range<usize>);
+
+/// The tables of `[[platform]]`, or of an array of inline tables, with where each begins.
+fn tables<'t>(item: &'t DeValue<'t>) -> Option<Vec<SpannedTable<'t>>> {
+    let table = |value: &'t Spanned<DeValue<'t>>| Some((value.get_ref().as_table()?, value.span()));
+    item.as_array()?.iter().map(table).collect()
 }
 
-type Spanned<'t> = (&'t dyn TableLike, Option<Range<usize>>);
+/// A whole number, if it is one that fits.
+pub(crate) fn integer(value: &DeValue<'_>) -> Option<i64> {
+    let digits = value.as_integer()?;
+    i64::from_str_radix(digits.as_str(), digits.radix()).ok()
+}
 
-/// The tables of `[[platform]]`, or of an array of inline tables.
-fn tables(item: &Item) -> Option<Vec<Spanned<'_>>> {
-    if let Some(tables) = item.as_array_of_tables() {
-        let spanned = |table: &'_ toml_edit::Table| table.span();
-        return Some(
-            tables
-                .iter()
-                .map(|table| (table as &dyn TableLike, spanned(table)))
-                .collect(),
-        );
-    }
-    let array = item.as_array()?;
-    array
-        .iter()
-        .map(|value| {
-            let table = value.as_inline_table()?;
-            Some((table as &dyn TableLike, value.span()))
-        })
-        .collect()
+fn number(value: &DeValue<'_>) -> Option<f64> {
+    let float = value
+        .as_float()
+        .and_then(|float| float.as_str().parse().ok());
+    float.or_else(|| Some(integer(value)? as f64))
 }
 
 /// One file being walked through.
@@ -204,22 +209,31 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    fn table(&mut self, table: &dyn TableLike, path: &str, values: &mut Values) {
-        for (key, item) in entries(table) {
-            self.item(key, item, &format!("{path}.{}", key.get()), values);
+    fn table(&mut self, table: &DeTable<'_>, path: &str, values: &mut Values) {
+        for (key, item) in table {
+            self.item(key, item, &format!("{path}.{}", key.get_ref()), values);
         }
     }
 
-    fn item(&mut self, key: &TomlKey, item: &Item, path: &str, values: &mut Values) {
+    fn item(
+        &mut self,
+        key: &Spanned<DeString<'_>>,
+        item: &Spanned<DeValue<'_>>,
+        path: &str,
+        values: &mut Values,
+    ) {
         let place = self.source.place(key.span());
         let section = format!("{path}.");
         if KEYS.iter().any(|key| key.path.starts_with(&section)) {
-            match item.as_table_like() {
+            match item.get_ref().as_table() {
                 Some(table) => self.table(table, path, values),
                 None => self.wrong(
                     &place,
                     path,
-                    format!("is {}, but it is the name of a section", found(item)),
+                    format!(
+                        "is {}, but it is the name of a section",
+                        self.source.found(item)
+                    ),
                     format!(
                         "Write [{path}] on a line of its own, and the keys of the section below it"
                     ),
@@ -253,12 +267,10 @@ impl Walk<'_> {
         }
     }
 
-    fn unknown(&mut self, place: &Place, path: &str, item: &Item) {
+    fn unknown(&mut self, place: &Place, path: &str, item: &Spanned<DeValue<'_>>) {
         let file = (self.file == File::Platform).then_some(File::Platform);
-        let value = item
-            .as_float()
-            .or_else(|| item.as_integer().map(|value| value as f64));
-        let (what, remedy) = if item.is_table_like() {
+        let value = number(item.get_ref());
+        let (what, remedy) = if item.get_ref().is_table() {
             let remedy = remedy::unknown_section(file, path);
             ("is no section that is known", remedy)
         } else {
@@ -279,20 +291,21 @@ impl Walk<'_> {
     }
 
     /// The value if the key's kind and range allow it, else what was found and what to do.
-    fn value(&self, key: &Key, item: &Item) -> Result<Value, (String, String)> {
+    fn value(&self, key: &Key, item: &Spanned<DeValue<'_>>) -> Result<Value, (String, String)> {
         let refused = |what: String, advice: Option<String>| {
             let advice = advice.map_or_else(String::new, |advice| format!("{advice}. "));
             (what, format!("{advice}Allowed: {}", key.facts()))
         };
         let mistaken = || {
             let advice = item
+                .get_ref()
                 .as_str()
                 .and_then(|text| remedy::number_in_text(key, text));
-            refused(format!("is {}", found(item)), advice)
+            refused(format!("is {}", self.source.found(item)), advice)
         };
         match key.kind {
             ValueKind::Integer { min, max } => {
-                let value = item.as_integer().ok_or_else(mistaken)?;
+                let value = integer(item.get_ref()).ok_or_else(mistaken)?;
                 if !(min..=max).contains(&value) {
                     let advice = remedy::other_unit(key, value as f64);
                     return Err(refused(format!("is {value}, out of its range"), advice));
@@ -300,8 +313,7 @@ impl Walk<'_> {
                 Ok(Value::Integer(value))
             }
             ValueKind::Number { min, max } => {
-                let whole = || item.as_integer().map(|value| value as f64);
-                let value = item.as_float().or_else(whole).ok_or_else(mistaken)?;
+                let value = number(item.get_ref()).ok_or_else(mistaken)?;
                 if !(min <= value && value <= max) {
                     let advice = remedy::other_unit(key, value);
                     return Err(refused(format!("is {value}, out of its range"), advice));
@@ -309,7 +321,7 @@ impl Walk<'_> {
                 Ok(Value::Number(value))
             }
             ValueKind::Choice(words) => {
-                let text = item.as_str().ok_or_else(mistaken)?;
+                let text = item.get_ref().as_str().ok_or_else(mistaken)?;
                 if words.contains(&text) {
                     return Ok(Value::Text(text.to_owned()));
                 }
@@ -320,28 +332,20 @@ impl Walk<'_> {
                 Err(refused(format!("is {text:?}"), advice))
             }
             ValueKind::Text(rule) => {
-                let text = item.as_str().ok_or_else(mistaken)?;
+                let text = item.get_ref().as_str().ok_or_else(mistaken)?;
                 if !rule.allows(text) {
                     return Err(refused(format!("is {text:?}"), None));
                 }
                 Ok(Value::Text(text.to_owned()))
             }
             ValueKind::Robots => {
-                let list = item.as_array().ok_or_else(mistaken)?;
-                let ranges: Result<Vec<_>, String> = list.iter().map(robots::parse).collect();
+                let list = item.get_ref().as_array().ok_or_else(mistaken)?;
+                let ranges: Result<Vec<_>, String> = list
+                    .iter()
+                    .map(|entry| robots::parse(entry, self.source.text))
+                    .collect();
                 Ok(Value::Robots(ranges.map_err(|what| refused(what, None))?))
             }
         }
-    }
-}
-
-/// What stands there, in words.
-fn found(item: &Item) -> String {
-    match item {
-        Item::Value(value) => {
-            let text: String = value.to_string().trim().chars().take(60).collect();
-            format!("{text} ({})", value.type_name())
-        }
-        other => format!("a {}", other.type_name()),
     }
 }

@@ -45,6 +45,8 @@ pub use builtin::{Demo, builtin_model, builtin_models, builtin_platform, builtin
 pub use bundle::{Bundle, BundleError};
 pub use config::{Config, Threads};
 pub use explain::{Explanation, UnknownKey, explain, explanations};
+pub use joulebus_bus::{Domain, Limits, Scheduling};
+pub use joulebus_settings as settings;
 pub use key::{DefaultValue, File, Key, TextRule, ValueKind};
 pub use keys::KEYS;
 pub use model_source::ModelSource;

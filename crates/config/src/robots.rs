@@ -2,16 +2,27 @@
 
 use std::ops::RangeInclusive;
 
-use toml_edit::Value;
+use toml::Spanned;
+use toml::de::DeValue;
 
-/// One entry of the list: an id, or `"a-b"` with both ends included. The error says what is wrong.
-pub(crate) fn parse(entry: &Value) -> Result<RangeInclusive<u32>, String> {
-    let wrong = || format!("has the entry {}", entry.to_string().trim());
-    if let Some(id) = entry.as_integer() {
+use crate::document::integer;
+
+/// One entry of the list in `source`: an id, or `"a-b"` with both ends included. The error says what
+/// is wrong.
+pub(crate) fn parse(
+    entry: &Spanned<DeValue<'_>>,
+    source: &str,
+) -> Result<RangeInclusive<u32>, String> {
+    let wrong = || {
+        let text = source.get(entry.span()).unwrap_or_default();
+        format!("has the entry {text}")
+    };
+    let entry_value = entry.get_ref();
+    if let Some(id) = integer(entry_value) {
         let id = u32::try_from(id).map_err(|_| wrong())?;
         return Ok(id..=id);
     }
-    let text = entry.as_str().ok_or_else(wrong)?;
+    let text = entry_value.as_str().ok_or_else(wrong)?;
     let id = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
     let (first, last) = match text.split_once('-') {
         Some((first, last)) => (id(first)?, id(last)?),

@@ -6,6 +6,8 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use toml_writer::{TomlStringBuilder, WriteTomlValue as _};
+
 use crate::key::{DefaultValue, Key};
 use crate::keys;
 
@@ -38,7 +40,7 @@ impl fmt::Display for Value {
         match self {
             Self::Integer(value) => write!(out, "{value}"),
             Self::Number(value) => write!(out, "{value:?}"),
-            Self::Text(text) => write!(out, "{}", toml_edit::Value::from(text.as_str())),
+            Self::Text(text) => out.write_str(&quoted(text)),
             Self::Robots(ranges) => {
                 let ranges: Vec<String> = ranges.iter().map(crate::robots::text).collect();
                 write!(out, "[{}]", ranges.join(", "))
@@ -141,6 +143,16 @@ impl Values {
             .map_or_else(|| "default".to_owned(), Place::to_string);
         format!("`{}` = {value}{unit} ({place})", key.path_in_file())
     }
+}
+
+/// A text as TOML, on one line.
+pub(crate) fn quoted(text: &str) -> String {
+    let mut quoted = String::new();
+    // Writing to a String cannot fail.
+    let _ = TomlStringBuilder::new(text)
+        .as_basic()
+        .write_toml_value(&mut quoted);
+    quoted
 }
 
 fn preset(key: &Key) -> Option<Value> {

@@ -283,3 +283,21 @@ fn the_demos_robots_have_a_battery() {
     let battery = config.settings().platforms[0].battery.unwrap();
     assert_eq!(battery.capacity_j, 36_000.0);
 }
+
+#[test]
+fn a_bundle_names_its_own_models_and_no_ledger() {
+    let text = "[fleet]\nname = \"lab\"\n[ledger]\ncheckpoint = \"/tmp/led'\\n\\\"ger\"\n\
+                [[platform]]\nfile = \"builtin:rover\"\nrobots = [1]\n\
+                [[platform]]\nfile = \"builtin:gternal\"\nrobots = [3]\n";
+    let config = Config::parse(text, Path::new("/")).unwrap_or_else(|error| panic!("{error}"));
+    let again = Config::parse(config.to_toml(), Path::new("/")).unwrap();
+    assert_eq!(again.checkpoint(), config.checkpoint());
+    let bundle = config.bundle().unwrap();
+    let [(path, bytes)] = bundle.files.as_slice() else {
+        panic!("{} files", bundle.files.len());
+    };
+    assert_eq!(bytes, builtin_model("gternal-sim").unwrap().1);
+    assert!(bundle.toml.contains("\ncheckpoint = \"\"\n"));
+    assert!(bundle.toml.contains(&format!("\nmodel = \"{path}\"\n")));
+    assert!(bundle.toml.contains("\nmodel = \"persistence\" # "));
+}

@@ -132,7 +132,7 @@ impl FromStr for Mapping {
     type Err = MappingError;
 
     fn from_str(text: &str) -> Result<Self, MappingError> {
-        let mapping: Self = toml_edit::de::from_str(text)
+        let mapping: Self = toml::from_str(text)
             .map_err(|error| MappingError::Toml(error.to_string().trim_end().to_owned()))?;
         mapping.check()?;
         Ok(mapping)

@@ -160,7 +160,7 @@ impl Args {
 fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
     let name = path.display();
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
-    toml_edit::de::from_str(&text)
+    toml::from_str(&text)
         .map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
 }
 
