@@ -5,6 +5,7 @@ mod bench;
 use std::thread;
 
 use anyhow::{Context as _, anyhow};
+use clap::ValueEnum as _;
 use joulebus_predictor::Network;
 use joulebus_program::verbs::bench::{BenchOptions, TickFleet};
 
@@ -36,10 +37,12 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
         .last()
         .context("no kernel")?;
     let network = kernel::on(&network, kernel)?;
+    let fleet = options.fleet.to_possible_value();
+    let fleet = fleet.context("no such fleet")?;
     let mut report = Report::new("tick")
         .with_input("model", name)
         .with_input("kernel", kernel::name(kernel))
-        .with_input("fleet", format!("{:?}", options.fleet).to_lowercase())
+        .with_input("fleet", fleet.get_name())
         .with_input("seed", options.seed)
         .with_input("rate_hz", options.rate_hz)
         .with_input("paced_s", options.seconds_or(10));

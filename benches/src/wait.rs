@@ -67,14 +67,15 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
             cpu_us[place].push((thread_ns() - before_ns) as f64 * 1e-3);
         }
     }
-    let mut report = Report::new("wait").with_input("length_ms", length_ns as f64 * 1e-6);
+    let mut report = Report::new("wait").with_input("rate_hz", options.rate_hz);
     for (name, values) in [("late_us", &late_us), ("cpu_us", &cpu_us)] {
         for ((way, _), values) in WAYS.iter().zip(values) {
             report.push(Figure::less, name, way, "µs", values);
         }
     }
     report.notes = vec![
-        "Late: from the deadline to the thread running again. CPU: the thread's time for one wait."
+        "A wait takes one period. Late: from the deadline to the thread running again. CPU: the \
+         thread's time for one wait."
             .to_owned(),
     ];
     Ok(report)
