@@ -9,6 +9,7 @@ use toml::de::{DeString, DeTable, DeValue};
 
 use crate::key::{File, Key, ValueKind};
 use crate::keys::{self, KEYS};
+use crate::numbers::{integer, number};
 use crate::problem::Problem;
 use crate::remedy;
 use crate::robots;
@@ -186,19 +187,6 @@ type SpannedTable<'t> = (&'t DeTable<'t>, Range<usize>);
 fn tables<'t>(item: &'t DeValue<'t>) -> Option<Vec<SpannedTable<'t>>> {
     let table = |value: &'t Spanned<DeValue<'t>>| Some((value.get_ref().as_table()?, value.span()));
     item.as_array()?.iter().map(table).collect()
-}
-
-/// A whole number, if it is one that fits.
-pub(crate) fn integer(value: &DeValue<'_>) -> Option<i64> {
-    let digits = value.as_integer()?;
-    i64::from_str_radix(digits.as_str(), digits.radix()).ok()
-}
-
-fn number(value: &DeValue<'_>) -> Option<f64> {
-    let float = value
-        .as_float()
-        .and_then(|float| float.as_str().parse().ok());
-    float.or_else(|| Some(integer(value)? as f64))
 }
 
 /// One file being walked through.

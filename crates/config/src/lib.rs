@@ -34,6 +34,7 @@ mod files;
 mod key;
 mod keys;
 mod model_source;
+mod numbers;
 mod problem;
 mod remedy;
 mod robots;

@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use toml::Spanned;
 use toml::de::DeValue;
 
-use crate::document::integer;
+use crate::numbers::integer;
 
 /// One entry of the list in `source`: an id, or `"a-b"` with both ends included. The error says what
 /// is wrong.

@@ -1,0 +1,17 @@
+//! Numbers of a TOML document.
+
+use toml::de::DeValue;
+
+/// A whole number, if it is one that fits.
+pub(crate) fn integer(value: &DeValue<'_>) -> Option<i64> {
+    let digits = value.as_integer()?;
+    i64::from_str_radix(digits.as_str(), digits.radix()).ok()
+}
+
+/// A number, whole or not.
+pub(crate) fn number(value: &DeValue<'_>) -> Option<f64> {
+    let float = value
+        .as_float()
+        .and_then(|float| float.as_str().parse().ok());
+    float.or_else(|| Some(integer(value)? as f64))
+}
