@@ -31,7 +31,7 @@ def main() -> int:
             (project / "src" / "main.rs").write_text(program)
         # One workspace, with our profile and versions, so that what is built already is not built again.
         ours = (ROOT / "Cargo.toml").read_text()
-        profile = re.search(r"\[profile\.dev\]\n(?:\w.*\n)*", ours).group()
+        profile = "\n".join(re.findall(r'(?m)^\[profile\.dev(?:\.package\."\*")?\]\n(?:\w.*\n)*', ours))
         quoted = ", ".join(f'"{member}"' for member in members)
         Path(folder, "Cargo.toml").write_text(f'[workspace]\nresolver = "3"\nmembers = [{quoted}]\n\n{profile}')
         shutil.copy(ROOT / "Cargo.lock", folder)
