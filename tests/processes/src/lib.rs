@@ -281,7 +281,9 @@ impl Output {
                     .read_until(b'\n', &mut line)
                     .is_ok_and(|length| length > 0)
                 {
-                    let text = String::from_utf8_lossy(&line).trim_end().to_owned();
+                    let text = String::from_utf8_lossy(&line)
+                        .trim_end_matches('\n')
+                        .to_owned();
                     line.clear();
                     lock(&inside.0).lines.push(text);
                     inside.1.notify_all();
