@@ -24,6 +24,7 @@
 #![forbid(unsafe_code)]
 
 mod attachments;
+mod chunk;
 mod clock;
 pub mod import;
 pub mod inspect;

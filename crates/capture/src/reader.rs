@@ -8,14 +8,15 @@ use std::path::Path;
 use std::sync::Arc;
 
 use mcap::McapError;
-use mcap::records::{MessageHeader, Record};
+use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
+use crate::chunk::{self, Records};
 use crate::scan::parse_record;
 use crate::{Attached, Attachments, DecodeError, Entry, Message, MessageKind};
 
 /// A record or a chunk longer than this is taken for damage, bytes.
-const MOST_BYTES: usize = 256 << 20;
+pub(crate) const MOST_BYTES: usize = 256 << 20;
 /// Bytes read at once at most.
 const MOST_AT_ONCE: usize = 1 << 18;
 
@@ -27,9 +28,9 @@ const MOST_AT_ONCE: usize = 1 << 18;
 pub struct Reader<S> {
     source: S,
     mcap: LinearReader,
-    schemas: HashMap<u16, Arc<str>>,
-    channels: HashMap<u16, Channel>,
-    attachments: Attachments,
+    /// Those of the last chunk that have not been looked at.
+    records: Records,
+    contents: Contents,
     /// The first message, found while looking for attachments.
     first: Option<(MessageHeader, Vec<u8>)>,
     read_bytes: u64,
@@ -39,11 +40,19 @@ pub struct Reader<S> {
 impl<S> fmt::Debug for Reader<S> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.debug_struct("Reader")
-            .field("attachments", &self.attachments)
+            .field("attachments", &self.contents.attachments)
             .field("read_bytes", &self.read_bytes)
             .field("done", &self.done)
             .finish_non_exhaustive()
     }
+}
+
+/// What a file says before its messages.
+#[derive(Default)]
+struct Contents {
+    schemas: HashMap<u16, Arc<str>>,
+    channels: HashMap<u16, Channel>,
+    attachments: Attachments,
 }
 
 struct Channel {
@@ -70,14 +79,13 @@ impl<S: Read> Reader<S> {
     /// [`ReadError`].
     pub fn new(source: S) -> Result<Self, ReadError> {
         let options = LinearReaderOptions::default()
-            .with_prevalidate_chunk_crcs(true)
+            .with_emit_chunks(true)
             .with_record_length_limit(MOST_BYTES);
         let mut reader = Self {
             source,
             mcap: LinearReader::new_with_options(options),
-            schemas: HashMap::new(),
-            channels: HashMap::new(),
-            attachments: Attachments::default(),
+            records: Records::default(),
+            contents: Contents::default(),
             first: None,
             read_bytes: 0,
             done: false,
@@ -95,7 +103,7 @@ impl<S: Read> Reader<S> {
     /// only what comes before the first message.
     #[must_use]
     pub const fn attachments(&self) -> &Attachments {
-        &self.attachments
+        &self.contents.attachments
     }
 
     /// The next message; none at the end of a file that is whole.
@@ -119,7 +127,7 @@ impl<S: Read> Reader<S> {
     }
 
     fn entry(&self, header: MessageHeader, data: &[u8]) -> Result<Entry, ReadError> {
-        let Some(channel) = self.channels.get(&header.channel_id) else {
+        let Some(channel) = self.contents.channels.get(&header.channel_id) else {
             let (sequence, id) = (header.sequence, header.channel_id);
             let error = McapError::UnknownChannel(sequence, id);
             return Err(damage(error, self.read_bytes));
@@ -147,8 +155,18 @@ impl<S: Read> Reader<S> {
 
     /// Goes on to the next message.
     fn advance(&mut self) -> Result<Option<(MessageHeader, Vec<u8>)>, ReadError> {
-        while let Some(event) = self.mcap.next_event() {
-            let (opcode, data) = match event.map_err(|error| damage(error, self.read_bytes))? {
+        loop {
+            while let Some(record) = self.records.next() {
+                let taken = record.and_then(|(opcode, body)| self.contents.take(opcode, body));
+                let found = taken.map_err(|error| damage(error, self.read_bytes))?;
+                if found.is_some() {
+                    return Ok(found);
+                }
+            }
+            let Some(event) = self.mcap.next_event() else {
+                return Ok(None);
+            };
+            let taken = match event.map_err(|error| damage(error, self.read_bytes))? {
                 LinearReadEvent::ReadRequest(wanted) => {
                     let buffer = self.mcap.insert(wanted.clamp(1, MOST_AT_ONCE));
                     let read = self.source.read(buffer)?;
@@ -156,35 +174,53 @@ impl<S: Read> Reader<S> {
                     self.read_bytes += read as u64;
                     continue;
                 }
-                LinearReadEvent::Record { opcode, data } => (opcode, data),
+                LinearReadEvent::Record { opcode, data } if opcode == op::CHUNK => {
+                    chunk::records(data).map(|records| {
+                        self.records = records;
+                        None
+                    })
+                }
+                LinearReadEvent::Record { opcode, data } => self.contents.take(opcode, data),
             };
-            let record = parse_record(opcode, data).map_err(|error| {
-                damage(error.unwrap_or(McapError::UnexpectedEoc), self.read_bytes)
-            })?;
-            match record {
-                Record::Message { header, data } => return Ok(Some((header, data.into_owned()))),
-                Record::Schema { header, .. } => {
-                    self.schemas.insert(header.id, header.name.into());
-                }
-                Record::Channel(channel) => {
-                    let schema = self.schemas.get(&channel.schema_id).cloned();
-                    let channel_of = Channel::new(&channel, schema.unwrap_or_default());
-                    self.channels.insert(channel.id, channel_of);
-                }
-                Record::Attachment { header, data, .. } => {
-                    self.attachments.created_unix_ns = header.create_time;
-                    self.attachments.files.push(Attached {
-                        name: header.name,
-                        media_type: header.media_type,
-                        bytes: data.into_owned(),
-                    });
-                }
-                Record::Metadata(metadata) => {
-                    let records = &mut self.attachments.metadata;
-                    records.insert(metadata.name, metadata.metadata);
-                }
-                _ => {}
+            let found = taken.map_err(|error| damage(error, self.read_bytes))?;
+            if found.is_some() {
+                return Ok(found);
             }
+        }
+    }
+}
+
+impl Contents {
+    /// Takes what a record says; returns a message.
+    fn take(
+        &mut self,
+        opcode: u8,
+        data: &[u8],
+    ) -> Result<Option<(MessageHeader, Vec<u8>)>, McapError> {
+        let record = parse_record(opcode, data);
+        match record.map_err(|error| error.unwrap_or(McapError::UnexpectedEoc))? {
+            Record::Message { header, data } => return Ok(Some((header, data.into_owned()))),
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name.into());
+            }
+            Record::Channel(channel) => {
+                let schema = self.schemas.get(&channel.schema_id).cloned();
+                let channel_of = Channel::new(&channel, schema.unwrap_or_default());
+                self.channels.insert(channel.id, channel_of);
+            }
+            Record::Attachment { header, data, .. } => {
+                self.attachments.created_unix_ns = header.create_time;
+                self.attachments.files.push(Attached {
+                    name: header.name,
+                    media_type: header.media_type,
+                    bytes: data.into_owned(),
+                });
+            }
+            Record::Metadata(metadata) => {
+                let records = &mut self.attachments.metadata;
+                records.insert(metadata.name, metadata.metadata);
+            }
+            _ => {}
         }
         Ok(None)
     }

@@ -214,3 +214,82 @@ fn a_channel_lost_in_the_data_is_taken_from_the_summary() {
     assert_eq!(recovery.messages.recovered, MESSAGES, "{recovery}");
     assert!(!recovery.is_clean());
 }
+
+/// Of a file whose first chunk is lost with the channels in it, and a later chunk has another checksum.
+#[test]
+fn a_message_without_a_channel_is_lost_and_not_suspect_as_well() {
+    let mut writer = mcap::WriteOptions::new()
+        .compression(None)
+        .emit_summary_records(false)
+        .create(Cursor::new(Vec::new()))
+        .unwrap();
+    let channel = writer.add_channel(0, "a", "", &BTreeMap::new()).unwrap();
+    let header = mcap::records::MessageHeader {
+        channel_id: channel,
+        sequence: 0,
+        log_time: 1,
+        publish_time: 1,
+    };
+    writer.write_to_known_channel(&header, b"data").unwrap();
+    writer.finish().unwrap();
+    let mut bytes = writer.into_inner().into_inner();
+    let mut scan = Scan::new(Cursor::new(&bytes)).unwrap();
+    let mut chunk_at = 0;
+    while let Some(event) = scan.next_event().unwrap() {
+        if let Event::ChunkBegins(frame) = event {
+            chunk_at = usize::try_from(frame.offset).unwrap();
+        }
+    }
+    // The number of the channel, in its first record: the message is of one that is nowhere now.
+    bytes[chunk_at + 9 + 40 + 9] ^= 0x40;
+    let recovery = recovered(&bytes, "a channel of another number").unwrap();
+    let messages = recovery.messages;
+    assert_eq!((messages.recovered, messages.lost), (0, 1), "{recovery}");
+    assert_eq!(
+        (messages.suspect, recovery.chunks.suspect),
+        (0, 1),
+        "{recovery}"
+    );
+}
+
+/// What the chunk's head claims to hold decompressed fits the limit of a reader, but not the file.
+#[test]
+fn a_reader_makes_no_room_for_what_a_chunk_only_claims_to_hold() {
+    for kind in KINDS.into_iter().filter(|kind| kind.chunks) {
+        let mut bytes = file(kind);
+        let mut scan = Scan::new(Cursor::new(&bytes)).unwrap();
+        let mut chunks = Vec::new();
+        while let Some(event) = scan.next_event().unwrap() {
+            if let Event::ChunkBegins(frame) = event {
+                chunks.push(usize::try_from(frame.offset).unwrap());
+            }
+        }
+        for at in chunks {
+            bytes[at + 9 + 16..][..8].copy_from_slice(&(200_u64 << 20).to_le_bytes());
+        }
+        let (read, used) = counting::peak(|| read(&bytes));
+        assert_eq!(read, 0, "{}", kind.name);
+        assert!(used < MOST_BYTES, "{}: {used} bytes", kind.name);
+    }
+}
+
+/// The library reads on to the end of an entry, and then takes what stands there for a length.
+#[test]
+fn an_index_whose_length_ends_within_an_entry_makes_no_room() {
+    let mut rest = [0; 38];
+    rest[9] = 9;
+    rest[18..22].copy_from_slice(&(1_u32 << 28).to_le_bytes());
+    let index = [&[0; 32][..], &1_u32.to_le_bytes(), &rest].concat();
+    let mut bytes = mcap::MAGIC.to_vec();
+    for (opcode, body) in [(op::HEADER, &[0; 8][..]), (op::CHUNK_INDEX, &index)] {
+        bytes.push(opcode);
+        bytes.extend((body.len() as u64).to_le_bytes());
+        bytes.extend(body);
+    }
+    let ((), used) = counting::peak(|| {
+        let _ = inspect(Cursor::new(&bytes));
+        read(&bytes);
+        let _ = recover(Cursor::new(&bytes), Cursor::new(Vec::new()));
+    });
+    assert!(used < MOST_BYTES, "{used} bytes");
+}

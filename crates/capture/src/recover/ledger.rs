@@ -206,6 +206,8 @@ pub(super) struct Ledger {
 #[derive(Debug, Clone, Copy, Default)]
 struct OpenChunk {
     recovered: u64,
+    /// Messages of channels that are nowhere in the file.
+    orphans: u64,
     indexed: u64,
     has_index: bool,
     broken: bool,
@@ -282,7 +284,9 @@ impl Ledger {
             return;
         };
         if chunk.has_index {
-            self.messages.lost += chunk.indexed.saturating_sub(chunk.recovered);
+            self.messages.lost += chunk
+                .indexed
+                .saturating_sub(chunk.recovered + chunk.orphans);
         } else if chunk.broken {
             self.uncounted = true;
         }
@@ -351,7 +355,7 @@ impl Ledger {
         let what = format!("message of channel {channel}, which is nowhere in the file");
         // The index behind its chunk counts it, too: it is lost once.
         if let Some(chunk) = &mut self.chunk {
-            chunk.recovered += 1;
+            chunk.orphans += 1;
         }
         self.messages.lose(place, what, &mut self.troubles);
     }

@@ -1,6 +1,6 @@
 //! The records in a chunk, decompressed as a stream.
 
-use std::io::{self, Read, Seek, Take};
+use std::io::{self, BufRead, Read, Seek, Take};
 
 use super::chunk_header::{self, FIXED_BYTES, MAX_NAME_BYTES};
 use super::error::ScanError;
@@ -308,10 +308,9 @@ fn follows_wrongly<R: Read + Seek>(source: &mut Source<R>, rest: u64) -> Result<
     Ok(follows)
 }
 
-fn zstd_decoder<R: Read>(
-    limited: Take<Source<R>>,
-) -> io::Result<zstd::Decoder<'static, Take<Source<R>>>> {
-    let mut decoder = zstd::Decoder::with_buffer(limited)?;
+/// A decompressor that refuses larger windows than it has to have room for.
+pub(crate) fn zstd_decoder<R: BufRead>(input: R) -> io::Result<zstd::Decoder<'static, R>> {
+    let mut decoder = zstd::Decoder::with_buffer(input)?;
     decoder.window_log_max(MAX_WINDOW_LOG)?;
     Ok(decoder)
 }

@@ -7,15 +7,18 @@ use mcap::records::op;
 enum Field {
     /// Of so many bytes.
     Fixed(usize),
-    /// Text, or entries of numbers: a length of four bytes, then so many bytes.
+    /// Text: a length of four bytes, then so many bytes.
     Counted,
+    /// Entries of so many bytes each: a length of four bytes, then so many bytes. The library reads
+    /// whole entries, past the length where it ends within one.
+    Entries(usize),
     /// Pairs of texts: a length of four bytes, then so many bytes of them.
     Texts,
     /// Data: a length of eight bytes, then so many bytes.
     Data,
 }
 
-use Field::{Counted, Data, Fixed, Texts};
+use Field::{Counted, Data, Entries, Fixed, Texts};
 
 /// The fields of the kinds that have lengths in them.
 const fn fields(opcode: u8) -> &'static [Field] {
@@ -23,11 +26,12 @@ const fn fields(opcode: u8) -> &'static [Field] {
         op::HEADER => &[Counted, Counted],
         op::SCHEMA => &[Fixed(2), Counted, Counted, Counted],
         op::CHANNEL => &[Fixed(4), Counted, Counted, Texts],
-        op::MESSAGE_INDEX => &[Fixed(2), Counted],
-        op::CHUNK_INDEX => &[Fixed(32), Counted, Fixed(8), Counted, Fixed(16)],
+        op::MESSAGE_INDEX => &[Fixed(2), Entries(16)],
+        op::CHUNK => &[Fixed(28), Counted, Data],
+        op::CHUNK_INDEX => &[Fixed(32), Entries(10), Fixed(8), Counted, Fixed(16)],
         op::ATTACHMENT => &[Fixed(16), Counted, Counted, Data, Fixed(4)],
         op::ATTACHMENT_INDEX => &[Fixed(40), Counted, Counted],
-        op::STATISTICS => &[Fixed(42), Counted],
+        op::STATISTICS => &[Fixed(42), Entries(10)],
         op::METADATA => &[Counted, Texts],
         op::METADATA_INDEX => &[Fixed(16), Counted],
         _ => &[],
@@ -50,6 +54,10 @@ fn pass(field: Field, rest: &mut &[u8]) -> Option<()> {
         }
         Counted => {
             counted(rest)?;
+        }
+        Entries(bytes) => {
+            let entries = counted(rest)?;
+            entries.len().is_multiple_of(bytes).then_some(())?;
         }
         Texts => {
             let mut texts = counted(rest)?;

@@ -20,6 +20,7 @@ use std::io::{Read, Seek};
 use mcap::records::{self, op};
 
 use chunk::Chunk;
+pub(crate) use chunk::zstd_decoder;
 pub use error::ScanError;
 pub use record::{ChunkFrame, Crc, MAX_RECORD_BYTES, Place, kind_name};
 use record::{HEAD_BYTES, Head, MAGIC_BYTES, is_opcode};

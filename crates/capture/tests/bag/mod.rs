@@ -30,7 +30,11 @@ pub(crate) struct Bag {
 
 impl Bag {
     pub(crate) fn new() -> Self {
-        let writer = WriteOptions::new()
+        Self::with(WriteOptions::new())
+    }
+
+    pub(crate) fn with(options: WriteOptions) -> Self {
+        let writer = options
             .profile("ros2")
             .create(Cursor::new(Vec::new()))
             .unwrap();
