@@ -156,6 +156,14 @@ pub enum WriteError {
         /// The name.
         found: String,
     },
+    /// What reads an array refuses fewer rows.
+    #[error("{path}: {rows} rows; an array needs at least 2, write CSV", path = path.display())]
+    TooFewRows {
+        /// The file.
+        path: PathBuf,
+        /// Rows of the table.
+        rows: usize,
+    },
     /// The array layout has no place for recorded values.
     #[error(
         "{path}: the array layout has no columns {found}, which hold values; drop them by name, or \
@@ -200,7 +208,11 @@ impl Table {
     fn write_text(&self, out: &mut dyn Write) -> io::Result<()> {
         let columns = Column::ALL
             .into_iter()
-            .filter_map(|column| Some((column, self.column(column)?)))
+            .filter_map(|column| match self.column(column) {
+                // No table is read without it, a table without rows has it all the same.
+                None if column == Column::Power => Some((column, &[][..])),
+                values => Some((column, values?)),
+            })
             .collect::<Vec<_>>();
         let names = columns.iter().map(|(column, _)| column.name());
         let names = [ROBOT_NAMES[0], TIME_NAMES[0]].into_iter().chain(names);
@@ -224,6 +236,12 @@ impl Table {
 
     /// Whether the array layout can hold the table; the robot as the number that it holds.
     fn check_array(&self, path: &Path) -> Result<f64, WriteError> {
+        if self.rows() < 2 {
+            return Err(WriteError::TooFewRows {
+                path: path.to_owned(),
+                rows: self.rows(),
+            });
+        }
         let robot = match self.robot_name() {
             None => f64::NAN,
             Some(name) => {

@@ -237,3 +237,29 @@ fn a_table_without_robot_or_extra_columns_writes_only_what_it_has() {
         bits(&table)
     );
 }
+
+/// A table may have fewer rows than the reader of an array takes.
+#[test]
+fn an_array_of_fewer_than_two_rows_is_not_written() {
+    let (files, directory) = (Files::new(), tempfile::tempdir().unwrap());
+    let path = directory.path().join("a.npy");
+    for (rows, text) in ["", "0,3600\n"].into_iter().enumerate() {
+        let text = format!("timestamp_s,power_mW\n{text}");
+        let table = Table::read(files.write("few.csv", text.as_bytes())).unwrap();
+        let refused = table.write(&path).unwrap_err();
+        assert!(
+            matches!(refused, WriteError::TooFewRows { rows: found, .. } if found == rows),
+            "{refused}"
+        );
+        assert!(!path.exists());
+    }
+}
+
+#[test]
+fn a_table_without_rows_is_written_as_text_that_is_read_again() {
+    let (files, directory) = (Files::new(), tempfile::tempdir().unwrap());
+    let table = Table::read(files.write("none.csv", b"timestamp_s,power_mW\n")).unwrap();
+    let path = directory.path().join("a.csv");
+    table.write(&path).unwrap();
+    assert_eq!(bits(&Table::read(&path).unwrap()), bits(&table));
+}
