@@ -9,7 +9,7 @@ use super::robot::{Account, Scored};
 use super::world;
 
 /// Every forecast, score and account after the tick at `now_ns`.
-pub(super) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(), TestCaseError> {
+pub(crate) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(), TestCaseError> {
     let drops: Vec<_> = fleet
         .drops()
         .iter()

@@ -1,0 +1,344 @@
+//! The seeds, made by our own writers: small, whole, and one of each kind of thing.
+
+#[path = "../../crates/capture/tests/bag/mod.rs"]
+#[allow(dead_code)] // Its tests import what they write.
+mod bag;
+
+use std::io::Write as _;
+use std::path::Path;
+
+use joulebus_capture::{Attachments, CaptureSettings, Message, Preset, Times, Writer};
+use joulebus_config::Config;
+use joulebus_dataset::trial::{Column, Row, Trial};
+use joulebus_fleet::Fleet;
+use joulebus_model_files::{to_arrays, to_npz};
+use joulebus_predictor::FeatureSet;
+use joulebus_wire::SampleHeader;
+use mcap::WriteOptions;
+
+use super::capture::damaged;
+use super::checkpoints::{packed, wrapped};
+use super::frames::{encoded, setting};
+use super::keyframes::beginning;
+use super::oracle::world::random::network;
+use super::oracle::world::{MS, PERIOD_NS, Source, healthy};
+
+/// Directory, name and bytes of every seed.
+#[must_use]
+pub fn seeds() -> Vec<(&'static str, String, Vec<u8>)> {
+    let mut all = Vec::new();
+    let mut add = |directory, seeds: Vec<(String, Vec<u8>)>| {
+        all.extend(
+            seeds
+                .into_iter()
+                .map(|(name, bytes)| (directory, name, bytes)),
+        );
+    };
+    add("archive", archives());
+    add("checkpoint", checkpoints());
+    add("config", configs());
+    add("frames", frames());
+    add("import", recordings());
+    add("keyframes", keyframes());
+    add("mcap", captures());
+    add("model", models());
+    add("pickle", pickles());
+    add("trial_csv", tables());
+    add("trial_npy", arrays());
+    all
+}
+
+fn named(name: &str, bytes: impl Into<Vec<u8>>) -> (String, Vec<u8>) {
+    (name.to_owned(), bytes.into())
+}
+
+/// A dict of a number, a text, and nested lists, in protocol 2.
+const PLAIN: &[u8] =
+    b"\x80\x02}q\x00(X\x01\x00\x00\x00aG@\t!\xfbTD-\x18X\x01\x00\x00\x00bX\x02\x00\x00\x00\
+    hiX\x01\x00\x00\x00c](]K\x01a]K\x02aeu.";
+/// An array of two numbers, as NumPy pickles it.
+const NUMPY: &[u8] = b"\x80\x02cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85U\x01b\x87R(K\x01\
+    K\x02\x85cnumpy\ndtype\nU\x02f8K\x00K\x01\x87R(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89U\x10\
+    \x00\x00\x00\x00\x00\x00\xf0\x3f\x00\x00\x00\x00\x00\x00\x00\x40tb.";
+/// A tensor of two by two, whose numbers stand elsewhere.
+const TORCH: &[u8] = b"\x80\x02}X\x01\x00\x00\x00wctorch._utils\n_rebuild_tensor_v2\n((X\x07\x00\x00\x00storage\
+    ctorch\nFloatStorage\nX\x01\x00\x00\x000X\x03\x00\x00\x00cpuK\x04tQK\x00K\x02K\x02\x86K\x02K\x01\x86\x89\
+    ccollections\nOrderedDict\n)RtRs.";
+
+fn pickles() -> Vec<(String, Vec<u8>)> {
+    let kinds = [("plain", PLAIN), ("numpy", NUMPY), ("torch", TORCH)];
+    let of = |(name, pickle): &(&str, &[u8])| {
+        (0..3u8)
+            .map(|file| (format!("{name}-{file}"), [&[file], *pickle].concat()))
+            .collect::<Vec<_>>()
+    };
+    kinds.iter().flat_map(of).collect()
+}
+
+fn archives() -> Vec<(String, Vec<u8>)> {
+    let torch: [(&str, &[u8]); 4] = [
+        ("a/data.pkl", TORCH),
+        ("a/byteorder", b"little"),
+        ("a/data/0", &[0; 16]),
+        ("a/version", b"3\n"),
+    ];
+    let arrays = to_arrays(&network(1, FeatureSet::PowerOnly)).expect("a network of ours");
+    let arrays: Vec<_> = arrays
+        .into_iter()
+        .map(|(name, bytes)| (format!("{name}.npy"), bytes))
+        .collect();
+    let all: Vec<(&str, &[u8])> = arrays
+        .iter()
+        .map(|(name, bytes)| (&**name, &**bytes))
+        .collect();
+    let few: Vec<(&str, &[u8])> = all
+        .iter()
+        .filter(|(_, bytes)| bytes.len() < 500)
+        .copied()
+        .collect();
+    vec![
+        named("torch", packed(&torch)),
+        named("arrays", packed(&all)),
+        named("few-arrays", packed(&few)),
+    ]
+}
+
+fn checkpoints() -> Vec<(String, Vec<u8>)> {
+    let small = wrapped::zipped(&[
+        ("a.npy", &wrapped::in_npy(PLAIN)),
+        ("b.npy", &numbers("<f4", false)),
+    ]);
+    vec![
+        named("object.npy", wrapped::in_npy(NUMPY)),
+        named("numbers.npy", numbers("<f8", false)),
+        named("torch.pt", wrapped::in_zip(PLAIN)),
+        named("legacy.pt", wrapped::in_legacy(PLAIN)[0].clone()),
+        named("small.npz", small),
+        named(
+            "own.npz",
+            to_npz(&network(1, FeatureSet::PowerOnly)).expect("a network of ours"),
+        ),
+    ]
+}
+
+/// Three rows of the published layout.
+fn numbers(descr: &str, fortran_order: bool) -> Vec<u8> {
+    let order = if fortran_order { "True" } else { "False" };
+    let mut text = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': (3, 11), }}");
+    while !(10 + text.len() + 1).is_multiple_of(64) {
+        text.push(' ');
+    }
+    text.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((text.len() as u16).to_le_bytes());
+    bytes.extend(text.bytes());
+    for place in 0..33_u8 {
+        let (row, column) = match fortran_order {
+            true => (place % 3, place / 3),
+            false => (place / 11, place % 11),
+        };
+        let value = match column {
+            0 => 7.0,
+            1 => f64::from(row) / 30.0,
+            _ => f64::from(row) + f64::from(column) / 8.0,
+        };
+        match descr {
+            "<f8" => bytes.extend(value.to_le_bytes()),
+            ">f8" => bytes.extend(value.to_be_bytes()),
+            _ => bytes.extend((value as f32).to_le_bytes()),
+        }
+    }
+    bytes
+}
+
+fn arrays() -> Vec<(String, Vec<u8>)> {
+    let mut all = vec![
+        named("doubles", numbers("<f8", false)),
+        named("big-endian", numbers(">f8", false)),
+        named("columns", numbers("<f8", true)),
+        named("singles", numbers("<f4", false)),
+    ];
+    all.push(named("written", written("7", "seed.npy")));
+    all
+}
+
+fn tables() -> Vec<(String, Vec<u8>)> {
+    let several = "robot_id,timestamp_s,power_mW,v_mps,note\n\"a, \"\"b\"\"\",0,3600,0.1,x\n2,0.5,3700,,y\n\
+                   \"a, \"\"b\"\"\",0.033,3650,NaN,\n2,1.5,nan,-1e-3,z\n";
+    vec![
+        named("several", several),
+        named("written", written("a", "seed.csv")),
+        named("zipped", written("a", "seed.csv.gz")),
+    ]
+}
+
+/// A short trial as our writer writes it.
+fn written(robot: &str, name: &str) -> Vec<u8> {
+    let rows = (0..5).map(|step| {
+        let mut values = [f64::NAN; Column::ALL.len()];
+        values[Column::Power as usize] = 3.5 + f64::from(step % 2) / 8.0;
+        values[Column::V as usize] = 0.1 * f64::from(step);
+        Row {
+            timestamp_s: f64::from(step) / 30.0,
+            values,
+        }
+    });
+    let trial = Trial::from_rows(Path::new("rows"), robot, rows).expect("rows are sound");
+    let directory = tempfile::tempdir().expect("a directory");
+    let path = directory.path().join(name);
+    trial.to_table().write(&path).expect("it can be written");
+    std::fs::read(path).expect("it was written")
+}
+
+fn configs() -> Vec<(String, Vec<u8>)> {
+    let small =
+        "[fleet]\nname = \"lab\"\n[[platform]]\nfile = \"builtin:rover\"\nrobots = [\"0-9\", 12]\n";
+    let whole = Config::parse(small, Path::new("/nonexistent")).expect("a config that is sound");
+    let inline = "fleet.name = \"x\"\nfleet.capacity = 5\nplatform = [{ file = \"builtin:gternal\", robots = [1] }]\n\
+                  tick.policy = \"timer\"\nworker.cpus = \"0-1,3\"\n";
+    let wrong =
+        "[fleet]\nnmae = 7\ncapacity = -1\ncapacity = 2\n[[platform]]\nfile = \"builtin:rovre\"\n";
+    vec![
+        named("small", small),
+        named("whole", whole.to_toml()),
+        named("inline", inline),
+        named("wrong", wrong),
+    ]
+}
+
+/// Ticks of a few robots in the language of [`super::frames`].
+fn frames() -> Vec<(String, Vec<u8>)> {
+    let healthy = |options: u8, ticks: usize| {
+        let mut steps = vec![options];
+        for _ in 0..ticks {
+            // A frame of run 1 with robots of three platforms, at once, without a change.
+            steps.extend([3, 0, 1, 3, 0, 0, 0, 5, 0, 8, 0]);
+            // A period later.
+            steps.push(1);
+            steps.extend((PERIOD_NS as u32).to_le_bytes());
+        }
+        steps
+    };
+    let mut faults = healthy(0, 7);
+    // A header that tells of losses, a number that is none, a clock that goes back, a long silence.
+    faults.extend([3, 1, 1, 1, 1, 5, 255, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+    faults.extend([3, 1, 1, 1, 0, 0, 1, 9, 0, 0, 0xc0, 0x7f, 0, 0, 0, 0]);
+    faults.extend([3, 1, 1, 1, 0, 0, 1, 5, 0, 0, 0, 0xff, 0, 0, 0, 0]);
+    faults.extend([0, 1, 3, 2, 0, 0, 0xca, 0x9a, 0x3b]);
+    faults.extend(&healthy(0, 7)[1..]);
+    vec![
+        named("paper", healthy(0, 12)),
+        named("freshness-and-learning", healthy(3, 16)),
+        named("faults", faults),
+    ]
+}
+
+fn keyframes() -> Vec<(String, Vec<u8>)> {
+    let of = |options: u8| {
+        let (settings, models) = setting(options);
+        let mut fleet = Fleet::new(settings.clone(), models).expect("the settings agree");
+        let begins = beginning(&fleet, settings.fingerprint(), settings.platforms.len()).len();
+        let mut source = Source::new(1, 10);
+        for step in 0..12 {
+            let now_ns = 60_000 * MS + step * PERIOD_NS;
+            let samples = [1, 101, 201].map(|robot| healthy(robot, step, now_ns, PERIOD_NS));
+            source.send(&mut fleet, &samples, now_ns);
+            fleet.tick(now_ns, false);
+        }
+        [&[options | 4], &encoded(&fleet)[begins..]].concat()
+    };
+    vec![
+        named("paper", of(0)),
+        named("freshness-and-learning", of(3)),
+    ]
+}
+
+fn models() -> Vec<(String, Vec<u8>)> {
+    let of = |set: FeatureSet| {
+        let file = network(1, set).to_safetensors().expect("a network of ours");
+        let header = 8 + u64::from_le_bytes(std::array::from_fn(|at| file[at])) as usize;
+        let weights = &file[header..header + 256];
+        [&[1], file[8..header].trim_ascii_end(), &[0], weights].concat()
+    };
+    let sets = [
+        FeatureSet::Full,
+        FeatureSet::PowerOnly,
+        FeatureSet::Freshness,
+    ];
+    let mut all: Vec<_> = sets.map(|set| named(set.name(), of(set))).into();
+    let empty = b"\x00\x10\x00\x00\x00\x00\x00\x00\x00{\"__metadata__\":{}";
+    all.push(named("as-it-is", *empty));
+    all
+}
+
+fn captures() -> Vec<(String, Vec<u8>)> {
+    let mut all: Vec<_> = damaged::KINDS
+        .into_iter()
+        .map(|kind| named(&kind.name.replace(' ', "-"), damaged::file(kind)))
+        .collect();
+    let settings = CaptureSettings::of(Preset::ZstdSmall);
+    let mut writer = Writer::new(Vec::new(), settings, &Attachments::default()).expect("memory");
+    for step in 0..3 {
+        let header = SampleHeader {
+            samples_before: step,
+            ..Source::new(1, 10).header
+        };
+        let message = Message::Samples(header, vec![healthy(1, step, step, PERIOD_NS)]);
+        let times = Times {
+            log_ns: step,
+            publish_ns: step,
+        };
+        writer.write("lab", times, &message).expect("memory");
+    }
+    let (_, _, own) = writer.finish().expect("memory");
+    all.push(named("own", own));
+    all
+}
+
+fn recordings() -> Vec<(String, Vec<u8>)> {
+    let of = |mapping: u8, options: WriteOptions| {
+        let mut bag = bag::Bag::with(options);
+        bag.channel(
+            "/r/battery",
+            "sensor_msgs/msg/BatteryState",
+            "cdr",
+            bag::BATTERY,
+        );
+        bag.channel("/r/cmd_vel", "geometry_msgs/msg/Twist", "cdr", "");
+        bag.channel("/r/odom", "nav_msgs/msg/Odometry", "cdr", "");
+        for step in 0..3_u64 {
+            let now_ns = 1_700_000_000_000_000_000 + step * 100_000_000;
+            bag.message(
+                "/r/battery",
+                now_ns,
+                &bag::battery(now_ns, 12.0, -0.5 - step as f32),
+            );
+            bag.message("/r/cmd_vel", now_ns, &bag::twist(step as f64, -1.0));
+        }
+        bag.message(
+            "/r/odom",
+            1_700_000_000_000_000_001,
+            &bag::odometry(1 << 60, 1.5, 0.5, 0.3),
+        );
+        [vec![mapping], bag.bytes()].concat()
+    };
+    let plain = || WriteOptions::new().use_chunks(false);
+    vec![
+        named("chunks", of(0, WriteOptions::new())),
+        named("plain", of(0, plain())),
+        named("plain-by-publish-time", of(3, plain())),
+    ]
+}
+
+/// Writes every seed below `directory`.
+///
+/// # Errors
+/// What the system says.
+pub fn write(directory: &Path) -> std::io::Result<()> {
+    for (kind, name, bytes) in seeds() {
+        let directory = directory.join(kind);
+        std::fs::create_dir_all(&directory)?;
+        std::fs::File::create(directory.join(name))?.write_all(&bytes)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,105 @@
+//! Recorded trials as files: refused, or read, written and read again to the bit.
+
+use std::io::Write as _;
+use std::path::Path;
+
+use joulebus_dataset::trial::{Column, Form, Method, Resample, Table, Trial, WriteError};
+
+/// Longer ones find nothing that shorter ones do not.
+const MOST_BYTES: usize = 64 << 10;
+
+pub(crate) fn npy(bytes: &[u8]) -> bool {
+    read(bytes, ".npy")
+}
+
+/// CSV, plain or in gzip: the reader tells by the first bytes.
+pub(crate) fn csv(bytes: &[u8]) -> bool {
+    read(bytes, ".csv")
+}
+
+fn read(bytes: &[u8], ending: &str) -> bool {
+    if bytes.len() > MOST_BYTES {
+        return false;
+    }
+    let directory = tempfile::tempdir().expect("a directory");
+    let path = directory.path().join(format!("input{ending}"));
+    let file = std::fs::File::create(&path);
+    file.and_then(|mut file| file.write_all(bytes))
+        .expect("room for the input");
+    match Table::read_robots(&path) {
+        Ok(tables) => {
+            assert!(!tables.is_empty());
+            for (number, table) in tables.into_iter().enumerate() {
+                for form in Form::ALL {
+                    let again = directory.path().join(format!("{number}{}", form.ending()));
+                    written_and_read(&table, form, &again);
+                }
+                samples(table);
+            }
+            true
+        }
+        Err(error) => {
+            assert!(
+                error.to_string().starts_with(&path.display().to_string()),
+                "{error}"
+            );
+            false
+        }
+    }
+}
+
+fn written_and_read(table: &Table, form: Form, path: &Path) {
+    match table.write(path) {
+        Ok(()) => {}
+        // An array has no place for names and further columns, and at least two rows.
+        Err(
+            WriteError::RobotName { .. }
+            | WriteError::NoSuchColumns { .. }
+            | WriteError::TooFewRows { .. },
+        ) if form == Form::Npy => return,
+        Err(error) => panic!("{error}"),
+    }
+    let again = match Table::read(path) {
+        Ok(again) => again,
+        Err(error) => panic!("what was written cannot be read: {error}"),
+    };
+    assert_eq!(again.robot_name(), table.robot_name());
+    let bits = |values: &[f64]| -> Vec<Option<u64>> {
+        let bit = |value: &f64| (!value.is_nan()).then(|| value.to_bits());
+        values.iter().map(bit).collect()
+    };
+    assert_eq!(bits(again.timestamp_s()), bits(table.timestamp_s()));
+    for column in Column::ALL {
+        let nothing = vec![f64::NAN; table.rows()];
+        let of = |table: &Table| bits(table.column(column).unwrap_or(&nothing));
+        assert_eq!(of(&again), of(table), "{column:?} in {form:?}");
+    }
+}
+
+/// What is made of a trial that was read.
+fn samples(table: Table) {
+    let rows = table.rows();
+    let Ok(trial) = table.into_trial() else {
+        return;
+    };
+    assert!(trial.period_ns() > 0);
+    let samples = trial.to_samples(1, 1 << 40);
+    assert_eq!(samples.len(), rows);
+    assert!(samples.iter().all(|sample| sample.flags <= 0xff));
+    for method in [Method::Hold, Method::Mean, Method::Linear] {
+        resampled(&trial, method);
+    }
+}
+
+fn resampled(trial: &Trial, method: Method) {
+    let how = Resample {
+        method,
+        rate_hz: 1e9 / trial.period_ns() as f64,
+    };
+    if let Ok((again, told)) = trial.resampled(how) {
+        assert_eq!(again.rows(), told.rows);
+        assert_eq!(told.rows_before, trial.rows());
+        let times = again.timestamp_s();
+        assert!(times.windows(2).all(|pair| pair[0] < pair[1]), "{method:?}");
+    }
+}
