@@ -18,8 +18,8 @@ pub(crate) struct Member {
     seqs: Vec<u64>,
     fresh_run: bool,
     pub heard_ns: u64,
-    /// Its number among all that ever joined.
-    joined: usize,
+    /// The lowest that was free when it joined: robots that leave at once do so in this order.
+    slot: usize,
     taken: u16,
     pub refused: u64,
     pub invalid: Option<InvalidReason>,
@@ -34,7 +34,6 @@ pub(crate) struct Oracle {
     sources: BTreeMap<u64, (u64, u64)>,
     pub accepted: u64,
     pub drops: BTreeMap<&'static str, u64>,
-    joined: usize,
 }
 
 impl Oracle {
@@ -47,7 +46,6 @@ impl Oracle {
             sources: BTreeMap::new(),
             accepted: 0,
             drops: BTreeMap::new(),
-            joined: 0,
         }
     }
 
@@ -129,6 +127,9 @@ impl Oracle {
             return Err(DropReason::OverCapacity);
         }
         let account = self.departed.remove(&id).unwrap_or_default();
+        let slot = (0..self.members.len())
+            .find(|slot| self.members.values().all(|member| member.slot != *slot))
+            .unwrap_or(self.members.len());
         let member = Member {
             robot: Robot::new(self.settings.platforms[context].clone(), account),
             context,
@@ -137,13 +138,12 @@ impl Oracle {
             seqs: Vec::new(),
             fresh_run: false,
             heard_ns: now_ns,
-            joined: self.joined,
+            slot,
             taken: 0,
             refused: 0,
             invalid: None,
         };
         self.members.insert(id, member);
-        self.joined += 1;
         Ok(())
     }
 
@@ -221,7 +221,7 @@ impl Oracle {
             .filter(|(_, member)| now_ns - member.heard_ns > leave_after_ns)
             .map(|(id, _)| *id)
             .collect();
-        gone.sort_by_key(|id| self.members[id].joined);
+        gone.sort_by_key(|id| self.members[id].slot);
         for id in gone {
             let member = self.members.remove(&id).expect("it was just found");
             // As many accounts are kept as there is room for robots.
