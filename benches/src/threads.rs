@@ -89,7 +89,7 @@ fn begin(place: usize, repetition: usize, round: &AtomicUsize) {
     }
 }
 
-/// The first thread waits for the others; they go on to wait for the next round.
+/// The first thread waits for the others; they continue to wait for the next round.
 fn end(place: usize, all: usize, done: &AtomicUsize) {
     done.fetch_add(1, Ordering::AcqRel);
     if place == 0 {

@@ -65,7 +65,7 @@ impl World {
         self.stamp_ns() + 1_000_000
     }
 
-    /// Goes on to the next step.
+    /// Continues to the next step.
     pub(crate) fn advance(&mut self) {
         self.step += 1;
         self.header.frame_seq += 1;

@@ -1,5 +1,5 @@
 //! Measurements: that they run and what is said of them, never how fast it is.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::path::Path;

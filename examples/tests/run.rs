@@ -1,6 +1,6 @@
 //! Every example ends well by itself and says what it promises. Cargo builds examples before the
 //! tests of their package, as long as it is not told to run a single one: `cargo test -p joulebus-examples`.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::path::{Path, PathBuf};

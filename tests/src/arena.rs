@@ -32,7 +32,7 @@ pub struct Setup {
     pub buffer_frames: u32,
     /// `readers.max_planners`.
     pub max_planners: u32,
-    /// Whether the ledger is written down, to [`Arena::ledger`], each 50 ms at most.
+    /// Whether the ledger is saved, to [`Arena::ledger`], each 50 ms at most.
     pub ledger: bool,
     /// Robots of the one platform, a GTernal.
     pub robots: &'static str,
@@ -156,7 +156,7 @@ impl Arena {
         arena
     }
 
-    /// Writes the config anew.
+    /// Writes the config again.
     pub fn configure(&self, setup: &Setup) {
         let text = setup.toml(self.domain.root(), &self.ledger());
         fs::write(self.config(), text).expect("the arena's own directory");

@@ -39,7 +39,7 @@ impl Planner {
         planner
     }
 
-    /// Reads on until a line gives something, and returns that. Later calls go on after that line.
+    /// Reads on until a line gives something, and returns that. Later calls continue after that line.
     pub fn until<T>(&mut self, what: &str, mut look: impl FnMut(&ReaderLine) -> Option<T>) -> T {
         let begin = Instant::now();
         loop {

@@ -1,5 +1,5 @@
 //! Rows 15 and 16: the disk is full while capturing; the recorder is killed in the middle of a chunk.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -162,7 +162,7 @@ fn a_full_disk_ends_the_capture_and_nothing_else() {
     assert!(reason.contains("large"), "{reason}");
     assert!(bytes(&file) <= 200 * 1024);
 
-    // The fleet goes on.
+    // The fleet continues.
     let end_ns = clock::monotonic_ns();
     let mut after = Spread::default();
     let mut during = Spread::default();

@@ -101,7 +101,7 @@ fn row_10_a_late_joiner_warms_up_visibly_and_is_forecast_with_its_fifth_sample()
 fn row_11_a_place_that_is_taken_over_carries_nothing_of_its_previous_owner() {
     const SAMPLES: u64 = 8;
     let stays = Dice::rounds("JOULEBUS_STAYS", 4);
-    // Nobody who goes on is silent for two seconds, however busy the machine is.
+    // Nobody who continues is silent for two seconds, however busy the machine is.
     let setup = Setup {
         capacity: 4,
         stale_after_s: 2.0,
@@ -162,7 +162,7 @@ fn row_11_a_place_that_is_taken_over_carries_nothing_of_its_previous_owner() {
                 generations.push(found[0].generation);
             }
         }
-        // The visitors fall silent; the others go on until the places are free.
+        // The visitors fall silent; the others continue until the places are free.
         loop {
             let frame = stayers_frame();
             let (_, lines) = answer(&mut planner, &mut source, &frame);

@@ -1,6 +1,6 @@
 //! What crates.io asks of every crate that is published, and what its users need: metadata, licences, a
 //! README, versions of all dependencies, and every embedded file inside the package.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::path::{Component, Path, PathBuf};

@@ -134,7 +134,7 @@ fn row_4_a_stopped_planner_leaves_the_worker_alone_and_resumes_at_the_newest_wit
     if let Some(before) = gaps_before {
         assert_eq!(gaps, before + 1, "one gap");
     }
-    let next = stopped.until("and goes on", |line| match line {
+    let next = stopped.until("and continues", |line| match line {
         ReaderLine::Given { tick, .. } => Some(*tick),
         _ => None,
     });

@@ -118,7 +118,7 @@ fn row_1_killed_publishers_harm_nobody_else_and_every_restart_works() {
                 PACE,
             )
         });
-        // However this ends, the other source must not play for ever.
+        // However this ends, the other source must not play indefinitely.
         let _stopped = Stop(&stop);
         let (mut controller, ..) = start(&arena, &mut planner);
         for round in 0..rounds {

@@ -1,5 +1,5 @@
 //! Recording beside a worker and on a signal; playing in a loop and under another name.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -79,7 +79,7 @@ fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
     eventually("the second snapshot", || second.exists());
     let report = recorder.end();
     assert!(matches!(report.code(), Some(0 | 3)), "{}", report.errors());
-    // What was written down is not written again.
+    // What was saved is not written again.
     assert!(samples(&second) > 0);
     let frames = |file: &Path| Reader::open(file).unwrap().count();
     assert_eq!(

@@ -1,6 +1,6 @@
 //! What was recorded of real processes is computed again with the same bits, played back into shared
 //! memory, and gives the same bits there.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[allow(dead_code, reason = "its rows")]
 #[path = "../../crates/predictor/tests/random/mod.rs"]
@@ -350,7 +350,7 @@ fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
     let report = alone(&["replay", "--verify", &files[1]]).json();
     assert_eq!(report["differences"], 0, "{report:#}");
     assert!(report["ticks_verified"].as_u64().unwrap() > 0, "{report:#}");
-    // Without the second file, what the third needs is not there: it goes on from its own keyframe.
+    // Without the second file, what the third needs is not there: it continues from its own keyframe.
     let ended = alone(&["replay", "--verify", &files[0], &files[2]]);
     assert_eq!(ended.json()["differences"], 0);
     assert_eq!(ended.code(), Some(3), "{}", ended.text());

@@ -2,7 +2,7 @@
 //! through publisher, shared memory and worker, give the bits of the offline evaluation.
 //!
 //! Real processes; real recordings under `../shared/data`.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};

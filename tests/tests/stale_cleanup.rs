@@ -133,7 +133,7 @@ fn row_18_doctor_does_not_touch_what_the_living_use() {
         .forecasts()
         .last()
         .map(|frame| (frame.tick, frame.robot(10).map(|line| line.seq)));
-    planner.forecast("and goes on", |frame| {
+    planner.forecast("and continues", |frame| {
         let now = Some((frame.tick, frame.robot(10).map(|line| line.seq)));
         (now > newest).then_some(())
     });

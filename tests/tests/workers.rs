@@ -109,7 +109,7 @@ fn row_2_killed_workers_are_seen_at_once_and_the_ledger_goes_on_exactly_from_its
             _ => None,
         });
         for (robot, account) in &before {
-            let now = budgets.robot(*robot).expect("its account goes on");
+            let now = budgets.robot(*robot).expect("its account continues");
             assert!(
                 now.metered_ns >= number(account, "metered_ns"),
                 "robot {robot}: {account} {now:?}"
@@ -126,7 +126,7 @@ fn row_2_killed_workers_are_seen_at_once_and_the_ledger_goes_on_exactly_from_its
         });
         to_forecast.add_ns(forecast_ns - started_ns);
         if round == 0 {
-            eventually("the ledger is written down", || {
+            eventually("the ledger is saved", || {
                 written_down(&arena).is_some_and(|robots| robots.len() == ROBOTS as usize)
             });
         }

@@ -166,7 +166,7 @@ fn with_scheduling(toml: String, scheduling: &Scheduling) -> String {
 /// The worker's process.
 ///
 /// # Errors
-/// It cannot begin or go on.
+/// It cannot begin or continue.
 pub fn worker(path: &Path) -> anyhow::Result<()> {
     let config = Config::load(path)?;
     let worker = Worker::open(&config)?;
@@ -211,7 +211,7 @@ fn own_bytes() -> anyhow::Result<u64> {
 /// The planner's process: prints what it has seen.
 ///
 /// # Errors
-/// It cannot join or go on.
+/// It cannot join or continue.
 pub fn planner(path: &Path, period_ns: u64) -> anyhow::Result<()> {
     let config = Config::load(path)?;
     let limits = config.limits();

@@ -19,7 +19,7 @@
 //! member to leave removes everything of the domain, in `/dev/shm` and in the root directory.
 //!
 //! Behaviour of iceoryx2 0.10.0 that this crate compensates for, each with a test:
-//! - Opening a shared-memory object of length zero blocks for ever, not only while joining: a process
+//! - Opening a shared-memory object of length zero blocks indefinitely, not only while joining: a process
 //!   killed between creating and sizing a connection also blocks living members in their next send
 //!   or receive. The cleanup threads remove such files once no process has them open.
 //! - A creator killed before it has finished leaves a service that fails with `HangsInCreation` for

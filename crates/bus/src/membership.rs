@@ -25,7 +25,7 @@ pub(crate) struct Membership {
 }
 
 impl Membership {
-    /// Takes the lock, cleans up if nobody is alive, configures iceoryx2 and starts the cleanup thread.
+    /// Takes the lock, cleans up if no process is alive, configures iceoryx2 and starts the cleanup thread.
     pub(crate) fn join(domain: &Domain) -> Result<(Self, SweepReport), JoinError> {
         let mut report = SweepReport::default();
         let lock = Self::lock(domain, &mut report)?;

@@ -1,5 +1,5 @@
 //! Roots that are not private are refused, and so is what does not fit.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, chown, symlink};

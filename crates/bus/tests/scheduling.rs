@@ -1,5 +1,5 @@
 //! Processors and priorities belong to the thread that asks, and what is refused says what to do.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::thread;
 

@@ -50,7 +50,7 @@ pub enum AttachError {
     /// A model could not be read, or the config not made independent of its files.
     #[error(transparent)]
     Bundle(#[from] BundleError),
-    /// Two fleets of the same name: their channels could not be told apart.
+    /// Two fleets of the same name: their channels could not be distinguished.
     #[error("two configs of a fleet named {fleet:?}; give them different names to record both")]
     TwoOfAName {
         /// The name.

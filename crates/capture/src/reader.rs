@@ -153,7 +153,7 @@ impl<S: Read> Reader<S> {
         })
     }
 
-    /// Goes on to the next message.
+    /// Continues to the next message.
     fn advance(&mut self) -> Result<Option<(MessageHeader, Vec<u8>)>, ReadError> {
         loop {
             while let Some(record) = self.records.next() {

@@ -1,6 +1,6 @@
 //! What lies in shared memory comes back from a capture as the same bits, and is what the schema
 //! says it is.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod fields;
 

@@ -1,5 +1,5 @@
 //! Every combination of the optional parts of the format is read as its description says.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};

@@ -1,6 +1,6 @@
 //! Damaged files: cut off at every byte, every byte changed. Nothing panics, nothing allocates
 //! wildly, every error names its place, and what is recovered and what is lost adds up.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../tests/counting.rs"]
 mod counting;

@@ -1,5 +1,5 @@
 //! The Foxglove layout that ships names nothing that captures do not have.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::BTreeSet;
 use std::fs;

@@ -1,5 +1,5 @@
 //! Recordings of other programs: what is used, what is not, and why.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod bag;
 

@@ -1,6 +1,6 @@
 //! A writer that fails after any number of bytes: no panic, the failure is told, and everything that
 //! was flushed before can be read.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod fields;
 
@@ -60,7 +60,7 @@ fn write(
         };
         let written = writer.write("lab", times, message);
         if written.is_err() {
-            // Whoever goes on all the same is told again, and spoils nothing.
+            // Whoever continues all the same is told again, and spoils nothing.
             assert!(matches!(
                 writer.write("lab", times, message),
                 Err(WriteError::Stopped)

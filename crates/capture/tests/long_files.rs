@@ -1,7 +1,7 @@
 //! Reading takes memory of about a record, however long the file is.
 //!
 //! `JOULEBUS_CAPTURE_MB=2000` makes the file that long; release builds take seconds for it.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../tests/counting.rs"]
 mod counting;

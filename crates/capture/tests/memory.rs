@@ -1,5 +1,5 @@
 //! However long a capture is, reading it takes little memory. `JOULEBUS_CAPTURE_MB=2048` for a long one.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod fields;
 

@@ -1,5 +1,5 @@
 //! Real recordings, and what is to be said about them.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -98,7 +98,7 @@ fn every_rosbag2_corner_case_is_read_to_its_end() {
             finding.severity == Severity::Note
                 || finding
                     .what
-                    .contains("first log time: 1000000 written down, 0 found")
+                    .contains("first log time: 1000000 saved, 0 found")
         });
         assert!(is_known, "{}: {:?}", file.display(), found.findings);
     }

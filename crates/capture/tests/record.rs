@@ -1,6 +1,6 @@
 //! Recording through real shared memory: complete, in order, split, kept in memory, on slow and full
 //! disks, two fleets at once.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::BTreeMap;
 use std::io::{self, Cursor, Write};

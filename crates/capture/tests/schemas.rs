@@ -1,5 +1,5 @@
 //! The schemas that go into a capture are those of the `.proto` files, and say what is written.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::path::{Path, PathBuf};
 

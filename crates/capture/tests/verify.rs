@@ -1,5 +1,5 @@
 //! What a verification finds, and what it does not mistake for a difference.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../fleet/tests/world/mod.rs"]
 mod world;

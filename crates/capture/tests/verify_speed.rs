@@ -1,7 +1,7 @@
 //! How fast a capture of 100 robots is verified: a figure, no promise.
 //!
 //! `cargo test --release -p joulebus-capture --test verify_speed -- --ignored --nocapture`
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../fleet/tests/world/mod.rs"]
 mod world;

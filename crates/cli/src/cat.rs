@@ -22,7 +22,7 @@ use serde_json::Value;
     Protobuf is decoded by the descriptors in the file, JSON as it is, and of ROS 2 BatteryState, \
     Twist, TwistStamped and Odometry; of other messages time, number and length are shown. CSV has \
     a row for each robot of a message and takes one type of messages.\n\
-    Exit codes: 3 if the file is damaged or values could not be told.")]
+    Exit codes: 3 if the file is damaged or values could not be determined.")]
 pub(crate) struct Args {
     /// An MCAP file
     #[arg(value_name = "FILE")]
@@ -53,7 +53,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     for (topic, count) in &passed.undecoded {
         say(&format!(
-            "{topic}: the values of {count} messages cannot be told"
+            "{topic}: the values of {count} messages cannot be determined"
         ));
     }
     if out.unlisted > 0 {

@@ -66,7 +66,7 @@ struct Checked {
     file: String,
     accepted: bool,
     fleet: Option<String>,
-    /// Robots that there is room for.
+    /// Maximum number of robots.
     capacity: Option<u32>,
     platforms: Vec<String>,
     /// Why the file could not be read, if so.

@@ -20,7 +20,7 @@ use serde::Serialize;
     Everything that can be read is written again, with new indexes and checksums; the result is \
     opened again and checked. Messages of a chunk whose checksum is wrong are kept and counted as \
     suspect.\n\
-    Exit codes: 3 if something was lost, is suspect, or cannot be told.")]
+    Exit codes: 3 if something was lost, is suspect, or cannot be determined.")]
 pub(crate) struct Args {
     /// The damaged file; it is not changed
     #[arg(value_name = "IN")]

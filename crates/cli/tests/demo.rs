@@ -1,5 +1,5 @@
 //! The demonstration and the view, as real processes: they add up, they end, they leave nothing.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -288,7 +288,7 @@ fn times(values: &Values, fleet: &Values, problems: &mut Vec<Problem>) {
     in_periods(
         "platform.stale_after_s",
         &bounds::STALE_AFTER_PERIODS,
-        "One late sample must not make a robot Invalid, nor a gap be bridged for ever: change one of them",
+        "One late sample must not make a robot Invalid, nor a gap be bridged indefinitely: change one of them",
     );
     in_periods(
         "platform.hold_max_s",

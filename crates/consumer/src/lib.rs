@@ -29,7 +29,7 @@
 //! is not known is `None` from the accessors ([`wire::Forecast::power_w`]), NaN in the fields;
 //! [`wire::Forecast::quality`] says how far to trust the rest.
 //!
-//! **The worker** may start later, end, die and come back: a planner just goes on. Its death is an
+//! **The worker** may start later, end, die and come back: a planner just continues. Its death is an
 //! event at once, because the kernel tells of it, not a time-out ([`Event::Gone`]). A worker that
 //! lives but falls silent is noticed when its newest frame is older than two tick periods
 //! ([`Event::Stale`]). After either, the next frame says that all is well again.

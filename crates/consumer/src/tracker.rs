@@ -312,7 +312,7 @@ mod tests {
             let alive = tracker.state(1_100) == WorkerState::Alive;
             assert_eq!(alive, back, "{epoch}:{tick} {sent_ns}");
             tracker.over(End::Exited, 1_110);
-            assert_eq!(tracker.change(1_120).is_some(), back, "told anew");
+            assert_eq!(tracker.change(1_120).is_some(), back, "told again");
         }
     }
 

@@ -1,6 +1,6 @@
 //! After warm-up neither a source nor a planner allocates anything of its own: one allocation a
 //! frame sent is iceoryx2's.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../publisher/tests/harness/mod.rs"]
 mod harness;
@@ -46,7 +46,7 @@ fn only_loans_allocate_and_only_once() {
             sent_ns: clock::monotonic_ns(),
             ..ForecastHeader::default()
         };
-        // Every tick the robots stand elsewhere: the table of places is made anew.
+        // Every tick the robots stand elsewhere: the table of places is recreated.
         let row = |i| Forecast {
             robot: ((i as u64 + round) % 64) as u32,
             ..Forecast::default()

@@ -1,6 +1,6 @@
 //! What a planner sees of a worker, between real processes. The worker here is a stand-in that
 //! obeys: it sends the ticks it is told to.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../publisher/tests/harness/mod.rs"]
 mod harness;
@@ -352,7 +352,7 @@ fn a_killed_planner_gives_back_what_it_held() {
     let mut witness = ready(&place, "planner");
     let mut worker = ready(&place, "worker");
     let mut tick = 0;
-    // More lives than there is room for planners, each holding a frame of each kind.
+    // More lives than the capacity planners, each holding a frame of each kind.
     for life in 0..8 {
         let mut planner = ready(&place, "planner");
         planner.ask("feeds");

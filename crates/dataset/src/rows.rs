@@ -72,7 +72,7 @@ pub struct TrialRows {
     /// forecast, from 0.
     pub sample_seq: Vec<u64>,
     /// For each row, how fresh its newest reading is: what its features of freshness say, and how
-    /// they go on where no further reading comes.
+    /// they continue where no further reading comes.
     pub reading_ages: Vec<ReadingAge>,
     /// Samples that lead to no row because a window of five readings is not full there: at the
     /// start, and after a gap, a missing reading, or a time that does not advance.

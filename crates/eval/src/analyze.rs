@@ -29,7 +29,7 @@ pub struct AnalysisSettings {
     pub window: usize,
     /// Grids of time beside the native series: what is seen of it at a fixed rate.
     pub grids: Vec<Resample>,
-    /// How training rows and held-out rows are told apart. What is for validation is learned from:
+    /// How training rows and held-out rows are distinguished. What is for validation is learned from:
     /// least squares stop by themselves.
     pub split: Split,
     /// Units to hold out by name, instead of the split's share.

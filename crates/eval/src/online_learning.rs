@@ -85,7 +85,7 @@ impl Judged {
 /// Judges a network on trials, each sample through the live tick as [`evaluate_trial`] does it.
 ///
 /// Counted are the readings that follow five others without a gap, so that every forecaster has the
-/// same to go on; what the tick forecasts over gaps is not.
+/// same to continue; what the tick forecasts over gaps is not.
 ///
 /// # Errors
 /// [`EvaluateError`]: settings that are refused.

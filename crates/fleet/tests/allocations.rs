@@ -12,7 +12,7 @@ const START_NS: u64 = 60_000 * MS;
 const ROBOTS: u32 = 100;
 
 /// A frame in which something is wrong with most robots at one time or another: gaps, refused
-/// values, missing readings, bursts, more robots than there is room for, and comings and goings
+/// values, missing readings, bursts, more robots than the capacity, and comings and goings
 /// that wander through the ids.
 fn fill(frame: &mut Vec<Sample>, step: u64, now_ns: u64) {
     frame.clear();

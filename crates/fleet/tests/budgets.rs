@@ -175,7 +175,7 @@ fn once_charged_the_battery_is_unknown_and_stays_so_over_leaving() {
     let back = send(&mut fleet, &mut source, at(200));
     assert_unknown(&back);
     assert!(back.flags & budget_flag::CHARGED != 0);
-    assert!(back.drawn_uj > 0, "the ledger goes on");
+    assert!(back.drawn_uj > 0, "the ledger continues");
 }
 
 fn assert_unknown(budget: &Budget) {

@@ -1,4 +1,4 @@
-//! What one robot is told depends on that robot's samples alone.
+//! What one robot gets depends on that robot's samples alone.
 
 mod world;
 
@@ -28,7 +28,7 @@ fn samples(robot: u32, period_ns: u64, steps: u64, noise: &mut Noise) -> Vec<Sam
         .collect()
 }
 
-/// What the robot is told once it has sent everything, when nobody else is there, one tick a
+/// What the robot gets once it has sent everything, when nobody else is there, one tick a
 /// sample; the last sample arrives at `end_ns`.
 fn alone(samples: &[Sample], end_ns: u64) -> Bits {
     let (mut fleet, mut source) = (fleet(1), Source::new(1, 1));

@@ -358,7 +358,7 @@ fn no_reason_is_left_out() {
 #[test]
 fn a_new_run_of_the_source_takes_over_even_when_its_first_sample_is_refused() {
     for (what, stamp_ns) in [
-        ("clock goes on", NOW + 2 * PERIOD_NS),
+        ("clock continues", NOW + 2 * PERIOD_NS),
         ("clock restarts", 40 * MS),
     ] {
         let (mut fleet, _) = warm();

@@ -1,5 +1,5 @@
 //! However a fleet is shared out, cut into tiles and spread over threads, and whatever instructions
-//! the processor has, every robot is told the same, and what is written out is what the fleet says.
+//! the processor has, every robot gets the same outputs, and what is written out is what the fleet says.
 
 mod world;
 

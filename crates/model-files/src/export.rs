@@ -33,7 +33,7 @@ pub enum ExportError {
 /// - `metadata` (text): everything else that the model file says, as JSON; with it, the arrays are
 ///   read back as the same model;
 /// - `check_features` ([`CHECK_ROWS`], 11) and `check_power_w` ([`CHECK_ROWS`]): rows within the
-///   range in training and the forecasts for them, for whoever writes the network anew.
+///   range in training and the forecasts for them, for whoever reimplements the network.
 ///
 /// A network of readings alone has 5 in place of 11; one that reads freshness has two more, the last.
 ///

@@ -1,4 +1,4 @@
-//! The network in a file whose names nobody has written down.
+//! The network in a file whose names nobody has saved.
 
 use super::names::tokens;
 use super::normalisation::{self, FoundNormalisation};
@@ -165,7 +165,7 @@ fn arrays_in<'a>(entries: &'a [Entry], part: &str) -> Option<Arrays<'a>> {
             _ => None,
         })
         .collect();
-    // What another program means by freshness cannot be told from numbers.
+    // What another program means by freshness cannot be determined from numbers.
     [FeatureSet::Full, FeatureSet::PowerOnly]
         .into_iter()
         .flat_map(|set| [false, true].map(|transposed| (set, transposed)))

@@ -9,7 +9,7 @@ use safetensors::tensor::{Dtype, TensorView};
 
 /// The array that holds everything of the model file that is no number of the network.
 pub(super) const METADATA: &str = "metadata";
-/// Arrays with this before their name are for whoever writes the network anew.
+/// Arrays with this before their name are for whoever reimplements the network.
 pub(super) const CHECK: &str = "check_";
 
 /// Whether a file is safetensors: a length, then JSON.

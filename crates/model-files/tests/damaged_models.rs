@@ -1,7 +1,7 @@
 //! Every truncation and every flipped byte of a file of each kind is an error that names the place,
 //! or a model that passes all checks and whose hash tells it from the whole one — never a panic,
 //! never room made for what the file only claims.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../tests/counting.rs"]
 mod counting;

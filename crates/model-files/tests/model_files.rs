@@ -1,5 +1,5 @@
 //! Model files of NumPy and PyTorch become the model that they are.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod fixture;
 #[allow(dead_code, reason = "its rows")]
@@ -62,7 +62,7 @@ const V: (f64, f64) = (0.0279, 0.0736);
 const OMEGA: (f64, f64) = (0.0479, 1.0187);
 const POWER_W: (f64, f64) = (3.6517, 0.3747);
 
-/// What the file of a convention is fed with: written down here once more, straight from the words.
+/// What the file of a convention is fed with: saved here once more, straight from the words.
 fn file_features(
     convention: &Convention,
     now: [f64; 2],

@@ -1,6 +1,6 @@
 //! Row 13: a pickle that would run something is refused before anything runs, whatever it stands
 //! in; and nothing that it claims makes the reader make room.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../tests/counting.rs"]
 mod counting;

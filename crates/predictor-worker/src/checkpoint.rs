@@ -1,4 +1,4 @@
-//! The ledger on disk, so that a restarted worker goes on with every robot's account.
+//! The ledger on disk, so that a restarted worker continues with every robot's account.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -172,7 +172,7 @@ impl Checkpoint {
         }
     }
 
-    /// Makes the accounts fit the machine's present run: after a reboot the stamps begin anew, and
+    /// Makes the accounts fit the machine's present run: after a reboot the stamps restart, and
     /// the time in between, known from the wall clock alone, is unmetered.
     #[must_use]
     pub fn carried_over(mut self, boot_id: &str, now_ns: u64, now_unix_ns: u64) -> Self {

@@ -206,7 +206,7 @@ impl CheckpointerLoop {
         };
         match self.checkpoint.write(path) {
             Ok(()) => self.changed = false,
-            Err(error) => tracing::error!(%error, "the ledger was not written down"),
+            Err(error) => tracing::error!(%error, "the ledger was not saved"),
         }
     }
 

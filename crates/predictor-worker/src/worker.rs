@@ -105,7 +105,7 @@ pub enum RunError {
 
 impl Worker {
     /// Loads the models, takes the right to be the fleet's worker, checks that everything fits into
-    /// shared memory, joins, opens the ports, and goes on with the ledger that was written down.
+    /// shared memory, joins, opens the ports, and continues with the ledger that was saved.
     ///
     /// # Errors
     /// The first thing that stands in the way, with its remedy.
@@ -124,7 +124,7 @@ impl Worker {
             tracing::warn!(
                 kept,
                 written,
-                "more accounts written down than the fleet has room for: raise `capacity`"
+                "more accounts saved than the capacity of the fleet: raise `capacity`"
             );
         }
         let mut part = vec![Sample::new(0, 0, 0); PART];

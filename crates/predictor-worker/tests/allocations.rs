@@ -1,6 +1,6 @@
 //! The worker's loop, intake and publishing included, allocates nothing of its own after warm-up, not
 //! even when somebody records: only iceoryx2 0.10 does, once for each of the four frames of a tick.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../tests/counting.rs"]
 mod counting;
@@ -122,7 +122,7 @@ fn measure(case: Case) {
     std::thread::scope(|scope| {
         scope.spawn(|| feed(&domain, &config, case.robots, &sent, &stop));
         // At least so many ticks, and until what the others do beside them is done too: on a busy
-        // machine ticks go on without them.
+        // machine ticks continue without them.
         let tick = |worker: &mut Worker, ticks: u64, frames: u64, wanted_keyframes: u32| {
             let (begin, mut done) = (Instant::now(), 0);
             while done < ticks

@@ -1,5 +1,5 @@
 //! After warm-up the tick's thread takes no page fault: what it needs has been touched before.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -68,7 +68,7 @@ fn measure(policy: &str, warm_up: u32, ticks: u32) -> (u64, u64) {
     let mut worker = Worker::open(&config).unwrap();
     let faults = std::thread::scope(|scope| {
         scope.spawn(|| feed(&domain, &config, &sent, &stop));
-        // On a busy machine ticks of the timer go on without frames.
+        // On a busy machine ticks of the timer continue without frames.
         let mut tick = |ticks: u32| {
             let (mut done, before) = (0, sent.load(Ordering::Relaxed));
             while done < ticks || sent.load(Ordering::Relaxed) < before + u64::from(ticks) / 4 {

@@ -1,6 +1,6 @@
 //! Who reads keyframes and journals can compute every tick again, from the first one or from the
 //! middle, bit for bit; and nobody else costs anything.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};

@@ -163,7 +163,7 @@ impl Model {
     }
 }
 
-/// Persistence fed with its own forecasts: the newest reading for ever.
+/// Persistence fed with its own forecasts: the newest reading indefinitely.
 fn repeat(
     rollouts: &Rollouts<'_>,
     lanes: Range<usize>,

@@ -51,7 +51,7 @@ impl Stop {
         &self.asked
     }
 
-    /// Sleeps until `deadline_ns` (monotonic) or until asked to stop; whether to go on.
+    /// Sleeps until `deadline_ns` (monotonic) or until asked to stop; whether to continue.
     pub fn sleep_until(&self, deadline_ns: u64) -> bool {
         while !self.is_asked() {
             let left = Duration::from_nanos(deadline_ns.saturating_sub(clock::monotonic_ns()));

@@ -47,7 +47,7 @@ impl Grid {
     }
 
     /// Takes the next place if it is due at `now_ns` (monotonic). After a stall it is the oldest
-    /// that was missed, and the grid goes on with the first place after `now_ns`.
+    /// that was missed, and the grid continues with the first place after `now_ns`.
     pub const fn take(&mut self, now_ns: u64) -> Option<Slot> {
         let Some(late_ns) = now_ns.checked_sub(self.due_ns) else {
             return None;

@@ -45,7 +45,7 @@ impl Publisher {
     ///
     /// `source_name`, 1 to 128 bytes, tells the sources of a fleet apart and must stay the same
     /// over restarts: the worker lets the robots of a source be spoken for by its next run. The
-    /// runs are told apart by the wall clock at their beginning, so that must not have been set
+    /// runs are distinguished by the wall clock at their beginning, so that must not have been set
     /// back in between.
     ///
     /// # Errors
@@ -214,7 +214,7 @@ impl fmt::Debug for Publisher {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PublishError {
-    /// More robots than the fleet has room for.
+    /// More robots than the capacity of the fleet.
     #[error(
         "a frame of {found} samples, allowed are {allowed}; raise `fleet.capacity` in the config \
          of all processes of the fleet"

@@ -84,7 +84,7 @@ impl RobotState {
     }
 }
 
-/// What has been said of each robot: its numbers and times go on from there.
+/// What has been said of each robot: its numbers and times continue from there.
 #[derive(Debug, Default)]
 pub(crate) struct Registry {
     robots: HashMap<u32, Last>,

@@ -1,5 +1,5 @@
 //! What a source promises, between real processes.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../examples/controller.rs"]
 #[allow(dead_code, reason = "its `main`")]

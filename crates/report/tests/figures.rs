@@ -1,5 +1,5 @@
 //! Figures: well-formed, complete, the same bytes for the same data, and honest about missing data.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use joulebus_report::figure::{
     Axis, Colour, Direction, Figure, FigureError, Interval, Layer, Mark, Panel, bins, tiles,

@@ -1,6 +1,6 @@
 //! `joulebus report`: one command, one directory, one page.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::ffi::OsStr;
 use std::fs;

@@ -1,6 +1,6 @@
 //! Reports: one file that needs no other, the same numbers in every form, and honest about what is
 //! simulated.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../eval/tests/live/mod.rs"]
 mod live;
@@ -180,7 +180,7 @@ fn the_papers_numbers_stand_beside_and_in_the_right_unit() {
     assert_eq!(row("mean power (mW)")["paper"], 3652.0);
     assert_eq!(row("MAE on trial 6 (mW)")["paper"], 31.5);
     assert_eq!(row("the four robots that draw most")["paper"], "1, 2, 3, 6");
-    // The mean power of the simulated trials, anew and slowly.
+    // The mean power of the simulated trials, again and slowly.
     let mut sum_w = 0.0;
     let mut count = 0.0;
     for protocol in Protocol::ALL {

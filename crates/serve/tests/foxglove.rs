@@ -1,5 +1,5 @@
 //! The Foxglove server, as a client meets it.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::net::TcpStream;

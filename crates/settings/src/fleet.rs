@@ -12,7 +12,7 @@ use crate::platform::Platform;
 /// Everything the tick needs to know but the models. [`bounds`] says what each number may be.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FleetSettings {
-    /// Robots that there is room for; the ones past it are refused and named.
+    /// Maximum number of robots; the ones past it are refused and named.
     pub capacity: u32,
     /// How samples are taken in.
     pub intake: Intake,

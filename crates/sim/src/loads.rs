@@ -51,7 +51,7 @@ pub(super) struct Loads {
 
 impl Loads {
     /// The loads of a robot at rest. `made` gives what manufacturing gave the robot, `noise` its
-    /// state at the start; `extra_w` is drawn on top for ever; `neighbours` share its channel.
+    /// state at the start; `extra_w` is drawn on top indefinitely; `neighbours` share its channel.
     pub(super) fn new(
         parts: Parts,
         extra_w: f64,
@@ -148,7 +148,7 @@ impl Loads {
             + stuck_w
     }
 
-    /// Ends and begins bursts; what those that go on draw, W.
+    /// Ends and begins bursts; what those that continue draw, W.
     fn radio_w(&mut self, noise: &mut Noise) -> f64 {
         let mut radio_w = 0.0;
         let mut begins = noise.uniform() >= self.kept.no_burst;

@@ -57,7 +57,7 @@ pub enum Fault {
         /// Additional power in watt.
         power_w: f64,
     },
-    /// The monitor returns its last value for ever and calls it new.
+    /// The monitor returns its last value indefinitely and calls it new.
     StuckSensor,
     /// Additional white noise of each measurement.
     Noise {

@@ -1,7 +1,7 @@
 //! Seven robots on a random walk, kept apart by control barrier functions.
 //!
 //! Each robot wants to move its projected point, a little ahead of its wheels, at a random speed in
-//! a random direction, both drawn anew every few seconds. [`super::barrier`] changes what would
+//! a random direction, both drawn again every few seconds. [`super::barrier`] changes what would
 //! lead to a collision or out of the arena; the changed motion becomes v and ω, and the wheels cut
 //! them to what they can do. The seven share a radio channel, so each has more bursts than a robot
 //! alone. Four of the paper's seven (1, 2, 3 and 6) drew more than the rest: that is given here, by

@@ -1,7 +1,7 @@
 //! How far a score is to be trusted: confidence intervals by block bootstrap.
 //!
 //! Neighbouring rows know each other's answers, so rows are never drawn one by one: whole blocks
-//! are, with replacement, as many as there are, and the score is computed anew from each draw; the
+//! are, with replacement, as many as there are, and the score is recomputed from each draw; the
 //! interval holds the middle share of what came out (Carlstein, "The use of subseries values for
 //! estimating the variance", 1986; the percentile interval of Efron). Scores that are compared are
 //! computed from the same draws, so that what is common to them cancels.

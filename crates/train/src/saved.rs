@@ -1,4 +1,4 @@
-//! A run written down between two epochs, to be gone on with.
+//! A run saved between two epochs, to be resumed.
 
 use std::collections::HashMap;
 
@@ -12,7 +12,7 @@ use super::{Epoch, TrainError, TrainSettings, Training};
 
 const FORMAT: &str = "joulebus-training-1";
 
-/// Why a saved run could not be gone on with.
+/// Why a saved run could not be resumed.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum ResumeError {
@@ -35,7 +35,7 @@ pub enum ResumeError {
 }
 
 impl Training {
-    /// The run so far, a safetensors file. With [`Training::resume`] it goes on to the same bytes.
+    /// The run so far, a safetensors file. With [`Training::resume`] it continues to the same bytes.
     #[must_use]
     pub fn saved(&self) -> Vec<u8> {
         let tensors = [
@@ -63,7 +63,7 @@ impl Training {
         serialize(views, Some(metadata)).expect("names are distinct and sizes match")
     }
 
-    /// Goes on with a saved run, on `threads` threads as in [`Training::new`]. More epochs may be
+    /// Continues with a saved run, on `threads` threads as in [`Training::new`]. More epochs may be
     /// asked for than before; nothing else may differ.
     ///
     /// # Errors

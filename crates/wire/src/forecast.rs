@@ -148,7 +148,7 @@ pub struct ForecastHeader {
     pub period_ns: u64,
     /// Hash of the models in use, all platforms together.
     pub model_hash: u64,
-    /// Robots that the worker has room for.
+    /// Robots that the worker has capacity for.
     pub capacity: u32,
     /// Frames of samples taken in this tick.
     pub frames_taken: u32,

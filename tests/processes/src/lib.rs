@@ -185,7 +185,7 @@ impl Child {
         }
     }
 
-    /// Waits until a line on stderr contains `part`; the line. Later calls go on after that line.
+    /// Waits until a line on stderr contains `part`; the line. Later calls continue after that line.
     pub fn says(&mut self, part: &str) -> String {
         match self.try_says(part, PATIENCE) {
             Some(line) => line,

@@ -83,7 +83,7 @@ impl Member {
         assert!(stopped.is_some_and(|(_, status)| status.stopped()));
     }
 
-    /// Lets it go on.
+    /// Lets it continue.
     pub fn go_on(&mut self) {
         self.child.signal(Signal::CONT);
     }

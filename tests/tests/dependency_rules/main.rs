@@ -1,5 +1,5 @@
 //! Enforced dependency rules, read from sources and manifests.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod circles;
 mod imports;

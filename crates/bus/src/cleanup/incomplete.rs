@@ -25,7 +25,7 @@ pub(crate) fn incomplete_objects(domain: &Domain) -> Result<Vec<PathBuf>, RootEr
     Ok(found.map(|object| object.path).collect())
 }
 
-/// Removes incomplete objects, services and nodes: opening an object without a size blocks for ever, an
+/// Removes incomplete objects, services and nodes: opening an object without a size blocks indefinitely, an
 /// incomplete service stays so, iceoryx2 ignores an incomplete node, and cannot remove a dead node with
 /// an incomplete tag of a port or service.
 ///

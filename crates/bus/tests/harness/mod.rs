@@ -1,5 +1,5 @@
 //! Real processes for tests: the test binary starts itself as members that obey commands.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 #![allow(
     unreachable_pub,
     reason = "a module of test binaries, which export nothing"

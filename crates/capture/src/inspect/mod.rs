@@ -183,7 +183,7 @@ impl Inspector {
         };
         if crc.is_wrong() {
             let Crc { saved, found } = crc;
-            let what = format!("chunk: checksum {found:08x}, written down was {saved:08x}");
+            let what = format!("chunk: checksum {found:08x}, stored was {saved:08x}");
             self.error(Some(place), what);
         }
         let Some(open) = self.chunk.take() else {
@@ -288,7 +288,7 @@ impl Inspector {
 
     fn check_crc(&mut self, raw: &Raw<'_>, what: &str) {
         if let Some(Crc { saved, found }) = raw.crc.filter(Crc::is_wrong) {
-            let what = format!("{what}: checksum {found:08x}, written down was {saved:08x}");
+            let what = format!("{what}: checksum {found:08x}, stored was {saved:08x}");
             self.error(Some(raw.place), what);
         }
     }

@@ -322,7 +322,7 @@ fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
     ]
     .into_iter()
     .filter(|(_, said, counted)| said != counted)
-    .map(|(what, said, counted)| format!("{what}: {said} written down, {counted} found"))
+    .map(|(what, said, counted)| format!("{what}: {said} saved, {counted} found"))
     .collect();
     let channels = said
         .channel_message_counts
@@ -342,7 +342,7 @@ fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
         if of(said) != of(counted) {
             let (said, counted) = (of(said), of(counted));
             differences.push(format!(
-                "channel {channel}: {said} messages written down, {counted} found"
+                "channel {channel}: {said} messages saved, {counted} found"
             ));
         }
     }

@@ -32,7 +32,7 @@ pub struct Line<'a> {
     pub sequence: u32,
     /// Its length, bytes.
     pub bytes: usize,
-    /// Its values; `null` where they cannot be told.
+    /// Its values; `null` where they cannot be determined.
     pub value: Value,
     /// Why they cannot.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -47,7 +47,7 @@ pub struct Line<'a> {
 pub struct Passed {
     /// Messages handed on.
     pub messages: u64,
-    /// Of them, messages whose values could not be told, by topic.
+    /// Of them, messages whose values could not be determined, by topic.
     pub undecoded: BTreeMap<String, u64>,
     /// What is damaged in the file.
     pub damage: Vec<String>,

@@ -332,7 +332,7 @@ pub struct Entry {
     pub log_time_ns: u64,
     /// When it was sent, Unix ns.
     pub publish_time_ns: u64,
-    /// Its number in the channel, from 0; goes on over split files and wraps after 2^32.
+    /// Its number in the channel, from 0; continues over split files and wraps after 2^32.
     pub sequence: u32,
     /// What it is.
     pub message: Message,

@@ -165,7 +165,7 @@ fn take_all<H: Payload, T: Payload>(
     reader.take_all(|header, rows| batch.push(message(*header, rows.to_vec())))
 }
 
-/// Causes before effects: samples first, then tick by tick. What cannot be told apart stays in the
+/// Causes before effects: samples first, then tick by tick. What cannot be distinguished stays in the
 /// order in which it was sent.
 fn place(message: &Message) -> (u8, u64, u64, u8) {
     match message {

@@ -1,5 +1,5 @@
-//! Where recorded messages go: one file, several that go on from each other, or memory that is
-//! written down when something happens.
+//! Where recorded messages go: one file, several that continue from each other, or memory that is
+//! saved when something happens.
 
 use std::collections::{HashMap, VecDeque};
 use std::fmt;

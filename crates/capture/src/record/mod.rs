@@ -61,7 +61,7 @@ pub enum StartError {
     TooManyChannels {
         /// The fleet.
         fleet: String,
-        /// Robots that it has room for.
+        /// Robots that it has capacity for.
         robots: u64,
         /// Channels needed.
         needed: u64,

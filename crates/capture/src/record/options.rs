@@ -41,7 +41,7 @@ impl fmt::Debug for Options {
     }
 }
 
-/// What is kept in memory, and when it is written down.
+/// What is kept in memory, and when it is saved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Snapshot {
     /// How far back it goes, ns.

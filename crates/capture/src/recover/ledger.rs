@@ -75,7 +75,7 @@ pub struct Recovery {
     pub topics: BTreeMap<String, u64>,
     /// Whether more may have been lost than is counted: the file's own count is missing.
     pub lost_unknown: bool,
-    /// Whether the data section has another checksum than written down: something outside of
+    /// Whether the data section has another checksum than saved: something outside of
     /// chunks may be changed, or a record that was lost explains it.
     pub doubt: bool,
     /// Bytes that hold nothing readable.
@@ -93,8 +93,8 @@ impl Recovery {
         self.is_lossless() && self.trouble_count == 0
     }
 
-    /// Whether all that was written down is in the result, with nothing to doubt. Indexes and
-    /// checksums may have been lost: they are made anew.
+    /// Whether all that was saved is in the result, with nothing to doubt. Indexes and
+    /// checksums may have been lost: they are recreated.
     #[must_use]
     pub fn is_lossless(&self) -> bool {
         let is_whole = |counts: Counts| counts.lost + counts.suspect == 0;
@@ -159,10 +159,7 @@ impl fmt::Display for Recovery {
             writeln!(out, "other records left out: {}", self.others_lost)?;
         }
         if self.doubt {
-            writeln!(
-                out,
-                "the data section has another checksum than was written down"
-            )?;
+            writeln!(out, "the data section has another checksum than was saved")?;
         }
         if self.passed_over_bytes > 0 {
             writeln!(
@@ -325,7 +322,7 @@ impl Ledger {
 
     pub(super) fn unreadable(&mut self, opcode: u8, error: &ScanError) {
         if matches!(opcode, op::MESSAGE_INDEX | op::CHUNK_INDEX | op::STATISTICS) {
-            // Made anew.
+            // Recreated.
         } else if let Some(counts) = self.kind(opcode) {
             counts.lost += 1;
         }
@@ -386,7 +383,7 @@ impl Ledger {
         if let Some(crc) = crc.filter(Crc::is_wrong) {
             self.doubt = true;
             let Crc { saved, found } = crc;
-            let what = format!("data section: checksum {found:08x}, written down was {saved:08x}");
+            let what = format!("data section: checksum {found:08x}, stored was {saved:08x}");
             let place = Place {
                 offset: 0,
                 in_chunk: None,
@@ -403,9 +400,8 @@ impl Ledger {
 
     pub(super) fn footer(&mut self, place: Place, crc: Option<Crc>) {
         if let Some(Crc { saved, found }) = crc.filter(Crc::is_wrong) {
-            let what = format!(
-                "summary: checksum {found:08x}, written down was {saved:08x}; it is made anew"
-            );
+            let what =
+                format!("summary: checksum {found:08x}, stored was {saved:08x}; it is recreated");
             self.troubles.add(place, what);
         }
     }

@@ -41,7 +41,7 @@ pub enum RecoverError {
 /// Reads what can be read of `input` and writes it to `output` as a whole file.
 ///
 /// Messages of a chunk whose checksum is wrong are written and counted as suspect: which of them is
-/// damaged cannot be told. A record of the result, [`RECOVERED`], says so.
+/// damaged cannot be determined. A record of the result, [`RECOVERED`], says so.
 ///
 /// # Errors
 /// [`RecoverError`]: the input is no MCAP file at all, or one of the two files fails.
@@ -257,7 +257,7 @@ impl<W: Write + Seek> Rescue<W> {
                 let what = format!("{} {opcode:#04x} is left out", kind_name(opcode));
                 self.ledger.other_lost(raw.place, what);
             }
-            // Indexes and statistics are made anew.
+            // Indexes and statistics are recreated.
             _ => {}
         }
         Ok(())

@@ -72,7 +72,7 @@ impl<R: Read + Seek> Chunk<R> {
     /// the system had no memory for a decompressor.
     #[expect(
         clippy::result_large_err,
-        reason = "the source goes on where the chunk does not"
+        reason = "the source continues where the chunk does not"
     )]
     pub(super) fn begin(
         mut source: Source<R>,
@@ -223,7 +223,7 @@ impl<R: Read + Seek> Chunk<R> {
         ScanError::ChunkHeader { place, detail }
     }
 
-    /// Where to go on after an error. The records of a plain chunk can be found one by one; what
+    /// Where to continue after an error. The records of a plain chunk can be found one by one; what
     /// is compressed is passed over, as far as its length can be believed.
     pub(super) fn failure(&self) -> Failure {
         let end = self.frame.offset.saturating_add(self.frame.bytes);
@@ -259,7 +259,7 @@ impl<R: Read + Seek> Chunk<R> {
     /// its length is wrong.
     #[expect(
         clippy::result_large_err,
-        reason = "the source goes on where the chunk does not"
+        reason = "the source continues where the chunk does not"
     )]
     pub(super) fn end(self) -> Result<Source<R>, (Source<R>, ScanError)> {
         let end = self.frame.offset + self.frame.bytes;

@@ -2,7 +2,7 @@
 //!
 //! [`Scan`] yields every record with the place where it stands. It trusts nothing in the file: no
 //! length makes it allocate more than [`MAX_RECORD_BYTES`], chunks are decompressed as a stream,
-//! and where something is wrong the error names the byte. After an error, [`Scan::resume`] goes on
+//! and where something is wrong the error names the byte. After an error, [`Scan::resume`] continues
 //! at the next place that looks like a record.
 
 mod chunk;
@@ -159,7 +159,7 @@ impl<R: Read + Seek> Scan<R> {
         self.file_bytes
     }
 
-    /// Goes on at `offset`, where a record has to begin. The checksum of what is jumped into is not
+    /// Continues at `offset`, where a record has to begin. The checksum of what is jumped into is not
     /// known then.
     ///
     /// # Errors
@@ -172,7 +172,7 @@ impl<R: Read + Seek> Scan<R> {
         Ok(())
     }
 
-    /// After an error: goes on at the next place that looks like a record, and says what is passed
+    /// After an error: continues at the next place that looks like a record, and says what is passed
     /// over. Within an uncompressed chunk its further records are found, and yielded as if they
     /// stood at top level. `None` when nothing more looks like a record.
     ///

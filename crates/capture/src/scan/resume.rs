@@ -1,4 +1,4 @@
-//! Where to go on after something that cannot be read.
+//! Where to continue after something that cannot be read.
 
 use std::io::{Read, Seek};
 

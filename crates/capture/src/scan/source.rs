@@ -126,7 +126,7 @@ impl<R: Read + Seek> Source<R> {
         Ok(())
     }
 
-    /// Goes on at `offset`; there is no checksum until it is restarted.
+    /// Continues at `offset`; there is no checksum until it is restarted.
     pub(super) fn go_to(&mut self, offset: u64) -> Result<(), ScanError> {
         if let Err(error) = self.input.seek(SeekFrom::Start(offset)) {
             return Err(self.io(error));

@@ -12,7 +12,7 @@ use super::report::Loss;
 use crate::{Message, MessageKind};
 
 /// Ticks that a recorder may run ahead in one service before it looks at another: more than any
-/// service has room for.
+/// service has capacity for.
 const WINDOW: u64 = 64;
 /// Frames of samples that may wait for the tick that took them.
 const MOST_FRAMES: usize = 8_192;

@@ -191,7 +191,7 @@ impl Verifier {
         self.report.lose((tick.worker_epoch, tick.tick), lack);
     }
 
-    /// Goes on from the first keyframe that the waiting ticks follow.
+    /// Continues from the first keyframe that the waiting ticks follow.
     fn resume(&mut self) {
         while let Some(first) = self.waiting.front() {
             let run = first.worker_epoch;

@@ -69,7 +69,7 @@ struct Channel {
     sequence: u32,
 }
 
-/// The next number of each channel, by topic: goes on in the next file.
+/// The next number of each channel, by topic: continues in the next file.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Sequences(BTreeMap<String, u32>);
 
@@ -117,7 +117,7 @@ impl<W: Write> Writer<W> {
         Self::go_on(out, settings, attachments, Sequences::default())
     }
 
-    /// Begins the next file of a capture whose channels go on where the last file ended.
+    /// Begins the next file of a capture whose channels continue where the last file ended.
     ///
     /// # Errors
     /// [`WriteError`].
@@ -224,7 +224,7 @@ impl<W: Write> Writer<W> {
     }
 
     /// Ends the file with its summary, and returns what was written, the numbers with which the
-    /// channels go on, and where it went.
+    /// channels continue, and where it went.
     ///
     /// # Errors
     /// [`WriteError`]: the summary is not whole.

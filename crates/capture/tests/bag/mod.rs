@@ -1,5 +1,5 @@
 //! Recordings of other programs, written for tests.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::BTreeMap;
 use std::io::Cursor;

@@ -1,5 +1,5 @@
 //! Files to damage, and what every recovery promises.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::BTreeMap;
 use std::io::Cursor;

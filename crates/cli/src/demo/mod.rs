@@ -322,7 +322,7 @@ fn task(name: &'static str, place: &Place, verb: &[&str]) -> Task {
     Task { name, arguments }
 }
 
-/// The recorder; one that died goes on in a file beside the first.
+/// The recorder; one that died continues in a file beside the first.
 fn recorder(place: &Place, capture: &Path) -> Task {
     let mut task = task(RECORDER, place, &["record", "--go-on"]);
     let arguments = ["--output".into(), capture.as_os_str().to_owned()];

@@ -178,7 +178,7 @@ pub(super) fn nodes(inspection: &Inspection) -> Check {
         let remedy = format!("{FIX}; a living process of the fleet does it by itself in a second");
         Check::new(name, Status::Warn, found, remedy)
     } else if !unknown.is_empty() {
-        let found = format!("{found}; of {} it cannot be told", unknown.len());
+        let found = format!("{found}; of {} it cannot be determined", unknown.len());
         Check::new(name, Status::Warn, found, FIX)
     } else {
         Check::ok(name, found)
@@ -218,7 +218,7 @@ pub(super) fn stale_files(inspection: &Inspection) -> Check {
     let (objects, bytes) = (inspection.objects, inspection.object_bytes);
     let found = format!("{objects} objects in shared memory, {bytes} bytes");
     if objects > 0 && !alive {
-        let found = format!("{found}, and nobody is alive to use them");
+        let found = format!("{found}, and no process is alive to use them");
         return Check::new(name, Status::Warn, found, FIX);
     }
     Check::ok(

@@ -21,7 +21,7 @@ use joulebus_program::file::write;
     joulebus model export my.safetensors --to npy --out my/\n\n\
     ONNX: opset 17, input `features` (n, 11) in SI units as `model info` lists them, output `power_w` \
     (n, 1); the normalisation is part of the graph. Arrays carry `check_features` and `check_power_w`, \
-    rows with their forecasts, for whoever writes the network anew.")]
+    rows with their forecasts, for whoever reimplements the network.")]
 pub(crate) struct Args {
     /// A model of ours: .safetensors, or arrays that were exported
     #[arg(value_name = "MODEL")]

@@ -84,7 +84,7 @@ impl Flow {
         self.window.sent(frame, clock::monotonic_ns());
     }
 
-    /// The source goes on as run `source_epoch`, unless it has done so already: older runs' frames
+    /// The source continues as run `source_epoch`, unless it has done so already: older runs' frames
     /// are not waited for any more.
     pub(crate) fn follow(&mut self, source_epoch: u64) {
         if source_epoch > self.source_epoch {
@@ -144,7 +144,7 @@ impl Flow {
             Ok(Some(frame)) => frame,
             Ok(None) => return Ok(()),
             Err(error) => {
-                // The port makes itself anew; the next look may succeed.
+                // The port recreates itself; the next look may succeed.
                 tracing::warn!(%error, "forecasts could not be read");
                 return Ok(());
             }

@@ -45,7 +45,7 @@ pub(crate) struct Args {
     /// Speed: 1 as recorded, 2 twice as fast, max as fast as the worker answers
     #[arg(long, value_name = "FACTOR|max", default_value = "1")]
     rate: Rate,
-    /// Start each trial again when it has ended: for ever, or N times in all
+    /// Start each trial again when it has ended: indefinitely, or N times in all
     #[arg(long = "loop", value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "for-ever")]
     passes: Option<Passes>,
     /// Frames per second of recorded time, Hz, 0.1 to 1000 [default: the config's tick.rate_hz]
@@ -283,7 +283,7 @@ impl Player {
         due_ns
     }
 
-    /// With a number of passes the fleet goes on until the longest trial has ended.
+    /// With a number of passes the fleet continues until the longest trial has ended.
     fn drop_what_is_past_the_end(&mut self) {
         let most = &self.most_samples;
         let is_wanted = |sample: &Sample| {

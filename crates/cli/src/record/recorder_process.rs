@@ -1,4 +1,4 @@
-//! A recorder beside a worker, in a process of its own: whatever becomes of it, the worker goes on.
+//! A recorder beside a worker, in a process of its own: whatever becomes of it, the worker continues.
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::os::unix::process::CommandExt as _;

@@ -31,7 +31,7 @@ use crate::publish::{Passes, Rate, seconds};
     Times between stamps stay as recorded at any rate, so a worker computes the same bits. Played \
     forecasts, diagnostics and budgets come as from the recorded worker, and only while no other \
     worker serves the fleet; planners first get the last ones before the offset. On a terminal \
-    space pauses and goes on, the right arrow or s does a step, q ends; without one, --step and \
+    space pauses and continues, the right arrow or s does a step, q ends; without one, --step and \
     --start-paused read a line of stdin for each.\n\
     --verify: exit 0 says that every tick was computed again with the same bits; 3 that something \
     differs, or could not be verified.")]
@@ -54,7 +54,7 @@ pub(crate) struct Args {
     /// Speed: 1 as recorded, 2 twice as fast, max as fast as the worker answers
     #[arg(short, long, value_name = "FACTOR|max", default_value = "1")]
     rate: Rate,
-    /// Start again at the end: for ever, or N times in all
+    /// Start again at the end: indefinitely, or N times in all
     #[arg(short = 'l', long = "loop", value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "for-ever")]
     passes: Option<Passes>,
     #[command(flatten)]

@@ -149,7 +149,7 @@ impl Player {
             let frames = self.report.frames.values().sum::<u64>();
             pace.begin();
             let go_on = self.pass(args, files, &mut pace, stop)?;
-            // A capture with nothing to play in it would be played for ever.
+            // A capture with nothing to play in it would be played indefinitely.
             if !go_on || self.report.frames.values().sum::<u64>() == frames {
                 break;
             }

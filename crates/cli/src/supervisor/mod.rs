@@ -167,7 +167,7 @@ impl Supervisor {
     }
 
     /// Asks the task's process to end, kills it after `grace`, waits for it, and returns what it
-    /// leaves; meanwhile the others go on being looked after.
+    /// leaves; meanwhile the others are still supervised.
     pub(crate) fn end(&mut self, name: &str, grace: Duration, events: &mut Vec<Event>) -> Ended {
         self.ask_to_end(|task| task == name, grace);
         loop {

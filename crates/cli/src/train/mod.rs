@@ -22,7 +22,7 @@ use run::RunArguments;
 #[command(after_help = "Examples:\n  \
     joulebus train sim --seed 7 --out gternal-sim.safetensors\n  \
     joulebus train trials recordings/ --split group --out husky.safetensors\n\n\
-    Ctrl-C writes the run down beside the model; --resume goes on with it, to the same bytes.")]
+    Ctrl-C writes the run down beside the model; --resume continues with it, to the same bytes.")]
 pub(crate) struct Args {
     #[command(subcommand)]
     verb: Verb,
@@ -100,7 +100,7 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Where a run that is not finished is written down: beside the model.
+/// Where a run that is not finished is saved: beside the model.
 fn checkpoint_path(out: &std::path::Path) -> PathBuf {
     let mut name = out.as_os_str().to_owned();
     name.push(".training");

@@ -14,10 +14,10 @@ use joulebus_train::{Epoch, TrainSettings, Trained, Training};
 
 use super::checkpoint_path;
 
-/// How often a run is written down, so that not even a power cut loses more.
+/// How often a run is saved, so that not even a power cut loses more.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
 
-/// Where the model goes, and how the run goes on.
+/// Where the model goes, and how the run continues.
 #[derive(Debug, clap::Args)]
 pub(super) struct RunArguments {
     /// The model file to write
@@ -42,7 +42,7 @@ impl RunArguments {
         Ok(())
     }
 
-    /// Trains and writes the model; none if it was interrupted and written down instead.
+    /// Trains and writes the model; none if it was interrupted and saved instead.
     pub(super) fn train(
         &self,
         dataset: &Dataset,
@@ -60,7 +60,7 @@ impl RunArguments {
                 write(&saved_at, &training.saved())?;
                 let (at, made) = (saved_at.display(), epoch.number);
                 say(&format!(
-                    "interrupted after {made} epochs, written down in {at}: --resume goes on"
+                    "interrupted after {made} epochs, saved in {at}: --resume continues"
                 ));
                 return Ok(None);
             }
@@ -74,7 +74,7 @@ impl RunArguments {
         }
         let trained = training.finish()?;
         write(&self.out, &trained.network.to_safetensors()?)?;
-        // Whatever was written down on the way has come to its end.
+        // Whatever was saved on the way has come to its end.
         let _ = std::fs::remove_file(&saved_at);
         Ok(Some(trained))
     }
@@ -98,7 +98,7 @@ impl RunArguments {
             Err(error) => return Err(error).with_context(|| format!("cannot read {at}")),
         };
         let training = Training::resume(dataset, settings, self.threads, &saved)
-            .with_context(|| format!("cannot go on with {at}"))?;
+            .with_context(|| format!("cannot continue with {at}"))?;
         say(&format!("going on after epoch {}", training.epochs().len()));
         Ok(training)
     }

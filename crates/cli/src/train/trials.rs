@@ -160,8 +160,7 @@ impl Args {
 fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
     let name = path.display();
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
-    toml::from_str(&text)
-        .map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
+    toml::from_str(&text).map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
 }
 
 fn read(paths: &[PathBuf]) -> anyhow::Result<Vec<Source>> {

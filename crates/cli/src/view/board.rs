@@ -177,7 +177,7 @@ impl Board {
         }
         let note = match (link, self.header()) {
             (Link::Live, Some(header)) if self.link == Link::Stale => {
-                format!("worker {} goes on", header.pid)
+                format!("worker {} continues", header.pid)
             }
             (Link::Stale, Some(header)) => format!("worker {} is late", header.pid),
             (Link::Gone, Some(header)) => format!("worker {} is gone", header.pid),

@@ -4,7 +4,7 @@ mod board;
 mod cells;
 mod feed;
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#[allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 mod look;
 mod plain;
 mod record;

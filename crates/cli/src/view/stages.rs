@@ -7,7 +7,7 @@ use joulebus_predictor_worker::Spread;
 use joulebus_wire::ForecastHeader;
 use serde::{Deserialize, Serialize};
 
-/// Longest time that is told apart, ns.
+/// Longest time that is distinguished, ns.
 const LONGEST_NS: u64 = 60_000_000_000;
 
 /// Distributions of the stages, one value for each frame that answers samples.

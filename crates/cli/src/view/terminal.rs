@@ -82,7 +82,7 @@ pub(crate) fn show(
     Ok(())
 }
 
-/// Waits for a key; whether the terminal is gone instead. Crossterm would wait for ever for the
+/// Waits for a key; whether the terminal is gone instead. Crossterm would wait indefinitely for the
 /// keys of one that is.
 fn is_closed(patience: Duration) -> anyhow::Result<bool> {
     let stdin = std::io::stdin();

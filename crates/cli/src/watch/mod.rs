@@ -29,7 +29,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
     joulebus watch --config configs/fleet.toml\n  \
     joulebus watch --once\n  \
     joulebus watch --robot 3 --format json | jq .robots[0].power_w\n\n\
-    May begin before the worker does, and goes on when it is restarted. In a terminal: the live \
+    May begin before the worker does, and continues when it is restarted. In a terminal: the live \
     view; otherwise one line a second. --format json: one object for each frame, in one line.")]
 pub(crate) struct Args {
     #[command(flatten)]

@@ -1,5 +1,5 @@
 //! The program as its users meet it: real processes, exit codes, what goes where.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod captures;
 mod data;

@@ -106,7 +106,7 @@ pub struct HorizonDifference {
     pub skill: Estimate,
 }
 
-/// Whether two models can be told apart: by whether the confidence interval of the skill of the new
+/// Whether two models can be distinguished: by whether the confidence interval of the skill of the new
 /// one against the old one holds 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]

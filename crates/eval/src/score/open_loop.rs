@@ -158,7 +158,7 @@ impl Rollout<'_> {
                 let start = self.starts[*lane].row;
                 let mut inputs = with_lags(&self.rows[start + step], &lag_w[*lane]);
                 if model.needs_freshness() {
-                    // What happens to the sensor after the origin is not known: the schedule goes on.
+                    // What happens to the sensor after the origin is not known: the schedule continues.
                     self.reading_ages[start]
                         .after(step as u64)
                         .fill(&mut inputs);

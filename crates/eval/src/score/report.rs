@@ -118,7 +118,7 @@ pub(super) fn report(
     }
 }
 
-/// Names of the forecasters; two models of the same name are told apart by their hash.
+/// Names of the forecasters; two models of the same name are distinguished by their hash.
 pub(super) fn names(subject: Subject<'_>, options: &Options) -> Names {
     let models = subject.models;
     let mut forecasters: Vec<String> = Vec::new();

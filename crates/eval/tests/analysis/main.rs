@@ -1,5 +1,5 @@
 //! What `analyze` says about data whose truth is known, and about the real recordings.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::path::Path;
 

@@ -62,7 +62,7 @@ const FLOOR: f32 = 2.0;
 /// Natural logarithm of the number of experts.
 const LOG: [f32; EXPERTS + 1] = [0.0, 0.0, LN_2, 1.098_612_3, 2.0 * LN_2];
 /// Largest error that is believed, standard deviations: without a bound, one absurd forecast would
-/// turn the sums into NaN for ever.
+/// turn the sums into NaN indefinitely.
 const ERROR_MAX: f32 = 1e6;
 
 /// What the robots of a platform blend, made ready for the tick.

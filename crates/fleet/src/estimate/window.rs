@@ -113,7 +113,7 @@ impl Window {
     }
 
     /// Begins to run open loop towards `steps` periods after the last sample. Returns the row to
-    /// infer next, or `None` when it is there already or there is nothing to go on with. What the
+    /// infer next, or `None` when it is there already or there is nothing to continue with. What the
     /// worker's clock had run further than `steps` is undone.
     pub(crate) fn open_towards(&mut self, steps: u16) -> Option<Features> {
         if self.open_steps > steps {
@@ -202,7 +202,7 @@ impl Window {
         self.unread_steps = 0;
     }
 
-    /// Takes a sample without a reading: open loop, if there is a forecast to go on with and no
+    /// Takes a sample without a reading: open loop, if there is a forecast to continue with and no
     /// more than `longest_steps` have gone by; otherwise the window starts empty.
     pub(crate) fn miss(&mut self, longest_steps: u16) {
         self.reading_age.pass(1);

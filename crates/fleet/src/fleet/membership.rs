@@ -16,7 +16,7 @@ use crate::ledger::departed;
 use crate::ledger::energy::Ledger;
 
 impl Fleet {
-    /// Goes on with the account of a robot that an earlier run wrote down. Call before the robot's
+    /// Continues with the account of a robot that an earlier run wrote down. Call before the robot's
     /// first sample. `charged`: it has been on its charger since, so that what is in its battery is
     /// not known. As many accounts as the capacity are kept; returns whether this one was.
     pub fn restore(&mut self, robot: u32, ledger: Ledger, charged: bool) -> bool {

@@ -48,7 +48,7 @@ impl Fleet {
         state.refused.clone_from(&self.refused);
     }
 
-    /// Goes on from `state`, which replaces all that this fleet has come to. It must have been
+    /// Continues from `state`, which replaces all that this fleet has come to. It must have been
     /// taken of a fleet with the same settings and models.
     ///
     /// # Errors
@@ -76,7 +76,7 @@ impl Fleet {
             self.slot_of.insert(admission.id, slot as u32);
         }
         self.likely_slot = 0;
-        // Looked up anew at the next tick.
+        // Looked up again at the next tick.
         *self.oldest_ns.get_mut() = 0;
         self.departed.replace(&state.departed);
         self.sources.replace(&state.sources);

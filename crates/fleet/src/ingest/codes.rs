@@ -1,4 +1,4 @@
-//! How what belongs to `wire` is written down: by the codes that it has in shared memory.
+//! How what belongs to `wire` is saved: by the codes that it has in shared memory.
 
 /// Why a robot has no forecast, if there is a reason, as its code.
 pub(crate) mod invalid_reason {

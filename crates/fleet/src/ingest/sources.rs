@@ -80,7 +80,7 @@ impl Sources {
         &self.sources
     }
 
-    /// Goes on with `sources`, at most as many as there is room for.
+    /// Continues with `sources`, at most as many as the capacity allows.
     pub(crate) fn replace(&mut self, sources: &[Source]) {
         self.sources.clear();
         self.sources.extend_from_slice(sources);

@@ -14,7 +14,7 @@ pub(crate) struct Account {
     pub ledger: Ledger,
 }
 
-/// As many accounts as there is room for robots, in columns.
+/// At most as many accounts as the capacity, in columns.
 #[derive(Debug)]
 pub(crate) struct Departed {
     robots: Vec<u32>,

@@ -50,7 +50,7 @@ impl Default for Ledger {
 }
 
 impl Ledger {
-    /// A ledger as it was written down: the time until the next sample will be unmetered.
+    /// A ledger as it was saved: the time until the next sample will be unmetered.
     #[must_use]
     pub fn restored(
         drawn: (i64, i64),

@@ -28,7 +28,7 @@ const MAGIC: [u8; 8] = *b"jbstate\x05";
 /// fleet and where, windows, ledgers, intervals, scores, detectors, what is learned online, accounts
 /// of robots that have left, sources, what was refused and dropped.
 ///
-/// A fleet that is [given](crate::Fleet::restore_state) it goes on as the one that it was
+/// A fleet that is [given](crate::Fleet::restore_state) it continues as the one that it was
 /// [taken](crate::Fleet::state) of would have.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct FleetState {

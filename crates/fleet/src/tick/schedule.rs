@@ -69,7 +69,7 @@ impl Schedule {
                 };
                 ready_ns.max(self.spaced_ns)
             }
-            // Without samples the tick still goes on: planners must see robots go stale, and that
+            // Without samples the tick still continues: planners must see robots go stale, and that
             // the worker lives.
             (Policy::OnFrame { .. }, None) => self.started_ns + self.period_ns + self.period_ns / 2,
         };

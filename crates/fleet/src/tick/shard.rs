@@ -39,7 +39,7 @@ impl Stage {
 }
 
 /// Robots that one thread ticks: disjoint from all other shards of the fleet, so that each may be
-/// worked on by a thread of its own. What any robot is told does not depend on how the fleet is
+/// worked on by a thread of its own. The output of a robot does not depend on how the fleet is
 /// split.
 ///
 /// A shard is ticked by [`Shard::forecast`] and then [`Shard::account`], or by [`Shard::run`], which

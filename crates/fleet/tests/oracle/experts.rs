@@ -1,4 +1,4 @@
-//! What a forecast that learns online must come to, computed anew from all that was ever learned.
+//! What a forecast that learns online must come to, recomputed from all that was ever learned.
 
 use joulebus_predictor::{Features, Model};
 use joulebus_settings::Platform;

@@ -224,7 +224,7 @@ impl Oracle {
         gone.sort_by_key(|id| self.members[id].slot);
         for id in gone {
             let member = self.members.remove(&id).expect("it was just found");
-            // As many accounts are kept as there is room for robots.
+            // At most as many accounts are kept as the capacity.
             if self.departed.len() < self.settings.capacity as usize {
                 self.departed.insert(id, member.robot.account);
             }

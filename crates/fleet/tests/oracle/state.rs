@@ -1,4 +1,4 @@
-//! A fleet goes on from a snapshot as if nothing had happened, whatever was going on.
+//! A fleet continues from a snapshot as if nothing had happened, whatever was going on.
 
 use joulebus_fleet::{Fleet, FleetState, StateError};
 use joulebus_wire::Forecast;
@@ -138,7 +138,7 @@ proptest! {
         }
     }
 
-    /// A file may hold anything: it is refused, or the fleet goes on from it somehow.
+    /// A file may hold anything: it is refused, or the fleet continues from it somehow.
     #[test]
     fn a_state_with_flipped_bytes_never_panics(
         seed in 0u64..8, flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),

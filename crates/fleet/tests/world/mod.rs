@@ -195,7 +195,7 @@ pub(crate) fn healthy(robot: u32, step: u64, stamp_ns: u64, period_ns: u64) -> S
     }
 }
 
-/// Everything that one robot is told, with floats as their bits.
+/// Everything that one robot gets, with floats as their bits.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Bits {
     pub forecast: Vec<u64>,

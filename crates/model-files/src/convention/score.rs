@@ -10,7 +10,7 @@ use joulebus_predictor::{
 
 /// Readings of a stretch: ten seconds at 30 Hz.
 pub(super) const BLOCK_ROWS: usize = 300;
-/// Least readings that conventions are told apart by.
+/// Least readings that conventions are distinguished by.
 const MIN_ROWS: usize = 100;
 /// Most readings that are forecast; of more, every n-th stretch is taken.
 const MAX_ROWS: usize = 60_000;

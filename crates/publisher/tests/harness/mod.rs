@@ -1,6 +1,6 @@
 //! Real processes for tests: the test binary starts itself as members of a fleet. Members and
 //! tests talk in lines.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 #![allow(
     unreachable_pub,
     dead_code,

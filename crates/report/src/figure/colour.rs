@@ -1,4 +1,4 @@
-//! The few colours, told apart by people with any colour vision, on light and dark ground.
+//! The few colours, distinguished by people with any colour vision, on light and dark ground.
 
 /// What a colour stands for. The hues are those of Okabe and Ito (2008), which stay distinct under
 /// the common deficiencies of colour vision; marks also differ in shape or dash where they meet.

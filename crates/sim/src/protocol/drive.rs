@@ -22,7 +22,7 @@ impl Protocol {
     ///
     /// A row holds the command in force during a step, and pose and reading at its end. The six
     /// trials of a seed are of the same robot; its battery, its temperature and everything random
-    /// begin anew in each. `Trial::path` says that it is simulated; nothing is read or written.
+    /// restart in each. `Trial::path` says that it is simulated; nothing is read or written.
     #[must_use]
     pub fn trial(self, seed: u64) -> Trial {
         self.trial_with(Parts::default(), seed, SAMPLES)

@@ -1,4 +1,4 @@
-//! What the robot is told in each protocol, step by step.
+//! What the robot gets in each protocol, step by step.
 
 use super::Protocol;
 use crate::arena::{Command, HALF_ARENA_M, Pose, STEP_S, V_MAX_MPS, Vector, direction, wrapped};

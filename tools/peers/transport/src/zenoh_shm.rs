@@ -20,7 +20,7 @@ use crate::frame::{Stamps, forecast_bytes, sample_bytes, write_forecasts, write_
 use crate::sink::Sink;
 use crate::way::{Way, await_byte};
 
-/// Frames that a provider has room for: more than can be under way.
+/// Frames that a provider has capacity for: more than can be under way.
 const FRAMES: usize = 16;
 
 /// One end that sends.
