@@ -9,7 +9,6 @@ mod capture;
 mod checkpoints;
 mod config;
 #[path = "../../tests/counting.rs"]
-#[allow(dead_code)] // Not every figure is asked for.
 mod counting;
 mod frames;
 mod input;

@@ -10,6 +10,7 @@ use std::io::{Cursor, Write as _};
 use std::path::Path;
 
 use joulebus_model_files::{Checkpoint, ReadError};
+use wrapped::{in_legacy, in_npy, in_zip};
 use zip::write::SimpleFileOptions;
 
 fn everywhere(pickle: &[u8]) -> Vec<Vec<u8>> {

@@ -108,10 +108,8 @@ impl Outbox {
 fn payload<'a, H: Payload, T: Payload>(
     loan: Option<&'a mut Result<Loan<'_, H, T>, SendError>>,
 ) -> &'a mut [T] {
-    match loan {
-        Some(Ok(loan)) => loan.payload_mut(),
-        _ => &mut [],
-    }
+    loan.and_then(|loan| loan.as_mut().ok())
+        .map_or(&mut [], Loan::payload_mut)
 }
 
 /// Sends the forecasts and wakes the planners. Returns how many frames were not sent.
