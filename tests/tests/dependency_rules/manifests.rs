@@ -6,54 +6,39 @@ use std::path::PathBuf;
 
 use super::{crates, names};
 
+/// The crates in the drawing of ARCHITECTURE.md, line by line from the top.
+fn drawing() -> Vec<Vec<String>> {
+    let page = fs::read_to_string(crates().parent().unwrap().join("ARCHITECTURE.md")).unwrap();
+    let (_, after) = page.split_once("## Crate layout\n\n```\n").unwrap();
+    let known = names();
+    let crates_of = |line: &str| -> Vec<String> {
+        let words = line.split_whitespace().map(str::to_owned);
+        words
+            .filter(|word| word == "benches" || known.contains(word))
+            .collect()
+    };
+    let (drawing, _) = after.split_once("\n```").unwrap();
+    drawing.lines().map(crates_of).collect()
+}
+
 #[test]
-fn dependencies_point_one_way() {
-    let order = [
-        "wire",
-        "settings",
-        "predictor",
-        "fleet",
-        "bus",
-        "config",
-        "publisher",
-        "predictor-worker",
-        "consumer",
-        "capture",
-        "statistics",
-        "dataset",
-        "sim",
-        "train",
-        "eval",
-        "model-files",
-        "program",
-        "report",
-        "serve",
-    ];
-    let manifest = |name: &str| fs::read_to_string(crates().join(name).join("Cargo.toml")).unwrap();
-    for (place, name) in order.iter().enumerate() {
-        let manifest = manifest(name);
-        let dependencies = manifest.split("[dev-dependencies]").next().unwrap();
-        for later in order[place + 1..].iter().chain(&["bench"]) {
-            let dependency = format!("joulebus-{later}.");
-            assert!(
-                !dependencies.contains(&dependency),
-                "{name} depends on {later}"
-            );
-        }
-        assert!(
-            !dependencies.contains("\njoulebus."),
-            "{name} depends on the program"
-        );
-    }
-    for glue in ["publisher", "predictor-worker", "consumer"] {
-        for other in ["publisher", "predictor-worker", "consumer"] {
-            let dependency = format!("joulebus-{other}.workspace");
-            let manifest = manifest(glue);
-            let dependencies = manifest.split("[dev-dependencies]").next().unwrap();
-            assert!(
-                !dependencies.contains(&dependency),
-                "{glue} depends on {other}"
-            );
+fn a_crate_depends_only_on_lines_of_the_drawing_below_its_own() {
+    let drawing = drawing();
+    let line = |name: &str| {
+        let found = drawing
+            .iter()
+            .position(|line| line.iter().any(|other| other == name));
+        found.unwrap_or_else(|| panic!("the drawing in ARCHITECTURE.md lacks {name}"))
+    };
+    line("benches");
+    for (package, dependencies) in direct_dependencies() {
+        let name = package.strip_prefix("joulebus-").unwrap();
+        let above = line(name);
+        for dependency in dependencies {
+            assert!(dependency != "joulebus", "{name} depends on the program");
+            if let Some(below) = dependency.strip_prefix("joulebus-") {
+                assert!(line(below) > above, "{name} depends on {below}");
+            }
         }
     }
 }
