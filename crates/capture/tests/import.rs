@@ -260,6 +260,25 @@ fn what_cannot_be_decoded_is_refused_by_reason_and_the_rest_is_used() {
     );
 }
 
+/// Found by fuzzing: a topic may have channels of several kinds.
+#[test]
+fn messages_of_another_kind_on_a_topic_are_refused_and_counted() {
+    let mut bag = Bag::new();
+    bag.channel("/r/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
+    for step in 0..3_u64 {
+        let now_ns = START_NS + step * TENTH_NS;
+        bag.message("/r/battery", now_ns, &battery(now_ns, 12.0, -1.0));
+    }
+    bag.channel("/r/battery", "geometry_msgs/msg/Twist", "cdr", "");
+    bag.message("/r/battery", START_NS + 3 * TENTH_NS, &twist(1.0, 1.0));
+    let mapping = "[[robot]]\nname = \"r\"\nbattery = \"/r/battery\"";
+    let imported = bag.import(mapping).unwrap();
+    let robot = &imported.robots[0];
+    assert_eq!((robot.battery.messages, robot.row_count), (4, 3));
+    assert_eq!(robot.battery.refused["of a channel of Twist messages"], 1);
+    assert!(robot.rows.iter().all(|row| row.v_mps.is_nan()));
+}
+
 #[test]
 fn a_type_with_other_fields_or_another_encoding_is_not_misread() {
     let mut bag = Bag::new();

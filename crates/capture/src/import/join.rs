@@ -161,7 +161,24 @@ impl Track {
         let is_battery = topic == self.robot.battery;
         let is_command = self.robot.command.as_deref() == Some(topic);
         let is_odometry = self.robot.odometry.as_deref() == Some(topic);
-        if !(is_battery || is_command || is_odometry) {
+        // Channels of several kinds may have one topic: the kind decides, where it fits.
+        let (as_battery, as_command, as_odometry) = match kind {
+            RosType::BatteryState => (is_battery, false, false),
+            RosType::Twist | RosType::TwistStamped => (false, is_command, false),
+            RosType::Odometry => (false, false, is_odometry),
+        };
+        if !(as_battery || as_command || as_odometry) {
+            let why = format!("of a channel of {kind:?} messages");
+            if is_battery {
+                self.battery.messages += 1;
+                self.battery.refuse(why);
+            } else if is_command {
+                self.command.messages += 1;
+                self.command.refuse(why);
+            } else if is_odometry {
+                self.odometry.messages += 1;
+                self.odometry.refuse(why);
+            }
             return;
         }
         let times = |stamped: Option<&Header>| Times {
@@ -169,9 +186,9 @@ impl Track {
             log_ns: header.log_time,
             publish_ns: header.publish_time,
         };
-        let messages = if is_battery {
+        let messages = if as_battery {
             &mut self.battery.messages
-        } else if is_command {
+        } else if as_command {
             &mut self.command.messages
         } else {
             &mut self.odometry.messages
@@ -191,8 +208,8 @@ impl Track {
             Ok(Message::Odometry(odometry)) => {
                 self.motion(times(Some(&odometry.header)), &odometry);
             }
-            Err(error) if is_battery => self.battery.refuse(error.to_string()),
-            Err(error) if is_command => self.command.refuse(error.to_string()),
+            Err(error) if as_battery => self.battery.refuse(error.to_string()),
+            Err(error) if as_command => self.command.refuse(error.to_string()),
             Err(error) => self.odometry.refuse(error.to_string()),
         }
     }

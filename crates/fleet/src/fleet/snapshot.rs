@@ -155,14 +155,17 @@ impl Fleet {
     /// Each slot in use holds a robot of its own, of the platform that the settings say.
     fn check_slots(&self, state: &FleetState) -> Result<(), StateError> {
         let mut ids = std::collections::HashSet::new();
-        for (slot, admission) in state.present() {
+        for (_, admission) in state.present() {
             let times = 2 - usize::from(ids.insert(admission.id));
             exactly("times a robot is listed", times, 1)?;
             let platform = self
                 .platform_of(admission.id)
                 .map_or(usize::MAX, usize::from);
             exactly("platform of a robot", admission.platform.into(), platform)?;
-            let readings = lanes::get(&state.columns.windows, slot).have();
+        }
+        // The loops over a block go over its free lanes too.
+        for lane in 0..state.columns.windows.len() * LANES {
+            let readings = lanes::get(&state.columns.windows, lane).have();
             at_most("readings in a window", readings.into(), LAGS)?;
         }
         Ok(())
