@@ -8,8 +8,10 @@ use std::io::{self, Read};
 use mcap::McapError;
 use mcap::records::{Record, op};
 
-use crate::reader::MOST_BYTES;
 use crate::scan::{parse_record, zstd_decoder};
+
+/// A record or a chunk longer than this is taken for damage, bytes.
+pub(crate) const MOST_BYTES: usize = 256 << 20;
 
 /// Opcode and length before every record, bytes.
 const HEAD_BYTES: usize = 9;

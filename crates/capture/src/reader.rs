@@ -11,12 +11,10 @@ use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use crate::chunk::{self, Records};
+use crate::chunk::{self, MOST_BYTES, Records};
 use crate::scan::parse_record;
 use crate::{Attached, Attachments, DecodeError, Entry, Message, MessageKind};
 
-/// A record or a chunk longer than this is taken for damage, bytes.
-pub(crate) const MOST_BYTES: usize = 256 << 20;
 /// Bytes read at once at most.
 const MOST_AT_ONCE: usize = 1 << 18;
 
