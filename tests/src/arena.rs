@@ -205,9 +205,8 @@ impl Arena {
     /// robots each time: the program under test, which must end well. A busy machine takes longer.
     pub fn simulate(&self, robots: u32, frames: u64) {
         let mut planner = self.consumer();
-        let arguments = ["publish", "sim", "--seed", "7", "--robots"];
-        let mut command = self.command(&arguments);
-        command.arg(robots.to_string());
+        let count = robots.to_string();
+        let command = self.command(&["publish", "sim", "--seed", "7", "--robots", &count]);
         let mut source = Child::spawn("simulation", command);
         let mut wanted = None;
         planner.until("the frames are accepted", |line| match line {
