@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use super::{Launcher, WARM_UP, finish, record_places};
 use crate::histogram;
 
-/// What the planner and the worker have seen; names as in [`super::Row`].
+/// What the planner and the worker have seen; names as in the rows of the report.
 #[derive(Debug, Serialize, Deserialize)]
 #[allow(
     missing_docs,
