@@ -21,7 +21,7 @@ cargo build --release --workspace --bins
 joulebus=$PWD/target/release/joulebus
 
 # The live view: a demo in a terminal of 120 columns, just before its end.
-tmux -L pictures new-session -d -s view -x 120 -y 40 "$joulebus demo --out $work/demo.mcap"
+tmux -L pictures new-session -d -s view -x 120 -y 40 "$joulebus demo --capture $work/demo.mcap"
 sleep 18
 tmux -L pictures capture-pane -t view -p -e | python3 tools/ansi_svg.py > docs/live-view.svg
 tmux -L pictures kill-server
