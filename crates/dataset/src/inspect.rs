@@ -1,4 +1,4 @@
-//! Datasets: finding recordings, saying what they are, and finding what is wrong with them.
+//! Datasets: finding recordings, describing them, and detecting faults in them.
 
 mod check;
 mod constant;

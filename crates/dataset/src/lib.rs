@@ -1,4 +1,4 @@
-//! Recordings: reading, checking, converting and resampling them, and making rows to learn from.
+//! Recordings: reading, checking, converting and resampling them, and building training rows.
 #![forbid(unsafe_code)]
 
 pub mod inspect;

@@ -1,8 +1,8 @@
 //! The header of NumPy's array files, for recordings and model files alike.
 //!
-//! A header comes from a stranger: nothing is allocated that it merely states, and what a plain array
-//! never contains is refused before the general parser sees it, which nests, multiplies and
-//! concatenates without bounds.
+//! A header is untrusted: no allocation depends on a size that it merely claims, and constructs
+//! that a plain array's header never contains are refused before the general parser sees them,
+//! which nests, multiplies and concatenates without bounds.
 
 use std::io::{self, Read};
 
@@ -10,7 +10,7 @@ use npyz::{DType, NpyFile, NpyHeader, Order};
 
 /// The first bytes of every array file.
 pub const MAGIC: &[u8] = b"\x93NUMPY";
-/// NumPy itself reads no longer header unless told to.
+/// NumPy's own default limit for a header's length.
 const MAX_TEXT_BYTES: usize = 10_000;
 /// Most dimensions, and most digits of each.
 const MAX_DIMENSIONS: usize = 8;
@@ -33,10 +33,10 @@ pub enum HeaderError {
         /// Bytes found.
         found: usize,
     },
-    /// The magic is another.
-    #[error("found no NumPy array")]
+    /// Wrong magic bytes.
+    #[error("found no NumPy magic bytes")]
     Magic,
-    /// The header is not one of a plain array.
+    /// The header is not that of a plain array.
     #[error("{detail}")]
     Malformed {
         /// Offset in the file.
@@ -52,13 +52,13 @@ pub enum HeaderError {
         "found shape ({found}); allowed: up to {MAX_DIMENSIONS} dimensions of up to {MAX_DIGITS} digits"
     )]
     Shape {
-        /// The shape as it stands there.
+        /// The shape as stated.
         found: String,
     },
 }
 
 impl HeaderError {
-    /// Offset in the file at which the error lies.
+    /// Offset of the error in the file.
     #[must_use]
     pub fn at(&self) -> usize {
         match self {
@@ -75,17 +75,17 @@ pub struct Header {
     raw: Vec<u8>,
     /// Type of the elements in NumPy's notation, such as `<f4`.
     pub element: String,
-    /// Whether the first dimension varies fastest.
+    /// Whether the first dimension varies fastest (Fortran order).
     pub fortran_order: bool,
     /// Elements in each dimension; their product fits into 64 bits.
     pub shape: Vec<usize>,
 }
 
 impl Header {
-    /// Reads the header; the source is left where the elements begin.
+    /// Reads the header; the source is then positioned at the first element.
     ///
     /// # Errors
-    /// [`HeaderError`]: not the header of a plain array, or cut off.
+    /// [`HeaderError`]: not the header of a plain array, or truncated.
     pub fn read(mut source: impl Read) -> Result<Self, HeaderError> {
         let mut bytes = Vec::new();
         read_until(&mut source, &mut bytes, VERSION_END)?;
@@ -142,8 +142,8 @@ impl Header {
     }
 }
 
-/// What NumPy writes before an array in C order; `element` is the type in its notation. The elements
-/// begin at a multiple of 64 bytes.
+/// The header that NumPy writes for an array in C order; `element` is the type in its notation. The
+/// elements begin at a multiple of 64 bytes.
 #[must_use]
 pub fn header(element: &str, shape: &[usize]) -> Vec<u8> {
     const ALIGNMENT: usize = 64;
@@ -181,7 +181,7 @@ fn malformed(at: usize, detail: String) -> HeaderError {
     HeaderError::Malformed { at, detail }
 }
 
-/// Refuses what the header of a plain array never contains.
+/// Refuses constructs that the header of a plain array never contains.
 fn check_text(at: usize, text: &[u8]) -> Result<(), HeaderError> {
     if text.contains(&b'[') {
         return Err(HeaderError::Records);
@@ -211,7 +211,7 @@ fn check_text(at: usize, text: &[u8]) -> Result<(), HeaderError> {
     let shape = text.get(opening + 1..closing).unwrap_or_default();
     let shape = String::from_utf8_lossy(shape);
     let shape = shape.trim();
-    // Python allows a comma after the last, and some programs write it.
+    // Python allows a trailing comma, and some programs write it.
     let sizes = shape
         .strip_suffix(',')
         .unwrap_or(shape)

@@ -1,4 +1,4 @@
-//! Recorded samples as rows to learn from: what was known, and the reading that followed.
+//! Recorded samples as training rows: the features at one time and the next reading.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write as _};
@@ -14,32 +14,32 @@ use sha2::{Digest as _, Sha256};
 use crate::npy;
 use crate::trial::Trial;
 
-/// One forecast to learn from: what is known, and the reading that followed.
+/// One training row: features and the reading that followed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
-    /// Raw features in SI units; those that the feature set leaves out may be NaN.
+    /// Raw features in SI units; those outside the feature set may be NaN.
     pub features: Features,
-    /// The next reading in watt.
+    /// The next reading, W.
     pub target_w: f32,
 }
 
-/// Rows split by robot or trial, never by row: neighbouring rows know each other's answers.
+/// Rows split by robot or trial, never by row, because neighbouring rows are correlated.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dataset {
-    /// Rows that decide the weights and the normalisation.
+    /// Rows for fitting weights and normalisation.
     pub training: Vec<Row>,
-    /// Rows that decide when to stop.
+    /// Rows for early stopping.
     pub validation: Vec<Row>,
-    /// Rows that decide nothing and give scores and residuals.
+    /// Rows for scores and residuals only.
     pub held_out: Vec<Row>,
-    /// Where the rows come from, for the model file.
+    /// Origin of the rows, for the model file.
     pub description: String,
 }
 
 impl Dataset {
-    /// SHA-256 of all rows, hexadecimal: each part with its length before it, numbers little-endian.
-    /// The features of freshness count only where they are in `feature_set`: rows are told by what
-    /// was learned from them.
+    /// SHA-256 of all rows, hexadecimal: each part preceded by its length, numbers little-endian.
+    /// The reading-age features are included only if `feature_set` has them: the hash identifies
+    /// what the model was trained on.
     pub fn sha256(&self, feature_set: FeatureSet) -> String {
         let counted = match feature_set.needs_freshness() {
             true => INPUTS,
@@ -62,35 +62,33 @@ impl Dataset {
     }
 }
 
-/// The rows of a trial, in order, with what could not be used.
+/// The rows of a trial, in order, and the number of unused samples.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TrialRows {
-    /// One row for each sample that has five readings without a gap behind it, and a reading after
-    /// it.
+    /// One row for each sample that has five gapless readings before it and a reading after it.
     pub rows: Vec<Row>,
-    /// For each row, the number of the sample whose forecast it is for: that of its reading's
-    /// forecast, from 0.
+    /// For each row, the number (from 0) of the sample on which its forecast is based.
     pub sample_seq: Vec<u64>,
-    /// For each row, how fresh its newest reading is: what its features of freshness say, and how
-    /// they continue where no further reading comes.
+    /// For each row, the age of its newest reading: its reading-age features, and their
+    /// continuation where no further reading arrives.
     pub reading_ages: Vec<ReadingAge>,
-    /// Samples that lead to no row because a window of five readings is not full there: at the
-    /// start, and after a gap, a missing reading, or a time that does not advance.
+    /// Samples without a row because their window of five readings is not full: at the start, and
+    /// after a gap, a missing reading, or a time that does not advance.
     pub without_window: usize,
 }
 
-/// The rows of a trial: the same features, to the bit, that the live tick shows the model.
+/// The rows of a trial: to the bit the features that the live tick passes to the model.
 ///
 /// A gap of more than one and a half median periods empties the window, and so does a missing
 /// reading: a model learns from readings, never from its own forecasts. Velocities that were not
-/// recorded are NaN, and so is freshness until two measurements have been seen.
+/// recorded are NaN, and so is the reading age until two measurements have been seen.
 #[must_use]
 pub fn trial_rows(trial: &Trial) -> TrialRows {
     // Only differences of time matter, but 0 means "never measured".
     sample_rows(&trial.to_samples(0, 1_000_000_000), trial.period_ns())
 }
 
-/// The rows of one robot's samples, which come every `period_ns`.
+/// The rows of one robot's samples with period `period_ns`.
 #[must_use]
 pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
     let longest_ns = period_ns + period_ns / 2;
@@ -135,11 +133,11 @@ pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
     found
 }
 
-/// How fresh the newest reading is, as the tick finds it: gaps and missing readings go by the
-/// schedule, and a time that does not advance is not taken.
+/// Age of the newest reading, computed as in the tick: gaps and missing readings advance it by the
+/// schedule, and a sample whose time does not advance is ignored.
 struct Age {
     reading_age: ReadingAge,
-    /// Stamp of the last sample taken.
+    /// Stamp of the last accepted sample.
     stamp_ns: Option<u64>,
 }
 
@@ -176,13 +174,13 @@ impl Age {
     }
 }
 
-/// Writes the rows for other programs: `training.npy`, `validation.npy` and `held_out.npy`, float32 of
-/// shape (rows, features + 1), each row its features and then the reading that followed, W. The
-/// features' names stand in `features.txt`, one a line. What is not known is NaN. The directory is
-/// made; files in it are overwritten.
+/// Writes the rows for other programs: `training.npy`, `validation.npy` and `held_out.npy`, float32
+/// of shape (rows, features + 1), each row its features and then the reading that followed, W.
+/// `features.txt` lists the features' names, one per line. Unknown values are NaN. The directory is
+/// created; files in it are overwritten.
 ///
 /// # Errors
-/// What the system said.
+/// The operating system's error.
 pub fn write_rows(directory: &Path, dataset: &Dataset) -> io::Result<()> {
     fs::create_dir_all(directory)?;
     fs::write(

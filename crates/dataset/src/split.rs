@@ -1,13 +1,13 @@
-//! Which rows decide the weights, which when to stop, and which decide nothing.
+//! Assigns rows to training, validation and held-out parts.
 //!
-//! Neighbouring rows know each other's answers, so rows are never dealt out one by one: whole
-//! trials, robots or groups of trials go to one part, or each trial is cut in time with a pause
-//! between the parts that is longer than the lag window, and lasts until the reading that stood at
-//! the cut, if the sensor held it, is in no window any more.
+//! Neighbouring rows are correlated, so single rows are never assigned: whole trials, robots or
+//! groups of trials go to one part, or each trial is cut in time with a pause between the parts
+//! that is longer than the lag window and that lasts until the reading at the cut, which the sensor
+//! may hold, has left the window.
 //!
-//! A recording that lies there twice, as two files, would be learned from and scored on all the same:
-//! where its rows come to lie in two parts the split is refused. Leaving one file out by itself would
-//! change which units there are, and so the whole split, unseen.
+//! A recording that exists twice, as two files, could be both learned from and scored on: if its
+//! rows fall into two parts, the split is refused. Dropping one file silently would change the set
+//! of units, and so the whole split.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
@@ -20,11 +20,11 @@ use sha2::{Digest as _, Sha256};
 use crate::rows::{Dataset, TrialRows};
 use joulebus_statistics::noise::Noise;
 
-/// Rows left out at each cut in time, at least: the lag window, the reading that is learned, and as
-/// many again.
+/// Minimum number of rows left out at each cut in time: the lag window and the target reading,
+/// twice.
 pub const PAUSE_ROWS: usize = 2 * (LAGS + 1);
 
-/// What stays together.
+/// Unit of the split: what stays in one part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum By {
@@ -34,7 +34,7 @@ pub enum By {
     Robot,
     /// All trials of a group: the same surface, terrain or load.
     Group,
-    /// The first part of every trial is learned from, the last is held out.
+    /// The first part of every trial is for training, the last is held out.
     Time,
 }
 
@@ -49,17 +49,17 @@ impl fmt::Display for By {
     }
 }
 
-/// How to split.
+/// Configuration of a split.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Split {
-    /// What stays together.
+    /// Unit of the split.
     pub by: By,
-    /// Share of the units (or, in time, of each trial's rows) that decides when to stop, above 0.
+    /// Share of the units (for a split in time, of each trial's rows) for validation, above 0.
     pub validation: f64,
-    /// Share that decides nothing, above 0; together with `validation` below 1.
+    /// Share held out, above 0; together with `validation` below 1.
     pub held_out: f64,
-    /// Seed of the order in which units are dealt out; a split in time needs none.
+    /// Seed of the shuffle of units; unused by a split in time.
     pub seed: u64,
 }
 
@@ -96,32 +96,32 @@ impl fmt::Display for Split {
     }
 }
 
-/// To three digits after the point.
+/// To three decimals.
 fn percent(share: f64) -> f64 {
     (share * 1e5).round() / 1e3
 }
 
-/// A trial's rows and where they belong.
+/// A trial's rows with the names of its units.
 #[derive(Debug, Clone)]
 pub struct Source {
-    /// The trial's name: its file.
+    /// Name of the trial: its file.
     pub trial: String,
-    /// The robot's name.
+    /// Name of the robot.
     pub robot: String,
-    /// The group's name: [`group_of`] its file.
+    /// Name of the group: [`group_of`] its file.
     pub group: String,
-    /// Its rows.
+    /// The trial's rows.
     pub rows: TrialRows,
 }
 
 /// A trial in one of several parts that must not share a row.
 #[derive(Debug, Clone, Copy)]
 pub struct Placed<'a> {
-    /// The trial's name: its file.
+    /// Name of the trial: its file.
     pub trial: &'a str,
-    /// Its rows.
+    /// The trial's rows.
     pub rows: &'a TrialRows,
-    /// The part, as a message has it.
+    /// Name of the part in messages.
     pub part: &'static str,
 }
 
@@ -134,31 +134,31 @@ impl<'a> Placed<'a> {
     }
 }
 
-/// Which rows of each trial are of which part.
+/// The rows of each trial in each part.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Deal {
-    /// For each source in order: its rows of training, validation, and held out.
+pub struct Assignment {
+    /// For each source in order, its row ranges: training, validation, held out.
     pub ranges: Vec<[Range<usize>; 3]>,
-    /// What went where, with names.
-    pub dealt: Dealt,
+    /// Names of the units in each part.
+    pub summary: SplitSummary,
 }
 
-/// What went where.
+/// Names of the units in each part, and numbers of rows.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Dealt {
-    /// What stayed together.
+pub struct SplitSummary {
+    /// Unit of the split.
     pub by: By,
-    /// Names of the units of each part; for a split in time the trials, once.
+    /// Names of the units for training; for a split in time the trials, once.
     pub training: Vec<String>,
-    /// Units that decide when to stop.
+    /// Units for validation.
     pub validation: Vec<String>,
-    /// Units that decide nothing.
+    /// Units held out.
     pub held_out: Vec<String>,
-    /// Rows of each part: training, validation, held out.
+    /// Rows per part: training, validation, held out.
     pub rows: [usize; 3],
     /// Rows in no part, at the cuts in time.
     pub pause_rows: usize,
-    /// The split in words.
+    /// Description of the split.
     pub name: String,
 }
 
@@ -177,14 +177,14 @@ pub enum SplitError {
         /// Share held out.
         held_out: f64,
     },
-    /// A unit that is to be held out is not there.
+    /// A unit to be held out does not exist.
     #[error("found no {by} {wanted:?}; there are {found}")]
     Unknown {
-        /// What stays together.
+        /// Unit of the split.
         by: By,
-        /// The name asked for.
+        /// The requested name.
         wanted: String,
-        /// The names that there are.
+        /// The available names.
         found: String,
     },
     /// There are too few units.
@@ -193,22 +193,22 @@ pub enum SplitError {
          time"
     )]
     TooFew {
-        /// What stays together.
+        /// Unit of the split.
         by: By,
         /// Units found.
         found: usize,
     },
-    /// The same rows would be learned from and scored on.
+    /// The same rows would be used for training and for scoring.
     #[error(
-        "{}, {} and {}: {rows} rows. A model must not learn what it is scored on: leave one of them out",
+        "{}, {} and {}: {rows} rows. A model must not be scored on its training rows: leave one of them out",
         in_two_parts(trials), parts[0], parts[1]
     )]
     Copy {
-        /// The trials; the same twice, if it was named twice.
+        /// The trials; the same name twice if it was given twice.
         trials: [String; 2],
         /// The part of each.
         parts: [&'static str; 2],
-        /// Their rows.
+        /// Number of shared rows.
         rows: usize,
     },
 }
@@ -221,8 +221,8 @@ fn in_two_parts([first, second]: &[String; 2]) -> String {
     }
 }
 
-/// The group that a file belongs to: its name without what numbers it. `ICE_03.csv.gz` and
-/// `ICE_04.csv.gz` are of the group `ICE`.
+/// The group of a file: its name without trailing numbers. `ICE_03.csv.gz` and `ICE_04.csv.gz`
+/// belong to the group `ICE`.
 #[must_use]
 pub fn group_of(file_name: &str) -> String {
     let stem = file_name.split('.').next().unwrap_or(file_name);
@@ -231,11 +231,11 @@ pub fn group_of(file_name: &str) -> String {
     if name.is_empty() { stem } else { name }.to_owned()
 }
 
-/// Refuses rows that stand in two parts: a recording may be there twice, under two names. Trials without
-/// rows count for nothing.
+/// Refuses rows that are in two parts: a recording may exist twice, under two names. Trials without
+/// rows are ignored.
 ///
 /// # Errors
-/// [`SplitError::Copy`], the first that is found.
+/// [`SplitError::Copy`] with the first duplicate.
 pub fn check_copies<'a>(placed: impl IntoIterator<Item = Placed<'a>>) -> Result<(), SplitError> {
     let mut first_with: HashMap<[u8; 32], Placed<'a>> = HashMap::new();
     for one in placed {
@@ -255,7 +255,7 @@ pub fn check_copies<'a>(placed: impl IntoIterator<Item = Placed<'a>>) -> Result<
     Ok(())
 }
 
-/// Of all that is learned from rows.
+/// Hash of everything that is learned from the rows.
 pub fn digest(rows: &TrialRows) -> [u8; 32] {
     let mut digest = Sha256::new();
     let mut bytes = Vec::new();
@@ -268,7 +268,7 @@ pub fn digest(rows: &TrialRows) -> [u8; 32] {
     digest.finalize().into()
 }
 
-/// Deals the rows out. `description` says where they come from; how they were split is added to it.
+/// Splits the rows. `description` states their origin; the split is appended to it.
 ///
 /// # Errors
 /// [`SplitError`].
@@ -276,21 +276,21 @@ pub fn split(
     sources: &[Source],
     split: Split,
     description: &str,
-) -> Result<(Dataset, Dealt), SplitError> {
-    let deal = deal(sources, split)?;
+) -> Result<(Dataset, SplitSummary), SplitError> {
+    let assignment = assign(sources, split)?;
     let seed = match split.by {
         By::Time => String::new(),
         _ => format!(", seed {}", split.seed),
     };
     let description = format!("{description}; split by {}{seed}", split.by);
-    Ok((deal.dataset(sources, description), deal.dealt))
+    Ok((assignment.dataset(sources, description), assignment.summary))
 }
 
-/// Which rows of each source go where.
+/// Assigns the rows of each source to the parts.
 ///
 /// # Errors
 /// [`SplitError`].
-pub fn deal(sources: &[Source], split: Split) -> Result<Deal, SplitError> {
+pub fn assign(sources: &[Source], split: Split) -> Result<Assignment, SplitError> {
     check(split)?;
     if split.by == By::Time {
         return Ok(in_time(sources, split));
@@ -313,17 +313,17 @@ pub fn deal(sources: &[Source], split: Split) -> Result<Deal, SplitError> {
     by_unit(sources, split.by, parts, split.to_string())
 }
 
-/// The same with the units named that are held out, such as one terrain of several; the share for
-/// validation is of the others, in the order of the seed.
+/// Like [`assign`], with the held-out units given by name, such as one terrain of several; the
+/// validation share is taken of the others, shuffled by the seed.
 ///
 /// # Errors
-/// [`SplitError`]: a unit that is not there, or none left to learn from and none to stop by; time
-/// has no units.
-pub fn deal_leaving_out(
+/// [`SplitError`]: a unit that does not exist, none left for training or validation, or a split in
+/// time, which has no units.
+pub fn assign_leaving_out(
     sources: &[Source],
     split: Split,
     held_out: &[String],
-) -> Result<Deal, SplitError> {
+) -> Result<Assignment, SplitError> {
     check(split)?;
     let all = units(sources, split.by);
     if let Some(wanted) = held_out.iter().find(|name| !all.contains(name)) {
@@ -356,7 +356,7 @@ pub fn deal_leaving_out(
     by_unit(sources, split.by, parts, name)
 }
 
-impl Deal {
+impl Assignment {
     /// The rows themselves.
     #[must_use]
     pub fn dataset(&self, sources: &[Source], description: String) -> Dataset {
@@ -398,7 +398,7 @@ fn unit(source: &Source, by: By) -> &str {
     }
 }
 
-/// The units' names, sorted.
+/// Names of the units, sorted.
 fn units(sources: &[Source], by: By) -> Vec<String> {
     let mut names: Vec<String> = sources.iter().map(|s| unit(s, by).to_owned()).collect();
     names.sort();
@@ -421,12 +421,12 @@ fn by_unit(
     by: By,
     parts: [Vec<String>; 3],
     name: String,
-) -> Result<Deal, SplitError> {
+) -> Result<Assignment, SplitError> {
     let mut part_of = BTreeMap::new();
     for (part, names) in parts.iter().enumerate() {
         part_of.extend(names.iter().map(|name| (name.clone(), part)));
     }
-    // Every unit was dealt to a part.
+    // Every unit is in a part.
     let part = |source: &Source| part_of.get(unit(source, by)).map(|part| PARTS[*part]);
     let placed = sources.iter();
     check_copies(placed.filter_map(|source| Some(Placed::new(source, part(source)?))))?;
@@ -444,9 +444,9 @@ fn by_unit(
         names.sort();
         names
     });
-    Ok(Deal {
+    Ok(Assignment {
         ranges,
-        dealt: Dealt {
+        summary: SplitSummary {
             by,
             training,
             validation,
@@ -458,8 +458,9 @@ fn by_unit(
     })
 }
 
-/// Copies of a recording are cut at the same rows: what is learned from one is held out of none.
-fn in_time(sources: &[Source], split: Split) -> Deal {
+/// Duplicates of a recording are cut at the same rows, so no training row of one is held out in
+/// another.
+fn in_time(sources: &[Source], split: Split) -> Assignment {
     let mut rows = [0; 3];
     let mut ranges = Vec::with_capacity(sources.len());
     for source in sources {
@@ -477,9 +478,9 @@ fn in_time(sources: &[Source], split: Split) -> Deal {
         ranges.push(parts);
     }
     let found: usize = sources.iter().map(|source| source.rows.rows.len()).sum();
-    Deal {
+    Assignment {
         ranges,
-        dealt: Dealt {
+        summary: SplitSummary {
             by: By::Time,
             training: sources.iter().map(|source| source.trial.clone()).collect(),
             validation: Vec::new(),
@@ -492,8 +493,8 @@ fn in_time(sources: &[Source], split: Split) -> Deal {
 }
 
 /// The first row after a cut that shares no reading with the rows before it: a pause of
-/// [`PAUSE_ROWS`] has passed, and no window holds the reading that stood at the cut, which a sensor
-/// that is read once a second returns for thirty rows.
+/// [`PAUSE_ROWS`] has passed, and no window holds the reading at the cut, which a sensor that is
+/// read once a second repeats for thirty rows.
 fn resume(rows: &TrialRows, cut: usize) -> usize {
     let found = rows.rows.len();
     let earliest = (cut + PAUSE_ROWS).min(found);
@@ -501,13 +502,13 @@ fn resume(rows: &TrialRows, cut: usize) -> usize {
         return earliest;
     };
     let after = &rows.rows[cut.min(found)..];
-    let stands = after
+    let held = after
         .iter()
         .take_while(|row| row.target_w.to_bits() == before.target_w.to_bits())
         .count();
-    match stands {
+    match held {
         0 => earliest,
         // A row's window holds the readings of the LAGS rows before it.
-        _ => (cut + stands + LAGS).clamp(earliest, found),
+        _ => (cut + held + LAGS).clamp(earliest, found),
     }
 }

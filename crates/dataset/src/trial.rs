@@ -1,9 +1,9 @@
-//! Recorded trials: reading them, what is to be said about them, and the samples they hold.
+//! Recorded trials: reading them, notes on their quality, and their samples.
 //!
-//! A trial is what one robot recorded in one run. Its file is the published layout as a NumPy
+//! A trial is what one robot recorded in one run. Its file has the published layout as a NumPy
 //! array, or the same table as CSV with a header, plain or compressed by gzip. Units are converted
-//! here, once: everything inside is SI, and what was not recorded is NaN or a missing column. A
-//! [`Table`] is the same as it stands in the file, for who writes it again.
+//! here, once: everything inside is SI, and values that were not recorded are NaN or a missing
+//! column. A [`Table`] holds the same in the units of the file, for writing it again.
 
 mod error;
 mod fleet;
@@ -45,20 +45,20 @@ pub struct Trial {
 impl Trial {
     /// Reads a trial from a file.
     ///
-    /// The kind of the file is told by its first bytes: a NumPy array of shape (n, 11) and floats
-    /// of 4 or 8 bytes in either byte order and either memory order; gzip with CSV in it; CSV.
-    /// CSV columns are found by name, in any order; `timestamp_s` and `power_mW` must be there.
-    /// `NaN` and an empty field mean "not recorded".
+    /// The format is detected from the first bytes: a NumPy array of shape (n, 11) with floats of 4
+    /// or 8 bytes in either byte order and either memory order; gzip with CSV in it; CSV. CSV
+    /// columns are found by name, in any order; `timestamp_s` and `power_mW` are required. `NaN`
+    /// and an empty field mean "not recorded".
     ///
     /// # Errors
-    /// [`TrialError`], naming the file and, where there is one, row and column: what was found and
-    /// what is allowed. A file that ends early is an error; a CSV that only lacks its last line
-    /// break is read, and [`TrialNotes::no_final_line_break`] says so.
+    /// [`TrialError`] names the file and, where there is one, row and column, with what was found
+    /// and what is allowed. A truncated file is an error; a CSV that only lacks its final newline
+    /// is read, and [`TrialNotes::no_final_line_break`] is set.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, TrialError> {
         Table::read(path)?.into_trial()
     }
 
-    /// The trial of a table whose values are in SI units already.
+    /// The trial of a table whose values are already in SI units.
     fn from_si(table: Table) -> Result<Self, TrialError> {
         let Table {
             path,
@@ -112,14 +112,14 @@ impl Trial {
         &self.path
     }
 
-    /// The robot's name as recorded, if it was: text in a CSV, a number in an array.
+    /// The robot's name as recorded, if any: text in a CSV, a number in an array.
     #[must_use]
     pub fn robot_name(&self) -> Option<&str> {
         self.robot_name.as_deref()
     }
 
-    /// Row of the file that row `row` (from 0) stands in, from 1, a CSV's header not included: another
-    /// than `row + 1` where several robots share a file.
+    /// Row of the file that holds row `row` (from 0), from 1, a CSV's header not included: differs
+    /// from `row + 1` where several robots share a file.
     #[must_use]
     pub fn file_row(&self, row: usize) -> usize {
         self.file_row.get(row).map_or(row + 1, |row| *row as usize)
@@ -131,7 +131,7 @@ impl Trial {
         self.timestamp_s.len()
     }
 
-    /// Time of each row as recorded, s; finite, and not always rising (see [`TrialNotes`]).
+    /// Time of each row as recorded, s; finite, not always increasing (see [`TrialNotes`]).
     #[must_use]
     pub fn timestamp_s(&self) -> &[f64] {
         &self.timestamp_s
@@ -143,27 +143,27 @@ impl Trial {
         &self.offset_ns
     }
 
-    /// One value a row in the SI unit of the [`Column`], NaN where none was recorded; `None` if
-    /// the column is not in the file or holds nothing but NaN.
+    /// One value per row in the SI unit of the [`Column`], NaN where none was recorded; `None` if
+    /// the column is missing or all NaN.
     #[must_use]
     pub fn column(&self, column: Column) -> Option<&[f64]> {
         self.columns[column as usize].as_deref()
     }
 
-    /// Whether the reading of `row` (from 0) repeats that of the row before: power, voltage and
+    /// Whether the reading of `row` (from 0) equals that of the row before: power, voltage and
     /// current, to the bit.
     #[must_use]
     pub fn is_held(&self, row: usize) -> bool {
         table::is_held(&self.columns, row)
     }
 
-    /// Median time from a row to the next, ns, over the rows that advance; at least 1.
+    /// Median step between rows whose time advances, ns; at least 1.
     #[must_use]
     pub fn period_ns(&self) -> u64 {
         self.period_ns
     }
 
-    /// What is questionable about the trial although it can be read.
+    /// Quality notes on the trial.
     #[must_use]
     pub fn notes(&self) -> &TrialNotes {
         &self.notes

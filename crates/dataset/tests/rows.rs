@@ -1,11 +1,11 @@
-//! Rows to learn from have whole windows, and splits leak nothing.
+//! Training rows have full windows, and splits leak nothing.
 
 use std::collections::HashSet;
 
 use joulebus_dataset::rows::Row;
 use joulebus_dataset::rows::{sample_rows, write_rows};
 use joulebus_dataset::split::{
-    By, PAUSE_ROWS, Source, Split, SplitError, deal_leaving_out, group_of, split,
+    By, PAUSE_ROWS, Source, Split, SplitError, assign_leaving_out, group_of, split,
 };
 use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet};
 use joulebus_wire::{Sample, sample_flag};
@@ -14,7 +14,7 @@ use proptest::prelude::*;
 const PERIOD_NS: u64 = 33_000_000;
 
 #[test]
-fn gaps_missing_readings_and_times_that_stand_still_empty_the_window() {
+fn gaps_missing_readings_and_times_that_do_not_advance_empty_the_window() {
     let sample = |seq: u64, stamp_ns: u64, power: bool| {
         let sample = Sample::new(1, seq, stamp_ns);
         let sample = sample.reading(3.0 + seq as f32, stamp_ns);
@@ -72,7 +72,7 @@ fn sources(trials: usize, rows: usize) -> Vec<Source> {
     sources.collect()
 }
 
-/// The same recording once more, as another file of another robot.
+/// The same recording as another file of another robot.
 fn copy_of(source: &Source) -> Source {
     Source {
         trial: "copy".to_owned(),
@@ -83,7 +83,7 @@ fn copy_of(source: &Source) -> Source {
 }
 
 #[test]
-fn a_recording_that_is_there_twice_is_never_learned_from_and_scored_on() {
+fn a_duplicate_recording_is_never_both_trained_and_scored_on() {
     let mut sources = sources(6, 80);
     sources.push(copy_of(&sources[2]));
     let rows =
@@ -120,19 +120,19 @@ fn a_recording_that_is_there_twice_is_never_learned_from_and_scored_on() {
         by: By::Group,
         ..Split::default()
     };
-    let error = deal_leaving_out(&sources, wanted, &["g2".to_owned()]).unwrap_err();
+    let error = assign_leaving_out(&sources, wanted, &["g2".to_owned()]).unwrap_err();
     let text = error.to_string();
-    for said in [
+    for expected in [
         "t2 and copy",
         "held out",
         "80 rows",
         "leave one of them out",
     ] {
-        assert!(text.contains(said), "{said:?} not in {text}");
+        assert!(text.contains(expected), "{expected:?} not in {text}");
     }
 }
 
-/// Which unit a row comes from: its readings say so.
+/// The unit of a row, encoded in its readings.
 fn trial_of(target_w: f32) -> usize {
     target_w as usize / 10_000
 }
@@ -149,7 +149,7 @@ proptest! {
     ) {
         let sources = sources(trials, 20);
         let wanted = Split { by, validation, held_out, seed };
-        let (dataset, dealt) = split(&sources, wanted, "x").expect("three units and more");
+        let (dataset, summary) = split(&sources, wanted, "x").expect("three units and more");
         let unit = |trial: usize| match by {
             By::Robot => trial % 4,
             By::Group => trial % 3,
@@ -164,17 +164,17 @@ proptest! {
             prop_assert!(found[one].is_disjoint(&found[other]));
         }
         prop_assert!(found.iter().all(|units| !units.is_empty()));
-        prop_assert_eq!(parts.map(Vec::len), dealt.rows);
-        prop_assert_eq!(dealt.rows.iter().sum::<usize>(), trials * 20);
+        prop_assert_eq!(parts.map(Vec::len), summary.rows);
+        prop_assert_eq!(summary.rows.iter().sum::<usize>(), trials * 20);
         let (again, _) = split(&sources, wanted, "x").expect("as before");
-        prop_assert_eq!(again.sha256(FeatureSet::Freshness), dataset.sha256(FeatureSet::Freshness), "the same seed deals the same parts");
+        prop_assert_eq!(again.sha256(FeatureSet::Freshness), dataset.sha256(FeatureSet::Freshness), "the same seed gives the same parts");
     }
 
     #[test]
     fn parts_cut_in_time_share_no_reading(rows in 40_usize..200, validation in 0.05_f64..0.4) {
         let sources = sources(3, rows);
         let wanted = Split { by: By::Time, validation, ..Split::default() };
-        let (dataset, dealt) = split(&sources, wanted, "x").expect("time needs no units");
+        let (dataset, summary) = split(&sources, wanted, "x").expect("time needs no units");
         let readings = |rows: &[joulebus_dataset::rows::Row]| -> HashSet<u32> {
             rows.iter()
                 .flat_map(|row| row.features[6..FEATURES].iter().chain([&row.target_w]))
@@ -185,12 +185,12 @@ proptest! {
         for (one, other) in [(0, 1), (0, 2), (1, 2)] {
             prop_assert!(parts[one].is_disjoint(&parts[other]));
         }
-        prop_assert_eq!(dealt.pause_rows, 3 * 2 * PAUSE_ROWS);
-        prop_assert_eq!(dealt.rows.iter().sum::<usize>() + dealt.pause_rows, 3 * rows);
+        prop_assert_eq!(summary.pause_rows, 3 * 2 * PAUSE_ROWS);
+        prop_assert_eq!(summary.rows.iter().sum::<usize>() + summary.pause_rows, 3 * rows);
     }
 }
 
-/// Rows of a trial whose sensor is read every `hold` rows: each reading has a value of its own.
+/// Rows of a trial whose sensor is read every `hold` rows: each reading has a unique value.
 fn held_source(rows: usize, hold: usize) -> Source {
     let samples: Vec<Sample> = (0..rows as u64 + 5)
         .map(|seq| {
@@ -215,7 +215,7 @@ proptest! {
     ) {
         let source = held_source(rows, hold);
         let wanted = Split { by: By::Time, validation, ..Split::default() };
-        let (dataset, dealt) = split(std::slice::from_ref(&source), wanted, "x").expect("time needs no units");
+        let (dataset, summary) = split(std::slice::from_ref(&source), wanted, "x").expect("time needs no units");
         let readings = |rows: &[joulebus_dataset::rows::Row]| -> HashSet<u32> {
             let readings = rows.iter().flat_map(|row| row.features[6..FEATURES].iter().chain([&row.target_w]));
             readings.map(|power_w| power_w.to_bits()).collect()
@@ -224,13 +224,13 @@ proptest! {
         for (one, other) in [(0, 1), (0, 2), (1, 2)] {
             prop_assert!(parts[one].is_disjoint(&parts[other]));
         }
-        prop_assert_eq!(dealt.rows.iter().sum::<usize>() + dealt.pause_rows, source.rows.rows.len());
-        prop_assert!(dealt.name.starts_with("by time"));
+        prop_assert_eq!(summary.rows.iter().sum::<usize>() + summary.pause_rows, source.rows.rows.len());
+        prop_assert!(summary.name.starts_with("by time"));
     }
 }
 
 #[test]
-fn rows_are_written_for_other_programs_as_arrays_of_single_precision() {
+fn rows_are_exported_as_arrays_of_single_precision() {
     let (dataset, _) = split(&sources(6, 20), Split::default(), "x").expect("six trials");
     let folder = tempfile::tempdir().expect("a temporary directory");
     let folder = folder.path().join("rows");
@@ -266,21 +266,22 @@ fn rows_are_written_for_other_programs_as_arrays_of_single_precision() {
 }
 
 #[test]
-fn units_held_out_by_name_are_held_out_alone() {
+fn only_units_named_are_held_out() {
     let sources = sources(12, 20);
     let wanted = Split {
         by: By::Group,
         ..Split::default()
     };
-    let deal = deal_leaving_out(&sources, wanted, &["g1".to_owned()]).expect("three groups");
-    for (source, ranges) in sources.iter().zip(&deal.ranges) {
+    let assignment =
+        assign_leaving_out(&sources, wanted, &["g1".to_owned()]).expect("three groups");
+    for (source, ranges) in sources.iter().zip(&assignment.ranges) {
         let held_out = source.group == "g1";
         assert_eq!(!ranges[2].is_empty(), held_out, "{}", source.group);
         assert_eq!(ranges[0].is_empty() && ranges[1].is_empty(), held_out);
     }
-    assert_eq!(deal.dealt.rows.iter().sum::<usize>(), 12 * 20);
-    assert_eq!(deal.dealt.held_out, ["g1"]);
-    let refused = deal_leaving_out(&sources, wanted, &["g9".to_owned()]).expect_err("no g9");
+    assert_eq!(assignment.summary.rows.iter().sum::<usize>(), 12 * 20);
+    assert_eq!(assignment.summary.held_out, ["g1"]);
+    let refused = assign_leaving_out(&sources, wanted, &["g9".to_owned()]).expect_err("no g9");
     assert!(refused.to_string().contains("g0, g1, g2"), "{refused}");
 }
 

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_dataset::rows::Dataset;
 use joulebus_dataset::rows::trial_rows;
-use joulebus_dataset::split::{By, Source, Split, deal, deal_leaving_out, group_of};
+use joulebus_dataset::split::{By, Source, Split, assign, assign_leaving_out, group_of};
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::online_learning::{Judged, VARIANTS, judge};
 use joulebus_eval::score::recorded_platform;
@@ -172,10 +172,10 @@ impl Recordings {
             seed: SEED,
             ..Split::default()
         };
-        let deal = deal(&self.sources, split).unwrap_or_else(|error| panic!("{error}"));
-        let network = self.network(&deal.dataset(&self.sources, name.to_owned()));
+        let assignment = assign(&self.sources, split).unwrap_or_else(|error| panic!("{error}"));
+        let network = self.network(&assignment.dataset(&self.sources, name.to_owned()));
         let judged = self.judge(&network, |source| {
-            deal.dealt.held_out.contains(&source.trial)
+            assignment.summary.held_out.contains(&source.trial)
         });
         line(name, "other trials of the same", &judged);
     }
@@ -198,11 +198,11 @@ impl Recordings {
             .filter(|source| is_left_out(&source.group))
             .map(|source| source.trial.clone())
             .collect();
-        let deal = deal_leaving_out(&self.sources, split, &left_out)
+        let assignment = assign_leaving_out(&self.sources, split, &left_out)
             .unwrap_or_else(|error| panic!("{error}"));
         // The scores that a file states are those of what it was trained for: nobody has the others
         // when the model is made.
-        let mut dataset = deal.dataset(&self.sources, trained_on.to_owned());
+        let mut dataset = assignment.dataset(&self.sources, trained_on.to_owned());
         dataset.held_out.clone_from(&dataset.validation);
         let network = self.network(&dataset);
         for (tested_on, group) in tests {

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use joulebus_dataset::rows::trial_rows;
 use joulebus_dataset::split::{
-    Deal, Dealt, Source, Split, SplitError, deal, deal_leaving_out, group_of,
+    Assignment, Source, Split, SplitError, SplitSummary, assign, assign_leaving_out, group_of,
 };
 use joulebus_dataset::trial::{Method, Resample, ResampleError, Trial};
 
@@ -117,7 +117,7 @@ pub struct Series {
     /// What each kind of input adds; none with the reason if it could not be found out.
     pub ablation: Option<Ablation>,
     /// What went where.
-    pub split: Dealt,
+    pub split: SplitSummary,
     /// Trials and inputs that are not in it, and why.
     pub left_out: Vec<String>,
 }
@@ -212,10 +212,10 @@ fn analyze_series(
     mut left_out: Vec<String>,
 ) -> Result<Series, AnalyzeError> {
     let sources: Vec<Source> = trials.par_iter().map(source).collect();
-    let deal: Deal = if settings.leave_out.is_empty() {
-        deal(&sources, settings.split)?
+    let assignment: Assignment = if settings.leave_out.is_empty() {
+        assign(&sources, settings.split)?
     } else {
-        deal_leaving_out(&sources, settings.split, &settings.leave_out)?
+        assign_leaving_out(&sources, settings.split, &settings.leave_out)?
     };
     let found: Vec<Autocorrelation> = trials
         .par_iter()
@@ -231,7 +231,7 @@ fn analyze_series(
     };
     let readings: usize = found.iter().map(|found| found.readings).sum();
     let held: usize = trials.iter().map(|trial| trial.notes().held_readings).sum();
-    let ablation = ablation::ablation(trials, &sources, &deal, settings.window, models);
+    let ablation = ablation::ablation(trials, &sources, &assignment, settings.window, models);
     let (ablation, not_done) = ablation;
     left_out.extend(not_done);
     Ok(Series {
@@ -253,7 +253,7 @@ fn analyze_series(
             })
             .collect(),
         ablation,
-        split: deal.dealt,
+        split: assignment.summary,
         left_out,
     })
 }

@@ -1,7 +1,7 @@
-//! What each setting may be: the check of the values and the keys of the config file
-//! (`joulebus config explain`) take their bounds from here. Both ends are allowed.
+//! Bounds of each setting: the check of values set in code and the keys of the config file
+//! (`joulebus config explain`) share them. Both ends are allowed.
 //!
-//! A bound that only a config file can break stands with its key, in `joulebus-config`.
+//! A bound that only a config file can violate is defined with its key, in `joulebus-config`.
 
 use std::ops::RangeInclusive;
 
@@ -13,9 +13,9 @@ pub const CAPACITY: RangeInclusive<u32> = 1..=1_000_000;
 pub const MAX_SAMPLES_PER_TICK: RangeInclusive<u32> = 1..=1024;
 /// Sources that the worker keeps account of, and that can be connected at once.
 pub const MAX_SOURCES: RangeInclusive<u32> = 1..=1024;
-/// Frames of each source that wait in shared memory.
+/// Frames of each source buffered in shared memory.
 pub const BUFFER_FRAMES: RangeInclusive<u32> = 2..=256;
-/// Planners, watchers and recorders that can be connected at once.
+/// Planners, live views and recorders that can be connected at once.
 pub const MAX_PLANNERS: RangeInclusive<u32> = 1..=256;
 /// Share of readings inside their intervals.
 pub const COVERAGE: RangeInclusive<f64> = 0.5..=0.99;
@@ -37,27 +37,27 @@ pub const SETTLE_SAMPLES: RangeInclusive<u32> = 1..=1_000_000;
 pub const ALARM_SAMPLES: RangeInclusive<u32> = 1..=10_000;
 /// Distance of a feature from its training range, as a share of that range.
 pub const TRAINING_MARGIN: RangeInclusive<f64> = 0.0..=10.0;
-/// Time between two samples of a robot, ms. A live fleet has 1 ms to 10 s, by the keys of its
-/// rates; recordings may be faster and slower.
+/// Sample period of a robot, ms. Config keys for rates restrict a live fleet to 1 ms to 10 s;
+/// recordings may be faster or slower.
 pub const PERIOD_MS: RangeInclusive<f64> = 0.1..=60_000.0;
 /// Silence that ends a robot's forecasts, sample periods.
 pub const STALE_AFTER_PERIODS: RangeInclusive<f64> = 2.0..=1000.0;
-/// Least power that can be true, W; it is also at most the greatest.
+/// Lower power limit, W; it is also at most the upper limit.
 pub const POWER_MIN_W: RangeInclusive<f64> = -1e6..=1e6;
-/// Greatest power that can be true, W.
+/// Upper power limit, W.
 pub const POWER_MAX_W: RangeInclusive<f64> = 0.0..=1e6;
-/// Smallest step of a power monitor, W.
+/// Resolution of a power monitor, W.
 pub const POWER_RESOLUTION_W: RangeInclusive<f64> = 1e-9..=1e6;
-/// Greatest linear velocity that can be commanded, m/s.
+/// Maximum commanded linear velocity, m/s.
 pub const V_MAX_MPS: RangeInclusive<f64> = 0.0..=1000.0;
-/// Greatest angular velocity that can be commanded, rad/s.
+/// Maximum commanded angular velocity, rad/s.
 pub const OMEGA_MAX_RADPS: RangeInclusive<f64> = 0.0..=1000.0;
-/// Energy of a battery from full to empty, Wh.
+/// Battery capacity, Wh.
 pub const BATTERY_CAPACITY_WH: RangeInclusive<f64> = 0.001..=1e6;
-/// Reserve and state of charge of a battery.
+/// Reserve and state of charge of a battery, as shares of its capacity.
 pub const SHARE: RangeInclusive<f64> = 0.0..=1.0;
 
-/// Refuses `found` outside `allowed`, NaN included.
+/// Refuses `found` outside `allowed`; NaN is outside.
 pub(crate) fn within<T: Copy + PartialOrd + Into<f64>>(
     what: &str,
     found: T,

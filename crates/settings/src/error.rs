@@ -1,22 +1,22 @@
-//! Why settings were refused.
+//! Errors of the settings check.
 
 /// Why settings were refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SettingsError {
-    /// A number lies outside what is allowed.
+    /// A number is out of bounds.
     #[error("{what} is {found}, allowed is {}", words(*.min, *.max))]
     OutOfRange {
-        /// Which setting.
+        /// Name of the setting.
         what: String,
-        /// What it is.
+        /// Its value.
         found: f64,
-        /// Least value allowed.
+        /// Lower bound.
         min: f64,
-        /// Greatest value allowed; infinite where there is none.
+        /// Upper bound; infinite where there is none.
         max: f64,
     },
-    /// There is not one model for each platform.
+    /// The number of models differs from the number of platforms.
     #[error("{platforms} platforms but {models} models: each platform needs exactly one")]
     Models {
         /// Platforms in the settings.
@@ -31,14 +31,14 @@ pub enum SettingsError {
     SharedRobot {
         /// The robot.
         robot: u32,
-        /// The platform that names it first.
+        /// The first platform that lists it.
         first: String,
-        /// The platform that names it again.
+        /// The second platform that lists it.
         second: String,
     },
 }
 
-/// A range of numbers, in words.
+/// A range of numbers as text.
 fn words(min: f64, max: f64) -> String {
     if max == f64::INFINITY {
         format!("at least {min}")

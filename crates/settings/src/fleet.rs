@@ -1,4 +1,4 @@
-//! The settings of a fleet's tick, and why they are refused.
+//! Settings of a fleet's tick and their check.
 
 use std::ops::RangeInclusive;
 
@@ -9,40 +9,41 @@ use crate::bounds::{self, within};
 use crate::error::SettingsError;
 use crate::platform::Platform;
 
-/// Everything the tick needs to know but the models. [`bounds`] says what each number may be.
+/// Everything the tick is configured with except the models. [`bounds`] states the range of each
+/// number.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FleetSettings {
-    /// Maximum number of robots; the ones past it are refused and named.
+    /// Maximum number of robots; samples of further robots are refused and counted.
     pub capacity: u32,
-    /// How samples are taken in.
+    /// Limits of sample ingest.
     pub intake: Intake,
     /// The intervals around forecasts.
     pub interval: IntervalSettings,
     /// When residuals raise an alarm.
     pub alarms: AlarmSettings,
-    /// The kinds of robots; every robot id belongs to at most one.
+    /// Robot platforms; every robot id belongs to at most one.
     pub platforms: Vec<Platform>,
 }
 
-/// How samples are taken in.
+/// Limits of sample ingest.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Intake {
-    /// Samples of one robot that one tick takes; the rest is dropped as `Backlog`.
+    /// Samples of one robot that one tick takes; further ones are dropped as `Backlog`.
     pub max_samples_per_tick: u16,
     /// A stamp further than this after the robot's last one is refused, ns.
     pub max_jump_ns: u64,
-    /// A robot silent for longer than this has left: its slot is free for another, ns.
+    /// Silence after which a robot has left and its slot is freed, ns.
     pub leave_after_ns: u64,
-    /// Sources that the worker keeps account of.
+    /// Maximum number of sources tracked by the worker.
     pub max_sources: u16,
 }
 
 /// The intervals around forecasts.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct IntervalSettings {
-    /// Share of readings that are to fall inside.
+    /// Nominal coverage: target share of readings inside the interval.
     pub coverage: f32,
-    /// How far an end moves when a reading falls outside it, as a share of its distance.
+    /// Step of an interval end when a reading falls outside it, as a share of its distance.
     pub rate: f32,
 }
 
@@ -77,7 +78,7 @@ pub struct AlarmSettings {
 pub enum Policy {
     /// As soon as every robot whose sample is due has reported, or `deadline_ns` after the first.
     OnFrame {
-        /// How long to wait for the others, ns.
+        /// Maximum wait for the remaining robots, ns.
         deadline_ns: u64,
     },
     /// On a grid on the monotonic clock.
@@ -85,10 +86,10 @@ pub enum Policy {
 }
 
 impl FleetSettings {
-    /// Refuses numbers that contradict each other or lie outside their ranges.
+    /// Checks ranges and consistency.
     ///
     /// # Errors
-    /// The first setting that is refused, with what it is and what it may be.
+    /// The first setting that is refused, with its value and its bounds.
     pub fn check(&self) -> Result<(), SettingsError> {
         let Intake {
             max_samples_per_tick,
@@ -153,11 +154,11 @@ impl FleetSettings {
         self.check_robots_apart()
     }
 
-    /// A number that differs where the settings do, the same on every machine: FNV-1a over every
-    /// value, bit for bit.
+    /// FNV-1a over every value, bit for bit: differs where the settings differ, and is the same on
+    /// every machine.
     #[must_use]
     pub fn fingerprint(&self) -> u64 {
-        // Never an error: a vector grows, and every length is known.
+        // Serialisation into a growing vector of known lengths cannot fail.
         fnv1a(postcard::to_allocvec(self).unwrap_or_default())
     }
 
@@ -250,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_refused_is_named_with_its_value_and_both_bounds() {
+    fn refusals_name_the_setting_its_value_and_both_bounds() {
         assert_eq!(settings().check(), Ok(()));
         type Change = fn(&mut FleetSettings);
         let cases: &[(Change, &str)] = &[

@@ -1,7 +1,7 @@
-//! What the tick is told before it starts, as plain values with their bounds: limits, platforms,
-//! thresholds and when a tick is due. No file, no clock, no computation on samples.
+//! Configuration of the tick as plain values with bounds: limits, platforms, thresholds and the
+//! tick policy. No file, no clock, no computation on samples.
 //!
-//! [`FleetSettings::check`] refuses what is out of range or contradictory.
+//! [`FleetSettings::check`] refuses values that are out of range or contradictory.
 #![forbid(unsafe_code)]
 
 pub mod bounds;

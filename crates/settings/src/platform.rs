@@ -1,4 +1,4 @@
-//! A kind of robot: its times, limits and battery.
+//! A robot platform: timing, limits and battery.
 
 use std::ops::RangeInclusive;
 
@@ -7,45 +7,45 @@ use serde::Serialize;
 use crate::bounds::{self, within};
 use crate::error::SettingsError;
 
-/// A kind of robot.
+/// A robot platform.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Platform {
     /// Its name, for messages.
     pub name: String,
-    /// The robots that are of this kind.
+    /// Ids of its robots.
     pub robots: Vec<RangeInclusive<u32>>,
-    /// Time between two samples, ns.
+    /// Sample period, ns.
     pub period_ns: u64,
-    /// Silence after which a robot is `Invalid(Stale)`, ns. Also the longest gap that the model
-    /// bridges open loop; a longer one empties the lag window.
+    /// Silence after which a robot is `Invalid(Stale)`, ns. Also the longest gap that is bridged
+    /// open loop; a longer gap empties the lag window.
     pub stale_after_ns: u64,
     /// Age of a measurement past which `HeldTooLong` is raised, ns.
     pub hold_max_ns: u64,
-    /// Time over which new measurements may all be equal before `StuckSensor` is raised, ns.
+    /// Time after which identical new measurements raise `StuckSensor`, ns.
     pub stuck_after_ns: u64,
-    /// Least power that can be true, W. Negative where the robot regenerates.
+    /// Lower power limit, W. Negative where the platform regenerates.
     pub power_min_w: f32,
-    /// Greatest power that can be true, W.
+    /// Upper power limit, W.
     pub power_max_w: f32,
-    /// Greatest |v| that can be commanded, m/s.
+    /// Maximum commanded |v|, m/s.
     pub v_max_mps: f32,
-    /// Greatest |ω| that can be commanded, rad/s.
+    /// Maximum commanded |ω|, rad/s.
     pub omega_max_radps: f32,
-    /// Smallest step of the power monitor, W: the floor of every residual scale.
+    /// Resolution of the power monitor, W: the lower bound of every residual scale.
     pub power_resolution_w: f32,
-    /// The battery, where it is known.
+    /// The battery, if configured.
     pub battery: Option<Battery>,
-    /// What each robot's forecast learns from its own readings.
+    /// Online learning per robot.
     pub online: Online,
 }
 
-/// What each robot's forecast learns from its own readings; nothing unless asked. Needs a network: a
-/// platform that repeats the last reading has nothing to learn.
+/// Online learning per robot; off by default. Needs a network: on a platform that uses persistence
+/// there is nothing to learn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Online {
-    /// Persistence, the model's linear baseline and its network are weighed against each other.
+    /// Mixes persistence, the model's linear baseline and its network by learned weights.
     pub mixture: bool,
-    /// A level and a gain on the network's forecast are learned.
+    /// Learns a bias and a gain on the network's forecast.
     pub adapt: bool,
 }
 
@@ -58,13 +58,12 @@ pub struct Battery {
     pub reserve: f64,
     /// State of charge when the ledger starts, best estimate.
     pub initial_soc: f64,
-    /// The same, on the safe side; at most `initial_soc`.
+    /// Conservative lower bound of it; at most `initial_soc`.
     pub initial_soc_lo: f64,
 }
 
 impl Platform {
-    /// Refuses numbers that contradict each other or lie outside their ranges; `leave_after_ns`: silence
-    /// after which a robot has left.
+    /// Checks ranges and consistency; `leave_after_ns`: silence after which a robot has left.
     pub(crate) fn check(&self, leave_after_ns: u64) -> Result<(), SettingsError> {
         let check = |what: &str, found: f64, allowed: RangeInclusive<f64>| {
             within(

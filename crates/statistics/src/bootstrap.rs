@@ -1,12 +1,12 @@
-//! How far a score is to be trusted: confidence intervals by block bootstrap.
+//! Confidence intervals of scores by block bootstrap.
 //!
-//! Neighbouring rows know each other's answers, so rows are never drawn one by one: whole blocks
-//! are, with replacement, as many as there are, and the score is recomputed from each draw; the
-//! interval holds the middle share of what came out (Carlstein, "The use of subseries values for
-//! estimating the variance", 1986; the percentile interval of Efron). Scores that are compared are
-//! computed from the same draws, so that what is common to them cancels.
+//! Neighbouring rows are correlated, so single rows are never resampled: whole blocks are drawn
+//! with replacement, as many as there are, and the score is recomputed from each draw. The interval
+//! spans the middle share of these scores (Carlstein, "The use of subseries values for estimating
+//! the variance", 1986; Efron's percentile interval). Scores that are compared use the same draws,
+//! so that their common variance cancels.
 //!
-//! What it does not tell: how the model would do on robots or surfaces of which there is no block.
+//! The intervals say nothing about robots or surfaces of which there is no block.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -14,21 +14,21 @@ use serde::Serialize;
 use crate::metrics::{quantile, sorted};
 use crate::noise::Noise;
 
-/// Least blocks for an interval: of fewer, the draws repeat each other.
+/// Minimum number of blocks for an interval: with fewer, the draws repeat each other.
 pub const LEAST_BLOCKS: usize = 8;
 
-/// How intervals are made.
+/// Configuration of the bootstrap.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Bootstrap {
-    /// Draws; 0 for no intervals.
+    /// Number of draws; 0 disables intervals.
     pub resamples: u32,
-    /// Share of the draws inside the interval, above 0 and below 1.
+    /// Confidence level, above 0 and below 1.
     pub confidence: f64,
     /// Seed of the draws.
     pub seed: u64,
-    /// Rows of a block, where blocks are not whole trials; at least 1.
+    /// Rows per block where blocks are not whole trials; at least 1.
     pub block_rows: usize,
-    /// From so many trials on, a block is a whole trial.
+    /// Minimum number of trials at which a block is a whole trial.
     pub trials_from: usize,
 }
 
@@ -50,14 +50,14 @@ impl Default for Bootstrap {
 pub struct Estimate {
     /// The score of the whole.
     pub value: f64,
-    /// Lower end; NaN, in JSON null, where there are too few blocks or a draw has no score.
+    /// Lower end; NaN (null in JSON) with too few blocks or when a draw has no score.
     pub lo: f64,
-    /// Upper end, as the lower.
+    /// Upper end, like the lower.
     pub hi: f64,
 }
 
 impl Estimate {
-    /// A score of which nothing more is known.
+    /// A score without an interval.
     #[must_use]
     pub const fn alone(value: f64) -> Self {
         Self {
@@ -81,10 +81,10 @@ impl Estimate {
 }
 
 impl Bootstrap {
-    /// `statistics(blocks)` computes any number of scores from blocks `0..count` given by number,
-    /// some of them more than once. It is called with each block once for the values, and with
-    /// every draw for the intervals; draws are shared among threads, and the result has the same
-    /// bits for any number of them.
+    /// `statistics(blocks)` computes any number of scores from blocks `0..count`, given by index,
+    /// possibly repeated. It is called once with every block for the values and once per draw for
+    /// the intervals. Draws run in parallel; the result has the same bits for any number of
+    /// threads.
     pub fn estimate<S>(&self, count: usize, statistics: S) -> Vec<Estimate>
     where
         S: Fn(&[usize]) -> Vec<f64> + Sync,

@@ -1,4 +1,4 @@
-//! Statistics that every offline crate shares: sums of errors and quantiles, bootstrap intervals, and
+//! Statistics shared by the offline crates: error sums and quantiles, bootstrap intervals, and
 //! random numbers that are the same on every machine.
 #![forbid(unsafe_code)]
 

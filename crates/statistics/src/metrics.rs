@@ -1,16 +1,16 @@
-//! How good forecasts are: every score, defined once.
+//! Forecast scores, each defined once.
 //!
-//! A *pair* is a reading and the forecast that was made for it; its *residual* is reading minus
-//! forecast, as in the live diagnostics. All sums are double precision and in the order of the
-//! calls, so the same pairs in the same order give the same bits.
+//! A *pair* is a reading and its forecast; its *residual* is reading minus forecast, as in the live
+//! diagnostics. All sums are double precision and in the order of the calls, so the same pairs in
+//! the same order give the same bits.
 //!
-//! **What is not a number stays visible.** A pair with a reading or a forecast that is not finite
-//! enters no score and is counted in [`Tally::unscored`]; a score that is not defined (no pair, no
-//! variance, nothing to divide by) is NaN, never 0 or 1.
+//! **Undefined is visible.** A pair with a reading or a forecast that is not finite enters no score
+//! and is counted in [`Tally::unscored`]; an undefined score (no pair, no variance, a zero
+//! denominator) is NaN, never 0 or 1.
 
 use serde::{Deserialize, Serialize};
 
-/// Sums that add up over parts of a series: a line of the widest vectors.
+/// Additive sums over parts of a series; one AVX-512 vector.
 pub type Additive = [f64; 8];
 
 /// Sums over pairs, from which the scores follow. Tallies of parts can be merged.
@@ -40,8 +40,8 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Takes a pair. `step_s` is the time that the reading stands for, for the energy; NaN or 0
-    /// where energy means nothing.
+    /// Adds a pair. `step_s` is the duration of the reading, for the energy; NaN or 0 where energy
+    /// is undefined.
     pub fn add(&mut self, reading_w: f64, forecast_w: f64, step_s: f64) {
         let residual_w = reading_w - forecast_w;
         if !(residual_w.is_finite()) {
@@ -63,7 +63,7 @@ impl Tally {
         self.reading_scatter_w2 += from_mean * (reading_w - self.reading_mean_w);
     }
 
-    /// Adds the pairs of another tally. Merged in the same order, the same bits.
+    /// Adds the pairs of another tally. Merging in the same order gives the same bits.
     pub fn merge(&mut self, other: &Self) {
         self.unscored += other.unscored;
         if other.count == 0 {
@@ -84,8 +84,8 @@ impl Tally {
         self.forecast_j += other.forecast_j;
     }
 
-    /// What the scores follow from, as numbers that merely add up: for draws of many tallies, where
-    /// [`Tally::merge`] would cost a division each. `centre_w` is a value near the readings.
+    /// Plain sums from which the scores follow: for draws of many tallies, where [`Tally::merge`]
+    /// would cost a division each. `centre_w` is a value near the readings.
     pub fn additive(&self, centre_w: f64) -> Additive {
         let count = self.count as f64;
         let apart_w = self.reading_mean_w - centre_w;
@@ -101,8 +101,8 @@ impl Tally {
         ]
     }
 
-    /// The tally of added up numbers about the same centre; it knows no relative residuals, and
-    /// none that were not scored.
+    /// The tally of plain sums about the same centre, without relative residuals and without the
+    /// number of unscored pairs.
     pub fn of_additive(sums: &Additive, centre_w: f64) -> Self {
         let [
             count,
@@ -119,7 +119,7 @@ impl Tally {
         }
         let mean_w = apart_w / count;
         let scatter_w2 = squares_w2 - apart_w * mean_w;
-        // Less than this is what rounding leaves of readings that are all equal.
+        // Rounding leaves less than this of readings that are all equal.
         let varies = scatter_w2 > 1e-13 * squares_w2;
         Self {
             count: count as u64,
@@ -140,7 +140,7 @@ impl Tally {
         self.count
     }
 
-    /// Pairs that were not, because the reading or the forecast was not finite.
+    /// Pairs not scored because the reading or the forecast was not finite.
     #[must_use]
     pub const fn unscored(&self) -> u64 {
         self.unscored
@@ -170,9 +170,8 @@ impl Tally {
         self.sum_abs_w / self.count as f64
     }
 
-    /// Mean of |residual / reading|, as a share, over the pairs whose reading is not exactly 0 (a
-    /// robot at rest that draws nothing has no relative error). NaN without such a pair. Readings
-    /// close to 0 make it large and mean little.
+    /// Mean of |residual / reading|, as a share, over the pairs whose reading is not exactly 0. NaN
+    /// without such a pair. Readings close to 0 make it large and meaningless.
     #[must_use]
     pub fn mape(&self) -> f64 {
         self.sum_relative / self.relative_count as f64
@@ -209,9 +208,9 @@ impl Tally {
         libm::sqrt(self.reading_scatter_w2 / self.count as f64)
     }
 
-    /// Cumulative energy error, as a share of what was measured: (forecast − measured) / |measured|,
-    /// each Σ power · step over the scored pairs. Above 0 where the forecasts come to too much.
-    /// NaN without a pair, with a step that is NaN, and where no energy was measured.
+    /// Cumulative energy error as a share of the measured energy: (forecast − measured) /
+    /// |measured|, each Σ power · step over the scored pairs. Positive where the forecasts are too
+    /// high. NaN without a pair, with a step that is NaN, and where no energy was measured.
     #[must_use]
     pub fn energy_error(&self) -> f64 {
         let measured_j = self.reading_j.abs();
@@ -223,8 +222,8 @@ impl Tally {
     }
 
     /// Skill against a baseline: 1 − mean squared error over that of the baseline. Above 0 is
-    /// better than the baseline, 1 is perfect. NaN where the baseline makes no error, and where the
-    /// two were not scored on equally many pairs: errors on other rows compare with nothing.
+    /// better than the baseline, 1 is perfect. NaN where the baseline has no error, and where the
+    /// two were scored on different numbers of pairs: their errors are not comparable.
     #[must_use]
     pub fn skill(&self, baseline: &Self) -> f64 {
         if self.count == baseline.count {
@@ -260,7 +259,7 @@ pub fn tally(readings_w: &[f64], forecasts_w: &[f64], step_s: f64) -> Tally {
     tally
 }
 
-/// The scores of a [`Tally`], defined there. What is not defined is NaN, in JSON null.
+/// The scores of a [`Tally`], defined there. Undefined scores are NaN, null in JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Accuracy {
     /// Pairs scored.
@@ -273,7 +272,7 @@ pub struct Accuracy {
     pub rmse_w: f64,
     /// Mean absolute residual, W.
     pub mae_w: f64,
-    /// Mean absolute relative residual, share; readings of exactly 0 left out.
+    /// Mean absolute relative residual, share; readings of exactly 0 excluded.
     pub mape: f64,
     /// Mean residual, W: above 0 where forecasts are too low.
     pub bias_w: f64,
@@ -293,8 +292,8 @@ pub struct CoverageTally {
 }
 
 impl CoverageTally {
-    /// Takes a reading and its interval; both ends belong to it. Where any of the three is not
-    /// finite, or the ends are crossed, the interval says nothing and is counted as unscored.
+    /// Adds a reading and its interval, ends included. Where any of the three is not finite, or the
+    /// ends are crossed, it is counted as unscored.
     pub fn add(&mut self, reading_w: f64, lo_w: f64, hi_w: f64) {
         let width_w = hi_w - lo_w;
         if !(reading_w.is_finite() && width_w.is_finite() && width_w >= 0.0) {
@@ -318,7 +317,7 @@ impl CoverageTally {
         self.sum_outside_w += other.sum_outside_w;
     }
 
-    /// The sums as numbers that merely add up.
+    /// The sums as plain numbers that can be added.
     pub fn additive(&self) -> Additive {
         let counts = [self.count, self.unscored, self.below, self.above];
         let [count, unscored, below, above] = counts.map(|count| count as f64);
@@ -326,7 +325,7 @@ impl CoverageTally {
         [count, unscored, below, above, width_w, outside_w, 0.0, 0.0]
     }
 
-    /// The tally of added up numbers.
+    /// The tally of such sums.
     pub fn of_additive(sums: &Additive) -> Self {
         let [
             count,
@@ -370,13 +369,13 @@ impl CoverageTally {
     /// Mean interval score for a nominal `coverage` of 0 to 1, W: width plus 2 / (1 − coverage)
     /// times the distance of the reading from the interval (Gneiting and Raftery, "Strictly proper
     /// scoring rules", 2007, section 6.2). Smaller is better; it rewards narrow intervals and
-    /// punishes misses, so that neither can be bought with the other.
+    /// penalises misses.
     #[must_use]
     pub fn score_w(&self, coverage: f64) -> f64 {
         (self.sum_width_w + 2.0 / (1.0 - coverage) * self.sum_outside_w) / self.count as f64
     }
 
-    /// The scores as plain numbers, for intervals of nominally `nominal`.
+    /// The scores as plain numbers for a nominal coverage of `nominal`.
     #[must_use]
     pub fn coverage_of(&self, nominal: f64) -> Coverage {
         let share = |count: u64| count as f64 / self.count as f64;
@@ -393,14 +392,14 @@ impl CoverageTally {
     }
 }
 
-/// How well intervals hold what they promise. What is not defined is NaN, in JSON null.
+/// Coverage and width of intervals. Undefined scores are NaN, null in JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Coverage {
     /// Readings with an interval.
     pub count: u64,
-    /// Readings without one, or with one that is no interval.
+    /// Readings with no interval or an invalid one.
     pub unscored: u64,
-    /// Share that was promised.
+    /// Nominal coverage.
     pub nominal: f64,
     /// Share of readings inside.
     pub coverage: f64,
@@ -414,10 +413,10 @@ pub struct Coverage {
     pub score_w: f64,
 }
 
-/// The value below which a `share` (0 to 1) of ascending numbers lies, with linear interpolation
-/// between the two nearest at place `share · (n − 1)`. NaN of an empty slice or a share outside.
+/// The `share` quantile (0 to 1) of ascending numbers, interpolated linearly between the two
+/// nearest at position `share · (n − 1)`. NaN for an empty slice or a share outside 0 to 1.
 ///
-/// Sort with [`f64::total_cmp`] and leave out what is not finite first: [`sorted`] does both.
+/// The numbers must be finite and in the order of [`f64::total_cmp`], as [`sorted`] returns them.
 #[must_use]
 pub fn quantile(ascending: &[f64], share: f64) -> f64 {
     let Some(last) = ascending.len().checked_sub(1) else {
@@ -433,7 +432,7 @@ pub fn quantile(ascending: &[f64], share: f64) -> f64 {
     ascending[below] + part * (ascending[above] - ascending[below])
 }
 
-/// The finite ones of some numbers, ascending.
+/// The finite numbers, ascending.
 #[must_use]
 pub fn sorted(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let mut ascending: Vec<f64> = values
@@ -444,10 +443,10 @@ pub fn sorted(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
     ascending
 }
 
-/// Quantiles of residuals, W. NaN where there are none.
+/// Quantiles of residuals, W; NaN without residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ResidualQuantiles {
-    /// The least.
+    /// Minimum.
     pub min_w: f64,
     /// 5 %.
     pub q05_w: f64,
@@ -459,18 +458,18 @@ pub struct ResidualQuantiles {
     pub q75_w: f64,
     /// 95 %.
     pub q95_w: f64,
-    /// The greatest.
+    /// Maximum.
     pub max_w: f64,
 }
 
 impl ResidualQuantiles {
-    /// Of residuals in any order, W; those that are not finite are left out.
+    /// From residuals in any order, W; those that are not finite are ignored.
     #[must_use]
     pub fn of(residuals_w: impl IntoIterator<Item = f64>) -> Self {
         Self::of_sorted(&sorted(residuals_w))
     }
 
-    /// Of ascending, finite residuals, W.
+    /// From ascending, finite residuals, W.
     #[must_use]
     pub fn of_sorted(ascending: &[f64]) -> Self {
         Self {
@@ -485,7 +484,7 @@ impl ResidualQuantiles {
     }
 }
 
-/// Written so that 0 and NaN below the line give NaN.
+/// Written so that a denominator of 0 or NaN gives NaN.
 fn one_minus(error: f64, of: f64) -> f64 {
     if of > 0.0 { 1.0 - error / of } else { f64::NAN }
 }

@@ -3,8 +3,7 @@
 use rand::Rng;
 use rand_pcg::Pcg64;
 
-/// A seeded stream; robots and purposes have streams of their own, so that adding a robot changes no
-/// other one.
+/// A seeded stream. Each robot and purpose has its own, so adding a robot changes no other stream.
 #[derive(Clone, Debug)]
 pub struct Noise(Pcg64);
 
@@ -30,13 +29,13 @@ impl Noise {
         low + (high - low) * self.uniform()
     }
 
-    /// Mean 0, deviation 1 (Box and Muller; the second number is not kept).
+    /// Standard normal (Box-Muller; the second number is discarded).
     pub fn normal(&mut self) -> f64 {
         let radius = libm::sqrt(-2.0 * libm::log(1.0 - self.uniform()));
         radius * libm::cos(std::f64::consts::TAU * self.uniform())
     }
 
-    /// Waiting time in seconds until the next event of a process without memory.
+    /// Time in seconds until the next event of a Poisson process.
     pub fn waiting_s(&mut self, mean_s: f64) -> f64 {
         -mean_s * libm::log(1.0 - self.uniform())
     }

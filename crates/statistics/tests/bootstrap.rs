@@ -1,4 +1,4 @@
-//! Intervals by block bootstrap: they cover, they do not depend on threads, they know their limits.
+//! Block bootstrap intervals: coverage, independence of the number of threads, too few blocks.
 
 use joulebus_statistics::bootstrap::{Bootstrap, LEAST_BLOCKS};
 use proptest::prelude::*;
@@ -14,7 +14,7 @@ fn of_mean(settings: Bootstrap, values: &[f64]) -> joulebus_statistics::bootstra
 }
 
 #[test]
-fn intervals_hold_the_true_mean_about_as_often_as_they_say() {
+fn intervals_cover_the_true_mean_at_about_the_nominal_rate() {
     let settings = Bootstrap {
         resamples: 400,
         confidence: 0.9,
@@ -51,7 +51,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_common_to_two_scores_cancels(
+    fn common_variance_of_two_scores_cancels(
         values in prop::collection::vec(-1e3f64..1e3, 8..60), apart in -2.0f64..2.0
     ) {
         let settings = Bootstrap { resamples: 100, ..Bootstrap::default() };
@@ -87,7 +87,7 @@ fn too_few_blocks_and_draws_without_a_score_give_no_interval() {
 }
 
 #[test]
-fn constant_blocks_have_no_spread_and_another_seed_draws_otherwise() {
+fn constant_blocks_have_no_spread_and_another_seed_draws_differently() {
     let found = of_mean(Bootstrap::default(), &[5.0; 20]);
     assert_eq!((found.lo, found.hi), (5.0, 5.0));
     let values: Vec<f64> = (0..40).map(f64::from).collect();

@@ -1,4 +1,4 @@
-//! Scores equal their textbook formulas, in any order of merging, and say so when they are not defined.
+//! Scores equal their textbook formulas for any order of merging; undefined scores are NaN.
 
 use joulebus_statistics::metrics::{
     CoverageTally, ResidualQuantiles, Tally, quantile, sorted, tally,
@@ -22,7 +22,7 @@ fn tallied(pairs: &[(f64, f64)]) -> Tally {
     tally
 }
 
-/// What is undefined for one must be undefined for the other.
+/// NaN equals only NaN.
 fn near(found: f64, wanted: f64) -> bool {
     (found.is_nan() && wanted.is_nan()) || (found - wanted).abs() <= 1e-9 * (1.0 + wanted.abs())
 }
@@ -167,7 +167,7 @@ fn quantiles_interpolate_between_neighbours() {
 }
 
 #[test]
-fn what_is_not_defined_is_not_a_number() {
+fn undefined_scores_are_nan() {
     let empty = Tally::default();
     let accuracy = empty.accuracy();
     for value in [

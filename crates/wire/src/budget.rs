@@ -1,4 +1,4 @@
-//! What each robot has drawn, and what it has left.
+//! Energy drawn and energy left, per robot.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -12,16 +12,16 @@ pub mod budget_flag {
     pub const TIME_TO_EMPTY: u32 = 1 << 1;
     /// The ledger holds at least one sample.
     pub const LEDGER: u32 = 1 << 2;
-    /// The robot has been on its charger since the ledger began: how much energy is in its battery
-    /// is not known.
+    /// The robot has been on its charger since the ledger began: the energy in its battery is
+    /// unknown.
     pub const CHARGED: u32 = 1 << 3;
 }
 
 /// One robot's budget. 112 bytes.
 ///
 /// The ledger part (`drawn_uj`, `drawn_remainder`, `metered_ns`, `unmetered_ns`, `stamp_ns`) is
-/// exact: `metered_ns + unmetered_ns` is the time from the first sample to `stamp_ns`. What follows
-/// is derived from it and widens with every unmetered second.
+/// exact: `metered_ns + unmetered_ns` is the time from the first sample to `stamp_ns`. The
+/// remaining fields are derived from it, and their range widens with unmetered time.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
 #[type_name("joulebus.Budget.v1")]
@@ -36,9 +36,10 @@ pub struct Budget {
     pub reserved: u32,
     /// Energy drawn over the metered time, µJ.
     pub drawn_uj: i64,
-    /// What is left of the integral below one µJ, in µW·ns · 2: carried so that nothing is rounded.
+    /// Remainder of the integral below one µJ, in µW·ns · 2: carried, so that no energy is rounded
+    /// away.
     pub drawn_remainder: i64,
-    /// Energy that the forecasts expected over the same metered time, µJ.
+    /// Forecast energy over the same metered time, µJ.
     pub forecast_uj: i64,
     /// Time covered by readings, ns.
     pub metered_ns: u64,
@@ -46,25 +47,26 @@ pub struct Budget {
     pub unmetered_ns: u64,
     /// Stamp of the newest sample in the ledger, monotonic ns.
     pub stamp_ns: u64,
-    /// Until when this may be relied on, monotonic ns: `stamp_ns` plus the platform's `stale_after`.
+    /// Valid until, monotonic ns: `stamp_ns` plus the platform's `stale_after`.
     pub valid_until_ns: u64,
     /// Mean power over the last minutes (exponentially weighted), W.
     pub mean_power_w: f32,
     /// Energy left in the battery, best estimate, J.
     pub left_j: f32,
-    /// Energy that may still be used above the reserve, best estimate, J.
+    /// Usable energy above the reserve, best estimate, J.
     pub usable_j: f32,
-    /// The same, on the safe side: unmetered time is charged at the greatest power of the platform, J.
+    /// Conservative bound of `usable_j`: unmetered time is charged at the platform's maximum power,
+    /// J.
     pub usable_lo_j: f32,
     /// State of charge, 0 to 1.
     pub soc: f32,
-    /// State of charge, on the safe side.
+    /// State of charge, conservative bound.
     pub soc_lo: f32,
     /// Time until the reserve is reached at the mean power, s.
     pub time_to_empty_s: f32,
-    /// The same, on the safe side, s.
+    /// The same, conservative bound, s.
     pub time_to_empty_lo_s: f32,
-    /// The same, at the low end of the power, s.
+    /// The same, at the lower end of the power, s.
     pub time_to_empty_hi_s: f32,
     /// Zero.
     pub reserved2: u32,

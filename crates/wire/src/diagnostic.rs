@@ -1,4 +1,4 @@
-//! What the worker thinks of each robot's residuals.
+//! Residual scores and alarms per robot.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -6,7 +6,7 @@ use crate::layout::ZeroCopySend;
 
 /// Bits of [`Diagnostic::flags`].
 pub mod diagnostic_flag {
-    /// `residual_w` and `residual_z` are of the sample `sample_seq`; otherwise they are NaN.
+    /// `residual_w` and `residual_z` belong to the sample `sample_seq`; otherwise they are NaN.
     pub const RESIDUAL: u32 = 1 << 0;
     /// At least one residual has been scored.
     pub const SCORES: u32 = 1 << 1;
@@ -98,12 +98,12 @@ pub struct DiagnosticHeader {
     pub worker_epoch: u64,
     /// As in [`crate::ForecastHeader::tick`].
     pub tick: u64,
-    /// Who was refused of late and why; see [`DiagnosticHeader::refusals`].
+    /// Recent refusals; see [`DiagnosticHeader::refusals`].
     pub refused: [crate::Refusal; 16],
 }
 
 impl DiagnosticHeader {
-    /// Robots refused of late, each with its reason: the newest 16 pairs, in no order.
+    /// Recent refusals: the newest 16 pairs of robot and reason, unordered.
     pub fn refusals(&self) -> impl Iterator<Item = &crate::Refusal> {
         self.refused.iter().filter(|refusal| refusal.reason != 0)
     }
@@ -112,13 +112,13 @@ impl DiagnosticHeader {
 /// Levels as in ROS `diagnostic_msgs/DiagnosticStatus`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Level {
-    /// Nothing to say.
+    /// No alarm.
     Ok,
-    /// Look at it.
+    /// Needs attention.
     Warn,
-    /// Do not rely on it.
+    /// Must not be relied on.
     Error,
-    /// Nothing is heard of it.
+    /// No data arrives.
     Stale,
 }
 
@@ -129,7 +129,7 @@ impl Level {
         self as u16
     }
 
-    /// From shared memory; an unknown code is [`Level::Error`]: never fine.
+    /// From shared memory; an unknown code decodes to [`Level::Error`].
     #[must_use]
     pub const fn decode(code: u16) -> Self {
         match code {
@@ -164,7 +164,7 @@ pub enum Alarm {
     OutOfTraining,
     /// On the charger.
     OfflineCharging,
-    /// The tick that made this started too late.
+    /// The tick that computed this started too late.
     DeadlineMissed,
     /// The robot's watchdog stopped it. Reserved: this version never raises it.
     WatchdogStop,

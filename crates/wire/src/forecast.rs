@@ -28,7 +28,7 @@ pub struct Forecast {
     pub flags: u32,
     /// [`Quality`] code.
     pub quality: u16,
-    /// What goes with the quality: readings held so far, open-loop steps, or the reason.
+    /// Detail of the quality: readings held so far, open-loop steps, or the reason.
     pub quality_detail: u16,
     /// The last accepted reading, W.
     pub reading_w: f32,
@@ -38,13 +38,13 @@ pub struct Forecast {
     pub lo_w: f32,
     /// Upper end of the interval, W.
     pub hi_w: f32,
-    /// Times the robot's slot has changed its owner.
+    /// Number of times the robot's slot has been reassigned.
     pub generation: u32,
-    /// [`crate::Sample::seq`] of the sample that this forecast answers.
+    /// [`crate::Sample::seq`] of the sample that this forecast is based on.
     pub sample_seq: u64,
     /// [`crate::Sample::stamp_ns`] of that sample.
     pub stamp_ns: u64,
-    /// Stamp at which the forecast reading is expected, monotonic ns.
+    /// Stamp for which the reading is forecast, monotonic ns.
     pub target_ns: u64,
     /// From the measurement of `reading_w` to `stamp_ns`, ns.
     pub reading_age_ns: u64,
@@ -80,7 +80,7 @@ impl Forecast {
     }
 }
 
-/// How far a robot's output can be trusted.
+/// Quality of a robot's output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quality {
     /// Made from a new measurement.
@@ -97,9 +97,9 @@ pub enum Quality {
         /// Sample periods since the last reading.
         steps: u16,
     },
-    /// No forecast, and why.
+    /// No forecast, with the reason.
     Invalid(InvalidReason),
-    /// Written by something newer than this reader.
+    /// Written by a newer version than this reader.
     Unknown,
 }
 
@@ -131,7 +131,7 @@ impl Quality {
     }
 }
 
-/// Header of a frame of forecasts: what the tick was, and how the intake stands.
+/// Header of a frame of forecasts: timing of the tick and counters of sample ingest.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
 #[type_name("joulebus.ForecastHeader.v1")]
@@ -164,7 +164,7 @@ pub struct ForecastHeader {
     pub compute_end_ns: u64,
     /// When the frame was sent, monotonic ns.
     pub sent_ns: u64,
-    /// When the frame was sent, Unix ns: a label.
+    /// When the frame was sent, Unix ns: informative only.
     pub sent_unix_ns: u64,
     /// Ticks skipped in this epoch because the one before took too long.
     pub ticks_skipped: u64,

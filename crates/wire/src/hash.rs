@@ -1,18 +1,18 @@
-//! The one hash: ids of sources, names in shared memory, fingerprints.
+//! FNV-1a, used for source ids, names in shared memory and fingerprints.
 
 const OFFSET_BASIS: u64 = 0xcbf2_9ce4_8422_2325;
 const PRIME: u64 = 0x0000_0100_0000_01b3;
 
-/// The 64-bit FNV-1a hash of `bytes`: the same in every version, on every machine and in every
-/// language, unlike the standard library's.
+/// The 64-bit FNV-1a hash of `bytes`: stable across versions, machines and languages, unlike the
+/// standard library's.
 #[must_use]
 pub fn fnv1a(bytes: impl IntoIterator<Item = u8>) -> u64 {
     let step = |hash, byte| step(hash, u64::from(byte));
     bytes.into_iter().fold(OFFSET_BASIS, step)
 }
 
-/// One hash of several hashes, in order: a step of FNV-1a takes each whole, and a rotation brings
-/// its upper bits down, where a product carries nothing.
+/// One hash of several, dependent on their order: FNV-1a over whole 64-bit words, with a rotation
+/// that moves the upper bits down, because multiplication propagates bits upwards only.
 #[must_use]
 pub fn combine_hashes(hashes: impl IntoIterator<Item = u64>) -> u64 {
     let combine = |combined, hash| step(combined, hash).rotate_left(23);
@@ -44,7 +44,7 @@ mod tests {
 
     #[test]
     fn combined_hashes_never_change_and_depend_on_their_order() {
-        // Worked out apart from this code: captures carry the combined hash of their models.
+        // Computed independently of this code: captures carry the combined hash of their models.
         assert_eq!(combine_hashes([1, 2]), 0x237b_819c_6a2d_c628);
         assert_ne!(combine_hashes([1, 2]), combine_hashes([2, 1]));
     }

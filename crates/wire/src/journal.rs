@@ -1,4 +1,5 @@
-//! What the worker took in each tick, in which order, at which time: enough to compute it again.
+//! The journal: which frames the worker took in each tick, in which order and at which time. It
+//! suffices to recompute the tick.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -6,16 +7,16 @@ use crate::layout::ZeroCopySend;
 
 /// Bits of [`TickHeader::flags`].
 pub mod tick_flag {
-    /// The tick before this one started too late: what the tick was told.
+    /// The tick before this one started too late: an input of the tick.
     pub const DEADLINE_MISSED: u32 = 1 << 0;
-    /// Ticks took longer than their period: this one left the diagnostics out.
+    /// Ticks took longer than their period: this one computed no diagnostics.
     pub const NO_DIAGNOSTICS: u32 = 1 << 1;
 }
 
 /// One frame of samples that a tick took. 40 bytes.
 ///
-/// Names the frame; its samples are those of the frame with the same source, epoch and number on
-/// [`crate::Service::Samples`].
+/// Identifies the frame; its samples are those of the frame with the same source, epoch and number
+/// on [`crate::Service::Samples`].
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
 #[type_name("joulebus.TakenFrame.v1")]
@@ -26,15 +27,15 @@ pub struct TakenFrame {
     pub source_epoch: u64,
     /// [`crate::SampleHeader::frame_seq`] of the frame.
     pub frame_seq: u64,
-    /// When the worker took it, monotonic ns: the time that the intake was told.
+    /// When the worker took it, monotonic ns: the time passed to ingest.
     pub taken_ns: u64,
     /// Samples taken from it.
     pub samples: u32,
-    /// Samples in it beyond the fleet's capacity, which nobody looked at.
+    /// Samples in it beyond the fleet's capacity, which were not read.
     pub truncated: u32,
 }
 
-/// Header of a tick's journal: the slice holds the frames taken since the tick before, in the
+/// Header of a tick's journal: the slice lists the frames taken since the previous tick, in the
 /// order in which they were taken.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
@@ -48,12 +49,12 @@ pub struct TickHeader {
     pub worker_epoch: u64,
     /// As in [`crate::ForecastHeader::tick`].
     pub tick: u64,
-    /// The time that the tick was told, monotonic ns.
+    /// The time passed to the tick, monotonic ns.
     pub start_ns: u64,
     /// When the journal was sent, monotonic ns.
     pub sent_ns: u64,
     /// [`tick_flag`] bits.
     pub flags: u32,
-    /// Frames taken for which the list had no room: such a tick cannot be computed again.
+    /// Frames taken but not listed because the list was full: such a tick cannot be recomputed.
     pub unlisted: u32,
 }

@@ -1,7 +1,7 @@
 //! The layout of the payloads: the same for every process, and part of the schema.
 //!
-//! [`Pod`] is derived for each payload, so the compiler refuses padding and fields of which
-//! not every bit pattern is a value; [`ZeroCopySend`] gives it the name that other processes compare.
+//! [`Pod`] is derived for each payload, so the compiler refuses padding and fields with invalid bit
+//! patterns; [`ZeroCopySend`] gives the type name that other processes compare.
 
 use std::fmt::Debug;
 
@@ -14,8 +14,9 @@ use crate::{
     SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 
-/// What lies in shared memory: any bytes of its size are a value, it has no padding, and it means the
-/// same in every process. Implemented for every payload and header of this crate, and for bytes.
+/// A type that may lie in shared memory: every bit pattern is valid, it has no padding, and its
+/// layout is the same in every process. Implemented for every payload and header of this crate, and
+/// for bytes.
 pub trait Payload: Pod + ZeroCopySend + Debug + Default {}
 
 impl<T: Pod + ZeroCopySend + Debug + Default> Payload for T {}

@@ -1,9 +1,10 @@
-//! What lies in shared memory: fixed-size payloads, codes, flags and service names.
+//! Layout of shared memory: fixed-size payloads, codes, flags and service names.
 //!
-//! Everything here is read by other processes, and by other languages: `#[repr(C)]`, no implicit
-//! padding and no Rust enums or bools, of which another process could write an invalid one (the
-//! compiler checks it: each is a [`Payload`]), SI units, `u64` nanoseconds for time. A value that is not known is NaN *and* has its flag cleared; it is never
-//! 0 or −1. Codes are decoded with [`Quality::decode`] and friends, which accept every bit pattern.
+//! Everything here is read by other processes and other languages: `#[repr(C)]`, no implicit
+//! padding and no Rust enums or bools, of which another process could write an invalid one (checked
+//! at compile time: each is a [`Payload`]), SI units, `u64` nanoseconds for time. An unknown value
+//! is NaN *and* has its flag cleared; it is never 0 or −1. Codes are decoded with
+//! [`Quality::decode`] and the other `decode` functions, which accept every bit pattern.
 //!
 //! ```
 //! use joulebus_wire::{Sample, sample_flag};

@@ -9,35 +9,35 @@ use crate::layout::ZeroCopySend;
 pub enum DropReason {
     /// The robot belongs to no platform of the config.
     UnknownRobot,
-    /// The fleet already has as many robots as its capacity.
+    /// The fleet is at its capacity.
     OverCapacity,
     /// Another source owns the robot.
     ForeignSource,
-    /// From a run of the source that has been replaced by a newer one.
+    /// From a run of the source that a newer run has replaced.
     OldEpoch,
-    /// Accepted before: the same robot, epoch and sequence number.
+    /// Already accepted: the same robot, epoch and sequence number.
     Duplicate,
     /// The sequence number is lower than one already accepted.
     OutOfOrder,
     /// The stamp does not advance, or jumps further than allowed.
     BadTime,
-    /// NaN or infinite although its flag says that it is known.
+    /// NaN or infinite although its flag marks it as known.
     NotFinite,
     /// The power lies outside the platform's limits.
     PowerOutOfRange,
     /// The command lies outside the platform's limits.
     CommandOutOfRange,
-    /// Flag bits that this version does not know, or a non-zero reserved field.
+    /// Unknown flag bits, or a non-zero reserved field.
     BadFlags,
     /// More samples of one robot in one tick than allowed.
     Backlog,
-    /// Overwritten in the buffer before the worker took them: known from the frame header.
+    /// Overwritten in the buffer before the worker took it; known from the frame header.
     Overflow,
-    /// The frame's schema version is not this one.
+    /// The frame has another schema version.
     Schema,
-    /// Sent before the worker was there to take them: known from the frame header.
+    /// Sent before the worker was connected; known from the frame header.
     BeforeJoin,
-    /// More sources than the worker keeps account of.
+    /// More sources than the worker tracks.
     TooManySources,
 }
 
@@ -86,22 +86,22 @@ impl DropReason {
     }
 }
 
-/// One robot's refusals for one reason, as the worker names them to operators. 16 bytes.
+/// Refusals of one robot for one reason, as reported to operators. 16 bytes.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
 pub struct Refusal {
-    /// Id of the robot that the samples claimed to be of.
+    /// Robot id stated in the samples.
     pub robot: u32,
-    /// Position of the reason in [`DropReason::ALL`] plus 1; 0 for an empty place.
+    /// Position of the reason in [`DropReason::ALL`] plus 1; 0 for an empty entry.
     pub reason: u32,
-    /// Process id of the source that sent them.
+    /// Process id of the sending source.
     pub pid: u32,
-    /// Samples refused, as far as this place has been held without a break.
+    /// Samples refused since the entry was last assigned.
     pub count: u32,
 }
 
 impl Refusal {
-    /// The reason, if this place is taken by one that this version knows.
+    /// The reason, unless the entry is empty or this version does not know it.
     #[must_use]
     pub fn reason(&self) -> Option<DropReason> {
         let position = usize::try_from(self.reason).ok()?.checked_sub(1)?;
@@ -109,7 +109,7 @@ impl Refusal {
     }
 }
 
-/// Samples dropped, one counter per [`DropReason`], with room for later reasons.
+/// Samples dropped, one counter per [`DropReason`], with spare counters for later versions.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
 pub struct DropCounts {
@@ -138,7 +138,7 @@ impl DropCounts {
             .fold(0, |sum, count| sum.saturating_add(*count))
     }
 
-    /// What was counted since `earlier`; all of it when `earlier` is of another run.
+    /// Counts since `earlier`; all counts when `earlier` is of another run.
     #[must_use]
     pub fn since(&self, earlier: &Self) -> Self {
         let mut newer = Self::default();
@@ -178,13 +178,13 @@ pub enum InvalidReason {
     BadTime,
     /// The model needs velocities, and the samples carry none.
     NoCommand,
-    /// Samples come, but no reading with them.
+    /// Samples arrive without readings.
     NoReading,
     /// The model's output is not finite.
     ModelOutput,
-    /// The model needs to know how fresh readings are, and two new ones have not come yet.
+    /// The model needs the age of readings, and two new measurements have not arrived yet.
     NoFreshness,
-    /// Written by something newer than this reader.
+    /// Written by a newer version than this reader.
     Unknown,
 }
 

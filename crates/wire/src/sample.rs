@@ -1,10 +1,10 @@
-//! What a fleet controller publishes.
+//! Samples, published by fleet controllers and other sources.
 
 use bytemuck::{Pod, Zeroable};
 
 use crate::layout::ZeroCopySend;
 
-/// Bits of [`Sample::flags`]. A bit that is not listed here makes the sample refused.
+/// Bits of [`Sample::flags`]. A sample with any other bit is refused.
 pub mod sample_flag {
     /// `v_mps` is known.
     pub const V: u32 = 1 << 0;
@@ -20,10 +20,10 @@ pub mod sample_flag {
     pub const HELD: u32 = 1 << 5;
     /// The robot is on its charger.
     pub const CHARGING: u32 = 1 << 6;
-    /// What came before has nothing to do with this sample (a recorded trial starts again):
-    /// the lag window starts empty.
+    /// The sample does not continue the ones before it (a recorded trial starts again): the lag
+    /// window starts empty.
     pub const DISCONTINUITY: u32 = 1 << 7;
-    /// All bits that have a meaning.
+    /// All defined bits.
     pub const ALL: u32 = (1 << 8) - 1;
 }
 
@@ -36,9 +36,9 @@ pub struct Sample {
     pub robot: u32,
     /// [`sample_flag`] bits.
     pub flags: u32,
-    /// Number of this robot's sample within the source epoch; strictly rising.
+    /// Number of this robot's sample within the source epoch; strictly increasing.
     pub seq: u64,
-    /// When the command was issued, monotonic ns. Strictly rising per robot.
+    /// When the command was issued, monotonic ns. Strictly increasing per robot.
     pub stamp_ns: u64,
     /// When the power was *measured*, monotonic ns; equal to the previous one for a held reading.
     pub measured_ns: u64,
@@ -57,7 +57,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// A sample that knows nothing yet: no command, no reading.
+    /// A sample without command and reading.
     #[must_use]
     pub const fn new(robot: u32, seq: u64, stamp_ns: u64) -> Self {
         Self {
@@ -139,7 +139,7 @@ pub enum Freshness {
     Missing,
 }
 
-/// Header of a frame of samples: one frame is what one source sends at once.
+/// Header of a frame of samples: what one source sends at once.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
 #[type_name("joulebus.SampleHeader.v1")]
@@ -148,19 +148,19 @@ pub struct SampleHeader {
     pub schema: u32,
     /// Process id of the source.
     pub pid: u32,
-    /// Who sends: stable over restarts (a hash of the source's name).
+    /// Id of the source, stable over restarts (a hash of its name).
     pub source_id: u64,
-    /// When this run of the source began, Unix ns: a restart has a greater one.
+    /// When this run of the source began, Unix ns: greater after a restart.
     pub source_epoch: u64,
     /// Number of this frame within the epoch, from 0.
     pub frame_seq: u64,
-    /// Samples sent in this epoch before this frame: tells a reader how many it lost.
+    /// Samples sent in this epoch before this frame, from which a reader computes its loss.
     pub samples_before: u64,
-    /// When the frame was meant to be sent, monotonic ns; latency is counted from here, so that a
-    /// stalled source does not hide its own delay.
+    /// Intended send time, monotonic ns. Latency is measured from here, so that a stalled source
+    /// does not hide its own delay (coordinated omission).
     pub intended_ns: u64,
     /// When the frame was sent, monotonic ns.
     pub sent_ns: u64,
-    /// When the frame was sent, Unix ns: a label, never used for an interval.
+    /// When the frame was sent, Unix ns: informative only, never used for an interval.
     pub sent_unix_ns: u64,
 }

@@ -11,8 +11,8 @@ pub enum Service {
     Diagnostics,
     /// Publish-subscribe with history, slices of [`crate::Budget`], header [`crate::BudgetHeader`].
     Budgets,
-    /// Publish-subscribe, slices of [`crate::TakenFrame`], header [`crate::TickHeader`]: the worker's
-    /// journal.
+    /// Publish-subscribe, slices of [`crate::TakenFrame`], header [`crate::TickHeader`]: the
+    /// worker's journal.
     Ticks,
     /// Publish-subscribe, slices of bytes, header [`crate::StateHeader`]: keyframes.
     State,
@@ -35,7 +35,7 @@ impl Service {
         Self::Wake,
     ];
 
-    /// The last part of the service's name.
+    /// The last component of the service's name.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -60,11 +60,11 @@ pub fn service_name(fleet: &str, service: Service) -> String {
 /// Ids of the events on [`Service::Wake`] and [`Service::Arrivals`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WakeEvent {
-    /// A new frame can be read.
+    /// A new frame is available.
     Frame,
-    /// The process on the other side has died.
+    /// The peer process died.
     Died,
-    /// The process on the other side has ended as it should.
+    /// The peer process ended normally.
     Ended,
 }
 

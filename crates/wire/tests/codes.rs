@@ -1,4 +1,5 @@
-//! Every bit pattern that another process could write decodes, and what we write decodes to itself.
+//! Every bit pattern that another process could write decodes, and each code decodes to the value
+//! it encodes.
 
 use joulebus_wire::{
     Alarm, AlarmSet, ChargeState, DropCounts, DropReason, InvalidReason, Level, Quality,
@@ -26,7 +27,7 @@ fn every_quality_survives_the_round_trip_and_every_pattern_decodes() {
 }
 
 #[test]
-fn an_unknown_code_is_never_fine() {
+fn an_unknown_code_never_decodes_to_ok() {
     for code in 0..=u16::MAX {
         assert_eq!(Level::decode(code) == Level::Ok, code == 0);
         assert_eq!(Alarm::decode(code) == Alarm::None, code == 0);

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::Path;
 use std::time::Duration;
 
-use joulebus_dataset::split::Dealt;
+use joulebus_dataset::split::SplitSummary;
 use joulebus_train::{Findings, Trained};
 use serde::Serialize;
 
@@ -24,7 +24,7 @@ pub(super) struct TrainReport {
     duration_s: f64,
     findings: Findings,
     #[serde(skip_serializing_if = "Option::is_none")]
-    split: Option<Dealt>,
+    split: Option<SplitSummary>,
     scores: HeldOut,
 }
 
@@ -43,7 +43,7 @@ impl TrainReport {
         path: &Path,
         trained: &Trained,
         duration: Duration,
-        split: Option<Dealt>,
+        split: Option<SplitSummary>,
     ) -> Self {
         let network = &trained.network;
         let card = network.card();
@@ -103,7 +103,7 @@ impl fmt::Display for TrainReport {
     }
 }
 
-fn write_split(out: &mut fmt::Formatter<'_>, split: &Dealt) -> fmt::Result {
+fn write_split(out: &mut fmt::Formatter<'_>, split: &SplitSummary) -> fmt::Result {
     writeln!(out, "split {}", split.name)?;
     let parts = [&split.training, &split.validation, &split.held_out];
     let names = ["training", "validation", "held out"];

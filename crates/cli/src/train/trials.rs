@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_dataset::rows::{trial_rows, write_rows};
 use joulebus_dataset::split::{
-    By, Dealt, PARTS, Placed, Source, Split, check_copies, group_of, split,
+    By, PARTS, Placed, Source, Split, SplitSummary, check_copies, group_of, split,
 };
 use joulebus_dataset::trial::Trial;
 use joulebus_program::exit::{Outcome, UsageError};
@@ -74,7 +74,7 @@ struct Recipe {
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     args.run.check()?;
     let recipe = args.recipe()?;
-    let (dataset, dealt) = args.dataset(&recipe)?;
+    let (dataset, summary) = args.dataset(&recipe)?;
     if let Some(directory) = &args.rows {
         write_rows(directory, &dataset)
             .with_context(|| format!("cannot write rows to {}", directory.display()))?;
@@ -83,7 +83,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let Some(trained) = args.run.train(&dataset, &recipe.training)? else {
         return Ok(Outcome::Failed);
     };
-    let report = TrainReport::new(&args.run.out, &trained, start.elapsed(), Some(dealt));
+    let report = TrainReport::new(&args.run.out, &trained, start.elapsed(), Some(summary));
     output.report(&report)?;
     Ok(Outcome::Done)
 }
@@ -114,7 +114,7 @@ impl Args {
         Ok(recipe)
     }
 
-    fn dataset(&self, recipe: &Recipe) -> anyhow::Result<(Dataset, Dealt)> {
+    fn dataset(&self, recipe: &Recipe) -> anyhow::Result<(Dataset, SplitSummary)> {
         let sources = read(&self.paths)?;
         let description = describe(&sources);
         if self.hold_out.is_empty() {
@@ -137,7 +137,7 @@ impl Args {
                 .collect()
         });
         let [training, validation, held_out] = names;
-        let dealt = Dealt {
+        let summary = SplitSummary {
             by: By::Trial,
             rows: [rows[0].len(), rows[1].len(), rows[2].len()],
             training,
@@ -153,7 +153,7 @@ impl Args {
             held_out,
             description: format!("{description}; parts named one by one"),
         };
-        Ok((dataset, dealt))
+        Ok((dataset, summary))
     }
 }
 
@@ -172,7 +172,7 @@ fn read(paths: &[PathBuf]) -> anyhow::Result<Vec<Source>> {
     Ok(sources)
 }
 
-/// Robots that share a file stay together when trials are dealt out: they are of one run.
+/// Robots that share a file stay together when trials are assigned: they are of one run.
 fn source(file: &Path, trial: &Trial) -> Source {
     say(&format!("{}: {}", file.display(), trial.notes()));
     let name = file.file_name().and_then(|name| name.to_str());

@@ -1,4 +1,4 @@
-//! What is wrong with recordings, counted, with the first places.
+//! Faults of recordings, counted, with their first occurrences.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -14,20 +14,20 @@ use super::limits::Limits;
 use super::units::{power_check, suspicions};
 use crate::trial::{Column, Trial};
 
-/// What was found in a set of files.
+/// Result of checking a set of files.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Check {
-    /// Files looked at.
+    /// Files checked.
     pub files: usize,
-    /// Trials in them: one a robot and file.
+    /// Trials in them: one per robot and file.
     pub trials: usize,
-    /// Different names of robots.
+    /// Distinct robot names.
     pub robots: usize,
     /// Rows of the trials.
     pub rows: usize,
-    /// How often something that is a fault was found.
+    /// Number of faults.
     pub faults: usize,
-    /// All findings, faults first, one of each kind.
+    /// All findings, faults first, one per kind.
     pub findings: Vec<Finding>,
 }
 
@@ -38,15 +38,15 @@ impl Check {
         self.faults == 0
     }
 
-    /// What was found of a kind, if anything.
+    /// The finding of a kind, if there is one.
     #[must_use]
     pub fn finding(&self, kind: FindingKind) -> Option<&Finding> {
         self.findings.iter().find(|finding| finding.kind == kind)
     }
 }
 
-/// Checks files, several at a time. A file that cannot be read is a finding, not an error. Of each
-/// kind, `places` places are kept, in the order of the files and rows. The result is the same with
+/// Checks files in parallel. A file that cannot be read is a finding, not an error. Of each kind,
+/// `places` occurrences are kept, in the order of the files and rows. The result is the same for
 /// any number of threads.
 #[must_use]
 pub fn check_files(files: &[PathBuf], limits: &Limits, places: usize) -> Check {
@@ -84,7 +84,7 @@ pub fn check_files(files: &[PathBuf], limits: &Limits, places: usize) -> Check {
     }
 }
 
-/// What is left of a file when it has been looked at.
+/// Result for one file.
 #[derive(Default)]
 struct Looked {
     findings: Vec<Finding>,
@@ -147,8 +147,8 @@ fn single(kind: FindingKind, file: &Path, what: String) -> Finding {
     finding
 }
 
-/// Of times and values: two recordings of the same run have the same, whatever their robots are
-/// called.
+/// Digest of times and values: two recordings of the same run have the same digest, whatever their
+/// robots are called.
 fn digest(trial: &Trial) -> [u8; 32] {
     let mut digest = Sha256::new();
     for offset_ns in trial.offset_ns() {
@@ -188,7 +188,7 @@ impl Findings {
         }
     }
 
-    /// Adds what was found elsewhere, in as many other files as it says.
+    /// Adds a finding of other files and their number.
     fn merge(&mut self, other: &Finding) {
         let finding = self
             .kinds
@@ -210,7 +210,7 @@ impl Findings {
     }
 }
 
-/// Checks one trial. Of each kind, the first `places` places are kept.
+/// Checks one trial. Of each kind, the first `places` occurrences are kept.
 #[must_use]
 pub fn check_trial(trial: &Trial, limits: &Limits, places: usize) -> Vec<Finding> {
     let mut found = Findings::new(places);
@@ -260,7 +260,7 @@ fn check_times(trial: &Trial, found: &mut Findings) {
         }
     }
     let row_of = |file_row: usize| {
-        // Rows of a file rise; the notes name rows of the file.
+        // `file_row` increases; the notes refer to rows of the file.
         (0..trial.rows()).find(|row| trial.file_row(*row) == file_row)
     };
     for gap in &trial.notes().gaps {
@@ -287,7 +287,7 @@ fn check_readings(trial: &Trial, limits: &Limits, found: &mut Findings) {
         let stands_s = time_s[run.from + run.rows - 1] - time_s[run.from];
         if stands_s > limits.stuck_s && run.rows > limits.stuck_holds * usual {
             found.add(FindingKind::Stuck, 1, || {
-                let what = format!("for {stands_s:.1} s, {} rows; usually {usual}", run.rows);
+                let what = format!("for {held_s:.1} s, {} rows; usually {usual}", run.rows);
                 at(trial, run.from, Some(Column::Power), what)
             });
         }
@@ -312,7 +312,7 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
         let range = limits.range(column);
         for (row, value) in values.iter().enumerate() {
             if value.is_nan() {
-                // Power has a kind of its own.
+                // Missing power has its own kind.
                 let counts = usize::from(column != Column::Power);
                 found.add(FindingKind::MissingValue, counts, || {
                     at(trial, row, Some(column), "not recorded".to_owned())
@@ -320,7 +320,7 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
             } else if let Some(range) = range.filter(|range| !range.holds(*value)) {
                 found.add(FindingKind::OutOfRange, 1, || {
                     let what = format!(
-                        "{value} in SI units; from {} to {} can be true",
+                        "{value} in SI units; allowed: {} to {}",
                         range.least, range.greatest
                     );
                     at(trial, row, Some(column), what)
@@ -335,8 +335,8 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
     }
 }
 
-/// A sign is a convention, so only sizes are compared. Where the units are wrong every row is, which
-/// is said once, elsewhere.
+/// Signs are a convention, so only magnitudes are compared. If the units are wrong, every row
+/// differs; that is reported once, by the unit check.
 fn check_power(trial: &Trial, limits: &Limits, found: &mut Findings) {
     let columns = [Column::Power, Column::Voltage, Column::Current].map(|c| trial.column(c));
     let [Some(power_w), Some(voltage_v), Some(current_a)] = columns else {
@@ -375,17 +375,15 @@ fn check_file(trial: &Trial, found: &mut Findings) {
         usize::from(notes.no_final_line_break),
         || {
             let last = trial.rows() - 1;
-            at(
-                trial,
-                last,
-                None,
-                "the last line has no line break".to_owned(),
-            )
+            at(trial, last, None, "the last line has no newline".to_owned())
         },
     );
     found.add(FindingKind::UnnamedRow, notes.unnamed_rows, || {
         let robot = trial.robot_name().unwrap_or_default();
-        let what = format!("{} rows; the others are of {robot:?}", notes.unnamed_rows);
+        let what = format!(
+            "{} rows; the others name robot {robot:?}",
+            notes.unnamed_rows
+        );
         whole(trial, None, what)
     });
 }

@@ -2,7 +2,7 @@
 
 use crate::trial::{Column, Trial};
 
-/// The only value of a column, in SI units, if every recorded value is it and there are two or more.
+/// The value of a column, in SI units, if there are at least two recorded values and all are equal.
 pub(super) fn only_value(trial: &Trial, column: Column) -> Option<f64> {
     let mut known = trial.column(column)?.iter().filter(|value| !value.is_nan());
     let first = known.next()?;

@@ -1,4 +1,4 @@
-//! What a trial is: rows, rate, holds, ranges.
+//! Description of a trial: rows, rate, holds, ranges.
 
 use std::path::PathBuf;
 
@@ -10,10 +10,10 @@ use super::units::{PowerCheck, power_check};
 use crate::split::group_of;
 use crate::trial::{Column, Trial};
 
-/// What a trial is. Units are SI; rows count from 1, a CSV's header not included.
+/// Description of a trial. SI units; rows count from 1, a CSV's header not included.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TrialReport {
-    /// Its file.
+    /// The file.
     pub file: PathBuf,
     /// The robot as recorded.
     pub robot_name: Option<String>,
@@ -25,73 +25,73 @@ pub struct TrialReport {
     pub duration_s: f64,
     /// Median rate, Hz.
     pub rate_hz: f64,
-    /// How even the steps from row to row are.
+    /// Distribution of the steps from row to row.
     pub steps: Steps,
     /// Steps longer than 1.5 median ones.
     pub gaps: usize,
-    /// The longest of them, s.
+    /// Longest gap, s.
     pub longest_gap_s: Option<f64>,
-    /// Rows whose time is not later than that of every row before.
+    /// Rows whose time is not later than all times before.
     pub not_advancing: usize,
-    /// Readings that repeat the one before.
+    /// Readings equal to the previous one.
     pub held_readings: usize,
     /// Rows without a power reading.
     pub missing_readings: usize,
-    /// The pattern in which readings repeat.
+    /// Pattern of held readings.
     pub holds: Holds,
     /// Mean of the power readings, W.
     pub mean_power_w: Option<f64>,
-    /// Least power reading, W.
+    /// Minimum power reading, W.
     pub least_power_w: Option<f64>,
-    /// Greatest power reading, W.
+    /// Maximum power reading, W.
     pub greatest_power_w: Option<f64>,
-    /// Energy of the readings, each counting until the next row, without gaps, J.
+    /// Energy, J: each reading is held until the next row; gaps are excluded.
     pub energy_j: f64,
-    /// Power beside voltage times current, where all three are recorded.
+    /// Power compared with voltage times current, where all three are recorded.
     pub power_check: Option<PowerCheck>,
-    /// The columns that hold values.
+    /// Columns with values.
     pub columns: Vec<ColumnReport>,
-    /// Columns without any value.
+    /// Columns without values.
     pub missing_columns: Vec<&'static str>,
-    /// Columns with one value only.
+    /// Constant columns.
     pub constant_columns: Vec<&'static str>,
-    /// Columns of the file that have no meaning here.
+    /// Unknown columns of the file.
     pub ignored_columns: Vec<String>,
-    /// Whether a CSV's last line has no line break: it may have been cut off.
+    /// Whether a CSV does not end with a newline: it may be truncated.
     pub no_final_line_break: bool,
-    /// Rows without the robot's name, while others have it.
+    /// Rows without a robot name, while others have one.
     pub unnamed_rows: usize,
 }
 
 /// Quantiles of the steps that advance, s.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Steps {
-    /// The shortest.
+    /// Minimum.
     pub least_s: f64,
-    /// One in twenty is not longer.
+    /// 5 % quantile.
     pub p05_s: f64,
-    /// The median.
+    /// Median.
     pub median_s: f64,
-    /// One in twenty is longer.
+    /// 95 % quantile.
     pub p95_s: f64,
-    /// The longest.
+    /// Maximum.
     pub greatest_s: f64,
 }
 
 /// A column's values in the SI unit of the [`Column`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ColumnReport {
-    /// Its name in a file; there, voltage, current and power are thousandths of the unit here.
+    /// Its name in a file; files have voltage, current and power in thousandths of the SI unit.
     pub name: &'static str,
     /// Rows with a value.
     pub values: usize,
-    /// The least.
+    /// Minimum.
     pub least: f64,
-    /// The mean.
+    /// Mean.
     pub mean: f64,
     /// Standard deviation about the mean.
     pub std: f64,
-    /// The greatest.
+    /// Maximum.
     pub greatest: f64,
 }
 
@@ -158,7 +158,7 @@ fn report(trial: &Trial, column: Column) -> Option<ColumnReport> {
     })
 }
 
-/// From the latest row so far to each that is later, ns.
+/// Steps from the latest time so far to each later one, ns.
 fn advances_ns(trial: &Trial) -> Vec<i64> {
     let mut latest_ns = trial.offset_ns()[0];
     let mut steps_ns = Vec::with_capacity(trial.rows());
@@ -174,7 +174,7 @@ fn advances_ns(trial: &Trial) -> Vec<i64> {
 fn steps(trial: &Trial) -> Steps {
     let mut steps_ns = advances_ns(trial);
     steps_ns.sort_unstable();
-    // A trial has a step that advances.
+    // Every trial has at least one step that advances.
     let last = steps_ns.len().saturating_sub(1);
     let at = |share: f64| {
         let place = (share * last as f64).floor() as usize;
@@ -189,8 +189,8 @@ fn steps(trial: &Trial) -> Steps {
     }
 }
 
-/// Each reading counts until the next row; before a gap and at the end for a median period. Missing
-/// readings count nothing, and rows whose time does not advance neither.
+/// Each reading is held until the next row, before a gap and at the end for a median period.
+/// Missing readings and rows whose time does not advance add nothing.
 fn energy_j(trial: &Trial) -> f64 {
     let Some(power_w) = trial.column(Column::Power) else {
         return 0.0;

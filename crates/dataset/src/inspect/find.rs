@@ -1,4 +1,4 @@
-//! Files, directories and patterns as a list of recordings.
+//! Expands files, directories and patterns into a list of recordings.
 
 use std::collections::HashSet;
 use std::fs;
@@ -7,29 +7,29 @@ use std::path::{Path, PathBuf};
 
 use crate::trial::Form;
 
-/// What was found.
+/// Recordings found.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Found {
-    /// Recordings, in the order of the arguments, those of a directory by name.
+    /// Recordings in the order of the arguments; those of a directory sorted by name.
     pub files: Vec<PathBuf>,
-    /// What else lies in the directories: not `.npy`, `.csv` or `.csv.gz`, and not looked at.
+    /// Other files in the directories: not `.npy`, `.csv` or `.csv.gz`, ignored.
     pub others: Vec<PathBuf>,
-    /// Files that were named more than once, and count once.
+    /// Files named more than once; each is used once.
     pub repeated: Vec<PathBuf>,
 }
 
 impl Found {
-    /// What was named and is not among the files, in words.
+    /// Ignored and repeated files, as messages.
     pub fn remarks(&self) -> impl Iterator<Item = String> {
-        let told = |files: &[PathBuf], what: &str| {
+        let remark = |files: &[PathBuf], what: &str| {
             let first = files.first()?.display().to_string();
             Some(format!("{} {what}, the first {first}", files.len()))
         };
-        let others = told(
-            &self.others,
-            "other files in the directories are not looked at",
+        let others = remark(&self.others, "other files in the directories are ignored");
+        let repeated = remark(
+            &self.repeated,
+            "files are named more than once; each is used once",
         );
-        let repeated = told(&self.repeated, "files are named twice and count once");
         others.into_iter().chain(repeated)
     }
 }
@@ -38,12 +38,12 @@ impl Found {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FindError {
-    /// The operating system could not look.
+    /// The operating system reported an error.
     #[error("{path}: {source}", path = path.display())]
     Io {
-        /// Where.
+        /// The path.
         path: PathBuf,
-        /// What the operating system said.
+        /// The operating system's error.
         source: io::Error,
     },
     /// A directory without recordings.
@@ -52,37 +52,38 @@ pub enum FindError {
         /// The directory.
         path: PathBuf,
     },
-    /// A pattern that nothing matches.
-    #[error("nothing matches {pattern:?}; * and ? stand for parts of a name, ** for directories")]
+    /// A pattern without a match.
+    #[error("nothing matches {pattern:?}; * and ? match within a name, ** matches directories")]
     NoMatch {
         /// The pattern.
         pattern: String,
     },
-    /// Not a pattern.
-    #[error("the pattern {pattern:?} is wrong at its character {at}: {reason}")]
+    /// An invalid pattern.
+    #[error("the pattern {pattern:?} is invalid at character {at}: {reason}")]
     Pattern {
         /// The pattern.
         pattern: String,
-        /// Where, from 0.
+        /// Position of the error, from 0.
         at: usize,
-        /// What is wrong.
+        /// The error.
         reason: &'static str,
     },
 }
 
 impl FindError {
-    /// Whether other arguments are the remedy.
+    /// Whether the arguments are at fault.
     #[must_use]
     pub const fn is_usage(&self) -> bool {
         !matches!(self, Self::Io { .. })
     }
 }
 
-/// The recordings that the arguments name: files, directories with all that lies below them, and
-/// patterns (`runs/**/*.npy`). A file that is named itself counts whatever its name ends in.
+/// Recordings named by the arguments: files, directories (searched recursively), and patterns
+/// (`runs/**/*.npy`). A file named explicitly is included whatever its extension.
 ///
 /// # Errors
-/// [`FindError`]: something is not there or cannot be read, a directory or a pattern gives nothing.
+/// [`FindError`]: a path does not exist or cannot be read, or a directory or pattern yields
+/// nothing.
 pub fn find<P: AsRef<Path>>(arguments: &[P]) -> Result<Found, FindError> {
     let mut found = Found::default();
     for argument in arguments {
@@ -142,7 +143,7 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
     Ok(())
 }
 
-/// Links to directories are not followed, so that there are no circles.
+/// Symbolic links to directories are not followed, so the walk terminates.
 fn walk(directory: &Path, found: &mut Found) -> Result<(), FindError> {
     let failed = |source| io_error(directory, source);
     let mut entries = Vec::new();

@@ -1,54 +1,54 @@
-//! What can be said about a recording, and where.
+//! Kinds of findings and their locations.
 
 use std::fmt;
 use std::path::PathBuf;
 
 use serde::Serialize;
 
-/// What was found.
+/// Kind of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum FindingKind {
-    /// A file that is no recording.
+    /// A file that is not a recording.
     Unreadable,
-    /// The rows of another file again.
+    /// Same rows as another file.
     Copy,
-    /// A row at the time of the latest row before.
+    /// A row at the same time as the latest row before it.
     TimeRepeated,
-    /// A row earlier than the latest row before.
+    /// A row earlier than the latest row before it.
     TimeBackward,
-    /// A step of more than 1.5 median ones.
+    /// A step longer than 1.5 median steps.
     Gap,
     /// A row without a power reading.
     MissingReading,
-    /// A row without a value in a column that others have one in.
+    /// A row without a value in a column that has values in other rows.
     MissingValue,
-    /// A value past what can be true.
+    /// A value outside the plausible range.
     OutOfRange,
-    /// Power that is not voltage times current.
+    /// Power differs from voltage times current.
     PowerMismatch,
-    /// Numbers that look like another unit.
+    /// Magnitudes that suggest another unit.
     Unit,
-    /// A reading that stands far longer than readings usually do.
+    /// A reading that is held far longer than usual.
     Stuck,
-    /// A last line without a line break: it may have been cut off.
+    /// No final newline: the file may be truncated.
     CutOff,
-    /// Rows without the robot's name, while others have it.
+    /// Rows without a robot name, while others have one.
     UnnamedRow,
-    /// A column that has no meaning here.
+    /// An unknown column.
     UnknownColumn,
-    /// A column that is not there, or has no value.
+    /// A column that is missing or has no value.
     MissingColumn,
-    /// A column with one value only.
+    /// A constant column.
     ConstantColumn,
-    /// Readings that repeat the one before.
+    /// Readings equal to the previous one.
     Held,
 }
 
 impl FindingKind {
-    /// Whether it is a fault: something that a researcher has to know before the recording is used.
-    /// The rest is how the recording is.
+    /// Whether it is a fault, to be resolved before the recording is used. Other findings are
+    /// informative.
     #[must_use]
     pub const fn is_fault(self) -> bool {
         !matches!(
@@ -61,37 +61,38 @@ impl FindingKind {
 impl fmt::Display for FindingKind {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
-            Self::Unreadable => "files that are no recordings",
-            Self::Copy => "recordings that are another one again",
-            Self::TimeRepeated => "rows at the time of the row before",
-            Self::TimeBackward => "rows earlier than one before",
+            Self::Unreadable => "files that are not recordings",
+            Self::Copy => "recordings that duplicate another one",
+            Self::TimeRepeated => "rows with a repeated time",
+            Self::TimeBackward => "rows whose time goes back",
             Self::Gap => "gaps",
             Self::MissingReading => "rows without a power reading",
-            Self::MissingValue => "values missing in columns that have some",
-            Self::OutOfRange => "values that cannot be true",
-            Self::PowerMismatch => "rows whose power is not voltage times current",
-            Self::Unit => "columns that look like another unit",
-            Self::Stuck => "readings that stand too long",
-            Self::CutOff => "files that may be cut off",
-            Self::UnnamedRow => "rows without the robot's name",
-            Self::UnknownColumn => "columns without a meaning here",
+            Self::MissingValue => "missing values in recorded columns",
+            Self::OutOfRange => "values out of range",
+            Self::PowerMismatch => "rows whose power differs from voltage times current",
+            Self::Unit => "columns that seem to be in another unit",
+            Self::Stuck => "readings held too long",
+            Self::CutOff => "files that may be truncated",
+            Self::UnnamedRow => "rows without a robot name",
+            Self::UnknownColumn => "unknown columns",
             Self::MissingColumn => "columns that are not recorded",
-            Self::ConstantColumn => "columns that never change",
-            Self::Held => "readings that repeat the one before",
+            Self::ConstantColumn => "constant columns",
+            Self::Held => "held readings",
         })
     }
 }
 
-/// Where something was found, and what.
+/// Location and detail of a finding.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Place {
     /// The file.
     pub file: PathBuf,
-    /// The row in the file, from 1, a CSV's header not included; none for what is no row's.
+    /// The row in the file, from 1, a CSV's header not included; `None` if it concerns no single
+    /// row.
     pub row: Option<usize>,
     /// The column's name in a file.
     pub column: Option<String>,
-    /// What was found there.
+    /// Detail.
     pub what: String,
 }
 
@@ -108,18 +109,18 @@ impl fmt::Display for Place {
     }
 }
 
-/// All that was found of a kind.
+/// All findings of a kind.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// What.
+    /// The kind.
     pub kind: FindingKind,
     /// Whether it is a fault.
     pub fault: bool,
-    /// How often.
+    /// Number of occurrences.
     pub count: usize,
-    /// Files in which.
+    /// Number of files with an occurrence.
     pub files: usize,
-    /// The first places.
+    /// The first occurrences.
     pub places: Vec<Place>,
 }
 

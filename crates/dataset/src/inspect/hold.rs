@@ -1,25 +1,26 @@
-//! Which readings repeat, and in what pattern: how often the sensor was really read.
+//! Held readings and their pattern, which shows how often the sensor was really read.
 
 use serde::Serialize;
 
 use crate::trial::Trial;
 
-/// How readings repeat. A reading repeats if power, voltage and current all equal those of the row
-/// before to the bit; a load that stands still within the sensor's step looks the same.
+/// Pattern of held readings. A reading is held if power, voltage and current all equal those of the
+/// row before to the bit; a constant load below the sensor's resolution is indistinguishable from
+/// that.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Holds {
     /// Rows with a reading.
     pub readings: usize,
-    /// Readings that repeat the row before.
+    /// Readings equal to those of the row before.
     pub held: usize,
     /// `held / readings`; 0 without readings.
     pub share: f64,
-    /// Rows for which a reading most often stands, itself included: 1 where most are new. The
-    /// shorter of two that are as frequent.
+    /// Most frequent run length, rows: 1 where most readings are new. Of two equally frequent
+    /// lengths, the shorter.
     pub usual_rows: usize,
-    /// Share of the runs that have this length.
+    /// Share of the runs with this length.
     pub usual_share: f64,
-    /// New readings a second, over the whole trial.
+    /// New readings per second, over the whole trial.
     pub new_hz: f64,
     /// The longest run, rows.
     pub longest_rows: usize,
@@ -32,13 +33,13 @@ pub struct Holds {
 /// A run of equal readings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Run {
-    /// Its first row, from 0.
+    /// First row, from 0.
     pub(super) from: usize,
-    /// Its rows.
+    /// Number of rows.
     pub(super) rows: usize,
 }
 
-/// The runs of equal readings, in order; rows without a reading are in none and end one.
+/// The runs of equal readings, in order; rows without a reading belong to none and end a run.
 pub(super) fn runs(trial: &Trial) -> Vec<Run> {
     let power = trial.column(crate::trial::Column::Power);
     let mut runs: Vec<Run> = Vec::new();
@@ -53,7 +54,7 @@ pub(super) fn runs(trial: &Trial) -> Vec<Run> {
     runs
 }
 
-/// The pattern in which a trial's readings repeat.
+/// The pattern of held readings of a trial.
 #[must_use]
 pub fn holds(trial: &Trial) -> Holds {
     let runs = runs(trial);
@@ -78,7 +79,7 @@ pub fn holds(trial: &Trial) -> Holds {
     }
 }
 
-/// The most frequent length, and how many runs have it.
+/// The most frequent length and the number of runs that have it.
 fn usual(runs: &[Run]) -> (usize, usize) {
     let mut lengths: Vec<usize> = runs.iter().map(|run| run.rows).collect();
     lengths.sort_unstable();

@@ -1,20 +1,20 @@
-//! What a value may be.
+//! Plausible ranges of recorded values.
 
 use serde::Serialize;
 
 use crate::trial::Column;
 
-/// From the least to the greatest value that can be true.
+/// A plausible range, ends included.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Range {
-    /// The least.
+    /// Minimum.
     pub least: f64,
-    /// The greatest.
+    /// Maximum.
     pub greatest: f64,
 }
 
 impl Range {
-    /// Everything up to `greatest` in both directions.
+    /// From `-greatest` to `greatest`.
     #[must_use]
     pub const fn within(greatest: f64) -> Self {
         Self {
@@ -28,8 +28,8 @@ impl Range {
     }
 }
 
-/// What is called wrong. Past these bounds a wheeled robot's recording is more likely mistaken, in a
-/// wrong unit for instance, than true; a platform's own limits are narrower.
+/// Thresholds of the check. Values beyond them are more likely recording errors, such as a wrong
+/// unit, than measurements of a wheeled robot; a platform's own limits are narrower.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Limits {
     /// Commanded and measured linear velocity, m/s.
@@ -40,19 +40,19 @@ pub struct Limits {
     pub position_m: Range,
     /// Heading, rad: many turns, if it was recorded unwrapped.
     pub theta_rad: Range,
-    /// Battery voltage, V.
+    /// Heading, rad: many turns if recorded unwrapped.
     pub voltage_v: Range,
     /// Battery current, A.
     pub current_a: Range,
-    /// Electrical power, W; negative where it is fed back.
+    /// Electrical power, W; negative while regenerating.
     pub power_w: Range,
-    /// How far power may be from voltage times current, as a share of it.
+    /// Allowed difference between power and voltage times current, as a share of the latter.
     pub power_share: f64,
-    /// How far it may be at least, W: a few steps of the power monitor.
+    /// Allowed difference at least, W: a few steps of the power monitor.
     pub power_step_w: f64,
-    /// Time for which a reading may stand before the sensor is called stuck, s.
+    /// Time for which a reading may be held before the sensor is reported as stuck, s.
     pub stuck_s: f64,
-    /// And how many times as long as readings usually stand.
+    /// Minimum length of a stuck reading, in multiples of the usual hold.
     pub stuck_holds: usize,
 }
 
@@ -78,7 +78,7 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// The range of a column in SI units; none for a column that may be anything.
+    /// The range of a column in SI units; `None` for an unbounded column.
     #[must_use]
     pub const fn range(&self, column: Column) -> Option<Range> {
         match column {

@@ -1,15 +1,15 @@
-//! Whether the numbers can be in the units that the columns promise.
+//! Whether recorded magnitudes fit the columns' units.
 
 use serde::Serialize;
 
 use crate::trial::{Column, Trial};
 
-/// Power beside voltage times current.
+/// Power compared with voltage times current.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PowerCheck {
-    /// Rows with all three, and a product that is not 0.
+    /// Rows with all three and a non-zero product.
     pub rows: usize,
-    /// Median of |power| / |voltage · current|: 1 where all three are in their units.
+    /// Median of |power| / |voltage · current|: 1 if all three are in the right units.
     pub median_ratio: f64,
 }
 
@@ -32,7 +32,7 @@ pub fn power_check(trial: &Trial) -> Option<PowerCheck> {
     })
 }
 
-/// Of two in the middle, the smaller.
+/// Lower median.
 pub(super) fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len().checked_sub(1)? / 2;
     Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
@@ -44,7 +44,7 @@ fn usual_size(trial: &Trial, column: Column) -> Option<f64> {
     median(&mut values.filter(|value| *value > 0.0).collect::<Vec<_>>())
 }
 
-/// What looks like another unit: the column, if it is one, and why.
+/// Columns that seem to be in another unit (or none, for the time), and why.
 pub(super) fn suspicions(trial: &Trial) -> Vec<(Option<Column>, String)> {
     let mut found = Vec::new();
     let rate_hz = trial.notes().rate_hz;
@@ -52,13 +52,13 @@ pub(super) fn suspicions(trial: &Trial) -> Vec<(Option<Column>, String)> {
         let what = format!("{rate_hz:.4} rows a second: is the time in seconds?");
         found.push((None, what));
     }
-    // Ten times off is a strange robot; a thousand times off is a unit.
+    // A factor of ten may be an unusual robot; a factor of a thousand is a unit error.
     if let Some(check) = power_check(trial) {
         let thousands = (check.median_ratio.log10() / 3.0).round();
         if thousands != 0.0 && thousands.is_finite() {
             let ratio = check.median_ratio;
             let what = format!(
-                "power is {ratio:.3e} times voltage times current: are all three in mV, mA, mW?"
+                "power is {ratio:.3e} times voltage times current: check that the columns are in mV, mA, mW"
             );
             found.push((Some(Column::Power), what));
         }
@@ -69,7 +69,7 @@ pub(super) fn suspicions(trial: &Trial) -> Vec<(Option<Column>, String)> {
     ];
     for (column, least, unit, wanted) in sizes {
         if let Some(size) = usual_size(trial, column).filter(|size| *size < least) {
-            let what = format!("usually {size:.3e} {unit}: is the column in {wanted}?");
+            let what = format!("usually {size:.3e} {unit}: check that the column is in {wanted}");
             found.push((Some(column), what));
         }
     }

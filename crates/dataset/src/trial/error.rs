@@ -1,4 +1,4 @@
-//! Why a file is not a trial.
+//! Errors of reading a trial.
 
 use std::io;
 use std::path::PathBuf;
@@ -14,16 +14,16 @@ pub enum TrialError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The operating system's error.
         source: io::Error,
     },
-    /// The file has no bytes.
+    /// The file is empty.
     #[error("{path}: empty; expected a .npy array or a CSV with a header", path = path.display())]
     Empty {
         /// The file.
         path: PathBuf,
     },
-    /// The file is something else.
+    /// The file has another format.
     #[error(
         "{path}: found {found}; expected a .npy array of shape (n, 11), or a CSV, plain or .gz",
         path = path.display()
@@ -31,30 +31,30 @@ pub enum TrialError {
     Kind {
         /// The file.
         path: PathBuf,
-        /// What it seems to be.
+        /// The format it seems to have.
         found: &'static str,
     },
-    /// The file ends before its content does.
+    /// The file is truncated.
     #[error(
-        "{path}: truncated: {missing} after {rows} whole rows; copy the file again",
+        "{path}: truncated: {missing} after {rows} complete rows; copy the file again",
         path = path.display()
     )]
     Truncated {
         /// The file.
         path: PathBuf,
-        /// What should have followed.
+        /// The missing data.
         missing: String,
-        /// Whole rows before the end.
+        /// Complete rows before the end.
         rows: usize,
     },
-    /// The compressed data contradict themselves.
-    #[error("{path}: damaged gzip data after {rows} whole rows: {detail}", path = path.display())]
+    /// The gzip data are corrupt.
+    #[error("{path}: damaged gzip data after {rows} complete rows: {detail}", path = path.display())]
     Gzip {
         /// The file.
         path: PathBuf,
-        /// Whole rows before the damage.
+        /// Complete rows before the corruption.
         rows: usize,
-        /// What the decoder said.
+        /// The decoder's error.
         detail: String,
     },
     /// Too many rows.
@@ -63,7 +63,7 @@ pub enum TrialError {
         /// The file.
         path: PathBuf,
     },
-    /// Too much text, which a small compressed file can hold as well.
+    /// Too much text; compression can hide it in a small file.
     #[error(
         "{path}: more than {MAX_TEXT_BYTES} bytes of text; split the recording",
         path = path.display()
@@ -72,15 +72,15 @@ pub enum TrialError {
         /// The file.
         path: PathBuf,
     },
-    /// The header of the array is not that of a plain array.
+    /// The header is not that of a plain array.
     #[error("{path}: array header: {detail}", path = path.display())]
     NpyHeader {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it, and what is allowed.
+        /// What was found, and what is allowed.
         detail: String,
     },
-    /// The array holds Python objects: reading them would mean running them.
+    /// The array holds Python objects: reading them would execute code.
     #[error(
         "{path}: found an array of Python objects, which is never read; save the table \
          as a plain float64 array",
@@ -106,7 +106,7 @@ pub enum TrialError {
         /// The shape.
         found: String,
     },
-    /// The file is longer than its header says.
+    /// The file is longer than its header states.
     #[error(
         "{path}: {found_bytes} bytes, but the header's {rows} rows end at {expected_bytes}; \
          another file may have been appended",
@@ -119,10 +119,10 @@ pub enum TrialError {
         rows: usize,
         /// Bytes in the file.
         found_bytes: u64,
-        /// Bytes that header and rows need.
+        /// Bytes of header and rows.
         expected_bytes: u64,
     },
-    /// A column that every trial needs is not there.
+    /// A required column is missing.
     #[error(
         "{path}: no column {expected}; found {found}",
         path = path.display()
@@ -130,14 +130,14 @@ pub enum TrialError {
     MissingColumn {
         /// The file.
         path: PathBuf,
-        /// The names under which the column is looked for.
+        /// The accepted names of the column.
         expected: String,
         /// The columns of the header.
         found: String,
     },
-    /// Two columns mean the same.
+    /// Two columns have the same meaning.
     #[error(
-        "{path}: columns {first} and {second} both mean {first}; keep one",
+        "{path}: columns {first} and {second} are synonyms; keep one",
         path = path.display()
     )]
     DuplicateColumn {
@@ -163,7 +163,7 @@ pub enum TrialError {
         /// Fields in the header.
         expected: usize,
     },
-    /// A value cannot be used.
+    /// A value is not allowed.
     #[error(
         "{path}: row {row}, column {column}: found {found:?}; allowed: {allowed}",
         path = path.display()
@@ -175,9 +175,9 @@ pub enum TrialError {
         row: usize,
         /// Name of the column.
         column: &'static str,
-        /// What stands there.
+        /// The value.
         found: String,
-        /// What may stand there.
+        /// Allowed values.
         allowed: &'static str,
     },
     /// More than one robot in the file.
@@ -196,15 +196,15 @@ pub enum TrialError {
         /// The other robot.
         found: String,
     },
-    /// More robots in one file than anything real has.
+    /// More robots in one file than plausible.
     #[error("{path}: more than {MAX_ROBOTS} robots; split the recording", path = path.display())]
     TooManyRobots {
         /// The file.
         path: PathBuf,
     },
-    /// No row is later than the one before it.
+    /// No timestamp advances.
     #[error(
-        "{path}: {rows} rows, and no timestamp advances; a trial needs two rows at rising times",
+        "{path}: {rows} rows, and no timestamp advances; a trial needs two rows at increasing times",
         path = path.display()
     )]
     NoPeriod {

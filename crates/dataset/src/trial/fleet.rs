@@ -1,4 +1,4 @@
-//! Many trials at once, one robot each, in the order of time.
+//! Plays many trials at once, one robot each, in the order of time.
 
 use joulebus_wire::{Sample, sample_flag};
 
@@ -11,11 +11,11 @@ pub struct Playback {
     pub base_ns: u64,
     /// Time from one frame to the next, ns, in the time of the trials; at least 1.
     pub frame_period_ns: u64,
-    /// Whether a trial starts again when it has ended, each in its own length.
+    /// Whether a trial restarts when it has ended, each after its own length.
     pub repeat: bool,
 }
 
-/// Why trials cannot be played as a fleet.
+/// Errors of [`TrialFleet`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrialFleetError {
@@ -28,12 +28,12 @@ pub enum TrialFleetError {
         /// The robot's id.
         robot: u32,
     },
-    /// The ids run past the largest one.
+    /// The ids exceed the largest one.
     #[error("{trials} robots from id {first} on run past {max}; start lower", max = u32::MAX)]
     IdsExhausted {
         /// The first robot's id.
         first: u32,
-        /// Robots asked for.
+        /// Number of robots.
         trials: usize,
     },
     /// The frame period is zero.
@@ -43,10 +43,10 @@ pub enum TrialFleetError {
 
 /// Many trials as one fleet: every sample once, in frames on a grid of the trials' own time.
 ///
-/// Pure: time comes in as an argument. Trial time 0 is the first row of every trial. A frame holds
-/// what has fallen due since the frame before, by robot, and for a robot in order of time; a robot
-/// that is slower than the frames is not in each of them. Frames taken one by one, each at its
-/// [`TrialFleet::next_due_ns`], are the same however fast they are taken:
+/// Pure: time is an argument. Trial time 0 is the first row of every trial. A frame holds the
+/// samples that have become due since the previous frame, ordered by robot and then by time; a
+/// robot slower than the frame rate is not in every frame. Frames taken one by one, each at its
+/// [`TrialFleet::next_due_ns`], do not depend on how fast they are taken:
 ///
 /// ```no_run
 /// # fn send(_: &[joulebus_wire::Sample]) {}
@@ -73,7 +73,7 @@ impl TrialFleet {
     /// Trials with the ids of their robots.
     ///
     /// # Errors
-    /// [`TrialFleetError`]: no trial, an id twice, no frame period.
+    /// [`TrialFleetError`]: no trial, a repeated id, or a frame period of 0.
     pub fn new(trials: Vec<(u32, Trial)>, playback: Playback) -> Result<Self, TrialFleetError> {
         if trials.is_empty() {
             return Err(TrialFleetError::NoTrial);
@@ -96,10 +96,10 @@ impl TrialFleet {
         Ok(Self { players, playback })
     }
 
-    /// Trials whose robots are numbered from `first` on, in the given order.
+    /// Trials whose robots are numbered from `first`, in the given order.
     ///
     /// # Errors
-    /// [`TrialFleetError`]: no trial, ids past `u32::MAX`, no frame period.
+    /// [`TrialFleetError`]: no trial, ids beyond `u32::MAX`, or a frame period of 0.
     pub fn numbered(
         first: u32,
         trials: Vec<Trial>,
@@ -116,19 +116,19 @@ impl TrialFleet {
         Self::new(ids.into_iter().zip(trials).collect(), playback)
     }
 
-    /// Ids of the robots, rising.
+    /// Ids of the robots, ascending.
     pub fn robots(&self) -> impl Iterator<Item = u32> + '_ {
         self.players.iter().map(|player| player.robot)
     }
 
-    /// Samples of all trials, each played once.
+    /// Samples in one pass through all trials.
     #[must_use]
     pub fn samples_per_pass(&self) -> usize {
         self.players.iter().map(|player| player.samples.len()).sum()
     }
 
-    /// When the next frame that has samples is due, in trial time, ns; `None` when all has been
-    /// played, which never happens with [`Playback::repeat`].
+    /// When the next non-empty frame is due, in trial time, ns; `None` at the end, which
+    /// [`Playback::repeat`] never reaches.
     #[must_use]
     pub fn next_due_ns(&self) -> Option<u64> {
         let due_ns = self.players.iter().filter_map(Player::due_ns).min()?;
@@ -137,8 +137,8 @@ impl TrialFleet {
         Some(trial_ns.div_ceil(period_ns).saturating_mul(period_ns))
     }
 
-    /// Replaces `frame` by every sample that has fallen due by the trial time `now_ns` and was not
-    /// taken before. Late frames are merged: to keep frames as they are, call once for each
+    /// Replaces `frame` by every sample due by the trial time `now_ns` that was not taken before.
+    /// Late frames are merged: to keep frames separate, call once for each
     /// [`TrialFleet::next_due_ns`] up to now.
     pub fn frame_into(&mut self, now_ns: u64, frame: &mut Vec<Sample>) {
         frame.clear();
@@ -149,7 +149,7 @@ impl TrialFleet {
     }
 }
 
-/// One robot's place in its trial.
+/// Playback position of one robot.
 #[derive(Debug, Clone)]
 struct Player {
     robot: u32,
@@ -184,7 +184,7 @@ impl Player {
     }
 
     fn take_until(&mut self, until_ns: u64, frame: &mut Vec<Sample>) {
-        // A sample whose time does not advance follows at once: the one before it was due.
+        // A sample whose time does not advance follows at once, because the one before it was due.
         while self.due_ns().is_some_and(|due_ns| due_ns <= until_ns) {
             frame.push(self.sample());
             self.next += 1;

@@ -1,10 +1,10 @@
-//! What a file may hold at most, and how its kind is told.
+//! Size limits of files.
 
-/// Most rows that a trial may have: 38 hours at 30 Hz.
+/// Maximum number of rows of a trial: 38 hours at 30 Hz.
 pub const MAX_ROWS: usize = 1 << 22;
-/// Most bytes of text that a CSV may hold, after decompression.
+/// Maximum bytes of text in a CSV, after decompression.
 pub(super) const MAX_TEXT_BYTES: u64 = 512 << 20;
-/// Most robots that a file may hold.
+/// Maximum number of robots in a file.
 pub(super) const MAX_ROBOTS: usize = 10_000;
 
 pub(super) const GZIP_MAGIC: &[u8] = b"\x1f\x8b";

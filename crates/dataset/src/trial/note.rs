@@ -1,37 +1,36 @@
-//! What is questionable about a trial although it can be read.
+//! Quality notes on a trial that could be read.
 
 use std::fmt;
 
 use super::table::{Column, Columns, is_held, value};
 
-/// What a reader of the trial should know. Nothing here is dropped from the trial; rows count from
-/// 1, the header of a CSV not included.
+/// Quality notes. Everything noted is kept in the trial; rows count from 1, the header of a CSV not
+/// included.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TrialNotes {
     /// Rows in the file.
     pub rows: usize,
     /// Median rate, Hz.
     pub rate_hz: f64,
-    /// Rows whose time is not later than that of every row before: the intake refuses their
-    /// samples.
+    /// Rows whose time is not later than all times before: ingest refuses their samples.
     pub not_advancing: Vec<usize>,
-    /// Rows that follow the latest time so far by more than 1.5 median periods.
+    /// Rows more than 1.5 median periods after the latest time before them.
     pub gaps: Vec<Gap>,
-    /// Readings that repeat the one before.
+    /// Readings equal to the previous one.
     pub held_readings: usize,
     /// Rows without a power reading.
     pub missing_readings: usize,
-    /// Columns that are not in the file, or hold nothing but NaN.
+    /// Columns that are missing or all NaN.
     pub missing_columns: Vec<Column>,
-    /// Rows without the robot's name, while others have it.
+    /// Rows without a robot name, while others have one.
     pub unnamed_rows: usize,
-    /// Columns of the file that have no meaning here.
+    /// Unknown columns of the file.
     pub ignored_columns: Vec<String>,
-    /// The last line of a CSV has no line break: it may have been cut off.
+    /// A CSV does not end with a newline: it may be truncated.
     pub no_final_line_break: bool,
 }
 
-/// A time without rows.
+/// A gap between rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Gap {
     /// The row after it, from 1.
@@ -41,8 +40,8 @@ pub struct Gap {
 }
 
 impl TrialNotes {
-    /// Whether there is nothing to say: every row advances, no gap, every reading there, every
-    /// column known, the file whole. Held readings and missing columns are no fault.
+    /// Whether there are no faults: every row advances, no gap, no missing reading, no unknown
+    /// column, the file complete. Held readings and missing columns are not faults.
     #[must_use]
     pub fn is_clean(&self) -> bool {
         self.not_advancing.is_empty()
@@ -89,14 +88,14 @@ impl fmt::Display for TrialNotes {
         if self.no_final_line_break {
             write!(
                 out,
-                ", the last line has no line break: it may have been cut off"
+                ", the last line has no newline: the file may be truncated"
             )?;
         }
         Ok(())
     }
 }
 
-/// Time of each row after the first one, rounded to whole ns. Times are bounded by the reader.
+/// Time since the first row of each row, rounded to whole ns. The reader bounds the times.
 pub(super) fn offsets_ns(timestamp_s: &[f64]) -> Vec<i64> {
     let first_s = timestamp_s.first().copied().unwrap_or_default();
     timestamp_s
@@ -105,7 +104,7 @@ pub(super) fn offsets_ns(timestamp_s: &[f64]) -> Vec<i64> {
         .collect()
 }
 
-/// From the latest row so far to each row after the first, ns.
+/// Step from the latest time so far to each row after the first, ns.
 fn steps_ns(offset_ns: &[i64]) -> impl Iterator<Item = i64> + '_ {
     let mut latest_ns = offset_ns.first().copied().unwrap_or_default();
     offset_ns.iter().skip(1).map(move |now_ns| {
@@ -115,7 +114,7 @@ fn steps_ns(offset_ns: &[i64]) -> impl Iterator<Item = i64> + '_ {
     })
 }
 
-/// Median of the steps that advance (of two in the middle, the shorter), if there is one.
+/// Lower median of the steps that advance, if there is one.
 pub(super) fn median_step_ns(offset_ns: &[i64]) -> Option<u64> {
     let mut steps = steps_ns(offset_ns)
         .filter_map(|step_ns| u64::try_from(step_ns).ok())
@@ -125,7 +124,7 @@ pub(super) fn median_step_ns(offset_ns: &[i64]) -> Option<u64> {
     Some(*steps.select_nth_unstable(middle).1)
 }
 
-/// The notes that follow from the table itself. `file_row` tells the file's row of a row.
+/// The notes that follow from the table itself. `file_row` maps a row to the file's row.
 pub(super) fn take(
     offset_ns: &[i64],
     period_ns: u64,

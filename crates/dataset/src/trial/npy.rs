@@ -12,7 +12,7 @@ const WIDTH: usize = 11;
 const ROBOT: usize = 0;
 const TIME: usize = 1;
 
-/// Reads the array; `file_bytes` bounds what its header may claim.
+/// Reads the array; `file_bytes` bounds the size that its header may claim.
 pub(super) fn read(
     path: &Path,
     mut source: impl Read,
@@ -58,7 +58,7 @@ fn refused(path: &Path, error: HeaderError) -> TrialError {
         },
         HeaderError::Magic => TrialError::Kind {
             path,
-            found: "a file named .npy that is no NumPy array",
+            found: "a file named .npy that is not a NumPy array",
         },
         HeaderError::Records => TrialError::ElementType {
             path,
@@ -69,7 +69,7 @@ fn refused(path: &Path, error: HeaderError) -> TrialError {
     }
 }
 
-/// Rows of the array and bytes of an element.
+/// Number of rows and bytes per element.
 fn check_array(path: &Path, header: &Header) -> Result<(usize, u64), TrialError> {
     let path = || path.to_owned();
     let item_bytes = match header.element.as_str() {

@@ -1,4 +1,4 @@
-//! Files as tables.
+//! Reads files into tables.
 
 use std::fs::File;
 use std::io::{BufReader, Cursor, Read};
@@ -13,16 +13,16 @@ impl Table {
     /// Reads the table of a file with one robot, as [`Trial::read`] does.
     ///
     /// # Errors
-    /// [`TrialError`], as of [`Trial::read`]; a time that never advances is none here.
+    /// [`TrialError`], like [`Trial::read`], but a time that never advances is accepted.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, TrialError> {
         Self::only(Self::read_robots(path)?)
     }
 
-    /// Reads a file of one or several robots: a table for each, in the order in which they appear.
+    /// Reads a file of one or several robots: one table each, in the order in which they appear.
     ///
     /// # Errors
-    /// [`TrialError`], as of [`Table::read`]; several robots are none here, but then every row must
-    /// name its own.
+    /// [`TrialError`], like [`Table::read`], but several robots are accepted if every row names its
+    /// robot.
     pub fn read_robots(path: impl AsRef<Path>) -> Result<Vec<Self>, TrialError> {
         let path = path.as_ref();
         let io = |source| TrialError::Io {
@@ -76,8 +76,8 @@ impl Trial {
     /// in [`TrialNotes`](super::TrialNotes) are those of the file.
     ///
     /// # Errors
-    /// [`TrialError`], as of [`Trial::read`]; several robots are none here, but then every row must
-    /// name its own.
+    /// [`TrialError`], like [`Trial::read`], but several robots are accepted if every row names its
+    /// robot.
     pub fn read_robots(path: impl AsRef<Path>) -> Result<Vec<Self>, TrialError> {
         let tables = Table::read_robots(path)?;
         tables.into_iter().map(Table::into_trial).collect()

@@ -1,4 +1,4 @@
-//! A trial on another grid of time. Only when asked: every method changes what was recorded.
+//! Resampling of a trial. Only on request: every method changes what was recorded.
 
 use std::path::Path;
 
@@ -7,47 +7,46 @@ use serde::{Deserialize, Serialize};
 use super::table::Columns;
 use super::{Column, MAX_ROWS, Table, Trial, TrialError, note};
 
-/// What stands at a time of the grid.
+/// Value at a time of the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
-    /// The latest row, as a controller would see it that asks at the times of the grid. Every value
-    /// is one that was recorded.
+    /// The latest row (zero-order hold). Every value is one that was recorded.
     Hold,
-    /// The mean over the grid's period that ends here, each row counting for the time until the
-    /// next: a mean power times the period is the energy of the rows.
+    /// The mean over the grid period that ends here, each row held until the next: mean power times
+    /// the period is the energy of the rows.
     Mean,
-    /// The straight line between the rows around it.
+    /// Linear interpolation between the adjacent rows.
     Linear,
 }
 
-/// How to resample.
+/// Configuration of resampling.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Resample {
-    /// What stands at a time of the grid.
+    /// Value at a time of the grid.
     pub method: Method,
-    /// Rows a second, above 0 and up to 100,000. The grid starts at the first row.
+    /// Rows per second, above 0 and up to 100,000. The grid starts at the first row.
     pub rate_hz: f64,
 }
 
-/// What became of the rows.
+/// Row counts before and after resampling.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Resampled {
     /// Rows before.
     pub rows_before: usize,
     /// Rows after.
     pub rows: usize,
-    /// Rows left out because their time is not later than that of every row before.
+    /// Rows left out because their time is not later than all times before.
     pub not_advancing: usize,
-    /// Times of the grid without a row, because they lie in a gap: a gap stays one.
+    /// Times of the grid without a row, because they lie in a gap: gaps are kept.
     pub in_gaps: usize,
 }
 
-/// Why a trial cannot be resampled.
+/// Errors of resampling.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ResampleError {
-    /// No such rate.
+    /// The rate is out of range.
     #[error("found a rate of {rate_hz} Hz; allowed: above 0 and up to {MAX_RATE_HZ}")]
     Rate {
         /// The rate.
@@ -61,7 +60,7 @@ pub enum ResampleError {
         /// The rate.
         rate_hz: f64,
     },
-    /// Fewer than two rows are left.
+    /// Fewer than two rows would be left.
     #[error("{duration_s} s at {rate_hz} Hz leave fewer than two rows; take a higher rate")]
     TooFewRows {
         /// Time from the first row to the last, s.
@@ -69,20 +68,20 @@ pub enum ResampleError {
         /// The rate.
         rate_hz: f64,
     },
-    /// The rows are no trial.
+    /// The rows are not a valid trial.
     #[error(transparent)]
     Trial(#[from] TrialError),
 }
 
 const MAX_RATE_HZ: f64 = 100_000.0;
-/// Times in files are rounded: a row so much after a time of the grid, as a share of its period,
-/// stands at it.
+/// Times in files are rounded: a row less than this after a time of the grid, as a share of its
+/// period, is taken as simultaneous.
 const AT_THE_SAME_TIME: f64 = 1e-3;
-/// Share of a period of the grid without rows that is rounding.
+/// Share of a grid period without rows that is attributed to rounding.
 const ROUNDING: f64 = 1e-6;
 
 impl Trial {
-    /// The trial on another grid of time; see [`Table::resampled`].
+    /// The trial on another grid; see [`Table::resampled`].
     ///
     /// # Errors
     /// [`ResampleError`].
@@ -94,14 +93,14 @@ impl Trial {
 }
 
 impl Table {
-    /// The table on another grid of time, which begins at its first row.
+    /// The table on another grid, which begins at its first row.
     ///
-    /// A row counts until the next one; before a gap of more than one and a half median periods, and
-    /// at the end, for one median period. Times of the grid where no row counts get no row: a gap
-    /// stays a gap. Where a value was not recorded, its neighbours on the grid are NaN, too: with
-    /// [`Method::Mean`] wherever it counts, with [`Method::Linear`] between it and the next.
-    /// `phase` is a name, not a quantity: that of the earliest row that counts. `theta_rad` goes the
-    /// short way round.
+    /// A row is held until the next one; before a gap of more than one and a half median periods,
+    /// and at the end, for one median period. Times of the grid that no row covers get no row: gaps
+    /// are kept. Where a value was not recorded, the values computed from it are NaN: with
+    /// [`Method::Mean`] wherever its row contributes, with [`Method::Linear`] between it and the
+    /// next. `phase` is categorical: the value of the earliest contributing row. `theta_rad` is
+    /// interpolated along the shorter arc.
     ///
     /// # Errors
     /// [`ResampleError`].
@@ -111,13 +110,13 @@ impl Table {
     }
 }
 
-/// The rows that advance, and how long each counts.
+/// The rows that advance, and how long each is held.
 struct Spans {
-    /// Position of each in the table.
+    /// Index of each in the table.
     row: Vec<usize>,
     /// Time after the first, s.
     from_s: Vec<f64>,
-    /// When the row stops to count.
+    /// End of the hold.
     until_s: Vec<f64>,
 }
 
@@ -154,13 +153,13 @@ impl Spans {
         self.from_s.last().copied().unwrap_or_default()
     }
 
-    /// Whether the row after this one follows without a gap.
+    /// Whether the next row follows without a gap.
     fn is_followed(&self, at: usize) -> bool {
         self.from_s.get(at + 1) == Some(&self.until_s[at])
     }
 }
 
-/// Rows on a grid of time.
+/// Rows on a grid.
 struct Grid {
     timestamp_s: Vec<f64>,
     columns: Columns,
@@ -242,7 +241,7 @@ fn resample(
     Ok((grid, told))
 }
 
-/// What a time of the grid is made of: rows with their shares, which come to 1; none in a gap.
+/// Contributions to a time of the grid: rows with weights that sum to 1; none in a gap.
 struct Part {
     number: usize,
     shares: Vec<(usize, f64)>,
@@ -260,7 +259,7 @@ impl Part {
     }
 }
 
-/// From the first value on, so that equal values give that value to the bit.
+/// Summed relative to the first value, so that equal values give that value to the bit.
 fn weighted(mut shares: impl Iterator<Item = (f64, f64)>) -> f64 {
     let first = shares.next().map_or(f64::NAN, |(value, _)| value);
     first
@@ -269,7 +268,7 @@ fn weighted(mut shares: impl Iterator<Item = (f64, f64)>) -> f64 {
             .sum::<f64>()
 }
 
-/// The same with each difference taken the short way round.
+/// The same for angles: each difference along the shorter arc.
 fn angle(mut shares: impl Iterator<Item = (f64, f64)>) -> f64 {
     use std::f64::consts::{PI, TAU};
     let first = shares.next().map_or(f64::NAN, |(value, _)| value);
@@ -287,7 +286,7 @@ fn angle(mut shares: impl Iterator<Item = (f64, f64)>) -> f64 {
             .sum::<f64>()
 }
 
-/// Times of the grid up to `end_s`, and `more` of a period.
+/// Times of the grid up to `end_s`, plus `more` of a period.
 fn grid(end_s: f64, rate_hz: f64, more: f64) -> impl Iterator<Item = (usize, f64)> {
     let last = (end_s * rate_hz + more).floor() as usize;
     (0..=last).map(move |number| (number, number as f64 / rate_hz))
@@ -365,7 +364,7 @@ fn averaged(spans: &Spans, rate_hz: f64) -> Vec<Part> {
         }
         Part { number, shares }
     };
-    // The first row stands at time 0, so the first whole period ends one period later.
+    // The first row is at time 0, so the first full period ends one period later.
     grid(end_s, rate_hz, ROUNDING / 2.0)
         .skip(1)
         .map(part)

@@ -1,21 +1,21 @@
-//! A trial as the samples that a controller would have sent.
+//! A trial as the samples that a controller would have published.
 
 use joulebus_wire::{Sample, sample_flag};
 
 use super::{Column, Trial};
 
 impl Trial {
-    /// The trial as a live stream of robot `robot`, one sample a row, `seq` from 0.
+    /// The trial as a live stream of robot `robot`, one sample per row, `seq` from 0.
     ///
-    /// A controller reads, decides, sends. So sample `k` carries the reading of row `k`, measured
-    /// at the time of row `k`, and the command of row `k + 1`, issued at the time of row `k + 1`.
-    /// The last sample carries the last reading and no command, a median period after its row, so
-    /// that every reading meets the forecast that was made for it. `base_ns` is the time of the
-    /// first row, monotonic ns.
+    /// A controller reads, decides, publishes. So sample `k` carries the reading of row `k`,
+    /// measured at the time of row `k`, and the command of row `k + 1`, issued at the time of row
+    /// `k + 1`. The last sample carries the last reading and no command, a median period after its
+    /// row, so that every reading is scored against a forecast. `base_ns` is the time of the first
+    /// row, monotonic ns.
     ///
     /// A value that was not recorded has its flag cleared. A reading equal to the bit to that of
-    /// the row before (power, voltage and current) is held and keeps the time of the first of its
-    /// run. Times that do not advance are passed on as they are: the intake refuses them.
+    /// the row before (power, voltage and current) is held and keeps the measurement time of the
+    /// first of its run. Times that do not advance are passed on unchanged: ingest refuses them.
     #[must_use]
     pub fn to_samples(&self, robot: u32, base_ns: u64) -> Vec<Sample> {
         let mut measured_ns = base_ns;

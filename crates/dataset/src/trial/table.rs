@@ -49,7 +49,7 @@ impl Column {
         Self::OmegaMeasured,
     ];
 
-    /// How many of [`Column::ALL`] the array layout has: the first.
+    /// Number of columns of the array layout: the first of [`Column::ALL`].
     pub const LAYOUT: usize = 9;
 
     /// Name in a CSV header, with the unit in the file.
@@ -58,7 +58,7 @@ impl Column {
         self.names()[0]
     }
 
-    /// The names under which a CSV may have the column: with the unit, and as in the array layout.
+    /// Accepted names of the column in a CSV: with the unit, and as in the array layout.
     pub(super) const fn names(self) -> &'static [&'static str] {
         match self {
             Self::Phase => &["phase"],
@@ -75,7 +75,7 @@ impl Column {
         }
     }
 
-    /// A value of a file in SI units.
+    /// Converts a value of a file to SI units.
     pub(super) const fn si(self, recorded: f64) -> f64 {
         if self.is_milli() {
             recorded / 1000.0
@@ -84,7 +84,7 @@ impl Column {
         }
     }
 
-    /// A value in SI units as it stands in a file.
+    /// Converts a value in SI units to the unit of files.
     pub(super) const fn recorded(self, value: f64) -> f64 {
         if self.is_milli() {
             value * 1000.0
@@ -98,18 +98,18 @@ impl Column {
     }
 }
 
-/// The names under which a CSV may have the robot.
+/// Accepted names of the robot column in a CSV.
 pub(super) const ROBOT_NAMES: &[&str] = &["robot_id"];
-/// The names under which a CSV may have the time.
+/// Accepted names of the time column in a CSV.
 pub(super) const TIME_NAMES: &[&str] = &["timestamp_s", "timestamp"];
 
-/// What stands in a file for one robot: its rows in file order, in the units of the file (mV, mA,
-/// mW), to the bit. [`Trial`](super::Trial) is the same in SI units.
+/// The rows of one robot as recorded in a file: in file order, in the units of the file (mV, mA,
+/// mW), to the bit. [`Trial`](super::Trial) has the same in SI units.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Table {
     pub(super) path: PathBuf,
     pub(super) robot_name: Option<String>,
-    /// Row of the file of each row here, from 1: others where several robots share a file.
+    /// File row of each row, from 1; not contiguous where several robots share a file.
     pub(super) file_row: Vec<u32>,
     pub(super) timestamp_s: Vec<f64>,
     pub(super) columns: Columns,
@@ -127,7 +127,7 @@ pub(super) fn value(columns: &Columns, column: Column, row: usize) -> Option<f64
     (!value.is_nan()).then_some(value)
 }
 
-/// Whether the reading of `row` repeats that of the row before: power, voltage and current, to the
+/// Whether the reading of `row` equals that of the row before: power, voltage and current, to the
 /// bit.
 pub(super) fn is_held(columns: &Columns, row: usize) -> bool {
     let Some(before) = row.checked_sub(1) else {
@@ -140,11 +140,11 @@ pub(super) fn is_held(columns: &Columns, row: usize) -> bool {
             .all(|column| bits(column, row) == bits(column, before))
 }
 
-/// A value and where it stands, for checks and their messages.
+/// Location of a value, for checks and their messages.
 #[derive(Clone, Copy)]
 pub(super) struct Cell<'a> {
     pub(super) path: &'a Path,
-    /// From 1.
+    /// File row, from 1.
     pub(super) row: usize,
 }
 
@@ -172,13 +172,13 @@ impl Table {
         &self.path
     }
 
-    /// The robot's name as recorded, if it was: text in a CSV, a number in an array.
+    /// The robot's name as recorded, if any: text in a CSV, a number in an array.
     #[must_use]
     pub fn robot_name(&self) -> Option<&str> {
         self.robot_name.as_deref()
     }
 
-    /// Gives the robot another name.
+    /// Renames the robot.
     pub fn rename(&mut self, robot_name: &str) {
         self.robot_name = Some(robot_name.to_owned());
         self.unnamed_rows = 0;
@@ -190,7 +190,7 @@ impl Table {
         self.timestamp_s.len()
     }
 
-    /// Rows without a robot's name in a table that has one: what is written names the robot in all.
+    /// Rows without a robot name in a table that has one; all written rows name the robot.
     #[must_use]
     pub fn unnamed_rows(&self) -> usize {
         self.unnamed_rows
@@ -202,25 +202,25 @@ impl Table {
         &self.timestamp_s
     }
 
-    /// One value a row as recorded, in the unit that stands in the column's [`Column::name`]; NaN
-    /// where there is none, `None` if the file has no such column.
+    /// One value per row as recorded, in the unit stated in [`Column::name`]; NaN where there is
+    /// none, `None` if the file has no such column.
     #[must_use]
     pub fn column(&self, column: Column) -> Option<&[f64]> {
         self.columns[column as usize].as_deref()
     }
 
-    /// Leaves a column out.
+    /// Removes a column.
     pub fn drop_column(&mut self, column: Column) {
         self.columns[column as usize] = None;
     }
 
-    /// Names of the file's columns that have no meaning here, so that they are not in the table.
+    /// Unknown columns of the file, which are not in the table.
     #[must_use]
     pub fn ignored_columns(&self) -> &[String] {
         &self.ignored_columns
     }
 
-    /// Takes the value of `column` in a new row, in the unit of the file.
+    /// Appends a value of `column` in the unit of the file.
     pub(super) fn push(
         &mut self,
         cell: Cell<'_>,
@@ -234,7 +234,7 @@ impl Table {
         Ok(())
     }
 
-    /// Takes the value of `column` in a new row, in SI units, for a table that is all in SI units.
+    /// Appends a value of `column` in SI units, for a table in SI units.
     pub(super) fn push_si(
         &mut self,
         cell: Cell<'_>,
@@ -248,14 +248,14 @@ impl Table {
         Ok(())
     }
 
-    /// Takes the time of a new row.
+    /// Appends the time of a new row.
     pub(super) fn push_time(&mut self, cell: Cell<'_>, timestamp_s: f64) -> Result<(), TrialError> {
         if cell.row > MAX_ROWS {
             return Err(TrialError::TooManyRows {
                 path: cell.path.to_owned(),
             });
         }
-        // Sums of two such times fit i64 nanoseconds with room for repeats.
+        // Sums of two such times, and repetitions, fit into i64 nanoseconds.
         if !(-MAX_TIMESTAMP_S..=MAX_TIMESTAMP_S).contains(&timestamp_s) {
             let allowed = "a number of seconds within ±4e9";
             return Err(cell.refuse(TIME_NAMES[0], timestamp_s.to_string(), allowed));
@@ -281,7 +281,7 @@ impl Table {
     }
 }
 
-/// Samples carry f32: what overflows there would arrive as infinity.
+/// Samples carry f32: an overflow would arrive as infinity.
 fn check_value(cell: Cell<'_>, column: Column, value: f64) -> Result<(), TrialError> {
     if value.is_nan() || (value as f32).is_finite() {
         return Ok(());
@@ -290,7 +290,7 @@ fn check_value(cell: Cell<'_>, column: Column, value: f64) -> Result<(), TrialEr
     Err(cell.refuse(column.name(), column.recorded(value).to_string(), allowed))
 }
 
-/// The tables of a file while it is read, one for each robot, in the order in which they appear.
+/// The tables of a file while it is read, one per robot, in the order in which they appear.
 #[derive(Debug, Default)]
 pub(super) struct Tables {
     tables: Vec<Table>,
@@ -298,7 +298,7 @@ pub(super) struct Tables {
 }
 
 impl Tables {
-    /// The table that a row of this robot belongs to; an empty name says nothing.
+    /// The table of a row's robot; an empty name means none.
     pub(super) fn of(&mut self, cell: Cell<'_>, name: &str) -> Result<&mut Table, TrialError> {
         let at = match self.tables.len() {
             0 => self.add(cell, name)?,
@@ -345,7 +345,7 @@ impl Tables {
         Ok(at)
     }
 
-    /// What was read, with what goes for the whole file; a file without rows gives an empty table.
+    /// All tables, with the notes on the whole file; a file without rows gives an empty table.
     pub(super) fn finish(
         mut self,
         path: &Path,

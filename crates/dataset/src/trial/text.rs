@@ -1,4 +1,4 @@
-//! The same table as CSV with a header, plain or compressed.
+//! The table as CSV with a header, plain or compressed.
 
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
@@ -10,7 +10,7 @@ use super::TrialError;
 use super::limits::MAX_TEXT_BYTES;
 use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table, Tables};
 
-/// Reads the table; `zipped` says that the bytes are gzip.
+/// Reads the table; `zipped`: the bytes are gzip.
 pub(super) fn read(
     path: &Path,
     source: Box<dyn Read>,
@@ -63,7 +63,7 @@ pub(super) fn read(
     Ok(tables.finish(path, &ignored_columns, no_final_line_break))
 }
 
-/// Bounds what comes out of a small compressed file, and remembers how the text ends.
+/// Limits the decompressed size and records whether the text ends with a newline.
 struct Meter {
     source: Box<dyn Read>,
     bytes: u64,
@@ -93,7 +93,7 @@ fn explain(path: &Path, zipped: bool, meter: &Meter, rows: usize, error: csv::Er
     }
     let source = match error.into_kind() {
         csv::ErrorKind::Io(source) => source,
-        // Neither arises: rows are read as bytes, and may have any length.
+        // Neither occurs: rows are read as bytes, and may have any length.
         other => io::Error::other(format!("{other:?}")),
     };
     match source.kind() {
@@ -111,7 +111,7 @@ fn explain(path: &Path, zipped: bool, meter: &Meter, rows: usize, error: csv::Er
     }
 }
 
-/// Where each column of the table stands in a row.
+/// Position of each column of the table in a row.
 struct Layout {
     fields: usize,
     robot: Option<usize>,

@@ -22,10 +22,10 @@ pub struct Row {
 }
 
 impl Trial {
-    /// A trial of rows; `path` is what they come from, for messages.
+    /// A trial from rows; `path` names their origin in messages.
     ///
     /// # Errors
-    /// [`TrialError`]: a value that a sample could not carry, too many rows, or fewer than two
+    /// [`TrialError`]: a value that a sample cannot represent, too many rows, or fewer than two
     /// times.
     pub fn from_rows(
         path: &Path,
@@ -50,8 +50,8 @@ impl Trial {
         Self::from_si(table)
     }
 
-    /// The trial in the units of files. A value that was read from a file in another unit than SI
-    /// may differ from it in the last bit; [`Table::read`] gives it as it was.
+    /// The trial in the units of files. A value read from a file with non-SI units may differ in
+    /// the last bit; [`Table::read`] preserves it.
     #[must_use]
     pub fn to_table(&self) -> Table {
         let mut columns = self.columns.clone();
@@ -70,11 +70,11 @@ impl Trial {
         }
     }
 
-    /// Writes the trial as the published table: CSV with a header and all columns, compressed if the
-    /// name ends in `.gz`. What was not recorded is `NaN`. The file must not exist.
+    /// Writes the trial as the published table: CSV with a header and all columns, compressed if
+    /// the name ends in `.gz`. Values that were not recorded are `NaN`. The file must not exist.
     ///
     /// # Errors
-    /// What the system said.
+    /// The operating system's error.
     pub fn write_csv(&self, path: &Path) -> io::Result<()> {
         let mut table = self.to_table();
         for values in &mut table.columns {
@@ -91,22 +91,22 @@ impl Trial {
     }
 }
 
-/// The form of a file.
+/// Format of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
     /// The published array, float64.
     Npy,
     /// CSV with a header.
     Csv,
-    /// The same, compressed.
+    /// CSV compressed by gzip.
     CsvGz,
 }
 
 impl Form {
-    /// All forms.
+    /// All formats.
     pub const ALL: [Self; 3] = [Self::Npy, Self::Csv, Self::CsvGz];
 
-    /// How the names of such files end.
+    /// The file name extension.
     #[must_use]
     pub const fn ending(self) -> &'static str {
         match self {
@@ -116,7 +116,7 @@ impl Form {
         }
     }
 
-    /// The form that a file's name promises, if it is one of these.
+    /// The format of a file name's extension, if it is one of these.
     #[must_use]
     pub fn of(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_str()?;
@@ -126,27 +126,27 @@ impl Form {
     }
 }
 
-/// Why a table could not be written.
+/// Errors of writing a table.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteError {
-    /// What the system said; a file that exists is never overwritten.
+    /// The operating system's error; an existing file is never overwritten.
     #[error("{path}: {source}", path = path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The operating system's error.
         source: io::Error,
     },
-    /// The name promises no form.
+    /// The extension is of no known format.
     #[error("{path}: names of recordings end in .npy, .csv or .csv.gz", path = path.display())]
     Ending {
         /// The file.
         path: PathBuf,
     },
-    /// An array holds numbers.
+    /// An array holds numbers only.
     #[error(
-        "{path}: the robot's name is {found:?}, but an array holds numbers; allowed: a name that is \
+        "{path}: the robot's name is {found:?}, but an array holds numbers; allowed: a numeric name \
          a number and reads back as it is, such as 7",
         path = path.display()
     )]
@@ -156,7 +156,7 @@ pub enum WriteError {
         /// The name.
         found: String,
     },
-    /// What reads an array refuses fewer rows.
+    /// The reader of arrays refuses fewer rows.
     #[error("{path}: {rows} rows; an array needs at least 2, write CSV", path = path.display())]
     TooFewRows {
         /// The file.
@@ -164,7 +164,7 @@ pub enum WriteError {
         /// Rows of the table.
         rows: usize,
     },
-    /// The array layout has no place for recorded values.
+    /// The array layout lacks columns for recorded values.
     #[error(
         "{path}: the array layout has no columns {found}, which hold values; drop them by name, or \
          write CSV",
@@ -179,12 +179,12 @@ pub enum WriteError {
 }
 
 impl Table {
-    /// Writes the table in the form that the name of the file promises; the file must not exist, and
-    /// is there whole or not at all. What is read from it again is the same to the bit, but for the
-    /// payload of NaNs; a column without any value may be missing.
+    /// Writes the table in the format given by the file name's extension; the file must not exist
+    /// and is written atomically. Reading it gives the same bits, except for the payload of NaNs;
+    /// columns without values may be missing.
     ///
     /// # Errors
-    /// [`WriteError`]: what the form cannot hold is refused, never left out.
+    /// [`WriteError`]: what the format cannot represent is refused, never dropped.
     pub fn write(&self, path: &Path) -> Result<(), WriteError> {
         let written = match Form::of(path) {
             None => {
@@ -209,7 +209,7 @@ impl Table {
         let columns = Column::ALL
             .into_iter()
             .filter_map(|column| match self.column(column) {
-                // No table is read without it, a table without rows has it all the same.
+                // The reader requires it, so a table without rows has it as well.
                 None if column == Column::Power => Some((column, &[][..])),
                 values => Some((column, values?)),
             })
@@ -234,7 +234,7 @@ impl Table {
         zipped.into_inner()?.finish()?.flush()
     }
 
-    /// Whether the array layout can hold the table; the robot as the number that it holds.
+    /// Whether the array layout can represent the table; returns the robot as the number stored.
     fn check_array(&self, path: &Path) -> Result<f64, WriteError> {
         if self.rows() < 2 {
             return Err(WriteError::TooFewRows {
@@ -289,7 +289,7 @@ impl Table {
     }
 }
 
-/// Writes a file that must not exist, so that it is there whole or not at all.
+/// Writes a file that must not exist atomically.
 fn create(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     let directory = match path.parent() {
         Some(parent) if parent != Path::new("") => parent,
@@ -298,7 +298,7 @@ fn create(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> 
     if path.try_exists()? {
         return Err(io::Error::new(
             io::ErrorKind::AlreadyExists,
-            "the file exists and is not overwritten",
+            "the file exists; it is not overwritten",
         ));
     }
     let mut file = tempfile::Builder::new()
@@ -313,7 +313,7 @@ fn create(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> 
         .map_err(|error| error.error)
 }
 
-/// A name as a CSV has it.
+/// A name quoted for CSV.
 fn quoted(name: &str) -> String {
     if name.contains([',', '"', '\n', '\r']) {
         format!("\"{}\"", name.replace('"', "\"\""))

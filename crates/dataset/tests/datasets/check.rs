@@ -1,5 +1,5 @@
-//! What is wrong with a recording is found, counted, and said with file and row; what is sound is
-//! called sound.
+//! Faults of a recording are found, counted and reported with file and row; sound recordings have
+//! none.
 
 use std::path::PathBuf;
 
@@ -207,7 +207,7 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
 }
 
 #[test]
-fn what_is_no_recording_is_a_finding_and_does_not_hide_the_others() {
+fn a_file_that_is_not_a_recording_is_a_finding_beside_the_others() {
     let files = Files::new();
     let whole = npy_f8(&sound(40));
     let paths: Vec<PathBuf> = vec![
@@ -245,7 +245,7 @@ fn what_is_no_recording_is_a_finding_and_does_not_hide_the_others() {
 }
 
 #[test]
-fn a_platform_narrows_what_can_be_true() {
+fn a_platform_narrows_the_allowed_ranges() {
     let files = Files::new();
     let trial = Trial::read(files.write("a.npy", &npy_f8(&sound(60)))).unwrap();
     let limits = Limits {
@@ -300,7 +300,7 @@ fn a_description_counts_energy_without_gaps_and_checks_the_units() {
     let files = Files::new();
     let trial = Trial::read(files.write("gap_7.npy", &npy_f8(&table))).unwrap();
     let told = describe(&trial);
-    // 100 ms for each of 40 rows; the pause of two seconds counts nothing.
+    // 100 ms for each of 40 rows; the pause of two seconds adds nothing.
     let wanted_j: f64 = table.iter().map(|row| row[10] / 1e3 * 0.1).sum();
     assert!(
         (told.energy_j - wanted_j).abs() < 1e-6 * wanted_j,
@@ -321,7 +321,7 @@ fn a_description_counts_energy_without_gaps_and_checks_the_units() {
 }
 
 #[test]
-fn files_directories_and_patterns_are_found_once_and_what_is_left_is_named() {
+fn files_directories_and_patterns_are_found_once_and_ignored_files_are_named() {
     let directory = tempfile::tempdir().unwrap();
     let path = |name: &str| directory.path().join(name);
     std::fs::create_dir_all(path("runs/deep")).unwrap();
@@ -378,7 +378,7 @@ fn the_real_recordings_are_as_their_description_says() {
     }
     let found = check_files(&paths, &Limits::default(), 1);
     assert_eq!((found.trials, found.robots, found.rows), (780, 3, 346_887));
-    // Gaps of the Robotino, and a Husky that stood still: nothing else.
+    // Gaps of the Robotino, and a Husky at rest: nothing else.
     let kinds: Vec<FindingKind> = faults(&found).iter().map(|fault| fault.0).collect();
     assert_eq!(kinds, [FindingKind::Gap, FindingKind::Stuck]);
     let gaps = found.finding(FindingKind::Gap).unwrap();

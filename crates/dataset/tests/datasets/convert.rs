@@ -1,4 +1,4 @@
-//! A recording in another form is the same to the bit, and what a form cannot hold is refused.
+//! A converted recording is the same to the bit, and what a format cannot represent is refused.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use crate::files::{Files, ROWS, csv, npy_f8, timed};
 use crate::recordings::recordings;
 
-/// What a table holds, in bits; all NaNs are one, and a column of them is none.
+/// The contents of a table as bits; all NaNs are equal, and a column of NaNs is absent.
 fn bits(table: &Table) -> (Option<String>, Vec<u64>, Vec<Option<Vec<u64>>>) {
     let bit = |value: &f64| {
         if value.is_nan() {
@@ -29,7 +29,7 @@ fn bits(table: &Table) -> (Option<String>, Vec<u64>, Vec<Option<Vec<u64>>>) {
     )
 }
 
-/// Through every form in turn, each read from the file before.
+/// Through every format in turn, each read from the file before.
 fn through_all_forms(directory: &Path, table: &Table) {
     let wanted = bits(table);
     let mut latest = table.clone();
@@ -58,7 +58,7 @@ fn value() -> impl Strategy<Value = f64> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
-    fn a_recording_goes_through_every_form_to_the_same_bits(
+    fn conversion_through_every_format_preserves_the_bits(
         rows in prop::collection::vec((0.0_f64..4e9, prop::array::uniform9(value())), 2..40),
         robot in prop_oneof![Just(f64::NAN), Just(7.0), Just(-2.5), Just(1e15)],
     ) {
@@ -84,7 +84,7 @@ proptest! {
 }
 
 #[test]
-fn real_recordings_go_through_text_to_the_same_bits_and_into_arrays_without_what_is_dropped() {
+fn conversion_of_real_recordings_preserves_the_bits_of_all_kept_columns() {
     for platform in ["robotino", "borealtc_husky", "ase_rover"] {
         let Some(paths) = recordings(platform) else {
             return;
@@ -110,7 +110,7 @@ fn real_recordings_go_through_text_to_the_same_bits_and_into_arrays_without_what
 }
 
 #[test]
-fn what_a_form_cannot_hold_is_refused_and_no_file_is_left() {
+fn what_a_format_cannot_represent_is_refused_and_no_file_is_left() {
     let files = Files::new();
     let named = csv(&ROWS).replace("\n7,", "\nseven,");
     let twice = csv(&ROWS).replace("\n7,", "\n07,");
@@ -150,7 +150,7 @@ fn what_a_form_cannot_hold_is_refused_and_no_file_is_left() {
 }
 
 #[test]
-fn several_robots_in_a_file_are_trials_of_their_own_with_the_rows_of_the_file() {
+fn several_robots_in_a_file_are_separate_trials_with_the_rows_of_the_file() {
     let files = Files::new();
     let mut rows = Vec::new();
     for step in 0..20 {
@@ -238,7 +238,7 @@ fn a_table_without_robot_or_extra_columns_writes_only_what_it_has() {
     );
 }
 
-/// A table may have fewer rows than the reader of an array takes.
+/// A table may have fewer rows than the reader of an array accepts.
 #[test]
 fn an_array_of_fewer_than_two_rows_is_not_written() {
     let (files, directory) = (Files::new(), tempfile::tempdir().unwrap());

@@ -1,10 +1,10 @@
-//! Datasets: what is found wrong with them, what is written and resampled.
+//! Datasets: checking, converting and resampling.
 
-#![allow(clippy::unwrap_used)] // A test that cannot write or read its own files has failed.
+#![allow(clippy::unwrap_used)] // A test that cannot read or write its own files fails.
 
 mod check;
 mod convert;
-#[allow(dead_code)] // The tests of reading use all of it, these a part.
+#[allow(dead_code)] // The tests of reading use all of it, these only a part.
 #[path = "../trial/files.rs"]
 mod files;
 mod recordings;

@@ -1,10 +1,10 @@
-//! The real recordings, where they are at hand.
+//! The real recordings, if present.
 
 use std::path::{Path, PathBuf};
 
 use joulebus_dataset::inspect::find;
 
-/// The recordings of a platform in order of their names; `None` where they are not at hand.
+/// The recordings of a platform, sorted by name; `None` if absent.
 pub(crate) fn recordings(platform: &str) -> Option<Vec<PathBuf>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     if root.is_dir() {

@@ -1,4 +1,4 @@
-//! Resampling: what each method promises, against loops that are slow and obvious.
+//! Each resampling method against slow, obvious loops.
 
 use joulebus_dataset::trial::{Column, Method, Resample, ResampleError, Table};
 use proptest::prelude::*;
@@ -10,7 +10,7 @@ fn table(rows: &[(f64, f64)]) -> Table {
     Table::read(files.write("a.npy", &npy_f8(&timed(rows)))).unwrap()
 }
 
-/// Nothing where gaps leave fewer than two rows.
+/// Empty where gaps leave fewer than two rows.
 fn resampled(rows: &[(f64, f64)], method: Method, rate_hz: f64) -> Vec<(f64, f64)> {
     let (made, told) = match table(rows).resampled(Resample { method, rate_hz }) {
         Err(ResampleError::TooFewRows { .. }) => return Vec::new(),
@@ -25,7 +25,7 @@ fn resampled(rows: &[(f64, f64)], method: Method, rate_hz: f64) -> Vec<(f64, f64
         .collect()
 }
 
-/// Times with jitter and gaps of some five periods; a value each.
+/// Times with jitter and gaps of some five periods, with a value each.
 fn recording() -> impl Strategy<Value = Vec<(f64, f64)>> {
     let step = prop_oneof![9 => 0.028_f64..0.038, 1 => 0.15_f64..0.3];
     prop::collection::vec((step, -50.0_f64..5_000.0), 20..120).prop_map(|rows| {
@@ -44,7 +44,7 @@ fn median_step_s(rows: &[(f64, f64)]) -> f64 {
     steps[(steps.len() - 1) / 2]
 }
 
-/// From when to when each row counts.
+/// When the hold of each row begins and ends.
 fn spans(rows: &[(f64, f64)]) -> Vec<(f64, f64, f64)> {
     let period_s = median_step_s(rows);
     let until = |at: usize| match rows.get(at + 1) {
@@ -60,11 +60,11 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn hold_shows_the_latest_row_and_invents_no_value(rows in recording(), rate_hz in 3.0_f64..90.0) {
+    fn hold_yields_the_latest_row_and_only_recorded_values(rows in recording(), rate_hz in 3.0_f64..90.0) {
         for (time_s, value) in resampled(&rows, Method::Hold, rate_hz) {
             let near_s = 1e-3 / rate_hz;
             let latest = rows.iter().rev().find(|row| row.0 <= time_s + near_s).unwrap();
-            // Rounding may put a row on either side of the edge of being near.
+            // Rounding may put a row on either side of the tolerance.
             let edge = rows.iter().any(|row| (row.0 - time_s - near_s).abs() < 1e-9);
             prop_assert!(edge || value.to_bits() == latest.1.to_bits());
             prop_assert!(rows.iter().any(|row| row.1.to_bits() == value.to_bits()));
@@ -89,7 +89,7 @@ proptest! {
             prop_assert!((mean * period_s - wanted).abs() <= 1e-5 * 5_000.0 * period_s,
                 "{} {wanted} at {time_s}", mean * period_s);
         }
-        // Where nothing is left out, the energy of the whole is that of the rows.
+        // Without gaps, the total energy is that of the rows.
         let whole = made.windows(2).all(|pair| pair[1].0 - pair[0].0 < 1.5 * period_s);
         if whole && !made.is_empty() {
             let (first_s, last_s) = (made[0].0 - period_s, made[made.len() - 1].0);
@@ -118,7 +118,7 @@ proptest! {
     }
 
     #[test]
-    fn a_gap_stays_a_gap_and_a_missing_value_stays_missing(
+    fn gaps_and_missing_values_are_kept(
         rows in recording(),
         lost in prop::collection::vec(any::<prop::sample::Index>(), 1..6),
         rate_hz in 20.0_f64..90.0,
@@ -132,7 +132,7 @@ proptest! {
         let near_s = 1e-3 / rate_hz;
         for method in [Method::Hold, Method::Mean, Method::Linear] {
             for (time_s, value) in resampled(&rows, method, rate_hz) {
-                // To hold, a row just after the time of the grid stands at it.
+                // With hold, a row just after the time of the grid is taken as simultaneous.
                 let until_s = time_s + if method == Method::Hold { near_s + 1e-9 } else { -1e-9 };
                 let span = spans.iter().rev().find(|span| span.0 <= until_s).unwrap_or(&spans[0]);
                 prop_assert!(time_s <= span.1 + 2.0 * near_s, "{method:?}: a row in a gap at {time_s}");
@@ -146,8 +146,8 @@ proptest! {
 }
 
 #[test]
-fn a_series_on_the_grid_already_stays_as_it_is() {
-    // Times as files round them.
+fn a_series_already_on_the_grid_is_unchanged() {
+    // Times rounded as in files.
     let rows: Vec<(f64, f64)> = (0..300)
         .map(|row| {
             (
@@ -164,7 +164,7 @@ fn a_series_on_the_grid_already_stays_as_it_is() {
 }
 
 #[test]
-fn a_phase_is_never_mixed_and_a_heading_goes_the_short_way() {
+fn phases_are_never_mixed_and_headings_take_the_shorter_arc() {
     let mut rows = timed(&[(0.0, 1.0), (1.0, 2.0), (2.0, 3.0), (3.0, 4.0)]);
     for (row, (phase, theta)) in
         rows.iter_mut()
@@ -186,7 +186,7 @@ fn a_phase_is_never_mixed_and_a_heading_goes_the_short_way() {
         for theta in made.column(Column::Theta).unwrap() {
             assert!(
                 theta.cos() < -0.98,
-                "{method:?}: {theta} is on the other side"
+                "{method:?}: {theta} is on the longer arc"
             );
         }
     }
@@ -215,7 +215,7 @@ fn rows_that_do_not_advance_are_left_out_and_counted() {
 }
 
 #[test]
-fn rates_that_are_none_or_too_high_or_too_low_are_refused() {
+fn invalid_too_high_and_too_low_rates_are_refused() {
     let rows = [(0.0, 1.0), (1.0, 2.0), (200.0, 3.0)];
     type Wrong = fn(&ResampleError) -> bool;
     let cases: [(f64, Wrong); 6] = [

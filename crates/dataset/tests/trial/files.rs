@@ -1,4 +1,4 @@
-//! Files that the tests write, byte by byte, without the crates that read them.
+//! Test files written byte by byte, without the crates that read them.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -74,7 +74,7 @@ pub(crate) fn csv(rows: &[[f64; 11]]) -> String {
 
 const NAN: f64 = f64::NAN;
 
-/// Five rows at 10 Hz: a held reading (row 2), a lost one (row 4), a pose that was not recorded.
+/// Five rows at 10 Hz: a held reading (row 2), a missing one (row 4), a pose that was not recorded.
 pub(crate) const ROWS: [[f64; 11]; 5] = [
     [
         7.0, 100.0, 1.0, 0.1, 1.0, NAN, NAN, NAN, 7000.0, 500.0, 3500.0,

@@ -1,4 +1,5 @@
-//! Many trials as a fleet: every sample once, in order, in frames that do not depend on the speed.
+//! Many trials as a fleet: every sample once, in order, in frames that do not depend on the
+//! playback speed.
 
 use joulebus_dataset::trial::{Playback, Trial, TrialFleet, TrialFleetError};
 use joulebus_wire::Sample;
@@ -35,7 +36,7 @@ fn play(fleet: &mut TrialFleet) -> Vec<(u64, Vec<Sample>)> {
 }
 
 #[test]
-fn frames_lie_on_the_grid_and_hold_what_fell_due_by_robot_and_time() {
+fn frames_are_on_the_grid_and_hold_due_samples_by_robot_and_time() {
     let trials = vec![(8, trial(10.0, 4)), (3, trial(20.0, 4)), (5, trial(4.0, 2))];
     let mut fleet = TrialFleet::new(trials, playback(100 * MS, false)).unwrap();
     assert_eq!(fleet.robots().collect::<Vec<_>>(), [3, 5, 8]);
@@ -60,7 +61,7 @@ fn frames_lie_on_the_grid_and_hold_what_fell_due_by_robot_and_time() {
 }
 
 #[test]
-fn a_repeated_trial_starts_with_a_discontinuity_and_its_times_and_numbers_go_on() {
+fn a_repeated_trial_starts_with_a_discontinuity_and_its_times_and_numbers_continue() {
     let recording = trial(10.0, 3);
     let once = recording.to_samples(1, 5_000 * MS);
     let mut fleet = TrialFleet::new(vec![(1, recording)], playback(100 * MS, true)).unwrap();
@@ -98,7 +99,7 @@ fn a_late_caller_gets_everything_that_is_due_in_one_frame() {
 }
 
 #[test]
-fn a_fleet_that_cannot_be_is_refused_with_its_numbers() {
+fn an_invalid_fleet_is_refused_with_its_numbers() {
     let settings = playback(1, false);
     let cases = [
         (TrialFleet::new(vec![], settings), TrialFleetError::NoTrial),

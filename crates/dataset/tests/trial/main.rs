@@ -1,6 +1,6 @@
-//! Recorded trials: what is read, what is refused, what is said and what is sent.
+//! Recorded trials: reading, refusals, notes and samples.
 
-#![allow(clippy::unwrap_used)] // A test that cannot write or read its own files has failed.
+#![allow(clippy::unwrap_used)] // A test that cannot read or write its own files fails.
 
 mod files;
 mod fleet;

@@ -1,4 +1,4 @@
-//! What is read, in which units, and what is refused with which words.
+//! Which files are read, in which units, and the messages of refusals.
 
 use joulebus_dataset::trial::{Column, Gap, MAX_ROWS, Trial, TrialError};
 
@@ -120,7 +120,7 @@ fn extra_columns_are_ignored_and_named() {
 }
 
 #[test]
-fn time_and_power_alone_are_a_trial_and_nothing_missing_is_zero() {
+fn time_and_power_suffice_for_a_trial_and_missing_values_are_not_zero() {
     let files = Files::new();
     let text = "timestamp,power_mW\n0,1000\n0.5,2000\n";
     let trial = files.read("two.csv", text.as_bytes()).unwrap();
@@ -131,7 +131,7 @@ fn time_and_power_alone_are_a_trial_and_nothing_missing_is_zero() {
     assert_eq!(trial.notes().rate_hz, 2.0);
 }
 
-/// A name, the bytes of that file, which error it is, and what its message must contain.
+/// A file name, its contents, the expected error, and what its message must contain.
 type Refusal = (
     &'static str,
     Vec<u8>,
@@ -355,7 +355,7 @@ fn malformed_text_is_refused_with_row_column_what_was_found_and_what_is_allowed(
             "text.npy",
             text.clone().into_bytes(),
             |e| matches!(e, TrialError::Kind { .. }),
-            &["no NumPy array"],
+            &["not a NumPy array"],
         ),
         (
             "flipped.csv.gz",
@@ -372,7 +372,7 @@ fn malformed_text_is_refused_with_row_column_what_was_found_and_what_is_allowed(
 }
 
 #[test]
-fn arrays_that_are_not_the_layout_are_refused_and_pickles_are_never_opened() {
+fn arrays_of_another_layout_are_refused_and_pickles_are_never_opened() {
     let data = |values: usize| vec![0; values * 8];
     let shape = |shape: &str, data: &[u8]| {
         npy(
@@ -453,7 +453,7 @@ fn arrays_that_are_not_the_layout_are_refused_and_pickles_are_never_opened() {
             "claim.npy",
             shape("(4000000, 11)", &data(55)),
             |e| matches!(e, TrialError::Truncated { rows: 5, .. }),
-            &["truncated", "after 5 whole rows"],
+            &["truncated", "after 5 complete rows"],
         ),
         (
             "trailing.npy",
@@ -522,7 +522,7 @@ fn arrays_that_are_not_the_layout_are_refused_and_pickles_are_never_opened() {
 }
 
 #[test]
-fn a_file_that_is_not_there_is_named() {
+fn a_missing_file_is_named() {
     let error = Trial::read("no/such/trial.npy").unwrap_err();
     assert!(matches!(error, TrialError::Io { .. }));
     assert!(error.to_string().starts_with("no/such/trial.npy: "));

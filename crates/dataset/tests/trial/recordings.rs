@@ -1,4 +1,4 @@
-//! Real recordings of three platforms, read whole.
+//! Complete real recordings of three platforms.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use flate2::read::GzDecoder;
 use joulebus_dataset::trial::{Column, Trial};
 use joulebus_wire::sample_flag::{OMEGA, POWER, V};
 
-/// The recordings of a platform in order of their names; `None` where they are not at hand.
+/// The recordings of a platform, sorted by name; `None` if absent.
 pub(crate) fn recordings(platform: &str) -> Option<Vec<PathBuf>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let Ok(entries) = std::fs::read_dir(root.join(platform)) else {
@@ -74,7 +74,7 @@ fn every_recording_of_three_platforms_reads_with_every_row_and_its_energy() {
         for trial in &found {
             let context = trial.path().display();
             let samples = trial.to_samples(1, 0);
-            // From what is sent: the reading of sample k stands at the stamp of sample k − 1.
+            // From the samples: the reading of sample k belongs to the stamp of sample k − 1.
             let readings = std::iter::once(0)
                 .chain(samples.iter().map(|sample| sample.stamp_ns))
                 .zip(&samples)
@@ -151,7 +151,7 @@ fn the_rover_has_no_velocities_and_its_samples_say_so() {
 }
 
 #[test]
-fn the_robotino_has_gaps_that_are_reported_and_samples_with_rising_stamps() {
+fn the_robotino_has_reported_gaps_and_increasing_stamps() {
     let Some(trials) = read_all("robotino") else {
         return;
     };

@@ -1,4 +1,4 @@
-//! Which reading and which command travel together, with which times and flags.
+//! Which reading and command a sample carries, with which times and flags.
 
 use joulebus_dataset::trial::{Column, Trial};
 use joulebus_wire::sample_flag::{CURRENT, HELD, OMEGA, POWER, V, VOLTAGE};
@@ -64,7 +64,7 @@ fn a_sample_carries_the_reading_of_its_row_and_the_command_of_the_next() {
 }
 
 #[test]
-fn a_reading_is_held_only_if_voltage_and_current_are_the_same_too() {
+fn a_reading_is_held_only_if_voltage_and_current_are_equal_too() {
     let files = Files::new();
     for (column, held) in [(8, false), (9, false), (10, false), (3, true), (2, true)] {
         let mut rows = ROWS;
@@ -78,7 +78,7 @@ fn a_reading_is_held_only_if_voltage_and_current_are_the_same_too() {
 }
 
 #[test]
-fn a_held_run_keeps_the_time_of_its_first_reading_and_a_lost_reading_ends_it() {
+fn a_held_run_keeps_the_time_of_its_first_reading_and_a_missing_reading_ends_it() {
     let files = Files::new();
     let power = [1.0, 1.0, 1.0, f64::NAN, 1.0, 1.0];
     let rows = power
@@ -102,7 +102,7 @@ fn a_held_run_keeps_the_time_of_its_first_reading_and_a_lost_reading_ends_it() {
 }
 
 #[test]
-fn times_that_do_not_advance_are_passed_on_as_they_are() {
+fn times_that_do_not_advance_are_passed_on_unchanged() {
     let files = Files::new();
     let rows = timed(&[(5.0, 1.0), (5.1, 2.0), (5.1, 3.0), (4.9, 4.0), (5.2, 5.0)]);
     let trial = files.read("back.npy", &npy_f8(&rows)).unwrap();
@@ -118,7 +118,7 @@ fn times_that_do_not_advance_are_passed_on_as_they_are() {
     assert_eq!(trial.notes().not_advancing, [3, 4]);
 }
 
-/// The alignment written out the slow way, row by row, from the public columns.
+/// The alignment computed row by row from the public columns.
 fn slow(trial: &Trial, robot: u32, base_ns: u64) -> Vec<Sample> {
     let time_s = trial.timestamp_s();
     let at = |row: usize| base_ns + ((time_s[row] - time_s[0]) * 1e9).round() as u64;

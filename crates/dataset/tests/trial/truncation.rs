@@ -1,11 +1,11 @@
-//! A file that was cut off anywhere is an error, or a shorter trial that says so.
+//! A truncated file is an error, or a shorter trial with a note.
 
 use joulebus_dataset::trial::TrialError;
 
 use crate::files::{Files, ROWS, csv, gzip, npy_f8};
 
 #[test]
-fn an_array_cut_at_any_byte_is_an_error_that_says_so() {
+fn an_array_truncated_at_any_byte_is_reported_as_truncated() {
     let files = Files::new();
     let whole = npy_f8(&ROWS);
     for length in 1..whole.len() {
@@ -21,7 +21,7 @@ fn an_array_cut_at_any_byte_is_an_error_that_says_so() {
 }
 
 #[test]
-fn compressed_text_cut_at_any_byte_is_an_error_that_says_so() {
+fn compressed_text_truncated_at_any_byte_is_reported_as_truncated() {
     let files = Files::new();
     let whole = gzip(csv(&ROWS).as_bytes());
     for length in 2..whole.len() {
@@ -37,10 +37,10 @@ fn compressed_text_cut_at_any_byte_is_an_error_that_says_so() {
 }
 
 #[test]
-fn plain_text_cut_at_any_byte_is_an_error_or_a_shorter_trial_that_says_so() {
+fn plain_text_truncated_at_any_byte_is_an_error_or_a_shorter_trial_with_a_note() {
     let files = Files::new();
     let whole = csv(&ROWS);
-    // Cut at a line break nothing shows it but the number of rows, which is reported.
+    // If truncated at a newline, only the reported number of rows shows it.
     let mut shorter = 0;
     for length in 0..whole.len() {
         let Ok(trial) = files.read("cut.csv", &whole.as_bytes()[..length]) else {

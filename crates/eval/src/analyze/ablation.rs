@@ -4,7 +4,7 @@ use joulebus_predictor::{Features, Model};
 use serde::Serialize;
 
 use joulebus_dataset::rows::Row;
-use joulebus_dataset::split::{Deal, Source};
+use joulebus_dataset::split::{Assignment, Source};
 use joulebus_dataset::trial::Trial;
 use joulebus_statistics::metrics::Tally;
 use joulebus_train::linear::{Linear, Terms};
@@ -67,7 +67,7 @@ struct HeldOut {
 pub(super) fn ablation(
     trials: &[Trial],
     sources: &[Source],
-    deal: &Deal,
+    assignment: &Assignment,
     window: usize,
     models: &[(String, Model)],
 ) -> (Option<Ablation>, Vec<String>) {
@@ -79,7 +79,7 @@ pub(super) fn ablation(
     let usable = |row: &Row| {
         row.target_w.is_finite() && (!has_velocities || velocities_known(&row.features))
     };
-    let (fitted, held_out, unusable_rows) = gather(trials, sources, deal, usable);
+    let (fitted, held_out, unusable_rows) = gather(trials, sources, assignment, usable);
     let wanted = if has_velocities {
         vec![
             Terms::VELOCITIES,
@@ -151,7 +151,7 @@ fn velocities_known(features: &Features) -> bool {
 fn gather(
     trials: &[Trial],
     sources: &[Source],
-    deal: &Deal,
+    assignment: &Assignment,
     usable: impl Fn(&Row) -> bool,
 ) -> (Vec<Row>, HeldOut, usize) {
     let mut fitted = Vec::new();
@@ -161,7 +161,7 @@ fn gather(
     };
     let mut unusable = 0;
     for ((trial, source), [training, validation, last]) in
-        trials.iter().zip(sources).zip(&deal.ranges)
+        trials.iter().zip(sources).zip(&assignment.ranges)
     {
         let rows = &source.rows.rows;
         for row in training.clone().chain(validation.clone()) {

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::{Recording, ScoreError};
 use joulebus_dataset::rows::Row;
 use joulebus_dataset::split::{
-    By, Deal, PAUSE_ROWS, Source, Split, deal, deal_leaving_out, digest,
+    Assignment, By, PAUSE_ROWS, Source, Split, assign, assign_leaving_out, digest,
 };
 use joulebus_train::linear::{Linear, Moments, Terms, known_terms};
 
@@ -59,14 +59,14 @@ impl Design {
     /// Evaluates what a split holds out; baselines are fitted on all the rest, the part for
     /// validation included, since nothing else is decided by it.
     ///
-    /// The parts are those of [`deal`]: a model trained with the same split of the same recordings
+    /// The parts are those of [`assign`]: a model trained with the same split of the same recordings
     /// has not seen what is evaluated.
     ///
     /// # Errors
     /// [`ScoreError::Split`].
     pub fn held_out(recordings: &[Recording], wanted: Split) -> Result<Self, ScoreError> {
         let sources = sources(recordings);
-        Ok(Self::dealt(&sources, deal(&sources, wanted)?, wanted))
+        Ok(Self::assigned(&sources, assign(&sources, wanted)?, wanted))
     }
 
     /// The same with the units named that are held out: the surfaces or robots that a model is to
@@ -80,30 +80,31 @@ impl Design {
         names: &[String],
     ) -> Result<Self, ScoreError> {
         let sources = sources(recordings);
-        let deal = deal_leaving_out(&sources, wanted, names)?;
-        Ok(Self::dealt(&sources, deal, wanted))
+        let assignment = assign_leaving_out(&sources, wanted, names)?;
+        Ok(Self::assigned(&sources, assignment, wanted))
     }
 
-    fn dealt(sources: &[Source], deal: Deal, wanted: Split) -> Self {
+    fn assigned(sources: &[Source], assignment: Assignment, wanted: Split) -> Self {
         let mut fold = Fold::default();
-        for (at, [training, validation, held_out]) in deal.ranges.iter().cloned().enumerate() {
+        for (at, [training, validation, held_out]) in assignment.ranges.iter().cloned().enumerate()
+        {
             fold.fitted.extend([(at, training), (at, validation)]);
             fold.evaluated.push((at, held_out));
         }
         for parts in [&mut fold.fitted, &mut fold.evaluated] {
             parts.retain(|part| !part.1.is_empty());
         }
-        let dataset = deal.dataset(sources, String::new());
+        let dataset = assignment.dataset(sources, String::new());
         let hash = |set: FeatureSet| (set, dataset.sha256(set));
         // Sets that read the same columns of freshness have the same hash.
         let hashes = [FeatureSet::Full, FeatureSet::Freshness].map(hash);
         Self {
-            description: format!("split {}", deal.dealt.name),
+            description: format!("split {}", assignment.summary.name),
             split: Some(wanted),
             folds: vec![fold],
             units: match wanted.by {
-                By::Time => deal.dealt.training,
-                _ => deal.dealt.held_out,
+                By::Time => assignment.summary.training,
+                _ => assignment.summary.held_out,
             },
             data_sha256: hashes.into(),
             others: Vec::new(),
@@ -121,7 +122,7 @@ impl Design {
             .map(|hash| hash.1.as_str())
     }
 
-    /// Evaluates every row. The recordings are dealt out in turn among up to ten folds, and the
+    /// Evaluates every row. The recordings are assigned in turn to up to ten folds, and the
     /// baselines for each are fitted on the others; a single recording is cut in two halves, each
     /// of which is evaluated with baselines from the other. Copies of a recording share its fold.
     #[must_use]

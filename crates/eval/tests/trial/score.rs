@@ -498,7 +498,7 @@ fn what_a_split_holds_out_is_what_training_holds_out() {
             held_out: 0.25,
             ..Split::default()
         };
-        let (dataset, dealt) = split(&sources, wanted, "").unwrap();
+        let (dataset, summary) = split(&sources, wanted, "").unwrap();
         let design = Design::held_out(&recordings, wanted).unwrap();
         let [fold] = design.folds.as_slice() else {
             panic!("{by}: one fold");
@@ -525,7 +525,7 @@ fn what_a_split_holds_out_is_what_training_holds_out() {
             "{}",
             design.description
         );
-        assert_eq!(dealt.pause_rows > 0, by == By::Time);
+        assert_eq!(summary.pause_rows > 0, by == By::Time);
     }
 }
 
