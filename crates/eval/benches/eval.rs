@@ -1,4 +1,4 @@
-//! Evaluating every Robotino recording: reading the files, making rows, scoring, and writing tables,
+//! Evaluation of every Robotino recording: reading, building rows, scoring and formatting tables,
 //! on one and two threads.
 //!
 //! `cargo bench -p joulebus-eval --bench eval [FOLDER]`; without a folder, `../shared/data/robotino`.
@@ -28,7 +28,8 @@ fn main() {
     };
     let model = root.join("configs/models/gternal-sim.safetensors");
     let model = std::fs::read(model).expect("a model ships");
-    let model = Model::Network(Network::from_safetensors(&model).expect("it is sound"));
+    let model =
+        Model::Network(Network::from_safetensors(&model).expect("the shipped model is valid"));
     println!(
         "{} on {}, release profile: {} recordings, medians of {ROUNDS} rounds",
         env!("CARGO_PKG_VERSION"),
@@ -59,7 +60,7 @@ fn recordings(folder: &Path) -> Option<Vec<(u32, PathBuf)>> {
     (!paths.is_empty()).then(|| (0..).zip(paths).collect())
 }
 
-/// The middle of several rounds, s, and what the last one gave.
+/// Median duration of several rounds, s, and the last result.
 fn median<T>(mut run: impl FnMut() -> T) -> (f64, T) {
     let mut seconds = Vec::new();
     let mut last = None;

@@ -1,9 +1,8 @@
-//! What the options beyond the paper gain, on recordings and on simulated robots: the table of
-//! `docs/beyond.md`.
+//! Gain of online learning on recordings and simulated robots: the table of `docs/beyond.md`.
 //!
-//! `cargo bench -p joulebus-eval --bench online_learning` makes all of it (some minutes: 18 networks are
-//! trained); with names behind `--`, such as `husky rover robotino simulated`, those alone. Recordings
-//! are looked for in `../shared/data`, beside the repository.
+//! `cargo bench -p joulebus-eval --bench online_learning` computes all of it (some minutes: 18
+//! networks are trained); names after `--`, such as `husky rover robotino simulated`, select cases.
+//! Recordings are looked for in `../shared/data`, beside the repository.
 
 #[path = "../tests/live/mod.rs"]
 mod live;
@@ -91,7 +90,7 @@ fn line(trained_on: &str, tested_on: &str, judged: &Judged) {
     );
 }
 
-/// Recordings of one kind of robot.
+/// Recordings of one platform.
 struct Recordings {
     trials: Vec<Trial>,
     sources: Vec<Source>,
@@ -164,7 +163,7 @@ impl Recordings {
         judged.unwrap_or_else(|error| panic!("{error}"))
     }
 
-    /// Three of ten trials decide nothing and are tested on.
+    /// Three of ten trials are held out and tested on.
     fn by_trial(&self, name: &str) {
         let split = Split {
             by: By::Trial,
@@ -180,7 +179,7 @@ impl Recordings {
         line(name, "other trials of the same", &judged);
     }
 
-    /// Learns from all trials but those that are left out, and is tested on each group of those.
+    /// Trains on all trials except those left out, and tests on each group of those.
     fn without(
         &self,
         trained_on: &str,
@@ -200,8 +199,8 @@ impl Recordings {
             .collect();
         let assignment = assign_leaving_out(&self.sources, split, &left_out)
             .unwrap_or_else(|error| panic!("{error}"));
-        // The scores that a file states are those of what it was trained for: nobody has the others
-        // when the model is made.
+        // The scores in a model file must be of its training population: the other trials are not
+        // available when the model is made.
         let mut dataset = assignment.dataset(&self.sources, trained_on.to_owned());
         dataset.held_out.clone_from(&dataset.validation);
         let network = self.network(&dataset);
@@ -277,7 +276,8 @@ fn rover() {
     );
 }
 
-/// The paper's setting: trials 1 to 4 to learn from, 5 to stop by, 6 and the seven robots to test on.
+/// The paper's setting: trials 1 to 4 for training, 5 for validation, 6 and the seven robots for
+/// testing.
 fn simulated() {
     let trials = protocol::trials(SEED);
     let seven = scenario::seven_robots(SEED, 8_000);

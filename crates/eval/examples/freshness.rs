@@ -1,11 +1,10 @@
-//! What it is worth to tell the network how fresh the newest reading is: the tables of
-//! `docs/freshness.md`, as Markdown on stdout.
+//! Gain of the reading-age features: the tables of `docs/freshness.md`, as Markdown on stdout.
 //!
 //! `cargo run --release -p joulebus-eval --example freshness -- [--every N] [--seeds N] [NAME..]`
 //!
 //! `../shared/data` holds the real recordings; without them only the simulated plant is shown.
 //! `--every N` takes every N-th recording, `--seeds N` trains each network N times, and names (or
-//! their beginnings) choose among the cases.
+//! their prefixes) select cases.
 #![forbid(unsafe_code)]
 
 use std::error::Error;
@@ -29,7 +28,7 @@ const SECOND_NS: u64 = 1_000_000_000;
 /// Position of the newest reading.
 const NEWEST: usize = FeatureSet::PowerOnly.first();
 const SEED: u64 = 7;
-/// Rows of the seven robots' walk.
+/// Rows of the seven robots' random walk.
 const STEPS: usize = 3_000;
 
 struct Options {
@@ -38,16 +37,17 @@ struct Options {
     names: Vec<String>,
 }
 
-/// Rows to learn from, to stop by and to be scored on, all with freshness known.
+/// Rows for training, validation and scoring, all with known reading age.
 struct Case {
     name: String,
     dataset: Dataset,
 }
 
-/// Everything that forecasts the held-out rows, with its squared and absolute errors.
+/// All forecasts of the held-out rows, with their squared and absolute errors.
 struct Result {
-    /// Persistence, least squares, least squares by whether a reading is due, network, network that
-    /// reads freshness, and persistence until a reading is due and the latter network then.
+    /// Persistence, least squares, least squares fitted separately for rows with a reading due,
+    /// network, network with reading age, and persistence until a reading is due combined with the
+    /// latter.
     models: [Vec<f64>; 6],
 }
 
@@ -89,15 +89,15 @@ fn options() -> std::result::Result<Options, Box<dyn Error>> {
     Ok(options)
 }
 
-/// How a real recording is shown.
+/// How a real recording is presented.
 #[derive(Clone, Copy)]
 enum Shown {
     /// As recorded; a reading equal to the last one counts as held.
     Native,
     /// The newest row at every tick of 30 Hz.
     Held,
-    /// As through a monitor polled so seldom, and returned at 30 Hz: the GTernal's at 10 Hz, the
-    /// public firmware's default at 1 Hz.
+    /// Through a monitor polled at a lower rate, returned at 30 Hz: 10 Hz as the GTernal's, or 1
+    /// Hz, the default of the public firmware.
     Polled {
         /// Time between two measurements, ns.
         poll_ns: u64,
@@ -140,13 +140,13 @@ fn cases(options: &Options) -> std::result::Result<Vec<Case>, Box<dyn Error>> {
     Ok(cases)
 }
 
-/// Rows whose freshness is known: all models are scored on the same ones.
+/// Rows with known reading age: all models are scored on the same rows.
 fn known(rows: Vec<Row>) -> Vec<Row> {
     let is_known = |row: &Row| row.features[FEATURES].is_finite();
     rows.into_iter().filter(is_known).collect()
 }
 
-/// The paper's split; or its training, scored on the seven robots.
+/// The paper's split; or its training part, scored on the seven robots.
 fn simulated(name: &str, shown: Shown) -> Case {
     let trials = protocol::trials(SEED);
     let rows = |trials: &[Trial]| -> Vec<Row> {
@@ -214,9 +214,9 @@ fn shown_rows(trial: &Trial, shown: Shown) -> TrialRows {
     }
 }
 
-/// The trial as a controller at 30 Hz would have sent it: the newest row, or the newest at the last
-/// poll. A reading is held while it comes from the same row or poll. A gap of the recording longer
-/// than a period and a half, and not filled by a poll, has no reading.
+/// The trial as a controller at 30 Hz would have published it: the newest row, or the newest at the
+/// last poll. A reading is held while it comes from the same row or poll. A gap of the recording
+/// longer than one and a half periods, and not filled by a poll, has no reading.
 fn held(trial: &Trial, poll_ns: Option<u64>) -> Vec<Sample> {
     let offsets_ns = trial.offset_ns();
     let end_ns = offsets_ns.iter().copied().max().unwrap_or(0) as u64;
@@ -292,7 +292,7 @@ fn is_due(row: &Row) -> bool {
     row.features[FEATURES + 1] == 1.0
 }
 
-/// Least squares for rows with a reading due, and another one for those without.
+/// Separate least-squares fits for rows with and without a reading due.
 fn by_due(
     training: &[Row],
     held_out: &[Row],
@@ -314,7 +314,7 @@ fn by_due(
     Ok(held_out.iter().map(forecast).collect())
 }
 
-/// Forecasts of the held-out rows: those of each seed, one after another.
+/// Forecasts of the held-out rows, concatenated over the seeds.
 fn networks(
     case: &Case,
     set: FeatureSet,
@@ -346,7 +346,7 @@ fn networks(
     Ok(all)
 }
 
-/// Of each seed, the pairs that `counts` asks for.
+/// For each seed, the tally of the rows selected by `counts`.
 fn tallies(rows: &[Row], forecasts_w: &[f64], counts: impl Fn(&Row) -> bool) -> Vec<Tally> {
     let tally = |forecasts_w: &[f64]| {
         let mut tally = Tally::default();
@@ -360,7 +360,7 @@ fn tallies(rows: &[Row], forecasts_w: &[f64], counts: impl Fn(&Row) -> bool) -> 
     forecasts_w.chunks(rows.len()).map(tally).collect()
 }
 
-/// The mean over the seeds and, of several, their ends.
+/// The mean over the seeds and, of several, their range.
 fn over_seeds(tallies: &[Tally], score: impl Fn(&Tally) -> f64, digits: usize) -> String {
     let scores: Vec<f64> = tallies.iter().map(score).collect();
     let mean = scores.iter().sum::<f64>() / scores.len() as f64;
@@ -395,12 +395,12 @@ fn scores(case: &Case, result: &Result) -> String {
     )
 }
 
-/// Whether the reading to be forecast repeats the newest one.
+/// Whether the target reading equals the newest one.
 fn is_held(row: &Row) -> bool {
     row.target_w == row.features[NEWEST]
 }
 
-/// The share of the plain network's squared error that freshness removes, over all seeds.
+/// The share of the network's squared error that the reading-age features remove, over all seeds.
 fn removed(rows: &[Row], plain_w: &[f64], fresh_w: &[f64]) -> Estimate {
     let bootstrap = Bootstrap::default();
     let squares = |forecasts_w: &[f64]| -> Vec<f64> {
@@ -421,7 +421,7 @@ fn removed(rows: &[Row], plain_w: &[f64], fresh_w: &[f64]) -> Estimate {
     bootstrap.estimate(plain.len(), share)[0]
 }
 
-/// Mean absolute errors of held and of new readings apart.
+/// Mean absolute errors, separately for held and new readings.
 fn by_kind(case: &Case, result: &Result) -> String {
     let rows = &case.dataset.held_out;
     let cell = |model: usize, held: bool| {

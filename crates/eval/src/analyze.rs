@@ -1,6 +1,6 @@
-//! What a dataset can teach, before anything is trained (arXiv 2603.13908, section 4): how much a
-//! reading tells about the next, what each kind of input adds, and how much of a score comes from
-//! readings that only repeat the one before.
+//! Analysis of a dataset before training (arXiv 2603.13908, section 4): autocorrelation of
+//! readings, the gain of each kind of input, and the share of a score that comes from held
+//! readings.
 
 mod ablation;
 mod autocorrelation;
@@ -25,12 +25,12 @@ pub use autocorrelation::{Autocorrelation, autocorrelation, pooled};
 pub struct AnalysisSettings {
     /// Lags of the autocorrelation, 1 or more, rows.
     pub lags: usize,
-    /// Readings that the forecasts may see, 1 to 5.
+    /// Readings available to the forecasts, 1 to 5.
     pub window: usize,
-    /// Grids of time beside the native series: what is seen of it at a fixed rate.
+    /// Grids in addition to the native series: the dataset at fixed rates.
     pub grids: Vec<Resample>,
-    /// How training rows and held-out rows are distinguished. What is for validation is learned from:
-    /// least squares stop by themselves.
+    /// The split into fitted and held-out rows. The validation part is fitted on, because least
+    /// squares needs no early stopping.
     pub split: Split,
     /// Units to hold out by name, instead of the split's share.
     pub leave_out: Vec<String>,
@@ -65,60 +65,61 @@ pub enum AnalyzeError {
     /// A number is out of range.
     #[error("{what} = {found}; allowed: {allowed}")]
     Setting {
-        /// Which.
+        /// Name of the setting.
         what: &'static str,
-        /// What was found.
+        /// Its value.
         found: usize,
-        /// What is allowed.
+        /// Allowed values.
         allowed: &'static str,
     },
-    /// The data cannot be split as asked.
+    /// The data cannot be split as configured.
     #[error(transparent)]
     Split(#[from] SplitError),
-    /// Resampling is not possible as asked.
+    /// The data cannot be resampled as configured.
     #[error(transparent)]
     Resample(#[from] ResampleError),
 }
 
-/// What was found. Shares are from 0 to 1, power is in W.
+/// Result of the analysis. Shares are from 0 to 1, power is in W.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Analysis {
     /// Trials.
     pub trials: usize,
-    /// Names of the robots, each once.
+    /// Distinct names of the robots.
     pub robots: Vec<String>,
-    /// Names of the groups, each once.
+    /// Distinct names of the groups.
     pub groups: Vec<String>,
-    /// The native series, and one for each grid that was asked for.
+    /// The native series, and one per configured grid.
     pub series: Vec<Series>,
     /// The settings.
     pub settings: AnalysisSettings,
 }
 
-/// The dataset on one grid of time.
+/// The dataset on one grid.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Series {
     /// `native`, or `held at 30 Hz`.
     pub name: String,
-    /// The grid; none for the native series.
+    /// The grid; `None` for the native series.
     pub grid: Option<Resample>,
     /// Rows of all trials.
     pub rows: usize,
     /// Readings of all trials.
     pub readings: usize,
-    /// Share of the readings that repeat the one before to the bit.
+    /// Share of the readings equal to the previous one to the bit.
     pub held_share: f64,
-    /// Mean over the trials at lag 1, 2, …, each trial counting the same.
+    /// Mean over the trials at lag 1, 2, …, trials weighted equally.
     pub mean_autocorrelation: Vec<Option<f64>>,
     /// Over all trials at once ([`pooled`]), at lag 1, 2, …
     pub pooled_autocorrelation: Vec<Option<f64>>,
-    /// Each trial.
+    /// Per trial.
     pub autocorrelations: Vec<TrialAutocorrelation>,
-    /// What each kind of input adds; none with the reason if it could not be found out.
+    /// The gain of each kind of input; `None`, with the reason in `left_out`, if it could not be
+    /// computed.
     pub ablation: Option<Ablation>,
-    /// What went where.
+    /// The split.
     pub split: SplitSummary,
-    /// Trials and inputs that are not in it, and why.
+    /// Trials and inputs left out, with reasons.
     pub left_out: Vec<String>,
 }
 
@@ -136,7 +137,7 @@ pub struct TrialAutocorrelation {
     pub found: Autocorrelation,
 }
 
-/// Analyses trials. `models` have names and are scored beside the rest, on the same rows.
+/// Analyses trials. `models` have names and are scored on the same rows.
 ///
 /// # Errors
 /// [`AnalyzeError`].
@@ -188,7 +189,7 @@ fn check(trials: &[Trial], settings: &AnalysisSettings) -> Result<(), AnalyzeErr
     Ok(())
 }
 
-/// Each trial on the grid; what cannot be is named.
+/// Each trial on the grid; trials that cannot be resampled are named.
 fn resample(trials: &[Trial], grid: Resample) -> Result<(Vec<Trial>, Vec<String>), AnalyzeError> {
     let (mut seen, mut left_out) = (Vec::with_capacity(trials.len()), Vec::new());
     for trial in trials {
@@ -232,8 +233,8 @@ fn analyze_series(
     let readings: usize = found.iter().map(|found| found.readings).sum();
     let held: usize = trials.iter().map(|trial| trial.notes().held_readings).sum();
     let ablation = ablation::ablation(trials, &sources, &assignment, settings.window, models);
-    let (ablation, not_done) = ablation;
-    left_out.extend(not_done);
+    let (ablation, skipped) = ablation;
+    left_out.extend(skipped);
     Ok(Series {
         name,
         grid,

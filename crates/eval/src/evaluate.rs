@@ -1,4 +1,4 @@
-//! Recorded trials through the tick, offline, in one pass: what a live run gives to the bit.
+//! Recorded trials through the tick, offline, in one pass: to the bit the results of a live run.
 
 mod report;
 
@@ -17,14 +17,14 @@ use joulebus_dataset::trial::{Trial, TrialNotes};
 /// Time of every trial's first row. Only differences of time matter, but 0 means "never measured".
 const BASE_NS: u64 = 1_000_000_000;
 
-/// Why trials could not be evaluated.
+/// Errors of an evaluation.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EvaluateError {
     /// No trial was given.
     #[error("found no trial to evaluate; name one or more files")]
     NoTrial,
-    /// The robot's id is in no platform.
+    /// No platform lists the robot's id.
     #[error(
         "robot {robot} belongs to none of the {platforms} platforms; add its id to one of them"
     )]
@@ -40,40 +40,40 @@ pub enum EvaluateError {
         /// The robot.
         robot: u32,
     },
-    /// The settings contradict themselves, or the models do not match them.
+    /// The settings are inconsistent, or the models do not match them.
     #[error(transparent)]
     Settings(#[from] SettingsError),
 }
 
-/// What came of the trials, in their order.
+/// Results of the trials, in their order.
 #[derive(Debug, Clone)]
 pub struct Evaluation {
-    /// One entry a trial.
+    /// One entry per trial.
     pub robots: Vec<RobotEvaluation>,
 }
 
-/// What came of one trial.
+/// Results of one trial.
 #[derive(Debug, Clone)]
 pub struct RobotEvaluation {
     /// Id of the robot.
     pub robot: u32,
     /// The trial's file.
     pub path: PathBuf,
-    /// What is questionable about the trial.
+    /// Quality notes on the trial.
     pub notes: TrialNotes,
     /// Name of the robot's platform.
     pub platform: String,
     /// Name of the model.
     pub model: String,
-    /// One entry a sample, in order.
+    /// One entry per sample, in order.
     pub steps: Vec<Step>,
-    /// How good the forecasts were.
+    /// Scores of the forecasts.
     pub scores: Scores,
     /// Share of scored readings inside their interval; NaN before the first.
     pub coverage: f32,
-    /// What its forecast has learned from the trial; `None` where the platform learns nothing online.
+    /// State of online learning after the trial; `None` where the platform learns nothing online.
     pub learned: Option<Learned>,
-    /// Account of energy.
+    /// Energy ledger.
     pub ledger: Ledger,
     /// Samples accepted.
     pub accepted: u64,
@@ -81,20 +81,20 @@ pub struct RobotEvaluation {
     pub drops: DropCounts,
 }
 
-/// What one sample led to.
+/// Result of one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// Number of the sample: that of its row, from 0.
+    /// Number of the sample, equal to that of its row, from 0.
     pub sample_seq: u64,
-    /// The sample's stamp after the trial's first row, ns.
+    /// The sample's stamp relative to the trial's first row, ns.
     pub stamp_ns: u64,
-    /// Whether the sample was accepted; one that was not leads to nothing.
+    /// Whether the sample was accepted; otherwise the other fields are empty.
     pub accepted: bool,
     /// The sample's reading, W.
     pub reading_w: Option<f32>,
-    /// The reading minus the forecast that had been made for it, W.
+    /// The reading minus its forecast, W.
     pub residual_w: Option<f32>,
-    /// Whether the residual counts in the scores: its forecast was one step ahead.
+    /// Whether the residual is scored: its forecast was one step ahead.
     pub scored: bool,
     /// Forecast of the next reading, W.
     pub power_w: Option<f32>,
@@ -102,20 +102,21 @@ pub struct Step {
     pub lo_w: Option<f32>,
     /// Upper end of its interval, W.
     pub hi_w: Option<f32>,
-    /// How far the forecast can be trusted, or why there is none.
+    /// Quality of the forecast, or why there is none.
     pub quality: Quality,
 }
 
 /// Runs each trial through the tick, sample by sample, each robot alone.
 ///
-/// Robot ids decide the platform, as in a live run; `models[i]` is the model of
+/// Robot ids determine the platform, as in a live run; `models[i]` is the model of
 /// `settings.platforms[i]`. A live run of the same trials gives the same forecasts, residuals and
-/// scores to the bit, in a mixed fleet and at any speed, because nothing in a robot's results
-/// depends on other robots or on the worker's clock. The exception is a gap after which the live
-/// worker has given the robot's place away (`leave_after`): here it never does.
+/// scores to the bit, in a mixed fleet and at any speed, because a robot's results depend neither
+/// on other robots nor on the worker's clock. The exception is a gap after which the live worker
+/// has reassigned the robot's slot (`leave_after`): here it never does.
 ///
 /// # Errors
-/// [`EvaluateError`]: no trial, a robot twice or in no platform, settings that are refused.
+/// [`EvaluateError`]: no trial, a repeated robot, a robot in no platform, or settings that are
+/// refused.
 pub fn evaluate(
     settings: &FleetSettings,
     models: &[Model],
@@ -138,7 +139,7 @@ pub fn evaluate(
 /// Runs one trial through the tick, as [`evaluate`] does.
 ///
 /// # Errors
-/// [`EvaluateError`]: a robot in no platform, settings that are refused.
+/// [`EvaluateError`]: a robot in no platform, or settings that are refused.
 pub fn evaluate_trial(
     settings: &FleetSettings,
     models: &[Model],
@@ -196,7 +197,7 @@ fn step(fleet: &mut Fleet, sample: &Sample, now_ns: u64) -> Step {
     let (accepted_before, scored_before) = (fleet.accepted(), scored(fleet, sample.robot));
     fleet.take(&header, std::slice::from_ref(sample), now_ns);
     fleet.tick(now_ns, false);
-    // A robot of a known platform always finds its place: the capacity is 1, and it is the first.
+    // A robot of a known platform always gets a slot: the capacity is 1, and it is the first.
     let (forecast, diagnostic) = (fleet.forecast(0), fleet.diagnostic(0));
     let accepted = fleet.accepted() > accepted_before;
     let known = |value: Option<f32>| value.filter(|_| accepted);

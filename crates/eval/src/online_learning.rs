@@ -1,6 +1,6 @@
-//! What a forecast that learns online gains over the network alone: the options `forecast` and
-//! `adapt` of a platform, judged through the live tick on recorded trials, beside persistence and the
-//! linear baseline AR(5) + velocities of the model file.
+//! Gain of online learning over the network alone: the platform options `forecast` and `adapt`,
+//! evaluated by the live tick on recorded trials, compared with persistence and the linear baseline
+//! AR(5) + velocities of the model file.
 
 use joulebus_predictor::{FEATURES, FeatureSet, Linear, Model, Network};
 use joulebus_settings::{FleetSettings, Online, Platform};
@@ -19,58 +19,56 @@ pub const VARIANTS: [(&str, Online); 4] = [
     ("mixture + adapted", online(true, true)),
 ];
 
-/// Readings that a trial needs for its coverage to be judged: of fewer, one more or less inside is
-/// half a percent.
+/// Minimum number of readings of a trial for its coverage to be judged: with fewer, one reading
+/// changes it by half a percent or more.
 pub const FEWEST_READINGS: u64 = 200;
-/// Position in a row of whether a new measurement is due.
+/// Index of the feature that tells whether a new measurement is due.
 const DUE: usize = FEATURES + 1;
-/// How far a trial's coverage may lie from the wanted one.
+/// Allowed deviation of a trial's coverage from the nominal one.
 pub const TOLERANCE: f64 = 0.02;
 
 const fn online(mixture: bool, adapt: bool) -> Online {
     Online { mixture, adapt }
 }
 
-/// How good forecasts were on the same readings. Each trial is a robot of its own, of which nothing is
-/// known when it begins.
+/// Scores on the same readings. Each trial is a separate robot without prior state.
 #[derive(Debug, Clone)]
 pub struct Judged {
     /// Trials judged.
     pub trials: usize,
-    /// The last reading again.
+    /// Persistence.
     pub persistence: Tally,
-    /// The model file's linear baseline; `None` where it has none.
+    /// The model file's linear baseline, if it has one.
     pub linear: Option<Tally>,
-    /// As [`VARIANTS`].
+    /// In the order of [`VARIANTS`].
     pub variants: [Variant; VARIANTS.len()],
 }
 
-/// One way to forecast.
+/// One variant.
 #[derive(Debug, Clone, Default)]
 pub struct Variant {
     /// Its forecasts.
     pub forecasts: Tally,
-    /// Its intervals, of all trials together.
+    /// Its intervals, of all trials.
     pub intervals: CoverageTally,
-    /// Those of them that were made where a new measurement was due.
+    /// The intervals of readings where a new measurement was due.
     pub due: CoverageTally,
-    /// Share of readings inside their interval, trial by trial; of trials of [`FEWEST_READINGS`] and
-    /// more.
+    /// Share of readings inside their interval, per trial of at least [`FEWEST_READINGS`] readings.
     pub coverage: Vec<f64>,
 }
 
 impl Variant {
-    /// Share of the trials whose coverage lies within [`TOLERANCE`] of `wanted`; NaN without one.
+    /// Share of the trials whose coverage is within [`TOLERANCE`] of `wanted`; NaN without a trial.
     #[must_use]
     pub fn held(&self, wanted: f64) -> f64 {
-        // What is a count divided by a count lies a rounding off the tolerance at most.
+        // The quotient of two counts differs from the tolerance by rounding at most.
         let holds = |coverage: &&f64| (**coverage - wanted).abs() <= TOLERANCE + 1e-9;
         self.coverage.iter().filter(holds).count() as f64 / self.coverage.len() as f64
     }
 }
 
 impl Judged {
-    /// The best R² of persistence, the linear baseline and the network: the mixture's members.
+    /// The best R² among the mixture's members: persistence, the linear baseline and the network.
     #[must_use]
     pub fn best_member_r2(&self) -> f64 {
         let linear = self.linear.as_ref().map_or(f64::NEG_INFINITY, Tally::r2);
@@ -82,10 +80,10 @@ impl Judged {
     }
 }
 
-/// Judges a network on trials, each sample through the live tick as [`evaluate_trial`] does it.
+/// Evaluates a network on trials, each sample through the live tick as in [`evaluate_trial`].
 ///
-/// Counted are the readings that follow five others without a gap, so that every forecaster has the
-/// same to continue; what the tick forecasts over gaps is not.
+/// Scored are the readings that follow five others without a gap, so that every forecaster has the
+/// same inputs; the tick's forecasts over gaps are not scored.
 ///
 /// # Errors
 /// [`EvaluateError`]: settings that are refused.
@@ -117,7 +115,7 @@ pub fn judge(
     Ok(judged)
 }
 
-/// The platform as this trial was recorded.
+/// The platform with the trial's recorded period.
 fn of_trial(platform: &Platform, trial: &Trial, online: Online) -> Platform {
     Platform {
         power_resolution_w: platform.power_resolution_w,
@@ -145,7 +143,7 @@ impl Variant {
     fn take(&mut self, live: &RobotEvaluation, rows: &TrialRows) {
         let mut intervals = CoverageTally::default();
         for (row, seq) in rows.rows.iter().zip(&rows.sample_seq) {
-            // Steps stand in the order of their samples, one each.
+            // One step per sample, in order.
             let Some(step) = live.steps.get(*seq as usize) else {
                 continue;
             };
@@ -153,7 +151,7 @@ impl Variant {
             let known = |watts: Option<f32>| watts.map_or(f64::NAN, f64::from);
             self.forecasts.add(reading_w, known(step.power_w), 0.0);
             intervals.add(reading_w, known(step.lo_w), known(step.hi_w));
-            // NaN is not known, and then one is.
+            // NaN means unknown, and then a reading is due.
             if row.features[DUE] != 0.0 {
                 self.due.add(reading_w, known(step.lo_w), known(step.hi_w));
             }

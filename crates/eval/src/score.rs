@@ -1,21 +1,20 @@
-//! Evaluation: how good a model is on recordings, beside what it has to beat.
+//! Scores of models on recordings, compared with baselines.
 //!
-//! Two modes, both on the same rows and beside the same baselines:
+//! Two modes, both on the same rows and with the same baselines:
 //!
-//! - *Corrected*: each forecast rests on real readings and looks one tick ahead. Forecasts and
-//!   intervals are those of the live tick, to the bit ([`crate::evaluate`]).
-//! - *Open loop*: from an origin on, a forecaster is fed with its own forecasts, the commands being
-//!   known, and is scored at chosen horizons ([`Horizon`]).
+//! - *Corrected*: each forecast is based on real readings, one tick ahead. Forecasts and intervals
+//!   are those of the live tick, to the bit ([`crate::evaluate`]).
+//! - *Open loop*: from an origin on, a forecaster is fed with its own forecasts and the true
+//!   commands, and is scored at given horizons ([`Horizon`]).
 //!
-//! The baselines are persistence (the last reading again) and linear models of the last readings
-//! and the velocities ([`joulebus_train::linear`]), fitted on rows that are not evaluated ([`Design`]).
+//! The baselines are persistence and linear models of the last readings and the velocities
+//! ([`joulebus_train::linear`]), fitted on rows that are not evaluated ([`Design`]).
 //!
-//! A row is scored if five readings without a gap lie behind it, a reading follows it, and every
-//! model has a forecast for it: so all forecasters stand on the same rows. What is left out is
-//! counted.
+//! A row is scored if five gapless readings precede it, a reading follows it, and every model has a
+//! forecast for it, so all forecasters are scored on the same rows. The other rows are counted.
 //!
-//! Everything has the same bits for any number of threads: each recording is summed in the order of
-//! its rows, recordings are merged in the order they are given in.
+//! Results have the same bits for any number of threads: each recording is summed in the order of
+//! its rows, and recordings are merged in the given order.
 
 mod blocks;
 mod cell;

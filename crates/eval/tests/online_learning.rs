@@ -1,5 +1,5 @@
-//! On part of the recordings: a mixture is never much worse than its best member, it stays above the
-//! baselines where the network falls below them, and intervals hold their coverage trial by trial.
+//! On a part of the recordings: a mixture is never much worse than its best member, it beats the
+//! baselines where the network does not, and intervals keep their coverage per trial.
 
 mod live;
 
@@ -43,7 +43,7 @@ fn rows(trials: &[Trial]) -> Vec<Row> {
         .collect()
 }
 
-/// A network that has seen asphalt and flooring, on some trials of another terrain.
+/// A network trained on asphalt and flooring, tested on some trials of another terrain.
 fn judged(terrain: &str) -> Option<Judged> {
     let (asphalt, flooring) = (trials("ASPHALT", 7)?, trials("FLOORING", 6)?);
     let validation = rows(&flooring[4..]);
@@ -107,7 +107,7 @@ fn on_ice_the_network_falls_below_persistence_and_the_mixture_does_not() {
     let [network, .., both] = &judged.variants;
     assert!(
         network.forecasts.r2() < judged.persistence.r2(),
-        "no shift, no test"
+        "the terrain must be a distribution shift"
     );
     assert!(both.forecasts.r2() >= judged.persistence.r2());
 }

@@ -1,4 +1,4 @@
-//! The simulated robots against the figures that the paper gives.
+//! The simulated robots against the paper's figures.
 
 #[allow(
     dead_code,
@@ -18,9 +18,9 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
     values.sum::<f64>() / count
 }
 
-/// The table of `docs/plant.md`, measured again.
+/// The table of `docs/plant.md`, recomputed.
 #[test]
-fn every_figure_of_the_paper_holds_within_its_band_and_stands_in_the_docs() {
+fn every_figure_of_the_paper_is_within_its_band_and_in_the_docs() {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/plant.md");
     let docs = std::fs::read_to_string(docs).expect("the docs are in the repository");
     let measured = measure(Parts::default(), SEED, SCENARIO_STEPS).expect("sound data");
@@ -38,7 +38,7 @@ fn every_figure_of_the_paper_holds_within_its_band_and_stands_in_the_docs() {
 }
 
 #[test]
-fn the_fit_is_no_accident_of_a_seed() {
+fn the_fit_holds_for_other_seeds() {
     let all: Vec<Basics> = (201..209)
         .map(|seed| {
             let (trials, rows) = six_trials(Parts::default(), seed);

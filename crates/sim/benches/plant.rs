@@ -1,4 +1,4 @@
-//! The plant: robot-steps a second of the live fleet, of the trials, and of the seven robots with
+//! Robot-steps per second of the simulated live fleet, of the trials, and of the seven robots with
 //! their barriers. One thread.
 //!
 //! `cargo bench -p joulebus-sim --bench plant`; figures on stderr, JSON on stdout.
@@ -52,7 +52,7 @@ fn main() {
     );
 }
 
-/// Robot-steps a second, the median of some runs on seeds of their own.
+/// Robot-steps per second, median of runs with different seeds.
 fn median(mut run: impl FnMut(u64) -> usize) -> f64 {
     let mut rates: Vec<f64> = (0..REPEATS)
         .map(|seed| {

@@ -1,24 +1,24 @@
-//! The Robotarium: its floor, its control period, and how its robots turn commands into motion.
+//! The Robotarium: arena, control period, and robot kinematics.
 
 use std::f64::consts::TAU;
 
 use nalgebra::Vector2;
 
-/// A position in m, or a velocity in m/s: along the long side and along the short one.
+/// A position in m, or a velocity in m/s: (x, y), x along the long side.
 pub type Vector = Vector2<f64>;
 
-/// Largest linear velocity that is commanded, in m/s.
+/// Maximum commanded linear velocity, m/s.
 pub const V_MAX_MPS: f64 = 0.2;
-/// Largest angular velocity that is commanded, in rad/s.
+/// Maximum commanded angular velocity, rad/s.
 pub const OMEGA_MAX_RADPS: f64 = 3.6;
-/// Time between two commands, s.
+/// Control period, s.
 pub const STEP_S: f64 = 0.033;
-/// Half of the arena's sides, m: the origin lies in its middle, x runs along the long side.
+/// Half of the arena's sides, m: the origin is the centre, x runs along the long side.
 pub const HALF_ARENA_M: (f64, f64) = (1.6, 1.0);
-/// Diameter of a robot and distance between its wheels, m.
+/// Diameter and track width of a robot, m.
 pub const ROBOT_M: f64 = 0.11;
 
-/// Velocities in force.
+/// The current command.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Command {
     /// Linear velocity, m/s.
@@ -27,7 +27,7 @@ pub struct Command {
     pub omega_radps: f64,
 }
 
-/// Where a robot is.
+/// Pose of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Pose {
     /// Position, m.
@@ -43,8 +43,8 @@ pub fn wheels_mps(command: Command) -> [f64; 2] {
     [command.v_mps - turn_mps, command.v_mps + turn_mps]
 }
 
-/// The command that the wheels can follow: each wheel's speed is cut to ±[`V_MAX_MPS`] on its own,
-/// as the testbed does it, and the command follows from what is left.
+/// The command after wheel saturation: each wheel's speed is clamped to ±[`V_MAX_MPS`] separately,
+/// as on the testbed, and the command follows from the clamped speeds.
 #[must_use]
 pub fn saturated(command: Command) -> Command {
     let [left_mps, right_mps] =
@@ -62,7 +62,7 @@ pub(crate) fn direction(angle_rad: f64) -> Vector {
 }
 
 impl Pose {
-    /// The pose after `dt_s` seconds of a command, the heading taken in the middle of the turn.
+    /// The pose after `dt_s` seconds of a command, integrated with the heading at the midpoint.
     #[must_use]
     pub fn driven(self, command: Command, dt_s: f64) -> Self {
         let Command { v_mps, omega_radps } = command;
@@ -74,7 +74,7 @@ impl Pose {
     }
 }
 
-/// The same angle within ±π, for angles that are at most a few turns off.
+/// The angle wrapped to ±π, for angles that are at most a few turns off.
 pub(crate) fn wrapped(angle_rad: f64) -> f64 {
     angle_rad - TAU * libm::round(angle_rad / TAU)
 }

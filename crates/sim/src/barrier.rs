@@ -1,18 +1,17 @@
 //! Collision avoidance: control barrier functions on single integrators.
 //!
-//! Every robot is a point that moves at the velocity it is given. The barrier of a pair is
-//! `h = |pᵢ − pⱼ|² − D²`, that of a wall the distance to it; a set of velocities is allowed where
-//! `dh/dt + g·h³ ≥ 0` holds for all of them (Wang, Ames and Egerstedt, "Safety barrier
-//! certificates for collisions-free multirobot systems", IEEE T-RO 2017, with the cubic form used on
-//! the Robotarium). Of the allowed velocities those nearest to the wanted ones are taken: a
-//! quadratic program.
+//! Every robot is a point with a commanded velocity. The barrier of a pair is `h = |pᵢ − pⱼ|² −
+//! D²`, that of a wall the distance to it; velocities are allowed if `dh/dt + g·h³ ≥ 0` holds for
+//! all barriers (Wang, Ames and Egerstedt, "Safety barrier certificates for collisions-free
+//! multirobot systems", IEEE T-RO 2017, with the cubic form used on the Robotarium). The allowed
+//! velocities closest to the desired ones are the solution of a quadratic program.
 //!
-//! Where the wanted velocities violate nothing they are that program's answer, so nothing is solved.
-//! Walls alone cut each component by itself: that program's answer needs no solver either, and where
-//! it is allowed by the pairs too it is the answer of the whole. Otherwise only the violated barriers
-//! are put to the solver, and those that its answer violates are added until there is none: the
-//! answer to a relaxed program that is allowed in the whole one is the whole one's answer. Robots
-//! that no such barrier names keep what they want.
+//! If the desired velocities violate no condition they are the solution, and no program is solved.
+//! Wall conditions act on single components, so clamping solves them exactly, and if the clamped
+//! velocities satisfy the pair conditions too they are the solution. Otherwise an active-set method
+//! solves a program with the violated conditions only and adds those that its solution violates
+//! until none is: a solution of a relaxed program that is feasible for the full one solves the full
+//! one. Robots in no active condition keep their desired velocities.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
@@ -21,25 +20,25 @@ use clarabel::solver::{
 
 use super::arena::{HALF_ARENA_M, Vector};
 
-/// An answer may miss a barrier's condition by this much, m/s or m²/s: the solver's accuracy.
+/// Allowed violation of a condition, m/s or m²/s: the solver's accuracy.
 const TOLERANCE: f64 = 1e-7;
 
-/// The barriers of a group of robots.
+/// Barrier parameters of a group of robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Barrier {
-    /// Distance that two points keep, m.
+    /// Minimum distance of two points, m.
     pub distance_m: f64,
-    /// Distance that a point keeps from a wall, m.
+    /// Minimum distance of a point from a wall, m.
     pub wall_m: f64,
-    /// How fast a pair may close in, 1/(m⁴ s).
+    /// Gain of a pair's barrier, which limits the closing speed, 1/(m⁴ s).
     pub gain: f64,
-    /// How fast a point may near a wall, 1/(m² s).
+    /// Gain of a wall's barrier, which limits the approach speed, 1/(m² s).
     pub wall_gain: f64,
 }
 
 impl Default for Barrier {
-    /// The distance covers two robots of 0.11 m whose points lie 0.05 m ahead of them; the gain is
-    /// the Robotarium's.
+    /// The distance is that of two robots of 0.11 m whose points lie 0.05 m ahead of them; the gain
+    /// is the Robotarium's.
     fn default() -> Self {
         Self {
             distance_m: 0.23,
@@ -53,28 +52,28 @@ impl Default for Barrier {
 /// Allowed velocities.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Allowed {
-    /// One a robot.
+    /// One per robot.
     pub velocities: Vec<Vector>,
     /// How they were found.
     pub answer: Answer,
 }
 
-/// How allowed velocities were found.
+/// How the allowed velocities were found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// All wanted ones are allowed.
+    /// All desired velocities are allowed.
     AsWanted,
-    /// Only walls were in the way; each component was cut by itself.
+    /// Only wall conditions were violated; components were clamped.
     Walls,
     /// A quadratic program was solved.
     Solved,
 }
 
-/// Why there are no allowed velocities.
+/// Errors of computing allowed velocities.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BarrierError {
-    /// Positions and velocities are not of the same robots.
+    /// The numbers of positions and velocities differ.
     #[error("{points} positions and {wanted} velocities; give one of each for every robot")]
     Lengths {
         /// Positions given.
@@ -82,19 +81,19 @@ pub enum BarrierError {
         /// Velocities given.
         wanted: usize,
     },
-    /// The solver found none.
+    /// The solver found no solution.
     #[error("no allowed velocities for {robots} robots and {barriers} barriers: {status}")]
     Unsolved {
         /// Robots in the program.
         robots: usize,
         /// Barriers in the program.
         barriers: usize,
-        /// What the solver says.
+        /// The solver's status.
         status: String,
     },
 }
 
-/// One condition: `Σ slope·velocity ≤ bound` over one robot or two.
+/// One condition: `Σ slope·velocity ≤ bound` over one or two robots.
 #[derive(Clone, Copy, Debug)]
 struct Condition {
     robots: [usize; 2],
@@ -103,7 +102,7 @@ struct Condition {
 }
 
 impl Condition {
-    /// By how much velocities violate it; at most 0 where they do not.
+    /// Violation of the condition; at most 0 if it holds.
     fn excess(&self, velocities: &[Vector]) -> f64 {
         let [a, b] = self.robots;
         self.slopes[0].dot(&velocities[a]) + self.slopes[1].dot(&velocities[b]) - self.bound
@@ -111,11 +110,11 @@ impl Condition {
 }
 
 impl Barrier {
-    /// The allowed velocities nearest to the wanted ones.
+    /// The allowed velocities closest to the desired ones.
     ///
     /// # Errors
-    /// [`BarrierError`]: as many positions as velocities are needed; robots that are already too
-    /// close on several sides may have no way out.
+    /// [`BarrierError`]: the numbers of positions and velocities differ, or no velocities are
+    /// allowed, as may happen when robots are already too close on several sides.
     pub fn allowed(&self, points: &[Vector], wanted: &[Vector]) -> Result<Allowed, BarrierError> {
         let conditions = self.conditions(points, wanted)?;
         let mut active = Vec::new();
@@ -131,7 +130,7 @@ impl Barrier {
             still.retain(|number| !active.contains(number));
             active.append(&mut still);
             velocities = nearest(&conditions, &active, wanted)?;
-            // Each turn adds a condition, so there are at most as many as conditions.
+            // Each iteration adds a condition, which bounds their number.
             while add_violated(&conditions, &velocities, TOLERANCE, &mut active) {
                 velocities = nearest(&conditions, &active, wanted)?;
             }
@@ -142,8 +141,8 @@ impl Barrier {
         Ok(Allowed { velocities, answer })
     }
 
-    /// As [`Barrier::allowed`], all conditions and all robots in one program: the slow way, to hold
-    /// the quick one against.
+    /// As [`Barrier::allowed`], with all conditions and all robots in one program: the slow
+    /// reference.
     ///
     /// # Errors
     /// As [`Barrier::allowed`].
@@ -204,8 +203,8 @@ impl Barrier {
     }
 }
 
-/// Adds the conditions that velocities violate by more than `tolerance` and that are not in yet;
-/// whether there were any.
+/// Adds the conditions that the velocities violate by more than `tolerance` and that are not active
+/// yet; returns whether there were any.
 fn add_violated(
     conditions: &[Condition],
     velocities: &[Vector],
@@ -214,7 +213,7 @@ fn add_violated(
 ) -> bool {
     let before = active.len();
     for (number, condition) in conditions.iter().enumerate() {
-        // Not `>`: what is NaN counts as violated.
+        // Not `>`: NaN counts as a violation.
         let holds = condition.excess(velocities) <= tolerance;
         if !holds && !active[..before].contains(&number) {
             active.push(number);
@@ -223,7 +222,7 @@ fn add_violated(
     active.len() > before
 }
 
-/// The velocities nearest to the wanted ones for which the conditions of walls hold.
+/// The velocities closest to the desired ones that satisfy the wall conditions.
 fn within_walls(conditions: &[Condition], wanted: &[Vector]) -> Vec<Vector> {
     let mut velocities = wanted.to_vec();
     for condition in conditions {
@@ -241,7 +240,7 @@ fn within_walls(conditions: &[Condition], wanted: &[Vector]) -> Vec<Vector> {
     velocities
 }
 
-/// The velocities nearest to the wanted ones for which the active conditions hold.
+/// The velocities closest to the desired ones that satisfy the active conditions.
 fn nearest(
     conditions: &[Condition],
     active: &[usize],

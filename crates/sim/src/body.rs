@@ -1,4 +1,4 @@
-//! One robot with all its parts, under the commands of any controller.
+//! One robot with all its parts, for any controller.
 
 use super::arena::{Command, Pose};
 use super::loads::Loads;
@@ -6,7 +6,7 @@ use super::monitor::{Battery, Measurement, POLL_NS};
 use super::parts::Parts;
 use joulebus_statistics::noise::Noise;
 
-/// Most energy that was taken from a battery before a run begins, J.
+/// Maximum energy drawn from a battery before a run begins, J.
 const MOST_DRAWN_J: f64 = 6_000.0;
 
 /// A robot: pose, loads, battery and monitor.
@@ -23,7 +23,7 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// A robot at rest at time 0. See [`Loads::new`] for the parameters.
+    /// A robot at rest at time 0. Parameters as in [`Loads::new`].
     pub(super) fn new(
         parts: Parts,
         extra_w: f64,
@@ -49,7 +49,8 @@ impl Body {
         }
     }
 
-    /// Runs from `now_ns` to `end_ns` under a command; what the monitor returns at the end.
+    /// Simulates from `now_ns` to `end_ns` under a command; returns the monitor's output at the
+    /// end.
     pub(super) fn run(&mut self, now_ns: u64, end_ns: u64, command: Command) -> Measurement {
         self.loads.command(command, &mut self.noise);
         self.pose = self

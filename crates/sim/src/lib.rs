@@ -1,4 +1,4 @@
-//! Simulated robots: the plant of the demonstration, and the paper's protocols and scenario.
+//! Simulated robots: the plant of the demo, and the paper's protocols and scenario.
 #![forbid(unsafe_code)]
 
 pub mod arena;

@@ -1,28 +1,28 @@
-//! What one robot draws, from poll to poll of its power monitor.
+//! Electrical loads of one robot, advanced at each poll of its power monitor.
 //!
-//! Wheels turn in continuous time, under each command. Everything that only the monitor can see is
-//! advanced when it is polled, a fixed tenth of a second apart: that is exact for drifts and for
-//! thermal memory, and puts the ends of radio bursts on the monitor's grid.
+//! Wheels are simulated in continuous time under each command. Loads visible only to the monitor
+//! are advanced when it is polled, every tenth of a second: that is exact for drifts and thermal
+//! memory, and aligns the ends of radio bursts with the monitor's polls.
 
 use super::arena::{Command, wheels_mps};
 use super::monitor::POLL_S;
 use super::parts::Parts;
 use joulebus_statistics::noise::Noise;
 
-/// Bursts of one robot at the same time; a further one is not heard.
+/// Maximum number of simultaneous bursts of one robot; further ones are dropped.
 const MOST_BURSTS: usize = 8;
-/// No burst draws more than this many times the mean one.
+/// Maximum power of a burst, in multiples of the mean.
 const MOST_OF_A_BURST: f64 = 4.0;
 /// A wheel slower than this is at rest, m/s.
 const REST_MPS: f64 = 0.005;
-/// A wheel told to turn faster than this starts, m/s.
+/// A wheel commanded to turn faster than this starts, m/s.
 const START_MPS: f64 = 0.02;
-/// Draws from manufacturing are kept within this many standard deviations.
+/// Manufacturing variations are clamped to this many standard deviations.
 const WIDEST: f64 = 2.5;
 
-/// What is left of a drift, or of thermal memory, after a poll.
+/// Decay factors per poll of the drifts and the thermal memory.
 #[derive(Clone, Copy, Debug)]
-struct Kept {
+struct Decay {
     drift: f64,
     processor: f64,
     roughness: f64,
@@ -35,7 +35,7 @@ struct Kept {
 #[derive(Clone, Debug)]
 pub(super) struct Loads {
     parts: Parts,
-    kept: Kept,
+    decay: Decay,
     electronics_w: f64,
     friction: [f64; 2],
     drift: f64,
@@ -50,8 +50,8 @@ pub(super) struct Loads {
 }
 
 impl Loads {
-    /// The loads of a robot at rest. `made` gives what manufacturing gave the robot, `noise` its
-    /// state at the start; `extra_w` is drawn on top indefinitely; `neighbours` share its channel.
+    /// The loads of a robot at rest. `made` draws its manufacturing variations, `noise` its initial
+    /// state; `extra_w` is a constant additional load; `neighbours` share its radio channel.
     pub(super) fn new(
         parts: Parts,
         extra_w: f64,
@@ -64,7 +64,7 @@ impl Loads {
         let bursts_per_s = parts.bursts_per_s + parts.bursts_per_neighbour_s * neighbours as f64;
         Self {
             parts,
-            kept: Kept {
+            decay: Decay {
                 drift: libm::exp(-POLL_S / parts.drift_time_s),
                 processor: libm::exp(-POLL_S / parts.processor_time_s),
                 roughness: libm::exp(-POLL_S / parts.roughness_time_s),
@@ -95,7 +95,7 @@ impl Loads {
         }
     }
 
-    /// Turns the wheels for `dt_s` seconds, above 0, towards the command.
+    /// Accelerates the wheels towards the command for `dt_s` seconds, above 0.
     pub(super) fn turn(&mut self, dt_s: f64, command: Command) {
         let reached = 1.0 - libm::exp(-dt_s / self.parts.motor_time_s);
         for ((speed_mps, wanted_mps), friction) in self
@@ -116,16 +116,16 @@ impl Loads {
         self.motors_s += dt_s;
     }
 
-    /// What is drawn at a poll, a poll after the last one, W. The motors' part is their mean over
-    /// that time, as the monitor averages it.
+    /// Power at a poll, one poll period after the last one, W. The motors' part is their mean over
+    /// that period, as the monitor averages it.
     pub(super) fn poll(&mut self, noise: &mut Noise) -> f64 {
-        let Kept {
+        let Decay {
             drift,
             processor,
             roughness,
             thermal,
             ..
-        } = self.kept;
+        } = self.decay;
         self.drift = drifted(self.drift, drift, noise);
         self.processor = drifted(self.processor, processor, noise);
         self.roughness = drifted(self.roughness, roughness, noise);
@@ -148,12 +148,12 @@ impl Loads {
             + stuck_w
     }
 
-    /// Ends and begins bursts; what those that continue draw, W.
+    /// Ends and starts bursts; returns the power of the active ones, W.
     fn radio_w(&mut self, noise: &mut Noise) -> f64 {
         let mut radio_w = 0.0;
-        let mut begins = noise.uniform() >= self.kept.no_burst;
+        let mut begins = noise.uniform() >= self.decay.no_burst;
         for burst_w in &mut self.bursts_w {
-            if *burst_w > 0.0 && noise.uniform() >= self.kept.burst {
+            if *burst_w > 0.0 && noise.uniform() >= self.decay.burst {
                 *burst_w = 0.0;
             } else if *burst_w == 0.0 && begins {
                 let mean_w = self.parts.burst_w;
@@ -166,7 +166,7 @@ impl Loads {
     }
 }
 
-/// A step of a mean-reverting drift of mean 0 and deviation 1 of which `kept` stays.
-pub(super) fn drifted(value: f64, kept: f64, noise: &mut Noise) -> f64 {
-    value * kept + libm::sqrt(1.0 - kept * kept) * noise.normal()
+/// One step of a mean-reverting drift with mean 0 and deviation 1; `decay` is the decay factor.
+pub(super) fn drifted(value: f64, decay: f64, noise: &mut Noise) -> f64 {
+    value * decay + libm::sqrt(1.0 - decay * decay) * noise.normal()
 }

@@ -1,11 +1,11 @@
-//! The battery, and the power monitor through which a controller sees the robot's draw.
+//! The battery, and the power monitor that the controller reads.
 //!
 //! The monitor is an INA260 (power in steps of 10 mW, voltage of 1.25 mV, current of 1.25 mA),
-//! polled at 10 Hz by a clock of its own; in between its last reading is returned again.
+//! polled at 10 Hz on its own clock; between polls its last reading is repeated.
 
-/// Time between two polls, s.
+/// Poll period, s.
 pub(super) const POLL_S: f64 = 0.1;
-/// Time between two polls, ns.
+/// Poll period, ns.
 pub(super) const POLL_NS: u64 = 100_000_000;
 
 pub(super) const POWER_STEP_W: f64 = 0.01;
@@ -26,19 +26,19 @@ pub(super) struct Measurement {
     pub(super) current_a: f64,
 }
 
-/// A battery that is being emptied.
+/// A discharging battery.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Battery {
     drawn_j: f64,
 }
 
 impl Battery {
-    /// A battery from which `drawn_j` joules have been taken.
+    /// A battery from which `drawn_j` joules have been drawn.
     pub(super) const fn new(drawn_j: f64) -> Self {
         Self { drawn_j }
     }
 
-    /// Takes `power_w` for the time of a poll, and returns what the monitor shows of `shown_w`.
+    /// Draws `power_w` for one poll period, and returns the monitor's reading of `shown_w`.
     pub(super) fn measure(&mut self, power_w: f64, shown_w: f64) -> Measurement {
         self.drawn_j += power_w * POLL_S;
         let shown_w = shown_w.max(0.0);
@@ -51,15 +51,15 @@ impl Battery {
     }
 }
 
-/// The voltage at which cell and load agree, u = open - R·P/u, after `drawn_j` have been taken. A load
-/// beyond what the cell can give gets the voltage of the largest possible one.
+/// The terminal voltage, the solution of u = open − R·P/u, after `drawn_j` have been drawn. A load
+/// beyond the cell's maximum gets the voltage at that maximum.
 pub(super) fn voltage_v(drawn_j: f64, power_w: f64) -> f64 {
     let open_v = (FULL_V - FALL_V_PER_J * drawn_j).max(EMPTY_V);
     let left = (open_v * open_v - 4.0 * RESISTANCE_OHM * power_w).max(0.0);
     (open_v + libm::sqrt(left)) / 2.0
 }
 
-/// `value` in whole steps, as the monitor's converter gives it.
+/// `value` quantised to whole steps, as by the monitor's converter.
 pub(super) fn stepped(value: f64, step: f64) -> f64 {
     libm::round(value / step) * step
 }

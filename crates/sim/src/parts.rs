@@ -1,22 +1,22 @@
-//! The physical parts of a simulated robot: what each draws, and how robots differ.
+//! Physical parameters of a simulated robot: its loads, and the variation between robots.
 
-/// Sizes and time constants of the parts of a robot. [`Parts::default`] is the fit to the published
-/// figures (`docs/plant.md` says which were fitted and which only checked); every other value is
-/// for what-if runs and for the fit itself.
+/// Magnitudes and time constants of the loads of a robot. [`Parts::default`] is the fit to the
+/// published figures (`docs/plant.md` states which were fitted and which only checked); other
+/// values are for what-if runs and for the fit itself.
 ///
-/// A load of mean 0 and deviation 1 that reverts to 0 with a time constant is called a *drift*
-/// below. All powers are electrical, at the battery.
+/// A *drift* below is a mean-reverting process of mean 0 and deviation 1 with a time constant. All
+/// powers are electrical, at the battery.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parts {
-    /// Electronics that never rest (computer, sensors, regulators), W, above 0.
+    /// Constant power of the electronics (computer, sensors, regulators), W, above 0.
     pub electronics_w: f64,
-    /// Standard deviation of the electronics between robots, from manufacturing, W.
+    /// Standard deviation of the electronics' power between robots (manufacturing), W.
     pub electronics_spread_w: f64,
     /// Standard deviation of the regulators' slow drift, W.
     pub drift_w: f64,
     /// Time constant of the regulators' drift, s.
     pub drift_time_s: f64,
-    /// Mean of the processor's changing load, W: the square of a drift times this.
+    /// Mean of the processor's variable load, W: the square of a drift times this.
     pub processor_w: f64,
     /// Time constant of the processor's load, s.
     pub processor_time_s: f64,
@@ -26,32 +26,32 @@ pub struct Parts {
     pub losses_w_per_m2ps2: f64,
     /// Power of each motor per rate of change of its wheel's squared speed, W/(m²/s³).
     pub acceleration_w_per_m2ps3: f64,
-    /// Relative standard deviation of friction and losses between wheels, from manufacturing.
+    /// Relative standard deviation of friction and losses between wheels (manufacturing).
     pub friction_spread: f64,
-    /// Relative standard deviation of a robot's friction over time: dust, seams of the floor.
+    /// Relative standard deviation of a robot's friction over time: dust, floor seams.
     pub roughness: f64,
     /// Time constant of the roughness, s.
     pub roughness_time_s: f64,
-    /// Time in which a wheel reaches 1 − 1/e of a change of command, s, above 0.
+    /// Time constant of a wheel's response to a command, s, above 0.
     pub motor_time_s: f64,
-    /// Thermal memory: power more per motor power of the recent past, W/W.
+    /// Thermal memory: additional power per motor power of the recent past, W/W.
     pub thermal_share: f64,
     /// Time constant of the thermal memory, s.
     pub thermal_time_s: f64,
-    /// Radio bursts that begin per second on a robot that is alone on the channel.
+    /// Radio bursts per second of a robot alone on the channel.
     pub bursts_per_s: f64,
-    /// More bursts per second for each other robot on the channel.
+    /// Additional bursts per second for each other robot on the channel.
     pub bursts_per_neighbour_s: f64,
     /// Mean power of a burst, W; exponentially distributed.
     pub burst_w: f64,
     /// Mean length of a burst of a robot alone on the channel, s; exponentially distributed.
     pub burst_time_s: f64,
-    /// How much each other robot on the channel cuts bursts up: with n of them the mean length is
-    /// that alone divided by 1 + n times this.
+    /// Shortening of bursts by other robots on the channel: with n of them the mean length is that
+    /// of a robot alone divided by 1 + n times this.
     pub burst_cut_per_neighbour: f64,
-    /// Chance that a wheel sticks when it starts from rest, 0 to 1.
+    /// Probability that a wheel stalls when it starts from rest, 0 to 1.
     pub stall_chance: f64,
-    /// Power of a stuck motor until it breaks free, at the next poll, W.
+    /// Power of a stalled motor until it breaks free, at the next poll, W.
     pub stall_w: f64,
     /// White noise of the monitor, standard deviation, W.
     pub monitor_noise_w: f64,

@@ -1,16 +1,16 @@
-//! Simulated GTernal robots: what they are told to do and the electrical power that they draw.
+//! Simulated GTernal robots: their commands and electrical power.
 //!
-//! A robot's power is the sum of named parts (the constants of `electrical.rs`):
-//! electronics with a spread from manufacturing, slow thermal drift, processor load, motors with
-//! friction, radio bursts and rare inrush. What the controller sees of it passes through a power
-//! monitor that is polled at 10 Hz, in steps of 10 mW, and held in between.
+//! A robot's power is the sum of loads (the constants of `electrical.rs`): electronics with
+//! manufacturing variation, slow thermal drift, processor load, motors with friction, radio bursts
+//! and rare inrush. The controller reads it through a power monitor that is polled at 10 Hz, in
+//! steps of 10 mW, and held in between.
 //!
-//! Sources: the limits of command and the monitor are those of the published platform (arXiv
-//! 2603.13908). *Fitted* to the published figures of its dataset (power 3.65 ± 0.375 W within 3.0 to
-//! 8.45 W, lag-1 autocorrelation .95 at 30 Hz, velocities alone explain .16) are the sizes and time
-//! constants of the parts. *Assumed*, with no figure to fit: battery voltage and resistance, the
-//! split between the parts, the mission. It is a plant for tests and demonstrations; nothing
-//! measured on it is a claim about real robots.
+//! Sources: the command limits and the monitor are those of the published platform (arXiv
+//! 2603.13908). *Fitted* to the published figures of its dataset (power 3.65 ± 0.375 W within 3.0
+//! to 8.45 W, lag-1 autocorrelation .95 at 30 Hz, velocities alone explain .16) are the magnitudes
+//! and time constants of the loads. *Assumed*, with no figure to fit: battery voltage and
+//! resistance, the split between the loads, the mission. The plant is for tests and demonstrations;
+//! measurements on it are no claims about real robots.
 //!
 //! The same seed gives the same bits on every machine: only basic arithmetic, square roots and the
 //! portable functions of `libm`.
@@ -26,56 +26,57 @@ use thiserror::Error;
 
 const LONGEST_STEP_S: f64 = 1.0;
 
-/// What a controller has in hand at one control tick: the latest reading of a robot and the command
-/// that it has just issued to it, which is in force until the next tick.
+/// What a controller knows at one control tick: the latest reading of a robot and the command that
+/// it has just issued, which holds until the next tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimReading {
-    /// Position of the robot in the fleet.
+    /// Index of the robot in the fleet.
     pub robot: usize,
-    /// Linear velocity just commanded, in m/s, within ±[`V_MAX_MPS`](crate::arena::V_MAX_MPS).
+    /// Commanded linear velocity, m/s, within ±[`V_MAX_MPS`](crate::arena::V_MAX_MPS).
     pub v_mps: f32,
-    /// Angular velocity just commanded, in rad/s, within ±[`OMEGA_MAX_RADPS`](crate::arena::OMEGA_MAX_RADPS).
+    /// Commanded angular velocity, rad/s, within
+    /// ±[`OMEGA_MAX_RADPS`](crate::arena::OMEGA_MAX_RADPS).
     pub omega_radps: f32,
-    /// Power of the latest measurement in watt, a multiple of 10 mW.
+    /// Power of the latest measurement, W, a multiple of 10 mW.
     pub power_w: f32,
-    /// Battery voltage of the latest measurement in volt.
+    /// Battery voltage of the latest measurement, V.
     pub voltage_v: f32,
-    /// Battery current of the latest measurement in ampere.
+    /// Battery current of the latest measurement, A.
     pub current_a: f32,
-    /// Whether the measurement was already returned at an earlier tick.
+    /// Whether an earlier tick already returned this measurement.
     pub held: bool,
-    /// When it was measured, in nanoseconds since the plant's start.
+    /// When it was measured, ns since the plant's start.
     pub measured_ns: u64,
 }
 
-/// Something that makes a robot stand out.
+/// A fault of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Fault {
-    /// A constant load on top, such as a dragging brush, in watt.
+    /// A constant additional load, such as a dragging brush.
     ExtraLoad {
-        /// Additional power in watt.
+        /// Additional power, W.
         power_w: f64,
     },
-    /// The monitor returns its last value indefinitely and calls it new.
+    /// The monitor repeats its last value indefinitely and marks it as new.
     StuckSensor,
-    /// Additional white noise of each measurement.
+    /// Additional white noise in each measurement.
     Noise {
-        /// Standard deviation in watt.
+        /// Standard deviation, W.
         std_w: f64,
     },
 }
 
-/// Why a plant can't be set up as asked.
+/// Errors of configuring a plant.
 #[derive(Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum PlantError {
-    /// A fault was meant for a robot that does not exist.
+    /// A fault for a robot that does not exist.
     #[error("fault for robot {robot}, the fleet has {robots}: allowed are 0 to {robots} - 1")]
     UnknownRobot {
-        /// Robot asked for.
+        /// Index given.
         robot: usize,
-        /// Robots of the fleet.
+        /// Number of robots in the fleet.
         robots: usize,
     },
 }
@@ -89,8 +90,8 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// A fleet at time 0, each robot waiting at a place of its own. Robot `i` of a seed is the same
-    /// robot whatever the size of the fleet.
+    /// A fleet at time 0, each robot at rest at its own position. Robot `i` of a seed is the same
+    /// whatever the size of the fleet.
     pub fn new(seed: u64, robots: usize) -> Plant {
         let robots: Vec<Robot> = (0..robots)
             .map(|robot| Robot::new(seed, robot as u64))
@@ -107,8 +108,7 @@ impl Plant {
         }
     }
 
-    /// Gives a robot a fault from a time on, in seconds since the plant's start. A robot can have
-    /// several.
+    /// Adds a fault to a robot from a time on, s since the plant's start. A robot can have several.
     ///
     /// # Errors
     /// [`PlantError::UnknownRobot`].
@@ -126,9 +126,9 @@ impl Plant {
         Ok(self)
     }
 
-    /// Lets `dt_s` seconds pass and returns, per robot in order, the reading that the controller has
-    /// just received and the command that it has then issued. A step that is not positive changes
-    /// nothing, a step beyond one second counts as one second.
+    /// Advances time by `dt_s` seconds and returns, per robot in order, the reading that the
+    /// controller has just received and the command that it has then issued. A step that is not
+    /// positive has no effect, a step beyond one second is clamped to one second.
     pub fn step(&mut self, dt_s: f64) -> &[SimReading] {
         if dt_s > 0.0 {
             let dt_s = dt_s.min(LONGEST_STEP_S);
@@ -180,7 +180,7 @@ impl Robot {
         }
     }
 
-    /// Runs the robot under the command in force; whether the monitor was polled on the way.
+    /// Simulates the robot under the current command; returns whether the monitor was polled.
     fn run(&mut self, mut now_ns: u64, end_ns: u64) -> bool {
         let mut polled = false;
         while self.next_poll_ns <= end_ns {

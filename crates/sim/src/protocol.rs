@@ -1,10 +1,10 @@
 //! The six motion protocols: one robot alone in the arena, 8,000 samples each.
 //!
 //! The published dataset names its trials (structured motion, goal navigation, acceleration,
-//! extremes, random walk, steady state) and the mean and spread of its commands: v 0.0279 ±
-//! 0.0736 m/s, ω 0.0479 ± 1.0187 rad/s. How the robots were driven within each is not published in
-//! a form that could be read for this work; the protocols here are plausible ones of those names,
-//! with speeds chosen to give that mean and spread.
+//! extremes, random walk, steady state) and the mean and deviation of its commands: v 0.0279 ±
+//! 0.0736 m/s, ω 0.0479 ± 1.0187 rad/s. The commands within each trial are not published in a form
+//! that could be read for this work; the protocols here are plausible implementations of those
+//! names, with speeds chosen to match that mean and deviation.
 
 mod drive;
 mod motion;
@@ -19,16 +19,17 @@ pub const SAMPLES: usize = 8_000;
 /// Id of the robot that drives all six trials; the scenario's seven have other ids.
 pub(crate) const TRIAL_ROBOT: u32 = 8;
 
-/// How the robot is driven.
+/// A motion protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Protocol {
-    /// Trial 1: straight there and back, turns on the spot, arcs, rests; each at several speeds.
+    /// Trial 1: straight lines there and back, turns on the spot, arcs, rests; each at several
+    /// speeds.
     Structured,
     /// Trial 2: from one random goal to the next, with a rest at each.
     GoalNavigation,
-    /// Trial 3: ramps of v and of ω of several steepnesses.
+    /// Trial 3: ramps of v and of ω with several slopes.
     Acceleration,
-    /// Trial 4: full speeds and full turns, with sudden reversals.
+    /// Trial 4: maximum speeds and turns, with sudden reversals.
     Extremes,
     /// Trial 5: random velocities held for random times.
     RandomWalk,
@@ -36,7 +37,7 @@ pub enum Protocol {
     SteadyState,
 }
 
-/// A number that is no trial's.
+/// The number of no trial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("trial {found}: allowed are 1 to 6")]
 pub struct UnknownTrial {
@@ -72,7 +73,7 @@ impl Protocol {
         self as usize + 1
     }
 
-    /// The name in the published files' names.
+    /// The name used in the published files' names.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -85,7 +86,7 @@ impl Protocol {
         }
     }
 
-    /// The trial's file name without ending, as published.
+    /// The trial's file name without extension, as published.
     #[must_use]
     pub fn file_stem(self) -> String {
         format!("energy_data_trial{}_{}", self.number(), self.name())

@@ -1,4 +1,4 @@
-//! A run of one robot, as rows of the published table.
+//! Records a run of one robot as rows of the published table.
 
 use std::path::Path;
 
@@ -21,7 +21,7 @@ impl Recorder {
         }
     }
 
-    /// Runs the body through step `step` (from 0) under a command, and records what came of it.
+    /// Advances the body through step `step` (from 0) under a command, and records the result.
     pub(super) fn step(&mut self, body: &mut Body, step: usize, phase: u32, command: Command) {
         let start_ns = step as u64 * STEP_NS;
         let measured = body.run(start_ns, start_ns + STEP_NS, command);
@@ -45,11 +45,11 @@ impl Recorder {
         });
     }
 
-    /// The trial of the rows, of which there are two or more.
+    /// The trial of the rows, at least two.
     pub(super) fn finish(self, path: &Path, robot: u32) -> Trial {
         let trial = Trial::from_rows(path, &robot.to_string(), self.rows);
-        // Times rise by a constant step and every number is bounded by the arena, the commands and
-        // the battery, so that no row can be refused.
-        trial.expect("the plant makes finite numbers and rising times")
+        // Times increase by a constant step and every number is bounded by the arena, the commands
+        // and the battery, so that no row can be refused.
+        trial.expect("the plant yields finite numbers and increasing times")
     }
 }

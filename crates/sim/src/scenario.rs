@@ -1,11 +1,11 @@
-//! Seven robots on a random walk, kept apart by control barrier functions.
+//! Seven robots on a random walk, separated by control barrier functions.
 //!
-//! Each robot wants to move its projected point, a little ahead of its wheels, at a random speed in
-//! a random direction, both drawn again every few seconds. [`super::barrier`] changes what would
-//! lead to a collision or out of the arena; the changed motion becomes v and ω, and the wheels cut
-//! them to what they can do. The seven share a radio channel, so each has more bursts than a robot
-//! alone. Four of the paper's seven (1, 2, 3 and 6) drew more than the rest: that is given here, by
-//! `EXTRA_W`, and does not follow from anything.
+//! Each robot is to move its projected point, a little ahead of its wheels, at a random speed in a
+//! random direction, both redrawn every few seconds. [`super::barrier`] modifies velocities that
+//! would lead to a collision or out of the arena; the result is converted to v and ω, and the
+//! wheels saturate. The seven share a radio channel, so each has more bursts than a robot alone.
+//! Four of the paper's seven (1, 2, 3 and 6) drew more than the rest: `EXTRA_W` sets that without a
+//! physical cause.
 
 use std::path::PathBuf;
 
@@ -19,38 +19,38 @@ use joulebus_dataset::trial::Trial;
 use joulebus_statistics::noise::Noise;
 use std::f64::consts::PI;
 
-/// Seed of the published table: the first for which every figure lies in its band.
+/// Seed of the published table: the first for which every figure is in its band.
 pub const SEED: u64 = 8;
 /// Steps of the scenario in the published table: as many as a trial's.
 pub const SCENARIO_STEPS: usize = SAMPLES;
 /// Robots of the scenario.
 pub const ROBOTS: usize = 7;
-/// What robots 1 to 7 draw on top of the robot of the trials, W.
+/// Additional load of robots 1 to 7 over the robot of the trials, W.
 const EXTRA_W: [f64; ROBOTS] = [0.6, 0.8, 0.5, 0.0, 0.0, 0.4, 0.0];
 /// Distance from a robot's centre to its projected point, m.
 const PROJECTION_M: f64 = 0.05;
 
-/// Streams of random numbers: a robot's state, its walk, where all begin.
+/// Random streams: a robot's state, its walk, the initial poses.
 const STATE: u64 = 4 << 32;
 const WALK: u64 = 5 << 32;
 const PLACES: u64 = 6 << 32;
 
-/// What a run of the scenario came to.
+/// Result of a run of the scenario.
 #[derive(Debug)]
 pub struct Run {
-    /// One trial a robot, in order of their ids, which count from 1.
+    /// One trial per robot, in order of their ids, which count from 1.
     pub trials: Vec<Trial>,
-    /// Smallest distance between the centres of two robots at the end of any step, m.
+    /// Minimum distance between the centres of two robots at the end of any step, m.
     pub closest_m: f64,
-    /// Steps in which a wanted motion violated a barrier.
+    /// Steps in which a desired motion violated a barrier.
     pub changed_steps: usize,
-    /// Steps in which a quadratic program was solved: two robots were in each other's way.
+    /// Steps in which a quadratic program was solved.
     pub solved_steps: usize,
     /// Steps in which no solution was found and all robots stopped.
     pub stopped_steps: usize,
 }
 
-/// The file name without ending of a robot's trial; ids count from 1.
+/// The file name without extension of a robot's trial; ids count from 1.
 #[must_use]
 pub fn file_stem(robot: u32) -> String {
     format!("energy_data_seven_robots_robot{robot}")
@@ -62,7 +62,7 @@ pub fn seven_robots(seed: u64, steps: usize) -> Vec<Trial> {
     run(Parts::default(), seed, steps).trials
 }
 
-/// As [`seven_robots`], with any parts, and with what the barriers did.
+/// As [`seven_robots`], with given parameters, and with statistics of the barriers.
 #[must_use]
 pub fn run(parts: Parts, seed: u64, steps: usize) -> Run {
     let mut fleet = Fleet::new(parts, seed);
@@ -134,8 +134,8 @@ impl Fleet {
         }
     }
 
-    /// Phase and command of each robot for the next step. Phase 1 is a step in which the barriers
-    /// changed what the robot wanted.
+    /// Phase and command of each robot for the next step. Phase 1 marks a step in which the
+    /// barriers changed the desired motion.
     fn commands(&mut self) -> Vec<(u32, Command)> {
         let points: Vec<Vector> = self.bodies.iter().map(|body| point(body.pose)).collect();
         let walks = self.walks.iter_mut().zip(&points);
@@ -185,7 +185,7 @@ fn command(pose: Pose, velocity: Vector) -> Command {
     }
 }
 
-/// What a robot wants.
+/// The desired motion of a robot.
 struct Walk {
     noise: Noise,
     wanted: Vector,
@@ -225,7 +225,7 @@ impl Walk {
         } else {
             ahead * speed_mps
         };
-        // Near a wall a walker turns to the middle, as one that sees the wall does.
+        // Near a wall the desired velocity points to the centre.
         for (wanted_mps, (at_m, half_m)) in self
             .wanted
             .iter_mut()

@@ -7,23 +7,23 @@ use std::collections::VecDeque;
 
 const TICK_S: f64 = 1.0 / 30.0;
 
-/// How much of the plant to record, at 30 Hz.
+/// Amount of simulated data to record, at 30 Hz.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SimulatedData {
     /// Seed of the plant.
     pub seed: u64,
-    /// Robots whose rows decide the weights.
+    /// Robots for training.
     pub training_robots: usize,
-    /// Robots whose rows decide when to stop.
+    /// Robots for validation.
     pub validation_robots: usize,
-    /// Robots that the training never sees.
+    /// Held-out robots.
     pub held_out_robots: usize,
-    /// Control ticks recorded of each robot; the first five give no rows.
+    /// Control ticks recorded per robot; the first five give no rows.
     pub ticks: usize,
 }
 
 impl SimulatedData {
-    /// What the models that ship were trained on: 60 robots for 40 s.
+    /// The data of the shipped models: 60 robots for 40 s.
     pub fn shipped(seed: u64) -> SimulatedData {
         SimulatedData {
             seed,
@@ -35,8 +35,8 @@ impl SimulatedData {
     }
 }
 
-/// Records a simulated fleet. A row pairs the command just issued and the readings up to now with
-/// the reading of the next tick, as the live path does.
+/// Records a simulated fleet. A row pairs the command just issued and the readings so far with the
+/// reading of the next tick, as the live path does.
 pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
     let SimulatedData {
         seed,

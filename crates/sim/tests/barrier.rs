@@ -1,5 +1,5 @@
-//! Collision avoidance: the quick way gives what the whole quadratic program gives, and what a slow
-//! solver of another kind gives; robots stay apart.
+//! Collision avoidance: the active-set method equals the full quadratic program and an independent
+//! slow solver; robots never collide.
 
 use joulebus_sim::arena::{HALF_ARENA_M, ROBOT_M, Vector};
 use joulebus_sim::barrier::{Answer, Barrier, BarrierError};
@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 const TOLERANCE_MPS: f64 = 2e-5;
 
-/// Robots somewhere in the arena, some close together, and what they want.
+/// Robots at random positions, some close together, and their desired velocities.
 fn group() -> impl Strategy<Value = (Vec<Vector>, Vec<Vector>)> {
     let place = |half_m: f64| -half_m + 0.1..half_m - 0.1;
     let robot = (
@@ -29,7 +29,7 @@ fn group() -> impl Strategy<Value = (Vec<Vector>, Vec<Vector>)> {
             )
         })
         .prop_filter(
-            "robots that already overlap may have no way out",
+            "overlapping robots may have no allowed velocities",
             |(points, _)| {
                 let points: &Vec<Vector> = points;
                 (1..points.len()).all(|i| {
@@ -41,7 +41,7 @@ fn group() -> impl Strategy<Value = (Vec<Vector>, Vec<Vector>)> {
         )
 }
 
-/// Hildreth's method: one multiplier after the other, until nothing moves any more.
+/// Hildreth's method: one multiplier at a time, until convergence.
 fn projected(barrier: Barrier, points: &[Vector], wanted: &[Vector]) -> Vec<Vector> {
     let robots = points.len();
     let mut conditions: Vec<(Vec<f64>, f64)> = Vec::new();
@@ -96,18 +96,18 @@ fn furthest(a: &[Vector], b: &[Vector]) -> f64 {
 
 proptest! {
     #[test]
-    fn what_is_skipped_changes_nothing((points, wanted) in group()) {
+    fn skipped_conditions_do_not_change_the_solution((points, wanted) in group()) {
         let barrier = Barrier::default();
-        let quick = barrier.allowed(&points, &wanted).expect("there is a way");
-        let whole = barrier.allowed_by_whole_program(&points, &wanted).expect("there is a way");
+        let quick = barrier.allowed(&points, &wanted).expect("a solution exists");
+        let whole = barrier.allowed_by_whole_program(&points, &wanted).expect("a solution exists");
         let off_mps = furthest(&quick.velocities, &whole);
         prop_assert!(off_mps < TOLERANCE_MPS, "{quick:?} {whole:?}");
     }
 
     #[test]
-    fn the_answer_is_that_of_a_slow_solver_of_another_kind((points, wanted) in group()) {
+    fn the_solution_equals_that_of_an_independent_slow_solver((points, wanted) in group()) {
         let barrier = Barrier::default();
-        let quick = barrier.allowed(&points, &wanted).expect("there is a way");
+        let quick = barrier.allowed(&points, &wanted).expect("a solution exists");
         let slow = projected(barrier, &points, &wanted);
         let off_mps = furthest(&quick.velocities, &slow);
         prop_assert!(off_mps < TOLERANCE_MPS, "{quick:?} {slow:?}");
@@ -116,7 +116,7 @@ proptest! {
 }
 
 #[test]
-fn one_velocity_is_needed_for_every_robot() {
+fn the_numbers_of_positions_and_velocities_must_be_equal() {
     let refused = Barrier::default().allowed(&[Vector::zeros(); 2], &[Vector::zeros()]);
     let expected = BarrierError::Lengths {
         points: 2,

@@ -1,4 +1,4 @@
-//! The simulated fleet: repeatable, within its limits, and close to the published figures.
+//! The simulated fleet: reproducible, within its limits, and close to the published figures.
 
 use joulebus_dataset::trial::{Column, Trial};
 use joulebus_sim::arena::{Command, HALF_ARENA_M, STEP_S, saturated, wheels_mps};
@@ -10,7 +10,7 @@ use nalgebra::{DVector, Dyn, OMatrix, RowVector5, U5};
 
 const DT_S: f64 = 1.0 / 30.0;
 
-/// One series of readings for each robot.
+/// One series of readings per robot.
 fn recorded(mut plant: Plant, steps: usize) -> Vec<Vec<SimReading>> {
     let mut series: Vec<Vec<SimReading>> = Vec::new();
     for _ in 0..steps {
@@ -57,7 +57,7 @@ fn readings_are_polled_at_10_hz_and_held_in_between() {
 }
 
 #[test]
-fn every_command_and_reading_is_one_that_the_platform_allows() {
+fn every_command_and_reading_is_within_the_platform_limits() {
     for reading in recorded(Plant::new(6, 10), 3_000).iter().flatten() {
         assert!(
             f64::from(reading.v_mps.abs()) <= V_MAX_MPS + 1e-6,
@@ -88,7 +88,7 @@ fn velocities_alone(series: &[Vec<SimReading>]) -> f64 {
     let powers = DVector::from_vec(powers);
     let normal = (terms.tr_mul(&terms))
         .cholesky()
-        .expect("no term is another's");
+        .expect("the terms are independent");
     let residuals = &powers - &terms * normal.solve(&terms.tr_mul(&powers));
     1.0 - residuals.norm_squared() / powers.add_scalar(-powers.mean()).norm_squared()
 }
@@ -197,7 +197,7 @@ fn a_fault_changes_its_robot_from_its_time_on_and_no_other() {
 }
 
 #[test]
-fn steps_that_are_no_time_change_nothing() {
+fn steps_that_are_not_positive_have_no_effect() {
     let mut plant = Plant::new(9, 3);
     let before = plant.step(DT_S).to_vec();
     let now_ns = plant.now_ns();
@@ -216,7 +216,7 @@ fn values(trial: &Trial, column: Column) -> &[f64] {
 }
 
 #[test]
-fn the_six_trials_have_the_published_shape_and_the_platforms_limits() {
+fn the_six_trials_have_the_published_shape_and_stay_within_the_platform_limits() {
     for protocol in Protocol::ALL {
         let trial = trial(protocol.number(), 3).expect("it is one of the six");
         assert_eq!(trial.rows(), SAMPLES, "{protocol}");
@@ -226,7 +226,7 @@ fn the_six_trials_have_the_published_shape_and_the_platforms_limits() {
             notes.gaps.is_empty() && notes.not_advancing.is_empty(),
             "{protocol}"
         );
-        // Ten readings a second; two equal ones in a row look held.
+        // Ten readings per second; two equal ones in sequence look held.
         let fresh = SAMPLES - notes.held_readings;
         let polls = (SAMPLES as f64 * STEP_S * 10.0) as usize;
         assert!(
@@ -263,7 +263,7 @@ fn the_six_trials_have_the_published_shape_and_the_platforms_limits() {
 }
 
 #[test]
-fn each_wheel_is_cut_to_what_it_can_do_and_nothing_else_is_changed() {
+fn each_wheel_is_clamped_separately() {
     let far = saturated(Command {
         v_mps: 0.3,
         omega_radps: 2.0,
@@ -303,7 +303,7 @@ fn the_same_seed_gives_the_same_trials() {
 }
 
 #[test]
-fn trials_are_written_in_the_published_layout_and_read_again() {
+fn trials_are_written_in_the_published_layout_and_can_be_read() {
     let directory = tempfile::tempdir().expect("a directory");
     let trials = [Protocol::Extremes.trial(6), seven_robots(6, 900).remove(2)];
     for (trial, robot) in trials.iter().zip(["8", "3"]) {

@@ -1,4 +1,4 @@
-//! The optimiser.
+//! The Adam optimiser.
 
 /// Adam (Kingma and Ba 2015, algorithm 1) with its bias corrections.
 #[derive(Clone, Debug)]
@@ -9,9 +9,9 @@ pub(super) struct Adam {
     pub steps: u64,
 }
 
-/// The optimiser's knobs.
+/// Adam's hyperparameters.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Pace {
+pub(super) struct Hyperparameters {
     pub learning_rate: f64,
     pub first_moment: f64,
     pub second_moment: f64,
@@ -28,13 +28,22 @@ impl Adam {
     }
 
     /// One step against the mean gradient: the sum of `gradients` times `share`.
-    pub(super) fn step(&mut self, values: &mut [f32], gradients: &[f32], share: f32, pace: Pace) {
+    pub(super) fn step(
+        &mut self,
+        values: &mut [f32],
+        gradients: &[f32],
+        share: f32,
+        hyperparameters: Hyperparameters,
+    ) {
         self.steps += 1;
         let left = |moment: f64| 1.0 - libm::pow(moment, self.steps as f64);
-        let rate = (pace.learning_rate / left(pace.first_moment)) as f32;
-        let scale = (1.0 / libm::sqrt(left(pace.second_moment))) as f32;
-        let epsilon = pace.epsilon as f32;
-        let (keep_first, keep_second) = (pace.first_moment as f32, pace.second_moment as f32);
+        let rate = (hyperparameters.learning_rate / left(hyperparameters.first_moment)) as f32;
+        let scale = (1.0 / libm::sqrt(left(hyperparameters.second_moment))) as f32;
+        let epsilon = hyperparameters.epsilon as f32;
+        let (keep_first, keep_second) = (
+            hyperparameters.first_moment as f32,
+            hyperparameters.second_moment as f32,
+        );
         let (new_first, new_second) = (1.0 - keep_first, 1.0 - keep_second);
         let moments = self.first.iter_mut().zip(&mut self.second);
         for ((value, gradient), (first, second)) in values.iter_mut().zip(gradients).zip(moments) {

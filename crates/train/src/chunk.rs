@@ -1,6 +1,6 @@
-//! A part of a batch on its way through the network, forwards and backwards.
+//! Forward and backward pass of a part of a batch.
 //!
-//! A batch is always cut into the same parts, and their gradients are added in the same order: so
+//! A batch is always cut into the same parts, and their gradients are added in the same order, so
 //! the number of threads changes no bit.
 
 use fearless_simd::prelude::*;
@@ -13,19 +13,19 @@ use joulebus_statistics::noise::Noise;
 
 /// Rows of a part.
 pub(super) const ROWS: usize = 32;
-/// Numbers kept for a row's inputs: up to thirteen features and nothing.
-pub(super) const ROOM: usize = LANES;
+/// Inputs per row, padded: up to thirteen features, then zeros.
+pub(super) const PADDED_INPUTS: usize = LANES;
 const WIDEST: usize = HIDDEN[0];
 
 /// A normalised row.
 #[derive(Clone, Debug)]
 pub(super) struct Example {
     /// The features that the network reads, then zeros.
-    pub inputs: [f32; ROOM],
+    pub inputs: [f32; PADDED_INPUTS],
     pub target: f32,
 }
 
-/// The weights, and those of the layers in the middle once more, output by output.
+/// The weights, with a transposed copy of those of the middle layers.
 pub(super) struct Prepared {
     turned: [Vec<f32>; LAYERS],
 }
@@ -48,17 +48,18 @@ impl Prepared {
     }
 }
 
-/// Everything that the rows of a part leave behind.
+/// Intermediate results of a part.
 pub(super) struct Chunk {
-    /// Of the summed loss of the rows, placed as the weights are.
+    /// Gradients of the summed loss, in the order of the weights.
     pub gradients: Vec<f32>,
     inputs: Vec<f32>,
-    /// Of each hidden layer: what it multiplies each value with (0 if dropped, else what keeps the
-    /// mean), its values, and the slope of each value.
+    /// For each hidden layer: the dropout factor of each value (0, or the factor that preserves the
+    /// mean), its values, and the slope of each activation.
     kept: [Vec<f32>; HIDDEN.len()],
     values: [Vec<f32>; HIDDEN.len()],
     slopes: [Vec<f32>; HIDDEN.len()],
-    /// Slope of the loss by the sums of the layer in work, and of the layer before.
+    /// Gradients of the loss with respect to the pre-activations of the current layer and of the
+    /// one before.
     back: Vec<f32>,
     before: Vec<f32>,
     forecasts: [f32; ROWS],
@@ -69,7 +70,7 @@ impl Chunk {
         let hidden = || HIDDEN.map(|width| vec![0.0; ROWS * width]);
         Self {
             gradients: vec![0.0; weights.values.len()],
-            inputs: vec![0.0; ROWS * ROOM],
+            inputs: vec![0.0; ROWS * PADDED_INPUTS],
             kept: HIDDEN.map(|width| vec![1.0; ROWS * width]),
             values: hidden(),
             slopes: hidden(),
@@ -79,7 +80,7 @@ impl Chunk {
         }
     }
 
-    /// Keeps all values but a share of `dropped` in 65,536.
+    /// Draws the dropout mask; a share of `dropped` in 65,536 is dropped.
     pub(super) fn draw_dropout(&mut self, dropped: u16, rows: usize, noise: &mut Noise) {
         let scale = 65_536.0 / (65_536.0 - f32::from(dropped));
         for (kept, width) in self.kept.iter_mut().zip(HIDDEN) {
@@ -97,7 +98,7 @@ impl Chunk {
         self.kept.iter_mut().for_each(|kept| kept.fill(1.0));
     }
 
-    /// Takes up to [`ROWS`] rows through the network and back: fills the gradients, and returns the
+    /// Forward and backward pass of up to [`ROWS`] rows: computes the gradients, and returns the
     /// summed loss.
     #[inline(always)]
     pub(super) fn learn<'e, S: Simd>(
@@ -120,7 +121,7 @@ impl Chunk {
         loss
     }
 
-    /// Takes up to [`ROWS`] rows forwards; returns the summed loss.
+    /// Forward pass of up to [`ROWS`] rows; returns the summed loss.
     #[inline(always)]
     pub(super) fn measure<'e, S: Simd>(
         &mut self,
@@ -129,7 +130,11 @@ impl Chunk {
         rows: impl ExactSizeIterator<Item = &'e Example> + Clone,
     ) -> f64 {
         let count = rows.len();
-        for (place, row) in self.inputs.chunks_exact_mut(ROOM).zip(rows.clone()) {
+        for (place, row) in self
+            .inputs
+            .chunks_exact_mut(PADDED_INPUTS)
+            .zip(rows.clone())
+        {
             place.copy_from_slice(&row.inputs);
         }
         for layer in 0..HIDDEN.len() {
@@ -152,7 +157,7 @@ impl Chunk {
         let (matrix, bias) = shape.split(&weights.values);
         let (below, here) = self.values.split_at_mut(layer);
         let (input, step) = match below.last() {
-            None => (&self.inputs, ROOM),
+            None => (&self.inputs, PADDED_INPUTS),
             Some(values) => (values, shape.inputs),
         };
         let values = &mut here[0][..count * shape.outputs];
@@ -175,8 +180,8 @@ impl Chunk {
         }
     }
 
-    /// From the slopes by the forecasts to the last layer's gradients and the slopes by the sums of
-    /// the hidden layer before it.
+    /// From the gradients with respect to the forecasts to those of the last layer's weights and of
+    /// the last hidden layer's pre-activations.
     #[inline(always)]
     fn turn<S: Simd>(&mut self, simd: S, weights: &Weights, count: usize) {
         let shape = weights.shapes[HIDDEN.len()];
@@ -204,8 +209,8 @@ impl Chunk {
         }
     }
 
-    /// From the slopes by the sums of a hidden layer to its gradients, and to the slopes by the sums
-    /// of the layer before it.
+    /// From the gradients with respect to a hidden layer's pre-activations to those of its weights
+    /// and of the pre-activations of the layer before it.
     #[inline(always)]
     fn back_through<S: Simd>(
         &mut self,
@@ -225,7 +230,7 @@ impl Chunk {
         };
         add_product(simd, ones, back, shape.outputs, bias);
         let (input, step) = match layer {
-            0 => (&self.inputs, ROOM),
+            0 => (&self.inputs, PADDED_INPUTS),
             _ => (&self.values[layer - 1], shape.inputs),
         };
         let turned_input = Left {
@@ -256,7 +261,7 @@ impl Chunk {
     }
 }
 
-/// Sixteen partial sums, added in pairs.
+/// Sixteen partial sums, added pairwise.
 #[inline(always)]
 fn dot<S: Simd>(simd: S, left: &[f32], right: &[f32]) -> f32 {
     let mut sums = f32x16::splat(simd, 0.0);
@@ -281,7 +286,7 @@ mod tests {
     use super::*;
     use fearless_simd::{Level, dispatch};
 
-    /// A part of `count` rows in both arithmetics: summed losses and gradients.
+    /// A part of `count` rows in both precisions: summed losses and gradients.
     fn both(
         count: usize,
         inputs: usize,
@@ -355,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn dropout_drops_its_share_and_keeps_the_mean() {
+    fn dropout_drops_its_share_and_preserves_the_mean() {
         let weights = Weights::initial(11, &mut Noise::new(1, 1));
         let mut chunk = Chunk::new(&weights);
         chunk.draw_dropout(6_554, ROWS, &mut Noise::new(2, 2));

@@ -1,9 +1,9 @@
-//! Why nothing was trained.
+//! Errors of training.
 
 use joulebus_predictor::ModelError;
 use thiserror::Error;
 
-/// Why nothing was trained.
+/// Errors of training.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum TrainError {
@@ -17,20 +17,20 @@ pub enum TrainError {
         part: &'static str,
         /// Rows found.
         found: usize,
-        /// Rows that cannot be used.
+        /// Rows with a number that is not finite.
         unusable: usize,
         /// Rows needed.
         allowed: usize,
     },
-    /// There are no threads to compute with.
+    /// The thread pool could not be started.
     #[error("cannot start {threads} threads: {reason}")]
     Threads {
-        /// Threads wanted.
+        /// Number of threads.
         threads: usize,
-        /// What stands in the way.
+        /// The error.
         reason: String,
     },
-    /// The loss is no number any more.
+    /// The loss is not finite.
     #[error("the loss of epoch {epoch} is {loss}: a smaller `learning_rate` may help")]
     Diverged {
         /// The epoch, from 1.
@@ -45,18 +45,18 @@ pub enum TrainError {
         setting: &'static str,
         /// The value found.
         found: f64,
-        /// What is accepted.
+        /// Allowed values.
         allowed: &'static str,
     },
-    /// The power never changes, so there is nothing to learn.
+    /// The power is constant, so there is nothing to learn.
     #[error("the power of all {rows} training rows is {power_w} W; a varying power is needed")]
     ConstantPower {
         /// Number of training rows.
         rows: usize,
-        /// Their power.
+        /// Their power, W.
         power_w: f32,
     },
-    /// The finished network was refused.
+    /// The predictor refused the trained network.
     #[error("the finished network was refused")]
     Model(#[from] ModelError),
 }

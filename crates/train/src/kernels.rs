@@ -1,4 +1,4 @@
-//! The arithmetic of training: matrix products and GELU, sixteen numbers at a time.
+//! Arithmetic of training: matrix products and GELU, sixteen numbers at a time.
 //!
 //! Every number is computed by the same operations in the same order at every vector width, on
 //! every machine: fused multiply-adds along one index, in ascending order.
@@ -6,10 +6,10 @@
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x16, u32x16};
 
-/// Numbers that are computed together; the widths of all layers but the last are multiples.
+/// Vector width; the widths of all layers except the last are multiples of it.
 pub(super) const LANES: usize = 16;
 
-/// The left factor of a product: element (row, inner) lies at `row * row_step + inner * inner_step`.
+/// The left factor of a product: element (row, inner) is at `row * row_step + inner * inner_step`.
 #[derive(Clone, Copy)]
 pub(super) struct Left<'a> {
     pub values: &'a [f32],
@@ -118,7 +118,7 @@ fn tile<S: Simd, const ROWS: usize, const VECTORS: usize>(
 }
 
 /// Value and slope of the GELU. Normal distribution by formula 26.2.17 of Abramowitz and Stegun,
-/// Handbook of Mathematical Functions: 7.5e-8 off at most.
+/// Handbook of Mathematical Functions: error at most 7.5e-8.
 #[inline(always)]
 pub(super) fn gelu_and_slope<S: Simd>(simd: S, x: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
     const P: f32 = 0.231_641_9;
@@ -139,7 +139,7 @@ pub(super) fn gelu_and_slope<S: Simd>(simd: S, x: f32x16<S>) -> (f32x16<S>, f32x
     (x * below, x.mul_add_precise(density, below))
 }
 
-/// e to the minus `x`, for `x` from 0; 0 past 87.
+/// exp(−`x`) for `x` ≥ 0; 0 beyond 87.
 #[inline(always)]
 fn exp_of_minus<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     const ROUND: f32 = 12_582_912.0;
@@ -168,8 +168,8 @@ fn exp_of_minus<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
         .select(zero, series(simd, rest, SERIES) * power)
 }
 
-/// A polynomial by Horner's rule, the constant first. A loop and no iterator: closures that are not
-/// inlined lose the vector instructions.
+/// A polynomial by Horner's rule, constant first. A loop instead of an iterator, because closures
+/// that are not inlined lose the vector instructions.
 #[inline(always)]
 fn series<S: Simd, const N: usize>(simd: S, x: f32x16<S>, factors: [f32; N]) -> f32x16<S> {
     let mut sum = f32x16::splat(simd, factors[N - 1]);

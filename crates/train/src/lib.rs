@@ -1,9 +1,9 @@
-//! Training: rows in, a network that the worker loads out.
+//! Training of networks that the worker loads.
 //!
 //! The recipe is the paper's (arXiv 2603.13908, section 5): Adam at 1e-3, batches of 256, dropout
 //! 0.1, GELU, mean squared error of the normalised power, early stopping after ten epochs without
-//! progress. The arithmetic is f32 in a fixed order, sixteen numbers at a time: the same seed gives
-//! the same bytes on every machine, with any number of threads.
+//! improvement. The arithmetic is f32 in a fixed order, sixteen numbers at a time: the same seed
+//! gives the same bytes on every machine, with any number of threads.
 #![forbid(unsafe_code)]
 
 mod adam;

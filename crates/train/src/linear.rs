@@ -1,9 +1,9 @@
-//! Linear baselines: least squares over any of the features that the network is shown.
+//! Linear baselines: least squares over any subset of the network's features.
 //!
 //! The columns are centred and scaled to unit deviation, and the normal equations are solved by
-//! nalgebra's Cholesky factorisation in double precision, without a ridge. A column that never changes, or that
-//! the columns before it already determine, is left out and reported, so that a fit never fails on
-//! them and coefficients stay finite.
+//! nalgebra's Cholesky factorisation in double precision, without regularisation. A column that is
+//! constant or linearly dependent on the columns before it is dropped and reported, so that a fit
+//! never fails because of it and coefficients stay finite.
 
 use std::fmt;
 
@@ -15,16 +15,16 @@ use joulebus_dataset::rows::Row;
 
 /// Position of the newest reading in [`Features`].
 const NEWEST: usize = FeatureSet::PowerOnly.first();
-/// The features and, after them, the reading that is learned.
+/// The features and the target reading.
 const COLUMNS: usize = FEATURES + 1;
 const TARGET: usize = FEATURES;
-/// Share of a column's variance that the columns before it must leave unexplained. Features are
-/// single precision, so less than the square of its rounding is no information.
+/// Minimum share of a column's variance that the columns before it do not explain. Features are
+/// single precision, so a share below the square of their rounding error is noise.
 const LEAST_OWN_VARIANCE: f64 = 1e-10;
 
 type Columns = SVector<f64, COLUMNS>;
 
-/// A choice of features.
+/// A subset of the features.
 ///
 /// ```
 /// use joulebus_train::linear::Terms;
@@ -37,14 +37,14 @@ type Columns = SVector<f64, COLUMNS>;
 pub struct Terms(u32);
 
 impl Terms {
-    /// v, ω, their derivatives and magnitudes: what the command alone says.
+    /// v, ω, their derivatives and magnitudes: the features of the command.
     pub const VELOCITIES: Terms = Terms((1 << NEWEST) - 1);
-    /// The five readings before.
+    /// The last five readings.
     pub const AR5: Terms = Terms::lags(LAGS);
-    /// All that the paper's network is shown.
+    /// The features of the paper's network.
     pub const AR5_AND_VELOCITIES: Terms = Terms::velocities_and_lags(LAGS);
 
-    /// The last `count` readings; of more than [`LAGS`], all.
+    /// The last `count` readings, at most [`LAGS`].
     #[must_use]
     pub const fn lags(count: usize) -> Terms {
         let count = if count < LAGS { count } else { LAGS };
@@ -57,14 +57,14 @@ impl Terms {
         Terms(Terms::VELOCITIES.0 | Terms::lags(count).0)
     }
 
-    /// The features at these positions in [`Features`]; others do not exist and are left out.
+    /// The features at these positions in [`Features`]; other positions are ignored.
     #[must_use]
     pub fn of(features: &[usize]) -> Terms {
         let known = features.iter().filter(|feature| **feature < FEATURES);
         Terms(known.fold(0, |bits, feature| bits | 1 << feature))
     }
 
-    /// Whether the feature at this position is among them.
+    /// Whether the feature at this position is in the subset.
     #[must_use]
     pub const fn has(self, feature: usize) -> bool {
         feature < FEATURES && self.0 >> feature & 1 == 1
@@ -108,17 +108,17 @@ impl fmt::Display for Terms {
     }
 }
 
-/// Why a line could not be fitted.
+/// Errors of a fit.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LinearError {
-    /// There are fewer rows than numbers to find.
+    /// There are fewer rows than coefficients.
     #[error(
         "{terms} needs at least {allowed} rows with every number known, found {found} of {rows}; \
          name more or longer recordings, or fewer features"
     )]
     TooFewRows {
-        /// What was to be fitted.
+        /// The requested features.
         terms: Terms,
         /// Usable rows.
         found: usize,
@@ -127,12 +127,12 @@ pub enum LinearError {
         /// Rows needed.
         allowed: usize,
     },
-    /// A feature was asked for that the moments were not taken of.
-    #[error("moments of {taken} were taken, {asked} needs others; take them of both")]
+    /// The moments lack a requested feature.
+    #[error("moments of {taken} were computed, {asked} needs others; compute them for both")]
     NotTaken {
-        /// What they were taken of.
+        /// The features of the moments.
         taken: Terms,
-        /// What was asked for.
+        /// The requested features.
         asked: Terms,
     },
 }
@@ -142,25 +142,25 @@ pub enum LinearError {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Dropped {
-    /// It has the same value in every row.
+    /// Constant in all rows.
     Constant,
-    /// The features before it determine it.
+    /// Linearly dependent on the features before it.
     Dependent,
-    /// It is not known in any row.
+    /// Unknown in all rows.
     Missing,
 }
 
-/// Means and products of the features and readings of some rows: all that a fit needs. Moments of
-/// parts can be merged, and one set of moments gives the fit of any subset of its features: an
-/// ablation on the same rows.
+/// Means and products of the features and readings of some rows: the input of a fit. Moments of
+/// parts can be merged, and one set of moments gives the fit of any subset of its features, as an
+/// ablation on the same rows needs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Moments {
     terms: Terms,
     rows: usize,
     count: usize,
-    /// Of the features, and of the reading at [`TARGET`].
+    /// Means of the features, and of the reading at [`TARGET`].
     mean: Columns,
-    /// Least and greatest value: equal where a column never changes.
+    /// Minimum and maximum: equal for a constant column.
     least: Columns,
     greatest: Columns,
     /// Sums of products of deviations from the means; only the lower triangle is read.
@@ -168,7 +168,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Of no rows.
+    /// Moments of no rows.
     #[must_use]
     pub fn new(terms: Terms) -> Moments {
         Moments {
@@ -182,8 +182,8 @@ impl Moments {
         }
     }
 
-    /// Of rows in which every feature of `terms` and the reading are finite; the others are counted
-    /// ([`Moments::unusable_rows`]).
+    /// Moments of the rows in which every feature of `terms` and the reading are finite; the others
+    /// are counted ([`Moments::unusable_rows`]).
     #[must_use]
     pub fn of(rows: &[Row], terms: Terms) -> Moments {
         let mut moments = Moments::new(terms);
@@ -210,7 +210,8 @@ impl Moments {
         moments
     }
 
-    /// Adds the rows of other moments of the same terms. Merged in the same order, the same bits.
+    /// Adds the rows of other moments of the same terms. Merging in the same order gives the same
+    /// bits.
     ///
     /// # Errors
     /// [`LinearError::NotTaken`].
@@ -246,7 +247,7 @@ impl Moments {
     /// Least squares over `terms`, a subset of the terms of these moments.
     ///
     /// # Errors
-    /// [`LinearError`]: fewer usable rows than numbers to find, or features that were not taken.
+    /// [`LinearError`]: fewer usable rows than coefficients, or features that the moments lack.
     pub fn fit(&self, terms: Terms) -> Result<Linear, LinearError> {
         if terms.features().any(|feature| !self.terms.has(feature)) {
             return Err(LinearError::NotTaken {
@@ -284,7 +285,7 @@ impl Moments {
         })
     }
 
-    /// The features that are used, and the coefficients of their scaled columns.
+    /// The features used, and the coefficients of their scaled columns.
     fn solve(&self, terms: Terms) -> (Kept, DVector<f64>) {
         let mut kept = Kept::default();
         let mut cholesky = Cholesky::pack_dirty(DMatrix::zeros(0, 0));
@@ -335,7 +336,7 @@ struct Kept {
     dropped: Vec<(usize, Dropped)>,
 }
 
-/// The features of `terms` and the reading; what is not asked for is 0.
+/// The features of `terms` and the reading; other features are 0.
 fn values(row: &Row, terms: Terms) -> Columns {
     Columns::from_fn(|at, _| match at {
         TARGET => f64::from(row.target_w),
@@ -344,7 +345,7 @@ fn values(row: &Row, terms: Terms) -> Columns {
     })
 }
 
-/// A fitted line: what it forecasts is the intercept plus a coefficient times each feature.
+/// A fitted linear model: its forecast is the intercept plus a coefficient times each feature.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Linear {
     terms: Terms,
@@ -357,8 +358,8 @@ pub struct Linear {
 
 impl Linear {
     /// Least squares over `terms` on some rows. Rows with a number that is not finite are left out
-    /// and counted; a feature that is finite in no row (a robot whose velocities nobody knows) is
-    /// dropped and reported instead.
+    /// and counted; a feature that is finite in no row (such as velocities that were not recorded)
+    /// is dropped and reported instead.
     ///
     /// # Errors
     /// [`LinearError::TooFewRows`].
@@ -369,7 +370,7 @@ impl Linear {
         Ok(linear)
     }
 
-    /// The last reading again.
+    /// Persistence as a linear model.
     #[must_use]
     pub fn persistence() -> Linear {
         Linear {
@@ -382,7 +383,7 @@ impl Linear {
         }
     }
 
-    /// Takes note that `terms` were asked for, of which `missing` are known in no row.
+    /// Records that `terms` were requested, of which `missing` are unknown in all rows.
     pub fn miss(&mut self, terms: Terms, missing: &[usize]) {
         self.terms = terms;
         let missing = missing.iter().map(|feature| (*feature, Dropped::Missing));
@@ -390,8 +391,8 @@ impl Linear {
         self.dropped.sort_unstable_by_key(|(feature, _)| *feature);
     }
 
-    /// The forecast for a row of features, W. NaN where a feature that has a coefficient is NaN;
-    /// features without one do not matter.
+    /// The forecast for a row of features, W. NaN where a feature with a coefficient is NaN; other
+    /// features are ignored.
     #[must_use]
     pub fn predict(&self, features: &Features) -> f64 {
         let terms = self.coefficients.iter();
@@ -406,7 +407,7 @@ impl Linear {
         rows.iter().map(|row| self.predict(&row.features)).collect()
     }
 
-    /// What was asked for.
+    /// The requested features.
     #[must_use]
     pub const fn terms(&self) -> Terms {
         self.terms
@@ -418,13 +419,13 @@ impl Linear {
         self.intercept_w
     }
 
-    /// Position of each feature that is used, and its coefficient in W per unit of the feature.
+    /// Position of each feature used, and its coefficient in W per unit of the feature.
     #[must_use]
     pub fn coefficients(&self) -> &[(usize, f64)] {
         &self.coefficients
     }
 
-    /// Position of each feature that was asked for and is not used, and why.
+    /// Position of each requested feature that is not used, and why.
     #[must_use]
     pub fn dropped(&self) -> &[(usize, Dropped)] {
         &self.dropped
@@ -462,8 +463,7 @@ impl Linear {
     }
 }
 
-/// The terms that are finite in any of the rows of some parts, and the positions of those that are
-/// in none.
+/// The terms that are finite in any row of some parts, and the positions of the others.
 #[must_use]
 pub fn known_terms(parts: &[&[Row]], terms: Terms) -> (Terms, Vec<usize>) {
     let is_known = |feature: &usize| {
@@ -475,16 +475,16 @@ pub fn known_terms(parts: &[&[Row]], terms: Terms) -> (Terms, Vec<usize>) {
     (known, missing)
 }
 
-/// A fitted line for people and programs.
+/// A fitted linear model as names and numbers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LinearReport {
-    /// What was asked for.
+    /// The requested features.
     pub terms: String,
     /// The forecast where every feature is 0, W.
     pub intercept_w: f64,
-    /// Name of each feature that is used, and its coefficient in W per unit of the feature.
+    /// Name of each feature used, and its coefficient in W per unit of the feature.
     pub coefficients: Vec<(&'static str, f64)>,
-    /// Name of each feature that was asked for and is not used, and why.
+    /// Name of each requested feature that is not used, and why.
     pub dropped: Vec<(&'static str, Dropped)>,
     /// Rows that it was fitted on.
     pub rows: usize,

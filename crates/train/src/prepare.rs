@@ -1,4 +1,4 @@
-//! Rows to learn from, and what is done to them before anything is learned.
+//! Preparation of training rows: filtering and normalisation.
 
 use joulebus_predictor::{FEATURE_NAMES, FeatureSet, INPUTS, Normalisation};
 use serde::Serialize;
@@ -6,23 +6,22 @@ use serde::Serialize;
 use joulebus_dataset::rows::{Dataset, Row};
 
 use super::TrainError;
-use super::chunk::{Example, ROOM};
+use super::chunk::{Example, PADDED_INPUTS};
 
-/// What was found in the data and worked around. Nothing is left out in silence.
+/// Irregularities of the data that were worked around.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Findings {
-    /// Rows left out because a number that is read is NaN or infinite: training, validation,
-    /// held out.
+    /// Rows left out because an input or target is NaN or infinite: training, validation, held out.
     pub unusable_rows: [usize; 3],
-    /// Features that never change in the training rows: the network gets 0 for them.
+    /// Features that are constant in the training rows: the network gets 0 for them.
     pub constant_features: Vec<&'static str>,
-    /// Rows that were learned from.
+    /// Number of training rows.
     pub training_rows: usize,
-    /// Whether there are fewer training rows than weights: what was learned may be by heart.
+    /// Whether there are fewer training rows than weights, with a risk of overfitting.
     pub few_rows: bool,
 }
 
-/// The rows that can be used.
+/// The usable rows.
 pub(super) fn usable(dataset: &Dataset, feature_set: FeatureSet) -> (Dataset, [usize; 3]) {
     let finite = |row: &&Row| {
         let read = row.features[feature_set.range()].iter();
@@ -43,7 +42,7 @@ pub(super) fn usable(dataset: &Dataset, feature_set: FeatureSet) -> (Dataset, [u
     (kept, unusable)
 }
 
-/// Names of the features without any spread.
+/// Names of the constant features.
 pub(super) fn constant_features(
     normalisation: &Normalisation,
     feature_set: FeatureSet,
@@ -70,7 +69,7 @@ impl Example {
                 0.0
             }
         };
-        let mut inputs = [0.0; ROOM];
+        let mut inputs = [0.0; PADDED_INPUTS];
         for (input, i) in inputs.iter_mut().zip(feature_set.range()) {
             *input = scaled(row.features[i], feature_mean[i], feature_std[i]);
         }
@@ -106,7 +105,7 @@ pub(super) fn normalisation(
     }
 }
 
-/// In two passes; the deviation of equal values is exactly 0.
+/// Two passes; the deviation of equal values is exactly 0.
 pub(super) fn mean_and_std(values: impl Iterator<Item = f32> + Clone) -> (f32, f32) {
     let count = values.clone().count() as f64;
     let mean = values.clone().map(f64::from).sum::<f64>() / count;

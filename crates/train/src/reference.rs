@@ -1,5 +1,5 @@
-//! The network in double precision, forwards and backwards, one row at a time: slow and obvious.
-//! The tests hold the trainer against it.
+//! The network in double precision, forward and backward, one row at a time: the slow reference of
+//! the trainer's tests.
 
 use joulebus_predictor::HIDDEN;
 use joulebus_statistics::noise::Noise;
@@ -7,8 +7,8 @@ use joulebus_statistics::noise::Noise;
 const LAYERS: usize = HIDDEN.len() + 1;
 const WIDEST: usize = HIDDEN[0];
 
-/// All weights and biases in one row of numbers. A layer lies there as its weights, input by input
-/// (so that the forward loop runs over neighbouring outputs), then its biases.
+/// All weights and biases in one vector. A layer is stored as its weights, input by input (so that
+/// the forward loop runs over contiguous outputs), then its biases.
 #[derive(Clone, Debug)]
 pub(super) struct Weights {
     pub(super) values: Vec<f64>,
@@ -35,7 +35,7 @@ impl Shape {
 }
 
 impl Weights {
-    /// Uniform within ±1/√inputs, as common frameworks start their dense layers.
+    /// Uniform within ±1/√inputs, the usual initialisation of dense layers.
     pub(super) fn initial(inputs: usize, noise: &mut Noise) -> Weights {
         let [first, second, third] = HIDDEN;
         let mut values = Vec::new();
@@ -59,7 +59,7 @@ impl Weights {
         Weights { values, shapes }
     }
 
-    /// The trainer's weights, which lie in the same order.
+    /// The trainer's weights, which have the same order.
     pub(super) fn from_f32(inputs: usize, values: &[f32]) -> Weights {
         let mut weights = Weights::initial(inputs, &mut Noise::new(0, 0));
         assert_eq!(weights.values.len(), values.len());
@@ -68,11 +68,11 @@ impl Weights {
     }
 }
 
-/// Everything that a row leaves behind on its way through the network.
+/// Intermediate results of a row.
 pub(super) struct Workspace {
-    /// Gradients of the summed loss of the rows since they were last zeroed, placed as the weights are.
+    /// Gradients of the summed loss since they were last zeroed, in the order of the weights.
     pub(super) gradients: Vec<f64>,
-    /// What each hidden value is multiplied with: 0 if dropped, else what keeps the mean.
+    /// Dropout factor of each hidden value: 0, or the factor that preserves the mean.
     kept: [[f64; WIDEST]; HIDDEN.len()],
     outputs: [[f64; WIDEST]; HIDDEN.len()],
     slopes: [[f64; WIDEST]; HIDDEN.len()],
@@ -88,7 +88,7 @@ impl Workspace {
         }
     }
 
-    /// Sets what value `j` of a hidden layer is multiplied with: `kept(layer, j)`.
+    /// Sets the dropout factor of value `j` of a hidden layer: `kept(layer, j)`.
     pub(super) fn keep(&mut self, mut kept: impl FnMut(usize, usize) -> f64) {
         for (layer, width) in HIDDEN.into_iter().enumerate() {
             for j in 0..width {
@@ -162,7 +162,7 @@ impl Workspace {
     }
 }
 
-/// Four partial sums, always in this order: fast and the same on every machine.
+/// Four partial sums in a fixed order: fast and the same on every machine.
 fn dot(left: &[f64], right: &[f64]) -> f64 {
     let (left_fours, left_rest) = left.as_chunks::<4>();
     let (right_fours, right_rest) = right.as_chunks::<4>();
@@ -222,7 +222,7 @@ mod tests {
                 );
                 not_zero += usize::from(slope.abs() > 1e-6);
             }
-            assert!(not_zero > 100, "{not_zero} gradients were worth a look");
+            assert!(not_zero > 100, "{not_zero} gradients are not zero");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! A run saved between two epochs, to be resumed.
+//! Checkpoints of a training run.
 
 use std::collections::HashMap;
 
@@ -12,30 +12,31 @@ use super::{Epoch, TrainError, TrainSettings, Training};
 
 const FORMAT: &str = "joulebus-training-1";
 
-/// Why a saved run could not be resumed.
+/// Errors of resuming a run.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum ResumeError {
     /// The run itself cannot begin.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// The bytes are no saved run.
+    /// The bytes are not a checkpoint.
     #[error("no saved run: {0}")]
     Format(String),
-    /// It was made by something else than is asked for now.
+    /// The checkpoint was made with other data or settings.
     #[error("the saved run has another {what}: {found}, expected {expected}; start a new run")]
     Differs {
         /// What differs.
         what: &'static str,
-        /// In the saved run.
+        /// The value in the checkpoint.
         found: String,
-        /// Now.
+        /// The current value.
         expected: String,
     },
 }
 
 impl Training {
-    /// The run so far, a safetensors file. With [`Training::resume`] it continues to the same bytes.
+    /// The run so far, a safetensors file. With [`Training::resume`] it continues to the same
+    /// result.
     #[must_use]
     pub fn saved(&self) -> Vec<u8> {
         let tensors = [
@@ -47,7 +48,7 @@ impl Training {
         .map(|(name, values)| (name, bytes(values)));
         let views = tensors.iter().map(|(name, bytes)| {
             let view = TensorView::new(Dtype::F32, vec![bytes.len() / 4], bytes)
-                .expect("as many bytes as the shape says: four a number");
+                .expect("four bytes per number of the shape");
             (*name, view)
         });
         let metadata = HashMap::from([
@@ -63,11 +64,11 @@ impl Training {
         serialize(views, Some(metadata)).expect("names are distinct and sizes match")
     }
 
-    /// Continues with a saved run, on `threads` threads as in [`Training::new`]. More epochs may be
-    /// asked for than before; nothing else may differ.
+    /// Resumes a saved run on `threads` threads, as in [`Training::new`]. The number of epochs may
+    /// be larger than before; nothing else may differ.
     ///
     /// # Errors
-    /// [`ResumeError`]: damaged bytes, another dataset or other settings.
+    /// [`ResumeError`]: corrupt bytes, or another dataset or other settings.
     pub fn resume(
         dataset: &Dataset,
         settings: &TrainSettings,
@@ -137,7 +138,7 @@ fn same(what: &'static str, found: String, expected: String) -> Result<(), Resum
     })
 }
 
-/// Plain numbers and names always have a JSON form.
+/// Numbers and names always serialise.
 fn json(value: &impl serde::Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }

@@ -1,4 +1,4 @@
-//! The finished network, and what it scores on rows that decided nothing.
+//! The trained network and its scores on held-out rows.
 
 use joulebus_predictor::{
     Activation, FeatureSet, Features, INPUTS, Linear, ModelCard, Network, Normalisation,
@@ -35,14 +35,14 @@ pub(super) fn finished(
         linear: linear(dataset, feature_set),
         ..ModelCard::new(TrainingRange::of(feature_set, rows))
     };
-    // The finished arithmetic gives the scores, so the network is built once without them.
+    // The final arithmetic gives the scores, so the network is first built without them.
     let unscored = Network::new(parameters.clone(), card.clone())?;
     (card.scores, card.residual) = scored(&unscored, &dataset.held_out);
     Ok(Network::new(parameters, card)?)
 }
 
-/// The linear baseline of the rows that the network has learned from, with its score on the rows held
-/// out; `None` where there are too few rows for it, or none that vary.
+/// The linear baseline fitted on the training rows, with its score on the held-out rows; `None` if
+/// there are too few rows, or their power is constant.
 fn linear(dataset: &Dataset, feature_set: FeatureSet) -> Option<Linear> {
     let feature_set = Linear::feature_set_beside(feature_set);
     let terms = if feature_set.needs_command() {
@@ -73,7 +73,7 @@ fn linear(dataset: &Dataset, feature_set: FeatureSet) -> Option<Linear> {
     linear.check().is_ok().then_some(linear)
 }
 
-/// Scores and residuals of a network on rows, with persistence beside it.
+/// Scores and residuals of a network on rows, with those of persistence.
 pub fn scored(network: &Network, rows: &[Row]) -> (Scores, ResidualStats) {
     let inputs: Vec<Features> = rows.iter().map(|row| row.features).collect();
     let mut forecasts_w = vec![0.0; rows.len()];

@@ -1,12 +1,13 @@
-//! The recipe.
+//! Training settings.
 
 use joulebus_predictor::FeatureSet;
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
-use super::adam::Pace;
+use super::adam::Hyperparameters;
 
-/// How to train. Every knob of the paper's recipe (arXiv 2603.13908, section 5), and those of Adam.
+/// Training settings: the hyperparameters of the paper's recipe (arXiv 2603.13908, section 5), and
+/// those of Adam.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrainSettings {
@@ -14,28 +15,28 @@ pub struct TrainSettings {
     pub name: String,
     /// Source of the data: `simulation`, or a description of the recordings.
     pub source: String,
-    /// The features that the network reads: `full` (the paper's), `power-only`, and the two with how
-    /// fresh the newest reading is: `freshness`, `power-freshness`.
+    /// The features that the network reads: `full` (the paper's), `power-only`, and both with the
+    /// age of the newest reading: `freshness`, `power-freshness`.
     #[serde(with = "feature_set")]
     pub feature_set: FeatureSet,
     /// Seed of initial weights, order of rows and dropout.
     pub seed: u64,
-    /// Share of hidden values that are dropped in training, from 0 up to but not including 1; taken
-    /// in steps of 1/65,536.
+    /// Dropout probability of hidden values, from 0 up to but not including 1; quantised to
+    /// 1/65,536.
     pub dropout: f64,
-    /// Epochs without a better validation loss after which training ends, at least 1.
+    /// Epochs without a lower validation loss after which training stops, at least 1.
     pub patience: u32,
-    /// Epochs after which training ends at the latest, at least 1.
+    /// Maximum number of epochs, at least 1.
     pub max_epochs: u32,
     /// Rows per step, 1 to 65,536.
     pub batch: usize,
-    /// Adam's step size, above 0 and up to 1.
+    /// Adam's learning rate, above 0 and up to 1.
     pub learning_rate: f64,
-    /// How much of the mean gradient stays from step to step, from 0 up to but not including 1.
+    /// Adam's β₁, from 0 up to but not including 1.
     pub first_moment: f64,
-    /// How much of the mean squared gradient stays, from 0 up to but not including 1.
+    /// Adam's β₂, from 0 up to but not including 1.
     pub second_moment: f64,
-    /// Added to the root of the mean squared gradient, above 0 and up to 1.
+    /// Adam's ε, above 0 and up to 1.
     pub epsilon: f64,
 }
 
@@ -71,17 +72,17 @@ impl TrainSettings {
         }
     }
 
-    /// Checks every knob.
+    /// Checks every setting.
     ///
     /// # Errors
-    /// [`TrainError::Setting`] names the first that is out of its range.
+    /// [`TrainError::Setting`] names the first that is out of range.
     pub fn check(&self) -> Result<(), TrainError> {
         const SHARE: &str = "from 0 up to but not including 1";
         const SMALL: &str = "above 0 and up to 1";
         let share = |value: f64| (0.0..1.0).contains(&value);
         let small = |value: f64| value > 0.0 && value <= 1.0;
         let batch = self.batch as f64;
-        let knobs = [
+        let checks = [
             ("dropout", self.dropout, share(self.dropout), SHARE),
             (
                 "patience",
@@ -121,7 +122,7 @@ impl TrainSettings {
             ),
             ("epsilon", self.epsilon, small(self.epsilon), SMALL),
         ];
-        match knobs.into_iter().find(|(_, _, sound, _)| !sound) {
+        match checks.into_iter().find(|(_, _, sound, _)| !sound) {
             None => Ok(()),
             Some((setting, found, _, allowed)) => Err(TrainError::Setting {
                 setting,
@@ -131,8 +132,8 @@ impl TrainSettings {
         }
     }
 
-    pub(super) fn pace(&self) -> Pace {
-        Pace {
+    pub(super) fn hyperparameters(&self) -> Hyperparameters {
+        Hyperparameters {
             learning_rate: self.learning_rate,
             first_moment: self.first_moment,
             second_moment: self.second_moment,
@@ -141,7 +142,7 @@ impl TrainSettings {
     }
 }
 
-/// The recipe of the models that ship: the paper's, under their name.
+/// The recipe of the shipped models: the paper's, under their name.
 pub fn settings_for_sim(seed: u64, feature_set: FeatureSet) -> TrainSettings {
     let name = match feature_set {
         FeatureSet::Full => "gternal-sim",

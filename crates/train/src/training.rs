@@ -18,39 +18,39 @@ use super::{TrainError, TrainSettings};
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_statistics::noise::Noise;
 
-/// Rows that a network has to be shown at least, to score it and to learn from it.
+/// Minimum number of rows for training and for scoring.
 const FEWEST_ROWS: usize = 2;
-/// Streams of random numbers: initial weights, the order of an epoch's rows, dropout.
+/// Random streams: initial weights, row order of an epoch, dropout.
 const INITIAL: u64 = 0;
 const ORDER: u64 = 1 << 62;
 const DROPOUT: u64 = 1 << 63;
 
-/// What an epoch came to. Losses are mean squared errors in units of the training variance.
+/// Result of an epoch. Losses are mean squared errors in units of the training variance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Epoch {
-    /// Counts from 1.
+    /// Number, from 1.
     pub number: u32,
     /// Loss over the training rows, with dropout and with the weights as they changed.
     pub training_loss: f64,
     /// Loss over the validation rows at the end of the epoch, without dropout.
     pub validation_loss: f64,
-    /// Whether no epoch before had a smaller validation loss.
+    /// Whether no earlier epoch has a lower validation loss.
     pub best: bool,
 }
 
-/// A trained network and the way there.
+/// A trained network and its training history.
 #[derive(Clone, Debug)]
 pub struct Trained {
-    /// The network of the epoch with the smallest validation loss.
+    /// The network of the epoch with the lowest validation loss.
     pub network: Network,
     /// Every epoch, in order.
     pub epochs: Vec<Epoch>,
-    /// What was found in the data.
+    /// Irregularities of the data.
     pub findings: Findings,
 }
 
 /// A training run. The same dataset and settings give the same bytes, on every machine, with any
-/// number of threads, and whether or not the run was saved and resumed in between.
+/// number of threads, and whether or not the run was saved and resumed.
 pub struct Training {
     pub(super) dataset: Dataset,
     pub(super) settings: TrainSettings,
@@ -81,11 +81,11 @@ impl fmt::Debug for Training {
 }
 
 impl Training {
-    /// Prepares a run on `threads` threads, 0 for as many as the machine has cores. Rows with a NaN
-    /// or infinite number are left out: [`Training::findings`].
+    /// Prepares a run on `threads` threads, 0 for one per core. Rows with a NaN or infinite number
+    /// are left out: [`Training::findings`].
     ///
     /// # Errors
-    /// [`TrainError`]: a knob out of range, too few rows, or a power that never changes.
+    /// [`TrainError`]: a setting out of range, too few rows, or constant power.
     pub fn new(
         dataset: &Dataset,
         settings: &TrainSettings,
@@ -136,19 +136,19 @@ impl Training {
         })
     }
 
-    /// What was found in the data and worked around.
+    /// Irregularities of the data that were worked around.
     #[must_use]
     pub fn findings(&self) -> &Findings {
         &self.findings
     }
 
-    /// The epochs so far, those before a resumption too.
+    /// The epochs so far, including those before a resumption.
     #[must_use]
     pub fn epochs(&self) -> &[Epoch] {
         &self.epochs
     }
 
-    /// Whether the last epoch has been made, or none has been better for long enough.
+    /// Whether the run has reached the maximum number of epochs or stopped early.
     #[must_use]
     pub fn is_done(&self) -> bool {
         let made = self.epochs.len();
@@ -158,7 +158,7 @@ impl Training {
             || without_progress >= self.settings.patience as usize
     }
 
-    /// Makes one epoch.
+    /// Runs one epoch.
     ///
     /// # Errors
     /// [`TrainError::Diverged`].
@@ -196,7 +196,7 @@ impl Training {
         Ok(epoch)
     }
 
-    /// The network of the best epoch, with its scores on the rows held out.
+    /// The network of the best epoch, with its scores on the held-out rows.
     ///
     /// # Errors
     /// [`TrainError::Model`] when the predictor refuses it.
@@ -214,8 +214,8 @@ impl Training {
         })
     }
 
-    /// One batch: the parts go through the network on whatever threads there are, their gradients
-    /// are added in order. Returns the summed loss.
+    /// One batch: its parts are computed in parallel, their gradients are added in order. Returns
+    /// the summed loss.
     fn step(&mut self, rows: &[u32], stream: u64) -> f64 {
         let Self {
             training,
@@ -252,9 +252,13 @@ impl Training {
             }
         }
         let share = 1.0 / rows.len() as f32;
-        let pace = self.settings.pace();
-        self.adam
-            .step(&mut self.weights.values, &self.gradients, share, pace);
+        let hyperparameters = self.settings.hyperparameters();
+        self.adam.step(
+            &mut self.weights.values,
+            &self.gradients,
+            share,
+            hyperparameters,
+        );
         self.prepared.update(&self.weights);
         self.losses[..parts].iter().sum()
     }
@@ -276,14 +280,14 @@ impl Training {
         losses.sum::<f64>() / validation.len() as f64
     }
 
-    /// Puts weights where a saved run had them.
+    /// Restores the weights of a saved run.
     pub(super) fn set_weights(&mut self, values: &[f32]) {
         self.weights.values.copy_from_slice(values);
         self.prepared.update(&self.weights);
     }
 }
 
-/// Trains a network on all cores. `progress` is told of each epoch when it ends.
+/// Trains a network on all cores. `progress` is called after each epoch.
 ///
 /// # Errors
 /// [`TrainError`].

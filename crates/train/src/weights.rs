@@ -1,4 +1,4 @@
-//! All weights and biases in one row of numbers.
+//! All weights and biases in one vector.
 
 use joulebus_predictor::{HIDDEN, Layer};
 
@@ -6,8 +6,8 @@ use joulebus_statistics::noise::Noise;
 
 pub(super) const LAYERS: usize = HIDDEN.len() + 1;
 
-/// Where a layer lies: its weights, input by input (so that neighbouring numbers belong to
-/// neighbouring outputs), then its biases.
+/// Position of a layer: its weights, input by input (so that contiguous numbers belong to adjacent
+/// outputs), then its biases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Shape {
     pub inputs: usize,
@@ -57,7 +57,7 @@ pub(super) struct Weights {
 }
 
 impl Weights {
-    /// Uniform within ±1/√inputs, as common frameworks start their dense layers.
+    /// Uniform within ±1/√inputs, the usual initialisation of dense layers.
     pub(super) fn initial(inputs: usize, noise: &mut Noise) -> Self {
         let shapes = shapes(inputs);
         let mut values = Vec::new();
@@ -69,7 +69,7 @@ impl Weights {
         Self { values, shapes }
     }
 
-    /// As the predictor wants them: output by output.
+    /// In the predictor's order: output by output.
     pub(super) fn layers(&self) -> [Layer; LAYERS] {
         self.shapes.map(|shape| {
             let (matrix, bias) = shape.split(&self.values);
@@ -83,7 +83,7 @@ impl Weights {
     }
 }
 
-/// Turns rows of `columns` numbers into columns.
+/// Transposes rows of `columns` numbers.
 pub(super) fn transpose(from: &[f32], columns: usize, to: &mut [f32]) {
     let rows = from.len() / columns;
     for (row, line) in from.chunks_exact(columns).enumerate() {

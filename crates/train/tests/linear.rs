@@ -1,4 +1,4 @@
-//! Least squares: against a slow solver, and what it does with columns that say nothing.
+//! Least squares against a slow solver, and with dependent columns.
 
 use joulebus_dataset::rows::Row;
 use joulebus_predictor::{FEATURES, FeatureSet, INPUTS};
@@ -24,7 +24,8 @@ fn rows(count: std::ops::Range<usize>) -> impl Strategy<Value = Vec<Row>> {
     )
 }
 
-/// The same by Gauss and Jordan with full pivoting, on the plain columns and a column of ones.
+/// The same by Gauss-Jordan elimination with full pivoting, on the plain columns and a column of
+/// ones.
 fn slow_fit(rows: &[Row], terms: Terms) -> Vec<f64> {
     let columns: Vec<usize> = terms.features().collect();
     let line = |row: &Row| -> Vec<f64> {
@@ -69,7 +70,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 100, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn the_fit_is_that_of_a_slow_solver(rows in rows(40..120), bits in 0u32..1 << FEATURES) {
+    fn the_fit_equals_that_of_a_slow_solver(rows in rows(40..120), bits in 0u32..1 << FEATURES) {
         let chosen: Vec<usize> = (0..FEATURES).filter(|at| bits >> at & 1 == 1).collect();
         let terms = Terms::of(&chosen);
         let linear = Linear::fit(&rows, terms).expect("more rows than columns");
@@ -99,7 +100,7 @@ proptest! {
     }
 
     #[test]
-    fn columns_that_say_nothing_new_are_dropped_and_change_no_forecast(
+    fn dependent_columns_are_dropped_and_change_no_forecast(
         rows in rows(40..80), constant in -3.0f32..3.0, twice in -4.0f32..4.0
     ) {
         prop_assume!(twice.abs() > 0.01);
@@ -159,12 +160,12 @@ fn rows_with_missing_numbers_are_left_out_and_counted() {
     assert!((found.predict(&rows[7].features) - 15.0).abs() < 1e-9);
     assert!(
         found.predict(&rows[50].features).is_nan(),
-        "NaN is no forecast"
+        "NaN input must give NaN"
     );
 }
 
 #[test]
-fn velocities_that_nobody_knows_are_dropped_and_do_not_matter() {
+fn unrecorded_velocities_are_dropped_and_change_no_forecast() {
     let mut rows: Vec<Row> = (0..30u8)
         .map(|i| {
             let mut row = row(&[f32::NAN; NEWEST], f32::from(i % 4));
@@ -192,7 +193,7 @@ fn velocities_that_nobody_knows_are_dropped_and_do_not_matter() {
 }
 
 #[test]
-fn a_series_of_the_asked_kind_is_found_again() {
+fn the_coefficients_of_a_linear_series_are_recovered() {
     let mut power_w = vec![3.0f32, 3.5, 2.5, 4.0, 3.2];
     let mut rows = Vec::new();
     for step in 0..400u16 {
@@ -221,7 +222,7 @@ fn a_series_of_the_asked_kind_is_found_again() {
 }
 
 #[test]
-fn too_few_rows_and_features_that_were_not_taken_are_refused() {
+fn too_few_rows_and_features_without_moments_are_refused() {
     let few = [row(&[1.0], 1.0), row(&[2.0], 2.0), row(&[4.0], f32::NAN)];
     let error = Linear::fit(&few, Terms::AR5).expect_err("two rows, six numbers");
     assert_eq!(

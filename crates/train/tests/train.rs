@@ -1,4 +1,5 @@
-//! Training is repeatable, learns, refuses bad data; and what ships is what it claims to be.
+//! Training is reproducible, learns, and refuses bad data; the shipped models match their stated
+//! origin.
 
 use joulebus_dataset::rows::{Dataset, Row, sample_rows};
 use joulebus_predictor::{FEATURES, FeatureSet, Features, Kernel, Network, ResidualStats, Scores};
@@ -44,8 +45,8 @@ fn the_same_seed_gives_the_same_bytes_on_every_machine() {
         let found = tiny(feature_set).network.hash();
         assert_eq!(
             found, hash,
-            "{found:#018x}: if plant or trainer were changed on purpose, put the new hash here and \
-             train the models that ship again"
+            "{found:#018x}: if plant or trainer were changed on purpose, update this hash and \
+             retrain the shipped models"
         );
     }
     let settings = TrainSettings {
@@ -57,7 +58,7 @@ fn the_same_seed_gives_the_same_bytes_on_every_machine() {
 }
 
 #[test]
-fn training_tells_its_progress_and_the_losses_fall() {
+fn training_reports_its_progress_and_the_losses_fall() {
     let mut told: Vec<Epoch> = Vec::new();
     let settings = tiny_settings(FeatureSet::Full);
     let trained = train(&tiny_data(), &settings, |epoch| told.push(epoch)).expect("sound data");
@@ -86,7 +87,7 @@ fn training_stops_early_and_keeps_the_best_epoch() {
     assert_eq!(
         trained.epochs.len(),
         best + 3,
-        "two epochs without progress end it"
+        "two epochs without improvement stop it"
     );
     let (scores, _) = scored(&trained.network, &data.validation);
     let loss = (1.0 - f64::from(scores.network_r2)) * variance(&data.validation);
@@ -108,7 +109,7 @@ fn variance(rows: &[Row]) -> f64 {
 }
 
 #[test]
-fn data_that_can_teach_nothing_is_refused_with_its_place() {
+fn unusable_data_is_refused_with_its_part_and_numbers() {
     let data = tiny_data();
     let refused = |data: &Dataset, settings: &TrainSettings| {
         train(data, settings, |_| ())
@@ -181,12 +182,12 @@ fn data_that_can_teach_nothing_is_refused_with_its_place() {
     let result = train(&huge, &settings, |_| ());
     assert!(
         result.is_err(),
-        "no network comes out of a loss that is no number"
+        "a loss that is not finite gives no network"
     );
 }
 
 #[test]
-fn rows_that_cannot_be_used_are_left_out_counted_and_change_nothing_else() {
+fn unusable_rows_are_left_out_counted_and_change_nothing_else() {
     let clean = tiny_data();
     let mut spoiled = clean.clone();
     let bad = |place: usize, value: f32| {
@@ -208,13 +209,14 @@ fn rows_that_cannot_be_used_are_left_out_counted_and_change_nothing_else() {
 }
 
 #[test]
-fn a_feature_that_never_changes_and_a_tiny_dataset_are_worked_around_and_named() {
+fn a_constant_feature_and_a_tiny_dataset_are_worked_around_and_named() {
     let mut data = tiny_data();
     data.training = data.training.into_iter().step_by(29).collect();
     for row in &mut data.training {
         row.features[1] = 0.25;
     }
-    let trained = train(&data, &tiny_settings(FeatureSet::Full), |_| ()).expect("it can be done");
+    let trained =
+        train(&data, &tiny_settings(FeatureSet::Full), |_| ()).expect("training succeeds");
     assert_eq!(trained.findings.constant_features, ["omega_radps"]);
     assert!(trained.findings.few_rows);
     let mut inputs = [data.held_out[0].features; 2];
@@ -223,7 +225,7 @@ fn a_feature_that_never_changes_and_a_tiny_dataset_are_worked_around_and_named()
     trained.network.predict(&inputs, &mut forecasts_w);
     assert_eq!(
         forecasts_w[0], forecasts_w[1],
-        "what was never learned changes nothing"
+        "a constant feature has no effect"
     );
 }
 
@@ -251,7 +253,7 @@ fn any_number_of_threads_gives_the_same_bytes() {
 }
 
 #[test]
-fn a_run_saved_after_any_epoch_goes_on_to_the_same_bytes() {
+fn a_run_saved_after_any_epoch_resumes_to_the_same_bytes() {
     let data = tiny_data();
     let settings = tiny_settings(FeatureSet::Full);
     let expected = train(&data, &settings, |_| ()).expect("sound data");
@@ -275,7 +277,7 @@ fn a_run_saved_after_any_epoch_goes_on_to_the_same_bytes() {
 }
 
 #[test]
-fn a_saved_run_goes_on_only_with_its_own_data_and_recipe() {
+fn a_saved_run_resumes_only_with_its_own_data_and_recipe() {
     let data = tiny_data();
     let settings = tiny_settings(FeatureSet::Full);
     let mut training = Training::new(&data, &settings, 1).expect("sound data");
@@ -299,7 +301,7 @@ fn a_saved_run_goes_on_only_with_its_own_data_and_recipe() {
     };
     assert!(
         Training::resume(&data, &longer, 1, &saved).is_ok(),
-        "more epochs may be asked for"
+        "the number of epochs may be raised"
     );
     for cut in (0..saved.len()).step_by(97) {
         assert!(
@@ -346,7 +348,7 @@ fn shipped(name: &str) -> Network {
 }
 
 #[test]
-fn the_models_that_ship_say_that_they_come_from_this_simulation() {
+fn the_shipped_models_state_that_they_come_from_this_simulation() {
     let expected = dataset_from_plant(SimulatedData::shipped(SHIPPED_SEED));
     for (name, feature_set) in [
         ("gternal-sim.safetensors", FeatureSet::Full),
@@ -364,7 +366,7 @@ fn the_models_that_ship_say_that_they_come_from_this_simulation() {
             "{name} is older than the plant"
         );
         let (scores, residual) = scored(&network, &expected.held_out);
-        // The kernels of the day wrote the card: their last bits may change, the model's may not.
+        // The card was written by earlier kernels: their last bits may change, the model's may not.
         let close = |(found, stated): (f32, f32)| (found - stated).abs() <= 1e-5 * stated.abs();
         let figures = |scores: Scores, residual: ResidualStats| {
             let Scores {
@@ -406,7 +408,7 @@ fn the_models_that_ship_say_that_they_come_from_this_simulation() {
 }
 
 #[test]
-fn the_models_that_ship_are_what_the_documented_command_makes() {
+fn the_shipped_models_are_reproduced_by_the_documented_command() {
     let dataset = dataset_from_plant(SimulatedData::shipped(SHIPPED_SEED));
     for (name, feature_set) in [
         ("gternal-sim.safetensors", FeatureSet::Full),
@@ -419,7 +421,7 @@ fn the_models_that_ship_are_what_the_documented_command_makes() {
 }
 
 #[test]
-fn the_models_that_ship_beat_persistence_on_robots_that_nobody_saw() {
+fn the_shipped_models_beat_persistence_on_held_out_robots() {
     let fresh = dataset_from_plant(SimulatedData {
         seed: 1_007,
         training_robots: 0,
@@ -465,8 +467,8 @@ fn trained_weights_keep_every_kernel_within_3e_6_of_double_precision() {
     }
 }
 
-/// A robot whose power swings to the other side of 3 W with every tenth sample, when its monitor
-/// measures again.
+/// A robot whose power alternates about 3 W with every tenth sample, when its monitor measures
+/// again.
 fn swinging(size_w: f32) -> Vec<Row> {
     const PERIOD_NS: u64 = 33_000_000;
     let samples: Vec<Sample> = (0..400)
@@ -481,7 +483,7 @@ fn swinging(size_w: f32) -> Vec<Row> {
 }
 
 #[test]
-fn a_network_that_reads_freshness_learns_when_the_next_reading_comes() {
+fn a_network_with_reading_age_learns_when_the_next_reading_comes() {
     let robots = |sizes: std::ops::Range<u8>| -> Vec<Row> {
         let size_w = |size: u8| 0.3 + 0.05 * f32::from(size);
         sizes.flat_map(|size| swinging(size_w(size))).collect()
@@ -503,8 +505,8 @@ fn a_network_that_reads_freshness_learns_when_the_next_reading_comes() {
         trained(FeatureSet::PowerOnly),
         trained(FeatureSet::PowerFreshness),
     );
-    // Until two measurements have been seen there is nothing to learn from: six rows a robot, of
-    // those that have a window.
+    // Until two measurements have been seen the reading age is unknown: six rows per robot, of
+    // those with a full window.
     assert_eq!(plain.findings.unusable_rows, [0; 3]);
     assert_eq!(fresh.findings.unusable_rows, [12 * 6, 2 * 6, 3 * 6]);
     let r2 = |trained: &Trained| trained.network.card().scores.network_r2;

@@ -209,7 +209,7 @@ fn a_split_is_named_and_holds_out_what_training_held_out() {
         "3",
     ]);
     assert!(
-        stdout(&told).contains("the rows evaluated decided nothing"),
+        stdout(&told).contains("the evaluated rows were held out"),
         "{}",
         stdout(&told)
     );

@@ -1,8 +1,8 @@
-//! The plant's table for the docs, and the fit of its parts.
+//! The table of the simulated plant for the docs, and the fit of its parameters.
 //!
 //! `cargo run --release -p joulebus-eval --example plant -- table` prints the table of
-//! `docs/plant.md`; `-- fit` searches for the parts and prints the best of them as it finds them.
-//! `name=value` after either changes a part beforehand, as in `-- table burst_w=0.4`.
+//! `docs/plant.md`; `-- fit` searches for the parameters and prints improvements. `name=value`
+//! after either overrides a parameter, as in `-- table burst_w=0.4`.
 
 #[allow(
     dead_code,
@@ -16,7 +16,7 @@ use joulebus_sim::parts::Parts;
 use joulebus_sim::scenario::{SCENARIO_STEPS, SEED};
 use statistics::{Figure, TARGETS, Target, measure};
 
-/// Seeds over which the table gives mean and deviation, from 1 on.
+/// Number of seeds, from 1, over which the table gives mean and deviation.
 const SEEDS: u64 = 24;
 
 type Part = fn(&mut Parts) -> &mut f64;
@@ -58,7 +58,7 @@ fn main() -> ExitCode {
     let mut seeds = SEEDS;
     for argument in arguments {
         let Some((name, value)) = argument.split_once('=') else {
-            eprintln!("{argument}: give name=value");
+            eprintln!("{argument}: expected name=value");
             return ExitCode::from(2);
         };
         let value: f64 = value.parse().unwrap_or(f64::NAN);
@@ -67,7 +67,7 @@ fn main() -> ExitCode {
         } else if let Some((_, part)) = PARTS.iter().find(|(known, _)| *known == name) {
             *part(&mut parts) = value;
         } else {
-            eprintln!("{name}: no such part");
+            eprintln!("{name}: no such parameter");
             return ExitCode::from(2);
         }
     }
@@ -80,12 +80,13 @@ fn main() -> ExitCode {
 }
 
 fn figures(parts: Parts, seed: u64) -> Vec<Figure> {
-    let measured = measure(parts, seed, SCENARIO_STEPS).expect("the plant's data can be learned");
+    let measured =
+        measure(parts, seed, SCENARIO_STEPS).expect("training on the plant's data succeeds");
     measured.figures()
 }
 
-/// The figures of [`SEED`], and of `seeds` seeds from 1 on beside them. Which of them leave their
-/// bands is said on stderr, seed by seed.
+/// The figures of [`SEED`], and of the seeds from 1 to `seeds`. Figures outside their bands are
+/// reported on stderr, seed by seed.
 fn table(parts: Parts, seeds: u64) {
     let all: Vec<Vec<Figure>> = (1..=seeds)
         .map(|seed| {
@@ -111,9 +112,9 @@ fn table(parts: Parts, seeds: u64) {
     }
 }
 
-/// Seeds that the fit looks at; the table's are others.
+/// Seeds of the fit, disjoint from the table's.
 const FIT_SEEDS: std::ops::Range<u64> = 101..105;
-/// What the fit may change, and the first step of each, as a share of its value.
+/// Parameters of the fit with the initial step of each, as a share of its value.
 const FREE: [(&str, f64); 9] = [
     ("electronics_w", 0.01),
     ("processor_w", 0.2),
@@ -127,7 +128,7 @@ const FREE: [(&str, f64); 9] = [
 ];
 const SWEEPS: usize = 2;
 
-/// How far figures are from their targets: the sum of squares.
+/// Sum of squared deviations of the figures from their targets.
 fn misfit(parts: Parts, report: bool) -> f64 {
     let all: Vec<Vec<Figure>> = FIT_SEEDS.map(|seed| figures(parts, seed)).collect();
     let mut sum = 0.0;
@@ -137,7 +138,7 @@ fn misfit(parts: Parts, report: bool) -> f64 {
         assert!(!found.is_empty(), "{name} is a figure");
         let mean = found.iter().sum::<f64>() / found.len() as f64;
         if report {
-            println!("  {name}: {mean:.4}, wanted {value}");
+            println!("  {name}: {mean:.4}, target {value}");
         }
         let off = (mean - value) / scale;
         sum += off * off;
@@ -145,7 +146,8 @@ fn misfit(parts: Parts, report: bool) -> f64 {
     sum
 }
 
-/// Coordinate search: each part up and down by its step, which halves where neither helps.
+/// Coordinate search: each parameter up and down by its step, which is halved when neither
+/// improves.
 fn fit(mut parts: Parts) {
     let mut best = misfit(parts, true);
     println!("misfit {best:.2}");

@@ -1,9 +1,9 @@
-//! The plant held against every figure that the paper gives.
+//! The simulated plant compared with every figure of the paper.
 //!
-//! Each figure is measured on the simulation in the way that the paper describes it, and stands
-//! beside the paper's value, the band within which it is held, and its role: *fitted* figures were
-//! a target of the fit, *checked* ones were not, *given* ones were put in, and *reported* ones are not
-//! met, and held to nothing.
+//! Each figure is measured on the simulation as the paper describes it and listed with the paper's
+//! value, the band within which it is held, and its role: *fitted* figures were targets of the fit,
+//! *checked* ones were not, *given* ones were parameters, and *reported* ones are outside and not
+//! tested.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -20,18 +20,18 @@ use joulebus_statistics::metrics::{Tally, quantile, sorted};
 use joulebus_train::linear::{Linear, Terms};
 use joulebus_train::{TrainError, TrainSettings, Training};
 
-/// What a figure is to come to on average over the seeds of the fit.
+/// Target of a figure's mean over the seeds of the fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Target {
     /// The figure's name.
     pub(crate) name: &'static str,
-    /// What it is to be.
+    /// The target value.
     pub(crate) value: f64,
-    /// How far off it counts as one.
+    /// Deviation that counts as 1 in the misfit.
     pub(crate) scale: f64,
 }
 
-/// What the fit goes by. The paper gives the range of the six autocorrelations; their deviation is
+/// Targets of the fit. The paper gives the range of the six autocorrelations; their deviation is
 /// that of six numbers evenly spread over it.
 pub(crate) const TARGETS: [Target; 13] = [
     target("power, mean (mW)", 3652.0, 15.0),
@@ -57,16 +57,16 @@ const fn target(name: &'static str, value: f64, scale: f64) -> Target {
     Target { name, value, scale }
 }
 
-/// What was done about a figure.
+/// Role of a figure in the fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     /// A target of the fit.
     Fitted,
-    /// Not looked at by the fit.
+    /// Not used by the fit.
     Checked,
-    /// Put in.
+    /// A parameter of the plant.
     Given,
-    /// Not met, and held to nothing: it stands beside the paper's.
+    /// Outside the paper's value and not tested.
     Reported,
 }
 
@@ -75,13 +75,13 @@ pub(crate) enum Role {
 pub(crate) struct Figure {
     /// What is measured, with its unit.
     pub(crate) name: String,
-    /// What the paper says.
+    /// The paper's value.
     pub(crate) paper: String,
-    /// What the plant gives.
+    /// The plant's value.
     pub(crate) found: f64,
-    /// What it is held to, both ends included; `None` where it is only reported.
+    /// The band, both ends included; `None` for a figure that is only reported.
     pub(crate) held: Option<(f64, f64)>,
-    /// What was done about it.
+    /// Role in the fit.
     pub(crate) role: Role,
 }
 
@@ -93,14 +93,14 @@ impl Figure {
         }
     }
 
-    /// Whether the figure lies in its band; none that is only reported leaves one.
+    /// Whether the figure lies in its band; true without a band.
     pub(crate) fn holds(&self) -> bool {
         self.held
             .is_none_or(|(low, high)| (low..=high).contains(&self.found))
     }
 }
 
-/// What six trials say without a network.
+/// Statistics of six trials that need no network.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Basics {
     /// Mean power, W.
@@ -111,11 +111,11 @@ pub(crate) struct Basics {
     pub(crate) min_w: f64,
     /// Highest reading, W.
     pub(crate) max_w: f64,
-    /// Autocorrelation of power from a sample to the next, of each trial.
+    /// Lag-1 autocorrelation of power, per trial.
     pub(crate) rho1: Vec<f64>,
     /// R² of least squares on the six velocity features, fitted and scored on all trials.
     pub(crate) r2_velocities: f64,
-    /// The same with the last reading beside them.
+    /// The same with the last reading as an additional feature.
     pub(crate) r2_one_lag: f64,
     /// 5 % and 95 % quantiles of the residuals of AR(5) with velocities over all trials, W.
     pub(crate) ar_q05_q95_w: (f64, f64),
@@ -141,7 +141,7 @@ fn rho1(values: &[f64]) -> f64 {
     products.sum::<f64>() / (values.len() as f64 * std * std)
 }
 
-/// Readings of a trial; the plant's trials have all columns.
+/// Readings of a trial; simulated trials have all columns.
 fn column(trial: &Trial, column: Column) -> &[f64] {
     trial.column(column).unwrap_or_default()
 }
@@ -204,9 +204,9 @@ pub(crate) fn six_trials(parts: Parts, seed: u64) -> (Vec<Trial>, Vec<Vec<Row>>)
     (trials, rows)
 }
 
-/// The paper's split: trials 1 to 4 decide the weights, 5 when to stop, 6 is held out.
+/// The paper's split: trials 1 to 4 for training, 5 for validation, 6 held out.
 ///
-/// `rows` are those of the six trials, in order; what is beyond six is left out.
+/// `rows` are those of the six trials, in order; further trials are ignored.
 pub(crate) fn papers_split(rows: &[Vec<Row>], description: &str) -> Dataset {
     let part = |range: std::ops::Range<usize>| -> Vec<Row> {
         let parts = rows.iter().skip(range.start).take(range.len());
@@ -234,7 +234,7 @@ pub(crate) fn trained(rows: &[Vec<Row>], seed: u64) -> Result<Network, TrainErro
     Ok(training.finish()?.network)
 }
 
-/// How a network does on a trial's rows.
+/// Score of a network on a trial's rows.
 #[derive(Clone, Debug)]
 pub(crate) struct Score {
     /// R², MAE, bias, energy.
@@ -533,7 +533,7 @@ impl fmt::Display for Figure {
 }
 
 impl Figure {
-    /// Decimal places that the figure is worth.
+    /// Significant decimal places.
     fn places(&self) -> usize {
         match self.held.map(|(low, high)| low.abs().max(high.abs())) {
             Some(most) if most < 2.0 => 3,

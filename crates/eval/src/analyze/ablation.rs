@@ -1,4 +1,4 @@
-//! What each kind of input adds to a forecast, and on which readings.
+//! Gain of each kind of input to a forecast, on new and on held readings.
 
 use joulebus_predictor::{Features, Model};
 use serde::Serialize;
@@ -9,42 +9,42 @@ use joulebus_dataset::trial::Trial;
 use joulebus_statistics::metrics::Tally;
 use joulebus_train::linear::{Linear, Terms};
 
-/// Forecasts of the same held-out readings by rules that see more or less.
+/// Forecasts of the same held-out readings by models with more or fewer inputs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Ablation {
-    /// Rows that the lines were fitted on: those of training and validation.
+    /// Rows that the linear models were fitted on: those of training and validation.
     pub fitted_rows: usize,
-    /// Held-out rows, all of which every member forecasts.
+    /// Held-out rows, each with a forecast of every model.
     pub rows: usize,
-    /// Of these, readings that repeat the one before to the bit.
+    /// Of these, readings equal to the previous one to the bit.
     pub held_rows: usize,
-    /// Rows left out because a velocity is missing, of both parts.
+    /// Rows of both parts left out because a velocity is missing.
     pub unusable_rows: usize,
     /// Mean of the held-out readings, W.
     pub power_mean_w: f64,
-    /// Their standard deviation, W.
+    /// Standard deviation of the held-out readings, W.
     pub power_std_w: f64,
-    /// The rules.
+    /// The models.
     pub members: Vec<Member>,
 }
 
-/// A rule and its scores.
+/// A model and its scores.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Member {
     /// Its name: `persistence`, `velocities + 1 lag`, a model's name.
     pub name: String,
     /// On all held-out readings.
     pub all: Part,
-    /// On those that repeat the one before.
+    /// On readings equal to the previous one.
     pub held: Part,
-    /// On those that do not.
+    /// On the other readings.
     pub new: Part,
-    /// Squared error that the rule saves against the mean of all held-out readings: the share of
-    /// that saving that falls on held readings. NaN where nothing is saved.
+    /// Reduction of squared error against the mean of all held-out readings: the share of that
+    /// reduction on held readings. NaN without a reduction.
     pub held_share_of_gain: f64,
 }
 
-/// Scores on a part of the readings. NaN where the part has no spread.
+/// Scores on a part of the readings. NaN where the part has no variance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Part {
     /// Readings.
@@ -63,7 +63,7 @@ struct HeldOut {
     held: Vec<bool>,
 }
 
-/// The ablation, and what is not in it, with the reasons.
+/// The ablation, and what was skipped, with reasons.
 pub(super) fn ablation(
     trials: &[Trial],
     sources: &[Source],
@@ -71,7 +71,7 @@ pub(super) fn ablation(
     window: usize,
     models: &[(String, Model)],
 ) -> (Option<Ablation>, Vec<String>) {
-    let mut not_done = Vec::new();
+    let mut skipped = Vec::new();
     let has_velocities = sources
         .iter()
         .flat_map(|source| &source.rows.rows)
@@ -89,7 +89,7 @@ pub(super) fn ablation(
             Terms::lags(window),
         ]
     } else {
-        not_done.push("rules with velocities: no trial has recorded them".to_owned());
+        skipped.push("models with velocities: no trial has recorded them".to_owned());
         vec![Terms::lags(1), Terms::lags(window)]
     };
     let readings: Vec<f64> = held_out
@@ -99,8 +99,8 @@ pub(super) fn ablation(
         .collect();
     let baseline = tally_of(&readings, &readings);
     if held_out.rows.len() < 2 {
-        not_done.push("the ablation: fewer than two rows are held out".to_owned());
-        return (None, not_done);
+        skipped.push("the ablation: fewer than two rows are held out".to_owned());
+        return (None, skipped);
     }
     let persistence = Linear::persistence();
     let mut members = vec![member(
@@ -116,7 +116,7 @@ pub(super) fn ablation(
                 let forecasts_w = line.predict_rows(&held_out.rows);
                 members.push(member(&terms.to_string(), &held_out, &forecasts_w));
             }
-            Err(error) => not_done.push(format!("{terms}: {error}")),
+            Err(error) => skipped.push(format!("{terms}: {error}")),
         }
     }
     for (name, model) in models {
@@ -124,7 +124,7 @@ pub(super) fn ablation(
         if forecasts_w.iter().all(|forecast_w| forecast_w.is_finite()) {
             members.push(member(name, &held_out, &forecasts_w));
         } else {
-            not_done.push(format!(
+            skipped.push(format!(
                 "{name}: it reads velocities, which are not recorded"
             ));
         }
@@ -138,7 +138,7 @@ pub(super) fn ablation(
         power_std_w: baseline.reading_std_w(),
         members,
     };
-    (Some(found), not_done)
+    (Some(found), skipped)
 }
 
 fn velocities_known(features: &Features) -> bool {
@@ -147,7 +147,7 @@ fn velocities_known(features: &Features) -> bool {
         .all(|feature| features[feature].is_finite())
 }
 
-/// The rows to fit on, those held out, and how many could not be used.
+/// The rows to fit on, the held-out rows, and the number of unusable rows.
 fn gather(
     trials: &[Trial],
     sources: &[Source],
@@ -205,7 +205,7 @@ fn member(name: &str, held_out: &HeldOut, forecasts_w: &[f64]) -> Member {
         parts[usize::from(*held)].add(reading_w, *forecast_w, f64::NAN);
     }
     let mean_w = all.reading_mean_w();
-    // Squared error saved against the mean of all readings, on new and on held ones.
+    // Reduction of squared error against the mean of all readings, on new and on held ones.
     let mut gain_w2 = [0.0; 2];
     for ((reading_w, forecast_w), held) in pairs() {
         let (from_mean, from_forecast) = (reading_w - mean_w, reading_w - forecast_w);
@@ -236,7 +236,7 @@ impl Part {
     }
 }
 
-/// Whether the reading that a sample's forecast is for repeats the one before.
+/// Whether the target reading of a sample's forecast equals the one before it.
 fn target_is_held(trial: &Trial, sample_seq: u64) -> bool {
     usize::try_from(sample_seq).is_ok_and(|sample| trial.is_held(sample + 1))
 }

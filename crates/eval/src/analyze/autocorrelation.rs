@@ -1,4 +1,4 @@
-//! How much a reading tells about the next ones.
+//! Autocorrelation of power readings.
 
 use serde::Serialize;
 
@@ -7,12 +7,12 @@ use joulebus_dataset::trial::{Column, Trial};
 /// Autocorrelation of a trial's power readings at lags of 1, 2, … rows.
 ///
 /// At lag k: the mean product of deviations from the trial's mean over all pairs of readings k rows
-/// apart without a gap or a missing reading between them, over the mean squared deviation of all
-/// readings. Without gaps this is the usual estimator but for the factor n / (n − k), which keeps
-/// short trials from looking less correlated than they are.
+/// apart without a gap or a missing reading between them, divided by the mean squared deviation of
+/// all readings. Without gaps this is the usual estimator times n / (n − k), which removes the bias
+/// of short trials towards 0.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Autocorrelation {
-    /// At lag 1, 2, …; `None` where there is no pair, or the power never changes.
+    /// At lag 1, 2, …; `None` where there is no pair, or the power is constant.
     pub at_lag: Vec<Option<f64>>,
     /// Pairs at each lag.
     pub pairs: Vec<usize>,
@@ -26,9 +26,9 @@ pub fn autocorrelation(trial: &Trial, lags: usize) -> Autocorrelation {
     pooled(std::slice::from_ref(trial), lags)
 }
 
-/// The same over all trials at once: deviations from the mean of all readings, pairs within trials.
-/// It also sees that trials differ from each other, so it is higher than within a trial, and it is
-/// what a score over many trials rests on.
+/// Autocorrelation over all trials: deviations from the mean of all readings, pairs within trials.
+/// It includes the variance between trials, so it exceeds the autocorrelation within a trial;
+/// scores over many trials depend on it.
 #[must_use]
 pub fn pooled(trials: &[Trial], lags: usize) -> Autocorrelation {
     let power_of = |trial| Trial::column(trial, Column::Power).unwrap_or_default();
@@ -40,7 +40,7 @@ pub fn pooled(trials: &[Trial], lags: usize) -> Autocorrelation {
     let mean_w = known().sum::<f64>() / readings as f64;
     let square = |value: &f64| (value - mean_w) * (value - mean_w);
     let variance = known().map(square).sum::<f64>() / readings as f64;
-    let stretches: Vec<&[f64]> = trials.iter().flat_map(stretches).collect();
+    let runs: Vec<&[f64]> = trials.iter().flat_map(runs).collect();
     let mut found = Autocorrelation {
         at_lag: Vec::with_capacity(lags),
         pairs: Vec::with_capacity(lags),
@@ -48,8 +48,8 @@ pub fn pooled(trials: &[Trial], lags: usize) -> Autocorrelation {
     };
     for lag in 1..=lags {
         let (mut sum, mut pairs) = (0.0, 0_usize);
-        for stretch in &stretches {
-            for (before, after) in stretch.iter().zip(stretch.iter().skip(lag)) {
+        for run in &runs {
+            for (before, after) in run.iter().zip(run.iter().skip(lag)) {
                 sum += (before - mean_w) * (after - mean_w);
                 pairs += 1;
             }
@@ -61,8 +61,8 @@ pub fn pooled(trials: &[Trial], lags: usize) -> Autocorrelation {
     found
 }
 
-/// Readings that follow each other without a gap and without a missing one.
-fn stretches(trial: &Trial) -> Vec<&[f64]> {
+/// Runs of readings without a gap or a missing reading.
+fn runs(trial: &Trial) -> Vec<&[f64]> {
     let power_w = trial.column(Column::Power).unwrap_or_default();
     let offset_ns = trial.offset_ns();
     let longest_ns = (trial.period_ns() + trial.period_ns() / 2).cast_signed();

@@ -1,4 +1,4 @@
-//! An evaluation for people and for programs.
+//! An evaluation as a table and as JSON.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -9,17 +9,16 @@ use serde::Serialize;
 
 use super::{Evaluation, RobotEvaluation};
 
-/// An evaluation without its steps. `Display` is a table; numbers that are not known are null in
-/// JSON.
+/// An evaluation without its steps. `Display` is a table; unknown numbers are null in JSON.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct EvaluationReport {
-    /// One entry a platform and model, by name.
+    /// One entry per platform and model, sorted by name.
     pub platforms: Vec<PlatformReport>,
-    /// One entry a trial, in order.
+    /// One entry per trial, in order.
     pub robots: Vec<RobotReport>,
 }
 
-/// How good forecasts were, beside persistence.
+/// Scores of the forecasts and of persistence.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ScoreReport {
     /// Readings scored.
@@ -65,20 +64,20 @@ pub struct RobotReport {
     pub platform: String,
     /// Name of the model.
     pub model: String,
-    /// What is to be known about the trial, in a line.
+    /// Quality notes, in one line.
     pub notes: String,
     /// Samples accepted.
     pub accepted: u64,
     /// Samples dropped, by reason.
     pub dropped: BTreeMap<&'static str, u64>,
-    /// Samples by the quality of the forecast they led to.
+    /// Samples by the quality of their forecast.
     pub qualities: BTreeMap<String, u64>,
     /// The scores.
     #[serde(flatten)]
     pub scores: ScoreReport,
     /// Share of scored readings inside their interval.
     pub coverage: f32,
-    /// What its forecast has learned from the trial, where the platform learns online.
+    /// State of online learning after the trial, where the platform learns online.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub learned: Option<Learned>,
     /// Energy drawn over the metered time, J.

@@ -1,4 +1,4 @@
-//! Sums of each recording, from which every table is made by merging.
+//! Sums of each recording, which are merged into every table.
 
 use std::collections::BTreeMap;
 
@@ -6,32 +6,32 @@ use super::Recording;
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_statistics::metrics::{Additive, CoverageTally, Tally};
 
-/// What was summed over one recording.
+/// Sums of one recording.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Sums {
-    /// Stretches of rows, in order.
+    /// Blocks of consecutive rows, in order.
     pub(crate) blocks: Vec<Block>,
     /// Residuals of each forecaster, W, ascending; of scored rows only.
     pub(crate) residuals_w: Vec<Vec<f32>>,
-    /// One entry a horizon.
+    /// One entry per horizon.
     pub(crate) horizons: Vec<HorizonSums>,
 }
 
-/// A stretch of rows.
+/// A block of consecutive rows.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Block {
-    /// One entry a forecaster: the models, persistence, the lines.
+    /// One entry per forecaster: the models, persistence, the linear baselines.
     pub(crate) forecasters: Vec<Tally>,
-    /// One entry a model.
+    /// One entry per model.
     pub(crate) intervals: Vec<CoverageTally>,
 }
 
-/// All origins at one horizon; one entry a forecaster.
+/// All origins at one horizon; one entry per forecaster.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct HorizonSums {
     /// The reading at the horizon.
     pub(crate) power: Vec<Tally>,
-    /// The energy up to the horizon, J in the place of W.
+    /// The energy up to the horizon, in J instead of W.
     pub(crate) energy: Vec<Tally>,
 }
 
@@ -49,7 +49,7 @@ impl Block {
         }
     }
 
-    /// All of some blocks, in order.
+    /// The sum of some blocks, in order.
     pub(crate) fn merged<'a>(blocks: impl IntoIterator<Item = &'a Block>) -> Block {
         let mut merged = Block::default();
         for block in blocks {
@@ -59,11 +59,11 @@ impl Block {
     }
 }
 
-/// Blocks to draw from, flat in memory.
+/// Blocks for resampling, contiguous in memory.
 pub(crate) struct Draws {
     centre_w: f64,
     forecasters: usize,
-    /// Of each block its forecasters, then its intervals.
+    /// Tallies of each block: forecasters, then intervals.
     each: usize,
     sums: Vec<Additive>,
 }
@@ -95,7 +95,7 @@ impl Draws {
         }
     }
 
-    /// Some blocks together, some of them more than once.
+    /// The sum of some blocks, possibly repeated.
     pub(crate) fn merged(&self, drawn: &[usize]) -> Block {
         let mut total = vec![[0.0; 8]; self.each];
         for block in drawn {
@@ -137,7 +137,7 @@ impl HorizonSums {
         }
     }
 
-    /// All of some sums, in order.
+    /// The sum of some horizons' sums, in order.
     pub(crate) fn merged<'a>(sums: impl IntoIterator<Item = &'a HorizonSums>) -> HorizonSums {
         let mut merged = HorizonSums::default();
         for sums in sums {
@@ -162,7 +162,7 @@ struct Named {
     sums: Sums,
 }
 
-/// Recordings that are looked at together, by their places.
+/// Recordings scored together, by index.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Set {
     pub(crate) name: String,
@@ -176,7 +176,7 @@ impl Set {
 }
 
 impl Tallied {
-    /// `sums` belong to `recordings`, one to one.
+    /// `sums` correspond to `recordings` by index.
     pub(crate) fn new(recordings: &[Recording], sums: Vec<Sums>) -> Self {
         let pairs = recordings.iter().zip(sums);
         let evaluated = pairs.filter(|(_, sums)| !sums.blocks.is_empty());
@@ -246,7 +246,7 @@ impl Tallied {
         set.places.iter().map(|at| &self.recordings[*at].sums)
     }
 
-    /// The blocks that are drawn, and whether each is a whole trial.
+    /// The blocks to resample, and whether each is a whole trial.
     pub(crate) fn blocks(&self, set: &Set, bootstrap: &Bootstrap) -> (Vec<Block>, bool) {
         let whole = set.trials() >= bootstrap.trials_from;
         let blocks = if whole {
@@ -266,7 +266,7 @@ impl Tallied {
         let sums = self.sums(set);
         let each = sums.flat_map(|sums| sums.residuals_w.get(forecaster).into_iter().flatten());
         let mut residuals_w: Vec<f64> = each.copied().map(f64::from).collect();
-        // Stable: it merges the ascending runs that are there already.
+        // A stable sort merges the existing ascending runs.
         residuals_w.sort_by(f64::total_cmp);
         residuals_w
     }

@@ -1,4 +1,4 @@
-//! Tables: the scores of some recordings together, each forecaster on the same rows.
+//! Tables: the scores of a set of recordings, each forecaster on the same rows.
 
 use serde::Serialize;
 
@@ -7,8 +7,8 @@ use super::blocks::{Block, Draws, HorizonSums, Set, Tallied};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
 use joulebus_statistics::metrics::{Coverage, ResidualQuantiles, Tally};
 
-/// The scores of some recordings in corrected mode: all of them, a group, a robot or a trial. Their
-/// rows are pooled: R² is against the mean over all of them.
+/// Scores of a set of recordings in corrected mode: all of them, a group, a robot or a trial. Their
+/// rows are pooled: R² is about the mean over all of them.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Cell {
     /// `all`, or the name of the group, robot or trial.
@@ -21,29 +21,30 @@ pub struct Cell {
     pub unscored: u64,
     /// Mean of the readings, W.
     pub reading_mean_w: f64,
-    /// Their standard deviation, W.
+    /// Standard deviation of the readings, W.
     pub reading_std_w: f64,
-    /// What was drawn for the intervals.
+    /// Resampled blocks of the confidence intervals.
     pub blocks: Blocks,
-    /// The models, persistence, the lines.
+    /// The models, persistence, the linear baselines.
     pub forecasters: Vec<ForecasterScore>,
 }
 
-/// What was drawn for confidence intervals.
+/// Resampled blocks of confidence intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Blocks {
-    /// Blocks. Of fewer than [`joulebus_statistics::bootstrap::LEAST_BLOCKS`], there is no interval.
+    /// Number of blocks. Below [`joulebus_statistics::bootstrap::LEAST_BLOCKS`], there is no
+    /// interval.
     pub count: usize,
-    /// Whether each is a whole trial; otherwise a stretch of rows.
+    /// Whether each block is a whole trial; otherwise a number of consecutive rows.
     pub whole_trials: bool,
 }
 
-/// One forecaster. What is not defined is NaN, in JSON null; definitions: [`Tally`].
+/// One forecaster. Undefined scores are NaN, null in JSON; definitions: [`Tally`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ForecasterScore {
     /// Its name.
     pub name: String,
-    /// Rows scored: those of the cell, or fewer where a line lacks a feature.
+    /// Rows scored: those of the cell, or fewer where a linear baseline lacks a feature.
     pub count: u64,
     /// Coefficient of determination.
     pub r2: Estimate,
@@ -59,9 +60,9 @@ pub struct ForecasterScore {
     pub residual: ResidualQuantiles,
     /// (Forecast energy − measured energy) / measured energy, share.
     pub energy_error: Estimate,
-    /// Against persistence, and against each line.
+    /// Against persistence, and against each linear baseline.
     pub skill: Vec<Skill>,
-    /// The intervals that the live path gives; models only.
+    /// The intervals of the live path; models only.
     pub interval: Option<IntervalScore>,
 }
 
@@ -75,7 +76,7 @@ pub struct Skill {
     pub skill: Estimate,
 }
 
-/// How well the live intervals hold what they promise.
+/// Coverage and width of the live intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct IntervalScore {
     /// Counts, shares and width.
@@ -87,14 +88,14 @@ pub struct IntervalScore {
     pub width: Estimate,
 }
 
-/// The open loop of some recordings.
+/// The open-loop scores of a set of recordings.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct HorizonCell {
     /// `all`, or the name of the group, robot or trial.
     pub name: String,
     /// Trials; a whole trial is a block of the confidence intervals.
     pub trials: usize,
-    /// One entry a horizon.
+    /// One entry per horizon.
     pub horizons: Vec<Horizon>,
 }
 
@@ -105,11 +106,11 @@ pub struct Horizon {
     pub ticks: usize,
     /// The same in seconds, at the recordings' median period.
     pub seconds: f64,
-    /// Rollouts that reach it.
+    /// Rollouts that reach this horizon.
     pub origins: u64,
     /// Rollouts left out because a model has no forecast.
     pub unscored: u64,
-    /// The models, persistence, the lines.
+    /// The models, persistence, the linear baselines.
     pub forecasters: Vec<HorizonScore>,
 }
 
@@ -118,7 +119,7 @@ pub struct Horizon {
 pub struct HorizonScore {
     /// Its name.
     pub name: String,
-    /// Coefficient of determination, against the mean of the readings at this horizon.
+    /// Coefficient of determination, about the mean of the readings at this horizon.
     pub r2: Estimate,
     /// Root of the mean squared residual, W.
     pub rmse_w: Estimate,
@@ -131,7 +132,7 @@ pub struct HorizonScore {
     pub energy_mape: f64,
     /// Energy up to the horizon, summed over the rollouts: (forecast − measured) / measured, share.
     pub energy_error: Estimate,
-    /// Against persistence, and against each line.
+    /// Against persistence, and against each linear baseline.
     pub skill: Vec<Skill>,
 }
 
@@ -140,12 +141,12 @@ pub struct HorizonScore {
 pub(crate) struct Names {
     pub(crate) forecasters: Vec<String>,
     pub(crate) models: usize,
-    /// Share of readings that the live intervals promise to hold.
+    /// Nominal coverage of the live intervals.
     pub(crate) nominal: f64,
 }
 
 impl Names {
-    /// Forecasters that others are held against: all but the models.
+    /// Forecasters used as references: all except the models.
     fn references(&self) -> std::ops::Range<usize> {
         self.models..self.forecasters.len()
     }
@@ -160,7 +161,8 @@ impl Names {
     }
 }
 
-/// Scores of each forecaster that have intervals, in the order in which [`cell`] takes them.
+/// Scores of each forecaster that have confidence intervals, in the order in which [`cell`] reads
+/// them.
 fn statistics(block: &Block, names: &Names) -> Vec<f64> {
     let mut found = Vec::with_capacity(16 * block.forecasters.len());
     for (at, tally) in block.forecasters.iter().enumerate() {
@@ -184,7 +186,7 @@ fn push_skills(found: &mut Vec<f64>, tallies: &[Tally], at: usize, names: &Names
     found.extend(against.map(|reference| tallies[at].skill(&tallies[reference])));
 }
 
-/// The table of some recordings.
+/// The table of a set of recordings.
 pub(crate) fn cell(tallied: &Tallied, set: &Set, names: &Names, options: &Options) -> Cell {
     let (blocks, whole_trials) = tallied.blocks(set, &options.bootstrap);
     let whole = Block::merged(&blocks);
@@ -193,7 +195,7 @@ pub(crate) fn cell(tallied: &Tallied, set: &Set, names: &Names, options: &Option
     let estimates = options.bootstrap.estimate(blocks.len(), statistics);
     let mut estimates = estimates.into_iter();
     let forecasters = whole.forecasters.iter().enumerate().map(|(at, tally)| {
-        // As many estimates as statistics: one draw has been made of each.
+        // There are as many estimates as statistics.
         let mut next = || estimates.next().unwrap_or(Estimate::alone(f64::NAN));
         let [r2, rmse_w, mae_w, bias_w, energy_error] = std::array::from_fn(|_| next());
         let skill = names.skills(at, &mut std::iter::from_fn(|| Some(next())));
@@ -233,7 +235,8 @@ pub(crate) fn cell(tallied: &Tallied, set: &Set, names: &Names, options: &Option
     }
 }
 
-/// The open loop of some recordings. Rollouts overlap, so only whole trials are drawn.
+/// The open-loop table of a set of recordings. Rollouts overlap, so only whole trials are
+/// resampled.
 pub(crate) fn horizon_cell(
     tallied: &Tallied,
     set: &Set,
@@ -260,7 +263,7 @@ fn horizon(
     names: &Names,
     bootstrap: &Bootstrap,
 ) -> Horizon {
-    // A trial too short for the horizon says nothing about it.
+    // Trials too short for the horizon are ignored.
     let reaching: Vec<&HorizonSums> = trials
         .iter()
         .copied()

@@ -1,4 +1,4 @@
-//! Two models on the same rows: what changes, where, and whether it is more than chance.
+//! Two models on the same rows: the differences, and whether they are significant.
 
 use std::fmt;
 
@@ -12,14 +12,14 @@ use super::run::{Scored, score};
 use super::{Options, ScoreError, Subject};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
 
-/// Places of the two models among the forecasters.
+/// Index of the two models among the forecasters.
 const OLD: usize = 0;
 const NEW: usize = 1;
 
-/// Two models beside each other. Every difference is new less old.
+/// Comparison of two models. Every difference is new minus old.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Name of the kind of robot; `recorded` where period and limits are the recordings'.
+    /// Name of the platform; `recorded` where period and limits are the recordings'.
     pub platform: String,
     /// The old model.
     pub old: ModelReport,
@@ -27,15 +27,15 @@ pub struct Comparison {
     pub new: ModelReport,
     /// Which rows were compared.
     pub design: DesignReport,
-    /// How confidence intervals were made; the same draws serve both models.
+    /// Configuration of the confidence intervals; both models share the draws.
     pub bootstrap: Bootstrap,
     /// All recordings.
     pub all: Difference,
-    /// By group; empty if there is but one.
+    /// By group; empty if there is only one.
     pub groups: Vec<Difference>,
-    /// By robot; empty if there is but one.
+    /// By robot; empty if there is only one.
     pub robots: Vec<Difference>,
-    /// By trial; empty if there is but one.
+    /// By trial; empty if there is only one.
     pub trials: Vec<Difference>,
     /// Open loop, all recordings.
     pub open_loop: Vec<HorizonDifference>,
@@ -48,9 +48,9 @@ pub struct Difference {
     pub name: String,
     /// Trials.
     pub trials: usize,
-    /// Rows that both models have a forecast for.
+    /// Rows for which both models have a forecast.
     pub rows: u64,
-    /// Rows for which one of them has none.
+    /// Rows for which a model has none.
     pub unscored: u64,
     /// Scores of the old model.
     pub old: Side,
@@ -58,19 +58,20 @@ pub struct Difference {
     pub new: Side,
     /// Difference of R².
     pub r2: Estimate,
-    /// Difference of the mean absolute residuals, W: below 0 where the new one is better.
+    /// Difference of the mean absolute residuals, W: below 0 where the new model is better.
     pub mae_w: Estimate,
-    /// Difference of the roots of the mean squared residuals, W: below 0 where the new one is better.
+    /// Difference of the root mean squared residuals, W: below 0 where the new model is better.
     pub rmse_w: Estimate,
-    /// 1 − mean squared error of the new over that of the old: above 0 where the new one is better.
+    /// 1 − mean squared error of the new over that of the old: above 0 where the new model is
+    /// better.
     pub skill: Estimate,
-    /// Difference of the shares of readings inside the live intervals.
+    /// Difference of the coverage of the live intervals.
     pub coverage: Estimate,
-    /// What the interval of the skill says.
+    /// Verdict by the confidence interval of the skill.
     pub verdict: Verdict,
 }
 
-/// The scores of one of the two.
+/// Scores of one of the two models.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Side {
     /// Coefficient of determination.
@@ -94,7 +95,7 @@ pub struct Side {
 pub struct HorizonDifference {
     /// Ticks ahead.
     pub ticks: usize,
-    /// Rollouts that reach it.
+    /// Rollouts that reach this horizon.
     pub origins: u64,
     /// Mean absolute residual of the old model, W.
     pub old_mae_w: f64,
@@ -106,16 +107,16 @@ pub struct HorizonDifference {
     pub skill: Estimate,
 }
 
-/// Whether two models can be distinguished: by whether the confidence interval of the skill of the new
-/// one against the old one holds 0.
+/// Verdict: whether the confidence interval of the new model's skill against the old one excludes
+/// 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// The interval lies above 0.
     Better,
-    /// It lies below 0.
+    /// The interval lies below 0.
     Worse,
-    /// It holds 0, or there is none: too few blocks, or no error to compare.
+    /// The interval includes 0, or there is none: too few blocks, or no error to compare.
     Undecided,
 }
 
@@ -142,7 +143,7 @@ impl Verdict {
 }
 
 /// Evaluates the two models of the subject, the old one first, on the same rows, and compares them.
-/// Its baselines stand aside.
+/// Its linear baselines are ignored.
 ///
 /// # Errors
 /// [`ScoreError`], as [`score`].

@@ -1,4 +1,4 @@
-//! One recording: the live path, the baselines beside it, and the sums.
+//! One recording: the live path, the baselines, and the sums.
 
 use std::ops::Range;
 
@@ -14,14 +14,13 @@ use joulebus_train::linear::Linear;
 
 /// Forecasts for each row of a recording.
 struct Column {
-    /// NaN where there is none.
+    /// NaN where there is no forecast.
     power_w: Vec<f32>,
     lo_w: Vec<f32>,
     hi_w: Vec<f32>,
 }
 
-/// Sums of one recording, and the live path of each model. Without rows to evaluate, both are
-/// empty.
+/// Sums of one recording, and the live path of each model. Both are empty without rows to evaluate.
 pub(super) fn one(
     subject: Subject<'_>,
     options: &Options,
@@ -63,7 +62,7 @@ fn live(subject: Subject<'_>, recording: &Recording) -> Result<Vec<RobotEvaluati
         platforms: vec![platform],
         ..subject.settings.clone()
     };
-    // A longer silence than this frees a robot's place; here nobody waits for it.
+    // A longer silence frees a robot's slot; here no other robot needs it.
     let stale_after_ns = settings.platforms[0].stale_after_ns;
     let leave_after_ns = &mut settings.intake.leave_after_ns;
     *leave_after_ns = stale_after_ns.max(*leave_after_ns);
@@ -79,7 +78,7 @@ fn live(subject: Subject<'_>, recording: &Recording) -> Result<Vec<RobotEvaluati
 fn column(recording: &Recording, live: &RobotEvaluation) -> Column {
     let of = |value: fn(&crate::evaluate::Step) -> Option<f32>| -> Vec<f32> {
         let seqs = recording.rows.sample_seq.iter();
-        // Samples count from 0 in the order of their rows, a step each.
+        // Samples count from 0 in the order of their rows, one step each.
         seqs.map(|seq| live.steps.get(*seq as usize).and_then(value))
             .map(|value| value.unwrap_or(f32::NAN))
             .collect()
@@ -91,7 +90,7 @@ fn column(recording: &Recording, live: &RobotEvaluation) -> Column {
     }
 }
 
-/// Adds a part of the rows, in blocks.
+/// Adds a range of rows, in blocks.
 fn add_rows(
     sums: &mut Sums,
     recording: &Recording,
@@ -103,7 +102,7 @@ fn add_rows(
     let forecasters = columns.len() + 1 + lines.len();
     sums.residuals_w.resize(forecasters, Vec::new());
     let mut forecasts_w = Vec::with_capacity(forecasters);
-    for block_rows in stretches(rows, options.bootstrap.block_rows) {
+    for block_rows in row_blocks(rows, options.bootstrap.block_rows) {
         let mut block = Block {
             forecasters: vec![Tally::default(); forecasters],
             intervals: vec![CoverageTally::default(); columns.len()],
@@ -119,7 +118,7 @@ fn add_rows(
             let predict =
                 |line: &Option<Linear>| line.as_ref().map(|line| line.predict(&row.features));
             forecasts_w.extend(lines.iter().map(|line| predict(line).unwrap_or(f64::NAN)));
-            // Without a forecast of each model, no forecaster is scored on this row.
+            // A row without a forecast of each model is scored for no forecaster.
             let reading_w = if all_known {
                 f64::from(row.target_w)
             } else {
@@ -140,8 +139,8 @@ fn add_rows(
     }
 }
 
-/// Stretches of `length` rows; a rest of less than half of it belongs to the last.
-fn stretches(rows: Range<usize>, length: usize) -> impl Iterator<Item = Range<usize>> {
+/// Blocks of `length` rows; a remainder of less than half of it joins the last block.
+fn row_blocks(rows: Range<usize>, length: usize) -> impl Iterator<Item = Range<usize>> {
     let count = ((rows.len() + length / 2) / length).max(1);
     (0..count).map(move |at| {
         let start = rows.start + at * length;
@@ -160,10 +159,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn stretches_hold_every_row_once_and_are_about_as_long_as_asked(
+        fn blocks_cover_every_row_once_with_about_the_requested_length(
             start in 0usize..50, rows in 1usize..500, length in 1usize..120
         ) {
-            let found: Vec<_> = super::stretches(start..start + rows, length).collect();
+            let found: Vec<_> = super::row_blocks(start..start + rows, length).collect();
             let flat: Vec<usize> = found.iter().cloned().flatten().collect();
             prop_assert_eq!(flat, (start..start + rows).collect::<Vec<_>>());
             for (at, stretch) in found.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Which rows are evaluated, and which rows the baselines may learn from.
+//! Which rows are evaluated, and which rows the baselines are fitted on.
 
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
@@ -14,38 +14,38 @@ use joulebus_dataset::split::{
 };
 use joulebus_train::linear::{Linear, Moments, Terms, known_terms};
 
-/// Folds of [`Design::folds`].
+/// Maximum number of folds of [`Design::folds`].
 const FOLDS: usize = 10;
 
-/// Number of a recording, and some of its rows.
+/// Index of a recording, and a range of its rows.
 pub type Part = (usize, Range<usize>);
 
 /// Evaluated rows, and the rows that baselines for them are fitted on. The two never share a
 /// reading.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Design {
-    /// In words: what was held out, or how the folds were made.
+    /// Description: what was held out, or how the folds were made.
     pub description: String,
-    /// What stayed together, where a split was asked for.
+    /// The split, if one was requested.
     pub split: Option<Split>,
-    /// One or more pairs of rows to evaluate and rows to fit on.
+    /// One or more folds.
     pub folds: Vec<Fold>,
-    /// Names of the units that are evaluated; for a split in time, and without a split, the trials.
+    /// Names of the evaluated units; for a split in time, and without a split, the trials.
     pub units: Vec<String>,
-    /// SHA-256 of the split's three parts for each set of features, to be compared with what a model
-    /// was trained on.
+    /// SHA-256 of the split's three parts for each feature set, for comparison with a model's
+    /// training data.
     data_sha256: Vec<(FeatureSet, String)>,
-    /// Recordings that serve only to fit.
+    /// Recordings used only for fitting.
     others: Vec<Recording>,
 }
 
-/// Rows that are evaluated together.
+/// Rows that are evaluated with the same baselines.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Fold {
-    /// Number of a recording, and which of its rows are evaluated.
+    /// Indices of recordings with their evaluated rows.
     pub evaluated: Vec<Part>,
-    /// Number of a recording, and which of its rows the baselines are fitted on. Numbers past the
-    /// evaluated recordings are of those that serve only to fit.
+    /// Indices of recordings with the rows that the baselines are fitted on. Indices beyond the
+    /// evaluated recordings are of those used only for fitting.
     pub fitted: Vec<Part>,
 }
 
@@ -56,11 +56,11 @@ impl PartialEq for Recording {
 }
 
 impl Design {
-    /// Evaluates what a split holds out; baselines are fitted on all the rest, the part for
-    /// validation included, since nothing else is decided by it.
+    /// Evaluates the held-out part of a split; baselines are fitted on all other rows, the
+    /// validation part included, since they need no early stopping.
     ///
-    /// The parts are those of [`assign`]: a model trained with the same split of the same recordings
-    /// has not seen what is evaluated.
+    /// The parts are those of [`assign`]: a model trained with the same split of the same
+    /// recordings has not seen the evaluated rows.
     ///
     /// # Errors
     /// [`ScoreError::Split`].
@@ -69,8 +69,7 @@ impl Design {
         Ok(Self::assigned(&sources, assign(&sources, wanted)?, wanted))
     }
 
-    /// The same with the units named that are held out: the surfaces or robots that a model is to
-    /// meet for the first time.
+    /// The same with the held-out units given by name: surfaces or robots unknown to the model.
     ///
     /// # Errors
     /// [`ScoreError::Split`].
@@ -96,7 +95,7 @@ impl Design {
         }
         let dataset = assignment.dataset(sources, String::new());
         let hash = |set: FeatureSet| (set, dataset.sha256(set));
-        // Sets that read the same columns of freshness have the same hash.
+        // Feature sets that read the same reading-age columns have the same hash.
         let hashes = [FeatureSet::Full, FeatureSet::Freshness].map(hash);
         Self {
             description: format!("split {}", assignment.summary.name),
@@ -111,8 +110,8 @@ impl Design {
         }
     }
 
-    /// SHA-256 of the split's three parts as a model with these features would have learned them,
-    /// hexadecimal; `None` without a split.
+    /// SHA-256 of the split's three parts as a model with these features would have been trained on
+    /// them, hexadecimal; `None` without a split.
     #[must_use]
     pub fn data_sha256(&self, set: FeatureSet) -> Option<&str> {
         let same = |other: &FeatureSet| other.needs_freshness() == set.needs_freshness();
@@ -123,8 +122,8 @@ impl Design {
     }
 
     /// Evaluates every row. The recordings are assigned in turn to up to ten folds, and the
-    /// baselines for each are fitted on the others; a single recording is cut in two halves, each
-    /// of which is evaluated with baselines from the other. Copies of a recording share its fold.
+    /// baselines for each are fitted on the others; a single recording is cut into halves, each
+    /// evaluated with baselines from the other. Duplicates of a recording share its fold.
     #[must_use]
     pub fn folds(recordings: &[Recording]) -> Self {
         let (folds, description) = match recordings {
@@ -171,7 +170,7 @@ impl Design {
         }
     }
 
-    /// Refuses recordings that have not the rows of the design.
+    /// Refuses recordings that lack rows of the design.
     pub(super) fn check(&self, recordings: &[Recording]) -> Result<(), ScoreError> {
         let all: Vec<usize> = recordings
             .iter()
@@ -195,7 +194,7 @@ impl Design {
         Ok(())
     }
 
-    /// Which rows of a recording are evaluated, each with the number of its fold.
+    /// Row ranges of a recording that are evaluated, each with the index of its fold.
     pub fn evaluated(&self, recording: usize) -> impl Iterator<Item = (usize, Range<usize>)> + '_ {
         self.folds.iter().enumerate().flat_map(move |(fold, rows)| {
             let own = rows
@@ -214,7 +213,7 @@ impl Design {
         &recording.rows.rows[part.1.clone()]
     }
 
-    /// In numbers.
+    /// The design in numbers.
     #[must_use]
     pub fn report(&self) -> DesignReport {
         let rows = |of: fn(&Fold) -> &Vec<Part>| -> usize {
@@ -239,18 +238,18 @@ impl Design {
     }
 }
 
-/// Which rows were evaluated, for people and programs.
+/// Which rows were evaluated, for reports.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DesignReport {
-    /// In words.
+    /// Description.
     pub description: String,
-    /// The split, where one was asked for.
+    /// The split, if one was requested.
     pub split: Option<Split>,
-    /// Folds; 1 where the evaluated rows are apart from the fitted ones as a whole.
+    /// Number of folds; 1 if evaluated and fitted rows are disjoint as a whole.
     pub folds: usize,
-    /// Trials of which rows are evaluated.
+    /// Trials with evaluated rows.
     pub trials: usize,
-    /// Rows to be evaluated.
+    /// Evaluated rows.
     pub rows: usize,
     /// Rows that baselines are fitted on, summed over the folds.
     pub fitted_rows: usize,
@@ -267,7 +266,7 @@ fn names(recordings: &[Recording]) -> Vec<String> {
     names.collect()
 }
 
-/// Every recording once, the fitted ones all the others.
+/// Leave-one-fold-out: every recording is evaluated once, with all other folds fitted on.
 fn in_turn(recordings: &[Recording], count: usize) -> Vec<Fold> {
     let mut folds = vec![Fold::default(); count];
     let mut first_with = HashMap::new();
@@ -300,21 +299,21 @@ fn in_halves(rows: usize) -> Vec<Fold> {
     vec![fold(first, from..rows), fold(second, 0..until)]
 }
 
-/// The lines of each fold, where they could be fitted.
+/// The linear models of each fold, where they could be fitted.
 pub(super) type Lines = [Vec<Option<Linear>>];
 
 /// The baselines of each fold: `lines[fold][i]` is `baselines[i]`, `None` where there are too few
 /// rows to fit it on.
 ///
 /// # Errors
-/// [`ScoreError::Design`]: the design is of other recordings.
+/// [`ScoreError::Design`]: the design belongs to other recordings.
 pub(super) fn fit_lines(
     design: &Design,
     recordings: &[Recording],
     baselines: &[Terms],
 ) -> Result<Vec<Vec<Option<Linear>>>, ScoreError> {
     design.check(recordings)?;
-    // Rows of a part are looked at once, and folds share most of their parts.
+    // The moments of a part are computed once, because folds share most of their parts.
     let mut parts: Vec<&Part> = design.folds.iter().flat_map(|fold| &fold.fitted).collect();
     parts.sort_unstable_by_key(|part| (part.0, part.1.start, part.1.end));
     parts.dedup();

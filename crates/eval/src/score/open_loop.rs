@@ -1,4 +1,4 @@
-//! Forecasters fed with their own forecasts: how far ahead they can be trusted.
+//! Open-loop rollouts: forecasters fed with their own forecasts.
 
 use std::ops::Range;
 
@@ -13,7 +13,7 @@ use joulebus_statistics::metrics::Tally;
 /// Position of the newest reading in [`Features`].
 const NEWEST: usize = FeatureSet::PowerOnly.first();
 
-/// Where a rollout begins, and where the rows end that it can be held against.
+/// First row of a rollout, and the end of the rows that it can be scored against.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Origin {
     row: usize,
@@ -21,29 +21,29 @@ struct Origin {
     fold: usize,
 }
 
-/// Rows at which rollouts begin: every `every`-th of each stretch of `rows` without a gap, with the
-/// row that ends the stretch.
+/// Origins of rollouts: every `every`-th row of each gapless run of `rows`, with the end of the
+/// run.
 pub fn origins(
     recording: &Recording,
     rows: Range<usize>,
     every: usize,
 ) -> impl Iterator<Item = (usize, usize)> {
     let seqs = &recording.rows.sample_seq;
-    let mut stretches = Vec::new();
+    let mut runs = Vec::new();
     let mut start = rows.start;
     for at in rows.clone() {
         let is_last = at + 1 == rows.end || seqs[at + 1] != seqs[at] + 1;
         if is_last {
-            stretches.push((start, at + 1));
+            runs.push((start, at + 1));
             start = at + 1;
         }
     }
-    let each = stretches.into_iter();
+    let each = runs.into_iter();
     each.flat_map(move |(start, end)| (start..end).step_by(every).map(move |row| (row, end)))
 }
 
-/// Forecasts of one forecaster at every horizon of every origin: power, W, and energy up to there,
-/// J. NaN past the end of the rows.
+/// Forecasts of one forecaster at every horizon of every origin: power, W, and energy up to the
+/// horizon, J. NaN beyond the end of the rows.
 struct Trace {
     /// `horizon * origins + origin`.
     power_w: Vec<f64>,
@@ -94,7 +94,7 @@ struct Rollout<'a> {
 }
 
 impl Rollout<'_> {
-    /// The models, persistence, the lines.
+    /// Of the models, persistence, and the linear baselines.
     fn traces(&self, models: &[Model], lines: &Lines) -> Vec<Trace> {
         let mut traces: Vec<Trace> = models.iter().map(|model| self.together(model)).collect();
         traces.push(self.alone(|_, _, [newest_w, ..]| *newest_w));
@@ -118,7 +118,8 @@ impl Rollout<'_> {
         }
     }
 
-    /// Origin by origin: from a row and the last readings or forecasts, the next forecast, W.
+    /// Origin by origin: `forecast` computes the next forecast, W, from a row and the last readings
+    /// or forecasts.
     fn alone(&self, mut forecast: impl FnMut(&Origin, &Row, &[f32; LAGS]) -> f32) -> Trace {
         let mut trace = self.unknown();
         for (lane, start) in self.starts.iter().enumerate() {
@@ -158,7 +159,8 @@ impl Rollout<'_> {
                 let start = self.starts[*lane].row;
                 let mut inputs = with_lags(&self.rows[start + step], &lag_w[*lane]);
                 if model.needs_freshness() {
-                    // What happens to the sensor after the origin is not known: the schedule continues.
+                    // Sensor behaviour after the origin is unknown: the reading age continues by
+                    // the schedule.
                     self.reading_ages[start]
                         .after(step as u64)
                         .fill(&mut inputs);
@@ -215,7 +217,7 @@ fn push(lag_w: &mut [f32; LAGS], power_w: f32) {
     lag_w[0] = power_w;
 }
 
-/// The row's features with other readings behind it.
+/// The row's features with other lagged readings.
 fn with_lags(row: &Row, lag_w: &[f32; LAGS]) -> Features {
     let mut features = row.features;
     features[NEWEST..NEWEST + LAGS].copy_from_slice(lag_w);

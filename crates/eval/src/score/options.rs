@@ -1,4 +1,4 @@
-//! How recordings are evaluated, and why they could not be.
+//! Options and errors of scoring.
 
 use joulebus_dataset::split::SplitError;
 use joulebus_statistics::bootstrap::Bootstrap;
@@ -9,14 +9,15 @@ use crate::evaluate::EvaluateError;
 /// The longest horizon, ticks.
 pub const LONGEST_HORIZON: usize = 300;
 
-/// How recordings are evaluated.
+/// Options of scoring.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// Horizons of the open loop, ticks, ascending, each 1 to [`LONGEST_HORIZON`]; empty for none.
+    /// Horizons of the open loop, ticks, ascending, each 1 to [`LONGEST_HORIZON`]; empty to disable
+    /// it.
     pub horizons: Vec<usize>,
     /// Rows from one origin of the open loop to the next; at least 1.
     pub origins_every: usize,
-    /// Linear models to stand beside persistence.
+    /// Linear models as baselines in addition to persistence.
     pub baselines: Vec<Terms>,
     /// The confidence intervals.
     pub bootstrap: Bootstrap,
@@ -35,26 +36,26 @@ impl Default for Options {
     }
 }
 
-/// Why recordings could not be evaluated.
+/// Errors of scoring.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScoreError {
-    /// Nothing was given.
+    /// No recording was given.
     #[error("found no recording to evaluate; name one or more files")]
     NoRecording,
     /// No model was given.
     #[error("found no model to evaluate; name one")]
     NoModel,
-    /// Nothing can be scored.
+    /// No row can be scored.
     #[error(
         "none of the {rows} rows of {recordings} recordings can be evaluated: a row needs five \
-         readings without a gap behind it, a reading after it, and a forecast; name longer or more \
+         gapless readings before it, a reading after it, and a forecast; name longer or more \
          recordings"
     )]
     NoRows {
         /// Recordings.
         recordings: usize,
-        /// Their rows.
+        /// Rows of the recordings.
         rows: usize,
     },
     /// A horizon is not allowed.
@@ -62,39 +63,39 @@ pub enum ScoreError {
     Horizon {
         /// The horizon.
         found: usize,
-        /// The one before it, or 0.
+        /// The horizon before it, or 0.
         before: usize,
     },
     /// A number is not allowed.
     #[error("{what} is {found}, allowed is {allowed}")]
     Option {
-        /// Which.
+        /// Name of the option.
         what: &'static str,
-        /// What it is.
+        /// Its value.
         found: f64,
-        /// What it may be.
+        /// Allowed values.
         allowed: &'static str,
     },
-    /// The design has rows that the recordings have not.
+    /// The design refers to rows that the recordings lack.
     #[error(
-        "the design of other recordings: it has row {found} of recording {recording}, which has \
+        "the design belongs to other recordings: it has row {found} of recording {recording}, which has \
          {allowed} rows; make it from the recordings that are evaluated"
     )]
     Design {
-        /// Number of the recording.
+        /// Index of the recording.
         recording: usize,
-        /// Row asked for.
+        /// Row of the design.
         found: usize,
-        /// Rows there are.
+        /// Rows of the recording.
         allowed: usize,
     },
     /// The split is not possible.
     #[error(transparent)]
     Split(#[from] SplitError),
-    /// The live path refused.
+    /// The live path refused the settings or the trial.
     #[error(transparent)]
     Evaluate(#[from] EvaluateError),
-    /// A baseline has other features than its moments; never from data.
+    /// A baseline's features differ from its moments'; never caused by data.
     #[error(transparent)]
     Linear(#[from] LinearError),
 }

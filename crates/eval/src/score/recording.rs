@@ -1,4 +1,4 @@
-//! A recording and what is evaluated of it.
+//! A recording and its rows.
 
 use std::path::PathBuf;
 
@@ -9,28 +9,28 @@ use joulebus_dataset::rows::{TrialRows, trial_rows};
 use joulebus_dataset::split::{Placed, Source, SplitError, check_copies, group_of};
 use joulebus_dataset::trial::{Trial, TrialError};
 
-/// A trial with its names and its rows.
+/// A trial with its names and rows.
 #[derive(Debug, Clone)]
 pub struct Recording {
     /// Id of its robot, for the live path.
     pub id: u32,
-    /// The trial's name: its file.
+    /// Name of the trial: its file.
     pub name: String,
-    /// The robot's name: as recorded, else the file's.
+    /// Name of the robot: as recorded, else the file's.
     pub robot: String,
-    /// The group's name: [`group_of`] its file.
+    /// Name of the group: [`group_of`] its file.
     pub group: String,
     /// The trial.
     pub trial: Trial,
-    /// Rows that can be forecast, and the readings that followed them.
+    /// Rows with a forecast and a reading that follows.
     pub rows: TrialRows,
-    /// For each row, the time from the reading before to the one that is forecast, s: the time that
-    /// the forecast stands for.
+    /// For each row, the time from the previous reading to the target reading, s: the duration of
+    /// the forecast.
     pub step_s: Vec<f64>,
 }
 
 impl Recording {
-    /// With names from the trial's file.
+    /// With names derived from the trial's file.
     #[must_use]
     pub fn new(id: u32, trial: Trial) -> Self {
         let file = trial.path().file_name().and_then(|name| name.to_str());
@@ -53,7 +53,7 @@ impl Recording {
         }
     }
 
-    /// As what the splits deal out.
+    /// As a source of a split.
     #[must_use]
     pub fn source(&self) -> Source {
         Source {
@@ -65,11 +65,11 @@ impl Recording {
     }
 }
 
-/// Reads recordings in parallel, and gives them in the order of their files. Each has the id that
-/// stands beside its file; of a file with several robots, each is a recording of its own.
+/// Reads recordings in parallel and returns them in the order of their files. Each has the id given
+/// with its file; a file with several robots yields a recording for each.
 ///
 /// # Errors
-/// That of the first file, in their order, that cannot be read.
+/// The error of the first file, in their order, that cannot be read.
 pub fn read_recordings(files: &[(u32, PathBuf)]) -> Result<Vec<Recording>, TrialError> {
     let each = files.par_iter();
     let read = each.map(|(id, path)| -> Result<Vec<Recording>, TrialError> {
@@ -84,7 +84,7 @@ pub fn read_recordings(files: &[(u32, PathBuf)]) -> Result<Vec<Recording>, Trial
         });
         Ok(named.collect())
     });
-    // Collected before errors are looked at, so that it is always the first one.
+    // Collected first, so that the error is always that of the first file.
     let read: Vec<Result<Vec<Recording>, TrialError>> = read.collect();
     let mut recordings = Vec::new();
     for read in read {
@@ -93,8 +93,8 @@ pub fn read_recordings(files: &[(u32, PathBuf)]) -> Result<Vec<Recording>, Trial
     Ok(recordings)
 }
 
-/// A platform that takes a trial as it was recorded: its median period, and limits that refuse
-/// nothing but what is no number. For recordings of robots that no config describes.
+/// A platform that accepts a trial as it was recorded: its median period, and limits that refuse
+/// only values that are not finite. For recordings of robots that no config describes.
 #[must_use]
 pub fn recorded_platform(robot: u32, trial: &Trial) -> Platform {
     const SECOND_NS: u64 = 1_000_000_000;
@@ -116,10 +116,10 @@ pub fn recorded_platform(robot: u32, trial: &Trial) -> Platform {
     }
 }
 
-/// Refuses recordings that are evaluated and learned from, under the same name or another.
+/// Refuses recordings that are both evaluated and fitted on, under the same name or another.
 ///
 /// # Errors
-/// [`SplitError::Copy`], the first that is found.
+/// [`SplitError::Copy`] with the first duplicate.
 pub fn check_apart(
     evaluated: &[Recording],
     learned: (&[Recording], &'static str),

@@ -1,4 +1,4 @@
-//! All scores of an evaluation, as numbers with names.
+//! All scores of an evaluation.
 
 use joulebus_predictor::Model;
 use rayon::prelude::*;
@@ -11,11 +11,11 @@ use super::{Options, Subject};
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_train::linear::LinearReport;
 
-/// An evaluation: what was evaluated, beside what, and how it came out. `Display` gives tables; in
-/// JSON, what is not defined is null.
+/// An evaluation: data, models, baselines and scores. `Display` gives tables; in JSON, undefined
+/// scores are null.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScoreReport {
-    /// Name of the kind of robot; `recorded` where period and limits are the recordings'.
+    /// Name of the platform; `recorded` where period and limits are the recordings'.
     pub platform: String,
     /// The models, in order.
     pub models: Vec<ModelReport>,
@@ -23,27 +23,27 @@ pub struct ScoreReport {
     pub design: DesignReport,
     /// The linear baselines, in order.
     pub baselines: Vec<BaselineReport>,
-    /// How confidence intervals were made.
+    /// Configuration of the confidence intervals.
     pub bootstrap: Bootstrap,
     /// Median period of the recordings, s.
     pub period_s: f64,
     /// Corrected mode, all recordings.
     pub all: Cell,
-    /// By group; empty if there is but one.
+    /// By group; empty if there is only one.
     pub groups: Vec<Cell>,
-    /// By robot; empty if there is but one.
+    /// By robot; empty if there is only one.
     pub robots: Vec<Cell>,
-    /// By trial; empty if there is but one.
+    /// By trial; empty if there is only one.
     pub trials: Vec<Cell>,
     /// Rows from one origin of the open loop to the next.
     pub origins_every: usize,
     /// Open loop, all recordings.
     pub open_loop: HorizonCell,
-    /// By group; empty if there is but one.
+    /// By group; empty if there is only one.
     pub open_loop_groups: Vec<HorizonCell>,
-    /// By robot; empty if there is but one.
+    /// By robot; empty if there is only one.
     pub open_loop_robots: Vec<HorizonCell>,
-    /// By trial; empty if there is but one.
+    /// By trial; empty if there is only one.
     pub open_loop_trials: Vec<HorizonCell>,
 }
 
@@ -54,10 +54,10 @@ pub struct ModelReport {
     pub name: String,
     /// Its hash, hexadecimal.
     pub hash: String,
-    /// What it was trained on, as its file says; none for persistence.
+    /// Its training data as stated in its file; `None` for persistence.
     pub training_data: Option<String>,
-    /// Whether it was trained with this very split: the evaluated rows decided nothing. `None`
-    /// where nobody can tell.
+    /// Whether it was trained with the same split, so that the evaluated rows were held out. `None`
+    /// if unknown.
     pub split_is_its_own: Option<bool>,
 }
 
@@ -66,7 +66,7 @@ pub struct ModelReport {
 pub struct BaselineReport {
     /// Its name.
     pub name: String,
-    /// The line of the first fold; none where there were too few rows to fit it on.
+    /// The linear model of the first fold; `None` if there were too few rows to fit it on.
     pub line: Option<LinearReport>,
     /// Folds in which it could be fitted.
     pub fitted_folds: usize,
@@ -118,7 +118,7 @@ pub(super) fn report(
     }
 }
 
-/// Names of the forecasters; two models of the same name are distinguished by their hash.
+/// Names of the forecasters; models of the same name are distinguished by their hashes.
 pub(super) fn names(subject: Subject<'_>, options: &Options) -> Names {
     let models = subject.models;
     let mut forecasters: Vec<String> = Vec::new();

@@ -1,4 +1,4 @@
-//! An evaluation from recordings to scores.
+//! Runs an evaluation.
 
 use rayon::prelude::*;
 
@@ -8,7 +8,7 @@ use super::report::{ScoreReport, report};
 use super::{Options, ScoreError, Subject, corrected};
 use crate::evaluate::{Evaluation, RobotEvaluation};
 
-/// What came of an evaluation.
+/// Result of an evaluation.
 #[derive(Debug, Clone)]
 pub struct Scored {
     /// All scores.
@@ -29,7 +29,7 @@ pub struct Scored {
 /// let config = Config::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/fleet.toml"))?;
 /// let (_, file) = builtin_model("gternal-sim").ok_or("no such model ships")?;
 /// let models = [Model::Network(Network::from_safetensors(file)?)];
-/// // Simulated; of a file, `Trial::read` makes one.
+/// // Simulated; `Trial::read` reads one from a file.
 /// let trials = [protocol::trial(4, 7)?, protocol::trial(6, 7)?];
 /// let recordings: Vec<_> = (0..).zip(trials).map(|(id, trial)| Recording::new(id, trial)).collect();
 /// let subject = Subject {
@@ -41,14 +41,14 @@ pub struct Scored {
 /// };
 /// let scored = score(subject, &Options::default())?;
 /// println!("{}", scored.report);
-/// // The network, persistence and the lines: all on the same rows.
+/// // The network, persistence and the linear baselines: all on the same rows.
 /// let all = &scored.report.all;
 /// assert!(all.forecasters.iter().all(|one| one.count == all.rows));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
-/// [`ScoreError`]: nothing to evaluate, options or settings that are refused.
+/// [`ScoreError`]: nothing to evaluate, or options or settings that are refused.
 pub fn score(subject: Subject<'_>, options: &Options) -> Result<Scored, ScoreError> {
     options.check()?;
     let Subject {

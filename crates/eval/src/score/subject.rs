@@ -1,4 +1,4 @@
-//! What is evaluated.
+//! Inputs of an evaluation.
 
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, Platform};
@@ -6,15 +6,15 @@ use joulebus_settings::{FleetSettings, Platform};
 use super::design::Design;
 use super::recording::Recording;
 
-/// What is evaluated: one kind of robot, one or more models for it.
+/// Inputs of an evaluation: one platform, one or more models for it, recordings.
 #[derive(Debug, Clone, Copy)]
 pub struct Subject<'a> {
-    /// Intake, intervals and alarms of the live path. Its platforms do not count.
+    /// Ingest, intervals and alarms of the live path. Its platforms are ignored.
     pub settings: &'a FleetSettings,
-    /// The kind of robot; `None` takes period and limits from each recording
+    /// The platform; `None` takes period and limits from each recording
     /// ([`recorded_platform`](super::recorded_platform)).
     pub platform: Option<&'a Platform>,
-    /// The models; the first is the one that the others are compared with.
+    /// The models; the others are compared with the first.
     pub models: &'a [Model],
     /// The recordings.
     pub recordings: &'a [Recording],

@@ -1,4 +1,4 @@
-//! Tables for people.
+//! Evaluations as text tables.
 
 use std::fmt::{self, Formatter};
 
@@ -8,9 +8,9 @@ use super::design::DesignReport;
 use super::report::{ModelReport, ScoreReport};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate, LEAST_BLOCKS};
 
-/// Trials that are listed one by one; of more, the worst.
+/// Maximum number of trials listed individually; of more, only the worst.
 const LISTED: usize = 24;
-/// Of more trials than are listed, so many are.
+/// Number of worst trials listed.
 const WORST: usize = 8;
 
 impl fmt::Display for ScoreReport {
@@ -71,18 +71,18 @@ fn write_model(out: &mut Formatter<'_>, what: &str, model: &ModelReport) -> fmt:
     match model.split_is_its_own {
         Some(true) => writeln!(
             out,
-            "  with this very split of these recordings: the rows evaluated decided nothing"
+            "  with the same split of the same recordings: the evaluated rows were held out"
         ),
         Some(false) => writeln!(
             out,
-            "  with other recordings or another split: whether it has seen these rows, its file \
-             does not tell"
+            "  with other recordings or another split: its file does not \
+             state whether it has seen these rows"
         ),
         None => Ok(()),
     }
 }
 
-/// A number, or a dash where there is none.
+/// A number, or a dash if it is undefined.
 struct Number(f64, usize, usize);
 
 impl fmt::Display for Number {
@@ -125,7 +125,7 @@ fn name_width<'a>(names: impl Iterator<Item = &'a str>, least: usize) -> usize {
     longest.unwrap_or(0).max(least)
 }
 
-/// The forecasters below each other, with intervals.
+/// The forecasters one per line, with confidence intervals.
 fn write_cell(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> fmt::Result {
     let width = name_width(cell.forecasters.iter().map(|one| one.name.as_str()), 12);
     writeln!(
@@ -218,7 +218,7 @@ fn write_blocks(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> 
     )
 }
 
-/// One line a cell: R² and MAE of every forecaster, the models' skill and coverage.
+/// One line per cell: R² and MAE of every forecaster, the models' skill and coverage.
 fn write_cells(out: &mut Formatter<'_>, what: &str, cells: &[Cell]) -> fmt::Result {
     let Some(first) = cells.first() else {
         return Ok(());
@@ -242,8 +242,8 @@ fn write_cells(out: &mut Formatter<'_>, what: &str, cells: &[Cell]) -> fmt::Resu
     Ok(())
 }
 
-/// Two lines above a table with R² and MAE of every forecaster: `left`, their names, `right`; then
-/// what stands below the names.
+/// Two heading lines of a table with R² and MAE of every forecaster: `left`, their names, `right`;
+/// then the column titles.
 fn write_headings<'a>(
     out: &mut Formatter<'_>,
     left: &str,
@@ -262,7 +262,7 @@ fn write_headings<'a>(
     writeln!(out)
 }
 
-/// R² and MAE below them.
+/// R² and MAE under these titles.
 fn write_accuracy(out: &mut Formatter<'_>, r2: Estimate, mae_w: Estimate) -> fmt::Result {
     let (r2, mae_w) = (Number(r2.value, 7, 4), Number(mae_w.value, 8, 3));
     write!(out, "  {r2} {mae_w}")
@@ -292,7 +292,7 @@ fn write_line(out: &mut Formatter<'_>, cell: &Cell, width: usize) -> fmt::Result
     writeln!(out)
 }
 
-/// All trials, or those in which the first model has the least skill.
+/// All trials, or those in which the first model has the lowest skill.
 fn write_trials(out: &mut Formatter<'_>, trials: &[Cell]) -> fmt::Result {
     if trials.len() <= LISTED {
         return write_cells(out, "trial", trials);
@@ -410,7 +410,7 @@ impl Comparison {
     }
 }
 
-/// Both models score by score.
+/// Scores of both models, one score per line.
 fn write_sides(out: &mut Formatter<'_>, all: &Difference) -> fmt::Result {
     let nothing = Estimate::alone(f64::NAN);
     writeln!(
@@ -520,7 +520,7 @@ fn write_differences(out: &mut Formatter<'_>, what: &str, all: &[Difference]) ->
     )
 }
 
-/// A file's name without its directory; other names as they are.
+/// A file's name without its directory; other names unchanged.
 fn short(name: &str) -> &str {
     name.rsplit('/').next().unwrap_or(name)
 }

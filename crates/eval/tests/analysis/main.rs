@@ -1,4 +1,4 @@
-//! What `analyze` says about data whose truth is known, and about the real recordings.
+//! `analyze` on data with known statistics, and on the real recordings.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::path::Path;
@@ -15,7 +15,7 @@ use recordings::recordings;
 #[path = "../../../dataset/tests/datasets/recordings.rs"]
 mod recordings;
 
-/// Uniform on [−1, 1), from a generator that anybody can write down.
+/// Uniform on [−1, 1), from a simple reference generator.
 fn noise(state: &mut u64) -> f64 {
     *state = state
         .wrapping_mul(6_364_136_223_846_793_005)
@@ -40,7 +40,7 @@ fn trial(name: &str, rows: impl Iterator<Item = (f64, f64)>) -> Trial {
     Trial::from_rows(Path::new(name), "robot", rows).unwrap()
 }
 
-/// Power that keeps `keep` of its deviation from step to step.
+/// AR(1) power with coefficient `keep`.
 fn kept(name: &str, rows: usize, keep: f64, hold: usize, seed: u64) -> Trial {
     let mut state = seed;
     let mut away = 0.0;
@@ -72,7 +72,7 @@ fn named<'a>(series: &'a Series, name: &str) -> &'a Member {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 40, failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
-    fn autocorrelation_is_what_two_loops_say(
+    fn autocorrelation_equals_two_plain_loops(
         power in prop::collection::vec(prop_oneof![9 => -5.0_f64..5.0, 1 => Just(f64::NAN)], 10..80),
         lags in 1_usize..6,
     ) {
@@ -99,7 +99,7 @@ proptest! {
 }
 
 #[test]
-fn a_series_that_keeps_nine_tenths_correlates_at_nine_tenths() {
+fn the_autocorrelation_of_an_ar1_series_is_its_coefficient() {
     let trials: Vec<Trial> = (0..6)
         .map(|n| kept(&format!("t_{n}.npy"), 4_000, 0.9, 1, n))
         .collect();
@@ -125,8 +125,8 @@ fn a_series_that_keeps_nine_tenths_correlates_at_nine_tenths() {
 }
 
 #[test]
-fn what_comes_from_repeated_readings_is_told_apart() {
-    // Each reading stands for three rows and says nothing about the next: all skill is repetition.
+fn the_share_of_held_readings_in_a_score_is_separated() {
+    // Each reading is held for three rows and independent of the next: all skill is repetition.
     let trials: Vec<Trial> = (0..6)
         .map(|n| kept(&format!("t_{n}.npy"), 6_000, 0.0, 3, n))
         .collect();
@@ -155,7 +155,7 @@ fn what_comes_from_repeated_readings_is_told_apart() {
     let rows = persistence.held.rows + persistence.new.rows;
     assert_eq!(rows, persistence.all.rows);
 
-    // The same readings at their own rate: nothing is left.
+    // The same readings at their own rate: no skill remains.
     let thinned = AnalysisSettings {
         grids: vec![Resample {
             method: Method::Hold,
@@ -173,12 +173,12 @@ fn what_comes_from_repeated_readings_is_told_apart() {
 }
 
 #[test]
-fn power_that_follows_the_command_is_found_in_the_velocities() {
+fn power_that_depends_on_the_command_is_explained_by_velocities() {
     let trials: Vec<Trial> = (0..6)
         .map(|n| {
             let mut state = n;
             let mut command = move |_| noise(&mut state);
-            // A row pairs the command with the reading that it leads to.
+            // A row pairs the command with the reading that follows.
             let rows = (0..800).map(move |row| {
                 let v_mps = command(row);
                 (3.0 + v_mps + 0.5 * v_mps.abs(), v_mps)
@@ -206,7 +206,7 @@ fn power_that_follows_the_command_is_found_in_the_velocities() {
 }
 
 #[test]
-fn a_group_is_held_out_by_name_and_what_does_not_exist_is_refused() {
+fn a_group_is_held_out_by_name_and_an_unknown_one_is_refused() {
     let trials: Vec<Trial> = (0..6)
         .map(|n| {
             let group = ["ICE", "SNOW", "SAND"][n as usize / 2];
@@ -270,10 +270,10 @@ fn a_group_is_held_out_by_name_and_what_does_not_exist_is_refused() {
     ));
 }
 
-/// The reference: `../shared/data/README.md`, made with another program on a split of its own. Its
+/// The reference is `../shared/data/README.md`, computed by another program with another split. Its
 /// correlations also count the pairs across the ends of trials.
 #[test]
-fn the_robotino_scores_what_the_reference_says() {
+fn the_robotino_scores_equal_the_reference() {
     let Some(paths) = recordings("robotino") else {
         return;
     };

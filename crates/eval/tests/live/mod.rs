@@ -1,13 +1,13 @@
-//! The settings of the live tick that recordings are judged with.
+//! Settings of the live tick for recordings.
 
 use joulebus_config::Config;
 use joulebus_settings::{FleetSettings, Intake};
 
-/// Those of the shipped config for one robot, without platforms; but no gap in a recording is too
-/// long for its stamps to be taken.
+/// The shipped config for one robot, without platforms, and with no limit on the jumps of stamps,
+/// so that no gap of a recording is refused.
 pub(crate) fn settings() -> FleetSettings {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/fleet.toml");
-    let shipped = Config::load(file).expect("the config that ships is sound");
+    let shipped = Config::load(file).expect("the shipped config is valid");
     let shipped = shipped.settings();
     FleetSettings {
         capacity: 1,

@@ -1,4 +1,5 @@
-//! Offline evaluation: against a slow oracle from the table's columns, and against a mixed fleet.
+//! Offline evaluation against a slow oracle computed from the table's columns, and against a mixed
+//! fleet.
 
 use joulebus_dataset::trial::{Column, Playback, Trial, TrialFleet};
 use joulebus_eval::evaluate::{EvaluateError, RobotEvaluation, Step, evaluate, evaluate_trial};
@@ -12,7 +13,7 @@ use crate::files::{Files, npy_f8, timed};
 use crate::model::{HUSKY, ROBOTINO, ROVER, network, networks, persistence, settings};
 use crate::recordings::recordings;
 
-/// Every `every`-th recording of a platform, with robot ids from `first` on.
+/// Every `every`-th recording of a platform, with robot ids from `first`.
 fn some(platform: &str, first: u32, every: usize) -> Option<Vec<(u32, Trial)>> {
     let paths = recordings(platform)?;
     let read = |path| Trial::read(path).unwrap_or_else(|error| panic!("{error}"));
@@ -59,7 +60,7 @@ fn bits(value: Option<f32>) -> Option<u32> {
     value.map(f32::to_bits)
 }
 
-/// Forecasts made after each row, straight from the columns, in one batch.
+/// Forecasts after each row, computed directly from the columns in one batch.
 fn oracle(model: &Model, trial: &Trial) -> Vec<Option<f32>> {
     let n = trial.rows();
     let column = |column| -> Vec<f32> {
@@ -183,13 +184,13 @@ fn on_gap_free_trials_the_tick_equals_one_batch_over_the_columns_to_the_bit() {
     assert!(compared.iter().all(|count| *count >= 5), "{compared:?}");
 }
 
-/// What a live worker shows of a robot after a sample, as bits.
+/// Live output for a robot after a sample, as bits.
 fn step_bits(step: &Step) -> [Option<u32>; 4] {
     [step.power_w, step.lo_w, step.hi_w, step.residual_w].map(bits)
 }
 
 #[test]
-fn a_mixed_fleet_in_frames_of_any_length_gives_the_bits_of_each_robot_alone() {
+fn a_mixed_fleet_gives_the_bits_of_each_robot_alone_for_any_frame_length() {
     let Some(trials) = all_platforms(20) else {
         return;
     };
@@ -260,7 +261,7 @@ fn a_mixed_fleet_in_frames_of_any_length_gives_the_bits_of_each_robot_alone() {
 }
 
 #[test]
-fn the_rover_is_invalid_for_want_of_commands_under_a_model_that_needs_them() {
+fn without_commands_a_model_that_needs_them_makes_the_rover_invalid() {
     let Some(trials) = some("ase_rover", ROVER, 20) else {
         return;
     };
@@ -275,7 +276,7 @@ fn the_rover_is_invalid_for_want_of_commands_under_a_model_that_needs_them() {
         assert_eq!(robot.scores.count, 0);
         assert!(
             robot.ledger.drawn_uj > 0,
-            "its energy is metered all the same"
+            "its energy is metered nevertheless"
         );
     }
     let report = evaluation.report().to_string();
@@ -286,7 +287,7 @@ fn the_rover_is_invalid_for_want_of_commands_under_a_model_that_needs_them() {
 }
 
 #[test]
-fn pooled_persistence_on_all_robotino_trials_scores_what_others_measured() {
+fn pooled_persistence_on_all_robotino_trials_scores_as_published() {
     let Some(trials) = some("robotino", ROBOTINO, 1) else {
         return;
     };
@@ -297,7 +298,7 @@ fn pooled_persistence_on_all_robotino_trials_scores_what_others_measured() {
     };
     assert_eq!((pooled.trials, pooled.dropped), (648, 0));
     assert_eq!(pooled.accepted, 264_476);
-    // .819 was measured elsewhere, on the held-out 30 %.
+    // The published .819 was measured on the held-out 30 %.
     let r2 = pooled.scores.persistence_r2;
     println!(
         "pooled persistence: R² {r2:.4}, {} scored",
@@ -310,7 +311,7 @@ fn pooled_persistence_on_all_robotino_trials_scores_what_others_measured() {
 }
 
 #[test]
-fn samples_that_the_intake_refuses_are_steps_that_lead_to_nothing_and_are_counted() {
+fn samples_refused_by_ingest_are_empty_steps_and_counted() {
     let files = Files::new();
     let mut rows = (0..12)
         .map(|row| (f64::from(row) * 0.03, 5_000.0 + f64::from(row)))
@@ -339,7 +340,7 @@ fn samples_that_the_intake_refuses_are_steps_that_lead_to_nothing_and_are_counte
 }
 
 #[test]
-fn what_cannot_be_evaluated_is_refused_with_its_numbers() {
+fn invalid_evaluations_are_refused_with_their_numbers() {
     let files = Files::new();
     let trial = files
         .read("two.npy", &npy_f8(&timed(&[(0.0, 1.0), (1.0, 1.0)])))
@@ -367,7 +368,7 @@ fn what_cannot_be_evaluated_is_refused_with_its_numbers() {
 }
 
 #[test]
-fn the_report_says_in_text_and_json_what_the_evaluation_found() {
+fn the_report_states_the_evaluation_in_text_and_json() {
     let files = Files::new();
     let rows = (0..40).map(|row| (f64::from(row) / 30.0, 5_000.0 + f64::from(row % 7) * 100.0));
     let trial = files
@@ -397,7 +398,7 @@ fn the_report_says_in_text_and_json_what_the_evaluation_found() {
     ] {
         assert!(text.contains(part), "{part:?} not in\n{text}");
     }
-    // The drawn energy is that of the samples, whose last stamp is a period after the last row.
+    // The drawn energy is that of the samples, whose last stamp is one period after the last row.
     let drawn_j = robot.ledger.drawn_uj as f64 / 1e6;
     let metered_s = robot.ledger.metered_ns as f64 / 1e9;
     assert!((metered_s - 39.0 / 30.0).abs() < 1e-6, "{metered_s}");

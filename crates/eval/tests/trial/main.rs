@@ -1,9 +1,9 @@
 //! Recorded trials through the live code: forecasts, rows, scores.
 
-#![allow(clippy::unwrap_used)] // A test that cannot write or read its own files has failed.
+#![allow(clippy::unwrap_used)] // A test that cannot read or write its own files fails.
 
 mod evaluation;
-#[allow(dead_code)] // The tests of reading use all of it, these a part.
+#[allow(dead_code)] // The tests of reading use all of it, these only a part.
 #[path = "../../../dataset/tests/trial/files.rs"]
 mod files;
 #[path = "../live/mod.rs"]

@@ -1,4 +1,4 @@
-//! FleetSettings of the three recorded platforms, and networks drawn from a seed.
+//! Settings of the three recorded platforms, and random networks.
 
 use joulebus_predictor::{
     Activation, FEATURES, FeatureSet, INPUTS, Model, ModelCard, Network, Normalisation, Parameters,
@@ -56,7 +56,7 @@ pub(crate) fn persistence() -> Model {
     Model::Persistence(Persistence::new(RESIDUAL).unwrap())
 }
 
-/// A network with random weights around the powers of a platform.
+/// A network with random weights, normalised to the powers of a platform.
 pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> Model {
     let mut feature_mean = [0.1; INPUTS];
     feature_mean[6..FEATURES].fill(power_mean_w);

@@ -1,4 +1,4 @@
-//! Rows to learn from are what the live tick shows the model.
+//! Training rows equal the features that the live tick passes to the model.
 
 use joulebus_dataset::rows::trial_rows;
 use joulebus_dataset::trial::Trial;
@@ -8,9 +8,8 @@ use joulebus_wire::{InvalidReason, Quality};
 
 use crate::model::{ROBOTINO, network, settings};
 
-/// A trial of 120 rows with gaps where `gaps` says so and missing readings where `missing` does; a
-/// new reading comes every `hold` rows, and once a row later than that. Gaps at whole tens are longer
-/// than the tick bridges.
+/// A trial of 120 rows with gaps at `gaps` and missing readings at `missing`; a new reading comes
+/// every `hold` rows, and once a row later. Gaps at multiples of ten exceed what the tick bridges.
 fn write_trial(folder: &std::path::Path, hold: usize, gaps: &[usize], missing: &[usize]) -> Trial {
     let path = folder.join("trial.csv");
     let mut text = "timestamp_s,v_cmd_mps,omega_cmd_radps,power_mW\n".to_owned();
@@ -45,7 +44,7 @@ fn shipped() -> Model {
 }
 
 #[test]
-fn a_row_has_the_features_that_the_live_tick_shows_the_model() {
+fn a_row_has_the_features_of_the_live_tick() {
     let folder = tempfile::tempdir().expect("a temporary directory");
     let fresh = [FeatureSet::Freshness, FeatureSet::PowerFreshness];
     for hold in [1, 3, 4] {
@@ -63,7 +62,7 @@ fn a_row_has_the_features_that_the_live_tick_shows_the_model() {
     }
 }
 
-/// What the model forecasts for each row is what the tick shows after its sample, to the bit.
+/// The model's forecast for each row equals the tick's after its sample, to the bit.
 fn compare(trial: &Trial, model: &Model) {
     let rows = trial_rows(trial);
     assert_eq!(rows.rows.len(), rows.sample_seq.len());

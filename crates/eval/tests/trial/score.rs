@@ -1,4 +1,4 @@
-//! Evaluation: against slow references, on the published figures, and without leaks.
+//! Scores against slow references and published figures, and without leakage.
 
 use std::collections::HashSet;
 
@@ -46,7 +46,7 @@ fn driven(time_s: f64, v: f64, omega: f64, power_mw: f64) -> [f64; 11] {
     ]
 }
 
-/// Two groups of made-up recordings with drifts, gaps and lost readings.
+/// Two groups of synthetic recordings with drifts, gaps and missing readings.
 fn made_up(trials: u32, rows: u32) -> Vec<Recording> {
     let files = Files::new();
     let recording = |trial: u32| {
@@ -107,7 +107,7 @@ fn near(found: f64, wanted: f64) -> bool {
 }
 
 #[test]
-fn persistence_velocities_and_ar5_score_on_robotino_what_its_readme_states() {
+fn persistence_velocities_and_ar5_on_robotino_score_as_its_readme_states() {
     let Some(recordings) = some("robotino", 1) else {
         return;
     };
@@ -120,8 +120,8 @@ fn persistence_velocities_and_ar5_score_on_robotino_what_its_readme_states() {
         },
         ..Options::default()
     };
-    // Which trials are held out is chance, and moves R² by some hundredths; the stated figures are
-    // of one draw, so they have to lie among those of several.
+    // The choice of held-out trials is random and moves R² by some hundredths; the stated figures
+    // are of one draw, so they must lie within the range of several.
     let draw = |seed| {
         let wanted = Split {
             by: By::Trial,
@@ -160,7 +160,7 @@ fn persistence_velocities_and_ar5_score_on_robotino_what_its_readme_states() {
         };
         assert!(
             line.skill[0].skill.value > 0.1,
-            "the line is better than persistence"
+            "the linear baseline is better than persistence"
         );
         assert!(
             velocities.skill[0].skill.value < -3.0,
@@ -265,7 +265,7 @@ fn corrected_scores_equal_the_formulas_over_the_rows() {
 }
 
 #[test]
-fn intervals_and_live_scores_are_those_of_the_live_path() {
+fn intervals_and_live_scores_equal_the_live_path() {
     let recordings = made_up(3, 600);
     let model = network(5, FeatureSet::Full, 30.0);
     let scored = run(&recordings, &[model], &Design::folds(&recordings), &quick());
@@ -294,7 +294,7 @@ fn intervals_and_live_scores_are_those_of_the_live_path() {
 
 type Forecast<'a> = &'a dyn Fn(&Row) -> f64;
 
-/// Rolls one forecaster from one row on, a step at a time.
+/// Rolls out one forecaster from one row, step by step.
 fn rolled(rows: &[Row], steps: usize, mut forecast: impl FnMut(&Row) -> f64) -> (f64, Vec<f64>) {
     let mut lag_w: Vec<f32> = rows[0].features[NEWEST..NEWEST + LAGS].to_vec();
     let mut forecasts_w = Vec::new();
@@ -395,7 +395,7 @@ fn one_tick_open_loop_is_the_corrected_forecast() {
     }
 }
 
-/// Bits of all readings that rows show or learn.
+/// Bits of all inputs and targets of rows.
 fn readings<'a>(rows: impl IntoIterator<Item = &'a Row>) -> HashSet<u32> {
     let powers = rows.into_iter().flat_map(|row| {
         let lags = row.features[NEWEST..NEWEST + LAGS].iter();
@@ -404,7 +404,7 @@ fn readings<'a>(rows: impl IntoIterator<Item = &'a Row>) -> HashSet<u32> {
     powers.collect()
 }
 
-/// Recordings in which every reading is another.
+/// Recordings in which every reading is unique.
 fn all_different(trials: u32, rows: u32) -> Vec<Recording> {
     let files = Files::new();
     let recording = |trial: u32| {
@@ -472,7 +472,7 @@ fn baselines_never_see_a_reading_that_is_evaluated() {
 }
 
 #[test]
-fn a_recording_that_is_there_twice_is_not_fitted_on_where_it_is_evaluated() {
+fn a_duplicate_recording_is_not_fitted_on_where_it_is_evaluated() {
     let mut recordings = all_different(12, 60);
     recordings.push(Recording {
         name: "copy".to_owned(),
@@ -488,7 +488,7 @@ fn a_recording_that_is_there_twice_is_not_fitted_on_where_it_is_evaluated() {
 }
 
 #[test]
-fn what_a_split_holds_out_is_what_training_holds_out() {
+fn scoring_and_training_hold_out_the_same_rows() {
     let recordings = all_different(9, 120);
     let sources: Vec<_> = recordings.iter().map(Recording::source).collect();
     for by in [By::Trial, By::Group, By::Time] {
@@ -627,7 +627,7 @@ fn compared(recordings: &[Recording], models: &[Model]) -> Comparison {
 }
 
 #[test]
-fn a_comparison_says_which_model_is_better_and_where() {
+fn a_comparison_states_which_model_is_better_and_where() {
     let recordings = made_up(12, 300);
     let poor = network(5, FeatureSet::Full, 30.0);
     let forwards = compared(&recordings, &[poor.clone(), persistence()]);
@@ -650,7 +650,7 @@ fn a_comparison_says_which_model_is_better_and_where() {
 }
 
 #[test]
-fn what_cannot_be_evaluated_is_refused_with_a_reason() {
+fn invalid_evaluations_are_refused_with_a_reason() {
     let recordings = made_up(2, 100);
     let run = |models: &[Model], recordings: &[Recording], options: &Options| {
         let subject = Subject {
@@ -722,7 +722,10 @@ fn what_cannot_be_evaluated_is_refused_with_a_reason() {
         .map(|_| ())
         .unwrap_err()
         .to_string();
-    assert!(foreign.contains("design of other recordings"), "{foreign}");
+    assert!(
+        foreign.contains("design belongs to other recordings"),
+        "{foreign}"
+    );
     let refused = FleetSettings {
         interval: IntervalSettings {
             coverage: 1.5,

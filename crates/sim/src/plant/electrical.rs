@@ -1,17 +1,17 @@
-//! What the robots draw, and what the power monitor shows of it.
+//! Electrical loads of the robots, and the power monitor's output.
 
 use crate::arena::{Command, wheels_mps};
 use crate::loads::drifted;
 use crate::monitor::{Measurement, POWER_STEP_W, stepped, voltage_v};
 use joulebus_statistics::noise::Noise;
 
-// Electronics, with the spread of manufacturing between robots (fitted).
+// Electronics, with manufacturing variation between robots (fitted).
 const ELECTRONICS_W: f64 = 3.15;
 const ELECTRONICS_SPREAD_W: f64 = 0.07;
 // Regulators and motors warming up and cooling down (fitted).
 const THERMAL_MEAN_W: f64 = 0.16;
 const THERMAL_TIME_S: f64 = 50.0;
-// The processor's changing load (fitted).
+// The processor's variable load (fitted).
 const PROCESSOR_MEAN_W: f64 = 0.14;
 const PROCESSOR_TIME_S: f64 = 5.0;
 // Each motor: rolling friction, losses that grow with speed, and acceleration (fitted).
@@ -31,7 +31,7 @@ const INRUSH_W: (f64, f64) = (1.0, 3.9);
 // Monitor: INA260.
 const MONITOR_NOISE_W: f64 = 0.01;
 
-/// The electrical side of one robot.
+/// The electrical state of one robot.
 #[derive(Clone, Debug)]
 pub(super) struct Electrical {
     electronics_w: f64,
@@ -87,8 +87,8 @@ impl Electrical {
         }
     }
 
-    /// Loads that drift are a drift's square times their mean: never negative, with a long tail, as the
-    /// published readings are.
+    /// A drifting load is the square of a drift times its mean: never negative, with a long tail,
+    /// like the published readings.
     fn power_w(&self) -> f64 {
         self.electronics_w
             + THERMAL_MEAN_W * self.thermal * self.thermal
@@ -98,7 +98,7 @@ impl Electrical {
             + self.inrush.power_w
     }
 
-    /// What the monitor shows, with an additional load.
+    /// The monitor's reading, with an additional load.
     pub(super) fn measure(&self, extra_w: f64, noise: &mut Noise) -> Measurement {
         let shown_w = self.power_w() + extra_w + MONITOR_NOISE_W * noise.normal();
         let power_w = stepped(shown_w.max(0.0), POWER_STEP_W);
@@ -111,7 +111,7 @@ impl Electrical {
     }
 }
 
-/// A load that comes and goes.
+/// An intermittent load.
 #[derive(Clone, Debug)]
 struct Burst {
     every_s: f64,

@@ -1,4 +1,4 @@
-//! Where the robots go: from waypoint to waypoint with pauses, as in a coverage experiment.
+//! Motion of the robots: from waypoint to waypoint with pauses, as in a coverage experiment.
 
 use crate::arena::{Command, OMEGA_MAX_RADPS, Pose, V_MAX_MPS, Vector, direction, wrapped};
 use joulebus_statistics::noise::Noise;
@@ -28,7 +28,7 @@ enum Leg {
     },
 }
 
-/// A robot's pose, its current leg and the command in force.
+/// A robot's pose, its current leg and command.
 #[derive(Clone, Debug)]
 pub(super) struct Mission {
     pose: Pose,
@@ -56,7 +56,7 @@ impl Mission {
         self.command
     }
 
-    /// Moves the robot under the command in force.
+    /// Moves the robot under the current command.
     pub(super) fn drive(&mut self, dt_s: f64) {
         let Command { v_mps, omega_radps } = self.command;
         let Pose { at_m, theta_rad } = &mut self.pose;
@@ -125,7 +125,7 @@ impl Mission {
     }
 }
 
-/// Anywhere in the arena.
+/// A random position in the arena.
 fn place(noise: &mut Noise) -> Vector {
     Vector::new(noise.between(0.0, ARENA_M.0), noise.between(0.0, ARENA_M.1))
 }

@@ -12,7 +12,7 @@ use crate::body::Body;
 use crate::parts::Parts;
 use crate::recorder::Recorder;
 
-/// Streams of random numbers: what manufacturing gave a robot, its state in a trial, its motion.
+/// Random streams: manufacturing variation of a robot, its state in a trial, its motion.
 pub(crate) const MADE: u64 = 1 << 32;
 const STATE: u64 = 2 << 32;
 const MOTION: u64 = 3 << 32;
@@ -20,15 +20,15 @@ const MOTION: u64 = 3 << 32;
 impl Protocol {
     /// Drives the robot of `seed` through the protocol: [`SAMPLES`] rows, [`STEP_S`](crate::arena::STEP_S) apart.
     ///
-    /// A row holds the command in force during a step, and pose and reading at its end. The six
-    /// trials of a seed are of the same robot; its battery, its temperature and everything random
-    /// restart in each. `Trial::path` says that it is simulated; nothing is read or written.
+    /// A row holds the command during a step, and pose and reading at its end. The six trials of a
+    /// seed are of the same robot; its battery, its temperature and all random state restart in
+    /// each. `Trial::path` marks it as simulated; no file is read or written.
     #[must_use]
     pub fn trial(self, seed: u64) -> Trial {
         self.trial_with(Parts::default(), seed, SAMPLES)
     }
 
-    /// As [`Protocol::trial`], of other parts and length, at least two samples.
+    /// As [`Protocol::trial`], with other parameters and length, at least two samples.
     #[must_use]
     pub fn trial_with(self, parts: Parts, seed: u64, samples: usize) -> Trial {
         let mut made = Noise::new(seed, MADE + u64::from(TRIAL_ROBOT));

@@ -1,38 +1,38 @@
-//! What the robot gets in each protocol, step by step.
+//! Commands of each protocol, step by step.
 
 use super::Protocol;
 use crate::arena::{Command, HALF_ARENA_M, Pose, STEP_S, V_MAX_MPS, Vector, direction, wrapped};
 use joulebus_statistics::noise::Noise;
 
-/// A robot closer to a wall than this turns back, m.
+/// Distance from a wall at which a robot turns back, m.
 const MARGIN_M: f64 = 0.2;
-/// A goal is reached within this distance, m.
+/// Distance at which a goal counts as reached, m.
 const ARRIVED_M: f64 = 0.04;
-/// Goals lie at least this far from the walls, m.
+/// Minimum distance of goals from the walls, m.
 const GOAL_MARGIN_M: f64 = 0.25;
 const APPROACH_PER_S: f64 = 1.0;
 const TURN_PER_S: f64 = 2.5;
-/// Driving faster than this is no part of goal navigation, m/s.
+/// Maximum linear velocity of goal navigation, m/s.
 const GOAL_MPS: f64 = 0.12;
-/// Turning faster than this is no part of goal navigation, rad/s.
+/// Maximum angular velocity of goal navigation, rad/s.
 const TURN_MOST_RADPS: f64 = 2.0;
 
-/// A stretch of time in which the command goes evenly from one value to another.
+/// A segment of time with a linearly interpolated command.
 #[derive(Clone, Copy, Debug)]
-struct Stretch {
+struct Segment {
     phase: u32,
     from: Command,
     to: Command,
     steps: u32,
 }
 
-/// The driver of a protocol.
+/// State of a protocol.
 #[derive(Clone, Debug)]
 pub(super) struct Motion {
     protocol: Protocol,
-    /// Stretches, or goals, begun so far.
+    /// Number of segments, or goals, begun so far.
     begun: u32,
-    stretch: Stretch,
+    segment: Segment,
     step: u32,
     turned_back: bool,
     goal_m: Option<Vector>,
@@ -43,37 +43,37 @@ impl Motion {
         Self {
             protocol,
             begun: 0,
-            stretch: held(0, 0.0, 0.0, 1.0),
+            segment: held(0, 0.0, 0.0, 1.0),
             step: 0,
             turned_back: false,
             goal_m: None,
         }
     }
 
-    /// Phase and wanted command at a pose, one step after the last call.
+    /// Phase and commanded velocities at a pose, one step after the last call.
     pub(super) fn next(&mut self, pose: Pose, noise: &mut Noise) -> (u32, Command) {
         if let Some(goal_m) = self.goal_m {
             if let Some(command) = towards(goal_m, pose) {
-                return (self.stretch.phase, command);
+                return (self.segment.phase, command);
             }
             self.goal_m = None;
             self.begin(held(0, 0.0, 0.0, noise.between(1.0, 6.0)));
         }
-        if self.step >= self.stretch.steps {
+        if self.step >= self.segment.steps {
             if self.protocol == Protocol::GoalNavigation {
                 self.set_goal(noise);
                 return self.next(pose, noise);
             }
-            let stretch = self.following(noise);
-            self.begin(stretch);
+            let segment = self.following(noise);
+            self.begin(segment);
         }
         let command = self.in_stretch();
         self.step += 1;
-        (self.stretch.phase, self.kept_inside(command, pose))
+        (self.segment.phase, self.kept_inside(command, pose))
     }
 
-    fn begin(&mut self, stretch: Stretch) {
-        self.stretch = stretch;
+    fn begin(&mut self, segment: Segment) {
+        self.segment = segment;
         self.step = 0;
         self.turned_back = false;
     }
@@ -87,15 +87,15 @@ impl Motion {
             noise.between(-x_m, x_m),
             noise.between(-y_m, y_m),
         ));
-        self.stretch.phase = 1;
+        self.segment.phase = 1;
     }
 
-    fn following(&mut self, noise: &mut Noise) -> Stretch {
+    fn following(&mut self, noise: &mut Noise) -> Segment {
         let number = self.begun;
         self.begun += 1;
         match self.protocol {
-            // Its goals are set in `next`.
-            Protocol::GoalNavigation => self.stretch,
+            // `next` sets its goals.
+            Protocol::GoalNavigation => self.segment,
             Protocol::Structured => structured(number),
             Protocol::Acceleration => acceleration(number),
             Protocol::Extremes => extremes(number),
@@ -105,9 +105,9 @@ impl Motion {
     }
 
     fn in_stretch(&self) -> Command {
-        let Stretch {
+        let Segment {
             from, to, steps, ..
-        } = self.stretch;
+        } = self.segment;
         let share = f64::from(self.step + 1) / f64::from(steps);
         let between = |from: f64, to: f64| from + (to - from) * share;
         Command {
@@ -116,7 +116,7 @@ impl Motion {
         }
     }
 
-    /// The command, its v reversed for the rest of the stretch once it leads out of the arena.
+    /// The command, with v reversed for the rest of the segment once it leads out of the arena.
     fn kept_inside(&mut self, command: Command, pose: Pose) -> Command {
         let reversed = Command {
             v_mps: -command.v_mps,
@@ -138,14 +138,14 @@ impl Motion {
 }
 
 /// A constant command for a time.
-fn held(phase: u32, v_mps: f64, omega_radps: f64, time_s: f64) -> Stretch {
+fn held(phase: u32, v_mps: f64, omega_radps: f64, time_s: f64) -> Segment {
     let command = Command { v_mps, omega_radps };
     ramp(phase, command, command, time_s)
 }
 
-fn ramp(phase: u32, from: Command, to: Command, time_s: f64) -> Stretch {
+fn ramp(phase: u32, from: Command, to: Command, time_s: f64) -> Segment {
     let steps = (libm::round(time_s / STEP_S) as u32).max(1);
-    Stretch {
+    Segment {
         phase,
         from,
         to,
@@ -153,7 +153,7 @@ fn ramp(phase: u32, from: Command, to: Command, time_s: f64) -> Stretch {
     }
 }
 
-/// The command that leads to a goal, `None` once it is reached.
+/// The command towards a goal, `None` once it is reached.
 fn towards(goal_m: Vector, pose: Pose) -> Option<Command> {
     let left_m = goal_m - pose.at_m;
     let distance_m = left_m.norm();
@@ -169,7 +169,7 @@ fn towards(goal_m: Vector, pose: Pose) -> Option<Command> {
 }
 
 /// Phases: 0 rest, 1 forward, 2 backward, 3 left, 4 right, 5 arc left, 6 arc right.
-fn structured(number: u32) -> Stretch {
+fn structured(number: u32) -> Segment {
     const SPEEDS_MPS: [f64; 4] = [0.04, 0.08, 0.12, 0.2];
     const TURNS_RADPS: [f64; 4] = [0.5, 1.0, 2.0, 3.0];
     let level = (number / 10) as usize % 4;
@@ -186,7 +186,7 @@ fn structured(number: u32) -> Stretch {
 }
 
 /// Phases: 0 rest, 1 v rises, 2 v holds, 3 v falls; 4 to 6 the same of ω.
-fn acceleration(number: u32) -> Stretch {
+fn acceleration(number: u32) -> Segment {
     const TIMES_S: [f64; 5] = [4.0, 2.0, 1.0, 0.5, 0.1];
     let time_s = TIMES_S[(number / 16) as usize % 5];
     let forward = number % 16 < 8;
@@ -214,7 +214,7 @@ fn acceleration(number: u32) -> Stretch {
 }
 
 /// Phases: 0 rest, 1 full speed, 2 full turn, 3 both.
-fn extremes(number: u32) -> Stretch {
+fn extremes(number: u32) -> Segment {
     match number % 14 {
         0 => held(1, 0.2, 0.0, 4.0),
         1 => held(1, -0.2, 0.0, 3.0),
@@ -231,7 +231,7 @@ fn extremes(number: u32) -> Stretch {
 }
 
 /// Phases: 0 rest, 1 walk.
-fn random_walk(noise: &mut Noise) -> Stretch {
+fn random_walk(noise: &mut Noise) -> Segment {
     let time_s = noise.between(0.5, 4.0);
     if noise.uniform() < 0.2 {
         return held(0, 0.0, 0.0, time_s);
@@ -240,8 +240,8 @@ fn random_walk(noise: &mut Noise) -> Stretch {
     held(1, v_mps, 0.15 + 1.2 * noise.normal(), time_s)
 }
 
-/// Phases count the stretches of a round: rests, straights, circles, turns.
-fn steady_state(number: u32) -> Stretch {
+/// Phases number the segments of a cycle: rests, straights, circles, turns.
+fn steady_state(number: u32) -> Segment {
     let place = number % 8;
     let (v_mps, omega_radps) = match place {
         1 => (0.1, 0.5),
