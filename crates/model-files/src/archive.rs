@@ -1,4 +1,4 @@
-//! Zip archives: what `.npz` and `.pt` files are.
+//! Zip archives, the containers of `.npz` and `.pt` files.
 
 use std::io::{Cursor, Read as _, Write as _};
 
@@ -8,14 +8,14 @@ use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter};
 use super::{Container, ReadError};
 
 pub(super) const MAGIC: &[u8] = b"PK\x03\x04";
-/// Most members: a checkpoint has one for each tensor.
+/// Maximum number of members: a checkpoint has one for each tensor.
 const MAX_MEMBERS: usize = 4_096;
-/// Most bytes of all members together, after decompression.
+/// Maximum size of all members, after decompression.
 const MAX_BYTES: u64 = 32 << 20;
-/// Ends an archive; its fields at 8 and 10 count the members.
+/// End of central directory record; its fields at 8 and 10 count the members.
 const END: &[u8] = b"PK\x05\x06";
-/// The same for archives of more than 4 GiB; its fields at 24 and 32 count the members. PyTorch
-/// writes it always.
+/// The ZIP64 record, for archives of more than 4 GiB; its fields at 24 and 32 count the members.
+/// PyTorch always writes it.
 const END_64: &[u8] = b"PK\x06\x06";
 
 /// A member of an archive.
@@ -64,7 +64,7 @@ pub(super) fn read(container: Container, bytes: &[u8]) -> Result<Vec<Member>, Re
     Ok(members)
 }
 
-/// Refuses counts that no archive of this size has, before room is made for so many members.
+/// Refuses counts that no archive of this size has, before memory for the members is allocated.
 fn check_counts(container: Container, bytes: &[u8]) -> Result<(), ReadError> {
     for (mark, at, size) in [(END, 8, 2), (END, 10, 2), (END_64, 24, 8), (END_64, 32, 8)] {
         let places = bytes.windows(mark.len()).enumerate();
@@ -74,7 +74,7 @@ fn check_counts(container: Container, bytes: &[u8]) -> Result<(), ReadError> {
                 .iter()
                 .rev()
                 .fold(0_u64, |count, byte| count << 8 | u64::from(*byte));
-            // 65535 stands for "see the other record".
+            // 65535 refers to the ZIP64 record.
             if count > MAX_MEMBERS as u64 && count != u64::from(u16::MAX) {
                 return Err(ReadError::Part {
                     container,
@@ -87,7 +87,7 @@ fn check_counts(container: Container, bytes: &[u8]) -> Result<(), ReadError> {
     Ok(())
 }
 
-/// An archive with these members, uncompressed: the same bytes from the same members.
+/// An uncompressed archive of these members; deterministic.
 pub(super) fn write(members: &[(String, Vec<u8>)]) -> Result<Vec<u8>, zip::result::ZipError> {
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Stored)

@@ -1,4 +1,4 @@
-//! What a model file of any kind holds.
+//! The contents of a model file of any format.
 
 use sha2::{Digest as _, Sha256};
 
@@ -7,24 +7,25 @@ use super::error::{MAX_FILE_BYTES, ReadError};
 use super::{archive, entries, own, torch};
 use joulebus_predictor::{ModelError, Network};
 
-/// Everything in a model file.
+/// Contents of a model file.
 #[derive(Clone, Debug)]
 pub struct Checkpoint {
-    /// Kind of the file.
+    /// Format of the file.
     pub container: Container,
-    /// What is in it, in the file's order.
+    /// Its entries, in the file's order.
     pub entries: Vec<Entry>,
     /// SHA-256 of the file, hexadecimal.
     pub sha256: String,
-    /// The model, if the file is one of our own, whole or as arrays.
+    /// The model, if the file is a joulebus model, as safetensors or as arrays.
     pub network: Option<Network>,
 }
 
 impl Checkpoint {
-    /// Reads a file of any kind; the kind is told by its first bytes. Runs nothing, makes room for
-    /// nothing that the file only claims to hold, and never panics.
+    /// Reads a file of any format, detected from its first bytes. Executes nothing, allocates
+    /// nothing for sizes that the file merely claims, and never panics.
     ///
     /// # Errors
+    /// [`ReadError`] with the location, what was found and what is allowed.
     /// [`ReadError`], naming the place: what was found and what is allowed.
     pub fn read(bytes: &[u8]) -> Result<Checkpoint, ReadError> {
         let found = bytes.len();
@@ -35,7 +36,7 @@ impl Checkpoint {
             return checkpoint(Container::Npy, bytes, entries::of_npy(bytes)?);
         }
         if bytes.starts_with(archive::MAGIC) {
-            // A damaged archive should be called what it was.
+            // A damaged archive is reported as the format that it had.
             let is_torch = bytes.windows(8).any(|window| window == b"data.pkl");
             let container = if is_torch {
                 Container::TorchZip
@@ -62,7 +63,7 @@ impl Checkpoint {
             found: if bytes.is_empty() {
                 "the file is empty".to_owned()
             } else if head.starts_with(&[0x80]) {
-                "found a bare pickle, which no model file is".to_owned()
+                "found a bare pickle, which is not a model file".to_owned()
             } else {
                 format!("found a file that begins with the bytes {head:02x?}")
             },

@@ -1,11 +1,10 @@
-//! Which features a network was trained on: found out by trying.
+//! The feature convention of a network, identified on recordings.
 //!
-//! A file holds weights and statistics, but not how its author wrote the features. What is known
-//! of the published model is their list: `v, ω`, their derivatives, their magnitudes, five
-//! readings. What is not known has few possible answers, and a wrong one forecasts badly, so every
-//! [`Convention`] forecasts the readings of recorded trials and the best one is taken. All of them
-//! read the row as documented: the command of row *t* and the readings before it, derivatives over
-//! the step before.
+//! A file holds weights and statistics, but not how the features were computed. The published
+//! model's features are known: `v, ω`, their derivatives, their magnitudes, five readings. The
+//! unknown details have few possible values, and wrong ones forecast badly, so every [`Convention`]
+//! is evaluated on recorded trials and the best one is chosen. All of them read the row as
+//! documented: the command of row *t* and the readings before it, derivatives over the step before.
 
 mod choose;
 mod score;
@@ -35,7 +34,7 @@ pub enum LagOrder {
     Oldest,
 }
 
-/// Where the readings stand among the features.
+/// Position of the readings among the features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lags {
     /// After the features of the command.
@@ -44,27 +43,27 @@ pub enum Lags {
     First,
 }
 
-/// How the derivatives are made.
+/// Computation and normalisation of the derivatives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Derivative {
-    /// Over the time step, each by its own statistics.
+    /// Per second, with statistics of their own.
     OwnPerSecond,
-    /// The plain difference, each by its own statistics.
+    /// Per step, with statistics of their own.
     OwnPerStep,
-    /// Over the time step, of the normalised velocity.
+    /// Per second, of the normalised velocity.
     NormalisedPerSecond,
-    /// The plain difference of the normalised velocity.
+    /// Per step, of the normalised velocity.
     NormalisedPerStep,
-    /// Over the time step, not normalised.
+    /// Per second, not normalised.
     RawPerSecond,
-    /// The plain difference, not normalised.
+    /// Per step, not normalised.
     RawPerStep,
 }
 
-/// How the magnitudes are made.
+/// Computation and normalisation of the magnitudes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Magnitude {
-    /// Each by its own statistics.
+    /// With statistics of their own.
     Own,
     /// By mean and deviation of the velocity.
     AsVelocity,
@@ -76,14 +75,14 @@ pub enum Magnitude {
     OfNormalised,
 }
 
-/// A way to write the features.
+/// A feature convention.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Convention {
     /// The unit of power.
     pub unit: PowerUnit,
     /// The order of the readings.
     pub order: LagOrder,
-    /// Where the readings stand.
+    /// The position of the readings.
     pub lags: Lags,
     /// The derivatives.
     pub derivative: Derivative,
@@ -139,7 +138,7 @@ impl fmt::Display for Convention {
 impl FromStr for Convention {
     type Err = String;
 
-    /// Reads what `Display` writes.
+    /// Parses the output of `Display`.
     fn from_str(text: &str) -> Result<Convention, String> {
         let parts: Vec<&str> = text.split('+').collect();
         let convention = match parts.as_slice() {
@@ -153,7 +152,7 @@ impl FromStr for Convention {
         let Some(((((unit, order), lags), derivative), magnitude)) = convention else {
             let example = "mW+newest-first+lags-last+d-own-per-second+abs-own";
             return Err(format!(
-                "{text:?} is no convention; they look like {example}"
+                "{text:?} is not a convention; an example is {example}"
             ));
         };
         Ok(Convention {
@@ -166,13 +165,13 @@ impl FromStr for Convention {
     }
 }
 
-/// Why no convention was taken.
+/// Errors of choosing a convention.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ChooseError {
-    /// There is too little to try the conventions on.
+    /// There are too few readings.
     #[error(
-        "the recordings have {found} readings with all that a forecast needs (command, five \
+        "the recordings have {found} readings with all inputs of a forecast (command, five \
          readings before it, no gap); at least {allowed} are needed"
     )]
     TooFewRows {
@@ -181,7 +180,7 @@ pub enum ChooseError {
         /// Rows needed.
         allowed: usize,
     },
-    /// The power does not change.
+    /// The power is constant.
     #[error("all {rows} readings are the same; recordings with changing power are needed")]
     ConstantPower {
         /// Rows.
@@ -190,7 +189,7 @@ pub enum ChooseError {
     /// Even the best convention forecasts worse than a constant.
     #[error(
         "no convention fits: the best one, {best}, has R² {r2:.4} on these {rows} readings, no \
-         better than a constant; are they of the robots that the model was trained for? To import \
+         better than a constant; check that they are of the robots that the model was trained for. To import \
          it nevertheless, name a convention"
     )]
     NothingFits {
@@ -201,15 +200,15 @@ pub enum ChooseError {
         /// Readings.
         rows: usize,
     },
-    /// The convention that was asked for does not belong to these statistics.
-    #[error("{asked} does not go with the file's statistics; those that do: {allowed}")]
+    /// The requested convention does not match the statistics.
+    #[error("{asked} does not match the file's statistics; those that match: {allowed}")]
     NotACandidate {
-        /// What was asked for.
+        /// The requested convention.
         asked: Convention,
-        /// What is possible.
+        /// The matching conventions.
         allowed: String,
     },
-    /// The features cannot be written as ours.
+    /// The features cannot be expressed by the worker's features.
     #[error(
         "{convention} (R² {r2:.4}) cannot run here: it needs |v − mean|, and the worker's features \
          hold |v|; the best that can run is {runner_up} (R² {runner_up_r2:.4})"
@@ -219,27 +218,27 @@ pub enum ChooseError {
         convention: Convention,
         /// Its R².
         r2: f64,
-        /// The best that can run.
+        /// The best executable convention.
         runner_up: Convention,
         /// Its R².
         runner_up_r2: f64,
     },
-    /// The finished network was refused.
+    /// The predictor refused the network.
     #[error("with {convention}: {source}")]
     Model {
         /// The convention.
         convention: Convention,
-        /// Why.
+        /// The reason.
         source: ModelError,
     },
 }
 
-/// Where a network comes from, for its card.
+/// Origin of a network, for its card.
 #[derive(Clone, Copy, Debug)]
 pub struct Origin<'a> {
-    /// Name for people.
+    /// Display name.
     pub name: &'a str,
-    /// The file that was imported.
+    /// The imported file.
     pub file: &'a str,
     /// Its SHA-256, hexadecimal.
     pub sha256: &'a str,

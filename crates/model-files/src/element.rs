@@ -1,6 +1,6 @@
 //! The element types of arrays and tensors.
 
-/// What an array is made of.
+/// An element type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Element {
     F32,
@@ -16,7 +16,7 @@ pub(super) enum Element {
     Bool,
 }
 
-/// Element types under NumPy's code, PyTorch's storage class and the name that messages use.
+/// Element types with NumPy's code, PyTorch's storage class and the name in messages.
 const NAMES: [(Element, &str, &str, &str); 11] = [
     (Element::F32, "f4", "FloatStorage", "f32"),
     (Element::F64, "f8", "DoubleStorage", "f64"),
@@ -44,7 +44,7 @@ impl Element {
         known.map(|(element, ..)| *element)
     }
 
-    /// Name for people, such as `f32`.
+    /// Name in messages, such as `f32`.
     pub(super) fn name(self) -> &'static str {
         let known = NAMES.iter().find(|(element, ..)| *element == self);
         known.map_or("", |(.., name)| name)
@@ -61,7 +61,7 @@ impl Element {
     }
 
     /// The element in the first [`size`](Self::size) of `bytes`; NaN if there are fewer. Integers
-    /// past 2⁵³ are rounded.
+    /// beyond 2⁵³ are rounded.
     pub(super) fn decode(self, bytes: &[u8], big_endian: bool) -> f64 {
         let mut word = [0; 8];
         let Some(bytes) = bytes.get(..self.size()) else {

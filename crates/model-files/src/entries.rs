@@ -1,24 +1,24 @@
-//! The tree in a file as a list of paths.
+//! Flattens the tree in a file to a list of paths.
 
 use super::npy::ElementType;
 use super::pickle::{Id, Pickle, Storage, Storages, Value};
 use super::{Container, Entry, EntryValue, ReadError, Tensor, npy};
 
-/// Deepest nesting.
+/// Maximum nesting depth.
 const MAX_DEPTH: usize = 16;
-/// Most values looked at on the way: a value may stand in several places.
+/// Maximum number of values visited; a value may be referenced repeatedly.
 const MAX_VISITS: usize = 1 << 16;
-/// Most entries.
+/// Maximum number of entries.
 const MAX_ENTRIES: usize = 4_096;
-/// Longest key, in bytes.
+/// Maximum length of a key, bytes.
 const MAX_KEY_BYTES: usize = 200;
-/// Most elements of all arrays together: views may share their numbers.
+/// Maximum number of elements of all arrays; views may share elements.
 const MAX_ELEMENTS: usize = 1 << 20;
 
 /// The bytes of a storage.
 pub(super) type Fetch<'a> = &'a dyn Fn(&Storage) -> Result<&'a [u8], String>;
 
-/// What a NumPy file holds.
+/// Entries of a NumPy file.
 pub(super) fn of_npy(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
     let (header, kind) = npy::header("", bytes)?;
     if kind != ElementType::Objects {
@@ -43,7 +43,7 @@ pub(super) fn of_npy(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
     of_pickle(Container::Npy, &pickle, &nothing)
 }
 
-/// What a set of named arrays holds.
+/// Entries of a set of named arrays.
 pub(super) fn of_arrays<'a>(
     container: Container,
     arrays: impl Iterator<Item = (&'a str, &'a [u8])>,
@@ -63,7 +63,7 @@ pub(super) fn of_arrays<'a>(
     Ok(entries)
 }
 
-/// What a pickle holds.
+/// Entries of a pickle.
 pub(super) fn of_pickle<'a>(
     container: Container,
     pickle: &'a Pickle,
@@ -173,8 +173,8 @@ impl Walk<'_> {
         Ok(())
     }
 
-    /// The attributes of a layer: its parameters and parts under the names of a state dict, its
-    /// settings beside them; nothing of its inner workings.
+    /// The attributes of a layer: its parameters and children under the names of a state dict, and
+    /// its settings; internal attributes are skipped.
     fn layer(&mut self, attributes: Id, path: &str, depth: usize) -> Result<(), ReadError> {
         let pickle = self.pickle;
         let Value::Dict(pairs) = pickle.value(attributes) else {
@@ -283,7 +283,7 @@ fn too_many(container: Container, path: &str) -> ReadError {
     ReadError::Part {
         container,
         part: place(path),
-        detail: "more entries than any model has; is it another file?".to_owned(),
+        detail: "more entries than any model has; check that it is a model file".to_owned(),
     }
 }
 

@@ -1,14 +1,14 @@
-//! What stands in a model file.
+//! Entries of a model file.
 
 use std::fmt;
 
 use super::tensor::Tensor;
 
-/// The kinds of files that are read.
+/// Supported file formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Container {
-    /// An own model file.
+    /// A joulebus model file.
     Safetensors,
     /// A NumPy array: of numbers, or of objects, which is a pickle.
     Npy,
@@ -35,25 +35,25 @@ impl fmt::Display for Container {
     }
 }
 
-/// One thing in a file.
+/// One entry of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
-    /// Keys and positions on the way to it, joined by dots.
+    /// Keys and indices on the path to it, joined by dots.
     pub path: String,
-    /// What it is.
+    /// Its value.
     pub value: EntryValue,
 }
 
-/// What an entry is.
+/// Value of an entry.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum EntryValue {
     /// An array, a tensor, or lists of numbers of equal length.
     Tensor(Tensor),
-    /// A number or a truth value (0 or 1).
+    /// A number or a boolean (0 or 1).
     Number(f64),
     /// Text.
     Text(String),
-    /// Something else, by its name.
+    /// Another type, by name.
     Other(&'static str),
 }

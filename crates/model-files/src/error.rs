@@ -1,25 +1,26 @@
-//! Why a file could not be read, or holds no network.
+//! Errors of reading a file and of finding its network.
 
 use joulebus_predictor::ModelError;
 
 use super::entry::Container;
 use super::pickle::PickleError;
 
-/// Largest file that is read, in bytes: a checkpoint of this network with its optimizer has some
-/// 100 kB.
+/// Maximum size of a file, bytes: a checkpoint of this network with its optimizer has some 100 kB.
 pub const MAX_FILE_BYTES: usize = 16 << 20;
 
-/// Why a file could not be read. The caller adds the file's name.
+/// Errors of reading a file. The caller adds the file's name.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReadError {
-    /// Far larger than any model of this kind.
-    #[error("the file has {found} bytes, at most {MAX_FILE_BYTES} are read; is it another file?")]
+    /// Larger than any model of this kind.
+    #[error(
+        "the file has {found} bytes, at most {MAX_FILE_BYTES} are read; check that it is a model file"
+    )]
     TooLarge {
         /// Bytes found.
         found: usize,
     },
-    /// None of the kinds that are read.
+    /// None of the supported formats.
     #[error(
         "byte 0: {found}; expected a NumPy file (.npy, .npz), a PyTorch file (.pt, .pth) or a model of \
          joulebus (.safetensors)"
@@ -28,12 +29,12 @@ pub enum ReadError {
         /// What was found.
         found: String,
     },
-    /// A part of the file is damaged or of another kind.
+    /// A part of the file is corrupt or has an unexpected type.
     #[error("{container}, {part}: {detail}")]
     Part {
-        /// Kind of the file.
+        /// Format of the file.
         container: Container,
-        /// The part, with its place.
+        /// The part, with its location.
         part: String,
         /// What was found and what is allowed.
         detail: String,
@@ -41,19 +42,19 @@ pub enum ReadError {
     /// A pickle in the file was refused.
     #[error("{container}, {part}: {source}")]
     Pickle {
-        /// Kind of the file.
+        /// Format of the file.
         container: Container,
-        /// The part of the file that the pickle is.
+        /// The part of the file that contains the pickle.
         part: String,
-        /// Why.
+        /// The reason.
         source: PickleError,
     },
-    /// An own model file was refused.
+    /// A joulebus model file was refused.
     #[error(transparent)]
     Model(#[from] ModelError),
 }
 
-/// Why no network was found in a file.
+/// Errors of finding a network in a file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FindError {
@@ -67,16 +68,16 @@ pub enum FindError {
         /// The arrays found, with their shapes.
         found: String,
     },
-    /// Several parts of the file have.
+    /// Several parts of the file have them.
     #[error("several parts of the file hold a network: {found}; name one of them")]
     Several {
         /// The parts.
         found: String,
     },
-    /// The part that was asked for is not there.
+    /// The requested part does not exist.
     #[error("no part of the file is called {asked:?}; parts: {found}")]
     NoSuchPart {
-        /// What was asked for.
+        /// The requested part.
         asked: String,
         /// The parts.
         found: String,
@@ -91,7 +92,7 @@ pub enum FindError {
         /// The value.
         value: f64,
     },
-    /// The activation is another one, or not the same everywhere.
+    /// The activation is unsupported, or differs between layers.
     #[error(
         "{path:?} is {found:?}, allowed: \"none\" (GELU by the error function) or \"tanh\", the same \
          in every layer"
@@ -102,7 +103,7 @@ pub enum FindError {
         /// Its value.
         found: String,
     },
-    /// Some statistics of the normalisation are there and some are not.
+    /// Some statistics of the normalisation are missing.
     #[error("the normalisation is incomplete: found {found}; missing: {missing}")]
     Normalisation {
         /// The statistics found.
@@ -110,16 +111,16 @@ pub enum FindError {
         /// Those missing.
         missing: String,
     },
-    /// A statistic cannot be one.
+    /// A statistic has an invalid value.
     #[error("{path:?} is {value}, allowed for {what}: {allowed}")]
     Statistic {
-        /// Where it stands.
+        /// Its path.
         path: String,
         /// Its value.
         value: f64,
-        /// What it is.
+        /// The statistic.
         what: &'static str,
-        /// What is allowed.
+        /// Allowed values.
         allowed: &'static str,
     },
 }

@@ -1,4 +1,4 @@
-//! A model for other programs: plain arrays, or an ONNX graph.
+//! Exports a model as plain arrays or as an ONNX graph.
 
 use prost::Message as _;
 
@@ -7,35 +7,36 @@ use crate::{Entry, EntryValue};
 use joulebus_predictor::{Features, ModelError, Network};
 use joulebus_statistics::noise::Noise;
 
-/// Rows that exported arrays carry with their forecasts.
+/// Number of rows that exported arrays include with their forecasts.
 pub const CHECK_ROWS: usize = 32;
 
-/// Why a model was not exported.
+/// Errors of exporting a model.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExportError {
-    /// The model file could not be made.
+    /// The model could not be serialised.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The archive could not be made.
+    /// The archive could not be written.
     #[error("the archive cannot be written: {0}")]
     Archive(#[from] zip::result::ZipError),
 }
 
-/// The model as plain NumPy arrays: name without `.npy`, and the bytes of its file. Everything is
+/// The model as plain NumPy arrays: name without `.npy`, and the bytes of its file. All numbers are
 /// `<f4`, in SI units.
 ///
-/// - `layers.0.weight` (64, 11) … `layers.3.bias` (1): a row of inputs for each output;
+/// - `layers.0.weight` (64, 11) … `layers.3.bias` (1): one row of inputs per output;
 /// - `feature_mean`, `feature_std` (11), `power_mean_w`, `power_std_w` (scalars): the forecast is
 ///   the last layer times `power_std_w` plus `power_mean_w`, and a feature whose deviation is 0
 ///   counts as 0;
-/// - `feature_min`, `feature_max` (11): the range in training;
-/// - `metadata` (text): everything else that the model file says, as JSON; with it, the arrays are
-///   read back as the same model;
+/// - `feature_min`, `feature_max` (11): the training range;
+/// - `metadata` (text): the other contents of the model file, as JSON; with it, the arrays are read
+///   back as the same model;
 /// - `check_features` ([`CHECK_ROWS`], 11) and `check_power_w` ([`CHECK_ROWS`]): rows within the
-///   range in training and the forecasts for them, for whoever reimplements the network.
+///   training range and their forecasts, for testing a reimplementation of the network.
 ///
-/// A network of readings alone has 5 in place of 11; one that reads freshness has two more, the last.
+/// A network of readings alone has 5 instead of 11; one that reads the reading age has two more,
+/// the last.
 ///
 /// # Errors
 /// [`ExportError`]: a card too long for a model file.
@@ -95,7 +96,7 @@ fn plain(shape: &[usize], values: impl Iterator<Item = f32>) -> Vec<u8> {
     npy::write("<f4", shape, &bytes)
 }
 
-/// Rows drawn from the range in training.
+/// Random rows within the training range.
 fn check_rows(network: &Network) -> [Features; CHECK_ROWS] {
     let range = &network.card().training_range;
     let mut noise = Noise::new(network.hash(), 0);

@@ -1,25 +1,25 @@
-//! The network in a file whose names nobody has saved.
+//! Finds the network in a file with unknown names.
 
 use super::names::tokens;
 use super::normalisation::{self, FoundNormalisation};
 use super::{Checkpoint, Entry, EntryValue, FindError, Tensor};
 use joulebus_predictor::{Activation, FeatureSet, HIDDEN, Layer};
 
-/// A network as found, before it is known what its inputs are.
+/// A network as found, with its feature convention still unknown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
     /// The paper's features or the readings alone, by the width of the first layer.
     pub feature_set: FeatureSet,
-    /// The activation of the hidden layers: as the file states, or GELU by the error function, the
-    /// default of PyTorch and what the published model's paper names.
+    /// The activation of the hidden layers: as stated in the file, or GELU by the error function,
+    /// the default of PyTorch and of the published model's paper.
     pub activation: Activation,
     /// Whether the file states it.
     pub activation_stated: bool,
     /// The layers, first to last.
     pub layers: [FoundLayer; 4],
-    /// Whether the file's matrices have a row for each input instead of each output.
+    /// Whether the file's matrices have one row per input instead of per output.
     pub transposed: bool,
-    /// Whether the biases were assigned by their names; otherwise by their order.
+    /// Whether the biases were assigned by name; otherwise by order.
     pub paired_by_name: bool,
     /// The statistics of the normalisation.
     pub normalisation: FoundNormalisation,
@@ -28,22 +28,22 @@ pub struct Found {
 /// A layer as found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundLayer {
-    /// Where its weights stand.
+    /// Path of its weights.
     pub weight_path: String,
-    /// Where its biases stand.
+    /// Path of its biases.
     pub bias_path: String,
-    /// Weights, one row of inputs for each output, the inputs in the file's order.
+    /// Weights, one row of inputs per output, inputs in the file's order.
     pub layer: Layer,
 }
 
 impl Checkpoint {
     /// Finds the network: its arrays by their shapes within the smallest part of the file that has
     /// exactly one of each (or within `part`), its normalisation by name. Weights of other networks
-    /// and moments of an optimizer in the same file do no harm.
+    /// and optimizer moments in the same file are ignored.
     ///
     /// # Errors
-    /// [`FindError`]: no network or several, numbers that are not finite, another activation, a
-    /// normalisation of which a part is missing.
+    /// [`FindError`]: no network or several, numbers that are not finite, an unsupported
+    /// activation, or an incomplete normalisation.
     pub fn find(&self, part: Option<&str>) -> Result<Found, FindError> {
         let activation = activation(&self.entries)?;
         let set = match part {
@@ -144,7 +144,7 @@ fn complete_parts(entries: &[Entry]) -> Vec<(String, Arrays<'_>)> {
         .collect()
 }
 
-/// Most parts that are looked into.
+/// Maximum number of parts searched.
 const MAX_PARTS: usize = 512;
 
 fn within(path: &str, part: &str) -> bool {
@@ -165,7 +165,7 @@ fn arrays_in<'a>(entries: &'a [Entry], part: &str) -> Option<Arrays<'a>> {
             _ => None,
         })
         .collect();
-    // What another program means by freshness cannot be determined from numbers.
+    // Another program's definition of the reading age cannot be determined from numbers.
     [FeatureSet::Full, FeatureSet::PowerOnly]
         .into_iter()
         .flat_map(|set| [false, true].map(|transposed| (set, transposed)))
@@ -233,7 +233,7 @@ fn arrays<'a>(
             biases: <[Named<'a>; 4]>::try_from(biases).ok()?,
         });
     }
-    // Without names, the first of the two biases of 64 belongs to the first layer.
+    // Without names, the first of the two biases of length 64 belongs to the first layer.
     match (
         fitting[0].as_slice(),
         fitting[2].as_slice(),
@@ -250,7 +250,8 @@ fn arrays<'a>(
     }
 }
 
-/// A path without what tells weights from biases: equal for the two arrays of a layer.
+/// A path without the component that distinguishes weights from biases: equal for the two arrays of
+/// a layer.
 fn stem(path: &str) -> Vec<String> {
     let same = |token: String| match token.as_str() {
         "weight" | "weights" | "kernel" | "w" | "coef" | "coefs" => "#".to_owned(),
@@ -283,7 +284,7 @@ fn finite(named: &Named<'_>, transposed: bool) -> Result<Vec<f32>, FindError> {
     Ok((0..columns).flat_map(column).copied().collect())
 }
 
-/// The activation, if the file holds its layers, which state it.
+/// The activation, if the file holds layers that state it.
 fn activation(entries: &[Entry]) -> Result<Option<Activation>, FindError> {
     let mut stated = None;
     for Entry { path, value } in entries {
@@ -318,7 +319,7 @@ fn names<'a>(parts: impl Iterator<Item = &'a str>) -> String {
     }
 }
 
-/// The arrays of a file in a few words.
+/// Summary of the arrays of a file.
 fn shapes(entries: &[Entry]) -> String {
     let tensors: Vec<String> = entries
         .iter()

@@ -1,15 +1,15 @@
-//! Model files of other programs: what is in them, the network that they hold, and the way back.
+//! Model files of other programs: reading, finding the network, import and export.
 //!
-//! - [`Checkpoint::read`] takes the bytes of an object array of NumPy (`.npy`, a pickle), an
-//!   archive of arrays (`.npz`), a PyTorch file (`.pt`, zip or legacy) or an own model file
-//!   (safetensors), and lists what is in it. Nothing in a file is ever run.
+//! - [`Checkpoint::read`] reads an object array of NumPy (`.npy`, a pickle), an archive of arrays
+//!   (`.npz`), a PyTorch file (`.pt`, zip or legacy) or a joulebus model file (safetensors), and
+//!   lists its entries. No code in a file is ever executed.
 //! - [`Checkpoint::find`] finds the weights by their shapes and the statistics of the
 //!   normalisation by their names.
-//! - [`Found::choose`] finds out which features the network was trained on, by trying every
-//!   convention on recordings, and [`Choice::network`] makes it a model that the worker loads.
+//! - [`Found::choose`] identifies the network's feature convention by evaluating every convention
+//!   on recordings, and [`Choice::network`] converts it to a model for the worker.
 //! - [`to_npz`], [`to_arrays`] and [`to_onnx`] write a model for other programs.
 //!
-//! Everything is a function from bytes to bytes; files and directories are the caller's.
+//! All functions map bytes to bytes; file access is left to the caller.
 #![forbid(unsafe_code)]
 
 mod archive;

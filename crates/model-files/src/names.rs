@@ -1,4 +1,4 @@
-//! Words in the names that programs give to arrays.
+//! Splits the names of arrays into words.
 
 /// The words and numbers of a path, in lower case.
 pub(super) fn tokens(path: &str) -> Vec<String> {

@@ -1,4 +1,4 @@
-//! The statistics with which a network's inputs were normalised, found by their names.
+//! The normalisation statistics of a network, found by their names.
 
 use super::names::tokens;
 use super::{Entry, EntryValue, FindError};
@@ -7,23 +7,21 @@ use joulebus_predictor::{FEATURES, FeatureSet, LAGS};
 /// Features of the command, before the readings.
 const COMMANDS: usize = FEATURES - LAGS;
 
-/// What the documentation of the published model states (its README): velocities in m/s and rad/s,
-/// power in mW.
+/// Statistics stated in the published model's README: velocities in m/s and rad/s, power in mW.
 const PUBLISHED: [(Quantity, f64, f64); 3] = [
     (Quantity::V, 0.0279, 0.0736),
     (Quantity::Omega, 0.0479, 1.0187),
     (Quantity::Power, 3651.7, 374.7),
 ];
 
-/// The statistics and where they come from.
+/// The statistics and their sources.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundNormalisation {
     /// Means and standard deviations.
     pub statistics: Statistics,
-    /// What was found where, one statement each.
+    /// The source of each, as text.
     pub sources: Vec<String>,
-    /// Whether the file has none, so that those which the published model's documentation states
-    /// were taken.
+    /// Whether the file has none, so that those of the published model's documentation were used.
     pub documented: bool,
 }
 
@@ -31,7 +29,7 @@ pub struct FoundNormalisation {
 /// W.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Statistics {
-    /// One of each for `v`, `ω` and power, as in the published model.
+    /// One pair each for `v`, `ω` and power, as in the published model.
     Shared {
         /// Of `v`: mean and standard deviation.
         v: (f64, f64),
@@ -40,13 +38,13 @@ pub enum Statistics {
         /// Of the readings and the forecast.
         power: (f64, f64),
     },
-    /// One for each feature, in the file's order.
+    /// One pair per feature, in the file's order.
     Own {
         /// Means: of all features, or of those before the readings.
         mean: Vec<f64>,
         /// Standard deviations, as many.
         std: Vec<f64>,
-        /// Of the forecast, and of the readings if they have none of their own.
+        /// Of the forecast, and of the readings unless they have their own.
         power: (f64, f64),
     },
 }
@@ -66,7 +64,7 @@ enum Statistic {
     Variance,
 }
 
-/// Whether a name is that of a statistic, whatever it is a statistic of.
+/// Whether a name denotes a statistic of any quantity.
 pub(super) fn is_statistic(path: &str) -> bool {
     statistic(&tokens(last(path))).is_some()
 }
@@ -103,7 +101,7 @@ struct Named<'a> {
     values: Vec<f64>,
 }
 
-/// Finds the statistics among the entries that are no weights.
+/// Finds the statistics among the entries that are not weights.
 pub(super) fn find<'a>(
     entries: impl Iterator<Item = &'a Entry>,
     set: FeatureSet,
@@ -177,7 +175,7 @@ pub(super) fn find<'a>(
     })
 }
 
-/// An entry as a statistic, if its name says that it is one and its size can be one.
+/// An entry as a statistic, if its name and size allow it.
 fn named(entry: &Entry, set: FeatureSet) -> Option<Named<'_>> {
     let own = tokens(last(&entry.path));
     let all = tokens(&entry.path);
@@ -187,7 +185,7 @@ fn named(entry: &Entry, set: FeatureSet) -> Option<Named<'_>> {
         EntryValue::Tensor(tensor) => tensor.values().to_vec(),
         _ => return None,
     };
-    // What stands in the name itself counts more than what stands on the way to it.
+    // The last component of a path takes precedence over the others.
     let quantity = quantity(&own).or_else(|| quantity(&all));
     let quantity = match (values.len(), quantity) {
         (1, Some(Quantity::Features) | None) => return None,
@@ -211,7 +209,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Mean and deviation of a quantity that has one of each; 0 and 1 in place of what is missing.
+    /// Mean and deviation of a scalar quantity; 0 and 1 for missing ones.
     fn pair(&mut self, quantity: Quantity, name: &str) -> (f64, f64) {
         let mut number = |statistic, what: &str, instead| {
             let found = self.one(quantity, statistic);
@@ -229,7 +227,7 @@ impl Search<'_> {
         )
     }
 
-    /// A statistic under the shortest of the names that it has.
+    /// The statistic with the shortest name.
     fn one(&mut self, quantity: Quantity, statistic: Statistic) -> Option<Vec<f64>> {
         let with = |statistic: Statistic| {
             self.named

@@ -1,4 +1,5 @@
-//! NumPy's array files: arrays of numbers, and single texts. Objects are [`pickle`](super::pickle)'s.
+//! NumPy's array files: arrays of numbers, and single texts. [`pickle`](super::pickle) reads
+//! objects.
 
 use joulebus_dataset::npy::Header;
 
@@ -6,17 +7,17 @@ use super::element::Element;
 use super::pickle::product;
 use super::{Container, EntryValue, ReadError, Tensor};
 
-/// What an array is made of.
+/// Element type of an array.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum ElementType {
     Numbers(Element),
     /// A pickle.
     Objects,
-    /// Bytes of text, so many an element.
+    /// Text of this many bytes per element.
     Text(usize),
 }
 
-/// Reads the header; `name` is the file's place in messages.
+/// Reads the header; `name` locates the file in messages.
 pub(super) fn header(name: &str, bytes: &[u8]) -> Result<(Header, ElementType), ReadError> {
     let bad = |at: usize, detail: String| ReadError::Part {
         container: Container::Npy,
@@ -35,7 +36,7 @@ pub(super) fn header(name: &str, bytes: &[u8]) -> Result<(Header, ElementType), 
     Ok((header, kind))
 }
 
-/// The element type that NumPy writes so.
+/// The element type of a NumPy type string.
 fn kind(descr: &str) -> Option<ElementType> {
     if descr == "|O" {
         return Some(ElementType::Objects);
@@ -87,7 +88,7 @@ pub(super) fn value(name: &str, bytes: &[u8]) -> Result<EntryValue, ReadError> {
     }
 }
 
-/// An array file as NumPy writes it. `element` is the type and `contents` its bytes.
+/// An array file in NumPy's format. `element` is the type and `contents` its bytes.
 pub(super) fn write(element: &str, shape: &[usize], contents: &[u8]) -> Vec<u8> {
     let mut bytes = joulebus_dataset::npy::header(element, shape);
     bytes.extend(contents);
@@ -99,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_is_read() {
+    fn written_arrays_can_be_read() {
         let values = [1.5_f32, -2.0, 0.25, 4.0, 5.0, 6.0];
         let contents: Vec<u8> = values
             .iter()

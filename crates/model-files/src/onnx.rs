@@ -1,4 +1,4 @@
-//! The part of ONNX's format (onnx.proto3, IR version 8) that a dense network needs.
+//! The subset of ONNX's format (onnx.proto3, IR version 8) that a dense network needs.
 
 use std::f32::consts::{FRAC_1_SQRT_2, PI};
 
@@ -137,7 +137,7 @@ enum Size {
     Any(String),
 }
 
-/// The network as a graph from raw features to watt.
+/// The network as a graph from raw features to power in W.
 pub(super) fn model(network: &Network, metadata: &str) -> Model {
     let parameters = network.parameters();
     let set = parameters.feature_set;
@@ -235,7 +235,7 @@ impl Builder {
         });
     }
 
-    /// Adds a node; gives the name of its output.
+    /// Adds a node; returns the name of its output.
     fn node(&mut self, op_type: &str, inputs: &[&str], output: &str) -> String {
         self.nodes.push(Node {
             input: inputs.iter().map(ToString::to_string).collect(),
@@ -323,7 +323,7 @@ mod tests {
         floats.collect()
     }
 
-    /// Runs a graph for one row, operator by operator as ONNX defines them.
+    /// Evaluates a graph for one row, operator by operator as ONNX defines them.
     fn run(graph: &Graph, row: Vec<f64>) -> f64 {
         let constants = graph.initializer.iter();
         let mut values: HashMap<&str, Vec<f64>> = constants
@@ -332,7 +332,7 @@ mod tests {
         values.insert("features", row);
         for node in &graph.node {
             let inputs: Vec<&Vec<f64>> = node.input.iter().map(|name| &values[&**name]).collect();
-            // The second operand is as wide as the first, or one number for all.
+            // The second operand has the length of the first, or is a scalar.
             let each = |operation: fn(f64, f64) -> f64| {
                 let second = inputs[1].iter().cycle();
                 let pairs = inputs[0].iter().zip(second);
@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn the_graph_forecasts_what_the_network_forecasts() {
+    fn the_graph_gives_the_forecasts_of_the_network() {
         for (name, activation) in [
             ("gternal-sim", Activation::GeluErf),
             ("gternal-sim-power", Activation::GeluErf),

@@ -1,4 +1,4 @@
-//! Own models: whole, or as the arrays that [`to_arrays`](super::to_arrays) writes.
+//! Joulebus models: as safetensors, or as the arrays that [`to_arrays`](super::to_arrays) writes.
 
 use std::collections::HashMap;
 
@@ -7,9 +7,9 @@ use joulebus_predictor::{ModelError, Network};
 use safetensors::SafeTensors;
 use safetensors::tensor::{Dtype, TensorView};
 
-/// The array that holds everything of the model file that is no number of the network.
+/// The array with everything in the model file except the numbers of the network.
 pub(super) const METADATA: &str = "metadata";
-/// Arrays with this before their name are for whoever reimplements the network.
+/// Prefix of the arrays for testing a reimplementation of the network.
 pub(super) const CHECK: &str = "check_";
 
 /// Whether a file is safetensors: a length, then JSON.
@@ -17,7 +17,7 @@ pub(super) fn is_own(bytes: &[u8]) -> bool {
     bytes.get(8) == Some(&b'{')
 }
 
-/// Where the header of a safetensors file says that it ends.
+/// End of the header of a safetensors file, as stated in it.
 pub(super) fn header_end(bytes: &[u8]) -> u64 {
     let length = bytes.first_chunk::<8>();
     length.map_or(0, |length| u64::from_le_bytes(*length).saturating_add(8))
@@ -59,8 +59,8 @@ pub(super) fn entries(network: &Network) -> Vec<Entry> {
     entries
 }
 
-/// The model, if these arrays are an own one: put together as a model file and read as one, so that
-/// it passes the same checks, the digest among them. Arrays that contradict it are refused.
+/// The model, if these arrays are a joulebus model: reassembled as a model file and read as one, so
+/// that it passes the same checks, the digest included. Arrays that contradict it are refused.
 pub(super) fn from_arrays(
     container: Container,
     entries: &[Entry],
@@ -90,7 +90,7 @@ pub(super) fn from_arrays(
     Ok(Some(network))
 }
 
-/// The model file that the arrays were made of.
+/// The model file from which the arrays were exported.
 fn whole(entries: &[Entry], fields: HashMap<String, String>) -> Result<Vec<u8>, ReadError> {
     let layers = entries.iter().filter_map(|entry| match &entry.value {
         EntryValue::Tensor(tensor) if entry.path.starts_with("layers.") => {
@@ -123,6 +123,6 @@ pub(super) fn metadata(file: &[u8]) -> Result<String, ModelError> {
     let (_, header) = SafeTensors::read_metadata(file)?;
     let empty = HashMap::new();
     let fields = header.metadata().as_ref().unwrap_or(&empty);
-    // `Value` keeps its keys in order, so the same model gives the same bytes.
+    // `Value` sorts its keys, so the same model gives the same bytes.
     Ok(serde_json::json!(fields).to_string())
 }

@@ -1,16 +1,15 @@
-//! Python's pickles, read as data: nothing in them is ever run.
+//! Python pickles, read as data: no code in them is ever executed.
 //!
-//! A pickle is a program for a small stack machine whose opcodes can call any Python function.
-//! Here the machine builds plain values, and the few calls that tensors and plain containers are
-//! made of are *recognised*, never made: [`Global`] lists them all. Any other opcode, function or
-//! argument is refused with its name and place, because a reader that skips what it does not know
-//! would import half a model.
+//! A pickle is a program for a stack machine whose opcodes can call any Python function. This
+//! machine builds plain values, and *recognises* the few calls needed for tensors and plain
+//! containers without making them: [`Global`] lists them. Any other opcode, function or argument is
+//! refused with its name and location, because skipping unknown parts could import half a model.
 //!
-//! Existing readers do not serve: `serde-pickle` knows no persistent ids and no arrays, and the
-//! readers of candle and Burn keep unknown objects as opaque values and allocate what a length in
-//! the file claims. This one checks every length against the bytes left, holds values in one list
-//! (so that neither deep nesting nor cycles can overflow the stack when they are dropped), and
-//! makes at most [`MAX_VALUES`] of them.
+//! Existing readers do not suffice: `serde-pickle` supports neither persistent ids nor arrays, and
+//! the readers of candle and Burn keep unknown objects as opaque values and allocate by lengths
+//! claimed in the file. This reader checks every length against the remaining bytes, holds values
+//! in one flat list (so that dropping deep nesting or cycles cannot overflow the stack), and
+//! creates at most [`MAX_VALUES`] of them.
 
 mod call;
 mod error;
@@ -27,33 +26,33 @@ pub(super) use value::{Id, Storage, Value};
 use super::element::Element;
 use value::Global;
 
-/// Most values that a pickle may make: a checkpoint of this network with its optimizer makes a
-/// few hundred.
+/// Maximum number of values in a pickle: a checkpoint of this network with its optimizer has a few
+/// hundred.
 pub(super) const MAX_VALUES: usize = 100_000;
-/// Longest line of a name in the file.
+/// Maximum length of a name in the file.
 const MAX_NAME_BYTES: usize = 200;
 const NEWEST_PROTOCOL: u8 = 5;
 
-/// Whether tensors may lie outside of the pickle, as PyTorch puts them.
+/// Whether tensors may be stored outside of the pickle, as PyTorch does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Storages {
-    /// There is nothing outside.
+    /// No.
     Inside,
-    /// Persistent ids name storages.
+    /// Yes: persistent ids name storages.
     Outside,
 }
 
-/// Everything that a pickle holds.
+/// Values of a pickle.
 #[derive(Debug)]
 pub(super) struct Pickle {
     values: Vec<Value>,
     root: Id,
-    /// Where the bytes after the pickle begin.
+    /// Offset of the first byte after the pickle.
     pub(super) end: usize,
 }
 
 impl Pickle {
-    /// Reads the pickle that begins at `start`. Places in errors count from the first of `bytes`.
+    /// Reads the pickle that begins at `start`. Offsets in errors count from the first of `bytes`.
     pub(super) fn read(
         bytes: &[u8],
         start: usize,
@@ -90,7 +89,7 @@ impl Pickle {
         &self.values[id.0 as usize]
     }
 
-    /// All storages that are named, each as often as it is.
+    /// All storage references, repeated ones included.
     pub(super) fn storages(&self) -> impl Iterator<Item = &Storage> {
         self.values.iter().filter_map(|value| match value {
             Value::Storage(storage) => Some(&**storage),
@@ -99,23 +98,23 @@ impl Pickle {
     }
 }
 
-/// The stack machine, stripped of everything that could act.
+/// The stack machine, without any operation that executes code.
 struct Machine<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// Where the opcode in work stands.
+    /// Offset of the current opcode.
     opcode_at: usize,
     storages: Storages,
     values: Vec<Value>,
     stack: Vec<Id>,
     marks: Vec<usize>,
     memo: HashMap<u32, Id>,
-    /// Bytes that stood in the file as text: each piece is copied out once.
+    /// Bytes decoded from text: each text may be decoded once.
     encoded_bytes: usize,
 }
 
 impl Machine<'_> {
-    /// Does one opcode; `false` at the end of the program.
+    /// Executes one opcode; `false` at the end of the program.
     fn step(&mut self) -> Result<bool, PickleError> {
         self.opcode_at = self.at;
         let code = self.byte("opcode")?;
@@ -294,10 +293,7 @@ impl Machine<'_> {
         };
         let Some(&id) = self.memo.get(&index) else {
             let name = opcode::name(code);
-            return Err(self.refuse(
-                name,
-                format!("takes entry {index}, which nothing put there"),
-            ));
+            return Err(self.refuse(name, format!("takes entry {index}, which was never stored")));
         };
         self.push_id(id)
     }
@@ -309,7 +305,7 @@ impl Machine<'_> {
             let (name, module) = (self.pop()?, self.pop()?);
             match (self.value(module), self.value(name)) {
                 (Value::Text(module), Value::Text(name)) => (module.to_string(), name.to_string()),
-                _ => return Err(self.refuse("STACK_GLOBAL", "has names that are no text".into())),
+                _ => return Err(self.refuse("STACK_GLOBAL", "has names that are not text".into())),
             }
         };
         match Global::known(&module, &name) {
@@ -365,7 +361,7 @@ impl Machine<'_> {
         Ok(Id(self.values.len() as u32 - 1))
     }
 
-    /// Below this the stack belongs to what was begun before the last mark.
+    /// Stack items below this index belong to the context before the last mark.
     fn floor(&self) -> usize {
         self.marks.last().copied().unwrap_or(0)
     }

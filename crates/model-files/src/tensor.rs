@@ -3,8 +3,8 @@
 use super::element::Element;
 use super::pickle::product;
 
-/// Most elements of an array whose values are kept; larger ones have a shape only. The largest of
-/// this network has 4,096.
+/// Maximum number of elements of an array whose values are kept; larger ones have a shape only. The
+/// largest of this network has 4,096.
 const MAX_ELEMENTS: usize = 1 << 16;
 
 /// An array of numbers of at most eight dimensions.
@@ -16,7 +16,7 @@ pub struct Tensor {
 }
 
 impl Tensor {
-    /// An array whose elements lie one after another; `bytes` holds all of them.
+    /// A contiguous array; `bytes` holds all elements.
     pub(super) fn dense(
         shape: Vec<usize>,
         element: Element,
@@ -28,7 +28,7 @@ impl Tensor {
         Tensor::view(shape, &strides, 0, element, bytes, big_endian)
     }
 
-    /// A view; elements past the end of `bytes` are NaN.
+    /// A view; elements beyond the end of `bytes` are NaN.
     pub(super) fn view(
         shape: Vec<usize>,
         strides: &[usize],
@@ -56,7 +56,7 @@ impl Tensor {
         }
     }
 
-    /// Numbers of Python.
+    /// From Python numbers.
     pub(super) fn from_numbers(shape: Vec<usize>, values: Vec<f64>) -> Tensor {
         Tensor {
             shape,
@@ -65,7 +65,7 @@ impl Tensor {
         }
     }
 
-    /// Numbers of our own.
+    /// From our own numbers.
     pub(super) fn from_f32(shape: Vec<usize>, values: &[f32]) -> Tensor {
         Tensor {
             shape,
@@ -80,20 +80,20 @@ impl Tensor {
         &self.shape
     }
 
-    /// Element type as in the file, such as `f32`; `numbers` for plain numbers of Python.
+    /// Element type as in the file, such as `f32`; `numbers` for plain Python numbers.
     #[must_use]
     pub fn element(&self) -> &'static str {
         self.element
     }
 
-    /// All values in C order; none of an array with more than 65,536.
+    /// All values in C order; empty for an array of more than 65,536.
     #[must_use]
     pub fn values(&self) -> &[f64] {
         &self.values
     }
 }
 
-/// Distance of neighbours in each dimension, in elements.
+/// Strides of each dimension, in elements.
 fn strides(shape: &[usize], fortran_order: bool) -> Vec<usize> {
     let mut stride = 1_usize;
     let mut next = |&size: &usize| {

@@ -10,7 +10,7 @@ use super::{Container, Entry, PickleError, ReadError};
 
 /// The pickle in a zip archive.
 const PROGRAM: &str = "/data.pkl";
-/// What a legacy file begins with: an integer as a pickle, up to its last byte.
+/// Magic of a legacy file: an integer as a pickle, up to its last byte.
 const LEGACY_MAGIC: &[u8] = b"\x80\x02\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19.";
 const LEGACY_VERSION: i64 = 1001;
 
@@ -24,7 +24,7 @@ pub(super) fn is_legacy(bytes: &[u8]) -> bool {
     bytes.starts_with(LEGACY_MAGIC)
 }
 
-/// What a zip archive of PyTorch holds.
+/// Entries of a zip archive of PyTorch.
 pub(super) fn read_zip(members: &[Member]) -> Result<Vec<Entry>, ReadError> {
     let container = Container::TorchZip;
     let bad = |part: &str, detail: &str| ReadError::Part {
@@ -64,7 +64,7 @@ pub(super) fn read_zip(members: &[Member]) -> Result<Vec<Entry>, ReadError> {
     of_pickle(container, &pickle, &fetch)
 }
 
-/// What a legacy file of PyTorch holds.
+/// Entries of a legacy PyTorch file.
 pub(super) fn read_legacy(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
     let container = Container::TorchLegacy;
     let mut at = LEGACY_MAGIC.len();
@@ -87,7 +87,7 @@ pub(super) fn read_legacy(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
     of_pickle(container, &object, &fetch)
 }
 
-/// Refuses files of another version or of a machine with another byte order.
+/// Refuses files of another version or byte order.
 fn check_origin(version: &Pickle, system: &Pickle) -> Result<(), ReadError> {
     let bad = |part: &str, detail: String| {
         Err(ReadError::Part {
@@ -126,7 +126,7 @@ fn check_origin(version: &Pickle, system: &Pickle) -> Result<(), ReadError> {
     }
 }
 
-/// The numbers of each storage: a count and as many elements, in the order of the keys.
+/// The elements of each storage: a count and as many elements, in the order of the keys.
 fn storages<'a>(
     bytes: &'a [u8],
     mut at: usize,
@@ -141,7 +141,10 @@ fn storages<'a>(
         })
     };
     let Value::List(list) = keys.value(keys.root()) else {
-        return bad(at, "found no list of storages before them".to_owned());
+        return bad(
+            at,
+            "found no list of storages before the storages".to_owned(),
+        );
     };
     let used: HashMap<&str, &Storage> = object
         .storages()
@@ -150,7 +153,7 @@ fn storages<'a>(
     let mut storages = HashMap::new();
     for &key in list {
         let Value::Text(key) = keys.value(key) else {
-            return bad(at, "a storage has a key that is no text".to_owned());
+            return bad(at, "a storage has a key that is not text".to_owned());
         };
         let Some(storage) = used.get(&**key) else {
             return bad(at, format!("nothing uses the storage {key:?}"));
@@ -181,7 +184,7 @@ fn storages<'a>(
         };
         at += 8 + needed;
         if storages.insert(key.to_string(), numbers).is_some() {
-            return bad(at, format!("the storage {key:?} is there twice"));
+            return bad(at, format!("the storage {key:?} occurs twice"));
         }
     }
     if at != bytes.len() {

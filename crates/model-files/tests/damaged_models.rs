@@ -1,6 +1,6 @@
-//! Every truncation and every flipped byte of a file of each kind is an error that names the place,
-//! or a model that passes all checks and whose hash tells it from the whole one — never a panic,
-//! never room made for what the file only claims.
+//! Every truncation and every flipped byte of a file of each format is either an error that names
+//! the location, or a model that passes all checks and has another hash — never a panic, never an
+//! allocation by a claimed size.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../tests/counting.rs"]
@@ -13,21 +13,21 @@ use joulebus_model_files::{Checkpoint, Entry, EntryValue, Found, to_npz};
 use joulebus_predictor::Network;
 use sha2::{Digest as _, Sha256};
 
-/// What is allocated in all, vectors counted each time they grow, for a file of some 30 kB: its
-/// numbers as f64 are 56 kB, and a few copies of them.
+/// Maximum total allocation for a file of some 30 kB, counting vectors each time they grow: its
+/// numbers as f64 are 56 kB, and there are a few copies.
 const MOST_BYTES: u64 = 4 << 20;
 
-/// What a file came to.
+/// Result of reading a file.
 #[derive(Debug, PartialEq, Eq)]
 enum Outcome {
     Refused,
-    /// The whole model, from a file that differs where nothing is said.
+    /// The original model, from a file that differs in unused bytes.
     Same,
     /// Another model, or other numbers.
     Other,
 }
 
-/// Everything that decides a forecast, as a digest.
+/// Digest of everything that determines a forecast.
 fn digest(found: &Found) -> Vec<u8> {
     let mut digest = Sha256::new();
     for found in &found.layers {
@@ -64,7 +64,7 @@ fn outcome(bytes: &[u8], whole: &[u8], what: impl Fn() -> String) -> Outcome {
         Ok(read) if read == whole => Outcome::Same,
         Ok(_) => Outcome::Other,
         Err(error) => {
-            // A place, or a name: never only that something is wrong.
+            // A location or a name is required in each message.
             let is_place = |c: char| c.is_ascii_digit() || c == '"' || c == '`';
             let names = error.contains(is_place) || bytes.is_empty();
             assert!(names, "{}: {error}", what());
@@ -73,7 +73,7 @@ fn outcome(bytes: &[u8], whole: &[u8], what: impl Fn() -> String) -> Outcome {
     }
 }
 
-/// The files, each with whether it carries checksums of its numbers.
+/// The files, each with whether it has checksums of its numbers.
 fn files() -> Vec<(&'static str, Vec<u8>, bool)> {
     let path = concat!(
         env!("CARGO_MANIFEST_DIR"),
@@ -95,15 +95,15 @@ fn files() -> Vec<(&'static str, Vec<u8>, bool)> {
     ]
 }
 
-/// The bytes that are flipped: all that are no numbers of a large array, and every 13th of those,
-/// of which there are thousands alike; all with `JOULEBUS_EVERY_BYTE`.
+/// The bytes to flip: all outside of large arrays, and every 13th within; all of them with
+/// `JOULEBUS_EVERY_BYTE`.
 fn places(bytes: &[u8]) -> impl Iterator<Item = usize> {
     let every: usize = std::env::var("JOULEBUS_EVERY_BYTE").map_or(13, |_| 1);
     let structure = structure(bytes);
     (0..bytes.len()).filter(move |at| structure[*at] || at % every == 0)
 }
 
-/// The bytes near anything that is no float: names, headers, opcodes, directories.
+/// Marks the bytes that are not floats: names, headers, opcodes, directories.
 fn structure(bytes: &[u8]) -> Vec<bool> {
     let mut structure = vec![false; bytes.len()];
     let is_word = |window: &[u8]| window.iter().all(u8::is_ascii_graphic);
@@ -124,7 +124,7 @@ fn structure(bytes: &[u8]) -> Vec<bool> {
 }
 
 #[test]
-fn every_truncation_is_an_error_that_names_the_place() {
+fn every_truncation_is_an_error_with_its_location() {
     for (name, bytes, _) in files() {
         let whole = read(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
         for length in 0..bytes.len() {
@@ -141,7 +141,7 @@ fn every_truncation_is_an_error_that_names_the_place() {
 }
 
 #[test]
-fn every_flipped_byte_is_an_error_that_names_the_place_or_shows_in_the_hash() {
+fn every_flipped_byte_is_an_error_with_its_location_or_changes_the_hash() {
     for (name, mut bytes, has_checksums) in files() {
         let whole = read(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
         let (mut refused, mut same, mut other) = (0, 0, 0);
@@ -158,21 +158,21 @@ fn every_flipped_byte_is_an_error_that_names_the_place_or_shows_in_the_hash() {
                 bytes[at] ^= mask;
             }
         }
-        // A changed number never goes unnoticed where there are checksums; names may still change
-        // what is found, as in any file.
+        // A changed number is always detected where there are checksums; changed names may still
+        // change what is found.
         assert!(
             !has_checksums || name.ends_with("npz") || other == 0,
             "{name}: {other} differ"
         );
         assert!(refused > 0, "{name}");
         println!(
-            "figure: {name}: flipped bytes: {refused} refused, {same} change nothing, {other} show in the hash, 0 panics"
+            "figure: {name}: flipped bytes: {refused} refused, {same} without effect, {other} change the hash, 0 panics"
         );
     }
 }
 
 #[test]
-fn a_flipped_bit_in_any_number_of_a_file_without_checksums_shows_in_the_hash() {
+fn a_flipped_bit_in_any_number_of_a_file_without_checksums_changes_the_hash() {
     for name in ["flat.npy", "state_dict_legacy.pt"] {
         let bytes = fixture(name);
         let whole = read(&bytes).unwrap();

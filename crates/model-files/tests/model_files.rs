@@ -1,4 +1,4 @@
-//! Model files of NumPy and PyTorch become the model that they are.
+//! Model files of NumPy and PyTorch are imported as the same model.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod fixture;
@@ -17,7 +17,7 @@ use joulebus_model_files::{
 use joulebus_predictor::{Activation, FEATURES, FeatureSet, Features, Network};
 
 const STEP_S: f64 = 1.0 / 30.0;
-/// As `tools/model_fixtures.py` makes its expected forecasts.
+/// The convention by which `tools/model_fixtures.py` computes its expected forecasts.
 const FIXTURES: Convention = Convention {
     unit: PowerUnit::Milliwatt,
     order: LagOrder::Newest,
@@ -42,7 +42,7 @@ fn gelu(x: f64) -> f64 {
     0.5 * x * libm::erfc(-x * std::f64::consts::FRAC_1_SQRT_2)
 }
 
-/// The network by plain loops, from features that are normalised and in the file's order.
+/// The network by plain loops, from normalised features in the file's order.
 fn evaluated(found: &Found, mut values: Vec<f64>) -> f64 {
     for (number, found) in found.layers.iter().enumerate() {
         let rows = found.layer.weights.chunks(values.len());
@@ -62,7 +62,7 @@ const V: (f64, f64) = (0.0279, 0.0736);
 const OMEGA: (f64, f64) = (0.0479, 1.0187);
 const POWER_W: (f64, f64) = (3.6517, 0.3747);
 
-/// What the file of a convention is fed with: saved here once more, straight from the words.
+/// Inputs of a file under a convention, computed directly from its definition.
 fn file_features(
     convention: &Convention,
     now: [f64; 2],
@@ -103,8 +103,8 @@ fn file_features(
     }
 }
 
-/// A trial whose robot draws exactly what the network forecasts under a convention, and a little
-/// noise; `moving` or with the same command all the time.
+/// A trial whose robot draws the network's forecast under a convention plus a little noise;
+/// `moving` or with a constant command.
 fn recorded(found: &Found, convention: &Convention, rows: usize, moving: bool) -> Trial {
     let mut seed = 7_u64;
     let mut uniform = || {
@@ -213,7 +213,7 @@ fn arrays_are_found_by_shape_and_statistics_by_name_in_every_style() {
     }
 }
 
-/// The layers of another file under the names of this one.
+/// The layers of another file, matched by the names in this one.
 fn relabelled(found: &Found, other: &str) -> [joulebus_model_files::FoundLayer; 4] {
     let mut layers = self::found(other).layers;
     for (layer, own) in layers.iter_mut().zip(&found.layers) {
@@ -255,11 +255,11 @@ fn the_convention_that_made_the_data_is_found_with_a_clear_margin() {
         let trial = recorded(&found, &convention, 1_500, true);
         let choice = chosen(&found, &trial, None).unwrap();
         let (best, next) = (choice.ranking[0], choice.ranking[1]);
-        let said = format!("{convention}: {best:?} before {next:?}");
-        assert_eq!(choice.convention, convention, "{said}");
-        assert!(choice.is_clear() && best.r2 > 0.99, "{said}");
-        assert_eq!(choice.blocks_won, choice.blocks, "{said}");
-        assert!(choice.margin_r2 >= best.r2 - next.r2, "{said}");
+        let ranking = format!("{convention}: {best:?} before {next:?}");
+        assert_eq!(choice.convention, convention, "{ranking}");
+        assert!(choice.is_clear() && best.r2 > 0.99, "{ranking}");
+        assert_eq!(choice.blocks_won, choice.blocks, "{ranking}");
+        assert!(choice.margin_r2 >= best.r2 - next.r2, "{ranking}");
         assert_eq!(
             convention.to_string().parse::<Convention>().unwrap(),
             convention
@@ -275,7 +275,7 @@ fn the_convention_that_made_the_data_is_found_with_a_clear_margin() {
 }
 
 #[test]
-fn a_convention_that_the_worker_cannot_run_is_named_and_not_imported() {
+fn a_convention_that_the_worker_cannot_compute_is_named_and_not_imported() {
     let found = found("flat.npy");
     let convention = Convention {
         magnitude: Magnitude::OfNormalised,
@@ -298,7 +298,7 @@ fn a_convention_that_the_worker_cannot_run_is_named_and_not_imported() {
 }
 
 #[test]
-fn data_that_cannot_tell_conventions_apart_give_no_clear_choice() {
+fn data_that_cannot_distinguish_conventions_give_no_clear_choice() {
     let found = found("flat.npy");
     let trial = recorded(&found, &FIXTURES, 600, false);
     match chosen(&found, &trial, None) {
@@ -307,13 +307,13 @@ fn data_that_cannot_tell_conventions_apart_give_no_clear_choice() {
     }
 }
 
-/// A network that also reads how fresh the newest reading is.
+/// A network that also reads the age of the newest reading.
 fn fresh() -> Network {
     random::network(1, FeatureSet::Freshness)
 }
 
 #[test]
-fn an_own_model_survives_export_as_arrays_with_the_same_hash_and_bytes() {
+fn a_joulebus_model_exported_as_arrays_is_read_with_the_same_hash_and_bytes() {
     let found = found("checkpoint.pt");
     let trial = recorded(&found, &FIXTURES, 600, true);
     let choice = chosen(&found, &trial, None).unwrap();
@@ -336,7 +336,7 @@ fn survives_export(network: &Network) {
     ] {
         let read = read.unwrap();
         assert_eq!(read.container, container);
-        let again = read.network.expect("an own model");
+        let again = read.network.expect("a joulebus model");
         assert_eq!(again.hash(), network.hash());
         assert_eq!(again.to_safetensors().unwrap(), own);
     }
@@ -363,7 +363,7 @@ fn survives_export(network: &Network) {
 }
 
 #[test]
-fn a_network_of_another_program_is_not_taken_to_read_freshness() {
+fn a_network_of_another_program_is_not_assumed_to_read_the_reading_age() {
     let mut arrays = to_arrays(&fresh()).unwrap();
     arrays.retain(|(name, _)| name != "metadata");
     let read = Checkpoint::from_arrays(&arrays).unwrap();
@@ -430,7 +430,7 @@ fn the_activation_is_taken_from_the_layers_and_a_program_is_refused() {
 }
 
 #[test]
-fn files_of_other_kinds_are_refused_with_what_was_found() {
+fn files_of_other_formats_are_refused_with_what_was_found() {
     for (bytes, said) in [
         (&b""[..], "empty"),
         (b"robot_id,timestamp_s\n", "72, 6f"),

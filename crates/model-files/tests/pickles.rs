@@ -1,5 +1,5 @@
-//! Row 13: a pickle that would run something is refused before anything runs, whatever it stands
-//! in; and nothing that it claims makes the reader make room.
+//! Row 13: a pickle that would execute code is refused before anything is executed, in any container;
+//! and no claimed size causes an allocation.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../tests/counting.rs"]
@@ -19,7 +19,7 @@ fn everywhere(pickle: &[u8]) -> Vec<Vec<u8>> {
     files
 }
 
-/// What is attempted, the pickle, and what the refusal must say.
+/// The attempt, the pickle, and what the refusal must contain.
 fn attempts(canary: &str) -> Vec<(&'static str, Vec<u8>, &'static [&'static str])> {
     let command = format!("touch {canary}");
     let text = |text: &str| {
@@ -69,7 +69,7 @@ fn attempts(canary: &str) -> Vec<(&'static str, Vec<u8>, &'static [&'static str]
             &["torch.load"],
         ),
         (
-            "a name with dots, which Python would walk along",
+            "a dotted name, which Python would resolve",
             b"\x80\x04\x8c\x05numpy\x94\x8c\x0edtype.__init__\x94\x93.".to_vec(),
             &["numpy.dtype.__init__"],
         ),
@@ -123,23 +123,23 @@ fn attempts(canary: &str) -> Vec<(&'static str, Vec<u8>, &'static [&'static str]
         ),
         ("NEXT_BUFFER", b"\x80\x05\x97.".to_vec(), &["NEXT_BUFFER"]),
         ("an opcode that does not exist", b"\x80\x02\xff.".to_vec(), &["unknown", "0xff"]),
-        ("a protocol to come", b"\x80\x06N.".to_vec(), &["protocol 6"]),
+        ("a future protocol", b"\x80\x06N.".to_vec(), &["protocol 6"]),
     ]
 }
 
 #[test]
-fn a_pickle_that_would_run_something_is_refused_with_its_name_and_place() {
+fn a_pickle_that_would_execute_code_is_refused_with_name_and_location() {
     let folder = tempfile::tempdir().unwrap();
     let canary = folder.path().join("canary");
     let mut refused = 0;
-    for (what, pickle, said) in attempts(canary.to_str().unwrap()) {
+    for (what, pickle, parts) in attempts(canary.to_str().unwrap()) {
         for file in everywhere(&pickle) {
             let error = Checkpoint::read(&file).unwrap_err();
             let words = error.to_string();
             assert!(matches!(error, ReadError::Pickle { .. }), "{what}: {words}");
             assert!(words.contains("byte "), "{what}: {words}");
-            for said in said {
-                assert!(words.contains(said), "{what}: {words}");
+            for part in parts {
+                assert!(words.contains(part), "{what}: {words}");
             }
             refused += 1;
         }
@@ -149,7 +149,7 @@ fn a_pickle_that_would_run_something_is_refused_with_its_name_and_place() {
 }
 
 #[test]
-fn harmless_pickles_in_the_same_places_are_read_so_that_the_refusals_mean_something() {
+fn harmless_pickles_in_the_same_containers_are_read() {
     let pickle = b"\x80\x02}q\x00X\x01\x00\x00\x00aq\x01K\x07s.";
     let [legacy, _] = in_legacy(pickle);
     for file in [in_npy(pickle), in_zip(pickle), legacy] {
@@ -160,12 +160,12 @@ fn harmless_pickles_in_the_same_places_are_read_so_that_the_refusals_mean_someth
 }
 
 #[test]
-fn a_name_from_the_file_cannot_write_to_the_terminal() {
+fn a_name_from_the_file_is_escaped_for_terminals() {
     let error = Checkpoint::read(&in_npy(b"\x80\x02c\x1b]0;x\x07\nsystem\n.")).unwrap_err();
     assert!(!error.to_string().contains(char::is_control), "{error}");
 }
 
-/// What a pickle claims, the pickle, and what the refusal must say.
+/// The claim, the pickle, and what the refusal must contain.
 fn claims() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     let tensor = |shape: &[u8], strides: &[u8], offset: u8| {
         let storage = b"(X\x07\x00\x00\x00storagectorch\nFloatStorage\nX\x01\x00\x00\x000X\x03\x00\x00\x00cpuK\x04tQ";
@@ -257,7 +257,7 @@ fn claims() -> Vec<(&'static str, Vec<u8>, &'static str)> {
             "nested deeper than",
         ),
         (
-            "an entry that nothing put there",
+            "an entry that was never stored",
             b"\x80\x02h\x07.".to_vec(),
             "entry 7",
         ),
@@ -279,16 +279,16 @@ fn claims() -> Vec<(&'static str, Vec<u8>, &'static str)> {
 }
 
 #[test]
-fn what_a_pickle_claims_makes_no_room_and_no_depth() {
-    for (what, pickle, said) in claims() {
+fn claimed_sizes_cause_neither_allocation_nor_recursion() {
+    for (what, pickle, part) in claims() {
         let [legacy, _] = in_legacy(&pickle);
         for file in [in_npy(&pickle), in_zip(&pickle), legacy] {
             let before = counting::bytes();
             let error = Checkpoint::read(&file).expect_err(what).to_string();
             let allocated = counting::bytes() - before;
-            // A NumPy file has no storages to claim anything of.
-            let said = error.contains(said) || error.contains("BINPERSID");
-            assert!(said, "{what}: {error}");
+            // A NumPy file has no storages, so BINPERSID itself is refused.
+            let expected = error.contains(part) || error.contains("BINPERSID");
+            assert!(expected, "{what}: {error}");
             // Growing vectors are counted each time; the largest file here has 200 kB.
             assert!(allocated < 40 << 20, "{what}: {allocated} bytes allocated");
         }
@@ -296,7 +296,7 @@ fn what_a_pickle_claims_makes_no_room_and_no_depth() {
 }
 
 #[test]
-fn an_archive_that_claims_many_members_makes_no_room() {
+fn a_claimed_number_of_members_causes_no_allocation() {
     let archive = in_zip(b"\x80\x02N.");
     let end = archive
         .windows(4)
@@ -304,7 +304,7 @@ fn an_archive_that_claims_many_members_makes_no_room() {
         .unwrap();
     let mut many = archive.clone();
     many[end + 8..end + 12].copy_from_slice(&[0xfe; 4]);
-    // The record that archives beyond 4 GB have, and where it is.
+    // The ZIP64 record, and its locator.
     let mut huge = archive[..end].to_vec();
     let at = huge.len() as u64;
     huge.extend(b"PK\x06\x06");
@@ -332,7 +332,7 @@ fn an_archive_that_claims_many_members_makes_no_room() {
 }
 
 #[test]
-fn a_member_that_unpacks_to_far_more_than_it_is_is_refused() {
+fn a_member_that_decompresses_to_far_more_than_its_size_is_refused() {
     let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
     archive
         .start_file("bomb.npy", SimpleFileOptions::default())

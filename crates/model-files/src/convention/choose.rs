@@ -1,4 +1,4 @@
-//! Every convention tried on recordings, and the best one taken.
+//! Evaluates every convention on recordings and chooses the best.
 
 use joulebus_dataset::trial::Trial;
 use joulebus_predictor::{
@@ -16,53 +16,55 @@ use crate::{Found, Statistics};
 /// Features of the command, before the readings.
 const COMMANDS: usize = FEATURES - LAGS;
 
-/// How well a convention forecasts.
+/// Score of a convention.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ranked {
     /// The convention.
     pub convention: Convention,
     /// Coefficient of determination.
     pub r2: f64,
-    /// Mean absolute error in W.
+    /// Mean absolute error, W.
     pub mae_w: f64,
 }
 
-/// The convention that was taken, and why.
+/// The chosen convention, and the ranking.
 #[derive(Clone, Debug)]
 pub struct Choice {
-    /// The convention that was taken.
+    /// The chosen convention.
     pub convention: Convention,
-    /// Whether it was asked for instead of found.
+    /// Whether it was requested instead of found.
     pub forced: bool,
     /// All conventions that differ on these data, best first.
     pub ranking: Vec<Ranked>,
-    /// R² of the best minus that of the next one; infinite if there is no other.
+    /// R² of the best minus that of the second; infinite if there is no other.
     pub margin_r2: f64,
-    /// Stretches of 300 readings, ten seconds at 30 Hz.
+    /// Blocks of 300 readings, ten seconds at 30 Hz.
     pub blocks: usize,
-    /// Those in which the best has the smaller squared error than the next one.
+    /// Blocks in which the best has a smaller squared error than the second.
     pub blocks_won: usize,
     /// Readings forecast.
     pub rows: usize,
-    /// The step over which plain differences are taken, s.
+    /// The step of per-step derivatives, s.
     pub step_s: f64,
     network: Network,
 }
 
-/// A convention with the network that it gives.
+/// A convention with its network.
 struct Candidate {
     convention: Convention,
     parameters: Parameters,
-    /// What the magnitudes are taken of, when it is not the velocity itself: its mean.
+    /// The mean that is subtracted before the magnitudes are taken, if any.
     centre: Option<[f32; 2]>,
 }
 
 impl Found {
-    /// Tries every convention on the readings of recorded trials and takes the best one, or the
-    /// one that is `forced`. Range, residuals and scores of the network are those on these
-    /// readings, and its card says so.
+    /// Evaluates every convention on the readings of recorded trials and chooses the best one, or
+    /// the `forced` one. Range, residuals and scores of the network are those on these readings, as
+    /// its card states.
     ///
     /// # Errors
+    /// [`ChooseError`]: too few readings, no convention that fits, or one that the worker cannot
+    /// compute.
     /// [`ChooseError`]: too few readings, none that fits, one that cannot run.
     pub fn choose(
         &self,
@@ -108,14 +110,14 @@ impl Found {
         })
     }
 
-    /// Which of the candidates, best first, is taken.
+    /// Index of the chosen candidate; candidates are sorted best first.
     fn place(
         &self,
         scored: &[(Candidate, score::Score)],
         forced: Option<Convention>,
         rows: usize,
     ) -> Result<usize, ChooseError> {
-        // There are always candidates: the statistics have a convention of each kind.
+        // There is always a candidate: any statistics match at least one convention.
         let (best, best_score) = &scored[0];
         let place = match forced {
             None if best_score.r2 > 0.0 => 0,
@@ -151,7 +153,7 @@ impl Found {
         }
     }
 
-    /// Every convention that goes with the statistics, without those that come to the same.
+    /// Every convention that matches the statistics, without equivalent ones.
     fn candidates(&self, step_s: f64) -> Vec<Candidate> {
         let own = match &self.normalisation.statistics {
             Statistics::Own { mean, .. } => mean.len() >= COMMANDS,
@@ -197,7 +199,7 @@ impl Found {
         candidates
     }
 
-    /// The network under one convention: its columns in our order, its statistics of our features.
+    /// The network under one convention: columns in our order, statistics of our features.
     fn candidate(&self, convention: Convention, step_s: f64) -> Candidate {
         let place = |feature| file_place(feature, self.feature_set, &convention);
         let statistics = self.statistics(&convention, step_s);
@@ -242,8 +244,8 @@ impl Found {
         }
     }
 
-    /// The mean and deviation with which the file normalises each of our features, given its number
-    /// and its place in the file.
+    /// The mean and deviation by which the file normalises each of our features, given its index
+    /// and its position in the file.
     fn statistics(
         &self,
         convention: &Convention,
@@ -259,7 +261,7 @@ impl Found {
             PowerUnit::Milliwatt => 1e-3,
             PowerUnit::Watt => 1.0,
         };
-        // A difference of a step is the derivative times the step.
+        // A per-step difference is the derivative times the step.
         let per_s = match derivative {
             Derivative::OwnPerStep | Derivative::NormalisedPerStep | Derivative::RawPerStep => {
                 1.0 / step_s
@@ -271,7 +273,7 @@ impl Found {
         move |feature, place| match &statistics {
             Statistics::Own { mean, std, power } => {
                 let scaled = |(mean, std): (f64, f64), by: f64| (mean * by, std * by);
-                // Statistics of the command's features alone stand before those of the readings.
+                // Statistics of the command's features alone precede those of the readings.
                 let only_commands = feature_set == FeatureSet::Full && mean.len() == COMMANDS;
                 let own = if only_commands {
                     mean.get(feature).copied().zip(std.get(feature).copied())
@@ -299,7 +301,7 @@ impl Found {
         }
     }
 
-    /// The velocities of which the magnitudes are taken less, if any.
+    /// The means subtracted from the velocities before their magnitudes are taken, if any.
     fn centre(&self, convention: &Convention) -> Option<[f32; 2]> {
         match (&self.normalisation.statistics, convention.magnitude) {
             (Statistics::Shared { v, omega, .. }, Magnitude::OfNormalised) => {
@@ -312,9 +314,9 @@ impl Found {
 }
 
 impl Choice {
-    /// Whether the best convention is told from the next one: it wins more stretches than it loses
-    /// by at least twice the square root of their number, which chance does once in some forty
-    /// times; or it was asked for.
+    /// Whether the best convention is significantly better than the second: it wins more blocks
+    /// than it loses by at least twice the square root of their number, which happens by chance
+    /// once in some forty times; or it was requested.
     #[must_use]
     pub fn is_clear(&self) -> bool {
         let (won, all) = (self.blocks_won as f64, self.blocks as f64);
@@ -328,7 +330,7 @@ impl Choice {
     }
 }
 
-/// Where one of our features stands in the file.
+/// Position of one of our features in the file.
 fn file_place(feature: usize, set: FeatureSet, convention: &Convention) -> usize {
     let Some(lag) = feature.checked_sub(COMMANDS) else {
         return match convention.lags {
@@ -353,7 +355,7 @@ fn network(candidate: &Candidate, card: ModelCard) -> Result<Network, ChooseErro
     })
 }
 
-/// A card for a network that is only tried.
+/// A card for a network under evaluation.
 fn placeholder(feature_set: FeatureSet) -> ModelCard {
     ModelCard::new(TrainingRange {
         feature_set,

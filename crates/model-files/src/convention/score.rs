@@ -1,4 +1,4 @@
-//! The readings that conventions are tried on, and how well each forecasts them.
+//! The readings used to evaluate conventions, and the scores of each.
 
 use super::{ChooseError, Convention, Origin};
 use joulebus_dataset::rows::Row;
@@ -8,16 +8,16 @@ use joulebus_predictor::{
     features,
 };
 
-/// Readings of a stretch: ten seconds at 30 Hz.
+/// Readings per block: ten seconds at 30 Hz.
 pub(super) const BLOCK_ROWS: usize = 300;
-/// Least readings that conventions are distinguished by.
+/// Minimum number of readings for a choice.
 const MIN_ROWS: usize = 100;
-/// Most readings that are forecast; of more, every n-th stretch is taken.
+/// Maximum number of readings that are forecast; of more, every n-th block is used.
 const MAX_ROWS: usize = 60_000;
-/// A step longer than this many median ones is a gap.
+/// A step longer than this many median steps is a gap.
 const LONGEST_STEP: f64 = 1.5;
 
-/// Rows of features with the readings that followed.
+/// Rows of features and the readings that followed.
 pub(super) struct Data {
     rows: Vec<Row>,
     /// Median step of the first trial, s.
@@ -25,11 +25,11 @@ pub(super) struct Data {
     trials: usize,
 }
 
-/// How well a network forecasts the data.
+/// Score of a network on the data.
 pub(super) struct Score {
     pub(super) r2: f64,
     pub(super) mae_w: f64,
-    /// Summed squared error of each stretch.
+    /// Summed squared error of each block.
     squared: Vec<f64>,
     /// Reading minus forecast, W.
     residuals_w: Vec<f32>,
@@ -40,7 +40,7 @@ impl Score {
         self.squared.len()
     }
 
-    /// Stretches in which this has the smaller error.
+    /// Number of blocks in which this score has the smaller error.
     pub(super) fn blocks_won(&self, other: &Score) -> usize {
         let pairs = self.squared.iter().zip(&other.squared);
         pairs.filter(|(own, others)| own < others).count()
@@ -75,7 +75,8 @@ impl Data {
         self.rows.len()
     }
 
-    /// Forecasts every reading; `centre` is taken from the velocities before their magnitudes.
+    /// Forecasts every reading; `centre` is subtracted from the velocities before their magnitudes
+    /// are taken.
     pub(super) fn score(&self, network: &Network, centre: Option<[f32; 2]>) -> Score {
         let inputs: Vec<Features> = self
             .rows
@@ -114,7 +115,7 @@ impl Data {
         let absolute: f64 = residuals_w.iter().map(|r| f64::from(r.abs())).sum();
         let r2 = 1.0 - squared.iter().sum::<f64>() / spread;
         Score {
-            // Forecasts that are no numbers are the worst.
+            // Forecasts that are NaN rank last.
             r2: if r2.is_nan() { f64::NEG_INFINITY } else { r2 },
             mae_w: absolute / count,
             squared,
@@ -122,7 +123,7 @@ impl Data {
         }
     }
 
-    /// The card of an imported network: everything measured on these data.
+    /// The card of an imported network, with statistics measured on these data.
     pub(super) fn card(
         &self,
         set: FeatureSet,
@@ -154,7 +155,7 @@ impl Data {
     }
 }
 
-/// Spread and quantiles of residuals; there is at least one.
+/// Standard deviation and quantiles of residuals; there is at least one.
 fn residual(residuals_w: &[f32]) -> ResidualStats {
     let count = residuals_w.len() as f64;
     let mean = residuals_w.iter().map(|r| f64::from(*r)).sum::<f64>() / count;
@@ -171,8 +172,8 @@ fn residual(residuals_w: &[f32]) -> ResidualStats {
 }
 
 /// The rows of a trial: the command of a row, the derivative over the step before, the readings of
-/// the five rows before, newest first, and its own reading. Rows after a gap wait for six without
-/// one, and rows with anything missing that the network reads are left out.
+/// the five rows before, newest first, and its own reading. A row needs six gapless rows, and rows
+/// that lack an input of the network are left out.
 fn rows(trial: &Trial, set: FeatureSet) -> Vec<Row> {
     let missing: &[f64] = &[];
     let column = |column| trial.column(column).unwrap_or(missing);

@@ -1,15 +1,15 @@
-//! The calls that tensors and plain containers are made of, as the values that they would give.
+//! The recognised calls for tensors and plain containers, replaced by their results.
 
 use super::value::{Array, DType, Global, Storage, Tensor};
 use super::{Element, Id, Machine, PickleError, Storages, Value};
 
-/// Most arguments of a call.
+/// Maximum number of arguments of a call.
 const MAX_ARGUMENTS: usize = 8;
-/// Most dimensions of an array.
+/// Maximum number of dimensions of an array.
 const MAX_DIMENSIONS: usize = 8;
 
 impl Machine<'_> {
-    /// REDUCE: a function with its arguments.
+    /// REDUCE: a function call.
     pub(super) fn reduce(&mut self) -> Result<(), PickleError> {
         let (arguments, function) = (self.pop()?, self.pop()?);
         let (global, arguments) = self.function("REDUCE", function, arguments)?;
@@ -26,7 +26,7 @@ impl Machine<'_> {
             (Global::RebuildParameter, &[tensor, ..]) => tensor,
             _ => {
                 let found = arguments.len();
-                return Err(self.wrong(global, format!("never has {found} arguments here")));
+                return Err(self.wrong(global, format!("does not take {found} arguments")));
             }
         };
         self.push_id(result)
@@ -43,11 +43,13 @@ impl Machine<'_> {
             (Global::OrderedDict, arguments) if arguments.is_empty() => {
                 self.push(Value::Dict(Vec::new()))
             }
-            (global, _) => Err(self.wrong(global, "is no class that is made so".to_owned())),
+            (global, _) => {
+                Err(self.wrong(global, "is not a class that is created this way".to_owned()))
+            }
         }
     }
 
-    /// BUILD: the state of what was just made.
+    /// BUILD: the state of the object just created.
     pub(super) fn build(&mut self) -> Result<(), PickleError> {
         let (state, object) = (self.pop()?, self.top()?);
         let built = match (self.value(object), self.value(state)) {
@@ -63,7 +65,7 @@ impl Machine<'_> {
                     _ => return Err(self.wrong(Global::DType, "has no byte order".to_owned())),
                 }
             }
-            // Attributes of a dict, such as the versions of a state dict's layers, mean nothing here.
+            // Attributes of a dict, such as the versions of a state dict's layers, are irrelevant.
             (Value::Dict(_), Value::Dict(_)) => return Ok(()),
             (&Value::Layer { class, .. }, Value::Dict(_)) => Value::Layer {
                 class,
@@ -81,7 +83,7 @@ impl Machine<'_> {
     /// BINPERSID: a storage outside of the pickle.
     pub(super) fn storage(&mut self) -> Result<(), PickleError> {
         if self.storages == Storages::Inside {
-            let detail = "names something outside of a file that has nothing outside";
+            let detail = "names a storage outside of a file that has none";
             return Err(self.refuse("BINPERSID", detail.to_owned()));
         }
         let id = self.pop()?;
@@ -122,7 +124,7 @@ impl Machine<'_> {
         }
     }
 
-    /// A known function and its arguments.
+    /// A recognised function with its arguments.
     fn function(
         &self,
         opcode: &'static str,
@@ -284,7 +286,7 @@ impl Machine<'_> {
         let count = match self.value(storage) {
             Value::Storage(storage) => storage.count,
             other => {
-                let detail = format!("looks at {}, allowed: a storage", other.kind());
+                let detail = format!("views {}, allowed: a storage", other.kind());
                 return Err(self.wrong(Global::RebuildTensor, detail));
             }
         };
@@ -325,7 +327,7 @@ impl Machine<'_> {
             _ => None,
         };
         let sizes: Option<Vec<usize>> = items.iter().map(size).collect();
-        sizes.ok_or_else(|| self.refuse("TUPLE", "has a size that is no whole number".to_owned()))
+        sizes.ok_or_else(|| self.refuse("TUPLE", "has a size that is not an integer".to_owned()))
     }
 
     fn wrong(&self, global: Global, detail: String) -> PickleError {
@@ -351,7 +353,7 @@ impl Machine<'_> {
     }
 }
 
-/// Number of elements; none if there are more than memory could hold.
+/// Number of elements; `None` on overflow.
 pub(crate) fn product(shape: &[usize]) -> Option<usize> {
     shape
         .iter()

@@ -1,14 +1,16 @@
-//! Why a pickle was refused.
+//! Errors of reading a pickle.
 
-/// Why a pickle was refused. Places are bytes from the first of the file, or of the member of an
-/// archive that the pickle stands in. Nothing in a pickle is run, refused or not.
+/// Errors of reading a pickle. Offsets are bytes from the start of the file, or of the archive
+/// member that contains the pickle. Nothing in a pickle is executed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PickleError {
-    /// The bytes end too soon, or a length is wrong.
-    #[error("byte {at}: {opcode} needs {needs} bytes, {left} are left; the file is cut or damaged")]
+    /// The bytes end too early, or a length is wrong.
+    #[error(
+        "byte {at}: {opcode} needs {needs} bytes, {left} are left; the file is truncated or corrupt"
+    )]
     Truncated {
-        /// Place of the opcode.
+        /// Offset of the opcode.
         at: usize,
         /// Name of the opcode.
         opcode: &'static str,
@@ -23,39 +25,39 @@ pub enum PickleError {
          such opcode"
     )]
     Opcode {
-        /// Place of the opcode.
+        /// Offset of the opcode.
         at: usize,
         /// Its byte.
         code: u8,
         /// Its name.
         name: &'static str,
     },
-    /// A Python function or class that is not known to be harmless.
+    /// A Python function or class that is not on the allowlist.
     #[error(
         "byte {at}: `{name}` is refused: it is none of the functions and classes that tensors and \
          plain containers need, and nothing was run; if this is a model of your own, save \
          `model.state_dict()` or a dict of arrays and numbers"
     )]
     Global {
-        /// Place of the opcode that names it.
+        /// Offset of the opcode that names it.
         at: usize,
         /// Module and name as in the file.
         name: String,
     },
-    /// A known function with arguments that it never has.
+    /// A recognised function with unsupported arguments.
     #[error("byte {at}: {function} {detail}")]
     Call {
-        /// Place of the call.
+        /// Offset of the call.
         at: usize,
         /// Name of the function.
         function: &'static str,
         /// What was found and what is allowed.
         detail: String,
     },
-    /// An opcode that cannot stand where it stands.
-    #[error("byte {at}: {opcode} {detail}; the file is damaged")]
+    /// An opcode that is invalid in its context.
+    #[error("byte {at}: {opcode} {detail}; the file is corrupt")]
     Program {
-        /// Place of the opcode.
+        /// Offset of the opcode.
         at: usize,
         /// Name of the opcode.
         opcode: &'static str,
@@ -63,16 +65,16 @@ pub enum PickleError {
         detail: String,
     },
     /// More values than any model file has.
-    #[error("byte {at}: more than {allowed} values; is it another file?")]
+    #[error("byte {at}: more than {allowed} values; check that it is a model file")]
     TooMany {
-        /// Place of the opcode that made one too many.
+        /// Offset of the opcode that exceeded the limit.
         at: usize,
         /// Values allowed.
         allowed: usize,
     },
 }
 
-/// A name from a file as it may be shown in a terminal.
+/// A name from a file, escaped for terminals.
 pub(super) fn shown(name: &str) -> String {
     let plain = |character: char| {
         if character.is_control() {

@@ -1,18 +1,18 @@
-//! What a pickle can hold, and the functions that it may name.
+//! Values of a pickle, and the recognised functions.
 
 use crate::element::Element;
 
-/// Place of a value in its pickle.
+/// Index of a value in its pickle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct Id(pub(super) u32);
 
-/// A value. Containers hold places, so a value may contain itself: who walks along them counts.
+/// A value. Containers hold indices, so a value may contain itself: traversals must be bounded.
 #[derive(Clone, Debug)]
 pub(crate) enum Value {
     None,
     Bool(bool),
     Int(i64),
-    /// An integer past 64 bits: the number is not kept.
+    /// An integer beyond 64 bits; its value is not kept.
     Long,
     Float(f64),
     Text(Box<str>),
@@ -36,14 +36,14 @@ pub(crate) enum Value {
     },
 }
 
-/// Element type of an array; none: objects.
+/// Element type of an array; `None`: objects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct DType {
     pub(super) element: Option<Element>,
     pub(super) big_endian: bool,
 }
 
-/// A NumPy array: its length fits its shape.
+/// A NumPy array whose length matches its shape.
 #[derive(Clone, Debug)]
 pub(crate) struct Array {
     pub(crate) shape: Vec<usize>,
@@ -91,7 +91,7 @@ impl Value {
         Value::Int(i64::from_le_bytes(word))
     }
 
-    /// What it is, for messages.
+    /// Type name in messages.
     pub(crate) fn kind(&self) -> &'static str {
         match self {
             Value::None => "None",
@@ -115,12 +115,12 @@ impl Value {
     }
 }
 
-/// The functions and classes that are recognised; none of them is ever run.
+/// The recognised functions and classes; none of them is ever executed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Global {
     OrderedDict,
     Set,
-    /// `_codecs.encode`, with which old protocols write bytes.
+    /// `_codecs.encode`, by which old protocols write bytes.
     Encode,
     Reconstruct,
     NdArray,
@@ -133,7 +133,7 @@ pub(crate) enum Global {
     Layer(&'static str),
 }
 
-/// Layers of `torch.nn.modules` that a network of this kind is made of.
+/// Supported layers of `torch.nn.modules`.
 const LAYERS: [&str; 5] = [
     "container.Sequential",
     "container.ModuleList",
@@ -143,7 +143,7 @@ const LAYERS: [&str; 5] = [
 ];
 
 impl Global {
-    /// The function or class with this name, if it is one of those that are recognised.
+    /// The function or class of this name, if it is recognised.
     pub(super) fn known(module: &str, name: &str) -> Option<Global> {
         Some(match (module, name) {
             ("collections", "OrderedDict") => Global::OrderedDict,

@@ -1,5 +1,5 @@
-//! Files around a pickle.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+//! Files that contain a pickle.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::io::{Cursor, Write as _};
 
@@ -11,7 +11,7 @@ const LEGACY: [&[u8]; 3] = [
     b"\x80\x02}q\x00X\x0d\x00\x00\x00little_endianq\x01\x88s.",
 ];
 
-/// An object array of NumPy around a pickle.
+/// An object array of NumPy that contains a pickle.
 pub(crate) fn in_npy(pickle: &[u8]) -> Vec<u8> {
     let mut text = "{'descr': '|O', 'fortran_order': False, 'shape': (), }".to_owned();
     text.push_str(&" ".repeat(128 - 10 - text.len() - 1));
@@ -23,7 +23,7 @@ pub(crate) fn in_npy(pickle: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// A file of PyTorch around a pickle.
+/// A PyTorch file that contains a pickle.
 pub(crate) fn in_zip(pickle: &[u8]) -> Vec<u8> {
     zipped(&[
         ("archive/data.pkl", pickle),
@@ -42,10 +42,10 @@ pub(crate) fn zipped(members: &[(&str, &[u8])]) -> Vec<u8> {
     archive.finish().unwrap().into_inner()
 }
 
-/// A legacy file of PyTorch around a pickle, which stands in each of its places in turn.
+/// Legacy PyTorch files with the pickle at each possible position.
 pub(crate) fn in_legacy(pickle: &[u8]) -> [Vec<u8>; 2] {
     let [magic, version, system] = LEGACY;
-    // A whole pickle is followed by the list of storages: none.
+    // A complete pickle is followed by an empty list of storages.
     let keys: &[u8] = if pickle.ends_with(b".") {
         b"\x80\x02]."
     } else {
