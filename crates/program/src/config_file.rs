@@ -1,4 +1,4 @@
-//! Which config a verb works with.
+//! The config that a verb uses.
 
 use std::path::{Path, PathBuf};
 
@@ -7,22 +7,22 @@ use joulebus_config::{Config, ConfigError, Demo};
 
 use crate::output::say;
 
-/// The config that is taken when none is named.
+/// The default path of the config.
 const USUAL: &str = "configs/fleet.toml";
-/// Robots of the fleet that ships in the program: as in the file of that name.
+/// Number of robots of the built-in config, as in its file.
 const BUILTIN_ROBOTS: u32 = 100;
 
-/// Chooses the config.
+/// Selects the config.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ConfigFile {
     /// The fleet's config, the same for every process of it [default: configs/fleet.toml, or the
-    /// one that ships in the program if there is no such file]
+    /// built-in one if that file does not exist]
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
 }
 
 impl ConfigFile {
-    /// Reads it; says on stderr what is doubtful in it.
+    /// Reads it; prints its warnings to stderr.
     ///
     /// # Errors
     /// It cannot be read, or is refused.
@@ -34,7 +34,7 @@ impl ConfigFile {
         Ok(config)
     }
 
-    /// Reads it; leaves its warnings to the caller.
+    /// Reads it; the caller prints its warnings.
     ///
     /// # Errors
     /// It cannot be read, or is refused.
@@ -54,12 +54,12 @@ impl ConfigFile {
         Config::parse(&shipped.toml(), Path::new("."))
     }
 
-    /// What the config is called in messages.
+    /// Name of the config in messages.
     pub fn name(&self) -> String {
         match &self.config {
             Some(path) => path.display().to_string(),
             None if Path::new(USUAL).exists() => USUAL.to_owned(),
-            None => "the config that ships".to_owned(),
+            None => "the built-in config".to_owned(),
         }
     }
 }

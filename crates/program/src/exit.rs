@@ -1,4 +1,4 @@
-//! How a program ends. Every exit code of every joulebus program is defined here.
+//! Exit codes of every joulebus program.
 
 use std::process::ExitCode;
 
@@ -6,19 +6,19 @@ use joulebus_config::{ConfigError, UnknownKey};
 
 use crate::output::{self, StdoutClosed};
 
-/// It failed, or what was to be found out is bad news.
+/// It failed, or a check found a fault.
 pub const FAILED: u8 = 1;
-/// Wrong usage, or a config that was refused; clap's own code for wrong usage.
+/// Wrong usage, or a config that was refused; also clap's code for wrong usage.
 pub const USAGE: u8 = 2;
 /// It finished, but data was lost or differs.
 pub const INCOMPLETE: u8 = 3;
 
-/// How a verb ended that was able to do its work.
+/// Result of a verb that finished.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
-    /// As it should.
+    /// Success.
     Done,
-    /// What was to be found out is bad news.
+    /// A check found a fault.
     Failed,
     /// It finished, but data was lost or differs.
     Incomplete,
@@ -32,12 +32,12 @@ impl Outcome {
     }
 }
 
-/// Arguments that are well formed but cannot be meant.
+/// Arguments that are well formed but invalid together.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct UsageError(pub String);
 
-/// The error and its causes, each said once: many of ours quote their cause already.
+/// The error and its causes, each once: many error texts already contain their cause.
 fn in_words(error: &anyhow::Error) -> String {
     let mut words = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {
@@ -48,7 +48,7 @@ fn in_words(error: &anyhow::Error) -> String {
     words
 }
 
-/// The exit code; says on stderr what went wrong.
+/// The exit code; prints the error to stderr.
 #[must_use]
 pub fn code(result: anyhow::Result<Outcome>) -> ExitCode {
     match result {
@@ -66,10 +66,10 @@ pub fn code(result: anyhow::Result<Outcome>) -> ExitCode {
     }
 }
 
-/// The exit code of arguments that were not taken: help that was asked for, or wrong usage.
+/// The exit code of arguments that clap did not accept: a request for help, or wrong usage.
 #[must_use]
 pub fn refused(arguments: &clap::Error) -> ExitCode {
-    // Help on a closed pipe is nobody's loss.
+    // A closed pipe while printing help is ignored.
     let _ = arguments.print();
     u8::try_from(arguments.exit_code()).unwrap_or(USAGE).into()
 }

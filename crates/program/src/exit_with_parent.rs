@@ -1,4 +1,4 @@
-//! How a child notices the end of its supervisor, however that ended: its stdin closes.
+//! Detects the end of the supervisor, by whatever cause: stdin closes.
 
 use std::io;
 use std::time::Duration;
@@ -6,18 +6,18 @@ use std::time::Duration;
 use anyhow::Context as _;
 use rustix::process::{Signal, getpid, kill_process};
 
-/// What a process has for its end before it is ended.
+/// Time for a clean exit before the process is ended.
 const GRACE: Duration = Duration::from_secs(5);
 
-/// From now on this process ends, as by SIGTERM, when its stdin closes.
+/// From now on this process exits, as by SIGTERM, when its stdin closes.
 ///
 /// # Errors
-/// When the thread that waits for it cannot be started.
+/// The watching thread cannot be started.
 pub fn end_with_stdin() -> anyhow::Result<()> {
     std::thread::Builder::new()
         .name("joulebus-parent".to_owned())
         .spawn(|| {
-            // Whatever comes is of no interest, and an error is an end as well.
+            // The input is discarded, and an error counts as the end.
             let _ = io::copy(&mut io::stdin().lock(), &mut io::sink());
             let _ = kill_process(getpid(), Signal::TERM);
             std::thread::sleep(GRACE);

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use anyhow::Context as _;
 
-/// The file appears whole or not at all.
+/// Writes a file atomically.
 ///
 /// # Errors
-/// What the operating system said.
+/// The operating system's error.
 pub fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     let failed = || format!("cannot write {}", path.display());
     let folder = path

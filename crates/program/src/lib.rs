@@ -1,7 +1,7 @@
-//! What every joulebus program shares: how it is called, how it writes results, how it ends.
+//! Shared code of all joulebus programs: arguments, output, exit codes.
 //!
 //! Results go to stdout, everything else to stderr; [`exit`] defines the exit codes. A verb that is
-//! a program of its own has its arguments in [`verbs`] and its `main` from [`verb`].
+//! a separate program has its arguments in [`verbs`] and its `main` in [`verb`].
 #![forbid(unsafe_code)]
 
 pub mod config_file;

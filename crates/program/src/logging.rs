@@ -1,4 +1,4 @@
-//! What is logged, to stderr.
+//! Logging to stderr.
 
 use std::io::{self, IsTerminal as _};
 
@@ -11,20 +11,20 @@ use crate::output::say;
 
 const VARIABLE: &str = "JOULEBUS_LOG";
 
-/// Starts logging: `JOULEBUS_LOG` decides, else how often `--verbose` was given.
+/// Starts logging at the level of `JOULEBUS_LOG`, or else of the number of `--verbose`.
 pub fn start(verbose: u8) {
     let told = std::env::var(VARIABLE).ok().filter(|told| !told.is_empty());
     let asked = told.and_then(|told| match told.parse() {
         Ok(targets) => Some(targets),
         Err(error) => {
-            say(&format!("{VARIABLE} is not used: {error}"));
+            say(&format!("{VARIABLE} is ignored: {error}"));
             None
         }
     });
     let layer = fmt::layer()
         .with_writer(io::stderr)
         .with_ansi(io::stderr().is_terminal());
-    // Fails only when logging was started before: then it stays as it is.
+    // Fails only if logging was already started; it is then left unchanged.
     let _ = tracing_subscriber::registry()
         .with(asked.unwrap_or_else(|| by_verbosity(verbose)))
         .with(layer)
@@ -32,7 +32,7 @@ pub fn start(verbose: u8) {
 }
 
 fn by_verbosity(verbose: u8) -> Targets {
-    // What iceoryx2 warns of, the bus handles and reports in its own words.
+    // The bus handles and reports the conditions that iceoryx2 warns about.
     let (level, iceoryx2) = match verbose {
         0 => (LevelFilter::WARN, LevelFilter::ERROR),
         1 => (LevelFilter::INFO, LevelFilter::ERROR),

@@ -1,4 +1,4 @@
-//! The model that a user names: a file, or one that ships with the program.
+//! The model named by a user: a file, or a built-in one.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -9,13 +9,13 @@ use joulebus_predictor::Network;
 
 use crate::exit::UsageError;
 
-/// How the name of a model that ships begins, as in a config.
+/// Prefix of built-in models, as in a config.
 const BUILTIN: &str = "builtin:";
 
 /// The network of a safetensors file, or of `builtin:NAME`.
 ///
 /// # Errors
-/// There is no such file or no such model, or the file is refused.
+/// The file or model does not exist, or the file is refused.
 pub fn load(path: &Path) -> anyhow::Result<Network> {
     let shown = path.display();
     let builtin = path.to_str().and_then(|name| name.strip_prefix(BUILTIN));

@@ -1,4 +1,4 @@
-//! The options that every verb has.
+//! The options of every verb.
 
 use clap::error::ErrorKind;
 
@@ -8,23 +8,23 @@ use crate::{exit_with_parent, logging};
 /// Options of every verb.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct GlobalOptions {
-    /// How results are written
+    /// Output format of results
     #[arg(long, global = true, value_enum, default_value_t = OutputFormat::Text)]
     format: OutputFormat,
-    /// Log more to stderr: once for what happens, twice for details, three times for everything
+    /// Log more to stderr: once for events, twice for details, three times for everything
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
-    /// End when stdin closes: set by a supervisor, so that nobody outlives it
+    /// Exit when stdin closes: set by a supervisor, so that no process outlives it
     #[arg(long, global = true, hide = true)]
     exit_with_stdin: bool,
 }
 
 impl GlobalOptions {
-    /// Starts logging and, if asked for, the watch over stdin; `has_rows`: results may be written
-    /// row by row.
+    /// Starts logging and, if requested, the watch of stdin; `has_rows`: results may be written row
+    /// by row.
     ///
     /// # Errors
-    /// A format that the verb does not have, or a thread that cannot be started.
+    /// A format that the verb does not support, or a thread that cannot be started.
     pub fn start(self, has_rows: bool) -> Result<Output, clap::Error> {
         logging::start(self.verbose);
         if self.exit_with_stdin {

@@ -1,4 +1,4 @@
-//! What goes to stdout and what to stderr. Neither panics when nobody reads.
+//! Output to stdout and stderr. Neither panics when the reader has closed it.
 
 use std::fmt::Display;
 use std::io::{self, Write as _};
@@ -6,30 +6,30 @@ use std::io::{self, Write as _};
 use anyhow::Context as _;
 use serde::Serialize;
 
-/// Nobody reads stdout any more, so there is nothing left to do.
+/// The reader has closed stdout, so the program can stop.
 #[derive(Debug, thiserror::Error)]
 #[error("stdout was closed")]
 pub struct StdoutClosed;
 
-/// How results are written.
+/// Output format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
-    /// For people
+    /// Text
     Text,
-    /// For programs; not-known numbers are null
+    /// JSON; unknown numbers are null
     Json,
 }
 
-/// What `--format` asks for.
+/// Value of `--format`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum OutputFormat {
-    /// For people
+    /// Text
     Text,
-    /// For programs; not-known numbers are null
+    /// JSON; unknown numbers are null
     Json,
-    /// For programs, an object on each line (`cat`)
+    /// JSON, one object per line (`cat`)
     Ndjson,
-    /// A table (`cat`)
+    /// A CSV table (`cat`)
     Csv,
 }
 
@@ -40,19 +40,19 @@ pub struct Output {
 }
 
 impl Output {
-    /// In the form that was asked for.
+    /// With the requested format.
     #[must_use]
     pub const fn new(asked: OutputFormat) -> Self {
         Self { asked }
     }
 
-    /// What was asked for, where a verb has more forms than two.
+    /// The requested format, for verbs with more than two formats.
     #[must_use]
     pub const fn asked(self) -> OutputFormat {
         self.asked
     }
 
-    /// Whether results are for people or for programs.
+    /// Text or JSON.
     #[must_use]
     pub const fn format(self) -> Format {
         match self.asked {
@@ -61,10 +61,10 @@ impl Output {
         }
     }
 
-    /// A report: as text or as JSON over several lines.
+    /// Writes a report: as text or as indented JSON.
     ///
     /// # Errors
-    /// [`StdoutClosed`], or what the system said.
+    /// [`StdoutClosed`], or the operating system's error.
     pub fn report<R: Serialize + Display>(self, report: &R) -> anyhow::Result<()> {
         match self.format() {
             Format::Text => text(&report.to_string()),
@@ -75,10 +75,10 @@ impl Output {
         }
     }
 
-    /// A line of a stream of reports: as text or as JSON in one line.
+    /// Writes a line of a stream of reports: as text or as JSON in one line.
     ///
     /// # Errors
-    /// [`StdoutClosed`], or what the system said.
+    /// [`StdoutClosed`], or the operating system's error.
     pub fn line<R: Serialize + Display>(self, report: &R) -> anyhow::Result<()> {
         match self.format() {
             Format::Text => text(&report.to_string()),
@@ -87,10 +87,10 @@ impl Output {
     }
 }
 
-/// Text to stdout, ended by a line break.
+/// Writes text to stdout, followed by a newline.
 ///
 /// # Errors
-/// [`StdoutClosed`], or what the system said.
+/// [`StdoutClosed`], or the operating system's error.
 pub fn text(text: &str) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
     let line_break = if text.ends_with('\n') { "" } else { "\n" };
@@ -101,7 +101,7 @@ pub fn text(text: &str) -> anyhow::Result<()> {
     }
 }
 
-/// A line to stderr. Not a result: if nobody reads it, nothing is lost.
+/// Writes a line to stderr; errors are ignored, because it is not a result.
 pub fn say(line: &str) {
     let _ = writeln!(io::stderr(), "{line}");
 }

@@ -1,4 +1,4 @@
-//! The platform that a user names.
+//! The platform named by a user.
 
 use joulebus_settings::{FleetSettings, Platform};
 
@@ -7,7 +7,7 @@ use crate::exit::UsageError;
 /// The platform of that name.
 ///
 /// # Errors
-/// The config has none.
+/// The config has no such platform.
 pub fn platform<'a>(settings: &'a FleetSettings, name: &str) -> Result<&'a Platform, UsageError> {
     let mut platforms = settings.platforms.iter();
     platforms
@@ -15,12 +15,12 @@ pub fn platform<'a>(settings: &'a FleetSettings, name: &str) -> Result<&'a Platf
         .ok_or_else(|| {
             let known = names(&settings.platforms);
             UsageError(format!(
-                "{name:?} is no platform of the config; those are: {known}"
+                "{name:?} is not a platform of the config; its platforms are: {known}"
             ))
         })
 }
 
-/// The names of all, for messages.
+/// All names, for messages.
 #[must_use]
 pub fn names(platforms: &[Platform]) -> String {
     let names: Vec<&str> = platforms

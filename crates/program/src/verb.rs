@@ -1,4 +1,4 @@
-//! A verb that is a program of its own: `joulebus VERB …` becomes `joulebus-VERB …`.
+//! The `main` of a verb that is a separate program: `joulebus VERB …` runs `joulebus-VERB …`.
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -9,8 +9,8 @@ use crate::exit::{self, Outcome};
 use crate::options::GlobalOptions;
 use crate::output::Output;
 
-/// The `main` of `joulebus-VERB`: takes the arguments of this process, does `work`, and gives the
-/// exit code. Help, errors and options are those of `joulebus VERB`.
+/// The `main` of `joulebus-VERB`: parses the arguments of this process, runs `work`, and returns
+/// the exit code. Help, errors and options are those of `joulebus VERB`.
 #[must_use]
 pub fn main<A: clap::Args>(
     verb: &'static str,
@@ -46,7 +46,7 @@ mod tests {
     }
 
     #[test]
-    fn options_of_every_verb_are_taken_before_and_after_its_own() {
+    fn global_options_are_accepted_before_and_after_those_of_the_verb() {
         for words in [
             ["--format", "json", "--foxglove"],
             ["--foxglove", "--format", "json"],

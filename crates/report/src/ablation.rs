@@ -1,4 +1,4 @@
-//! Figure 2: what a forecast needs to know.
+//! Figure 2: the gain of each kind of input.
 
 use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, interval, scaled};
@@ -8,7 +8,7 @@ use joulebus_eval::score::ForecasterScore;
 
 /// The section: from velocities alone to the network.
 pub(super) fn section(material: &Material<'_>) -> Section {
-    let ladder = ladder(material);
+    let steps = steps(material);
     Section {
         id: "ablation".to_owned(),
         title: "Ablation: which features a forecast needs".to_owned(),
@@ -18,20 +18,20 @@ pub(super) fn section(material: &Material<'_>) -> Section {
                  same rows ({}). Persistence shows what the last reading alone is worth.",
                 material.scored.report.design.description
             )),
-            Part::Figure(figure(material, &ladder)),
-            Part::Table(table(material, &ladder)),
+            Part::Figure(figure(material, &steps)),
+            Part::Table(table(material, &steps)),
         ],
     }
 }
 
-/// From what knows least to what knows most.
-fn ladder<'a>(material: &Material<'a>) -> Vec<&'a ForecasterScore> {
+/// Forecasters in order of increasing inputs.
+fn steps<'a>(material: &Material<'a>) -> Vec<&'a ForecasterScore> {
     let forecasters = &material.scored.report.all.forecasters;
     let models = material.models().min(forecasters.len());
     let (networks, others) = forecasters.split_at(models);
     let persistence = others.iter().take(1);
     let mut lines: Vec<&ForecasterScore> = others.iter().skip(1).collect();
-    // Velocities alone know no reading at all.
+    // The model of velocities alone uses no readings.
     let first = lines.drain(..1.min(lines.len())).collect::<Vec<_>>();
     first
         .into_iter()
@@ -49,16 +49,16 @@ fn papers(score: &ForecasterScore) -> f64 {
     }
 }
 
-fn figure(material: &Material<'_>, ladder: &[&ForecasterScore]) -> Figure {
-    let names: Vec<String> = ladder.iter().map(|score| score.name.clone()).collect();
+fn figure(material: &Material<'_>, steps: &[&ForecasterScore]) -> Figure {
+    let names: Vec<String> = steps.iter().map(|score| score.name.clone()).collect();
     let bars = |values: Vec<Interval>| Mark::Bars {
         values,
         slot: [0, 1],
         direction: Direction::Across,
     };
-    let r2 = ladder.iter().map(|score| interval(score.r2)).collect();
+    let r2 = steps.iter().map(|score| interval(score.r2)).collect();
     let unit = material.unit;
-    let mae = ladder
+    let mae = steps
         .iter()
         .map(|score| scaled(score.mae_w, |value_w| unit.scaled_w(value_w)));
     let mut layers = vec![Layer::named(
@@ -67,7 +67,7 @@ fn figure(material: &Material<'_>, ladder: &[&ForecasterScore]) -> Figure {
         bars(r2),
     )];
     if material.beside_paper {
-        let values = ladder
+        let values = steps
             .iter()
             .map(|score| Interval::exact(papers(score)))
             .collect();
@@ -100,7 +100,7 @@ fn figure(material: &Material<'_>, ladder: &[&ForecasterScore]) -> Figure {
     ))
 }
 
-fn table(material: &Material<'_>, ladder: &[&ForecasterScore]) -> Table {
+fn table(material: &Material<'_>, steps: &[&ForecasterScore]) -> Table {
     let unit = material.unit;
     let row = |score: &&ForecasterScore| {
         let mut row = vec![
@@ -134,7 +134,7 @@ fn table(material: &Material<'_>, ladder: &[&ForecasterScore]) -> Table {
         id: "table-ablation".to_owned(),
         caption: "Ablation of the features: the numbers of figure 2.".to_owned(),
         columns,
-        rows: ladder.iter().map(row).collect(),
+        rows: steps.iter().map(row).collect(),
         folded: false,
     }
 }

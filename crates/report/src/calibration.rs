@@ -1,4 +1,4 @@
-//! Figure 7: whether intervals and forecasts mean what they say.
+//! Figure 7: calibration of intervals and forecasts.
 
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, Platform};
@@ -12,13 +12,13 @@ use joulebus_eval::evaluate::{EvaluateError, evaluate_trial};
 use joulebus_eval::score::{Cell as Scores, Recording, recorded_platform};
 use joulebus_statistics::metrics::CoverageTally;
 
-/// What intervals are asked to hold.
+/// Nominal coverages.
 const LEVELS: [f32; 7] = [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98];
-/// Parts of the forecasts, from the lowest to the highest.
+/// Number of bins of the forecasts.
 const PARTS: usize = 20;
-/// Time over which coverage is counted, s.
+/// Window of coverage over time, s.
 const STRETCH_S: f64 = 10.0;
-/// More names than these cannot be read in a picture.
+/// Maximum number of names in a figure.
 const MOST: usize = 24;
 
 /// The live intervals of a model at one level.
@@ -26,14 +26,14 @@ const MOST: usize = 24;
 pub(super) struct Level {
     nominal: f64,
     live: CoverageTally,
-    /// What a normal distribution of the width in the model's file would have held.
+    /// Coverage of intervals of fixed width, from the residual deviation in the model's file.
     fixed: CoverageTally,
 }
 
-/// Lets the live path make intervals of every level, on every recording.
+/// Runs the live path with intervals of every level on every recording.
 ///
 /// # Errors
-/// Settings that are refused.
+/// The settings are refused.
 pub(super) fn levels(
     settings: &FleetSettings,
     platform: Option<&Platform>,
@@ -86,7 +86,7 @@ fn live(
     Ok(Series::of(&robot))
 }
 
-/// Standard deviations on either side that hold a share of a normal distribution, by bisection.
+/// Quantile of the normal distribution for a central share, by bisection.
 fn normal_reach(share: f64) -> f64 {
     let (mut low, mut high) = (0.0, 10.0);
     for _ in 0..60 {
@@ -100,7 +100,7 @@ fn normal_reach(share: f64) -> f64 {
     f64::midpoint(low, high)
 }
 
-/// The section. `sets` are shown one by one; `trial` is shown over time.
+/// The section. `sets` are shown individually; `trial` is shown over time.
 pub(super) fn section(
     material: &Material<'_>,
     levels: &[Level],
@@ -149,7 +149,7 @@ fn figure(material: &Material<'_>, levels: &[Level], sets: &[Scores], trial: &st
         panels.push(each(material, shown, nominal));
     }
     let last = if shown.len() > 1 {
-        " (d) Share inside, one by one, with 95 % intervals."
+        " (d) Share inside, individually, with 95 % intervals."
     } else {
         ""
     };
@@ -157,7 +157,7 @@ fn figure(material: &Material<'_>, levels: &[Level], sets: &[Scores], trial: &st
         "figure-7-calibration",
         "Figure 7. Calibration.",
         format!(
-            "(a) Share of readings inside the live interval over the share asked for; on the dashed \
+            "(a) Share of readings inside the live interval against the nominal coverage; on the dashed \
              line both are equal. (b) Mean of reading minus forecast in {PARTS} equal parts of the \
              forecasts, from low to high. (c) Share inside over time.{last}"
         ),
@@ -167,7 +167,7 @@ fn figure(material: &Material<'_>, levels: &[Level], sets: &[Scores], trial: &st
     material.noted(figure)
 }
 
-/// What the live intervals were asked to hold, share.
+/// Nominal coverage of the live intervals, share.
 fn levels_asked(material: &Material<'_>) -> f64 {
     let scores = material.scored.report.all.forecasters.first();
     let interval = scores.and_then(|score| score.interval);
@@ -191,7 +191,7 @@ fn promise(levels: &[Level]) -> Panel {
     let live = curve(|level| &level.live);
     let fixed = curve(|level| &level.fixed);
     Panel {
-        title: "promised and held".to_owned(),
+        title: "nominal and actual coverage".to_owned(),
         x: Axis::new("asked for (%)").within(48.0, 101.0),
         y: Axis::new("readings inside (%)"),
         layers: vec![
@@ -218,7 +218,7 @@ fn promise(levels: &[Level]) -> Panel {
     }
 }
 
-/// Mean residual by forecast: a model that is right on average is so at every height.
+/// Mean residual by forecast: zero at every level if the model is calibrated.
 fn means(material: &Material<'_>) -> Panel {
     let unit = material.unit;
     let pairs = material.live().iter().flat_map(|robot| {
@@ -264,7 +264,7 @@ fn means(material: &Material<'_>) -> Panel {
     }
 }
 
-/// Share inside, in percent, of each stretch of time.
+/// Share inside, in percent, of each time window.
 fn over_time(series: &Series) -> Vec<[f64; 2]> {
     let mut points = Vec::new();
     let mut from = 0;
@@ -318,7 +318,7 @@ fn each(material: &Material<'_>, sets: &[Scores], nominal: f64) -> Panel {
         Layer::named(name, material.colour(model), mark)
     }));
     Panel {
-        title: "one by one".to_owned(),
+        title: "individually".to_owned(),
         x: Axis::new("readings inside (%)"),
         y: Axis::names("", sets.iter().map(|set| label(&set.name)).collect()),
         layers,
@@ -356,14 +356,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_reach_of_a_normal_distribution_is_the_tabulated_one() {
+    fn normal_quantiles_equal_the_tabulated_ones() {
         for (share, reach) in [(0.5, 0.674_490), (0.9, 1.644_854), (0.95, 1.959_964)] {
             assert!((normal_reach(share) - reach).abs() < 1e-5, "{share}");
         }
     }
 
     #[test]
-    fn coverage_over_time_counts_each_stretch_for_itself() {
+    fn coverage_over_time_counts_each_window_separately() {
         let count = 600;
         let series = Series {
             time_s: (0..count).map(|at| f64::from(at) / 30.0).collect(),

@@ -1,5 +1,5 @@
-//! A report as data: sections of words, tables and figures, from which HTML, text and JSON are made,
-//! so that all three say the same.
+//! A report as data: sections of text, tables and figures, from which HTML, text and JSON are made,
+//! so that all three agree.
 
 use serde::ser::{SerializeMap as _, SerializeSeq as _};
 use serde::{Serialize, Serializer};
@@ -9,11 +9,11 @@ use crate::figure::Figure;
 /// A report.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Document {
-    /// What it is about.
+    /// Its title.
     pub title: String,
-    /// What the reader must know before the first number, such as that the robots are simulated.
+    /// A warning before the first number, such as that the robots are simulated.
     pub warning: Option<String>,
-    /// How the numbers came about, in a few sentences.
+    /// A summary of the method, in a few sentences.
     pub summary: Vec<String>,
     /// The sections, in order.
     pub sections: Vec<Section>,
@@ -26,11 +26,11 @@ pub struct Section {
     pub id: String,
     /// Its title.
     pub title: String,
-    /// What it holds, in order.
+    /// Its parts, in order.
     pub parts: Vec<Part>,
 }
 
-/// What a section holds.
+/// A part of a section.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Part {
@@ -54,16 +54,16 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// Its rows; as many cells as columns.
     pub rows: Vec<Vec<Cell>>,
-    /// Whether it stands behind a picture that shows the same: it is folded away there.
+    /// Whether it repeats a figure's data: it is then collapsed in HTML.
     pub folded: bool,
 }
 
 /// A column of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Column {
-    /// Its name for programs; the unit stands last: `mae_mw`.
+    /// Its key in JSON, unit last: `mae_mw`.
     pub key: String,
-    /// Its name for people, with the unit.
+    /// Its title, with the unit.
     pub title: String,
 }
 
@@ -78,32 +78,32 @@ impl Column {
     }
 }
 
-/// A place in a table.
+/// A cell of a table.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Cell {
-    /// Words.
+    /// Text.
     Words(String),
-    /// How many.
+    /// A count.
     Count(u64),
-    /// A number, shown with so many decimals; NaN: not known.
+    /// A number with a number of decimals; NaN: unknown.
     Number(f64, usize),
-    /// Two ends, shown with so many decimals; NaN: not known.
+    /// Two ends with a number of decimals; NaN: unknown.
     Range([f64; 2], usize),
-    /// Nothing belongs here.
+    /// An empty cell.
     Nothing,
 }
 
-/// Shown where a number is not known.
+/// Shown for an unknown number.
 pub(super) const UNKNOWN: &str = "\u{2013}";
 
 impl Cell {
-    /// Words in a place.
+    /// A cell with text.
     #[must_use]
     pub fn words(words: impl Into<String>) -> Self {
         Self::Words(words.into())
     }
 
-    /// What people read.
+    /// The cell as text.
     #[must_use]
     pub fn shown(&self) -> String {
         match self {
@@ -122,7 +122,7 @@ impl Cell {
         }
     }
 
-    /// Whether it is read by its digits, and so stands at the right.
+    /// Whether it is numeric, and so right-aligned.
     #[must_use]
     pub(super) fn is_number(&self) -> bool {
         matches!(self, Self::Count(_) | Self::Number(..) | Self::Range(..))
@@ -134,7 +134,7 @@ fn number(value: f64, decimals: usize) -> String {
         return UNKNOWN.to_owned();
     }
     let text = format!("{value:.decimals$}");
-    // What rounds to nothing has no sign.
+    // A number that rounds to zero has no sign.
     let is_zero = text.chars().all(|c| matches!(c, '-' | '0' | '.'));
     match text.strip_prefix('-') {
         Some(digits) if is_zero => digits.to_owned(),
@@ -148,7 +148,7 @@ impl Serialize for Cell {
         match self {
             Self::Words(words) => to.serialize_str(words),
             Self::Count(count) => to.serialize_u64(*count),
-            // What is not finite becomes null.
+            // Numbers that are not finite become null.
             Self::Number(value, _) => to.serialize_f64(*value),
             Self::Range(ends, _) => ends.serialize(to),
             Self::Nothing => to.serialize_none(),
@@ -205,7 +205,7 @@ fn picture<S: Serializer>(figure: &Figure, to: S) -> Result<S::Ok, S::Error> {
 }
 
 impl Document {
-    /// Its figures, in order.
+    /// All figures, in order.
     pub fn figures(&self) -> impl Iterator<Item = &Figure> {
         self.parts().filter_map(|part| match part {
             Part::Figure(figure) => Some(figure),
@@ -213,7 +213,7 @@ impl Document {
         })
     }
 
-    /// Its tables, in order.
+    /// All tables, in order.
     pub fn tables(&self) -> impl Iterator<Item = &Table> {
         self.parts().filter_map(|part| match part {
             Part::Table(table) => Some(table),

@@ -1,32 +1,32 @@
-//! Why there is no report.
+//! Errors of making a report.
 
 use crate::figure::FigureError;
 use joulebus_eval::evaluate::EvaluateError;
 use joulebus_eval::score::ScoreError;
 use joulebus_train::TrainError;
 
-/// Why there is no report.
+/// Errors of making a report.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReportError {
-    /// The course is too short to be evaluated.
+    /// The simulated experiment is too short to be evaluated.
     #[error("{found} {what}: allowed are 100 or more")]
     TooShort {
-        /// What.
+        /// The quantity.
         what: &'static str,
-        /// How many.
+        /// Its value.
         found: usize,
     },
     /// The evaluation was refused.
     #[error(transparent)]
     Score(#[from] ScoreError),
-    /// The live path refused.
+    /// The live path refused the settings or a trial.
     #[error(transparent)]
     Evaluate(#[from] EvaluateError),
-    /// The training was refused or went astray.
+    /// The training was refused or diverged.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// A picture could not be drawn.
+    /// A figure could not be drawn.
     #[error(transparent)]
     Figure(#[from] FigureError),
     /// The report could not be written as JSON.

@@ -1,11 +1,11 @@
-//! Figures: what is to be seen, and how it becomes SVG and PNG.
+//! Figures as data, and their drawing as SVG and PNG.
 //!
 //! A [`Figure`] is data: panels with labelled axes and marks on them. [`Figure::svg`] draws it with
-//! `plotters`; [`Figure::png`] rasterises that drawing with a font that lies in this crate, so a
-//! picture needs nothing of the machine and its bytes are the same everywhere.
+//! `plotters`; [`Figure::png`] rasterises that drawing with the font in this crate, so a figure
+//! depends on nothing of the machine and its bytes are the same everywhere.
 //!
-//! Numbers that are NaN or infinite are not drawn: a line has a hole there, a bar is left out. A
-//! panel without any number says so instead of showing an empty axis.
+//! Numbers that are NaN or infinite are not drawn: a line has a gap there, a bar is omitted. A
+//! panel without data shows a note instead of an empty axis.
 
 mod axis;
 mod bins;
@@ -21,54 +21,54 @@ pub use bins::{Bins, Tiles, bins, tiles};
 pub use colour::Colour;
 pub use mark::{Direction, Interval, Mark};
 
-/// A picture of one or more panels.
+/// A figure of one or more panels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figure {
-    /// Stem of its files and of its ids in the document: lower-case letters, digits and hyphens.
+    /// Stem of its file names and ids in the document: lower-case letters, digits and hyphens.
     pub name: String,
-    /// What it shows, in a line.
+    /// Its title.
     pub title: String,
-    /// What is to be seen in it, for those who do not see it.
+    /// Text alternative (`aria`), a description of what it shows.
     pub description: String,
-    /// Written small into the picture itself, so that it goes wherever the picture goes.
+    /// A note in small print inside the figure, so that copies keep it.
     pub note: Option<String>,
     /// The panels, row by row.
     pub panels: Vec<Panel>,
-    /// Panels side by side, at least 1.
+    /// Number of panels per row, at least 1.
     pub columns: usize,
     /// Height of a panel in CSS pixels, 100 to 2,000.
     pub panel_height_px: u32,
 }
 
-/// Axes and what is marked on them.
+/// Axes with marks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Panel {
-    /// What distinguishes it from the other panels; empty for none.
+    /// Its title; empty for none.
     pub title: String,
     /// The horizontal axis.
     pub x: Axis,
     /// The vertical axis.
     pub y: Axis,
-    /// What is drawn, the first lowest.
+    /// The layers, drawn in order.
     pub layers: Vec<Layer>,
 }
 
-/// Marks of one colour and meaning.
+/// Marks of one colour and legend entry.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layer {
-    /// Its entry in the legend, which stands above the axes and never on them; none: no entry.
+    /// Its legend entry, above the axes; `None`: no entry.
     pub label: Option<String>,
     /// Its colour.
     pub colour: Colour,
-    /// What is drawn.
+    /// Its marks.
     pub mark: Mark,
 }
 
-/// Why a figure could not be drawn.
+/// Errors of drawing a figure.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FigureError {
-    /// There is nothing to lay out, or the layout is out of range.
+    /// There are no panels, or the layout is out of range.
     #[error(
         "figure {name}: {panels} panels in {columns} columns of {height_px} px height; allowed are \
          1 to 64 panels, 1 to 8 columns and 100 to 2000 px"
@@ -83,26 +83,26 @@ pub enum FigureError {
         /// Its panels' height, px.
         height_px: u32,
     },
-    /// The drawing library refused.
+    /// The drawing library failed.
     #[error("figure {name} could not be drawn: {reason}")]
     Draw {
         /// The figure.
         name: String,
-        /// What it said.
+        /// Its error.
         reason: String,
     },
-    /// The drawing could not be made a picture of pixels.
+    /// The drawing could not be rasterised.
     #[error("figure {name} could not be rasterised: {reason}")]
     Picture {
         /// The figure.
         name: String,
-        /// What was said.
+        /// The error.
         reason: String,
     },
 }
 
 impl Layer {
-    /// A layer that the legend names.
+    /// A layer with a legend entry.
     #[must_use]
     pub fn named(label: impl Into<String>, colour: Colour, mark: Mark) -> Self {
         Self {
@@ -112,7 +112,7 @@ impl Layer {
         }
     }
 
-    /// A layer that the legend does not name.
+    /// A layer without a legend entry.
     #[must_use]
     pub fn plain(colour: Colour, mark: Mark) -> Self {
         Self {

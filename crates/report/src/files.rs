@@ -1,4 +1,4 @@
-//! A report as files, not yet written.
+//! The files of a report, in memory.
 
 use rayon::prelude::*;
 
@@ -7,7 +7,7 @@ use super::document::Document;
 use super::html::html;
 use crate::figure::Figure;
 
-/// Pixels of a picture for a CSS pixel: 230 dots an inch at the size of a page.
+/// Pixels of a PNG per CSS pixel: 230 dots per inch at page size.
 const SCALE: f32 = 2.0;
 
 /// A file of a report.
@@ -15,14 +15,14 @@ const SCALE: f32 = 2.0;
 pub struct File {
     /// Its path below the report's directory.
     pub path: String,
-    /// What it holds.
+    /// Its contents.
     pub bytes: Vec<u8>,
 }
 
 /// `report.html`, `report.json`, `report.txt`, and each figure as `figures/NAME.svg` and `.png`.
 ///
 /// # Errors
-/// A figure that cannot be drawn.
+/// A figure cannot be drawn.
 pub fn files(document: &Document) -> Result<Vec<File>, ReportError> {
     let file = |path: &str, bytes: Vec<u8>| File {
         path: path.to_owned(),

@@ -9,10 +9,10 @@ use joulebus_statistics::metrics::{ResidualQuantiles, quantile, sorted, tally};
 
 const TILES: usize = 60;
 const BINS: usize = 80;
-/// What is shown tick by tick, s.
+/// Duration of the detailed view, s.
 const WINDOW_S: f64 = 20.0;
 
-/// The section of the trial of this name; none if it has no forecast.
+/// The section of the trial of this name; `None` if it has no forecast.
 pub(super) fn section(material: &Material<'_>, trial: &str) -> Option<Section> {
     let series = material.series(trial).filter(|series| series.len() > 1)?;
     let name = label(trial);
@@ -21,7 +21,7 @@ pub(super) fn section(material: &Material<'_>, trial: &str) -> Option<Section> {
         title: format!("One recording: {name}"),
         parts: vec![
             Part::Words(format!(
-                "Forecasts of {} one tick ahead, each resting on real readings (corrected mode), \
+                "Forecasts of {} one tick ahead, each based on real readings (corrected mode), \
                  in {name}.",
                 material.model()
             )),
@@ -58,7 +58,7 @@ fn against(material: &Material<'_>, series: &Series, name: &str) -> Figure {
         "Figure 3. Forecast against reading.",
         format!(
             "{name}. Left: readings over the forecasts made for them; on the dashed line both \
-             are equal. Right: distribution of reading minus forecast, with what holds 90 % of it."
+             are equal. Right: distribution of reading minus forecast, with its central 90 %."
         ),
         vec![cloud, residual_panel(material, series)],
     );
@@ -134,7 +134,7 @@ fn over_time(material: &Material<'_>, series: &Series, name: &str) -> Figure {
         y: Axis::new(y),
         layers,
     };
-    // Early on, the first joules make the quotient large and say nothing.
+    // At first the measured energy is small, and the relative error large and meaningless.
     let mut error = curve(|[measured, forecast]| 100.0 * (forecast - measured) / measured);
     let error = error.split_off(error.len() / 20);
     let figure = Figure::new(
@@ -174,7 +174,7 @@ fn over_time(material: &Material<'_>, series: &Series, name: &str) -> Figure {
     material.noted(figure)
 }
 
-/// Some seconds from the middle, where every tick can be seen.
+/// A few seconds from the middle, where single ticks are visible.
 fn window(material: &Material<'_>, series: &Series) -> Panel {
     let unit = material.unit;
     let middle_s = series.time_s[series.len() / 2];

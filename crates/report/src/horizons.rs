@@ -1,4 +1,4 @@
-//! Figure 6: how far ahead a model sees when it is fed with its own forecasts.
+//! Figure 6: accuracy by horizon in open loop.
 
 use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, scaled};
@@ -6,7 +6,7 @@ use crate::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use joulebus_eval::score::{Horizon, HorizonScore};
 use joulebus_statistics::bootstrap::Estimate;
 
-/// The section; none if no horizon was evaluated.
+/// The section; `None` if no horizon was evaluated.
 pub(super) fn section(material: &Material<'_>) -> Option<Section> {
     let horizons = material.scored.report.open_loop.horizons.as_slice();
     if horizons.is_empty() {
@@ -94,7 +94,7 @@ fn against_persistence(score: &HorizonScore) -> Estimate {
     against.map_or(Estimate::alone(f64::NAN), |skill| skill.skill)
 }
 
-/// A line with its band for each contender.
+/// A line with its band for each forecaster shown.
 fn curves(
     material: &Material<'_>,
     horizons: &[Horizon],
@@ -102,7 +102,7 @@ fn curves(
     scale: impl Fn(f64) -> f64 + Copy,
 ) -> Vec<Layer> {
     let mut layers = Vec::new();
-    for (at, name) in material.contenders() {
+    for (at, name) in material.compared() {
         let values = horizons.iter().filter_map(|horizon| {
             let score = horizon.forecasters.get(at)?;
             Some((horizon.ticks as f64, scaled(of(score), scale)))
@@ -131,7 +131,7 @@ fn table(material: &Material<'_>, horizons: &[Horizon]) -> Table {
     let unit = material.unit;
     let mut rows = Vec::new();
     for horizon in horizons {
-        for (at, _) in material.contenders() {
+        for (at, _) in material.compared() {
             let Some(score) = horizon.forecasters.get(at) else {
                 continue;
             };
@@ -157,7 +157,7 @@ fn table(material: &Material<'_>, horizons: &[Horizon]) -> Table {
     Table {
         id: "table-horizons".to_owned(),
         caption: format!(
-            "Open loop by horizon: the numbers of figure 6. Rollouts overlap, so intervals draw whole \
+            "Open loop by horizon: the numbers of figure 6. Rollouts overlap, so intervals resample whole \
              trials, and need {} of them.",
             joulebus_statistics::bootstrap::LEAST_BLOCKS
         ),

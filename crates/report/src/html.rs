@@ -1,4 +1,4 @@
-//! A report as one HTML file that needs no other.
+//! A report as one self-contained HTML file.
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -7,10 +7,10 @@ use crate::figure::{Colour, Figure, FigureError};
 
 const STYLE: &str = include_str!("report.css");
 
-/// The document as HTML, with its figures in it as SVG.
+/// The document as HTML, with its figures as inline SVG.
 ///
 /// # Errors
-/// A figure that cannot be drawn.
+/// A figure cannot be drawn.
 pub fn html(document: &Document) -> Result<String, FigureError> {
     let sections = document
         .sections
@@ -106,7 +106,7 @@ fn table(table: &Table) -> Markup {
     }
 }
 
-/// The page's style, and the figures' colours on dark ground.
+/// The page's style, with the figures' colours for dark mode.
 fn style() -> String {
     let dark: String = Colour::ALL
         .iter()

@@ -1,8 +1,9 @@
-//! Reports: what was measured, as one HTML file, as pictures, as text and as JSON.
+//! Evaluation reports as one HTML file, as figures, as text and as JSON.
 //!
-//! [`recorded`] reports on recordings, [`simulated`] runs the paper's whole course on simulated
-//! robots. Both give a [`Document`], which is data: [`html`] makes one file of it that needs no other,
-//! `Display` makes text, `serde` makes JSON, and [`files`] makes all of them with the pictures beside.
+//! [`recorded`] reports on recordings, [`simulated`] runs the paper's experiments on simulated
+//! robots. Both return a [`Document`], which is data: [`html`] renders it as one self-contained
+//! file, `Display` as text, `serde` as JSON, and [`files`] as all of them with the figures as
+//! files.
 #![forbid(unsafe_code)]
 
 mod ablation;

@@ -1,4 +1,4 @@
-//! `joulebus report`, a program of its own: an evaluation as one HTML file, pictures, text and JSON.
+//! `joulebus report` as a separate program: an evaluation as one HTML file, figures, text and JSON.
 #![forbid(unsafe_code)]
 
 use std::fs;
@@ -26,7 +26,7 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &ReportArguments, output: Output) -> anyhow::Result<Outcome> {
-    // Half a minute of work should not be lost to a directory that cannot be.
+    // Created first, so that an invalid directory fails before the evaluation.
     let pictures = args.out.join("figures");
     fs::create_dir_all(&pictures)
         .with_context(|| format!("cannot make the directory {}", pictures.display()))?;
@@ -35,7 +35,7 @@ fn run(args: &ReportArguments, output: Output) -> anyhow::Result<Outcome> {
     } else {
         evaluate(args)?
     };
-    say("drawing and writing");
+    say("rendering the report");
     for file in files(&document)? {
         write(&args.out.join(&file.path), &file.bytes)?;
     }
@@ -48,15 +48,15 @@ fn run(args: &ReportArguments, output: Output) -> anyhow::Result<Outcome> {
 }
 
 fn simulate(args: &ReportArguments) -> anyhow::Result<Document> {
-    let mut course = Simulated::new(args.seed);
-    (course.samples, course.robot_steps) = (args.samples, args.samples);
-    course.recipe.max_epochs = args.max_epochs;
+    let mut experiment = Simulated::new(args.seed);
+    (experiment.samples, experiment.robot_steps) = (args.samples, args.samples);
+    experiment.recipe.max_epochs = args.max_epochs;
     let config = args.config.load()?;
     say(&format!(
         "simulating six trials and seven robots of {} samples, training on trials 1 to 4",
         args.samples
     ));
-    let report = simulated(&course, config.settings(), |epoch| {
+    let report = simulated(&experiment, config.settings(), |epoch| {
         progress(epoch, args.max_epochs);
     });
     if std::io::stderr().is_terminal() {
@@ -79,7 +79,7 @@ fn evaluate(args: &ReportArguments) -> anyhow::Result<Document> {
     };
     let models = args.model.iter().map(|path| model(path));
     let models = models.collect::<anyhow::Result<Vec<_>>>()?;
-    // The live path asks which platform a robot belongs to: all of them to this one.
+    // The live path needs the platform of each robot: all of them belong to this one.
     let first = kind
         .and_then(|kind| kind.robots.first())
         .map_or(0, |ids| *ids.start());
@@ -102,7 +102,7 @@ fn model(path: &Path) -> anyhow::Result<Model> {
     Ok(Model::Network(model_source::load(path)?))
 }
 
-/// The recordings of files and directories, all of them of one robot id: each is run alone.
+/// The recordings of files and directories, all with the same robot id, since each is run alone.
 fn read(paths: &[PathBuf], robot: u32) -> anyhow::Result<Vec<Recording>> {
     if paths.is_empty() {
         return Ok(Vec::new());
@@ -118,7 +118,7 @@ fn read(paths: &[PathBuf], robot: u32) -> anyhow::Result<Vec<Recording>> {
         .collect()
 }
 
-/// In a terminal, the same line again; elsewhere a line for every tenth epoch.
+/// In a terminal one line is overwritten; elsewhere every tenth epoch prints a line.
 fn progress(epoch: Epoch, max_epochs: u32) {
     let Epoch {
         number,

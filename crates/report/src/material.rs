@@ -1,4 +1,4 @@
-//! What the sections of a report are made from.
+//! Inputs of a report's sections.
 
 use crate::figure::{Colour, Figure, Interval};
 use joulebus_eval::evaluate::RobotEvaluation;
@@ -15,13 +15,13 @@ pub(super) struct Material<'a> {
     pub(super) recordings: &'a [Recording],
     pub(super) scored: &'a Scored,
     pub(super) unit: Unit,
-    /// Written into every picture.
+    /// The note in every figure.
     pub(super) note: Option<&'a str>,
-    /// Whether the robots are GTernal's, so that the paper's numbers can stand beside.
+    /// Whether the robots are GTernals, so that the paper's numbers are shown.
     pub(super) beside_paper: bool,
 }
 
-/// The baselines of a report: what the ablation steps through.
+/// The baselines of a report: the steps of the ablation.
 pub(super) const BASELINES: [Terms; 4] = [
     Terms::VELOCITIES,
     Terms::velocities_and_lags(1),
@@ -35,9 +35,9 @@ impl<'a> Material<'a> {
         self.scored.report.models.len()
     }
 
-    /// The forecasters that stand side by side everywhere: the models, persistence, and the line
-    /// that is shown all that the network is.
-    pub(super) fn contenders(&self) -> Vec<(usize, String)> {
+    /// The forecasters shown in every comparison: the models, persistence, and the linear model
+    /// with the network's features.
+    pub(super) fn compared(&self) -> Vec<(usize, String)> {
         let forecasters = &self.scored.report.all.forecasters;
         let line = Terms::AR5_AND_VELOCITIES.to_string();
         forecasters
@@ -48,7 +48,7 @@ impl<'a> Material<'a> {
             .collect()
     }
 
-    /// The colour of a forecaster, the same in every picture.
+    /// The colour of a forecaster, the same in every figure.
     pub(super) fn colour(&self, forecaster: usize) -> Colour {
         match forecaster.checked_sub(self.models()) {
             None if forecaster == 0 => Colour::Blue,
@@ -65,7 +65,7 @@ impl<'a> Material<'a> {
         models.map_or("model", |model| model.name.as_str())
     }
 
-    /// Recordings of the first model's live path with their curves.
+    /// Results of the first model's live path.
     pub(super) fn live(&self) -> &'a [RobotEvaluation] {
         self.scored
             .live
@@ -73,21 +73,22 @@ impl<'a> Material<'a> {
             .map_or(&[], |live| live.robots.as_slice())
     }
 
-    /// The curves of the trial of this name.
+    /// The time series of the trial of this name.
     pub(super) fn series(&self, name: &str) -> Option<Series> {
         let mut robots = self.live().iter();
         let robot = robots.find(|robot| robot.path.display().to_string() == name)?;
         Some(Series::of(robot))
     }
 
-    /// A picture with the note that goes with it everywhere.
+    /// Adds the note to a figure.
     pub(super) fn noted(&self, mut figure: Figure) -> Figure {
         figure.note = self.note.map(str::to_owned);
         figure
     }
 }
 
-/// The file's name of a trial without folder and ending; robots of the published layout are numbers.
+/// The file name of a trial without folder and extension; in the published layout robots are
+/// numbers.
 pub(super) fn label(name: &str) -> String {
     if name.parse::<u32>().is_ok() {
         return format!("robot {name}");

@@ -1,4 +1,4 @@
-//! Figure 1: how power is distributed, and how long it remembers.
+//! Figure 1: distribution and autocorrelation of power.
 
 use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, label};
@@ -9,13 +9,13 @@ use joulebus_eval::analyze::autocorrelation;
 use joulebus_eval::score::Recording;
 use joulebus_statistics::metrics::{quantile, sorted};
 
-/// Longest lag shown, rows.
+/// Maximum lag shown, rows.
 const LAGS: usize = 90;
-/// From so many trials on, their curves are shown as a band.
+/// Minimum number of trials whose curves are shown as a band.
 const CURVES: usize = 8;
 const BINS: usize = 70;
 
-/// What was read in one recording.
+/// Readings of one recording.
 struct Readings {
     name: String,
     count: u64,
@@ -64,7 +64,7 @@ fn readings_w(recording: &Recording) -> Vec<f64> {
         .collect()
 }
 
-/// Mean, and standard deviation divided by the number; NaN without a value.
+/// Mean, and standard deviation (divided by the number); NaN without a value.
 fn mean_and_std(power_w: &[f64]) -> (f64, f64) {
     let count = power_w.len() as f64;
     let mean_w = power_w.iter().sum::<f64>() / count;
@@ -77,7 +77,7 @@ pub(super) struct Pooled {
     pub(super) mean_w: f64,
     pub(super) std_w: f64,
     pub(super) ends_w: [f64; 2],
-    /// Least and greatest lag-1 autocorrelation of the trials.
+    /// Minimum and maximum lag-1 autocorrelation of the trials.
     pub(super) lag1: [f64; 2],
 }
 
@@ -96,7 +96,7 @@ pub(super) fn pooled(recordings: &[Recording]) -> Pooled {
     }
 }
 
-/// The section, with the table that a reader of the figure needs.
+/// The section, with the table of the figure's data.
 pub(super) fn section(material: &Material<'_>) -> Section {
     let found: Vec<Readings> = material.recordings.iter().map(Readings::of).collect();
     let mut parts = vec![
@@ -216,7 +216,7 @@ fn memory(material: &Material<'_>, found: &[Readings]) -> Panel {
     }
 }
 
-/// Median and middle 80 % over the trials, by lag.
+/// Median and central 80 % over the trials, by lag.
 fn middle_and_band(found: &[Readings]) -> (Vec<[f64; 2]>, Vec<[f64; 3]>) {
     let by_lag = (0..=LAGS).map(|lag| {
         let values = sorted(found.iter().map(|readings| readings.at(lag)));

@@ -10,24 +10,24 @@ use super::unit::Unit;
 use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
 use joulebus_eval::score::{Design, Options, Recording, Scored, Subject, score};
 
-/// What a report on recordings is made from.
+/// Inputs of a report on recordings.
 #[derive(Debug, Clone)]
 pub struct Recorded<'a> {
-    /// Intake and intervals of the live path; its platforms do not count.
+    /// Ingest and intervals of the live path; its platforms are ignored.
     pub settings: &'a FleetSettings,
-    /// The kind of robot; none takes period and limits from each recording.
+    /// The platform; `None` takes period and limits from each recording.
     pub platform: Option<&'a Platform>,
-    /// The models, at least one; the first is shown in every picture.
+    /// The models, at least one; the first is shown in every figure.
     pub models: &'a [Model],
-    /// What is evaluated.
+    /// The evaluated recordings.
     pub recordings: &'a [Recording],
-    /// Recordings that the baselines are fitted on; empty: the evaluated ones, in turn.
+    /// Recordings that the baselines are fitted on; empty: cross-fitted on the evaluated ones.
     pub learned_from: Vec<Recording>,
-    /// Whether these are the recordings that the paper published, so that its numbers stand beside.
+    /// Whether these are the paper's published recordings, so that its numbers are shown.
     pub published: bool,
 }
 
-/// Evaluates the models on the recordings and reports it.
+/// Evaluates the models on the recordings and makes the report.
 ///
 /// # Errors
 /// [`ReportError`]: nothing to evaluate, or settings that are refused.
@@ -90,7 +90,7 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
     })
 }
 
-/// How the evaluations of reports are made.
+/// Options of the evaluations in reports.
 pub(super) fn options() -> Options {
     Options {
         baselines: BASELINES.to_vec(),
@@ -98,7 +98,7 @@ pub(super) fn options() -> Options {
     }
 }
 
-/// What must be said of a model that knows no real robot.
+/// The warning for models trained on simulated robots only.
 fn simulation(models: &[Model]) -> Option<String> {
     let simulated = models.iter().filter(|model| match model {
         Model::Network(network) => network.card().source == "simulation",
@@ -111,7 +111,7 @@ fn simulation(models: &[Model]) -> Option<String> {
     })
 }
 
-/// The paper's trial 6 where it is there, else the longest.
+/// The paper's trial 6 if present, else the longest.
 fn shown_trial(recordings: &[Recording], published: bool) -> String {
     let sixth = recordings
         .iter()
@@ -126,7 +126,7 @@ fn shown_trial(recordings: &[Recording], published: bool) -> String {
         .unwrap_or_default()
 }
 
-/// In a sentence, how the first model stands against what it has to beat.
+/// One sentence that compares the first model with the baselines.
 pub(super) fn verdict(scored: &Scored) -> String {
     let all = &scored.report.all;
     let Some(first) = all.forecasters.first() else {
@@ -164,7 +164,7 @@ pub(super) fn verdict(scored: &Scored) -> String {
     )
 }
 
-/// What was evaluated.
+/// The inputs of the evaluation.
 fn inputs(material: &Material<'_>) -> Section {
     let report = &material.scored.report;
     let mut rows: Vec<Vec<Cell>> = Vec::new();
@@ -203,7 +203,7 @@ fn inputs(material: &Material<'_>) -> Section {
     }
 }
 
-/// Every table that no section before has shown.
+/// Every table not shown in an earlier section.
 pub(super) fn all_scores(material: &Material<'_>, shown: Option<Grouping>) -> Section {
     let report = &material.scored.report;
     let mut parts = vec![Part::Table(scores::table(
@@ -239,7 +239,7 @@ mod tests {
     use super::super::material::label;
 
     #[test]
-    fn trials_are_called_by_what_distinguishes_them() {
+    fn trials_are_labelled_by_what_distinguishes_them() {
         for (name, called) in [
             (
                 "simulated/energy_data_trial6_steady_state.npy",

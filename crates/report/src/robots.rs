@@ -1,4 +1,4 @@
-//! Figure 5: the same model on different robots, groups or trials.
+//! Figure 5: one model on different robots, groups or trials.
 
 use super::document::{Part, Section};
 use super::material::{Material, interval, label, scaled};
@@ -6,10 +6,10 @@ use super::{paper, scores};
 use crate::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use joulebus_eval::score::{Cell as Scores, ForecasterScore};
 
-/// More names than these cannot be read in a picture.
+/// Maximum number of names in a figure.
 const MOST: usize = 24;
 
-/// What the sets of recordings are.
+/// Kind of the sets of recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Grouping {
     Robots,
@@ -27,7 +27,7 @@ impl Grouping {
     }
 }
 
-/// The sets that distinguish best: groups of trials, else robots, else trials; none of one
+/// The best sets for comparison: groups of trials, else robots, else trials; `None` for a single
 /// recording.
 pub(super) fn chosen<'a>(material: &Material<'a>) -> Option<(Grouping, &'a [Scores])> {
     let report = &material.scored.report;
@@ -49,7 +49,7 @@ pub(super) fn section(material: &Material<'_>, kind: Grouping, sets: &[Scores]) 
     let what = kind.plural();
     let left_out = if shown.len() < sets.len() {
         format!(
-            " The picture shows the first {MOST} of {}; the table has all.",
+            " The figure shows the first {MOST} of {}; the table has all.",
             sets.len()
         )
     } else {
@@ -148,9 +148,9 @@ fn dots(
     sets: &[Scores],
     value: impl Fn(&ForecasterScore) -> crate::figure::Interval,
 ) -> Vec<Layer> {
-    let contenders = material.contenders();
-    let count = contenders.len();
-    let each = contenders.into_iter().enumerate();
+    let compared = material.compared();
+    let count = compared.len();
+    let each = compared.into_iter().enumerate();
     each.map(|(slot, (at, name))| {
         let mark = Mark::Dots {
             values: scores_of(sets, at).map(&value).collect(),

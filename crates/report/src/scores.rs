@@ -1,10 +1,10 @@
-//! Tables of scores: who forecasts how well, on which recordings.
+//! Tables of scores by forecaster and set of recordings.
 
 use super::document::{Cell, Column, Table};
 use super::material::{Material, label, skill_against_persistence};
 use joulebus_eval::score::{Cell as Scores, ForecasterScore};
 
-/// One row for each set of recordings and each contender.
+/// One row for each set of recordings and each forecaster shown.
 pub(super) fn table(material: &Material<'_>, id: &str, caption: &str, sets: &[&Scores]) -> Table {
     let unit = material.unit;
     let columns = vec![
@@ -21,8 +21,8 @@ pub(super) fn table(material: &Material<'_>, id: &str, caption: &str, sets: &[&S
         Column::new("coverage_percent", "inside interval (%)"),
     ];
     let rows = sets.iter().flat_map(|set| {
-        let contenders = material.contenders().into_iter();
-        contenders.filter_map(|(at, _)| Some(row(material, set, set.forecasters.get(at)?)))
+        let compared = material.compared().into_iter();
+        compared.filter_map(|(at, _)| Some(row(material, set, set.forecasters.get(at)?)))
     });
     Table {
         id: id.to_owned(),

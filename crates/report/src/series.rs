@@ -1,14 +1,14 @@
-//! The live path of a trial as curves: each reading beside the forecast that had been made for it.
+//! The live path of a trial as time series of readings and their forecasts.
 
 use joulebus_eval::evaluate::RobotEvaluation;
 
-/// Scored readings of a trial, in order; all columns equally long.
+/// Scored readings of a trial, in order; all columns have the same length.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Series {
-    /// Time after the trial's first row, s.
+    /// Time since the trial's first row, s.
     pub(super) time_s: Vec<f64>,
     pub(super) reading_w: Vec<f64>,
-    /// The forecast made for the reading, one tick before.
+    /// The forecast of the reading, made one tick before.
     pub(super) forecast_w: Vec<f64>,
     /// Lower end of its interval; NaN where there was none.
     pub(super) lo_w: Vec<f64>,
@@ -45,8 +45,8 @@ impl Series {
         pairs.map(|(reading_w, forecast_w)| reading_w - forecast_w)
     }
 
-    /// Energy up to each reading as measured and as forecast, J. A step longer than `longest_s`
-    /// counts as nothing in both.
+    /// Measured and forecast energy up to each reading, J. Steps longer than `longest_s` are
+    /// excluded from both.
     pub(super) fn energy_j(&self, longest_s: f64) -> Vec<[f64; 2]> {
         let mut sums = [0.0; 2];
         let mut before_s = None;

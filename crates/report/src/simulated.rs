@@ -1,4 +1,4 @@
-//! The paper's whole course on simulated robots: trials, training, evaluation, seven robots.
+//! The paper's experiments on simulated robots: trials, training, evaluation, seven robots.
 
 use joulebus_predictor::{Model, Network};
 use joulebus_settings::FleetSettings;
@@ -15,23 +15,23 @@ use joulebus_eval::score::{Cell as Scores, Design, Recording, Scored, Subject, s
 use joulebus_sim::parts::Parts;
 use joulebus_sim::protocol::{Protocol, SAMPLES};
 use joulebus_sim::scenario;
-use joulebus_train::{Epoch, TrainSettings as Recipe, Trained, Training};
+use joulebus_train::{Epoch, TrainSettings, Trained, Training};
 
-/// What is said wherever the robots are simulated.
+/// The note on every figure of simulated robots.
 pub const NOTE: &str = "simulated robots";
 
-/// How the simulated course is run.
+/// Configuration of the simulated experiments.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulated {
-    /// Seed of the robots, and of everything random in them.
+    /// Seed of the simulation.
     pub seed: u64,
     /// Samples of each of the six trials, at least 100.
     pub samples: usize,
     /// Steps of the seven robots, at least 100.
     pub robot_steps: usize,
-    /// How the network is trained.
-    pub recipe: Recipe,
-    /// Threads of the training, 0 for one a core; the result does not depend on it.
+    /// Training settings.
+    pub recipe: TrainSettings,
+    /// Number of training threads, 0 for one per core; the result does not depend on it.
     pub threads: usize,
 }
 
@@ -43,58 +43,59 @@ impl Simulated {
             seed,
             samples: SAMPLES,
             robot_steps: SAMPLES,
-            recipe: Recipe {
+            recipe: TrainSettings {
                 name: "network".to_owned(),
                 source: "simulation".to_owned(),
                 seed,
-                ..Recipe::default()
+                ..TrainSettings::default()
             },
             threads: 0,
         }
     }
 }
 
-/// What came of the simulated course.
+/// Result of the simulated experiments.
 #[derive(Debug, Clone)]
 pub struct SimulatedReport {
     /// The report.
     pub document: Document,
-    /// The network that was trained for it.
+    /// The trained network.
     pub network: Network,
 }
 
-/// Simulates the six trials, trains on 1 to 4 with 5 to decide when to stop, evaluates on all six
-/// and on seven robots, and reports all of it beside the paper's numbers. `progress` is told of each
+/// Simulates the six trials, trains on 1 to 4 with 5 for validation, evaluates on all six and on
+/// seven robots, and reports the results with the paper's numbers. `progress` is called after each
 /// epoch.
 ///
 /// # Errors
 /// [`ReportError`].
 pub fn simulated(
-    course: &Simulated,
+    experiment: &Simulated,
     settings: &FleetSettings,
     mut progress: impl FnMut(Epoch),
 ) -> Result<SimulatedReport, ReportError> {
     for (what, found) in [
-        ("samples", course.samples),
-        ("robot steps", course.robot_steps),
+        ("samples", experiment.samples),
+        ("robot steps", experiment.robot_steps),
     ] {
         if found < 100 {
             return Err(ReportError::TooShort { what, found });
         }
     }
-    let simulate =
-        |protocol: &Protocol| protocol.trial_with(Parts::default(), course.seed, course.samples);
+    let simulate = |protocol: &Protocol| {
+        protocol.trial_with(Parts::default(), experiment.seed, experiment.samples)
+    };
     let trials = (0..).zip(Protocol::ALL.iter().map(simulate));
     let trials: Vec<Recording> = trials
         .map(|(id, trial)| Recording::new(id, trial))
         .collect();
-    let robots = scenario::seven_robots(course.seed, course.robot_steps);
+    let robots = scenario::seven_robots(experiment.seed, experiment.robot_steps);
     let robots = (1..)
         .zip(robots)
         .map(|(id, trial)| Recording::new(id, trial));
     let robots: Vec<Recording> = robots.collect();
 
-    let trained = trained(course, &trials, &mut progress)?;
+    let trained = trained(experiment, &trials, &mut progress)?;
     let models = [Model::Network(trained.network.clone())];
     let evaluated = |recordings: &[Recording]| {
         let subject = Subject {
@@ -110,7 +111,7 @@ pub fn simulated(
     let everything: Vec<Recording> = trials.iter().skip(5).chain(&robots).cloned().collect();
     let levels = calibration::levels(settings, None, &models[0], &everything)?;
     let document = document(
-        course,
+        experiment,
         &trained,
         [(&trials, &alone), (&robots, &together)],
         &levels,
@@ -122,7 +123,7 @@ pub fn simulated(
 }
 
 fn trained(
-    course: &Simulated,
+    experiment: &Simulated,
     trials: &[Recording],
     progress: &mut impl FnMut(Epoch),
 ) -> Result<Trained, ReportError> {
@@ -137,10 +138,10 @@ fn trained(
         description: format!(
             "simulated GTernal robot, seed {}, trials 1 to 4 of {} samples; 5 for validation, 6 held \
              out",
-            course.seed, course.samples
+            experiment.seed, experiment.samples
         ),
     };
-    let mut training = Training::new(&dataset, &course.recipe, course.threads)?;
+    let mut training = Training::new(&dataset, &experiment.recipe, experiment.threads)?;
     while !training.is_done() {
         progress(training.epoch()?);
     }
@@ -148,7 +149,7 @@ fn trained(
 }
 
 fn document(
-    course: &Simulated,
+    experiment: &Simulated,
     trained: &Trained,
     [(trials, alone), (robots, together)]: [(&[Recording], &Scored); 2],
     levels: &[calibration::Level],
@@ -204,14 +205,14 @@ fn document(
         summary: vec![
             format!(
                 "Six simulated trials of {} samples (seed {}); a network trained on trials 1 to 4 \
-                 with the paper's recipe, trial 5 deciding when to stop; evaluated on all six and on \
+                 with the paper's recipe, trial 5 for validation; evaluated on all six and on \
                  seven simulated robots that are not in its training data.",
-                course.samples, course.seed
+                experiment.samples, experiment.seed
             ),
             format!("Seven robots: {}", verdict(together)),
             "The paper's own figures and tables could not be read for this work beyond the numbers \
              that its abstract, its repository and quotations of it give. The figures here show the \
-             quantities that those numbers are of, and not more is claimed of their likeness."
+             same quantities; no further similarity is claimed."
                 .to_owned(),
         ],
         sections,
@@ -236,7 +237,7 @@ fn comparison(trials: &[Recording], alone: &Scored, together: &Scored) -> Sectio
             ),
             Part::Table(Table {
                 id: "table-paper".to_owned(),
-                caption: "The paper's numbers (real robots) beside those of simulated robots."
+                caption: "The paper's numbers (real robots) and those of simulated robots."
                     .to_owned(),
                 columns: vec![
                     Column::new("quantity", "quantity"),
@@ -382,7 +383,7 @@ fn robot_rows(rows: &mut Rows, together: &Scored) {
         .map(ToString::to_string)
         .collect();
     rows.add(
-        "the four robots that draw most",
+        "the four robots with the highest consumption",
         Cell::words(papers.join(", ")),
         Cell::words(hungry.join(", ")),
     );
@@ -390,7 +391,7 @@ fn robot_rows(rows: &mut Rows, together: &Scored) {
         .map(|score| score.energy_error.value.abs())
         .collect();
     rows.add(
-        "greatest error of a robot's energy (%)",
+        "largest energy error of a robot (%)",
         Cell::words(format!("below {:.1}", 100.0 * paper::ENERGY_ERROR_ALL)),
         Cell::Number(100.0 * errors.iter().copied().fold(f64::NAN, f64::max), 3),
     );
@@ -399,13 +400,13 @@ fn robot_rows(rows: &mut Rows, together: &Scored) {
         .filter(|error| **error < paper::ENERGY_ERROR_FOUR)
         .count();
     rows.add(
-        "robots with an error of their energy below 0.1 %",
+        "robots with an energy error below 0.1 %",
         Cell::Count(4),
         Cell::Count(exact as u64),
     );
 }
 
-/// How the training went.
+/// The training history.
 fn training(trained: &Trained) -> Section {
     let curve = |of: fn(&Epoch) -> f64| Mark::Line {
         points: trained
@@ -433,7 +434,7 @@ fn training(trained: &Trained) -> Section {
                 curve(|epoch| epoch.validation_loss),
             ),
             Layer::named(
-                "the epoch that was kept",
+                "selected epoch",
                 Colour::Vermilion,
                 Mark::Rule {
                     at: number.into(),
@@ -454,7 +455,7 @@ fn training(trained: &Trained) -> Section {
         title: "Training".to_owned(),
         parts: vec![
             Part::Words(format!(
-                "{} rows of trials 1 to 4, {} epochs; kept was epoch {number}.",
+                "{} rows of trials 1 to 4, {} epochs; selected: epoch {number}.",
                 trained.findings.training_rows,
                 trained.epochs.len()
             )),
@@ -467,7 +468,7 @@ fn training(trained: &Trained) -> Section {
 fn per_trial(material: &Material<'_>) -> Section {
     let sets: Vec<&Scores> = material.scored.report.trials.iter().collect();
     let caption = "Corrected mode, one tick ahead. The network has learned from trials 1 to 4, and \
-                   trial 5 decided when to stop; only trial 6 is new to it.";
+                   trial 5 is the validation trial; only trial 6 is held out.";
     Section {
         id: "trials".to_owned(),
         title: "The six trials".to_owned(),

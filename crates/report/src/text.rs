@@ -1,4 +1,4 @@
-//! A report for a terminal.
+//! A report as plain text.
 
 use std::fmt;
 
@@ -75,7 +75,7 @@ impl fmt::Display for Table {
 }
 
 impl Table {
-    /// Whether a column holds a number, and so stands at the right.
+    /// Whether a column is numeric, and so right-aligned.
     pub(super) fn is_of_numbers(&self, column: usize) -> bool {
         let mut cells = self.rows.iter().filter_map(|row| row.get(column));
         cells.any(Cell::is_number)

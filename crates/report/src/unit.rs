@@ -1,8 +1,8 @@
-//! Power in the unit in which its numbers are short.
+//! The power unit of a report.
 
 use super::document::{Cell, Column};
 
-/// Watt, or milliwatt where a robot draws little.
+/// Watt, or milliwatt for robots with a low consumption.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Unit {
     Milliwatt,
@@ -10,7 +10,7 @@ pub(super) enum Unit {
 }
 
 impl Unit {
-    /// Milliwatt below 20 W on average.
+    /// Milliwatt if the mean is below 20 W.
     pub(super) fn of(mean_power_w: f64) -> Self {
         if mean_power_w.abs() < 20.0 {
             Self::Milliwatt
@@ -33,7 +33,7 @@ impl Unit {
         }
     }
 
-    /// Watt in this unit.
+    /// Converts watt to this unit.
     pub(super) fn scaled_w(self, value_w: f64) -> f64 {
         match self {
             Self::Milliwatt => value_w * 1e3,
@@ -49,7 +49,7 @@ impl Unit {
         )
     }
 
-    /// A place for watt; a difference of powers needs a decimal more than a power.
+    /// A cell for a power; a difference of powers gets one more decimal than a power.
     pub(super) fn cell(self, value_w: f64, fine: bool) -> Cell {
         let decimals = match self {
             Self::Milliwatt => usize::from(fine),

@@ -1,4 +1,4 @@
-//! Figures: well-formed, complete, the same bytes for the same data, and honest about missing data.
+//! Figures: well-formed, complete, deterministic, and explicit about missing data.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use joulebus_report::figure::{
@@ -27,7 +27,7 @@ fn line(points: &[[f64; 2]], dashed: bool) -> Mark {
     }
 }
 
-/// One panel of every kind of mark.
+/// One panel for every kind of mark.
 fn everything() -> Figure {
     let wave: Vec<[f64; 2]> = (0..500)
         .map(|i| [f64::from(i) / 30.0, (f64::from(i) / 20.0).sin()])
@@ -139,7 +139,7 @@ fn words<'a>(document: &'a Document<'_>) -> Vec<&'a str> {
         .collect()
 }
 
-/// Every x and y at which something is drawn.
+/// Every x and y of the drawing.
 fn places(node: Node<'_, '_>) -> Vec<[f64; 2]> {
     let number = |name: &str| {
         node.attribute(name)
@@ -207,7 +207,7 @@ fn every_kind_of_mark_is_drawn_within_the_picture() {
         assert!(svg.contains(&hex), "{colour:?}");
     }
     let words = words(&document);
-    for said in [
+    for text in [
         "(a) a panel",
         "time (s)",
         "power (W)",
@@ -215,12 +215,12 @@ fn every_kind_of_mark_is_drawn_within_the_picture() {
         "persistence",
         "simulated",
     ] {
-        assert!(words.contains(&said), "{said}: {words:?}");
+        assert!(words.contains(&text), "{text}: {words:?}");
     }
 }
 
 #[test]
-fn who_does_not_see_a_picture_is_told_what_it_shows() {
+fn figures_have_a_text_alternative() {
     let figure = Figure {
         title: "R² < 1 & \"skill\"".to_owned(),
         ..everything()
@@ -240,7 +240,7 @@ fn who_does_not_see_a_picture_is_told_what_it_shows() {
 }
 
 #[test]
-fn nothing_to_show_says_so() {
+fn panels_without_data_say_so() {
     let nothing = [
         Vec::new(),
         vec![Layer::named("a", Colour::Blue, line(&[], false))],
@@ -286,7 +286,7 @@ fn nothing_to_show_says_so() {
 }
 
 #[test]
-fn a_hole_in_a_line_stays_a_hole() {
+fn a_gap_in_a_line_is_kept() {
     let points = [
         [0.0, 1.0],
         [1.0, 2.0],
@@ -319,13 +319,13 @@ fn the_same_data_gives_the_same_bytes() {
 }
 
 #[test]
-fn a_picture_of_pixels_has_its_size_and_its_words() {
+fn a_png_has_its_size_and_its_text() {
     let with = everything();
     let png = with.png(1.0).unwrap();
     assert_eq!(&png[..8], b"\x89PNG\r\n\x1a\n");
     let width = u32::from_be_bytes(png[16..20].try_into().unwrap());
     assert_eq!(width, 760);
-    // Words are drawn with a font of our own: without the title the pixels are others.
+    // Text is drawn with the bundled font: without the title the pixels differ.
     let mut without = everything();
     without.panels[0].title = String::new();
     assert_ne!(png, without.png(1.0).unwrap());
@@ -376,7 +376,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn no_data_breaks_a_picture(
+    fn any_data_gives_a_well_formed_figure(
         points in proptest::collection::vec([numbers(), numbers()], 0..40),
         bands in proptest::collection::vec([numbers(), numbers(), numbers()], 0..10),
         values in proptest::collection::vec([numbers(), numbers(), numbers()], 0..5),

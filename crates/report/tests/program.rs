@@ -1,4 +1,4 @@
-//! `joulebus report`: one command, one directory, one page.
+//! `joulebus report`: one command writes a directory with one page.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
@@ -48,7 +48,7 @@ fn recording(folder: &Path, name: &str, rows: u32) -> PathBuf {
 }
 
 #[test]
-fn a_newcomer_gets_the_simulated_course_with_one_command() {
+fn one_command_runs_the_simulated_experiments() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("report");
     let arguments = [
@@ -80,7 +80,7 @@ fn a_newcomer_gets_the_simulated_course_with_one_command() {
         assert!(fs::metadata(out.join(file)).unwrap().len() > 0, "{file}");
     }
 
-    // Its network is a model like any other, and recordings are reported with it.
+    // Its network is an ordinary model, usable for reports on recordings.
     let recordings = ["a.csv", "b.csv"].map(|name| recording(folder.path(), name, 300));
     let model = out.join("network.safetensors");
     let second = folder.path().join("second");
@@ -89,20 +89,20 @@ fn a_newcomer_gets_the_simulated_course_with_one_command() {
     arguments.extend(recordings.iter().map(|path| path.to_str().unwrap()));
     let made = output(arguments);
     assert_eq!(code(&made), 0, "{}", stderr(&made));
-    let said = stdout(&made);
+    let text = stdout(&made);
     for name in [
         "network",
         "persistence",
         "AR(5) + velocities",
         "trained on simulated robots",
     ] {
-        assert!(said.contains(name), "{name}: {said}");
+        assert!(text.contains(name), "{name}: {text}");
     }
     assert!(stderr(&made).contains("report.html"), "{}", stderr(&made));
 }
 
 #[test]
-fn what_cannot_be_reported_is_refused_before_the_work() {
+fn invalid_requests_are_refused_before_the_evaluation() {
     let folder = tempfile::tempdir().unwrap();
     let recording = recording(folder.path(), "a.csv", 100);
     let recording = recording.to_str().unwrap();

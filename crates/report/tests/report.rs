@@ -1,5 +1,5 @@
-//! Reports: one file that needs no other, the same numbers in every form, and honest about what is
-//! simulated.
+//! Reports: self-contained, the same numbers in every format, and marked as simulated where they
+//! are.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../eval/tests/live/mod.rs"]
@@ -21,17 +21,17 @@ use joulebus_sim::protocol::Protocol;
 use live::settings;
 use serde_json::Value;
 
-fn course() -> Simulated {
-    let mut course = Simulated::new(3);
-    (course.samples, course.robot_steps) = (900, 700);
-    course.recipe.max_epochs = 3;
-    course
+fn experiment() -> Simulated {
+    let mut experiment = Simulated::new(3);
+    (experiment.samples, experiment.robot_steps) = (900, 700);
+    experiment.recipe.max_epochs = 3;
+    experiment
 }
 
-/// Made once: every test looks at the same report.
+/// Made once and shared by all tests.
 fn made() -> &'static SimulatedReport {
     static MADE: OnceLock<SimulatedReport> = OnceLock::new();
-    MADE.get_or_init(|| simulated(&course(), &settings(), |_| ()).unwrap())
+    MADE.get_or_init(|| simulated(&experiment(), &settings(), |_| ()).unwrap())
 }
 
 fn written() -> &'static [File] {
@@ -63,16 +63,16 @@ fn the_page_needs_no_other_file() {
         .map(|rest| rest.split('"').next().unwrap())
         .collect();
     let different: HashSet<&str> = ids.iter().copied().collect();
-    assert_eq!(ids.len(), different.len(), "an id stands twice: {ids:?}");
+    assert_eq!(ids.len(), different.len(), "an id occurs twice: {ids:?}");
     for rest in page.split("href=\"").skip(1) {
         let target = rest.split('"').next().unwrap();
         let id = target.strip_prefix('#').unwrap();
-        assert!(different.contains(id), "{target} leads nowhere");
+        assert!(different.contains(id), "{target} has no target");
     }
 }
 
 #[test]
-fn every_picture_is_there_three_times_and_well_formed() {
+fn every_figure_is_present_in_three_formats_and_well_formed() {
     let page = text("report.html");
     let figures: Vec<&Figure> = made().document.figures().collect();
     assert!(figures.len() >= 8, "{}", figures.len());
@@ -91,7 +91,7 @@ fn every_picture_is_there_three_times_and_well_formed() {
 }
 
 #[test]
-fn whatever_leaves_the_report_says_that_it_is_simulated() {
+fn every_output_is_marked_as_simulated() {
     for path in ["report.html", "report.json", "report.txt"] {
         let text = text(path);
         assert!(
@@ -164,7 +164,7 @@ fn escaped(text: &str) -> String {
 }
 
 #[test]
-fn the_papers_numbers_stand_beside_and_in_the_right_unit() {
+fn the_papers_numbers_are_shown_in_the_right_unit() {
     let json: Value = serde_json::from_str(&text("report.json")).unwrap();
     let tables = tables(&json);
     let table = tables
@@ -179,8 +179,11 @@ fn the_papers_numbers_stand_beside_and_in_the_right_unit() {
     };
     assert_eq!(row("mean power (mW)")["paper"], 3652.0);
     assert_eq!(row("MAE on trial 6 (mW)")["paper"], 31.5);
-    assert_eq!(row("the four robots that draw most")["paper"], "1, 2, 3, 6");
-    // The mean power of the simulated trials, again and slowly.
+    assert_eq!(
+        row("the four robots with the highest consumption")["paper"],
+        "1, 2, 3, 6"
+    );
+    // The mean power of the simulated trials, recomputed.
     let mut sum_w = 0.0;
     let mut count = 0.0;
     for protocol in Protocol::ALL {
@@ -198,11 +201,11 @@ fn the_papers_numbers_stand_beside_and_in_the_right_unit() {
 }
 
 #[test]
-fn the_same_course_gives_the_same_bytes() {
+fn the_same_experiments_give_the_same_bytes() {
     let again = simulated(
         &Simulated {
             threads: 1,
-            ..course()
+            ..experiment()
         },
         &settings(),
         |_| (),
@@ -236,20 +239,20 @@ fn on<'a>(
 }
 
 #[test]
-fn recordings_are_reported_beside_persistence_and_the_line_and_without_the_papers_numbers() {
+fn recordings_are_compared_with_the_baselines_and_without_the_papers_numbers() {
     let (settings, models) = (settings(), [Model::Network(made().network.clone())]);
     let recordings = recordings(3);
     let document = recorded(&on(&settings, &models, &recordings)).unwrap();
-    let said = document.to_string();
+    let text = document.to_string();
     for name in [
         "network",
         "persistence",
         "AR(5) + velocities",
         "trial2 goal navigation",
     ] {
-        assert!(said.contains(name), "{name}");
+        assert!(text.contains(name), "{name}");
     }
-    assert!(!said.contains("paper, trial 6"));
+    assert!(!text.contains("paper, trial 6"));
     let warning = document.warning.unwrap();
     assert!(warning.contains("trained on simulated robots"), "{warning}");
 
@@ -271,43 +274,43 @@ fn one_short_recording_is_enough_and_none_is_refused() {
     assert!(matches!(refused, ReportError::Score(_)), "{refused}");
     let short = Simulated {
         samples: 99,
-        ..course()
+        ..experiment()
     };
     let refused = simulated(&short, &settings, |_| ()).unwrap_err();
     assert!(refused.to_string().contains("99 samples"), "{refused}");
 }
 
 #[test]
-fn names_from_files_cannot_break_the_page() {
-    let nasty = "<script>alert('1')</script> & \"more\" \u{1}";
+fn names_from_files_are_escaped_in_the_page() {
+    let hostile = "<script>alert('1')</script> & \"more\" \u{1}";
     let panel = Panel {
-        title: nasty.to_owned(),
-        x: Axis::new(nasty),
-        y: Axis::new(nasty),
+        title: hostile.to_owned(),
+        x: Axis::new(hostile),
+        y: Axis::new(hostile),
         layers: vec![Layer::named(
-            nasty,
+            hostile,
             Colour::Blue,
             Mark::Points(vec![[1.0, 1.0]]),
         )],
     };
     let table = Table {
         id: "a-table".to_owned(),
-        caption: nasty.to_owned(),
-        columns: vec![Column::new("name", nasty), Column::new("value", "value")],
-        rows: vec![vec![Cell::words(nasty), Cell::Number(f64::NAN, 1)]],
+        caption: hostile.to_owned(),
+        columns: vec![Column::new("name", hostile), Column::new("value", "value")],
+        rows: vec![vec![Cell::words(hostile), Cell::Number(f64::NAN, 1)]],
         folded: true,
     };
     let document = Document {
-        title: nasty.to_owned(),
-        warning: Some(nasty.to_owned()),
-        summary: vec![nasty.to_owned()],
+        title: hostile.to_owned(),
+        warning: Some(hostile.to_owned()),
+        summary: vec![hostile.to_owned()],
         sections: vec![Section {
             id: "a-section".to_owned(),
-            title: nasty.to_owned(),
+            title: hostile.to_owned(),
             parts: vec![
-                Part::Words(nasty.to_owned()),
+                Part::Words(hostile.to_owned()),
                 Part::Table(table),
-                Part::Figure(Figure::new("a-figure", nasty, nasty, vec![panel])),
+                Part::Figure(Figure::new("a-figure", hostile, hostile, vec![panel])),
             ],
         }],
     };

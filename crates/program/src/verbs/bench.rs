@@ -3,52 +3,52 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// What can be measured.
+/// Benchmarks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Benchmark {
-    /// The network alone: ns a robot by batch, share of the processor's peak
+    /// The network alone: ns per robot by batch size, share of the processor's peak
     Kernel,
-    /// The tick without shared memory: ns a robot, its stages, paced on one thread and several
+    /// The tick without shared memory: ns per robot, its stages, paced on one thread and several
     Tick,
     /// Many candidate command sequences, many steps ahead, in one call
     Rollout,
-    /// From sample due to forecast readable, between real processes
+    /// From sample due to forecast readable, between separate processes
     Latency,
-    /// How late a wait for a deadline ends, by the way the deadline is given to the system
+    /// Overshoot of a wait for a deadline, by system call
     Wait,
-    /// Everything, one after the other
+    /// All of them, one after the other
     All,
 }
 
-/// The fleet whose tick is measured.
+/// The fleet of the tick benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum TickFleet {
     /// One platform; every sample has a reading
     Uniform,
-    /// Three platforms, whose robots send in turn
+    /// Three platforms, whose robots alternate
     Mixed,
     /// One sample in ten has no reading
     MissingReadings,
-    /// Every robot learns online: a mixture, a level and a gain
+    /// Every robot learns online: mixture, bias and gain
     Learning,
 }
 
-/// Measure how fast this machine is, and compare with an earlier run
+/// Measure the speed of this machine, and compare with an earlier run
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    joulebus bench kernel                                  ns a robot by batch, share of the peak\n  \
-    joulebus bench all --quick                             whether it runs, not how fast\n  \
+    joulebus bench kernel                                  ns per robot by batch size, share of the peak\n  \
+    joulebus bench all --quick                             smoke test: runs, without usable figures\n  \
     joulebus bench kernel --json before.json\n  \
-    joulebus bench kernel --compare before.json            what became faster or slower since\n  \
+    joulebus bench kernel --compare before.json            changes since then\n  \
     joulebus bench kernel --compare before.json --fail-above 1.1\n\n\
-    Times are p50, p99, p99.9 and max over all repetitions; measurements take turns, so that \
-    ratios hold on a busy machine while absolute figures do not. Nothing passes or fails by time: \
-    exit 3 only with --fail-above. Build with --release.")]
+    Times are p50, p99, p99.9 and max over all repetitions; measurements are interleaved, so that \
+    ratios hold on a busy machine while absolute figures do not. Timings never decide the exit code, \
+    except with --fail-above (exit 3). Build with --release.")]
 pub struct BenchArguments {
-    /// What is measured
+    /// The benchmark
     #[arg(value_enum)]
     pub benchmark: Benchmark,
-    /// How much of it.
+    /// Its options.
     #[command(flatten)]
     pub options: BenchOptions,
     /// Write the figures to a file, for --compare
@@ -57,57 +57,57 @@ pub struct BenchArguments {
     /// Compare with the figures of an earlier run
     #[arg(long, value_name = "FILE")]
     pub compare: Option<PathBuf>,
-    /// With --compare: exit 3 if a figure is so many times worse, beyond noise
+    /// With --compare: exit 3 if a figure is worse by this factor, beyond noise
     #[arg(long, value_name = "RATIO", requires = "compare", value_parser = ratio)]
     pub fail_above: Option<f64>,
 }
 
-/// What and how much is measured.
+/// Options of benchmarks.
 #[derive(Debug, Clone, clap::Args)]
 pub struct BenchOptions {
-    /// Sizes: robots of a batch or a fleet, separated by commas [default: as the benchmark has them]
+    /// Sizes: robots per batch or fleet, separated by commas [default: those of the benchmark]
     #[arg(long, value_name = "N,N,…", value_delimiter = ',', value_parser = size)]
     pub robots: Vec<usize>,
-    /// Rounds in which all measurements take turns [default: 1000; waits: 300]
+    /// Rounds, in each of which every measurement runs once [default: 1000; waits: 300]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub repetitions: Option<u32>,
-    /// Time for each measurement, s [default: 2 at most, and 10 for each size of a paced one]
+    /// Time per measurement, s [default: 2 at most, and 10 for each size of a paced one]
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(1..=3600))]
     pub seconds: Option<u64>,
-    /// Frames a second of a paced measurement
+    /// Frames per second of a paced measurement
     #[arg(long, value_name = "HZ", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=1000))]
     pub rate_hz: u64,
-    /// A few repetitions of a few sizes: whether it runs, not how fast
+    /// A few repetitions of a few sizes, as a smoke test
     #[arg(long)]
     pub quick: bool,
     /// Seed of the inputs
     #[arg(long, value_name = "N", default_value_t = 7)]
     pub seed: u64,
-    /// A model file [default: the one that ships]
+    /// A model file [default: the built-in one]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Only this kernel, like avx2 [default: all that the processor has]
+    /// Only this kernel, such as avx2 [default: all that the processor supports]
     #[arg(long, value_name = "NAME")]
     pub kernel: Option<String>,
-    /// Latency: CPUs that the worker's tick stays on; wait: those of the thread that waits
+    /// Latency: CPUs of the worker's tick thread; wait: CPUs of the waiting thread
     #[arg(long, value_name = "CPU,…", value_delimiter = ',')]
     pub worker_cpus: Vec<usize>,
     /// The same: real-time priority; 0: none
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=99))]
     pub worker_priority: u8,
-    /// Latency: the worker's memory stays in memory
+    /// Latency: lock the worker's memory
     #[arg(long)]
     pub worker_locked: bool,
     /// Tick: the fleet
     #[arg(long, value_enum, default_value_t = TickFleet::Uniform)]
     pub fleet: TickFleet,
-    /// Threads that share large batches, beside one
+    /// Threads for large batches, in addition to one
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = threads)]
     pub threads: usize,
 }
 
 impl BenchOptions {
-    /// Sizes to measure: those asked for, or the benchmark's own.
+    /// Sizes to measure: those requested, or the benchmark's own.
     #[must_use]
     pub fn sizes(&self, own: &[usize]) -> Vec<usize> {
         match (self.robots.is_empty(), self.quick) {
@@ -117,20 +117,20 @@ impl BenchOptions {
         }
     }
 
-    /// Rounds in which all measurements take turns.
+    /// Rounds, in each of which every measurement runs once.
     #[must_use]
     pub fn repetitions(&self) -> usize {
         self.repetitions_or(1000)
     }
 
-    /// The same for a benchmark with a default of its own.
+    /// The same with another default.
     #[must_use]
     pub fn repetitions_or(&self, default: usize) -> usize {
         let default = if self.quick { 5 } else { default };
         self.repetitions.map_or(default, |count| count as usize)
     }
 
-    /// Time for each measurement at most.
+    /// Maximum time per measurement.
     #[must_use]
     pub fn each(&self) -> Duration {
         if self.quick {

@@ -1,5 +1,5 @@
-//! The arguments of the verbs that are programs of their own. They stand here because two programs
-//! read them: `joulebus` for its help and completions, and the verb's own.
+//! Arguments of the verbs that are separate programs. Two programs parse them: `joulebus`, for its
+//! help and completions, and the verb's own.
 
 pub mod bench;
 pub mod report;

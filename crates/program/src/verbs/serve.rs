@@ -4,7 +4,7 @@ use std::net::IpAddr;
 
 use crate::config_file::ConfigFile;
 
-/// Stream what goes through a fleet's shared memory to Foxglove, live
+/// Stream the data in a fleet's shared memory to Foxglove, live
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus serve --foxglove\n  \
@@ -17,13 +17,13 @@ pub struct ServeArguments {
     /// Serve the Foxglove WebSocket protocol
     #[arg(long, required = true)]
     pub foxglove: bool,
-    /// Address to listen at; 0.0.0.0 lets everybody on the network in
+    /// Address to listen on; 0.0.0.0 admits the whole network
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     pub host: IpAddr,
-    /// Port to listen at; 0: any that is free
+    /// Port to listen on; 0: any free port
     #[arg(long, default_value_t = 8765)]
     pub port: u16,
-    /// A channel for each robot's sample, forecast, diagnostics and budget as well
+    /// Also a channel for each robot's sample, forecast, diagnostics and budget
     #[arg(long)]
     pub per_robot: bool,
     /// The fleet's config.

@@ -1,4 +1,4 @@
-//! Axes: what they span, where they are ticked, how a number is written there.
+//! Axes: range, ticks, and number format.
 
 use std::ops::Range;
 
@@ -7,29 +7,29 @@ use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, Value
 /// One axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Axis {
-    /// What is measured, with its unit: `power (W)`.
+    /// The quantity with its unit: `power (W)`.
     pub label: String,
-    /// How numbers lie along it.
+    /// The scale.
     pub scale: Scale,
-    /// Where it begins and ends; none: as far as the data goes, and a little more.
+    /// Its ends; `None`: the range of the data plus a margin.
     pub limits: Option<[f64; 2]>,
-    /// A number that must be on it, such as 0 for bars.
+    /// A number within its range, such as 0 for bars.
     pub includes: Option<f64>,
 }
 
-/// How numbers lie along an axis.
+/// Scale of an axis.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Scale {
-    /// Evenly.
+    /// Linear.
     Linear,
-    /// Evenly by their logarithm; numbers that are not above 0 are not drawn.
+    /// Logarithmic; numbers that are not above 0 are not drawn.
     Log,
-    /// Names, at 0, 1, 2 and so on; on a vertical axis from the top down.
+    /// Categories, at 0, 1, 2 and so on; on a vertical axis from the top down.
     Names(Vec<String>),
 }
 
 impl Axis {
-    /// An even axis as long as the data.
+    /// A linear axis over the range of the data.
     #[must_use]
     pub fn new(label: impl Into<String>) -> Self {
         Self {
@@ -40,7 +40,7 @@ impl Axis {
         }
     }
 
-    /// An axis of logarithms.
+    /// A logarithmic axis.
     #[must_use]
     pub fn log(label: impl Into<String>) -> Self {
         Self {
@@ -49,7 +49,7 @@ impl Axis {
         }
     }
 
-    /// An axis of names.
+    /// A categorical axis.
     #[must_use]
     pub fn names(label: impl Into<String>, names: Vec<String>) -> Self {
         Self {
@@ -65,7 +65,7 @@ impl Axis {
         self
     }
 
-    /// At least as far as `value`.
+    /// Extended to `value`.
     #[must_use]
     pub fn including(mut self, value: f64) -> Self {
         self.includes = Some(value);
@@ -77,7 +77,7 @@ impl Axis {
         value.is_finite() && (self.scale != Scale::Log || value > 0.0)
     }
 
-    /// The axis over the numbers that lie on it; none if there are none and it has no ends.
+    /// The axis over the range of the data; `None` without data and without ends.
     pub(super) fn spanned(&self, values: impl Iterator<Item = f64>, ticks: usize) -> Option<Span> {
         if let Scale::Names(names) = &self.scale {
             return (!names.is_empty()).then(|| Span::of_names(names));
@@ -101,7 +101,7 @@ impl Axis {
     }
 }
 
-/// An axis with its ends and ticks: the coordinate that is drawn on.
+/// An axis with its ends and ticks: the coordinate of the drawing.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Span {
     low: f64,
@@ -129,7 +129,7 @@ impl Span {
             (low, high) = (low - room, low + room);
         } else if !limited {
             let room = (high - low) * 0.04;
-            // Bars stand on their zero, and time begins at it.
+            // Bars start at zero, and so does time.
             if low != 0.0 {
                 low -= room;
             }
@@ -147,7 +147,7 @@ impl Span {
     }
 
     fn of_logarithms(low: f64, high: f64, limited: bool) -> Self {
-        // Beyond these, quotients of two numbers are no numbers any more.
+        // Beyond these, quotients of two numbers are not finite.
         let [low, high] = [low, high].map(|end| end.clamp(1e-150, 1e150));
         let high = if high > low { high } else { low * 2.0 };
         let room = if limited {
@@ -165,7 +165,7 @@ impl Span {
         }
     }
 
-    /// Vertical axes of numbers rise, those of names fall.
+    /// Vertical numeric axes point up, categorical ones down.
     pub(super) fn upright(mut self) -> Self {
         if self.downwards {
             (self.low, self.high) = (self.high, self.low);
@@ -177,7 +177,7 @@ impl Span {
         [self.low.min(self.high), self.low.max(self.high)]
     }
 
-    /// Where a number lies between the ends, from 0 to 1.
+    /// Position of a number between the ends, from 0 to 1.
     fn share(&self, value: f64) -> f64 {
         if self.log {
             let (low, high) = (libm::log(self.low), libm::log(self.high));
@@ -193,7 +193,8 @@ impl Ranged for Span {
     type ValueType = f64;
 
     fn map(&self, value: &f64, (from, to): (i32, i32)) -> i32 {
-        // A share far outside would leave the range of i32; the drawing ends long before.
+        // A share far outside would overflow i32; clamping it is invisible, because the drawing is
+        // clipped.
         let share = self.share(*value).clamp(-4.0, 5.0);
         from + libm::round(share * f64::from(to - from)) as i32
     }
@@ -245,7 +246,7 @@ fn even_ticks(low: f64, high: f64, count: usize) -> Vec<(f64, String)> {
     (0..places).map(tick).collect()
 }
 
-/// 1, 3 and 10 times the powers of ten; over many decades the powers alone.
+/// 1, 3 and 10 times the powers of ten; over many decades only the powers.
 fn log_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     let (first, last) = (libm::floor(libm::log10(low)), libm::ceil(libm::log10(high)));
     let decades = last - first;
@@ -268,8 +269,8 @@ fn log_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
         .collect()
 }
 
-/// With a true minus sign, with commas from ten thousand on, and with a power of ten where the digits
-/// would be too many to read.
+/// With a proper minus sign, with thousands separators from ten thousand, and with a power of ten
+/// for very large or small numbers.
 pub(super) fn written(value: f64, decimals: usize) -> String {
     if decimals > 6 || value.abs() >= 1e7 {
         return format!("{value:.1e}").replace('-', "\u{2212}");

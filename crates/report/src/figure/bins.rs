@@ -1,28 +1,28 @@
-//! How often numbers and pairs of numbers fall where.
+//! One- and two-dimensional histograms.
 
-/// Counts of numbers in even bins.
+/// Counts of numbers in equal bins.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bins {
-    /// The bins' ends, one more than bins.
+    /// The edges, one more than bins.
     pub edges: Vec<f64>,
-    /// Numbers in each bin; its lower end belongs to it, and the last bin's upper end too.
+    /// Numbers in each bin, lower edge included; the last bin includes its upper edge.
     pub counts: Vec<u64>,
     /// Finite numbers below the first bin and above the last.
     pub outside: u64,
 }
 
-/// Counts of pairs in even tiles.
+/// Counts of pairs in equal tiles.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tiles {
-    /// Ends of the columns.
+    /// Edges of the columns.
     pub x_edges: Vec<f64>,
-    /// Ends of the rows.
+    /// Edges of the rows.
     pub y_edges: Vec<f64>,
     /// Pairs in each tile, row by row from the lowest.
     pub counts: Vec<u64>,
 }
 
-/// Counts numbers in `count` even bins from `from` to `to`; NaN is no number.
+/// Counts numbers in `count` equal bins from `from` to `to`; NaN is ignored.
 #[must_use]
 pub fn bins(values: impl Iterator<Item = f64>, [from, to]: [f64; 2], count: usize) -> Bins {
     let count = count.max(1);
@@ -40,7 +40,7 @@ pub fn bins(values: impl Iterator<Item = f64>, [from, to]: [f64; 2], count: usiz
     found
 }
 
-/// Counts pairs in `count` by `count` even tiles; what lies outside is not counted.
+/// Counts pairs in `count` by `count` equal tiles; pairs outside are ignored.
 #[must_use]
 pub fn tiles(
     pairs: impl Iterator<Item = [f64; 2]>,
@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ends_belong_to_bins_and_nan_to_none() {
+    fn edges_belong_to_bins_and_nan_to_none() {
         let values = [0.0, 0.5, 1.0, 1.5, 2.0, -0.1, 2.1, f64::NAN];
         let found = bins(values.into_iter(), [0.0, 2.0], 2);
         assert_eq!(found.edges, [0.0, 1.0, 2.0]);
@@ -91,7 +91,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_number_is_counted_twice_or_lost(
+        fn every_number_is_counted_once(
             values in proptest::collection::vec(-3.0..3.0f64, 0..200), count in 1usize..40,
         ) {
             let found = bins(values.iter().copied(), [-2.0, 2.0], count);

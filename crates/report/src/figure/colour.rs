@@ -1,12 +1,12 @@
-//! The few colours, distinguished by people with any colour vision, on light and dark ground.
+//! A palette for all kinds of colour vision, on light and dark backgrounds.
 
-/// What a colour stands for. The hues are those of Okabe and Ito (2008), which stay distinct under
-/// the common deficiencies of colour vision; marks also differ in shape or dash where they meet.
+/// Meaning of a colour. The hues are those of Okabe and Ito (2008), which stay distinct under the
+/// common colour vision deficiencies; adjacent marks also differ in shape or dash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Colour {
     /// Text and readings.
     Ink,
-    /// Axes, and marks that stand behind.
+    /// Axes, and marks in the background.
     Grey,
     /// Grid lines.
     Faint,
@@ -16,7 +16,7 @@ pub enum Colour {
     Orange,
     /// AR(5) with velocities.
     Green,
-    /// What the paper gives.
+    /// Numbers of the paper.
     Vermilion,
     /// A second network, or a further baseline.
     Purple,
@@ -38,7 +38,7 @@ impl Colour {
         Self::Sky,
     ];
 
-    /// Red, green and blue on light ground.
+    /// Red, green and blue on a light background.
     #[must_use]
     pub const fn light(self) -> [u8; 3] {
         match self {
@@ -54,7 +54,7 @@ impl Colour {
         }
     }
 
-    /// Red, green and blue on dark ground.
+    /// Red, green and blue on a dark background.
     #[must_use]
     pub(crate) const fn dark(self) -> [u8; 3] {
         match self {
@@ -70,7 +70,7 @@ impl Colour {
         }
     }
 
-    /// As `#RRGGBB`, the way the drawings write it.
+    /// As `#RRGGBB`, the notation in the drawings.
     #[must_use]
     pub fn hex([red, green, blue]: [u8; 3]) -> String {
         format!("#{red:02X}{green:02X}{blue:02X}")

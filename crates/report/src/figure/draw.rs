@@ -1,4 +1,4 @@
-//! A figure as SVG: where panels, titles, legends and axes lie.
+//! Layout of a figure in SVG: panels, titles, legends and axes.
 
 use plotters::chart::ChartBuilder;
 use plotters::drawing::IntoDrawingArea as _;
@@ -21,27 +21,26 @@ const BELOW_PX: i32 = 42;
 const SMALL_PX: i32 = 11;
 const LABEL_PX: i32 = 12;
 const SWATCH_PX: i32 = 18;
-/// Text is laid out before a font is known; the widest usual ones need this share of their height
-/// for a letter.
+/// Text is laid out without a font; wide common fonts need this share of their height per letter.
 const LETTER: f64 = 0.6;
-/// Longest words in a legend and at a tick, so that something else is left to see.
+/// Maximum length of a legend entry and of a tick label.
 const LEGEND_LETTERS: usize = 44;
 const TICK_LETTERS: usize = 28;
 
 impl Figure {
-    /// The figure as an SVG document of its own, on white.
+    /// The figure as a standalone SVG document on white.
     ///
     /// # Errors
-    /// [`FigureError::Layout`], or what the drawing library said.
+    /// [`FigureError::Layout`], or an error of the drawing library.
     pub fn svg(&self) -> Result<String, FigureError> {
         document(self)
     }
 
-    /// The figure as an SVG element within an HTML document: without ground, so that the page's
-    /// own shows, and without a namespace, which HTML knows.
+    /// The figure as an SVG element within an HTML document: without a background, and without a
+    /// namespace, which HTML implies.
     ///
     /// # Errors
-    /// [`FigureError::Layout`], or what the drawing library said.
+    /// [`FigureError::Layout`], or an error of the drawing library.
     pub fn inline_svg(&self) -> Result<String, FigureError> {
         inline(self)
     }
@@ -65,7 +64,7 @@ fn inline(figure: &Figure) -> Result<String, FigureError> {
     Ok(head(figure, "") + &body(figure)?)
 }
 
-/// The opening of the element with what screen readers say.
+/// The opening tag, with the text for screen readers.
 fn head(figure: &Figure, namespace: &str) -> String {
     let (width, height) = size_px(figure);
     let (wide, high) = (width * UNITS, height * UNITS);
@@ -79,7 +78,7 @@ fn head(figure: &Figure, namespace: &str) -> String {
     )
 }
 
-/// What lies between the opening and the end, and the end.
+/// The contents and the closing tag.
 fn body(figure: &Figure) -> Result<String, FigureError> {
     let panels = figure.panels.len();
     let height_px = figure.panel_height_px;
@@ -106,7 +105,7 @@ fn body(figure: &Figure) -> Result<String, FigureError> {
                 reason: error.to_string(),
             })?;
     }
-    // The library opens the element with its own attributes; ours says more.
+    // The library's opening tag is replaced by ours.
     let opening = drawn.find(">\n").map_or(0, |end| end + 2);
     Ok(drawn.split_off(opening))
 }
@@ -144,7 +143,7 @@ fn row_px(figure: &Figure, row: usize) -> i32 {
     figure.panel_height_px as i32 + header_px(figure, row)
 }
 
-/// Height of the titles and legends of a row, so that its axes stand level.
+/// Height of the titles and legends of a row, so that its axes are aligned.
 fn header_px(figure: &Figure, row: usize) -> i32 {
     let width = panel_width_px(figure);
     let panels = row_of(figure, row).iter();
@@ -210,7 +209,7 @@ fn draw_panel(
     draw_axes(&plot, panel, [width, height - header])
 }
 
-/// The legend's rows: entries that fit beside one another.
+/// Rows of the legend: entries that fit side by side.
 fn legend_rows(panel: &Panel, width: i32) -> Vec<Vec<(&Layer, i32)>> {
     let mut rows: Vec<Vec<(&Layer, i32)>> = Vec::new();
     let mut left = i32::MAX;
@@ -331,7 +330,7 @@ fn named(axis: &Axis) -> bool {
     matches!(axis.scale, Scale::Names(_))
 }
 
-/// A frame that says that there is nothing to see.
+/// A frame with a note that there is no data.
 fn draw_nothing(area: &Ground<'_>, panel: &Panel) -> Drawn {
     let (wide, high) = area.dim_in_pixel();
     let (wide, high) = (wide as i32, high as i32);
@@ -361,8 +360,8 @@ fn width_px(text: &str, size_px: i32) -> i32 {
     (text.chars().count() as f64 * f64::from(size_px) * LETTER).ceil() as i32
 }
 
-/// With dots near its end where it is too long: what names differ in stands mostly before, and the
-/// number of a file at the very end.
+/// Shortens text that is too long by an ellipsis near its end: names mostly differ at their start,
+/// and files by the number at their end.
 fn shortened(text: &str, letters: usize) -> String {
     let text = clean(text);
     let count = text.chars().count();
@@ -376,7 +375,7 @@ fn shortened(text: &str, letters: usize) -> String {
     format!("{head}\u{2026}{tail}")
 }
 
-/// Without what XML cannot hold.
+/// Removes characters that XML does not allow.
 fn clean(text: &str) -> String {
     let allowed = |c: &char| !c.is_control() && !matches!(c, '\u{FFFE}' | '\u{FFFF}');
     text.chars().filter(allowed).collect()

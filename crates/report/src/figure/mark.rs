@@ -1,24 +1,24 @@
-//! What can stand on axes.
+//! Marks on axes.
 
 use super::bins::{Bins, Tiles};
 
-/// A number and how sure it is.
+/// A number with an interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Interval {
     /// The number.
     pub value: f64,
-    /// Lower end; NaN: not known.
+    /// Lower end; NaN: unknown.
     pub low: f64,
-    /// Upper end; NaN: not known.
+    /// Upper end; NaN: unknown.
     pub high: f64,
 }
 
-/// Which way something goes.
+/// Direction of marks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
-    /// From left to right.
+    /// Horizontal.
     Across,
-    /// From the bottom up.
+    /// Vertical.
     Up,
 }
 
@@ -32,52 +32,52 @@ pub enum Mark {
         /// Whether it is dashed.
         dashed: bool,
     },
-    /// A ribbon, from (x, low, high) to (x, low, high).
+    /// A band of points (x, low, high).
     Band(Vec<[f64; 3]>),
     /// A dot at each point.
     Points(Vec<[f64; 2]>),
-    /// A bar from 0 for each name of an axis, as long as its value, with its interval.
+    /// A bar from 0 for each category, with its interval.
     Bars {
-        /// One a name, in order.
+        /// One per category, in order.
         values: Vec<Interval>,
-        /// Which of how many bars of each name: `[0, 1]` if there is one.
+        /// Index and number of bars per category: `[0, 1]` if there is one.
         slot: [usize; 2],
-        /// Which way the bars go; the names are on the other axis.
+        /// Direction of the bars; the other axis is categorical.
         direction: Direction,
     },
-    /// A dot for each name of an axis, with its interval.
+    /// A dot for each category, with its interval.
     Dots {
-        /// One a name, in order.
+        /// One per category, in order.
         values: Vec<Interval>,
-        /// Which of how many dots of each name.
+        /// Index and number of dots per category.
         slot: [usize; 2],
-        /// Which way the values go; the names are on the other axis.
+        /// Direction of the values; the other axis is categorical.
         direction: Direction,
     },
-    /// Columns without gaps, from each edge to the next.
+    /// Adjacent columns, one between each pair of edges.
     Columns {
         /// The edges, one more than heights.
         edges: Vec<f64>,
         /// The heights.
         heights: Vec<f64>,
     },
-    /// Tiles, the darker the more pairs lie in them.
+    /// Tiles, darker for higher counts.
     Tiles(Tiles),
-    /// A dashed line over the whole panel: at this y if it goes across, at this x if it goes up.
+    /// A dashed line over the whole panel: at this y if horizontal, at this x if vertical.
     Rule {
-        /// Where.
+        /// Its position.
         at: f64,
-        /// Which way.
+        /// Its direction.
         direction: Direction,
     },
-    /// What lies between two x, over the whole height.
+    /// A shaded range of x over the whole height.
     Stripe([f64; 2]),
-    /// The dashed line on which both axes have the same number.
+    /// The dashed line x = y.
     Diagonal,
 }
 
 impl Interval {
-    /// A number of which nothing more is known.
+    /// A number without an interval.
     #[must_use]
     pub const fn exact(value: f64) -> Self {
         Self {

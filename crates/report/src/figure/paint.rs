@@ -1,4 +1,4 @@
-//! How marks are drawn on their axes.
+//! Drawing of marks on their axes.
 
 use plotters::coord::Shift;
 use plotters::coord::cartesian::Cartesian2d;
@@ -14,18 +14,18 @@ use super::mark::{Direction, Interval, Mark};
 use super::thin::thinned;
 use super::{Axis, Panel};
 
-/// Units of the drawing in a CSS pixel: the library's coordinates are whole numbers.
+/// Drawing units per CSS pixel: the library's coordinates are integers.
 pub(super) const UNITS: i32 = 10;
-/// Columns of points that a panel can show: half a CSS pixel each on the widest.
+/// Maximum number of point columns in a panel: half a CSS pixel each on the widest.
 const COLUMNS: usize = 1_200;
-/// Share of a name's place that is taken by what stands there.
+/// Share of a category's width that its marks occupy.
 const TAKEN: f64 = 0.78;
 
 pub(super) type Ground<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(super) type Plane<'a> = DrawingArea<SVGBackend<'a>, Cartesian2d<Span, Span>>;
 pub(super) type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
-/// How the legend shows a layer.
+/// Legend symbol of a layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Swatch {
     Line,
@@ -46,7 +46,7 @@ impl Mark {
         }
     }
 
-    /// The x and y that an axis has to hold; either may be NaN.
+    /// The points that the axes must include; either coordinate may be NaN.
     pub(super) fn extent(&self) -> Vec<[f64; 2]> {
         match self {
             Self::Line { points, .. } | Self::Points(points) => points.clone(),
@@ -83,7 +83,7 @@ impl Mark {
         }
     }
 
-    /// Whether there is anything to see but lines for orientation.
+    /// Whether it has data, other than guide lines.
     pub(super) fn has_data(&self, panel: &Panel) -> bool {
         let shown = |axis: &Axis, value: f64| axis.shows(value);
         match self {
@@ -156,7 +156,7 @@ impl Mark {
     }
 }
 
-/// What an axis has to hold of values along it.
+/// The range of values along an axis.
 fn spans(values: &[Interval], direction: Direction) -> impl Iterator<Item = [f64; 2]> + '_ {
     values
         .iter()
@@ -170,7 +170,7 @@ pub(super) fn rgb(colour: Colour) -> RGBColor {
     RGBColor(red, green, blue)
 }
 
-/// A stroke of tenths of a CSS pixel.
+/// A line style with a width in tenths of a CSS pixel.
 fn stroke(colour: Colour, tenths: u32) -> ShapeStyle {
     ShapeStyle {
         color: rgb(colour).to_rgba(),
@@ -219,7 +219,7 @@ fn rectangle(
     colour: Colour,
     opacity: f64,
 ) -> Drawn {
-    // The backend wants the corners in the order of the screen.
+    // The backend expects the corners in screen order.
     let (a, b) = (
         plane.map_coordinate(&pair(from)),
         plane.map_coordinate(&pair(to)),
@@ -250,8 +250,8 @@ fn dot(plane: &Plane<'_>, at: [f64; 2], tenths: i32, colour: Colour, opacity: f6
     ))
 }
 
-/// The intervals that have a value, each with where in the place of its name the `slot` lies, and
-/// half of its width.
+/// The intervals with a value, each with the position of its `slot` in its category, and half of
+/// its width.
 fn placed(
     values: &[Interval],
     [slot, slots]: [usize; 2],
@@ -339,7 +339,7 @@ fn draw_tiles(plane: &Plane<'_>, tiles: &Tiles, colour: Colour) -> Drawn {
         let from = [tiles.x_edges[column], tiles.y_edges[row]];
         let to = [tiles.x_edges[column + 1], tiles.y_edges[row + 1]];
         let share = libm::log1p(*count as f64) / libm::log1p(most);
-        // In twentieths, so that the numbers in the file stay short.
+        // Quantised to twentieths, to keep the numbers in the file short.
         let opacity = libm::round((0.12 + 0.88 * share) * 20.0) / 20.0;
         rectangle(plane, from, to, colour, opacity)?;
     }

@@ -1,4 +1,4 @@
-//! A figure as pixels.
+//! Rasterisation of a figure.
 
 use std::sync::{Arc, OnceLock};
 
@@ -7,13 +7,13 @@ use resvg::usvg::{Options, Tree, fontdb};
 
 use super::{Figure, FigureError};
 
-/// DejaVu Sans 2.37 without hints and without the characters that no figure writes; its licence lies
-/// beside it.
+/// DejaVu Sans 2.37 without hinting, reduced to the characters used; its licence is in the same
+/// directory.
 const FONT: &[u8] = include_bytes!("../../fonts/DejaVuSans-part.ttf");
 const FAMILY: &str = "DejaVu Sans";
 
 impl Figure {
-    /// The figure as a PNG file, on white, with `scale` pixels a CSS pixel, 0.5 to 8.
+    /// The figure as a PNG file, on white, with `scale` pixels per CSS pixel, 0.5 to 8.
     ///
     /// # Errors
     /// [`FigureError`].
@@ -28,7 +28,7 @@ fn png(figure: &Figure, scale: f32) -> Result<Vec<u8>, FigureError> {
         reason,
     };
     if !(0.5..=8.0).contains(&scale) {
-        return Err(failed(format!("scale {scale}; allowed are 0.5 to 8")));
+        return Err(failed(format!("scale {scale}; allowed: 0.5 to 8")));
     }
     let options = Options {
         fontdb: fonts(),
@@ -51,7 +51,7 @@ fn png(figure: &Figure, scale: f32) -> Result<Vec<u8>, FigureError> {
         .map_err(|error| failed(error.to_string()))
 }
 
-/// The one font of all pictures.
+/// The font of all figures.
 fn fonts() -> Arc<fontdb::Database> {
     static FONTS: OnceLock<Arc<fontdb::Database>> = OnceLock::new();
     let made = FONTS.get_or_init(|| {

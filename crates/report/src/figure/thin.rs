@@ -1,8 +1,8 @@
-//! Long lines with no more points than can be seen.
+//! Reduction of long lines to the visible points.
 
 /// The line with at most four points in each of `columns` equal parts of its horizontal extent: the
-/// first, the least, the greatest and the last. What is drawn looks the same, since a pixel's column
-/// shows no more. Points must be in order of x; a NaN stays as a hole.
+/// first, the minimum, the maximum and the last. The drawing looks the same, because a pixel column
+/// shows no more. Points must be in order of x; a NaN is kept as a gap.
 pub(super) fn thinned(points: &[[f64; 2]], columns: usize) -> Vec<[f64; 2]> {
     let known = || {
         points
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn holes_stay_and_short_lines_are_untouched() {
+    fn gaps_are_kept_and_short_lines_are_unchanged() {
         let short = [[0.0, 1.0], [1.0, f64::NAN], [2.0, 3.0]];
         let kept = thinned(&short, 10);
         assert_eq!(kept.len(), 3);
