@@ -1,25 +1,25 @@
-//! Where a model comes from and how good it was.
+//! Model card: origin and scores of a network.
 
 use crate::error::ModelError;
 use crate::features::{FeatureSet, Features};
 use crate::linear::Linear;
 
-/// How far a model's forecasts were off on data that it was not trained on.
+/// Residuals of a model on held-out data.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ResidualStats {
-    /// Standard deviation of reading minus forecast, in watt, not negative.
+    /// Standard deviation of reading minus forecast, W, not negative.
     pub std_w: f32,
-    /// 5 % quantile of reading minus forecast, in watt.
+    /// 5 % quantile of reading minus forecast, W.
     pub q05_w: f32,
-    /// 95 % quantile of reading minus forecast, in watt, at least `q05_w`.
+    /// 95 % quantile of reading minus forecast, W, at least `q05_w`.
     pub q95_w: f32,
 }
 
 impl ResidualStats {
-    /// Refuses values that are not finite or contradict one another.
+    /// Refuses values that are not finite or inconsistent.
     ///
     /// # Errors
-    /// [`ModelError::Field`] names the value, what was found and what is allowed.
+    /// [`ModelError::Field`] states the value, what was found and what is allowed.
     pub fn check(&self) -> Result<(), ModelError> {
         let std_fine = self.std_w >= 0.0 && self.std_w.is_finite();
         if !std_fine {
@@ -42,19 +42,19 @@ impl ResidualStats {
     }
 }
 
-/// Smallest and largest value of each feature in the training data, in SI units.
+/// Minimum and maximum of each feature in the training data, in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrainingRange {
-    /// The features that the model reads; the entries of the others mean nothing.
+    /// The features that the model reads; the entries of the others are meaningless.
     pub feature_set: FeatureSet,
-    /// Smallest value of each feature.
+    /// Minimum of each feature.
     pub min: Features,
-    /// Largest value of each feature.
+    /// Maximum of each feature.
     pub max: Features,
 }
 
 impl TrainingRange {
-    /// The range of some rows, of the features that a model reads.
+    /// The range of the features read, over some rows.
     #[must_use]
     pub fn of<'a>(feature_set: FeatureSet, rows: impl Iterator<Item = &'a Features>) -> Self {
         let mut range = Self {
@@ -73,8 +73,8 @@ impl TrainingRange {
         range
     }
 
-    /// Position of the first feature that the model reads and that lies outside the range, or is
-    /// NaN; `None` if all lie inside. `margin` widens each side by that share of the range's width.
+    /// Index of the first feature read that lies outside the range, or is NaN; `None` if all lie
+    /// inside. `margin` widens each side by that share of the range's width.
     pub fn outside(&self, row: &Features, margin: f32) -> Option<usize> {
         self.feature_set.range().find(|&index| {
             let slack = margin * (self.max[index] - self.min[index]);
@@ -85,25 +85,25 @@ impl TrainingRange {
     }
 }
 
-/// Scores on held-out data, with persistence beside the network.
+/// Scores on held-out data, of the network and of persistence.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Scores {
     /// Number of forecasts scored.
     pub rows: u64,
     /// Coefficient of determination of the network.
     pub network_r2: f32,
-    /// Mean absolute error of the network in watt.
+    /// Mean absolute error of the network, W.
     pub network_mae_w: f32,
     /// Coefficient of determination of persistence.
     pub persistence_r2: f32,
-    /// Mean absolute error of persistence in watt.
+    /// Mean absolute error of persistence, W.
     pub persistence_mae_w: f32,
 }
 
-/// Where a network comes from and how good it was.
+/// Origin and scores of a network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelCard {
-    /// Name for people.
+    /// Display name.
     pub name: String,
     /// `simulation` or a description of the recordings.
     pub source: String,
@@ -113,18 +113,18 @@ pub struct ModelCard {
     pub training_data_sha256: String,
     /// Seed of initial weights, batches and dropout.
     pub seed: u64,
-    /// Range of the features in training.
+    /// Training range of the features.
     pub training_range: TrainingRange,
     /// Residuals on held-out data.
     pub residual: ResidualStats,
     /// Scores on held-out data.
     pub scores: Scores,
-    /// The linear forecast fitted to the same rows, if there is one.
+    /// The linear baseline fitted to the same rows, if there is one.
     pub linear: Option<Linear>,
 }
 
 impl ModelCard {
-    /// A card that states the range and nothing else yet.
+    /// A card with only the training range set.
     #[must_use]
     pub fn new(training_range: TrainingRange) -> Self {
         Self {

@@ -1,4 +1,4 @@
-//! What a network's parameters and its card must be.
+//! Checks of a network's parameters and card.
 
 use crate::card::{ModelCard, Scores, TrainingRange};
 use crate::error::ModelError;
@@ -54,7 +54,7 @@ pub(crate) fn check_parameters(parameters: &Parameters) -> Result<(), ModelError
     check_folded(parameters)
 }
 
-/// What the kernels compute with has to be finite too.
+/// The folded parameters, used by the kernels, must be finite too.
 fn check_folded(parameters: &Parameters) -> Result<(), ModelError> {
     let names = ["first", "second", "third", "last"];
     for (name, layer) in names.into_iter().zip(fold(parameters)) {

@@ -1,22 +1,25 @@
-//! Why a model was refused.
+//! Errors of models and rollouts.
 
 use safetensors::SafeTensorError;
 use thiserror::Error;
 
-/// Why bytes or parameters are not a model that this build can run. The caller adds the file name.
+/// Why bytes or parameters are not a model that this build can execute. The caller adds the file
+/// name.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum ModelError {
-    /// Far larger than any model of this kind.
-    #[error("the file has {found} bytes, a model has at most {allowed}; is it another file?")]
+    /// Larger than any model of this kind.
+    #[error(
+        "the file has {found} bytes, a model has at most {allowed}; check that it is a model file"
+    )]
     TooLarge {
         /// Bytes found.
         found: usize,
         /// Bytes allowed.
         allowed: usize,
     },
-    /// The container itself is damaged or of another kind.
-    #[error("not a whole safetensors file ({0}); copy or train the model again")]
+    /// The container is corrupt or of another format.
+    #[error("not a complete safetensors file ({0}); copy or train the model again")]
     Container(#[from] SafeTensorError),
     /// A metadata entry is absent.
     #[error("metadata has no `{field}`; this is not a joulebus model")]
@@ -24,14 +27,14 @@ pub enum ModelError {
         /// Name of the entry.
         field: &'static str,
     },
-    /// A value is not one that this build accepts.
+    /// A value that this build does not accept.
     #[error("`{field}` is {found}, allowed: {allowed}")]
     Field {
         /// Name of the metadata entry or parameter.
         field: String,
         /// The value found.
         found: String,
-        /// What is accepted.
+        /// Allowed values.
         allowed: String,
     },
     /// A tensor is absent.
@@ -40,7 +43,7 @@ pub enum ModelError {
         /// Name of the tensor.
         tensor: String,
     },
-    /// A tensor that no model of this kind has.
+    /// A tensor that belongs to no layer.
     #[error("tensor `{tensor}` belongs to no layer; a model has exactly {allowed} tensors")]
     UnexpectedTensor {
         /// Name of the tensor.
@@ -55,7 +58,7 @@ pub enum ModelError {
         tensor: String,
         /// Type and shape found.
         found: String,
-        /// Type and shape accepted.
+        /// Type and shape allowed.
         allowed: String,
     },
     /// A weight or bias is NaN or infinite.
@@ -68,9 +71,9 @@ pub enum ModelError {
         /// The value found.
         value: f32,
     },
-    /// The contents are not those that were written.
+    /// The contents differ from the digest.
     #[error(
-        "contents have SHA-256 {found}, metadata says {stated}; the file was changed or damaged"
+        "contents have SHA-256 {found}, metadata says {stated}; the file was modified or corrupted"
     )]
     Checksum {
         /// Digest of the contents, hexadecimal.
@@ -94,36 +97,36 @@ impl ModelError {
     }
 }
 
-/// Why candidates can't be rolled out.
+/// Errors of rollouts.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum RolloutError {
-    /// The time between two steps is no time.
+    /// The time step is not positive and finite.
     #[error("step_s is {found}, allowed: positive and finite seconds")]
     Step {
         /// The value found.
         found: f32,
     },
-    /// Lanes that do not exist.
+    /// Lanes out of range.
     #[error(
         "lanes {start}..{end} were asked for, allowed: parts of 0..{allowed} (robots x candidates)"
     )]
     Lanes {
-        /// First lane asked for.
+        /// First lane requested.
         start: usize,
-        /// Lane past the last one asked for.
+        /// End of the lanes requested.
         end: usize,
         /// Number of lanes.
         allowed: usize,
     },
-    /// A slice of another length than the shape says.
+    /// The length of a slice does not match the shape.
     #[error("{column} has {found} values, allowed: {allowed}")]
     Length {
         /// Name of the slice.
         column: &'static str,
         /// Values found.
         found: usize,
-        /// Values that the shape asks for.
+        /// Values required by the shape.
         allowed: usize,
     },
 }

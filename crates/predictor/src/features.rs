@@ -1,4 +1,4 @@
-//! What the network is shown.
+//! Input features of the network.
 
 use std::ops::Range;
 
@@ -8,10 +8,10 @@ pub const LAGS: usize = 5;
 /// Number of features that the paper's network reads: the first ones of a row.
 pub const FEATURES: usize = 11;
 
-/// Number of features of one row: the paper's, and then the two of [`crate::ReadingAge`].
+/// Number of features in a row: the paper's, followed by the two of [`crate::ReadingAge`].
 pub const INPUTS: usize = FEATURES + 2;
 
-/// One row of raw features in SI units, in the order of [`FEATURE_NAMES`]. What is not known is NaN.
+/// One row of raw features in SI units, in the order of [`FEATURE_NAMES`]. Unknown values are NaN.
 pub type Features = [f32; INPUTS];
 
 /// Name of each feature with its unit; the power readings come newest first.
@@ -33,12 +33,12 @@ pub const FEATURE_NAMES: [&str; INPUTS] = [
 
 /// Builds the row for the forecast of the next reading.
 ///
-/// `v_mps` and `omega_radps` are the command in force, `previous` is the command before it with
-/// the true time between the two in seconds, `lag_w` the last readings in watt, newest first.
-/// Without a previous command both derivatives are 0. A time step that is not positive makes both
-/// derivatives NaN, so that the forecast is visibly invalid instead of plausible and wrong.
+/// `v_mps` and `omega_radps` are the current command, `previous` is the command before it with the
+/// true time between the two in seconds, `lag_w` the last readings in watt, newest first. Without a
+/// previous command both derivatives are 0. A time step that is not positive makes both derivatives
+/// NaN, so that the forecast is visibly invalid instead of plausible and wrong.
 ///
-/// The features of the reading age are NaN: [`crate::ReadingAge::fill`] sets them.
+/// The reading-age features are NaN: [`crate::ReadingAge::fill`] sets them.
 #[inline(always)]
 pub fn features(
     v_mps: f32,
@@ -72,12 +72,12 @@ pub fn features(
     ]
 }
 
-/// Which of the features a network reads.
+/// The subset of features that a network reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeatureSet {
     /// The paper's eleven.
     Full,
-    /// The power readings alone: for robots whose velocities nobody knows.
+    /// The power readings alone: for robots whose velocities are not recorded.
     PowerOnly,
     /// The paper's eleven, and the age of the newest reading.
     Freshness,
@@ -94,7 +94,7 @@ impl FeatureSet {
         FeatureSet::PowerFreshness,
     ];
 
-    /// The names used in model files, for messages.
+    /// The names in model files, for messages.
     pub(crate) const NAMES: &str = "full, power_only, freshness, power_freshness";
 
     /// Number of inputs of the network: 5 to 13.
@@ -102,8 +102,8 @@ impl FeatureSet {
         self.end() - self.first()
     }
 
-    /// Position in [`Features`] of the first feature that is read; all up to [`FeatureSet::end`]
-    /// are.
+    /// Index in [`Features`] of the first feature read; the features up to [`FeatureSet::end`] are
+    /// read.
     pub const fn first(self) -> usize {
         if self.needs_command() {
             0
@@ -112,7 +112,7 @@ impl FeatureSet {
         }
     }
 
-    /// Position in [`Features`] after the last feature that is read.
+    /// Index in [`Features`] after the last feature read.
     pub const fn end(self) -> usize {
         if self.needs_freshness() {
             INPUTS
@@ -121,7 +121,7 @@ impl FeatureSet {
         }
     }
 
-    /// Positions in [`Features`] of the features that are read.
+    /// Indices in [`Features`] of the features read.
     pub const fn range(self) -> Range<usize> {
         self.first()..self.end()
     }
@@ -136,7 +136,7 @@ impl FeatureSet {
         matches!(self, FeatureSet::Freshness | FeatureSet::PowerFreshness)
     }
 
-    /// The name used in model files.
+    /// The name in model files.
     pub const fn name(self) -> &'static str {
         match self {
             FeatureSet::Full => "full",
@@ -146,7 +146,7 @@ impl FeatureSet {
         }
     }
 
-    /// The set with this name, if there is one.
+    /// The set of this name, if there is one.
     pub fn from_name(name: &str) -> Option<FeatureSet> {
         FeatureSet::ALL.into_iter().find(|set| set.name() == name)
     }

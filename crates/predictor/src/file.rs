@@ -1,7 +1,7 @@
-//! Model files: safetensors with everything that explains the model in its metadata.
+//! Model files: safetensors with a complete description of the model in the metadata.
 //!
-//! The header is written here instead of by the `safetensors` crate, which takes the metadata in an
-//! order that changes from run to run: the same model has to give the same bytes.
+//! The header is written here instead of by the `safetensors` crate, whose order of metadata varies
+//! from run to run: the same model must give the same bytes.
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
@@ -35,7 +35,7 @@ pub(crate) fn bias_name(layer: usize) -> String {
     format!("layers.{layer}.bias")
 }
 
-/// What the features of a set mean; that of the paper's is the same as ever.
+/// The feature definitions of a set; that of the paper's set never changes.
 fn convention(set: FeatureSet) -> String {
     let more = match set.needs_freshness() {
         true => FRESHNESS_CONVENTION,
@@ -44,7 +44,7 @@ fn convention(set: FeatureSet) -> String {
     format!("{CONVENTION}{more}")
 }
 
-/// First eight bytes of the SHA-256 that the model file carries.
+/// First eight bytes of the SHA-256 in the model file.
 pub(crate) fn content_hash(parameters: &Parameters, card: &ModelCard) -> u64 {
     let fields = fields(parameters, card);
     let tensors = tensors(parameters);
@@ -160,7 +160,7 @@ fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<ModelCa
     })
 }
 
-/// Files written before there was a linear baseline have none of its fields.
+/// Older files have no linear baseline.
 fn read_linear(
     metadata: &Metadata<'_>,
     feature_set: FeatureSet,
@@ -376,7 +376,7 @@ fn check_digest(metadata: &Metadata<'_>, tensors: &SafeTensors<'_>) -> Result<()
 }
 
 /// SHA-256 of metadata (without its own entry) and tensors, each ascending by name: every text and
-/// every list with its length before it, every number as a little-endian u64.
+/// every list is preceded by its length, every number is a little-endian u64.
 fn digest<'a>(
     fields: impl Iterator<Item = (&'a str, &'a str)>,
     tensors: impl Iterator<Item = (&'a str, &'a [usize], &'a [u8])>,
@@ -406,7 +406,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The first eight bytes, most significant first.
+/// The first eight bytes as a big-endian number.
 pub(crate) fn leading_u64(digest: &[u8]) -> u64 {
     digest
         .iter()

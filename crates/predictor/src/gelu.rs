@@ -1,22 +1,22 @@
-//! GELU in both its forms, as every kernel computes it.
+//! GELU in both forms, with the arithmetic shared by all kernels.
 //!
-//! GELU(x) = relu(x) − p(|x|) in both forms, with a p that is smooth, at most 0.17 and vanishes.
-//! p is a polynomial of degree five in each of eight segments; a table that fits registers holds −p,
-//! and *the table alone* decides the form. The layers before and after carry two factors, so that
-//! both the segment and the value cost additions, which do not wait for the multiply-adds.
-//! `tools/fit_gelu.py` makes the tables and explains them.
+//! GELU(x) = relu(x) − p(|x|) in both forms, where p is smooth, at most 0.17 and tends to 0. p is a
+//! polynomial of degree five in each of eight segments; a table that fits into registers holds −p,
+//! and *the table alone* decides the form. The layers before and after carry scale factors, so that
+//! finding the segment and adding relu are additions, which do not compete with the multiply-adds.
+//! `tools/fit_gelu.py` computes the tables and documents them.
 
 /// The activation of the hidden layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Activation {
-    /// x·Φ(x) with Φ by the error function: what PyTorch and JAX call GELU.
+    /// x·Φ(x) with Φ by the error function: GELU in PyTorch and JAX.
     GeluErf,
     /// x·(1 + tanh(√(2/π)·(x + 0.044715·x³)))/2: the approximation of older models.
     GeluTanh,
 }
 
 impl Activation {
-    /// The name used in model files.
+    /// The name in model files.
     pub const fn name(self) -> &'static str {
         match self {
             Activation::GeluErf => "gelu_erf",
@@ -24,7 +24,7 @@ impl Activation {
         }
     }
 
-    /// The activation with this name, if there is one.
+    /// The activation of this name, if there is one.
     pub fn from_name(name: &str) -> Option<Activation> {
         [Activation::GeluErf, Activation::GeluTanh]
             .into_iter()
@@ -45,18 +45,18 @@ impl Activation {
             Activation::GeluErf => 0.5 * x * libm::erfc(-x * std::f64::consts::FRAC_1_SQRT_2),
             Activation::GeluTanh => {
                 let scale = (2.0 / std::f64::consts::PI).sqrt();
-                // (1 + tanh z) / 2 = 1 / (1 + exp(−2 z)), which does not cancel.
+                // (1 + tanh z) / 2 = 1 / (1 + exp(−2 z)), which avoids cancellation.
                 x / (1.0 + libm::exp(-2.0 * scale * (x + 0.044715 * x * x * x)))
             }
         }
     }
 
-    /// 2·SCALE·GELU(y / SCALE): the definition of the bits that every kernel gives. In GELU's own
-    /// unit the absolute error is at most 5e-7 plus half a unit in the last place of the argument.
+    /// 2·SCALE·GELU(y / SCALE): the definition of the bits that every kernel computes. In units of
+    /// GELU the absolute error is at most 5e-7 plus half a unit in the last place of the argument.
     ///
-    /// NaN and −∞ give NaN; +∞ and what overflows when doubled give +∞. So a poisoned input can
-    /// never come out as a plausible number. That is why relu is written as (y + |y|)/2: `max`
-    /// would drop a NaN or an −∞.
+    /// NaN and −∞ give NaN; +∞ and values that overflow when doubled give +∞. So an invalid input
+    /// never gives a plausible number. That is why relu is computed as (y + |y|)/2: `max` would
+    /// drop a NaN or an −∞.
     pub(crate) fn scaled_value(self, y: f32) -> f32 {
         let magnitude = y.abs();
         let clamped = if magnitude < LIMIT { magnitude } else { LIMIT };
@@ -72,14 +72,14 @@ impl Activation {
     }
 }
 
-/// Where the last segment ends.
+/// End of the last segment.
 pub(crate) const LIMIT: f32 = 7.4999995e+00;
 /// Segments per unit of x.
 pub(crate) const SCALE: f32 = 1.4150944e+00;
-/// Rounds what is added to it to an integer, in its lowest bits.
+/// Adding it rounds to an integer in the lowest bits.
 pub(crate) const MAGIC: f32 = 8.388608e+06;
 
-/// Largest error 4.2e-07 up to the limit, 3.1e-07 past it.
+/// Maximum error 4.2e-07 up to the limit, 3.1e-07 beyond it.
 static ERF: [[f32; 8]; 6] = [
     [
         -3.5846107e-08,
@@ -143,7 +143,7 @@ static ERF: [[f32; 8]; 6] = [
     ],
 ];
 
-/// Largest error 4.5e-07 up to the limit, 2.7e-08 past it.
+/// Maximum error 4.5e-07 up to the limit, 2.7e-08 beyond it.
 static TANH: [[f32; 8]; 6] = [
     [
         -3.225275e-08,
@@ -213,7 +213,7 @@ mod tests {
 
     const BOTH: [Activation; 2] = [Activation::GeluErf, Activation::GeluTanh];
 
-    /// Every 20,000th f32 below 16 in magnitude and a fine grid where GELU bends.
+    /// Every 20,000th f32 below 16 in magnitude and a fine grid where GELU is curved.
     fn arguments() -> impl Iterator<Item = f32> {
         let grid = (-800_000..=800_000).map(|step| step as f32 * 1e-5);
         let all = (0..16.0f32.to_bits()).step_by(20_000).map(f32::from_bits);
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    #[cfg_attr(miri, ignore = "takes hours there")]
+    #[cfg_attr(miri, ignore = "takes hours under Miri")]
     fn gelu_stays_within_its_stated_error_of_both_forms() {
         for activation in BOTH {
             let mut worst = 0.0f64;
@@ -232,13 +232,13 @@ mod tests {
                 let half_unit = f64::from(x.abs()) * f64::from(f32::EPSILON) / 2.0;
                 worst = worst.max(error.abs() - half_unit);
             }
-            println!("{activation:?}: largest error {worst:.1e} beside half a unit");
+            println!("{activation:?}: largest error {worst:.1e} in addition to half a unit");
             assert!(worst <= 5e-7, "{activation:?}: {worst:e}");
         }
     }
 
     #[test]
-    fn gelu_never_hides_a_poisoned_value() {
+    fn gelu_never_hides_an_invalid_value() {
         for activation in BOTH {
             for poison in [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
                 assert!(!activation.scaled_value(poison).is_finite(), "{poison}");

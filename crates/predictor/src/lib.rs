@@ -1,21 +1,22 @@
-//! The network that forecasts a robot's electrical power, and the baselines it has to beat.
+//! The network that forecasts a robot's electrical power, and its baselines.
 //!
-//! Pure: no clock, file, thread or shared memory. Bytes of a model file come in, forecasts in
-//! watt go out.
+//! Pure: no clock, file, thread or shared memory. Input are the bytes of a model file, output are
+//! forecasts in watt.
 //!
 //! - [`features`](features()) builds one row of inputs in SI units.
-//! - [`ReadingAge`] is how old the newest reading is and when the next one is due.
+//! - [`ReadingAge`] tracks the age of the newest reading and when the next one is due.
 //! - [`Model::predict`] turns any number of rows into as many forecasts, and
 //!   [`Model::predict_columns`] does so from one column for each feature.
-//! - [`Model::rollout`] feeds a model with its own forecasts: what would these commands cost?
+//! - [`Model::rollout`] feeds a model with its own forecasts, to compute the energy of a command
+//!   sequence.
 //! - [`Network`] is the model of arXiv 2603.13908, section 5: 11→64→64→32→1 with GELU.
 //!
-//! None of them allocates, and all can be shared between threads.
+//! None of them allocates, and all are thread-safe.
 //!
 //! **One arithmetic.** A robot's forecast depends on that robot's row alone and has the same bits
 //! for every batch size, every position in the batch, every tiling and every vector width, in rows,
 //! columns and rollouts; the scalar [`Network::predict_reference_f32`] is the definition that the
-//! kernels are tested against. Forecasts that are not a number are all the one [`f32::NAN`].
+//! kernels are tested against. Every NaN forecast is [`f32::NAN`].
 
 mod card;
 mod check;

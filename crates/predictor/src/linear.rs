@@ -3,15 +3,15 @@
 use crate::error::ModelError;
 use crate::features::{FeatureSet, Features, INPUTS};
 
-/// A forecast that is linear in the features: the last five readings (an autoregression, AR(5)) and,
-/// where they are read, the velocities. The trainer fits it by least squares on the rows that the
-/// network learns from; a model file carries it so that the tick can weigh it against the network.
+/// A forecast that is linear in the features: the last five readings (an autoregression, AR(5))
+/// and, where they are read, the velocities. The trainer fits it by least squares on the network's
+/// training rows; a model file includes it for the tick's mixture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Linear {
-    /// The features that are read, [`FeatureSet::Full`] or [`FeatureSet::PowerOnly`]; the weights of
-    /// the others are 0.
+    /// The features read, [`FeatureSet::Full`] or [`FeatureSet::PowerOnly`]; the weights of the
+    /// others are 0.
     pub feature_set: FeatureSet,
-    /// Forecast for features that are all 0, W.
+    /// Forecast where all features are 0, W.
     pub bias_w: f32,
     /// Weight of each feature, W per unit of the feature.
     pub weights: Features,
@@ -20,8 +20,8 @@ pub struct Linear {
 }
 
 impl Linear {
-    /// What the linear forecast reads beside a network that reads `network`: the same but for
-    /// the reading age, in which nothing is linear.
+    /// Feature set of the baseline of a network that reads `network`: the same without the reading
+    /// age, whose effect is not linear.
     pub const fn feature_set_beside(network: FeatureSet) -> FeatureSet {
         if network.needs_command() {
             FeatureSet::Full
@@ -33,7 +33,7 @@ impl Linear {
     /// Refuses numbers that are not finite, and weights of features that are not read.
     ///
     /// # Errors
-    /// [`ModelError`] names the field, what was found and what is allowed.
+    /// [`ModelError`] states the field, what was found and what is allowed.
     pub fn check(&self) -> Result<(), ModelError> {
         for (field, value) in [("linear_bias_w", self.bias_w), ("linear_r2", self.r2)] {
             if !value.is_finite() {
@@ -50,7 +50,7 @@ impl Linear {
         Ok(())
     }
 
-    /// The forecast of the next reading for one row, W: the bias, and then each weight times its
+    /// The forecast of the next reading for one row, W: the bias, then each weight times its
     /// feature, added in order. Not finite where one of them is not.
     pub fn predict(&self, row: &Features) -> f32 {
         let read = self.feature_set.range();
@@ -58,8 +58,8 @@ impl Linear {
     }
 
     /// As [`Linear::predict`], with one column for each feature: `features[f][i]` is feature `f` of
-    /// row `i`. The same bits. Columns of features that are not read may be empty; rows past the
-    /// shortest of the slices that are used are left alone.
+    /// row `i`. The same bits. Columns of features that are not read may be empty; rows beyond the
+    /// shortest of the slices used are left unchanged.
     pub fn predict_columns(&self, features: [&[f32]; INPUTS], forecasts_w: &mut [f32]) {
         forecasts_w.fill(self.bias_w);
         for feature in self.feature_set.range() {
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_read_does_not_matter() {
+    fn features_that_are_not_read_have_no_effect() {
         let mut row = [f32::NAN; INPUTS];
         row[6..11].fill(4.0);
         assert_eq!(linear().predict(&row), 5.0);
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_that_make_no_sense_are_refused() {
+    fn invalid_weights_are_refused() {
         assert!(linear().check().is_ok());
         for (at, weight) in [
             (0, 0.5),

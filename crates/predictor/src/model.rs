@@ -1,4 +1,4 @@
-//! A model as the tick sees it: the network or a baseline.
+//! A model as used by the tick: a network or a baseline.
 
 use std::ops::Range;
 
@@ -12,17 +12,17 @@ use crate::network::Network;
 use crate::persistence::Persistence;
 use crate::rollout::Rollouts;
 
-/// What forecasts the power of the robots of one platform.
+/// The forecaster of one platform.
 #[derive(Clone, Debug)]
 pub enum Model {
     /// A trained network.
     Network(Network),
-    /// The last reading again.
+    /// Repeats the last reading.
     Persistence(Persistence),
 }
 
 impl Model {
-    /// The features that are read.
+    /// The features read.
     pub fn feature_set(&self) -> FeatureSet {
         match self {
             Model::Network(network) => network.feature_set(),
@@ -30,22 +30,22 @@ impl Model {
         }
     }
 
-    /// Whether forecasts need velocities. Without them, a model for which this is `true` forecasts
-    /// NaN, never a number made up from zeros.
+    /// Whether forecasts need velocities. Without them, such a model forecasts NaN, never a number
+    /// computed from zeros.
     pub fn needs_command(&self) -> bool {
         self.feature_set().needs_command()
     }
 
-    /// Whether forecasts need the age of the newest reading. Without it, a model for which
-    /// this is `true` forecasts NaN.
+    /// Whether forecasts need the age of the newest reading. Without it, such a model forecasts
+    /// NaN.
     pub fn needs_freshness(&self) -> bool {
         self.feature_set().needs_freshness()
     }
 
-    /// Forecasts one reading in watt for each row. Rows past the shorter of the two slices are left
-    /// alone; callers keep both the same length. Allocates nothing. A row with a NaN or an
-    /// infinity among the features that the model reads gives a forecast that is not finite, and
-    /// changes no other row.
+    /// Forecasts one reading in watt for each row. Rows beyond the shorter of the two slices are
+    /// left unchanged; callers pass equal lengths. Allocates nothing. A row with a NaN or an
+    /// infinity among the features read gives a forecast that is not finite, and changes no other
+    /// row.
     pub fn predict(&self, inputs: &[Features], out_w: &mut [f32]) {
         match self {
             Model::Network(network) => network.predict(inputs, out_w),
@@ -81,7 +81,7 @@ impl Model {
         }
     }
 
-    /// What the model runs on, for other work: a network's is that of its kernel.
+    /// The instruction set for other loops: that of a network's kernel.
     pub fn simd_level(&self) -> SimdLevel {
         match self {
             Model::Network(network) => network.simd_level(),
@@ -97,7 +97,7 @@ impl Model {
         }
     }
 
-    /// Name for people.
+    /// Display name.
     pub fn name(&self) -> &str {
         match self {
             Model::Network(network) => &network.card().name,
@@ -105,7 +105,7 @@ impl Model {
         }
     }
 
-    /// Residuals on data that the model was not trained on.
+    /// Residuals on held-out data.
     pub fn residual(&self) -> ResidualStats {
         match self {
             Model::Network(network) => network.card().residual,
@@ -113,7 +113,7 @@ impl Model {
         }
     }
 
-    /// Range of the features in training; `None` for a model that was not trained.
+    /// Training range of the features; `None` for a model without training.
     pub fn training_range(&self) -> Option<&TrainingRange> {
         match self {
             Model::Network(network) => Some(&network.card().training_range),
@@ -121,7 +121,7 @@ impl Model {
         }
     }
 
-    /// The linear forecast that was fitted to the same rows; `None` where the file has none.
+    /// The linear baseline fitted to the same rows, if there is one.
     pub fn linear(&self) -> Option<&Linear> {
         match self {
             Model::Network(network) => network.card().linear.as_ref(),
@@ -129,22 +129,22 @@ impl Model {
         }
     }
 
-    /// Runs the candidates of `lanes` and writes the energy of each in joule, and if wanted its
-    /// forecast of every step in watt (step by step: `power_w[t * lanes.len() + l]`).
+    /// Rolls out the candidates of `lanes` and writes the energy of each in joule, and optionally
+    /// its forecast of every step in watt (step by step: `power_w[t * lanes.len() + l]`).
     ///
-    /// At each step the model sees the command of that step, the derivatives over `step_s`, and as
-    /// lag window its own forecasts, with the robot's readings behind them. The bits are those of
-    /// [`Model::predict`] called step by step by hand with rows of [`features`](crate::features()); the energy is
-    /// `step_s` times the sum of the forecasts in step order, both in double precision, rounded
-    /// once. A lane with a command or reading that is not finite gives results that are not finite
-    /// from that step on, and changes no other lane.
+    /// At each step the features are the command of that step, the derivatives over `step_s`, and
+    /// as lag window the model's own forecasts, preceded by the robot's readings. The bits are
+    /// those of [`Model::predict`] called step by step with rows of
+    /// [`features`](crate::features()); the energy is `step_s` times the sum of the forecasts in
+    /// step order, both in double precision, rounded once. A lane with a command or reading that is
+    /// not finite gives results that are not finite from that step on, and changes no other lane.
     ///
     /// `lanes` is a part of `0..rollouts.lanes()`, so that threads can share the work: the outputs
-    /// are those of the part alone. Allocates nothing.
+    /// are those of the part only. Allocates nothing.
     ///
     /// # Errors
-    /// [`RolloutError`] where the time step is not positive and finite, lanes do not exist, or a slice
-    /// has another length than the shape says; nothing is written then.
+    /// [`RolloutError`] where the time step is not positive and finite, lanes are out of range, or
+    /// the length of a slice does not match the shape; nothing is written then.
     pub fn rollout(
         &self,
         rollouts: &Rollouts<'_>,
@@ -163,7 +163,7 @@ impl Model {
     }
 }
 
-/// Persistence fed with its own forecasts: the newest reading indefinitely.
+/// Persistence in open loop: the newest reading at every step.
 fn repeat(
     rollouts: &Rollouts<'_>,
     lanes: Range<usize>,

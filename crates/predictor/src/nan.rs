@@ -1,6 +1,6 @@
-//! Forecasts that are not a number.
+//! Canonical NaN.
 
-/// One bit pattern for every NaN: CPUs and compilers disagree on sign and payload.
+/// Maps every NaN to one bit pattern: CPUs and compilers disagree on sign and payload.
 #[inline(always)]
 pub(crate) fn canonical(value: f32) -> f32 {
     if value.is_nan() { f32::NAN } else { value }

@@ -1,4 +1,4 @@
-//! The network's parameters, and its slow, obvious evaluation.
+//! The network's parameters, and its slow reference evaluation.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,7 +12,7 @@ use crate::nan::canonical;
 use crate::parameters::{Layer, Normalisation, Parameters};
 use crate::rollout::Rollouts;
 
-/// A network that passed every check and is ready to run.
+/// A network that passed every check.
 #[derive(Clone, Debug)]
 pub struct Network {
     parameters: Box<Parameters>,
@@ -27,8 +27,7 @@ impl Network {
     /// A network from its parts.
     ///
     /// # Errors
-    /// [`ModelError`] on wrong sizes, numbers that are not finite and statistics that contradict one
-    /// another.
+    /// [`ModelError`] on wrong sizes, numbers that are not finite and inconsistent statistics.
     pub fn new(parameters: Parameters, card: ModelCard) -> Result<Network, ModelError> {
         check_parameters(&parameters)?;
         check_card(&card, parameters.feature_set)?;
@@ -47,8 +46,8 @@ impl Network {
     /// Reads a model file.
     ///
     /// # Errors
-    /// [`ModelError`] names the part of the file with what was found and what is allowed; a file that
-    /// was changed or cut anywhere is refused.
+    /// [`ModelError`] states the part of the file with what was found and what is allowed; a file
+    /// that was modified or truncated anywhere is refused.
     pub fn from_safetensors(bytes: &[u8]) -> Result<Network, ModelError> {
         let (parameters, card) = file::read(bytes)?;
         Network::new(parameters, card)
@@ -57,39 +56,39 @@ impl Network {
     /// The model file: the same bytes for the same network on every machine.
     ///
     /// # Errors
-    /// [`ModelError::TooLarge`] where names and descriptions on the card make it larger than a model
-    /// file may be.
+    /// [`ModelError::TooLarge`] where names and descriptions on the card exceed the size limit of a
+    /// model file.
     pub fn to_safetensors(&self) -> Result<Vec<u8>, ModelError> {
         file::write(&self.parameters, &self.card)
     }
 
-    /// The same network on another kernel, or `None` if this CPU can't run it.
+    /// The same network on another kernel, or `None` if this CPU does not support it.
     pub fn with_kernel(self, kernel: Kernel) -> Option<Network> {
         let engine = Engine::new(kernel)?;
         Some(Network { engine, ..self })
     }
 
-    /// The kernel in use: the best that this CPU has, chosen once.
+    /// The kernel in use: by default the best that this CPU supports.
     pub fn kernel(&self) -> Kernel {
         self.engine.kernel()
     }
 
-    /// The instructions of that kernel, for other work.
+    /// The instruction set of that kernel, for other loops.
     pub fn simd_level(&self) -> SimdLevel {
         SimdLevel(self.engine)
     }
 
-    /// The same network cut into other tiles: for measurements and tests.
+    /// The same network with another tiling: for measurements and tests.
     pub fn with_tiling(self, tiling: Tiling) -> Network {
         Network { tiling, ..self }
     }
 
-    /// The features that are read.
+    /// The features read.
     pub fn feature_set(&self) -> FeatureSet {
         self.parameters.feature_set
     }
 
-    /// Where the network comes from.
+    /// The model card.
     pub fn card(&self) -> &ModelCard {
         &self.card
     }
@@ -115,7 +114,7 @@ impl Network {
             .columns(&self.packed, self.tiling, columns, out_w);
     }
 
-    /// Lanes from `first` on of checked rollouts, as many as `energy_j` has places.
+    /// Lanes of checked rollouts from `first`, as many as `energy_j` has elements.
     pub(crate) fn rollout(
         &self,
         rollouts: &Rollouts<'_>,
@@ -129,12 +128,12 @@ impl Network {
 
     /// One forecast in watt by plain loops: the definition of the network's bits. Allocates.
     ///
-    /// The normalisation is folded into the first and the last layer, and the factors of GELU's
-    /// segments into all four (`kernel/packed.rs`). A hidden output is its bias
-    /// plus one fused multiply-add for each input, in order, and then GELU. The last output is
-    /// sixteen products, each joined by the one sixteen further on in a fused multiply-add, added
-    /// in pairs (half onto half), and then the bias. Every NaN becomes [`f32::NAN`]: CPUs and
-    /// compilers disagree on its sign and payload, so this is what lets bits be compared.
+    /// The normalisation is folded into the first and the last layer, and the scale factors of
+    /// GELU's segments into all four (`kernel/packed.rs`). A hidden output is its bias plus one
+    /// fused multiply-add for each input, in order, and then GELU. The last output is sixteen
+    /// products, to each of which the one sixteen further on is added by a fused multiply-add,
+    /// added pairwise (half onto half), and then the bias. Every NaN becomes [`f32::NAN`]: CPUs and
+    /// compilers disagree on its sign and payload, and bits must be comparable.
     pub fn predict_reference_f32(&self, row: &Features) -> f32 {
         let [hidden @ .., last] = fold(&self.parameters);
         let mut values = row[self.feature_set().range()].to_vec();
@@ -155,7 +154,8 @@ impl Network {
         canonical(pairwise(sums) + last.bias[0])
     }
 
-    /// One forecast in watt in double precision with a true error function, for checks. Allocates.
+    /// One forecast in watt in double precision with the exact error function, for checks.
+    /// Allocates.
     pub fn predict_reference_f64(&self, row: &Features) -> f64 {
         let Normalisation {
             feature_mean,

@@ -1,4 +1,4 @@
-//! What decides a forecast: weights, normalisation and activation.
+//! Parameters of a network: weights, normalisation and activation.
 
 use crate::features::{FeatureSet, Features};
 use crate::gelu::Activation;
@@ -9,9 +9,9 @@ pub const HIDDEN: [usize; 3] = [64, 64, 32];
 /// A dense layer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layer {
-    /// Weights, row-major, one row of inputs for each output.
+    /// Weights, row-major, one row of inputs per output.
     pub weights: Vec<f32>,
-    /// One bias for each output.
+    /// One bias per output.
     pub bias: Vec<f32>,
 }
 
@@ -22,20 +22,20 @@ pub struct Normalisation {
     pub feature_mean: Features,
     /// Standard deviation of each feature; 0 for a constant feature, which is then ignored.
     pub feature_std: Features,
-    /// Mean power in watt.
+    /// Mean power, W.
     pub power_mean_w: f32,
-    /// Standard deviation of power in watt, positive: the output scale.
+    /// Standard deviation of power, W, positive: the output scale.
     pub power_std_w: f32,
 }
 
-/// Everything that decides a forecast.
+/// Everything that determines a forecast.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
-    /// The features that are read; entries of the others in the normalisation mean nothing.
+    /// The features read; entries of the others in the normalisation are meaningless.
     pub feature_set: FeatureSet,
     /// Statistics of the training data.
     pub normalisation: Normalisation,
-    /// What follows each hidden layer.
+    /// The activation of the hidden layers.
     pub activation: Activation,
     /// Inputs→64, 64→64, 64→32, 32→1.
     pub layers: [Layer; 4],

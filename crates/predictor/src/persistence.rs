@@ -14,11 +14,11 @@ pub struct Persistence {
 }
 
 impl Persistence {
-    /// Persistence with the residuals that it has on the platform's data; they set the width of
-    /// the first intervals.
+    /// Persistence with its residuals on the platform's data, which set the width of the first
+    /// intervals.
     ///
     /// # Errors
-    /// [`ModelError::Field`] where residuals are not finite or contradict one another.
+    /// [`ModelError::Field`] where residuals are not finite or inconsistent.
     pub fn new(residual: ResidualStats) -> Result<Persistence, ModelError> {
         residual.check()?;
         let mut digest = Sha256::new();

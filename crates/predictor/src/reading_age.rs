@@ -1,49 +1,50 @@
-//! How old the newest reading is.
+//! Age of the newest reading.
 //!
-//! A power monitor that measures less often than the robot is sampled repeats itself: of the
-//! GTernal's readings, polled at 10 Hz and returned at 30 Hz, two of three are the one before. Such
-//! a reading is known in advance, and a network that is told so need not hedge.
+//! A power monitor that measures less often than the robot is sampled repeats its readings: two of
+//! three GTernal readings, polled at 10 Hz and returned at 30 Hz, are held. Such a reading is known
+//! in advance, and a network that knows its age can forecast it exactly.
 
 use serde::{Deserialize, Serialize};
 
 use crate::features::{FEATURES, Features};
 
-/// How long ago a robot's power was last measured, and how often it is, both counted in its own
-/// samples: no clock is asked, so the same samples give the same bits whenever they are replayed.
+/// Age of a robot's last measurement, and the interval between measurements, both counted in its
+/// own samples: no clock is used, so the same samples give the same bits whenever they are
+/// replayed.
 ///
 /// Every sample with a reading is [`ReadingAge::read`]; every sample period without one is
-/// [`ReadingAge::pass`]ed, by the schedule that the robot has kept so far. The *interval* between two
-/// measurements is learned: a shorter one is believed at once, a longer one by a sample at a
-/// time, for it may be a new measurement that was equal to the one before and so taken for held.
+/// [`ReadingAge::pass`]ed, by the schedule that the robot has kept so far. The *interval* between
+/// two measurements is estimated: a shorter one is adopted at once, a longer one by one sample at a
+/// time, because a new measurement equal to the previous one is mistaken for a held reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ReadingAge {
     /// Samples since the last measurement, or [`NEVER`].
     age_steps: u8,
-    /// Samples from one measurement to the next; 0 where two have not been seen.
+    /// Samples from one measurement to the next; 0 until two have been seen.
     interval_steps: u8,
 }
 
-/// In place of an age: nothing was measured yet. One more than the greatest age that is counted.
+/// Value of the age before the first measurement; one more than the maximum age.
 const NEVER: u8 = u8::MAX;
 
 impl ReadingAge {
-    /// The age at which the feature ends to grow: a second at 30 Hz, in which even the public
-    /// firmware's default has measured again. A robot at rest for an hour is no outlier then.
+    /// Maximum of the age feature: a second at 30 Hz, the slowest default poll period, so that a
+    /// robot at rest for an hour is no outlier.
     pub const LONGEST_STEPS: u8 = 30;
 
-    /// Nothing was measured yet.
+    /// Before the first measurement.
     pub const UNKNOWN: ReadingAge = ReadingAge {
         age_steps: NEVER,
         interval_steps: 0,
     };
 
-    /// To be kept in columns.
+    /// As bytes, for storage in columns.
     #[inline(always)]
     pub const fn to_bytes(self) -> [u8; 2] {
         [self.age_steps, self.interval_steps]
     }
 
-    /// From [`ReadingAge::to_bytes`]; any two bytes make sense.
+    /// From [`ReadingAge::to_bytes`]; any two bytes are valid.
     #[inline(always)]
     pub const fn from_bytes([age_steps, interval_steps]: [u8; 2]) -> ReadingAge {
         ReadingAge {
@@ -52,10 +53,10 @@ impl ReadingAge {
         }
     }
 
-    /// Takes the next sample, with a reading: a new measurement, or the last one again.
+    /// Takes the next sample, with a new measurement or a held reading.
     #[inline(always)]
     pub fn read(&mut self, new: bool) {
-        // A held reading of which nobody saw the beginning has no age.
+        // A held reading without a known measurement has no age.
         let older = self.older_by(1);
         let interval_steps = self.age_steps.wrapping_add(1);
         let learned = if self.interval_steps == 0 {
@@ -68,15 +69,15 @@ impl ReadingAge {
         self.age_steps = if new { 0 } else { older };
     }
 
-    /// Lets sample periods pass without a reading: where a measurement was due, one is taken to have
-    /// been made, as it is where forecasts stand in for readings.
+    /// Advances by sample periods without a reading: where a measurement was due, it is assumed to
+    /// have been made, as in open loop.
     pub fn pass(&mut self, steps: u64) {
         let (age, interval) = (u64::from(self.age_steps), u64::from(self.interval_steps));
         if interval == 0 {
             self.age_steps = self.older_by(steps);
             return;
         }
-        // What is overdue comes with the next step.
+        // An overdue measurement is assumed at the next step.
         let to_next = interval.saturating_sub(age).max(1);
         self.age_steps = match steps.checked_sub(to_next) {
             // Less than an interval, which is a `u8`.
@@ -85,7 +86,7 @@ impl ReadingAge {
         };
     }
 
-    /// As [`ReadingAge::pass`]ed.
+    /// The state after [`ReadingAge::pass`].
     #[must_use]
     pub fn after(mut self, steps: u64) -> ReadingAge {
         self.pass(steps);
@@ -98,28 +99,26 @@ impl ReadingAge {
         self.age_steps != NEVER && self.interval_steps > 0
     }
 
-    /// Samples since the last measurement, 0 to 254; `None` if none was seen. Longer ages count as
-    /// 254.
+    /// Samples since the last measurement, 0 to 254; `None` before the first. Saturates at 254.
     pub fn age_steps(&self) -> Option<u8> {
         (self.age_steps != NEVER).then_some(self.age_steps)
     }
 
-    /// Samples from one measurement to the next, at least 1; `None` if two have not been seen.
+    /// Samples from one measurement to the next, at least 1; `None` until two have been seen.
     pub fn interval_steps(&self) -> Option<u8> {
         self.is_known().then_some(self.interval_steps)
     }
 
-    /// Whether a new measurement is due with the next sample, or overdue; `None` if that is not
-    /// known.
+    /// Whether a new measurement is due with the next sample, or overdue; `None` if unknown.
     #[inline(always)]
     pub fn is_due(&self) -> Option<bool> {
-        // An age that is known is below 255.
+        // A known age is below 255.
         let due = self.age_steps.saturating_add(1) >= self.interval_steps;
         self.is_known().then_some(due)
     }
 
-    /// Sets its two features: the age in samples, up to [`ReadingAge::LONGEST_STEPS`], and
-    /// whether a new measurement is due, 1 or 0. Both are NaN where that is not known.
+    /// Sets its two features: the age in samples, up to [`ReadingAge::LONGEST_STEPS`], and whether
+    /// a new measurement is due, 1 or 0. Both are NaN if unknown.
     #[inline(always)]
     pub fn fill(&self, row: &mut Features) {
         let (known, due) = (self.is_known(), self.is_due() == Some(true));
@@ -129,7 +128,7 @@ impl ReadingAge {
         row[FEATURES + 1] = if known { due } else { f32::NAN };
     }
 
-    /// The age after so many more samples; unknown stays unknown.
+    /// The age after more samples; unknown stays unknown.
     #[inline(always)]
     fn older_by(&self, steps: u64) -> u8 {
         let steps = steps.min(NEVER.into()) as u8;
@@ -161,8 +160,8 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_is_learned_from_the_stream_and_one_equal_reading_does_not_spoil_it() {
-        // n: a new measurement, h: one that is held.
+    fn the_interval_is_estimated_and_robust_to_one_equal_reading() {
+        // n: a new measurement, h: a held reading.
         for (pattern, age, interval, due) in [
             ("", None, None, None),
             ("hhh", None, None, None),
@@ -173,7 +172,8 @@ mod tests {
             ("nhhnhh", Some(2), Some(3), Some(true)),
             ("nhhnhhh", Some(3), Some(3), Some(true)),
             ("nn", Some(0), Some(1), Some(true)),
-            // The reading in the middle was new and equal: six samples, believed as four.
+            // The measurement in the middle was equal to its predecessor: six samples, adopted as
+            // four.
             ("nhhnhhhhhn", Some(0), Some(4), Some(false)),
             ("nhhnhhhhhnhhn", Some(0), Some(3), Some(false)),
             ("nhhhnhn", Some(0), Some(2), Some(false)),
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_period_that_passes_keeps_the_schedule() {
+    fn a_period_without_reading_keeps_the_schedule() {
         let ages = (0..8).map(|steps| of("nhhn").after(steps).age_steps());
         let expected = [0, 1, 2, 0, 1, 2, 0, 1].map(Some);
         assert!(ages.eq(expected));

@@ -1,4 +1,4 @@
-//! What would these commands cost? The model fed with its own forecasts.
+//! Open-loop rollouts of command sequences.
 
 use std::ops::Range;
 
@@ -6,32 +6,31 @@ use crate::error::RolloutError;
 use crate::features::LAGS;
 use crate::reading_age::ReadingAge;
 
-/// Where a robot stands before the first step of its candidates.
+/// State of a robot before the first step of its candidates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RolloutStart {
-    /// The command in force before the first step: linear velocity in m/s and angular velocity in
-    /// rad/s. `None` if there was none; the derivatives of the first step are then 0.
+    /// The command before the first step: linear velocity in m/s and angular velocity in rad/s.
+    /// `None` if there was none; the derivatives of the first step are then 0.
     pub command: Option<(f32, f32)>,
     /// The last readings in watt, newest first.
     pub lag_w: [f32; LAGS],
-    /// How old the newest of them is; read by models that ask for it
-    /// ([`crate::Model::needs_freshness`]). From step to step it goes by the schedule
-    /// ([`ReadingAge::pass`]).
+    /// The age of the newest of them, for models with [`crate::Model::needs_freshness`]. From step
+    /// to step it follows the schedule ([`ReadingAge::pass`]).
     pub reading_age: ReadingAge,
 }
 
 /// Candidate command sequences of any number of robots, all of the same length.
 ///
 /// A *lane* is one candidate of one robot: lane `robot * candidates + candidate`. Commands are
-/// columns step by step: the command of lane `l` at step `t` stands at `t * lanes + l`, so that a
-/// step of many lanes is one stretch of memory.
+/// stored step by step: the command of lane `l` at step `t` is at `t * lanes + l`, so that a step
+/// of many lanes is contiguous in memory.
 #[derive(Clone, Copy, Debug)]
 pub struct Rollouts<'a> {
-    /// Where each robot stands.
+    /// Initial state of each robot.
     pub starts: &'a [RolloutStart],
-    /// Candidates of each robot.
+    /// Candidates per robot.
     pub candidates: usize,
-    /// Steps of each candidate.
+    /// Steps per candidate.
     pub steps: usize,
     /// Time between two steps in seconds, positive and finite.
     pub step_s: f32,
@@ -42,7 +41,7 @@ pub struct Rollouts<'a> {
 }
 
 impl Rollouts<'_> {
-    /// Robots times candidates. Saturates; a number that large fits no slice and is refused later.
+    /// Robots times candidates. Saturates; such a number fits no slice and is refused later.
     pub fn lanes(&self) -> usize {
         self.starts.len().saturating_mul(self.candidates)
     }

@@ -1,8 +1,8 @@
-//! A model file is read as it was written, or refused with a reason.
-#![cfg(not(miri))] // Hours there; `memory.rs` has what Miri can judge.
+//! A model file is read as written, or refused with a reason.
+#![cfg(not(miri))] // Takes hours under Miri; `memory.rs` is the test for Miri.
 
 mod forged;
-#[allow(dead_code)] // Each test file uses its part.
+#[allow(dead_code)] // Each test file uses a part.
 mod random;
 
 use forged::{Contents, forged};
@@ -20,7 +20,7 @@ fn header_end(bytes: &[u8]) -> usize {
 }
 
 #[test]
-fn a_network_survives_its_file_bit_for_bit() {
+fn a_network_is_read_from_its_file_bit_for_bit() {
     for feature_set in FeatureSet::ALL {
         let original = network(1, feature_set);
         let bytes = written(feature_set);
@@ -33,7 +33,7 @@ fn a_network_survives_its_file_bit_for_bit() {
 }
 
 #[test]
-fn the_hash_follows_weights_and_card() {
+fn the_hash_depends_on_weights_and_card() {
     let original = network(1, FeatureSet::Full).hash();
     let mut other = parameters(&mut Noise(1), FeatureSet::Full);
     other.layers[2].weights[5] += 1e-6;
@@ -95,14 +95,14 @@ fn contents_of(set: FeatureSet) -> Contents {
 }
 
 #[test]
-fn a_forged_file_with_sound_contents_is_accepted_so_that_the_refusals_below_mean_something() {
+fn a_rewritten_file_with_valid_contents_is_accepted() {
     let (metadata, tensors) = contents();
     let read = Network::from_safetensors(&forged(&metadata, &tensors)).expect("sound");
     assert_eq!(read.hash(), network(1, FeatureSet::Full).hash());
 }
 
 #[test]
-fn the_form_of_gelu_survives_the_file_and_changes_hash_and_forecast() {
+fn the_form_of_gelu_is_stored_and_changes_hash_and_forecast() {
     let row = [0.3; INPUTS];
     let mut parameters = parameters(&mut Noise(31), FeatureSet::Full);
     let seen = [Activation::GeluErf, Activation::GeluTanh].map(|activation| {
@@ -173,7 +173,7 @@ fn wrong_metadata_is_refused_by_name() {
 }
 
 #[test]
-fn a_file_says_which_features_are_read_and_what_those_of_freshness_mean() {
+fn a_file_states_the_features_read_and_the_definition_of_the_reading_age() {
     let of = |set| contents_of(set).0;
     let (paper, fresh) = (of(FeatureSet::Full), of(FeatureSet::Freshness));
     assert_eq!(paper["feature_set"], "full");
@@ -187,7 +187,7 @@ fn a_file_says_which_features_are_read_and_what_those_of_freshness_mean() {
     );
     assert!(!of(FeatureSet::PowerOnly)["convention"].contains("reading_due"));
 
-    // A set whose list of features, meaning or weights are those of another one is refused.
+    // A set with the feature list, definition or weights of another one is refused.
     for (set, other) in [
         (FeatureSet::Full, FeatureSet::Freshness),
         (FeatureSet::Freshness, FeatureSet::Full),

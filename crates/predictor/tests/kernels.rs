@@ -1,7 +1,7 @@
 //! The promise of one arithmetic: every kernel, batch size and position gives the reference's bits.
-#![cfg(not(miri))] // Hours there; `memory.rs` has what Miri can judge.
+#![cfg(not(miri))] // Takes hours under Miri; `memory.rs` is the test for Miri.
 
-#[allow(dead_code)] // Each test file uses its part.
+#[allow(dead_code)] // Each test file uses a part.
 mod random;
 
 use joulebus_predictor::{
@@ -14,7 +14,7 @@ use std::path::Path;
 
 const SETS: [FeatureSet; 4] = FeatureSet::ALL;
 
-/// The network on every kernel that this CPU has, in every tiling.
+/// The network on every kernel that this CPU supports, in every tiling.
 fn kernels(network: &Network) -> Vec<Network> {
     let tilings = [Tiling::ByInput, Tiling::BatchMajor, Tiling::OutputMajor];
     let all = Kernel::ALL.into_iter();
@@ -23,18 +23,18 @@ fn kernels(network: &Network) -> Vec<Network> {
         .collect()
 }
 
-/// The networks that ship, found beside the crate.
+/// The shipped networks.
 fn trained() -> Vec<Network> {
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/models");
     ["gternal-sim.safetensors", "gternal-sim-power.safetensors"]
         .map(|name| {
-            let bytes = std::fs::read(models.join(name)).expect("the models that ship are there");
-            Network::from_safetensors(&bytes).expect("the models that ship are sound")
+            let bytes = std::fs::read(models.join(name)).expect("the shipped models exist");
+            Network::from_safetensors(&bytes).expect("the shipped models are valid")
         })
         .into()
 }
 
-/// A row as in training: about the mean, and within the range.
+/// A row as in training: near the mean, and within the range.
 fn usual_row(network: &Network, noise: &mut Noise) -> Features {
     let range = network.card().training_range;
     let normalisation = network.parameters().normalisation;
@@ -45,8 +45,8 @@ fn usual_row(network: &Network, noise: &mut Noise) -> Features {
     })
 }
 
-/// A row anywhere in the range that the network was trained on: most have a reading that was a
-/// dozen deviations from the mean in training, next to others that were not.
+/// A random row within the training range: most have a reading a dozen deviations from the mean,
+/// next to others that are not.
 fn row_in_range(network: &Network, noise: &mut Noise) -> Features {
     let range = network.card().training_range;
     std::array::from_fn(|feature| {
@@ -88,7 +88,7 @@ fn every_batch_size_gives_the_reference_bits_on_every_kernel() {
 }
 
 #[test]
-fn the_shorter_slice_decides_and_the_rest_is_left_alone() {
+fn the_shorter_slice_decides_and_the_rest_is_unchanged() {
     let rows: Vec<Features> = (0..40).map(|_| row(&mut Noise(3))).collect();
     for network in kernels(&network(1, FeatureSet::Full)) {
         let mut longer = [-1.0; 45];
@@ -100,7 +100,7 @@ fn the_shorter_slice_decides_and_the_rest_is_left_alone() {
     }
 }
 
-/// Values that arithmetic finds hard, and any other bit pattern.
+/// Numerically difficult values, and any other bit pattern.
 fn value() -> impl Strategy<Value = f32> {
     prop_oneof![
         4 => -10.0f32..10.0,
@@ -128,7 +128,7 @@ proptest! {
     }
 
     #[test]
-    fn a_poisoned_row_is_visible_and_changes_no_other_row(
+    fn an_invalid_row_gives_nan_and_changes_no_other_row(
         count in 1usize..70,
         position in any::<prop::sample::Index>(),
         feature in 0usize..INPUTS,
@@ -196,7 +196,8 @@ fn trained_networks_stay_within_3e_6_of_the_output_scale_of_double_precision() {
         });
         println!("{name}: {usual:.2e} of the output scale");
         assert!(usual <= 3e-6, "{name}: {usual:e}");
-        // Far out the forecast is many scales large, and its own last place is 3e-6 of one.
+        // Far from the mean the forecast is many scales large, and its own last place is 3e-6 of
+        // one.
         let all = (0..20_000).map(|_| row_in_range(&network, &mut noise));
         let scale_w = |exact_w: f64| output_scale_w(&network).max(exact_w.abs());
         let all = worst_error(&network, &all.collect::<Vec<_>>(), scale_w);

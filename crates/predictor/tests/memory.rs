@@ -1,7 +1,7 @@
-//! Every unsafe block with few numbers, for Miri (CONTRIBUTING.md has the command): scratch that is
-//! not zeroed, loads without alignment, tails of every length, parts of rollouts.
+//! Every unsafe block on small inputs, for Miri (CONTRIBUTING.md has the command): uninitialised
+//! scratch, unaligned loads, tails of every length, parts of rollouts.
 
-#[allow(dead_code)] // Each test file uses its part.
+#[allow(dead_code)] // Each test file uses a part.
 mod random;
 
 use joulebus_predictor::{
@@ -10,8 +10,8 @@ use joulebus_predictor::{
 };
 use random::{Noise, network, row};
 
-/// Batches that reach each tile and each tail of each kernel: all there are up to the widest tile
-/// and its tails, but not in Miri, where only the kernels of its target count.
+/// Batch sizes that reach each tile and each tail of each kernel: all up to the widest tile and its
+/// tails, but under Miri only for the kernels of its target.
 fn batches(kernel: Kernel) -> Vec<usize> {
     match kernel {
         Kernel::Scalar if cfg!(miri) => vec![5],
@@ -35,7 +35,7 @@ fn bits(values: &[f32]) -> Vec<u32> {
 }
 
 #[test]
-fn rows_of_every_length_and_alignment_give_the_reference_bits_and_touch_nothing_else() {
+fn rows_of_every_length_and_alignment_give_the_reference_bits_and_write_nothing_else() {
     let mut noise = Noise(41);
     for network in networks(42, FeatureSet::Full).chain(networks(42, FeatureSet::Freshness)) {
         for count in batches(network.kernel()) {
@@ -59,7 +59,7 @@ fn columns_of_every_length_and_alignment_give_the_reference_bits() {
         for network in networks(44, set) {
             for count in batches(network.kernel()) {
                 let rows: Vec<Features> = (0..count).map(|_| row(&mut noise)).collect();
-                // Column f starts f + 1 places into its memory, and ends with it.
+                // Column f starts f + 1 elements into its allocation, and ends with it.
                 let columns: [Vec<f32>; INPUTS] = std::array::from_fn(|feature| {
                     let values = rows.iter().map(|row| row[feature]);
                     vec![-1.0; feature + 1].into_iter().chain(values).collect()
@@ -78,7 +78,7 @@ fn columns_of_every_length_and_alignment_give_the_reference_bits() {
 }
 
 #[test]
-fn parts_of_rollouts_write_their_own_places_and_all_of_them() {
+fn parts_of_rollouts_write_exactly_their_own_elements() {
     let mut noise = Noise(45);
     let (candidates, steps) = (
         if cfg!(miri) { 6 } else { 50 },

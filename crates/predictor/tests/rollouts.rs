@@ -1,7 +1,7 @@
-//! Rollouts and columns give the bits that rows give, and refuse shapes that do not fit.
-#![cfg(not(miri))] // Hours there; `memory.rs` has what Miri can judge.
+//! Rollouts and columns give the bits of rows, and refuse mismatched shapes.
+#![cfg(not(miri))] // Takes hours under Miri; `memory.rs` is the test for Miri.
 
-#[allow(dead_code)] // Each test file uses its part.
+#[allow(dead_code)] // Each test file uses a part.
 mod random;
 
 use joulebus_predictor::{
@@ -77,7 +77,7 @@ fn a_column_of_another_length_is_refused() {
     models(20)[1].predict_columns(columns, &mut [0.0; 4]);
 }
 
-/// That of a robot with a monitor of any rate, at any time; of one in eight nothing is known.
+/// That of a robot with a monitor of any rate, at any time; one in eight is unknown.
 fn reading_age(noise: &mut Noise) -> ReadingAge {
     let mut reading_age = ReadingAge::UNKNOWN;
     if noise.next_u64().is_multiple_of(8) {
@@ -90,7 +90,7 @@ fn reading_age(noise: &mut Noise) -> ReadingAge {
     reading_age
 }
 
-/// Everything a rollout is given, owned.
+/// The inputs of a rollout, owned.
 #[derive(Debug)]
 struct Scene {
     starts: Vec<RolloutStart>,
@@ -166,7 +166,7 @@ fn by_hand(model: &Model, scene: &Scene) -> (Vec<f32>, Vec<f32>) {
     (energy_j, power_w)
 }
 
-/// Equal bits, or both NaN: an energy that is no number has no promise about its payload.
+/// Equal bits, or both NaN: the payload of a NaN energy is not guaranteed.
 fn same(found: &[f32], expected: &[f32]) -> bool {
     found.len() == expected.len()
         && found
@@ -185,7 +185,7 @@ fn run(model: &Model, scene: &Scene) -> (Vec<f32>, Vec<f32>) {
             &mut energy_j,
             Some(&mut power_w),
         )
-        .expect("the shapes fit");
+        .expect("the shapes match");
     (energy_j, power_w)
 }
 
@@ -251,7 +251,7 @@ fn parts_of_the_lanes_give_the_bits_of_the_whole() {
 }
 
 #[test]
-fn shapes_that_do_not_fit_are_refused_with_numbers() {
+fn mismatched_shapes_are_refused_with_numbers() {
     let scene = Scene::random(&mut Noise(26), 2, 3, 4);
     let model = persistence();
     let whole = scene.rollouts();

@@ -4,7 +4,7 @@ use super::lanes::{Job, Lanes, SimdTask};
 use std::arch::x86_64::*;
 use std::mem::MaybeUninit;
 
-/// Proof that this CPU has AVX2, FMA and the bit operations that came with them.
+/// Proof that this CPU has AVX2, FMA and BMI.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Avx2(());
 

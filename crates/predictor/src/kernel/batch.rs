@@ -1,4 +1,4 @@
-//! A batch cut into tiles: batch-major while there are whole vectors of robots, the rest output-major.
+//! Tiling of a batch: batch-major for whole vectors of robots, output-major for the remainder.
 
 #![allow(
     clippy::needless_range_loop,
@@ -10,26 +10,26 @@ use super::lanes::{Job, Lanes};
 use super::packed::{Packed, Read};
 use crate::features::{Features, INPUTS};
 
-/// How a batch is cut into tiles; the bits are the same.
+/// Tiling of a batch; it does not change the bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Tiling {
-    /// Rows output-major; columns batch-major, and their remainder output-major. The fastest for every
+    /// Rows output-major; columns batch-major with an output-major remainder. The fastest for every
     /// batch, and the default.
     ByInput,
-    /// A vector holds one value of as many robots, while there are whole vectors of robots.
+    /// Batch-major for whole vectors of robots: a vector holds one value of several robots.
     BatchMajor,
-    /// A vector holds neighbouring outputs of one robot.
+    /// Output-major: a vector holds neighbouring outputs of one robot.
     OutputMajor,
 }
 
-/// Rows to forecast.
+/// Input rows.
 pub(crate) trait Source: Copy {
-    /// Whether a vector of robots loads faster than a vector of features.
+    /// Whether batch-major loads are faster than output-major ones.
     const IS_COLUMNS: bool;
 
-    /// `N` rows from `start` on, in `space` if they have to be put together; features that are not
-    /// read may be anything.
+    /// `N` rows from `start`, assembled in `space` if necessary; features that are not read are
+    /// unspecified.
     fn rows<'b, const N: usize>(
         &'b self,
         start: usize,
@@ -37,7 +37,7 @@ pub(crate) trait Source: Copy {
         space: &'b mut [Features; N],
     ) -> &'b [Features; N];
 
-    /// `R` vectors of rows from `start` on, as columns; features that are not read are left alone.
+    /// `R` vectors of rows from `start`, as columns; columns that are not read are left unchanged.
     fn columns<L: Lanes, const R: usize>(
         self,
         lanes: L,
@@ -47,7 +47,7 @@ pub(crate) trait Source: Copy {
     );
 }
 
-/// Rows as rows.
+/// Input in rows.
 #[derive(Clone, Copy)]
 pub(crate) struct Rows<'a>(pub(crate) &'a [Features]);
 
@@ -87,7 +87,7 @@ impl Source for Rows<'_> {
     }
 }
 
-/// Rows as columns of equal length; those that the model does not read may be empty.
+/// Input in columns of equal length; those that the model does not read may be empty.
 #[derive(Clone, Copy)]
 pub(crate) struct Columns<'a>(pub(crate) &'a [&'a [f32]; INPUTS]);
 
@@ -127,11 +127,11 @@ impl Source for Columns<'_> {
     }
 }
 
-/// A batch; `R`, `C` and `N` are the tiles of [`BatchMajor`] and [`OutputMajor`] that suit the CPU.
+/// A batch; `R`, `C` and `N` are the CPU's tile sizes of [`BatchMajor`] and [`OutputMajor`].
 pub(crate) struct Batch<'a, S: Source, const R: usize, const C: usize, const N: usize> {
     pub(crate) packed: &'a Packed,
     pub(crate) tiling: Tiling,
-    /// As many rows as `out_w` has places.
+    /// As many rows as `out_w` has elements.
     pub(crate) source: S,
     pub(crate) out_w: &'a mut [f32],
 }
@@ -168,13 +168,13 @@ impl<L: Lanes, S: Source, const R: usize, const C: usize, const N: usize> Job<L>
     }
 }
 
-/// The part of `count` that is a whole number of tiles.
+/// The largest multiple of `tile` up to `count`.
 #[inline(always)]
 pub(crate) const fn whole(count: usize, tile: usize) -> usize {
     count - count % tile
 }
 
-/// Whole tiles of `R` vectors of robots.
+/// Full tiles of `R` vectors of robots.
 #[inline(always)]
 fn batch_major<L: Lanes, S: Source, const R: usize, const C: usize>(
     lanes: L,

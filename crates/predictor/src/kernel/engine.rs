@@ -1,4 +1,4 @@
-//! Which kernel runs: asked of the CPU once, and handed its tile sizes.
+//! Selection of the kernel by CPU feature detection, and its tile sizes.
 
 #[cfg(target_arch = "x86_64")]
 use super::avx2::Avx2;
@@ -14,18 +14,18 @@ use super::scalar::Scalar;
 use crate::features::{Features, INPUTS};
 use crate::rollout::Rollouts;
 
-/// Which build of the kernel runs; all give the same bits.
+/// Implementation of the kernel; all give the same bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Kernel {
-    /// One robot's value at a time, on every CPU. On x86-64 without FMA the fused multiply-adds are
+    /// One value at a time, on every CPU. On x86-64 without FMA the fused multiply-adds are
     /// computed in software: exact and slow.
     Scalar,
     /// NEON of aarch64.
     Neon,
     /// AVX2 and FMA of x86-64.
     Avx2,
-    /// AVX-512 (F, BW, DQ, VL) of x86-64: what all but the Xeon Phi have of it.
+    /// AVX-512 (F, BW, DQ, VL) of x86-64, available on all AVX-512 CPUs except Xeon Phi.
     Avx512,
 }
 
@@ -33,12 +33,12 @@ impl Kernel {
     /// All kernels, slowest first.
     pub const ALL: [Kernel; 4] = [Kernel::Scalar, Kernel::Neon, Kernel::Avx2, Kernel::Avx512];
 
-    /// Whether this CPU can run it.
+    /// Whether this CPU supports it.
     pub fn is_available(self) -> bool {
         Engine::new(self).is_some()
     }
 
-    /// The fastest one that this CPU can run.
+    /// The fastest that this CPU supports.
     pub fn best() -> Kernel {
         let available = Kernel::ALL
             .into_iter()
@@ -61,7 +61,7 @@ pub(crate) enum Engine {
 }
 
 impl Engine {
-    /// `None` if this CPU can't run the kernel.
+    /// `None` if this CPU does not support the kernel.
     pub(crate) fn new(kernel: Kernel) -> Option<Engine> {
         match kernel {
             Kernel::Scalar => Some(Engine::Scalar(Scalar)),
@@ -75,7 +75,7 @@ impl Engine {
         }
     }
 
-    /// The fastest that this CPU can run.
+    /// The fastest that this CPU supports.
     pub(crate) fn best() -> Engine {
         Engine::new(Kernel::best()).unwrap_or(Engine::Scalar(Scalar))
     }
@@ -92,7 +92,7 @@ impl Engine {
         }
     }
 
-    /// Forecasts in watt of as many rows as the shorter slice has.
+    /// Forecasts in watt, for as many rows as the shorter slice has.
     pub(crate) fn rows(
         self,
         packed: &Packed,
@@ -127,7 +127,7 @@ impl Engine {
         }
     }
 
-    /// Lanes from `first` on of checked rollouts, as many as `energy_j` has places.
+    /// Lanes of checked rollouts from `first`, as many as `energy_j` has elements.
     pub(crate) fn rollout(
         self,
         packed: &Packed,

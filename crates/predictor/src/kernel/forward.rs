@@ -1,12 +1,12 @@
-//! The network, for a tile of robots, in two tilings.
+//! Forward pass for a tile of robots, in two tilings.
 //!
-//! - [`BatchMajor`]: a vector holds one value of as many robots. Every value of a layer is a column;
-//!   weights are broadcast. Best for bulk.
-//! - [`OutputMajor`]: a vector holds neighbouring outputs of one robot. Weights are loaded, the inputs
-//!   of up to four robots broadcast. Best for a few robots.
+//! - [`BatchMajor`]: a vector holds one value of several robots. Every value of a layer is a
+//!   column; weights are broadcast. Fastest in bulk.
+//! - [`OutputMajor`]: a vector holds neighbouring outputs of one robot. Weights are loaded, the
+//!   inputs of up to four robots broadcast. Fastest for a few robots.
 //!
-//! Both do the operations of [`Network::predict_reference_f32`](crate::Network) in its order, for
-//! each robot alone.
+//! Both perform the operations of [`Network::predict_reference_f32`](crate::Network) in its order,
+//! for each robot separately.
 
 #![allow(
     clippy::needless_range_loop,
@@ -46,7 +46,7 @@ impl<L: Lanes> Gelu<L> {
         }
     }
 
-    /// `Activation::scaled_value` of every lane.
+    /// [`Activation::scaled_value`] of every lane.
     #[inline(always)]
     fn apply(&self, lanes: L, y: L::Vector) -> L::Vector {
         let magnitude = lanes.abs(y);
@@ -61,7 +61,7 @@ impl<L: Lanes> Gelu<L> {
     }
 }
 
-/// Memory for the values of a layer, not zeroed first. Aligned to cache lines: a load across two costs
+/// Uninitialised memory for the values of a layer. Aligned to cache lines: a load across two costs
 /// twice.
 #[repr(C, align(64))]
 struct Scratch<T, const O: usize>([MaybeUninit<T>; O]);
@@ -78,12 +78,12 @@ unsafe fn written<T, const O: usize>(scratch: &Scratch<T, O>) -> &[T; O] {
     unsafe { &*std::ptr::from_ref(&scratch.0).cast() }
 }
 
-/// `R` vectors of robots; `C` outputs of them at a time stay in registers.
+/// `R` vectors of robots; `C` outputs of them at a time are held in registers.
 pub(crate) struct BatchMajor<'a, L: Lanes, const R: usize, const C: usize> {
     pub(crate) packed: &'a Packed,
-    /// Features in their units, as columns; those that are not read may be anything.
+    /// Features in their units, as columns; those that are not read are unspecified.
     pub(crate) inputs: &'a [[L::Vector; R]; INPUTS],
-    /// Forecasts in watt of `R * WIDTH` robots.
+    /// Forecasts of `R * WIDTH` robots, W.
     pub(crate) out_w: &'a mut [f32],
 }
 
@@ -100,7 +100,7 @@ impl<L: Lanes, const R: usize, const C: usize> Job<L> for BatchMajor<'_, L, R, C
             last_bias,
         } = *self.packed;
         let gelu = &Gelu::new(lanes, gelu);
-        // Two buffers for three layers: what is read last is written next, and stays in the cache.
+        // Two buffers for three layers: the one just read is written next, and stays in cache.
         let mut odd = Scratch::<[L::Vector; R], WIDE>::NEW;
         let mut even = Scratch::<[L::Vector; R], WIDE>::NEW;
         let mut narrow = Scratch::<[L::Vector; R], NARROW>::NEW;
@@ -188,12 +188,12 @@ fn last_of_columns<L: Lanes, const R: usize>(
     tree(lanes, sums)
 }
 
-/// `N` robots, one after another in memory.
+/// `N` robots, contiguous in memory.
 pub(crate) struct OutputMajor<'a, const N: usize> {
     pub(crate) packed: &'a Packed,
-    /// Features in their units; those that are not read may be anything.
+    /// Features in their units; those that are not read are unspecified.
     pub(crate) rows: &'a [Features; N],
-    /// Forecasts in watt.
+    /// Forecasts, W.
     pub(crate) out_w: &'a mut [f32; N],
 }
 
@@ -217,7 +217,7 @@ impl<L: Lanes, const N: usize> Job<L> for OutputMajor<'_, N> {
     }
 }
 
-/// A hidden layer of `N` robots, in groups of outputs whose sums fit the registers.
+/// A hidden layer of `N` robots, in groups of outputs whose sums fit into registers.
 #[inline(always)]
 fn rows_of_layer<'a, L: Lanes, const N: usize, const I: usize, const M: usize, const O: usize>(
     lanes: L,
@@ -232,7 +232,7 @@ fn rows_of_layer<'a, L: Lanes, const N: usize, const I: usize, const M: usize, c
         // Groups of 8, 4 or 2 vectors of `WIDTH` are all `O` outputs.
         assert!(LINE.is_multiple_of(L::WIDTH) && (O / L::WIDTH).is_multiple_of(2));
     };
-    // A constant: all branches but one are gone before code is made.
+    // A constant: all branches except one are removed at compile time.
     match (O / L::WIDTH).min(L::SUMS / N) {
         8.. => grouped::<L, N, 8, I, M, O>(lanes, gelu, layer, read, input, output),
         4.. => grouped::<L, N, 4, I, M, O>(lanes, gelu, layer, read, input, output),
@@ -268,7 +268,7 @@ fn grouped<
                 sums[n][v] = bias;
             }
         }
-        // No more than there are, so that no place has to be checked.
+        // Bounded by `I`, so that indexing needs no bounds check.
         for k in read.first..read.end.min(I) {
             for v in 0..V {
                 let (line, place) = ((group * V + v) / per_line, (group * V + v) % per_line);
@@ -287,9 +287,9 @@ fn grouped<
     }
 }
 
-/// The weighted sum of the last hidden layer: sixteen products, each joined by the one sixteen
-/// further on, then added in pairs. A sum from the first to the last would make one robot alone
-/// wait for 32 multiply-adds in a row.
+/// The weighted sum of the last hidden layer: sixteen products, to each of which the one sixteen
+/// further on is added, then added pairwise. A sequential sum would make a single robot wait for 32
+/// dependent multiply-adds.
 #[inline(always)]
 fn last_of_row<L: Lanes>(lanes: L, values: &[f32; NARROW], weights: &[f32; NARROW]) -> f32 {
     let mut sums = [0.0; LINE];
@@ -302,13 +302,14 @@ fn last_of_row<L: Lanes>(lanes: L, values: &[f32; NARROW], weights: &[f32; NARRO
     pairwise(sums)
 }
 
-/// Adds the second half to the first until one value is left.
+/// Adds the second half to the first until one value remains.
 #[inline(always)]
 pub(crate) fn pairwise(sums: [f32; LINE]) -> f32 {
     tree(Scalar, sums)
 }
 
-/// As [`pairwise`], for every lane. Written out, since a loop over the halves stays a loop.
+/// As [`pairwise`], for every lane. Unrolled by hand, because the compiler does not unroll the loop
+/// over the halves.
 #[inline(always)]
 fn tree<L: Lanes>(lanes: L, mut sums: [L::Vector; LINE]) -> L::Vector {
     for i in 0..8 {

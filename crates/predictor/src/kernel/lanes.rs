@@ -1,32 +1,32 @@
-//! What the kernels ask of a CPU.
+//! The vector operations that the kernels need of a CPU.
 
 use std::mem::MaybeUninit;
 
-/// A CPU's vectors of `f32`. A value of an implementing type proves that this CPU has them.
+/// A CPU's vectors of `f32`. A value of an implementing type proves that this CPU supports them.
 ///
-/// Every operation is done lane by lane and rounded once, as IEEE 754 says; so each gives the same
-/// bits on every implementation, NaN payloads apart.
+/// Every operation acts lane by lane and rounds once, as in IEEE 754; so each gives the same bits
+/// in every implementation, except for NaN payloads.
 ///
 /// # Safety
-/// The kernels read what [`store_new`](Lanes::store_new) has written without looking at it again:
-/// an implementation initialises the first `WIDTH` places, or panics.
+/// The kernels read what [`store_new`](Lanes::store_new) has written as initialised memory: an
+/// implementation initialises the first `WIDTH` elements, or panics.
 pub(crate) unsafe trait Lanes: Copy {
     /// A vector.
     type Vector: Copy;
-    /// Eight values that [`lookup`](Lanes::lookup) picks from.
+    /// Eight values for [`lookup`](Lanes::lookup).
     type Table: Copy;
 
-    /// Lanes of a vector: a divisor of [`super::packed::LINE`], which the kernels assert.
+    /// Lanes of a vector: a divisor of [`super::packed::LINE`], as the kernels assert.
     const WIDTH: usize;
-    /// Sums that stay in registers beside what is multiplied.
+    /// Number of accumulators that fit into registers in addition to the operands.
     const SUMS: usize;
 
     fn splat(self, value: f32) -> Self::Vector;
     /// The first `WIDTH` values; panics if there are fewer.
     fn load(self, values: &[f32]) -> Self::Vector;
-    /// Into the first `WIDTH` places; panics if there are fewer.
+    /// Stores into the first `WIDTH` elements; panics if there are fewer.
     fn store(self, vector: Self::Vector, places: &mut [f32]);
-    /// As [`store`](Lanes::store): afterwards the first `WIDTH` places are initialised.
+    /// As [`store`](Lanes::store): afterwards the first `WIDTH` elements are initialised.
     fn store_new(self, vector: Self::Vector, places: &mut [MaybeUninit<f32>]);
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
@@ -35,8 +35,8 @@ pub(crate) unsafe trait Lanes: Copy {
     /// `a * b + c`, rounded once.
     fn mul_add(self, a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector;
     fn abs(self, a: Self::Vector) -> Self::Vector;
-    /// The smaller of two values that are not negative, `limit` where `magnitude` is NaN. Such
-    /// values are ordered like their bits, whose comparison is not in a multiply-add's way.
+    /// The minimum of two non-negative values, `limit` where `magnitude` is NaN. Such values are
+    /// ordered like their bits, and an integer comparison does not compete with the multiply-adds.
     fn at_most(self, magnitude: Self::Vector, limit: Self::Vector) -> Self::Vector;
 
     fn table(self, values: &[f32; 8]) -> Self::Table;
@@ -46,23 +46,23 @@ pub(crate) unsafe trait Lanes: Copy {
     /// Runs the job compiled for this CPU: not inlined, so that its code exists once.
     fn run<J: Job<Self>>(self, job: J);
 
-    /// Runs work without vectors of its own compiled for this CPU: as it is, where the target already
-    /// stands for all that the CPU is known to do.
+    /// Runs the task compiled for this CPU: directly, if the target already enables all features
+    /// that were detected.
     fn run_task<W: SimdTask>(self, work: W) {
         work.run();
     }
 }
 
-/// Work that is compiled for one CPU.
+/// A kernel job that is compiled for one CPU.
 pub(crate) trait Job<L: Lanes> {
-    /// Implementations are `#[inline(always)]`, and so is all that they call: a function that is
-    /// not inlined would be compiled for the baseline CPU.
+    /// Implementations and everything they call are `#[inline(always)]`: a function that is not
+    /// inlined would be compiled for the baseline CPU.
     fn run(self, lanes: L);
 }
 
-/// Work over columns of numbers that is worth compiling for the processor that it runs on.
+/// A loop over columns that profits from being compiled for the CPU it runs on.
 pub trait SimdTask {
-    /// Implementations are `#[inline(always)]`, and so is all that they call: a function that is
-    /// not inlined is compiled for the baseline processor.
+    /// Implementations and everything they call are `#[inline(always)]`: a function that is not
+    /// inlined would be compiled for the baseline CPU.
     fn run(self);
 }

@@ -1,7 +1,7 @@
 //! The kernels: one source over a lane type, compiled for several CPUs, in two tilings.
 //!
-//! A robot's value never meets another robot's, and each goes through the reference's operations in
-//! the reference's order; so neither width nor tiling nor position can change a bit.
+//! Robots are never combined, and the operations for each are the reference's, in its order; so
+//! neither width nor tiling nor position can change a bit.
 
 #[cfg(target_arch = "x86_64")]
 #[allow(unsafe_code)] // Intrinsics of a CPU feature that was detected.
@@ -11,9 +11,9 @@ mod avx2;
 mod avx512;
 mod batch;
 mod engine;
-#[allow(unsafe_code)] // Scratch that is not zeroed.
+#[allow(unsafe_code)] // Uninitialised scratch memory.
 mod forward;
-#[allow(unsafe_code)] // A trait that promises to have written.
+#[allow(unsafe_code)] // A trait that guarantees initialisation.
 mod lanes;
 #[cfg(target_arch = "aarch64")]
 #[allow(unsafe_code)] // Intrinsics that every CPU of the target has.
@@ -22,7 +22,7 @@ mod packed;
 #[allow(unsafe_code)] // A prefetch takes an address.
 mod prefetch;
 mod rollout;
-#[allow(unsafe_code)] // Keeps that promise.
+#[allow(unsafe_code)] // Implements that guarantee.
 mod scalar;
 mod simd_level;
 

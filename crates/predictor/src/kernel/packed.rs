@@ -1,11 +1,11 @@
-//! The parameters in the order in which the kernels read them.
+//! The parameters in the kernels' memory order.
 
 use crate::features::{FEATURES, INPUTS};
 use crate::gelu::SCALE;
 use crate::parameters::{HIDDEN, Layer, Parameters};
 use std::ops::Range;
 
-/// Outputs that are packed together: a cache line, and the widest vector that any CPU has.
+/// Outputs that are packed together: a cache line, and the widest vector of any CPU.
 pub(crate) const LINE: usize = 16;
 
 #[derive(Clone, Copy, Debug)]
@@ -15,14 +15,15 @@ pub(crate) struct Line(pub(crate) [f32; LINE]);
 /// A hidden layer with `I` inputs and `L` lines of outputs.
 #[derive(Clone, Debug)]
 pub(crate) struct Dense<const I: usize, const L: usize> {
-    /// For each line and input, the weights of the input to the outputs of the line. One layout
-    /// serves both tilings: a vector of outputs loads a line, a vector of robots one weight of it.
+    /// For each line and input, the weights of the input for the outputs of the line. One layout
+    /// serves both tilings: output-major loads a line, batch-major broadcasts one weight of it.
     pub(crate) weights: [[Line; I]; L],
     pub(crate) bias: [Line; L],
 }
 
 impl<const I: usize, const L: usize> Dense<I, L> {
-    /// `layer` has `L * LINE` outputs and the inputs `read` of `I`; the others get no weight.
+    /// `layer` has `L * LINE` outputs and the inputs `read` of `I`; the weights of the others are
+    /// 0.
     fn new(layer: &Layer, read: Range<usize>) -> Dense<I, L> {
         let inputs = read.len();
         let weight = |output: usize, input: usize| match read.contains(&input) {
@@ -42,7 +43,7 @@ impl<const I: usize, const L: usize> Dense<I, L> {
     }
 }
 
-/// Inputs `first..end` of a layer: a range that can be copied.
+/// Inputs `first..end` of a layer: a range that is `Copy`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Read {
     pub(crate) first: usize,
@@ -58,7 +59,7 @@ impl Read {
         }
     }
 
-    /// Whether the features of the reading age are among them.
+    /// Whether the reading-age features are among them.
     pub(crate) const fn has_reading_age(self) -> bool {
         self.end > FEATURES
     }
@@ -66,7 +67,7 @@ impl Read {
 
 #[derive(Clone, Debug)]
 pub(crate) struct Packed {
-    /// Positions of the features that are read.
+    /// Indices of the features read.
     pub(crate) read: Read,
     pub(crate) gelu: [[f32; 8]; 6],
     pub(crate) first: Dense<INPUTS, { HIDDEN[0] / LINE }>,
@@ -77,7 +78,7 @@ pub(crate) struct Packed {
 }
 
 impl Packed {
-    /// Parameters must have passed the network's checks.
+    /// The parameters must have passed the network's checks.
     pub(crate) fn new(parameters: &Parameters) -> Packed {
         let [first, second, third, last] = fold(parameters);
         Packed {
@@ -95,10 +96,10 @@ impl Packed {
     }
 }
 
-/// The layers as they are computed: the normalisation folded in, so that the first takes features
-/// in their units and the last gives watt, and the factors that GELU's segments ask for. Double
-/// precision, rounded once. The first biases make good what rounding the weights costs at the mean
-/// of the features, where most robots are.
+/// The layers as computed: the normalisation is folded in, so that the first takes features in
+/// their units and the last gives watt, and so are the scale factors of GELU's segments. Double
+/// precision, rounded once. The first biases compensate the rounding error of the weights at the
+/// mean of the features, where most inputs are.
 pub(crate) fn fold(parameters: &Parameters) -> [Layer; 4] {
     let [first, second, third, last] = &parameters.layers;
     let normalisation = &parameters.normalisation;
@@ -124,7 +125,7 @@ pub(crate) fn fold(parameters: &Parameters) -> [Layer; 4] {
     let bias = first.bias.iter().zip(weights.chunks(set.inputs()));
     let bias = bias.map(shifted).collect();
 
-    // 2 * segments come in and segments go out: a factor of 1/2, which rounds nothing.
+    // 2 * segments in and segments out: a factor of 1/2, which is exact.
     let between = |layer: &Layer| Layer {
         weights: layer.weights.iter().map(|weight| weight * 0.5).collect(),
         bias: layer

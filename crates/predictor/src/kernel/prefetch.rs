@@ -1,10 +1,10 @@
-//! Memory prefetched before it is needed.
+//! Software prefetch.
 
 /// Bytes of a cache line.
 const LINE: usize = 64;
 
-/// Prefetches these values into the core's L2. It is a hint: nothing waits for it, and only the time
-/// taken shows it.
+/// Prefetches these values into the core's L2. It is a hint: it does not block, and has no effect
+/// except on timing.
 #[inline(always)]
 pub fn prefetch<T>(values: &[T]) {
     #[cfg(target_arch = "x86_64")]

@@ -1,5 +1,5 @@
-//! Rollouts as tiles: a tile goes through all its steps before the next one starts, so that its lag
-//! window never leaves the nearest cache.
+//! Rollouts in tiles: a tile executes all its steps before the next one starts, so that its lag
+//! window stays in L1.
 
 #![allow(
     clippy::needless_range_loop,
@@ -71,7 +71,7 @@ struct Tiles<'a> {
 }
 
 impl Tiles<'_> {
-    /// Commands of one step from the next lane that is not done.
+    /// Commands of one step, from the first lane that is not done.
     #[inline(always)]
     fn commands(&self, step: usize) -> (&[f32], &[f32]) {
         let place = step * self.rollouts.lanes() + self.first + self.done;
@@ -81,7 +81,7 @@ impl Tiles<'_> {
         )
     }
 
-    /// Where the robot of a lane stands; `lane` counts from the next one that is not done.
+    /// Initial state of the robot of a lane; `lane` counts from the first one that is not done.
     #[inline(always)]
     fn start(&self, lane: usize) -> &RolloutStart {
         &self.rollouts.starts[(self.first + self.done + lane) / self.rollouts.candidates]
@@ -99,7 +99,7 @@ impl Tiles<'_> {
         row
     }
 
-    /// The features of the reading age, where they are read: by the schedule that the robot kept.
+    /// Sets the reading-age features, if they are read: the robot's schedule continues.
     #[inline(always)]
     fn fill_reading_age(&self, step: usize, lane: usize, row: &mut Features) {
         if self.packed.read.has_reading_age() {
@@ -174,7 +174,7 @@ impl Tiles<'_> {
         }
     }
 
-    /// [`features`](crate::features()) of every lane: the columns still hold the step before.
+    /// [`features`](crate::features()) of every lane: the columns still hold the previous step.
     #[inline(always)]
     fn next_columns<L: Lanes, const R: usize>(
         &self,

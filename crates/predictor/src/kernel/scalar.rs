@@ -1,4 +1,4 @@
-//! One lane, for every CPU: the fallback, and what Miri runs.
+//! One lane, for every CPU and for Miri.
 
 use super::lanes::{Job, Lanes};
 use std::mem::MaybeUninit;

@@ -1,20 +1,20 @@
-//! The kernels' instructions, for other work: the tick's loops.
+//! The kernels' instruction sets, for other loops such as the tick's.
 
 use super::engine::Engine;
 use super::lanes::{Lanes, SimdTask};
 
-/// What this processor can do, detected once.
+/// The instruction set of this processor, detected once.
 #[derive(Clone, Copy, Debug)]
 pub struct SimdLevel(pub(crate) Engine);
 
 impl SimdLevel {
-    /// With all that it can do.
+    /// The best supported one.
     pub fn best() -> SimdLevel {
         SimdLevel(Engine::best())
     }
 
-    /// Runs `work` compiled for the processor. What it computes has the same bits on each, NaN
-    /// payloads apart: the compiler turns loops into vectors, but never changes an operation.
+    /// Runs `work` compiled for the processor. The results have the same bits on each, except for
+    /// NaN payloads: the compiler vectorises loops without changing operations.
     pub fn run<W: SimdTask>(self, work: W) {
         match self.0 {
             Engine::Scalar(lanes) => lanes.run_task(work),

@@ -1,4 +1,4 @@
-//! Model files with a digest that fits whatever is in them.
+//! Model files with arbitrary contents and a matching digest.
 
 use safetensors::SafeTensors;
 use sha2::{Digest, Sha256};
@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 /// Metadata, and each tensor's name, shape and bytes.
 pub(crate) type Contents = (BTreeMap<String, String>, Vec<(String, Vec<usize>, Vec<u8>)>);
 
-/// A file with the given contents and a digest that fits them, as a careful forger would write it.
+/// A file with the given contents and a matching digest.
 pub(crate) fn forged(
     metadata: &BTreeMap<String, String>,
     tensors: &[(String, Vec<usize>, Vec<u8>)],
@@ -50,7 +50,7 @@ pub(crate) fn forged(
     bytes
 }
 
-/// What is in a file that we wrote, without its digest.
+/// Contents of a file of ours, without its digest.
 pub(crate) fn contents(bytes: &[u8]) -> Contents {
     let (_, header) = SafeTensors::read_metadata(bytes).expect("own files are safetensors");
     let metadata = header

@@ -1,4 +1,4 @@
-//! Networks of both forms of GELU and rows, drawn from a seed.
+//! Random networks with both forms of GELU, and random rows.
 
 use joulebus_predictor::{
     Activation, FeatureSet, Features, HIDDEN, INPUTS, Layer, Linear, ModelCard, Network,
@@ -93,7 +93,7 @@ pub(crate) fn card(feature_set: FeatureSet) -> ModelCard {
     }
 }
 
-/// Mostly the last reading, and a little of everything else that is read.
+/// Mostly the last reading, plus small weights of all other features read.
 fn linear(feature_set: FeatureSet) -> Linear {
     let feature_set = Linear::feature_set_beside(feature_set);
     let mut weights = [0.0; INPUTS];
