@@ -12,14 +12,14 @@ import platform
 import subprocess
 
 SCHEMA = "joulebus-bench/1"
-NOT_TOLD = "not told"
+UNKNOWN = "unknown"
 
 
 def told(path):
     try:
         return pathlib.Path(path).read_text().strip()
     except OSError:
-        return NOT_TOLD
+        return UNKNOWN
 
 
 def machine():
@@ -30,9 +30,9 @@ def machine():
         fields.setdefault(name.strip(), value.strip())
     cpu = "/sys/devices/system/cpu"
     boost, no_turbo = told(f"{cpu}/cpufreq/boost"), told(f"{cpu}/intel_pstate/no_turbo")
-    turbo = {"1": "on", "0": "off"}.get(boost) or {"0": "on", "1": "off"}.get(no_turbo) or NOT_TOLD
+    turbo = {"1": "on", "0": "off"}.get(boost) or {"0": "on", "1": "off"}.get(no_turbo) or UNKNOWN
     return {
-        "processor": fields.get("model name", NOT_TOLD),
+        "processor": fields.get("model name", UNKNOWN),
         "processors": len(os.sched_getaffinity(0)),
         "kernel": platform.release(),
         "governor": told(f"{cpu}/cpu0/cpufreq/scaling_governor"),
@@ -49,11 +49,11 @@ def build(root):
     rustc = subprocess.run(["rustc", "--version"], capture_output=True, text=True, cwd=root)
     return {
         "joulebus": version,
-        "rustc": rustc.stdout.strip() or NOT_TOLD,
+        "rustc": rustc.stdout.strip() or UNKNOWN,
         "iceoryx2": iceoryx2,
         "profile": "release",
         "target": f"{platform.machine()}-{platform.system().lower()}",
-        "target_features": NOT_TOLD,
+        "target_features": UNKNOWN,
     }
 
 

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// The workspace pins it.
 const ICEORYX2: &str = "0.10.0";
 /// What stands where the system does not tell.
-const NOT_TOLD: &str = "not told";
+const UNKNOWN: &str = "unknown";
 
 /// The machine.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -56,7 +56,7 @@ impl Machine {
         let flags = field("flags").unwrap_or_default();
         let cpu = "/sys/devices/system/cpu";
         Self {
-            processor: field("model name").unwrap_or_else(|| NOT_TOLD.to_owned()),
+            processor: field("model name").unwrap_or_else(|| UNKNOWN.to_owned()),
             processors: std::thread::available_parallelism().map_or(1, usize::from),
             kernel: told("/proc/sys/kernel/osrelease"),
             governor: told(&format!("{cpu}/cpu0/cpufreq/scaling_governor")),
@@ -90,7 +90,7 @@ impl Build {
 }
 
 fn told(path: &str) -> String {
-    fs::read_to_string(path).map_or_else(|_| NOT_TOLD.to_owned(), |text| text.trim().to_owned())
+    fs::read_to_string(path).map_or_else(|_| UNKNOWN.to_owned(), |text| text.trim().to_owned())
 }
 
 /// The two drivers say it in opposite words.
@@ -98,7 +98,7 @@ fn turbo(boost: &str, no_turbo: &str) -> String {
     match (boost, no_turbo) {
         ("1", _) | (_, "0") => "on",
         ("0", _) | (_, "1") => "off",
-        _ => NOT_TOLD,
+        _ => UNKNOWN,
     }
     .to_owned()
 }
@@ -149,11 +149,11 @@ mod tests {
     #[test]
     fn both_drivers_are_understood() {
         for (boost, no_turbo, found) in [
-            ("1", NOT_TOLD, "on"),
-            ("0", NOT_TOLD, "off"),
-            (NOT_TOLD, "0", "on"),
-            (NOT_TOLD, "1", "off"),
-            (NOT_TOLD, NOT_TOLD, NOT_TOLD),
+            ("1", UNKNOWN, "on"),
+            ("0", UNKNOWN, "off"),
+            (UNKNOWN, "0", "on"),
+            (UNKNOWN, "1", "off"),
+            (UNKNOWN, UNKNOWN, UNKNOWN),
         ] {
             assert_eq!(turbo(boost, no_turbo), found);
         }

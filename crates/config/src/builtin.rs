@@ -1,10 +1,10 @@
-//! What ships inside the program, so that it works from any directory.
+//! Built-in config files and models, so that the program works from any directory.
 
 use std::path::PathBuf;
 
 use crate::values::quoted;
 
-/// The fleet's file that ships.
+/// The built-in fleet file.
 pub(crate) const FLEET: &str = include_str!("../configs/fleet.toml");
 
 const PLATFORMS: &[(&str, &str)] = &[
@@ -28,12 +28,12 @@ const MODELS: &[(&str, &[u8])] = &[
     ),
 ];
 
-/// Names of the platforms that ship, for `file = "builtin:<name>"`.
+/// Names of the built-in platforms, for `file = "builtin:<name>"`.
 pub fn builtin_platforms() -> impl Iterator<Item = &'static str> {
     PLATFORMS.iter().map(|(name, _)| *name)
 }
 
-/// The annotated file of a platform that ships.
+/// The annotated file of a built-in platform.
 #[must_use]
 pub fn builtin_platform(name: &str) -> Option<&'static str> {
     PLATFORMS
@@ -41,32 +41,32 @@ pub fn builtin_platform(name: &str) -> Option<&'static str> {
         .find_map(|(known, text)| (*known == name).then_some(*text))
 }
 
-/// Names of the models that ship, for `model = "builtin:<name>"`.
+/// Names of the built-in models, for `model = "builtin:<name>"`.
 pub fn builtin_models() -> impl Iterator<Item = &'static str> {
     MODELS.iter().map(|(name, _)| *name)
 }
 
-/// The bytes of a model file that ships, with its name.
+/// Name and bytes of a built-in model file.
 #[must_use]
 pub fn builtin_model(name: &str) -> Option<(&'static str, &'static [u8])> {
     MODELS.iter().copied().find(|(known, _)| *known == name)
 }
 
-/// A fleet of simulated GTernal robots, configured by the files that ship.
+/// A fleet of simulated GTernal robots, configured by the built-in files.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Demo {
     /// Name of the fleet.
     pub fleet: String,
     /// Private directory for its shared memory, absolute.
     pub root: PathBuf,
-    /// First letters of its names in shared memory.
+    /// Prefix of its names in shared memory.
     pub prefix: String,
     /// Robots, with ids from 0. 1 to 1,000,000.
     pub robots: u32,
 }
 
 impl Demo {
-    /// The annotated file of the fleet, for every process of it; [`crate::Config::load`] checks it.
+    /// The annotated file of the fleet, for all its processes; [`crate::Config::load`] checks it.
     #[must_use]
     pub fn toml(&self) -> String {
         let root = self.root.to_string_lossy();
@@ -85,8 +85,8 @@ impl Demo {
     }
 }
 
-/// A battery for the simulated robots, so that their budgets can be seen: 10 Wh, assumed, for no
-/// source gives that of GTernal.
+/// A battery for the simulated robots, which makes budgets available: 10 Wh, an assumption, because
+/// no source states that of the GTernal.
 const BATTERY: &str = "
 [platform.battery]
 capacity_wh = 10.0

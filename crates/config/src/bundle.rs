@@ -1,20 +1,20 @@
-//! A config with everything that it names, independent of the files it was read from.
+//! A config with all files that it refers to, independent of their location.
 
 use std::path::PathBuf;
 
 use crate::values::quoted;
 use crate::{Config, ModelSource};
 
-/// A config as one text, and the files that it names by paths relative to it.
+/// A config as one text, and the files that it refers to by relative paths.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Bundle {
-    /// The config: defaults and platforms filled in, each value with where it came from.
+    /// The config: defaults and platforms resolved, each value with its origin.
     pub toml: String,
-    /// Relative path and bytes of each file that it names.
+    /// Relative path and bytes of each file that it refers to.
     pub files: Vec<(String, Vec<u8>)>,
 }
 
-/// Why a config could not be made independent of its files.
+/// Errors of making a bundle.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BundleError {
@@ -23,23 +23,23 @@ pub enum BundleError {
     Model {
         /// The model.
         path: PathBuf,
-        /// What the system said.
+        /// The operating system's error.
         source: std::io::Error,
     },
 }
 
 impl Config {
-    /// The config with its models, also those that ship. It gives the same forecasts wherever it
-    /// is read, but keeps no ledger: who replays it must not write into the fleet's own.
+    /// The config with its models, built-in ones included. It gives the same forecasts wherever it
+    /// is read, but has no ledger file: a replay must not write into the fleet's own.
     ///
     /// # Errors
-    /// A model that was there when the config was read cannot be read any more.
+    /// A model that existed when the config was read can no longer be read.
     pub fn bundle(&self) -> Result<Bundle, BundleError> {
         let mut toml = String::new();
         let mut files = Vec::new();
         let mut sources = self.models().iter().enumerate();
         let mut of_platform = None;
-        // `to_toml` gives each value a line of its own.
+        // `to_toml` writes each value on a separate line.
         for line in self.to_toml().lines() {
             if line == "[[platform]]" {
                 of_platform = sources.next();

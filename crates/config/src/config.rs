@@ -19,14 +19,14 @@ use crate::{cpus, files, keys, show};
 /// The threads of the worker's tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Threads {
-    /// How many, the worker's own among them: at least 1.
+    /// Number of threads, the worker's own included: at least 1.
     pub count: usize,
-    /// Robots from which on they share a tick.
+    /// Minimum number of robots for parallel ticks.
     pub from: usize,
 }
 
 impl Threads {
-    /// Threads that are taken where no number is asked for, at most: past that, memory is the limit.
+    /// Maximum number of threads chosen automatically: beyond it, memory bandwidth is the limit.
     const MOST_UNASKED: usize = 8;
 
     /// Processors that this process may use.
@@ -35,7 +35,7 @@ impl Threads {
     }
 }
 
-/// A config that was read whole and found free of contradictions.
+/// A config that was read completely and found consistent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
     fleet: String,
@@ -59,8 +59,8 @@ impl Config {
     /// Reads a fleet's file and the platform files that it names.
     ///
     /// # Errors
-    /// The file cannot be read, or something in it or in a platform's file is refused: everything
-    /// that is wrong, each with file, line and remedy.
+    /// The file cannot be read, or it or a platform's file is refused: lists all errors, each with
+    /// file, line and remedy.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
         let path = path.as_ref();
         let text = files::read(path).map_err(|source| ConfigError::Read {
@@ -74,7 +74,7 @@ impl Config {
     /// Reads the text of a fleet's file; paths in it are relative to `base_dir`.
     ///
     /// # Errors
-    /// As [`Config::load`]; the text is called `<config>`.
+    /// As [`Config::load`]; messages call the text `<config>`.
     pub fn parse(text: &str, base_dir: &Path) -> Result<Self, ConfigError> {
         Self::read(text, "<config>", base_dir)
     }
@@ -107,7 +107,7 @@ impl Config {
         }
     }
 
-    /// None only together with a problem: every key has been checked before.
+    /// `None` only together with a problem: every key has been checked before.
     fn build(read: &FleetFile, problems: &mut Vec<Problem>) -> Option<Self> {
         let values = &read.values;
         let built = Builder::config(read);
@@ -128,8 +128,8 @@ impl Config {
         built
     }
 
-    /// What the tick or the bus would refuse although every key by itself is fine, and the key to
-    /// look at.
+    /// Errors of the tick's or the bus's own checks of values that are individually valid, with the
+    /// key to look at.
     fn complaint(&self) -> Option<(&'static str, String)> {
         let tick = self.settings.check().err();
         let tick = tick.map(|error| ("fleet.name", error.to_string()));
@@ -148,13 +148,13 @@ impl Config {
         &self.root
     }
 
-    /// First letters of every name in shared memory.
+    /// Prefix of every name in shared memory.
     #[must_use]
     pub fn prefix(&self) -> &str {
         &self.prefix
     }
 
-    /// What the tick is told; has passed [`FleetSettings::check`].
+    /// Settings of the tick; they have passed [`FleetSettings::check`].
     #[must_use]
     pub const fn settings(&self) -> &FleetSettings {
         &self.settings
@@ -166,31 +166,31 @@ impl Config {
         self.policy
     }
 
-    /// Least time between two ticks, ns.
+    /// Minimum time between two ticks, ns.
     #[must_use]
     pub const fn tick_period_ns(&self) -> u64 {
         self.tick_period_ns
     }
 
-    /// What forecasts each platform of [`Config::settings`], in the same order.
+    /// The model of each platform of [`Config::settings`], in the same order.
     #[must_use]
     pub fn models(&self) -> &[ModelSource] {
         &self.models
     }
 
-    /// Frames of each source that wait in shared memory for a slow worker.
+    /// Frames of each source buffered in shared memory.
     #[must_use]
     pub const fn buffer_frames(&self) -> usize {
         self.buffer_frames
     }
 
-    /// Planners, watchers and recorders that can be connected at the same time.
+    /// Planners, live views and recorders that can be connected at the same time.
     #[must_use]
     pub const fn max_planners(&self) -> usize {
         self.max_planners
     }
 
-    /// File of the energy ledger, if it is to be kept.
+    /// File of the energy ledger, if it is saved.
     #[must_use]
     pub fn checkpoint(&self) -> Option<&Path> {
         self.checkpoint.as_deref()
@@ -202,7 +202,7 @@ impl Config {
         self.checkpoint_every_ns
     }
 
-    /// What the worker asks of the system for the threads of the tick.
+    /// Scheduling of the tick threads.
     #[must_use]
     pub const fn scheduling(&self) -> &Scheduling {
         &self.scheduling
@@ -214,14 +214,14 @@ impl Config {
         self.threads
     }
 
-    /// What is allowed but doubtful.
+    /// Values that are allowed but doubtful.
     #[must_use]
     pub fn warnings(&self) -> &[Problem] {
         &self.warnings
     }
 
-    /// The whole config as one file: defaults, platforms and paths filled in, each value with
-    /// where it comes from. Reading it gives the same config.
+    /// The whole config as one file: defaults, platforms and paths resolved, each value with its
+    /// origin. Reading it gives the same config.
     #[must_use]
     pub fn to_toml(&self) -> &str {
         &self.shown
@@ -233,7 +233,7 @@ fn ns(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
 
-/// Makes plain values of checked keys; none where one is missing, which the checks rule out.
+/// Converts checked keys to plain values; `None` where one is missing, which the checks exclude.
 struct Builder<'a>(&'a Values);
 
 impl Builder<'_> {
@@ -299,8 +299,8 @@ impl Builder<'_> {
         })
     }
 
-    /// A number in single precision. Ends of ranges like 0.99 lie between two `f32`: the one
-    /// inside the range is taken.
+    /// A number in single precision. A bound such as 0.99 lies between two `f32`: the one inside
+    /// the range is taken.
     fn single(&self, path: &str) -> Option<f32> {
         let value = self.0.number(path)?;
         let narrow = value as f32;
@@ -334,7 +334,7 @@ impl Builder<'_> {
         let capacity: usize = self.0.integer("fleet.capacity")?;
         let cpus = cpus::parse(&self.0.text("worker.cpus")?)?.len();
         let count = match (asked, cpus) {
-            // None that would never have anything to do.
+            // No threads without work.
             _ if capacity < from => 1,
             (0, 0) => Threads::processors().min(Threads::MOST_UNASKED),
             (0, cpus) => cpus,

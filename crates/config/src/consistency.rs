@@ -1,4 +1,4 @@
-//! Keys that are each in range but do not go together.
+//! Consistency of keys that are individually in range.
 //!
 //! The values have passed their range checks: none is NaN or infinite.
 
@@ -16,7 +16,7 @@ use crate::problem::Problem;
 use crate::robots;
 use crate::values::{Place, Values};
 
-/// Names everything that does not go together; what is merely doubtful goes to `warnings`.
+/// Reports every inconsistency; doubtful values go to `warnings`.
 pub(crate) fn check(
     read: &FleetFile,
     file: &Arc<str>,
@@ -69,7 +69,7 @@ fn missing(values: &Values, file: &Arc<str>, header: Option<&Place>, problems: &
             && (!key.path.starts_with("platform.battery.") || values.names_any("platform.battery."))
     };
     for key in KEYS.iter().filter(wanted) {
-        // A platform's own keys are best mended in the platform's file.
+        // A platform's own keys are reported in the platform's file.
         let place = match key.file {
             File::Platform => values.place("platform.name").or(header),
             File::Fleet => header,
@@ -84,7 +84,7 @@ fn missing(values: &Values, file: &Arc<str>, header: Option<&Place>, problems: &
     }
 }
 
-/// A contradiction, at the first of the two keys that a file sets.
+/// An inconsistency, reported at the first of the two keys that a file sets.
 fn contradiction(keys: [(&Values, &str); 2], what: &str, remedy: &str) -> Problem {
     let [first, second] = keys;
     let (values, key) = if first.0.names(first.1) {
@@ -139,7 +139,8 @@ fn intake(fleet: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
                 fleet.quote(jump),
                 fleet.quote(leave)
             ),
-            "A robot back in between is refused until it has left: raise max_jump_s".to_owned(),
+            "A robot that returns in between is refused until it has left: raise max_jump_s"
+                .to_owned(),
         ));
     }
     let (Some(every_s), Some(rate_hz)) =
@@ -164,7 +165,7 @@ fn intake(fleet: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
     }
 }
 
-/// A thread past the end of the list would stay where the tick's own thread was put, and wait for it.
+/// A thread beyond the list would share the main tick thread's CPU and wait for it.
 fn threads(fleet: &Values, problems: &mut Vec<Problem>) {
     let (threads, cpus) = ("worker.threads", "worker.cpus");
     let (Some(asked), Some(listed)) = (
@@ -182,13 +183,13 @@ fn threads(fleet: &Values, problems: &mut Vec<Problem>) {
                 fleet.quote(threads),
                 fleet.quote(cpus)
             ),
-            "Each thread has a CPU of its own: list more of them, lower threads, or write threads = 0 \
+            "Each thread needs its own CPU: list more of them, lower threads, or write threads = 0 \
              for one on each",
         ));
     }
 }
 
-/// The kernel's own interrupt threads run at 50.
+/// Default priority of the kernel's interrupt threads.
 const INTERRUPTS: f64 = 50.0;
 
 fn worker(fleet: &Values, warnings: &mut Vec<Problem>) {
@@ -201,10 +202,10 @@ fn worker(fleet: &Values, warnings: &mut Vec<Problem>) {
             fleet,
             priority,
             format!(
-                "is doubtful: {} does not yield to the kernel's interrupt threads, which have 50",
+                "is doubtful: {} preempts the kernel's interrupt threads, which have 50",
                 fleet.quote(priority)
             ),
-            "Take one from 1 to 49: the tick waits for what these threads deliver".to_owned(),
+            "Use 1 to 49: the tick depends on data that these threads deliver".to_owned(),
         ));
     }
     let nothing = asked == 0.0
@@ -219,12 +220,12 @@ fn worker(fleet: &Values, warnings: &mut Vec<Problem>) {
             fleet,
             "worker.if_refused",
             format!(
-                "is not used: {}, {} and {} ask for nothing",
+                "has no effect: {}, {} and {} are not set",
                 fleet.quote(cpus),
                 fleet.quote(priority),
                 fleet.quote(memory)
             ),
-            "Set one of them, or take it out".to_owned(),
+            "Set one of them, or remove this key".to_owned(),
         ));
     }
 }
@@ -237,7 +238,7 @@ fn model(values: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
             values,
             model,
             "is \"persistence\", and `residual_std_w` is missing".to_owned(),
-            "Add residual_std_w: the standard deviation of the difference of two readings in a row, W"
+            "Add residual_std_w: the standard deviation of the difference of consecutive readings, W"
                 .to_owned(),
         ));
     }
@@ -246,7 +247,7 @@ fn model(values: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
             problems.push(contradiction(
                 [(values, key), (values, model)],
                 &format!("{} beside {}", values.quote(key), values.quote(model)),
-                "There is no network to learn about: name a model file, or leave it out",
+                "Online learning needs a network: name a model file, or remove this key",
             ));
         }
     }
@@ -254,13 +255,16 @@ fn model(values: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
         warnings.push(complaint(
             values,
             scale,
-            format!("is not used: {} brings its own", values.quote(model)),
-            "Take it out, or write model = \"persistence\"".to_owned(),
+            format!(
+                "has no effect: the file of {} states its own",
+                values.quote(model)
+            ),
+            "Remove it, or write model = \"persistence\"".to_owned(),
         ));
     }
 }
 
-/// Two times of a platform that must be in order.
+/// Two times of a platform with a required order.
 fn times(values: &Values, fleet: &Values, problems: &mut Vec<Problem>) {
     let Some(rate_hz) = values.number("platform.rate_hz") else {
         return;
@@ -272,7 +276,7 @@ fn times(values: &Values, fleet: &Values, problems: &mut Vec<Problem>) {
         };
         let periods = time_s * rate_hz;
         let (least, most) = (*allowed.start(), *allowed.end());
-        // 1e-9: `2.0 / rate` as written in decimals counts as two periods.
+        // 1e-9: `2.0 / rate` in decimals counts as two periods.
         if !(least * (1.0 - 1e-9) <= periods && periods <= most * (1.0 + 1e-9)) {
             let what = format!(
                 "{} is {periods:.3} sample periods of {rate}, allowed are {least} to {most}",
@@ -304,7 +308,7 @@ fn times(values: &Values, fleet: &Values, problems: &mut Vec<Problem>) {
         (
             (values, "platform.hold_max_s"),
             (values, "platform.stuck_after_s"),
-            "A monitor that may hold that long cannot be called stuck sooner: raise stuck_after_s",
+            "A monitor that may hold its reading that long is not stuck earlier: raise stuck_after_s",
         ),
         (
             (values, "platform.stale_after_s"),
@@ -374,7 +378,7 @@ fn limits(values: &Values, problems: &mut Vec<Problem>) {
         problems.push(contradiction(
             [(values, min), (values, max)],
             &what,
-            "No reading could be true: change one of them",
+            "No reading would be accepted: change one of them",
         ));
         return;
     }
@@ -391,7 +395,7 @@ fn limits(values: &Values, problems: &mut Vec<Problem>) {
         problems.push(contradiction(
             [(values, step), (values, max)],
             &what,
-            "The monitor could tell nothing: change one of them",
+            "The monitor could not resolve any power in this range: change one of them",
         ));
     }
 }
@@ -417,7 +421,7 @@ fn battery(values: &Values, problems: &mut Vec<Problem>) {
         problems.push(contradiction(
             [(values, low), (values, soc)],
             &what,
-            "The safe side is the lower one: change one of them",
+            "The conservative estimate must not exceed the best estimate: change one of them",
         ));
     }
     if reserve_share >= soc_share {
@@ -429,7 +433,7 @@ fn battery(values: &Values, problems: &mut Vec<Problem>) {
         problems.push(contradiction(
             [(values, reserve), (values, soc)],
             &what,
-            "Nothing would be usable from the start: change one of them",
+            "No energy would be usable from the start: change one of them",
         ));
     }
 }
@@ -448,7 +452,7 @@ fn names(read: &FleetFile, problems: &mut Vec<Problem>) {
                 file: header.file.to_string(),
                 line: Some(header.line),
                 key: "platform".to_owned(),
-                what: format!("contradicts: the platform {text:?} stands here and at {first}"),
+                what: format!("contradicts: the platform {text:?} is listed here and at {first}"),
                 remedy: "List its robots in one [[platform]], or give one of them another `name`"
                     .to_owned(),
             });
@@ -469,13 +473,13 @@ fn ids(read: &FleetFile, problems: &mut Vec<Problem>) {
                 values,
                 key,
                 "is empty".to_owned(),
-                "Name at least one robot, or take the [[platform]] out".to_owned(),
+                "Name at least one robot, or remove the [[platform]]".to_owned(),
             ));
         }
         ranges.extend(listed.into_iter().map(|range| (range, values)));
     }
     ranges.sort_by_key(|(range, _)| (*range.start(), *range.end()));
-    // The range that reaches furthest so far: the next one must begin past it.
+    // The range with the largest end so far: the next one must begin beyond it.
     let mut reach: Option<Owned<'_>> = None;
     for owned in ranges {
         let (end, start) = (*owned.0.end(), *owned.0.start());
@@ -488,7 +492,7 @@ fn ids(read: &FleetFile, problems: &mut Vec<Problem>) {
     }
 }
 
-/// Two ranges that share a robot, complained about at the one that comes later in the file.
+/// Two ranges that share a robot, reported at the one later in the file.
 fn shared(one: &Owned<'_>, other: &Owned<'_>) -> Problem {
     let key = "platform.robots";
     let line = |owned: &Owned<'_>| owned.1.place(key).map_or(0, |place| place.line);
@@ -509,7 +513,7 @@ fn shared(one: &Owned<'_>, other: &Owned<'_>) -> Problem {
             quote(other),
             other.0.start()
         ),
-        "Take it out of one of them: a robot belongs to at most one platform, once".to_owned(),
+        "Remove it from one of them: a robot belongs to at most one platform, once".to_owned(),
     )
 }
 
@@ -531,7 +535,7 @@ fn capacity(read: &FleetFile, warnings: &mut Vec<Problem>) {
                 "is doubtful: {} is below the {listed} robots listed under `platform.robots`",
                 read.values.quote("fleet.capacity")
             ),
-            "Those that come last will be refused: raise the capacity".to_owned(),
+            "The last ones to report will be refused: raise the capacity".to_owned(),
         ));
     }
 }

@@ -1,11 +1,11 @@
-//! Lists of processors, as the kernel writes them.
+//! Lists of CPUs in the kernel's notation.
 
 use std::ops::RangeInclusive;
 
-/// Processors that Linux can be asked for.
+/// Size of Linux's CPU mask.
 const MOST: usize = 1024;
 
-/// The processors in the order of the list, each once: `"2-3,6"`. `None` where it is no such list.
+/// The CPUs in the order of the list, each once: `"2-3,6"`. `None` if the text is not such a list.
 pub(crate) fn parse(text: &str) -> Option<Vec<usize>> {
     if text.trim().is_empty() {
         return Some(Vec::new());
@@ -36,7 +36,7 @@ mod tests {
     use super::parse;
 
     #[test]
-    fn lists_of_processors_are_taken_in_their_order_and_each_once() {
+    fn lists_of_cpus_are_parsed_in_order_and_without_repetition() {
         for (text, expected) in [
             ("", Some(vec![])),
             (" ", Some(vec![])),

@@ -1,4 +1,4 @@
-//! A TOML text to checked values, every complaint with its line.
+//! Parses a TOML text to checked values; every problem has its line.
 
 use std::ops::Range;
 use std::path::PathBuf;
@@ -15,19 +15,19 @@ use crate::remedy;
 use crate::robots;
 use crate::values::{Place, Value, Values};
 
-/// A text, and how to name it.
+/// A text and its name.
 pub(crate) struct Source<'a> {
     pub(crate) text: &'a str,
     pub(crate) name: Arc<str>,
     pub(crate) directory: Option<Arc<PathBuf>>,
 }
 
-/// What the fleet's file says.
+/// Contents of the fleet's file.
 #[derive(Debug, Default)]
 pub(crate) struct FleetFile {
     pub(crate) values: Values,
     pub(crate) platforms: Vec<Listed>,
-    /// The text could not be read to its end: what it lacks is not known.
+    /// The text could not be parsed to its end: missing keys are not reported.
     pub(crate) cut_short: bool,
 }
 
@@ -37,7 +37,7 @@ pub(crate) struct Listed {
     pub(crate) values: Values,
     /// Where it begins.
     pub(crate) header: Place,
-    /// Its own file could not be read: what it lacks is not known.
+    /// Its own file could not be read: missing keys are not reported.
     pub(crate) cut_short: bool,
 }
 
@@ -83,7 +83,7 @@ impl Source<'_> {
         read
     }
 
-    /// Reads a platform's file; none where it is no TOML.
+    /// Reads a platform's file; `None` if it is not TOML.
     pub(crate) fn platform(&self, problems: &mut Vec<Problem>) -> Option<Values> {
         let mut values = Values::default();
         let document = self.document(problems)?;
@@ -114,7 +114,7 @@ impl Source<'_> {
         }
     }
 
-    /// What stands there, in words.
+    /// The value, for messages.
     fn found(&self, item: &Spanned<DeValue<'_>>) -> String {
         let text = self.text.get(item.span()).unwrap_or_default();
         match item.get_ref() {
@@ -136,14 +136,14 @@ impl Source<'_> {
                 .unwrap_or("");
             let first = first_of(self.text, place.line)
                 .map_or_else(|| "before".to_owned(), |line| format!("in line {line}"));
-            let what = format!("is set again; it was set {first}");
+            let what = format!("is set again; it was first set {first}");
             (key.trim().to_owned(), what, "Keep one of the two")
         } else {
-            let what = format!("this is no TOML: {message}");
+            let what = format!("this is not TOML: {message}");
             (
                 String::new(),
                 what,
-                "Mend the line; the rest of the file was not checked",
+                "Correct the line; the rest of the file was not checked",
             )
         };
         Problem {
@@ -183,13 +183,13 @@ fn first_of(text: &str, line: usize) -> Option<usize> {
 
 type SpannedTable<'t> = (&'t DeTable<'t>, Range<usize>);
 
-/// The tables of `[[platform]]`, or of an array of inline tables, with where each begins.
+/// The tables of `[[platform]]`, or of an array of inline tables, with their positions.
 fn tables<'t>(item: &'t DeValue<'t>) -> Option<Vec<SpannedTable<'t>>> {
     let table = |value: &'t Spanned<DeValue<'t>>| Some((value.get_ref().as_table()?, value.span()));
     item.as_array()?.iter().map(table).collect()
 }
 
-/// One file being walked through.
+/// A file being traversed.
 struct Walk<'a> {
     source: &'a Source<'a>,
     file: File,
@@ -243,7 +243,7 @@ impl Walk<'_> {
         values.set(known, value, place);
     }
 
-    /// A fleet's file may hold every key, a platform's file its own alone.
+    /// A fleet's file may set every key, a platform's file only its own.
     fn allows(&self, key: &Key) -> bool {
         self.file == File::Fleet || key.file == File::Platform
     }
@@ -260,10 +260,10 @@ impl Walk<'_> {
         let value = number(item.get_ref());
         let (what, remedy) = if item.get_ref().is_table() {
             let remedy = remedy::unknown_section(file, path);
-            ("is no section that is known", remedy)
+            ("is not a known section", remedy)
         } else {
             let remedy = remedy::unknown_key(file, path, value);
-            ("is no key that is known", remedy)
+            ("is not a known key", remedy)
         };
         self.wrong(place, self.shown(path), what.to_owned(), remedy);
     }
@@ -278,7 +278,7 @@ impl Walk<'_> {
         });
     }
 
-    /// The value if the key's kind and range allow it, else what was found and what to do.
+    /// The value if the key's kind and range allow it, else what was found and the remedy.
     fn value(&self, key: &Key, item: &Spanned<DeValue<'_>>) -> Result<Value, (String, String)> {
         let refused = |what: String, advice: Option<String>| {
             let advice = advice.map_or_else(String::new, |advice| format!("{advice}. "));

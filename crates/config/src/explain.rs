@@ -1,4 +1,4 @@
-//! What each key is, for people and for programs.
+//! Explanations of the keys.
 
 use serde::Serialize;
 
@@ -6,7 +6,7 @@ use crate::key::{DefaultValue, File, Key};
 use crate::keys::{self, KEYS};
 use crate::remedy;
 
-/// All about one key.
+/// Explanation of one key.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Explanation {
     /// The key, with its sections.
@@ -15,23 +15,23 @@ pub struct Explanation {
     pub file: File,
     /// Unit; empty where there is none.
     pub unit: &'static str,
-    /// What the value may be, in words.
+    /// Allowed values, as text.
     pub range: String,
-    /// Whether it must be given.
+    /// Whether it is required.
     pub required: bool,
-    /// The value when it is left out; none where there is none.
+    /// The default, if there is one.
     pub default: Option<String>,
     /// What it does.
     pub doc: &'static str,
 }
 
-/// There is no such key or section.
+/// No such key or section.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{key}` is no key of a config. {remedy}")]
+#[error("`{key}` is not a key of a config. {remedy}")]
 pub struct UnknownKey {
-    /// What was asked for.
+    /// The requested key.
     pub key: String,
-    /// The nearest key, and what it is.
+    /// The nearest key and its meaning.
     pub remedy: String,
 }
 
@@ -62,7 +62,7 @@ pub fn explanations(key: Option<&str>) -> Result<Vec<Explanation>, UnknownKey> {
     Ok(asked_for(key)?.into_iter().map(Explanation::from).collect())
 }
 
-/// The same as text, one paragraph a key.
+/// The same as text, one paragraph per key.
 ///
 /// # Errors
 /// There is no such key or section; the error names the nearest.

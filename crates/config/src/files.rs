@@ -1,4 +1,4 @@
-//! Files that a config names.
+//! Files that a config refers to.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use crate::model_source::ModelSource;
 use crate::problem::Problem;
 use crate::values::Values;
 
-/// A config larger than this is none: something else was named by mistake.
+/// Maximum size of a config: larger files were named by mistake.
 const MOST_BYTES: u64 = 4 << 20;
 
 /// The text of a config file.
@@ -26,7 +26,7 @@ pub(crate) fn read(path: &Path) -> io::Result<String> {
     std::fs::read_to_string(path)
 }
 
-/// Reads the file of each platform; what stands in the fleet's file wins over it.
+/// Reads the file of each platform; keys in the fleet's file override it.
 pub(crate) fn platforms(fleet: &mut FleetFile, problems: &mut Vec<Problem>) {
     for listed in &mut fleet.platforms {
         if !listed.values.names("platform.file") {
@@ -44,7 +44,7 @@ pub(crate) fn platforms(fleet: &mut FleetFile, problems: &mut Vec<Problem>) {
             }
         }
     }
-    // Complaints about a file that two platforms share would come twice.
+    // Problems of a file that two platforms share are reported once.
     let mut seen = Vec::new();
     problems.retain(|problem| {
         let new = !seen.contains(problem);
@@ -53,7 +53,7 @@ pub(crate) fn platforms(fleet: &mut FleetFile, problems: &mut Vec<Problem>) {
     });
 }
 
-/// What the platform's file says; none where a problem tells why not.
+/// The values of the platform's file; `None` together with a problem.
 fn platform(
     values: &Values,
     problems: &mut Vec<Problem>,
@@ -64,8 +64,8 @@ fn platform(
     if let Some(name) = file.strip_prefix("builtin:") {
         let text = builtin::builtin_platform(name).ok_or_else(|| {
             let known: Vec<&str> = builtin::builtin_platforms().collect();
-            let what = format!("is {file:?}, and no such platform ships");
-            (what, format!("Those that ship: {}", known.join(", ")))
+            let what = format!("is {file:?}, and there is no such built-in platform");
+            (what, format!("Built-in platforms: {}", known.join(", ")))
         })?;
         let source = Source {
             text,
@@ -90,7 +90,7 @@ fn platform(
     Ok(source.platform(problems))
 }
 
-/// The path that a key holds, from the directory of the file that set it; empty stays empty.
+/// The path of a key, relative to the directory of the file that sets it; `None` if empty.
 pub(crate) fn resolve(values: &Values, path: &str) -> Option<PathBuf> {
     let text = values.text(path)?;
     let directory = values.place(path).and_then(|place| place.directory.clone());
@@ -100,7 +100,7 @@ pub(crate) fn resolve(values: &Values, path: &str) -> Option<PathBuf> {
     }
 }
 
-/// The platform's model; none where the keys do not say.
+/// The platform's model; `None` if the keys do not determine it.
 pub(crate) fn model(values: &Values) -> Option<ModelSource> {
     let text = values.text("platform.model")?;
     if text == "persistence" {
@@ -114,7 +114,7 @@ pub(crate) fn model(values: &Values) -> Option<ModelSource> {
     Some(ModelSource::File(resolve(values, "platform.model")?))
 }
 
-/// Complains about a model that cannot be had.
+/// Reports a model that does not exist.
 pub(crate) fn check_model(values: &Values, problems: &mut Vec<Problem>) {
     let Some(text) = values.text("platform.model") else {
         return;
@@ -122,8 +122,8 @@ pub(crate) fn check_model(values: &Values, problems: &mut Vec<Problem>) {
     let (what, remedy) = match (model(values), text.strip_prefix("builtin:")) {
         (None, Some(_)) => {
             let known: Vec<&str> = builtin::builtin_models().collect();
-            let what = format!("is {text:?}, and no such model ships");
-            (what, format!("Those that ship: {}", known.join(", ")))
+            let what = format!("is {text:?}, and there is no such built-in model");
+            (what, format!("Built-in models: {}", known.join(", ")))
         }
         (Some(ModelSource::File(path)), _) if !path.is_file() => (
             format!("names {}, and there is no such file", path.display()),
@@ -134,7 +134,7 @@ pub(crate) fn check_model(values: &Values, problems: &mut Vec<Problem>) {
     problems.push(complaint(values, "platform.model", what, remedy));
 }
 
-/// A complaint about a key that a file sets.
+/// A problem of a key that a file sets.
 pub(crate) fn complaint(values: &Values, key: &str, what: String, remedy: String) -> Problem {
     let place = values.place(key);
     Problem {
@@ -146,7 +146,7 @@ pub(crate) fn complaint(values: &Values, key: &str, what: String, remedy: String
     }
 }
 
-/// The root directory, with the user's number filled in.
+/// The root directory, with the uid substituted.
 pub(crate) fn root(text: &str) -> PathBuf {
     let uid = rustix::process::geteuid().as_raw();
     PathBuf::from(text.replace("{uid}", &uid.to_string()))

@@ -1,4 +1,4 @@
-//! What a key of a config file is.
+//! Description of a key of a config file.
 
 use std::fmt::Write as _;
 
@@ -6,19 +6,19 @@ use serde::Serialize;
 
 use crate::cpus;
 
-/// A key of a config file: what it means and what it may be.
+/// A key of a config file: its meaning and allowed values.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Key {
-    /// Where it stands, sections separated by dots. Keys of a platform file begin with
-    /// `platform.`, which is left out in that file.
+    /// Its path, sections separated by dots. Keys of a platform file begin with `platform.`, which
+    /// is omitted in that file.
     pub path: &'static str,
     /// The file that it belongs to.
     pub file: File,
-    /// What its value is and may be.
+    /// Kind and range of its value.
     pub kind: ValueKind,
     /// Unit of the value; empty where there is none.
     pub unit: &'static str,
-    /// Its value when it is left out.
+    /// Its default.
     pub default: DefaultValue,
     /// What it does, in a sentence.
     pub doc: &'static str,
@@ -30,28 +30,28 @@ pub struct Key {
 pub enum File {
     /// The file of the fleet.
     Fleet,
-    /// A platform's file. The key may stand under `[[platform]]` in the fleet's file too, and then
-    /// wins over the platform's file.
+    /// A platform's file. The fleet's file may set the key too, under `[[platform]]`, and then
+    /// overrides the platform's file.
     Platform,
 }
 
-/// What a value is and may be; ends of ranges are allowed.
+/// Kind and range of a value; bounds are included.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum ValueKind {
-    /// A whole number.
+    /// An integer.
     Integer {
-        /// Least value.
+        /// Minimum.
         min: i64,
-        /// Greatest value.
+        /// Maximum.
         max: i64,
     },
-    /// A number; a whole one may be written without a point.
+    /// A number; the decimal point is optional.
     Number {
-        /// Least value.
+        /// Minimum.
         min: f64,
-        /// Greatest value.
+        /// Maximum.
         max: f64,
     },
     /// One of a few words.
@@ -62,7 +62,7 @@ pub enum ValueKind {
     Robots,
 }
 
-/// What a text may be.
+/// Format of a text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -71,9 +71,9 @@ pub enum TextRule {
     Name,
     /// 1 to 8 lower-case letters, digits and `_`.
     Prefix,
-    /// An absolute path of at most 60 bytes; `{uid}` stands for the user's number.
+    /// An absolute path of at most 60 bytes; `{uid}` is replaced by the uid.
     Root,
-    /// A path, relative to the file that it stands in, or empty.
+    /// A path, relative to the file that contains it, or empty.
     OptionalPath,
     /// A platform file: a path, or `builtin:` and a name.
     PlatformFile,
@@ -83,16 +83,16 @@ pub enum TextRule {
     Cpus,
 }
 
-/// The value of a key that is left out.
+/// Default of a key.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum DefaultValue {
-    /// None: the key must be given (battery keys: if any of them is).
+    /// None: the key is required (battery keys: if any of them is set).
     Required,
-    /// None: the key may be left out.
+    /// None: the key is optional.
     Unset,
-    /// A whole number.
+    /// An integer.
     Integer(i64),
     /// A number.
     Number(f64),
@@ -116,7 +116,7 @@ impl Key {
         }
     }
 
-    /// What the value may be, in words.
+    /// Allowed values, as text.
     #[must_use]
     pub fn range(&self) -> String {
         match self.kind {
@@ -133,7 +133,7 @@ impl Key {
         }
     }
 
-    /// The default, in words.
+    /// The default, as text.
     #[must_use]
     pub fn default_words(&self) -> String {
         match self.default {
@@ -158,13 +158,13 @@ impl Key {
 }
 
 impl TextRule {
-    /// The rule in words.
+    /// The format as text.
     #[must_use]
     pub const fn words(self) -> &'static str {
         match self {
             Self::Name => "1 to 32 letters, digits, - and _",
             Self::Prefix => "1 to 8 lower-case letters, digits and _",
-            Self::Root => "absolute path of at most 60 bytes; {uid} stands for the user's number",
+            Self::Root => "absolute path of at most 60 bytes; {uid} is replaced by the user id",
             Self::OptionalPath => "path, relative to this file, or empty",
             Self::PlatformFile => "path, relative to this file, or \"builtin:<name>\"",
             Self::Cpus => "CPUs like \"1\" or \"2-3,6\", each once, or empty",
@@ -172,7 +172,7 @@ impl TextRule {
         }
     }
 
-    /// Whether `text` keeps the rule.
+    /// Whether `text` has this format.
     #[must_use]
     pub fn allows(self, text: &str) -> bool {
         let made_of = |allowed: fn(char) -> bool, most: usize| {

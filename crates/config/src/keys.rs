@@ -1,5 +1,5 @@
-//! The one table of keys: explanations, range checks and the comments in the shipped files come
-//! from it.
+//! The table of keys, the only source of explanations, range checks and the comments in the shipped
+//! files.
 
 use std::ops::RangeInclusive;
 
@@ -47,11 +47,11 @@ const fn num(allowed: RangeInclusive<f64>) -> ValueKind {
     }
 }
 
-/// Ticks of a fleet and samples of a robot, per second.
+/// Tick rate of a fleet and sample rate of a robot, Hz.
 const RATE_HZ: RangeInclusive<f64> = 0.1..=1000.0;
-/// What a robot's silence, or the age of a measurement, may be set to, s.
+/// Silence of a robot, or age of a measurement, s.
 const SILENCE_S: RangeInclusive<f64> = 0.002..=3600.0;
-/// A time after which a robot is taken for another, s: up to a week.
+/// Absence after which a robot counts as new, s: up to a week.
 const ABSENCE_S: RangeInclusive<f64> = 0.01..=604_800.0;
 
 /// Every key, in the order of the shipped files.
@@ -144,7 +144,7 @@ pub const KEYS: &[Key] = &[
     of_platform(key("platform.forecast", ValueKind::Choice(&["network", "mixture"]), "", DefaultValue::Text("network"),
         "mixture: persistence, the linear baseline and the network, weighted per robot by its own readings.")),
     of_platform(key("platform.adapt", ValueKind::Choice(&["off", "on"]), "", DefaultValue::Text("off"),
-        "on: a level and a gain on the network's forecast are learned per robot from its readings.")),
+        "on: an offset and a gain on the network's forecast are learned per robot from its readings.")),
     of_platform(key("platform.residual_std_w", num(1e-6..=1e6), "W", DefaultValue::Unset,
         "With model = \"persistence\": standard deviation of the difference of consecutive readings.")),
     of_platform(key("platform.rate_hz", num(RATE_HZ), "Hz", DefaultValue::Required,

@@ -1,9 +1,10 @@
-//! One file sets everything for every process of a fleet.
+//! One file configures every process of a fleet.
 //!
 //! [`Config::load`] reads the fleet's file and the platform files that it names, checks every key
-//! against one table ([`KEYS`]), and refuses what is unknown, out of range or contradictory: all of
-//! it at once, each with file, line and remedy. What is left is plain values: [`Config::settings`]
-//! for the tick, [`Config::root`], [`Config::prefix`] and [`Config::fleet`] for shared memory.
+//! against one table ([`KEYS`]), and refuses unknown keys and values that are out of range or
+//! contradictory: all at once, each with file, line and remedy. The result is plain values:
+//! [`Config::settings`] for the tick, [`Config::root`], [`Config::prefix`] and [`Config::fleet`]
+//! for shared memory.
 //!
 //! ```
 //! let text = r#"
@@ -54,7 +55,7 @@ pub use model_source::ModelSource;
 pub use problem::{ConfigError, Problem};
 pub use shared_memory::ConnectError;
 
-/// What [`ConnectError`], and the errors of the ports that a fleet's processes open, are made of.
+/// The errors contained in [`ConnectError`], and in the errors of opening ports.
 pub mod error {
     pub use joulebus_bus::{
         CapacityError, DomainError, IceoryxConfigError, JoinError, LimitsError, OpenError,

@@ -1,18 +1,18 @@
-//! Where a platform's model comes from.
+//! Source of a platform's model.
 
 use std::fmt;
 use std::path::PathBuf;
 
-/// What forecasts a platform's power.
+/// Source of a platform's model.
 #[derive(Clone, PartialEq)]
 pub enum ModelSource {
-    /// A model file, existing when the config was read.
+    /// A model file; it existed when the config was read.
     File(PathBuf),
-    /// A model that ships: its name and the bytes of its file.
+    /// A built-in model: its name and the bytes of its file.
     Builtin(&'static str, &'static [u8]),
-    /// The last reading again.
+    /// Persistence.
     Persistence {
-        /// Standard deviation of the difference of two readings in a row, W.
+        /// Standard deviation of the difference of consecutive readings, W.
         residual_std_w: f32,
     },
 }

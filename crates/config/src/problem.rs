@@ -1,18 +1,18 @@
-//! What is wrong with a config, and where.
+//! Problems of a config, with their location.
 
 use std::fmt;
 use std::path::PathBuf;
 
 use serde::Serialize;
 
-/// One thing wrong (or doubtful) in a config file.
+/// An error or a warning about a config file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Problem {
-    /// The file, as it was named.
+    /// The file, as named by the user.
     pub file: String,
-    /// The line, from 1; none where something is missing from the whole file.
+    /// The line, from 1; `None` if something is missing from the whole file.
     pub line: Option<usize>,
-    /// The key, with its sections; empty where the text is no TOML.
+    /// The key, with its sections; empty if the text is not TOML.
     pub key: String,
     /// What was found, and what is allowed.
     pub what: String,
@@ -33,7 +33,7 @@ impl fmt::Display for Problem {
     }
 }
 
-/// Why a config was not taken.
+/// Errors of reading a config.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
@@ -42,19 +42,19 @@ pub enum ConfigError {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// The config was read, and refused.
+    /// The config is refused.
     #[error("{}", listed(.0))]
     Refused(
-        /// Everything that is wrong with it; at least one.
+        /// All problems; at least one.
         Vec<Problem>,
     ),
 }
 
 impl ConfigError {
-    /// What is wrong, one by one; empty where the file could not be read at all.
+    /// All problems; empty if the file could not be read.
     #[must_use]
     pub fn problems(&self) -> &[Problem] {
         match self {

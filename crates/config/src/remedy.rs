@@ -1,9 +1,9 @@
-//! What a user probably meant: nearest keys, and numbers in another unit.
+//! Suggestions: nearest keys, and numbers converted from other units.
 
 use crate::key::{File, Key, ValueKind};
 use crate::keys::KEYS;
 
-/// Units by what they measure, and their size in the first unit of their group.
+/// Units by quantity, with their size in the first unit of the group.
 const UNITS: &[(&str, &[(&str, f64)])] = &[
     (
         "time",
@@ -51,7 +51,7 @@ const UNITS: &[(&str, &[(&str, f64)])] = &[
     ("share", &[("share", 1.0), ("%", 0.01), ("percent", 0.01)]),
 ];
 
-/// What a unit measures, and its size.
+/// The quantity of a unit, and its size.
 fn unit(name: &str) -> Option<(&'static str, f64)> {
     let name = name.trim().to_lowercase();
     UNITS.iter().find_map(|(what, units)| {
@@ -60,19 +60,21 @@ fn unit(name: &str) -> Option<(&'static str, f64)> {
     })
 }
 
-/// `value` in unit `from`, told in unit `to`; a time and a rate are each other's reciprocal.
+/// `value` converted from unit `from` to unit `to`; times and rates are converted to each other's
+/// reciprocal.
 fn convert(value: f64, from: &str, to: &str) -> Option<f64> {
     let (from_what, from_size) = unit(from)?;
     let (to_what, to_size) = unit(to)?;
     let plain = value * from_size;
-    let told = match (from_what, to_what) {
+    let converted = match (from_what, to_what) {
         (same, other) if same == other => plain / to_size,
         ("time", "rate") | ("rate", "time") if plain != 0.0 => 1.0 / plain / to_size,
         _ => return None,
     };
-    // Nine digits: a conversion is not to be told with the noise of its arithmetic.
-    told.is_finite()
-        .then(|| format!("{told:.9e}").parse().ok())
+    // Rounded to nine digits, to hide rounding errors of the conversion.
+    converted
+        .is_finite()
+        .then(|| format!("{converted:.9e}").parse().ok())
         .flatten()
 }
 
@@ -86,7 +88,7 @@ fn within(key: &Key, value: f64) -> bool {
     }
 }
 
-/// A text like `33ms` where a number belongs: what to write instead.
+/// A text such as `33ms` in place of a number: the number to write instead.
 pub(crate) fn number_in_text(key: &Key, text: &str) -> Option<String> {
     let text = text.trim();
     let end = text
@@ -98,17 +100,17 @@ pub(crate) fn number_in_text(key: &Key, text: &str) -> Option<String> {
     if suffix.is_empty() {
         return within(key, value).then(|| format!("Write {value} without quotes"));
     }
-    let told = convert(value, suffix, key.unit)?;
-    if !within(key, told) {
+    let converted = convert(value, suffix, key.unit)?;
+    if !within(key, converted) {
         return None;
     }
     Some(format!(
-        "{text} is {told} {unit}: write {told}, without quotes; the unit is always {unit}",
+        "{text} is {converted} {unit}: write {converted}, without quotes; the unit is always {unit}",
         unit = key.unit
     ))
 }
 
-/// A number out of range that would be in range had it been meant in another unit.
+/// A number out of range that would be in range in another unit.
 pub(crate) fn other_unit(key: &Key, value: f64) -> Option<String> {
     let candidates: &[&str] = match key.unit {
         "s" => &["ms", "Hz", "us", "ns"],
@@ -122,15 +124,16 @@ pub(crate) fn other_unit(key: &Key, value: f64) -> Option<String> {
         _ => &[],
     };
     candidates.iter().find_map(|from| {
-        let told = convert(value, from, key.unit).filter(|told| within(key, *told))?;
+        let converted =
+            convert(value, from, key.unit).filter(|converted| within(key, *converted))?;
         Some(format!(
-            "If {value} was meant in {from}, write {told}: the unit is {}",
+            "If {value} was meant in {from}, write {converted}: the unit is {}",
             key.unit
         ))
     })
 }
 
-/// Ends of key names that tell a unit.
+/// Suffixes of key names that state a unit.
 const SUFFIXES: &[(&str, &str)] = &[
     ("_s", "s"),
     ("_ms", "ms"),
@@ -155,7 +158,7 @@ fn split_unit(name: &str) -> (&str, Option<&'static str>) {
         .unwrap_or((name, None))
 }
 
-/// The key of `file` that is nearest to `path`, if any is near.
+/// The key of `file` nearest to `path`, if one is similar.
 pub(crate) fn nearest(file: Option<File>, path: &str) -> Option<&'static Key> {
     let wanted = path.to_lowercase();
     KEYS.iter()
@@ -166,7 +169,7 @@ pub(crate) fn nearest(file: Option<File>, path: &str) -> Option<&'static Key> {
         .map(|(_, key)| key)
 }
 
-/// How like the key's path is to another, about 0 to 1.
+/// Similarity of the key's path to another, about 0 to 1.
 fn likeness(key: &Key, wanted: &str) -> f64 {
     let alike = strsim::normalized_damerau_levenshtein;
     let (section, name) = wanted.rsplit_once('.').unwrap_or(("", wanted));
@@ -177,38 +180,41 @@ fn likeness(key: &Key, wanted: &str) -> f64 {
         words.join("_")
     };
     let whole = alike(key.path, wanted);
-    // The right name in the wrong order of words, or with another unit, is nearly right.
+    // The right name with reordered words or another unit counts as very similar.
     let best = alike(key.name(), name)
         .max(0.95 * alike(&sorted(key.name()), &sorted(name)))
         .max(0.95 * alike(split_unit(key.name()).0, split_unit(name).0))
         .max(0.9 * whole);
-    // The section, then the whole path, decide between names that are about as near.
+    // The section, then the whole path, decide between similar names.
     let same_section = if section == key_section { 0.05 } else { 0.0 };
     best + same_section + 0.01 * whole
 }
 
-/// What to do about an unknown key.
+/// The remedy for an unknown key.
 pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) -> String {
-    // A period is told as a rate here, and converted like a time in another unit.
+    // A period is called a rate here, and converted.
     let path = &path.replace("period", "rate");
     let Some(key) = nearest(file, path) else {
-        return "Nothing is called like that: take it out, or see `config explain`".to_owned();
+        return "There is no similar key: remove it, or see `config explain`".to_owned();
     };
     let mut advice = format!("The nearest key is `{}`", key.path);
     let name = path.rsplit('.').next().unwrap_or(path);
     let (stem, given) = split_unit(name);
     let (key_stem, _) = split_unit(key.name());
     if let (Some(given), Some(value), true) = (given, value, stem == key_stem)
-        && let Some(told) = convert(value, given, key.unit)
+        && let Some(converted) = convert(value, given, key.unit)
     {
-        advice += &format!(", in {}: {value} {given} is {told} {}", key.unit, key.unit);
+        advice += &format!(
+            ", in {}: {value} {given} is {converted} {}",
+            key.unit, key.unit
+        );
     } else if name == key.name() {
         advice += ": move it there";
     }
     advice + &format!(" ({})", key.facts())
 }
 
-/// What to do about an unknown section.
+/// The remedy for an unknown section.
 pub(crate) fn unknown_section(file: Option<File>, path: &str) -> String {
     let sections = KEYS
         .iter()

@@ -7,8 +7,8 @@ use toml::de::DeValue;
 
 use crate::numbers::integer;
 
-/// One entry of the list in `source`: an id, or `"a-b"` with both ends included. The error says what
-/// is wrong.
+/// One entry of the list in `source`: an id, or `"a-b"` with both ends included. The error states
+/// what is wrong.
 pub(crate) fn parse(
     entry: &Spanned<DeValue<'_>>,
     source: &str,
@@ -43,7 +43,7 @@ pub(crate) fn text(range: &RangeInclusive<u32>) -> String {
     }
 }
 
-/// Robots in the range; a full range has one more than fits in `u32`.
+/// Number of robots in the range; a full range exceeds `u32`.
 pub(crate) fn count(range: &RangeInclusive<u32>) -> u64 {
     u64::from(*range.end()) - u64::from(*range.start()) + 1
 }

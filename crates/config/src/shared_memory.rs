@@ -1,22 +1,22 @@
-//! Where the fleet's shared memory lies and how much of it there is, for the bus.
+//! Location and size of the fleet's shared memory, for the bus.
 
 use joulebus_bus::{Bus, Domain, DomainError, JoinError, Limits, OpenError};
 
 use crate::{Config, ConfigError};
 
-/// Frames of forecasts that wait for a reader, at least and at most. A planner wants the newest, and
-/// a few to tell a gap from a late look; a recorder wants all, and may be late by half a second where
-/// the fleet is small enough for that to cost little memory.
+/// Minimum and maximum number of forecast frames buffered for a reader. A planner reads the newest,
+/// plus a few to distinguish a gap from a late read; a recorder reads all, and may be late by half
+/// a second in fleets small enough for that to need little memory.
 const FORECAST_FRAMES: (usize, usize) = (4, 16);
-/// Rows in the frames that wait, where that gives a number between the two.
+/// Buffered rows that determine the number of frames between these bounds.
 const FORECAST_ROWS: usize = 4_000;
 
 impl Config {
     /// The fleet's domain in shared memory.
     ///
     /// # Errors
-    /// The root is too long or not absolute, or the prefix or the name has letters that shared
-    /// memory cannot take.
+    /// The root is too long or not absolute, or the prefix or the name has characters that are not
+    /// allowed in shared memory names.
     pub fn domain(&self) -> Result<Domain, DomainError> {
         Domain::new(self.fleet(), self.root(), self.prefix())
     }
@@ -24,12 +24,12 @@ impl Config {
     /// Joins the fleet as `name`, 1 to 128 bytes.
     ///
     /// # Errors
-    /// [`ConnectError`] says what is in the way and what to do.
+    /// [`ConnectError`] with the cause and the remedy.
     pub fn join(&self, name: &str) -> Result<Bus, ConnectError> {
         Ok(Bus::join(&self.domain()?, name)?)
     }
 
-    /// What every process of the fleet must agree on.
+    /// The limits that all processes of the fleet must share.
     #[must_use]
     pub fn limits(&self) -> Limits {
         let (least, most) = FORECAST_FRAMES;
@@ -44,14 +44,14 @@ impl Config {
     }
 }
 
-/// Why a process could not join the fleet of a config, or open a port of it.
+/// Errors of joining the fleet of a config, or of opening one of its ports.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConnectError {
-    /// The config was not read, or refused.
+    /// The config could not be read, or is refused.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The config names a domain that shared memory cannot hold.
+    /// The config names an invalid domain.
     #[error(transparent)]
     Domain(#[from] DomainError),
     /// The fleet could not be joined.

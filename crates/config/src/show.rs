@@ -1,4 +1,4 @@
-//! The effective config, written out whole.
+//! The effective config as a file.
 
 use std::fmt::Write as _;
 
@@ -9,7 +9,7 @@ use crate::keys::KEYS;
 use crate::model_source::ModelSource;
 use crate::values::{Place, Value, Values};
 
-/// Every key with its value and where it comes from; a config file itself.
+/// Every key with its value and origin, as a valid config file.
 pub(crate) fn toml(read: &FleetFile) -> String {
     let mut text =
         "# The effective config: every key, with where its value comes from.\n".to_owned();
@@ -54,7 +54,7 @@ fn line(text: &mut String, values: &Values, key: &Key) {
     };
 }
 
-/// The value with paths made independent of the file that they stand in.
+/// The value with paths made independent of the file that contains them.
 fn resolved(values: &Values, key: &Key) -> Option<Value> {
     let path = match key.path {
         "domain.root" => files::root(&values.text(key.path)?),
@@ -70,7 +70,7 @@ fn resolved(values: &Values, key: &Key) -> Option<Value> {
     if path.as_os_str().is_empty() {
         return values.get(key.path);
     }
-    // Where there is no current directory the path stays as it is.
+    // Without a current directory the path is left unchanged.
     let path = std::path::absolute(&path).unwrap_or(path);
     Some(Value::Text(path.to_string_lossy().into_owned()))
 }

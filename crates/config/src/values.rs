@@ -1,4 +1,4 @@
-//! Checked values of the keys, with where each was set.
+//! Checked values of the keys, with the location where each was set.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,7 +15,7 @@ use crate::keys;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Place {
     pub(crate) file: Arc<str>,
-    /// Directory that paths in the file are relative to; none for what ships in the program.
+    /// Directory to which paths in the file are relative; `None` for built-in files.
     pub(crate) directory: Option<Arc<PathBuf>>,
     pub(crate) line: usize,
 }
@@ -26,7 +26,7 @@ impl fmt::Display for Place {
     }
 }
 
-/// A value that keeps its key's range.
+/// A value within its key's range.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Value {
     Integer(i64),
@@ -49,15 +49,15 @@ impl fmt::Display for Value {
     }
 }
 
-/// What a file says about one key.
+/// A key in a file.
 #[derive(Debug, Clone)]
 struct Entry {
-    /// None where it was refused: nothing further is to be concluded from it.
+    /// `None` if the value was refused: it is not checked further.
     value: Option<Value>,
     place: Place,
 }
 
-/// What one file, or a platform's file and what overrides it, says.
+/// The keys of one file, or of a platform's file with its overrides.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Values {
     entries: BTreeMap<&'static str, Entry>,
@@ -68,17 +68,17 @@ impl Values {
         self.entries.insert(key.path, Entry { value, place });
     }
 
-    /// Takes over what `stronger` says.
+    /// Overrides by the keys that `stronger` sets.
     pub(crate) fn override_with(&mut self, stronger: Self) {
         self.entries.extend(stronger.entries);
     }
 
-    /// Whether a file names the key, rightly or wrongly.
+    /// Whether a file sets the key, validly or not.
     pub(crate) fn names(&self, path: &str) -> bool {
         self.entries.contains_key(path)
     }
 
-    /// Whether a file names any key that begins so.
+    /// Whether a file sets any key with this prefix.
     pub(crate) fn names_any(&self, prefix: &str) -> bool {
         self.entries.keys().any(|path| path.starts_with(prefix))
     }
@@ -87,7 +87,7 @@ impl Values {
         self.entries.get(path).map(|entry| &entry.place)
     }
 
-    /// The value set, else the default; none where it is missing or was refused.
+    /// The value set, else the default; `None` if it is missing or was refused.
     pub(crate) fn get(&self, path: &str) -> Option<Value> {
         match self.entries.get(path) {
             Some(entry) => entry.value.clone(),
@@ -103,7 +103,7 @@ impl Values {
         }
     }
 
-    /// A whole number within the range of `T`.
+    /// An integer within the range of `T`.
     pub(crate) fn integer<T: TryFrom<i64>>(&self, path: &str) -> Option<T> {
         match self.get(path)? {
             Value::Integer(value) => T::try_from(value).ok(),
@@ -125,7 +125,7 @@ impl Values {
         }
     }
 
-    /// The key with its value and where it was set, for messages.
+    /// The key with its value and location, for messages.
     pub(crate) fn quote(&self, path: &str) -> String {
         let Some(key) = keys::find(path) else {
             return format!("`{path}`");

@@ -1,4 +1,4 @@
-//! The platforms that ship take every row of the real recordings.
+//! The built-in platforms accept every row of the real recordings.
 #![forbid(unsafe_code)]
 
 use std::io::Read as _;
@@ -8,7 +8,7 @@ use flate2::read::GzDecoder;
 use joulebus_config::Config;
 use joulebus_settings::Platform;
 
-/// The recordings of a folder; none where they are not at hand, which CI does not allow.
+/// The recordings of a folder; `None` if absent, which is an error in CI.
 fn recordings(folder: &str) -> Option<Vec<PathBuf>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let Ok(entries) = std::fs::read_dir(root.join(folder)) else {
@@ -57,7 +57,7 @@ fn platform(name: &str) -> Platform {
     config.settings().platforms[0].clone()
 }
 
-/// Longest times, ns: between two rows, and over which the power does not change.
+/// Longest times, ns: between two rows, and of constant power.
 #[derive(Default)]
 struct Longest {
     gap_ns: f64,
@@ -73,7 +73,7 @@ fn check_rows(platform: &Platform, rows: &[[f64; 4]], longest: &mut Longest, fil
                 && power_w <= f64::from(platform.power_max_w),
             "{file}: {power_w} W"
         );
-        // NaN is not recorded: such a row carries no command.
+        // NaN means not recorded: such a row carries no command.
         let allowed = |value: f64, max: f32| value.is_nan() || value.abs() <= f64::from(max);
         assert!(allowed(v_mps, platform.v_max_mps), "{file}: {v_mps} m/s");
         assert!(

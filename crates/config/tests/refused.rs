@@ -1,4 +1,4 @@
-//! Nothing doubtful is taken in silence: each mistake is refused, with its line and a remedy.
+//! Each mistake is refused or reported as a warning, with its line and a remedy.
 #![forbid(unsafe_code)]
 
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use joulebus_config::{Config, ConfigError, KEYS, Problem, ValueKind};
 use proptest::prelude::*;
 
-/// A whole fleet in one text; each table below changes one line of it.
+/// A complete fleet in one text; each table below changes one line of it.
 const WHOLE: &str = r#"[fleet]
 name = "lab"
 capacity = 100
@@ -57,7 +57,7 @@ fn parse(text: &str) -> Result<Config, ConfigError> {
     Config::parse(text, Path::new("/nowhere"))
 }
 
-/// The line, from 1, that `part` stands in.
+/// The line, from 1, that contains `part`.
 fn line_of(text: &str, part: &str) -> usize {
     let before = text.find(part).unwrap_or_else(|| panic!("no {part:?}"));
     1 + text[..before].matches('\n').count()
@@ -66,7 +66,7 @@ fn line_of(text: &str, part: &str) -> usize {
 /// The only problem of the text.
 fn problem(text: &str) -> Problem {
     match parse(text) {
-        Ok(_) => panic!("taken in silence:\n{text}"),
+        Ok(_) => panic!("accepted:\n{text}"),
         Err(refused) => {
             assert_eq!(refused.problems().len(), 1, "{refused}");
             refused.problems()[0].clone()
@@ -74,9 +74,9 @@ fn problem(text: &str) -> Problem {
     }
 }
 
-/// Changes `from` to `to` in the whole text and looks at the problem that this makes.
+/// Replaces `from` by `to` in the complete text and checks the resulting problem.
 fn assert_refused(from: &str, to: &str, key: &str, says: &[&str]) {
-    assert_eq!(WHOLE.matches(from).count(), 1, "{from:?} must stand once");
+    assert_eq!(WHOLE.matches(from).count(), 1, "{from:?} must occur once");
     let text = WHOLE.replace(from, to);
     let problem = problem(&text);
     assert_eq!(problem.key, key, "{problem}");
@@ -95,7 +95,7 @@ fn assert_refused(from: &str, to: &str, key: &str, says: &[&str]) {
 }
 
 #[test]
-fn the_whole_text_is_taken() {
+fn the_complete_text_is_accepted() {
     let config = parse(WHOLE).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(config.warnings(), []);
     assert_eq!(config.settings().platforms[0].robots, [0..=9, 20..=20]);
@@ -166,10 +166,10 @@ fn typos_are_refused_with_the_nearest_key() {
     }
 }
 
-/// As `assert_refused`, where a second key may stand with the same text elsewhere.
+/// As `assert_refused`, where the same text may occur elsewhere.
 fn assert_refused_among(from: &str, to: &str, key: &str, says: &[&str]) {
     let text = WHOLE.replacen(from, to, 1);
-    let refused = parse(&text).expect_err("taken in silence");
+    let refused = parse(&text).expect_err("accepted");
     let found = refused.problems().iter().find(|problem| problem.key == key);
     let found = found.unwrap_or_else(|| panic!("{refused}"));
     let line = line_of(WHOLE, from);
@@ -345,7 +345,7 @@ fn wrong_kinds_and_units_are_refused() {
             "model = \"persistence\"",
             "model = \"builtin:nothing\"",
             "platform.model",
-            &["no such model ships"],
+            &["no such built-in model"],
         ),
         (
             "file = \"builtin:rover\"",
@@ -372,7 +372,7 @@ fn wrong_kinds_and_units_are_refused() {
 }
 
 #[test]
-fn a_key_in_another_unit_is_told_in_the_right_one() {
+fn a_key_in_another_unit_is_converted_in_the_remedy() {
     let cases: &[(&str, &str, &str, &[&str])] = &[
         (
             "deadline_ms = 10.0",
@@ -543,7 +543,7 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
 }
 
 #[test]
-fn what_is_set_twice_is_refused_with_both_lines() {
+fn keys_set_twice_are_refused_with_both_lines() {
     let cases = [
         (
             "capacity = 100\n",
@@ -561,13 +561,13 @@ fn what_is_set_twice_is_refused_with_both_lines() {
 }
 
 #[test]
-fn what_is_missing_is_named() {
+fn missing_keys_are_named() {
     for key in KEYS {
         if key.default != joulebus_config::DefaultValue::Required {
             continue;
         }
         let lines = WHOLE.lines().collect::<Vec<_>>();
-        // The first line of the key's own section that sets it.
+        // The first line that sets the key in its own section.
         let section = match key.path.rsplit_once('.') {
             Some(("platform", _)) => "[[platform]]".to_owned(),
             Some((section, _)) => format!("[{section}]"),
@@ -588,14 +588,14 @@ fn what_is_missing_is_named() {
     }
     let bare = WHOLE.replace("residual_std_w = 0.1\n", "");
     assert!(problem(&bare).what.contains("residual_std_w"));
-    let nobody = "[fleet]\nname = \"lab\"\n";
-    assert!(problem(nobody).what.contains("no [[platform]]"));
+    let no_platform = "[fleet]\nname = \"lab\"\n";
+    assert!(problem(no_platform).what.contains("no [[platform]]"));
     let single = "[fleet]\nname = \"lab\"\n[platform]\nname = \"one\"\n";
     assert!(problem(single).remedy.contains("[[platform]]"));
 }
 
 #[test]
-fn everything_wrong_is_told_at_once_in_order() {
+fn all_errors_are_reported_at_once_in_order() {
     let text = WHOLE
         .replace("capacity = 100", "capactiy = 100")
         .replace("coverage = 0.9", "coverage = 2")
@@ -620,7 +620,7 @@ fn everything_wrong_is_told_at_once_in_order() {
 }
 
 #[test]
-fn what_is_doubtful_is_taken_with_a_warning() {
+fn doubtful_values_are_accepted_with_a_warning() {
     for (from, to, key) in [
         ("capacity = 100", "capacity = 20", "fleet.capacity"),
         (
@@ -641,7 +641,7 @@ fn what_is_doubtful_is_taken_with_a_warning() {
     }
 }
 
-/// Whole text with one number of it replaced by `value`.
+/// The complete text with one number replaced by `value`.
 fn with_value(path: &str, value: f64) -> String {
     let (section, name) = path.rsplit_once('.').expect("a section");
     let header = match section {
@@ -662,7 +662,7 @@ fn with_value(path: &str, value: f64) -> String {
 }
 
 #[test]
-fn ends_of_ranges_are_taken_and_what_lies_past_them_is_not() {
+fn bounds_are_accepted_and_values_beyond_them_are_not() {
     for key in KEYS {
         let ValueKind::Number { min, max } = key.kind else {
             continue;
@@ -672,7 +672,7 @@ fn ends_of_ranges_are_taken_and_what_lies_past_them_is_not() {
                 Ok(_) => None,
                 Err(error) => Some(error.to_string()),
             };
-            // Contradictions with other keys may remain; out of range it must not be called.
+            // It may contradict other keys, but must not be out of range.
             if let Some(text) = refused(end) {
                 assert!(
                     text.contains("contradicts") && !text.contains("out of its range"),
@@ -680,7 +680,7 @@ fn ends_of_ranges_are_taken_and_what_lies_past_them_is_not() {
                     key.path
                 );
             }
-            let text = refused(past).unwrap_or_else(|| panic!("{} = {past} is taken", key.path));
+            let text = refused(past).unwrap_or_else(|| panic!("{} = {past} is accepted", key.path));
             assert!(text.contains("out of its range"), "{}: {text}", key.path);
         }
     }
@@ -688,12 +688,12 @@ fn ends_of_ranges_are_taken_and_what_lies_past_them_is_not() {
 
 proptest! {
     #[test]
-    fn no_text_makes_it_panic(text in any::<String>()) {
+    fn no_text_causes_a_panic(text in any::<String>()) {
         let _ = parse(&text);
     }
 
     #[test]
-    fn no_damage_to_a_config_makes_it_panic_and_what_is_taken_passes_the_ticks_own_check(
+    fn no_corruption_of_a_config_causes_a_panic_and_accepted_ones_pass_the_ticks_check(
         at in 0..WHOLE.len(),
         length in 0_usize..40,
         piece in "[-a-z0-9.=\"\\[\\]_\n{} ]{0,12}",
@@ -713,7 +713,7 @@ proptest! {
     }
 
     #[test]
-    fn no_number_makes_it_panic_or_slip_past_its_range(
+    fn no_number_causes_a_panic_or_escapes_its_range(
         index in 0..KEYS.len(),
         value in any::<f64>(),
     ) {
@@ -725,8 +725,8 @@ proptest! {
                 prop_assert_eq!(config.settings().check(), Ok(()));
             }
             Err(refused) => {
-                let told = refused.to_string().contains("out of its range");
-                prop_assert_eq!(told, !(min <= value && value <= max), "{}", refused);
+                let out_of_range = refused.to_string().contains("out of its range");
+                prop_assert_eq!(out_of_range, !(min <= value && value <= max), "{}", refused);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! The files that ship: they load, explain every key, and agree with the table of keys.
+//! The shipped files load, explain every key, and agree with the table of keys.
 #![forbid(unsafe_code)]
 
 use std::fs;
@@ -23,7 +23,7 @@ fn load(name: &str) -> Result<Config, ConfigError> {
     Config::load(configs().join(name))
 }
 
-/// Comments and keys of a file as one line of words, comment signs left out.
+/// Comments and keys of a file as one line of words, comment signs removed.
 fn words(text: &str) -> String {
     let lines = text.lines().map(|line| line.trim_start_matches(['#', ' ']));
     let words: Vec<&str> = lines.flat_map(str::split_whitespace).collect();
@@ -49,10 +49,10 @@ fn shipped_fleets_load_without_a_warning() {
 }
 
 #[test]
-fn every_key_stands_annotated_in_the_shipped_files() {
+fn every_key_is_annotated_in_the_shipped_files() {
     let fleet = words(&shipped("fleet.toml"));
     for key in KEYS {
-        // What it does, unit, range and default, from the table, right before the key.
+        // Purpose, unit, range and default, from the table, directly before the key.
         let comment = words(&format!("{} {}", key.doc, key.facts()));
         let texts = match key.file {
             File::Fleet => vec![fleet.clone()],
@@ -75,7 +75,7 @@ fn every_key_stands_annotated_in_the_shipped_files() {
 }
 
 #[test]
-fn defaults_in_the_table_are_what_leaving_keys_out_gives() {
+fn defaults_in_the_table_equal_those_of_missing_keys() {
     let least = "[fleet]\nname = \"lab\"\n[[platform]]\nfile = \"platforms/gternal.toml\"\n\
                  robots = [\"0-99\"]\n";
     let defaults = Config::parse(least, &configs()).unwrap_or_else(|error| panic!("{error}"));
@@ -93,7 +93,7 @@ fn defaults_in_the_table_are_what_leaving_keys_out_gives() {
             deadline_ns: 10_000_000
         }
     );
-    // Each default once more by its text: `config show` writes them from the values.
+    // Each default also as text: `config show` writes them from the values.
     for key in KEYS.iter().filter(|key| key.file == File::Fleet) {
         let Some(default) = explanations(Some(key.path)).unwrap().remove(0).default else {
             continue;
@@ -119,7 +119,7 @@ fn defaults_in_the_table_are_what_leaving_keys_out_gives() {
 fn the_effective_config_is_the_same_config() {
     for name in ["fleet.toml", "mixed.toml"] {
         let config = load(name).unwrap();
-        // From another directory: nothing in it depends on where it stands.
+        // From another directory: it must not depend on its location.
         let again = Config::parse(config.to_toml(), Path::new("/"))
             .unwrap_or_else(|error| panic!("{name}: {error}\n{}", config.to_toml()));
         assert_eq!(again.settings(), config.settings());
@@ -137,7 +137,7 @@ fn the_effective_config_is_the_same_config() {
 }
 
 #[test]
-fn the_demo_needs_no_file_but_its_own() {
+fn the_demo_needs_only_its_own_file() {
     for robots in [1, 20, 100_000] {
         let demo = Demo {
             fleet: "demo-7".to_owned(),
@@ -169,7 +169,7 @@ fn the_root_is_the_users_own() {
 }
 
 #[test]
-fn models_that_ship_can_be_loaded_under_their_own_names() {
+fn built_in_models_can_be_loaded_by_name() {
     assert_eq!(builtin_models().count(), 2);
     for name in builtin_models() {
         let (_, bytes) = builtin_model(name).unwrap();
@@ -192,7 +192,7 @@ fn a_path_is_relative_to_the_file_that_names_it() {
     let at = |name: &str| place.path().join(name);
     fs::create_dir_all(at("kinds")).unwrap();
     fs::create_dir_all(at("weights")).unwrap();
-    fs::write(at("weights/own.safetensors"), b"not looked into").unwrap();
+    fs::write(at("weights/own.safetensors"), b"not parsed").unwrap();
     let platform = shipped("platforms/rover.toml")
         .replace("\"persistence\"\n", "\"../weights/own.safetensors\"\n")
         .replace("\nresidual_std_w", "\n# residual_std_w");
@@ -208,12 +208,12 @@ fn a_path_is_relative_to_the_file_that_names_it() {
     assert_eq!(
         config.settings().platforms[0].name,
         "renamed",
-        "the fleet's file wins"
+        "the fleet's file overrides"
     );
     let ModelSource::File(model) = &config.models()[0] else {
         panic!("{:?}", config.models());
     };
-    assert_eq!(fs::read(model).unwrap(), b"not looked into");
+    assert_eq!(fs::read(model).unwrap(), b"not parsed");
 
     fs::remove_file(at("weights/own.safetensors")).unwrap();
     let refused = Config::load(at("own-fleet.toml")).unwrap_err();
@@ -244,7 +244,7 @@ fn explanations_cover_keys_sections_and_everything() {
 }
 
 #[test]
-fn a_root_that_shared_memory_cannot_take_is_refused_with_its_line() {
+fn a_root_invalid_for_shared_memory_is_refused_with_its_line() {
     let demo = |root: &str| Demo {
         fleet: "demo".to_owned(),
         root: PathBuf::from(root),

@@ -45,7 +45,7 @@ pub struct Platform {
 pub struct Online {
     /// Mixes persistence, the model's linear baseline and its network by learned weights.
     pub mixture: bool,
-    /// Learns a bias and a gain on the network's forecast.
+    /// Learns an offset and a gain on the network's forecast.
     pub adapt: bool,
 }
 
