@@ -1,4 +1,4 @@
-//! Facts of the build that the program cannot see later: compiler, target features, optimisation.
+//! Build properties that are unknown at run time: compiler, target features, optimisation.
 
 use std::env;
 use std::process::Command;

@@ -1,4 +1,4 @@
-//! Alarms: a robot whose power monitor is stuck, and one that sends what cannot be true.
+//! Alarms: a robot with a stuck power monitor, and one that sends invalid values.
 //! `cargo run -p joulebus-examples --example alarms`
 
 use std::error::Error;
@@ -35,7 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let Some(frame) = diagnostics.latest()? else {
             continue;
         };
-        // Sixteen robots refused of late are named in the header, each with the reason.
+        // The header names up to sixteen recently refused robots, each with the reason.
         if let Some(refusal) = frame.header().refusals().next().filter(|_| !refused) {
             println!("robot {} refused: {:?}", refusal.robot, refusal.reason());
             refused = true;

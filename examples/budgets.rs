@@ -28,7 +28,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         publisher.publish([
             RobotState::new(0).command(0.0, 0.0).reading(2.8),
             RobotState::new(1).command(0.2, 0.0).reading(4.6),
-            // Its power monitor does not answer: the safe side is charged the platform's 20 W.
+            // Its power monitor does not respond: the conservative estimate is charged the
+            // platform's 20 W.
             RobotState::new(2).command(0.2, 0.0),
         ])?;
         // Budgets are sent with the forecasts, for which a planner waits.

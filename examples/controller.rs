@@ -1,5 +1,5 @@
-//! A fleet controller publishes what it commanded and what it read, 30 times a second, whether or
-//! not a worker runs: `cargo run -p joulebus-examples --example controller configs/fleet.toml`
+//! A fleet controller publishes its commands and readings, 30 times a second, whether or not a
+//! worker runs: `cargo run -p joulebus-examples --example controller configs/fleet.toml`
 
 use std::error::Error;
 use std::path::Path;
@@ -15,7 +15,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Publishes twenty robots 30 times a second, `ticks` times; how many samples that were.
+/// Publishes samples of twenty robots 30 times a second, `ticks` times; returns their number.
 pub(crate) fn run(config: &Path, ticks: u32) -> Result<u64, Box<dyn Error>> {
     let mut publisher = Publisher::connect(config, "example-controller")?;
     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
@@ -26,7 +26,7 @@ pub(crate) fn run(config: &Path, ticks: u32) -> Result<u64, Box<dyn Error>> {
             let v_mps = 0.1 + 0.05 * (tick as f32 * 0.02 + robot as f32).sin();
             let power_w = 2.8 + 9.0 * v_mps;
             let state = RobotState::new(robot).command(v_mps, 0.0);
-            // The monitor measures every third time, and repeats itself in between.
+            // The monitor measures at every third tick, and repeats its reading in between.
             match tick % 3 {
                 0 => state.reading(power_w),
                 _ => state.held_reading(power_w),

@@ -1,4 +1,5 @@
-//! One fleet of three platforms, each with its own model, rate and limits; one worker forecasts all.
+//! One fleet of three platforms, each with its own model, rate and limits; one worker forecasts for
+//! all.
 //! `cargo run -p joulebus-examples --example mixed_fleet`
 
 use std::error::Error;
@@ -8,7 +9,7 @@ use joulebus_consumer::{Event, Planner};
 use joulebus_examples::PrivateFleet;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 
-/// What is not set comes from the platform's file; `joulebus config explain` describes each key.
+/// Other keys come from the platform's file; `joulebus config explain` describes each key.
 const PLATFORMS: &str = r#"
 [[platform]]
 file = "builtin:gternal"

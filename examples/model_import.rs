@@ -1,5 +1,5 @@
-//! Model import: weights of another program become a model that the worker loads. The file is read
-//! by a parser that runs nothing. `cargo run -p joulebus-examples --example model_import`
+//! Model import: converts weights of another program to a model for the worker. The parser executes
+//! no code in the file. `cargo run -p joulebus-examples --example model_import`
 
 use std::error::Error;
 
@@ -15,7 +15,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("found {}", layer.weight_path);
     }
 
-    // Files do not say how features were computed: what forecasts recordings best is taken.
+    // Files do not state how features were computed: the convention that forecasts recordings best
+    // is chosen.
     let recordings = [protocol::trial(1, 7)?, protocol::trial(5, 7)?];
     let origin = Origin {
         name: "imported",
@@ -36,11 +37,11 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// Each array's name, and its `.npy` file.
 type Arrays = Vec<(String, Vec<u8>)>;
 
-/// Weights and statistics as plain NumPy arrays: what somebody who trained elsewhere would have.
+/// Weights and statistics as plain NumPy arrays, as another program may have saved them.
 fn arrays_of_another_program() -> Result<Arrays, Box<dyn Error>> {
     let (_, bytes) = joulebus_config::builtin_model("gternal-sim").ok_or("no such model")?;
     let mut arrays = to_arrays(&Network::from_safetensors(bytes)?)?;
-    // Without what only our own files have, it is a foreign one.
+    // Without the arrays of our own format, it is a foreign file.
     arrays.retain(|(name, _)| {
         name.starts_with("layers.")
             || name.ends_with("mean")

@@ -1,4 +1,4 @@
-//! Offline evaluation: recorded trials through the tick that runs live, with the same bits.
+//! Offline evaluation: recorded trials through the live tick, with the same bits.
 //! `cargo run -p joulebus-examples --example offline_evaluation [FILE…]`
 
 use std::error::Error;
@@ -18,7 +18,7 @@ robots = ["0-99"]
 "#;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    // Recordings as .npy, CSV or CSV.gz; two simulated trials where none is named.
+    // Recordings as .npy, CSV or CSV.gz; by default two simulated trials.
     let mut trials = std::env::args()
         .skip(1)
         .map(Trial::read)
@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             joulebus_sim::protocol::trial(5, 7)?,
         ];
     }
-    // A robot's id decides its platform, and so its model.
+    // A robot's id determines its platform, and so its model.
     let trials: Vec<(u32, Trial)> = (0..).zip(trials).collect();
     let config = Config::parse(CONFIG, Path::new("."))?;
     let models = load_models(&config)?;

@@ -1,5 +1,5 @@
-//! A planner waits for forecasts, and learns at once when the worker that makes them ends:
-//! `cargo run -p joulebus-examples --example planner configs/fleet.toml`
+//! A planner waits for forecasts, and is notified at once when the worker ends: `cargo run -p
+//! joulebus-examples --example planner configs/fleet.toml`
 
 use std::error::Error;
 use std::path::Path;
@@ -13,7 +13,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     run(config.as_ref(), 60)
 }
 
-/// Shows `frames` frames of forecasts, and whatever happens to the worker meanwhile.
+/// Prints `frames` frames of forecasts, and changes of the worker's state.
 pub(crate) fn run(config: &Path, frames: u64) -> Result<(), Box<dyn Error>> {
     let mut planner = Planner::connect(config)?;
     while planner.counts().frames < frames {
@@ -25,10 +25,10 @@ pub(crate) fn run(config: &Path, frames: u64) -> Result<(), Box<dyn Error>> {
                     Some((lo, hi)) => {
                         println!("tick {tick}: fleet {fleet_w:.1} W, robot 7 {lo:.2} to {hi:.2} W");
                     }
-                    None => println!("tick {tick}: fleet {fleet_w:.1} W, robot 7 not known"),
+                    None => println!("tick {tick}: fleet {fleet_w:.1} W, robot 7 unknown"),
                 }
             }
-            Event::Gone(end) => println!("the worker is gone ({end:?}): rely on nothing"),
+            Event::Gone(end) => println!("the worker is gone ({end:?}): forecasts are invalid"),
             Event::Stale { age_ns } => println!("nothing new for {} ms", age_ns / 1_000_000),
             Event::Interrupted => break,
             _ => println!("waiting for the worker"),

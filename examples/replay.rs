@@ -1,5 +1,6 @@
-//! A replay in this process, without shared memory: the tick computes every forecast, diagnostic and
-//! budget of a capture again and compares the bits. `cargo run -p joulebus-examples --example replay [FILE]`
+//! A replay in this process, without shared memory: the tick recomputes every forecast, diagnostic
+//! and budget of a capture and compares the bits. `cargo run -p joulebus-examples --example replay
+//! [FILE]`
 
 use std::error::Error;
 
@@ -37,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let verification = verifier.finish();
     println!(
-        "{} of {} ticks computed again, {} forecasts compared, {} values differ",
+        "{} of {} ticks recomputed, {} forecasts compared, {} values differ",
         verification.ticks_verified,
         verification.ticks,
         verification.forecasts_compared,

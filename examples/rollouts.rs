@@ -1,4 +1,5 @@
-//! Rollouts: what would these commands cost? A model is fed with its own forecasts for two seconds.
+//! Rollouts: the energy of command sequences. A model is fed with its own forecasts for two
+//! seconds.
 //! `cargo run -p joulebus-examples --example rollouts`
 
 use std::error::Error;
@@ -19,13 +20,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     // Feature 6 is the newest reading.
     if let Some(range) = model.training_range() {
         println!(
-            "{name} has seen {:.2} to {:.2} W",
+            "{name} was trained on {:.2} to {:.2} W",
             range.min[6], range.max[6]
         );
     }
     let candidates = [(0.05, 0.0), (0.2, 0.0), (0.0, 3.0)];
     let steps = 60;
-    // Commands stand step by step: those of all candidates at step 0, then of all at step 1.
+    // Commands are stored step by step: those of all candidates at step 0, then of all at step 1.
     let v_mps = candidates.map(|(v_mps, _)| v_mps).repeat(steps);
     let omega_radps = candidates.map(|(_, omega_radps)| omega_radps).repeat(steps);
     let rollouts = Rollouts {

@@ -1,5 +1,5 @@
-//! Training: rows of a simulated fleet in, a model file that the worker loads out. The same seed gives
-//! the same bytes on every machine. `cargo run -p joulebus-examples --example training`
+//! Training: from rows of a simulated fleet to a model file for the worker. The same seed gives the
+//! same bytes on every machine. `cargo run -p joulebus-examples --example training`
 
 use std::error::Error;
 use std::fs;
@@ -9,7 +9,7 @@ use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
 use joulebus_train::{TrainSettings, train};
 
 fn main() -> Result<(), Box<dyn Error>> {
-    // Split by robot: rows of one robot never stand on both sides.
+    // Split by robot: the rows of one robot are all in the same part.
     let dataset = dataset_from_plant(SimulatedData {
         seed: 7,
         training_robots: 8,
@@ -17,7 +17,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         held_out_robots: 4,
         ticks: 300,
     });
-    // The paper's recipe trains up to 100 epochs; three show how it is done.
+    // The paper's recipe trains up to 100 epochs; three are enough for an example.
     let settings = TrainSettings {
         max_epochs: 3,
         ..TrainSettings::new("example", "simulation", FeatureSet::Full, 7)
@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let scores = &trained.network.card().scores;
     println!(
-        "{} forecasts of robots that it has not seen: MAE {:.3} W, persistence {:.3} W",
+        "{} forecasts of held-out robots: MAE {:.3} W, persistence {:.3} W",
         scores.rows, scores.network_mae_w, scores.persistence_mae_w,
     );
     let directory = tempfile::tempdir()?;

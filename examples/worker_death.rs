@@ -1,4 +1,4 @@
-//! The worker is killed and started again: a planner learns of both at once, and stays connected.
+//! The worker is killed and restarted: a planner is notified of both at once, and stays connected.
 //! `cargo run -p joulebus-examples --example worker_death`
 
 use std::error::Error;
@@ -34,20 +34,20 @@ fn main() -> Result<(), Box<dyn Error>> {
                 break;
             }
             Event::Frame(frame) if !killed => {
-                println!("tick {}; now the worker is killed", frame.header().tick);
+                println!("tick {}; now killing the worker", frame.header().tick);
                 worker.kill()?;
                 killed = true;
             }
             Event::Gone(end) => {
-                println!("the worker is gone ({end:?}): stop relying on forecasts");
+                println!("the worker is gone ({end:?}): forecasts are invalid");
                 worker.wait()?;
                 worker = start(fleet.config())?;
             }
             Event::TimedOut => {
                 worker.kill()?;
-                return Err("nothing for ten seconds".into());
+                return Err("no event for ten seconds".into());
             }
-            // Frames sent before the end, and a silence before it is told: nothing to do.
+            // Frames sent before the end, and `Stale` before it is reported: nothing to do.
             _ => {}
         }
     }

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# The tests beside a busy machine: eight loops that never pause, on however few cores there are.
+# Runs the tests on a busy machine: beside eight busy loops, on any number of cores.
 # Usage: tools/busy.sh RUNS [cargo test arguments…]   (default of the arguments: --workspace)
-# Compiles first, runs the tests so often, and prints how many passed and failed in each run and how
-# long it took. Logs stay in target/busy/. Ends with 1 if anything failed.
+# Compiles first, runs the tests RUNS times, and prints for each run the passes, failures and duration.
+# Logs are kept in target/busy/. Exits with 1 if anything failed.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 
@@ -21,7 +21,7 @@ loops=()
 trap 'kill "${loops[@]}" 2>/dev/null' EXIT
 trap 'exit 130' INT TERM
 for _ in 1 2 3 4 5 6 7 8; do
-    # They end with this script, however it ends.
+    # The loops end when this script ends, by whatever cause.
     (while kill -0 $$; do for ((i = 0; i < 100000; i++)); do :; done; done) 2>/dev/null &
     loops+=($!)
 done

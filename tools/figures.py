@@ -23,7 +23,7 @@ def told(path):
 
 
 def machine():
-    """This machine, in the words of the Rust side."""
+    """This machine, described as by the Rust side."""
     fields = {}
     for line in told("/proc/cpuinfo").splitlines():
         name, _, value = line.partition(":")

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Cuts the first panel, the upper left quarter, out of a figure of `joulebus report`, at twice its size.
+"""Extracts the first panel, the upper left quarter, from a figure of `joulebus report`, at twice its size.
 
     tools/first_panel.py report/figures/figure-4-time.svg > docs/forecast.svg
 """

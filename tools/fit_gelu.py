@@ -10,7 +10,7 @@ along. Adding MAGIC = 2^23 to |y| rounds it to an integer, which then stands in 
 the sum and *is* the segment. So segment i reaches from i - 1/2 to i + 1/2, and the first one is half
 as wide. Past LIMIT the argument is clamped, which costs at most p there.
 
-The value computed is 2 * SCALE * GELU = y + |y| - 2 * SCALE * p, two additions beside the
+The value computed is 2 * SCALE * GELU = y + |y| - 2 * SCALE * p, two additions besides the
 polynomial, and the next layer's weights take the factor back. Each segment has one polynomial in |y|
 itself, with no local variable: the cancellation that this brings is part of the errors printed (of
 GELU, not of the multiple), which are those of f32 arithmetic with fused multiply-adds, as the
@@ -33,7 +33,7 @@ def erf_tail(a):
 
 
 def tanh_tail(a):
-    # 1 - tanh(z) = 2 / (1 + exp(2 z)), which does not cancel.
+    # 1 - tanh(z) = 2 / (1 + exp(2 z)), which avoids cancellation.
     z = TANH_SCALE * (a + 0.044715 * a**3)
     return a / (1.0 + math.exp(2.0 * z))
 
@@ -78,7 +78,7 @@ def minimax(function, low, high, degree):
         solution = solve(matrix, [function(a) for a in points])
         coefficients = solution[:-1]
         errors = [horner(coefficients, a) - function(a) for a in grid]
-        # One extremum for each stretch of equal sign; a round too coarse to show all ends it.
+        # One extremum for each run of equal sign; a grid too coarse to show all ends the iteration.
         extrema, sign = [], 0.0
         for a, error in zip(grid, errors):
             if math.copysign(1.0, error) != sign:
@@ -107,7 +107,7 @@ def table(function, degree):
     for i in range(SEGMENTS):
         low, high = max(0.0, i - 0.5), i + 0.5
         rounded = []
-        # From the highest on: what rounding a coefficient costs, those below it make good.
+        # From the highest on: the lower ones compensate the rounding error of a coefficient.
         for order in range(degree, -1, -1):
             def rest(y):
                 return -function(y) - math.fsum(c * y**j for j, c in rounded)
@@ -143,7 +143,7 @@ def main():
         for k in range(20_001):
             y = f32(limit * k / 20_000)
             worst = max(worst, abs(evaluate(segments, limit, y) + scaled(y)) / (2.0 * scale))
-        print(f"\n/// Largest error {worst:.1e} up to the limit, {tail(limit / scale):.1e} past it.")
+        print(f"\n/// Maximum error {worst:.1e} up to the limit, {tail(limit / scale):.1e} beyond it.")
         print(f"static {name}: [[f32; {SEGMENTS}]; {degree + 1}] = [")
         for j in range(degree + 1):
             print("    [" + ", ".join(literal(segment[j]) for segment in segments) + "],")

@@ -1,24 +1,24 @@
 #!/usr/bin/env bash
-# Runs the fuzz targets, each for so many seconds, and prints what came of it:
+# Runs the fuzz targets, each for SECONDS, and prints a table of the results:
 #
 #   tools/fuzz.sh SECONDS [TARGET…]      # all targets unless some are named; JOBS=2 runs two at a time
 #
 # Needs a nightly toolchain; installs cargo-fuzz if it is missing. New inputs are kept in
-# fuzz/corpus, findings in fuzz/artifacts, logs in fuzz/logs. Ends with 1 if there is a finding.
+# fuzz/corpus, findings in fuzz/artifacts, logs in fuzz/logs. Exits with 1 if there is a finding.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export CARGO_TERM_COLOR=never CARGO_INCREMENTAL=0
 
-# The programs with unsafe code below them, and so with AddressSanitizer; the others are safe Rust
-# throughout, and run without one.
+# The targets that execute unsafe code, which run with AddressSanitizer; the others are safe Rust
+# throughout, and run without.
 UNSAFE="frames keyframes model"
 
 sanitizer() { [[ " $UNSAFE " == *" $1 "* ]] && echo address || echo none; }
 seeds() { case $1 in recover | scan) echo mcap ;; *) echo "$1" ;; esac; }
-# Longest input, bytes.
+# Maximum length of an input, bytes.
 longest() { case $1 in archive | checkpoint) echo 65536 ;; frames) echo 2048 ;; *) echo 16384 ;; esac; }
 
-# The model files that the tests have, which no mutation would come upon.
+# The model files of the tests, which mutation would not find.
 fixtures() {
     local fixture name
     for fixture in crates/model-files/tests/fixtures/*.gz; do
@@ -36,7 +36,7 @@ run() {
     program=fuzz/target/$(sanitizer "$target")/$(host)/release/$target
     mkdir -p "fuzz/corpus/$target" "fuzz/artifacts/$target" fuzz/logs
     fixtures "$target"
-    # Trials are files: in memory, if there is such a place.
+    # Trials are files: in memory, if possible.
     [ -w /dev/shm ] && export TMPDIR=/dev/shm
     TIMEFORMAT='cpu %U %S'
     { time "$program" -max_total_time="$seconds" -max_len="$(longest "$target")" -timeout=20 \

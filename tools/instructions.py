@@ -19,7 +19,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 import figures  # noqa: E402
 
-# What, sizes, what a forecast is called there.
+# Work, sizes, unit of a forecast.
 CASES = [
     ("kernel", [1, 7, 20, 100, 1_000], "robot"),
     ("take", [100, 1_000], "robot"),

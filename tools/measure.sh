@@ -2,10 +2,10 @@
 # Measures everything on this machine, in order, and fills the tables of docs/performance.md.
 #
 #   tools/measure.sh            about 15 minutes after the builds; leave the machine alone meanwhile
-#   tools/measure.sh --quick    a minute: whether it runs, not how fast
+#   tools/measure.sh --quick    a minute: a smoke test
 #
-# Figures: bench-results/*.json. JOULEBUS_PEERS names a directory with an environment of peers that
-# exists already (default target/peers).
+# Figures: bench-results/*.json. JOULEBUS_PEERS names a directory with an existing environment of
+# peers (default target/peers).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 results=bench-results
@@ -25,7 +25,7 @@ bench() {
     step "$program" "$name" --json "$results/$name.json" "${quick[@]}" "$@"
 }
 
-# All that compiles first, so that nothing heats the machine between measurements.
+# Compiles everything first, so that no build heats the machine between measurements.
 step cargo build --release --locked -p joulebus-bench
 target=$(cargo metadata --no-deps --format-version 1 | python3 -c 'import json, sys; print(json.load(sys.stdin)["target_directory"])')
 program=$target/release/joulebus-bench

@@ -37,7 +37,7 @@ def weights(rng):
     layers = []
     for outputs, inputs in SIZES:
         scale = 2.0 ** round(math.log2(2.0 / math.sqrt(inputs)))
-        # A weak last layer: the network may feed on its own forecasts without growing.
+        # A small last layer: with its own forecasts as inputs, the network does not diverge.
         scale = scale / 8.0 if outputs == 1 else scale
         steps = rng.choice([-1.0, 0.0, 0.0, 0.0, 1.0], size=(outputs, inputs))
         bias = rng.choice([-0.25, 0.0, 0.25], size=outputs)

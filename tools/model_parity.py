@@ -175,7 +175,7 @@ def back(folder):
         report = joulebus("model", "import", file, "--data", data, "--out", out)
         assert report["convention"] == CONVENTION, (name, report["convention"])
         arrays, _ = export(out, folder)
-        # Our rows, written as the author of the file would: differences over the step, reversed.
+        # Our rows in the format of the file's author: differences over the step, reversed.
         rows = arrays["check_features"].astype(np.float64)
         step_s = report["step_s"]
         inputs = np.column_stack([

@@ -2,10 +2,10 @@
 """Fills the marked blocks of docs/performance.md from the figures in bench-results/.
 
 A block begins with `<!-- figures: NAME -->`, ends with `<!-- end of figures -->`, and is replaced by
-the tables of bench-results/NAME.json. A block whose file is missing is left as it is.
+the tables of bench-results/NAME.json. A block whose file is missing is unchanged.
 
     tools/measure.sh                       # measures everything and calls this
-    python3 tools/performance_tables.py    # the tables alone
+    python3 tools/performance_tables.py    # only the tables
 """
 import json
 import pathlib
@@ -222,7 +222,7 @@ def main():
         if name not in RENDER:
             sys.exit(f"{page}: no figures are called {name!r}; there are {', '.join(RENDER)}")
         if not file.exists():
-            print(f"{name}: left as it is, {file} is missing", file=sys.stderr)
+            print(f"{name}: unchanged, {file} is missing", file=sys.stderr)
             return match.group(0)
         return begin + RENDER[name](json.loads(file.read_text())) + "\n" + end
 

@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
-# Renders every picture of README.md again and takes a screenshot of each in a real browser, to be looked at.
+# Renders every picture of README.md again and takes a screenshot of each in a browser, for inspection.
 #
 #     tools/pictures.sh [SCREENSHOTS]     # default: target/pictures
 #
-# Needs Chromium, tmux, Python 3 and the recordings in ../shared/data (Robotino: BrOleg5/research-wheel-slippage
+# Needs Chromium, tmux, Python 3 and the recordings in ../shared/data (Robotino:
+# BrOleg5/research-wheel-slippage
 # at b4303b4c, Apache-2.0; 648 trials of a Festo Robotino v2 on four surfaces). docs/dataflow.svg is drawn by
 # hand; docs/peers.svg is written by tools/measure.sh.
 set -euo pipefail
@@ -26,8 +27,8 @@ sleep 18
 tmux -L pictures capture-pane -t view -p -e | python3 tools/ansi_svg.py > docs/live-view.svg
 tmux -L pictures kill-server
 
-# Forecast and report: trained on every second trial, shown on trials that were not among them. The picture
-# of the forecast is six seconds of one of them, the first panel of the report's figure.
+# Forecast and report: trained on every second trial, shown on held-out trials. The picture of the
+# forecast is six seconds of one of them, the first panel of the report's figure.
 "$joulebus" train trials "$data/*exp*[02468].csv.gz" --split trial --out "$work/robotino.safetensors" > /dev/null
 gzip -dc "$data/one_surface_type_gray_surface_exp05.csv.gz" | head -n 201 > "$work/gray_surface_exp05.csv"
 "$joulebus" report "$work/gray_surface_exp05.csv" --model "$work/robotino.safetensors" -o "$work/forecast" > /dev/null
@@ -45,4 +46,4 @@ for picture in docs/*.svg; do
     screenshot "$PWD/$picture" ${size} "$PWD/$screenshots/$(basename "$picture" .svg).png"
 done
 cp docs/report-page.png "$screenshots"
-echo "rendered into docs/; look at the screenshots in $screenshots"
+echo "rendered into docs/; inspect the screenshots in $screenshots"

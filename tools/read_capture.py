@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Reads a capture with the Python packages of others and compares it with `joulebus info`.
+"""Reads a capture with independent Python packages and compares it with `joulebus info`.
 
 Nothing of joulebus is used to read: `mcap` and `mcap-protobuf-support` decode every message by the
 descriptors that lie in the file. Checked, for every channel with protobuf messages:
@@ -60,7 +60,7 @@ def inside(place):
 
 
 class Trouble(Exception):
-    """Something about the capture that others would stumble over."""
+    """Something about the capture that other programs would reject."""
 
 
 def self_contained(schema):
@@ -70,7 +70,7 @@ def self_contained(schema):
     files = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
     pool = descriptor_pool.DescriptorPool()
     for file in files.file:
-        # Fails where an import is missing or comes too late.
+        # Fails if an import is missing or out of order.
         pool.Add(file)
     return pool.FindMessageTypeByName(schema.name)
 

@@ -29,7 +29,7 @@ def main() -> int:
             package = f'[package]\nname = "{member}"\nversion = "0.1.0"\nedition = "2024"\n\n'
             (project / "Cargo.toml").write_text(package + manifest)
             (project / "src" / "main.rs").write_text(program)
-        # One workspace, with our profile and versions, so that what is built already is not built again.
+        # One workspace, with our profile and versions, so that existing builds are reused.
         ours = (ROOT / "Cargo.toml").read_text()
         profile = "\n".join(re.findall(r'(?m)^\[profile\.dev(?:\.package\."\*")?\]\n(?:\w.*\n)*', ours))
         quoted = ", ".join(f'"{member}"' for member in members)

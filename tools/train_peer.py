@@ -6,8 +6,8 @@ dropout 0.1, early stopping after ten epochs without progress, 11-64-64-32-1 wit
 those that `joulebus train trials --rows` writes: trials 1 to 4 to learn from, 5 to stop by, 6 to
 score, simulated (`joulebus data simulate`) unless recordings are named.
 
-    python3 tools/train_peer.py                    # installs PyTorch where it is missing
-    python3 tools/train_peer.py --quick            # whether it runs, not how fast
+    python3 tools/train_peer.py                    # installs PyTorch if it is missing
+    python3 tools/train_peer.py --quick            # a smoke test
     python3 tools/train_peer.py --training a.npy b.npy --validation c.npy --held-out d.npy
 
 PyTorch takes part in three ways: `pytorch-loader` as tutorials write it (DataLoader over a
@@ -38,7 +38,7 @@ FEATURES, WIDTHS = 11, [64, 64, 32]
 BATCH, RATE, DROPOUT, PATIENCE = 256, 1e-3, 0.1, 10
 
 
-# A peer in Python: a process of its own, with its threads and seed; its report is a line of JSON.
+# A peer in Python: a separate process, with its threads and seed; its report is a line of JSON.
 
 def rows_of(directory, name):
     """Features and readings of a part; rows with a missing number are left out, as the trainer does."""
@@ -75,7 +75,7 @@ def be_peer(arguments):
     if arguments.be == "pytorch-compile":
         forward = torch.compile(model)
         start = time.perf_counter()
-        # Compiles for whole batches; the last of an epoch is shorter, and is left to the plain model.
+        # Compiles for whole batches; the shorter last one of an epoch uses the plain model.
         loss_of(forward(tensors[0][:BATCH, :FEATURES]), tensors[0][:BATCH, FEATURES:]).backward()
         model.zero_grad()
         prepared_s = time.perf_counter() - start
@@ -170,7 +170,7 @@ def train_theirs(arguments, python, peer, place):
     command = [python, pathlib.Path(__file__).resolve(), "--as", peer, "--rows", place / "rows", "--threads", arguments.threads,
                "--epochs", arguments.epochs, "--seed", arguments.seed]
     count = str(arguments.threads)
-    # A cache of its own: a run that was killed leaves half-written libraries in the usual one.
+    # A cache of its own: a killed run leaves half-written libraries in the usual one.
     cache = place / "compiled"
     shutil.rmtree(cache, ignore_errors=True)
     environment = os.environ | {"OMP_NUM_THREADS": count, "MKL_NUM_THREADS": count, "TORCHINDUCTOR_CACHE_DIR": str(cache)}
@@ -212,7 +212,7 @@ def to_suite(arguments, results):
     simulated = not arguments.training
     inputs = {"rows": first["rows"], "simulated": simulated, "seed": arguments.seed, "epochs": arguments.epochs,
               "threads": arguments.threads, "rounds": arguments.rounds, "torch": network.TORCH}
-    notes = ["Loading the rows is not counted for anybody, compilation by torch.compile neither."]
+    notes = ["Loading the rows and compilation by torch.compile are not counted."]
     if simulated:
         notes.append("The trials are simulated: they compare trainers and support no claim about robots.")
     return figures.suite(ROOT, [figures.report("train_peer", inputs, made, notes)])
@@ -220,7 +220,7 @@ def to_suite(arguments, results):
 
 def table(arguments, results):
     ours = middle([result["duration_s"] / result["epochs"] for result in results["joulebus"]])
-    lines = ["| trainer | an epoch, s | to joulebus | epochs | whole run, s | R² | MAE, W |", "|---|---|---|---|---|---|---|"]
+    lines = ["| trainer | s per epoch | to joulebus | epochs | whole run, s | R² | MAE, W |", "|---|---|---|---|---|---|---|"]
     for peer, runs in results.items():
         epoch_s = middle([result["duration_s"] / result["epochs"] for result in runs])
         duration_s = middle([result["duration_s"] for result in runs])
@@ -246,7 +246,7 @@ def parse():
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--quick", action="store_true", help="whether it runs, not how fast: three epochs, one round")
+    parser.add_argument("--quick", action="store_true", help="a smoke test: three epochs, one round")
     parser.add_argument("--install", action="store_true", help="only install and build")
     home = path(os.environ.get("JOULEBUS_PEERS", ROOT / "target/peers"))
     parser.add_argument("--directory", type=path, default=home, help="of the environment")

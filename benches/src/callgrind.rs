@@ -1,11 +1,11 @@
-//! What callgrind is told to collect.
+//! The function to which callgrind restricts its collection.
 
 use std::hint::black_box;
 
-/// Does the work. `tools/instructions.py` collects inside of this function only, by its name.
+/// Runs the work. `tools/instructions.py` collects only inside of this function, by its name.
 #[inline(never)]
 pub(crate) fn collected(work: &mut dyn FnMut()) {
     work();
-    // A tail call would leave the function before the work begins.
+    // Prevents a tail call, which would leave the function before the work begins.
     black_box(());
 }

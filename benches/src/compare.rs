@@ -1,4 +1,4 @@
-//! Two runs beside each other.
+//! Comparison of two runs.
 
 use std::fmt;
 
@@ -7,18 +7,18 @@ use serde::Serialize;
 use crate::report::significant;
 use crate::{Better, Distribution, Figure, SCHEMA, Suite};
 
-/// Why two runs cannot be compared.
+/// Errors of a comparison.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum CompareError {
-    /// One was written by another version.
+    /// The old figures have another layout.
     #[error(
         "the old figures have the layout {found:?}, allowed is {SCHEMA:?}: measure again with this version"
     )]
     Schema {
-        /// What stands in the file.
+        /// The layout in the file.
         found: String,
     },
-    /// They have no figure in common.
+    /// The runs have no figure in common.
     #[error(
         "none of the {new} new figures is among the {old} old ones: compare the same benchmark with the same sizes"
     )]
@@ -30,11 +30,11 @@ pub enum CompareError {
     },
 }
 
-/// What became of a figure.
+/// Change of a figure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// The middle halves of both runs overlap.
+    /// The interquartile ranges of both runs overlap.
     WithinNoise,
     /// Better beyond noise.
     Better,
@@ -49,26 +49,26 @@ pub struct Change {
     pub benchmark: String,
     /// The figure.
     pub name: String,
-    /// On how much of it.
+    /// Its case.
     pub case: String,
     /// Its unit.
     pub unit: String,
-    /// Of the earlier run.
+    /// The earlier run.
     pub old: Distribution,
-    /// Of this run.
+    /// This run.
     pub new: Distribution,
     /// Median of the earlier run over that of this one.
     pub old_over_new: f64,
-    /// How many times worse this run is: above 1 is worse, whichever way the figure is better.
+    /// Factor by which this run is worse: above 1 is worse, whichever direction is better.
     pub times_worse: f64,
-    /// Whether that is more than noise.
+    /// Whether the change exceeds noise.
     pub verdict: Verdict,
 }
 
-/// This run beside an earlier one.
+/// Comparison with an earlier run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// What differs between the two besides the figures: machine, build.
+    /// Differences of machine and build.
     pub differing: Vec<String>,
     /// Figures in both.
     pub changes: Vec<Change>,
@@ -119,7 +119,7 @@ impl Comparison {
     }
 }
 
-/// Benchmark, name, case, unit: what makes two figures the same measurement.
+/// Benchmark, name, case, unit: identify a measurement.
 type Key<'a> = [&'a str; 4];
 
 fn keyed(suite: &Suite) -> Vec<(Key<'_>, &Figure)> {
@@ -212,7 +212,7 @@ impl fmt::Display for Comparison {
         let width = titles.iter().map(String::len).max().unwrap_or(0);
         writeln!(
             out,
-            "{:<width$} {:>10} {:>10} {:>8}  middle half, old and new",
+            "{:<width$} {:>10} {:>10} {:>8}  interquartile range, old and new",
             "", "old", "new", "old/new"
         )?;
         for (title, change) in titles.iter().zip(&self.changes) {
@@ -225,7 +225,7 @@ impl fmt::Display for Comparison {
         }
         writeln!(
             out,
-            "noise: the middle halves of both runs overlap; medians are compared"
+            "noise: the interquartile ranges of both runs overlap; medians are compared"
         )
     }
 }

@@ -1,5 +1,5 @@
-//! Work for callgrind to count instruction by instruction (`tools/instructions.py`): figures that hold
-//! on a busy machine.
+//! Work whose instructions callgrind counts (`tools/instructions.py`): figures that are valid on a
+//! busy machine.
 
 use std::hint::black_box;
 
@@ -10,41 +10,40 @@ use joulebus_predictor::Network;
 use crate::callgrind::collected;
 use crate::{input, kernel, rollout, tick};
 
-/// What is counted.
+/// The work to count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Counted {
     /// One call of the kernel.
     Kernel,
-    /// Samples of one tick taken.
+    /// Ingest of one tick's samples.
     Take,
     /// One tick's forecasts.
     Forecast,
-    /// One tick's accounts, diagnostics and budgets.
+    /// One tick's scores, ledgers, diagnostics and budgets.
     Account,
-    /// One call with candidates of 50 steps of one robot.
+    /// One call with candidates of 50 steps for one robot.
     Rollout,
 }
 
-/// One piece of work.
+/// Arguments of a count.
 #[derive(Debug, Clone, clap::Parser)]
 pub(crate) struct Count {
-    /// What is counted.
+    /// The work to count.
     #[arg(value_enum)]
     what: Counted,
     /// Robots, or candidates of a rollout.
     #[arg(value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     size: u32,
-    /// The kernel, by name [default: the fastest here].
+    /// The kernel, by name [default: the fastest supported].
     #[arg(long)]
     kernel: Option<String>,
 }
 
 impl Count {
-    /// Does the work once, after it has been warmed up; returns the kernel's name and how many
-    /// forecasts that made.
+    /// Runs the work once, after a warm-up; returns the kernel's name and the number of forecasts.
     ///
     /// # Errors
-    /// No such kernel here.
+    /// The kernel is not supported here.
     pub(crate) fn run(&self) -> anyhow::Result<(String, usize)> {
         let (_, network) = input::network(None)?;
         let kernel = *kernel::kernels(self.kernel.as_deref())?

@@ -1,17 +1,17 @@
-//! What repetitions of one measurement came to.
+//! Distribution of the repetitions of one measurement.
 
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 
 /// Distribution of one figure over its repetitions, in the figure's unit.
 ///
-/// Quantiles are nearest ranks: each is a value that was measured. Of fewer than 1000 repetitions
-/// `p999` is the greatest, of fewer than 100 `p99` as well.
+/// Quantiles are nearest ranks: each is a measured value. Below 1000 repetitions `p999` is the
+/// maximum, below 100 `p99` is too.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Distribution {
     /// Repetitions.
     pub count: u64,
-    /// Least.
+    /// Minimum.
     pub min: f64,
     /// First quartile.
     pub p25: f64,
@@ -23,12 +23,12 @@ pub struct Distribution {
     pub p99: f64,
     /// 99.9th percentile.
     pub p999: f64,
-    /// Greatest.
+    /// Maximum.
     pub max: f64,
 }
 
 impl Distribution {
-    /// Of values that were measured; `None` without any, or if one is not finite.
+    /// Of measured values; `None` if there are none, or if one is not finite.
     #[must_use]
     pub fn of(values: &[f64]) -> Option<Self> {
         if values.is_empty() || !values.iter().all(|value| value.is_finite()) {
@@ -52,7 +52,7 @@ impl Distribution {
         })
     }
 
-    /// Of a histogram, each value times `scale`; `None` if nothing was recorded.
+    /// Of a histogram, each value times `scale`; `None` if it is empty.
     #[must_use]
     pub fn of_histogram(histogram: &Histogram<u64>, scale: f64) -> Option<Self> {
         let at = |quantile| histogram.value_at_quantile(quantile) as f64 * scale;
@@ -74,7 +74,7 @@ impl Distribution {
         Self::of(&[value])
     }
 
-    /// Whether the middle halves of the two have no value in common: more than noise.
+    /// Whether the interquartile ranges are disjoint, so that the difference exceeds noise.
     #[must_use]
     pub fn differs_from(&self, other: &Self) -> bool {
         self.p25 > other.p75 || other.p25 > self.p75
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_are_values_that_were_measured() {
+    fn quantiles_are_measured_values() {
         let values: Vec<f64> = (1..=1000).rev().map(f64::from).collect();
         let all = Distribution::of(&values).expect("there are values");
         let found = [
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_measured_and_nothing_finite_is_no_figure() {
+    fn no_values_or_values_that_are_not_finite_give_no_figure() {
         assert_eq!(Distribution::of(&[]), None);
         assert_eq!(Distribution::of(&[1.0, f64::NAN]), None);
         assert_eq!(Distribution::once(f64::INFINITY), None);
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn middle_halves_that_touch_do_not_differ() {
+    fn touching_interquartile_ranges_do_not_differ() {
         let of = |from: i32, to: i32| {
             let values: Vec<f64> = (from..=to).map(f64::from).collect();
             Distribution::of(&values).expect("there are values")

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::Distribution;
 
-/// Which way a figure gets better.
+/// Direction of improvement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Better {
@@ -14,16 +14,16 @@ pub enum Better {
     More,
 }
 
-/// One measured figure: the same name and case mean the same measurement in another run.
+/// One measured figure: the same name and case denote the same measurement in another run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Figure {
-    /// What was measured, the unit last: `avx512_ns_per_robot`.
+    /// Its name, the unit last: `avx512_ns_per_robot`.
     pub name: String,
-    /// On how much of it: `100 robots`.
+    /// Its size: `100 robots`.
     pub case: String,
     /// The unit: `ns`, `GMAC/s`, `bytes`; `1` for ratios.
     pub unit: String,
-    /// Which way it gets better.
+    /// Direction of improvement.
     pub better: Better,
     /// Its repetitions.
     #[serde(flatten)]
@@ -31,13 +31,13 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// A figure that is better when it is less, like a time.
+    /// A figure for which less is better, such as a time.
     #[must_use]
     pub fn less(name: &str, case: &str, unit: &str, spread: Distribution) -> Self {
         Self::new(name, case, unit, Better::Less, spread)
     }
 
-    /// A figure that is better when it is more, like a throughput.
+    /// A figure for which more is better, such as a throughput.
     #[must_use]
     pub fn more(name: &str, case: &str, unit: &str, spread: Distribution) -> Self {
         Self::new(name, case, unit, Better::More, spread)
@@ -54,7 +54,7 @@ impl Figure {
     }
 }
 
-/// A count for people: `100,000`.
+/// A count with thousands separators: `100,000`.
 #[must_use]
 pub(crate) fn grouped(count: u64) -> String {
     let digits = count.to_string();
@@ -68,7 +68,7 @@ pub(crate) fn grouped(count: u64) -> String {
     text
 }
 
-/// The case of a fleet or batch of a size.
+/// The case of a fleet or batch size.
 #[must_use]
 pub(crate) fn robots(count: usize) -> String {
     let plural = if count == 1 { "" } else { "s" };

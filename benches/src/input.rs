@@ -1,4 +1,4 @@
-//! What goes into the measurements: the same from the same seed.
+//! Inputs of the measurements, deterministic by seed.
 
 use std::fs;
 use std::path::Path;
@@ -8,10 +8,10 @@ use joulebus_predictor::{Features, Network};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
-/// The model that ships.
+/// The built-in model.
 pub(crate) const MODEL: &str = "gternal-sim";
 
-/// The network of a model file, or the one that ships, with its name.
+/// The network of a model file, or the built-in one, with its name.
 ///
 /// # Errors
 /// The file cannot be read or is refused.
@@ -19,7 +19,7 @@ pub(crate) fn network(path: Option<&Path>) -> anyhow::Result<(String, Network)> 
     match path {
         None => {
             let (name, bytes) =
-                joulebus_config::builtin_model(MODEL).context("no model ships with the program")?;
+                joulebus_config::builtin_model(MODEL).context("there is no built-in model")?;
             Ok((format!("builtin:{name}"), Network::from_safetensors(bytes)?))
         }
         Some(path) => {
@@ -32,7 +32,7 @@ pub(crate) fn network(path: Option<&Path>) -> anyhow::Result<(String, Network)> 
     }
 }
 
-/// Rows spread evenly over the range in which the network was trained, in SI units.
+/// Rows uniform over the training range, in SI units.
 pub(crate) fn rows(network: &Network, seed: u64, count: usize) -> Vec<Features> {
     let range = &network.card().training_range;
     let mut random = Pcg64Mcg::seed_from_u64(seed);
@@ -49,7 +49,7 @@ pub(crate) fn rows(network: &Network, seed: u64, count: usize) -> Vec<Features> 
     (0..count).map(|_| row()).collect()
 }
 
-/// Multiply-adds that one forecast of the network takes at least: its weights.
+/// Minimum number of multiply-adds per forecast: the number of weights.
 pub(crate) fn multiply_adds(network: &Network) -> usize {
     let layers = &network.parameters().layers;
     layers.iter().map(|layer| layer.weights.len()).sum()
@@ -61,13 +61,13 @@ mod tests {
 
     #[test]
     fn rows_are_the_same_from_the_same_seed_and_lie_in_training() {
-        let (_, network) = network(None).expect("a model ships");
+        let (_, network) = network(None).expect("there is a built-in model");
         let rows_of = |seed| rows(&network, seed, 100);
         assert_eq!(rows_of(7), rows_of(7));
         assert_ne!(rows_of(7), rows_of(8));
         let range = network.card().training_range;
         for row in rows_of(7) {
-            // A value at the very edge may be rounded past it.
+            // A value at the bound may be rounded beyond it.
             assert_eq!(range.outside(&row, 1e-6), None, "{row:?}");
         }
         assert_eq!(multiply_adds(&network), 11 * 64 + 64 * 64 + 64 * 32 + 32);

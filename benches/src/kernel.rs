@@ -1,4 +1,4 @@
-//! The kernel alone: ns a robot by batch, and its share of what the processor can do.
+//! The kernel alone: ns per robot by batch size, and its share of the processor's peak.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -9,20 +9,20 @@ use joulebus_program::verbs::bench::BenchOptions;
 
 use crate::figure::robots;
 use crate::peak::Isa;
-use crate::rounds::{Turn, calls, take_turns};
+use crate::rounds::{Measurement, calls, interleave};
 use crate::{Distribution, Figure, Report, input, threads};
 
 /// Batches measured by default.
 pub(crate) const BATCHES: [usize; 7] = [1, 7, 20, 100, 1_000, 10_000, 100_000];
-/// Batches below it are not worth a second thread.
+/// Minimum batch size that is also measured on several threads.
 const WORTH_SHARING: usize = 1_000;
-/// Robots past which a kernel without vector instructions takes seconds a call.
+/// Maximum batch size of a kernel without vector instructions, which would take seconds per call.
 const MOST_SLOW: usize = 1_000;
 
-/// Measures each kernel on each batch, and the peak, in turns.
+/// Measures each kernel on each batch, interleaved with the peak.
 ///
 /// # Errors
-/// The model cannot be read, or a kernel that was asked for does not exist here.
+/// The model cannot be read, or a requested kernel is not supported here.
 pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let (model, network) = input::network(options.model.as_deref())?;
     let kernels = kernels(options.kernel.as_deref())?;
@@ -35,8 +35,8 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let mut cases = Vec::new();
     for kernel in &kernels {
         let network = on(&network, *kernel)?;
-        for (way, batch) in ways(*kernel, &batches) {
-            cases.push(Case::new(&network, way, batch, options.seed));
+        for (layout, batch) in layouts(*kernel, &batches) {
+            cases.push(Case::new(&network, layout, batch, options.seed));
         }
     }
     let sum = input::multiply_adds(&network);
@@ -51,14 +51,14 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
         format!(
             "A robot takes {sum} multiply-adds; shares are of the peak measured in the same round."
         ),
-        "Hot: the same rows again and again. A kernel without vector instructions computes fused \
+        "Hot: the same rows in every repetition. A kernel without vector instructions computes fused \
          multiply-adds in software; past 1,000 robots it is left out."
             .to_owned(),
     ];
     Ok(report)
 }
 
-/// A kernel by name, or all that this processor has, slowest first.
+/// A kernel by name, or all that this processor supports, slowest first.
 pub(crate) fn kernels(name_wanted: Option<&str>) -> anyhow::Result<Vec<Kernel>> {
     let available = Kernel::ALL
         .into_iter()
@@ -87,7 +87,7 @@ pub(crate) fn on(network: &Network, kernel: Kernel) -> anyhow::Result<Network> {
     on.with_context(|| format!("this processor cannot run the kernel {}", name(kernel)))
 }
 
-/// Whose peak a kernel is held against; `None` for one that computes value by value.
+/// The instruction set whose peak is the reference of a kernel; `None` for the scalar one.
 fn isa(kernel: Kernel) -> Option<Isa> {
     match name(kernel).as_str() {
         "avx512" => Some(Isa::Avx512),
@@ -97,29 +97,28 @@ fn isa(kernel: Kernel) -> Option<Isa> {
     }
 }
 
-/// How a batch is given to the kernel and cut by it.
+/// Input layout and tiling of a batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Way {
-    /// A row for each robot.
+enum Layout {
+    /// One row per robot.
     Rows,
-    /// A column for each feature, as the tick has them.
+    /// One column per feature, as in the tick.
     Columns,
-    /// Rows, transposed so that a vector holds one value of as many robots, as columns need no
-    /// transposition for.
+    /// Rows, batch-major: needs the transposition that columns avoid.
     RowsBatchMajor,
 }
 
-/// Ways and batches that are worth measuring.
-fn ways(kernel: Kernel, batches: &[usize]) -> Vec<(Way, usize)> {
+/// Layouts and batches to measure.
+fn layouts(kernel: Kernel, batches: &[usize]) -> Vec<(Layout, usize)> {
     let slow = isa(kernel).is_none() && kernel != Kernel::best();
-    let worth = |way: Way, batch: usize| match way {
-        Way::Rows => !slow || batch <= MOST_SLOW,
-        Way::Columns | Way::RowsBatchMajor => !slow,
+    let worth = |layout: Layout, batch: usize| match layout {
+        Layout::Rows => !slow || batch <= MOST_SLOW,
+        Layout::Columns | Layout::RowsBatchMajor => !slow,
     };
-    [Way::Rows, Way::Columns, Way::RowsBatchMajor]
+    [Layout::Rows, Layout::Columns, Layout::RowsBatchMajor]
         .into_iter()
-        .flat_map(|way| batches.iter().map(move |batch| (way, *batch)))
-        .filter(|(way, batch)| worth(*way, *batch))
+        .flat_map(|layout| batches.iter().map(move |batch| (layout, *batch)))
+        .filter(|(layout, batch)| worth(*layout, *batch))
         .collect()
 }
 
@@ -127,7 +126,7 @@ fn ways(kernel: Kernel, batches: &[usize]) -> Vec<(Way, usize)> {
 struct Case {
     model: Model,
     kernel: Kernel,
-    way: Way,
+    layout: Layout,
     rows: Vec<Features>,
     columns: Vec<Vec<f32>>,
     forecasts_w: Vec<f32>,
@@ -135,20 +134,20 @@ struct Case {
 }
 
 impl Case {
-    fn new(network: &Network, way: Way, batch: usize, seed: u64) -> Self {
+    fn new(network: &Network, layout: Layout, batch: usize, seed: u64) -> Self {
         let rows = input::rows(network, seed, batch);
         let column = |feature| rows.iter().map(|row| row[feature]).collect();
         let columns = (0..INPUTS).map(column).collect();
         let kernel = network.kernel();
         let network = network.clone();
-        let tiled = match way {
-            Way::RowsBatchMajor => network.with_tiling(Tiling::BatchMajor),
-            Way::Rows | Way::Columns => network,
+        let tiled = match layout {
+            Layout::RowsBatchMajor => network.with_tiling(Tiling::BatchMajor),
+            Layout::Rows | Layout::Columns => network,
         };
         let mut case = Self {
             model: Model::Network(tiled),
             kernel,
-            way,
+            layout,
             rows,
             columns,
             forecasts_w: vec![0.0; batch],
@@ -164,16 +163,16 @@ impl Case {
 
     fn name(&self) -> String {
         let kernel = name(self.kernel);
-        match self.way {
-            Way::Rows => kernel,
-            Way::Columns => format!("{kernel}_columns"),
-            Way::RowsBatchMajor => format!("{kernel}_rows_batch_major"),
+        match self.layout {
+            Layout::Rows => kernel,
+            Layout::Columns => format!("{kernel}_columns"),
+            Layout::RowsBatchMajor => format!("{kernel}_rows_batch_major"),
         }
     }
 
     fn call(&mut self) {
         let forecasts_w = black_box(&mut self.forecasts_w);
-        if self.way == Way::Columns {
+        if self.layout == Layout::Columns {
             let columns = std::array::from_fn(|feature| self.columns[feature].as_slice());
             self.model.predict_columns(black_box(columns), forecasts_w);
         } else {
@@ -181,7 +180,7 @@ impl Case {
         }
     }
 
-    /// One repetition: ns a robot.
+    /// One repetition: ns per robot.
     fn run(&mut self) -> f64 {
         let start = Instant::now();
         for _ in 0..self.calls {
@@ -203,26 +202,32 @@ fn alone(report: &mut Report, cases: &mut [Case], sum: usize, options: &BenchOpt
         .iter()
         .map(|case| (case.name(), robots(case.batch()), isa(case.kernel)))
         .collect();
-    let mut turns: Vec<Turn<'_>> = isas
+    let mut measurements: Vec<Measurement<'_>> = isas
         .iter()
-        .map(|isa| Turn::new(|| isa.peak_gmac_per_s().unwrap_or(f64::NAN)))
-        .chain(cases.iter_mut().map(|case| Turn::new(|| case.run())))
+        .map(|isa| Measurement::new(|| isa.peak_gmac_per_s().unwrap_or(f64::NAN)))
+        .chain(cases.iter_mut().map(|case| Measurement::new(|| case.run())))
         .collect();
-    take_turns(&mut turns, options.repetitions(), options.each());
-    let (peaks, turns) = turns.split_at(isas.len());
+    interleave(&mut measurements, options.repetitions(), options.each());
+    let (peaks, measurements) = measurements.split_at(isas.len());
     let mut shares = Vec::new();
-    for (isa, turn) in isas.iter().zip(peaks) {
+    for (isa, measurement) in isas.iter().zip(peaks) {
         let title = format!("{isa:?}_peak_gmac_per_s").to_lowercase();
-        report.push(Figure::more, &title, "1 thread", "GMAC/s", turn.values());
+        report.push(
+            Figure::more,
+            &title,
+            "1 thread",
+            "GMAC/s",
+            measurement.values(),
+        );
     }
-    for ((kernel, case, isa), turn) in about.iter().zip(turns) {
+    for ((kernel, case, isa), measurement) in about.iter().zip(measurements) {
         let title = format!("{kernel}_ns_per_robot");
-        report.push(Figure::less, &title, case, "ns", turn.values());
+        report.push(Figure::less, &title, case, "ns", measurement.values());
         let place = isas.iter().position(|other| Some(*other) == *isa);
         let peak = place.and_then(|place| Distribution::of(peaks[place].values()));
         let Some(peak) = peak else { continue };
         let of_peak = |ns: &f64| sum / ns / peak.p50;
-        let values: Vec<f64> = turn.values().iter().map(of_peak).collect();
+        let values: Vec<f64> = measurement.values().iter().map(of_peak).collect();
         shares.push((format!("{kernel}_share_of_peak"), case, values));
     }
     for (title, case, values) in shares {
@@ -230,9 +235,9 @@ fn alone(report: &mut Report, cases: &mut [Case], sum: usize, options: &BenchOpt
     }
 }
 
-/// One pinned thread and several on the same batch, in turns.
+/// One pinned thread and several on the same batch, interleaved.
 fn shared(report: &mut Report, network: &Network, batch: usize, options: &BenchOptions) {
-    let new = |batch| Case::new(network, Way::Rows, batch, options.seed);
+    let new = |batch| Case::new(network, Layout::Rows, batch, options.seed);
     let each = batch.div_ceil(options.threads);
     let part = |place: usize| ((place + 1) * each).min(batch) - (place * each).min(batch);
     let mut parts: Vec<Case> = (0..options.threads).map(|place| new(part(place))).collect();

@@ -1,15 +1,15 @@
-//! From sample due to forecast readable, between real processes, beside two raw iceoryx2 hops of the
-//! same frames and the bare kernel: all three on one grid of time, a third of a period apart, so that
-//! whatever disturbs the machine disturbs all of them.
+//! Latency from sample due to forecast readable, between separate processes, compared with two raw
+//! iceoryx2 hops of the same frames and with the bare kernel: all three on one time grid, a third
+//! of a period apart, so that disturbances of the machine affect all of them.
 //!
-//! Coordinated omission: every figure that begins with "due" is counted from the place on the grid at
-//! which the frame was *meant* to be sent. A place that a stalled source passed over is counted too,
-//! up to the moment at which the next frame's answer could be read.
+//! Coordinated omission: every figure that begins with "due" is measured from the grid time at
+//! which the frame was *intended* to be sent. A grid time that a stalled source skipped is counted
+//! too, up to the time at which the answer to the next frame was readable.
 
+pub mod broker;
 mod figures;
 mod kernel;
 pub mod raw;
-pub mod through;
 
 pub use figures::distribution;
 
@@ -27,30 +27,30 @@ use joulebus_publisher::Pace;
 
 use crate::{Report, threads};
 
-/// Frames before the figures count.
+/// Frames before the measurement starts.
 pub const WARM_UP: u64 = 30;
-/// What shares the grid: the way through the worker, the raw hops, the kernel.
+/// Measurements that share the grid: the broker, the raw hops, the kernel.
 const SHARES: u64 = 3;
-/// How long the processes of a measurement may take to start.
+/// Timeout of starting the processes of a measurement.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Fleets measured by default.
 const ROBOTS: [usize; 5] = [1, 20, 100, 1_000, 10_000];
 
-/// How to start the running program so that it ends up in [`play`].
+/// How to start this program in a [`Role`].
 #[derive(Debug, Clone)]
 pub struct Launcher {
     /// The program.
     pub program: PathBuf,
-    /// What stands before the role's own arguments.
+    /// Arguments before those of the role.
     pub arguments: Vec<String>,
 }
 
 impl Launcher {
-    /// The running program with `arguments` before the role's own.
+    /// The running program with `arguments` before those of the role.
     ///
     /// # Errors
-    /// The system does not tell which program runs.
+    /// The path of the running program is unknown.
     pub fn this(arguments: &[&str]) -> anyhow::Result<Self> {
         Ok(Self {
             program: std::env::current_exe().context("which program this is")?,
@@ -58,10 +58,10 @@ impl Launcher {
         })
     }
 
-    /// Starts the program in a role and waits until it says that it is ready.
+    /// Starts the program in a role and waits until it reports that it is ready.
     ///
     /// # Errors
-    /// It cannot be started, or ends before it is ready.
+    /// It cannot be started, or exits before it is ready.
     pub fn start(&self, role: &[String]) -> anyhow::Result<Child> {
         let mut child = Command::new(&self.program)
             .args(&self.arguments)
@@ -75,7 +75,7 @@ impl Launcher {
     }
 }
 
-/// The processes of a measurement: the program that measures starts itself in these roles.
+/// The processes of a measurement: the program starts itself in these roles.
 #[derive(Debug, Clone, clap::Subcommand)]
 pub enum Role {
     /// The predictor-worker.
@@ -87,23 +87,23 @@ pub enum Role {
     Planner {
         /// The fleet's config.
         config: PathBuf,
-        /// From one frame to the next, ns.
+        /// Period of the frames, ns.
         period_ns: u64,
     },
-    /// Takes frames and sends forecasts of the same size on, computing nothing.
+    /// Receives frames and sends forecasts of the same size, without computing.
     Relay {
         /// Directory of its shared memory.
         root: PathBuf,
-        /// Robots in a frame.
+        /// Robots per frame.
         robots: usize,
     },
-    /// Takes what the relay sends, and measures.
+    /// Receives from the relay, and measures.
     Sink {
         /// Directory of its shared memory.
         root: PathBuf,
-        /// Robots in a frame.
+        /// Robots per frame.
         robots: usize,
-        /// From one frame to the next, ns.
+        /// Period of the frames, ns.
         period_ns: u64,
         /// Whether to print a byte for each frame.
         #[arg(long)]
@@ -111,14 +111,14 @@ pub enum Role {
     },
 }
 
-/// Plays a role until the measurement is over; prints a line of JSON at the end.
+/// Runs a role until the measurement ends; prints a line of JSON at the end.
 ///
 /// # Errors
-/// The role's process could not do its part.
+/// The role's process failed.
 pub fn play(role: &Role) -> anyhow::Result<()> {
     match role {
-        Role::Worker { config } => through::worker(config),
-        Role::Planner { config, period_ns } => through::planner(config, *period_ns),
+        Role::Worker { config } => broker::worker(config),
+        Role::Planner { config, period_ns } => broker::planner(config, *period_ns),
         Role::Relay { root, robots } => raw::relay(root, *robots),
         Role::Sink {
             root,
@@ -132,17 +132,17 @@ pub fn play(role: &Role) -> anyhow::Result<()> {
 /// Figures of one fleet size.
 #[derive(Debug)]
 struct Row {
-    /// Robots in a frame.
+    /// Robots per frame.
     robots: usize,
-    /// From the frame's intended time to the forecast readable.
+    /// From the frame's intended time to the forecast being readable.
     end_to_end_us: Spread,
-    /// From the frame's sending to the forecast readable: the broker's share.
+    /// From the frame's sending to the forecast being readable: the broker's share.
     sent_to_readable_us: Spread,
-    /// From the frame's intended time to its sending: the source's own share.
+    /// From the frame's intended time to its sending: the source's share.
     source_us: Spread,
-    /// From the frame's sending to the worker's taking.
+    /// From the frame's sending to the worker's reception.
     one_way_us: Spread,
-    /// From the tick's start to the last forecast written.
+    /// From the tick's start to the last forecast being written.
     compute_us: Spread,
     /// The whole tick, diagnostics and budgets included.
     tick_us: Spread,
@@ -154,19 +154,19 @@ struct Row {
     ratio_p50: f64,
     /// The same of the 99th percentiles.
     ratio_p99: f64,
-    /// Memory of the worker that is its own, bytes.
+    /// Anonymous memory of the worker, bytes.
     worker_bytes: u64,
-    /// Ticks whose forecasts the planner did not see.
+    /// Ticks whose forecasts the planner missed.
     missed: u64,
-    /// Places on the grid that the source passed over: counted in the times, sent with the next.
+    /// Grid times that the source skipped: included in the latencies, sent with the next.
     passed_over: u64,
 }
 
-/// Measures all sizes, each in turn; says on stderr what it is at. `launcher` starts this program in
-/// a [`Role`].
+/// Measures all sizes, one after the other; reports progress on stderr. `launcher` starts this
+/// program in a [`Role`].
 ///
 /// # Errors
-/// A process could not be started, or did not do its part.
+/// A process could not be started, or failed.
 pub(crate) fn measure(options: &BenchOptions, launcher: &Launcher) -> anyhow::Result<Report> {
     let (rate_hz, seconds) = (options.rate_hz, options.seconds_or(10));
     let scheduling = threads::scheduling(options);
@@ -178,9 +178,9 @@ pub(crate) fn measure(options: &BenchOptions, launcher: &Launcher) -> anyhow::Re
     }
     let input = format!(
         "{rate_hz} frames a second for {seconds} s a size, built-in GTernal model, policy on_frame; \
-         the way through the worker, two raw hops and the kernel take turns; times from the place \
-         on the grid at which a frame was due, places passed over included; {}",
-        asked_for(&scheduling)
+         broker, two raw hops and the kernel are interleaved; times are from the grid time \
+         at which a frame was due, skipped ones included; {}",
+        describe(&scheduling)
     );
     Ok(figures::report(&input, &rows))
 }
@@ -194,39 +194,39 @@ fn row(
     let frames = options.rate_hz * options.seconds_or(10);
     let period_ns = 1_000_000_000 / options.rate_hz;
     let scheduling = threads::scheduling(options);
-    let mut through = through::Way::open(launcher, robots, period_ns, &scheduling)?;
-    let mut raw = raw::Way::open(launcher, robots, period_ns, false)?;
+    let mut broker = broker::Broker::open(launcher, robots, period_ns, &scheduling)?;
+    let mut raw = raw::RawHops::open(launcher, robots, period_ns, false)?;
     let mut kernel = kernel::Alone::new(model, robots);
     let mut pace = Pace::every(Duration::from_nanos(period_ns / SHARES));
     for frame in 0..WARM_UP + frames {
-        through.send(pace.wait().intended_ns, frame)?;
+        broker.send(pace.wait().intended_ns, frame)?;
         raw.send(pace.wait().intended_ns)?;
         pace.wait();
         kernel.run(frame >= WARM_UP);
     }
     let passed_over = pace.grid().skipped();
-    let through = through.finish()?;
+    let broker = broker.finish()?;
     let raw = raw.finish()?;
     let kernel = kernel.finish();
     Ok(Row {
         robots,
-        ratio_p50: through.end_to_end_us.p50_us / (raw.p50_us + kernel.p50_us),
-        ratio_p99: through.end_to_end_us.p99_us / (raw.p99_us + kernel.p99_us),
-        end_to_end_us: through.end_to_end_us,
-        sent_to_readable_us: through.sent_to_readable_us,
-        source_us: through.source_us,
-        one_way_us: through.one_way_us,
-        compute_us: through.compute_us,
-        tick_us: through.tick_us,
+        ratio_p50: broker.end_to_end_us.p50_us / (raw.p50_us + kernel.p50_us),
+        ratio_p99: broker.end_to_end_us.p99_us / (raw.p99_us + kernel.p99_us),
+        end_to_end_us: broker.end_to_end_us,
+        sent_to_readable_us: broker.sent_to_readable_us,
+        source_us: broker.source_us,
+        one_way_us: broker.one_way_us,
+        compute_us: broker.compute_us,
+        tick_us: broker.tick_us,
         raw_two_hops_us: raw,
         kernel_us: kernel,
-        worker_bytes: through.worker_bytes,
-        missed: through.missed,
+        worker_bytes: broker.worker_bytes,
+        missed: broker.missed,
         passed_over,
     })
 }
 
-fn asked_for(scheduling: &Scheduling) -> String {
+fn describe(scheduling: &Scheduling) -> String {
     if scheduling.is_nothing() {
         return "the worker is an ordinary process".to_owned();
     }
@@ -247,9 +247,9 @@ fn model() -> anyhow::Result<Model> {
     Ok(Model::Network(Network::from_safetensors(bytes)?))
 }
 
-/// The places on the grid that one answer stands for: `frames` that were sent, and those between the
-/// first's intended time and its sending that a stalled source passed over. Records for each the
-/// time up to `now_ns`.
+/// Records the latency at `now_ns` of every grid time covered by one answer: of the `frames` that
+/// were sent, and of those between the first's intended time and its sending that a stalled source
+/// skipped.
 pub fn record_places(
     times: &mut Histogram<u64>,
     (intended_ns, sent_ns, now_ns): (u64, u64, u64),
@@ -262,7 +262,7 @@ pub fn record_places(
     }
 }
 
-/// A child says that it is ready with a line.
+/// A child reports with a line that it is ready.
 fn ready(child: &mut Child) -> anyhow::Result<()> {
     use std::io::Read as _;
     let begin = std::time::Instant::now();
@@ -284,10 +284,10 @@ fn ready(child: &mut Child) -> anyhow::Result<()> {
     }
 }
 
-/// Waits for a child's line of JSON, the last that it prints.
+/// Reads a child's last line, JSON.
 ///
 /// # Errors
-/// It failed, or said something else.
+/// It failed, or printed something else.
 pub fn finish<T: serde::de::DeserializeOwned>(child: Child) -> anyhow::Result<T> {
     let output = child.wait_with_output()?;
     if !output.status.success() {
@@ -305,11 +305,11 @@ mod tests {
     use crate::histogram;
 
     #[test]
-    fn places_that_a_stalled_source_passed_over_are_counted() {
+    fn grid_times_that_a_stalled_source_skipped_are_counted() {
         for (sent_ns, now_ns, frames, expected) in [
             (1_000, 1_050, 1, vec![50]),
             (1_040, 1_050, 1, vec![50]),
-            // Due at 1,000, sent at 1,250: the places at 1,100 and 1,200 were passed over.
+            // Due at 1,000, sent at 1,250: the grid times 1,100 and 1,200 were skipped.
             (1_250, 1_260, 1, vec![60, 160, 260]),
             // Two frames answered at once.
             (1_000, 1_110, 2, vec![10, 110]),

@@ -1,8 +1,8 @@
-//! Measurements that everybody can run: `joulebus bench`, a program of its own.
+//! Benchmarks: `joulebus bench`, a separate program.
 //!
 //! Every figure has a name that ends in its unit, a case, and the [`Distribution`] of its
 //! repetitions. A [`Suite`] adds the machine, the build and the input, is written as text and as
-//! JSON, and is [compared](Comparison) with an earlier one.
+//! JSON, and can be [compared](Comparison) with an earlier one.
 #![forbid(unsafe_code)]
 
 mod callgrind;
@@ -34,7 +34,7 @@ pub use machine::{Build, Machine};
 pub use report::{Report, SCHEMA, Suite};
 pub use run::main;
 
-/// A histogram of ns up to a minute, three digits.
+/// A histogram of ns up to a minute, with three significant digits.
 ///
 /// # Panics
 /// Never: the bounds are constant and valid.

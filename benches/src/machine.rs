@@ -1,13 +1,13 @@
-//! The machine and the build that figures belong to.
+//! The machine and the build of a measurement.
 
 use std::fmt;
 use std::fs;
 
 use serde::{Deserialize, Serialize};
 
-/// The workspace pins it.
+/// The version pinned in the workspace.
 const ICEORYX2: &str = "0.10.0";
-/// What stands where the system does not tell.
+/// Value of unknown properties.
 const UNKNOWN: &str = "unknown";
 
 /// The machine.
@@ -17,13 +17,13 @@ pub struct Machine {
     pub processor: String,
     /// Processors that this process may use.
     pub processors: usize,
-    /// Operating system's kernel.
+    /// Kernel of the operating system.
     pub kernel: String,
-    /// Frequency governor, where the system tells.
+    /// Frequency governor, if known.
     pub governor: String,
-    /// Whether the processor may raise its clock, where the system tells: `on`, `off`.
+    /// Whether frequency boost is enabled, if known: `on`, `off`.
     pub turbo: String,
-    /// Whether a hypervisor stands between: figures of a shared machine are noisy.
+    /// Whether it is a virtual machine, whose figures are noisy.
     pub virtual_machine: bool,
 }
 
@@ -40,12 +40,12 @@ pub struct Build {
     pub profile: String,
     /// Target triple.
     pub target: String,
-    /// CPU features that the whole program was compiled for; kernels are dispatched beyond them.
+    /// CPU features enabled for the whole program; kernels are dispatched at run time.
     pub target_features: String,
 }
 
 impl Machine {
-    /// This machine, as far as Linux tells.
+    /// This machine, as far as Linux reports it.
     #[must_use]
     pub fn here() -> Self {
         let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
@@ -93,7 +93,7 @@ fn told(path: &str) -> String {
     fs::read_to_string(path).map_or_else(|_| UNKNOWN.to_owned(), |text| text.trim().to_owned())
 }
 
-/// The two drivers say it in opposite words.
+/// The two drivers report it with opposite meanings.
 fn turbo(boost: &str, no_turbo: &str) -> String {
     match (boost, no_turbo) {
         ("1", _) | (_, "0") => "on",
@@ -147,7 +147,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_drivers_are_understood() {
+    fn both_drivers_are_supported() {
         for (boost, no_turbo, found) in [
             ("1", UNKNOWN, "on"),
             ("0", UNKNOWN, "off"),

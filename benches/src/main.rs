@@ -1,4 +1,4 @@
-//! `joulebus bench`, a program of its own.
+//! `joulebus bench` as a separate program.
 #![forbid(unsafe_code)]
 
 use std::process::ExitCode;

@@ -1,7 +1,7 @@
-//! What the processor can do at best: fused multiply-adds on registers alone.
+//! The processor's peak: fused multiply-adds on registers only.
 //!
-//! Measured in the same run as the kernels, because the clock of a processor depends on what its
-//! neighbours do.
+//! Measured in the same run as the kernels, because the clock of a processor depends on the load of
+//! its neighbours.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -9,13 +9,13 @@ use std::time::Instant;
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd};
 
-/// Sums that do not wait for each other: latency (4) times units (2) of today's cores is 8, and
-/// two more registers hold the factors, so that sixteen registers are enough.
+/// Independent accumulators: latency (4) times units (2) of current cores is 8, and two more
+/// registers hold the factors, so that sixteen registers suffice.
 const SUMS: usize = 12;
 /// Steps of one repetition: about 30 µs.
 const STEPS: usize = 10_000;
 
-/// Vector instructions whose peak can be measured.
+/// Vector instruction sets with a peak.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Isa {
     /// Eight lanes.
@@ -27,8 +27,8 @@ pub(crate) enum Isa {
 }
 
 impl Isa {
-    /// Fused multiply-adds a second of the thread that calls, in 10⁹; `None` if this processor does
-    /// not have the instructions. Takes about 30 µs.
+    /// Fused multiply-adds per second on the calling thread, in 10⁹; `None` if this processor does
+    /// not support the instructions. Takes about 30 µs.
     pub(crate) fn peak_gmac_per_s(self) -> Option<f64> {
         let level = Level::new();
         match self {
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sums_are_what_multiply_add_makes_of_them() {
+    fn the_sums_equal_plain_multiply_adds() {
         let mut expected = 0.0_f64;
         for sum in 0..SUMS {
             let mut value = sum as f32;

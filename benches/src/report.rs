@@ -1,4 +1,4 @@
-//! Figures with everything that one needs to judge them: as text and as JSON.
+//! Figures with machine, build and input, as text and as JSON.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Build, Distribution, Figure, Machine};
 
-/// Version of the layout: figures of another one are not comparable.
+/// Version of the layout: figures of other versions are not comparable.
 pub const SCHEMA: &str = "joulebus-bench/1";
 
-/// One run: a machine, a build, and what was measured.
+/// One run: a machine, a build, and the measurements.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Suite {
     /// [`SCHEMA`].
@@ -28,9 +28,9 @@ pub struct Suite {
 pub struct Report {
     /// `kernel`, `tick`, `rollout`, `latency`.
     pub benchmark: String,
-    /// What went in: model, seed, repetitions, sizes.
+    /// Inputs: model, seed, repetitions, sizes.
     pub input: BTreeMap<String, String>,
-    /// How to read the figures, and what was left out.
+    /// Notes on the figures.
     pub notes: Vec<String>,
     /// The figures.
     pub figures: Vec<Figure>,
@@ -50,7 +50,7 @@ impl Suite {
 }
 
 impl Report {
-    /// A report without figures yet.
+    /// A report without figures.
     #[must_use]
     pub fn new(benchmark: &str) -> Self {
         Self {
@@ -61,7 +61,7 @@ impl Report {
         }
     }
 
-    /// Adds a figure, if anything finite was measured.
+    /// Adds a figure, unless a value is missing or not finite.
     pub fn push(
         &mut self,
         figure: fn(&str, &str, &str, Distribution) -> Figure,
@@ -75,7 +75,7 @@ impl Report {
             .extend(spread.map(|spread| figure(name, case, unit, spread)));
     }
 
-    /// The same with something that went in.
+    /// Adds an input.
     #[must_use]
     pub fn with_input(mut self, name: &str, value: impl fmt::Display) -> Self {
         self.input.insert(name.to_owned(), value.to_string());
@@ -131,7 +131,7 @@ impl fmt::Display for Report {
     }
 }
 
-/// Four digits, as many as figures of repeated measurements deserve.
+/// Four significant digits.
 #[must_use]
 pub(crate) fn significant(value: f64) -> String {
     let whole_digits = if value == 0.0 {
@@ -154,12 +154,14 @@ mod tests {
             Figure::less("avx512_ns_per_robot", "1 robot", "ns", spread),
             Figure::less("avx512_ns_per_robot", "100 robots", "ns", spread),
         ];
-        report.notes.push("Hot: the same rows again.".to_owned());
+        report
+            .notes
+            .push("Hot: the same rows in every repetition.".to_owned());
         Suite::here(vec![report])
     }
 
     #[test]
-    fn json_gives_back_what_was_measured() {
+    fn json_round_trips() {
         let suite = suite();
         let json = serde_json::to_string(&suite).expect("it is plain data");
         let back: Suite = serde_json::from_str(&json).expect("it was written so");

@@ -12,10 +12,10 @@ use joulebus_program::verbs::bench::BenchOptions;
 
 use crate::callgrind::collected;
 use crate::figure::grouped;
-use crate::rounds::{Turn, take_turns};
+use crate::rounds::{Measurement, interleave};
 use crate::{Distribution, Figure, Report, input, kernel, threads};
 
-/// Robots, candidates of each, steps of each candidate.
+/// Robots, candidates per robot, steps per candidate.
 const CASES: [(usize, usize, usize); 5] = [
     (1, 16, 50),
     (1, 256, 50),
@@ -25,13 +25,13 @@ const CASES: [(usize, usize, usize); 5] = [
 ];
 /// Time between two steps, s.
 const STEP_S: f32 = 1.0 / 30.0;
-/// Rows of the bare kernel beside it: enough for its best tiling, few enough for the core's cache.
+/// Rows of the bare kernel: enough for its best tiling, few enough for the core's cache.
 const KERNEL_ROWS: usize = 1_024;
 
-/// Measures rollouts of each size, and the bare kernel, in turns.
+/// Measures rollouts of each size, interleaved with the bare kernel.
 ///
 /// # Errors
-/// The model cannot be read, or a kernel that was asked for does not exist here.
+/// The model cannot be read, or a requested kernel is not supported here.
 pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let (name, network) = input::network(options.model.as_deref())?;
     let kernel = *kernel::kernels(options.kernel.as_deref())?
@@ -56,7 +56,7 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
         }
     }
     report.notes.push(format!(
-        "A step is one forecast of one candidate. The kernel beside it: {KERNEL_ROWS} rows, hot."
+        "A step is one forecast of one candidate. The kernel for comparison: {KERNEL_ROWS} rows, hot."
     ));
     Ok(report)
 }
@@ -67,7 +67,7 @@ fn title((robots, candidates, steps): (usize, usize, usize)) -> String {
     format!("{robots} robot{plural} x {candidates} candidates x {steps} steps")
 }
 
-/// Candidates of a size, whole or a part of them.
+/// Candidates of a size, all or a part of them.
 struct Work {
     model: Model,
     starts: Vec<RolloutStart>,
@@ -161,24 +161,30 @@ fn alone(report: &mut Report, network: &Network, works: &mut [Work], options: &B
             (title(case), work.forecasts() as f64)
         })
         .collect();
-    let mut turns = vec![Turn::new(bare)];
-    turns.extend(works.iter_mut().map(|work| Turn::new(|| work.run())));
-    take_turns(&mut turns, options.repetitions(), options.each());
-    let Some(kernel_ns) = Distribution::of(turns[0].values()) else {
+    let mut measurements = vec![Measurement::new(bare)];
+    measurements.extend(works.iter_mut().map(|work| Measurement::new(|| work.run())));
+    interleave(&mut measurements, options.repetitions(), options.each());
+    let Some(kernel_ns) = Distribution::of(measurements[0].values()) else {
         return;
     };
-    let scaled = |turn: &Turn<'_>, scale: f64| -> Vec<f64> {
-        turn.values().iter().map(|ns| ns * scale).collect()
+    let scaled = |measurement: &Measurement<'_>, scale: f64| -> Vec<f64> {
+        measurement.values().iter().map(|ns| ns * scale).collect()
     };
-    for ((case, _), turn) in about.iter().zip(&turns[1..]) {
-        report.push(Figure::less, "rollout_us", case, "µs", &scaled(turn, 1e-3));
+    for ((case, _), measurement) in about.iter().zip(&measurements[1..]) {
+        report.push(
+            Figure::less,
+            "rollout_us",
+            case,
+            "µs",
+            &scaled(measurement, 1e-3),
+        );
     }
-    for ((case, forecasts), turn) in about.iter().zip(&turns[1..]) {
-        let each = scaled(turn, 1.0 / forecasts);
+    for ((case, forecasts), measurement) in about.iter().zip(&measurements[1..]) {
+        let each = scaled(measurement, 1.0 / forecasts);
         report.push(Figure::less, "ns_per_step", case, "ns", &each);
     }
-    for ((case, forecasts), turn) in about.iter().zip(&turns[1..]) {
-        let over = scaled(turn, 1.0 / forecasts / kernel_ns.p50);
+    for ((case, forecasts), measurement) in about.iter().zip(&measurements[1..]) {
+        let over = scaled(measurement, 1.0 / forecasts / kernel_ns.p50);
         report.push(Figure::less, "step_over_kernel", case, "1", &over);
     }
     let case = format!("{} rows", grouped(KERNEL_ROWS as u64));
@@ -187,11 +193,11 @@ fn alone(report: &mut Report, network: &Network, works: &mut [Work], options: &B
         "kernel_ns_per_robot",
         &case,
         "ns",
-        turns[0].values(),
+        measurements[0].values(),
     );
 }
 
-/// One pinned thread and several on the same candidates, in turns.
+/// One pinned thread and several on the same candidates, interleaved.
 fn shared(
     report: &mut Report,
     network: &Network,
@@ -220,7 +226,7 @@ fn shared(
     report.push(Figure::more, &title, &case, "1", &pinned.speed_up);
 }
 
-/// One call with candidates of one robot, counted; returns the steps.
+/// One call with candidates of one robot, counted; returns the number of steps.
 pub(crate) fn count(network: &Network, candidates: usize) -> usize {
     let mut work = Work::new(network, (1, candidates, 50), 7);
     work.call();

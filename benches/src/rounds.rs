@@ -1,20 +1,20 @@
-//! Measurements that take turns, so that whatever disturbs the machine disturbs all of them.
+//! Interleaved measurements, so that disturbances of the machine affect all of them.
 
 use std::time::{Duration, Instant};
 
-/// A measurement repeated less often than this has no distribution worth the name.
+/// Minimum number of repetitions.
 const LEAST: usize = 5;
 
-/// One measurement of several that take turns.
-pub(crate) struct Turn<'a> {
+/// One of several interleaved measurements.
+pub(crate) struct Measurement<'a> {
     run: Box<dyn FnMut() -> f64 + 'a>,
-    /// Takes part in every so many rounds.
+    /// Takes part in every n-th round.
     every: usize,
     values: Vec<f64>,
 }
 
-impl<'a> Turn<'a> {
-    /// `run` does one repetition and returns its figure.
+impl<'a> Measurement<'a> {
+    /// `run` executes one repetition and returns its figure.
     pub(crate) fn new(run: impl FnMut() -> f64 + 'a) -> Self {
         Self {
             run: Box::new(run),
@@ -23,37 +23,40 @@ impl<'a> Turn<'a> {
         }
     }
 
-    /// What was measured, repetition by repetition.
+    /// The figures, repetition by repetition.
     pub(crate) fn values(&self) -> &[f64] {
         &self.values
     }
 }
 
-/// Runs all in turn, `rounds` times. One that would take longer than `each` in all takes part in
-/// fewer rounds, spread evenly. The first repetition of each warms up and does not count.
-pub(crate) fn take_turns(turns: &mut [Turn<'_>], rounds: usize, each: Duration) {
-    for turn in turns.iter_mut() {
-        (turn.run)();
+/// Runs all of them, interleaved, for `rounds` rounds. One that would take longer than `each` in
+/// total takes part in fewer rounds, spread evenly. The first repetition of each is a warm-up and
+/// not counted.
+pub(crate) fn interleave(measurements: &mut [Measurement<'_>], rounds: usize, each: Duration) {
+    for measurement in measurements.iter_mut() {
+        (measurement.run)();
         let start = Instant::now();
-        (turn.run)();
+        (measurement.run)();
         let one = start.elapsed().as_secs_f64();
-        turn.every = every(rounds, one, each.as_secs_f64());
+        measurement.every = every(rounds, one, each.as_secs_f64());
     }
     for round in 0..rounds {
-        let due = turns.iter_mut().filter(|turn| round % turn.every == 0);
-        for turn in due {
-            turn.values.push((turn.run)());
+        let due = measurements
+            .iter_mut()
+            .filter(|measurement| round % measurement.every == 0);
+        for measurement in due {
+            measurement.values.push((measurement.run)());
         }
     }
 }
 
-/// Of how many rounds one that takes `one_s` a repetition takes part in one.
+/// The n for which a measurement of `one_s` per repetition takes part in every n-th round.
 fn every(rounds: usize, one_s: f64, each_s: f64) -> usize {
     let affordable = ((each_s / one_s.max(1e-9)) as usize).max(LEAST.min(rounds));
     rounds.div_ceil(affordable.max(1)).max(1)
 }
 
-/// Calls that make a repetition long enough for the clock, which resolves some 20 ns: 100 µs.
+/// Number of calls per repetition of 100 µs, long enough for the clock's resolution of some 20 ns.
 pub(crate) fn calls(mut call: impl FnMut()) -> usize {
     const ENOUGH: Duration = Duration::from_micros(100);
     call();
@@ -76,7 +79,7 @@ mod tests {
     use std::cell::RefCell;
 
     #[test]
-    fn slow_ones_take_part_in_fewer_rounds_but_never_in_too_few() {
+    fn slow_measurements_take_part_in_fewer_rounds_but_at_least_the_minimum() {
         for (rounds, one_s, each_s, expected) in [
             (1000, 1e-4, 2.0, 1),
             (1000, 1e-2, 2.0, 5),
@@ -89,23 +92,23 @@ mod tests {
     }
 
     #[test]
-    fn measurements_take_turns_and_warm_up_first() {
+    fn measurements_are_interleaved_and_warmed_up() {
         let order = RefCell::new(Vec::new());
-        let mut turns: Vec<Turn<'_>> = ["a", "b"]
+        let mut measurements: Vec<Measurement<'_>> = ["a", "b"]
             .into_iter()
             .map(|name| {
                 let order = &order;
                 let mut count = 0.0;
-                Turn::new(move || {
+                Measurement::new(move || {
                     order.borrow_mut().push(name);
                     count += 1.0;
                     count
                 })
             })
             .collect();
-        take_turns(&mut turns, 2, Duration::from_secs(60));
-        assert_eq!(turns[0].values(), [3.0, 4.0]);
-        drop(turns);
+        interleave(&mut measurements, 2, Duration::from_secs(60));
+        assert_eq!(measurements[0].values(), [3.0, 4.0]);
+        drop(measurements);
         assert_eq!(order.into_inner().concat(), "aabbabab");
     }
 }

@@ -1,4 +1,4 @@
-//! `joulebus-bench`: measures, writes the figures down, compares them with an earlier run.
+//! `joulebus-bench`: measures, writes the figures, and compares them with an earlier run.
 
 use std::fmt;
 use std::fs;
@@ -17,12 +17,12 @@ use crate::counted::Count;
 use crate::latency::{self, Launcher, Role};
 use crate::{Comparison, Report, Suite, kernel, rollout, tick, wait};
 
-/// First argument of the processes that the latency benchmark starts.
+/// First argument of the latency benchmark's child processes.
 const ROLE: &str = "role";
 /// First argument under callgrind.
 const COUNT: &str = "count";
 
-/// The program: measures, plays a role of the latency benchmark, or works to be counted.
+/// The program: measures, runs a role of the latency benchmark, or runs work to be counted.
 #[must_use]
 pub fn main() -> ExitCode {
     let arguments = || std::env::args_os().skip(1);
@@ -39,7 +39,7 @@ fn play(arguments: &RoleArguments) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Prints the kernel and how many forecasts were made.
+/// Prints the kernel and the number of forecasts.
 fn count(arguments: &Count) -> anyhow::Result<Outcome> {
     let (kernel, forecasts) = arguments.run()?;
     text(&format!("{kernel} {forecasts}"))?;
@@ -55,9 +55,9 @@ struct RoleArguments {
 
 fn run(arguments: &BenchArguments, output: Output) -> anyhow::Result<Outcome> {
     if cfg!(debug_assertions) {
-        say("warning: a dev build is measured; build with --release");
+        say("warning: this is a dev build; build with --release");
     }
-    // Before minutes of measuring, not after.
+    // Read first, so that an error does not cost minutes of measuring.
     let old = arguments.compare.as_deref().map(read).transpose()?;
     let suite = Suite::here(measure(arguments.benchmark, &arguments.options)?);
     if let Some(path) = &arguments.json {
@@ -84,12 +84,12 @@ fn run(arguments: &BenchArguments, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(is_worse))
 }
 
-/// A measurement that was run.
+/// A finished measurement.
 #[derive(Debug, Serialize)]
 struct Measured {
     #[serde(flatten)]
     suite: Suite,
-    /// Beside an earlier run, if that was asked for.
+    /// Comparison with an earlier run, if requested.
     comparison: Option<Comparison>,
     /// Figures that are worse than `--fail-above` allows.
     worse: Vec<String>,

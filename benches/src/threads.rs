@@ -1,4 +1,4 @@
-//! Threads that stay, each on a processor of its own, and wait without sleeping.
+//! Persistent spinning threads, each pinned to a processor.
 
 use std::sync::Barrier;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -10,7 +10,7 @@ use joulebus_bus::Scheduling;
 use joulebus_program::verbs::bench::BenchOptions;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-/// The processors that this process may use, ascending; empty if the system does not tell.
+/// The processors available to this process, ascending; empty if unknown.
 pub(crate) fn processors() -> Vec<usize> {
     let Ok(allowed) = sched_getaffinity(None) else {
         return Vec::new();
@@ -20,7 +20,7 @@ pub(crate) fn processors() -> Vec<usize> {
         .collect()
 }
 
-/// What the thread that is measured asks of the system, and must get.
+/// Scheduling of the measured thread, which must be granted.
 pub(crate) fn scheduling(options: &BenchOptions) -> Scheduling {
     Scheduling {
         cpus: options.worker_cpus.clone(),
@@ -30,16 +30,16 @@ pub(crate) fn scheduling(options: &BenchOptions) -> Scheduling {
     }
 }
 
-/// Keeps the thread that calls on one processor; returns whether the system did so.
+/// Pins the calling thread to one processor; returns whether the system accepted it.
 pub(crate) fn pin(processor: usize) -> bool {
     let mut only = CpuSet::new();
     only.set(processor);
     sched_setaffinity(None, &only).is_ok()
 }
 
-/// Calls all `works` side by side, `repetitions` times, each on a thread of its own that is pinned
-/// to a processor of its own as far as there are enough. Returns µs from the start of each
-/// repetition to the end of its last part. The threads spin in between, as those of a busy tick do.
+/// Runs all `works` in parallel, `repetitions` times, each on a thread pinned to its own processor
+/// as far as there are enough. Returns µs from the start of each repetition to the end of its last
+/// part. The threads spin in between, like those of a busy tick.
 fn side_by_side<W: Send>(
     works: &mut [W],
     call: impl Fn(&mut W) + Copy + Send,
@@ -71,7 +71,7 @@ fn side_by_side<W: Send>(
             })
             .collect();
         let times = handles.into_iter().map(thread::ScopedJoinHandle::join);
-        // The first thread's clock counts; a panic of any part ends the measurement.
+        // The first thread measures the time; a panic of any part ends the measurement.
         let times: Result<Vec<_>, _> = times.collect();
         match times {
             Ok(times) => times.into_iter().next().unwrap_or_default(),
@@ -80,7 +80,7 @@ fn side_by_side<W: Send>(
     })
 }
 
-/// The first thread begins the round; the others follow.
+/// The first thread starts the round; the others follow.
 fn begin(place: usize, repetition: usize, round: &AtomicUsize) {
     if place == 0 {
         round.store(repetition, Ordering::Release);
@@ -89,7 +89,7 @@ fn begin(place: usize, repetition: usize, round: &AtomicUsize) {
     }
 }
 
-/// The first thread waits for the others; they continue to wait for the next round.
+/// The first thread waits for the others, which wait for the next round.
 fn end(place: usize, all: usize, done: &AtomicUsize) {
     done.fetch_add(1, Ordering::AcqRel);
     if place == 0 {
@@ -103,11 +103,11 @@ pub(crate) struct Compared {
     pub(crate) one_us: Vec<f64>,
     /// Each repetition on several, µs.
     pub(crate) several_us: Vec<f64>,
-    /// Median of the one over that of the several, turn by turn.
+    /// Median of one thread over that of several, for each alternation.
     pub(crate) speed_up: Vec<f64>,
 }
 
-/// Lets one pinned thread with all of the work and several with a part each take turns.
+/// Alternates between one pinned thread with all of the work and several with a part each.
 pub(crate) fn compare<W: Send>(
     whole: &mut [W; 1],
     parts: &mut [W],
@@ -137,7 +137,7 @@ pub(crate) fn compare<W: Send>(
     compared
 }
 
-/// Gives way now and then: with more threads than processors the others have to run, too.
+/// Yields occasionally, so that other threads can run if there are more threads than processors.
 fn spin_until(ready: impl Fn() -> bool) {
     let mut tries = 0_u32;
     while !ready() {

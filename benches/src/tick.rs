@@ -1,4 +1,4 @@
-//! The tick alone: samples taken, forecast, accounted for and written out, beside the bare kernel.
+//! The tick alone: ingest, forecasts, scoring and writing, compared with the bare kernel.
 
 mod bench;
 
@@ -18,19 +18,20 @@ pub(crate) use bench::Part;
 
 /// Fleets measured by default.
 const ROBOTS: [usize; 5] = [100, 1_000, 10_000, 100_000, 300_000];
-/// Ticks before the figures count: windows are full, intervals and alarms settled.
+/// Ticks before the measurement starts, until windows are full and intervals and alarms have
+/// settled.
 const WARM_UP: usize = 40;
-/// Rounds back to back at most.
+/// Maximum number of back-to-back rounds.
 const MOST: usize = 1_000;
-/// Counts are of one input.
+/// Seed of counted work.
 const SEED: u64 = 7;
-/// Smaller fleets' memory is lost in that of the process.
+/// Minimum fleet size whose memory is reported; smaller ones are lost in that of the process.
 const LEAST_WEIGHED: usize = 10_000;
 
 /// Measures a tick of fleets of several sizes, back to back and paced.
 ///
 /// # Errors
-/// The model cannot be read, or a kernel that was asked for does not exist here.
+/// The model cannot be read, or a requested kernel is not supported here.
 pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let (name, network) = input::network(options.model.as_deref())?;
     let kernel = *kernel::kernels(options.kernel.as_deref())?
@@ -51,7 +52,7 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
         eprintln!("tick: {}", robots(size));
         sized.push(figures(&network, size, options)?);
     }
-    // Name by name, so that sizes stand below each other.
+    // Sorted by name, so that sizes are adjacent.
     let names = sized.iter().max_by_key(|figures| figures.len());
     let names: Vec<String> = names
         .iter()
@@ -62,13 +63,13 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
         report.figures.extend(of_name.cloned());
     }
     report.notes = [
-        "Every robot sends a sample each tick. Taking, forecasting, accounting and writing into \
-         memory that is there already are counted; shared memory and waking are not.",
-        "Back to back: kernel, tick in one go and tick in two take turns. In two: first forecasts \
-         (samples absorbed, network, intervals, forecasts written), then accounts (residuals, \
+        "Every robot sends a sample each tick. Ingest, forecasts, scoring and writing into \
+         existing memory are measured; shared memory and waking are not.",
+        "Back to back: kernel, tick in one pass and tick in two passes are interleaved. In two: first forecasts \
+         (features, network, intervals, forecasts written), then scoring (residuals, \
          scores, alarms, ledgers, diagnostics and budgets written).",
-        "Paced: the tick starts after a sleep, and `due` is the place on the grid; a place that a \
-         late tick passed over is a missed tick.",
+        "Paced: the tick starts after a sleep, and `due` is the grid time; a grid time that a \
+         late tick skipped is a missed tick.",
     ]
     .map(str::to_owned)
     .to_vec();
@@ -92,7 +93,7 @@ fn figures(network: &Network, size: usize, options: &BenchOptions) -> anyhow::Re
     paced(&mut report, "1_thread", &mut bench, options);
     drop(bench);
     if options.threads > 1 {
-        // The pool's first thread belongs to it for good: it gets a thread of its own.
+        // The pool's first thread belongs to it permanently, so it gets a new thread.
         let shared = || -> anyhow::Result<()> {
             let mut bench = Bench::new(
                 network,
@@ -112,7 +113,7 @@ fn figures(network: &Network, size: usize, options: &BenchOptions) -> anyhow::Re
     Ok(report.figures)
 }
 
-/// Rounds without a pause.
+/// Back-to-back rounds.
 fn back_to_back(bench: &mut Bench, options: &BenchOptions) -> Vec<Round> {
     for _ in 0..WARM_UP {
         bench.tick_in_one();
@@ -194,7 +195,7 @@ fn push_several(
     }
 }
 
-/// On a grid, with a sleep before each tick.
+/// On a time grid, with a sleep before each tick.
 fn paced(report: &mut Report, title: &str, bench: &mut Bench, options: &BenchOptions) {
     let period_us = 1e6 / options.rate_hz as f64;
     let paced = bench.paced(options.rate_hz, options.seconds_or(10));
@@ -214,7 +215,7 @@ fn paced(report: &mut Report, title: &str, bench: &mut Bench, options: &BenchOpt
     less("paced_missed_ticks", "ticks", &[paced.missed as f64]);
 }
 
-/// One tick of which `part` is counted; returns the forecasts that it made.
+/// One tick of which `part` is counted; returns the number of forecasts.
 pub(crate) fn count(network: &Network, robots: usize, part: Part) -> anyhow::Result<usize> {
     let mut bench = Bench::new(network, (TickFleet::Uniform, robots), 1, SEED)?;
     for _ in 0..WARM_UP {

@@ -1,6 +1,6 @@
-//! How late a wait for a descriptor and a deadline ends, by the way the deadline is given to the
-//! system: as the timeout of `ppoll`, or as a timer descriptor beside the other one. What the worker
-//! does is decided by this figure.
+//! Overshoot of a wait for a descriptor with a deadline, by how the deadline is passed to the
+//! system: as the timeout of `ppoll`, or as a timer descriptor polled as well. The worker's method
+//! is chosen by this figure.
 
 use std::num::NonZeroU64;
 use std::os::fd::{AsFd, OwnedFd};
@@ -17,60 +17,63 @@ use rustix::time::{
 
 use crate::{Figure, Report, threads};
 
-/// What Linux gives every thread, ns: sleeps may end so much late.
+/// Linux's default timer slack, ns.
 const USUAL_SLACK_NS: u64 = 50_000;
 
-/// A way to wait.
+/// A method of waiting.
 #[derive(Debug, Clone, Copy)]
-enum Way {
+enum WaitMethod {
     /// The deadline is the timeout.
     Timeout { slack_ns: u64 },
-    /// The deadline is a descriptor of its own; there is no timeout.
+    /// The deadline is a timer descriptor; there is no timeout.
     Timer { slack_ns: u64 },
 }
 
-const WAYS: [(&str, Way); 4] = [
+const METHODS: [(&str, WaitMethod); 4] = [
     (
         "ppoll with a timeout, slack 1 ns (the worker's)",
-        Way::Timeout { slack_ns: 1 },
+        WaitMethod::Timeout { slack_ns: 1 },
     ),
-    ("timer descriptor, slack 1 ns", Way::Timer { slack_ns: 1 }),
+    (
+        "timer descriptor, slack 1 ns",
+        WaitMethod::Timer { slack_ns: 1 },
+    ),
     (
         "ppoll with a timeout, slack 50 µs (the system's)",
-        Way::Timeout {
+        WaitMethod::Timeout {
             slack_ns: USUAL_SLACK_NS,
         },
     ),
     (
         "timer descriptor, slack 50 µs",
-        Way::Timer {
+        WaitMethod::Timer {
             slack_ns: USUAL_SLACK_NS,
         },
     ),
 ];
 
-/// Measures all ways, in turns.
+/// Measures all methods, interleaved.
 ///
 /// # Errors
-/// The system refuses a descriptor, a wait, or what the scheduling asks for.
+/// The system refuses a descriptor, a wait, or the requested scheduling.
 pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let length_ns = 1_000_000_000 / options.rate_hz;
     threads::scheduling(options).apply_to_thread(0)?;
     let silent = UnixDatagram::unbound().context("a socket")?;
     let timer = timerfd_create(TimerfdClockId::Monotonic, TimerfdFlags::NONBLOCK)?;
-    let mut late_us = WAYS.map(|_| Vec::new());
-    let mut cpu_us = WAYS.map(|_| Vec::new());
+    let mut late_us = METHODS.map(|_| Vec::new());
+    let mut cpu_us = METHODS.map(|_| Vec::new());
     for _ in 0..options.repetitions_or(300) {
-        for (place, (_, way)) in WAYS.iter().enumerate() {
+        for (place, (_, method)) in METHODS.iter().enumerate() {
             let before_ns = thread_ns();
-            late_us[place].push(way.wait(&silent, &timer, length_ns)? as f64 * 1e-3);
+            late_us[place].push(method.wait(&silent, &timer, length_ns)? as f64 * 1e-3);
             cpu_us[place].push((thread_ns() - before_ns) as f64 * 1e-3);
         }
     }
     let mut report = Report::new("wait").with_input("rate_hz", options.rate_hz);
     for (name, values) in [("late_us", &late_us), ("cpu_us", &cpu_us)] {
-        for ((way, _), values) in WAYS.iter().zip(values) {
-            report.push(Figure::less, name, way, "µs", values);
+        for ((method, _), values) in METHODS.iter().zip(values) {
+            report.push(Figure::less, name, method, "µs", values);
         }
     }
     report.notes = vec![
@@ -81,8 +84,8 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     Ok(report)
 }
 
-impl Way {
-    /// Waits for a socket that stays silent until `length_ns` are over; how late that ended, ns.
+impl WaitMethod {
+    /// Waits `length_ns` for a socket that stays silent; returns the overshoot, ns.
     fn wait(self, silent: &UnixDatagram, timer: &OwnedFd, length_ns: u64) -> anyhow::Result<u64> {
         let (Self::Timeout { slack_ns } | Self::Timer { slack_ns }) = self;
         rustix::thread::set_current_timer_slack(NonZeroU64::new(slack_ns))?;
@@ -131,7 +134,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_way_of_waiting_ends_before_its_deadline_or_is_left_out() {
+    fn no_method_of_waiting_ends_before_its_deadline_or_is_missing() {
         let arguments = ["bench", "wait", "--repetitions", "3", "--rate-hz", "500"];
         let arguments = BenchArguments::augment_args(clap::Command::new("bench"))
             .try_get_matches_from(arguments)
@@ -143,9 +146,10 @@ mod tests {
             .iter()
             .filter(|figure| figure.name == "late_us");
         let late: Vec<_> = late.collect();
-        assert_eq!(late.len(), WAYS.len());
+        assert_eq!(late.len(), METHODS.len());
         for figure in late {
-            // Lateness 0 would mean that the wait ended early: waking takes longer than 1 ns.
+            // An overshoot of 0 would mean that the wait ended early: waking takes longer than 1
+            // ns.
             assert_eq!(figure.spread.count, 3, "{report}");
             assert!(figure.spread.p50 > 0.0, "{report}");
         }

@@ -1,4 +1,4 @@
-//! A fleet in step: what its robots send, tick by tick.
+//! Input of a fleet: the samples of all robots, tick by tick.
 
 use joulebus_program::verbs::bench::TickFleet;
 use joulebus_settings::{FleetSettings, Platform};
@@ -7,21 +7,21 @@ use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 /// Steps after which commands and powers repeat.
 const CYCLE: usize = 1024;
 
-/// Robots that all send a sample each tick: wandering commands and powers, a new measurement every
-/// third sample, as the monitor of the GTernal gives them.
+/// Robots that all send a sample each tick: varying commands and powers, a new measurement every
+/// third sample, as from the GTernal's monitor.
 pub(crate) struct World {
     header: SampleHeader,
     samples: Vec<Sample>,
     period_ns: u64,
     step: u64,
-    /// One sample in so many has no reading.
+    /// One sample in n has no reading.
     missing_every: Option<u64>,
     command: Vec<(f32, f32)>,
     power_w: Vec<f32>,
 }
 
 impl World {
-    /// The first `robots` robots of the platforms, which send in turn.
+    /// The first `robots` robots of the platforms, alternating between platforms.
     pub(crate) fn new(kind: TickFleet, settings: &FleetSettings, robots: usize) -> Self {
         let platforms = &settings.platforms;
         let each = robots.div_ceil(platforms.len());
@@ -60,7 +60,7 @@ impl World {
         (&self.header, &self.samples)
     }
 
-    /// When the frame of this step is taken, ns on the worker's clock.
+    /// When the frame of this step is received, ns on the worker's clock.
     pub(crate) fn now_ns(&self) -> u64 {
         self.stamp_ns() + 1_000_000
     }
@@ -87,7 +87,7 @@ impl World {
             let (v_mps, omega_radps) = self.command[at(self.step)];
             let power_w = self.power_w[at(self.step + 2 - since)];
             *sample = Sample::new(sample.robot, self.step, stamp_ns).command(v_mps, omega_radps);
-            // A stride without a common factor: each time other robots.
+            // A stride without a common factor: other robots each time.
             let draw = (robot as u64).wrapping_add(self.step * 7);
             if self
                 .missing_every

@@ -1,4 +1,4 @@
-//! What is said of two runs.
+//! Comparison of two runs.
 
 use joulebus_bench::{
     Better, CompareError, Comparison, Distribution, Figure, Report, Suite, Verdict,
@@ -28,7 +28,7 @@ fn suite(figures: Vec<Figure>) -> Suite {
 }
 
 #[test]
-fn worse_is_worse_whichever_way_a_figure_is_better() {
+fn worse_is_reported_for_either_direction_of_improvement() {
     for (better, old, new, verdict, times_worse) in [
         (Better::Less, 100.0, 200.0, Verdict::Worse, 2.0),
         (Better::Less, 200.0, 100.0, Verdict::Better, 0.5),
@@ -115,7 +115,7 @@ fn another_layout_is_refused_with_what_was_found() {
 }
 
 #[test]
-fn another_machine_build_or_input_is_said() {
+fn a_different_machine_build_or_input_is_reported() {
     let new = suite(vec![figure("time", Better::Less, 1.0)]);
     let mut old = new.clone();
     old.machine.processor = "abacus".to_owned();
@@ -126,8 +126,8 @@ fn another_machine_build_or_input_is_said() {
     let comparison = Comparison::new(&old, &new).expect("a figure in common");
     assert_eq!(comparison.differing.len(), 3);
     let text = comparison.to_string();
-    for said in ["abacus", "rustc 0.1", "seed 8 before, now 7"] {
-        assert!(text.contains(said), "{said:?} is missing from\n{text}");
+    for part in ["abacus", "rustc 0.1", "seed 8 before, now 7"] {
+        assert!(text.contains(part), "{part:?} is missing from\n{text}");
     }
     let same = Comparison::new(&new, &new).expect("a figure in common");
     assert!(same.differing.is_empty());

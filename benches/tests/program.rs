@@ -1,4 +1,4 @@
-//! Measurements: that they run and what is said of them, never how fast it is.
+//! Benchmarks run and report; speed is never tested.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
@@ -101,7 +101,7 @@ fn the_tick_and_rollouts_are_measured_too() {
     }
 }
 
-/// Makes the figures of a file so many times better: what is measured again is then worse.
+/// Improves the figures in a file by a factor, so that the next measurement is worse.
 fn flatter(path: &Path, times: f64) {
     let mut suite: Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();
     for report in suite["reports"].as_array_mut().unwrap() {
@@ -120,7 +120,7 @@ fn flatter(path: &Path, times: f64) {
 }
 
 #[test]
-fn a_comparison_fails_only_when_it_is_asked_to() {
+fn a_comparison_fails_only_on_request() {
     let place = tempfile::tempdir().unwrap();
     let old = place.path().join("old.json");
     let old_name = old.display().to_string();
@@ -154,7 +154,7 @@ fn a_comparison_fails_only_when_it_is_asked_to() {
 }
 
 #[test]
-fn what_cannot_be_measured_or_compared_is_said_before_anything_is_measured() {
+fn invalid_requests_are_refused_before_measuring() {
     let place = tempfile::tempdir().unwrap();
     let other = place.path().join("other.json");
     fs::write(&other, "{}").unwrap();

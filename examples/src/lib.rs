@@ -1,5 +1,5 @@
-//! What the live examples start before their subject begins: a fleet of its own, in a temporary
-//! directory, so that an example neither needs a running worker nor meets one.
+//! Setup of the live examples: a private fleet in a temporary directory, so that an example neither
+//! needs a running worker nor interferes with one.
 #![forbid(unsafe_code)]
 
 use std::error::Error;
@@ -18,7 +18,7 @@ use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 use tempfile::TempDir;
 
-/// The programs in the README and in the crates' READMEs are compiled as they stand.
+/// The programs in the README and in the crates' READMEs are compiled unchanged.
 #[cfg(doctest)]
 mod readme {
     macro_rules! compile {
@@ -41,13 +41,13 @@ mod readme {
     }
 }
 
-/// A config file and shared memory that nobody else uses. Ending it stops the worker and removes both.
+/// A private config file and shared memory. Dropping it stops the worker and removes both.
 #[derive(Debug)]
 pub struct PrivateFleet {
     config: PathBuf,
     stop: Arc<AtomicBool>,
     worker: Option<JoinHandle<()>>,
-    // Last: the worker's files lie in it.
+    // Last: it contains the worker's files.
     _directory: TempDir,
 }
 
@@ -89,7 +89,7 @@ impl PrivateFleet {
         let config = Config::load(&self.config)?;
         let stop = Arc::clone(&self.stop);
         let (ready, started) = mpsc::channel();
-        // A worker belongs to the thread that opened it.
+        // A worker must stay on the thread that opened it.
         self.worker = Some(thread::spawn(move || match Worker::open(&config) {
             Ok(worker) => {
                 let _ = ready.send(Ok(()));
@@ -130,10 +130,10 @@ pub fn record(file: &Path) -> Result<(), Box<dyn Error>> {
         PrivateFleet::new("[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n")?;
     let config = Config::load(fleet.config())?;
     let clock = Clock::now();
-    // Config, models and build lie in the file: it can be replayed on its own.
+    // The capture contains config, models and build: it can be replayed on its own.
     let attachments = Attachments::of(std::slice::from_ref(&config), clock)?;
     let target = Target::File(file.to_owned());
-    // Before the worker, so that its first tick is in the capture.
+    // Started before the worker, so that its first tick is in the capture.
     let recorder = Recorder::start(
         &config,
         Vec::new(),

@@ -1,5 +1,5 @@
-//! Every example ends well by itself and says what it promises. Cargo builds examples before the
-//! tests of their package, as long as it is not told to run a single one: `cargo test -p joulebus-examples`.
+//! Every example succeeds and prints what it documents. Cargo builds examples before the tests of
+//! their package, unless a single test is selected: `cargo test -p joulebus-examples`.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
@@ -26,13 +26,13 @@ fn start(name: &str, arguments: &[&Path]) -> Child {
     command.spawn().unwrap()
 }
 
-/// The lines that an example prints until it ends, well.
+/// The lines that an example prints until it exits successfully.
 fn lines(example: Child) -> Vec<String> {
     let output = example.wait_with_output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(
         output.status.success(),
-        "{}; it said:\n{said}",
+        "{}; output:\n{said}",
         output.status
     );
     said.lines().map(str::to_owned).collect()
@@ -135,7 +135,7 @@ fn rollouts() {
     assert_starts(
         &lines,
         &[
-            "gternal-sim has seen 2.99",
+            "gternal-sim was trained on 2.99",
             "0.05 m/s",
             "0.20 m/s",
             "0.00 m/s",
@@ -152,7 +152,7 @@ fn training() {
             "epoch 1",
             "epoch 2",
             "epoch 3",
-            "1180 forecasts of robots",
+            "1180 forecasts of held-out robots",
             "a model file of",
         ],
     );

@@ -6,7 +6,7 @@ checks that all give the same forecasts, then lets them take turns, each in a pr
 the same processor, and writes figures (JSON), a table (Markdown) and a picture (SVG).
 
     python3 tools/peers/network.py                 # everything; some minutes after the installation
-    python3 tools/peers/network.py --quick         # whether it runs, not how fast
+    python3 tools/peers/network.py --quick         # a smoke test
     python3 tools/peers/network.py --peers joulebus,onnxruntime --batches 1,100
 
 PyTorch: its index of CPU wheels is tried first; where that cannot be reached, the package of PyPI is
@@ -36,8 +36,8 @@ NAMES = ["joulebus", "onnxruntime", "openvino", "pytorch", "pytorch-compile", "j
          "tract", "candle", "nalgebra"]
 RUST = {"joulebus", "tract", "candle", "nalgebra"}
 THREADED = {"joulebus", "onnxruntime", "openvino", "pytorch", "pytorch-compile"}
-# Largest error against double precision, W: what single precision costs, and what another form of
-# GELU costs. More means that something else is computed.
+# Largest allowed error against double precision, W: of single precision, and of the other form of
+# GELU. A larger error means a different computation.
 ALLOWED_W = {"numpy": 1e-2}
 ALLOWED_SINGLE_W = 2e-5
 
@@ -50,7 +50,7 @@ PACKAGES_OF = {
 }
 TORCH = "torch==2.15.0"
 TORCH_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
-# What the package of PyPI is linked with, without the compiler for GPUs.
+# Libraries that the package of PyPI is linked with, without the compiler for GPUs.
 TORCH_NEEDS = [
     "filelock", "fsspec", "jinja2", "networkx", "setuptools", "sympy", "typing-extensions",
     "cuda-toolkit[cublas,cudart,cufft,cufile,cupti,cusparse,nvjitlink,nvrtc,nvtx]==13.2.2",
@@ -63,7 +63,7 @@ def say(text):
     print(text, file=sys.stderr, flush=True)
 
 
-# The first half runs in any Python: it installs, and starts this file again in the environment.
+# The first half runs in any Python: it installs the packages, and starts this file again in the environment.
 
 def in_environment(directory, wanted):
     """The environment's Python, with everything that the wanted peers need."""
@@ -105,7 +105,7 @@ def build_rust(directory):
     return target / "release" / "joulebus-network-peers"
 
 
-# Peers in Python: each is started as `network.py --as PEER …` and speaks the words of the Rust one.
+# Peers in Python: each is started as `network.py --as PEER …` and uses the protocol of the Rust one.
 
 def layers_of(model):
     """Folded weights, outputs by inputs, and biases, in double precision, then as float32."""
@@ -443,7 +443,7 @@ def start_all(wanted, threads, arguments, place, rust):
 
 
 def measure(runners, batches, seconds, rounds):
-    """ns per robot of each peer and batch, in turns."""
+    """ns per robot of each peer and batch, interleaved."""
     times = {}
     for batch in batches:
         for _ in range(rounds):
@@ -560,9 +560,9 @@ def parse():
     split = lambda text: text.split(",")
     parser.add_argument("--peers", type=split, default=NAMES, metavar="NAME,…", help=", ".join(NAMES))
     parser.add_argument("--batches", type=lambda text: [int(word) for word in split(text)], default=BATCHES, metavar="N,…")
-    parser.add_argument("--seconds", type=float, default=0.5, help="for each peer and batch, in each of the rounds")
+    parser.add_argument("--seconds", type=float, default=0.5, help="for each peer and batch, in each round")
     parser.add_argument("--install", action="store_true", help="only install and build")
-    parser.add_argument("--quick", action="store_true", help="whether it runs, not how fast")
+    parser.add_argument("--quick", action="store_true", help="a smoke test")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--model", type=pathlib.Path, default=ROOT / "configs/models/gternal-sim.safetensors")
     parser.add_argument("--directory", type=pathlib.Path, default=ROOT / "target/peers", help="of the environment and what is built")

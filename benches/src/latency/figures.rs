@@ -1,4 +1,4 @@
-//! The report in the form that all benchmarks share.
+//! The report in the format shared by all benchmarks.
 
 use joulebus_predictor_worker::Spread;
 
@@ -48,7 +48,7 @@ const ONCE: [Once; 5] = [
     ("passed_over_frames", "frames", |row| row.passed_over as f64),
 ];
 
-/// The same distribution, µs; `None` if nothing was measured.
+/// The distribution, µs; `None` if nothing was measured.
 #[must_use]
 pub fn distribution(spread: &Spread) -> Option<Distribution> {
     (spread.count > 0).then_some(Distribution {

@@ -1,4 +1,4 @@
-//! The kernel alone, woken from the same sleep.
+//! The kernel alone, after the same sleep.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -9,7 +9,7 @@ use joulebus_predictor_worker::Spread;
 
 use crate::histogram;
 
-/// Rows of features, and what the kernel makes of them.
+/// Input rows and the kernel's output.
 pub(super) struct Alone<'a> {
     model: &'a Model,
     rows: Vec<Features>,
@@ -31,7 +31,7 @@ impl<'a> Alone<'a> {
         }
     }
 
-    /// One batch; `counts` once warm.
+    /// One batch; `counts`: the warm-up is over.
     pub(super) fn run(&mut self, counts: bool) {
         let start = Instant::now();
         self.model

@@ -1,5 +1,5 @@
-//! Two raw iceoryx2 hops: source → relay → sink, frames of the same sizes, an event each, nothing
-//! computed. What no broker on iceoryx2 can be faster than.
+//! Two raw iceoryx2 hops: source → relay → sink, frames of the same sizes, one event each, no
+//! computation. The lower bound for any broker on iceoryx2.
 
 use std::fmt;
 use std::io::{Read as _, Write as _};
@@ -25,9 +25,9 @@ use crate::histogram;
 type End<T, H> = (Publisher<ipc::Service, [T], H>, Notifier<ipc::Service>);
 type Start<T, H> = (Subscriber<ipc::Service, [T], H>, Listener<ipc::Service>);
 
-/// The source's end of the two hops, and the processes behind it.
-pub struct Way {
-    // Before the node: ports go first.
+/// The source's end of the two hops, and the other two processes.
+pub struct RawHops {
+    // Before the node, because ports must be dropped first.
     publisher: Publisher<ipc::Service, [Sample], SampleHeader>,
     notifier: Notifier<ipc::Service>,
     _node: Node<ipc::Service>,
@@ -37,19 +37,20 @@ pub struct Way {
     robots: usize,
 }
 
-impl fmt::Debug for Way {
+impl fmt::Debug for RawHops {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_struct("Way")
+        out.debug_struct("RawHops")
             .field("robots", &self.robots)
             .finish_non_exhaustive()
     }
 }
 
-impl Way {
-    /// Starts the relay and the sink, and connects. With `acknowledge` the sink tells of each frame:
-    /// [`Way::acknowledged`].
+impl RawHops {
+    /// Starts the relay and the sink, and connects. With `acknowledge` the sink confirms each
+    /// frame: [`RawHops::acknowledged`].
     ///
     /// # Errors
+    /// A process could not be started, or a port not be opened.
     /// A process or a port could not be had.
     pub fn open(
         launcher: &Launcher,
@@ -80,10 +81,10 @@ impl Way {
         })
     }
 
-    /// Waits until the sink has read one more frame.
+    /// Waits until the sink has received one more frame.
     ///
     /// # Errors
-    /// The sink is gone, or was not told to acknowledge.
+    /// The sink has ended, or does not acknowledge.
     pub fn acknowledged(&mut self) -> anyhow::Result<()> {
         let output = self.sink.stdout.as_mut().context("no output of the sink")?;
         Ok(output.read_exact(&mut [0])?)
@@ -92,7 +93,7 @@ impl Way {
     /// Sends a frame that was due at `intended_ns`; 0 ends the measurement.
     ///
     /// # Errors
-    /// iceoryx2 refuses.
+    /// iceoryx2 reports an error.
     pub fn send(&mut self, intended_ns: u64) -> anyhow::Result<()> {
         let mut loan = self.publisher.loan_slice_uninit(self.robots)?;
         loan.user_header_mut().intended_ns = intended_ns;
@@ -103,10 +104,10 @@ impl Way {
         Ok(())
     }
 
-    /// Ends the processes; the time from due to read.
+    /// Ends the processes; returns the distribution from due to received.
     ///
     /// # Errors
-    /// A process did not do its part, or something is left that cannot be removed.
+    /// A process failed, or files cannot be removed.
     pub fn finish(mut self) -> anyhow::Result<Spread> {
         self.send(0)?;
         let spread = finish(self.sink)?;
@@ -118,7 +119,7 @@ impl Way {
     }
 }
 
-/// iceoryx2 leaves a segment of its own behind.
+/// Removes the segment that iceoryx2 leaves behind.
 fn remove_segments() -> anyhow::Result<()> {
     for entry in std::fs::read_dir("/dev/shm")? {
         let entry = entry?;
@@ -132,7 +133,7 @@ fn remove_segments() -> anyhow::Result<()> {
 /// The relay's process.
 ///
 /// # Errors
-/// iceoryx2 refuses.
+/// iceoryx2 reports an error.
 pub fn relay(root: &Path, robots: usize) -> anyhow::Result<()> {
     let node = node(root)?;
     let (publisher, notifier) = sending::<Forecast, ForecastHeader>(&node, "forecasts", robots)?;
@@ -161,10 +162,11 @@ pub fn relay(root: &Path, robots: usize) -> anyhow::Result<()> {
     }
 }
 
-/// The sink's process: prints the times it has seen. `acknowledge`: a byte for each frame before.
+/// The sink's process: prints the distribution of its latencies. `acknowledge`: prints a byte for
+/// each frame before.
 ///
 /// # Errors
-/// iceoryx2 refuses.
+/// iceoryx2 reports an error.
 pub fn sink(root: &Path, robots: usize, period_ns: u64, acknowledge: bool) -> anyhow::Result<()> {
     let node = node(root)?;
     let (subscriber, listener) = receiving::<Forecast, ForecastHeader>(&node, "forecasts")?;

@@ -1,4 +1,4 @@
-//! A fleet, what it is sent, and where it writes.
+//! A fleet with its input and output buffers.
 
 use std::fs;
 use std::hint::black_box;
@@ -19,38 +19,38 @@ use joulebus_wire::{Budget, Diagnostic, Forecast};
 use crate::world::World;
 use crate::{input, threads};
 
-/// Parts of a tick that forecasts first.
+/// Parts of a tick in two passes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Part {
-    /// Samples are taken.
+    /// Ingest.
     Take,
-    /// Forecasts are made and written.
+    /// Forecasts.
     Forecast,
-    /// Accounts are made, diagnostics and budgets written.
+    /// Scoring, diagnostics and budgets.
     Account,
 }
 
-/// ns that the parts of one round took.
+/// Durations of the parts of one round, ns.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Round {
     /// The network alone on as many rows.
     pub(crate) kernel: f64,
-    /// Samples taken for the tick in one go.
+    /// Ingest of the tick in one pass.
     pub(crate) take: f64,
-    /// The rest of the tick in one go.
+    /// The rest of the tick in one pass.
     pub(crate) run: f64,
-    /// Its stages, over all threads: features, network, bookkeeping, writing.
+    /// Its stages, over all threads: features, network, scoring, writing.
     pub(crate) stages: [f64; 4],
-    /// Samples taken for the tick in two.
+    /// Ingest of the tick in two passes.
     pub(crate) take_in_two: f64,
-    /// Its first part.
+    /// Its first pass.
     pub(crate) forecast: f64,
-    /// Its second part.
+    /// Its second pass.
     pub(crate) account: f64,
 }
 
 impl Round {
-    /// The tick in one go, samples taken included, ns.
+    /// The tick in one pass, ingest included, ns.
     pub(crate) fn tick(&self) -> f64 {
         self.take + self.run
     }
@@ -59,7 +59,7 @@ impl Round {
 /// Platforms of a mixed fleet.
 const PLATFORMS: u32 = 3;
 
-/// What a paced run came to.
+/// Result of a paced run.
 pub(super) struct Paced {
     pub(super) tick_us: Vec<f64>,
     pub(super) due_to_done_us: Vec<f64>,
@@ -81,7 +81,7 @@ pub(super) struct Bench {
 }
 
 impl Bench {
-    /// A fleet of so many robots, ticked by `threads` that share every tick.
+    /// A fleet of `robots` robots, ticked by `threads` threads.
     pub(super) fn new(
         network: &Network,
         (kind, robots): (TickFleet, usize),
@@ -116,12 +116,12 @@ impl Bench {
         self.rows.len()
     }
 
-    /// Memory that the fleet took, its inputs and outputs left out.
+    /// Memory of the fleet, without its inputs and outputs.
     pub(super) fn own_bytes(&self) -> Option<f64> {
         Some(anonymous_bytes()? - self.before_bytes?)
     }
 
-    /// Kernel and both ways to tick, one after the other.
+    /// The kernel and both variants of the tick, one after the other.
     pub(super) fn round(&mut self) -> Round {
         let kernel = self.kernel();
         let before = self.pool.spent_ns();
@@ -155,7 +155,7 @@ impl Bench {
         start.elapsed().as_nanos() as f64
     }
 
-    /// ns for taking the samples, and for the rest.
+    /// ns of ingest, and of the rest.
     pub(super) fn tick_in_one(&mut self) -> (f64, f64) {
         let now_ns = self.world.now_ns();
         let start = Instant::now();
@@ -177,8 +177,8 @@ impl Bench {
         (ns(start, taken), ns(taken, done))
     }
 
-    /// On the calling thread, forecasts first; `around` is given each part's work and has to do it
-    /// once. Reads no clock itself: under valgrind the one that the pool reads ends the program.
+    /// On the calling thread, forecasts first; `around` must run each part's work once. Reads no
+    /// clock: under valgrind the clock used by the pool aborts the program.
     pub(super) fn tick_in_two(&mut self, around: &mut dyn FnMut(Part, &mut dyn FnMut())) {
         let now_ns = self.world.now_ns();
         let Self { fleet, batch, .. } = self;
@@ -201,7 +201,7 @@ impl Bench {
         self.world.advance();
     }
 
-    /// Ticks on a grid, after a sleep each.
+    /// Ticks on a time grid, with a sleep before each.
     pub(super) fn paced(&mut self, rate_hz: u64, seconds: u64) -> Paced {
         let mut pace = Pace::every(Duration::from_nanos(1_000_000_000 / rate_hz));
         let mut paced = Paced {
@@ -222,7 +222,7 @@ impl Bench {
     }
 }
 
-/// Threads that share every tick, each on a processor of its own if they are several.
+/// Threads that share every tick, each pinned to its own processor if there are several.
 fn pool(threads: usize) -> anyhow::Result<TickPool> {
     let mut scheduling = Scheduling::default();
     if threads > 1 {
@@ -232,7 +232,7 @@ fn pool(threads: usize) -> anyhow::Result<TickPool> {
     Ok(TickPool::new(threads, 1, &scheduling)?)
 }
 
-/// Those of the demo: GTernal robots with a battery.
+/// Settings of the demo: GTernal robots with a battery.
 fn settings(kind: TickFleet, robots: usize) -> anyhow::Result<FleetSettings> {
     let demo = Demo {
         fleet: "bench".to_owned(),
@@ -265,7 +265,7 @@ fn split(one: &Platform, robots: u32) -> Vec<Platform> {
     (0..PLATFORMS).map(third).collect()
 }
 
-/// Anonymous memory of this process; `None` where the system does not tell.
+/// Anonymous memory of this process; `None` if unknown.
 fn anonymous_bytes() -> Option<f64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status

@@ -16,7 +16,9 @@ impl Candle {
         let cpu = &Device::Cpu;
         let layers = layers.iter().map(|layer| {
             let shape = (layer.outputs, layer.inputs);
-            let weights = Tensor::from_slice(&layer.weights, shape, cpu)?.t()?.contiguous()?;
+            let weights = Tensor::from_slice(&layer.weights, shape, cpu)?
+                .t()?
+                .contiguous()?;
             let bias = Tensor::from_slice(&layer.bias, layer.outputs, cpu)?;
             Ok((weights, bias))
         });

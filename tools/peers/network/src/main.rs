@@ -1,4 +1,4 @@
-//! A forecaster in a process of its own, driven by `tools/peers/network.py` over stdin:
+//! A forecaster in a separate process, driven by `tools/peers/network.py` over stdin:
 //! `check PATH` writes the forecasts of all rows as little-endian f32; `time BATCH SECONDS` prints
 //! the ns that each of many calls took, as a JSON array.
 #![forbid(unsafe_code)]

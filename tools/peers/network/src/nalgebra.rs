@@ -1,4 +1,4 @@
-//! nalgebra with the error function of libm: what one would write by hand. A column is a robot.
+//! nalgebra with the error function of libm: a straightforward implementation. A column is a robot.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -21,10 +21,12 @@ impl Nalgebra {
         }
     }
 
-    /// Room for the values of each layer.
+    /// Memory for the values of each layer.
     fn scratch(&self, batch: usize) -> Vec<DMatrix<f32>> {
         let layers = self.layers.iter();
-        layers.map(|(_, bias)| DMatrix::zeros(bias.len(), batch)).collect()
+        layers
+            .map(|(_, bias)| DMatrix::zeros(bias.len(), batch))
+            .collect()
     }
 
     fn run(&self, input: &DMatrix<f32>, scratch: &mut [DMatrix<f32>]) {

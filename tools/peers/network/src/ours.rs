@@ -32,7 +32,9 @@ impl Forecaster for Ours {
     fn call(&mut self, rows: &[[f32; FEATURES]]) -> anyhow::Result<Call> {
         let mut parts = rows.chunks(rows.len().div_ceil(self.threads));
         let mut own = Part::new(&self.network, parts.next().unwrap_or_default());
-        let pool: Vec<Hand> = parts.map(|rows| Hand::hire(Part::new(&self.network, rows))).collect();
+        let pool: Vec<Hand> = parts
+            .map(|rows| Hand::hire(Part::new(&self.network, rows)))
+            .collect();
         Ok(Box::new(move || {
             pool.iter().for_each(Hand::begin);
             own.call();
@@ -49,7 +51,7 @@ struct Part {
 
 impl Part {
     fn new(network: &Network, rows: &[[f32; FEATURES]]) -> Self {
-        // What the network does not read is not known.
+        // Features that the network does not read are NaN.
         let wide = |row: &[f32; FEATURES]| -> Features {
             std::array::from_fn(|feature| row.get(feature).copied().unwrap_or(f32::NAN))
         };
@@ -61,11 +63,12 @@ impl Part {
     }
 
     fn call(&mut self) {
-        self.network.predict(black_box(&self.rows), black_box(&mut self.forecasts_w));
+        self.network
+            .predict(black_box(&self.rows), black_box(&mut self.forecasts_w));
     }
 }
 
-/// A thread that waits for its next turn without sleeping, and ends with its owner.
+/// A spinning thread that waits for its next work, and ends with its owner.
 struct Hand {
     asked: Arc<AtomicUsize>,
     done: Arc<AtomicUsize>,

@@ -1,4 +1,4 @@
-//! The frames as bytes, for transports that carry bytes: headers and records as long as those in
+//! The frames as bytes, for transports of bytes: headers and records of the same length as in
 //! shared memory, stamps at the beginning, the robot's id at the beginning of each record.
 
 use std::mem::size_of;
@@ -35,7 +35,7 @@ pub fn write_samples(frame: &mut [u8], stamps: Stamps) {
     }
 }
 
-/// Writes the frame of forecasts that answers a frame of samples.
+/// Writes the frame of forecasts in response to a frame of samples.
 pub fn write_forecasts(samples: &[u8], forecasts: &mut [u8]) {
     let stamps = stamps(samples);
     let (header, records) = forecasts.split_at_mut(size_of::<ForecastHeader>());

@@ -1,6 +1,6 @@
-//! The same frames over joulebus' path, raw iceoryx2, Unix sockets and zenoh with shared memory, in
-//! one run: each from a source to a sink, by a process in the middle that answers a frame of samples
-//! with a frame of forecasts.
+//! The same frames over joulebus, raw iceoryx2, Unix sockets and zenoh with shared memory, in one
+//! run: each from a source to a sink, through a relay process that answers a frame of samples with
+//! a frame of forecasts.
 //!
 //! `cargo run --release --manifest-path tools/peers/transport/Cargo.toml -- --json bench-results/transport.json`
 #![forbid(unsafe_code)]
@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use clap::{Parser, Subcommand};
-use joulebus_bench::latency::{self, Launcher, WARM_UP, distribution, raw, through};
+use joulebus_bench::latency::{self, Launcher, WARM_UP, broker, distribution, raw};
 use joulebus_bench::{Figure, Report, Suite};
 use joulebus_bus::{Scheduling, clock};
 use joulebus_publisher::Pace;
@@ -27,13 +27,13 @@ use crate::unix::Unix;
 use crate::way::{Joulebus, Way};
 use crate::zenoh_shm::Zenoh;
 
-/// Frames under way at the same time when frames are sent as fast as possible.
+/// Frames in flight when frames are sent as fast as possible.
 const WINDOW: usize = 2;
 
 /// The same frames over joulebus and other transports
 #[derive(Debug, Parser)]
 struct Arguments {
-    /// Robots in a frame, several sizes
+    /// Robots per frame, several sizes
     #[arg(long, value_delimiter = ',', default_value = "1,100,1000,10000")]
     robots: Vec<usize>,
     /// Time for each size, paced, s
@@ -42,7 +42,7 @@ struct Arguments {
     /// Time for each size and transport, as fast as possible, s
     #[arg(long, default_value_t = 2)]
     flat_out_seconds: u64,
-    /// Frames a second, paced
+    /// Frames per second, paced
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=250))]
     rate_hz: u64,
     /// Where to write the figures as JSON
@@ -57,21 +57,21 @@ struct Arguments {
 enum Role {
     #[command(flatten)]
     Joulebus(latency::Role),
-    /// The middle, Unix sockets.
+    /// The relay, Unix sockets.
     #[command(hide = true)]
     UnixRelay { directory: PathBuf, robots: usize },
-    /// The end, Unix sockets.
+    /// The sink, Unix sockets.
     #[command(hide = true)]
     UnixSink(End),
-    /// The middle, zenoh.
+    /// The relay, zenoh.
     #[command(hide = true)]
     ZenohRelay { directory: PathBuf, robots: usize },
-    /// The end, zenoh.
+    /// The sink, zenoh.
     #[command(hide = true)]
     ZenohSink(End),
 }
 
-/// What a sink is told.
+/// Arguments of a sink.
 #[derive(Debug, Clone, clap::Args)]
 struct End {
     directory: PathBuf,
@@ -105,7 +105,7 @@ fn measure(arguments: &Arguments) -> anyhow::Result<()> {
         .with_input("rate", format!("{} frames a second", arguments.rate_hz))
         .with_input("time", format!("{} s a size", arguments.seconds));
     let mut flat_out = report(arguments, "transport, as fast as possible")
-        .with_input("window", format!("{WINDOW} frames under way"))
+        .with_input("window", format!("{WINDOW} frames in flight"))
         .with_input("time", format!("{} s each", arguments.flat_out_seconds));
     for robots in &arguments.robots {
         eprintln!("{robots} robots, paced");
@@ -115,15 +115,15 @@ fn measure(arguments: &Arguments) -> anyhow::Result<()> {
     }
     paced.notes = [
         "From the time at which a frame was due at the source to its answer readable at the sink; \
-         places that a stalled source passed over are counted.",
-        "All ways take turns on one grid. Each has a process in the middle; only joulebus' computes \
+         grid times that a stalled source skipped are counted.",
+        "All transports are interleaved on one grid. Each has a relay process; only joulebus' computes \
          anything there.",
     ]
     .map(str::to_owned)
     .to_vec();
     flat_out.notes = vec![
-        "Answered frames a second, two under way. joulebus is not among them: its worker ticks at \
-         its rate, and not as fast as frames come."
+        "Answered frames per second, two in flight. joulebus is not among them: its worker ticks at \
+         its rate, not at the rate of the frames."
             .to_owned(),
     ];
     let suite = Suite::here(vec![paced, flat_out]);
@@ -148,7 +148,7 @@ fn report(arguments: &Arguments, name: &str) -> Report {
         .with_input("versions", "iceoryx2 0.10.0, zenoh 1.10.2")
 }
 
-/// All ways on one grid, a share of the period apart.
+/// All transports on one grid, a share of the period apart.
 fn pace(
     arguments: &Arguments,
     launcher: &Launcher,
@@ -156,9 +156,9 @@ fn pace(
     report: &mut Report,
 ) -> anyhow::Result<()> {
     let period_ns = 1_000_000_000 / arguments.rate_hz;
-    let through = through::Way::open(launcher, robots, period_ns, &Scheduling::default())?;
+    let broker = broker::Broker::open(launcher, robots, period_ns, &Scheduling::default())?;
     let joulebus = Joulebus {
-        way: through,
+        way: broker,
         frames: 0,
     };
     let mut ways: Vec<(&str, Box<dyn Way>)> = vec![("joulebus_us", Box::new(joulebus))];
@@ -179,7 +179,7 @@ fn pace(
     Ok(())
 }
 
-/// One way after the other, each frame as soon as an earlier one has been answered.
+/// One transport after the other, each frame as soon as an earlier one has been answered.
 fn flood(
     arguments: &Arguments,
     launcher: &Launcher,
@@ -206,11 +206,11 @@ fn flood(
 
 type Open = fn(&Launcher, usize, u64, bool) -> anyhow::Result<Box<dyn Way>>;
 
-/// The ways that can also be driven as fast as possible.
+/// The transports that can also be driven as fast as possible.
 fn others() -> [(&'static str, Open); 3] {
     [
         ("iceoryx2_us", |launcher, robots, period_ns, acknowledge| {
-            Ok(Box::new(raw::Way::open(
+            Ok(Box::new(raw::RawHops::open(
                 launcher,
                 robots,
                 period_ns,

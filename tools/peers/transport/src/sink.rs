@@ -1,4 +1,4 @@
-//! What every sink does with a frame of forecasts, whatever brought it.
+//! The sink of every transport.
 
 use std::io::{self, Write as _};
 
@@ -10,7 +10,7 @@ use joulebus_bus::clock;
 
 use crate::frame::{forecast_bytes, stamps};
 
-/// Times of the frames that have come.
+/// Latencies of the frames received.
 pub struct Sink {
     robots: usize,
     period_ns: u64,
@@ -31,7 +31,8 @@ impl Sink {
         }
     }
 
-    /// Takes a frame; whether it was the last. Then the times have been printed.
+    /// Takes a frame; returns whether it was the last, in which case the latencies have been
+    /// printed.
     pub fn take(&mut self, frame: &[u8]) -> anyhow::Result<bool> {
         let now_ns = clock::monotonic_ns();
         let (found, expected) = (frame.len(), forecast_bytes(self.robots));

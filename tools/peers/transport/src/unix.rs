@@ -1,5 +1,5 @@
-//! Unix stream sockets: source → relay → sink, the bytes copied into the kernel and out of it at each
-//! hop. Buffers as the system makes them.
+//! Unix stream sockets: source → relay → sink, the bytes copied into the kernel and out of it at
+//! each hop. Default buffer sizes.
 
 use std::io::{Read as _, Write as _};
 use std::os::unix::net::{UnixListener, UnixStream};

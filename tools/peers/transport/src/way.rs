@@ -1,25 +1,25 @@
-//! What the ways have in common, and those that the benchmarks of joulebus bring.
+//! The interface of the transports, and those implemented by joulebus' benchmarks.
 
 use std::io::Read as _;
 use std::process::Child;
 
 use anyhow::{Context as _, bail};
 use joulebus_bench::Spread;
-use joulebus_bench::latency::{raw, through};
+use joulebus_bench::latency::{broker, raw};
 
-/// A way from a source to a sink, by another process in the middle.
+/// A transport from a source to a sink, through a relay process.
 pub trait Way {
     /// Sends a frame that was due at `due_ns`, monotonic; 0 ends the measurement.
     fn send(&mut self, due_ns: u64) -> anyhow::Result<()>;
 
-    /// Waits until the sink has read one more frame.
+    /// Waits until the sink has received one more frame.
     fn acknowledged(&mut self) -> anyhow::Result<()>;
 
-    /// Ends the processes; the times from due to read.
+    /// Ends the processes; returns the distribution from due to received.
     fn finish(self: Box<Self>) -> anyhow::Result<Spread>;
 }
 
-impl Way for raw::Way {
+impl Way for raw::RawHops {
     fn send(&mut self, due_ns: u64) -> anyhow::Result<()> {
         Self::send(self, due_ns)
     }
@@ -36,7 +36,7 @@ impl Way for raw::Way {
 /// Through joulebus' worker.
 pub struct Joulebus {
     /// The way.
-    pub way: through::Way,
+    pub way: broker::Broker,
     /// Frames sent.
     pub frames: u64,
 }
@@ -48,7 +48,7 @@ impl Way for Joulebus {
     }
 
     fn acknowledged(&mut self) -> anyhow::Result<()> {
-        bail!("the worker ticks at its rate, not as fast as frames come")
+        bail!("the worker ticks at its rate, not at the rate of the frames")
     }
 
     fn finish(self: Box<Self>) -> anyhow::Result<Spread> {

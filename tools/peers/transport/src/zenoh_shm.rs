@@ -1,5 +1,5 @@
 //! zenoh with shared memory: payloads in a POSIX segment, references over a Unix socket. Sessions
-//! are peers that know each other's address; nothing is scouted.
+//! are peers with fixed addresses; no scouting.
 
 use std::path::{Path, PathBuf};
 use std::process::Child;
@@ -20,7 +20,7 @@ use crate::frame::{Stamps, forecast_bytes, sample_bytes, write_forecasts, write_
 use crate::sink::Sink;
 use crate::way::{Way, await_byte};
 
-/// Frames that a provider has capacity for: more than can be under way.
+/// Frames that a provider has memory for: more than can be in flight.
 const FRAMES: usize = 16;
 
 /// One end that sends.
@@ -48,7 +48,7 @@ impl Sender {
         })
     }
 
-    /// Waits until somebody listens.
+    /// Waits for a subscriber.
     fn await_listener(&self) -> anyhow::Result<()> {
         while !self
             .publisher
@@ -125,7 +125,7 @@ impl Way for Zenoh {
     fn finish(mut self: Box<Self>) -> anyhow::Result<Spread> {
         self.send(0)?;
         let spread = finish(self.sink)?;
-        // The relay has sent the last frame and waits for its input to end.
+        // The relay has sent the last frame and waits for its stdin to close.
         drop(self.relay.stdin.take());
         self.relay.wait()?;
         drop(self.sender);
@@ -135,7 +135,7 @@ impl Way for Zenoh {
     }
 }
 
-/// The relay's process: answers in the thread that brings the frame, so that no hop is added.
+/// The relay's process: answers in the receiving thread, so that no hop is added.
 pub fn relay(directory: &Path, robots: usize) -> anyhow::Result<()> {
     let session = session("listen", directory)?;
     let sender = Sender::open(&session, "forecasts", forecast_bytes(robots))?;
@@ -161,7 +161,7 @@ fn answer(sender: &Sender, sample: &zenoh::sample::Sample) -> anyhow::Result<()>
     sender.send(|forecasts| write_forecasts(samples, forecasts))
 }
 
-/// The sink's process: measures in the thread that brings the frame.
+/// The sink's process: measures in the receiving thread.
 pub fn sink(directory: &Path, mut sink: Sink) -> anyhow::Result<()> {
     let session = session("connect", directory)?;
     let (ended, end) = mpsc::channel();
@@ -175,18 +175,19 @@ pub fn sink(directory: &Path, mut sink: Sink) -> anyhow::Result<()> {
         })
         .wait()
         .map_err(told)?;
-    // The relay has a listener when its publisher says so; asking it would need a way of its own.
+    // The relay has a listener when its publisher reports it; querying it would need another
+    // channel.
     std::thread::sleep(Duration::from_millis(500));
     println!("ready");
-    end.recv().context("zenoh has let the subscriber go")??;
+    end.recv().context("zenoh has dropped the subscriber")??;
     drop(subscriber);
     session.close().wait().map_err(told)
 }
 
-/// The frame where it lies; that it was copied on the way is an error.
+/// The frame in shared memory; a copy is an error.
 fn in_shared_memory(sample: &zenoh::sample::Sample) -> anyhow::Result<&[u8]> {
     let shared = sample.payload().as_shm();
-    Ok(shared.context("a frame did not come in shared memory")?)
+    Ok(shared.context("a frame was not in shared memory")?)
 }
 
 fn session(does: &str, directory: &Path) -> anyhow::Result<Session> {

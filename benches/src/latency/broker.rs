@@ -1,4 +1,4 @@
-//! Through the broker: a source (this process), a worker and a planner.
+//! Latency through the broker: a source (this process), a worker and a planner.
 
 use std::fmt;
 use std::io::{BufRead, BufReader};
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use super::{Launcher, WARM_UP, finish, record_places};
 use crate::histogram;
 
-/// What the planner and the worker have seen; names as in the rows of the report.
+/// Figures of the planner and the worker; names as in the rows of the report.
 #[derive(Debug, Serialize, Deserialize)]
 #[allow(
     missing_docs,
@@ -44,8 +44,8 @@ struct WorkerFigures {
     own_bytes: u64,
 }
 
-/// The source's end of the way, and the processes behind it.
-pub struct Way {
+/// The source, and the processes of the worker and the planner.
+pub struct Broker {
     publisher: Publisher,
     worker: Child,
     planner: Child,
@@ -54,19 +54,19 @@ pub struct Way {
     robots: usize,
 }
 
-impl fmt::Debug for Way {
+impl fmt::Debug for Broker {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_struct("Way")
+        out.debug_struct("Broker")
             .field("robots", &self.robots)
             .finish_non_exhaustive()
     }
 }
 
-impl Way {
+impl Broker {
     /// Starts the worker and the planner, and connects.
     ///
     /// # Errors
-    /// A process could not be started, or the fleet not be joined.
+    /// A process could not be started, or the fleet could not be joined.
     pub fn open(
         launcher: &Launcher,
         robots: usize,
@@ -91,7 +91,7 @@ impl Way {
     /// Sends the frame that was due at `intended_ns`.
     ///
     /// # Errors
-    /// The publisher refuses.
+    /// The publisher reports an error.
     pub fn send(&mut self, intended_ns: u64, frame: u64) -> anyhow::Result<()> {
         let state = |robot: usize| {
             let power_w = 3.5 + ((robot as u64 + frame) % 100) as f32 * 0.001;
@@ -107,7 +107,7 @@ impl Way {
     /// Ends the worker, and with it the planner.
     ///
     /// # Errors
-    /// One of them did not do its part.
+    /// One of them failed.
     pub fn finish(mut self) -> anyhow::Result<Figures> {
         drop(self.worker.stdin.take());
         let worker: WorkerFigures = finish(self.worker)?;
@@ -121,7 +121,7 @@ impl Way {
     }
 }
 
-/// A private fleet, as the demo makes it, at a rate that leaves the source in command.
+/// A private fleet with the demo's config, at a tick rate above the source's.
 fn config_file(robots: usize, scheduling: &Scheduling) -> anyhow::Result<PathBuf> {
     let demo = Demo {
         fleet: "bench".into(),
@@ -137,7 +137,7 @@ fn config_file(robots: usize, scheduling: &Scheduling) -> anyhow::Result<PathBuf
     Ok(path)
 }
 
-/// The file with what the worker is to ask of the system; it must get it.
+/// Adds the worker's scheduling options, which must be granted.
 fn with_scheduling(toml: String, scheduling: &Scheduling) -> String {
     if scheduling.is_nothing() {
         return toml;
@@ -166,15 +166,15 @@ fn with_scheduling(toml: String, scheduling: &Scheduling) -> String {
 /// The worker's process.
 ///
 /// # Errors
-/// It cannot begin or continue.
+/// It fails to start or to run.
 pub fn worker(path: &Path) -> anyhow::Result<()> {
     let config = Config::load(path)?;
     let worker = Worker::open(&config)?;
     println!("ready");
     let stop = Arc::new(AtomicBool::new(false));
     let told = Arc::clone(&stop);
-    // The benchmark closes our input when it is done; what the worker holds is measured before it
-    // gives it back.
+    // The benchmark closes our stdin at the end; the worker's memory is measured before it is
+    // freed.
     let measuring = std::thread::spawn(move || {
         let mut line = String::new();
         let _ = BufReader::new(std::io::stdin()).read_line(&mut line);
@@ -194,7 +194,7 @@ pub fn worker(path: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Anonymous memory of this process, at its highest: neither files nor shared memory.
+/// Peak anonymous memory of this process: neither files nor shared memory.
 fn own_bytes() -> anyhow::Result<u64> {
     let status = std::fs::read_to_string("/proc/self/status")?;
     let line = status
@@ -208,10 +208,10 @@ fn own_bytes() -> anyhow::Result<u64> {
     Ok(kilobytes * 1024)
 }
 
-/// The planner's process: prints what it has seen.
+/// The planner's process: prints its figures.
 ///
 /// # Errors
-/// It cannot join or continue.
+/// It fails to join or to run.
 pub fn planner(path: &Path, period_ns: u64) -> anyhow::Result<()> {
     let config = Config::load(path)?;
     let limits = config.limits();
@@ -232,7 +232,7 @@ pub fn planner(path: &Path, period_ns: u64) -> anyhow::Result<()> {
     }
 }
 
-/// What a planner has seen.
+/// Figures of a planner.
 struct Seen {
     period_ns: u64,
     frames: u64,
@@ -260,7 +260,7 @@ impl Seen {
         }
     }
 
-    /// Takes a frame of forecasts that could be read at `now_ns`.
+    /// Records a frame of forecasts that was readable at `now_ns`.
     fn take(&mut self, header: &ForecastHeader, now_ns: u64) {
         let before = std::mem::replace(&mut self.last_tick, header.tick);
         let warm = self.frames >= WARM_UP;
