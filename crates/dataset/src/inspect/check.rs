@@ -284,8 +284,8 @@ fn check_readings(trial: &Trial, limits: &Limits, found: &mut Findings) {
                 at(trial, run.from, None, format!("for {} rows", run.rows))
             });
         }
-        let stands_s = time_s[run.from + run.rows - 1] - time_s[run.from];
-        if stands_s > limits.stuck_s && run.rows > limits.stuck_holds * usual {
+        let held_s = time_s[run.from + run.rows - 1] - time_s[run.from];
+        if held_s > limits.stuck_s && run.rows > limits.stuck_holds * usual {
             found.add(FindingKind::Stuck, 1, || {
                 let what = format!("for {held_s:.1} s, {} rows; usually {usual}", run.rows);
                 at(trial, run.from, Some(Column::Power), what)
