@@ -17,22 +17,22 @@ use crate::Entry;
 #[derive(Debug)]
 pub struct WhatIf {
     assembler: Assembler,
-    recorded: RestartPolicy,
-    other: RestartPolicy,
+    recorded: ModelRun,
+    other: ModelRun,
     ticks: u64,
     frames_missing: u64,
 }
 
 /// One fleet on its way.
 #[derive(Debug)]
-struct RestartPolicy {
+struct ModelRun {
     fleet: Fleet,
-    robots: BTreeMap<u32, Standing>,
+    robots: BTreeMap<u32, RobotRun>,
 }
 
 /// How one robot came off so far.
 #[derive(Debug, Clone, Copy, Default)]
-struct Standing {
+struct RobotRun {
     last: Diagnostic,
     raised: AlarmSet,
     alarms: u64,
@@ -95,16 +95,16 @@ impl WhatIf {
         models: Vec<Model>,
         others: Vec<Model>,
     ) -> Result<Self, SettingsError> {
-        let course = |settings, models| -> Result<RestartPolicy, SettingsError> {
-            Ok(RestartPolicy {
+        let run = |settings, models| -> Result<ModelRun, SettingsError> {
+            Ok(ModelRun {
                 fleet: Fleet::new(settings, models)?,
                 robots: BTreeMap::new(),
             })
         };
         Ok(Self {
             assembler: Assembler::default(),
-            recorded: course(settings.clone(), models)?,
-            other: course(settings, others)?,
+            recorded: run(settings.clone(), models)?,
+            other: run(settings, others)?,
             ticks: 0,
             frames_missing: 0,
         })
@@ -150,7 +150,7 @@ impl WhatIf {
     }
 }
 
-impl RestartPolicy {
+impl ModelRun {
     fn tick(&mut self, parts: &TickParts) {
         let Some((header, taken)) = &parts.journal else {
             return;
@@ -166,13 +166,13 @@ impl RestartPolicy {
         self.fleet.tick(header.start_ns, missed);
         for place in 0..self.fleet.len() {
             let diagnostic = self.fleet.diagnostic(place);
-            let standing = self.robots.entry(diagnostic.robot).or_default();
-            standing.take(diagnostic);
+            let run = self.robots.entry(diagnostic.robot).or_default();
+            run.take(diagnostic);
         }
     }
 }
 
-impl Standing {
+impl RobotRun {
     fn take(&mut self, diagnostic: Diagnostic) {
         let alarms = diagnostic.alarms();
         // What the worker's lateness and a charger raise says nothing of the model.

@@ -96,7 +96,7 @@ pub(crate) struct Ended {
 
 struct Job {
     task: Task,
-    course: RestartPolicy,
+    policy: RestartPolicy,
     child: Option<Child>,
     ended: Option<Ended>,
 }
@@ -129,7 +129,7 @@ impl Supervisor {
     pub(crate) fn add(&mut self, task: Task) {
         self.jobs.push(Job {
             task,
-            course: RestartPolicy::new(clock::monotonic_ns()),
+            policy: RestartPolicy::new(clock::monotonic_ns()),
             child: None,
             ended: None,
         });
@@ -142,7 +142,7 @@ impl Supervisor {
         let mut events = Vec::new();
         for job in &mut self.jobs {
             job.reap(now_ns, &mut events);
-            match job.course.step(now_ns) {
+            match job.policy.step(now_ns) {
                 Step::Nothing => {}
                 Step::Start => job.start(&self.program, &self.say, now_ns, &mut events),
                 Step::Kill => {
@@ -163,7 +163,7 @@ impl Supervisor {
     /// Whether the task has a process that runs.
     pub(crate) fn is_running(&self, name: &str) -> bool {
         let job = self.jobs.iter().find(|job| job.task.name == name);
-        job.is_some_and(|job| job.course.is_running())
+        job.is_some_and(|job| job.policy.is_running())
     }
 
     /// Asks the task's process to end, kills it after `grace`, waits for it, and returns what it
@@ -174,7 +174,7 @@ impl Supervisor {
             events.extend(self.poll());
             let job = self.jobs.iter_mut().find(|job| job.task.name == name);
             match job {
-                Some(job) if !job.course.is_over() => std::thread::sleep(LOOK_EVERY),
+                Some(job) if !job.policy.is_over() => std::thread::sleep(LOOK_EVERY),
                 Some(job) => return job.ended.take().unwrap_or(Ended::NEVER),
                 None => return Ended::NEVER,
             }
@@ -185,7 +185,7 @@ impl Supervisor {
     pub(crate) fn end_all(&mut self) -> Vec<Event> {
         let mut events = Vec::new();
         self.ask_to_end(|_| true, GRACE);
-        while !self.jobs.iter().all(|job| job.course.is_over()) {
+        while !self.jobs.iter().all(|job| job.policy.is_over()) {
             events.extend(self.poll());
             std::thread::sleep(LOOK_EVERY);
         }
@@ -197,10 +197,10 @@ impl Supervisor {
         let (now_ns, grace_ns) = (clock::monotonic_ns(), grace.as_nanos() as u64);
         for job in &mut self.jobs {
             if which(job.task.name) {
-                if let Some(child) = job.child.as_mut().filter(|_| job.course.is_running()) {
+                if let Some(child) = job.child.as_mut().filter(|_| job.policy.is_running()) {
                     child.terminate();
                 }
-                job.course.ask_to_end(now_ns, grace_ns);
+                job.policy.ask_to_end(now_ns, grace_ns);
             }
         }
     }
@@ -232,7 +232,7 @@ impl Job {
             Ok(child) => {
                 let pid = child.pid();
                 self.child = Some(child);
-                self.course.started(now_ns);
+                self.policy.started(now_ns);
                 events.push(Event::Started { name, pid });
             }
             Err(error) => {
@@ -252,19 +252,19 @@ impl Job {
         };
         let pid = child.pid();
         let stdout = child.stdout();
-        if self.course.is_running() {
+        if self.policy.is_running() {
             self.died(Some(pid), format!("ended with {status}"), now_ns, events);
         } else {
             self.ended = Some(Ended {
                 status: Some(status),
                 stdout,
             });
-            self.course.ended(now_ns);
+            self.policy.ended(now_ns);
         }
     }
 
     fn died(&mut self, pid: Option<u32>, how: String, now_ns: u64, events: &mut Vec<Event>) {
-        if let Some(rest_ns) = self.course.ended(now_ns) {
+        if let Some(rest_ns) = self.policy.ended(now_ns) {
             events.push(Event::Died {
                 name: self.task.name,
                 pid,

@@ -33,7 +33,7 @@ pub(super) enum Step {
     Kill,
 }
 
-/// The course of one process that is to run until it is asked to end.
+/// The policy of one process that is to run until it is asked to end.
 #[derive(Debug, Clone)]
 pub(super) struct RestartPolicy {
     phase: Phase,
@@ -118,15 +118,15 @@ mod tests {
 
     #[test]
     fn a_crash_loop_rests_twice_as_long_each_time_up_to_the_longest() {
-        let mut course = RestartPolicy::new(0);
+        let mut policy = RestartPolicy::new(0);
         let mut now_ns = 0;
         for want_ms in [100, 200, 400, 800, 1600, 3200, 5000, 5000] {
-            assert_eq!(course.step(now_ns), Step::Start);
-            course.started(now_ns);
-            assert_eq!(course.step(now_ns), Step::Nothing);
+            assert_eq!(policy.step(now_ns), Step::Start);
+            policy.started(now_ns);
+            assert_eq!(policy.step(now_ns), Step::Nothing);
             now_ns += 7 * MS;
-            assert_eq!(course.ended(now_ns), Some(want_ms * MS), "{want_ms}");
-            assert_eq!(course.step(now_ns + want_ms * MS - 1), Step::Nothing);
+            assert_eq!(policy.ended(now_ns), Some(want_ms * MS), "{want_ms}");
+            assert_eq!(policy.step(now_ns + want_ms * MS - 1), Step::Nothing);
             now_ns += want_ms * MS;
         }
     }
@@ -141,47 +141,47 @@ mod tests {
             (3, 10_000, 100),
             (9, 60_000, 100),
         ] {
-            let mut course = RestartPolicy::new(0);
+            let mut policy = RestartPolicy::new(0);
             for _ in 0..failed {
-                course.started(0);
-                course.ended(0);
+                policy.started(0);
+                policy.ended(0);
             }
-            course.started(0);
-            let rest = course.ended(run_ms * MS);
+            policy.started(0);
+            let rest = policy.ended(run_ms * MS);
             assert_eq!(rest, Some(want_ms * MS), "{failed} failed, {run_ms} ms");
         }
     }
 
     #[test]
     fn a_start_that_fails_counts_as_a_run_of_no_length() {
-        let mut course = RestartPolicy::new(0);
-        assert_eq!(course.ended(0), Some(100 * MS));
-        assert_eq!(course.step(100 * MS), Step::Start);
-        assert_eq!(course.ended(100 * MS), Some(200 * MS));
+        let mut policy = RestartPolicy::new(0);
+        assert_eq!(policy.ended(0), Some(100 * MS));
+        assert_eq!(policy.step(100 * MS), Step::Start);
+        assert_eq!(policy.ended(100 * MS), Some(200 * MS));
     }
 
     #[test]
     fn who_is_asked_to_end_is_killed_once_after_the_grace_time_and_never_restarted() {
-        let mut course = RestartPolicy::new(0);
-        course.started(0);
-        course.ask_to_end(10, 5);
-        course.ask_to_end(14, 5);
-        assert!(!course.is_running() && !course.is_over());
-        assert_eq!(course.step(14), Step::Nothing);
-        assert_eq!(course.step(15), Step::Kill);
-        assert_eq!(course.step(16), Step::Nothing);
-        assert_eq!(course.ended(17), None);
-        assert!(course.is_over());
-        assert_eq!(course.step(u64::MAX), Step::Nothing);
+        let mut policy = RestartPolicy::new(0);
+        policy.started(0);
+        policy.ask_to_end(10, 5);
+        policy.ask_to_end(14, 5);
+        assert!(!policy.is_running() && !policy.is_over());
+        assert_eq!(policy.step(14), Step::Nothing);
+        assert_eq!(policy.step(15), Step::Kill);
+        assert_eq!(policy.step(16), Step::Nothing);
+        assert_eq!(policy.ended(17), None);
+        assert!(policy.is_over());
+        assert_eq!(policy.step(u64::MAX), Step::Nothing);
     }
 
     #[test]
     fn who_rests_when_asked_to_end_does_not_start_again() {
-        let mut course = RestartPolicy::new(0);
-        course.started(0);
-        course.ended(1);
-        course.ask_to_end(2, 5);
-        assert!(course.is_over());
-        assert_eq!(course.step(u64::MAX), Step::Nothing);
+        let mut policy = RestartPolicy::new(0);
+        policy.started(0);
+        policy.ended(1);
+        policy.ask_to_end(2, 5);
+        assert!(policy.is_over());
+        assert_eq!(policy.step(u64::MAX), Step::Nothing);
     }
 }
