@@ -367,7 +367,7 @@ fn another_model_is_compared_robot_by_robot() {
         let file = arena.files().join(format!("{attempt}-run.mcap"));
         let mut worker = arena.worker();
         let mut recorder = arena.recording(&file, &[]);
-        let mut planner = arena.consumer();
+        let mut planner = arena.planner();
         let mut source = arena.source("controller");
         planner.play(&mut source, &frames);
         source.leave();

@@ -51,7 +51,7 @@ impl Screen {
         self.selected = board.rows.keys().nth(place).copied();
     }
 
-    /// Selects the first robot after the selected one that stands out, if any does.
+    /// Selects the first robot after the selected one with an alarm or without forecasts, if any.
     pub(crate) fn step_to_alarm(&mut self, board: &Board) {
         let from = self.selected.map_or(0, |robot| robot.saturating_add(1));
         let found = board
@@ -391,7 +391,7 @@ fn draw_notes(frame: &mut Frame, area: Rect, board: &Board) {
             ])
         })
         .collect();
-    let block = boxed(Line::from(" what happened "));
+    let block = boxed(Line::from(" events "));
     frame.render_widget(Paragraph::new(lines).block(block), area);
 }
 
@@ -402,9 +402,9 @@ fn help_line() -> Line<'static> {
         key(" ↑ ↓"),
         does(" robot   "),
         key("PgUp PgDn"),
-        does(" ten further   "),
+        does(" ten robots   "),
         key("a"),
-        does(" next that stands out   "),
+        does(" next alarm   "),
         key("q"),
         does(" quit"),
     ])
