@@ -140,7 +140,7 @@ fn typos_are_refused_with_the_nearest_key() {
             "[interval]",
             "[intervall]",
             "intervall",
-            &["no section", "`interval`"],
+            &["not a known section", "`interval`"],
         ),
         (
             "cusum_limit =",

@@ -28,7 +28,7 @@ fn what_is_wrong_with_recordings_is_said_with_file_and_row_and_ends_with_3() {
         "{said}"
     );
     assert!(
-        stderr(&bad).contains("not looked at"),
+        stderr(&bad).contains("are ignored"),
         "the config beside them: {}",
         stderr(&bad)
     );

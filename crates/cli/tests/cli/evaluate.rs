@@ -247,7 +247,7 @@ fn baselines_can_be_fitted_on_named_recordings() {
         let twice = output([&["eval", "--model", MODELS[1]], &arguments[..]].concat());
         assert_eq!(code(&twice), 2);
         assert!(
-            stderr(&twice).contains("must not learn"),
+            stderr(&twice).contains("must not be scored on"),
             "{}",
             stderr(&twice)
         );
