@@ -7,7 +7,7 @@ mod counting;
 use std::path::Path;
 
 use counting::allocations;
-use joulebus_bus::{Bus, Domain, FrameBuf, Limits, clock};
+use joulebus_bus::{Bus, Domain, FrameBuf, Limits, WorkerLock, clock};
 use joulebus_wire::{Forecast, ForecastHeader, Sample, SampleHeader, WakeEvent};
 
 #[test]
@@ -18,6 +18,7 @@ fn only_loans_allocate_and_only_once() {
         capacity: 100,
         ..Limits::default()
     };
+    let _lock = WorkerLock::acquire(&domain).unwrap();
     let bus = Bus::join(&domain, "test").unwrap();
     let mut source = bus.sample_writer(&limits, 100).unwrap();
     let mut samples = bus.sample_reader(&limits).unwrap();

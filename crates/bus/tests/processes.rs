@@ -53,6 +53,36 @@ fn samples_and_forecasts_cross_processes() {
 }
 
 #[test]
+fn frames_of_a_process_that_is_not_the_worker_are_passed_over() {
+    let place = Place::new();
+    let mut planner = joined(&place, "planner");
+    let mut impostor = joined(&place, "impostor");
+    must(&mut impostor, "tick 2");
+    assert_eq!(must(&mut planner, "latest"), "[None, None, None]");
+    let mut worker = joined(&place, "worker");
+    must(&mut worker, "tick 1");
+    must(&mut impostor, "tick 1");
+    assert_eq!(must(&mut planner, "latest"), "[Some(1), Some(1), Some(1)]");
+    must(&mut impostor, "tick 7");
+    assert_eq!(must(&mut planner, "latest"), "[None, None, None]");
+    // What a worker has sent before its death is still its own.
+    must(&mut worker, "tick 1");
+    worker.kill();
+    assert_eq!(must(&mut planner, "latest"), "[Some(2), Some(2), Some(2)]");
+    must(&mut impostor, "tick 1");
+    assert_eq!(must(&mut planner, "latest"), "[None, None, None]");
+    // Now it is the worker.
+    must(&mut impostor, "lock");
+    eventually("it is believed", || {
+        must(&mut impostor, "tick 1");
+        must(&mut planner, "latest").contains("Some")
+    });
+    impostor.finish();
+    planner.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
 fn whoever_comes_first_everybody_joins() {
     let roles = ["source", "worker", "planner"];
     for order in [

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use joulebus_bus::{Bus, Domain, SampleWriter, Writer as BusWriter, clock};
+use joulebus_bus::{Bus, Domain, SampleWriter, WorkerLock, Writer as BusWriter, clock};
 use joulebus_capture::record::{Options, Recorder, Snapshot, Summary, Target};
 use joulebus_capture::{
     Attachments, CaptureSettings, Clock, Entry, Message, ReadError, Reader, Times, Writer,
@@ -35,6 +35,7 @@ struct Stage {
     budgets: BusWriter<BudgetHeader, Budget>,
     ticks: BusWriter<TickHeader, TakenFrame>,
     _bus: Bus,
+    _lock: WorkerLock,
     source_epoch: u64,
     worker_epoch: u64,
     tick: u64,
@@ -63,6 +64,7 @@ impl Stage {
         let root = PathBuf::from(format!("/dev/shm/joulebus-capture-{}", std::process::id()));
         let config = config("rec", &root);
         let limits = config.limits();
+        let lock = WorkerLock::acquire(&config.domain().unwrap()).unwrap();
         let bus = Bus::join(&config.domain().unwrap(), "stage").unwrap();
         Self {
             samples: bus.sample_writer(&limits, ROBOTS).unwrap(),
@@ -71,8 +73,9 @@ impl Stage {
             budgets: bus.budget_writer(&limits).unwrap(),
             ticks: bus.tick_writer(&limits).unwrap(),
             _bus: bus,
-            source_epoch: clock::unix_ns(),
-            worker_epoch: clock::unix_ns(),
+            _lock: lock,
+            source_epoch: clock::monotonic_ns(),
+            worker_epoch: clock::monotonic_ns(),
             tick: 0,
             files: tempfile::tempdir().unwrap(),
             _root: Root(root),

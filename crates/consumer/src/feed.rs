@@ -15,8 +15,8 @@ use crate::{Arrival, Frame};
 /// planner, and may outlive it.
 pub struct Feed<H: Payload, T: Payload> {
     reader: Reader<H, T>,
-    /// Schema and place in time of a frame.
-    of_header: fn(&H) -> (u32, Place),
+    /// Schema, run of the worker and tick of a frame.
+    of_header: fn(&H) -> (u32, u64, u64),
     id: fn(&T) -> u32,
     place: Option<Place>,
     frames: u64,
@@ -31,7 +31,7 @@ pub type BudgetFeed = Feed<BudgetHeader, Budget>;
 impl<H: Payload, T: Payload> Feed<H, T> {
     pub(crate) fn new(
         reader: Reader<H, T>,
-        of_header: fn(&H) -> (u32, Place),
+        of_header: fn(&H) -> (u32, u64, u64),
         id: fn(&T) -> u32,
     ) -> Self {
         Self {
@@ -51,9 +51,9 @@ impl<H: Payload, T: Payload> Feed<H, T> {
     /// [`ReadError`]; the next call may succeed.
     pub fn latest(&mut self) -> Result<Option<Frame<'_, H, T>>, ReadError> {
         let (mut place, mut foreign) = (self.place, None);
-        let found = self.reader.hold_latest(|header| {
-            let (schema, at) = (self.of_header)(header);
-            newer(schema, at, &mut place, &mut foreign)
+        let found = self.reader.hold_latest(|header, run| {
+            let (schema, epoch, tick) = (self.of_header)(header);
+            newer(schema, (run, epoch, tick), &mut place, &mut foreign)
         })?;
         check_schema(found, foreign)?;
         self.place = place;

@@ -157,7 +157,7 @@ impl Planner {
     pub fn diagnostics(&self) -> Result<DiagnosticFeed, OpenError> {
         let reader = self.bus.diagnostic_reader(&self.limits)?;
         let of_header =
-            |header: &DiagnosticHeader| (header.schema, (header.worker_epoch, header.tick));
+            |header: &DiagnosticHeader| (header.schema, header.worker_epoch, header.tick);
         Ok(DiagnosticFeed::new(reader, of_header, |row| row.robot))
     }
 
@@ -168,7 +168,7 @@ impl Planner {
     /// [`OpenError`] says what is in the way and what to do.
     pub fn budgets(&self) -> Result<BudgetFeed, OpenError> {
         let reader = self.bus.budget_reader(&self.limits)?;
-        let of_header = |header: &BudgetHeader| (header.schema, (header.worker_epoch, header.tick));
+        let of_header = |header: &BudgetHeader| (header.schema, header.worker_epoch, header.tick);
         Ok(BudgetFeed::new(reader, of_header, |row| row.robot))
     }
 
@@ -176,6 +176,12 @@ impl Planner {
     #[must_use]
     pub fn degraded(&self) -> u64 {
         self.reader.degraded()
+    }
+
+    /// Frames of forecasts that another process than the worker has sent: they were passed over.
+    #[must_use]
+    pub fn foreign(&self) -> u64 {
+        self.reader.foreign()
     }
 
     /// Sleeps until something happens or `until_ns`, and takes note of the worker's end.
@@ -200,15 +206,16 @@ impl Planner {
     /// Holds the newest frame; whether it is a new one.
     fn fetch(&mut self) -> Result<bool, ReadError> {
         let (mut at, mut schema) = (self.tracker.place(), None);
-        let found = self
-            .reader
-            .hold_latest(|header| newer(header.schema, place(header), &mut at, &mut schema))?;
+        let found = self.reader.hold_latest(|header, run| {
+            newer(header.schema, place(run, header), &mut at, &mut schema)
+        })?;
         check_schema(found, schema)?;
-        let Some((header, _)) = self.reader.held().filter(|_| found) else {
+        let (Some((header, _)), Some((run, ..))) = (self.reader.held().filter(|_| found), at)
+        else {
             return Ok(false);
         };
         let first = self.tracker.place().is_none();
-        self.arrival = self.tracker.frame(header);
+        self.arrival = self.tracker.frame(run, header);
         if first || self.arrival.restarted {
             // Should the pid have gone to another process meanwhile, then the worker is gone
             // already and no fresh frame comes: the frame's age tells.

@@ -56,11 +56,12 @@ pub struct Counts {
     pub workers: u64,
 }
 
-/// A frame's place in time: later ones are greater.
-pub(crate) type Place = (u64, u64);
+/// A frame's place in time: later ones are greater. The number of the worker's process among those that
+/// this planner has come across, so that a later one counts whatever it says; its own run, and the tick.
+pub(crate) type Place = (u64, u64, u64);
 
-pub(crate) const fn place(header: &ForecastHeader) -> Place {
-    (header.worker_epoch, header.tick)
+pub(crate) const fn place(run: u64, header: &ForecastHeader) -> Place {
+    (run, header.worker_epoch, header.tick)
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -106,12 +107,12 @@ impl Tracker {
         self.last.map(|last| last.place)
     }
 
-    /// A frame later than all before.
-    pub(crate) fn frame(&mut self, header: &ForecastHeader) -> Arrival {
-        let (epoch, tick) = place(header);
+    /// A frame later than all before, of the `run`-th process that is the worker.
+    pub(crate) fn frame(&mut self, run: u64, header: &ForecastHeader) -> Arrival {
+        let (_, epoch, tick) = place(run, header);
         let arrival = match self.place() {
             None => Arrival::default(),
-            Some((before, last)) if before == epoch => Arrival {
+            Some((ran, before, last)) if (ran, before) == (run, epoch) => Arrival {
                 ticks_missed: tick.saturating_sub(last).saturating_sub(1),
                 restarted: false,
             },
@@ -136,7 +137,7 @@ impl Tracker {
             self.told = Told::Nothing;
         }
         self.last = Some(Last {
-            place: (epoch, tick),
+            place: (run, epoch, tick),
             sent_ns: header.sent_ns,
             period_ns: header.period_ns,
         });
@@ -223,7 +224,7 @@ mod tests {
             (9, 3, 2, true, 2),
             (9, u64::MAX, u64::MAX - 4, false, 3),
         ] {
-            let arrival = tracker.frame(&header(epoch, tick, 1_000));
+            let arrival = tracker.frame(1, &header(epoch, tick, 1_000));
             assert_eq!(
                 (arrival.ticks_missed, arrival.restarted),
                 (missed, restarted),
@@ -246,7 +247,7 @@ mod tests {
         assert_eq!(tracker.state(5_000), WorkerState::Waiting);
         assert_eq!(tracker.change(5_000), None);
         assert_eq!(tracker.change_due_ns(), None);
-        tracker.frame(&header(1, 1, 1_000));
+        tracker.frame(1, &header(1, 1, 1_000));
         assert_eq!(tracker.change_due_ns(), Some(1_201));
         let stale = |age_ns| WorkerState::Stale { age_ns };
         for (now_ns, state, change) in [
@@ -261,7 +262,7 @@ mod tests {
             assert_eq!(tracker.change(now_ns), change.then_some(state), "{now_ns}");
         }
         assert_eq!(tracker.change_due_ns(), None, "told already");
-        tracker.frame(&header(1, 2, 9_100));
+        tracker.frame(1, &header(1, 2, 9_100));
         assert_eq!(tracker.state(9_100), WorkerState::Alive);
         assert_eq!(tracker.change(9_301), Some(stale(201)), "told again");
     }
@@ -273,12 +274,12 @@ mod tests {
             // Of whom nothing was heard nobody is missed.
             tracker.over(end, 900);
             assert_eq!(tracker.state(900), WorkerState::Waiting);
-            tracker.frame(&header(1, 1, 1_000));
+            tracker.frame(1, &header(1, 1, 1_000));
             tracker.over(end, 1_050);
             let gone = WorkerState::Gone(end);
             assert_eq!(tracker.state(1_050), gone);
             // The last frame is read after the end was seen.
-            tracker.frame(&header(1, 2, 1_040));
+            tracker.frame(1, &header(1, 2, 1_040));
             assert_eq!(tracker.change(1_060), Some(gone));
             assert_eq!(tracker.change(1_060), None);
             assert_eq!(tracker.change(9_999), None, "gone, therefore not stale");
@@ -289,7 +290,7 @@ mod tests {
     #[test]
     fn the_first_reason_of_an_end_stays() {
         let mut tracker = Tracker::new();
-        tracker.frame(&header(1, 1, 1_000));
+        tracker.frame(1, &header(1, 1, 1_000));
         tracker.over(End::Ended, 1_010);
         tracker.over(End::Exited, 1_020);
         assert_eq!(tracker.state(1_020), WorkerState::Gone(End::Ended));
@@ -305,10 +306,10 @@ mod tests {
             (1, 2, 1_050, false),
         ] {
             let mut tracker = Tracker::new();
-            tracker.frame(&header(1, 1, 1_000));
+            tracker.frame(1, &header(1, 1, 1_000));
             tracker.over(End::Exited, 1_050);
             assert!(tracker.change(1_060).is_some());
-            tracker.frame(&header(epoch, tick, sent_ns));
+            tracker.frame(1, &header(epoch, tick, sent_ns));
             let alive = tracker.state(1_100) == WorkerState::Alive;
             assert_eq!(alive, back, "{epoch}:{tick} {sent_ns}");
             tracker.over(End::Exited, 1_110);
@@ -319,7 +320,7 @@ mod tests {
     #[test]
     fn a_stale_worker_can_still_be_gone() {
         let mut tracker = Tracker::new();
-        tracker.frame(&header(1, 1, 1_000));
+        tracker.frame(1, &header(1, 1, 1_000));
         assert!(matches!(
             tracker.change(1_500),
             Some(WorkerState::Stale { age_ns: 500 })
@@ -333,7 +334,7 @@ mod tests {
         let mut tracker = Tracker::new();
         let mut wild = header(1, 0, u64::MAX);
         wild.period_ns = u64::MAX;
-        tracker.frame(&wild);
+        tracker.frame(1, &wild);
         assert_eq!(tracker.state(0), WorkerState::Alive);
         // At the very end of time everything is stale: never fine.
         assert!(matches!(
@@ -342,7 +343,7 @@ mod tests {
         ));
         wild.period_ns = 0;
         wild.sent_ns = 10;
-        tracker.frame(&wild);
+        tracker.frame(1, &wild);
         assert_eq!(tracker.state(11), WorkerState::Stale { age_ns: 1 });
     }
 }

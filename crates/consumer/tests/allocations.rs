@@ -11,7 +11,7 @@ mod counting;
 use std::time::Duration;
 
 use counting::allocations;
-use joulebus_bus::{Bus, clock};
+use joulebus_bus::{Bus, WorkerLock, clock};
 use joulebus_consumer::{Config, Event, Planner};
 use joulebus_publisher::{Publisher, RobotState};
 use joulebus_wire::{Budget, BudgetHeader, Forecast, ForecastHeader, SCHEMA_VERSION, WakeEvent};
@@ -24,6 +24,7 @@ fn only_loans_allocate_and_only_once() {
     let mut publisher = Publisher::connect(place.config(), "source").unwrap();
     let mut planner = Planner::connect(place.config()).unwrap();
     let mut budgets = planner.budgets().unwrap();
+    let lock = WorkerLock::acquire(&config.domain().unwrap()).unwrap();
     let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();
     // Somebody to send to: the buffer overflows on and on.
     let samples = bus.sample_reader(&limits).unwrap();
@@ -80,5 +81,6 @@ fn only_loans_allocate_and_only_once() {
     }
     drop((publisher, planner, budgets));
     drop((samples, forecasts, budget_writer, waker, bus));
+    drop(lock);
     place.assert_nothing_left();
 }

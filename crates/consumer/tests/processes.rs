@@ -12,7 +12,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use harness::{Place, run_member, told};
-use joulebus_bus::{Bus, clock};
+use joulebus_bus::{Bus, WorkerLock, clock};
 use joulebus_consumer::{BudgetFeed, Config, DiagnosticFeed, Event, Planner, WorkerState};
 use joulebus_test_processes::{Member, say};
 use joulebus_wire::{
@@ -27,7 +27,8 @@ const HOUR_NS: u64 = 3_600_000_000_000;
 #[test]
 fn member() {
     run_member(|role, config| match role {
-        "worker" => worker(config),
+        "worker" => worker(config, true),
+        "impostor" => worker(config, false),
         "planner" => plan(config),
         "example" => {
             planner::run(config, 3).unwrap();
@@ -37,10 +38,12 @@ fn member() {
     });
 }
 
-/// Commands: `ticks FROM TO`, `period NS`, `schema N`, `update`, `end`.
-fn worker(config: &Path) {
+/// Commands: `ticks FROM TO`, `period NS`, `schema N`, `epoch N`, `pid N`, `update`, `end`. An impostor has
+/// the worker's ports, and not its lock.
+fn worker(config: &Path, is_worker: bool) {
     let config = Config::load(config).unwrap();
     let limits = config.limits();
+    let _lock = is_worker.then(|| WorkerLock::acquire(&config.domain().unwrap()).unwrap());
     let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();
     let mut forecasts = bus.forecast_writer(&limits).unwrap();
     let mut diagnostics = bus.diagnostic_writer(&limits).unwrap();
@@ -49,7 +52,7 @@ fn worker(config: &Path) {
     let mut header = ForecastHeader {
         schema: SCHEMA_VERSION,
         pid: std::process::id(),
-        worker_epoch: clock::unix_ns(),
+        worker_epoch: clock::monotonic_ns(),
         period_ns: HOUR_NS,
         ..ForecastHeader::default()
     };
@@ -60,6 +63,8 @@ fn worker(config: &Path) {
         let numbers: Vec<u64> = words.map(|word| word.parse().unwrap()).collect();
         match (command, &numbers[..]) {
             ("period", [period_ns]) => header.period_ns = *period_ns,
+            ("epoch", [epoch]) => header.worker_epoch = *epoch,
+            ("pid", [pid]) => header.pid = u32::try_from(*pid).unwrap(),
             ("schema", [schema]) => header.schema = u32::try_from(*schema).unwrap(),
             ("update", []) => budgets.update(),
             ("end", []) => {
@@ -142,6 +147,7 @@ fn plan(config: &Path) {
                 WorkerState::Stale { .. } => "Stale".to_owned(),
                 state => format!("{state:?}"),
             }),
+            ("foreign", _) => say(planner.foreign().to_string()),
             ("counts", _) => {
                 let counts = planner.counts();
                 say(format!(
@@ -255,6 +261,76 @@ fn a_killed_worker_is_gone_at_once_and_its_successor_takes_over() {
         planner.ask("counts"),
         "4 frames, 0 gaps, 0 ticks, 4 workers"
     );
+    planner.finish();
+    place.assert_nothing_left();
+}
+
+/// Further ahead than any clock.
+const FAR: u64 = 1 << 62;
+
+#[test]
+fn no_frame_of_another_process_blinds_a_planner_whatever_run_tick_and_pid_it_claims() {
+    let place = Place::new();
+    let mut planner = ready(&place, "planner");
+    let mut impostor = ready(&place, "impostor");
+    impostor.ask(&format!("ticks {FAR} {FAR}"));
+    assert_eq!(planner.ask("next 200"), "TimedOut", "there is no worker");
+    let mut worker = ready(&place, "worker");
+    worker.ask("ticks 1 1");
+    assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
+    assert_eq!(planner.ask("feeds"), "Some(1) None None");
+    impostor.ask(&format!("pid {}", worker.pid()));
+    for (epoch, tick) in [(FAR, 1), (1, FAR), (FAR, FAR), (0, 2)] {
+        impostor.ask(&format!("epoch {epoch}"));
+        impostor.ask(&format!("ticks {tick} {tick}"));
+        assert_eq!(
+            planner.ask("next 200"),
+            "TimedOut",
+            "run {epoch}, tick {tick}"
+        );
+    }
+    worker.ask("ticks 2 2");
+    assert_eq!(planner.ask("next 60000"), "tick 2, missed 0");
+    assert_eq!(planner.ask("feeds"), "Some(2) Some(2) Some(2)");
+    assert_eq!(
+        planner.ask("counts"),
+        "2 frames, 0 gaps, 0 ticks, 1 workers"
+    );
+    assert_ne!(planner.ask("foreign"), "0", "they are counted");
+    for member in [worker, impostor, planner] {
+        member.finish();
+    }
+    place.assert_nothing_left();
+}
+
+#[test]
+fn row_6_a_restarted_worker_is_followed_at_once_however_the_clock_was_set_in_between() {
+    let place = Place::new();
+    let mut planner = ready(&place, "planner");
+    planner.ask("feeds");
+    // Forward, back, back, forward.
+    for (life, epoch) in [FAR, 2 * FAR, 5, 4, FAR].into_iter().enumerate() {
+        let mut worker = ready(&place, "worker");
+        worker.ask(&format!("epoch {epoch}"));
+        worker.ask("ticks 1 1");
+        let restarted = if life == 0 { "" } else { ", restarted" };
+        let expected = format!("tick 1, missed 0{restarted}");
+        assert_eq!(planner.ask("next 60000"), expected, "life {life}");
+        assert_eq!(
+            planner.ask("feeds"),
+            "Some(1) Some(1) Some(1)",
+            "life {life}"
+        );
+        worker.ask("ticks 2 3");
+        assert_eq!(planner.ask("next 60000"), "tick 3, missed 1", "life {life}");
+        assert_eq!(
+            planner.ask("feeds"),
+            "Some(3) Some(3) Some(3)",
+            "life {life}"
+        );
+        worker.kill();
+        assert_eq!(planner.ask("next 60000"), "Gone(Exited)", "life {life}");
+    }
     planner.finish();
     place.assert_nothing_left();
 }

@@ -42,9 +42,10 @@ impl Object {
         })
     }
 
+    /// Also of a file from the future: the clock has been set back since it was made.
     pub(super) fn is_old(&self) -> bool {
-        let age = self.modified.and_then(|at| at.elapsed().ok());
-        self.owner == effective_uid() && age.is_some_and(|age| age > OLD)
+        let age = |at: SystemTime| at.elapsed().unwrap_or_else(|ahead| ahead.duration());
+        self.owner == effective_uid() && self.modified.is_some_and(|at| age(at) > OLD)
     }
 
     /// Of an object in shared memory: without a size, or without its final permissions.
@@ -83,4 +84,22 @@ pub(super) fn open_files() -> HashSet<Identity> {
         .filter_map(|descriptor| fs::metadata(descriptor).ok())
         .map(|file| (file.dev(), file.ino()))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn row_6_a_file_is_old_however_the_clock_was_set_since_it_was_made() {
+        let path = std::env::temp_dir().join(format!("joulebus-old-{}", std::process::id()));
+        let file = fs::File::create(&path).unwrap();
+        let (hour, now) = (Duration::from_secs(3_600), SystemTime::now());
+        for modified in [now - hour, now + hour] {
+            file.set_modified(modified).unwrap();
+            let object = Object::new(path.clone()).unwrap();
+            assert!(object.is_old(), "{modified:?}");
+        }
+        fs::remove_file(&path).unwrap();
+    }
 }

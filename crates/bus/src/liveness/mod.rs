@@ -3,3 +3,4 @@
 pub(crate) mod members_lock;
 pub(crate) mod peer_watch;
 pub(crate) mod worker_lock;
+pub(crate) mod worker_ports;

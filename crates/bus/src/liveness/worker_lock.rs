@@ -3,7 +3,7 @@
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::OpenOptionsExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rustix::fs::{FlockOperation, OFlags, flock};
@@ -58,6 +58,19 @@ impl WorkerLock {
         }
     }
 
+    /// Whom the lock's file names, held or not; `None` if there is no file, or none that can be read. Takes
+    /// no lock: a worker that starts at this moment is not kept from it.
+    pub(crate) fn named_owner(path: &Path) -> Option<Owner> {
+        let file = fs::OpenOptions::new()
+            .read(true)
+            .custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed())
+            .open(path)
+            .ok()?;
+        let mut text = String::new();
+        file.take(LONGEST_BYTES).read_to_string(&mut text).ok()?;
+        Owner::parse(&text)
+    }
+
     /// Removes the file of a killed worker, but not one that is held. A process that takes the lock at
     /// this moment sees that the file is gone and retries.
     pub(crate) fn remove_stale(domain: &Domain) {
@@ -105,9 +118,13 @@ impl WorkerLock {
         if !is_same(&file, &path).map_err(failed)? {
             return Ok(None);
         }
-        let owner = format!("{} {}\n", std::process::id(), clock::unix_ns());
+        let owner = Owner {
+            pid: std::process::id(),
+            since_unix_ns: clock::unix_ns(),
+            port_pid: outermost_pid(),
+        };
         file.set_len(0)
-            .and_then(|()| file.write_all(owner.as_bytes()))
+            .and_then(|()| file.write_all(owner.line().as_bytes()))
             .map_err(failed)?;
         Ok(Some(Self {
             file,
@@ -127,6 +144,46 @@ impl Drop for WorkerLock {
     }
 }
 
+/// A file that is longer than this is not a lock's, bytes.
+const LONGEST_BYTES: u64 = 64;
+
+/// What the holder of the lock has written into its file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Owner {
+    pub(crate) pid: u32,
+    /// When it took the lock, Unix ns: a label that no two holders share.
+    pub(crate) since_unix_ns: u64,
+    /// Its pid as iceoryx2 writes it into the ids of ports.
+    pub(crate) port_pid: u32,
+}
+
+impl Owner {
+    fn line(self) -> String {
+        format!("{} {} {}\n", self.pid, self.since_unix_ns, self.port_pid)
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        let mut words = text.strip_suffix('\n')?.split_ascii_whitespace();
+        let pid = words.next()?.parse().ok()?;
+        Some(Self {
+            pid,
+            since_unix_ns: words.next()?.parse().ok()?,
+            port_pid: match words.next() {
+                Some(word) => word.parse().ok()?,
+                None => pid,
+            },
+        })
+    }
+}
+
+/// The pid of this process in the outermost namespace that `/proc` shows, as iceoryx2 determines it.
+fn outermost_pid() -> u32 {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let pids = status.lines().find_map(|line| line.strip_prefix("NSpid:"));
+    let outermost = pids.and_then(|pids| pids.split_ascii_whitespace().next()?.parse().ok());
+    outermost.unwrap_or_else(std::process::id)
+}
+
 /// Pid and start of the owner. It writes them right after locking; until then the file may still name
 /// a killed one, so this waits briefly.
 fn read(file: &mut File) -> io::Result<(u32, u64)> {
@@ -135,13 +192,9 @@ fn read(file: &mut File) -> io::Result<(u32, u64)> {
         let mut text = String::new();
         file.seek(SeekFrom::Start(0))?;
         file.read_to_string(&mut text)?;
-        let mut words = text.split_ascii_whitespace();
-        if text.ends_with('\n')
-            && let Some(pid) = words.next().and_then(|word| word.parse().ok())
-            && let Some(since) = words.next().and_then(|word| word.parse().ok())
-        {
-            found = (pid, since);
-            if is_alive(pid) {
+        if let Some(owner) = Owner::parse(&text) {
+            found = (owner.pid, owner.since_unix_ns);
+            if is_alive(owner.pid) {
                 break;
             }
         }

@@ -15,10 +15,15 @@ use super::degradation::count_degradation;
 use super::repair::{Look, Repair};
 use super::service::{self, OpenError};
 use crate::limits::Shape;
+use crate::liveness::worker_ports::WorkerPorts;
 use crate::membership::Membership;
 use crate::{Bus, Limits, clock};
 
-/// Reads frames in place.
+/// Frames of other processes than the worker that one look at a service passes over at most.
+const MOST_PASSED_OVER: u32 = 4_096;
+
+/// Reads frames in place; on a service of the worker, only those of the process that holds the worker's
+/// lock.
 #[derive(Debug)]
 pub struct Reader<H: Payload, T: Payload> {
     // Dropped in this order: held frame, port, factory, membership.
@@ -28,6 +33,8 @@ pub struct Reader<H: Payload, T: Payload> {
     buffer: usize,
     degraded: Arc<AtomicU64>,
     repair: Repair,
+    /// None where every process may send.
+    worker: Option<WorkerPorts>,
     _member: Rc<Membership>,
 }
 
@@ -49,6 +56,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
             buffer: shape.buffer,
             degraded,
             repair: Repair::default(),
+            worker: (service != Service::Samples).then(|| WorkerPorts::new(bus.domain())),
             _member: Rc::clone(&bus.member),
         })
     }
@@ -86,16 +94,21 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     }
 
     /// Takes all frames that wait and keeps the last that is `newer` than the one kept before;
-    /// returns whether there was one. The frame is held in shared memory until a newer one is kept
-    /// or the reader goes: [`Reader::held`]. Not to be mixed with the other ways to take.
+    /// returns whether there was one. `newer` is also told which run of the worker the frame is of, as a
+    /// number that rises whenever another process has become the worker. The frame is held in shared
+    /// memory until a newer one is kept or the reader goes: [`Reader::held`]. Not to be mixed with the
+    /// other ways to take.
     ///
     /// # Errors
     /// [`ReceiveError`] when nothing newer was found; the next call may succeed.
-    pub fn hold_latest(&mut self, mut newer: impl FnMut(&H) -> bool) -> Result<bool, ReceiveError> {
+    pub fn hold_latest(
+        &mut self,
+        mut newer: impl FnMut(&H, u64) -> bool,
+    ) -> Result<bool, ReceiveError> {
         let mut found = false;
         loop {
             match self.receive() {
-                Ok(Some(frame)) if newer(frame.user_header()) => {
+                Ok(Some(frame)) if newer(frame.user_header(), self.worker_runs()) => {
                     self.held = Some(frame);
                     found = true;
                 }
@@ -121,11 +134,22 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         self.degraded.load(Ordering::Relaxed)
     }
 
+    /// Frames on a service of the worker that another process has sent: they were passed over.
+    #[must_use]
+    pub fn foreign(&self) -> u64 {
+        self.worker.as_ref().map_or(0, WorkerPorts::foreign)
+    }
+
+    fn worker_runs(&self) -> u64 {
+        self.worker.as_ref().map_or(0, WorkerPorts::runs)
+    }
+
     /// A writer that dies while its connection is established leaves a failed connection: the port is
     /// recreated without an error. Only a connection that still fails a second later is one.
     pub(super) fn receive(
         &mut self,
     ) -> Result<Option<Borrowed<ipc::Service, [T], H>>, ReceiveError> {
+        let mut passed_over = 0;
         loop {
             if self.repair.is_due(clock::monotonic_ns) {
                 self.renew()?;
@@ -138,8 +162,17 @@ impl<H: Payload, T: Payload> Reader<H, T> {
                 .map_err(|reason| ReceiveError::Receive {
                     reason: reason.to_string(),
                 })?;
-            if received.is_some() {
-                return Ok(received);
+            if let Some(frame) = received {
+                let worker = self.worker.as_mut();
+                if worker.is_none_or(|worker| worker.admits(frame.origin().value())) {
+                    return Ok(Some(frame));
+                }
+                passed_over += 1;
+                // One who sends without end must not hold the reader here.
+                if passed_over == MOST_PASSED_OVER {
+                    return Ok(None);
+                }
+                continue;
             }
             match self.repair.look(self.degraded(), clock::monotonic_ns) {
                 Look::Whole => return Ok(None),
