@@ -63,7 +63,7 @@ pub struct Forge {
     pub schema: Option<u32>,
     /// Samples sent before this frame.
     pub samples_before: Option<u64>,
-    /// When this run of the source began, Unix ns.
+    /// When this run of the source began, monotonic ns.
     pub source_epoch: Option<u64>,
 }
 
@@ -81,7 +81,7 @@ pub struct FrameLine {
 pub enum SourceLine {
     /// It has joined.
     Ready {
-        /// When this run began, Unix ns.
+        /// When this run began, monotonic ns.
         source_epoch: u64,
     },
     /// It has sent the frames asked for.

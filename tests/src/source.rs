@@ -9,7 +9,7 @@ use crate::{Child, Ended, Forge, FrameLine, PATIENCE, SourceLine};
 pub struct Source {
     /// The process.
     pub child: Child,
-    /// When its run began, Unix ns.
+    /// When its run began, monotonic ns.
     pub source_epoch: u64,
     read: usize,
 }

@@ -13,10 +13,10 @@ use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
 use joulebus_settings::SettingsError;
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
-use crate::checkpoint::CheckpointError;
-use crate::checkpointer::{Checkpointer, CheckpointerError, Failures, read_checkpoint};
+use crate::checkpointer::{Checkpointer, CheckpointerError, Failures, read_ledger};
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
+use crate::ledger_files::LedgerFileError;
 use crate::models::{ModelsError, load_models};
 use crate::outbox::Outbox;
 use crate::report::{Parts, Report, Spread, by_name};
@@ -68,9 +68,9 @@ pub enum OpenError {
     /// The settings contradict themselves.
     #[error(transparent)]
     Settings(#[from] SettingsError),
-    /// The ledger's checkpoint.
+    /// The ledger's file.
     #[error(transparent)]
-    Checkpoint(#[from] CheckpointError),
+    Ledger(#[from] LedgerFileError),
     /// Too little shared memory or too few descriptors.
     #[error(transparent)]
     Capacity(#[from] CapacityError),
@@ -115,11 +115,13 @@ impl Worker {
         let domain = config.domain()?;
         let limits = config.limits();
         let lock = WorkerLock::acquire(&domain)?;
-        let before = read_checkpoint(config)?;
-        let kept = before
-            .ledgers()
-            .filter(|(robot, ledger, charged)| fleet.restore(*robot, *ledger, *charged));
-        let (kept, written) = (kept.count(), before.robots.len());
+        let before = read_ledger(config)?;
+        let saved = before.checkpoint.ledgers();
+        let written = saved.len();
+        let kept = saved
+            .into_iter()
+            .filter(|(robot, ledger, charged)| fleet.restore(*robot, *ledger, *charged))
+            .count();
         if kept < written {
             tracing::warn!(
                 kept,
@@ -160,7 +162,7 @@ impl Worker {
         let header = ForecastHeader {
             schema: SCHEMA_VERSION,
             pid: std::process::id(),
-            worker_epoch: clock::unix_ns(),
+            worker_epoch: clock::monotonic_ns(),
             period_ns: config.tick_period_ns(),
             model_hash: fleet.model_hash(),
             capacity: fleet.capacity(),

@@ -45,8 +45,8 @@ impl Publisher {
     ///
     /// `source_name`, 1 to 128 bytes, tells the sources of a fleet apart and must stay the same
     /// over restarts: the worker lets the robots of a source be spoken for by its next run. The
-    /// runs are distinguished by the wall clock at their beginning, so that must not have been set
-    /// back in between.
+    /// runs are distinguished by the monotonic clock at their beginning: setting the wall clock changes
+    /// nothing.
     ///
     /// # Errors
     /// [`ConnectError`] says what is in the way and what to do.
@@ -66,12 +66,12 @@ impl Publisher {
             schema: SCHEMA_VERSION,
             pid: std::process::id(),
             source_id: fnv1a(source_name.bytes()),
-            source_epoch: clock::unix_ns(),
+            source_epoch: clock::monotonic_ns(),
             ..SampleHeader::default()
         };
         Ok(Self {
             writer,
-            registry: Registry::default(),
+            registry: Registry::new(limits.capacity),
             samples: Vec::new(),
             header,
             attempts: 0,
@@ -185,7 +185,7 @@ impl Publisher {
         self.header.source_id
     }
 
-    /// When this run of the source began, Unix ns.
+    /// When this run of the source began, monotonic ns.
     #[must_use]
     pub const fn source_epoch(&self) -> u64 {
         self.header.source_epoch

@@ -140,7 +140,8 @@ pub struct ForecastHeader {
     pub schema: u32,
     /// Process id of the worker.
     pub pid: u32,
-    /// When this run of the worker began, Unix ns: a restart has a greater one.
+    /// When this run of the worker began, monotonic ns: a restart has a greater one, however the wall clock
+    /// was set.
     pub worker_epoch: u64,
     /// Number of this tick within the epoch, from 1.
     pub tick: u64,

@@ -150,7 +150,8 @@ pub struct SampleHeader {
     pub pid: u32,
     /// Id of the source, stable over restarts (a hash of its name).
     pub source_id: u64,
-    /// When this run of the source began, Unix ns: greater after a restart.
+    /// When this run of the source began, monotonic ns: a restart has a greater one, however the wall clock
+    /// was set.
     pub source_epoch: u64,
     /// Number of this frame within the epoch, from 0.
     pub frame_seq: u64,

@@ -85,3 +85,34 @@ fn only_model_files_reads_pickles() {
         );
     }
 }
+
+/// The wall clock may be set at any time, both ways: it labels, and orders nothing and measures nothing.
+#[test]
+fn row_6_only_labels_come_from_the_wall_clock() {
+    let labels = [
+        "bus/src/os/clock.rs",
+        // Which holder of the lock: two are told apart by pid and label.
+        "bus/src/liveness/worker_lock.rs",
+        // `sent_unix_ns` of frames.
+        "publisher/src/publisher.rs",
+        "predictor-worker/src/outbox.rs",
+        "predictor-worker/src/keyframes.rs",
+        "cli/src/replay/ports.rs",
+        // How old a file is, which only the wall clock tells.
+        "bus/src/cleanup/objects.rs",
+        "cli/src/doctor/host.rs",
+        // Stamps in recordings of other programs.
+        "capture/src/import/join.rs",
+        // How long the machine was off: no other clock knows.
+        "predictor-worker/src/checkpointer.rs",
+        // Captures and their names say when they were made.
+        "capture/src/clock.rs",
+        "capture/src/attachments.rs",
+        "cli/src/demo/capture.rs",
+    ];
+    for name in names() {
+        let words = ["unix_ns()", "SystemTime", "Realtime"];
+        let found = places(&crates().join(&name).join("src"), &words, &labels);
+        assert_eq!(found, Vec::<String>::new(), "{name}");
+    }
+}

@@ -8,24 +8,35 @@ use joulebus_wire::{TickHeader, tick_flag};
 
 use crate::{Message, MessageKind};
 
-/// Sources and runs that account is kept of. The rest is recorded, but its gaps are not counted.
+/// Runs of sources and workers that account is kept of; then those that were silent longest are forgotten.
 const MOST_RUNS: usize = 4_096;
+/// Ticks without diagnostics that are kept in mind for one run.
+const MOST_UNSENT: usize = 4_096;
 
 /// Counts gaps.
 #[derive(Debug, Default)]
 pub(crate) struct Gaps {
-    /// When the recording began, Unix ns: runs that began later are known from their first frame.
-    began_unix_ns: u64,
-    runs: HashMap<(Arc<str>, MessageKind, u64), Run>,
+    /// Runs that began later are known from their first frame, monotonic ns. When the recording began, or
+    /// later: when the newest run began that was forgotten.
+    known_since_ns: u64,
+    runs: HashMap<Key, Run>,
+    /// Messages looked at.
+    looked: u64,
 }
+
+/// Fleet, kind, source (0 of a worker) and run.
+type Key = (Arc<str>, MessageKind, u64, u64);
 
 /// Where a numbered stream stands.
 #[derive(Debug, Default)]
 struct Run {
-    epoch: u64,
     next: u64,
+    /// The number that came last.
+    last: u64,
     /// Numbers from `next` on that nobody has sent.
     unsent: VecDeque<u64>,
+    /// When it was looked at last, by the count of messages.
+    looked: u64,
 }
 
 /// What a message says about others.
@@ -38,15 +49,16 @@ pub(crate) struct Found {
 }
 
 impl Gaps {
-    pub(crate) fn new(began_unix_ns: u64) -> Self {
+    pub(crate) fn new(began_ns: u64) -> Self {
         Self {
-            began_unix_ns,
-            runs: HashMap::new(),
+            known_since_ns: began_ns,
+            ..Self::default()
         }
     }
 
     /// What the message says about those before it of its fleet.
     pub(crate) fn look(&mut self, fleet: &Arc<str>, message: &Message) -> Found {
+        self.looked += 1;
         let never_sent = match message {
             Message::Ticks(header, _) => self.left_out(fleet, header),
             _ => 0,
@@ -63,16 +75,19 @@ impl Gaps {
         if header.flags & tick_flag::NO_DIAGNOSTICS == 0 {
             return 0;
         }
-        let key = (Arc::clone(fleet), MessageKind::Diagnostics, 0);
-        let (tick, known) = (header.tick, self.runs.get_mut(&key));
-        match known.filter(|run| run.epoch == header.worker_epoch) {
-            Some(run) if tick < run.next => 1,
-            Some(run) if run.unsent.len() < MOST_RUNS => {
-                run.unsent.push_back(tick);
-                0
-            }
-            _ => 0,
+        let epoch = header.worker_epoch;
+        let key = (Arc::clone(fleet), MessageKind::Diagnostics, 0, epoch);
+        let Some(run) = self.runs.get_mut(&key) else {
+            return 0;
+        };
+        if header.tick < run.next {
+            return 1;
         }
+        if run.unsent.len() == MOST_UNSENT {
+            run.unsent.pop_front();
+        }
+        run.unsent.push_back(header.tick);
+        0
     }
 
     fn missing_before(&mut self, fleet: &Arc<str>, message: &Message) -> u64 {
@@ -104,29 +119,58 @@ impl Gaps {
             // Pieces of a keyframe say themselves whether they are whole.
             _ => return 0,
         };
-        let key = (Arc::clone(fleet), kind, source);
-        if self.runs.len() >= MOST_RUNS && !self.runs.contains_key(&key) {
-            return 0;
-        }
-        let run = self.runs.entry(key).or_default();
-        if epoch < run.epoch {
-            // A run that has been replaced still says something.
-            return 0;
-        }
-        if epoch > run.epoch {
-            let heard_from_the_start = epoch > self.began_unix_ns;
-            *run = Run {
-                epoch,
-                next: if heard_from_the_start { first } else { number },
-                unsent: VecDeque::new(),
+        let key = (Arc::clone(fleet), kind, source, epoch);
+        if !self.runs.contains_key(&key) {
+            self.forget_silent();
+            let heard_from_the_start = epoch > self.known_since_ns;
+            let next = if heard_from_the_start { first } else { number };
+            let run = Run {
+                next,
+                last: next,
+                ..Run::default()
             };
+            self.runs.insert(key.clone(), run);
         }
-        let mut missing = number.saturating_sub(run.next);
-        while run.unsent.front().is_some_and(|unsent| *unsent < number) {
-            run.unsent.pop_front();
+        let Some(run) = self.runs.get_mut(&key) else {
+            return 0;
+        };
+        run.looked = self.looked;
+        run.missing_before(number)
+    }
+
+    /// Makes room for other runs: the half that was silent longest is forgotten.
+    fn forget_silent(&mut self) {
+        if self.runs.len() < MOST_RUNS {
+            return;
+        }
+        let mut looked: Vec<u64> = self.runs.values().map(|run| run.looked).collect();
+        let (_, median, _) = looked.select_nth_unstable(MOST_RUNS / 2);
+        self.runs.retain(|(_, _, _, epoch), run| {
+            let stays = run.looked > *median;
+            if !stays {
+                // Should it speak again, what it said before is not missing.
+                self.known_since_ns = self.known_since_ns.max(*epoch);
+            }
+            stays
+        });
+    }
+}
+
+impl Run {
+    fn missing_before(&mut self, number: u64) -> u64 {
+        // A sender numbers its frames in order: two in a row below what is expected mean that a number
+        // in between was false.
+        let corrected = number < self.next && self.last.checked_add(1) == Some(number);
+        if corrected {
+            self.next = number;
+        }
+        self.last = number;
+        let mut missing = number.saturating_sub(self.next);
+        while self.unsent.front().is_some_and(|unsent| *unsent < number) {
+            self.unsent.pop_front();
             missing = missing.saturating_sub(1);
         }
-        run.next = run.next.max(number.saturating_add(1));
+        self.next = self.next.max(number.saturating_add(1));
         missing
     }
 }
@@ -206,6 +250,52 @@ mod tests {
             ..TickHeader::default()
         };
         Message::Ticks(header, Vec::new())
+    }
+
+    #[test]
+    fn a_false_number_or_run_does_not_hide_the_gaps_that_follow() {
+        let far = u64::MAX;
+        let fleet = Arc::from("lab");
+        for (messages, missing) in [
+            (
+                vec![
+                    frame(1, 5, 7),
+                    frame(1, far, 7),
+                    frame(1, 5, 8),
+                    frame(1, 5, 10),
+                ],
+                1,
+            ),
+            (vec![tick(5, 7), tick(far, 1), tick(5, 9), tick(5, 10)], 1),
+        ] {
+            let mut gaps = Gaps::new(far);
+            let found: u64 = messages
+                .iter()
+                .map(|message| gaps.look(&fleet, message).missing)
+                .sum();
+            assert_eq!(found, missing, "{messages:?}");
+        }
+        let mut gaps = Gaps::new(100);
+        let mut missing = |number| gaps.look(&fleet, &frame(1, 5, number)).missing;
+        assert_eq!([missing(7), missing(8)], [0, 0]);
+        assert!(missing(far - 1) > 1_000, "it is counted");
+        assert_eq!([missing(9), missing(10), missing(13)], [0, 0, 2]);
+    }
+
+    #[test]
+    fn a_hundred_thousand_sources_take_the_memory_of_a_few_thousand_and_gaps_are_still_counted() {
+        let (fleet, mut gaps) = (Arc::from("lab"), Gaps::new(100));
+        for name in 0..100_000 {
+            let living = gaps.look(&fleet, &frame(u64::MAX, 150, 2 * name));
+            assert_eq!(living.missing, u64::from(name > 0), "source {name}");
+            for number in [0, 1, 3] {
+                let found = gaps.look(&fleet, &frame(name, 200 + name, number));
+                assert_eq!(found.missing, u64::from(number == 3), "source {name}");
+            }
+            assert!(gaps.runs.len() <= MOST_RUNS);
+        }
+        // One that was forgotten has nothing missing when it speaks again.
+        assert_eq!(gaps.look(&fleet, &frame(7, 207, 90)).missing, 0);
     }
 
     #[test]

@@ -72,7 +72,7 @@ impl Shared {
             write_down: AtomicBool::new(false),
             over: AtomicBool::new(false),
             queue: Queue::new(queue_bytes),
-            gaps: Mutex::new((Gaps::new(clock::unix_ns()), BTreeMap::new())),
+            gaps: Mutex::new((Gaps::new(clock::monotonic_ns()), BTreeMap::new())),
             summary: Mutex::default(),
         }
     }

@@ -46,7 +46,7 @@ impl Link {
         self.publisher.capacity()
     }
 
-    /// When this run of the source began, Unix ns.
+    /// When this run of the source began, monotonic ns.
     pub(super) const fn epoch(&self) -> u64 {
         self.publisher.source_epoch()
     }

@@ -19,17 +19,18 @@ pub(super) struct Moment {
 pub(super) struct Rebase {
     /// Added to every recorded monotonic time, modulo 2^64.
     shift_ns: u64,
-    /// Added to every recorded run of a source or a worker, modulo 2^64: those are Unix ns.
-    shift_epoch: u64,
+    /// The recorded moment that becomes `epoch_ns`: runs that began after it keep their distances, those
+    /// before it had begun when the recording did, and become one.
+    recorded_ns: u64,
+    epoch_ns: u64,
     pid: u32,
     /// Runs of sources: number of the first frame, and samples before it.
     first_frame: HashMap<(u64, u64), (u64, u64)>,
     /// Robots that this pass has begun with; none in the first pass.
     joined: Option<HashSet<u32>>,
-    /// The newest stamp and the newest run sent, and the oldest run recorded.
+    /// The newest stamp and the newest run sent.
     newest_ns: u64,
     newest_epoch: u64,
-    oldest_recorded: u64,
 }
 
 impl Rebase {
@@ -37,13 +38,13 @@ impl Rebase {
     pub(super) fn new(recorded: Moment, now: Moment) -> Self {
         Self {
             shift_ns: now.monotonic_ns.wrapping_sub(recorded.monotonic_ns),
-            shift_epoch: now.unix_ns.wrapping_sub(recorded.unix_ns),
+            recorded_ns: recorded.monotonic_ns,
+            epoch_ns: now.monotonic_ns,
             pid: std::process::id(),
             first_frame: HashMap::new(),
             joined: None,
             newest_ns: now.monotonic_ns,
             newest_epoch: 0,
-            oldest_recorded: u64::MAX,
         }
     }
 
@@ -58,20 +59,15 @@ impl Rebase {
                 ..now
             },
         );
-        if self.newest_epoch > 0 {
-            let least = self.newest_epoch.wrapping_sub(self.oldest_recorded) + 1;
-            let later = |shift: u64| shift.wrapping_add(self.oldest_recorded) > self.newest_epoch;
-            if !later(next.shift_epoch) {
-                next.shift_epoch = least;
-            }
-        }
+        next.epoch_ns = now.monotonic_ns.max(self.newest_epoch.saturating_add(1));
         next.joined = Some(HashSet::new());
         next
     }
 
     /// The run that a run of now is to be compared with: all of this pass are at least as new.
     pub(super) fn epoch(&self, recorded_epoch: u64) -> u64 {
-        recorded_epoch.wrapping_add(self.shift_epoch)
+        let since_ns = recorded_epoch.saturating_sub(self.recorded_ns);
+        self.epoch_ns.saturating_add(since_ns)
     }
 
     /// A recorded monotonic time; 0 stays 0: not known.
@@ -90,7 +86,6 @@ impl Rebase {
         }
         let epoch = self.epoch(recorded_epoch);
         self.newest_epoch = self.newest_epoch.max(epoch);
-        self.oldest_recorded = self.oldest_recorded.min(recorded_epoch);
         epoch
     }
 
@@ -246,7 +241,7 @@ mod tests {
         assert_eq!(other.stamp_ns - one.stamp_ns, 400);
         assert_eq!((first.frame_seq, first.samples_before), (0, 0));
         assert_eq!((second.frame_seq, second.samples_before), (3, 30));
-        assert_eq!((first.source_id, first.source_epoch), (7, 1_999_000));
+        assert_eq!((first.source_id, first.source_epoch), (7, 1_084_000));
         assert_eq!(
             one.flags, other.flags,
             "nothing is marked in the first pass"
@@ -255,6 +250,21 @@ mod tests {
         let mut samples = [unknown];
         rebase.samples(&SampleHeader::default(), &mut samples, now);
         assert_eq!((samples[0].measured_ns, nothing), (0, 0));
+    }
+
+    #[test]
+    fn runs_stay_in_order_and_are_never_older_than_the_replay_however_long_either_machine_was_up() {
+        for (recorded_ns, now_ns) in [(1 << 50, 5), (5, 1 << 50), (1 << 50, 1 << 50)] {
+            let at = |monotonic_ns| Moment {
+                monotonic_ns,
+                unix_ns: 1,
+            };
+            let rebase = Rebase::new(at(recorded_ns), at(now_ns));
+            let runs = [1, recorded_ns - 1, recorded_ns, recorded_ns + 1, u64::MAX];
+            let runs = runs.map(|run| rebase.epoch(run));
+            assert!(runs.is_sorted() && runs[0] == now_ns, "{runs:?}");
+            assert!(runs[2] < runs[3] && runs[3] < runs[4], "{runs:?}");
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use joulebus_bus::{Bus, clock};
 use joulebus_config::Config;
 use joulebus_tests::{FrameLine, SourceLine};
-use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
+use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a};
 
 use crate::{Done, tell};
 
@@ -11,14 +11,11 @@ pub(crate) fn run(config: &Config, name: &str) -> Done {
     let limits = config.limits();
     let bus = Bus::join(&config.domain()?, name)?;
     let mut writer = bus.sample_writer(&limits, limits.capacity)?;
-    let source_id = name.bytes().fold(7, |id: u64, byte| {
-        id.wrapping_mul(0x0100_0000_01b3) ^ u64::from(byte)
-    });
     let mut header = SampleHeader {
         schema: SCHEMA_VERSION,
         pid: std::process::id(),
-        source_id,
-        source_epoch: clock::unix_ns(),
+        source_id: fnv1a(name.bytes()),
+        source_epoch: clock::monotonic_ns(),
         ..SampleHeader::default()
     };
     tell(&SourceLine::Ready {
