@@ -1,4 +1,4 @@
-//! Rows 7, 8, 9 and 21: what is wrong with one sample, or with one source, harms no other robot.
+//! Rows 6, 7, 8, 9 and 21: what is wrong with one sample, or with one source, harms no other robot.
 
 use std::collections::BTreeMap;
 
@@ -620,5 +620,89 @@ fn row_21_robots_past_the_capacity_are_refused_and_named_and_the_first_do_not_ch
         "operators read it in the log: {}",
         ended.errors()
     );
+    arena.close();
+}
+
+#[test]
+fn row_6_a_run_from_the_far_future_in_a_sources_name_shuts_it_out_for_a_stale_period_and_no_more() {
+    let setup = Setup {
+        tick_hz: 100.0,
+        rate_hz: 50.0,
+        stale_after_s: 0.5,
+        ..Setup::default()
+    };
+    let arena = Arena::new(&setup);
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut controller = arena.controller("fleet", 0, 4, 50.0);
+    let mut other = arena.controller("other", 50, 4, 50.0);
+    let epoch = planner.forecast("all robots are forecast", |frame| {
+        let known = |robot: u32| {
+            let line = frame.robots.iter().find(|line| line.robot == robot)?;
+            (line.flags & 1 != 0).then_some(line.source_epoch)
+        };
+        known(50).and(known(0))
+    });
+    let mut impostor = arena.source("fleet");
+    for far in [epoch + 3_600_000_000_000, u64::MAX] {
+        let forge = Forge {
+            source_epoch: Some(far),
+            ..Forge::default()
+        };
+        impostor.send_forged(&[sample(0, 0, 1)], forge);
+        planner.forecast("the false run is taken for the next one", |frame| {
+            let line = frame.robots.iter().find(|line| line.robot == 0)?;
+            (line.source_epoch == far).then_some(())
+        });
+        planner.forecast("the source is back", |frame| {
+            let line = frame.robots.iter().find(|line| line.robot == 0)?;
+            (line.source_epoch == epoch && line.flags & 1 != 0).then_some(())
+        });
+    }
+    impostor.leave();
+    // The next run counts at once.
+    controller.kill();
+    let mut controller = arena.controller("fleet", 0, 4, 50.0);
+    planner.forecast("the next run is heard", |frame| {
+        let line = frame.robots.iter().find(|line| line.robot == 0)?;
+        (![epoch, u64::MAX].contains(&line.source_epoch)).then_some(())
+    });
+    controller.finish();
+    other.finish();
+    planner.leave();
+    let report = worker.stop().json();
+    assert_ne!(
+        report["samples_dropped"]["OldEpoch"],
+        serde_json::Value::Null
+    );
+    arena.close();
+}
+
+#[test]
+fn more_sources_than_places_come_and_go_in_a_workers_life_and_each_is_heard() {
+    const PLACES: u32 = 2;
+    const NAMES: u32 = 4 * PLACES + 1;
+    let setup = Setup {
+        tick_hz: 100.0,
+        rate_hz: 50.0,
+        stale_after_s: 0.5,
+        leave_after_s: 1.0,
+        max_sources: PLACES,
+        ..Setup::default()
+    };
+    let arena = Arena::new(&setup);
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    for name in 0..NAMES {
+        let mut controller = arena.controller(&format!("source-{name}"), name, 1, 50.0);
+        planner.forecast("it is heard", |frame| {
+            let line = frame.robots.iter().find(|line| line.robot == name)?;
+            (line.flags & 1 != 0).then_some(())
+        });
+        controller.finish();
+    }
+    planner.leave();
+    let report = worker.stop().json();
+    assert!(report["samples_accepted"].as_u64() > Some(5 * u64::from(NAMES)));
     arena.close();
 }

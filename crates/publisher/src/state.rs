@@ -84,10 +84,15 @@ impl RobotState {
     }
 }
 
-/// What has been said of each robot: its numbers and times continue from there.
-#[derive(Debug, Default)]
+/// What has been said of each robot: its numbers and times continue from there. Robots that have not been
+/// published for longest are forgotten when there are twice as many as a frame holds.
+#[derive(Debug)]
 pub(crate) struct Registry {
     robots: HashMap<u32, Last>,
+    most: usize,
+    /// Number and stamp from which a robot continues that is new, or was forgotten, ns.
+    seq_floor: u64,
+    stamp_floor_ns: u64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -99,6 +104,16 @@ struct Last {
 }
 
 impl Registry {
+    /// For frames of at most `capacity` robots.
+    pub(crate) fn new(capacity: usize) -> Self {
+        Self {
+            robots: HashMap::new(),
+            most: capacity.saturating_mul(2),
+            seq_floor: 0,
+            stamp_floor_ns: 0,
+        }
+    }
+
     /// The sample of `state` in frame `frame`, issued at `now_ns`. Allocates for robots that are
     /// new. `None` when the frame has the robot already.
     pub(crate) fn sample(&mut self, state: &RobotState, frame: u64, now_ns: u64) -> Option<Sample> {
@@ -106,9 +121,13 @@ impl Registry {
         if before.is_some_and(|last| last.frame == frame) {
             return None;
         }
-        let seq = before.map_or(0, |last| last.seq + 1);
+        if before.is_none() && self.robots.len() == self.most {
+            self.forget_half();
+        }
+        let seq = before.map_or(self.seq_floor, |last| last.seq + 1);
         // Stamps must rise, and a clock may tell the same time twice.
-        let stamp_ns = before.map_or(now_ns, |last| now_ns.max(last.stamp_ns + 1));
+        let least_ns = before.map_or(self.stamp_floor_ns, |last| last.stamp_ns + 1);
+        let stamp_ns = now_ns.max(least_ns);
         let repeated_ns = before.and_then(|last| last.measured_ns);
         let measured_ns = state
             .measured_ns
@@ -122,6 +141,24 @@ impl Registry {
         };
         self.robots.insert(state.robot, last);
         Some(sample(state, seq, stamp_ns, measured_ns))
+    }
+
+    /// Forgets the half that was not published for longest. Should one of them come back, its numbers and
+    /// stamps still rise: they continue above those of all that were forgotten.
+    fn forget_half(&mut self) {
+        let mut frames: Vec<u64> = self.robots.values().map(|last| last.frame).collect();
+        let (_, median, _) = frames.select_nth_unstable(self.most / 2);
+        // Of one frame there are at most half as many: some are older, and those of this frame stay.
+        let oldest = *median;
+        let (seq_floor, stamp_floor_ns) = (&mut self.seq_floor, &mut self.stamp_floor_ns);
+        self.robots.retain(|_, last| {
+            let stays = last.frame >= oldest;
+            if !stays {
+                *seq_floor = (*seq_floor).max(last.seq + 1);
+                *stamp_floor_ns = (*stamp_floor_ns).max(last.stamp_ns + 1);
+            }
+            stays
+        });
     }
 }
 
@@ -160,7 +197,7 @@ mod tests {
 
     #[test]
     fn each_robot_has_its_own_rising_numbers_and_stamps() {
-        let mut registry = Registry::default();
+        let mut registry = Registry::new(4);
         let mut told = |robot, frame, now_ns| {
             let sample = registry.sample(&RobotState::new(robot), frame, now_ns);
             sample.map(|sample| (sample.seq, sample.stamp_ns))
@@ -179,8 +216,37 @@ mod tests {
     }
 
     #[test]
+    fn a_hundred_thousand_robots_take_the_memory_of_two_frames_and_all_numbers_rise() {
+        let mut registry = Registry::new(8);
+        let mut last: HashMap<u32, (u64, u64)> = HashMap::new();
+        for frame in 0..100_000_u64 {
+            // One that is always there, and four that change; each comes back after a while, or soon.
+            let name = (frame * 4) as u32;
+            let robots = [
+                u32::MAX,
+                name,
+                name + 1,
+                name.wrapping_sub(7),
+                (frame % 40) as u32,
+            ];
+            for robot in robots {
+                let sample = registry.sample(&RobotState::new(robot), frame, 1_000 * frame);
+                let Some(sample) = sample else {
+                    continue;
+                };
+                let now = (sample.seq, sample.stamp_ns);
+                if let Some(before) = last.insert(robot, now) {
+                    assert!(now.0 > before.0 && now.1 > before.1, "robot {robot}");
+                }
+                assert!(registry.robots.len() <= 16, "robot {robot}");
+            }
+        }
+        assert_eq!(last[&u32::MAX].1, 99_999_000, "stamps are not pushed ahead");
+    }
+
+    #[test]
     fn a_held_reading_keeps_the_time_of_the_measurement_it_repeats() {
-        let mut registry = Registry::default();
+        let mut registry = Registry::new(4);
         let fresh = RobotState::new(1).reading(3.5);
         let held = RobotState::new(1).held_reading(3.5);
         let silent = RobotState::new(1).command(0.1, 0.0);
@@ -219,7 +285,7 @@ mod tests {
             // Nothing is repeated where nothing is read.
             (RobotState { held: true, ..new }, 0),
         ] {
-            let sample = Registry::default().sample(&state, 0, 5).unwrap();
+            let sample = Registry::new(4).sample(&state, 0, 5).unwrap();
             assert_eq!(sample.flags, flags, "{state:?}");
             for (value, flag) in [
                 (sample.v_mps, V),
@@ -231,7 +297,7 @@ mod tests {
                 assert_eq!(value.is_nan(), !sample.has(flag), "{state:?}");
             }
         }
-        let claimed = Registry::default()
+        let claimed = Registry::new(4)
             .sample(&new.reading(f32::NAN), 0, 5)
             .unwrap();
         assert!(

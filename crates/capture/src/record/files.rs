@@ -32,6 +32,9 @@ impl fmt::Debug for Target {
     }
 }
 
+/// Topics whose choice is remembered; forgetting it costs asking again.
+const MOST_CHOSEN: usize = 1 << 17;
+
 /// Files of a capture, open and done.
 pub(crate) struct Files {
     target: Target,
@@ -237,6 +240,9 @@ impl Files {
     fn is_chosen(&mut self, item: &Item, kind: MessageKind, robot: u32) -> bool {
         let key = (Arc::clone(&item.fleet), kind, robot);
         let choose = &self.options.choose;
+        if self.chosen.len() >= MOST_CHOSEN {
+            self.chosen.clear();
+        }
         *self
             .chosen
             .entry(key)
@@ -265,7 +271,8 @@ struct Kept {
     bytes: usize,
     /// Log times at which keyframes among the items begin.
     keyframes: VecDeque<u64>,
-    alarms: HashMap<(Arc<str>, u32), u32>,
+    /// Alarms of the robots in each fleet's newest diagnostics.
+    alarms: HashMap<Arc<str>, HashMap<u32, u32>>,
 }
 
 impl Kept {
@@ -308,12 +315,14 @@ impl Kept {
         let Message::Diagnostics(_, rows) = &item.message else {
             return false;
         };
+        let known = self.alarms.entry(Arc::clone(&item.fleet)).or_default();
         let mut raised = false;
         for row in rows {
-            let key = (Arc::clone(&item.fleet), row.robot);
-            let before = self.alarms.insert(key, row.alarms).unwrap_or(0);
+            let before = known.get(&row.robot).copied().unwrap_or(0);
             raised |= row.alarms & !before != 0;
         }
+        known.clear();
+        known.extend(rows.iter().map(|row| (row.robot, row.alarms)));
         raised
     }
 }

@@ -117,7 +117,7 @@ impl Summary {
             robots: board.rows.len(),
             seed,
             duration_s,
-            workers: board.runs.len(),
+            workers: board.workers(),
             ticks: Ticks {
                 done,
                 skipped,

@@ -15,6 +15,10 @@ const TRACK_TICKS: usize = 240;
 const TRACKED_ROBOTS: usize = 512;
 /// Things that happened that are kept.
 const NOTES: usize = 200;
+/// Runs of workers and of sources that are kept apart; the oldest two become one then.
+const RUNS: usize = 1_024;
+/// Robots whose alarms are kept after they have left.
+const RAISED_ROBOTS: usize = 16_384;
 
 /// How the worker is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,6 +58,23 @@ pub(crate) struct WorkerRun {
 }
 
 impl WorkerRun {
+    /// Adds what an earlier run counted.
+    fn add(&mut self, earlier: &Self) {
+        let (sum, header) = (&mut self.header, &earlier.header);
+        for (reason, count) in header.samples_dropped.iter() {
+            sum.samples_dropped.add(reason, count);
+        }
+        for (sum, count) in [
+            (&mut sum.samples_accepted, header.samples_accepted),
+            (&mut sum.tick, header.tick),
+            (&mut sum.ticks_skipped, header.ticks_skipped),
+            (&mut sum.ticks_late, header.ticks_late),
+        ] {
+            *sum = sum.saturating_add(count);
+        }
+        self.first_source_epoch = earlier.first_source_epoch.or(self.first_source_epoch);
+    }
+
     /// Samples of this run that were dropped.
     pub(crate) const fn dropped(&self) -> DropCounts {
         self.header.samples_dropped
@@ -106,6 +127,8 @@ pub(crate) struct Board {
     pub(crate) raised: BTreeMap<u32, Vec<Raised>>,
     /// Runs of workers, oldest first.
     pub(crate) runs: Vec<WorkerRun>,
+    /// Runs that were added to the one after them.
+    merged_runs: usize,
     /// Latencies, all frames.
     pub(crate) stages: Stages,
     /// Latencies of the newest frames, µs, oldest first.
@@ -133,6 +156,7 @@ impl Board {
             rows: BTreeMap::new(),
             raised: BTreeMap::new(),
             runs: Vec::new(),
+            merged_runs: 0,
             stages: Stages::new()?,
             recent_us: VecDeque::new(),
             sent: BTreeMap::new(),
@@ -233,6 +257,11 @@ impl Board {
             header: *header,
             first_source_epoch: None,
         });
+        if self.runs.len() > RUNS {
+            let oldest = self.runs.remove(0);
+            self.runs[0].add(&oldest);
+            self.merged_runs += 1;
+        }
         self.note(format!("worker {} serves the fleet", header.pid), now_ns);
         false
     }
@@ -286,6 +315,10 @@ impl Board {
         while self.notes.len() > NOTES {
             self.notes.pop_front();
         }
+        if self.raised.len() > RAISED_ROBOTS {
+            let rows = &self.rows;
+            self.raised.retain(|robot, _| rows.contains_key(robot));
+        }
     }
 
     /// Takes a frame of budgets.
@@ -301,6 +334,23 @@ impl Board {
     pub(crate) fn scores(&self) -> Scores {
         let diagnostics = self.rows.values().filter_map(|row| row.diagnostic.as_ref());
         Scores::of(diagnostics, &self.pooled)
+    }
+
+    /// Runs of workers seen.
+    pub(crate) fn workers(&self) -> usize {
+        self.runs.len() + self.merged_runs
+    }
+
+    /// The run `epoch` of a source has sent `samples`.
+    pub(crate) fn source_sent(&mut self, epoch: u64, samples: u64) {
+        let sent = self.sent.entry(epoch).or_default();
+        *sent = samples.max(*sent);
+        if self.sent.len() > RUNS
+            && let Some((_, oldest)) = self.sent.pop_first()
+            && let Some(mut next) = self.sent.first_entry()
+        {
+            *next.get_mut() = next.get().saturating_add(oldest);
+        }
     }
 
     /// Samples accepted by all workers.
@@ -425,6 +475,31 @@ mod tests {
         // Another worker's forecast was not made for the reading that follows.
         board.forecasts(&header(2, 1), &[output(4, 2, 5.0, 5.0)], 0);
         assert!(board.rows[&4].track[1].forecast_w.is_nan());
+    }
+
+    #[test]
+    fn a_hundred_thousand_workers_sources_and_robots_take_the_memory_of_some_thousand() {
+        let mut board = Board::new(0).unwrap();
+        for name in 1..=100_000_u32 {
+            let epoch = u64::from(name);
+            let mut header = header(epoch, 2);
+            header.samples_accepted = 3;
+            header.samples_dropped.add(DropReason::Backlog, 1);
+            board.forecasts(&header, &[output(name, 0, 3.0, 3.5)], 0);
+            let raising = Diagnostic {
+                robot: name,
+                alarms: AlarmSet::default().with(Alarm::StuckSensor).0,
+                ..Diagnostic::default()
+            };
+            board.diagnostics(&[raising], 0);
+            board.source_sent(epoch, 4);
+            assert!(board.runs.len() <= RUNS && board.sent.len() <= RUNS);
+            assert!(board.raised.len() <= RAISED_ROBOTS && board.rows.len() == 1);
+        }
+        assert_eq!(board.workers(), 100_000);
+        assert_eq!((board.accepted(), board.ticks().0), (300_000, 200_000));
+        assert_eq!(board.dropped().get(DropReason::Backlog), 100_000);
+        assert_eq!(board.sent.values().sum::<u64>(), 400_000);
     }
 
     #[test]

@@ -147,8 +147,7 @@ impl Tap {
             let header = self.frame.header();
             let here = self.frame.samples().len() + self.frame.truncated();
             let samples = header.samples_before.saturating_add(here as u64);
-            let sent = board.sent.entry(header.source_epoch).or_default();
-            *sent = samples.max(*sent);
+            board.source_sent(header.source_epoch, samples);
         }
     }
 }

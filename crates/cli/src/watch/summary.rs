@@ -44,7 +44,7 @@ pub(super) fn run(
     output.report(&PlannerReport {
         frames: board.frames,
         frames_missed: board.frames_missed,
-        workers: board.runs.len(),
+        workers: board.workers(),
         latency: board.stages.latency(),
     })?;
     Ok(Outcome::Done)

@@ -1,5 +1,6 @@
 //! How good the forecasts have been, beside persistence.
 
+use joulebus_predictor::canonical_f64;
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::block;
@@ -37,7 +38,7 @@ impl Scores {
     #[must_use]
     #[inline(always)]
     pub fn mae_w(&self) -> f64 {
-        self.sum_abs_w / self.count as f64
+        canonical_f64(self.sum_abs_w / self.count as f64)
     }
 
     /// Coefficient of determination of the forecasts; NaN where the readings do not vary.
@@ -51,7 +52,7 @@ impl Scores {
     #[must_use]
     #[inline(always)]
     pub fn persistence_mae_w(&self) -> f64 {
-        self.persistence_sum_abs_w / self.count as f64
+        canonical_f64(self.persistence_sum_abs_w / self.count as f64)
     }
 
     /// Coefficient of determination of persistence; NaN where the readings do not vary.
@@ -72,7 +73,8 @@ impl Scores {
 #[inline(always)]
 fn explained(error: f64, of: f64) -> f64 {
     let explained = 1.0 - error / of;
-    if of > 0.0 { explained } else { f64::NAN }
+    // Infinite sums have no ratio.
+    canonical_f64(if of > 0.0 { explained } else { f64::NAN })
 }
 
 block! {
@@ -123,7 +125,18 @@ mod tests {
 
     #[test]
     fn nothing_scored_is_not_a_number() {
-        let scores = Scores::default();
-        assert!(scores.mae_w().is_nan() && scores.r2().is_nan() && scores.skill().is_nan());
+        let mut scores = Scores::default();
+        for infinite in [false, true] {
+            let [mae_w, r2] = [scores.mae_w(), scores.r2()];
+            let [persistence_mae_w, persistence_r2] =
+                [scores.persistence_mae_w(), scores.persistence_r2()];
+            let found = [mae_w, persistence_mae_w, r2, persistence_r2, scores.skill()];
+            for value in found.into_iter().skip(if infinite { 2 } else { 0 }) {
+                assert_eq!(value.to_bits(), f64::NAN.to_bits(), "{found:?}");
+            }
+            scores.count = 1;
+            (scores.sum_sq_w2, scores.scatter_w2) = (f64::INFINITY, f64::INFINITY);
+            scores.persistence_sum_sq_w2 = f64::INFINITY;
+        }
     }
 }

@@ -29,7 +29,7 @@ impl Fleet {
             .first
             .get_or_insert((header.intended_ns, header.sent_ns, now_ns));
         let admitted = if header.schema == SCHEMA_VERSION {
-            self.sources.frame(header, count, &mut self.drops)
+            self.sources.frame(header, count, now_ns, &mut self.drops)
         } else {
             self.drops.add(DropReason::Schema, count);
             Err(DropReason::Schema)

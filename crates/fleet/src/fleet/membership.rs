@@ -18,7 +18,8 @@ use crate::ledger::energy::Ledger;
 impl Fleet {
     /// Continues with the account of a robot that an earlier run wrote down. Call before the robot's
     /// first sample. `charged`: it has been on its charger since, so that what is in its battery is
-    /// not known. As many accounts as the capacity are kept; returns whether this one was.
+    /// not known. As many accounts as the capacity are kept, of robots that are not in the fleet: the
+    /// oldest is given up for another. Returns whether none was.
     pub fn restore(&mut self, robot: u32, ledger: Ledger, charged: bool) -> bool {
         self.departed.keep(departed::Account {
             robot,

@@ -81,7 +81,7 @@ impl Fleet {
             likely_slot: 0,
             single: Batch::of_slots(WORD),
             batch: Batch::default(),
-            sources: Sources::new(settings.intake.max_sources),
+            sources: Sources::new(settings),
             refused: Refused::default(),
             drops: DropCounts::default(),
             accepted: 0,
@@ -186,6 +186,13 @@ impl Fleet {
     #[must_use]
     pub fn drops(&self) -> DropCounts {
         self.drops
+    }
+
+    /// Accounts of robots that have left, given up since for those of other robots: as many as the
+    /// capacity are kept.
+    #[must_use]
+    pub fn accounts_given_up(&self) -> u64 {
+        self.departed.given_up()
     }
 
     /// Recently refused robots, with the reason and the source.

@@ -5,8 +5,8 @@ use joulebus_wire::{DropReason, InvalidReason, Sample, SampleHeader, sample_flag
 
 use crate::ingest::admission::AdmissionState;
 
-/// Who may speak for the robot, and once: refuses other sources, older runs, and numbers that do not
-/// rise.
+/// Who may speak for the robot, and once: refuses other sources, and numbers that do not rise. The frame
+/// is of the run that its source has now: another one than the robot's has taken over.
 pub(crate) fn sender(
     admission: &mut AdmissionState,
     header: &SampleHeader,
@@ -15,10 +15,7 @@ pub(crate) fn sender(
     if admission.source_id != header.source_id {
         return Err(DropReason::ForeignSource);
     }
-    if header.source_epoch < admission.source_epoch {
-        return Err(DropReason::OldEpoch);
-    }
-    if header.source_epoch > admission.source_epoch {
+    if header.source_epoch != admission.source_epoch {
         (admission.source_epoch, admission.ordered, admission.renewed) =
             (header.source_epoch, false, true);
     }

@@ -1,79 +1,156 @@
 //! Accounts for every sample of each source: sent = accepted + dropped, exactly.
 
+use joulebus_settings::FleetSettings;
 use joulebus_wire::{DropCounts, DropReason, SampleHeader};
 use serde::{Deserialize, Serialize};
 
-/// One run of one source.
-#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-pub(crate) struct Source {
-    id: u64,
+/// One run of a source.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+struct Run {
     epoch: u64,
-    /// Samples of this epoch accounted for: taken, refused or lost.
+    /// Samples accounted for: taken, refused or lost.
     accounted: u64,
 }
 
-/// The sources that have sent a frame.
-#[derive(Debug)]
-pub(crate) struct Sources {
-    sources: Vec<Source>,
-    most: usize,
-    /// Place of the source that was looked up last.
-    recent: usize,
-}
-
-impl Sources {
-    pub(crate) fn new(most: u16) -> Self {
-        let most = usize::from(most);
-        Self {
-            sources: Vec::with_capacity(most),
-            most,
-            recent: 0,
-        }
-    }
-
-    /// Takes a frame's header and the number of samples in it. Counts what was lost before it, and
-    /// refuses a frame of an older run, a frame seen before, and a source too many.
-    pub(crate) fn frame(
-        &mut self,
-        header: &SampleHeader,
-        samples: u64,
-        drops: &mut DropCounts,
-    ) -> Result<(), DropReason> {
-        let at = match self.find(header.source_id) {
-            Some(at) => at,
-            None if self.sources.len() == self.most => return Err(DropReason::TooManySources),
-            None => {
-                self.sources.push(Source {
-                    id: header.source_id,
-                    epoch: header.source_epoch,
-                    accounted: 0,
-                });
-                self.sources.len() - 1
-            }
+impl Run {
+    /// Accounts for a frame; what was lost before it is counted. False for a frame seen before.
+    fn account(&mut self, header: &SampleHeader, samples: u64, drops: &mut DropCounts) -> bool {
+        let Some(lost) = header.samples_before.checked_sub(self.accounted) else {
+            return false;
         };
-        let source = &mut self.sources[at];
-        if header.source_epoch < source.epoch {
-            return Err(DropReason::OldEpoch);
-        }
-        if header.source_epoch > source.epoch {
-            *source = Source {
-                accounted: 0,
-                epoch: header.source_epoch,
-                ..*source
-            };
-        }
-        if header.samples_before < source.accounted {
-            return Err(DropReason::Duplicate);
-        }
-        let lost = header.samples_before - source.accounted;
-        let reason = if source.accounted == 0 {
+        let reason = if self.accounted == 0 {
             DropReason::BeforeJoin
         } else {
             DropReason::Overflow
         };
         drops.add(reason, lost);
-        source.accounted = header.samples_before.saturating_add(samples);
+        self.accounted = header.samples_before.saturating_add(samples);
+        true
+    }
+}
+
+/// A source, with the run whose samples are taken.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+pub(crate) struct Source {
+    id: u64,
+    run: Run,
+    /// The run before: should it be the newer one, what it has sent is not counted again.
+    other: Option<Run>,
+    /// When a frame of it was last taken, monotonic ns of the worker.
+    taken_ns: u64,
+}
+
+impl Source {
+    /// `accounted`: samples of the run that are not to be counted as lost.
+    const fn new(header: &SampleHeader, accounted: u64, now_ns: u64) -> Self {
+        Self {
+            id: header.source_id,
+            run: Run {
+                epoch: header.source_epoch,
+                accounted,
+            },
+            other: None,
+            taken_ns: now_ns,
+        }
+    }
+
+    /// Takes a frame or refuses it; `silent`: the run that is taken has been silent for so long that
+    /// whatever comes is believed instead.
+    fn frame(
+        &mut self,
+        header: &SampleHeader,
+        samples: u64,
+        silent: bool,
+        drops: &mut DropCounts,
+    ) -> Result<(), DropReason> {
+        if header.source_epoch < self.run.epoch {
+            if !silent {
+                return Err(DropReason::OldEpoch);
+            }
+            // What was lost of it meanwhile is not known.
+            self.replace(header.samples_before, header.source_epoch);
+        } else if header.source_epoch > self.run.epoch {
+            let returned = self.other.filter(|run| run.epoch == header.source_epoch);
+            self.replace(returned.map_or(0, |run| run.accounted), header.source_epoch);
+        }
+        if self.run.account(header, samples, drops) {
+            return Ok(());
+        }
+        if !silent {
+            return Err(DropReason::Duplicate);
+        }
+        // The number that is far ahead was false: what this frame says is the truth again.
+        self.run.accounted = header.samples_before.saturating_add(samples);
         Ok(())
+    }
+
+    fn replace(&mut self, accounted: u64, epoch: u64) {
+        self.other = Some(self.run);
+        self.run = Run { epoch, accounted };
+    }
+}
+
+/// The sources that have sent a frame. One that has been silent for as long as makes a robot leave gives
+/// its place to another; a run that has been silent for as long as makes a robot stale, to whatever run
+/// speaks: one false frame shuts a source out for that long.
+#[derive(Debug)]
+pub(crate) struct Sources {
+    sources: Vec<Source>,
+    most: usize,
+    leave_after_ns: u64,
+    yield_after_ns: u64,
+    /// Place of the source that was looked up last.
+    recent: usize,
+}
+
+impl Sources {
+    pub(crate) fn new(settings: &FleetSettings) -> Self {
+        let most = usize::from(settings.intake.max_sources);
+        let stale_after_ns = settings.platforms.iter().map(|it| it.stale_after_ns);
+        Self {
+            sources: Vec::with_capacity(most),
+            most,
+            leave_after_ns: settings.intake.leave_after_ns,
+            yield_after_ns: stale_after_ns.max().unwrap_or_default(),
+            recent: 0,
+        }
+    }
+
+    /// Takes the header of a frame that came at `now_ns`, and the number of samples in it. Counts what
+    /// was lost before it, and refuses a frame of an older run, a frame seen before, and a source too
+    /// many.
+    pub(crate) fn frame(
+        &mut self,
+        header: &SampleHeader,
+        samples: u64,
+        now_ns: u64,
+        drops: &mut DropCounts,
+    ) -> Result<(), DropReason> {
+        let at = match self.find(header.source_id) {
+            Some(at) => at,
+            None if self.sources.len() < self.most => {
+                self.sources.push(Source::new(header, 0, now_ns));
+                self.sources.len() - 1
+            }
+            None => {
+                let at = self.silent(now_ns).ok_or(DropReason::TooManySources)?;
+                // It may have been here before, or refused: no sample is counted twice.
+                self.sources[at] = Source::new(header, header.samples_before, now_ns);
+                at
+            }
+        };
+        let source = &mut self.sources[at];
+        let silent = now_ns.saturating_sub(source.taken_ns) > self.yield_after_ns;
+        source.frame(header, samples, silent, drops)?;
+        source.taken_ns = now_ns;
+        Ok(())
+    }
+
+    /// The place of the source that has been silent longest, if that is long enough to give it to another.
+    fn silent(&self, now_ns: u64) -> Option<usize> {
+        let sources = self.sources.iter().enumerate();
+        let (at, oldest) = sources.min_by_key(|(_, source)| source.taken_ns)?;
+        (now_ns.saturating_sub(oldest.taken_ns) > self.leave_after_ns).then_some(at)
     }
 
     pub(crate) fn all(&self) -> &[Source] {
@@ -106,6 +183,19 @@ impl Sources {
 mod tests {
     use super::*;
 
+    const STALE_NS: u64 = 500;
+    const LEAVE_NS: u64 = 3_000;
+
+    fn sources(most: usize) -> Sources {
+        Sources {
+            sources: Vec::new(),
+            most,
+            leave_after_ns: LEAVE_NS,
+            yield_after_ns: STALE_NS,
+            recent: 0,
+        }
+    }
+
     fn header(source_id: u64, source_epoch: u64, samples_before: u64) -> SampleHeader {
         SampleHeader {
             source_id,
@@ -117,9 +207,9 @@ mod tests {
 
     #[test]
     fn what_is_lost_before_and_between_frames_is_counted() {
-        let (mut sources, mut drops) = (Sources::new(2), DropCounts::default());
+        let (mut sources, mut drops) = (sources(2), DropCounts::default());
         let mut frame = |id, epoch, before, drops: &mut DropCounts| {
-            sources.frame(&header(id, epoch, before), 10, drops)
+            sources.frame(&header(id, epoch, before), 10, 1_000, drops)
         };
         assert_eq!(frame(1, 5, 30, &mut drops), Ok(()));
         assert_eq!(drops.get(DropReason::BeforeJoin), 30);
@@ -132,5 +222,77 @@ mod tests {
         assert_eq!(frame(2, 1, 0, &mut drops), Ok(()));
         assert_eq!(frame(3, 1, 0, &mut drops), Err(DropReason::TooManySources));
         assert_eq!(drops.total(), 50);
+    }
+
+    #[test]
+    fn one_false_frame_shuts_a_source_out_for_as_long_as_makes_a_robot_stale_and_no_longer() {
+        let far = u64::MAX;
+        for (epoch, before, refused) in [
+            (far, 0, DropReason::OldEpoch),
+            (far, far, DropReason::OldEpoch),
+            (8, 0, DropReason::OldEpoch),
+            // The run is right and the number false.
+            (7, far, DropReason::Duplicate),
+            (7, 1 << 40, DropReason::Duplicate),
+        ] {
+            let (mut sources, mut drops) = (sources(1), DropCounts::default());
+            let mut sent = 0;
+            let mut real = |sources: &mut Sources, now_ns, drops: &mut DropCounts| {
+                let taken = sources.frame(&header(1, 7, sent), 10, now_ns, drops);
+                sent += 10;
+                taken
+            };
+            for now_ns in [1_000, 1_100, 1_200] {
+                assert_eq!(real(&mut sources, now_ns, &mut drops), Ok(()));
+            }
+            let forged = sources.frame(&header(1, epoch, before), 10, 1_250, &mut drops);
+            assert_eq!(
+                forged,
+                Ok(()),
+                "{epoch} {before}: it looks like the next run"
+            );
+            for now_ns in (1_300..=1_250 + STALE_NS).step_by(100) {
+                let taken = real(&mut sources, now_ns, &mut drops);
+                assert_eq!(taken, Err(refused), "{epoch} {before} at {now_ns}");
+            }
+            let lost = drops;
+            for now_ns in (1_800..9_000).step_by(100) {
+                let taken = real(&mut sources, now_ns, &mut drops);
+                assert_eq!(taken, Ok(()), "{epoch} {before} at {now_ns}");
+            }
+            // What was refused is not counted a second time as lost.
+            assert_eq!(drops, lost, "{epoch} {before}");
+        }
+    }
+
+    #[test]
+    fn a_hundred_thousand_names_find_places_and_no_living_source_loses_its_own() {
+        let (mut sources, mut drops) = (sources(64), DropCounts::default());
+        for name in 0..100_000_u64 {
+            // 64 names in less than the time that makes a source leave would be too many.
+            let now_ns = name * LEAVE_NS / 60;
+            let living = sources.frame(&header(u64::MAX, 1, 10 * name), 10, now_ns, &mut drops);
+            assert_eq!(living, Ok(()), "at {now_ns}");
+            let named = sources.frame(&header(name, 1, 0), 10, now_ns, &mut drops);
+            assert_eq!(named, Ok(()), "name {name} at {now_ns}");
+        }
+        assert_eq!((sources.all().len(), drops.total()), (64, 0));
+    }
+
+    #[test]
+    fn a_flood_of_names_takes_the_places_of_silent_sources_alone() {
+        let (mut sources, mut drops) = (sources(4), DropCounts::default());
+        let mut taken = 0;
+        for step in 0..10_000_u64 {
+            let now_ns = step * 10;
+            for id in [u64::MAX, u64::MAX - 1] {
+                let living = sources.frame(&header(id, 1, 10 * step), 10, now_ns, &mut drops);
+                assert_eq!(living, Ok(()), "{id} at {now_ns}");
+            }
+            let flooding = sources.frame(&header(step, 1, 0), 10, now_ns, &mut drops);
+            taken += u64::from(flooding.is_ok());
+        }
+        // Two places, each free again after the silence.
+        assert_eq!(taken, 2 * 100_000_u64.div_ceil(LEAVE_NS + 10));
     }
 }

@@ -14,14 +14,18 @@ pub(crate) struct Account {
     pub ledger: Ledger,
 }
 
-/// At most as many accounts as the capacity, in columns.
+/// At most as many accounts as the capacity, in columns that are a ring: the one that is given up for
+/// another is among the oldest.
 #[derive(Debug)]
 pub(crate) struct Departed {
     robots: Vec<u32>,
     charged: Vec<bool>,
     ledgers: Vec<Ledger>,
     place_of: Index,
-    most: usize,
+    /// Place of the oldest account, and how many there are from there on.
+    oldest: usize,
+    len: usize,
+    given_up: u64,
 }
 
 impl Departed {
@@ -29,67 +33,68 @@ impl Departed {
     pub(crate) const BYTES: usize = size_of::<u32>() + size_of::<bool>();
 
     pub(crate) fn new(most: u32) -> Self {
-        let capacity = most as usize;
+        let places = most as usize;
         Self {
-            robots: Vec::with_capacity(capacity),
-            charged: Vec::with_capacity(capacity),
-            ledgers: Vec::with_capacity(capacity),
+            robots: vec![0; places],
+            charged: vec![false; places],
+            ledgers: vec![Ledger::default(); places],
             place_of: Index::new(most),
-            most: capacity,
+            oldest: 0,
+            len: 0,
+            given_up: 0,
         }
     }
 
-    /// Keeps an account if there is room for it, and says whether there was. An account kept
-    /// before for the same robot is replaced.
+    /// Keeps an account. One kept before for the same robot is replaced; when there is no room, the
+    /// oldest is given up. Returns whether none was.
     pub(crate) fn keep(&mut self, account: Account) -> bool {
-        if let Some(place) = self.place(account.robot) {
-            self.charged[place] = account.charged;
-            self.ledgers[place] = account.ledger;
-            return true;
+        let known = self.place(account.robot);
+        let room = known.is_some() || self.len < self.robots.len();
+        if !room {
+            self.take(self.robots[self.oldest]);
+            self.given_up += 1;
         }
-        if self.robots.len() == self.most {
-            return false;
-        }
-        self.place_of
-            .insert(account.robot, self.robots.len() as u32);
-        self.robots.push(account.robot);
-        self.charged.push(account.charged);
-        self.ledgers.push(account.ledger);
-        true
+        let place = known.unwrap_or_else(|| {
+            let place = self.after(self.len);
+            self.place_of.insert(account.robot, place as u32);
+            self.len += 1;
+            place
+        });
+        self.robots[place] = account.robot;
+        self.charged[place] = account.charged;
+        self.ledgers[place] = account.ledger;
+        room
     }
 
-    /// Gives up a robot's account.
+    /// Gives up a robot's account. The oldest one moves to its place.
     pub(crate) fn take(&mut self, robot: u32) -> Option<Account> {
         let Self {
             robots, place_of, ..
         } = self;
         let place = place_of.remove(robot, |place| robots[place as usize])?;
-        if let Some(last) = robots.last().copied().filter(|last| *last != robot) {
-            place_of.replace(last, place, |place| robots[place as usize]);
+        let (oldest, first) = (self.oldest, robots[self.oldest]);
+        if first != robot {
+            place_of.replace(first, place, |place| robots[place as usize]);
         }
         let place = place as usize;
-        Some(Account {
-            robot: robots.swap_remove(place),
-            charged: self.charged.swap_remove(place),
-            ledger: self.ledgers.swap_remove(place),
-        })
+        let account = self.account(place);
+        self.robots[place] = first;
+        self.charged[place] = self.charged[oldest];
+        self.ledgers[place] = self.ledgers[oldest];
+        self.oldest = self.after(1);
+        self.len -= 1;
+        Some(account)
     }
 
+    /// All accounts, the oldest first.
     pub(crate) fn accounts(&self) -> impl Iterator<Item = Account> + '_ {
-        let columns = self.robots.iter().zip(&self.charged).zip(&self.ledgers);
-        columns.map(|((robot, charged), ledger)| Account {
-            robot: *robot,
-            charged: *charged,
-            ledger: *ledger,
-        })
+        (0..self.len).map(|nth| self.account(self.after(nth)))
     }
 
-    /// Keeps `accounts` instead of those kept so far.
+    /// Keeps `accounts` instead of those kept so far, the oldest first.
     pub(crate) fn replace(&mut self, accounts: &[Account]) {
-        self.robots.clear();
-        self.charged.clear();
-        self.ledgers.clear();
         self.place_of.clear();
+        (self.oldest, self.len) = (0, 0);
         for account in accounts {
             self.keep(*account);
         }
@@ -99,9 +104,96 @@ impl Departed {
         self.place(robot).map(|place| &self.ledgers[place])
     }
 
+    /// Accounts that had to make room for others.
+    pub(crate) const fn given_up(&self) -> u64 {
+        self.given_up
+    }
+
+    /// The `nth` place from the oldest on.
+    fn after(&self, nth: usize) -> usize {
+        let (place, places) = (self.oldest + nth, self.robots.len());
+        if place < places {
+            place
+        } else {
+            place - places
+        }
+    }
+
+    fn account(&self, place: usize) -> Account {
+        Account {
+            robot: self.robots[place],
+            charged: self.charged[place],
+            ledger: self.ledgers[place],
+        }
+    }
+
     fn place(&self, robot: u32) -> Option<usize> {
         self.place_of
             .find(robot, |place| self.robots[place as usize])
             .map(|place| place as usize)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::VecDeque;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn account(robot: u32, stamp_ns: u64) -> Account {
+        Account {
+            robot,
+            charged: stamp_ns % 3 == 0,
+            ledger: Ledger::restored((1, 2), 3, 4, 5, stamp_ns),
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn it_keeps_what_a_queue_keeps_however_robots_leave_and_come_back(
+            most in 1u32..20,
+            steps in prop::collection::vec((any::<bool>(), 0u32..40), 0..400),
+        ) {
+            let (mut departed, mut queue) = (Departed::new(most), VecDeque::new());
+            let mut given_up = 0;
+            for (at, (leaves, robot)) in steps.into_iter().enumerate() {
+                let known = queue.iter().position(|it: &Account| it.robot == robot);
+                if leaves {
+                    let account = account(robot, at as u64);
+                    let room = known.is_some() || queue.len() < most as usize;
+                    match known {
+                        Some(known) => queue[known] = account,
+                        None => {
+                            given_up += u64::from(!room);
+                            queue.drain(..usize::from(!room));
+                            queue.push_back(account);
+                        }
+                    }
+                    prop_assert_eq!(departed.keep(account), room);
+                } else {
+                    let taken = departed.take(robot);
+                    prop_assert_eq!(taken.map(|it| it.ledger), known.map(|it| queue[it].ledger));
+                    if let Some(known) = known {
+                        queue.swap(0, known);
+                        queue.pop_front();
+                    }
+                }
+                let kept: Vec<_> = departed.accounts().map(|it| (it.robot, it.charged, it.ledger)).collect();
+                let expected: Vec<_> = queue.iter().map(|it| (it.robot, it.charged, it.ledger)).collect();
+                prop_assert_eq!(kept, expected);
+                for robot in 0..40 {
+                    let found = departed.ledger(robot).copied();
+                    let queued = queue.iter().find(|it| it.robot == robot).map(|it| it.ledger);
+                    prop_assert_eq!(found, queued);
+                }
+            }
+            prop_assert_eq!(departed.given_up(), given_up);
+            let accounts: Vec<_> = departed.accounts().collect();
+            let mut again = Departed::new(most);
+            again.replace(&accounts);
+            prop_assert_eq!(again.accounts().count(), accounts.len());
+        }
     }
 }

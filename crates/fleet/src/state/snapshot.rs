@@ -22,7 +22,7 @@ use crate::ledger::energy::LedgerLanes;
 
 /// First bytes of the encoded form. The last of them is its version: one more whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x05";
+const MAGIC: [u8; 8] = *b"jbstate\x06";
 
 /// Everything that a tick depends on but the settings and the models, bit for bit: who is in the
 /// fleet and where, windows, ledgers, intervals, scores, detectors, what is learned online, accounts

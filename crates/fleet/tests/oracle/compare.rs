@@ -24,9 +24,53 @@ pub(crate) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(),
         compare_forecast(fleet, oracle, *id, member, now_ns)?;
         compare_scores(fleet, *id, member)?;
         compare_account(fleet, *id, &member.robot.account)?;
+        one_nan(fleet, *id)?;
     }
     for (id, account) in &oracle.departed {
         compare_account(fleet, *id, account)?;
+    }
+    Ok(())
+}
+
+/// Whatever is not a number leaves with the same bits on every machine.
+fn one_nan(fleet: &Fleet, id: u32) -> Result<(), TestCaseError> {
+    let (forecast, diagnostic) = (world::forecast(fleet, id), world::diagnostic(fleet, id));
+    let budget = world::budget(fleet, id);
+    let singles = [
+        forecast.reading_w,
+        forecast.power_w,
+        forecast.lo_w,
+        forecast.hi_w,
+        diagnostic.residual_w,
+        diagnostic.residual_z,
+        diagnostic.bias_w,
+        diagnostic.cusum_up,
+        diagnostic.cusum_down,
+        diagnostic.noise_ratio,
+        diagnostic.coverage,
+        diagnostic.coverage_recent,
+        budget.mean_power_w,
+        budget.left_j,
+        budget.usable_j,
+        budget.usable_lo_j,
+        budget.soc,
+        budget.soc_lo,
+        budget.time_to_empty_s,
+        budget.time_to_empty_lo_s,
+        budget.time_to_empty_hi_s,
+    ];
+    for value in singles.into_iter().filter(|value| value.is_nan()) {
+        prop_assert_eq!(value.to_bits(), f32::NAN.to_bits(), "robot {}", id);
+    }
+    let doubles = [
+        diagnostic.mae_w,
+        diagnostic.r2,
+        diagnostic.persistence_mae_w,
+        diagnostic.persistence_r2,
+        diagnostic.skill,
+    ];
+    for value in doubles.into_iter().filter(|value| value.is_nan()) {
+        prop_assert_eq!(value.to_bits(), f64::NAN.to_bits(), "robot {}", id);
     }
     Ok(())
 }

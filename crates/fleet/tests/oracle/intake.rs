@@ -1,6 +1,6 @@
 //! Which samples must be taken, and which refused for what: membership, ownership, order, values.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, Platform};
@@ -25,13 +25,22 @@ pub(crate) struct Member {
     pub invalid: Option<InvalidReason>,
 }
 
+/// A source, with the two runs of it that matter: epochs and samples accounted for.
+#[derive(Debug, Clone, Copy)]
+struct Known {
+    id: u64,
+    speaks: (u64, u64),
+    other: Option<(u64, u64)>,
+    heard_ns: u64,
+}
+
 pub(crate) struct Oracle {
     settings: FleetSettings,
     pub models: Vec<Model>,
     pub members: BTreeMap<u32, Member>,
-    pub departed: BTreeMap<u32, Account>,
-    /// Source id to epoch and samples accounted for.
-    sources: BTreeMap<u64, (u64, u64)>,
+    /// The oldest first.
+    pub departed: VecDeque<(u32, Account)>,
+    sources: Vec<Known>,
     pub accepted: u64,
     pub drops: BTreeMap<&'static str, u64>,
 }
@@ -42,15 +51,19 @@ impl Oracle {
             settings,
             models,
             members: BTreeMap::new(),
-            departed: BTreeMap::new(),
-            sources: BTreeMap::new(),
+            departed: VecDeque::new(),
+            sources: Vec::new(),
             accepted: 0,
             drops: BTreeMap::new(),
         }
     }
 
     pub(crate) fn keeps_account_of(&self, source_id: u64) -> bool {
-        self.sources.contains_key(&source_id)
+        self.sources.iter().any(|known| known.id == source_id)
+    }
+
+    pub(crate) fn has_free_place(&self) -> bool {
+        self.sources.len() < usize::from(self.settings.intake.max_sources)
     }
 
     fn drop(&mut self, reason: DropReason, count: u64) {
@@ -61,7 +74,7 @@ impl Oracle {
     }
 
     pub(crate) fn take(&mut self, header: &SampleHeader, samples: &[Sample], now_ns: u64) {
-        if let Err(reason) = self.frame(header, samples.len() as u64) {
+        if let Err(reason) = self.frame(header, samples.len() as u64, now_ns) {
             self.drop(reason, samples.len() as u64);
             return;
         }
@@ -73,42 +86,76 @@ impl Oracle {
         }
     }
 
-    fn frame(&mut self, header: &SampleHeader, count: u64) -> Result<(), DropReason> {
+    fn frame(&mut self, header: &SampleHeader, count: u64, now_ns: u64) -> Result<(), DropReason> {
         if header.schema != SCHEMA_VERSION {
             return Err(DropReason::Schema);
         }
-        let known = self.sources.get(&header.source_id).copied();
-        if known.is_none() && self.sources.len() == usize::from(self.settings.intake.max_sources) {
-            return Err(DropReason::TooManySources);
-        }
-        let (epoch, accounted) = known.unwrap_or((header.source_epoch, 0));
-        if header.source_epoch < epoch {
+        let epoch = header.source_epoch;
+        let at = self.place(header, now_ns)?;
+        let mut known = self.sources[at];
+        let platforms = self.settings.platforms.iter();
+        let stale_after_ns = platforms.map(|platform| platform.stale_after_ns).max();
+        let silent = now_ns - known.heard_ns > stale_after_ns.expect("there are platforms");
+        let next = header.samples_before.saturating_add(count);
+        if epoch < known.speaks.0 && !silent {
             return Err(DropReason::OldEpoch);
         }
-        let accounted = if header.source_epoch > epoch {
-            0
-        } else {
-            accounted
-        };
-        self.sources
-            .insert(header.source_id, (header.source_epoch, accounted));
-        if header.samples_before < accounted {
+        if epoch != known.speaks.0 {
+            let newer = epoch > known.speaks.0;
+            let before = known.other.filter(|(other, _)| newer && *other == epoch);
+            let unheard = if newer { 0 } else { header.samples_before };
+            known.other = Some(known.speaks);
+            known.speaks = before.unwrap_or((epoch, unheard));
+        }
+        self.sources[at] = known;
+        let accounted = known.speaks.1;
+        if header.samples_before < accounted && !silent {
             return Err(DropReason::Duplicate);
         }
+        self.lose(header.samples_before, accounted);
+        known.speaks.1 = next;
+        known.heard_ns = now_ns;
+        self.sources[at] = known;
+        Ok(())
+    }
+
+    /// The source's place; a new one gets a free one, or that of the source that was silent longest.
+    fn place(&mut self, header: &SampleHeader, now_ns: u64) -> Result<usize, DropReason> {
+        let (id, epoch) = (header.source_id, header.source_epoch);
+        if let Some(at) = self.sources.iter().position(|known| known.id == id) {
+            return Ok(at);
+        }
+        let free = self.has_free_place();
+        let new = Known {
+            id,
+            // Who comes back, or was refused before, is not counted twice.
+            speaks: (epoch, if free { 0 } else { header.samples_before }),
+            other: None,
+            heard_ns: now_ns,
+        };
+        let intake = self.settings.intake;
+        if free {
+            self.sources.push(new);
+            return Ok(self.sources.len() - 1);
+        }
+        let longest = self.sources.iter().map(|known| known.heard_ns).min();
+        let longest = longest.expect("there are places");
+        if now_ns - longest <= intake.leave_after_ns {
+            return Err(DropReason::TooManySources);
+        }
+        let silent = |known: &Known| known.heard_ns == longest;
+        let at = self.sources.iter().position(silent).expect("just found");
+        self.sources[at] = new;
+        Ok(at)
+    }
+
+    fn lose(&mut self, before: u64, accounted: u64) {
         let reason = if accounted == 0 {
             DropReason::BeforeJoin
         } else {
             DropReason::Overflow
         };
-        self.drop(reason, header.samples_before - accounted);
-        self.sources.insert(
-            header.source_id,
-            (
-                header.source_epoch,
-                header.samples_before.saturating_add(count),
-            ),
-        );
-        Ok(())
+        self.drop(reason, before.saturating_sub(accounted));
     }
 
     fn kind_of(&self, id: u32) -> Option<usize> {
@@ -126,7 +173,12 @@ impl Oracle {
         if self.members.len() == self.settings.capacity as usize {
             return Err(DropReason::OverCapacity);
         }
-        let account = self.departed.remove(&id).unwrap_or_default();
+        let kept = self.departed.iter().position(|(kept, _)| *kept == id);
+        let account = kept.map_or_else(Account::default, |place| {
+            // The oldest moves to where it lay.
+            self.departed.swap(0, place);
+            self.departed.pop_front().expect("it was just found").1
+        });
         let slot = (0..self.members.len())
             .find(|slot| self.members.values().all(|member| member.slot != *slot))
             .unwrap_or(self.members.len());
@@ -159,10 +211,7 @@ impl Oracle {
         if member.owner != header.source_id {
             return Err(DropReason::ForeignSource);
         }
-        if header.source_epoch < member.epoch {
-            return Err(DropReason::OldEpoch);
-        }
-        if header.source_epoch > member.epoch {
+        if header.source_epoch != member.epoch {
             member.epoch = header.source_epoch;
             member.seqs.clear();
             member.fresh_run = true;
@@ -225,9 +274,10 @@ impl Oracle {
         for id in gone {
             let member = self.members.remove(&id).expect("it was just found");
             // At most as many accounts are kept as the capacity.
-            if self.departed.len() < self.settings.capacity as usize {
-                self.departed.insert(id, member.robot.account);
+            if self.departed.len() == self.settings.capacity as usize {
+                self.departed.pop_front();
             }
+            self.departed.push_back((id, member.robot.account));
         }
         for member in self.members.values_mut() {
             member.taken = 0;

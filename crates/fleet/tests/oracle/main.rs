@@ -134,11 +134,13 @@ fn simulate(
         arrived.sort_by_key(|frame| frame.at_ns);
         for frame in arrived {
             let taken_ns = frame.at_ns;
+            let source_id = frame.header.source_id;
+            let counted = oracle.keeps_account_of(source_id) || oracle.has_free_place();
             fleet.take(&frame.header, &frame.samples, taken_ns);
             oracle.take(&frame.header, &frame.samples, taken_ns);
             sent += frame.samples.len() as u64;
-            // Of a source too many no account is kept.
-            if oracle.keeps_account_of(frame.header.source_id) {
+            // Of a source too many no account is kept, nor of what it sent before it got a place.
+            if counted && oracle.keeps_account_of(source_id) {
                 sent += frame.lost;
             }
         }

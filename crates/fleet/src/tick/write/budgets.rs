@@ -1,5 +1,6 @@
 //! Budgets.
 
+use joulebus_predictor::canonical;
 use joulebus_settings::{Battery, Platform};
 use joulebus_wire::{Budget, ChargeState, budget_flag};
 
@@ -54,15 +55,15 @@ impl<'a> Budgets<'a> {
             stamp_ns: stamp_ns.unwrap_or(0),
             valid_until_ns: stamp_ns
                 .map_or(0, |stamp| stamp.saturating_add(platform.stale_after_ns)),
-            mean_power_w: last.mean_power_w,
-            left_j: remaining.left_j,
-            usable_j: remaining.usable_j,
-            usable_lo_j: remaining.usable_lo_j,
-            soc: remaining.soc,
-            soc_lo: remaining.soc_lo,
-            time_to_empty_s: remaining.time_to_empty_s,
-            time_to_empty_lo_s: remaining.time_to_empty_lo_s,
-            time_to_empty_hi_s: remaining.time_to_empty_hi_s,
+            mean_power_w: canonical(last.mean_power_w),
+            left_j: canonical(remaining.left_j),
+            usable_j: canonical(remaining.usable_j),
+            usable_lo_j: canonical(remaining.usable_lo_j),
+            soc: canonical(remaining.soc),
+            soc_lo: canonical(remaining.soc_lo),
+            time_to_empty_s: canonical(remaining.time_to_empty_s),
+            time_to_empty_lo_s: canonical(remaining.time_to_empty_lo_s),
+            time_to_empty_hi_s: canonical(remaining.time_to_empty_hi_s),
             reserved2: 0,
         }
     }

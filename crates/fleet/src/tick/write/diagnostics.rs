@@ -1,5 +1,6 @@
 //! Diagnostics.
 
+use joulebus_predictor::canonical;
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, Level, diagnostic_flag};
 
 use crate::layout::lanes::{Block as _, LANES, Lanes};
@@ -71,14 +72,14 @@ impl<'a> Diagnostics<'a> {
             level,
             alarm: first,
             alarms: alarms.0,
-            residual_w: last.residual_w,
-            residual_z: last.residual_w / context.sigma_w,
-            bias_w: detectors.bias_w[lane],
-            cusum_up: detectors.cusum_up[lane],
-            cusum_down: detectors.cusum_down[lane],
-            noise_ratio: detectors.noise_ratio[lane],
-            coverage: self.coverage[lane],
-            coverage_recent: self.coverage_recent[lane],
+            residual_w: canonical(last.residual_w),
+            residual_z: canonical(last.residual_w / context.sigma_w),
+            bias_w: canonical(detectors.bias_w[lane]),
+            cusum_up: canonical(detectors.cusum_up[lane]),
+            cusum_down: canonical(detectors.cusum_down[lane]),
+            noise_ratio: canonical(detectors.noise_ratio[lane]),
+            coverage: canonical(self.coverage[lane]),
+            coverage_recent: canonical(self.coverage_recent[lane]),
             scored,
             mae_w: self.mae_w[lane],
             r2: self.r2[lane],

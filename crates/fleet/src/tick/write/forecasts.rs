@@ -1,5 +1,6 @@
 //! Forecasts.
 
+use joulebus_predictor::canonical;
 use joulebus_wire::{Forecast, InvalidReason, Quality, forecast_flag};
 
 use crate::ingest::admission::AdmissionState;
@@ -70,7 +71,7 @@ impl<'a> Forecasts<'a> {
         } else {
             self.otherwise(tick, lane)
         };
-        let watts = |value: f32| if known { value } else { f32::NAN };
+        let watts = |value: f32| canonical(if known { value } else { f32::NAN });
         Forecast {
             robot: admission.id,
             flags: flag(known, forecast_flag::POWER | forecast_flag::INTERVAL)
@@ -78,7 +79,7 @@ impl<'a> Forecasts<'a> {
                 | flag(admission.accepted, forecast_flag::SAMPLE),
             quality,
             quality_detail,
-            reading_w: last.reading_w,
+            reading_w: canonical(last.reading_w),
             power_w: watts(self.power_w[lane]),
             lo_w: watts(self.lo_w[lane]),
             hi_w: watts(self.hi_w[lane]),

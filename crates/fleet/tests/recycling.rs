@@ -1,0 +1,111 @@
+//! A fleet lives through any number of names, robots and false frames: its tables free what is silent, and
+//! what lives keeps its place.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+#[path = "../../../tests/counting.rs"]
+mod counting;
+mod world;
+
+use counting::allocations;
+use joulebus_fleet::Fleet;
+use joulebus_wire::{DropReason, Quality};
+use world::{MS, PERIOD_NS, Source, fleet, forecast, healthy, quality};
+
+const NAMES: u64 = 100_000;
+/// The world's fleets let a robot leave after this.
+const LEAVE_AFTER_NS: u64 = 2_500 * MS;
+const LIVING: u32 = 7;
+
+#[test]
+fn a_hundred_thousand_sources_and_robots_come_and_go_and_a_living_robot_never_notices() {
+    // Room for the living robot and its source, and for 63 others.
+    let mut settings = world::settings(64);
+    settings.intake.max_sources = 64;
+    let mut fleet = Fleet::new(settings, world::models()).unwrap();
+    let mut living = Source::new(2 * NAMES, 1);
+    let (mut now_ns, mut step, mut names) = (60_000 * MS, 0, 0);
+    let allocated = allocations(|| {
+        while names < NAMES {
+            now_ns += PERIOD_NS;
+            let sample = healthy(LIVING, step, now_ns, PERIOD_NS);
+            living.send(&mut fleet, &[sample], now_ns);
+            step += 1;
+            if step % (LEAVE_AFTER_NS / PERIOD_NS + 2) == 0 {
+                for _ in 0..63 {
+                    names += 1;
+                    let robot = (names % 290) as u32 + 8;
+                    let mut source = Source::new(names, 1);
+                    source.send(&mut fleet, &[healthy(robot, 0, now_ns, PERIOD_NS)], now_ns);
+                    assert_eq!(fleet.drops().total(), 0, "name {names}");
+                }
+            }
+            fleet.tick(now_ns, false);
+            if step > 10 {
+                let found = quality(&fleet, LIVING);
+                assert!(matches!(found, Quality::Fresh | Quality::Held), "{found:?}");
+            }
+        }
+    });
+    assert_eq!(allocated, 0, "no table has grown");
+    assert_eq!(fleet.accepted(), step + names);
+    let given_up = fleet.accounts_given_up();
+    assert!(
+        given_up > NAMES / 2,
+        "{given_up} accounts made room for others"
+    );
+    let account = fleet.ledger(LIVING).unwrap();
+    assert_eq!(
+        account.metered_ns,
+        (step - 1) * PERIOD_NS,
+        "its account is whole"
+    );
+}
+
+#[test]
+fn a_false_frame_in_a_sources_name_costs_its_robots_a_stale_period_and_no_more() {
+    let far = u64::MAX;
+    let settings = world::settings(2);
+    let stale_after_ns = settings.platforms.iter().map(|it| it.stale_after_ns).max();
+    let forged_at = 20;
+    let back_at = forged_at + stale_after_ns.unwrap() / PERIOD_NS + 2;
+    for (epoch, before) in [(far, 0), (far, far), (6, 0), (5, far), (5, 1 << 40)] {
+        let what = format!("run {epoch}, {before} samples before");
+        let (mut fleet, mut source) = (fleet(2), Source::new(1, 5));
+        let mut shut_out = 0;
+        for step in 0..back_at + 60 {
+            let now_ns = 60_000 * MS + step * PERIOD_NS;
+            source.send(
+                &mut fleet,
+                &[healthy(LIVING, step, now_ns, PERIOD_NS)],
+                now_ns,
+            );
+            if step == forged_at {
+                let mut forged = Source::new(1, epoch).header;
+                forged.samples_before = before;
+                let sample = healthy(LIVING, step + 1, now_ns + MS, PERIOD_NS);
+                fleet.take(&forged, &[sample], now_ns);
+            }
+            fleet.tick(now_ns, false);
+            let refused = [DropReason::OldEpoch, DropReason::Duplicate];
+            let refused: u64 = refused
+                .iter()
+                .map(|reason| fleet.drops().get(*reason))
+                .sum();
+            if step == back_at {
+                shut_out = refused;
+                assert!(shut_out > 0, "{what}: it looks like the next run");
+            }
+            // Five readings fill the window again.
+            if (5..forged_at).contains(&step) || step > back_at + 5 {
+                let found = quality(&fleet, LIVING);
+                let fresh = matches!(found, Quality::Fresh | Quality::Held);
+                assert!(fresh, "{what}: {found:?} in step {step}");
+            }
+            assert!(
+                step <= back_at || refused == shut_out,
+                "{what}: step {step}"
+            );
+        }
+        assert_eq!(forecast(&fleet, LIVING).source_epoch, 5, "{what}");
+    }
+}
