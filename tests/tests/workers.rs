@@ -12,14 +12,25 @@ use serde_json::Value;
 
 const ROBOTS: u32 = 4;
 
-/// The ledger on disk, by robot; none while there is no file.
+/// The newest ledger on disk, by robot; none while there is no file. A kill at any point leaves one that is
+/// whole: the newest of the files, or, of a save that was cut short, the one before.
 fn written_down(arena: &Arena) -> Option<BTreeMap<u32, Value>> {
-    let text = std::fs::read_to_string(arena.ledger()).ok()?;
-    // A kill at any point leaves a whole file: one that cannot be read fails the test.
-    let file: Value = serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {text}"));
-    let robots = file["robots"].as_object().expect("accounts by robot");
+    let mut found: Vec<Value> = ["", ".older", ".new"]
+        .iter()
+        .filter_map(|ending| {
+            let mut path = arena.ledger().into_os_string();
+            path.push(ending);
+            let text = std::fs::read_to_string(path).ok()?;
+            let file = serde_json::from_str(&text);
+            assert!(file.is_ok() || *ending == ".new", "{file:?}: {text}");
+            file.ok()
+        })
+        .collect();
+    found.sort_by_key(|file| file["generation"].as_u64());
+    let robots = found.pop()?["ledger"]["robots"].as_object().cloned();
     Some(
         robots
+            .expect("accounts by robot")
             .iter()
             .map(|(robot, account)| (robot.parse().expect("an id"), account.clone()))
             .collect(),
@@ -194,6 +205,61 @@ fn row_2_killed_workers_are_seen_at_once_and_the_ledger_goes_on_exactly_from_its
             audit.ledgers
         ),
     );
+    arena.close();
+}
+
+#[test]
+fn an_edited_ledger_is_set_aside_and_named_and_the_account_goes_on_from_the_one_before() {
+    let setup = Setup {
+        tick_hz: 100.0,
+        rate_hz: 50.0,
+        stale_after_s: 0.5,
+        ledger: true,
+        ..Setup::default()
+    };
+    let arena = Arena::new(&setup);
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut controller = arena.controller("controller", 0, ROBOTS, 50.0);
+    eventually("some energy is written down, twice", || {
+        let ledger = written_down(&arena).unwrap_or_default();
+        let drawn = |account: &Value| account["drawn_uj"].as_i64() > Some(0);
+        let older = arena.ledger().with_extension("json.older");
+        ledger.len() == ROBOTS as usize && ledger.values().all(drawn) && older.exists()
+    });
+    assert_eq!(worker.stop().code(), Some(0));
+    let text = std::fs::read_to_string(arena.ledger()).expect("it was saved");
+    let at = text.find("\"drawn_uj\":").expect("an account") + "\"drawn_uj\":".len();
+    let end = at + text[at..].find(',').expect("more fields");
+    let edited = format!("{}100000000000{}", &text[..at], &text[end..]);
+    std::fs::write(arena.ledger(), &edited).expect("the arena's own directory");
+    let mut worker = arena.worker();
+    let pid = worker.pid();
+    let epoch = planner.forecast("the next worker", |frame| {
+        (frame.pid == pid).then_some(frame.worker_epoch)
+    });
+    let budgets = planner.until("budgets", |line| match line {
+        ReaderLine::Budgets(frame) if frame.worker_epoch == epoch && !frame.robots.is_empty() => {
+            Some(frame.clone())
+        }
+        _ => None,
+    });
+    for line in &budgets.robots {
+        assert!(line.metered_ns > 0, "the older account goes on: {line:?}");
+        let drawn = 2 * steady_uw(line.robot) * i128::from(line.metered_ns);
+        assert_eq!(
+            line.drawn_exact(),
+            drawn,
+            "and not the edited one: {line:?}"
+        );
+    }
+    controller.finish();
+    planner.leave();
+    let ended = worker.stop();
+    let aside = arena.ledger().with_extension("json.damaged-1");
+    assert_eq!(std::fs::read_to_string(&aside).ok(), Some(edited), "kept");
+    let named = aside.display().to_string();
+    assert!(ended.errors().contains(&named), "{}", ended.errors());
     arena.close();
 }
 

@@ -114,7 +114,7 @@ pub const KEYS: &[Key] = &[
     key("ledger.checkpoint", ValueKind::Text(TextRule::OptionalPath), "", DefaultValue::Text(""),
         "File that the energy ledger is saved to and restored from; empty: the ledger is lost when the worker ends."),
     key("ledger.every_s", num(0.05..=3600.0), "s", DefaultValue::Number(1.0),
-        "Time between two checkpoints: a killed worker loses at most this much of the ledger."),
+        "Longest time between two checkpoints: a killed worker loses at most this much of the ledger, unless the disk is slow (then the log says so)."),
 
     key("worker.threads", int(0..=64), "threads", DefaultValue::Integer(0),
         "Threads of a parallel tick, at most as many as cpus lists; 0: one per entry of cpus or, without cpus, one per processor, at most 8."),

@@ -1,21 +1,15 @@
-//! The ledger on disk, so that a restarted worker continues with every robot's account.
+//! All robots' accounts, so that a restarted worker continues with them.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::Write;
-use std::path::{Path, PathBuf};
 
 use joulebus_fleet::Ledger;
 use joulebus_wire::{Budget, budget_flag};
 use serde::{Deserialize, Serialize};
 
-/// Version of the file.
-const SCHEMA: u32 = 1;
-
 /// All robots' accounts at one moment.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Checkpoint {
-    schema: u32,
+#[serde(deny_unknown_fields)]
+pub(crate) struct Checkpoint {
     /// Name of the fleet: another fleet's file is refused.
     pub fleet: String,
     /// The machine's run that the stamps belong to.
@@ -30,8 +24,9 @@ pub struct Checkpoint {
 
 /// One robot's account, as in [`joulebus_wire::Budget`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Account {
-    drawn_uj: i64,
+#[serde(deny_unknown_fields)]
+pub(crate) struct Account {
+    pub drawn_uj: i64,
     drawn_remainder: i64,
     forecast_uj: i64,
     metered_ns: u64,
@@ -41,51 +36,10 @@ pub struct Account {
     charged: bool,
 }
 
-/// Why a checkpoint could not be read or written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum CheckpointError {
-    /// The system refused.
-    #[error("ledger checkpoint {path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The file is not a checkpoint.
-    #[error(
-        "ledger checkpoint {path} cannot be read: {source}; move it away to begin a new account"
-    )]
-    Malformed {
-        /// The file.
-        path: PathBuf,
-        /// Where and what.
-        source: serde_json::Error,
-    },
-    /// The file is another fleet's, or of another version.
-    #[error(
-        "ledger checkpoint {path} is of fleet {found:?} in version {found_schema}, expected {expected:?} in version {SCHEMA}; \
-         give each fleet a file of its own"
-    )]
-    Foreign {
-        /// The file.
-        path: PathBuf,
-        /// Fleet it is of.
-        found: String,
-        /// Version it is in.
-        found_schema: u32,
-        /// Fleet it should be of.
-        expected: String,
-    },
-}
-
 impl Checkpoint {
     /// A checkpoint without accounts.
-    #[must_use]
-    pub fn new(fleet: &str, boot_id: &str) -> Self {
+    pub(crate) fn new(fleet: &str, boot_id: &str) -> Self {
         Self {
-            schema: SCHEMA,
             fleet: fleet.to_owned(),
             boot_id: boot_id.to_owned(),
             written_ns: 0,
@@ -94,67 +48,9 @@ impl Checkpoint {
         }
     }
 
-    /// Reads the file of `fleet`; `None` when there is none.
-    ///
-    /// # Errors
-    /// It cannot be read, is malformed, or is another fleet's.
-    pub fn read(path: &Path, fleet: &str) -> Result<Option<Self>, CheckpointError> {
-        let text = match std::fs::read(path) {
-            Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(source) => {
-                return Err(CheckpointError::Io {
-                    path: path.to_owned(),
-                    source,
-                });
-            }
-        };
-        let read: Self =
-            serde_json::from_slice(&text).map_err(|source| CheckpointError::Malformed {
-                path: path.to_owned(),
-                source,
-            })?;
-        if read.schema != SCHEMA || read.fleet != fleet {
-            return Err(CheckpointError::Foreign {
-                path: path.to_owned(),
-                found: read.fleet,
-                found_schema: read.schema,
-                expected: fleet.to_owned(),
-            });
-        }
-        Ok(Some(read))
-    }
-
-    /// Writes the file whole or not at all: a kill at any point leaves the last one or this one.
-    ///
-    /// # Errors
-    /// The system refused; the last file is still there.
-    pub fn write(&self, path: &Path) -> Result<(), CheckpointError> {
-        self.write_aside(path)
-            .map_err(|source| CheckpointError::Io {
-                path: path.to_owned(),
-                source,
-            })
-    }
-
-    fn write_aside(&self, path: &Path) -> std::io::Result<()> {
-        let mut aside = path.as_os_str().to_owned();
-        aside.push(".new");
-        let aside = PathBuf::from(aside);
-        if let Some(directory) = path
-            .parent()
-            .filter(|parent| !parent.as_os_str().is_empty())
-        {
-            std::fs::create_dir_all(directory)?;
-        }
-        let mut file = File::create(&aside)?;
-        file.write_all(&serde_json::to_vec(self)?)?;
-        file.sync_all()?;
-        std::fs::rename(&aside, path)
-    }
-
-    /// Takes the accounts of a frame of budgets.
-    pub fn take(&mut self, budgets: &[Budget]) {
+    /// Takes the accounts of a frame of budgets. Keeps at most `most`, of robots whose last sample is
+    /// newest; returns how many had to go.
+    pub(crate) fn take(&mut self, budgets: &[Budget], most: usize) -> usize {
         for budget in budgets
             .iter()
             .filter(|budget| budget.flags & budget_flag::LEDGER != 0)
@@ -170,12 +66,26 @@ impl Checkpoint {
             };
             self.robots.insert(budget.robot, account);
         }
+        let too_many = self.robots.len().saturating_sub(most);
+        if too_many > 0 {
+            let mut stamps: Vec<(u64, u32)> = self.by_age().collect();
+            stamps.sort_unstable();
+            for (_, robot) in &stamps[..too_many] {
+                self.robots.remove(robot);
+            }
+        }
+        too_many
+    }
+
+    fn by_age(&self) -> impl Iterator<Item = (u64, u32)> + '_ {
+        let robots = self.robots.iter();
+        robots.map(|(robot, account)| (account.stamp_ns, *robot))
     }
 
     /// Makes the accounts fit the machine's present run: after a reboot the stamps restart, and
     /// the time in between, known from the wall clock alone, is unmetered.
     #[must_use]
-    pub fn carried_over(mut self, boot_id: &str, now_ns: u64, now_unix_ns: u64) -> Self {
+    pub(crate) fn carried_over(mut self, boot_id: &str, now_ns: u64, now_unix_ns: u64) -> Self {
         if self.boot_id == boot_id {
             return self;
         }
@@ -192,9 +102,12 @@ impl Checkpoint {
         self
     }
 
-    /// The accounts as ledgers, each with its robot and whether that has been on its charger.
-    pub fn ledgers(&self) -> impl Iterator<Item = (u32, Ledger, bool)> + '_ {
-        self.robots.iter().map(|(robot, account)| {
+    /// The accounts as ledgers, that of the robot that was silent longest first, each with its robot and
+    /// whether that has been on its charger.
+    pub(crate) fn ledgers(&self) -> Vec<(u32, Ledger, bool)> {
+        let mut robots: Vec<(&u32, &Account)> = self.robots.iter().collect();
+        robots.sort_by_key(|(_, account)| account.stamp_ns);
+        let ledger = |(robot, account): (&u32, &Account)| {
             let drawn = (account.drawn_uj, account.drawn_remainder);
             let (metered_ns, unmetered_ns) = (account.metered_ns, account.unmetered_ns);
             let ledger = Ledger::restored(
@@ -205,15 +118,16 @@ impl Checkpoint {
                 account.stamp_ns,
             );
             (*robot, ledger, account.charged)
-        })
+        };
+        robots.into_iter().map(ledger).collect()
     }
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    fn checkpoint() -> Checkpoint {
+    pub(crate) fn checkpoint() -> Checkpoint {
         let budget = Budget {
             robot: 3,
             flags: budget_flag::LEDGER,
@@ -229,37 +143,31 @@ mod tests {
             ..Budget::default()
         };
         let mut checkpoint = Checkpoint::new("lab", "boot-a");
-        checkpoint.take(&[budget, unheard]);
+        assert_eq!(checkpoint.take(&[budget, unheard], 9), 0);
         (checkpoint.written_ns, checkpoint.written_unix_ns) = (1_000, 50_000);
         checkpoint
     }
 
     #[test]
-    fn what_is_written_is_read_to_the_last_digit() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("deep/ledger.json");
-        assert_eq!(Checkpoint::read(&path, "lab").unwrap(), None);
-        checkpoint().write(&path).unwrap();
-        assert_eq!(Checkpoint::read(&path, "lab").unwrap(), Some(checkpoint()));
-        assert_eq!(checkpoint().ledgers().count(), 1);
-    }
-
-    #[test]
-    fn another_fleets_file_and_every_truncation_are_refused() {
-        let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("ledger.json");
-        checkpoint().write(&path).unwrap();
-        let error = Checkpoint::read(&path, "mine").unwrap_err();
-        assert!(matches!(error, CheckpointError::Foreign { .. }), "{error}");
-        let whole = std::fs::read(&path).unwrap();
-        for length in 0..whole.len() {
-            std::fs::write(&path, &whole[..length]).unwrap();
-            let error = Checkpoint::read(&path, "lab").unwrap_err();
-            assert!(
-                matches!(error, CheckpointError::Malformed { .. }),
-                "{length}: {error}"
-            );
+    fn a_hundred_thousand_robots_take_the_memory_of_as_many_as_allowed_and_the_newest_stay() {
+        let mut ledger = Checkpoint::new("lab", "boot-a");
+        let mut gone = 0;
+        let of = |robot, stamp_ns| Budget {
+            robot,
+            flags: budget_flag::LEDGER,
+            stamp_ns,
+            ..Budget::default()
+        };
+        for name in 0..100_000 {
+            let stamp_ns = u64::from(name) + 1;
+            gone += ledger.take(&[of(u32::MAX, stamp_ns), of(name, stamp_ns)], 50);
+            assert!(ledger.robots.len() <= 50, "robot {name}");
         }
+        assert_eq!(gone, 100_001 - 50);
+        let newest: Vec<u32> = (100_000 - 49..100_000).chain([u32::MAX]).collect();
+        assert_eq!(ledger.robots.keys().copied().collect::<Vec<_>>(), newest);
+        let oldest_first = ledger.ledgers();
+        assert!(oldest_first.is_sorted_by_key(|(_, ledger, _)| ledger.stamp_ns()));
     }
 
     #[test]

@@ -1,7 +1,6 @@
 //! The checkpointer: a thread that reads the worker's own frames, as a planner would, and does what the
 //! tick must not: writes the ledger's checkpoints and logs what was refused.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
@@ -13,15 +12,20 @@ use joulebus_bus::{
 use joulebus_config::Config;
 use joulebus_wire::{DropCounts, DropReason};
 
-use crate::checkpoint::{Checkpoint, CheckpointError};
+use crate::checkpoint::Checkpoint;
 use crate::keyframes::{KeyframeOrders, KeyframeSender};
+use crate::ledger_files::{LedgerFileError, LedgerFiles};
+use crate::save_schedule::SaveSchedule;
 
-/// Period of the checkpointer.
-const PERIOD: Duration = Duration::from_millis(200);
-/// Times in a period that a keyframe is looked for while one is on its way.
-const POLLS: u32 = 10;
-/// Periods from one log of what was refused to the next.
-const LOG_EVERY: u64 = 5;
+/// Longest sleep of the checkpointer, ns.
+const PERIOD_NS: u64 = 200_000_000;
+/// How often a keyframe is looked for while one is on its way, ns.
+const POLL_EVERY_NS: u64 = PERIOD_NS / 10;
+/// Time from one log of what was refused to the next, ns.
+const LOG_EVERY_NS: u64 = 5 * PERIOD_NS;
+/// Accounts that the ledger keeps, for each robot that the fleet has room for: as many of robots that have
+/// left.
+const ACCOUNTS_PER_ROBOT: usize = 2;
 
 /// Why the checkpointer could not begin.
 #[derive(Debug, thiserror::Error)]
@@ -58,11 +62,11 @@ pub(crate) struct Checkpointer {
 }
 
 impl Checkpointer {
-    /// Starts the thread and waits until it reads. `before` is what an earlier run wrote down.
+    /// Starts the thread and waits until it reads. `before` is what an earlier run saved, and where.
     pub(crate) fn start(
         domain: &Domain,
         config: &Config,
-        before: Checkpoint,
+        before: SavedLedger,
         failures: Arc<Failures>,
         orders: KeyframeOrders,
     ) -> Result<Self, CheckpointerError> {
@@ -118,8 +122,10 @@ struct CheckpointerLoop {
     _bus: Bus,
     failures: Arc<Failures>,
     checkpoint: Checkpoint,
-    path: Option<PathBuf>,
-    every: u64,
+    /// None where the ledger is not saved.
+    files: Option<LedgerFiles>,
+    most_accounts: usize,
+    schedule: SaveSchedule,
     changed: bool,
     drops: DropCounts,
     failed: (u64, u64),
@@ -131,15 +137,14 @@ impl CheckpointerLoop {
     fn open(
         domain: &Domain,
         config: &Config,
-        checkpoint: Checkpoint,
+        SavedLedger { checkpoint, files }: SavedLedger,
         failures: Arc<Failures>,
         orders: KeyframeOrders,
     ) -> Result<Self, CheckpointerError> {
         let bus = Bus::join(domain, "checkpointer")?;
         let limits = config.limits();
-        let every = config
-            .checkpoint_every_ns()
-            .div_ceil(PERIOD.as_nanos() as u64);
+        let every_ns = files.as_ref().map(|_| config.checkpoint_every_ns());
+        let now_ns = clock::monotonic_ns();
         Ok(Self {
             budgets: bus.budget_reader(&limits)?,
             diagnostics: bus.diagnostic_reader(&limits)?,
@@ -148,8 +153,9 @@ impl CheckpointerLoop {
             _bus: bus,
             failures,
             checkpoint,
-            path: config.checkpoint().map(ToOwned::to_owned),
-            every: every.max(1),
+            files,
+            most_accounts: limits.capacity.saturating_mul(ACCOUNTS_PER_ROBOT),
+            schedule: SaveSchedule::new(every_ns.unwrap_or(u64::MAX), now_ns),
             changed: false,
             drops: DropCounts::default(),
             failed: (0, 0),
@@ -159,54 +165,78 @@ impl CheckpointerLoop {
     }
 
     fn run(mut self, stop: &AtomicBool) {
-        for period in 1_u64.. {
+        let mut log_ns = 0;
+        loop {
             let last = stop.load(Ordering::Relaxed);
             self.read_budgets();
-            if last || period % self.every == 0 {
-                self.write();
+            let now_ns = clock::monotonic_ns();
+            if last || now_ns >= self.schedule.next_ns() {
+                self.save();
             }
-            if last || period % LOG_EVERY == 0 {
+            if last || now_ns >= log_ns {
+                log_ns = now_ns.saturating_add(LOG_EVERY_NS);
                 self.log();
             }
             if last {
                 return;
             }
-            self.wait();
-        }
-    }
-
-    /// Until the next period; polls for a keyframe that is on its way.
-    fn wait(&mut self) {
-        self.keyframes.poll();
-        if !self.keyframes.is_busy() {
-            return std::thread::park_timeout(PERIOD);
-        }
-        for _ in 0..POLLS {
-            std::thread::park_timeout(PERIOD / POLLS);
             self.keyframes.poll();
+            let sleep_ns = if self.keyframes.is_busy() {
+                POLL_EVERY_NS
+            } else {
+                PERIOD_NS
+            };
+            let due_ns = self
+                .schedule
+                .next_ns()
+                .saturating_sub(clock::monotonic_ns());
+            std::thread::park_timeout(Duration::from_nanos(sleep_ns.min(due_ns)));
         }
     }
 
     fn read_budgets(&mut self) {
         match self.budgets.take_latest() {
             Ok(Some(frame)) => {
-                self.checkpoint.take(frame.payload());
+                let gone = self.checkpoint.take(frame.payload(), self.most_accounts);
                 self.checkpoint.written_ns = frame.header().sent_ns;
                 self.checkpoint.written_unix_ns = frame.header().sent_unix_ns;
                 self.changed = true;
+                if gone > 0 {
+                    let allowed = self.most_accounts;
+                    tracing::warn!(
+                        gone,
+                        allowed,
+                        "more robots than accounts: those of robots that left long ago are given up"
+                    );
+                }
             }
             Ok(None) => {}
             Err(error) => tracing::warn!(%error, "the checkpointer cannot read budgets"),
         }
     }
 
-    fn write(&mut self) {
-        let Some(path) = self.path.as_deref().filter(|_| self.changed) else {
+    fn save(&mut self) {
+        let begun_ns = clock::monotonic_ns();
+        let of_ns = self.checkpoint.written_ns;
+        let Some(files) = self.files.as_mut().filter(|_| self.changed) else {
+            // Nothing is newer than what is saved.
+            self.schedule.tried(begun_ns, (begun_ns, begun_ns), true);
             return;
         };
-        match self.checkpoint.write(path) {
-            Ok(()) => self.changed = false,
-            Err(error) => tracing::error!(%error, "the ledger was not saved"),
+        let saved = files.write(&self.checkpoint);
+        if let Err(error) = &saved {
+            tracing::error!(%error, "the ledger was not saved");
+        }
+        self.changed = saved.is_err();
+        let ended_ns = clock::monotonic_ns();
+        let times = (begun_ns, ended_ns);
+        if let Some(exposed_ns) = self.schedule.tried(of_ns, times, saved.is_ok()) {
+            let (took_ms, exposed_ms) = ((ended_ns - begun_ns) / 1_000_000, exposed_ns / 1_000_000);
+            tracing::warn!(
+                exposed_ms,
+                took_ms,
+                "the ledger was saved later than `ledger.every_s` says: the disk or the machine is too slow"
+            );
         }
     }
 
@@ -277,17 +307,26 @@ impl CheckpointerLoop {
     }
 }
 
-/// What an earlier run wrote down for this fleet, made to fit the machine's present run.
-pub(crate) fn read_checkpoint(config: &Config) -> Result<Checkpoint, CheckpointError> {
-    let io = |source| CheckpointError::Io {
+/// What an earlier run saved, and where the next one is saved.
+#[derive(Debug)]
+pub(crate) struct SavedLedger {
+    pub(crate) checkpoint: Checkpoint,
+    files: Option<LedgerFiles>,
+}
+
+/// What an earlier run saved for this fleet, made to fit the machine's present run.
+pub(crate) fn read_ledger(config: &Config) -> Result<SavedLedger, LedgerFileError> {
+    let io = |source| LedgerFileError::Io {
         path: "/proc/sys/kernel/random/boot_id".into(),
         source,
     };
     let boot_id = clock::boot_id().map_err(io)?;
-    let read = match config.checkpoint() {
-        Some(path) => Checkpoint::read(path, config.fleet())?,
+    let mut files = config.checkpoint().map(LedgerFiles::new);
+    let read = match &mut files {
+        Some(files) => files.read(config.fleet())?,
         None => None,
     };
     let before = read.unwrap_or_else(|| Checkpoint::new(config.fleet(), &boot_id));
-    Ok(before.carried_over(&boot_id, clock::monotonic_ns(), clock::unix_ns()))
+    let checkpoint = before.carried_over(&boot_id, clock::monotonic_ns(), clock::unix_ns());
+    Ok(SavedLedger { checkpoint, files })
 }

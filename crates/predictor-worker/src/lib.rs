@@ -13,15 +13,17 @@ mod checkpoint;
 mod checkpointer;
 mod journal;
 mod keyframes;
+mod ledger_files;
 mod models;
 mod outbox;
 mod report;
+mod save_schedule;
 mod shedding;
 mod tick_pool;
 mod worker;
 
-pub use checkpoint::{Checkpoint, CheckpointError};
 pub use checkpointer::CheckpointerError;
+pub use ledger_files::LedgerFileError;
 pub use models::{ModelsError, load_models};
 pub use report::{Parts, Report, Spread};
 pub use tick_pool::{TickPool, TickPoolError};

@@ -1,0 +1,425 @@
+//! The ledger's files: two generations, so that a damaged one costs seconds and not the account.
+//!
+//! `ledger.json` is the newest, `ledger.json.older` the one before. Another is written aside and takes their
+//! place by renaming, so that a kill or a loss of power at any point leaves two that are whole.
+
+use std::fs::{self, File};
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+use joulebus_wire::fnv1a;
+use serde::{Deserialize, Serialize};
+
+use crate::checkpoint::Checkpoint;
+
+/// Version of the files.
+const SCHEMA: u32 = 2;
+/// Damaged files that are kept; the last name is used again.
+const MOST_DAMAGED: u32 = 9;
+
+/// What a file holds.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Content<C> {
+    schema: u32,
+    /// One more than that of the file before.
+    generation: u64,
+    /// FNV-1a of generation and ledger as they are written, 16 hexadecimal digits.
+    fnv1a: String,
+    ledger: C,
+}
+
+/// The version alone, whatever else the file holds.
+#[derive(Debug, Deserialize)]
+struct Version {
+    schema: u32,
+}
+
+/// Why the ledger could not be read or written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LedgerFileError {
+    /// The system refused.
+    #[error("ledger {path:?}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// No file that is there can be believed.
+    #[error(
+        "ledger {path:?} is damaged: {reason}; and there is no older one that is not: restore a copy, or \
+         move the files away to begin a new account"
+    )]
+    Damaged {
+        /// The newest file that is there.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The file is of another version.
+    #[error(
+        "ledger {path:?} is in version {found}, expected {SCHEMA}: use the release of joulebus that wrote \
+         it, or move the file away to begin a new account"
+    )]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Version it is in.
+        found: u32,
+    },
+    /// The file is another fleet's.
+    #[error(
+        "ledger {path:?} is of fleet {found:?}, expected {expected:?}; give each fleet a file of its own"
+    )]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// Fleet it is of.
+        found: String,
+        /// Fleet it should be of.
+        expected: String,
+    },
+}
+
+/// Where one fleet's ledger is kept.
+#[derive(Debug, Clone)]
+pub(crate) struct LedgerFiles {
+    newest: PathBuf,
+    generation: u64,
+}
+
+/// What was found in place of a whole file.
+enum Flaw {
+    Damaged(String),
+    Fatal(LedgerFileError),
+}
+
+impl LedgerFiles {
+    pub(crate) fn new(path: &Path) -> Self {
+        Self {
+            newest: path.to_owned(),
+            generation: 0,
+        }
+    }
+
+    /// The newest ledger of `fleet` that is whole; `None` when there is no file. A damaged one is set
+    /// aside, and named in the log.
+    ///
+    /// # Errors
+    /// The system refuses, there are files and none can be believed, or the newest is another fleet's or
+    /// of another version.
+    pub(crate) fn read(&mut self, fleet: &str) -> Result<Option<Checkpoint>, LedgerFileError> {
+        let mut whole: Option<(u64, Checkpoint, PathBuf)> = None;
+        let mut damaged = Vec::new();
+        for path in [self.newest.clone(), self.older(), self.unfinished()] {
+            match read(&path, fleet) {
+                Ok(Some((generation, ledger))) => {
+                    if whole
+                        .as_ref()
+                        .is_none_or(|(newest, ..)| *newest < generation)
+                    {
+                        whole = Some((generation, ledger, path));
+                    }
+                }
+                Ok(None) => {}
+                // It was being written when the worker was killed: the others are whole.
+                Err(Flaw::Damaged(_)) if path == self.unfinished() => {}
+                Err(Flaw::Damaged(reason)) => damaged.push((path, reason)),
+                Err(Flaw::Fatal(error)) => return Err(error),
+            }
+        }
+        let Some((generation, ledger, taken)) = whole else {
+            return match damaged.into_iter().next() {
+                Some((path, reason)) => Err(LedgerFileError::Damaged { path, reason }),
+                None => Ok(None),
+            };
+        };
+        for (path, reason) in damaged {
+            let aside = set_aside(&path).map_err(|source| LedgerFileError::Io {
+                path: path.clone(),
+                source,
+            })?;
+            tracing::error!(
+                ?path, ?aside, %reason, ?taken,
+                written_unix_ns = ledger.written_unix_ns,
+                "a ledger is damaged: it was set aside, another generation is taken"
+            );
+        }
+        self.generation = generation;
+        Ok(Some(ledger))
+    }
+
+    /// Writes the ledger as the newest generation, whole or not at all, down to the disk.
+    ///
+    /// # Errors
+    /// The system refused; what was there before can still be read.
+    pub(crate) fn write(&mut self, ledger: &Checkpoint) -> Result<(), LedgerFileError> {
+        self.generation += 1;
+        self.replace(ledger).map_err(|source| LedgerFileError::Io {
+            path: self.newest.clone(),
+            source,
+        })
+    }
+
+    fn replace(&self, ledger: &Checkpoint) -> io::Result<()> {
+        let folder = match self.newest.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder,
+            _ => Path::new("."),
+        };
+        fs::create_dir_all(folder)?;
+        let mut file = File::create(self.unfinished())?;
+        file.write_all(&encode(self.generation, ledger)?)?;
+        file.sync_all()?;
+        drop(file);
+        match fs::rename(&self.newest, self.older()) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        fs::rename(self.unfinished(), &self.newest)?;
+        // The names too, or a loss of power could take them back.
+        File::open(folder)?.sync_all()
+    }
+
+    fn older(&self) -> PathBuf {
+        with(&self.newest, "older")
+    }
+
+    fn unfinished(&self) -> PathBuf {
+        with(&self.newest, "new")
+    }
+}
+
+fn with(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".");
+    name.push(ending);
+    PathBuf::from(name)
+}
+
+fn set_aside(path: &Path) -> io::Result<PathBuf> {
+    let names = (1..=MOST_DAMAGED).map(|number| with(path, &format!("damaged-{number}")));
+    let free = names
+        .clone()
+        .find(|name| fs::symlink_metadata(name).is_err());
+    let aside = free.or_else(|| names.last()).unwrap_or_default();
+    fs::rename(path, &aside)?;
+    Ok(aside)
+}
+
+fn checksum(generation: u64, ledger: &Checkpoint) -> Result<String, serde_json::Error> {
+    let bytes = serde_json::to_vec(&(generation, ledger))?;
+    Ok(format!("{:016x}", fnv1a(bytes)))
+}
+
+fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::Error> {
+    serde_json::to_vec(&Content {
+        schema: SCHEMA,
+        generation,
+        fnv1a: checksum(generation, ledger)?,
+        ledger,
+    })
+}
+
+/// Reads a file; `None` when there is none.
+fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
+    let failed = |source| {
+        Flaw::Fatal(LedgerFileError::Io {
+            path: path.to_owned(),
+            source,
+        })
+    };
+    match fs::metadata(path) {
+        Ok(found) if found.is_file() => {}
+        // Opening a pipe would wait for its other end.
+        Ok(_) => return Err(failed(io::Error::other("is not a regular file"))),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(failed(error)),
+    }
+    let bytes = fs::read(path).map_err(failed)?;
+    if let Ok(Version { schema }) = serde_json::from_slice(&bytes)
+        && schema != SCHEMA
+    {
+        return Err(Flaw::Fatal(LedgerFileError::Version {
+            path: path.to_owned(),
+            found: schema,
+        }));
+    }
+    let content: Content<Checkpoint> =
+        serde_json::from_slice(&bytes).map_err(|error| Flaw::Damaged(error.to_string()))?;
+    let expected = checksum(content.generation, &content.ledger)
+        .map_err(|error| Flaw::Damaged(error.to_string()))?;
+    if content.fnv1a != expected {
+        let found = content.fnv1a;
+        return Err(Flaw::Damaged(format!(
+            "its checksum is {found:?}, that of its content {expected}"
+        )));
+    }
+    if content.ledger.fleet != fleet {
+        return Err(Flaw::Fatal(LedgerFileError::Foreign {
+            path: path.to_owned(),
+            found: content.ledger.fleet,
+            expected: fleet.to_owned(),
+        }));
+    }
+    Ok(Some((content.generation, content.ledger)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checkpoint::tests::checkpoint;
+
+    fn drawn(drawn_uj: i64) -> Checkpoint {
+        let mut ledger = checkpoint();
+        for account in ledger.robots.values_mut() {
+            account.drawn_uj = drawn_uj;
+        }
+        ledger
+    }
+
+    fn kept(path: &Path) -> Option<i64> {
+        let ledger = LedgerFiles::new(path).read("lab").unwrap()?;
+        Some(ledger.robots.values().next().unwrap().drawn_uj)
+    }
+
+    /// Two generations: 100 µJ, and before that 50 µJ.
+    fn two(path: &Path) -> LedgerFiles {
+        let mut files = LedgerFiles::new(path);
+        for drawn_uj in [20, 50, 100] {
+            files.write(&drawn(drawn_uj)).unwrap();
+        }
+        files
+    }
+
+    #[test]
+    fn what_is_written_is_read_to_the_last_digit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("deep/ledger.json");
+        let mut files = LedgerFiles::new(&path);
+        assert_eq!(files.read("lab").unwrap(), None);
+        files.write(&checkpoint()).unwrap();
+        assert_eq!(files.read("lab").unwrap(), Some(checkpoint()));
+        // Relative, without a folder.
+        assert_eq!(
+            LedgerFiles::new(Path::new("no-such.json"))
+                .read("lab")
+                .unwrap(),
+            None
+        );
+    }
+
+    #[test]
+    fn whatever_is_changed_in_a_file_it_is_set_aside_and_the_older_one_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        two(&path);
+        let older = with(&path, "older");
+        let (whole, before) = (fs::read(&path).unwrap(), fs::read(&older).unwrap());
+        let aside = with(&path, "damaged-1");
+        let text = String::from_utf8(whole.clone()).unwrap();
+        let edited = text.replace("\"drawn_uj\":100,", "\"drawn_uj\":100000000000,");
+        assert_ne!(edited, text);
+        let truncations = (0..whole.len()).map(|length| whole[..length].to_vec());
+        let flips = (0..8 * whole.len()).filter_map(|bit| {
+            let mut flipped = whole.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            // A version that differs is a matter of its own.
+            let versions = serde_json::from_slice(&flipped)
+                .ok()
+                .map(|it: Version| it.schema);
+            versions
+                .is_none_or(|schema| schema == SCHEMA)
+                .then_some(flipped)
+        });
+        for damaged in [edited.into_bytes()]
+            .into_iter()
+            .chain(truncations)
+            .chain(flips)
+        {
+            fs::write(&path, &damaged).unwrap();
+            fs::write(&older, &before).unwrap();
+            assert_eq!(
+                kept(&path),
+                Some(50),
+                "{}",
+                String::from_utf8_lossy(&damaged)
+            );
+            assert_eq!(fs::read(&aside).unwrap(), damaged);
+            assert!(!path.exists(), "the damaged file stays in place");
+            fs::remove_file(&aside).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_kill_at_any_step_of_a_save_leaves_the_last_ledger_or_this_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let [older, new] = ["older", "new"].map(|ending| with(&path, ending));
+        let next = encode(4, &drawn(200)).unwrap();
+        two(&path);
+        for written in 0..=next.len() {
+            fs::write(&new, &next[..written]).unwrap();
+            let expected = if written == next.len() { 200 } else { 100 };
+            assert_eq!(kept(&path), Some(expected), "{written} bytes written");
+        }
+        fs::rename(&path, &older).unwrap();
+        assert_eq!(kept(&path), Some(200), "between the renames");
+        fs::rename(&new, &path).unwrap();
+        assert_eq!(kept(&path), Some(200));
+        fs::write(&path, "").unwrap();
+        assert_eq!(kept(&path), Some(100), "the older one is there already");
+    }
+
+    #[test]
+    fn the_next_save_is_the_newest_whichever_generation_was_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        two(&path);
+        fs::write(&path, "x").unwrap();
+        let mut files = LedgerFiles::new(&path);
+        assert!(files.read("lab").unwrap().is_some());
+        files.write(&drawn(300)).unwrap();
+        assert_eq!(kept(&path), Some(300));
+        fs::write(&path, "y").unwrap();
+        assert_eq!(kept(&path), Some(50), "what was good before the damage");
+        let aside: Vec<_> = [1, 2].map(|n| with(&path, &format!("damaged-{n}"))).into();
+        let texts: Vec<_> = aside
+            .iter()
+            .map(|path| fs::read_to_string(path).unwrap())
+            .collect();
+        assert_eq!(texts, ["x", "y"], "nothing is overwritten");
+    }
+
+    #[test]
+    fn without_a_whole_generation_and_for_other_files_it_says_which_and_why() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let error = |fleet: &str| LedgerFiles::new(&path).read(fleet).unwrap_err();
+        two(&path);
+        assert!(matches!(error("mine"), LedgerFileError::Foreign { .. }));
+        fs::write(&path, "{}").unwrap();
+        fs::write(with(&path, "older"), "").unwrap();
+        assert!(
+            matches!(error("lab"), LedgerFileError::Damaged { .. }),
+            "{}",
+            error("lab")
+        );
+        assert_eq!(fs::read(&path).unwrap(), b"{}", "it is left where it was");
+        for (text, found) in [
+            ("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1),
+            ("{\"schema\":3}", 3),
+        ] {
+            fs::write(&path, text).unwrap();
+            let error = error("lab");
+            assert!(
+                matches!(error, LedgerFileError::Version { found: it, .. } if it == found),
+                "{error}"
+            );
+        }
+        fs::remove_file(&path).unwrap();
+        fs::create_dir(&path).unwrap();
+        assert!(matches!(error("lab"), LedgerFileError::Io { .. }));
+    }
+}
