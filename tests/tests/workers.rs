@@ -12,29 +12,33 @@ use serde_json::Value;
 
 const ROBOTS: u32 = 4;
 
-/// The newest ledger on disk, by robot; none while there is no file. A kill at any point leaves one that is
-/// whole: the newest of the files, or, of a save that was cut short, the one before.
-fn written_down(arena: &Arena) -> Option<BTreeMap<u32, Value>> {
-    let mut found: Vec<Value> = ["", ".older", ".new"]
-        .iter()
-        .filter_map(|ending| {
-            let mut path = arena.ledger().into_os_string();
-            path.push(ending);
-            let text = std::fs::read_to_string(path).ok()?;
-            let file = serde_json::from_str(&text);
-            assert!(file.is_ok() || *ending == ".new", "{file:?}: {text}");
-            file.ok()
-        })
-        .collect();
-    found.sort_by_key(|file| file["generation"].as_u64());
-    let robots = found.pop()?["ledger"]["robots"].as_object().cloned();
-    Some(
-        robots
-            .expect("accounts by robot")
-            .iter()
-            .map(|(robot, account)| (robot.parse().expect("an id"), account.clone()))
-            .collect(),
-    )
+type Accounts = BTreeMap<u32, Value>;
+
+/// The file of the ledger with this ending: generation, and accounts by robot. One that is being written
+/// cannot be read yet; any other must be whole.
+fn generation(arena: &Arena, ending: &str) -> Option<(u64, Accounts)> {
+    let mut path = arena.ledger().into_os_string();
+    path.push(ending);
+    let text = std::fs::read_to_string(path).ok()?;
+    let file: Value = match serde_json::from_str(&text) {
+        Ok(file) => file,
+        Err(_) if ending == ".new" => return None,
+        Err(error) => panic!("{error}: {text}"),
+    };
+    let robots = file["ledger"]["robots"].as_object().expect("accounts");
+    let robots = robots.iter();
+    let accounts = robots.map(|(robot, account)| (robot.parse().expect("an id"), account.clone()));
+    Some((file["generation"].as_u64()?, accounts.collect()))
+}
+
+/// The newest accounts on disk; none while there is no file. A kill at any point leaves one that is whole.
+fn written_down(arena: &Arena) -> Option<Accounts> {
+    let found = ["", ".older", ".new"].map(|ending| generation(arena, ending));
+    let newest = found
+        .into_iter()
+        .flatten()
+        .max_by_key(|(number, _)| *number);
+    newest.map(|(_, accounts)| accounts)
 }
 
 fn number(account: &Value, name: &str) -> u64 {
@@ -222,10 +226,9 @@ fn an_edited_ledger_is_set_aside_and_named_and_the_account_goes_on_from_the_one_
     let mut planner = arena.planner();
     let mut controller = arena.controller("controller", 0, ROBOTS, 50.0);
     eventually("some energy is written down, twice", || {
-        let ledger = written_down(&arena).unwrap_or_default();
+        let (_, older) = generation(&arena, ".older").unwrap_or_default();
         let drawn = |account: &Value| account["drawn_uj"].as_i64() > Some(0);
-        let older = arena.ledger().with_extension("json.older");
-        ledger.len() == ROBOTS as usize && ledger.values().all(drawn) && older.exists()
+        older.len() == ROBOTS as usize && older.values().all(drawn)
     });
     assert_eq!(worker.stop().code(), Some(0));
     let text = std::fs::read_to_string(arena.ledger()).expect("it was saved");

@@ -43,8 +43,12 @@ struct Simulation {
 
 impl Simulation {
     fn new(seed: u64) -> Self {
+        Self::of(seed, world::fleet(CAPACITY))
+    }
+
+    fn of(seed: u64, fleet: Fleet) -> Self {
         let mut simulation = Self {
-            fleet: world::fleet(CAPACITY),
+            fleet,
             sources: [Source::new(1, 1), Source::new(2, 1)],
             noise: Noise(seed),
             worker_epoch: EPOCH,
@@ -236,7 +240,11 @@ fn entries(messages: Vec<Message>) -> Vec<Entry> {
 }
 
 fn verify(entries: impl IntoIterator<Item = Entry>) -> Verification {
-    let mut verifier = Verifier::new(world::settings(CAPACITY), world::models()).unwrap();
+    let verifier = Verifier::new(world::settings(CAPACITY), world::models());
+    verify_by(verifier.unwrap(), entries)
+}
+
+fn verify_by(mut verifier: Verifier, entries: impl IntoIterator<Item = Entry>) -> Verification {
     for entry in entries {
         verifier.push(entry);
     }
@@ -272,6 +280,44 @@ fn a_whole_recording_has_no_differences() {
             .starts_with("200 ticks, 12 robots, 0 differences\n"),
         "{report}"
     );
+}
+
+/// Everything that can be learned online, and every kind of fault among the samples. `tools/aarch64.sh` runs
+/// this on two kinds of processor with one `JOULEBUS_MACHINES`, a directory: each verifies what both have
+/// recorded.
+#[test]
+fn what_one_machine_records_another_computes_to_the_bit() {
+    let own = tempfile::tempdir().unwrap();
+    let machines = std::env::var_os("JOULEBUS_MACHINES").map(std::path::PathBuf::from);
+    let machines = machines.unwrap_or_else(|| own.path().to_owned());
+    let settings = world::learning(CAPACITY);
+    let fleet = Fleet::new(settings.clone(), world::fresh_models()).unwrap();
+    let mut simulation = Simulation::of(5, fleet);
+    simulation.run(400);
+    let path = machines.join(format!("{}.mcap", std::env::consts::ARCH));
+    let file = std::fs::File::create(&path).unwrap();
+    let mut writer =
+        Writer::new(file, CaptureSettings::default(), &Attachments::default()).unwrap();
+    for entry in entries(simulation.sent) {
+        let times = Times {
+            log_ns: entry.log_time_ns,
+            publish_ns: entry.publish_time_ns,
+        };
+        writer.write("lab", times, &entry.message).unwrap();
+    }
+    writer.finish().unwrap();
+    let mut verified = 0;
+    for file in std::fs::read_dir(&machines).unwrap() {
+        let path = file.unwrap().path();
+        let mut reader = Reader::new(std::fs::File::open(&path).unwrap()).unwrap();
+        let read = std::iter::from_fn(|| reader.next_entry().unwrap());
+        let verifier = Verifier::new(settings.clone(), world::fresh_models()).unwrap();
+        let report = verify_by(verifier, read);
+        assert!(report.is_clean(), "{}: {report}", path.display());
+        assert_eq!(report.ticks_verified, 400, "{}: {report}", path.display());
+        verified += 1;
+    }
+    assert!(verified > 0);
 }
 
 proptest! {

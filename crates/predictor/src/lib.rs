@@ -16,7 +16,7 @@
 //! **One arithmetic.** A robot's forecast depends on that robot's row alone and has the same bits
 //! for every batch size, every position in the batch, every tiling and every vector width, in rows,
 //! columns and rollouts; the scalar [`Network::predict_reference_f32`] is the definition that the
-//! kernels are tested against. Every NaN forecast is [`f32::NAN`].
+//! kernels are tested against. Every NaN forecast is [`f32::NAN`] ([`canonical`]).
 
 mod card;
 mod check;
@@ -41,6 +41,7 @@ pub use gelu::Activation;
 pub use kernel::{Kernel, SimdLevel, SimdTask, Tiling, prefetch};
 pub use linear::Linear;
 pub use model::Model;
+pub use nan::{canonical, canonical_f64};
 pub use network::Network;
 pub use parameters::{HIDDEN, Layer, Normalisation, Parameters};
 pub use persistence::Persistence;

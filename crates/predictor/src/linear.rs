@@ -2,6 +2,7 @@
 
 use crate::error::ModelError;
 use crate::features::{FeatureSet, Features, INPUTS};
+use crate::nan::canonical;
 
 /// A forecast that is linear in the features: the last five readings (an autoregression, AR(5))
 /// and, where they are read, the velocities. The trainer fits it by least squares on the network's
@@ -54,7 +55,7 @@ impl Linear {
     /// feature, added in order. Not finite where one of them is not.
     pub fn predict(&self, row: &Features) -> f32 {
         let read = self.feature_set.range();
-        read.fold(self.bias_w, |sum, at| sum + self.weights[at] * row[at])
+        canonical(read.fold(self.bias_w, |sum, at| sum + self.weights[at] * row[at]))
     }
 
     /// As [`Linear::predict`], with one column for each feature: `features[f][i]` is feature `f` of
@@ -67,6 +68,9 @@ impl Linear {
             for (forecast_w, value) in forecasts_w.iter_mut().zip(features[feature]) {
                 *forecast_w += weight * value;
             }
+        }
+        for forecast_w in forecasts_w {
+            *forecast_w = canonical(*forecast_w);
         }
     }
 }
@@ -91,8 +95,13 @@ mod tests {
         let mut row = [f32::NAN; INPUTS];
         row[6..11].fill(4.0);
         assert_eq!(linear().predict(&row), 5.0);
-        row[7] = f32::NAN;
-        assert!(linear().predict(&row).is_nan());
+        for poison in [f32::NAN, -f32::NAN, f32::from_bits(0xffc0_1234)] {
+            row[7] = poison;
+            assert_eq!(linear().predict(&row).to_bits(), f32::NAN.to_bits());
+            let (column, mut forecasts_w) = ([row[7]], [0.0]);
+            linear().predict_columns([&column; INPUTS], &mut forecasts_w);
+            assert_eq!(forecasts_w[0].to_bits(), f32::NAN.to_bits());
+        }
     }
 
     #[test]

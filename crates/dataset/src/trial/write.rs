@@ -11,6 +11,7 @@ use flate2::write::GzEncoder;
 use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
 use super::{Trial, TrialError};
 use crate::npy;
+use joulebus_predictor::canonical_f64;
 
 /// A row that was not read from a trial's file.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -282,7 +283,8 @@ impl Table {
             out.write_all(&time_s.to_le_bytes())?;
             for values in &columns {
                 let value = values.and_then(|values| values.get(row).copied());
-                out.write_all(&value.unwrap_or(f64::NAN).to_le_bytes())?;
+                let value = canonical_f64(value.unwrap_or(f64::NAN));
+                out.write_all(&value.to_le_bytes())?;
             }
         }
         out.flush()
