@@ -199,11 +199,11 @@ fn with(path: &Path, ending: &str) -> PathBuf {
 }
 
 fn set_aside(path: &Path) -> io::Result<PathBuf> {
-    let names = (1..=MOST_DAMAGED).map(|number| with(path, &format!("damaged-{number}")));
+    let mut names = (1..=MOST_DAMAGED).map(|number| with(path, &format!("damaged-{number}")));
     let free = names
         .clone()
         .find(|name| fs::symlink_metadata(name).is_err());
-    let aside = free.or_else(|| names.last()).unwrap_or_default();
+    let aside = free.or_else(|| names.next_back()).unwrap_or_default();
     fs::rename(path, &aside)?;
     Ok(aside)
 }

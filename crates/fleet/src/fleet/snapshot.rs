@@ -163,6 +163,11 @@ impl Fleet {
                 .map_or(usize::MAX, usize::from);
             exactly("platform of a robot", admission.platform.into(), platform)?;
         }
+        let mut kept = std::collections::HashSet::new();
+        for account in &state.departed {
+            let times = 2 - usize::from(kept.insert(account.robot));
+            exactly("accounts of a robot", times, 1)?;
+        }
         // The loops over a block go over its free lanes too.
         for lane in 0..state.columns.windows.len() * LANES {
             let readings = lanes::get(&state.columns.windows, lane).have();
