@@ -150,7 +150,7 @@ fn spoilt(file: &Path, to: &Path, spoil: impl Fn(&mut Message) -> bool) {
         writer.write(&entry.fleet, times, &entry.message).unwrap();
     }
     assert!(done, "nothing was spoilt");
-    let (_, _, _): (_, _, File) = writer.finish().unwrap();
+    writer.finish().unwrap();
 }
 
 /// Every tick since the first keyframe was computed again, but for those that the end cut in two.

@@ -42,4 +42,6 @@ pub use clock::Clock;
 pub use inspect::values;
 pub use messages::{DecodeError, Entry, Message, MessageKind, OutOfRange};
 pub use reader::{ReadError, Reader};
-pub use writer::{CaptureSettings, Preset, Sequences, Times, WriteError, Writer, Written};
+pub use writer::{
+    CaptureFile, CaptureSettings, Preset, Sequences, Times, WriteError, Writer, Written,
+};

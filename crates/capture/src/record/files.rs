@@ -1,19 +1,18 @@
 //! Where recorded messages go: one file, several that continue from each other, or memory that is
 //! saved when something happens.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fmt;
-use std::fs::File;
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::item::Item;
 use super::options::{Options, Snapshot};
-use crate::{Attachments, Message, MessageKind, Sequences, WriteError, Writer, Written};
-
-/// Any place that bytes go to.
-type Out = Box<dyn Write + Send>;
+use super::shared::Kept;
+use crate::{
+    Attachments, CaptureFile, Message, MessageKind, Sequences, WriteError, Writer, Written,
+};
 
 /// Where a capture goes.
 pub enum Target {
@@ -35,17 +34,54 @@ impl fmt::Debug for Target {
 /// Topics whose choice is remembered; forgetting it costs asking again.
 const MOST_CHOSEN: usize = 1 << 17;
 
-/// Files of a capture, open and done.
+/// Where the bytes of a part go.
+enum Out {
+    File(CaptureFile),
+    Stream(Box<dyn Write + Send>),
+}
+
+impl Write for Out {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::File(file) => file.write(bytes),
+            Self::Stream(stream) => stream.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::File(file) => file.flush(),
+            Self::Stream(stream) => stream.flush(),
+        }
+    }
+}
+
+impl Out {
+    /// Everything is written: on the disk as well, where there is one.
+    fn end(self) -> Result<(), WriteError> {
+        match self {
+            Self::File(file) => file.sync().map_err(|error| WriteError::Failed {
+                reason: format!("the disk may not have all of it: {error}"),
+            }),
+            Self::Stream(_) => Ok(()),
+        }
+    }
+}
+
+/// Files of a capture, open and done. Whatever [`Files::take`] was given is in a file, or lost and
+/// counted, or kept in memory.
 pub(crate) struct Files {
     target: Target,
     attachments: Attachments,
     options: Options,
     chosen: HashMap<(Arc<str>, MessageKind, u32), bool>,
     open: Option<Open>,
-    kept: Kept,
+    snapshot: KeptItems,
     sequences: Sequences,
     /// Files that were ended, with what is in them.
-    pub(crate) done: Vec<(PathBuf, Written)>,
+    done: Vec<(PathBuf, Written)>,
+    /// Messages by topic that were to be written and are in no file.
+    lost: BTreeMap<String, u64>,
     parts: u32,
 }
 
@@ -65,12 +101,13 @@ impl Files {
         let mut files = Self {
             target,
             attachments,
-            kept: Kept::default(),
+            snapshot: KeptItems::default(),
             options,
             chosen: HashMap::new(),
             open: None,
             sequences: Sequences::default(),
             done: Vec::new(),
+            lost: BTreeMap::new(),
             parts: 0,
         };
         if files.options.snapshot.is_none() {
@@ -82,30 +119,41 @@ impl Files {
     /// Takes a message: into the file, or into memory.
     pub(crate) fn take(&mut self, item: Item) -> Result<(), WriteError> {
         if let Some(snapshot) = self.options.snapshot {
-            let alarm = self.kept.keep(item, snapshot);
+            let alarm = self.snapshot.keep(item, snapshot);
             return if alarm && snapshot.on_alarm {
                 self.write_down()
             } else {
                 Ok(())
             };
         }
-        if self.is_full(item.times.log_ns) {
-            self.end()?;
-            self.open()?;
+        if self.is_full(item.times.log_ns)
+            && let Err(error) = self.end().and_then(|()| self.open())
+        {
+            self.lose(&item);
+            return Err(error);
         }
         self.write(&item)
     }
 
     /// Writes down what is kept in memory, if this is a snapshot and there is anything.
     pub(crate) fn write_down(&mut self) -> Result<(), WriteError> {
-        if self.kept.items.is_empty() {
+        if self.snapshot.items.is_empty() {
             return Ok(());
         }
-        self.open()?;
-        for item in self.kept.take() {
-            self.write(&item)?;
+        let mut written = self.open();
+        for item in self.snapshot.take() {
+            match written {
+                Ok(()) => written = self.write(&item),
+                Err(_) => self.lose(&item),
+            }
         }
-        self.end()
+        let ended = self.end();
+        written.and(ended)
+    }
+
+    /// Counts a message that will be in no file.
+    pub(crate) fn lose(&mut self, item: &Item) {
+        *self.lost.entry(item.topic()).or_default() += 1;
     }
 
     /// Writes the open chunk if it is due.
@@ -116,23 +164,26 @@ impl Files {
         }
     }
 
-    /// Ends the open file with its summary.
+    /// Ends the open file with its summary. What its writer could not write is lost.
     pub(crate) fn end(&mut self) -> Result<(), WriteError> {
-        let Some(open) = self.open.take() else {
+        let Some(mut open) = self.open.take() else {
             return Ok(());
         };
+        let flushed = open.writer.flush();
         let so_far = open.writer.written();
-        match open.writer.finish() {
-            Ok((written, sequences, _)) => {
-                self.sequences = sequences;
-                self.done.push((open.path, written));
-                Ok(())
-            }
-            Err(error) => {
-                self.done.push((open.path, so_far));
-                Err(error)
-            }
+        for (topic, count) in open.writer.unwritten() {
+            *self.lost.entry(topic).or_default() += count;
         }
+        let finished = flushed.and_then(|()| open.writer.finish());
+        let (written, ended) = match finished {
+            Ok((written, sequences, out)) => {
+                self.sequences = sequences;
+                (written, out.end())
+            }
+            Err(error) => (so_far, Err(error)),
+        };
+        self.done.push((open.path, written));
+        ended
     }
 
     /// What is in the open file so far, and in those that were ended.
@@ -142,6 +193,16 @@ impl Files {
             all.push((open.path.clone(), open.writer.written()));
         }
         all
+    }
+
+    /// Messages by topic that were to be written and are in no file, but for those of the open one.
+    pub(crate) fn lost(&self) -> &BTreeMap<String, u64> {
+        &self.lost
+    }
+
+    /// What is kept in memory; none unless this is a snapshot.
+    pub(crate) fn kept(&self) -> Option<Kept> {
+        self.options.snapshot.map(|_| self.snapshot.summary())
     }
 
     fn is_full(&mut self, log_ns: u64) -> bool {
@@ -160,24 +221,27 @@ impl Files {
                 self.parts += 1;
             }
         }
-        let path = match &self.target {
-            Target::File(path) => part(path, self.parts),
-            Target::Stream(_) => PathBuf::from("-"),
-        };
-        let out: Out = match &mut self.target {
-            Target::File(_) => {
-                Box::new(
-                    File::create_new(&path).map_err(|source| WriteError::Create {
-                        path: path.clone(),
-                        source,
-                    })?,
-                )
+        let (path, out) = match &mut self.target {
+            Target::File(path) => {
+                let path = part(path, self.parts);
+                let file = CaptureFile::create(&path)?;
+                (path, Out::File(file))
             }
-            Target::Stream(out) => std::mem::replace(out, Box::new(std::io::sink())),
+            Target::Stream(out) => {
+                let out = std::mem::replace(out, Box::new(io::sink()));
+                (PathBuf::from("-"), Out::Stream(out))
+            }
         };
+        let is_file = matches!(out, Out::File(_));
         self.attachments.tell("part", self.parts.to_string());
         let sequences = self.sequences.clone();
-        let writer = Writer::go_on(out, settings, &self.attachments, sequences)?;
+        let writer =
+            Writer::go_on(out, settings, &self.attachments, sequences).inspect_err(|_| {
+                // It was created a moment ago and has nothing in it. That it cannot be removed changes nothing.
+                if is_file {
+                    let _ = std::fs::remove_file(&path);
+                }
+            })?;
         self.parts += 1;
         self.open = Some(Open {
             path,
@@ -266,7 +330,7 @@ fn part(path: &Path, number: u32) -> PathBuf {
 /// The last seconds, in memory. Goes back as far as is asked for, and from there to the keyframe
 /// before, so that all of it can be computed again.
 #[derive(Debug, Default)]
-struct Kept {
+struct KeptItems {
     items: VecDeque<Item>,
     bytes: usize,
     /// Log times at which keyframes among the items begin.
@@ -275,7 +339,7 @@ struct Kept {
     alarms: HashMap<Arc<str>, HashMap<u32, u32>>,
 }
 
-impl Kept {
+impl KeptItems {
     /// Keeps the item and forgets what has become too old or too much; whether it raises an alarm.
     fn keep(&mut self, item: Item, snapshot: Snapshot) -> bool {
         let alarm = self.raises_alarm(&item);
@@ -302,6 +366,16 @@ impl Kept {
             self.keyframes.pop_front();
         }
         alarm
+    }
+
+    fn summary(&self) -> Kept {
+        let log_ns = |item: Option<&Item>| item.map_or(0, |item| item.times.log_ns);
+        let (oldest, newest) = (log_ns(self.items.front()), log_ns(self.items.back()));
+        Kept {
+            messages: self.items.len() as u64,
+            bytes: self.bytes as u64,
+            span_ns: newest.saturating_sub(oldest),
+        }
     }
 
     /// Gives everything away; what was raised stays known.
@@ -366,7 +440,7 @@ mod tests {
                 max_bytes: room * each,
                 on_alarm: false,
             };
-            let mut kept = Kept::default();
+            let mut kept = KeptItems::default();
             for at_ns in 0..=100 {
                 let is_keyframe = keyframes.contains(&at_ns);
                 let item = if is_keyframe {
@@ -378,6 +452,81 @@ mod tests {
             }
             let found = kept.items.front().map(|item| item.times.log_ns);
             assert_eq!(found, Some(oldest_ns), "{keyframes:?}, room for {room}");
+        }
+    }
+
+    /// A disk with room for so many bytes.
+    struct Disk {
+        room: usize,
+    }
+
+    impl Write for Disk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let fits = bytes.len().min(self.room);
+            self.room -= fits;
+            match fits {
+                0 if !bytes.is_empty() => Err(io::ErrorKind::StorageFull.into()),
+                fits => Ok(fits),
+            }
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    const GIVEN: u64 = 9;
+
+    /// Gives files on a disk with so much room all messages: how many are written, lost and kept.
+    fn record(room: usize, snapshot: Option<Snapshot>, write_down: bool) -> [u64; 3] {
+        let options = Options {
+            snapshot,
+            settings: crate::CaptureSettings {
+                chunk_ns: 3,
+                ..crate::CaptureSettings::default()
+            },
+            ..Options::default()
+        };
+        let target = Target::Stream(Box::new(Disk { room }));
+        let Ok(mut files) = Files::begin(target, Attachments::default(), options) else {
+            return [0, GIVEN, 0];
+        };
+        let mut failed = false;
+        for at_ns in 0..GIVEN {
+            let tick = item(at_ns, Message::Ticks(TickHeader::default(), Vec::new()));
+            if failed {
+                files.lose(&tick);
+            } else {
+                failed = files.take(tick).is_err();
+            }
+        }
+        if write_down && !failed {
+            // Counted below.
+            let _ = files.write_down();
+        }
+        let _ = files.end();
+        let written = files.written().iter().map(|(_, file)| file.messages).sum();
+        let kept = files.kept().map_or(0, |kept| kept.messages);
+        [written, files.lost().values().sum(), kept]
+    }
+
+    #[test]
+    fn whatever_room_the_disk_has_every_message_is_written_or_lost_or_kept() {
+        let snapshot = Some(Snapshot {
+            keep_ns: 1_000,
+            max_bytes: 1 << 20,
+            on_alarm: false,
+        });
+        assert_eq!(record(usize::MAX, snapshot, false), [0, 0, GIVEN]);
+        for (snapshot, write_down) in [(None, false), (snapshot, true)] {
+            assert_eq!(record(1 << 20, snapshot, write_down), [GIVEN, 0, 0]);
+            let mut partly = 0;
+            for room in 0..4_000 {
+                let [written, lost, kept] = record(room, snapshot, write_down);
+                assert_eq!(written + lost + kept, GIVEN, "room for {room}");
+                partly += u64::from(written > 0 && lost > 0);
+            }
+            assert!(partly > 0 || snapshot.is_some());
         }
     }
 }

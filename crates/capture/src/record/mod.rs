@@ -36,7 +36,7 @@ use shared::Shared;
 pub use drain::DrainError;
 pub use files::Target;
 pub use options::{Options, Snapshot};
-pub use shared::{Lost, Summary};
+pub use shared::{Kept, Lost, Summary};
 
 /// For how long the writing thread waits before it looks whether a chunk is due.
 const PATIENCE: Duration = Duration::from_millis(10);
@@ -97,7 +97,7 @@ impl Recorder {
     ) -> Result<Self, StartError> {
         check_channels(config, options)?;
         let files = Files::begin(target, attachments, options.clone())?;
-        let shared = Arc::new(Shared::new(options.queue_bytes));
+        let shared = Arc::new(Shared::new(options));
         let mut recorder = Self {
             shared,
             feeds: Vec::new(),
@@ -228,29 +228,25 @@ fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<Jo
 /// The thread that writes: until the queue is closed and empty, or the file cannot be written.
 fn write(mut files: Files, shared: &Shared, clock: Clock) {
     let worked = work(&mut files, shared, clock);
-    let ended = worked.and_then(|()| files.end());
-    if let Err(error) = ended {
+    let ended = files.end();
+    if let Err(error) = worked.and(ended) {
         shared.fail(error.to_string());
         while let Popped::Item(item) = shared.queue.pop(Duration::ZERO) {
-            shared.count(item.topic(), 0, 1);
+            files.lose(&item);
         }
     }
-    shared.note_files(&files);
+    shared.end_files(&files);
 }
 
 fn work(files: &mut Files, shared: &Shared, clock: Clock) -> Result<(), WriteError> {
     let mut note_from_ns = 0;
     loop {
+        let popped = shared.queue.pop(PATIENCE);
         if shared.write_down.swap(false, Ordering::Relaxed) {
             files.write_down()?;
         }
-        match shared.queue.pop(PATIENCE) {
-            Popped::Item(item) => {
-                let topic = item.topic();
-                files
-                    .take(item)
-                    .inspect_err(|_| shared.count(topic, 0, 1))?;
-            }
+        match popped {
+            Popped::Item(item) => files.take(item)?,
             Popped::Nothing => {}
             Popped::Closed => return Ok(()),
         }

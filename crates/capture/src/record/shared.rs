@@ -10,6 +10,7 @@ use joulebus_bus::clock;
 use super::files::Files;
 use super::gaps::Gaps;
 use super::item::Item;
+use super::options::Options;
 use super::queue::Queue;
 use crate::{MessageKind, Written};
 
@@ -18,8 +19,20 @@ use crate::{MessageKind, Written};
 pub struct Lost {
     /// Messages overwritten in shared memory before the recorder came round to them.
     pub overwritten: u64,
-    /// Messages that found the queue full: the disk was too slow.
+    /// Messages that found the queue full, or that could not be written: the disk was too slow, full
+    /// or failed.
     pub unwritten: u64,
+}
+
+/// What a snapshot keeps in memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Kept {
+    /// Messages.
+    pub messages: u64,
+    /// What they take, bytes.
+    pub bytes: u64,
+    /// From the oldest to the newest, ns.
+    pub span_ns: u64,
 }
 
 /// What a recording has come to.
@@ -29,6 +42,8 @@ pub struct Summary {
     pub files: Vec<(PathBuf, Written)>,
     /// What was lost, by topic; topics that lost nothing are left out.
     pub lost: BTreeMap<String, Lost>,
+    /// What a snapshot keeps in memory and has not written; none for other recordings.
+    pub kept: Option<Kept>,
     /// Why it stopped by itself, if it did.
     pub failure: Option<String>,
 }
@@ -63,22 +78,25 @@ pub(crate) struct Shared {
     pub(super) queue: Queue,
     gaps: Mutex<(Gaps, BTreeMap<String, Lost>)>,
     summary: Mutex<Summary>,
+    options: Options,
 }
 
 impl Shared {
-    pub(super) fn new(queue_bytes: usize) -> Self {
+    pub(super) fn new(options: &Options) -> Self {
         Self {
             stop: AtomicBool::new(false),
             write_down: AtomicBool::new(false),
             over: AtomicBool::new(false),
-            queue: Queue::new(queue_bytes),
+            queue: Queue::new(options.queue_bytes),
             gaps: Mutex::new((Gaps::new(clock::monotonic_ns()), BTreeMap::new())),
             summary: Mutex::default(),
+            options: options.clone(),
         }
     }
 
+    /// A recording that failed counts what it loses until it is stopped.
     pub(crate) fn is_stopping(&self) -> bool {
-        self.stop.load(Ordering::Relaxed) || self.queue.is_closed()
+        self.stop.load(Ordering::Relaxed)
     }
 
     /// Puts the item into the queue; counts what is missing before it, and it if it is lost.
@@ -118,8 +136,11 @@ impl Shared {
     pub(super) fn summary(&self) -> Summary {
         let summary = self.summary.lock().unwrap_or_else(PoisonError::into_inner);
         let gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+        // The journal is read for the diagnostics' sake as well: what nobody asked for is not lost.
+        let is_asked_for = |topic: &str| self.options.per_robot || (self.options.choose)(topic);
+        let lost = gaps.1.iter().filter(|(topic, _)| is_asked_for(topic));
         Summary {
-            lost: gaps.1.clone(),
+            lost: lost.map(|(topic, lost)| (topic.clone(), *lost)).collect(),
             ..summary.clone()
         }
     }
@@ -127,6 +148,15 @@ impl Shared {
     pub(super) fn note_files(&self, files: &Files) {
         let mut summary = self.summary.lock().unwrap_or_else(PoisonError::into_inner);
         summary.files = files.written();
+        summary.kept = files.kept();
+    }
+
+    /// The last word about files: nothing will be written any more.
+    pub(super) fn end_files(&self, files: &Files) {
+        for (topic, count) in files.lost() {
+            self.count(topic.clone(), 0, *count);
+        }
+        self.note_files(files);
     }
 
     pub(super) fn note_failure(&self, reason: String) {

@@ -1,11 +1,11 @@
 //! Writes captures.
 
+mod file;
 mod output;
 mod settings;
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
-use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,6 +15,7 @@ use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 
 use crate::{Attachments, Message, MessageKind};
+pub use file::CaptureFile;
 use output::Output;
 pub use settings::{CaptureSettings, Preset};
 
@@ -32,7 +33,8 @@ pub struct Times {
 
 /// Writes a capture, chunk by chunk: a chunk goes to the file whole when it spans
 /// [`CaptureSettings::chunk_ns`], when [`Writer::flush`] is called, and at the end. What has gone to the file
-/// can be read whatever happens afterwards.
+/// can be read whatever happens afterwards, and only that counts as written: every message given to
+/// [`Writer::write`] is in [`Writer::written`] or in [`Writer::unwritten`].
 ///
 /// Dropping it without [`Writer::finish`] leaves a file that may lack its end.
 pub struct Writer<W: Write> {
@@ -44,11 +46,23 @@ pub struct Writer<W: Write> {
     sequences: Sequences,
     chunk_from_ns: Option<u64>,
     log_ns: u64,
+    /// What is in the file.
     messages: u64,
     encoded: u64,
     bytes: Arc<AtomicU64>,
+    open: OpenChunk,
+    /// Messages that were refused, by topic.
+    refused: BTreeMap<String, u64>,
     failed: bool,
     scratch: Vec<u8>,
+}
+
+/// What was taken and is not in the file yet.
+#[derive(Debug, Default)]
+struct OpenChunk {
+    messages: u64,
+    encoded: u64,
+    by_channel: HashMap<u16, u64>,
 }
 
 impl<W: Write> fmt::Debug for Writer<W> {
@@ -69,11 +83,18 @@ struct Channel {
     sequence: u32,
 }
 
+impl OpenChunk {
+    /// Messages of the channel.
+    fn of(&self, channel: &Channel) -> u64 {
+        self.by_channel.get(&channel.id).copied().unwrap_or(0)
+    }
+}
+
 /// The next number of each channel, by topic: continues in the next file.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Sequences(BTreeMap<String, u32>);
 
-/// What was written.
+/// What is in a file.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Written {
     /// Messages.
@@ -86,7 +107,7 @@ pub struct Written {
     pub encoded_bytes: u64,
 }
 
-impl Writer<File> {
+impl Writer<CaptureFile> {
     /// Creates the file; one that exists is not touched.
     ///
     /// # Errors
@@ -96,10 +117,7 @@ impl Writer<File> {
         settings: CaptureSettings,
         attachments: &Attachments,
     ) -> Result<Self, WriteError> {
-        let file = File::create_new(path).map_err(|source| WriteError::Create {
-            path: path.to_owned(),
-            source,
-        })?;
+        let file = CaptureFile::create(path)?;
         Self::new(file, settings, attachments)
     }
 }
@@ -153,6 +171,8 @@ impl<W: Write> Writer<W> {
             messages: 0,
             encoded: 0,
             bytes,
+            open: OpenChunk::default(),
+            refused: BTreeMap::new(),
             failed: false,
             scratch: Vec::new(),
         })
@@ -172,10 +192,16 @@ impl<W: Write> Writer<W> {
         let Some(kind) = message.kind() else {
             return Err(WriteError::NotOurs);
         };
-        self.check()?;
-        let written = self.append(fleet, times, kind, message);
-        self.failed = matches!(&written, Err(WriteError::Failed { .. }));
-        written
+        let taken = match self.check() {
+            Ok(()) => self.append(fleet, times, kind, message),
+            stopped => stopped,
+        };
+        if taken.is_err() {
+            let topic = kind.topic(fleet, message.robot().unwrap_or(0));
+            *self.refused.entry(topic).or_default() += 1;
+        }
+        self.failed |= matches!(&taken, Err(WriteError::Failed { .. }));
+        taken
     }
 
     fn append(
@@ -194,7 +220,9 @@ impl<W: Write> Writer<W> {
         }
         self.chunk_from_ns.get_or_insert(log_ns);
         let robot = message.robot().unwrap_or(0);
-        let (channel_id, sequence) = self.next_place(fleet, kind, robot)?;
+        let place = self.place(fleet, kind, robot)?;
+        let channel = &self.channels[&(kind, robot)][place];
+        let (channel_id, sequence) = (channel.id, channel.sequence);
         self.scratch.clear();
         message.encode(&mut self.scratch);
         let header = MessageHeader {
@@ -206,8 +234,12 @@ impl<W: Write> Writer<W> {
         self.mcap
             .write_to_known_channel(&header, &self.scratch)
             .map_err(failed)?;
-        self.messages += 1;
-        self.encoded += self.scratch.len() as u64;
+        self.open.messages += 1;
+        self.open.encoded += self.scratch.len() as u64;
+        *self.open.by_channel.entry(channel_id).or_default() += 1;
+        if let Some(channels) = self.channels.get_mut(&(kind, robot)) {
+            channels[place].sequence = sequence.wrapping_add(1);
+        }
         Ok(())
     }
 
@@ -220,7 +252,12 @@ impl<W: Write> Writer<W> {
         self.chunk_from_ns = None;
         let flushed = self.mcap.flush();
         self.failed = flushed.is_err();
-        flushed.map_err(failed)
+        flushed.map_err(failed)?;
+        self.messages += self.open.messages;
+        self.encoded += self.open.encoded;
+        (self.open.messages, self.open.encoded) = (0, 0);
+        self.open.by_channel.clear();
+        Ok(())
     }
 
     /// Ends the file with its summary, and returns what was written, the numbers with which the
@@ -229,7 +266,7 @@ impl<W: Write> Writer<W> {
     /// # Errors
     /// [`WriteError`]: the summary is not whole.
     pub fn finish(mut self) -> Result<(Written, Sequences, W), WriteError> {
-        self.check()?;
+        self.flush()?;
         self.mcap.finish().map_err(failed)?;
         let (written, sequences) = (self.written(), self.sequences());
         let output = self.mcap.into_inner().into_inner();
@@ -256,17 +293,14 @@ impl<W: Write> Writer<W> {
         }
     }
 
-    /// What was written so far.
+    /// What is in the file so far.
     #[must_use]
     pub fn written(&self) -> Written {
-        let channels = self.channels.iter();
-        let by_topic = channels.flat_map(|((kind, robot), channels)| {
-            channels.iter().map(|channel| {
-                let topic = kind.topic(&channel.fleet, *robot);
-                let before = self.sequences.0.get(&topic).copied().unwrap_or(0);
-                let count = channel.sequence.wrapping_sub(before);
-                (topic, u64::from(count))
-            })
+        let by_topic = self.topics().map(|(topic, channel)| {
+            let before = self.sequences.0.get(&topic).copied().unwrap_or(0);
+            let taken = u64::from(channel.sequence.wrapping_sub(before));
+            let count = taken - self.open.of(channel);
+            (topic, count)
         });
         Written {
             messages: self.messages,
@@ -276,14 +310,36 @@ impl<W: Write> Writer<W> {
         }
     }
 
-    fn sequences(&self) -> Sequences {
-        let mut sequences = self.sequences.clone();
-        for ((kind, robot), channels) in &self.channels {
-            for channel in channels {
-                let topic = kind.topic(&channel.fleet, *robot);
-                sequences.0.insert(topic, channel.sequence);
+    /// Messages by topic that were given to [`Writer::write`] and are not in the file: those of the
+    /// open chunk, which a failure costs, and those that were refused.
+    #[must_use]
+    pub fn unwritten(&self) -> BTreeMap<String, u64> {
+        let mut unwritten = self.refused.clone();
+        for (topic, channel) in self.topics() {
+            let count = self.open.of(channel);
+            if count > 0 {
+                *unwritten.entry(topic).or_default() += count;
             }
         }
+        unwritten
+    }
+
+    fn topics(&self) -> impl Iterator<Item = (String, &Channel)> {
+        let channels = self.channels.iter();
+        channels.flat_map(|((kind, robot), channels)| {
+            let topic = |channel: &Channel| kind.topic(&channel.fleet, *robot);
+            channels
+                .iter()
+                .map(move |channel| (topic(channel), channel))
+        })
+    }
+
+    fn sequences(&self) -> Sequences {
+        let mut sequences = self.sequences.clone();
+        let next = self
+            .topics()
+            .map(|(topic, channel)| (topic, channel.sequence));
+        sequences.0.extend(next);
         sequences
     }
 
@@ -294,29 +350,24 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// The channel's id, and the number of its next message.
-    fn next_place(
+    /// The channel's place among those of its kind and robot: one fleet as a rule, a few at most.
+    fn place(&mut self, fleet: &str, kind: MessageKind, robot: u32) -> Result<usize, WriteError> {
+        let known = self.channels.get(&(kind, robot));
+        let known =
+            known.and_then(|known| known.iter().position(|channel| &*channel.fleet == fleet));
+        match known {
+            Some(place) => Ok(place),
+            None => self.open_channel(fleet, kind, robot),
+        }
+    }
+
+    /// Opens the channel and returns its place among those of its kind and robot.
+    fn open_channel(
         &mut self,
         fleet: &str,
         kind: MessageKind,
         robot: u32,
-    ) -> Result<(u16, u32), WriteError> {
-        let known = self.channels.entry((kind, robot)).or_default();
-        // One fleet as a rule, a few at most.
-        let place = known.iter().position(|channel| &*channel.fleet == fleet);
-        let place = match place {
-            Some(place) => place,
-            None => self.open(fleet, kind, robot)?,
-        };
-        let channels = self.channels.entry((kind, robot)).or_default();
-        let channel = &mut channels[place];
-        let sequence = channel.sequence;
-        channel.sequence = sequence.wrapping_add(1);
-        Ok((channel.id, sequence))
-    }
-
-    /// Opens the channel and returns its place among those of its kind and robot.
-    fn open(&mut self, fleet: &str, kind: MessageKind, robot: u32) -> Result<usize, WriteError> {
+    ) -> Result<usize, WriteError> {
         if self.opened == MOST_CHANNELS {
             return Err(WriteError::TooManyChannels {
                 allowed: MOST_CHANNELS,
@@ -355,6 +406,15 @@ impl<W: Write> Writer<W> {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteError {
+    /// There is a file of that name.
+    #[error(
+        "{path:?} exists and is not touched; name another file, or begin its next part \
+         (`joulebus record --go-on`)"
+    )]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
     /// The file could not be created.
     #[error("cannot create {path:?}: {source}")]
     Create {

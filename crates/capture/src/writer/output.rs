@@ -13,16 +13,19 @@ const MOST_GATHERED: usize = 1 << 20;
 pub(crate) struct Output<W> {
     inner: W,
     gathered: Vec<u8>,
+    /// Bytes that have come in.
+    taken: u64,
     bytes: Arc<AtomicU64>,
     failed: bool,
 }
 
 impl<W: Write> Output<W> {
-    /// `bytes` counts what has gone in, handed on or not.
+    /// `bytes` tells how many have been handed on and flushed.
     pub(crate) const fn new(inner: W, bytes: Arc<AtomicU64>) -> Self {
         Self {
             inner,
             gathered: Vec::new(),
+            taken: 0,
             bytes,
             failed: false,
         }
@@ -49,7 +52,7 @@ impl<W: Write> Write for Output<W> {
             return Err(io::Error::other("an earlier write failed"));
         }
         self.gathered.extend_from_slice(bytes);
-        self.bytes.fetch_add(bytes.len() as u64, Ordering::Relaxed);
+        self.taken += bytes.len() as u64;
         if self.gathered.len() > MOST_GATHERED {
             self.hand_on()?;
         }
@@ -58,6 +61,11 @@ impl<W: Write> Write for Output<W> {
 
     fn flush(&mut self) -> io::Result<()> {
         self.hand_on()?;
-        self.inner.flush()
+        let flushed = self.inner.flush();
+        match &flushed {
+            Ok(()) => self.bytes.store(self.taken, Ordering::Relaxed),
+            Err(_) => self.failed = true,
+        }
+        flushed
     }
 }

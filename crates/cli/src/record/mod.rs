@@ -44,7 +44,7 @@ const STDOUT: &str = "-";
     joulebus record -o plots.mcap -e '/robot/(3|4)/' --per-robot --duration 60\n  \
     joulebus record -o alarm.mcap --snapshot 30\n  \
     joulebus record --config a.toml --config b.toml -o both.mcap\n\n\
-    Ends with SIGINT or SIGTERM. Config, models and build are attached. A slow disk costs messages, \
+    Ends with SIGINT, SIGTERM or SIGHUP. Config, models and build are attached. A slow disk costs messages, \
     which are counted, never a tick. Killed, it loses less than 100 ms of data (zstd_small: about \
     1 s); `joulebus recover` makes such a file whole.\n\
     Exit codes: 1 if the file could not be written on (what was written can be recovered); 3 if \
@@ -135,6 +135,10 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         .duration
         .map(|seconds| began_ns.saturating_add(ns(seconds)));
     wait(&recorder, &stop, &write_down, end_ns);
+    // Asked for together with the end.
+    if write_down.swap(false, Ordering::Relaxed) {
+        recorder.write_down();
+    }
     // Their captures end before ours does.
     others.end();
     let summary = recorder.finish();
@@ -173,7 +177,19 @@ fn progress(summary: &Summary, for_ns: u64) -> String {
     let (messages, bytes) = (summary.messages(), summary.bytes());
     let lost = summary.messages_lost();
     let (seconds, megabytes) = (for_ns as f64 * 1e-9, bytes as f64 * 1e-6);
-    format!("{seconds:.0} s: {messages} messages, {megabytes:.1} MB, {lost} lost")
+    let Some(kept) = summary.kept else {
+        return format!("{seconds:.0} s: {messages} messages, {megabytes:.1} MB, {lost} lost");
+    };
+    let (files, waiting, span_s) = (
+        summary.files.len(),
+        kept.messages,
+        kept.span_ns as f64 * 1e-9,
+    );
+    let kept_mb = kept.bytes as f64 * 1e-6;
+    format!(
+        "{seconds:.0} s: {waiting} messages of the last {span_s:.1} s in memory ({kept_mb:.1} MB), \
+         {files} files written ({messages} messages, {megabytes:.1} MB), {lost} lost"
+    )
 }
 
 impl Args {

@@ -22,6 +22,8 @@ pub(super) struct RecordReport {
     /// Messages lost by topic; topics that lost nothing are left out.
     lost: BTreeMap<String, Lost>,
     messages_lost: u64,
+    /// What a snapshot kept in memory at its end, for no file; none of other recordings.
+    kept: Option<Kept>,
     /// Why it stopped by itself, if it did.
     failure: Option<String>,
 }
@@ -34,10 +36,18 @@ struct File {
 }
 
 #[derive(Debug, Serialize)]
+struct Kept {
+    messages: u64,
+    bytes: u64,
+    /// From the oldest to the newest, s.
+    span_s: f64,
+}
+
+#[derive(Debug, Serialize)]
 struct Lost {
     /// Overwritten in shared memory before the recorder came round to them.
     overwritten: u64,
-    /// The disk was too slow or full.
+    /// The disk was too slow, full, or failed.
     unwritten: u64,
 }
 
@@ -70,6 +80,11 @@ impl RecordReport {
             topics,
             lost: lost.collect(),
             messages_lost: summary.messages_lost(),
+            kept: summary.kept.map(|kept| Kept {
+                messages: kept.messages,
+                bytes: kept.bytes,
+                span_s: kept.span_ns as f64 * 1e-9,
+            }),
             failure: summary.failure.clone(),
         }
     }
@@ -107,6 +122,17 @@ impl fmt::Display for RecordReport {
         for file in &self.files {
             let (path, messages, bytes) = (&file.path, file.messages, file.bytes);
             writeln!(out, "file {path}: {messages} messages, {bytes} bytes")?;
+        }
+        if let Some(Kept {
+            messages, span_s, ..
+        }) = &self.kept
+        {
+            let files = self.files.len();
+            writeln!(
+                out,
+                "snapshot: {files} files were asked for; the last {span_s:.1} s in memory, {messages} \
+                 messages, are in none"
+            )?;
         }
         if let Some(failure) = &self.failure {
             writeln!(out, "stopped: {failure}")?;

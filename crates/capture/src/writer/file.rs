@@ -1,0 +1,154 @@
+//! The file of a capture, on a disk that may fill up or fail.
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use super::WriteError;
+
+/// A file that holds what was flushed and nothing else: when a write fails, the bytes since the last
+/// flush are cut off again. So a capture has no half of a chunk, and a chunk that arrived whole while
+/// the rest of its flush failed is not in it either: what is counted as written is what can be read.
+#[derive(Debug)]
+pub struct CaptureFile {
+    path: PathBuf,
+    file: File,
+    bytes: u64,
+    flushed_bytes: u64,
+}
+
+impl CaptureFile {
+    /// Creates the file; one that exists is not touched.
+    ///
+    /// # Errors
+    /// [`WriteError::Exists`], [`WriteError::Create`].
+    pub(crate) fn create(path: &Path) -> Result<Self, WriteError> {
+        let file = File::create_new(path).map_err(|source| match source.kind() {
+            io::ErrorKind::AlreadyExists => WriteError::Exists {
+                path: path.to_owned(),
+            },
+            _ => WriteError::Create {
+                path: path.to_owned(),
+                source,
+            },
+        })?;
+        Ok(Self {
+            path: path.to_owned(),
+            file,
+            bytes: 0,
+            flushed_bytes: 0,
+        })
+    }
+
+    /// Waits until the file is on the disk: an error of the disk may come only then.
+    pub(crate) fn sync(self) -> io::Result<()> {
+        self.file.sync_all()
+    }
+}
+
+impl Write for CaptureFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self.file.write(bytes) {
+            Ok(written) if written > 0 || bytes.is_empty() => {
+                self.bytes += written as u64;
+                Ok(written)
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => Err(error),
+            ended => {
+                if let Err(error) = self.file.set_len(self.flushed_bytes) {
+                    let path = self.path.display();
+                    tracing::warn!(%error, "{path} ends with half a chunk");
+                }
+                ended
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.flushed_bytes = self.bytes;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Read as _;
+
+    use joulebus_wire::TickHeader;
+    use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, memfd_create};
+
+    use super::*;
+    use crate::{Attachments, CaptureSettings, Message, Preset, Reader, Times, Writer};
+
+    /// A disk with room for so many bytes, and a second descriptor of the file on it.
+    fn disk(room: u64) -> (CaptureFile, File) {
+        let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
+        let file = File::from(memfd_create("joulebus-test", flags).unwrap());
+        file.set_len(room).unwrap();
+        fcntl_add_seals(&file, SealFlags::GROW).unwrap();
+        let reading = file.try_clone().unwrap();
+        let capture = CaptureFile {
+            path: PathBuf::from("memory"),
+            file,
+            bytes: 0,
+            flushed_bytes: 0,
+        };
+        (capture, reading)
+    }
+
+    /// Messages of a file.
+    fn readable(file: &Path) -> u64 {
+        let Ok(reader) = Reader::open(file) else {
+            return 0;
+        };
+        reader.map_while(Result::ok).count() as u64
+    }
+
+    const GIVEN: u64 = 7;
+
+    /// Gives a writer messages, a chunk each two; what it says is in the file, and what is not.
+    fn write<W: Write>(out: W, settings: CaptureSettings) -> (u64, u64, bool) {
+        let Ok(mut writer) = Writer::new(out, settings, &Attachments::default()) else {
+            return (0, GIVEN, false);
+        };
+        for number in 1..=GIVEN {
+            let message = Message::Ticks(TickHeader::default(), Vec::new());
+            let times = Times::default();
+            // What fails is counted; whoever continues all the same is told again.
+            let _ = writer.write("lab", times, &message);
+            if number % 2 == 0 {
+                let _ = writer.flush();
+            }
+        }
+        let _ = writer.flush();
+        let written = writer.written();
+        assert_eq!(written.by_topic.values().sum::<u64>(), written.messages);
+        let unwritten = writer.unwritten().values().sum();
+        (written.messages, unwritten, writer.finish().is_ok())
+    }
+
+    #[test]
+    fn whatever_room_the_disk_has_the_file_holds_what_is_counted_as_written() {
+        for preset in Preset::ALL {
+            let settings = CaptureSettings::of(preset);
+            let mut whole = Vec::new();
+            assert_eq!(write(&mut whole, settings), (GIVEN, 0, true));
+            let step = if preset == Preset::ZstdFast { 1 } else { 7 };
+            for room in (0..whole.len() as u64).step_by(step) {
+                let (file, reading) = disk(room);
+                let (written, unwritten, finished) = write(file, settings);
+                assert!(!finished, "{preset:?}, room for {room}");
+                assert_eq!(written + unwritten, GIVEN, "{preset:?}, room for {room}");
+                let mut bytes = Vec::new();
+                let path = format!(
+                    "/proc/self/fd/{}",
+                    std::os::fd::AsRawFd::as_raw_fd(&reading)
+                );
+                File::open(&path).unwrap().read_to_end(&mut bytes).unwrap();
+                assert!(whole.starts_with(&bytes), "{preset:?}, room for {room}");
+                let found = readable(Path::new(&path));
+                assert_eq!(found, written, "{preset:?}, room for {room}");
+            }
+        }
+    }
+}
