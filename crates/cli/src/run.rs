@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use crate::record::RecorderProcess;
 
-/// Run the predictor-worker of a fleet until SIGINT or SIGTERM, then report
+/// Run the predictor-worker of a fleet until SIGINT, SIGTERM or SIGHUP, then report
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus run --config configs/fleet.toml\n  \

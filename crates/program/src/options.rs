@@ -3,7 +3,7 @@
 use clap::error::ErrorKind;
 
 use crate::output::{Output, OutputFormat};
-use crate::{exit_with_parent, logging};
+use crate::{exit_with_parent, logging, stop};
 
 /// Options of every verb.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -27,9 +27,10 @@ impl GlobalOptions {
     /// A format that the verb does not support, or a thread that cannot be started.
     pub fn start(self, has_rows: bool) -> Result<Output, clap::Error> {
         logging::start(self.verbose);
+        let failed = |error: anyhow::Error| clap::Error::raw(ErrorKind::Io, format!("{error:#}\n"));
+        stop::survive_file_limit().map_err(failed)?;
         if self.exit_with_stdin {
-            exit_with_parent::end_with_stdin()
-                .map_err(|error| clap::Error::raw(ErrorKind::Io, format!("{error:#}\n")))?;
+            exit_with_parent::end_with_stdin().map_err(failed)?;
         }
         if !has_rows && matches!(self.format, OutputFormat::Ndjson | OutputFormat::Csv) {
             let what = "--format ndjson and csv are of `cat` alone; use --format json\n";

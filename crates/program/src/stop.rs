@@ -1,4 +1,4 @@
-//! SIGINT and SIGTERM.
+//! Signals: those that ask a program to stop, and one that must not kill it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -6,39 +6,31 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use joulebus_bus::clock;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 
 /// Maximum delay of the exit by a sleep.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// Set by SIGINT and SIGTERM. A second signal has no effect: the clean-up always runs.
+/// Set by SIGINT, SIGTERM and SIGHUP. A second signal has no effect: the clean-up always runs.
 #[derive(Debug, Clone)]
 pub struct Stop {
     asked: Arc<AtomicBool>,
 }
 
 impl Stop {
-    /// From now on the two signals set the flag instead of killing the process.
+    /// From now on the signals set the flag instead of killing the process. SIGHUP stays ignored where
+    /// it is ignored at the start: `nohup` does that so that the process outlives its terminal.
     ///
     /// # Errors
     /// The signal handlers cannot be installed.
     pub fn on_signals() -> anyhow::Result<Self> {
         let asked = Arc::new(AtomicBool::new(false));
-        for signal in [SIGINT, SIGTERM] {
+        let hangup = (!is_ignored(SIGHUP)).then_some(SIGHUP);
+        for signal in [SIGINT, SIGTERM].into_iter().chain(hangup) {
             signal_hook::flag::register(signal, Arc::clone(&asked))
                 .with_context(|| format!("cannot handle signal {signal}"))?;
         }
         Ok(Self { asked })
-    }
-
-    /// Also stops when the terminal is closed (SIGHUP): for programs that display in it.
-    ///
-    /// # Errors
-    /// The signal handler cannot be installed.
-    pub fn or_hangup(self) -> anyhow::Result<Self> {
-        signal_hook::flag::register(SIGHUP, Arc::clone(&self.asked))
-            .context("cannot handle the end of the terminal")?;
-        Ok(self)
     }
 
     /// Whether a stop was requested.
@@ -63,4 +55,23 @@ impl Stop {
         }
         false
     }
+}
+
+/// A write beyond the limit on the length of files (`ulimit -f`) becomes an error, as on a full disk,
+/// instead of killing the process.
+///
+/// # Errors
+/// The system does not let the signal be handled.
+pub fn survive_file_limit() -> anyhow::Result<()> {
+    signal_hook::flag::register(SIGXFSZ, Arc::default())
+        .context("cannot handle the limit on the length of files")?;
+    Ok(())
+}
+
+/// Whether the signal is ignored, as Linux tells; what it does not tell is not.
+fn is_ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let ignored = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    ignored.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }

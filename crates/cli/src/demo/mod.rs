@@ -78,7 +78,7 @@ fn duration(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     // Before anything is created: who is told to stop while starting cleans up as well.
-    let stop = Stop::on_signals()?.or_hangup()?;
+    let stop = Stop::on_signals()?;
     let wanted = (!args.no_capture).then_some(args.capture.as_deref());
     let capture = wanted.map(capture::file).transpose()?;
     let place = Place::make(args.robots)?;

@@ -22,7 +22,7 @@ use joulebus_program::platform::platform;
 /// The plant takes no longer step, ns.
 const LONGEST_STEP_NS: u64 = 1_000_000_000;
 
-/// Publish a simulated fleet of GTernal robots until SIGINT or SIGTERM, then report
+/// Publish a simulated fleet of GTernal robots until SIGINT, SIGTERM or SIGHUP, then report
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus publish sim --robots 20 --seed 7\n  \

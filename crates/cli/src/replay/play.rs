@@ -49,6 +49,8 @@ struct Player {
     flow: Option<Flow>,
     /// Whether to send no more than the worker answers.
     follows: bool,
+    /// Whether to wait for a worker where there is none.
+    waits: bool,
     kinds: Vec<MessageKind>,
     slower: f64,
     pace: Option<Pace>,
@@ -103,6 +105,7 @@ impl Player {
             ports,
             flow: flow.transpose()?,
             follows,
+            waits: !args.no_wait,
             kinds,
             slower: match args.rate {
                 Rate::Times(factor) => (1.0 / factor).clamp(1.0, SLOWEST),
@@ -126,7 +129,7 @@ impl Player {
             tracing::warn!(%error, "frames may be sent 50 µs late");
         }
         if let Some(flow) = &mut self.flow
-            && !args.no_wait
+            && self.waits
             && !wait_for_worker(flow, stop)?
         {
             return Ok(false);
@@ -263,6 +266,8 @@ impl Player {
         match flow.wait_for_capacity(samples, stop)? {
             SendWindow::Free => Ok(true),
             SendWindow::Stopped => Ok(false),
+            // What is sent is lost, as was asked for.
+            SendWindow::NoWorker if !self.waits => Ok(true),
             SendWindow::NoWorker => wait_for_worker(flow, stop),
         }
     }

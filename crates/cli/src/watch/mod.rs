@@ -52,7 +52,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let stop = Stop::on_signals()?.or_hangup()?;
+    let stop = Stop::on_signals()?;
     let config = args.config.load()?;
     let end_ns = args.end_ns();
     if args.once {

@@ -15,7 +15,7 @@ fn text(path: &Path) -> String {
 }
 
 /// A capture of two recordings, and the samples in it.
-fn capture(fleet: &Fleet, rows: u32) -> (PathBuf, u64) {
+pub(crate) fn capture(fleet: &Fleet, rows: u32) -> (PathBuf, u64) {
     let path = fleet.path("trials.mcap");
     let mut import = fleet.joulebus("import --format json");
     import.arg("-o").arg(&path);
@@ -94,6 +94,38 @@ fn a_capture_is_shown_damaged_and_recovered() {
     let twice = run(&["recover", &text(&cut), "-o", &text(&again)]);
     assert_eq!(code(&twice), 2, "{}", stderr(&twice));
     assert!(stderr(&twice).contains("exists"));
+}
+
+#[test]
+fn a_replay_that_does_not_wait_plays_to_its_end_without_a_worker() {
+    let fleet = Fleet::new();
+    let (file, samples) = capture(&fleet, 300);
+    for rate in ["50", "max", "1000"] {
+        let verb = format!(
+            "replay {} --rate {rate} --no-wait --format json",
+            file.display()
+        );
+        let played = fleet.output(&verb);
+        // What is sent without a worker is lost, as the option says.
+        assert!(matches!(code(&played), 0 | 3), "{}", stderr(&played));
+        assert_eq!(json(&played)["samples"], samples, "rate {rate}");
+        assert!(!stderr(&played).contains("waiting"), "{}", stderr(&played));
+        assert!(fleet.stale_files().is_empty());
+    }
+}
+
+#[test]
+fn a_file_that_exists_is_refused_with_what_to_do() {
+    let fleet = Fleet::new();
+    let file = fleet.path("run.mcap");
+    fs::write(&file, "precious").unwrap();
+    for verb in ["record -o", "run --record"] {
+        let refused = fleet.output(&format!("{verb} {}", file.display()));
+        assert_eq!(code(&refused), 1, "{verb}");
+        assert!(stderr(&refused).contains("--go-on"), "{}", stderr(&refused));
+        assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
+        assert!(fleet.stale_files().is_empty());
+    }
 }
 
 #[test]

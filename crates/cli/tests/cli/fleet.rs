@@ -154,9 +154,18 @@ impl Program {
         self.0.says(text);
     }
 
+    pub(crate) fn signal(&mut self, signal: Signal) {
+        self.0.signal(signal);
+    }
+
+    /// Lines that it has written to stderr so far.
+    pub(crate) fn said(&self) -> Vec<String> {
+        self.0.errors().lines().map(str::to_owned).collect()
+    }
+
     /// Asks it to end, and waits.
     pub(crate) fn end(mut self, signal: Signal) -> Output {
-        self.0.signal(signal);
+        self.signal(signal);
         self.wait()
     }
 
