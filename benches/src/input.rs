@@ -1,10 +1,9 @@
 //! Inputs of the measurements, deterministic by seed.
 
-use std::fs;
 use std::path::Path;
 
 use anyhow::Context as _;
-use joulebus_predictor::{Features, Network};
+use joulebus_predictor::{Features, MAX_MODEL_BYTES, Network};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
@@ -24,7 +23,8 @@ pub(crate) fn network(path: Option<&Path>) -> anyhow::Result<(String, Network)> 
         }
         Some(path) => {
             let shown = path.display().to_string();
-            let bytes = fs::read(path).with_context(|| format!("cannot read {shown}"))?;
+            let bytes = joulebus_files::read(path, MAX_MODEL_BYTES as u64)
+                .with_context(|| format!("cannot read {shown}"))?;
             let network = Network::from_safetensors(&bytes)
                 .with_context(|| format!("the model {shown} is refused"))?;
             Ok((shown, network))

@@ -117,9 +117,13 @@ fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<R
     })
 }
 
+/// A file of figures larger than this is none: something else was named by mistake.
+const MOST_FIGURES_BYTES: u64 = 16 << 20;
+
 fn read(path: &Path) -> anyhow::Result<Suite> {
     let shown = path.display();
-    let text = fs::read_to_string(path).with_context(|| format!("cannot read {shown}"))?;
+    let text = joulebus_files::read_to_string(path, MOST_FIGURES_BYTES)
+        .with_context(|| format!("cannot read {shown}"))?;
     serde_json::from_str(&text)
         .with_context(|| format!("{shown} has no figures: write it with --json"))
 }
@@ -129,8 +133,8 @@ fn write(path: &Path, suite: &Suite) -> anyhow::Result<()> {
     let json = serde_json::to_string_pretty(suite)? + "\n";
     path.parent()
         .map_or(Ok(()), fs::create_dir_all)
-        .and_then(|()| fs::write(path, json))
-        .with_context(|| format!("cannot write {shown}"))
+        .with_context(|| format!("cannot write {shown}"))?;
+    joulebus_program::file::write(path, json.as_bytes())
 }
 
 impl fmt::Display for Measured {

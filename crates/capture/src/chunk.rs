@@ -8,10 +8,7 @@ use std::io::{self, Read};
 use mcap::McapError;
 use mcap::records::{Record, op};
 
-use crate::scan::{parse_record, zstd_decoder};
-
-/// A record or a chunk longer than this is taken for damage, bytes.
-pub(crate) const MOST_BYTES: usize = 256 << 20;
+use crate::scan::{MAX_RECORD_BYTES, is_opcode, parse_record, zstd_decoder};
 
 /// Opcode and length before every record, bytes.
 const HEAD_BYTES: usize = 9;
@@ -24,6 +21,11 @@ pub(crate) struct Records {
 }
 
 impl Records {
+    /// Bytes of all of them.
+    pub(crate) fn bytes(&self) -> u64 {
+        self.bytes.len() as u64
+    }
+
     /// Opcode and body of the next record.
     pub(crate) fn next(&mut self) -> Option<Result<(u8, &[u8]), McapError>> {
         let rest = self.bytes.get(self.at..).filter(|rest| !rest.is_empty())?;
@@ -32,15 +34,16 @@ impl Records {
             .and_then(|(head, rest)| {
                 let [opcode, length @ ..] = head;
                 let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-                Some((*opcode, rest.get(..length)?))
+                let body = rest.get(..length)?;
+                is_opcode(*opcode).then_some((*opcode, body))
             });
         self.at += record.map_or(rest.len(), |(_, body)| HEAD_BYTES + body.len());
         Some(record.ok_or(McapError::UnexpectedEoc))
     }
 }
 
-/// The records of the chunk with this body.
-pub(crate) fn records(body: &[u8]) -> Result<Records, McapError> {
+/// The records of the chunk with this body, of at most `most_bytes`.
+pub(crate) fn records(body: &[u8], most_bytes: u64) -> Result<Records, McapError> {
     let chunk = parse_record(op::CHUNK, body);
     let Record::Chunk { header, data } =
         chunk.map_err(|error| error.unwrap_or(McapError::UnexpectedEoc))?
@@ -48,7 +51,7 @@ pub(crate) fn records(body: &[u8]) -> Result<Records, McapError> {
         return Err(McapError::UnexpectedEoc);
     };
     let size = header.uncompressed_size;
-    if size > MOST_BYTES as u64 {
+    if size > MAX_RECORD_BYTES.min(most_bytes) {
         return Err(McapError::ChunkTooLarge(size));
     }
     let bytes = match header.compression.as_str() {

@@ -11,8 +11,8 @@ use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use crate::chunk::{self, MOST_BYTES, Records};
-use crate::scan::parse_record;
+use crate::chunk::{self, Records};
+use crate::scan::{MAX_RECORD_BYTES, most_expanded, parse_record};
 use crate::{Attached, Attachments, DecodeError, Entry, Message, MessageKind};
 
 /// Bytes read at once at most.
@@ -32,6 +32,8 @@ pub struct Reader<S> {
     /// The first message, found while looking for attachments.
     first: Option<(MessageHeader, Vec<u8>)>,
     read_bytes: u64,
+    /// Bytes of records that came out of chunks.
+    expanded_bytes: u64,
     done: bool,
 }
 
@@ -61,12 +63,13 @@ struct Channel {
 }
 
 impl Reader<File> {
-    /// Opens a file and reads what comes before the first message.
+    /// Opens a regular file and reads what comes before the first message; streams are for
+    /// [`Reader::new`].
     ///
     /// # Errors
     /// [`ReadError`].
     pub fn open(path: impl AsRef<Path>) -> Result<Self, ReadError> {
-        Self::new(File::open(path)?)
+        Self::new(joulebus_files::open(path.as_ref())?)
     }
 }
 
@@ -78,7 +81,7 @@ impl<S: Read> Reader<S> {
     pub fn new(source: S) -> Result<Self, ReadError> {
         let options = LinearReaderOptions::default()
             .with_emit_chunks(true)
-            .with_record_length_limit(MOST_BYTES);
+            .with_record_length_limit(MAX_RECORD_BYTES as usize);
         let mut reader = Self {
             source,
             mcap: LinearReader::new_with_options(options),
@@ -86,6 +89,7 @@ impl<S: Read> Reader<S> {
             contents: Contents::default(),
             first: None,
             read_bytes: 0,
+            expanded_bytes: 0,
             done: false,
         };
         reader.first = match reader.advance() {
@@ -173,7 +177,10 @@ impl<S: Read> Reader<S> {
                     continue;
                 }
                 LinearReadEvent::Record { opcode, data } if opcode == op::CHUNK => {
-                    chunk::records(data).map(|records| {
+                    let allowed = most_expanded(self.read_bytes);
+                    let left = allowed.saturating_sub(self.expanded_bytes);
+                    chunk::records(data, left).map(|records| {
+                        self.expanded_bytes += records.bytes();
                         self.records = records;
                         None
                     })

@@ -13,6 +13,7 @@ use damaged::{KINDS, MESSAGES, file, read, recovered};
 use joulebus_capture::inspect::{Severity, inspect};
 use joulebus_capture::recover::recover;
 use joulebus_capture::scan::{Event, Scan};
+use joulebus_capture::{ReadError, Reader};
 use mcap::records::{Record, op};
 
 /// One scan's buffers, one decompressor and one writer; a length that lies may not add to it.
@@ -292,4 +293,67 @@ fn an_index_whose_length_ends_within_an_entry_makes_no_room() {
         let _ = recover(Cursor::new(&bytes), Cursor::new(Vec::new()));
     });
     assert!(used < MOST_BYTES, "{used} bytes");
+}
+
+/// A file of chunks, each of so many records like this, compressed.
+fn compressed(record: &[u8], records: usize, chunks: usize) -> Vec<u8> {
+    let mut file = mcap::MAGIC.to_vec();
+    let mut put = |opcode: u8, body: &[u8]| {
+        file.push(opcode);
+        file.extend((body.len() as u64).to_le_bytes());
+        file.extend(body);
+    };
+    put(mcap::records::op::HEADER, &[0; 8]);
+    let uncompressed = (record.len() * records) as u64;
+    let data = zstd::encode_all(record.repeat(records).as_slice(), 1).unwrap();
+    let mut chunk = vec![0; 16];
+    chunk.extend(uncompressed.to_le_bytes());
+    chunk.extend([0; 4]);
+    chunk.extend(4_u32.to_le_bytes());
+    chunk.extend(b"zstd");
+    chunk.extend((data.len() as u64).to_le_bytes());
+    chunk.extend(data);
+    for _ in 0..chunks {
+        put(mcap::records::op::CHUNK, &chunk);
+    }
+    file
+}
+
+#[test]
+fn a_small_file_costs_its_reader_bounded_work() {
+    // A record of 1 MiB that applications may have: nothing is wrong with it.
+    let mut large = vec![0x80];
+    large.extend((1_u64 << 20).to_le_bytes());
+    large.resize(9 + (1 << 20), 0);
+    // Opcode 0 is no record: the first of a great many ends the chunk.
+    for (record, records, chunks, wrong) in [
+        (&[0; 9][..], 7 << 20, 1, true),
+        (&large[..], 60, 1, false),
+        (&large[..], 70, 1, true),
+        (&large[..], 30, 3, true),
+    ] {
+        let file = compressed(record, records, chunks);
+        assert!(file.len() < 100_000, "{} bytes", file.len());
+        let end = match Reader::new(Cursor::new(&file)) {
+            Ok(mut reader) => reader.find_map(Result::err),
+            Err(error) => Some(error),
+        };
+        assert_eq!(
+            matches!(end, Some(ReadError::Damaged { .. })),
+            wrong,
+            "{records}: {end:?}"
+        );
+        let mut scan = Scan::new(Cursor::new(&file)).unwrap();
+        let mut events = 0;
+        let end = loop {
+            match scan.next_event() {
+                Ok(Some(_)) => events += 1,
+                Ok(None) => break Ok(()),
+                Err(error) => break Err(error),
+            }
+        };
+        assert!(events < 200, "{records}: {events} events");
+        // The file has no end in any case.
+        assert!(end.is_err(), "{records}");
+    }
 }

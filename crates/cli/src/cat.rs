@@ -1,7 +1,6 @@
 //! `joulebus cat`: the messages of captures and other MCAP files, one by one.
 
 use std::collections::BTreeSet;
-use std::fs::File;
 use std::io::{self, BufWriter, Write as _};
 use std::path::PathBuf;
 
@@ -9,7 +8,7 @@ use anyhow::Context as _;
 use joulebus_capture::values::{Line, values};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::StdoutClosed;
-use joulebus_program::output::{Output, OutputFormat, say};
+use joulebus_program::output::{Output, OutputFormat, printable, say};
 use regex::Regex;
 use serde_json::Value;
 
@@ -44,7 +43,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         named || matches || args.topics.is_empty() && regex.is_none()
     };
     let named = || args.file.display().to_string();
-    let file = File::open(&args.file).with_context(named)?;
+    let file = joulebus_files::open(&args.file).with_context(named)?;
     let mut out = Out::new(output.asked());
     let passed = values(file, wanted, |line| out.take(&line))?;
     out.out.flush().map_err(closed)?;
@@ -95,8 +94,8 @@ impl Out {
     fn take(&mut self, line: &Line<'_>) -> anyhow::Result<()> {
         match self.form {
             OutputFormat::Json | OutputFormat::Ndjson => {
-                serde_json::to_writer(&mut self.out, line).map_err(|error| closed(error.into()))?;
-                writeln!(self.out).map_err(closed)
+                let json = serde_json::to_string(line).context("cannot write as JSON")?;
+                self.line(&json)
             }
             OutputFormat::Text => self.text(line),
             OutputFormat::Csv => self.csv(line),
@@ -108,12 +107,16 @@ impl Out {
             line.log_time_ns / 1_000_000_000,
             line.log_time_ns % 1_000_000_000,
         );
-        write!(self.out, "{s}.{ns:09} {} #{} ", line.topic, line.sequence).map_err(closed)?;
-        match &line.undecoded {
-            None => writeln!(self.out, "{}", line.value),
-            Some(why) => writeln!(self.out, "[{} bytes of {}: {why}]", line.bytes, line.schema),
-        }
-        .map_err(closed)
+        let value = match &line.undecoded {
+            None => line.value.to_string(),
+            Some(why) => format!("[{} bytes of {}: {why}]", line.bytes, line.schema),
+        };
+        let (topic, sequence) = (line.topic, line.sequence);
+        self.line(&format!("{s}.{ns:09} {topic} #{sequence} {value}"))
+    }
+
+    fn line(&mut self, text: &str) -> anyhow::Result<()> {
+        writeln!(self.out, "{}", printable(text)).map_err(closed)
     }
 
     fn csv(&mut self, line: &Line<'_>) -> anyhow::Result<()> {
@@ -148,7 +151,7 @@ impl Out {
                 .chain(values)
                 .map(|text| quoted(&text))
                 .collect();
-            writeln!(self.out, "{}", cells.join(",")).map_err(closed)?;
+            self.line(&cells.join(","))?;
         }
         Ok(())
     }
@@ -163,7 +166,7 @@ impl Out {
         let columns: Vec<String> = self.columns.iter().map(|name| quoted(name)).collect();
         let place = "topic,log_time_ns,publish_time_ns,sequence";
         let comma = if columns.is_empty() { "" } else { "," };
-        writeln!(self.out, "{place}{comma}{}", columns.join(",")).map_err(closed)
+        self.line(&format!("{place}{comma}{}", columns.join(",")))
     }
 }
 

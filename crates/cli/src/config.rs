@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::Subcommand;
 use joulebus_config::{Config, ConfigError, Explanation, Problem, explain, explanations};
+use joulebus_predictor_worker::load_models;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{self, Format, Output, say};
@@ -23,7 +24,7 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// Check fleets' configs and the platform files they name; exit 2 if one is refused
+    /// Check fleets' configs and the platform files and models they name; exit 2 if one is refused
     #[command(after_help = "Example:\n  joulebus config check configs/fleet.toml")]
     Check {
         /// Configs of fleets [default: configs/fleet.toml, or the one that ships]
@@ -69,7 +70,7 @@ struct Checked {
     /// Maximum number of robots.
     capacity: Option<u32>,
     platforms: Vec<String>,
-    /// Why the file could not be read, if so.
+    /// Why the file could not be read, or the worker would not start with it, if so.
     error: Option<String>,
     problems: Vec<Problem>,
     warnings: Vec<Problem>,
@@ -98,12 +99,25 @@ impl Checked {
                     .map(|platform| platform.name.clone());
                 checked.platforms = names.collect();
                 checked.warnings = config.warnings().to_vec();
+                checked.error = refusal(&config).map(|why| format!("{}: {why}", checked.file));
+                checked.accepted = checked.error.is_none();
             }
             Err(error) if error.problems().is_empty() => checked.error = Some(error.to_string()),
             Err(error) => checked.problems = error.problems().to_vec(),
         }
         checked
     }
+}
+
+/// Why the worker would refuse a config that is well written, before it joins the fleet.
+fn refusal(config: &Config) -> Option<String> {
+    if let Err(error) = load_models(config) {
+        return Some(error.to_string());
+    }
+    if let Err(error) = config.settings().check() {
+        return Some(error.to_string());
+    }
+    config.domain().err().map(|error| error.to_string())
 }
 
 impl fmt::Display for CheckReport {

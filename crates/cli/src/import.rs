@@ -4,7 +4,7 @@ mod capture;
 mod options;
 
 use std::fmt;
-use std::fs::{self, File};
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -140,7 +140,7 @@ fn read_mcap(
     recordings: &mut Vec<Recording>,
 ) -> anyhow::Result<Source> {
     let named = || path.display().to_string();
-    let file = File::open(path).with_context(named)?;
+    let file = joulebus_files::open(path).with_context(named)?;
     let imported = import(file, &stem(path), mapping).with_context(named)?;
     let mut left_out = Vec::new();
     for robot in &imported.robots {

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::fs::File;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
@@ -44,7 +43,7 @@ struct InfoReport {
 /// Reads a file.
 pub(crate) fn look(path: &PathBuf) -> anyhow::Result<FileReport> {
     let named = || path.display().to_string();
-    let file = File::open(path).with_context(named)?;
+    let file = joulebus_files::open(path).with_context(named)?;
     let found = inspect(file).with_context(named)?;
     let joulebus = found
         .metadata

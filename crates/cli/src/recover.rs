@@ -44,7 +44,8 @@ struct RecoverReport {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let input = File::open(&args.input).with_context(|| args.input.display().to_string())?;
+    let input =
+        joulebus_files::open(&args.input).with_context(|| args.input.display().to_string())?;
     let input_bytes = input.metadata()?.len();
     if args.output.exists() {
         let name = args.output.display();
@@ -84,7 +85,7 @@ fn write(input: File, path: &Path) -> anyhow::Result<Recovery> {
 
 /// Opens the result again: it has to be whole, and to hold what was counted.
 fn check(path: &Path, recovery: &Recovery) -> anyhow::Result<()> {
-    let found = inspect(File::open(path)?)?;
+    let found = inspect(joulebus_files::open(path)?)?;
     let (wanted, messages) = (recovery.messages.recovered, found.messages);
     if !found.is_sound() || !found.complete || messages != wanted {
         let findings: Vec<String> = found.findings.iter().map(ToString::to_string).collect();

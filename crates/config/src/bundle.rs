@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::files::MOST_BYTES;
 use crate::values::quoted;
 use crate::{Config, ModelSource};
 
@@ -66,10 +67,11 @@ impl Config {
 fn model(source: &ModelSource) -> Result<Option<(String, Vec<u8>)>, BundleError> {
     match source {
         ModelSource::File(path) => {
-            let bytes = std::fs::read(path).map_err(|source| BundleError::Model {
-                path: path.clone(),
-                source,
-            })?;
+            let bytes =
+                joulebus_files::read(path, MOST_BYTES).map_err(|source| BundleError::Model {
+                    path: path.clone(),
+                    source,
+                })?;
             let name = path.file_name().unwrap_or_default().to_string_lossy();
             Ok(Some((name.into_owned(), bytes)))
         }

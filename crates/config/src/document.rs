@@ -127,7 +127,9 @@ impl Source<'_> {
     }
 
     fn syntax(&self, error: &toml::de::Error) -> Problem {
-        let place = self.place(error.span().unwrap_or_default());
+        let start = error.span().map(|span| span.start);
+        let start = start.unwrap_or_else(|| self.start_of(error));
+        let place = self.place(start..start);
         let message = error.message().trim().replace('\n', "; ");
         let (key, what, remedy) = if message.contains("duplicate key") {
             let key = error
@@ -153,6 +155,21 @@ impl Source<'_> {
             what,
             remedy: remedy.to_owned(),
         }
+    }
+}
+
+impl Source<'_> {
+    /// Where the line begins that an error without a place stands in: the text up to any line before
+    /// it has no such error.
+    fn start_of(&self, error: &toml::de::Error) -> usize {
+        let breaks = self.text.match_indices('\n').map(|(at, _)| at + 1);
+        let starts: Vec<usize> = [0].into_iter().chain(breaks).collect();
+        let fails_before = |start: &usize| {
+            let found = DeTable::parse(&self.text[..*start]).err();
+            found.is_some_and(|found| found.span().is_none() && found.message() == error.message())
+        };
+        let next = starts.partition_point(|start| !fails_before(start));
+        starts[next.saturating_sub(1)]
     }
 }
 

@@ -10,20 +10,12 @@ use crate::model_source::ModelSource;
 use crate::problem::Problem;
 use crate::values::Values;
 
-/// Maximum size of a config: larger files were named by mistake.
-const MOST_BYTES: u64 = 4 << 20;
+/// Maximum size of a config or a model: larger files were named by mistake.
+pub(crate) const MOST_BYTES: u64 = 4 << 20;
 
 /// The text of a config file.
 pub(crate) fn read(path: &Path) -> io::Result<String> {
-    let about = std::fs::metadata(path)?;
-    if !about.is_file() {
-        return Err(io::Error::other("not a regular file"));
-    }
-    if about.len() > MOST_BYTES {
-        let what = format!("{} bytes, allowed are {MOST_BYTES}", about.len());
-        return Err(io::Error::other(what));
-    }
-    std::fs::read_to_string(path)
+    joulebus_files::read_to_string(path, MOST_BYTES)
 }
 
 /// Reads the file of each platform; keys in the fleet's file override it.
@@ -125,10 +117,20 @@ pub(crate) fn check_model(values: &Values, problems: &mut Vec<Problem>) {
             let what = format!("is {text:?}, and there is no such built-in model");
             (what, format!("Built-in models: {}", known.join(", ")))
         }
-        (Some(ModelSource::File(path)), _) if !path.is_file() => (
-            format!("names {}, and there is no such file", path.display()),
-            "Give \"persistence\", \"builtin:<name>\", or a path relative to this file".to_owned(),
-        ),
+        (Some(ModelSource::File(path)), _) => {
+            let Err(error) = joulebus_files::look(&path) else {
+                return;
+            };
+            let why = match error.kind() {
+                io::ErrorKind::NotFound => ", and there is no such file".to_owned(),
+                _ => format!(", which {error}"),
+            };
+            (
+                format!("names {}{why}", path.display()),
+                "Give \"persistence\", \"builtin:<name>\", or a path relative to this file"
+                    .to_owned(),
+            )
+        }
         _ => return,
     };
     problems.push(complaint(values, "platform.model", what, remedy));

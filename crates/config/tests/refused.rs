@@ -731,3 +731,22 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn text_that_is_nested_too_deep_is_refused_with_its_line() {
+    let deep = |separator: &str| vec!["a"; 300].join(separator);
+    for line in [
+        format!("{} = 1", deep(".")),
+        format!("tick.{} = 1", deep(".")),
+        format!("[{}]", deep(".")),
+        format!("[[{}]]", deep(".")),
+        format!("x = {}1{}", "[".repeat(300), "]".repeat(300)),
+        format!("x = {}1{}", "{a = ".repeat(300), "}".repeat(300)),
+    ] {
+        let text = format!("[fleet]\nname = \"x\"\n\n# ä\n{line}\n[tick]\nrate_hz = 30\n");
+        let refused = Config::parse(&text, Path::new("/nowhere")).unwrap_err();
+        let problem = &refused.problems()[0];
+        let shown: String = line.chars().take(20).collect();
+        assert_eq!(problem.line, Some(5), "{shown}: {problem}");
+    }
+}

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use joulebus_config::{Config, ModelSource};
-use joulebus_predictor::{Model, ModelError, Network, Persistence, ResidualStats};
+use joulebus_predictor::{MAX_MODEL_BYTES, Model, ModelError, Network, Persistence, ResidualStats};
 
 /// Standard normal quantile of 95 %: where the interval of a model without residual quantiles
 /// begins, before it adapts.
@@ -50,7 +50,8 @@ pub fn load_models(config: &Config) -> Result<Vec<Model>, ModelsError> {
 fn load(platform: &str, source: &ModelSource) -> Result<Model, ModelsError> {
     let (name, loaded) = match source {
         ModelSource::File(path) => {
-            let bytes = std::fs::read(path).map_err(|source| ModelsError::Read {
+            let read = joulebus_files::read(path, MAX_MODEL_BYTES as u64);
+            let bytes = read.map_err(|source| ModelsError::Read {
                 platform: platform.to_owned(),
                 path: path.clone(),
                 source,

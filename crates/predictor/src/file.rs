@@ -23,7 +23,8 @@ const CONVENTION: &str = "command in force and the readings up to now, newest fi
 const FRESHNESS_CONVENTION: &str = "; reading_age_steps: samples since the newest reading was measured, \
                                     up to 30; reading_due: 1 if a new one is due with the next \
                                     sample by the interval learned from the stream, else 0";
-const MAX_BYTES: usize = 1 << 20;
+/// Most bytes of a model file.
+pub const MAX_MODEL_BYTES: usize = 1 << 20;
 
 type Fields = BTreeMap<&'static str, String>;
 
@@ -84,20 +85,20 @@ pub(crate) fn write(parameters: &Parameters, card: &ModelCard) -> Result<Vec<u8>
     let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
     bytes.append(&mut header);
     bytes.append(&mut data);
-    if bytes.len() > MAX_BYTES {
+    if bytes.len() > MAX_MODEL_BYTES {
         return Err(ModelError::TooLarge {
             found: bytes.len(),
-            allowed: MAX_BYTES,
+            allowed: MAX_MODEL_BYTES,
         });
     }
     Ok(bytes)
 }
 
 pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, ModelCard), ModelError> {
-    if bytes.len() > MAX_BYTES {
+    if bytes.len() > MAX_MODEL_BYTES {
         return Err(ModelError::TooLarge {
             found: bytes.len(),
-            allowed: MAX_BYTES,
+            allowed: MAX_MODEL_BYTES,
         });
     }
     let (_, header) = SafeTensors::read_metadata(bytes)?;

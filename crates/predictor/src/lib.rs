@@ -37,6 +37,7 @@ mod rollout;
 pub use card::{ModelCard, ResidualStats, Scores, TrainingRange};
 pub use error::{ModelError, RolloutError};
 pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, features};
+pub use file::MAX_MODEL_BYTES;
 pub use gelu::Activation;
 pub use kernel::{Kernel, SimdLevel, SimdTask, Tiling, prefetch};
 pub use linear::Linear;

@@ -69,7 +69,12 @@ pub fn code(result: anyhow::Result<Outcome>) -> ExitCode {
 /// The exit code of arguments that clap did not accept: a request for help, or wrong usage.
 #[must_use]
 pub fn refused(arguments: &clap::Error) -> ExitCode {
-    // A closed pipe while printing help is ignored.
-    let _ = arguments.print();
+    if arguments.use_stderr() {
+        // The message quotes the arguments, which may contain escape sequences.
+        output::say(arguments.render().to_string().trim_end());
+    } else {
+        // A closed pipe while printing help is ignored.
+        let _ = arguments.print();
+    }
     u8::try_from(arguments.exit_code()).unwrap_or(USAGE).into()
 }

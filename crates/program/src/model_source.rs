@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, anyhow};
 use joulebus_config::{builtin_model, builtin_models};
-use joulebus_predictor::Network;
+use joulebus_predictor::{MAX_MODEL_BYTES, Network};
 
 use crate::exit::UsageError;
 
@@ -21,7 +21,7 @@ pub fn load(path: &Path) -> anyhow::Result<Network> {
     let builtin = path.to_str().and_then(|name| name.strip_prefix(BUILTIN));
     let bytes: Cow<'_, [u8]> = match builtin {
         Some(name) => shipped(name)?.into(),
-        None => std::fs::read(path)
+        None => joulebus_files::read(path, MAX_MODEL_BYTES as u64)
             .with_context(|| format!("cannot read the model {shown}"))?
             .into(),
     };

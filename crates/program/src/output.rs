@@ -1,6 +1,7 @@
 //! Output to stdout and stderr. Neither panics when the reader has closed it.
 
-use std::fmt::Display;
+use std::borrow::Cow;
+use std::fmt::{Display, Write as _};
 use std::io::{self, Write as _};
 
 use anyhow::Context as _;
@@ -92,6 +93,7 @@ impl Output {
 /// # Errors
 /// [`StdoutClosed`], or the operating system's error.
 pub fn text(text: &str) -> anyhow::Result<()> {
+    let text = printable(text);
     let mut stdout = io::stdout().lock();
     let line_break = if text.ends_with('\n') { "" } else { "\n" };
     let written = write!(stdout, "{text}{line_break}").and_then(|()| stdout.flush());
@@ -103,5 +105,76 @@ pub fn text(text: &str) -> anyhow::Result<()> {
 
 /// Writes a line to stderr; errors are ignored, because it is not a result.
 pub fn say(line: &str) {
-    let _ = writeln!(io::stderr(), "{line}");
+    let _ = writeln!(io::stderr(), "{}", printable(line));
+}
+
+/// The text with control characters escaped, except tabs and line breaks, and with Unicode's
+/// directional ones escaped: a terminal would execute or reorder them. The form `\u001b` is valid in
+/// JSON and TOML. Names of files, topics and schemas may contain any character; everything that joulebus
+/// prints passes through this function.
+#[must_use]
+pub fn printable(text: &str) -> Cow<'_, str> {
+    if !text.contains(is_unprintable) {
+        return Cow::Borrowed(text);
+    }
+    let mut shown = String::with_capacity(text.len() + 16);
+    for letter in text.chars() {
+        if is_unprintable(letter) {
+            // Writing to a String cannot fail.
+            let _ = write!(shown, "\\u{:04x}", u32::from(letter));
+        } else {
+            shown.push(letter);
+        }
+    }
+    Cow::Owned(shown)
+}
+
+fn is_unprintable(letter: char) -> bool {
+    match letter {
+        '\t' | '\n' => false,
+        '\u{200e}' | '\u{200f}' | '\u{061c}' => true,
+        '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => true,
+        letter => letter.is_control(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn control_characters_are_escaped() {
+        for (text, shown) in [
+            (
+                "plain: größe, 3 µs, €\n\tnext",
+                "plain: größe, 3 µs, €\n\tnext",
+            ),
+            ("\u{1b}[2Jred\r", "\\u001b[2Jred\\u000d"),
+            (
+                "bell\u{7} null\0 delete\u{7f}",
+                "bell\\u0007 null\\u0000 delete\\u007f",
+            ),
+            // One character that some terminals take for ESC [.
+            ("\u{9b}31m", "\\u009b31m"),
+            ("a\u{202e}lmth.exe", "a\\u202elmth.exe"),
+        ] {
+            assert_eq!(printable(text), shown);
+            // Twice is once: what a child has said is said again by its supervisor.
+            assert_eq!(printable(&printable(text)), shown);
+        }
+    }
+
+    #[test]
+    fn json_stays_the_same_json() {
+        let names = [
+            "\u{1b}]0;x\u{7}",
+            "\u{9b}31m",
+            "a\u{202e}b",
+            "line\nbreak",
+            "\\u001b",
+        ];
+        let json = serde_json::to_string_pretty(&names).unwrap();
+        let read: Vec<String> = serde_json::from_str(&printable(&json)).unwrap();
+        assert_eq!(read, names);
+    }
 }

@@ -50,8 +50,8 @@ fn what_all_programs_share_is_light() {
         .iter()
         .filter(|name| name.starts_with("joulebus"));
     for name in ours {
-        let light =
-            ["bus", "config", "predictor", "settings"].map(|name| format!("joulebus-{name}"));
+        let light = ["bus", "config", "files", "predictor", "settings"]
+            .map(|name| format!("joulebus-{name}"));
         assert!(light.contains(name), "program depends on {name}");
     }
 }

@@ -5,12 +5,17 @@ use std::io::{self, BufRead, Read, Seek, Take};
 use super::chunk_header::{self, FIXED_BYTES, MAX_NAME_BYTES};
 use super::error::ScanError;
 use super::plausible::is_record;
-use super::record::{ChunkFrame, Crc, HEAD_BYTES, Head, MAX_RECORD_BYTES, Place, is_opcode};
+use super::record::{
+    ChunkFrame, Crc, HEAD_BYTES, Head, MAX_RECORD_BYTES, Place, is_opcode, most_expanded,
+};
 use super::resume::Failure;
 use super::source::{Source, fill};
 
 /// Largest window of a zstd frame, as a power of two: 32 MiB, more than levels up to 19 use.
 const MAX_WINDOW_LOG: u32 = 25;
+
+/// Bytes that are passed over at once.
+const PASSED_AT_ONCE: u64 = 1 << 20;
 
 /// A chunk that is being read.
 pub(super) struct Chunk<R> {
@@ -182,7 +187,7 @@ impl<R: Read + Seek> Chunk<R> {
     ) -> Result<(), ScanError> {
         let mut left = bytes;
         while left > 0 {
-            self.take(left.min(MAX_RECORD_BYTES), buffer)?;
+            self.take(left.min(PASSED_AT_ONCE), buffer)?;
             if buffer.is_empty() {
                 return Err(self.ends_early(place));
             }
@@ -347,6 +352,13 @@ fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFram
         return Err(refuse(format!(
             "{header_bytes} bytes of head and {} of records do not fit its {} bytes",
             header.compressed_size, head.bytes
+        )));
+    }
+    let allowed = most_expanded(header.compressed_size);
+    if header.uncompressed_size > allowed {
+        let (found, compressed) = (header.uncompressed_size, header.compressed_size);
+        return Err(refuse(format!(
+            "{found} bytes of records in {compressed} compressed ones; allowed are {allowed}"
         )));
     }
     source.skip(HEAD_BYTES + header_bytes)?;

@@ -5,9 +5,21 @@ use std::fmt;
 use mcap::records::{ChunkHeader, op};
 use serde::Serialize;
 
-/// Longest record that is read into memory, bytes; longer ones are passed over and reported.
-/// Chunks may be longer: they are read as a stream.
-pub const MAX_RECORD_BYTES: u64 = 64 << 20;
+/// Longest record that is read into memory, bytes: a message for a million robots is shorter. A scan
+/// passes over longer ones, reports them, and reads longer chunks as a stream; a
+/// [`Reader`](crate::Reader) ends at them.
+pub const MAX_RECORD_BYTES: u64 = 256 << 20;
+
+/// What may always come out of compressed records, bytes.
+const FREE_BYTES: u64 = 64 << 20;
+/// What may come out of each compressed byte beyond that, bytes. Captures have some 5.
+const MOST_EXPANSION: u64 = 256;
+
+/// How many bytes may come out of so many compressed ones: more, and a small file would cost its
+/// reader any time.
+pub(crate) const fn most_expanded(compressed_bytes: u64) -> u64 {
+    FREE_BYTES.saturating_add(compressed_bytes.saturating_mul(MOST_EXPANSION))
+}
 
 /// Opcode and length before every record, bytes.
 pub(super) const HEAD_BYTES: u64 = 9;
@@ -85,7 +97,7 @@ impl Head {
 }
 
 /// 0 is none; all others are either known, or kept for later versions and applications.
-pub(super) const fn is_opcode(opcode: u8) -> bool {
+pub(crate) const fn is_opcode(opcode: u8) -> bool {
     opcode != 0
 }
 

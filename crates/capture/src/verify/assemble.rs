@@ -18,6 +18,10 @@ const WINDOW: u64 = 64;
 const MOST_FRAMES: usize = 8_192;
 /// Samples in them, in all: 224 MB.
 const MOST_SAMPLES: usize = 4_000_000;
+/// Runs of the worker that may wait for their end at once; of older ones nothing more comes.
+const MOST_RUNS: usize = 8;
+/// Bytes of a keyframe: a million robots take some 305 MB.
+const MOST_KEYFRAME_BYTES: u64 = 512 << 20;
 
 /// One frame of samples.
 pub(super) type SampleFrame = (SampleHeader, Vec<Sample>);
@@ -28,6 +32,8 @@ pub(super) struct TickParts {
     pub(super) journal: Option<(TickHeader, Vec<TakenFrame>)>,
     /// The frames of the journal, in its order; none where the capture lacks one.
     pub(super) frames: Vec<Option<SampleFrame>>,
+    /// Frames that have not come, with their places; none before the tick is its run's next.
+    wanted: Option<HashMap<FrameKey, VecDeque<usize>>>,
     pub(super) forecasts: Option<(ForecastHeader, Vec<Forecast>)>,
     pub(super) diagnostics: Option<(DiagnosticHeader, Vec<Diagnostic>)>,
     pub(super) budgets: Option<(BudgetHeader, Vec<Budget>)>,
@@ -75,11 +81,13 @@ struct Run {
     newest: u64,
 }
 
-/// Frames that no tick has taken yet, and the order in which they came.
+/// Frames that no tick has taken yet, each with its number, and the order in which they came.
 #[derive(Debug, Default)]
 struct FrameStore {
-    frames: HashMap<FrameKey, VecDeque<SampleFrame>>,
-    order: VecDeque<FrameKey>,
+    frames: HashMap<FrameKey, VecDeque<(u64, SampleFrame)>>,
+    /// Numbers of frames; some of them were taken long ago.
+    order: VecDeque<(u64, FrameKey)>,
+    next: u64,
     held: usize,
     samples: usize,
     untaken: u64,
@@ -94,7 +102,9 @@ impl Assembler {
             Message::Samples(header, samples) => self.put(header, samples),
             Message::Ticks(header, taken) => {
                 let place = (header.worker_epoch, header.tick);
-                self.parts(place, MessageKind::Ticks).journal = Some((header, taken));
+                let parts = self.parts(place, MessageKind::Ticks);
+                parts.journal = Some((header, taken));
+                parts.wanted = None;
             }
             Message::Forecasts(header, rows) => {
                 let place = (header.worker_epoch, header.tick);
@@ -189,7 +199,17 @@ impl Assembler {
         let seq = header.frame_seq;
         let range = self.frame_range.entry(key).or_insert((seq, seq));
         *range = (seq.min(range.0), seq.max(range.1));
-        self.frames.put(header, samples);
+        let key = (header.source_id, header.source_epoch, seq);
+        let mut next = self
+            .runs
+            .values_mut()
+            .filter_map(|run| run.ticks.first_entry());
+        let place =
+            next.find_map(|mut tick| tick.get_mut().place_of(key).map(|place| (tick, place)));
+        match place {
+            Some((tick, place)) => tick.into_mut().frames[place] = Some((header, samples)),
+            None => self.frames.put(header, samples),
+        }
     }
 
     fn add_piece(&mut self, header: StateHeader, bytes: &[u8]) {
@@ -197,6 +217,10 @@ impl Assembler {
             (first.worker_epoch, first.tick) == (header.worker_epoch, header.tick)
                 && sofar.len() as u64 == header.offset
         };
+        if header.total_bytes > MOST_KEYFRAME_BYTES {
+            self.broken_keyframes += u64::from(header.offset == 0);
+            return;
+        }
         if header.offset == 0 {
             let before = self.piece.replace((header, bytes.to_vec()));
             self.broken_keyframes += u64::from(before.is_some());
@@ -223,9 +247,13 @@ impl Assembler {
     fn release(&mut self, all: bool) {
         let newest_run = self.runs.keys().next_back().copied().unwrap_or_default();
         let newest_tick = self.runs.get(&newest_run).map_or(0, |run| run.newest);
+        let oldest_run = self.runs.keys().rev().nth(MOST_RUNS - 1).copied();
+        let oldest_run = oldest_run.unwrap_or_default();
         for (worker_epoch, run) in &mut self.runs {
-            // Of a run that another has followed for long nothing more comes.
-            let over = all || (*worker_epoch < newest_run && newest_tick > WINDOW);
+            // Of a run that others have followed for long nothing more comes.
+            let over = all
+                || (*worker_epoch < newest_run && newest_tick > WINDOW)
+                || *worker_epoch < oldest_run;
             while let Some(mut head) = run.ticks.first_entry() {
                 self.frames.fill(head.get_mut());
                 let (tick, parts) = (*head.key(), head.get());
@@ -251,18 +279,30 @@ impl TickParts {
             return false;
         };
         let sheds = header.flags & tick_flag::NO_DIAGNOSTICS != 0;
-        self.frames.iter().all(Option::is_some)
+        self.wanted.as_ref().is_some_and(HashMap::is_empty)
             && self.forecasts.is_some()
             && (self.diagnostics.is_some() || sheds)
             && self.budgets.is_some()
     }
 
+    /// The place of a frame that the tick has been waiting for.
+    fn place_of(&mut self, key: FrameKey) -> Option<usize> {
+        let wanted = self.wanted.as_mut()?;
+        let places = wanted.get_mut(&key)?;
+        let place = places.pop_front();
+        if places.is_empty() {
+            wanted.remove(&key);
+        }
+        place
+    }
+
     /// Bytes that it takes, roughly.
     pub(super) fn bytes(&self) -> usize {
         let frames = self.frames.iter().flatten();
-        frames
-            .map(|(_, samples)| size_of_val(samples.as_slice()))
-            .sum::<usize>()
+        size_of::<Self>()
+            + frames
+                .map(|(_, samples)| size_of_val(samples.as_slice()))
+                .sum::<usize>()
             + self
                 .forecasts
                 .as_ref()
@@ -283,21 +323,30 @@ impl FrameStore {
         let key = (header.source_id, header.source_epoch, header.frame_seq);
         self.held += 1;
         self.samples += samples.len();
-        self.order.push_back(key);
-        self.frames
-            .entry(key)
-            .or_default()
-            .push_back((header, samples));
+        self.order.push_back((self.next, key));
+        let waiting = self.frames.entry(key).or_default();
+        waiting.push_back((self.next, (header, samples)));
+        self.next += 1;
         while self.held > MOST_FRAMES || (self.samples > MOST_SAMPLES && self.held > 1) {
-            let Some(oldest) = self.order.pop_front() else {
+            let Some((number, oldest)) = self.order.pop_front() else {
                 return;
             };
-            self.untaken += u64::from(self.get(oldest).is_some());
+            if self.holds(number, oldest) {
+                self.untaken += u64::from(self.get(oldest).is_some());
+            }
         }
-        // The order also names what was taken long ago.
-        while self.order.len() > 2 * MOST_FRAMES {
-            self.order.retain(|key| self.frames.contains_key(key));
+        // What was taken leaves the order once it is the greater part of it.
+        if self.order.len() > 2 * self.held + MOST_FRAMES {
+            let mut order = std::mem::take(&mut self.order);
+            order.retain(|(number, key)| self.holds(*number, *key));
+            self.order = order;
         }
+    }
+
+    /// Whether the frame of that number has not been taken: those of a key are taken in order.
+    fn holds(&self, number: u64, key: FrameKey) -> bool {
+        let waiting = self.frames.get(&key).and_then(VecDeque::front);
+        waiting.is_some_and(|(oldest, _)| *oldest <= number)
     }
 
     fn get(&mut self, key: FrameKey) -> Option<SampleFrame> {
@@ -306,22 +355,179 @@ impl FrameStore {
         if waiting.is_empty() {
             self.frames.remove(&key);
         }
-        let frame = frame?;
+        let (_, frame) = frame?;
         self.held -= 1;
         self.samples -= frame.1.len();
         Some(frame)
     }
 
-    /// Gives a tick the frames that its journal names, as far as they have come.
+    /// Gives a tick the frames that its journal names, as far as they have come. Once: of those that
+    /// come later it is told one by one.
     fn fill(&mut self, parts: &mut TickParts) {
-        let Some((_, taken)) = &parts.journal else {
+        let (None, Some((_, taken))) = (&parts.wanted, &parts.journal) else {
             return;
         };
+        let mut wanted: HashMap<FrameKey, VecDeque<usize>> = HashMap::new();
         parts.frames.resize_with(taken.len(), || None);
-        for (place, taken) in parts.frames.iter_mut().zip(taken) {
-            if place.is_none() {
-                *place = self.get((taken.source_id, taken.source_epoch, taken.frame_seq));
+        for (place, taken) in taken.iter().enumerate() {
+            let frame = &mut parts.frames[place];
+            if frame.is_none() {
+                let key = (taken.source_id, taken.source_epoch, taken.frame_seq);
+                *frame = self.get(key);
+                if frame.is_none() {
+                    wanted.entry(key).or_default().push_back(place);
+                }
             }
         }
+        parts.wanted = Some(wanted);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(frame_seq: u64) -> Message {
+        let header = SampleHeader {
+            frame_seq,
+            ..SampleHeader::default()
+        };
+        Message::Samples(header, Vec::new())
+    }
+
+    fn journal(worker_epoch: u64, tick: u64, frames: impl Iterator<Item = u64>) -> Message {
+        let header = TickHeader {
+            worker_epoch,
+            tick,
+            ..TickHeader::default()
+        };
+        let taken = frames.map(|frame_seq| TakenFrame {
+            source_id: 0,
+            source_epoch: 0,
+            frame_seq,
+            taken_ns: 0,
+            samples: 0,
+            truncated: 0,
+        });
+        Message::Ticks(header, taken.collect())
+    }
+
+    fn outputs(worker_epoch: u64, tick: u64) -> [Message; 3] {
+        let forecasts = ForecastHeader {
+            worker_epoch,
+            tick,
+            ..ForecastHeader::default()
+        };
+        let diagnostics = DiagnosticHeader {
+            worker_epoch,
+            tick,
+            ..DiagnosticHeader::default()
+        };
+        let budgets = BudgetHeader {
+            worker_epoch,
+            tick,
+            ..BudgetHeader::default()
+        };
+        [
+            Message::Forecasts(forecasts, Vec::new()),
+            Message::Diagnostics(diagnostics, Vec::new()),
+            Message::Budgets(budgets, Vec::new()),
+        ]
+    }
+
+    /// The ticks that come out, each with whether all its frames are there.
+    fn ticks(assembler: &mut Assembler) -> Vec<(u64, u64, bool)> {
+        let mut ticks = Vec::new();
+        while let Some(event) = assembler.next_event() {
+            if let Event::Tick {
+                worker_epoch,
+                tick,
+                parts,
+            } = event
+            {
+                let whole = parts.frames.iter().all(Option::is_some);
+                ticks.push((worker_epoch, tick, whole));
+            }
+        }
+        ticks
+    }
+
+    #[test]
+    fn a_tick_gets_its_frames_whenever_they_come_and_each_frame_goes_to_one() {
+        // Two ticks that name the same frame: it came twice.
+        let (first, second) = (
+            journal(1, 1, [5, 6].into_iter()),
+            journal(1, 2, [6].into_iter()),
+        );
+        let orders: [&[usize]; 4] = [
+            &[0, 1, 2, 3, 4],
+            &[3, 4, 0, 1, 2],
+            &[0, 3, 1, 4, 2],
+            &[4, 2, 3, 1, 0],
+        ];
+        let messages = [first, frame(5), frame(6), frame(6), second];
+        for order in orders {
+            let mut assembler = Assembler::default();
+            for at in order {
+                assembler.push(messages[*at].clone());
+            }
+            for message in outputs(1, 1).into_iter().chain(outputs(1, 2)) {
+                assembler.push(message);
+            }
+            assert_eq!(
+                ticks(&mut assembler),
+                [(1, 1, true), (1, 2, true)],
+                "{order:?}"
+            );
+            assembler.finish();
+            assert_eq!(assembler.untaken_frames(), 0, "{order:?}");
+        }
+    }
+
+    /// Messages that a small file can hold. What each costs must not grow with those before it, or
+    /// these tests take hours.
+    const MANY: u64 = 200_000;
+
+    #[test]
+    fn a_tick_that_lacks_many_frames_costs_the_messages_after_it_nothing() {
+        let mut assembler = Assembler::default();
+        assembler.push(journal(1, 1, 0..MANY));
+        for seq in 0..MANY {
+            assembler.push(frame(MANY + seq));
+        }
+        for seq in 0..MANY {
+            assembler.push(frame(seq));
+        }
+        outputs(1, 1)
+            .into_iter()
+            .for_each(|message| assembler.push(message));
+        assert_eq!(ticks(&mut assembler), [(1, 1, true)]);
+    }
+
+    #[test]
+    fn runs_that_never_end_wait_in_bounded_number() {
+        let mut assembler = Assembler::default();
+        let mut found = 0;
+        for run in 1..=MANY {
+            assembler.push(journal(run, 1, [7].into_iter()));
+            found += ticks(&mut assembler).len();
+            assert!(assembler.runs.len() <= MOST_RUNS);
+        }
+        assert_eq!(found as u64, MANY - MOST_RUNS as u64);
+    }
+
+    #[test]
+    fn a_frame_that_comes_and_goes_again_and_again_leaves_nothing() {
+        let mut store = FrameStore::default();
+        let key = (0, 0, 7);
+        for _ in 0..MANY {
+            let Message::Samples(header, samples) = frame(7) else {
+                panic!("a frame");
+            };
+            store.put(header, samples);
+            assert!(store.get(key).is_some());
+            assert!(store.order.len() <= 2 * MOST_FRAMES);
+        }
+        assert_eq!((store.held, store.untaken), (0, 0));
     }
 }

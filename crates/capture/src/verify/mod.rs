@@ -26,8 +26,10 @@ pub use compare::Value;
 pub use report::{Difference, Loss, Verification};
 pub use what_if::{Comparison, ModelScores, RobotComparison, WhatIf};
 
-/// What may wait for a keyframe, bytes.
+/// What may wait for a keyframe, and what keyframes may take that wait for their ticks, bytes.
 const MOST_WAITING: usize = 256 << 20;
+/// Keyframes that may wait for their ticks: one comes each five seconds, and its ticks at once.
+const MOST_KEYFRAMES: usize = 64;
 
 /// Computes a capture of one fleet again.
 #[derive(Debug)]
@@ -121,7 +123,7 @@ impl Verifier {
                     self.report.keyframes += 1;
                     // Of a tick that is computed already it says nothing new.
                     if self.at.is_none_or(|at| at < (worker_epoch, tick)) {
-                        self.keyframes.insert((worker_epoch, tick), bytes);
+                        self.keep((worker_epoch, tick), bytes);
                     }
                 }
                 Event::Tick {
@@ -135,6 +137,18 @@ impl Verifier {
                 }),
             }
             self.resume();
+        }
+    }
+
+    /// Keeps a keyframe until its tick comes; the oldest ones make room.
+    fn keep(&mut self, place: (u64, u64), bytes: Vec<u8>) {
+        self.keyframes.insert(place, bytes);
+        let held =
+            |keyframes: &BTreeMap<_, Vec<u8>>| keyframes.values().map(Vec::len).sum::<usize>();
+        while self.keyframes.len() > 1
+            && (self.keyframes.len() > MOST_KEYFRAMES || held(&self.keyframes) > MOST_WAITING)
+        {
+            self.keyframes.pop_first();
         }
     }
 

@@ -6,6 +6,9 @@ use anyhow::Context as _;
 use joulebus_capture::import::{CurrentSign, Mapping, RobotMapping, TimeSource};
 use joulebus_program::exit::UsageError;
 
+/// A mapping larger than this is none: something else was named by mistake.
+const MOST_MAPPING_BYTES: u64 = 4 << 20;
+
 /// How a rosbag2 recording is meant.
 #[derive(Debug, clap::Args)]
 pub(super) struct ImportArguments {
@@ -66,7 +69,8 @@ impl ImportArguments {
             None => Mapping::default(),
             Some(path) => {
                 let named = || path.display().to_string();
-                let text = std::fs::read_to_string(path).with_context(named)?;
+                let text =
+                    joulebus_files::read_to_string(path, MOST_MAPPING_BYTES).with_context(named)?;
                 let parsed = text.parse::<Mapping>();
                 parsed.map_err(|error| UsageError(format!("{}: {error}", named())))?
             }

@@ -53,17 +53,10 @@ fn read(path: &Path) -> anyhow::Result<Checkpoint> {
     Checkpoint::read(&bytes(path)?).with_context(name)
 }
 
-/// The file's bytes, but not more than are looked at.
+/// The file's bytes.
 fn bytes(path: &Path) -> anyhow::Result<Vec<u8>> {
-    use std::io::Read as _;
-    let failed = || format!("cannot read {}", path.display());
-    let file = std::fs::File::open(path).with_context(failed)?;
-    let mut bytes = Vec::new();
-    let most = MAX_FILE_BYTES as u64 + 1;
-    file.take(most)
-        .read_to_end(&mut bytes)
-        .with_context(failed)?;
-    Ok(bytes)
+    joulebus_files::read(path, MAX_FILE_BYTES as u64)
+        .with_context(|| format!("cannot read {}", path.display()))
 }
 
 /// The arrays in a directory, by name.

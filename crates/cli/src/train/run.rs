@@ -17,6 +17,9 @@ use super::checkpoint_path;
 /// How often a run is saved, so that not even a power cut loses more.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
 
+/// A saved run is smaller: a network, its optimizer and an entry an epoch.
+const MOST_SAVED_BYTES: u64 = 64 << 20;
+
 /// Where the model goes, and how the run continues.
 #[derive(Debug, clap::Args)]
 pub(super) struct RunArguments {
@@ -89,7 +92,7 @@ impl RunArguments {
             return Ok(Training::new(dataset, settings, self.threads)?);
         }
         let at = saved_at.display();
-        let saved = match std::fs::read(saved_at) {
+        let saved = match joulebus_files::read(saved_at, MOST_SAVED_BYTES) {
             Ok(saved) => saved,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 let what = format!("there is no interrupted run {at}");

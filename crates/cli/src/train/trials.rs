@@ -157,9 +157,13 @@ impl Args {
     }
 }
 
+/// A recipe larger than this is none: something else was named by mistake.
+const MOST_RECIPE_BYTES: u64 = 4 << 20;
+
 fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
     let name = path.display();
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
+    let text = joulebus_files::read_to_string(path, MOST_RECIPE_BYTES)
+        .with_context(|| format!("cannot read {name}"))?;
     toml::from_str(&text).map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
 }
 

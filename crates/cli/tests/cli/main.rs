@@ -8,6 +8,9 @@ mod external;
 mod fleet;
 mod live;
 mod model;
+mod printable;
+mod signals;
+mod special_files;
 mod train;
 
 use std::fs;
@@ -167,6 +170,44 @@ fn a_typo_in_a_config_is_refused_with_its_line_and_the_nearest_key() {
         (&true.into(), &false.into())
     );
     assert_eq!(files[1]["problems"][0]["line"], 3);
+}
+
+#[test]
+fn a_config_whose_model_the_worker_would_refuse_is_refused_by_the_check_as_well() {
+    let fleet = Fleet::new();
+    let (path, model) = (fleet.path("model.toml"), fleet.path("broken.safetensors"));
+    let text = fs::read_to_string(fleet.config()).unwrap();
+    let named = format!(
+        "file = \"builtin:gternal\"\nmodel = \"{}\"",
+        model.display()
+    );
+    fs::write(&path, text.replace("file = \"builtin:gternal\"", &named)).unwrap();
+    let path = path.display().to_string();
+    for bytes in ["", "no model", "{}"] {
+        fs::write(&model, bytes).unwrap();
+        let ran = output(["run", "--config", &path]);
+        assert_eq!(code(&ran), 1, "{}", stderr(&ran));
+        let checked = output(["config", "check", &path, "--format", "json"]);
+        assert_eq!(code(&checked), 2, "{}", stderr(&checked));
+        // The same words.
+        let why = stderr(&ran);
+        let why = why.trim().strip_prefix("error: ").unwrap();
+        assert!(
+            stderr(&checked).contains(why),
+            "{why}: {}",
+            stderr(&checked)
+        );
+        let file = &json(&checked)["files"][0];
+        assert_eq!(file["accepted"], false);
+        assert!(
+            file["error"]
+                .as_str()
+                .unwrap()
+                .contains("broken.safetensors"),
+            "{file}"
+        );
+    }
+    assert!(fleet.stale_files().is_empty());
 }
 
 #[test]

@@ -108,6 +108,7 @@ pub fn find<P: AsRef<Path>>(arguments: &[P]) -> Result<Found, FindError> {
 fn take(path: &Path, found: &mut Found) -> Result<(), FindError> {
     let told = fs::metadata(path).map_err(|source| io_error(path, source))?;
     if !told.is_dir() {
+        joulebus_files::look(path).map_err(|source| io_error(path, source))?;
         found.files.push(path.to_owned());
         return Ok(());
     }

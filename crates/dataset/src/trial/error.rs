@@ -3,7 +3,9 @@
 use std::io;
 use std::path::PathBuf;
 
-use super::limits::{MAX_ROBOTS, MAX_ROWS, MAX_TEXT_BYTES};
+use super::limits::{
+    FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROBOTS, MAX_ROW_BYTES, MAX_ROWS, MAX_TEXT_BYTES,
+};
 
 /// Why a trial could not be read. Rows count from 1, the header of a CSV not included.
 #[derive(Debug, thiserror::Error)]
@@ -63,7 +65,7 @@ pub enum TrialError {
         /// The file.
         path: PathBuf,
     },
-    /// Too much text; compression can hide it in a small file.
+    /// Too much text.
     #[error(
         "{path}: more than {MAX_TEXT_BYTES} bytes of text; split the recording",
         path = path.display()
@@ -72,7 +74,32 @@ pub enum TrialError {
         /// The file.
         path: PathBuf,
     },
-    /// The header is not that of a plain array.
+    /// Too much text for so small a compressed file.
+    #[error(
+        "{path}: more than {allowed} bytes of text in {found} bytes of gzip; allowed are {MAX_EXPANSION} \
+         for each, and {FREE_TEXT_BYTES} in any case; decompress it first",
+        path = path.display()
+    )]
+    Expands {
+        /// The file.
+        path: PathBuf,
+        /// Bytes of the file.
+        found: u64,
+        /// Bytes of text that are allowed.
+        allowed: u64,
+    },
+    /// A row is too long.
+    #[error(
+        "{path}: more than {MAX_ROW_BYTES} bytes in the row after {rows} whole rows",
+        path = path.display()
+    )]
+    RowTooLong {
+        /// The file.
+        path: PathBuf,
+        /// Whole rows before it.
+        rows: usize,
+    },
+    /// The header of the array is not that of a plain array.
     #[error("{path}: array header: {detail}", path = path.display())]
     NpyHeader {
         /// The file.

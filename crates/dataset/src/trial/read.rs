@@ -1,6 +1,5 @@
 //! Reads files into tables.
 
-use std::fs::File;
 use std::io::{BufReader, Cursor, Read};
 use std::path::Path;
 
@@ -29,7 +28,7 @@ impl Table {
             path: path.to_owned(),
             source,
         };
-        let mut file = File::open(path).map_err(io)?;
+        let mut file = joulebus_files::open(path).map_err(io)?;
         let mut head = Vec::new();
         file.by_ref()
             .take(HEAD_BYTES)
@@ -51,7 +50,8 @@ impl Table {
                 found: "a zip archive (.npz?)",
             })
         } else {
-            let zipped = head.starts_with(GZIP_MAGIC);
+            let file_bytes = file.metadata().map_err(io)?.len();
+            let zipped = head.starts_with(GZIP_MAGIC).then_some(file_bytes);
             let whole = Cursor::new(head).chain(BufReader::new(file));
             text::read(path, Box::new(whole), zipped)
         }

@@ -7,19 +7,22 @@ use csv::ByteRecord;
 use flate2::bufread::MultiGzDecoder;
 
 use super::TrialError;
-use super::limits::MAX_TEXT_BYTES;
+use super::limits::{FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROW_BYTES, MAX_TEXT_BYTES};
 use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table, Tables};
 
-/// Reads the table; `zipped`: the bytes are gzip.
+/// Reads the table; `zipped`: the bytes are gzip, with the size of the file.
 pub(super) fn read(
     path: &Path,
     source: Box<dyn Read>,
-    zipped: bool,
+    zipped: Option<u64>,
 ) -> Result<Vec<Table>, TrialError> {
-    let source = if zipped {
-        Box::new(MultiGzDecoder::new(io::BufReader::new(source)))
-    } else {
-        source
+    let (source, allowed): (Box<dyn Read>, u64) = match zipped {
+        Some(bytes) => {
+            let source = MultiGzDecoder::new(io::BufReader::new(source));
+            let allowed = bytes.saturating_mul(MAX_EXPANSION).max(FREE_TEXT_BYTES);
+            (Box::new(source), allowed.min(MAX_TEXT_BYTES))
+        }
+        None => (source, MAX_TEXT_BYTES),
     };
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
@@ -27,8 +30,9 @@ pub(super) fn read(
         .from_reader(Meter {
             source,
             bytes: 0,
+            allowed,
+            row_bytes: 0,
             last: b'\n',
-            too_long: false,
         });
     let header = match reader.byte_headers() {
         Ok(header) => header.clone(),
@@ -58,25 +62,34 @@ pub(super) fn read(
             Err(error) => return Err(explain(path, zipped, reader.get_ref(), rows, error)),
         }
         rows += 1;
+        reader.get_mut().row_bytes = 0;
     }
     let no_final_line_break = !matches!(reader.get_ref().last, b'\n' | b'\r');
     Ok(tables.finish(path, &ignored_columns, no_final_line_break))
 }
 
-/// Limits the decompressed size and records whether the text ends with a newline.
+/// Limits the size of the text and of each row, and records whether the text ends with a newline.
 struct Meter {
     source: Box<dyn Read>,
     bytes: u64,
+    allowed: u64,
+    /// Bytes read since the end of the last complete row.
+    row_bytes: u64,
     last: u8,
-    too_long: bool,
+}
+
+impl Meter {
+    const fn is_too_long(&self) -> bool {
+        self.bytes > self.allowed || self.row_bytes > MAX_ROW_BYTES
+    }
 }
 
 impl Read for Meter {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let read = self.source.read(buffer)?;
         self.bytes += read as u64;
-        if self.bytes > MAX_TEXT_BYTES {
-            self.too_long = true;
+        self.row_bytes += read as u64;
+        if self.is_too_long() {
             return Err(io::Error::other("too long"));
         }
         if let Some(last) = buffer[..read].last() {
@@ -86,11 +99,27 @@ impl Read for Meter {
     }
 }
 
-fn explain(path: &Path, zipped: bool, meter: &Meter, rows: usize, error: csv::Error) -> TrialError {
-    let path = path.to_owned();
-    if meter.too_long {
-        return TrialError::TooLong { path };
+fn explain(
+    path: &Path,
+    zipped: Option<u64>,
+    meter: &Meter,
+    rows: usize,
+    error: csv::Error,
+) -> TrialError {
+    let (path, allowed) = (path.to_owned(), meter.allowed);
+    match zipped {
+        _ if !meter.is_too_long() => {}
+        _ if meter.bytes <= allowed => return TrialError::RowTooLong { path, rows },
+        Some(found) if allowed < MAX_TEXT_BYTES => {
+            return TrialError::Expands {
+                path,
+                found,
+                allowed,
+            };
+        }
+        _ => return TrialError::TooLong { path },
     }
+    let zipped = zipped.is_some();
     let source = match error.into_kind() {
         csv::ErrorKind::Io(source) => source,
         // Neither occurs: rows are read as bytes, and may have any length.

@@ -585,3 +585,42 @@ fn what_is_questionable_is_reported_with_its_row_and_kept() {
         assert!(text.contains(part), "{part:?} not in {text:?}");
     }
 }
+
+#[test]
+fn a_small_compressed_file_cannot_hold_any_amount_of_text() {
+    let files = Files::new();
+    let head = b"timestamp_s,power_mW\n";
+    let rows = |row: &[u8], bytes: usize| [head, row.repeat(bytes / row.len()).as_slice()].concat();
+    // Rows without an end: zeros, a quoted field of many lines, a header.
+    for (name, text) in [
+        ("zeros.csv.gz", rows(b"\0", 64 << 20)),
+        (
+            "quoted.csv.gz",
+            [head, b"\"".as_slice(), &b"x\n".repeat(4 << 20)].concat(),
+        ),
+        ("header.csv.gz", b"timestamp_s,".repeat(1 << 20)),
+        ("plain.csv", rows(b"\0", 4 << 20)),
+    ] {
+        let text = if name.ends_with(".gz") {
+            gzip(&text)
+        } else {
+            text
+        };
+        let refused = files.read(name, &text).unwrap_err();
+        assert!(
+            matches!(refused, TrialError::RowTooLong { rows: 0, .. }),
+            "{name}: {refused}"
+        );
+        assert!(refused.to_string().contains("1048576 bytes"), "{refused}");
+    }
+    // Rows as they should be, far too many for so few bytes of gzip.
+    let bomb = gzip(&rows(
+        b"000000000000000000000000000000000000000000000000.5,1\n",
+        20 << 20,
+    ));
+    let refused = files.read("bomb.csv.gz", &bomb).unwrap_err();
+    assert!(matches!(refused, TrialError::Expands { .. }), "{refused}");
+    let (found, allowed) = (bomb.len().to_string(), (16 << 20).to_string());
+    let said = refused.to_string();
+    assert!(said.contains(&found) && said.contains(&allowed), "{said}");
+}

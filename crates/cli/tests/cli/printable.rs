@@ -1,0 +1,96 @@
+//! Names with escape sequences in them, in files and of files: a terminal never gets them raw.
+
+use std::fs;
+use std::path::Path;
+use std::process::Output;
+
+use joulebus_capture::{Attachments, CaptureSettings, Message, Times, Writer};
+use joulebus_wire::{Sample, SampleHeader};
+
+use crate::fleet::{Fleet, output};
+
+/// Clears the screen, sets a title, and as one character that some terminals take for ESC [.
+const EVIL: &str = "x\u{1b}[2J\u{1b}]0;y\u{7}\u{9b}31m\r\u{202e}z";
+
+/// What a terminal would obey.
+fn is_obeyed(letter: char) -> bool {
+    letter.is_control() && letter != '\n' && letter != '\t' || letter == '\u{202e}'
+}
+
+fn assert_is_printable(arguments: &[&str], ended: &Output) {
+    for bytes in [&ended.stdout, &ended.stderr] {
+        let said = std::str::from_utf8(bytes).unwrap();
+        assert!(!said.contains(is_obeyed), "{arguments:?}: {said:?}");
+    }
+}
+
+/// A capture whose fleet and topics are named so, and whose file is.
+fn capture(folder: &Path) -> String {
+    let path = folder.join(format!("{EVIL}.mcap"));
+    let mut attachments = Attachments::default();
+    attachments.tell(EVIL, EVIL.to_owned());
+    attachments.add(format!("{EVIL}/config.toml"), EVIL, b"name =".to_vec());
+    let mut writer = Writer::create(&path, CaptureSettings::default(), &attachments).unwrap();
+    let message = Message::Samples(SampleHeader::default(), vec![Sample::new(0, 0, 0)]);
+    writer.write(EVIL, Times::default(), &message).unwrap();
+    writer.finish().unwrap();
+    path.display().to_string()
+}
+
+#[test]
+fn names_in_files_and_of_files_never_reach_a_terminal_raw() {
+    let fleet = Fleet::new();
+    let file = capture(&fleet.path(""));
+    let (csv, config) = (
+        fleet.path(&format!("{EVIL}.csv")),
+        fleet.path(&format!("{EVIL}.toml")),
+    );
+    let text = format!("timestamp_s,power_mW,robot_id,\"{EVIL}\"\n0,1,{EVIL},1\n1,2,{EVIL},1\n");
+    fs::write(&csv, text).unwrap();
+    fs::write(
+        &config,
+        format!("[fleet]\n\"{EVIL}\" = \"{EVIL}\"\nname = '{EVIL}'\n"),
+    )
+    .unwrap();
+    let (csv, config) = (csv.display().to_string(), config.display().to_string());
+    let result = fleet.path(&format!("{EVIL}.out")).display().to_string();
+    let calls: [&[&str]; 18] = [
+        &["info", &file],
+        &["info", &file, "--format", "json"],
+        &["doctor", &file],
+        &["cat", &file],
+        &["cat", &file, "--format", "csv"],
+        &["cat", &file, "--format", "ndjson"],
+        &["recover", &file, "-o", &result],
+        &["recover", &file, "-o", &file],
+        &["replay", &file],
+        &["replay", "--verify", &file],
+        &["import", &file, "-o", &result],
+        &["data", "info", &csv],
+        &["data", "check", &csv],
+        &["data", "info", &csv, "--format", "json"],
+        &["publish", "trial", &csv, "--rate", EVIL],
+        &["config", "check", &config],
+        &["run", "--config", &config],
+        &[EVIL, EVIL],
+    ];
+    for arguments in calls {
+        assert_is_printable(arguments, &output(arguments));
+    }
+    let (gone, json) = (format!("/{EVIL}"), ["--format", "json"]);
+    for verb in [
+        "info",
+        "cat",
+        "doctor",
+        "replay",
+        "run --config",
+        "model info",
+        "data info",
+    ] {
+        let mut arguments: Vec<&str> = verb.split_whitespace().chain([gone.as_str()]).collect();
+        assert_is_printable(&arguments, &output(&arguments));
+        arguments.extend(json);
+        assert_is_printable(&arguments, &output(&arguments));
+    }
+    assert!(fleet.stale_files().is_empty());
+}

@@ -1,0 +1,166 @@
+//! Pipes, devices, directories and sockets in the place of every file that a verb reads: refused with
+//! a reason, at once; and in the place of files that it writes: left as they are.
+
+use std::fs;
+use std::os::unix::fs::{FileTypeExt as _, symlink};
+use std::os::unix::net::UnixListener;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use rustix::fs::{CWD, FileType, Mode, mknodat};
+
+use crate::captures::capture;
+use crate::fleet::{Fleet, Program, code, joulebus, stderr};
+
+/// Every place of a file that is read; X is the file.
+const READERS: [&str; 34] = [
+    "run --config X",
+    "record -o OUT --config X",
+    "publish sim --config X",
+    "watch --once --config X",
+    "doctor --config X",
+    "config check X",
+    "config show X",
+    "info X",
+    "cat X",
+    "doctor X",
+    "recover X -o OUT",
+    "import X -o OUT",
+    "import CAPTURE -o OUT --mapping X",
+    "replay X",
+    "replay --verify X",
+    "replay --no-wait CAPTURE X",
+    "replay --no-wait CAPTURE --config X",
+    "replay CAPTURE --model X",
+    "data check X",
+    "data info X",
+    "data convert X --to npy --out OUT",
+    "publish trial X --no-wait --first-robot 0 --config FLEET",
+    "eval --model MODEL X",
+    "eval --model X TRIAL",
+    "analyze X --native",
+    "analyze TRIAL --native --model X",
+    "train trials X --out OUT",
+    "train trials TRIAL --recipe X --out OUT",
+    "model info X",
+    "model import X --out OUT",
+    "model export X --out OUT.onnx",
+    "model compare X MODEL TRIAL",
+    "model compare MODEL X TRIAL",
+    "model compare MODEL MODEL X",
+];
+const MODEL: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../../configs/models/gternal-sim.safetensors"
+);
+
+fn fifo(path: &Path) {
+    mknodat(CWD, path, FileType::Fifo, Mode::from_raw_mode(0o600), 0).unwrap();
+}
+
+/// What is no regular file, and how it is called. The socket lives as long as what is returned.
+fn special_files(fleet: &Fleet) -> (Vec<(PathBuf, &'static str)>, UnixListener) {
+    let at = |name: &str| fleet.path(name);
+    fs::create_dir(at("directory")).unwrap();
+    fifo(&at("pipe"));
+    symlink(at("pipe"), at("link to a pipe")).unwrap();
+    let socket = UnixListener::bind(at("socket")).unwrap();
+    let files = vec![
+        (at("pipe"), "a named pipe"),
+        (at("link to a pipe"), "a named pipe"),
+        (at("socket"), "a socket"),
+        (at("directory"), "director"),
+        (PathBuf::from("/dev/zero"), "a device"),
+    ];
+    (files, socket)
+}
+
+#[test]
+fn what_is_no_regular_file_is_refused_wherever_a_verb_reads_one() {
+    let fleet = Fleet::new();
+    let (specials, _socket) = special_files(&fleet);
+    let (whole, _) = capture(&fleet, 100);
+    let trial = fleet.recording("trial.csv", 100);
+    for verb in READERS {
+        for (special, kind) in &specials {
+            let word = |word: &str| match word {
+                "X" => special.clone(),
+                "CAPTURE" => whole.clone(),
+                "TRIAL" => trial.clone(),
+                "FLEET" => fleet.config(),
+                "MODEL" => PathBuf::from(MODEL),
+                "OUT" => fleet.path("out"),
+                "OUT.onnx" => fleet.path("out.onnx"),
+                word => PathBuf::from(word),
+            };
+            let mut command = joulebus(verb.split_whitespace().map(word));
+            // A pipe that is waited for would not end.
+            command.current_dir(fleet.path(""));
+            let ended = Program::start(command).wait();
+            let (said, shown) = (stderr(&ended), special.display());
+            // A replay of what can be read of several files tells what cannot at its end.
+            let codes = if verb.contains("CAPTURE X") {
+                3..=3
+            } else {
+                1..=2
+            };
+            assert!(codes.contains(&code(&ended)), "{verb}, {shown}: {ended:?}");
+            assert!(!said.contains("panicked"), "{verb}, {shown}: {said}");
+            let told = String::from_utf8_lossy(&ended.stdout).into_owned() + &said;
+            assert!(told.contains(kind), "{verb}, {shown}: {told}");
+            assert!(!fleet.path("out").exists(), "{verb}, {shown}");
+        }
+    }
+    assert!(fleet.stale_files().is_empty());
+}
+
+#[test]
+fn files_that_a_config_names_are_checked_before_anything_is_created() {
+    let fleet = Fleet::new();
+    let (specials, _socket) = special_files(&fleet);
+    let text = fs::read_to_string(fleet.config()).unwrap();
+    let config = fleet.path("special.toml");
+    for (special, kind) in &specials {
+        let shown = special.display();
+        for named in [
+            text.replace("file = \"builtin:gternal\"", &format!("file = \"{shown}\"")),
+            text.replace(
+                "file = \"builtin:gternal\"",
+                &format!("file = \"builtin:gternal\"\nmodel = \"{shown}\""),
+            ),
+        ] {
+            fs::write(&config, named).unwrap();
+            for verb in ["run --config", "config check", "record -o out --config"] {
+                let mut command = joulebus(verb.split_whitespace());
+                command.arg(&config).current_dir(fleet.path(""));
+                let ended = Program::start(command).wait();
+                assert_eq!(code(&ended), 2, "{verb}, {shown}: {ended:?}");
+                assert!(stderr(&ended).contains(kind), "{verb}: {}", stderr(&ended));
+            }
+        }
+    }
+    assert!(fleet.stale_files().is_empty());
+}
+
+#[test]
+fn a_pipe_is_not_replaced_by_a_file_that_is_written() {
+    let fleet = Fleet::new();
+    let pipe = fleet.path("pipe");
+    fifo(&pipe);
+    for verb in [
+        format!("model export {MODEL} --to npz --out"),
+        format!("model import {MODEL} --out"),
+        "record -o".to_owned(),
+    ] {
+        let mut command: Command = joulebus(verb.split_whitespace());
+        command.arg(&pipe);
+        if verb.starts_with("record") {
+            command.arg("--config").arg(fleet.config());
+        }
+        let ended = Program::start(command).wait();
+        assert_eq!(code(&ended), 1, "{verb}: {ended:?}");
+        let kind = fs::symlink_metadata(&pipe).unwrap().file_type();
+        assert!(kind.is_fifo(), "{verb}");
+    }
+    assert!(fleet.stale_files().is_empty());
+}

@@ -1,0 +1,112 @@
+//! Files that a user names, opened in one way.
+//!
+//! A pipe would be waited for, a device never ends, and opening some devices does something. So only
+//! regular files are opened, also through symbolic links, and whole files are read into memory only
+//! up to a limit that the reader states.
+#![forbid(unsafe_code)]
+
+use std::fs::{File, Metadata, OpenOptions};
+use std::io::{self, Read as _};
+use std::os::unix::fs::{FileTypeExt as _, OpenOptionsExt as _};
+use std::path::Path;
+
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+
+/// Why a file is not read, as the cause of an [`io::Error`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Refused {
+    /// It is something else than a regular file.
+    #[error("is {found}; allowed are regular files")]
+    Kind {
+        /// What it is.
+        found: &'static str,
+    },
+    /// It is longer than its reader allows.
+    #[error("has {found} bytes; allowed are {allowed}")]
+    TooLong {
+        /// Bytes of the file, at least.
+        found: u64,
+        /// Bytes allowed.
+        allowed: u64,
+    },
+}
+
+impl From<Refused> for io::Error {
+    fn from(refused: Refused) -> Self {
+        let kind = match refused {
+            Refused::Kind { .. } => io::ErrorKind::InvalidInput,
+            Refused::TooLong { .. } => io::ErrorKind::FileTooLarge,
+        };
+        Self::new(kind, refused)
+    }
+}
+
+/// What the system says of a regular file.
+///
+/// # Errors
+/// What the system said, or [`Refused::Kind`].
+pub fn look(path: &Path) -> io::Result<Metadata> {
+    regular(std::fs::metadata(path)?)
+}
+
+/// Opens a regular file to read it; never waits for the other end of a pipe.
+///
+/// # Errors
+/// What the system said, or [`Refused::Kind`].
+pub fn open(path: &Path) -> io::Result<File> {
+    // Before it is opened, because of devices; and again after, because it may be another file then.
+    look(path)?;
+    let flags = OFlags::NONBLOCK | OFlags::NOCTTY;
+    let file = OpenOptions::new()
+        .read(true)
+        .custom_flags(flags.bits().cast_signed())
+        .open(path)?;
+    regular(file.metadata()?)?;
+    fcntl_setfl(&file, fcntl_getfl(&file)? - OFlags::NONBLOCK)?;
+    Ok(file)
+}
+
+/// All bytes of a regular file of at most `most_bytes`.
+///
+/// # Errors
+/// As of [`open`]; [`Refused::TooLong`].
+pub fn read(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
+    let file = open(path)?;
+    let allowed = |found: u64| match found > most_bytes {
+        true => Err(Refused::TooLong {
+            found,
+            allowed: most_bytes,
+        }),
+        false => Ok(()),
+    };
+    allowed(file.metadata()?.len())?;
+    let mut bytes = Vec::new();
+    // It may grow, or be one of those whose length the system does not know.
+    file.take(most_bytes.saturating_add(1))
+        .read_to_end(&mut bytes)?;
+    allowed(bytes.len() as u64)?;
+    Ok(bytes)
+}
+
+/// The text of a regular file of at most `most_bytes`.
+///
+/// # Errors
+/// As of [`read`]; the text is no UTF-8.
+pub fn read_to_string(path: &Path, most_bytes: u64) -> io::Result<String> {
+    String::from_utf8(read(path, most_bytes)?)
+        .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
+}
+
+fn regular(about: Metadata) -> io::Result<Metadata> {
+    let kind = about.file_type();
+    let found = match () {
+        () if kind.is_file() => return Ok(about),
+        () if kind.is_dir() => "a directory",
+        () if kind.is_fifo() => "a named pipe",
+        () if kind.is_socket() => "a socket",
+        () if kind.is_char_device() || kind.is_block_device() => "a device",
+        () => "no regular file",
+    };
+    Err(Refused::Kind { found }.into())
+}
