@@ -3,33 +3,12 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 
+use joulebus_test_processes::{Ended, run};
 use serde_json::Value;
 
-fn output<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-bench"));
-    command.args(arguments).env_remove("JOULEBUS_LOG");
-    command.output().unwrap()
-}
-
-fn stdout(output: &Output) -> &str {
-    str::from_utf8(&output.stdout).unwrap()
-}
-
-fn stderr(output: &Output) -> &str {
-    str::from_utf8(&output.stderr).unwrap()
-}
-
-fn code(output: &Output) -> i32 {
-    output
-        .status
-        .code()
-        .unwrap_or_else(|| panic!("killed: {output:?}"))
-}
-
-fn json(output: &Output) -> Value {
-    serde_json::from_str(stdout(output)).unwrap_or_else(|error| panic!("{error}: {output:?}"))
+fn output<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Ended {
+    run(env!("CARGO_BIN_EXE_joulebus-bench"), arguments)
 }
 
 fn figures(suite: &Value) -> Vec<&Value> {
@@ -43,8 +22,8 @@ fn figures(suite: &Value) -> Vec<&Value> {
 #[test]
 fn a_quick_measurement_gives_finite_figures_with_machine_and_build() {
     let measured = output(["kernel", "--quick", "--format", "json"]);
-    assert_eq!(code(&measured), 0, "{}", stderr(&measured));
-    let suite = json(&measured);
+    assert_eq!(measured.exit_code(), 0, "{}", measured.errors());
+    let suite = measured.json();
     for (part, name) in [
         ("machine", "processor"),
         ("build", "rustc"),
@@ -91,8 +70,8 @@ fn the_tick_and_rollouts_are_measured_too() {
             "--format",
             "json",
         ]);
-        assert_eq!(code(&measured), 0, "{}", stderr(&measured));
-        let suite = json(&measured);
+        assert_eq!(measured.exit_code(), 0, "{}", measured.errors());
+        let suite = measured.json();
         let figures = figures(&suite);
         assert!(
             figures.iter().any(|figure| figure["name"] == name),
@@ -137,20 +116,22 @@ fn a_comparison_fails_only_on_request() {
     ];
     let with = |more: &[&str]| output(base.into_iter().chain(more.iter().copied()));
     let first = with(&["--json", &old_name]);
-    assert_eq!(code(&first), 0, "{}", stderr(&first));
+    assert_eq!(first.exit_code(), 0, "{}", first.errors());
     flatter(&old, 1e6);
     let compared = with(&["--compare", &old_name]);
-    assert_eq!(code(&compared), 0, "{}", stderr(&compared));
-    assert!(stdout(&compared).contains("WORSE"), "{}", stdout(&compared));
+    assert_eq!(compared.exit_code(), 0, "{}", compared.errors());
+    assert!(compared.text().contains("WORSE"), "{}", compared.text());
     let failed = with(&["--compare", &old_name, "--fail-above", "100"]);
-    assert_eq!(code(&failed), 3, "{}", stderr(&failed));
+    assert_eq!(failed.exit_code(), 3, "{}", failed.errors());
     assert!(
-        stdout(&failed).contains("too slow: kernel scalar_ns_per_robot, 7 robots"),
+        failed
+            .text()
+            .contains("too slow: kernel scalar_ns_per_robot, 7 robots"),
         "{}",
-        stdout(&failed)
+        failed.text()
     );
     let allowed = with(&["--compare", &old_name, "--fail-above", "1e12"]);
-    assert_eq!(code(&allowed), 0, "{}", stderr(&allowed));
+    assert_eq!(allowed.exit_code(), 0, "{}", allowed.errors());
 }
 
 #[test]
@@ -175,12 +156,12 @@ fn invalid_requests_are_refused_before_measuring() {
             .into_iter()
             .chain(more.iter().copied());
         let refused = output(arguments);
-        assert_eq!(code(&refused), exit, "{more:?}: {}", stderr(&refused));
+        assert_eq!(refused.exit_code(), exit, "{more:?}: {}", refused.errors());
         assert!(
-            stderr(&refused).contains(says),
+            refused.errors().contains(says),
             "{more:?}: {}",
-            stderr(&refused)
+            refused.errors()
         );
-        assert_eq!(stdout(&refused), "", "{more:?}");
+        assert_eq!(refused.text(), "", "{more:?}");
     }
 }

@@ -209,7 +209,7 @@ impl Arena {
         let command = self.command(&["publish", "sim", "--seed", "7", "--robots", &count]);
         let mut source = Child::spawn("simulation", command);
         let mut wanted = None;
-        planner.until("the frames are accepted", |line| match line {
+        planner.until_beside(&mut source, "the frames are accepted", |line| match line {
             ReaderLine::Given { accepted, .. } => {
                 let wanted = wanted.get_or_insert(accepted + frames * u64::from(robots));
                 (*accepted >= *wanted).then_some(())

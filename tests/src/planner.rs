@@ -1,7 +1,7 @@
 //! A planner that tells a test all that it reads.
 
 use std::collections::BTreeMap;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use joulebus_wire::{Quality, Sample};
 
@@ -10,6 +10,9 @@ use crate::{Child, Ended, ForecastFrame, PATIENCE, ReaderLine, Source};
 /// First answers to samples, by robot and sample number: quality code and detail, and the bits of
 /// forecast, interval and reading.
 pub type Answers = BTreeMap<(u32, u64), ((u16, u16), [u32; 4])>;
+
+/// How often it is looked whether a source has ended.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// A planner, or a recorder, in a process of its own.
 #[derive(Debug)]
@@ -40,7 +43,26 @@ impl Planner {
     }
 
     /// Reads on until a line gives something, and returns that. Later calls continue after that line.
-    pub fn until<T>(&mut self, what: &str, mut look: impl FnMut(&ReaderLine) -> Option<T>) -> T {
+    pub fn until<T>(&mut self, what: &str, look: impl FnMut(&ReaderLine) -> Option<T>) -> T {
+        self.read_on(None, what, look)
+    }
+
+    /// As [`Self::until`]; fails at once, with what `source` wrote, when that has ended.
+    pub fn until_beside<T>(
+        &mut self,
+        source: &mut Child,
+        what: &str,
+        look: impl FnMut(&ReaderLine) -> Option<T>,
+    ) -> T {
+        self.read_on(Some(source), what, look)
+    }
+
+    fn read_on<T>(
+        &mut self,
+        mut source: Option<&mut Child>,
+        what: &str,
+        mut look: impl FnMut(&ReaderLine) -> Option<T>,
+    ) -> T {
         let begin = Instant::now();
         loop {
             while self.at < self.lines.len() {
@@ -50,7 +72,18 @@ impl Planner {
                 }
             }
             let left = PATIENCE.saturating_sub(begin.elapsed());
-            if left.is_zero() || self.fetch(left) == 0 {
+            let is_over = match &mut source {
+                None => self.fetch(left) == 0,
+                Some(source) => {
+                    assert!(
+                        source.is_running(),
+                        "without a source: {what}; {}",
+                        source.tail()
+                    );
+                    self.fetch(left.min(LOOK_EVERY)) == 0 && !self.child.is_running()
+                }
+            };
+            if left.is_zero() || is_over {
                 panic!(
                     "not in {:?}: {what}; {}",
                     begin.elapsed(),
@@ -100,7 +133,7 @@ impl Planner {
 
     /// All that it has read so far.
     pub fn seen(&mut self) -> &[ReaderLine] {
-        self.fetch(std::time::Duration::ZERO);
+        self.fetch(Duration::ZERO);
         &self.lines
     }
 
@@ -135,7 +168,7 @@ impl Planner {
         self.child.finish()
     }
 
-    fn fetch(&mut self, within: std::time::Duration) -> usize {
+    fn fetch(&mut self, within: Duration) -> usize {
         let lines = self.child.lines(self.lines.len(), within);
         for line in &lines {
             // What a killed reader wrote last may be cut: its last line does not count.

@@ -5,33 +5,11 @@
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 
-use serde_json::Value;
+use joulebus_test_processes::{Ended, run};
 
-fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-report"));
-    command.args(arguments).env_remove("JOULEBUS_LOG");
-    command.output().unwrap()
-}
-
-fn stdout(output: &Output) -> &str {
-    str::from_utf8(&output.stdout).unwrap()
-}
-
-fn stderr(output: &Output) -> &str {
-    str::from_utf8(&output.stderr).unwrap()
-}
-
-fn code(output: &Output) -> i32 {
-    output
-        .status
-        .code()
-        .unwrap_or_else(|| panic!("killed: {output:?}"))
-}
-
-fn json(output: &Output) -> Value {
-    serde_json::from_str(stdout(output)).unwrap_or_else(|error| panic!("{error}: {output:?}"))
+fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Ended {
+    run(env!("CARGO_BIN_EXE_joulebus-report"), arguments)
 }
 
 /// A recording of `rows` rows at 30 Hz whose power changes in each of them.
@@ -65,13 +43,13 @@ fn one_command_runs_the_simulated_experiments() {
         out.to_str().unwrap(),
     ];
     let made = output(arguments);
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    assert_eq!(made.exit_code(), 0, "{}", made.errors());
     let page = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("Every number here is of simulated robots"));
     assert!(!page.contains("http"));
     let written = fs::read_to_string(out.join("report.json")).unwrap();
     let written: serde_json::Value = serde_json::from_str(&written).unwrap();
-    assert_eq!(json(&made), written, "stdout and the file say the same");
+    assert_eq!(made.json(), written, "stdout and the file say the same");
     for file in [
         "report.txt",
         "figures/figure-1-power.png",
@@ -88,8 +66,8 @@ fn one_command_runs_the_simulated_experiments() {
     arguments.extend(["-o", second.to_str().unwrap()]);
     arguments.extend(recordings.iter().map(|path| path.to_str().unwrap()));
     let made = output(arguments);
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
-    let text = stdout(&made);
+    assert_eq!(made.exit_code(), 0, "{}", made.errors());
+    let text = made.text();
     for name in [
         "network",
         "persistence",
@@ -98,7 +76,7 @@ fn one_command_runs_the_simulated_experiments() {
     ] {
         assert!(text.contains(name), "{name}: {text}");
     }
-    assert!(stderr(&made).contains("report.html"), "{}", stderr(&made));
+    assert!(made.errors().contains("report.html"), "{}", made.errors());
 }
 
 #[test]
@@ -125,16 +103,16 @@ fn invalid_requests_are_refused_before_the_evaluation() {
     ] {
         let refused = output(&arguments);
         assert_eq!(
-            code(&refused),
+            refused.exit_code(),
             expected,
             "{arguments:?}: {}",
-            stderr(&refused)
+            refused.errors()
         );
         assert!(
-            stderr(&refused).contains(says),
+            refused.errors().contains(says),
             "{says}: {}",
-            stderr(&refused)
+            refused.errors()
         );
-        assert!(stdout(&refused).is_empty());
+        assert!(refused.text().is_empty());
     }
 }

@@ -4,6 +4,7 @@
 
 mod member;
 
+use std::ffi::OsStr;
 use std::io::{BufRead as _, BufReader, Read, Write as _};
 use std::os::unix::process::ExitStatusExt as _;
 use std::process::{ChildStdin, Command, ExitStatus, Stdio};
@@ -26,6 +27,14 @@ pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
         assert!(begin.elapsed() < PATIENCE, "not after {PATIENCE:?}: {what}");
         std::thread::sleep(Duration::from_millis(5));
     }
+}
+
+/// Runs a program to its end, with nothing of its log but what it says without being asked.
+#[must_use]
+pub fn run<A: AsRef<OsStr>>(program: &str, arguments: impl IntoIterator<Item = A>) -> Ended {
+    let mut command = Command::new(program);
+    command.args(arguments).env_remove("JOULEBUS_LOG");
+    Child::spawn(program, command).wait()
 }
 
 /// A process. Killed and waited for when dropped; what it wrote is shown when a test fails.
@@ -58,6 +67,15 @@ impl Ended {
     #[must_use]
     pub fn code(&self) -> Option<i32> {
         self.status.code()
+    }
+
+    /// Exit code of a process that no signal has killed.
+    ///
+    /// # Panics
+    /// One has.
+    #[must_use]
+    pub fn exit_code(&self) -> i32 {
+        self.code().unwrap_or_else(|| panic!("killed: {self:?}"))
     }
 
     /// Signal that killed it.
