@@ -7,10 +7,13 @@
 use std::collections::HashMap;
 use std::fmt;
 use std::io;
+use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::channel;
 use std::time::Duration;
 
+use ::foxglove::websocket::ShutdownHandle;
 use ::foxglove::{ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServer};
 use anyhow::Context as _;
 use joulebus_capture::record::{Options, Recorder, Target};
@@ -21,8 +24,12 @@ use joulebus_program::stop::Stop;
 use joulebus_program::verbs::serve::ServeArguments;
 use serde::Serialize;
 
+use crate::guard::{Guard, hidden_address};
+
 /// How often it is looked whether to end.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Time that clients have to disconnect at the end.
+const LEAVE_LIMIT: Duration = Duration::from_secs(1);
 /// Messages that wait for a reader that is slow, bytes.
 const QUEUE_BYTES: usize = 64 << 20;
 
@@ -45,16 +52,16 @@ pub(super) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
         ));
     }
     let context = Context::new();
+    let failed = || format!("cannot listen at {} port {}", args.host, args.port);
+    let listener = TcpListener::bind((args.host, args.port)).with_context(failed)?;
+    let address = format!("ws://{}", listener.local_addr().with_context(failed)?);
+    let hidden = hidden_address();
     let server = WebSocketServer::new()
         .name(format!("joulebus {}", config.fleet()))
-        .bind(args.host.to_string(), args.port)
+        .bind(hidden.to_string(), 0)
         .context(&context)
         .start_blocking()
-        .with_context(|| format!("cannot listen at {} port {}", args.host, args.port))?;
-    let address = format!(
-        "ws://{}",
-        std::net::SocketAddr::new(args.host, server.port())
-    );
+        .with_context(|| format!("cannot listen at {hidden}"))?;
     let clock = Clock::now();
     let attachments = Attachments::of(std::slice::from_ref(&config), clock)?;
     let (reader, writer) = io::pipe().context("cannot make a pipe")?;
@@ -75,6 +82,8 @@ pub(super) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     let forward = std::thread::Builder::new()
         .name("joulebus-serve".to_owned())
         .spawn(move || forward(reader, &context, &counted))?;
+    let inside = SocketAddr::new(hidden, server.port());
+    let mut guard = Guard::start(listener, inside, args.allow_origin.clone())?;
     say(&format!("serving fleet {} at {address}", config.fleet()));
     while !stop.is_asked() && !recorder.is_over() && !forward.is_finished() {
         std::thread::sleep(LOOK_EVERY);
@@ -84,7 +93,8 @@ pub(super) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     forward
         .join()
         .map_err(|_| anyhow::anyhow!("the server's thread has panicked"))??;
-    server.stop().wait_blocking();
+    guard.stop();
+    end(server.stop());
     output.report(&ServeReport {
         fleet: config.fleet().to_owned(),
         address,
@@ -92,6 +102,21 @@ pub(super) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
         lost,
     })?;
     Ok(Outcome::unless_lost(lost > 0))
+}
+
+/// Waits for clients to disconnect, for [`LEAVE_LIMIT`] at most: the exit of the process closes their
+/// connections.
+fn end(clients: ShutdownHandle) {
+    let (tell, told) = channel();
+    let wait = move || {
+        clients.wait_blocking();
+        // The receiver may have given up.
+        let _ = tell.send(());
+    };
+    let waiting = std::thread::Builder::new().name("joulebus-end".to_owned());
+    if waiting.spawn(wait).is_ok() {
+        let _ = told.recv_timeout(LEAVE_LIMIT);
+    }
 }
 
 /// Hands on what comes through the pipe until it ends.

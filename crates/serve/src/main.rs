@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod foxglove;
+mod guard;
 
 use std::process::ExitCode;
 

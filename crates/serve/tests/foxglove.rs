@@ -2,10 +2,11 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
+use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::mpsc::channel;
 use std::thread;
 use std::time::Duration;
@@ -14,11 +15,11 @@ use joulebus_capture::{Message, MessageKind};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
-use joulebus_test_processes::{Child, PATIENCE};
+use joulebus_test_processes::{Child, PATIENCE, eventually};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest as _;
-use tungstenite::{Message as Frame, WebSocket};
+use tungstenite::{Error, HandshakeError, Message as Frame, WebSocket};
 
 /// A fleet whose worker and source are threads of the test.
 struct Fleet {
@@ -28,7 +29,9 @@ struct Fleet {
 
 impl Fleet {
     fn new() -> Self {
-        let root = format!("/dev/shm/jbserve-{}", std::process::id());
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let root = format!("/dev/shm/jbserve-{}-{number}", std::process::id());
         let text = format!(
             "[fleet]\nname = \"serve\"\ncapacity = 20\n\
              [domain]\nroot = \"{root}\"\nprefix = \"jbserve_\"\n\
@@ -74,22 +77,43 @@ impl Fleet {
     }
 }
 
-fn start(config: &Path) -> Child {
+/// Starts a server; it, and where it listens.
+fn start(config: &Path, more: &[&str]) -> (Child, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
     command.args(["--foxglove", "--port", "0", "--format", "json", "--config"]);
-    command.arg(config).env_remove("JOULEBUS_LOG");
-    Child::spawn("serve", command)
+    command.arg(config).args(more).env_remove("JOULEBUS_LOG");
+    let mut server = Child::spawn("serve", command);
+    let line = server.says("serving fleet serve at ");
+    let address = line.rsplit(' ').next().unwrap();
+    assert!(address.starts_with("ws://127.0.0.1:"), "{address}");
+    let address = address.to_owned();
+    (server, address)
+}
+
+fn dial(address: &str) -> TcpStream {
+    let stream = TcpStream::connect(address.strip_prefix("ws://").unwrap()).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream
+}
+
+/// Connects as a page of `origin` does, or as a program; the status if that is refused, 0 if the
+/// connection ends without one.
+fn try_connect(address: &str, origin: Option<&str>) -> Result<WebSocket<TcpStream>, u16> {
+    let mut request = address.into_client_request().unwrap();
+    let headers = request.headers_mut();
+    headers.insert("sec-websocket-protocol", "foxglove.sdk.v1".parse().unwrap());
+    if let Some(origin) = origin {
+        headers.insert("origin", origin.parse().unwrap());
+    }
+    match tungstenite::client(request, dial(address)) {
+        Ok((client, _)) => Ok(client),
+        Err(HandshakeError::Failure(Error::Http(response))) => Err(response.status().as_u16()),
+        Err(_) => Err(0),
+    }
 }
 
 fn connect(address: &str) -> WebSocket<TcpStream> {
-    let stream = TcpStream::connect(address.strip_prefix("ws://").unwrap()).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    let mut request = address.into_client_request().unwrap();
-    let protocol = "foxglove.sdk.v1".parse().unwrap();
-    request
-        .headers_mut()
-        .insert("sec-websocket-protocol", protocol);
-    tungstenite::client(request, stream).unwrap().0
+    try_connect(address, None).unwrap()
 }
 
 /// The next message that is JSON and of the kind `op`.
@@ -135,12 +159,8 @@ fn a_client_sees_the_channels_and_a_message_it_can_decode() {
 }
 
 fn see_a_forecast(config: &Path) {
-    let mut server = start(config);
-    let line = server.says("serving fleet serve at ");
-    let address = line.rsplit(' ').next().unwrap();
-    assert!(address.starts_with("ws://127.0.0.1:"), "{address}");
-
-    let mut client = connect(address);
+    let (mut server, address) = start(config, &[]);
+    let mut client = connect(&address);
     let info = next_json(&mut client, "serverInfo");
     assert_eq!(info["name"], "joulebus serve");
     let topic = MessageKind::Forecasts.topic("serve", 0);
@@ -190,4 +210,134 @@ fn see_a_forecast(config: &Path) {
     assert_eq!(ended.code(), Some(0), "{ended:?}");
     let report = ended.json();
     assert!(report["messages"].as_u64().unwrap() > 0, "{report}");
+}
+
+/// The beginning of a handshake.
+const HALF: &[u8] = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: webso";
+
+/// What the server says before it closes the connection.
+fn farewell(stream: &mut TcpStream) -> String {
+    let mut said = Vec::new();
+    // A reset is an end as well.
+    let _ = stream.read_to_end(&mut said);
+    String::from_utf8(said).unwrap()
+}
+
+#[test]
+fn no_connection_keeps_the_server_from_ending() {
+    for signal in [Signal::TERM, Signal::HUP] {
+        let fleet = Fleet::new();
+        let (mut server, address) = start(&fleet.path(), &[]);
+        let _idle = dial(&address);
+        let mut half = dial(&address);
+        half.write_all(HALF).unwrap();
+        // One that is connected and reads nothing.
+        let _connected = connect(&address);
+        server.signal(signal);
+        let ended = server.wait();
+        assert_eq!(ended.code(), Some(0), "{ended:?}");
+        assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
+    }
+}
+
+#[test]
+fn a_handshake_that_does_not_come_to_its_end_is_closed() {
+    let fleet = Fleet::new();
+    let (mut server, address) = start(&fleet.path(), &[]);
+    let mut idle = dial(&address);
+    let mut half = dial(&address);
+    half.write_all(HALF).unwrap();
+    let mut slow = dial(&address);
+    let mut slowly = slow.try_clone().unwrap();
+    let dripping = thread::spawn(move || {
+        // Byte after byte, for as long as it is taken.
+        for byte in b"GET / HTTP/1.1\r\nX: "
+            .iter()
+            .chain(std::iter::repeat(&b'x'))
+        {
+            if slowly.write_all(&[*byte]).is_err() {
+                return;
+            }
+            thread::sleep(Duration::from_millis(50));
+        }
+    });
+    for stream in [&mut idle, &mut half, &mut slow] {
+        let said = farewell(stream);
+        // The slow one may have been reset before it read the reason.
+        assert!(
+            said.starts_with("HTTP/1.1 408 ") || said.is_empty(),
+            "{said}"
+        );
+    }
+    dripping.join().unwrap();
+    let mut long = dial(&address);
+    long.write_all(
+        &b"GET / HTTP/1.1\r\nX: "
+            .iter()
+            .copied()
+            .chain([b'x'; 20_000])
+            .collect::<Vec<u8>>(),
+    )
+    .unwrap();
+    let said = farewell(&mut long);
+    assert!(
+        said.starts_with("HTTP/1.1 431 ") || said.is_empty(),
+        "{said}"
+    );
+    // All that while it serves.
+    next_json(&mut connect(&address), "serverInfo");
+    server.stop();
+}
+
+#[test]
+fn pages_from_elsewhere_are_refused_and_those_of_this_host_and_of_foxglove_served() {
+    let fleet = Fleet::new();
+    let allowed = "https://lab.example:8080";
+    let (mut server, address) = start(&fleet.path(), &["--allow-origin", allowed]);
+    for origin in [
+        None,
+        Some("http://localhost:3000"),
+        Some("http://127.0.0.1:8080"),
+        Some("https://app.foxglove.dev"),
+        Some(allowed),
+    ] {
+        let mut client = try_connect(&address, origin).unwrap();
+        next_json(&mut client, "serverInfo");
+    }
+    for origin in [
+        "http://evil.example",
+        "null",
+        "https://app.foxglove.dev.evil.example",
+    ] {
+        let refused = try_connect(&address, Some(origin)).map(drop);
+        assert_eq!(refused, Err(403), "{origin}");
+        let said = server.says("--allow-origin");
+        assert!(said.contains(origin), "{said}");
+    }
+    server.stop();
+}
+
+#[test]
+fn many_connections_are_bounded_and_make_room_again() {
+    let fleet = Fleet::new();
+    let (mut server, address) = start(&fleet.path(), &[]);
+    let mut streams: Vec<TcpStream> = (0..200).map(|_| dial(&address)).collect();
+    let mut said = streams.iter_mut().rev().map(farewell);
+    let full = said.find(|said| said.starts_with("HTTP/1.1 503 "));
+    assert!(full.is_some(), "200 connections were taken at once");
+    let status = fs::read_to_string(format!("/proc/{}/status", server.pid())).unwrap();
+    let threads = status
+        .lines()
+        .find_map(|line| line.strip_prefix("Threads:"));
+    let threads: u32 = threads.unwrap().trim().parse().unwrap();
+    assert!(threads < 64 + 40, "{threads} threads");
+    // Those that say nothing are closed, and others get their places.
+    eventually("a place for a client", || {
+        try_connect(&address, None).is_ok_and(|mut client| {
+            next_json(&mut client, "serverInfo");
+            true
+        })
+    });
+    drop(streams);
+    server.stop();
 }
