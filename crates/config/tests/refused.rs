@@ -363,7 +363,7 @@ fn wrong_kinds_and_units_are_refused() {
             "file = \"builtin:rover\"",
             "file = \"/dev/zero\"",
             "platform.file",
-            &["not a regular file"],
+            &["allowed are regular files"],
         ),
     ];
     for (from, to, key, says) in cases {

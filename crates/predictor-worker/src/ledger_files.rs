@@ -14,6 +14,8 @@ use crate::checkpoint::Checkpoint;
 
 /// Version of the files.
 const SCHEMA: u32 = 2;
+/// Maximum size of a file: the accounts of two million robots take about half of it.
+const MOST_BYTES: u64 = 1 << 30;
 /// Damaged files that are kept; the last name is used again.
 const MOST_DAMAGED: u32 = 9;
 
@@ -230,14 +232,11 @@ fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
             source,
         })
     };
-    match fs::metadata(path) {
-        Ok(found) if found.is_file() => {}
-        // Opening a pipe would wait for its other end.
-        Ok(_) => return Err(failed(io::Error::other("is not a regular file"))),
+    let bytes = match joulebus_files::read(path, MOST_BYTES) {
+        Ok(bytes) => bytes,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(failed(error)),
-    }
-    let bytes = fs::read(path).map_err(failed)?;
+    };
     if let Ok(Version { schema }) = serde_json::from_slice(&bytes)
         && schema != SCHEMA
     {

@@ -138,6 +138,15 @@ fn files_that_a_config_names_are_checked_before_anything_is_created() {
                 assert!(stderr(&ended).contains(kind), "{verb}: {}", stderr(&ended));
             }
         }
+        fs::write(
+            &config,
+            format!("{text}\n[ledger]\ncheckpoint = \"{shown}\"\n"),
+        )
+        .unwrap();
+        let run = joulebus(["run".as_ref(), "--config".as_ref(), config.as_os_str()]);
+        let ended = Program::start(run).wait();
+        assert_eq!(code(&ended), 1, "ledger {shown}: {ended:?}");
+        assert!(stderr(&ended).contains(kind), "{}", stderr(&ended));
     }
     assert!(fleet.stale_files().is_empty());
 }
