@@ -50,19 +50,25 @@ machines=$(mktemp -d)
 trap 'rm -rf "$machines"' EXIT
 export JOULEBUS_MACHINES=$machines
 
-both() {
+step() {
     printf -- '-- %s (after %d s)\n' "$*" "$SECONDS"
     "$@"
 }
 
-# Records here what is computed again there.
-both cargo test --locked --workspace --test verify what_one_machine_records
-[ -s "$machines/x86_64.mcap" ] || { echo 'aarch64: nothing was recorded' >&2; exit 1; }
+# One set of packages, so that nothing is compiled twice.
 cross=(cargo test --locked --target "$target")
-both "${cross[@]}" -p joulebus-capture --test verify
+for crate in predictor fleet capture train; do
+    cross+=(-p "joulebus-$crate")
+done
+tests=(--lib --test kernels --test rollouts --test files --test oracle --test shards)
+
+# Records here what is computed again there.
+step cargo test --locked --workspace --test verify what_one_machine_records
+[ -s "$machines/x86_64.mcap" ] || { echo 'aarch64: nothing was recorded' >&2; exit 1; }
+step "${cross[@]}" "${tests[@]}" --test verify --test train --no-run
+step "${cross[@]}" --test verify
 [ -s "$machines/aarch64.mcap" ] || { echo 'aarch64: nothing was recorded there' >&2; exit 1; }
 cmp "$machines/x86_64.mcap" "$machines/aarch64.mcap"
-both "${cross[@]}" -p joulebus-predictor --lib --test kernels --test rollouts --test files
-both "${cross[@]}" -p joulebus-fleet --lib --test oracle --test shards
-both "${cross[@]}" -p joulebus-train --test train the_same_seed_gives_the_same_bytes
+step "${cross[@]}" --test train the_same_seed_gives_the_same_bytes
+step "${cross[@]}" "${tests[@]}"
 printf 'aarch64: the same bits (after %d s)\n' "$SECONDS"

@@ -41,6 +41,8 @@ pub(crate) struct Oracle {
     /// The oldest first.
     pub departed: VecDeque<(u32, Account)>,
     sources: Vec<Known>,
+    /// Sources that had to make room for others.
+    pub recycled: u64,
     pub accepted: u64,
     pub drops: BTreeMap<&'static str, u64>,
 }
@@ -53,6 +55,7 @@ impl Oracle {
             members: BTreeMap::new(),
             departed: VecDeque::new(),
             sources: Vec::new(),
+            recycled: 0,
             accepted: 0,
             drops: BTreeMap::new(),
         }
@@ -146,6 +149,7 @@ impl Oracle {
         let silent = |known: &Known| known.heard_ns == longest;
         let at = self.sources.iter().position(silent).expect("just found");
         self.sources[at] = new;
+        self.recycled += 1;
         Ok(at)
     }
 
