@@ -11,8 +11,8 @@ use crate::newest::{ReadError, check_schema, newer};
 use crate::tracker::Place;
 use crate::{Arrival, Frame};
 
-/// Frames that the worker sends beside its forecasts, robot by robot. Belongs to the thread of its
-/// planner, and may outlive it.
+/// Frames that the worker sends in addition to its forecasts, robot by robot. Belongs to the thread
+/// of its planner, and may outlive it.
 pub struct Feed<H: Payload, T: Payload> {
     reader: Reader<H, T>,
     /// Schema, run of the worker and tick of a frame.
@@ -44,8 +44,8 @@ impl<H: Payload, T: Payload> Feed<H, T> {
         }
     }
 
-    /// The newest frame, whether or not it was given before: its header tells the tick. `None`
-    /// until the first has come. Borrowed until the next call.
+    /// The newest frame, whether or not it was returned before: its header has the tick. `None`
+    /// until the first has arrived. Borrowed until the next call.
     ///
     /// # Errors
     /// [`ReadError`]; the next call may succeed.

@@ -1,4 +1,4 @@
-//! Frames as planners see them.
+//! Frames for planners.
 
 use std::cell::RefCell;
 use std::slice;
@@ -9,7 +9,7 @@ use joulebus_wire::{Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast
 use crate::Arrival;
 use crate::index::RobotIndex;
 
-/// A frame in shared memory, borrowed from the reader that holds it.
+/// A frame in shared memory, borrowed from its reader.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a, H, T> {
     header: &'a H,
@@ -57,18 +57,18 @@ impl<'a, H, T> Frame<'a, H, T> {
         self.robots
     }
 
-    /// Goes through [`Frame::robots`].
+    /// Iterates over [`Frame::robots`].
     pub fn iter(&self) -> slice::Iter<'a, T> {
         self.robots.iter()
     }
 
     /// The robot with the id `robot`, if the frame has it. Usually one look-up in a table that is
-    /// kept from frame to frame; when a robot has moved or is missing, one pass over the frame,
-    /// at most once a frame.
+    /// kept from frame to frame; when a robot has moved or is missing, one pass over the frame, at
+    /// most once per frame.
     #[must_use]
     pub fn robot(&self, robot: u32) -> Option<&'a T> {
         let id = |position: usize| (self.id)(&self.robots[position]);
-        // Nobody else has it: it is borrowed only here, and `id` does not come back.
+        // Not borrowed elsewhere: it is borrowed only here, and `id` does not recurse.
         let mut index = self.index.borrow_mut();
         let position = index.position(robot, self.number, self.robots.len(), id)?;
         self.robots.get(position)
@@ -85,7 +85,7 @@ impl<'a, H, T> IntoIterator for &Frame<'a, H, T> {
 }
 
 impl Forecasts<'_> {
-    /// What lies between this frame and the one before.
+    /// Ticks missed and restarts between this frame and the previous one.
     #[must_use]
     pub const fn arrival(&self) -> Arrival {
         self.arrival

@@ -1,4 +1,4 @@
-//! Where each robot stands in a frame.
+//! Positions of robots in a frame.
 
 use std::collections::HashMap;
 
@@ -7,14 +7,13 @@ use std::collections::HashMap;
 #[derive(Debug, Default)]
 pub(crate) struct RobotIndex {
     positions: HashMap<u32, usize>,
-    // The frame that the positions were last read from.
+    // The frame from which the positions were last read.
     frame: Option<u64>,
 }
 
 impl RobotIndex {
     /// The position of `robot` among the `len` robots of frame `frame`, the one at position `i`
-    /// being `id(i)`. Reads the whole frame at most once a frame, and only if the position is not
-    /// what it was.
+    /// being `id(i)`. Reads the whole frame at most once, and only if the position has changed.
     pub(crate) fn position(
         &mut self,
         robot: u32,
@@ -50,7 +49,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_index_finds_what_a_search_finds(
+        fn the_index_equals_a_linear_search(
             frames in prop::collection::vec(prop::collection::vec(0..12u32, 0..10), 1..12),
         ) {
             let mut index = RobotIndex::default();
@@ -80,7 +79,7 @@ mod tests {
             assert_eq!(index.position(9, frame, ids.len(), id), Some(990));
         }
         assert_eq!(read.replace(0), 98);
-        // Missing robots cost one pass a frame, however many they are.
+        // Missing robots cost one pass per frame, however many they are.
         for robot in 5_000..5_100 {
             assert_eq!(index.position(robot, 100, ids.len(), id), None);
         }

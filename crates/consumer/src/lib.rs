@@ -1,5 +1,4 @@
-//! What a planner adds to know what its robots will draw: the newest forecast of each, read where
-//! the worker has written it.
+//! SDK of a planner: reads the newest forecast of each robot in place, in shared memory.
 //!
 //! ```no_run
 //! use std::time::Duration;
@@ -25,29 +24,30 @@
 //! }
 //! ```
 //!
-//! **Units**: W, J, s, ns. Times are of the host's monotonic clock ([`clock::monotonic_ns`]). What
-//! is not known is `None` from the accessors ([`wire::Forecast::power_w`]), NaN in the fields;
-//! [`wire::Forecast::quality`] says how far to trust the rest.
+//! **Units**: W, J, s, ns. Times are of the host's monotonic clock ([`clock::monotonic_ns`]).
+//! Unknown values are `None` from the accessors ([`wire::Forecast::power_w`]), NaN in the fields;
+//! [`wire::Forecast::quality`] states how far to trust the rest.
 //!
-//! **The worker** may start later, end, die and come back: a planner just continues. Its death is an
-//! event at once, because the kernel tells of it, not a time-out ([`Event::Gone`]). A worker that
-//! lives but falls silent is noticed when its newest frame is older than two tick periods
-//! ([`Event::Stale`]). After either, the next frame says that all is well again.
+//! **The worker** may start later, end, die and be restarted: a planner continues. Its exit is
+//! reported at once by the kernel, without a time-out ([`Event::Gone`]). A worker that is alive but
+//! silent is detected when its newest frame is older than two tick periods ([`Event::Stale`]).
+//! After either, the next frame ends the outage.
 //!
-//! **Gaps.** A planner always gets the newest frame. Those that it was too slow for are counted
-//! ([`Forecasts::arrival`], [`Counts`]). A slow or stopped planner costs the worker nothing.
+//! **Gaps.** A planner always gets the newest frame. Skipped frames are counted
+//! ([`Forecasts::arrival`], [`Counts`]). A slow or stopped planner does not affect the worker.
 //!
 //! **Lifetimes.** A frame lies in shared memory and is borrowed from the [`Planner`], or from the
-//! [`DiagnosticFeed`] or [`BudgetFeed`], each of which holds exactly one: it stays as it is until
-//! the next call that takes a newer one, for however long that is. To keep more, copy: rows are
-//! `Copy`. [`Frame::robot`] takes constant time as long as no robots come or go. Feeds are separate
-//! so that a frame of each may be looked at together.
+//! [`DiagnosticFeed`] or [`BudgetFeed`], each of which holds exactly one: it is unchanged until the
+//! next call that takes a newer one. To keep more, copy: rows are `Copy`. [`Frame::robot`] takes
+//! constant time while no robots join or leave. Feeds are separate so that a frame of each may be
+//! borrowed at the same time.
 //!
-//! **Errors** say what to do: [`ConnectError`] at the start, [`OpenError`] for a feed, [`ReadError`]
-//! later; after the latter the planner may be used again. [`error`] has all that they are made of.
+//! **Errors** state the remedy: [`ConnectError`] at the start, [`OpenError`] for a feed,
+//! [`ReadError`] later; after the latter the planner remains usable. [`error`] has the errors that
+//! they contain.
 //!
-//! **Leaving** is dropping. Everything here belongs to the thread that connected it, and all
-//! planners of one process to one fleet.
+//! **Leaving**: drop the planner. Everything here belongs to the thread that connected it, and so
+//! do all planners of one process to one fleet.
 #![forbid(unsafe_code)]
 
 mod feed;

@@ -1,11 +1,11 @@
-//! Which frame a reader takes: the newest of this version, and one that it has not had.
+//! Selection of frames: the newest of this schema version, unless it was returned before.
 
 use joulebus_bus::{ReceiveError, WaitError};
 use joulebus_wire::SCHEMA_VERSION;
 
 use crate::tracker::Place;
 
-/// Whether a frame is of our version and later than the one at `at`, which then moves on.
+/// Whether a frame is of our version and later than the one at `at`, which is then advanced.
 pub(crate) fn newer(
     schema: u32,
     place: Place,
@@ -23,7 +23,7 @@ pub(crate) fn newer(
     newer
 }
 
-/// Complains of frames of another version, unless there was one to be used.
+/// Reports frames of another version, unless a usable one was found.
 pub(crate) const fn check_schema(found: bool, schema: Option<u32>) -> Result<(), ReadError> {
     match schema {
         Some(schema) if !found => Err(ReadError::Schema { found: schema }),
@@ -31,11 +31,11 @@ pub(crate) const fn check_schema(found: bool, schema: Option<u32>) -> Result<(),
     }
 }
 
-/// Why nothing could be read.
+/// Errors of reading.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReadError {
-    /// The worker is of another version.
+    /// The worker has another schema version.
     #[error(
         "a frame of schema version {found}, allowed is {SCHEMA_VERSION}; use the same release of \
          joulebus for the worker and its planners"

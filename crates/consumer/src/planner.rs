@@ -15,9 +15,9 @@ use crate::newest::{ReadError, check_schema, newer};
 use crate::tracker::{Tracker, place};
 use crate::{Arrival, BudgetFeed, Counts, DiagnosticFeed, End, Forecasts, WorkerState};
 
-/// A reader of forecasts: a planner, a watcher, a recorder.
+/// A reader of forecasts: a planner, a live view, a recorder.
 ///
-/// Stays connected while the worker goes and comes. Belongs to one thread.
+/// Stays connected while the worker ends and restarts. Belongs to one thread.
 pub struct Planner {
     reader: ForecastReader,
     waiter: Waiter,
@@ -26,27 +26,27 @@ pub struct Planner {
     arrival: Arrival,
     index: RefCell<RobotIndex>,
     limits: Limits,
-    // After the ports: it must be gone before the process leaves.
+    // After the ports, which must be dropped before the process leaves the domain.
     bus: Bus,
 }
 
-/// What [`Planner::wait_next`] has waited for.
+/// Result of [`Planner::wait_next`].
 #[derive(Debug, Clone, Copy)]
 #[must_use]
 #[non_exhaustive]
 pub enum Event<'a> {
-    /// A frame that was not given before.
+    /// A frame that was not returned before.
     Frame(Forecasts<'a>),
-    /// The worker is gone; told once.
+    /// The worker has ended; reported once.
     Gone(End),
-    /// The newest frame has become older than two tick periods; told once.
+    /// The newest frame is older than two tick periods; reported once.
     Stale {
         /// Time since it was sent, ns.
         age_ns: u64,
     },
-    /// A signal came. The program's own handler has run: time to look whether it is to end.
+    /// A signal arrived. The program's own handler has run: check whether to exit.
     Interrupted,
-    /// Nothing of it happened in time.
+    /// No event before the timeout.
     TimedOut,
 }
 
@@ -54,20 +54,20 @@ impl Planner {
     /// Joins the fleet of the config file at `config_path`, as `planner`. The worker need not run.
     ///
     /// # Errors
-    /// [`ConnectError`] says what is in the way and what to do.
+    /// [`ConnectError`] with the cause and the remedy.
     pub fn connect(config_path: impl AsRef<Path>) -> Result<Self, ConnectError> {
         Self::with_config(&Config::load(config_path)?, "planner")
     }
 
-    /// As [`Planner::connect`], with a config that has been read, and a name of 1 to 128 bytes
-    /// that operators see; several may have the same.
+    /// As [`Planner::connect`], with a loaded config, and a name of 1 to 128 bytes that is shown to
+    /// operators and need not be unique.
     ///
     /// # Errors
     /// [`ConnectError`].
     pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
         let limits = config.limits();
         let bus = config.join(name)?;
-        // The waiter first: a frame that comes in between is found without an event.
+        // The waiter first: a frame that arrives in between is found without an event.
         let waiter = bus.planner_waiter(&limits)?;
         let reader = bus.forecast_reader(&limits)?;
         Ok(Self {
@@ -82,16 +82,17 @@ impl Planner {
         })
     }
 
-    /// Waits until there is a frame that was not given before, the worker goes or falls silent, a
-    /// signal comes, or `timeout` is over. Of several frames it gives the newest; those passed over
-    /// are in [`Forecasts::arrival`]. A frame comes before bad news. Allocates nothing.
+    /// Waits until there is a frame that was not returned before, the worker ends or is stale, a
+    /// signal arrives, or `timeout` is over. Of several frames it returns the newest; skipped ones
+    /// are counted in [`Forecasts::arrival`]. A frame takes precedence over the other events.
+    /// Allocates nothing.
     ///
     /// # Errors
     /// [`ReadError`]; the next call may succeed.
     pub fn wait_next(&mut self, timeout: Duration) -> Result<Event<'_>, ReadError> {
         let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
         let deadline_ns = clock::monotonic_ns().saturating_add(timeout_ns);
-        // Looks first, without sleeping: the event of a frame that waits may have been taken.
+        // Polls first, without sleeping: the event of a waiting frame may have been consumed.
         let mut until_ns = 0;
         loop {
             let woken = self.look(until_ns)?;
@@ -112,13 +113,13 @@ impl Planner {
             }
             until_ns = deadline_ns.min(self.tracker.change_due_ns().unwrap_or(u64::MAX));
         }
-        // `fetch` has found a frame, so there is one.
+        // `fetch` has found a frame.
         Ok(self.current().map_or(Event::TimedOut, Event::Frame))
     }
 
-    /// The newest frame, without waiting, whether or not it was given before: its header tells the
-    /// tick, [`Planner::worker`] whether to rely on it. `None` until the first has come. Allocates
-    /// nothing.
+    /// The newest frame, without waiting, whether or not it was returned before: its header has the
+    /// tick, and [`Planner::worker`] tells whether to rely on it. `None` until the first has
+    /// arrived. Allocates nothing.
     ///
     /// # Errors
     /// [`ReadError`]; the next call may succeed.
@@ -128,7 +129,7 @@ impl Planner {
         Ok(self.current())
     }
 
-    /// The frame that was given last, once more.
+    /// The last frame again.
     #[must_use]
     pub fn current(&self) -> Option<Forecasts<'_>> {
         let held = self.reader.held()?;
@@ -137,23 +138,23 @@ impl Planner {
         Some(Frame::new(held, number, id, &self.index, self.arrival))
     }
 
-    /// How the worker stands at this moment, as far as the last call to [`Planner::wait_next`] or
-    /// [`Planner::latest`] has seen.
+    /// The state of the worker now, as seen by the last call to [`Planner::wait_next`] or
+    /// [`Planner::latest`].
     #[must_use]
     pub fn worker(&self) -> WorkerState {
         self.tracker.state(clock::monotonic_ns())
     }
 
-    /// What has been given so far, and missed.
+    /// Numbers of frames returned and missed.
     #[must_use]
     pub const fn counts(&self) -> Counts {
         self.tracker.counts()
     }
 
-    /// Opens the diagnostics. Frames that are sent from now on can be read.
+    /// Opens the diagnostics. Frames sent from now on can be read.
     ///
     /// # Errors
-    /// [`OpenError`] says what is in the way and what to do.
+    /// [`OpenError`] with the cause and the remedy.
     pub fn diagnostics(&self) -> Result<DiagnosticFeed, OpenError> {
         let reader = self.bus.diagnostic_reader(&self.limits)?;
         let of_header =
@@ -161,18 +162,18 @@ impl Planner {
         Ok(DiagnosticFeed::new(reader, of_header, |row| row.robot))
     }
 
-    /// Opens the budgets. What was sent before can be read as soon as the worker sends again, or
-    /// looks for newcomers.
+    /// Opens the budgets. Frames sent before can be read as soon as the worker sends again, or
+    /// updates its connections.
     ///
     /// # Errors
-    /// [`OpenError`] says what is in the way and what to do.
+    /// [`OpenError`] with the cause and the remedy.
     pub fn budgets(&self) -> Result<BudgetFeed, OpenError> {
         let reader = self.bus.budget_reader(&self.limits)?;
         let of_header = |header: &BudgetHeader| (header.schema, header.worker_epoch, header.tick);
         Ok(BudgetFeed::new(reader, of_header, |row| row.robot))
     }
 
-    /// Connections to workers that could not be made, or broke: frames are missing.
+    /// Connections to workers that failed or broke: frames are missing.
     #[must_use]
     pub fn degraded(&self) -> u64 {
         self.reader.degraded()
@@ -197,13 +198,13 @@ impl Planner {
             self.tracker.over(End::Exited, now_ns);
             self.watch = None;
         } else if woken.died && self.watch.is_none() {
-            // While the worker's process is watched, it is another one that was found dead.
+            // While the worker's process is watched, the process found dead is another one.
             self.tracker.over(End::FoundDead, now_ns);
         }
         Ok(woken)
     }
 
-    /// Holds the newest frame; whether it is a new one.
+    /// Takes the newest frame; returns whether it is new.
     fn fetch(&mut self) -> Result<bool, ReadError> {
         let (mut at, mut schema) = (self.tracker.place(), None);
         let found = self.reader.hold_latest(|header, run| {
@@ -217,8 +218,8 @@ impl Planner {
         let first = self.tracker.place().is_none();
         self.arrival = self.tracker.frame(run, header);
         if first || self.arrival.restarted {
-            // Should the pid have gone to another process meanwhile, then the worker is gone
-            // already and no fresh frame comes: the frame's age tells.
+            // If the pid has been reused meanwhile, the worker is already gone and no fresh frame
+            // arrives: the frame's age shows it.
             self.watch = PeerWatch::open(header.pid);
         }
         Ok(true)

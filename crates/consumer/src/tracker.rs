@@ -1,12 +1,12 @@
-//! What a planner knows of the worker, from frames, events and the time: without a clock.
+//! State of the worker as seen by a planner, from frames, events and the time: without a clock.
 
 use joulebus_wire::ForecastHeader;
 
-/// How the worker stands.
+/// State of the worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum WorkerState {
-    /// No frame has come yet.
+    /// No frame has arrived yet.
     Waiting,
     /// The newest frame is at most two tick periods old.
     Alive,
@@ -15,44 +15,44 @@ pub enum WorkerState {
         /// Time since it was sent, ns.
         age_ns: u64,
     },
-    /// The worker is gone.
+    /// The worker has ended.
     Gone(End),
 }
 
-/// How a worker went, and how that was noticed.
+/// How the end of a worker was detected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum End {
-    /// It said that it ends.
+    /// It sent the end event.
     Ended,
-    /// Its process has ended without a word: seen at once.
+    /// Its process exited without an end event: detected at once.
     Exited,
     /// Another process found it dead: where processes cannot be watched.
     FoundDead,
 }
 
-/// How a frame of forecasts came.
+/// Gap before a frame of forecasts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Arrival {
-    /// Ticks of this worker whose frames were passed over or lost since the last frame that this
-    /// planner was given. 0 for the first frame of all.
+    /// Ticks of this worker whose frames were skipped or lost since the last frame that was
+    /// returned. 0 for the very first frame.
     pub ticks_missed: u64,
-    /// The frame is the first of another run of the worker than the frame before.
+    /// The frame is the first of another run of the worker than the previous frame.
     pub restarted: bool,
 }
 
-/// What a planner has been given so far.
+/// Numbers of frames returned so far.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Counts {
     /// Frames.
     pub frames: u64,
-    /// Times that ticks were missing between two frames.
+    /// Number of gaps between frames.
     pub gaps: u64,
-    /// Ticks missing, in all gaps.
+    /// Ticks missing in all gaps.
     pub ticks_missed: u64,
-    /// Runs of the worker seen.
+    /// Runs of the worker.
     pub workers: u64,
 }
 
@@ -81,7 +81,7 @@ enum Told {
 #[derive(Debug)]
 pub(crate) struct Tracker {
     last: Option<Last>,
-    // How and when the run of `last` was found to be over.
+    // How and when the end of the run of `last` was detected.
     over: Option<(End, u64)>,
     told: Told,
     counts: Counts,
@@ -102,7 +102,7 @@ impl Tracker {
         }
     }
 
-    /// The place of the newest frame.
+    /// The order of the newest frame.
     pub(crate) fn place(&self) -> Option<Place> {
         self.last.map(|last| last.place)
     }
@@ -129,8 +129,9 @@ impl Tracker {
             .counts
             .ticks_missed
             .saturating_add(arrival.ticks_missed);
-        // What a run has sent before its end does not bring it back; what it sends after shows
-        // that it had not ended, whatever was seen (a process of another container, perhaps).
+        // Frames sent before the detected end do not revive a run; frames sent after it show that
+        // the run had not ended, despite the detection (possibly of a process in another
+        // container).
         let lives = |(_, over_ns): (End, u64)| arrival.restarted || header.sent_ns > over_ns;
         if self.over.is_none_or(lives) {
             self.over = None;
@@ -144,7 +145,7 @@ impl Tracker {
         arrival
     }
 
-    /// The run of the newest frame is over. Of several reasons the first counts.
+    /// The run of the newest frame has ended. The first reason is kept.
     pub(crate) fn over(&mut self, end: End, now_ns: u64) {
         if self.last.is_some() {
             self.over.get_or_insert((end, now_ns));
@@ -162,7 +163,7 @@ impl Tracker {
         }
     }
 
-    /// The state, if it has become worse since it was last told.
+    /// The state, if it has become worse since it was last returned.
     pub(crate) fn change(&mut self, now_ns: u64) -> Option<WorkerState> {
         let state = self.state(now_ns);
         let telling = match state {
@@ -175,7 +176,7 @@ impl Tracker {
         changed.then_some(state)
     }
 
-    /// When there will be a change for the lack of frames, monotonic ns.
+    /// When the state will change without frames, monotonic ns.
     pub(crate) fn change_due_ns(&self) -> Option<u64> {
         let last = self.last.as_ref()?;
         (self.over.is_none() && self.told == Told::Nothing).then_some(stale_ns(last))
@@ -186,7 +187,7 @@ impl Tracker {
     }
 }
 
-/// The first moment at which the frame is older than two periods.
+/// The first time at which the frame is older than two periods.
 const fn stale_ns(last: &Last) -> u64 {
     last.sent_ns
         .saturating_add(last.period_ns.saturating_mul(2))
@@ -210,10 +211,10 @@ mod tests {
     }
 
     #[test]
-    fn gaps_are_counted_once_and_ticks_one_by_one() {
+    fn gaps_and_missed_ticks_are_counted() {
         let mut tracker = Tracker::new();
         for (epoch, tick, missed, restarted, gaps) in [
-            // Who comes late has missed nothing.
+            // A late planner has missed nothing.
             (7, 40, 0, false, 0),
             (7, 41, 0, false, 0),
             (7, 45, 3, false, 1),
@@ -242,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_older_than_two_periods_is_stale_and_told_once() {
+    fn a_frame_older_than_two_periods_is_stale_and_reported_once() {
         let mut tracker = Tracker::new();
         assert_eq!(tracker.state(5_000), WorkerState::Waiting);
         assert_eq!(tracker.change(5_000), None);
@@ -251,7 +252,7 @@ mod tests {
         assert_eq!(tracker.change_due_ns(), Some(1_201));
         let stale = |age_ns| WorkerState::Stale { age_ns };
         for (now_ns, state, change) in [
-            // Sent by a clock that is read a little later than ours.
+            // Sent by a clock slightly ahead of ours.
             (999, WorkerState::Alive, false),
             (1_200, WorkerState::Alive, false),
             (1_201, stale(201), true),
@@ -268,10 +269,10 @@ mod tests {
     }
 
     #[test]
-    fn an_end_is_told_once_and_outlasts_what_was_sent_before() {
+    fn an_end_is_reported_once_and_not_undone_by_frames_sent_before() {
         for end in [End::Ended, End::Exited, End::FoundDead] {
             let mut tracker = Tracker::new();
-            // Of whom nothing was heard nobody is missed.
+            // An end before the first frame is ignored.
             tracker.over(end, 900);
             assert_eq!(tracker.state(900), WorkerState::Waiting);
             tracker.frame(1, &header(1, 1, 1_000));
@@ -288,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_reason_of_an_end_stays() {
+    fn the_first_reason_of_an_end_is_kept() {
         let mut tracker = Tracker::new();
         tracker.frame(1, &header(1, 1, 1_000));
         tracker.over(End::Ended, 1_010);
@@ -297,9 +298,9 @@ mod tests {
     }
 
     #[test]
-    fn a_new_run_or_a_later_frame_brings_the_worker_back() {
+    fn a_new_run_or_a_later_frame_revives_the_worker() {
         for (epoch, tick, sent_ns, back) in [
-            // A new run, even if its first frame was sent before the old one's end was noticed.
+            // A new run, even if its first frame was sent before the old one's end was detected.
             (2, 1, 1_020, true),
             (2, 1, 1_090, true),
             (1, 2, 1_051, true),
@@ -318,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stale_worker_can_still_be_gone() {
+    fn the_end_of_a_stale_worker_is_reported() {
         let mut tracker = Tracker::new();
         tracker.frame(1, &header(1, 1, 1_000));
         assert!(matches!(
@@ -330,13 +331,13 @@ mod tests {
     }
 
     #[test]
-    fn senseless_headers_do_not_panic() {
+    fn invalid_headers_do_not_panic() {
         let mut tracker = Tracker::new();
         let mut wild = header(1, 0, u64::MAX);
         wild.period_ns = u64::MAX;
         tracker.frame(1, &wild);
         assert_eq!(tracker.state(0), WorkerState::Alive);
-        // At the very end of time everything is stale: never fine.
+        // At the maximum time everything is stale.
         assert!(matches!(
             tracker.state(u64::MAX),
             WorkerState::Stale { age_ns: 0 }

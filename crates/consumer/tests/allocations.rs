@@ -1,5 +1,5 @@
-//! After warm-up neither a source nor a planner allocates anything of its own: one allocation a
-//! frame sent is iceoryx2's.
+//! After warm-up neither a source nor a planner allocates anything of its own: iceoryx2 allocates
+//! once per frame sent.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../publisher/tests/harness/mod.rs"]
@@ -26,7 +26,7 @@ fn only_loans_allocate_and_only_once() {
     let mut budgets = planner.budgets().unwrap();
     let lock = WorkerLock::acquire(&config.domain().unwrap()).unwrap();
     let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();
-    // Somebody to send to: the buffer overflows on and on.
+    // A reader, whose buffer overflows repeatedly.
     let samples = bus.sample_reader(&limits).unwrap();
     let mut forecasts = bus.forecast_writer(&limits).unwrap();
     let mut budget_writer = bus.budget_writer(&limits).unwrap();
@@ -47,7 +47,7 @@ fn only_loans_allocate_and_only_once() {
             sent_ns: clock::monotonic_ns(),
             ..ForecastHeader::default()
         };
-        // Every tick the robots stand elsewhere: the table of places is recreated.
+        // The robots change positions every tick: the table of positions is rebuilt.
         let row = |i| Forecast {
             robot: ((i as u64 + round) % 64) as u32,
             ..Forecast::default()

@@ -1,5 +1,5 @@
-//! What a planner sees of a worker, between real processes. The worker here is a stand-in that
-//! obeys: it sends the ticks it is told to.
+//! The worker as seen by planners, between separate processes. The worker here is a stand-in that
+//! sends ticks on command.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../publisher/tests/harness/mod.rs"]
@@ -20,10 +20,10 @@ use joulebus_wire::{
     WakeEvent, forecast_flag,
 };
 
-/// So long that nothing becomes stale while a test runs.
+/// Long enough that nothing becomes stale during a test.
 const HOUR_NS: u64 = 3_600_000_000_000;
 
-/// Not a test of its own: what the others start.
+/// Not a test: the entry point of the processes that the tests start.
 #[test]
 fn member() {
     run_member(|role, config| match role {
@@ -74,7 +74,7 @@ fn worker(config: &Path, is_worker: bool) {
                 for tick in *from..=*to {
                     header.tick = tick;
                     header.sent_ns = clock::monotonic_ns();
-                    // Robots change their places from tick to tick.
+                    // Robots change positions from tick to tick.
                     forecasts
                         .send(header, 64, |i| forecast((i as u64 + tick) % 64, tick))
                         .unwrap();
@@ -161,7 +161,7 @@ fn plan(config: &Path) {
                 });
                 let diagnostics = diagnostics.latest().unwrap();
                 let budgets = budgets.latest().unwrap();
-                // All three are borrowed at once.
+                // All three are borrowed at the same time.
                 let forecasts = planner.current().map(|frame| frame.header().tick);
                 let diagnosed = diagnostics.map(|frame| {
                     assert_eq!(frame.robot(63).unwrap().robot, 63);
@@ -210,7 +210,7 @@ fn ready(place: &Place, role: &str) -> Member {
 }
 
 #[test]
-fn a_planner_may_come_before_the_worker_and_after() {
+fn a_planner_may_start_before_or_after_the_worker() {
     let place = Place::new();
     let mut early = ready(&place, "planner");
     assert_eq!(early.ask("next 0"), "TimedOut");
@@ -225,11 +225,11 @@ fn a_planner_may_come_before_the_worker_and_after() {
     let mut late = ready(&place, "planner");
     worker.ask("ticks 2 9");
     worker.ask("ticks 10 10");
-    // Who comes late has missed nothing, and gets the newest.
+    // A late planner has missed nothing, and gets the newest frame.
     assert_eq!(late.ask("next 60000"), "tick 10, missed 0");
     assert_eq!(early.ask("latest"), "tick 10, missed 8");
-    assert_eq!(early.ask("latest"), "tick 10, missed 8", "the same again");
-    assert_eq!(early.ask("next 0"), "TimedOut", "it was given before");
+    assert_eq!(early.ask("latest"), "tick 10, missed 8", "the same frame");
+    assert_eq!(early.ask("next 0"), "TimedOut", "it was returned before");
     assert_eq!(early.ask("counts"), "2 frames, 1 gaps, 8 ticks, 1 workers");
     for member in [worker, early, late] {
         member.finish();
@@ -250,7 +250,7 @@ fn a_killed_worker_is_gone_at_once_and_its_successor_takes_over() {
         };
         assert_eq!(planner.ask("next 60000"), expected, "life {life}");
         assert_eq!(planner.ask("next 0"), "TimedOut", "life {life}");
-        // It sleeps, or is about to, when the worker dies; its frame is good for another hour.
+        // It sleeps, or is about to, when the worker dies; its frame is valid for another hour.
         planner.tell("next 60000");
         worker.kill();
         assert_eq!(planner.hear(), "Gone(Exited)", "life {life}");
@@ -336,7 +336,7 @@ fn row_6_a_restarted_worker_is_followed_at_once_however_the_clock_was_set_in_bet
 }
 
 #[test]
-fn what_a_worker_sent_before_its_death_is_given_first() {
+fn frames_sent_before_a_workers_death_are_returned_first() {
     let place = Place::new();
     let mut planner = ready(&place, "planner");
     let mut worker = ready(&place, "worker");
@@ -351,13 +351,13 @@ fn what_a_worker_sent_before_its_death_is_given_first() {
 }
 
 #[test]
-fn a_worker_that_ends_says_so() {
+fn a_normal_end_of_the_worker_is_reported() {
     let place = Place::new();
     let mut planner = ready(&place, "planner");
     let mut worker = ready(&place, "worker");
     worker.ask("ticks 1 1");
     assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
-    // Its last tick and its farewell come together.
+    // Its last tick and its end event arrive together.
     worker.ask("ticks 2 2");
     worker.ask("end");
     assert_eq!(planner.ask("next 60000"), "tick 2, missed 0");
@@ -370,7 +370,7 @@ fn a_worker_that_ends_says_so() {
 }
 
 #[test]
-fn a_worker_that_falls_silent_is_stale_until_it_goes_on() {
+fn a_silent_worker_is_stale_until_it_continues() {
     let place = Place::new();
     let mut planner = ready(&place, "planner");
     let mut worker = ready(&place, "worker");
@@ -423,12 +423,12 @@ fn a_stopped_planner_resumes_at_the_newest_frame_with_one_gap() {
 }
 
 #[test]
-fn a_killed_planner_gives_back_what_it_held() {
+fn the_frames_of_a_killed_planner_are_released() {
     let place = Place::new();
     let mut witness = ready(&place, "planner");
     let mut worker = ready(&place, "worker");
     let mut tick = 0;
-    // More lives than the capacity planners, each holding a frame of each kind.
+    // More runs than the capacity for planners, each holding a frame of each kind.
     for life in 0..8 {
         let mut planner = ready(&place, "planner");
         planner.ask("feeds");
@@ -462,7 +462,7 @@ fn a_killed_planner_gives_back_what_it_held() {
 }
 
 #[test]
-fn budgets_reach_a_newcomer_without_a_new_tick() {
+fn a_new_planner_gets_budgets_without_a_new_tick() {
     let place = Place::new();
     let mut worker = ready(&place, "worker");
     worker.ask("ticks 1 3");
@@ -480,7 +480,7 @@ fn budgets_reach_a_newcomer_without_a_new_tick() {
 }
 
 #[test]
-fn a_worker_of_another_version_is_refused_by_both_numbers() {
+fn a_worker_of_another_version_is_refused_with_both_numbers() {
     let place = Place::new();
     let mut planner = ready(&place, "planner");
     let mut worker = ready(&place, "worker");
@@ -500,7 +500,7 @@ fn a_worker_of_another_version_is_refused_by_both_numbers() {
 }
 
 #[test]
-fn the_example_shows_what_comes() {
+fn the_example_prints_the_forecasts() {
     let place = Place::new();
     let mut worker = ready(&place, "worker");
     let mut example = place.start("example");

@@ -12,9 +12,9 @@ use serde::{Deserialize, Serialize};
 pub(crate) struct Checkpoint {
     /// Name of the fleet: another fleet's file is refused.
     pub fleet: String,
-    /// The machine's run that the stamps belong to.
+    /// Boot id that the stamps belong to.
     pub boot_id: String,
-    /// When it was written, monotonic ns of that run.
+    /// When it was written, monotonic ns of that boot.
     pub written_ns: u64,
     /// When it was written, Unix ns.
     pub written_unix_ns: u64,
@@ -22,7 +22,7 @@ pub(crate) struct Checkpoint {
     pub robots: BTreeMap<u32, Account>,
 }
 
-/// One robot's account, as in [`joulebus_wire::Budget`].
+/// One robot's account; fields as in [`joulebus_wire::Budget`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Account {
@@ -82,8 +82,8 @@ impl Checkpoint {
         robots.map(|(robot, account)| (account.stamp_ns, *robot))
     }
 
-    /// Makes the accounts fit the machine's present run: after a reboot the stamps restart, and
-    /// the time in between, known from the wall clock alone, is unmetered.
+    /// Converts the accounts to the current boot: after a reboot the stamps restart, and the time
+    /// in between, known only from the wall clock, is unmetered.
     #[must_use]
     pub(crate) fn carried_over(mut self, boot_id: &str, now_ns: u64, now_unix_ns: u64) -> Self {
         if self.boot_id == boot_id {
@@ -171,7 +171,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn after_a_reboot_the_time_between_is_unmetered() {
+    fn after_a_reboot_the_time_in_between_is_unmetered() {
         let same = checkpoint().carried_over("boot-a", 5_000, 60_000);
         assert_eq!(same, checkpoint());
         let other = checkpoint().carried_over("boot-b", 5, 60_000);

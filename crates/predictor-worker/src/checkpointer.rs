@@ -1,5 +1,5 @@
-//! The checkpointer: a thread that reads the worker's own frames, as a planner would, and does what the
-//! tick must not: writes the ledger's checkpoints and logs what was refused.
+//! The checkpointer: a thread that reads the worker's own frames, like a planner, and does the work
+//! that the tick must not do: it writes the ledger's checkpoints and logs refusals.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -27,17 +27,17 @@ const LOG_EVERY_NS: u64 = 5 * PERIOD_NS;
 /// left.
 const ACCOUNTS_PER_ROBOT: usize = 2;
 
-/// Why the checkpointer could not begin.
+/// Errors of starting the checkpointer.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CheckpointerError {
-    /// It could not join.
+    /// It could not join the domain.
     #[error(transparent)]
     Join(#[from] JoinError),
     /// A port could not be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// The thread could not be started, or the machine's run is not known.
+    /// The thread could not be started, or the boot id is unknown.
     #[error("the worker's checkpointer cannot start: {0}")]
     Start(#[from] std::io::Error),
     /// The thread died before it was ready.
@@ -45,16 +45,16 @@ pub enum CheckpointerError {
     Died,
 }
 
-/// Failures of the worker's loop, counted by it and logged by the checkpointer.
+/// Failures of the worker's loop, counted there and logged by the checkpointer.
 #[derive(Debug, Default)]
 pub(crate) struct Failures {
     pub unsent: AtomicU64,
     pub receive: AtomicU64,
-    /// Ticks that left the diagnostics out.
+    /// Ticks without diagnostics.
     pub shed: AtomicU64,
 }
 
-/// The running thread; stops when dropped.
+/// The running thread; stopped when dropped.
 #[derive(Debug)]
 pub(crate) struct Checkpointer {
     stop: Arc<AtomicBool>,
@@ -78,7 +78,7 @@ impl Checkpointer {
             .spawn(move || {
                 match CheckpointerLoop::open(&domain, &config, before, failures, orders) {
                     Ok(checkpointer) => {
-                        // The worker waits on the other end.
+                        // The worker waits for the message.
                         let _ = ready.send(Ok(()));
                         checkpointer.run(&stopped);
                     }
@@ -94,7 +94,7 @@ impl Checkpointer {
         })
     }
 
-    /// Writes the last checkpoint and ends.
+    /// Writes the last checkpoint and stops the thread.
     pub(crate) fn finish(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
@@ -112,9 +112,9 @@ impl Drop for Checkpointer {
     }
 }
 
-/// What belongs to the checkpointer's thread.
+/// State of the checkpointer's thread.
 struct CheckpointerLoop {
-    // Before the bus: ports go first.
+    // Before the bus, because ports must be dropped first.
     budgets: BudgetReader,
     diagnostics: DiagnosticReader,
     forecasts: ForecastReader,
@@ -269,7 +269,7 @@ impl CheckpointerLoop {
         self.log_shed();
     }
 
-    /// One line when diagnostics begin to be left out, and one when they are back.
+    /// Logs one line when diagnostics begin to be left out, and one when they resume.
     fn log_shed(&mut self) {
         let before = std::mem::replace(&mut self.shed, self.failures.shed.load(Ordering::Relaxed));
         let (ticks, more) = (self.shed, self.shed > before);
@@ -278,7 +278,10 @@ impl CheckpointerLoop {
                 ticks,
                 "ticks take longer than their period: diagnostics are left out"
             ),
-            (false, true) => tracing::info!(ticks, "ticks are in time again: diagnostics are back"),
+            (false, true) => tracing::info!(
+                ticks,
+                "ticks are within their period again: diagnostics resume"
+            ),
             _ => {}
         }
         self.sheds = more;

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use joulebus_bus::{Bus, IncomingFrame, Limits, OpenError, TickWriter, clock};
 use joulebus_wire::{SCHEMA_VERSION, TakenFrame, TickHeader, tick_flag};
 
-/// Collects what the intake takes, and sends it after each tick.
+/// Collects the frames that ingest takes, and sends the list after each tick.
 #[derive(Debug)]
 pub(crate) struct Journal {
     writer: TickWriter,
@@ -14,7 +14,7 @@ pub(crate) struct Journal {
 }
 
 impl Journal {
-    /// Opens the port. The list gets its memory here, and never again.
+    /// Opens the port. The list's memory is allocated here, once.
     pub(crate) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
         let writer = bus.tick_writer(limits)?;
         Ok(Self {
@@ -24,7 +24,7 @@ impl Journal {
         })
     }
 
-    /// Notes a frame that goes into the intake, which is told `now_ns`.
+    /// Records a frame that is passed to ingest with the time `now_ns`.
     pub(crate) fn note(&mut self, frame: &IncomingFrame<'_>, now_ns: u64) {
         if self.taken.len() == self.writer.max_len() {
             self.unlisted = self.unlisted.saturating_add(1);
@@ -42,8 +42,8 @@ impl Journal {
         });
     }
 
-    /// Sends the journal of the tick `tick` of the worker's run `worker_epoch`, and begins the next
-    /// one; `sheds`: it has left the diagnostics out. Failures are counted in `unsent`.
+    /// Sends the journal of tick `tick` of the worker's run `worker_epoch`, and begins the next
+    /// one; `sheds`: the tick computed no diagnostics. Failures are counted in `unsent`.
     pub(crate) fn send(
         &mut self,
         (worker_epoch, tick): (u64, u64),

@@ -1,8 +1,8 @@
-//! Keyframes: the fleet's whole state, for those who record.
+//! Keyframes: the fleet's whole state, for recorders.
 //!
-//! The checkpointer notices that somebody reads them, and hands the tick a box to put the state in; the
-//! tick copies it there after everything else is sent, and hands the box back; the checkpointer encodes
-//! and sends it. The tick neither allocates nor waits, and without readers there is no box.
+//! When the checkpointer detects readers, it passes the tick a box for the state; the tick copies
+//! its state into the box after everything else is sent, and returns it; the checkpointer encodes
+//! and sends it. The tick neither allocates nor blocks, and without readers there is no box.
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
@@ -11,12 +11,12 @@ use joulebus_fleet::{Fleet, FleetState};
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{SCHEMA_VERSION, StateHeader};
 
-/// Least time between two keyframes, unless somebody new reads, ns.
+/// Minimum time between two keyframes, unless there is a new reader, ns.
 const EVERY_NS: u64 = 5_000_000_000;
-/// A keyframe may take at most one part in so many of the checkpointer's time, and of the tick's.
+/// A keyframe may take at most 1/100 of the checkpointer's time, and of the tick's.
 const TIME_DIVISOR: u64 = 100;
-/// Pieces sent at one poll: a reader's buffer holds four times as many, and a recorder reads it
-/// several times as often as the checkpointer polls.
+/// Pieces sent per poll: a reader's buffer holds four times as many, and a recorder reads it
+/// several times per poll of the checkpointer.
 const BURST: usize = 2;
 
 /// A state, and when it was taken.
@@ -41,21 +41,21 @@ impl Keyframe {
     }
 }
 
-/// The tick's end.
+/// The tick's end of the channel.
 #[derive(Debug)]
 pub(crate) struct Keyframes {
     asked: Receiver<Box<Keyframe>>,
     taken: SyncSender<Box<Keyframe>>,
 }
 
-/// The checkpointer's end, not open yet.
+/// The checkpointer's end of the channel, before its port is open.
 #[derive(Debug)]
 pub(crate) struct KeyframeOrders {
     ask: SyncSender<Box<Keyframe>>,
     taken: Receiver<Box<Keyframe>>,
 }
 
-/// Both ends. A box is on its way in one direction at most, so that no end ever waits.
+/// Both ends. At most one box is in transfer in either direction, so no end ever blocks.
 pub(crate) fn keyframes() -> (Keyframes, KeyframeOrders) {
     let (ask, asked) = sync_channel(1);
     let (give, taken) = sync_channel(1);
@@ -64,7 +64,7 @@ pub(crate) fn keyframes() -> (Keyframes, KeyframeOrders) {
 }
 
 impl Keyframes {
-    /// Takes the state after tick `tick` of the worker's run `worker_epoch`, if it is wanted.
+    /// Copies the state after tick `tick` of the worker's run `worker_epoch`, if it was requested.
     pub(crate) fn offer(&self, fleet: &Fleet, (worker_epoch, tick): (u64, u64)) {
         let Ok(mut keyframe) = self.asked.try_recv() else {
             return;
@@ -74,20 +74,20 @@ impl Keyframes {
         (keyframe.worker_epoch, keyframe.tick) = (worker_epoch, tick);
         keyframe.copied_in_ns = clock::monotonic_ns().saturating_sub(taken_ns);
         keyframe.taken_ns = taken_ns;
-        // The checkpointer has ended: so does the worker.
+        // Fails only if the checkpointer has ended, and then the worker ends too.
         let _ = self.taken.try_send(keyframe);
     }
 }
 
-/// The checkpointer's end.
+/// The checkpointer's end of the channel.
 pub(crate) struct KeyframeSender {
     writer: StateWriter,
     orders: KeyframeOrders,
     settings: FleetSettings,
-    /// The box while it is here and of no use; none before the first reader.
+    /// The unused box; `None` before the first reader.
     spare: Option<Box<Keyframe>>,
     is_asked: bool,
-    /// The box while its state is being sent, and the bytes sent so far.
+    /// The box whose state is being sent, and the number of bytes sent so far.
     sending: Option<(Box<Keyframe>, usize)>,
     bytes: Vec<u8>,
     readers: usize,
@@ -95,7 +95,7 @@ pub(crate) struct KeyframeSender {
 }
 
 impl KeyframeSender {
-    /// Opens the port. Who reads already gets the state before the first tick.
+    /// Opens the port. Existing readers get the state before the first tick.
     pub(crate) fn open(
         bus: &Bus,
         limits: &Limits,
@@ -117,12 +117,12 @@ impl KeyframeSender {
         Ok(sender)
     }
 
-    /// Whether the state is on its way, from the tick or to the readers.
+    /// Whether a state is in transfer, from the tick or to the readers.
     pub(crate) fn is_busy(&self) -> bool {
         self.is_asked || self.sending.is_some()
     }
 
-    /// Asks for a state if it is time, takes one that has come, and sends some of it.
+    /// Requests a state if it is due, receives a finished one, and sends a part of it.
     pub(crate) fn poll(&mut self) {
         self.ask_if_wanted();
         if let Ok(keyframe) = self.orders.taken.try_recv() {
@@ -152,7 +152,7 @@ impl KeyframeSender {
         let somebody_new = readers > self.readers;
         self.readers = readers;
         if somebody_new {
-            // It may get the end of one that is on its way: then another follows at once.
+            // It may receive the rest of the current keyframe only: request another one at once.
             self.next_ns = 0;
         }
         if self.is_busy() {
@@ -180,7 +180,7 @@ impl KeyframeSender {
         let now_ns = clock::monotonic_ns();
         let (copied_ns, encoded_ns) = (keyframe.copied_in_ns, now_ns.saturating_sub(begun_ns));
         let every_ns = EVERY_NS.max(TIME_DIVISOR.saturating_mul(encoded_ns.max(copied_ns)));
-        // Unless somebody new has come since it was asked for.
+        // Unless a new reader has connected since the request.
         if self.next_ns > 0 {
             self.next_ns = now_ns.saturating_add(every_ns);
         }

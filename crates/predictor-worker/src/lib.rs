@@ -1,12 +1,14 @@
-//! The predictor-worker: samples from shared memory, through the pure tick, forecasts back into it.
+//! The predictor-worker: samples from shared memory, through the pure tick, forecasts back into
+//! shared memory.
 //!
-//! [`Worker::open`] takes everything that can fail (models, memory, the right to be the fleet's only
-//! worker); [`Worker::run`] then ticks until told to stop. What the tick says is written straight
-//! into memory borrowed from shared memory. The network runs in the tick that [`TickPool`] spreads over
-//! threads (`joulebus-fleet`, `src/tick/infer.rs`). After warm-up the loop allocates nothing of its own
-//! (iceoryx2 0.10 allocates once for each of the four frames that a tick sends), locks nothing,
-//! logs nothing and waits for nothing but samples and its schedule. Logging and the ledger's
-//! checkpoints are the checkpointer's, a thread that reads the worker's frames like any planner.
+//! [`Worker::open`] does everything that can fail (models, memory, the fleet's worker lock);
+//! [`Worker::run`] then ticks until it is stopped. The tick's output is written directly into
+//! loaned shared memory. The network runs in the tick that [`TickPool`] distributes over threads
+//! (`joulebus-fleet`, `src/tick/infer.rs`). After warm-up the loop allocates nothing of its own
+//! (iceoryx2 0.10 allocates once for each of the four frames that a tick sends), takes no lock,
+//! logs nothing and blocks on nothing but samples and its schedule. Logging and the ledger's
+//! checkpoints are left to the checkpointer, a thread that reads the worker's frames like any
+//! planner.
 #![forbid(unsafe_code)]
 
 mod checkpoint;

@@ -1,15 +1,15 @@
-//! Models as the config names them, ready to run.
+//! Loads the models named in the config.
 
 use std::path::PathBuf;
 
 use joulebus_config::{Config, ModelSource};
 use joulebus_predictor::{MAX_MODEL_BYTES, Model, ModelError, Network, Persistence, ResidualStats};
 
-/// Standard normal quantile of 95 %: where the interval of a model without residual quantiles
-/// begins, before it adapts.
+/// 95 % quantile of the standard normal distribution: initial interval of a model without residual
+/// quantiles, before it adapts.
 const NORMAL_95: f32 = 1.645;
 
-/// Why a platform's model cannot be used.
+/// Errors of loading a platform's model.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ModelsError {
@@ -20,17 +20,17 @@ pub enum ModelsError {
         platform: String,
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// What is in it is refused.
+    /// The model is refused.
     #[error("model {model} of platform {platform} is refused: {source}")]
     Refused {
         /// The platform.
         platform: String,
         /// Its file or name.
         model: String,
-        /// What was found and what is allowed.
+        /// The reason.
         source: Box<ModelError>,
     },
 }

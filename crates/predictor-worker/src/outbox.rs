@@ -1,4 +1,4 @@
-//! What a tick says, computed straight into memory that its readers share.
+//! Output of a tick, computed directly into loaned shared memory.
 
 use joulebus_bus::{
     BudgetWriter, Bus, DiagnosticWriter, ForecastWriter, Limits, Loan, OpenError, SendError, Waker,
@@ -12,7 +12,7 @@ use joulebus_wire::{
 
 use crate::tick_pool::TickPool;
 
-/// The three ports, and the planners to be woken.
+/// The three ports, and the event that wakes planners.
 #[derive(Debug)]
 pub(crate) struct Outbox {
     forecasts: ForecastWriter,
@@ -31,12 +31,13 @@ impl Outbox {
         })
     }
 
-    /// Ticks the robots of a fleet that has begun a tick, writes what there is to say of them, and
-    /// sends it. `header` has all that is known before; `sheds`: there is no time for diagnostics.
-    /// Returns how many frames were not sent.
+    /// Ticks the robots of a fleet that has begun a tick, writes the output, and sends it. `header`
+    /// has everything known before; `sheds`: diagnostics are left out for lack of time. Returns the
+    /// number of frames that could not be sent.
     ///
-    /// Forecasts go first, and planners are woken for them. Where threads share the tick, all three
-    /// are written in one go through memory: then the robots are too many to be gone through twice.
+    /// Forecasts are sent first, and planners are woken for them. In a parallel tick all three are
+    /// written in one pass, because a second pass over so many robots would cost more memory
+    /// bandwidth.
     pub(crate) fn tick(
         &mut self,
         fleet: &mut Fleet,
@@ -96,7 +97,7 @@ impl Outbox {
         unsent + u64::from(!diagnostics_sent) + u64::from(!budgets_sent)
     }
 
-    /// Tells planners that this was the end.
+    /// Sends planners the end event.
     pub(crate) fn end(&self) {
         if let Err(error) = self.planners.wake(WakeEvent::Ended) {
             tracing::warn!(%error, "planners were not told of the end");
@@ -104,7 +105,7 @@ impl Outbox {
     }
 }
 
-/// Where a frame is written: nowhere if it is left out, or if there is no memory for it.
+/// The memory of a frame; empty if it is left out, or if there is no memory for it.
 fn payload<'a, H: Payload, T: Payload>(
     loan: Option<&'a mut Result<Loan<'_, H, T>, SendError>>,
 ) -> &'a mut [T] {
@@ -112,7 +113,7 @@ fn payload<'a, H: Payload, T: Payload>(
         .map_or(&mut [], Loan::payload_mut)
 }
 
-/// Sends the forecasts and wakes the planners. Returns how many frames were not sent.
+/// Sends the forecasts and wakes the planners. Returns the number of frames that could not be sent.
 fn send_forecasts(
     forecasts: Result<ForecastLoan<'_>, SendError>,
     planners: &Waker,

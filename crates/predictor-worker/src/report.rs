@@ -1,4 +1,4 @@
-//! What a run of the worker came to.
+//! Report of a run of the worker.
 
 use std::collections::BTreeMap;
 
@@ -9,18 +9,18 @@ use serde::{Deserialize, Serialize};
 
 use crate::tick_pool::StageTimes;
 
-/// What a run of the worker came to.
+/// Report of a run of the worker.
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
     /// Name of the fleet.
     pub fleet: String,
     /// Ticks done.
     pub ticks: u64,
-    /// Ticks that did not happen because the one before took too long.
+    /// Ticks skipped because the one before took too long.
     pub ticks_skipped: u64,
     /// Ticks that started more than a tenth of a period late.
     pub ticks_late: u64,
-    /// Ticks that left the diagnostics out because ticks took too long.
+    /// Ticks without diagnostics because ticks took too long.
     pub ticks_without_diagnostics: u64,
     /// Robots in the fleet at the end.
     pub robots: usize,
@@ -34,17 +34,17 @@ pub struct Report {
     pub receive_errors: u64,
     /// From the start of a tick to its last frame sent.
     pub tick: Spread,
-    /// What a tick's time goes to.
+    /// Mean time of each stage.
     pub parts: Parts,
 }
 
-/// What a tick's time goes to: means over the ticks of a run, µs, added up over the threads that
+/// Mean time of each stage of a tick, over the ticks of a run, µs, summed over the threads that
 /// share a tick.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Parts {
     /// Frames copied and samples checked, before the tick begins.
     pub intake_us: f64,
-    /// Samples absorbed, windows and intervals moved on, features laid in columns.
+    /// Samples taken in, windows and intervals advanced, features laid out in columns.
     pub features_us: f64,
     /// The model.
     pub network_us: f64,
@@ -73,7 +73,7 @@ impl Parts {
 pub struct Spread {
     /// Values.
     pub count: u64,
-    /// Least, µs.
+    /// Minimum, µs.
     pub min_us: f64,
     /// First quartile, µs.
     pub p25_us: f64,
@@ -85,7 +85,7 @@ pub struct Spread {
     pub p99_us: f64,
     /// 99.9th percentile, µs.
     pub p999_us: f64,
-    /// Greatest, µs.
+    /// Maximum, µs.
     pub max_us: f64,
 }
 

@@ -1,18 +1,18 @@
-//! What a tick leaves out while it takes longer than its period: the diagnostics. Forecasts and
-//! budgets are what planners act on, and the ledger's checkpoint is made of budgets; a tick that
-//! cannot be done in time even so is skipped whole.
+//! Load shedding: while ticks take longer than their period, diagnostics are left out. Forecasts
+//! and budgets are needed by planners and the ledger's checkpoint; if the tick is still too slow,
+//! whole ticks are skipped.
 
-/// Ticks in a row that take longer than a period before anything is left out: one alone may have
-/// waited for a processor, and leaving work out does not help against that.
+/// Consecutive ticks longer than a period before diagnostics are left out: a single one may have
+/// waited for a processor, which shedding does not cure.
 const LONG_TICKS: u32 = 3;
-/// Ticks in a row within half a period before diagnostics are made again: they must not bring the
-/// overload back at once.
+/// Consecutive ticks within half a period before diagnostics resume, so that they do not cause the
+/// overload again at once.
 const CALM_TICKS: u32 = 30;
 
 /// Whether diagnostics are left out, and how often they were.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Shedding {
-    /// Whether the next tick leaves the diagnostics out.
+    /// Whether the next tick computes no diagnostics.
     pub(crate) sheds: bool,
     /// Ticks so far without diagnostics.
     pub(crate) ticks: u64,
@@ -21,7 +21,7 @@ pub(crate) struct Shedding {
 }
 
 impl Shedding {
-    /// A tick has taken `took_ns` of its `period_ns`.
+    /// Records that a tick took `took_ns` of its `period_ns`.
     pub(crate) fn ticked(&mut self, took_ns: u64, period_ns: u64) {
         self.ticks += u64::from(self.sheds);
         self.calm_ticks = if took_ns <= period_ns / 2 {
@@ -45,12 +45,12 @@ mod tests {
     const PERIOD: u64 = 100;
 
     #[test]
-    fn diagnostics_go_when_ticks_stay_too_long_and_come_back_by_themselves() {
+    fn diagnostics_are_shed_while_ticks_are_too_long_and_resume() {
         let mut shedding = Shedding::default();
         for (took_ns, sheds) in [
             (PERIOD + 1, false),
             (PERIOD + 1, false),
-            // Just in time: what was before does not count.
+            // A tick within its period resets the count.
             (PERIOD, false),
             (PERIOD + 1, false),
             (PERIOD + 1, false),
@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn ticks_that_leave_no_room_for_diagnostics_do_not_bring_them_back() {
+    fn diagnostics_do_not_resume_while_ticks_leave_no_time_for_them() {
         let mut shedding = Shedding::default();
         for _ in 0..LONG_TICKS {
             shedding.ticked(2 * PERIOD, PERIOD);

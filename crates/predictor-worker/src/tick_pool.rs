@@ -1,8 +1,8 @@
 //! The threads that share a tick.
 //!
-//! The thread that makes the pool is one of them, so that a tick begins without waiting for
-//! another thread, and what no other has begun by then it does itself: waking a thread takes
-//! longer than the tick of a thousand robots.
+//! The thread that creates the pool belongs to it, so that a tick starts without waiting for
+//! another thread, and this thread runs every part that no other has begun by then: waking a thread
+//! takes longer than the tick of a thousand robots.
 
 use std::cell::Cell;
 use std::sync::Mutex;
@@ -12,20 +12,20 @@ use joulebus_fleet::{Batch, Outputs, Shard, Stage};
 use joulebus_wire::{Budget, Diagnostic, Forecast};
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
-/// Robots that a thread takes at a time, at least: two tiles.
+/// Minimum number of robots per part: two tiles.
 const LEAST: usize = 1024;
-/// Parts for each thread, so that one that wakes late finds something to do.
+/// Parts per thread, so that a thread that wakes late still finds work.
 const PARTS: usize = 8;
 
-/// The threads, and what each needs.
+/// The pool with the scratch memory of each thread.
 #[derive(Debug)]
 pub struct TickPool {
     scratch: Vec<Mutex<ThreadScratch>>,
-    /// Robots from which on a tick is shared.
+    /// Minimum number of robots of a parallel tick.
     from: usize,
 }
 
-/// What belongs to one thread: rows on their way through a model, and times.
+/// Scratch memory of one thread: a model's batch, and times.
 #[derive(Debug, Default)]
 struct ThreadScratch {
     batch: Batch,
@@ -42,8 +42,8 @@ pub struct TickPoolError(ThreadPoolBuildError);
 pub(crate) struct StageTimes(pub [u64; Stage::ALL.len()]);
 
 thread_local! {
-    /// The pool that the thread belongs to. A thread cannot leave its pool: this one lasts as long
-    /// as the thread, and the next tick pool of the thread works with it.
+    /// The pool of this thread. A thread cannot leave its pool: the pool lasts as long as the
+    /// thread, and later tick pools of the thread use it.
     static POOL: Cell<Option<ThreadPool>> = const { Cell::new(None) };
 }
 
@@ -61,8 +61,9 @@ fn pool(threads: usize, scheduling: Scheduling) -> Result<ThreadPool, ThreadPool
 }
 
 impl TickPool {
-    /// A pool of `threads` threads, the calling one among them; from `from` robots on they share a
-    /// tick. `scheduling` is asked for by the others: whoever calls has had it, or does without.
+    /// A pool of `threads` threads, the calling one included; ticks of `from` robots or more are
+    /// parallel. `scheduling` is applied to the other threads; that of the calling one is left to
+    /// the caller.
     ///
     /// # Errors
     /// [`TickPoolError`]: a thread could not be started.
@@ -86,7 +87,7 @@ impl TickPool {
         })
     }
 
-    /// Whether a tick of so many robots is shared.
+    /// Whether a tick of that many robots is parallel.
     #[must_use]
     pub fn shares(&self, robots: usize) -> bool {
         self.scratch.len() > 1 && robots >= self.from
@@ -103,12 +104,12 @@ impl TickPool {
         }
     }
 
-    /// The first half of a tick, on the calling thread.
+    /// The first pass of a tick, on the calling thread.
     pub(crate) fn forecast(&self, shard: &mut Shard<'_>, forecasts: &mut [Forecast]) {
         self.with_scratch(|batch, on| shard.forecast(batch, forecasts, on));
     }
 
-    /// The second half of a tick, on the calling thread.
+    /// The second pass of a tick, on the calling thread.
     pub(crate) fn account(
         &self,
         shard: &mut Shard<'_>,
@@ -156,11 +157,11 @@ impl TickPool {
         self.with_scratch(|batch, on| shard.run(batch, outputs, on));
     }
 
-    /// Works with what belongs to the calling thread; its lock is never waited for.
+    /// Runs `work` with the scratch of the calling thread; its lock is never contended.
     fn with_scratch(&self, work: impl FnOnce(&mut Batch, &mut dyn FnMut(Stage))) {
         let place = rayon::current_thread_index().unwrap_or(0);
         let scratch = &self.scratch[place % self.scratch.len()];
-        // Scratch and sums: whatever a panic has left there does no harm.
+        // Scratch and sums: the state left by a panic is harmless.
         let mut scratch = scratch
             .lock()
             .unwrap_or_else(std::sync::PoisonError::into_inner);

@@ -23,10 +23,10 @@ use crate::report::{Parts, Report, Spread, by_name};
 use crate::shedding::Shedding;
 use crate::tick_pool::{TickPool, TickPoolError};
 
-/// Longest tick that the histogram tells apart, ns.
+/// Longest tick that the histogram resolves, ns.
 const LONGEST_TICK_NS: u64 = 60_000_000_000;
 
-/// Samples that are copied before they are looked at: they stay in the core's own cache.
+/// Samples copied at a time before they are checked, so that they stay in the core's cache.
 const PART: usize = 512;
 
 /// A predictor-worker: the only one of its fleet.
@@ -34,7 +34,7 @@ const PART: usize = 512;
 pub struct Worker {
     fleet: Fleet,
     schedule: Schedule,
-    // Ports before the bus, the bus before the lock: the order in which they must go.
+    // Drop order: ports before the bus, the bus before the lock.
     samples: SampleReader,
     outbox: Outbox,
     journal: Journal,
@@ -44,7 +44,7 @@ pub struct Worker {
     checkpointer: Checkpointer,
     _bus: Bus,
     _lock: WorkerLock,
-    /// Where samples are copied to before they are looked at.
+    /// Buffer into which samples are copied before they are checked.
     part: Vec<Sample>,
     failures: Arc<Failures>,
     header: ForecastHeader,
@@ -55,17 +55,17 @@ pub struct Worker {
     name: String,
 }
 
-/// Why a worker could not begin.
+/// Errors of starting a worker.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OpenError {
-    /// The config's domain.
+    /// The config's domain is invalid.
     #[error(transparent)]
     Domain(#[from] DomainError),
-    /// A model.
+    /// A model could not be loaded.
     #[error(transparent)]
     Models(#[from] ModelsError),
-    /// The settings contradict themselves.
+    /// The settings are inconsistent.
     #[error(transparent)]
     Settings(#[from] SettingsError),
     /// The ledger's file.
@@ -83,32 +83,32 @@ pub enum OpenError {
     /// A port could not be opened.
     #[error(transparent)]
     Port(#[from] joulebus_bus::OpenError),
-    /// The checkpointer could not begin.
+    /// The checkpointer could not be started.
     #[error(transparent)]
     Checkpointer(#[from] CheckpointerError),
-    /// The system refused what the config requires of it.
+    /// The system refused scheduling that the config requires.
     #[error("{0} (`worker.if_refused = \"stop\"` in the config)")]
     Scheduling(#[from] SchedulingError),
-    /// The threads that share a tick could not be started.
+    /// The threads of a parallel tick could not be started.
     #[error(transparent)]
     Threads(#[from] TickPoolError),
 }
 
-/// Why a worker had to stop.
+/// Errors that stop a worker.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RunError {
-    /// It can no longer be woken, or wake.
+    /// Waiting or waking failed.
     #[error(transparent)]
     Wait(#[from] WaitError),
 }
 
 impl Worker {
-    /// Loads the models, takes the right to be the fleet's worker, checks that everything fits into
-    /// shared memory, joins, opens the ports, and continues with the ledger that was saved.
+    /// Loads the models, takes the fleet's worker lock, checks that everything fits into shared
+    /// memory, joins, opens the ports, and restores the saved ledger.
     ///
     /// # Errors
-    /// The first thing that stands in the way, with its remedy.
+    /// The first error, with its remedy.
     pub fn open(config: &Config) -> Result<Self, OpenError> {
         let models = load_models(config)?;
         let mut fleet = Fleet::new(config.settings().clone(), models)?;
@@ -133,7 +133,7 @@ impl Worker {
         part.clear();
         let ticks_ns = Histogram::new_with_bounds(1, LONGEST_TICK_NS, 3)
             .expect("these bounds are constant, and valid");
-        // Before the other threads: their stacks need not be touched.
+        // Before the other threads are started, whose stacks are not touched.
         touch_own_memory();
         check_capacity(
             &limits,
@@ -150,13 +150,13 @@ impl Worker {
         let (keyframes, orders) = keyframes();
         let checkpointer =
             Checkpointer::start(&domain, config, before, Arc::clone(&failures), orders)?;
-        // After the threads that must not have it: they inherit what their maker has.
+        // After the threads that must not have it are started, because threads inherit it.
         for refused in config.scheduling().apply()? {
             tracing::warn!("{refused}");
         }
         let Threads { count, from } = config.threads();
         let pool = TickPool::new(count, from, config.scheduling())?;
-        // Last: from here on samples come in, and everything is there to take them.
+        // Last: from here on samples arrive.
         let waiter = bus.arrivals_waiter(&limits)?;
         let samples = bus.sample_reader(&limits)?;
         let header = ForecastHeader {
@@ -197,11 +197,11 @@ impl Worker {
         })
     }
 
-    /// Ticks until `stop` is set, which it notices within 100 ms, or at once when a signal sets it.
-    /// Then tells planners and writes the ledger down.
+    /// Ticks until `stop` is set, which is noticed within 100 ms, or at once when a signal sets it.
+    /// Then sends planners the end event and saves the ledger.
     ///
     /// # Errors
-    /// [`RunError`]: waiting itself has failed.
+    /// [`RunError`]: waiting failed.
     pub fn run(mut self, stop: &AtomicBool) -> Result<Report, RunError> {
         if let Err(error) = set_timer_slack() {
             tracing::warn!(%error, "ticks may start 50 µs late");
@@ -212,8 +212,8 @@ impl Worker {
         Ok(self.finish())
     }
 
-    /// Takes what has come, and ticks if a tick is due; otherwise waits for a frame, for the next
-    /// tick, or for a signal, 100 ms at most. Returns whether it ticked.
+    /// Receives frames, and ticks if a tick is due; otherwise waits for a frame, for the next tick,
+    /// or for a signal, 100 ms at most. Returns whether it ticked.
     ///
     /// # Errors
     /// As [`Worker::run`].
@@ -236,7 +236,7 @@ impl Worker {
         }
     }
 
-    /// Tells planners that this was the end, writes the ledger down, and leaves.
+    /// Sends planners the end event, saves the ledger, and leaves the domain.
     #[must_use]
     pub fn finish(mut self) -> Report {
         self.outbox.end();
@@ -244,7 +244,7 @@ impl Worker {
         self.report()
     }
 
-    /// What the run has come to so far.
+    /// The report so far.
     #[must_use]
     pub fn report(&self) -> Report {
         Report {
@@ -263,8 +263,8 @@ impl Worker {
         }
     }
 
-    /// Takes all frames that wait: a bounded drain would starve the sources that come last. The
-    /// buffers bound the work.
+    /// Receives all waiting frames: a bounded drain would starve the last sources. The buffers
+    /// bound the work.
     fn drain(&mut self) {
         loop {
             let since_ns = clock::monotonic_ns();
@@ -311,7 +311,7 @@ impl Worker {
         self.ticks_ns.saturating_record(took_ns);
     }
 
-    /// The header of this tick's forecasts, but for what is known only when they are sent.
+    /// The header of this tick's forecasts, without the fields known only when they are sent.
     fn header_of(&self, intake: TickIntake, start_ns: u64) -> ForecastHeader {
         let (first_intended_ns, first_sent_ns, first_taken_ns) = intake.first.unwrap_or_default();
         ForecastHeader {

@@ -1,5 +1,6 @@
-//! The worker's loop, intake and publishing included, allocates nothing of its own after warm-up, not
-//! even when somebody records: only iceoryx2 0.10 does, once for each of the four frames of a tick.
+//! The worker's loop, ingest and publishing included, allocates nothing of its own after warm-up,
+//! even while a recorder reads: only iceoryx2 0.10 does, once for each of the four frames of a
+//! tick.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../tests/counting.rs"]
@@ -14,10 +15,10 @@ use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
 
-/// What has not happened after so long never will.
+/// Timeout of waiting for a condition.
 const PATIENCE: Duration = Duration::from_secs(180);
 
-/// A run: how ticks are due, how many robots there are, how many threads share a tick.
+/// A run: tick policy, number of robots, number of threads.
 #[derive(Debug, Clone, Copy)]
 struct Case {
     policy: &'static str,
@@ -43,7 +44,7 @@ fn config(root: &Path, case: Case) -> Config {
     Config::parse(&text, &root.join("nowhere")).unwrap()
 }
 
-/// Sends frames in which robots go missing, are refused, unknown, late and without a reading.
+/// Publishes frames with missing, refused, unknown and late robots, and with missing readings.
 fn feed(domain: &Domain, config: &Config, robots: u32, sent: &AtomicU64, stop: &AtomicBool) {
     let bus = Bus::join(domain, "source").unwrap();
     let mut writer = bus
@@ -83,7 +84,7 @@ fn feed(domain: &Domain, config: &Config, robots: u32, sent: &AtomicU64, stop: &
     }
 }
 
-/// Reads keyframes until told to stop, and counts those that came whole.
+/// Reads keyframes until `stop`, and counts the complete ones.
 fn record(domain: &Domain, config: &Config, keyframes: &AtomicU32, stop: &AtomicBool) {
     let bus = Bus::join(domain, "recorder").unwrap();
     let mut states = bus.state_reader(&config.limits()).unwrap();
@@ -99,7 +100,7 @@ fn record(domain: &Domain, config: &Config, keyframes: &AtomicU32, stop: &Atomic
     }
 }
 
-/// Allocations so far of the threads that share ticks with the calling one.
+/// Allocations so far of the pool's other threads.
 fn others() -> Vec<u64> {
     if rayon::current_thread_index().is_none() {
         return Vec::new();
@@ -121,7 +122,7 @@ fn measure(case: Case) {
     let mut worker = Worker::open(&config).unwrap();
     std::thread::scope(|scope| {
         scope.spawn(|| feed(&domain, &config, case.robots, &sent, &stop));
-        // At least so many ticks, and until what the others do beside them is done too: on a busy
+        // At least so many ticks, and until the other threads have done their part too: on a busy
         // machine ticks continue without them.
         let tick = |worker: &mut Worker, ticks: u64, frames: u64, wanted_keyframes: u32| {
             let (begin, mut done) = (Instant::now(), 0);
@@ -143,7 +144,7 @@ fn measure(case: Case) {
         let allocated = counting::calls() - before - spawned;
         stop.store(true, Ordering::Relaxed);
         assert_eq!(others(), others_before, "{case:?}: the other threads");
-        // On a busy machine the diagnostics may be left out.
+        // On a busy machine diagnostics may be shed.
         let shed = worker.report().ticks_without_diagnostics - shed_before;
         assert_eq!(
             allocated,
@@ -156,7 +157,7 @@ fn measure(case: Case) {
     assert!(report.samples_dropped["UnknownRobot"] > 0, "{report:?}");
     assert!(report.samples_dropped["NotFinite"] > 0, "{report:?}");
     let _ = std::fs::remove_dir(&root);
-    assert!(!root.exists(), "left behind: {root:?}");
+    assert!(!root.exists(), "stale files: {root:?}");
 }
 
 #[test]
@@ -168,7 +169,7 @@ fn after_warm_up_the_worker_allocates_nothing_of_its_own() {
     };
     measure(few("on_frame"));
     measure(few("timer"));
-    // Enough for each thread to get a part.
+    // Enough robots for each thread to get a part.
     measure(Case {
         policy: "on_frame",
         robots: 3_000,

@@ -1,4 +1,4 @@
-//! After warm-up the tick's thread takes no page fault: what it needs has been touched before.
+//! After warm-up the tick's thread takes no page fault: its memory has been touched before.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::path::{Path, PathBuf};
@@ -24,7 +24,8 @@ fn config(root: &Path, policy: &str) -> Config {
     Config::parse(&text, &root.join("nowhere")).unwrap()
 }
 
-/// Sends frames in which a few robots are refused, and in which the fleet grows by one robot each.
+/// Publishes frames in which a few robots are refused, and in which the fleet grows by one robot
+/// per frame.
 fn feed(domain: &Domain, config: &Config, sent: &AtomicU64, stop: &AtomicBool) {
     let bus = Bus::join(domain, "source").unwrap();
     let mut writer = bus
@@ -85,15 +86,15 @@ fn measure(policy: &str, warm_up: u32, ticks: u32) -> (u64, u64) {
     let report = worker.finish();
     assert!(report.samples_accepted > 100_000, "{report:?}");
     let _ = std::fs::remove_dir(&root);
-    assert!(!root.exists(), "left behind: {root:?}");
+    assert!(!root.exists(), "stale files: {root:?}");
     faults
 }
 
 #[test]
 fn after_warm_up_the_tick_takes_no_page_fault() {
     for policy in ["on_frame", "timer"] {
-        // The system may take a page away to move it, or for want of memory: that is not ours, and
-        // does not happen each time. What the worker itself had not touched faults in every run.
+        // The kernel may unmap a page to migrate it, or under memory pressure, but not in every
+        // run. Memory that the worker had not touched faults in every run.
         let runs: Vec<(u64, u64)> = (0..3)
             .map(|_| measure(policy, 60, 600))
             .take_while(|faults| *faults != (0, 0))

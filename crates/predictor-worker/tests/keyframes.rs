@@ -1,5 +1,5 @@
-//! Who reads keyframes and journals can compute every tick again, from the first one or from the
-//! middle, bit for bit; and nobody else costs anything.
+//! A reader of keyframes and journals can recompute every tick bit for bit, from the first or a
+//! later keyframe; without readers there is no cost.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::{BTreeMap, HashMap};
@@ -17,7 +17,7 @@ use joulebus_wire::{
 };
 
 const ROBOTS: u32 = 300;
-/// What has not happened after so long never will.
+/// Timeout of waiting for a condition.
 const PATIENCE: Duration = Duration::from_secs(180);
 
 fn eventually(mut condition: impl FnMut() -> bool) {
@@ -41,7 +41,7 @@ fn config(root: &Path) -> Config {
     Config::parse(&text, &root.join("nowhere")).unwrap()
 }
 
-/// What went through shared memory.
+/// Recorded frames.
 #[derive(Default)]
 struct Recorded {
     samples: HashMap<(u64, u64), (SampleHeader, Vec<Sample>)>,
@@ -51,7 +51,7 @@ struct Recorded {
     keyframes: BTreeMap<u64, FleetState>,
 }
 
-/// Reads until told to stop; says that it begins, and up to which tick it has read.
+/// Reads until `stop`; reports that it has started, and the last tick that it has read.
 fn record(config: &Config, ready: &AtomicBool, read: &AtomicU64, stop: &AtomicBool) -> Recorded {
     let (domain, limits) = (config.domain().unwrap(), config.limits());
     let bus = Bus::join(&domain, "recorder").unwrap();
@@ -100,7 +100,7 @@ fn add_piece(header: &StateHeader, piece: &[u8], pieces: &mut Vec<u8>, recorded:
         pieces.clear();
     }
     if header.offset != pieces.len() as u64 {
-        return; // A piece is missing: the next keyframe comes.
+        return; // A piece is missing: the next keyframe follows.
     }
     pieces.extend_from_slice(piece);
     if pieces.len() as u64 == header.total_bytes {
@@ -109,7 +109,7 @@ fn add_piece(header: &StateHeader, piece: &[u8], pieces: &mut Vec<u8>, recorded:
     }
 }
 
-/// Sends healthy and broken samples until told to stop.
+/// Publishes valid and invalid samples until `stop`.
 fn feed(config: &Config, stop: &AtomicBool) {
     let bus = Bus::join(&config.domain().unwrap(), "source").unwrap();
     let limits = config.limits();
@@ -142,7 +142,8 @@ fn feed(config: &Config, stop: &AtomicBool) {
     }
 }
 
-/// Computes on from the keyframe of `from` and compares; returns the ticks compared.
+/// Recomputes the ticks from the keyframe of `from` and compares; returns the number of ticks
+/// compared.
 fn verify(config: &Config, recorded: &Recorded, from: u64) -> usize {
     let models = load_models(config).unwrap();
     let mut fleet = Fleet::new(config.settings().clone(), models).unwrap();
@@ -155,7 +156,7 @@ fn verify(config: &Config, recorded: &Recorded, from: u64) -> usize {
         for taken in taken {
             let key = (taken.source_epoch, taken.frame_seq);
             let Some((header, samples)) = recorded.samples.get(&key) else {
-                return compared; // The recorder was too slow: no part of this test.
+                return compared; // The recorder was too slow, which this test does not cover.
             };
             fleet.take(header, samples, taken.taken_ns);
         }
@@ -194,20 +195,20 @@ fn verify(config: &Config, recorded: &Recorded, from: u64) -> usize {
 }
 
 #[test]
-fn every_tick_can_be_computed_again_from_the_first_keyframe_and_from_a_later_one() {
+fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
     let root = format!("/dev/shm/joulebus-test-keyframes-{}", std::process::id());
     let root = PathBuf::from(root);
     let config = config(&root);
     let [ready, stop] = [const { AtomicBool::new(false) }; 2];
-    // Before its first tick a recorder keeps nobody waiting.
+    // Before its first tick a recorder delays nothing.
     let [read_early, read_late] = [const { AtomicU64::new(u64::MAX) }; 2];
     let (early, late) = std::thread::scope(|scope| {
         let early = scope.spawn(|| record(&config, &ready, &read_early, &stop));
         eventually(|| ready.load(Ordering::Relaxed));
         let mut worker = Worker::open(&config).unwrap();
         scope.spawn(|| feed(&config, &stop));
-        // A tick when both have read all but the last few: on a busy machine frames would be
-        // overwritten before they are read.
+        // Ticks only when both have read all but the last few, because on a busy machine frames
+        // would be overwritten before they are read.
         let mut run = |ticks: u32| {
             let mut done = 0;
             while done < ticks {
@@ -246,19 +247,19 @@ fn every_tick_can_be_computed_again_from_the_first_keyframe_and_from_a_later_one
         .keyframes
         .keys()
         .next()
-        .expect("who comes later gets a keyframe at once");
+        .expect("a late reader gets a keyframe at once");
     assert!(first > 0);
     let compared = verify(&config, &late, first);
     assert!(
         compared > 20 * ROBOTS as usize,
         "{compared} forecasts compared"
     );
-    // What the early one got at the same tick is the same.
+    // Keyframes of the same tick are the same for both.
     let both = early
         .keyframes
         .keys()
         .filter(|tick| late.keyframes.contains_key(tick));
-    assert!(both.count() > 0, "all who read get the same keyframes");
+    assert!(both.count() > 0, "all readers get the same keyframes");
     let _ = std::fs::remove_dir(&root);
-    assert!(!root.exists(), "left behind: {root:?}");
+    assert!(!root.exists(), "stale files: {root:?}");
 }

@@ -1,5 +1,5 @@
-//! What a fleet controller adds to be heard: its commands and readings go to the worker, one frame
-//! per control tick for the whole fleet.
+//! SDK of a fleet controller or another source: publishes commands and readings to the worker, one
+//! frame per control tick for the whole fleet.
 //!
 //! ```no_run
 //! use std::time::Duration;
@@ -11,7 +11,7 @@
 //!     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
 //!     loop {
 //!         let slot = pace.wait();
-//!         // What was just commanded to each robot, and what its power monitor says.
+//!         // The command just issued to each robot, and the reading of its power monitor.
 //!         let (v_mps, omega_radps, power_w) = (0.2, 0.0, 4.6);
 //!         let robots = (0..20).map(|robot| {
 //!             RobotState::new(robot).command(v_mps, omega_radps).reading(power_w)
@@ -22,26 +22,25 @@
 //! ```
 //!
 //! **Units**: m/s, rad/s, W, V, A (positive while discharging), ns. Times are of the host's
-//! monotonic clock ([`clock::monotonic_ns`]). What is not known is left out, never given as 0.
+//! monotonic clock ([`clock::monotonic_ns`]). Unknown values are omitted, never given as 0.
 //!
-//! **What is promised.** Samples are numbered and stamped here. A frame is written once, straight
-//! into shared memory; when the worker is too slow the oldest frame is overwritten, so publishing
-//! never waits for anybody, and the worker counts what it lost. A publisher may start before the
-//! worker, and outlive it: [`Sent::readers`] is 0 then, and nothing else changes. After each robot
-//! has been published once, [`Publisher::publish`] allocates nothing of its own; iceoryx2
-//! allocates once a frame.
+//! **Guarantees.** Samples are numbered and stamped here. A frame is written once, directly into
+//! shared memory; when the worker is too slow the oldest frame is overwritten, so publishing never
+//! blocks, and the worker counts what it lost. A publisher may start before the worker, and outlive
+//! it: [`Sent::readers`] is 0 then, and nothing else changes. After each robot has been published
+//! once, [`Publisher::publish`] allocates nothing of its own; iceoryx2 allocates once per frame.
 //!
-//! **What is not checked here.** Values go out as they are: NaN given as a known power, a speed
-//! beyond the platform's limits or a robot that the config does not name is refused by the worker,
-//! counted by its reason and shown to operators, without harm to other robots.
+//! **Unchecked.** Values are sent unchecked: NaN given as a known power, a speed beyond the
+//! platform's limits or a robot that the config does not name is refused by the worker, counted by
+//! reason and reported to operators, without effect on other robots.
 //!
-//! **Errors** say what to do: [`ConnectError`] at the start, [`PublishError`] for a frame; after
-//! the latter the publisher may be used again. [`error`] has all that they are made of.
+//! **Errors** state the remedy: [`ConnectError`] at the start, [`PublishError`] for a frame; after
+//! the latter the publisher remains usable. [`error`] has the errors that they contain.
 //!
-//! **Leaving** is dropping. A running worker still gets the frames that were sent before, unless
-//! the source had come only after the worker last woke up: a program that sends for less than a
-//! few milliseconds stays a moment longer. A [`Publisher`] belongs to the thread that connected it, and all
-//! publishers of one process to one fleet.
+//! **Leaving**: drop the publisher. A running worker still receives the frames sent before, unless
+//! the source connected after the worker last woke up: a program that publishes for less than a few
+//! milliseconds should stay a moment longer. A [`Publisher`] belongs to the thread that connected
+//! it, and so do all publishers of one process to one fleet.
 #![forbid(unsafe_code)]
 
 mod pace;

@@ -1,21 +1,21 @@
-//! Sending on a fixed grid of time.
+//! Publishing on a fixed time grid.
 
 use std::time::Duration;
 
 use joulebus_bus::clock;
 
-/// A place on the grid.
+/// A time on the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Slot {
-    /// When the frame was meant to be sent, monotonic ns: on the grid, however late it is now.
+    /// Intended send time, monotonic ns: on the grid, however late it is now.
     pub intended_ns: u64,
-    /// Places passed over between this one and now: the source was stalled. They are not made up
-    /// for.
+    /// Grid times skipped between this one and now because the source stalled. They are not caught
+    /// up.
     pub skipped: u64,
 }
 
-/// A fixed grid of times, without a clock. It never drifts: being late moves no later place.
+/// A fixed time grid, without a clock. It never drifts: a delay does not shift later times.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Grid {
     due_ns: u64,
@@ -24,7 +24,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// A grid whose first place is `first_ns` (monotonic), and then every `period_ns`, at least 1.
+    /// A grid that begins at `first_ns` (monotonic), with a period of `period_ns`, at least 1.
     #[must_use]
     pub const fn new(first_ns: u64, period_ns: u64) -> Self {
         Self {
@@ -34,20 +34,20 @@ impl Grid {
         }
     }
 
-    /// The next place, monotonic ns.
+    /// The next grid time, monotonic ns.
     #[must_use]
     pub const fn due_ns(&self) -> u64 {
         self.due_ns
     }
 
-    /// Places passed over so far.
+    /// Grid times skipped so far.
     #[must_use]
     pub const fn skipped(&self) -> u64 {
         self.skipped
     }
 
-    /// Takes the next place if it is due at `now_ns` (monotonic). After a stall it is the oldest
-    /// that was missed, and the grid continues with the first place after `now_ns`.
+    /// Takes the next grid time if it is due at `now_ns` (monotonic). After a stall it is the
+    /// oldest missed one, and the grid continues with the first time after `now_ns`.
     pub const fn take(&mut self, now_ns: u64) -> Option<Slot> {
         let Some(late_ns) = now_ns.checked_sub(self.due_ns) else {
             return None;
@@ -92,8 +92,8 @@ impl Pace {
         }
     }
 
-    /// Sleeps until the next place on the grid, and takes it. Returns at once when it is past.
-    /// Signals do not end the sleep.
+    /// Sleeps until the next grid time, and takes it. Returns at once when it is past. Signals do
+    /// not end the sleep.
     pub fn wait(&mut self) -> Slot {
         loop {
             let now_ns = clock::monotonic_ns();
@@ -124,7 +124,7 @@ mod tests {
             (1_000, Some(1_000), 0, 1_100),
             (1_099, None, 0, 1_100),
             (1_199, Some(1_100), 0, 1_200),
-            // Four periods without a look: 1,300 to 1,500 are passed over.
+            // Four periods without a call: 1,300 to 1,500 are skipped.
             (1_550, Some(1_200), 3, 1_600),
             (1_600, Some(1_600), 0, 1_700),
             (1_800, Some(1_700), 1, 1_900),
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_of_time_do_not_panic() {
+    fn extreme_times_do_not_panic() {
         assert_eq!(Grid::new(0, 0).take(5).unwrap().skipped, 5);
         let mut grid = Grid::new(u64::MAX, u64::MAX);
         assert!(grid.take(u64::MAX).is_some());
@@ -147,7 +147,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_place_is_taken_or_counted(
+        fn every_grid_time_is_taken_or_counted(
             first_ns in 0..1_000u64,
             period_ns in 1..50u64,
             steps in prop::collection::vec(0..200u64, 1..60),
@@ -156,7 +156,7 @@ mod tests {
             let (mut now_ns, mut taken, mut skipped) = (0, 0, 0);
             for step in steps {
                 now_ns += step;
-                // Walks the grid place by place, instead of dividing.
+                // Walks the grid step by step, instead of dividing.
                 let mut past: Vec<u64> = Vec::new();
                 let mut place_ns = grid.due_ns();
                 while place_ns <= now_ns {

@@ -12,18 +12,18 @@ use crate::state::Registry;
 
 /// A source of samples: a fleet controller, a bridge, a simulation, a recording.
 ///
-/// Stays connected while the worker goes and comes. Belongs to one thread.
+/// Stays connected while the worker ends and restarts. Belongs to one thread.
 pub struct Publisher {
     writer: SampleWriter,
     registry: Registry,
-    // Kept for its memory.
+    // Reused allocation.
     samples: Vec<Sample>,
     header: SampleHeader,
-    // Frames begun, sent or not: tells a robot that comes twice from one that was refused before.
+    // Frames begun, sent or not: distinguishes a robot given twice from one in a refused frame.
     attempts: u64,
     frames_sent: u64,
     samples_sent: u64,
-    // After the port: it must be gone before the process leaves.
+    // After the port, which must be dropped before the process leaves the domain.
     _bus: Bus,
 }
 
@@ -31,7 +31,7 @@ pub struct Publisher {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Sent {
-    /// Processes that can read it: 0 means that no worker runs.
+    /// Processes connected as readers: 0 means that no worker runs.
     pub readers: usize,
     /// Samples in it.
     pub samples: usize,
@@ -49,12 +49,12 @@ impl Publisher {
     /// nothing.
     ///
     /// # Errors
-    /// [`ConnectError`] says what is in the way and what to do.
+    /// [`ConnectError`] with the cause and the remedy.
     pub fn connect(config_path: impl AsRef<Path>, source_name: &str) -> Result<Self, ConnectError> {
         Self::with_config(&Config::load(config_path)?, source_name)
     }
 
-    /// As [`Publisher::connect`], with a config that has been read.
+    /// As [`Publisher::connect`], with a loaded config.
     ///
     /// # Errors
     /// [`ConnectError`].
@@ -81,7 +81,7 @@ impl Publisher {
         })
     }
 
-    /// Sends one frame: each robot at most once, numbered and stamped with the present time.
+    /// Sends one frame: each robot at most once, numbered and stamped with the current time.
     ///
     /// # Errors
     /// [`PublishError`]; except for [`SendError::Wake`] nothing was sent.
@@ -92,9 +92,9 @@ impl Publisher {
         self.publish_intended(clock::monotonic_ns(), robots)
     }
 
-    /// As [`Publisher::publish`], for a frame that should have been sent at `intended_ns`
-    /// (monotonic): [`crate::Slot::intended_ns`]. Latencies are counted from there, so that a
-    /// stalled source does not hide its own delay.
+    /// As [`Publisher::publish`], for a frame that was due at `intended_ns` (monotonic):
+    /// [`crate::Slot::intended_ns`]. Latencies are measured from there, so that a stalled source
+    /// does not hide its own delay.
     ///
     /// # Errors
     /// [`PublishError`]; except for [`SendError::Wake`] nothing was sent.
@@ -124,9 +124,10 @@ impl Publisher {
         sent
     }
 
-    /// Sends samples as they are, with the caller's own numbers and stamps: for recordings and
+    /// Sends samples unchanged, with the caller's own numbers and stamps: for recordings and
     /// simulations. `intended_ns` as in [`Publisher::publish_intended`]. Do not mix with
-    /// [`Publisher::publish`] for the same robot: `seq` and `stamp_ns` of each must rise strictly.
+    /// [`Publisher::publish`] for the same robot: `seq` and `stamp_ns` of each must increase
+    /// strictly.
     ///
     /// # Errors
     /// [`PublishError`]; except for [`SendError::Wake`] nothing was sent.
@@ -166,20 +167,19 @@ impl Publisher {
         self.frames_sent
     }
 
-    /// Samples sent in this run: what the worker accepts and drops adds up to it.
+    /// Samples sent in this run: the sum of those that the worker accepts and drops.
     #[must_use]
     pub const fn samples_sent(&self) -> u64 {
         self.samples_sent
     }
 
-    /// Samples that one frame may hold: the fleet's capacity.
+    /// Maximum number of samples per frame: the fleet's capacity.
     #[must_use]
     pub const fn capacity(&self) -> usize {
         self.writer.max_len()
     }
 
-    /// Who sends, as in [`SampleHeader::source_id`]: the FNV-1a hash, 64 bits, of the source's
-    /// name.
+    /// Id of the source, as in [`SampleHeader::source_id`]: the 64-bit FNV-1a hash of its name.
     #[must_use]
     pub const fn source_id(&self) -> u64 {
         self.header.source_id
@@ -191,7 +191,7 @@ impl Publisher {
         self.header.source_epoch
     }
 
-    /// Connections to workers that could not be made, or broke: they miss frames.
+    /// Connections to workers that failed or broke: such workers miss frames.
     #[must_use]
     pub fn degraded(&self) -> u64 {
         self.writer.degraded()
@@ -210,11 +210,11 @@ impl fmt::Debug for Publisher {
     }
 }
 
-/// Why a frame was not sent.
+/// Errors of publishing a frame.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PublishError {
-    /// More robots than the capacity of the fleet.
+    /// More samples than the capacity of the fleet.
     #[error(
         "a frame of {found} samples, allowed are {allowed}; raise `fleet.capacity` in the config \
          of all processes of the fleet"
@@ -225,13 +225,13 @@ pub enum PublishError {
         /// Samples allowed.
         allowed: usize,
     },
-    /// One robot twice in a frame.
-    #[error("robot {robot} is in the frame twice; give each robot its own id, once a frame")]
+    /// A robot occurs twice in a frame.
+    #[error("robot {robot} is in the frame twice; give each robot its own id, once per frame")]
     DuplicateRobot {
         /// The robot.
         robot: u32,
     },
-    /// The bus did not take the frame.
+    /// The bus refused the frame.
     #[error(transparent)]
     Send(#[from] SendError),
 }

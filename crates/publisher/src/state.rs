@@ -1,11 +1,11 @@
-//! What a controller knows of a robot, and how it becomes a sample.
+//! State of a robot as known to a controller, and its conversion to a sample.
 
 use std::collections::HashMap;
 
 use joulebus_wire::{Sample, sample_flag};
 
 /// One robot in one control tick: the command just issued, and the reading just received. `None`
-/// means not known.
+/// means unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[must_use]
 pub struct RobotState {
@@ -18,7 +18,7 @@ pub struct RobotState {
     /// Electrical power just read, W; negative where the platform regenerates.
     pub power_w: Option<f32>,
     /// When the power was measured, monotonic ns. `None`: when the frame is published, or, for a
-    /// held reading, when the reading that it repeats was measured.
+    /// held reading, when the repeated reading was measured.
     pub measured_ns: Option<u64>,
     /// Battery voltage, V.
     pub voltage_v: Option<f32>,
@@ -31,7 +31,7 @@ pub struct RobotState {
 }
 
 impl RobotState {
-    /// A robot of which nothing is known.
+    /// A robot without known values.
     pub fn new(robot: u32) -> Self {
         Self {
             robot,
@@ -62,7 +62,7 @@ impl RobotState {
         self
     }
 
-    /// With the previous power once more, W: the monitor has not measured again.
+    /// With the previous power repeated, W: the monitor has not measured again.
     pub const fn held_reading(mut self, power_w: f32) -> Self {
         self.power_w = Some(power_w);
         self.measured_ns = None;
@@ -77,7 +77,7 @@ impl RobotState {
         self
     }
 
-    /// With word of the charger.
+    /// With the state of the charger.
     pub const fn charging(mut self, charging: bool) -> Self {
         self.charging = charging;
         self
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_is_nan_and_not_flagged() {
+    fn unknown_values_are_nan_and_not_flagged() {
         use sample_flag::{CHARGING, CURRENT, HELD, OMEGA, POWER, V, VOLTAGE};
         let new = RobotState::new(1);
         let only_v = RobotState {
@@ -282,7 +282,7 @@ mod tests {
             (new.held_reading(0.0), POWER | HELD),
             (new.battery(0.0, 0.0), VOLTAGE | CURRENT),
             (new.charging(true), CHARGING),
-            // Nothing is repeated where nothing is read.
+            // Without a reading there is nothing to repeat.
             (RobotState { held: true, ..new }, 0),
         ] {
             let sample = Registry::new(4).sample(&state, 0, 5).unwrap();

@@ -1,4 +1,4 @@
-//! What a source promises, between real processes.
+//! Guarantees of a source, between separate processes.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../examples/controller.rs"]
@@ -14,7 +14,7 @@ use joulebus_publisher::{Config, PublishError, Publisher, RobotState, clock};
 use joulebus_test_processes::say;
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
-/// Not a test of its own: what the others start.
+/// Not a test: the entry point of the processes that the tests start.
 #[test]
 fn member() {
     run_member(|role, config| match role {
@@ -58,8 +58,8 @@ fn example(config: &Path) {
     say(controller::run(config, 7).unwrap());
 }
 
-/// Takes frames as they come, checks that each is whole, and tells of each run of the source as
-/// soon as it has sent as many frames as asked for.
+/// Receives frames, checks that each is complete, and reports each run of the source after the
+/// requested number of frames.
 fn worker(config: &Path) {
     let mut intake = Intake::new(config);
     say("ready");
@@ -86,7 +86,7 @@ fn worker(config: &Path) {
     }
 }
 
-/// Twenty robots, each with a sample for each frame so far.
+/// Twenty robots, each with one sample per frame so far.
 fn check(header: &SampleHeader, robots: &[Sample]) {
     assert_eq!(header.schema, SCHEMA_VERSION);
     assert!(header.sent_ns >= header.intended_ns && header.intended_ns > 0);
@@ -100,7 +100,7 @@ fn check(header: &SampleHeader, robots: &[Sample]) {
 }
 
 #[test]
-fn the_example_reaches_the_worker_whole() {
+fn the_worker_receives_every_frame_of_the_example() {
     let place = Place::new();
     let mut worker = place.start("worker");
     assert_eq!(worker.hear(), "ready");
@@ -125,7 +125,7 @@ fn source(config: &Path) {
 }
 
 #[test]
-fn a_killed_source_comes_back_as_the_same_source_with_a_greater_epoch() {
+fn a_restarted_source_has_the_same_id_and_a_greater_epoch() {
     let place = Place::new();
     let mut worker = place.start("worker");
     assert_eq!(worker.hear(), "ready");
@@ -150,7 +150,7 @@ fn a_killed_source_comes_back_as_the_same_source_with_a_greater_epoch() {
     place.assert_nothing_left();
 }
 
-/// A source without a worker, until one comes.
+/// A source without a worker, until one starts.
 fn alone(config: &Path) {
     let mut publisher = Publisher::connect(config, "alone").unwrap();
     let robots = || (0..3).map(RobotState::new);
@@ -170,13 +170,13 @@ fn alone(config: &Path) {
 }
 
 #[test]
-fn a_source_needs_no_worker_and_tells_a_late_one_what_it_missed() {
+fn a_source_needs_no_worker_and_reports_to_a_late_one_what_it_missed() {
     let place = Place::new();
     place.start("alone").finish();
     place.assert_nothing_left();
 }
 
-/// Frames that are refused, and what goes out unchecked.
+/// Frames that are refused, and values that are sent unchecked.
 fn misuse(config: &Path) {
     let mut publisher = Publisher::connect(config, "misuse").unwrap();
     let mut intake = Intake::new(config);
@@ -198,7 +198,7 @@ fn misuse(config: &Path) {
     let refused = publisher.publish_samples(1, &long).unwrap_err();
     assert!(refused.to_string().contains("65 samples, allowed are 64"));
     assert_eq!(publisher.frames_sent(), 0);
-    assert!(intake.take().is_none(), "nothing went out");
+    assert!(intake.take().is_none(), "no frame was sent");
 
     assert_eq!(publisher.publish(robots(64)).unwrap().samples, 64);
     let wild = RobotState::new(0)
@@ -224,7 +224,7 @@ fn misuse(config: &Path) {
 }
 
 #[test]
-fn a_refused_frame_harms_no_later_one() {
+fn a_refused_frame_does_not_affect_later_ones() {
     let place = Place::new();
     place.start("misuse").finish();
     place.assert_nothing_left();

@@ -1,7 +1,8 @@
-//! The same channels as in a capture, over the Foxglove WebSocket protocol.
+//! Serves the channels of a capture over the Foxglove WebSocket protocol.
 //!
-//! A recorder writes its capture into a pipe, and what is read from the pipe goes to whoever is
-//! connected: so live and recorded are the same by construction. A client that cannot follow loses
+//! A recorder writes its capture into a pipe, and the messages read from the pipe are sent to the
+//! connected clients: so live and recorded data are the same by construction. A client that is too
+//! slow loses messages, without effect on the fleet.
 //! messages, never the fleet.
 
 use std::collections::HashMap;
@@ -38,7 +39,7 @@ struct ServeReport {
     fleet: String,
     address: String,
     messages: u64,
-    /// Messages that were overwritten in shared memory or did not fit the queue.
+    /// Messages overwritten in shared memory or dropped because the queue was full.
     lost: u64,
 }
 
@@ -89,7 +90,7 @@ pub(super) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
         std::thread::sleep(LOOK_EVERY);
     }
     let lost = recorder.finish().messages_lost();
-    // The pipe has ended with the recorder, and so has whoever reads it.
+    // The recorder has closed the pipe, and the forwarding thread has ended.
     forward
         .join()
         .map_err(|_| anyhow::anyhow!("the server's thread has panicked"))??;
@@ -127,7 +128,7 @@ fn forward(pipe: io::PipeReader, context: &Arc<Context>, sent: &AtomicU64) -> an
     loop {
         let entry = match reader.next_entry() {
             Ok(Some(entry)) => entry,
-            // A recorder that was stopped before its first message ends its stream early.
+            // A recorder stopped before its first message truncates its stream.
             Ok(None) | Err(ReadError::Truncated { .. }) => return Ok(()),
             Err(error) => return Err(error.into()),
         };
@@ -145,7 +146,7 @@ fn forward(pipe: io::PipeReader, context: &Arc<Context>, sent: &AtomicU64) -> an
     }
 }
 
-/// A channel as a capture has it.
+/// Opens a channel like that of the capture.
 fn open(entry: &Entry, context: &Arc<Context>) -> anyhow::Result<Arc<RawChannel>> {
     let builder = ChannelBuilder::new(entry.topic.to_string())
         .context(context)

@@ -1,4 +1,4 @@
-//! `joulebus serve`, a program of its own: a fleet's messages to programs that are not part of it.
+//! `joulebus serve` as a separate program: streams a fleet's messages to other programs.
 #![forbid(unsafe_code)]
 
 mod foxglove;

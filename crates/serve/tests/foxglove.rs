@@ -1,4 +1,4 @@
-//! The Foxglove server, as a client meets it.
+//! The Foxglove server from a client's point of view.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
@@ -60,7 +60,7 @@ impl Fleet {
         }
     }
 
-    /// What is left of it.
+    /// Files left behind by the fleet.
     fn stale_files(&self) -> Vec<PathBuf> {
         let prefix = self.config.domain().unwrap().shm_prefix().to_owned();
         let shared = fs::read_dir("/dev/shm").unwrap().flatten();
@@ -116,7 +116,7 @@ fn connect(address: &str) -> WebSocket<TcpStream> {
     try_connect(address, None).unwrap()
 }
 
-/// The next message that is JSON and of the kind `op`.
+/// The next JSON message with the operation `op`.
 fn next_json(client: &mut WebSocket<TcpStream>, op: &str) -> Value {
     loop {
         if let Frame::Text(text) = client.read().unwrap() {
@@ -137,12 +137,12 @@ impl Drop for StopOnDrop<'_> {
 }
 
 #[test]
-fn a_client_sees_the_channels_and_a_message_it_can_decode() {
+fn a_client_receives_the_channels_and_a_message_it_can_decode() {
     let fleet = Fleet::new();
     let stop = AtomicBool::new(false);
     let (tell, told) = channel();
     thread::scope(|scope| {
-        // Whatever happens, the threads end with the test.
+        // The threads end with the test, whatever its result.
         let _stopped = StopOnDrop(&stop);
         scope.spawn(|| {
             let mut worker = Worker::open(&fleet.config).unwrap();
@@ -185,7 +185,7 @@ fn see_a_forecast(config: &Path) {
         let Frame::Binary(bytes) = client.read().unwrap() else {
             continue;
         };
-        // Opcode 1, our number, the log time, then the message as in a capture.
+        // Opcode 1, the subscription id, the log time, then the message as in a capture.
         if bytes[0] != 1 {
             continue;
         }

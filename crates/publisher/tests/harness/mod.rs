@@ -1,10 +1,10 @@
-//! Real processes for tests: the test binary starts itself as members of a fleet. Members and
-//! tests talk in lines.
+//! Separate processes for tests: the test binary starts itself as members of a fleet. Members and
+//! tests exchange lines.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 #![allow(
     unreachable_pub,
     dead_code,
-    reason = "a module of test binaries, which export nothing and use a part each"
+    reason = "a module of test binaries, each of which uses a part"
 )]
 
 use std::fs;
@@ -19,7 +19,7 @@ const ROLE: &str = "JOULEBUS_TEST_ROLE";
 const CONFIG: &str = "JOULEBUS_TEST_CONFIG";
 static PLACES: AtomicU32 = AtomicU32::new(0);
 
-/// The fleet of one test, removed with it.
+/// The fleet of one test, removed when dropped.
 pub struct Place {
     config: PathBuf,
     domain: Domain,
@@ -57,8 +57,8 @@ impl Place {
         &self.config
     }
 
-    /// Starts a member in a process of its own; it runs the function that the test binary's
-    /// `member` names so.
+    /// Starts a member in a separate process; it runs the function that the test binary's `member`
+    /// selects by name.
     pub fn start(&self, role: &str) -> Member {
         let mut command = Member::command();
         command.env(ROLE, role).env(CONFIG, &self.config);
@@ -99,7 +99,7 @@ pub fn run_member(member: impl FnOnce(&str, &Path)) {
     }
 }
 
-/// As a member: the next line of the test; none at the end.
+/// In a member: the next line from the test; `None` at the end.
 pub fn told() -> Option<String> {
     std::io::stdin().lines().next().map(Result::unwrap)
 }
