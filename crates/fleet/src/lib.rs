@@ -1,12 +1,12 @@
 //! The tick, pure: samples in, forecasts, diagnostics and budgets out.
 //!
-//! No clock, file, thread or shared memory: time comes in as an argument, so that a live run, a
-//! replay and a simulation are the same code.
+//! No clock, file, thread or shared memory: time is an argument, so that a live run, a replay and a
+//! simulation execute the same code.
 //!
-//! A [`Fleet`] [takes](Fleet::take) frames of samples as they come, then [ticks](Fleet::tick), and
-//! then writes out [forecasts](Fleet::forecast), [diagnostics](Fleet::diagnostic) and
-//! [budgets](Fleet::budget), robot by robot, wherever the caller wants them: the worker has them
-//! written straight into shared memory. [`Schedule`] says when a tick is due.
+//! A [`Fleet`] [takes](Fleet::take) frames of samples, then [ticks](Fleet::tick), and then writes
+//! [forecasts](Fleet::forecast), [diagnostics](Fleet::diagnostic) and [budgets](Fleet::budget),
+//! robot by robot, into the caller's memory: the worker passes loaned shared memory. [`Schedule`]
+//! determines when a tick is due.
 //!
 //! After [`Fleet::new`] nothing here allocates.
 #![forbid(unsafe_code)]

@@ -1,4 +1,4 @@
-//! After warm-up nothing in the tick allocates; and what is allocated at start is as promised.
+//! After warm-up the tick allocates nothing, and the allocation at start is bounded.
 
 #[path = "../../../tests/counting.rs"]
 mod counting;
@@ -11,9 +11,8 @@ use world::{MS, PERIOD_NS, SLOW_NS, Source, healthy, models, settings};
 const START_NS: u64 = 60_000 * MS;
 const ROBOTS: u32 = 100;
 
-/// A frame in which something is wrong with most robots at one time or another: gaps, refused
-/// values, missing readings, bursts, more robots than the capacity, and comings and goings
-/// that wander through the ids.
+/// A frame with faults of most robots at some time: gaps, refused values, missing readings, bursts,
+/// more robots than the capacity, and robots that join and leave.
 fn fill(frame: &mut Vec<Sample>, step: u64, now_ns: u64) {
     frame.clear();
     for place in 0..u64::from(ROBOTS) + 5 {
@@ -41,7 +40,7 @@ fn fill(frame: &mut Vec<Sample>, step: u64, now_ns: u64) {
 
 #[test]
 fn taking_ticking_and_writing_out_allocate_nothing() {
-    let mut fleet = Fleet::new(world::learning(ROBOTS), models()).expect("the settings are fine");
+    let mut fleet = Fleet::new(world::learning(ROBOTS), models()).expect("the settings are valid");
     let mut source = Source::new(1, 1);
     let mut frame = Vec::with_capacity(4 * ROBOTS as usize);
     let mut forecasts = vec![Forecast::default(); ROBOTS as usize];
@@ -50,7 +49,7 @@ fn taking_ticking_and_writing_out_allocate_nothing() {
     let mut least_and_most = (usize::MAX, 0);
     for step in 1..4_000u64 {
         let now_ns = START_NS + step * PERIOD_NS;
-        // Every now and then all are silent for so long that they leave.
+        // Periodically all are silent for so long that they leave.
         let silent = step % 1_000 > 900;
         fill(&mut frame, step, now_ns);
         let before = counting::calls();
@@ -69,48 +68,55 @@ fn taking_ticking_and_writing_out_allocate_nothing() {
             least_and_most = (fleet.len().min(least), fleet.len().max(most));
         }
     }
-    assert_eq!(least_and_most, (0, ROBOTS as usize), "robots came and went");
+    assert_eq!(
+        least_and_most,
+        (0, ROBOTS as usize),
+        "robots joined and left"
+    );
     assert!(fleet.drops().iter().count() >= 4, "{:?}", fleet.drops());
 }
 
-/// A robot in the fleet and, for there may be as many, the account of one that has left.
+/// A robot in the fleet, plus the account of a departed one, of which there may be as many.
 #[test]
-fn a_robot_takes_at_most_512_bytes_with_the_account_of_one_that_has_left() {
+fn a_robot_takes_at_most_512_bytes_with_the_account_of_a_departed_one() {
     let bytes = |capacity: u32| {
         let (settings, models) = (settings(capacity), models());
         let before = counting::bytes();
-        let fleet = Fleet::new(settings, models).expect("the settings are fine");
+        let fleet = Fleet::new(settings, models).expect("the settings are valid");
         let taken = counting::bytes() - before;
         assert_eq!(fleet.capacity(), capacity);
         taken
     };
-    // What does not grow with the fleet: the batch of one tile, the platforms.
+    // Memory independent of the fleet's size: the batch of one tile, the platforms.
     let fixed = 2 * bytes(16_384) - bytes(32_768);
     for capacity in [5_000u32, 10_000, 14_337, 16_384, 57_345, 100_000] {
         let each = (bytes(capacity) - fixed) as f64 / f64::from(capacity);
-        println!("{each:.1} bytes a robot at a capacity of {capacity}");
+        println!("{each:.1} bytes per robot at a capacity of {capacity}");
         assert!(
             each <= 512.0,
-            "{each:.1} bytes a robot at a capacity of {capacity}"
+            "{each:.1} bytes per robot at a capacity of {capacity}"
         );
     }
     println!("{fixed} bytes for the fleet");
     assert!(fixed < 200_000, "{fixed} bytes for the fleet");
 }
 
-/// What a platform that learns online adds, for every robot that there is room for.
+/// Additional memory of a platform that learns online, per robot of the capacity.
 #[test]
-fn learning_online_takes_at_most_80_bytes_a_robot_more() {
+fn learning_online_adds_at_most_80_bytes_per_robot() {
     let bytes = |settings: joulebus_settings::FleetSettings| {
         let models = models();
         let before = counting::bytes();
-        let fleet = Fleet::new(settings, models).expect("the settings are fine");
+        let fleet = Fleet::new(settings, models).expect("the settings are valid");
         let taken = counting::bytes() - before;
         assert!(fleet.is_empty());
         taken
     };
     let more = bytes(world::learning(10_000)) - bytes(settings(10_000));
     let each = more as f64 / 10_000.0;
-    println!("{each:.1} bytes a robot more");
-    assert!(each > 0.0 && each <= 80.5, "{each:.1} bytes a robot more");
+    println!("{each:.1} additional bytes per robot");
+    assert!(
+        each > 0.0 && each <= 80.5,
+        "{each:.1} additional bytes per robot"
+    );
 }

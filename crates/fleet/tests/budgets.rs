@@ -1,4 +1,4 @@
-//! Budgets fail closed: what is not known lowers what may be used, and never raises it.
+//! Budgets fail closed: unknown energy lowers the usable energy, and never raises it.
 
 mod world;
 
@@ -31,7 +31,7 @@ fn warm() -> (Fleet, Source, Budget) {
     (fleet, source, shown)
 }
 
-/// What is on the safe side lies below the best estimate, and all lies within the battery.
+/// Conservative bounds are below the best estimate, and all are within the battery.
 fn assert_in_order(budget: &Budget) {
     let Battery { capacity_j, .. } = battery();
     assert!(
@@ -61,7 +61,7 @@ fn assert_in_order(budget: &Budget) {
 #[test]
 fn the_budget_follows_from_the_ledger() {
     let (fleet, _, shown) = warm();
-    let ledger = fleet.ledger(ROBOT).expect("it has sent");
+    let ledger = fleet.ledger(ROBOT).expect("it has sent samples");
     assert_eq!(shown.drawn_uj, ledger.drawn_uj);
     assert_eq!(shown.metered_ns, 29 * PERIOD_NS);
     assert_eq!(shown.unmetered_ns, 0);
@@ -84,7 +84,7 @@ fn the_budget_follows_from_the_ledger() {
 }
 
 #[test]
-fn silence_is_charged_at_the_greatest_power_and_coming_back_raises_nothing() {
+fn silence_is_charged_at_maximum_power_and_returning_raises_nothing() {
     let (mut fleet, mut source, mut before) = warm();
     let start = before;
     for step in 31..90 {
@@ -113,7 +113,7 @@ fn silence_is_charged_at_the_greatest_power_and_coming_back_raises_nothing() {
 }
 
 #[test]
-fn input_that_is_refused_or_missing_lowers_the_budget_as_silence_does() {
+fn refused_or_missing_input_lowers_the_budget_like_silence() {
     type Spoil = fn(&mut Sample);
     let cases: [(&str, Spoil); 5] = [
         ("NaN power", |sample| sample.power_w = f32::NAN),
@@ -129,7 +129,7 @@ fn input_that_is_refused_or_missing_lowers_the_budget_as_silence_does() {
             let mut sample = at(step);
             spoil(&mut sample);
             let shown = send(&mut fleet, &mut source, sample);
-            // One period of grace: the robot may only be late.
+            // One period of tolerance: the robot may just be late.
             assert!(
                 shown.usable_lo_j <= before.usable_lo_j,
                 "{what}, step {step}"
@@ -162,7 +162,7 @@ fn input_that_is_refused_or_missing_lowers_the_budget_as_silence_does() {
 }
 
 #[test]
-fn once_charged_the_battery_is_unknown_and_stays_so_over_leaving() {
+fn after_charging_the_battery_is_unknown_even_after_leaving() {
     let (mut fleet, mut source, _) = warm();
     let charging = send(&mut fleet, &mut source, at(30).with(sample_flag::CHARGING));
     assert_eq!(charging.charge_state(), ChargeState::Charging);
@@ -195,7 +195,7 @@ fn assert_unknown(budget: &Budget) {
 }
 
 #[test]
-fn without_a_battery_or_an_accepted_sample_nothing_is_made_up() {
+fn without_a_battery_or_an_accepted_sample_nothing_is_published() {
     let (mut fleet, mut source) = (fleet(2), Source::new(1, 1));
     let mut refused = at(0);
     refused.power_w = f32::NAN;
@@ -215,7 +215,7 @@ fn without_a_battery_or_an_accepted_sample_nothing_is_made_up() {
 }
 
 #[test]
-fn a_restored_account_goes_on_and_the_time_between_is_charged_at_the_greatest_power() {
+fn a_restored_account_continues_and_the_gap_is_charged_at_maximum_power() {
     let (_, _, saved) = warm();
     let mut fleet = fleet(1);
     let account = Ledger::restored(
@@ -228,9 +228,12 @@ fn a_restored_account_goes_on_and_the_time_between_is_charged_at_the_greatest_po
     assert!(fleet.restore(ROBOT, account, false));
     assert!(
         fleet.restore(ROBOT, account, false),
-        "an account that is kept can be replaced"
+        "a stored account can be replaced"
     );
-    assert!(!fleet.restore(8, account, false), "there is room for one");
+    assert!(
+        !fleet.restore(8, account, false),
+        "there is capacity for one"
+    );
     let back = send(&mut fleet, &mut Source::new(1, 2), at(129));
     assert_eq!(
         (back.drawn_uj, back.drawn_remainder),
@@ -245,10 +248,10 @@ fn a_restored_account_goes_on_and_the_time_between_is_charged_at_the_greatest_po
     );
 }
 
-/// The model forecasts around 3.65 W; a robot that draws far less for long has its interval beside
-/// the forecast, and its time to empty must stay on the safe side all the same.
+/// The model forecasts around 3.65 W; the interval of a robot that draws far less for long excludes
+/// the forecast, and its time to empty must still be conservative.
 #[test]
-fn a_lasting_bias_never_turns_the_safe_side_around() {
+fn a_persistent_bias_never_inverts_the_conservative_bound() {
     for power_w in [0.5, 19.0] {
         let (mut fleet, mut source) = (fleet(1), Source::new(1, 1));
         for step in 0..6_000 {
@@ -276,9 +279,9 @@ fn regeneration_fills_a_battery_no_further_than_full() {
 
 proptest! {
     /// Each step is a sample with a reading, one without, a refused one, or none: only metered time
-    /// costs less than the greatest power, and nothing ever adds energy.
+    /// costs less than the maximum power, and nothing ever adds energy.
     #[test]
-    fn what_may_be_used_never_rises(steps in prop::collection::vec(0u8..6, 1..200)) {
+    fn the_usable_energy_never_rises(steps in prop::collection::vec(0u8..6, 1..200)) {
         let (mut fleet, mut source, mut before) = warm();
         for (index, context) in steps.iter().enumerate() {
             let step = 30 + index as u64;

@@ -1,4 +1,4 @@
-//! What one robot gets depends on that robot's samples alone.
+//! The output of one robot depends on that robot's samples alone.
 
 mod world;
 
@@ -11,7 +11,7 @@ use world::{Bits, MS, PERIOD_NS, SLOW_NS, Source, bits, fleet, forecast, healthy
 const START_NS: u64 = 60_000 * MS;
 const ROBOT: u32 = 7;
 
-/// A robot's samples: now and then one is missing, has no reading or no command.
+/// A robot's samples: sometimes one is missing, has no reading or no command.
 fn samples(robot: u32, period_ns: u64, steps: u64, noise: &mut Noise) -> Vec<Sample> {
     (0..steps)
         .filter_map(|step| {
@@ -28,18 +28,18 @@ fn samples(robot: u32, period_ns: u64, steps: u64, noise: &mut Noise) -> Vec<Sam
         .collect()
 }
 
-/// What the robot gets once it has sent everything, when nobody else is there, one tick a
-/// sample; the last sample arrives at `end_ns`.
+/// The output of a robot after all its samples, alone in the fleet, one tick per sample; the last
+/// sample arrives at `end_ns`.
 fn alone(samples: &[Sample], end_ns: u64) -> Bits {
     let (mut fleet, mut source) = (fleet(1), Source::new(1, 1));
-    let (last, before) = samples.split_last().expect("it has sent");
+    let (last, before) = samples.split_last().expect("it has sent samples");
     for sample in before {
         source.send(&mut fleet, &[*sample], sample.stamp_ns);
         fleet.tick(sample.stamp_ns, false);
     }
     source.send(&mut fleet, &[*last], end_ns);
     fleet.tick(end_ns, false);
-    bits(&fleet, last.robot).expect("it has sent")
+    bits(&fleet, last.robot).expect("it has sent samples")
 }
 
 fn shuffle<T>(items: &mut [T], noise: &mut Noise) {
@@ -51,10 +51,9 @@ fn shuffle<T>(items: &mut [T], noise: &mut Noise) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 32, ..ProptestConfig::default() })]
 
-    /// Whatever the batch, the slot, the order within a frame, the times of the ticks and the
-    /// samples of a robot that share one.
+    /// For any batch, slot, order within a frame, tick times and number of samples per tick.
     #[test]
-    fn a_robot_is_told_the_same_alone_and_among_others(
+    fn a_robots_output_is_the_same_alone_and_among_others(
         seed in any::<u64>(), others in 1u32..40, most_ticks_apart in 1u64..4,
     ) {
         let mut noise = Noise(seed);
@@ -87,8 +86,8 @@ proptest! {
     }
 }
 
-/// Sends what is due by `now_ns` as frames in which the robots stand in any order, at most four
-/// samples a robot, as a tick takes. The last sample of each is held back.
+/// Sends the samples due by `now_ns` as frames with the robots in random order, at most four
+/// samples per robot, the limit of a tick. The last sample of each is held back.
 fn deliver(
     fleet: &mut Fleet,
     source: &mut Source,
@@ -109,7 +108,7 @@ fn deliver(
     }
 }
 
-/// Runs robots for 60 steps, a tick each, and gives what each was told at every step.
+/// Runs robots for 60 steps, one tick each, and returns their outputs at every step.
 fn run(
     fleet: &mut Fleet,
     robots: &[u32],
@@ -135,7 +134,7 @@ fn run(
 }
 
 #[test]
-fn a_poisoned_robot_changes_no_bit_of_any_other() {
+fn an_invalid_robot_changes_no_bit_of_any_other() {
     let robots: Vec<u32> = (0..20).collect();
     let healthy = run(&mut fleet(20), &robots, |_, _, _| {});
     let values = [
@@ -168,7 +167,7 @@ fn a_poisoned_robot_changes_no_bit_of_any_other() {
                 );
                 assert!(
                     !same || robot != poisoned as usize || step < 10,
-                    "nothing was poisoned"
+                    "nothing was invalid"
                 );
             }
         }
@@ -176,7 +175,7 @@ fn a_poisoned_robot_changes_no_bit_of_any_other() {
 }
 
 #[test]
-fn robots_past_the_capacity_change_no_bit_of_the_first() {
+fn robots_beyond_the_capacity_change_no_bit_of_the_others() {
     let first: Vec<u32> = (0..10).collect();
     let all: Vec<u32> = (0..30).collect();
     let expected = run(&mut fleet(10), &first, |_, _, _| {});
@@ -188,7 +187,7 @@ fn robots_past_the_capacity_change_no_bit_of_the_first() {
 }
 
 #[test]
-fn the_next_owner_of_a_slot_sees_nothing_of_the_last_and_accounts_go_on() {
+fn a_reassigned_slot_has_no_state_of_its_last_robot_and_accounts_continue() {
     let (mut fleet, mut source) = (fleet(1), Source::new(1, 1));
     let mut send = |fleet: &mut Fleet, robot: u32, step: u64, now_ns: u64| {
         source.send(fleet, &[healthy(robot, step, now_ns, PERIOD_NS)], now_ns);
@@ -198,14 +197,14 @@ fn the_next_owner_of_a_slot_sees_nothing_of_the_last_and_accounts_go_on() {
         send(&mut fleet, ROBOT, step, START_NS + step * PERIOD_NS);
     }
     assert_eq!(forecast(&fleet, ROBOT).generation, 0);
-    let account = fleet.ledger(ROBOT).expect("it has sent");
+    let account = fleet.ledger(ROBOT).expect("it has sent samples");
     let left_ns = START_NS + 19 * PERIOD_NS + 2_500 * MS + 1;
     fleet.tick(left_ns, false);
     assert!(fleet.is_empty());
     assert_eq!(
         fleet.ledger(ROBOT),
         Some(account),
-        "the account of a robot that left"
+        "the account of a departed robot"
     );
 
     for step in 0..20 {
@@ -236,7 +235,7 @@ fn the_next_owner_of_a_slot_sees_nothing_of_the_last_and_accounts_go_on() {
         forecast(&fleet, ROBOT).quality(),
         Quality::Warmup { have: 1 }
     );
-    let again = fleet.ledger(ROBOT).expect("it has sent");
+    let again = fleet.ledger(ROBOT).expect("it has sent samples");
     assert_eq!(again.drawn_uj, account.drawn_uj);
     assert_eq!(again.metered_ns, account.metered_ns);
     let away_ns = back_ns - (START_NS + 19 * PERIOD_NS);
@@ -273,7 +272,7 @@ fn the_first_owner_keeps_the_robot_and_the_second_source_changes_no_bit() {
 }
 
 #[test]
-fn a_robot_without_a_place_gets_one_when_another_leaves() {
+fn a_robot_without_a_slot_gets_one_when_another_leaves() {
     let (mut fleet, mut source) = (fleet(1), Source::new(1, 1));
     source.send(&mut fleet, &[healthy(1, 0, START_NS, PERIOD_NS)], START_NS);
     fleet.tick(START_NS, false);
@@ -289,14 +288,14 @@ fn a_robot_without_a_place_gets_one_when_another_leaves() {
 }
 
 #[test]
-fn a_robot_of_a_fleet_of_several_tiles_is_told_the_same_as_alone() {
+fn a_robots_output_in_a_fleet_of_several_tiles_is_the_same_as_alone() {
     const ROBOTS: u32 = 2_200;
     let build = |capacity: u32| {
         let mut settings = world::settings(capacity);
         settings.platforms.truncate(1);
         settings.platforms[0].robots = vec![0..=ROBOTS];
         let models = world::models().into_iter().take(1).collect();
-        Fleet::new(settings, models).expect("the settings agree with themselves")
+        Fleet::new(settings, models).expect("the settings are consistent")
     };
     let play = |fleet: &mut Fleet, robots: &[u32]| {
         let mut source = Source::new(1, 1);

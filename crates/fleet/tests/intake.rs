@@ -1,4 +1,4 @@
-//! Every way in which a sample is refused: counted once, named, and shown in the robot's quality.
+//! Every kind of refusal: counted once, named, and shown in the robot's quality.
 
 mod world;
 
@@ -38,7 +38,7 @@ type Case = (
     Option<InvalidReason>,
 );
 
-/// What is wrong with one sample of a known robot.
+/// Faults of one sample of a known robot.
 const SAMPLES: [Case; 21] = [
     (
         "NaN power",
@@ -101,7 +101,7 @@ const SAMPLES: [Case; 21] = [
         Some(InvalidReason::CommandOutOfRange),
     ),
     (
-        "too fast backwards",
+        "reversing too fast",
         |s| s.v_mps = -0.501,
         DropReason::CommandOutOfRange,
         Some(InvalidReason::CommandOutOfRange),
@@ -131,7 +131,7 @@ const SAMPLES: [Case; 21] = [
         Some(InvalidReason::BadTime),
     ),
     (
-        "stamp stands still",
+        "stamp does not advance",
         |s| {
             s.stamp_ns = NOW;
             s.measured_ns = NOW;
@@ -198,7 +198,7 @@ fn each_bad_sample_is_counted_once_named_and_shown_and_the_next_good_one_recover
     }
 }
 
-/// The reason is the only one counted, and the robot and source are named beside it.
+/// Checks that only this reason is counted, with robot and source named.
 fn assert_refused(fleet: &Fleet, what: &str, robot: u32, reason: DropReason, count: u32) {
     let drops: Vec<_> = fleet.drops().iter().collect();
     assert_eq!(drops, [(reason, u64::from(count))], "{what}");
@@ -213,7 +213,7 @@ fn assert_refused(fleet: &Fleet, what: &str, robot: u32, reason: DropReason, cou
 
 type FrameCase = (&'static str, fn(&mut SampleHeader), DropReason, bool);
 
-/// What is wrong with a whole frame; the last column says whether its robots can be believed.
+/// Faults of a whole frame; the last column: whether its robot ids are reliable.
 const FRAMES: [FrameCase; 5] = [
     (
         "another schema",
@@ -251,7 +251,7 @@ const FRAMES: [FrameCase; 5] = [
 ];
 
 #[test]
-fn each_bad_frame_is_counted_and_harms_no_robot() {
+fn each_bad_frame_is_counted_and_affects_no_robot() {
     for (what, spoil, reason, named) in FRAMES {
         let (mut fleet, mut source) = warm();
         let mut header = source.frame(1);
@@ -273,7 +273,7 @@ fn each_bad_frame_is_counted_and_harms_no_robot() {
 }
 
 #[test]
-fn what_never_arrived_is_counted_from_the_headers() {
+fn lost_samples_are_counted_from_the_headers() {
     let (mut fleet, mut source) = (fleet(2), Source::new(1, 5));
     source.frame(30);
     source.send(&mut fleet, &[good()], NEXT);
@@ -293,7 +293,7 @@ fn what_never_arrived_is_counted_from_the_headers() {
 }
 
 #[test]
-fn a_source_too_many_is_counted_and_named() {
+fn a_source_beyond_the_maximum_is_counted_and_named() {
     let (mut fleet, _) = warm();
     for id in 2..5 {
         Source::new(id, 1).send(&mut fleet, &[], NEXT);
@@ -302,7 +302,7 @@ fn a_source_too_many_is_counted_and_named() {
     extra.send(&mut fleet, &[healthy(8, 0, NEXT, PERIOD_NS)], NEXT);
     assert_refused(
         &fleet,
-        "a source too many",
+        "a source beyond the maximum",
         8,
         DropReason::TooManySources,
         1,
@@ -312,16 +312,22 @@ fn a_source_too_many_is_counted_and_named() {
 }
 
 #[test]
-fn a_robot_past_the_capacity_is_counted_and_named() {
+fn a_robot_beyond_the_capacity_is_counted_and_named() {
     let (mut fleet, mut source) = warm();
     let robots = [8, 9, 9].map(|robot| healthy(robot, 0, NEXT, PERIOD_NS));
     source.send(&mut fleet, &robots, NEXT);
-    assert_refused(&fleet, "past the capacity", 9, DropReason::OverCapacity, 2);
+    assert_refused(
+        &fleet,
+        "beyond the capacity",
+        9,
+        DropReason::OverCapacity,
+        2,
+    );
     assert_eq!(fleet.len(), 2);
 }
 
 #[test]
-fn a_tick_takes_no_more_of_one_robot_than_allowed_and_the_next_tick_goes_on() {
+fn a_tick_takes_a_limited_number_of_samples_per_robot_and_the_next_tick_continues() {
     let (mut fleet, mut source) = warm();
     let burst: Vec<Sample> = (8..14)
         .map(|step| healthy(ROBOT, step, NOW + (step - 7) * PERIOD_NS, PERIOD_NS))
@@ -340,7 +346,7 @@ fn a_tick_takes_no_more_of_one_robot_than_allowed_and_the_next_tick_goes_on() {
 
 /// Fails if a reason is added that no test here produces.
 #[test]
-fn no_reason_is_left_out() {
+fn every_reason_is_tested() {
     let elsewhere = [
         DropReason::Overflow,
         DropReason::BeforeJoin,
@@ -439,7 +445,7 @@ fn without_readings_there_is_no_forecast_and_the_reason_is_shown() {
 }
 
 #[test]
-fn silence_is_open_loop_then_stale_and_the_robot_comes_back() {
+fn silence_is_open_loop_then_stale_and_the_robot_recovers() {
     let (mut fleet, mut source) = warm();
     for missing in 1..30u16 {
         let now_ns = NOW + (u64::from(missing) + 1) * PERIOD_NS;
@@ -468,7 +474,7 @@ fn silence_is_open_loop_then_stale_and_the_robot_comes_back() {
 }
 
 #[test]
-fn a_robot_that_joins_while_its_reading_is_held_is_not_called_stuck() {
+fn a_robot_that_joins_with_a_held_reading_is_not_stuck() {
     let (mut fleet, mut source) = (fleet(2), Source::new(1, 1));
     for step in 0..25 {
         let now_ns = NOW + step * PERIOD_NS;
@@ -483,9 +489,9 @@ fn a_robot_that_joins_while_its_reading_is_held_is_not_called_stuck() {
     }
 }
 
-/// What the model bridges on its own counts from the last reading, not from the last sample.
+/// The open-loop limit counts from the last reading, not from the last sample.
 #[test]
-fn samples_without_readings_and_silence_together_are_bridged_no_longer_than_stale_after() {
+fn missing_readings_and_silence_are_bridged_for_at_most_stale_after() {
     for (missing, expected) in [
         (25, Quality::Fresh),
         (26, Quality::Warmup { have: 1 }),
@@ -510,12 +516,9 @@ fn samples_without_readings_and_silence_together_are_bridged_no_longer_than_stal
 }
 
 #[test]
-fn a_refused_sample_does_not_make_the_others_wait_for_the_deadline() {
+fn a_refused_sample_does_not_delay_the_others_to_the_deadline() {
     let (mut fleet, mut source) = warm();
-    assert!(
-        !fleet.complete(NEXT),
-        "robot 7 is due and has not been heard"
-    );
+    assert!(!fleet.complete(NEXT), "robot 7 is due and has not reported");
     let mut poisoned = good();
     poisoned.power_w = f32::NAN;
     source.send(&mut fleet, &[poisoned], NEXT);
@@ -523,12 +526,12 @@ fn a_refused_sample_does_not_make_the_others_wait_for_the_deadline() {
     fleet.tick(NEXT, false);
     assert!(
         !fleet.complete(NEXT + PERIOD_NS),
-        "the next tick asks again"
+        "the next tick waits for it again"
     );
 }
 
 #[test]
-fn what_lies_between_two_recordings_is_not_metered() {
+fn the_time_between_two_recordings_is_not_metered() {
     let (mut fleet, mut source) = warm();
     let before = fleet.ledger(ROBOT).unwrap();
     source.send(&mut fleet, &[good().with(sample_flag::DISCONTINUITY)], NEXT);

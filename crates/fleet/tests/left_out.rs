@@ -1,4 +1,4 @@
-//! What is left out of a tick's outputs changes nothing of what is written.
+//! Omitting a part of a tick's outputs does not change the rest.
 
 mod world;
 
@@ -9,8 +9,8 @@ use world::{MS, PERIOD_NS, Source, fleet, healthy};
 const ROBOTS: u32 = 100;
 const START_NS: u64 = 60_000 * MS;
 
-/// Budgets and forecasts of the last of some ticks, the share of two halves or of one, with
-/// diagnostics or without.
+/// Budgets and forecasts of the last of several ticks, in two passes or one, with diagnostics or
+/// without.
 fn run(halves: bool, with_diagnostics: bool) -> (Vec<Forecast>, Vec<Budget>) {
     let (mut fleet, mut source) = (fleet(ROBOTS), Source::new(1, 1));
     let mut forecasts = vec![Forecast::default(); ROBOTS as usize];
@@ -52,7 +52,7 @@ fn run(halves: bool, with_diagnostics: bool) -> (Vec<Forecast>, Vec<Budget>) {
 
 #[test]
 fn forecasts_and_budgets_are_the_same_where_diagnostics_are_left_out() {
-    // As text, where NaN is equal to NaN.
+    // As text, in which NaN equals NaN.
     let whole = format!("{:?}", run(false, true));
     assert!(whole.contains(&format!("robot: {}", ROBOTS - 1)), "{whole}");
     for (halves, with_diagnostics) in [(false, false), (true, true), (true, false)] {

@@ -1,5 +1,5 @@
-//! However a fleet is shared out, cut into tiles and spread over threads, and whatever instructions
-//! the processor has, every robot gets the same outputs, and what is written out is what the fleet says.
+//! Sharding, tiles, threads and instruction sets do not affect the outputs, and the written output
+//! equals the fleet's.
 
 mod world;
 
@@ -13,8 +13,8 @@ use world::{MS, PERIOD_NS, SLOW_NS, Source, budget_bits, diagnostic_bits, foreca
 const START_NS: u64 = 60_000 * MS;
 const ROBOTS: u32 = 300;
 
-/// A frame in which robots of all platforms stand mixed; some are missing, doubled, or spoiled, and
-/// now and then whole platforms are silent until they leave.
+/// A frame with robots of all platforms mixed; some are missing, doubled, or invalid, and sometimes
+/// whole platforms are silent until they leave.
 fn frame(step: u64, now_ns: u64, noise: &mut Noise) -> Vec<Sample> {
     let mut samples = Vec::new();
     for place in 0..ROBOTS {
@@ -43,7 +43,7 @@ fn frame(step: u64, now_ns: u64, noise: &mut Noise) -> Vec<Sample> {
     samples
 }
 
-/// Ticks a share, cut at random and spread over threads.
+/// Ticks a shard, split randomly and spread over threads.
 fn scatter(shard: Shard<'_>, outputs: Outputs<'_>, seed: u64, depth: u32) {
     let mut noise = Noise(seed);
     if depth == 0 || shard.is_empty() {
@@ -78,7 +78,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 12, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_bit_depends_on_tiles_shares_threads_or_the_processor(
+    fn no_bit_depends_on_tiles_shards_threads_or_the_processor(
         seed in any::<u64>(), depth in 0u32..4, kernel in prop::sample::select(&Kernel::ALL[..]),
     ) {
         let mut noise = Noise(seed);
@@ -121,9 +121,9 @@ proptest! {
                 lengths = (lengths.0.min(robots), lengths.1.max(robots));
             }
         }
-        prop_assert!(lengths.0 < lengths.1, "robots came and went: {lengths:?}");
+        prop_assert!(lengths.0 < lengths.1, "robots joined and left: {lengths:?}");
         prop_assert_eq!(whole.drops(), shared.drops());
-        prop_assert_eq!(encoded(&whole), encoded(&shared), "what is kept");
+        prop_assert_eq!(encoded(&whole), encoded(&shared), "internal state");
     }
 }
 

@@ -1,4 +1,5 @@
-//! What a keyframe costs the tick (a copy) and the checkpointer (the encoding): figures, no promise.
+//! Cost of a keyframe for the tick (a copy) and the checkpointer (the encoding): figures, no
+//! guarantee.
 //!
 //! `cargo test --release -p joulebus-fleet --test state_cost -- --ignored --nocapture`
 
@@ -12,7 +13,7 @@ use world::{MS, PERIOD_NS, Source, healthy};
 
 const START_NS: u64 = 60_000 * MS;
 
-/// Robots of one platform that have all sent enough to have everything.
+/// Robots of one platform that have sent enough samples to fill all state.
 fn fleet(robots: u32) -> Fleet {
     let mut settings = world::settings(robots);
     settings.platforms.truncate(1);
@@ -44,13 +45,13 @@ fn median_us(mut work: impl FnMut()) -> f64 {
 }
 
 #[test]
-#[ignore = "figures for people: CONTRIBUTING.md has the command"]
+#[ignore = "prints figures: CONTRIBUTING.md has the command"]
 fn what_a_keyframe_costs() {
     println!("robots   copy µs   encode µs   decode µs   restore µs   bytes a robot");
     for robots in [100, 1_000, 10_000, 100_000] {
         let mut fleet = fleet(robots);
         let mut state = fleet.state();
-        // What a tick does meanwhile: the columns are not in the cache when the copy begins.
+        // Evicts the columns from the cache, as between two ticks.
         let mut others = vec![1_u8; 64 << 20];
         let mut copies = Vec::new();
         for _ in 0..15 {

@@ -1,4 +1,4 @@
-//! The conditions of a robot's alarms: those of its residuals, and those of its samples.
+//! Conditions of a robot's alarms, from its residuals and from its samples.
 
 use joulebus_settings::{AlarmSettings, Platform};
 use joulebus_wire::Alarm;
@@ -8,11 +8,11 @@ use crate::ingest::admission::AdmissionState;
 use crate::ingest::last_sample::Last;
 use crate::layout::lanes::block;
 
-/// What alarms depend on beside the residuals.
+/// Inputs of the alarms other than the residuals.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AlarmInputs {
     pub stamp_ns: u64,
-    /// 0 where nothing was ever measured.
+    /// 0 before the first measurement.
     pub measured_ns: u64,
     pub equal_since_ns: u64,
     pub refused: bool,
@@ -47,7 +47,7 @@ block! {
     }
 }
 
-/// The conditions of a robot's alarms; `scored` residuals have been observed.
+/// The conditions of a robot's alarms; `scored`: number of residuals observed.
 #[inline(always)]
 pub(crate) fn judge(
     settings: &AlarmSettings,

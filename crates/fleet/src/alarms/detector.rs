@@ -9,14 +9,14 @@ use crate::layout::lanes::{Block, Lanes, put};
 /// Serial correlation above which whitening would only amplify noise.
 const CORRELATION_MAX: f32 = 0.9;
 
-/// Largest residual, W, and standardised residual that are believed: without a bound, one absurd
-/// forecast would turn the sums into NaN, and no alarm would ever be raised again.
+/// Limit of residuals, W, and of standardised residuals: without it, one absurd forecast would turn
+/// the sums into NaN, and no alarm would ever be raised again.
 const RESIDUAL_MAX: f32 = 1e6;
 
-/// Alarms that there are.
+/// Number of alarms.
 const ALARMS: usize = Alarm::ALL.len();
 
-/// What is remembered of one robot's residuals.
+/// Residual statistics of one robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Detector {
     pub bias_w: f32,
@@ -28,14 +28,14 @@ pub(crate) struct Detector {
     z_product: f32,
     error_square: f32,
     persistence_square: f32,
-    /// For how many samples in a row the condition of an alarm has asked for a change.
+    /// Number of consecutive samples for which the condition of an alarm has required a change.
     agreeing: [u16; ALARMS],
-    /// Alarms for which that is not zero.
+    /// Alarms for which that number is not zero.
     changing: AlarmSet,
     raised: AlarmSet,
 }
 
-/// Alarms whose condition holds now, and alarms that stay raised if they are.
+/// Alarms whose condition holds, and alarms that stay raised if they are raised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Conditions {
     pub raise: AlarmSet,
@@ -43,7 +43,7 @@ pub(crate) struct Conditions {
 }
 
 impl Conditions {
-    /// A condition without a band between raising and clearing.
+    /// A condition without hysteresis band.
     #[inline(always)]
     pub(crate) fn when(&mut self, holds: bool, alarm: Alarm) {
         self.between(holds, holds, alarm);
@@ -75,8 +75,8 @@ impl Detector {
         }
     }
 
-    /// Takes a residual and the change of the reading, W, both finite; `sigma_w` > 0 is the
-    /// residuals' standard deviation in training.
+    /// Records a residual and the change of the reading, W, both finite; `sigma_w` > 0 is the
+    /// residual standard deviation in training.
     #[inline(always)]
     pub(crate) fn observe(
         &mut self,
@@ -98,7 +98,7 @@ impl Detector {
             settings.noise_weight * (change_w * change_w - self.persistence_square);
     }
 
-    /// Takes the serial correlation out of `z`: a cumulative sum of correlated residuals would
+    /// Removes the serial correlation from `z`: a cumulative sum of correlated residuals would
     /// alarm on every slow wave.
     #[inline(always)]
     fn whiten(&mut self, z: f32, weight: f32) -> f32 {
@@ -111,7 +111,7 @@ impl Detector {
         white
     }
 
-    /// What the residuals say, once as many as need be were `observed`.
+    /// The conditions of the residual alarms, after enough residuals were `observed`.
     #[inline(always)]
     pub(crate) fn conditions(&self, observed: u64, settings: &AlarmSettings) -> Conditions {
         let settled = observed >= settings.settle_samples.into();
@@ -131,20 +131,20 @@ impl Detector {
         }
     }
 
-    /// Alarms that the conditions ask to be changed.
+    /// Alarms that the conditions require to change.
     #[inline(always)]
     fn change(&self, conditions: Conditions) -> u32 {
         (self.raised.0 & !conditions.stay.0) | (!self.raised.0 & conditions.raise.0)
     }
 
-    /// Whether [`Detector::decide`] has something to do. Nearly always there is nothing.
+    /// Whether [`Detector::decide`] would change anything, which is rare.
     #[inline(always)]
     pub(crate) fn is_moved_by(&self, conditions: Conditions) -> bool {
         self.change(conditions) | self.changing.0 != 0
     }
 
-    /// Raises and clears with hysteresis: an alarm changes only after its condition has agreed for
-    /// as many samples in a row as the settings ask.
+    /// Raises and clears with hysteresis: an alarm changes only after its condition has required it
+    /// for the configured number of consecutive samples.
     pub(crate) fn decide(&mut self, conditions: Conditions, settings: &AlarmSettings) {
         let change = self.change(conditions);
         let mut look = change | self.changing.0;
@@ -152,7 +152,7 @@ impl Detector {
         while look != 0 {
             let (bit, place) = (look & look.wrapping_neg(), look.trailing_zeros() as usize);
             look &= !bit;
-            // Conditions hold none but the alarms that there are.
+            // Conditions contain only existing alarms.
             let Some(agreeing) = self.agreeing.get_mut(place) else {
                 return;
             };
@@ -191,7 +191,7 @@ pub(crate) struct DetectorLanes {
     persistence_square: Lanes<f32>,
     changing: Lanes<u32>,
     raised: Lanes<u32>,
-    /// Seldom looked at: robot by robot.
+    /// Rarely accessed: robot by robot.
     agreeing: Lanes<[u16; ALARMS]>,
 }
 
@@ -201,7 +201,7 @@ impl DetectorLanes {
         AlarmSet(self.raised[lane])
     }
 
-    /// As [`Block::set`], of what [`Detector::observe`] changes.
+    /// As [`Block::set`], for the fields that [`Detector::observe`] changes.
     #[inline(always)]
     pub(crate) fn set_observed(&mut self, lane: usize, mask: bool, robot: &Detector) {
         put(&mut self.bias_w[lane], mask, robot.bias_w);
@@ -264,7 +264,7 @@ mod tests {
         training_margin: 0.1,
     };
 
-    /// Sum of uniforms: near enough to normal, variance 1.
+    /// A sum of uniforms: approximately normal, variance 1.
     fn noise(state: &mut u64) -> f32 {
         (0..12)
             .map(|_| {
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn one_absurd_residual_does_not_blind_the_detector_for_ever() {
+    fn one_absurd_residual_does_not_disable_the_detector() {
         for absurd in [f32::MAX, -f32::MAX] {
             let (mut detector, mut state) = (Detector::new(), 1);
             detector.observe(absurd, 1.0, 1e-6, &SETTINGS);
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn an_alarm_that_flickers_is_neither_raised_nor_cleared() {
+    fn a_flickering_condition_neither_raises_nor_clears_an_alarm() {
         let mut detector = Detector::new();
         let mut on = Conditions::default();
         on.when(true, Alarm::StuckSensor);

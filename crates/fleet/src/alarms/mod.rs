@@ -1,4 +1,4 @@
-//! Which alarms a robot raises.
+//! Alarms.
 
 pub(crate) mod conditions;
 pub(crate) mod detector;

@@ -1,36 +1,35 @@
-//! How one robot differs from those that its model was trained on: a level and a gain.
+//! Adaptation of the network's forecast to one robot: an offset and a gain.
 //!
-//! The adapted forecast is the network's times a gain, plus a level. Both are fitted to the robot's
-//! own readings by least squares in which older readings count less (recursive least squares with
-//! forgetting: Ljung, "System identification", 2nd edition, 1999, section 11.2), and in which the
-//! network counts for a number of readings that is never forgotten (a ridge): a gain of 1, a level
-//! of 0.
+//! The adapted forecast is the network's times a gain, plus an offset. Both are fitted to the
+//! robot's own readings by least squares with exponential forgetting (recursive least squares:
+//! Ljung, "System identification", 2nd edition, 1999, section 11.2), and with a ridge towards a
+//! gain of 1 and an offset of 0 that is not forgotten.
 //!
-//! Memory is bounded in every sense: 20 bytes a robot; a reading's weight falls by a factor with
-//! every further one; and a robot that stands still for hours winds nothing up, the known fault of
-//! forgetting, since the ridge decides what its readings do not.
+//! Memory is bounded: 20 bytes per robot, and a reading's weight decays with every further one. A
+//! robot at rest for hours causes no estimator windup, the known problem of forgetting, because the
+//! ridge determines what its readings do not.
 
 use serde::{Deserialize, Serialize};
 
-/// Variance of the gain, before anything is known of the robot.
-const GAIN_DOUBT: f64 = 0.002;
-/// The same of the level.
-const LEVEL_DOUBT: f64 = 0.07;
-/// What is left of a reading's weight after one more: half of it after 346.
+/// Prior variance of the gain.
+const GAIN_VARIANCE: f64 = 0.002;
+/// Prior variance of the offset.
+const OFFSET_VARIANCE: f64 = 0.07;
+/// Forgetting factor of a reading's weight: half-life of 346 readings.
 const FORGETTING: f32 = 0.998;
-/// Greatest power and residual that are believed, standard deviations.
+/// Limit of powers and residuals, standard deviations.
 const MOST: f32 = 1e4;
-/// How far the gain may be from 1.
+/// Limit of the gain's distance from 1.
 const GAIN_MOST: f64 = 3.0;
 
-/// One robot's discounted sums. Powers are in standard deviations of the residuals in training.
+/// One robot's discounted sums. Powers are in units of the residual standard deviation in training.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Adaptation {
     count: f32,
-    /// Of the network's forecasts, and of their squares.
+    /// Sums of the network's forecasts, and of their squares.
     sum: f32,
     square: f32,
-    /// Of the network's residuals, and of their products with its forecasts.
+    /// Sums of the network's residuals, and of their products with its forecasts.
     residual: f32,
     product: f32,
 }
@@ -44,29 +43,28 @@ impl Adaptation {
         product: 0.0,
     };
 
-    /// Gain and level.
+    /// Gain and offset.
     pub(crate) fn fit(&self) -> (f32, f32) {
-        let (gain_ridge, level_ridge) = (1.0 / GAIN_DOUBT, 1.0 / LEVEL_DOUBT);
+        let (gain_ridge, offset_ridge) = (1.0 / GAIN_VARIANCE, 1.0 / OFFSET_VARIANCE);
         let square = f64::from(self.square) + gain_ridge;
-        let count = f64::from(self.count) + level_ridge;
+        let count = f64::from(self.count) + offset_ridge;
         let [sum, product, residual] = [self.sum, self.product, self.residual].map(f64::from);
-        // The sums' own determinant is not below 0 but for rounding.
-        let determinant = (square * count - sum * sum).max(gain_ridge * level_ridge);
+        // The determinant of the sums alone is at least 0, except for rounding.
+        let determinant = (square * count - sum * sum).max(gain_ridge * offset_ridge);
         let gain = (product * count - residual * sum) / determinant;
         let gain = gain.clamp(-GAIN_MOST, GAIN_MOST);
-        // The best level beside a gain that is kept in its bounds.
-        let level = (residual - gain * sum) / count;
-        (1.0 + gain as f32, level as f32)
+        // The optimal offset for the clamped gain.
+        let offset = (residual - gain * sum) / count;
+        (1.0 + gain as f32, offset as f32)
     }
 
-    /// The forecast, where the network's is `network`.
+    /// The adapted forecast for the network's forecast `network`.
     pub(crate) fn forecast(&self, network: f32) -> f32 {
-        let (gain, level) = self.fit();
-        gain * network.clamp(-MOST, MOST) + level
+        let (gain, offset) = self.fit();
+        gain * network.clamp(-MOST, MOST) + offset
     }
 
-    /// Learns that the reading was `reading` where the network's forecast was `network`, both
-    /// finite.
+    /// Learns from the reading `reading` with the network's forecast `network`, both finite.
     pub(crate) fn learn(&mut self, network: f32, reading: f32) {
         let network = network.clamp(-MOST, MOST);
         let residual = (reading - network).clamp(-MOST, MOST);
@@ -89,14 +87,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_level_and_a_gain_are_found_and_followed_when_they_change() {
+    fn offset_and_gain_are_estimated_and_tracked() {
         let mut adaptation = Adaptation::START;
-        for (gain, level) in [(1.0, 0.0), (1.3, -4.0), (0.8, 6.0)] {
+        for (gain, offset) in [(1.0, 0.0), (1.3, -4.0), (0.8, 6.0)] {
             for step in 0..4_000u32 {
                 let network = 30.0 + 8.0 * (step as f32 * 0.37).sin();
-                adaptation.learn(network, gain * network + level);
+                adaptation.learn(network, gain * network + offset);
             }
-            let (found, expected) = (adaptation.forecast(35.0), gain * 35.0 + level);
+            let (found, expected) = (adaptation.forecast(35.0), gain * 35.0 + offset);
             assert!(
                 (found - expected).abs() < 0.4,
                 "{found}, expected {expected}"
@@ -110,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn standing_still_for_a_day_winds_nothing_up() {
+    fn a_day_at_rest_causes_no_windup() {
         let mut adaptation = Adaptation::START;
         for _ in 0..30 * 3600 * 24 {
             adaptation.learn(30.0, 30.5);
@@ -119,7 +117,7 @@ mod tests {
             (adaptation.forecast(30.0) - 30.5).abs() < 0.02,
             "{adaptation:?}"
         );
-        // Of what it has not seen for so long it says nearly what the network says.
+        // Far from the recent readings it stays close to the network.
         assert!(
             (adaptation.forecast(60.0) - 60.0).abs() < 2.0,
             "{adaptation:?}"
@@ -127,9 +125,9 @@ mod tests {
     }
 
     proptest! {
-        /// Against the same fit by sums over all that has come, in double precision.
+        /// Against the same fit with sums over all readings, in double precision.
         #[test]
-        fn gain_and_level_are_those_of_discounted_least_squares_with_a_ridge(
+        fn gain_and_offset_equal_discounted_least_squares_with_a_ridge(
             rows in prop::collection::vec((20.0f32..60.0, -3.0f32..3.0), 1..300),
         ) {
             let mut adaptation = Adaptation::START;
@@ -137,23 +135,23 @@ mod tests {
                 adaptation.learn(*network, network + residual);
             }
             let weight = |at: usize| f64::from(FORGETTING).powi((rows.len() - 1 - at) as i32);
-            let cost = |gain: f64, level: f64| {
+            let cost = |gain: f64, offset: f64| {
                 let errors = rows.iter().enumerate().map(|(at, (network, residual))| {
                     let (network, residual) = (f64::from(*network), f64::from(*residual));
-                    weight(at) * (residual - (gain - 1.0) * network - level).powi(2)
+                    weight(at) * (residual - (gain - 1.0) * network - offset).powi(2)
                 });
-                errors.sum::<f64>() + (gain - 1.0).powi(2) / GAIN_DOUBT + level.powi(2) / LEVEL_DOUBT
+                errors.sum::<f64>() + (gain - 1.0).powi(2) / GAIN_VARIANCE + offset.powi(2) / OFFSET_VARIANCE
             };
-            let (gain, level) = adaptation.fit();
-            let (gain, level) = (f64::from(gain), f64::from(level));
-            let least = cost(gain, level);
+            let (gain, offset) = adaptation.fit();
+            let (gain, offset) = (f64::from(gain), f64::from(offset));
+            let least = cost(gain, offset);
             for (by_gain, by_level) in [(0.01, 0.0), (-0.01, 0.0), (0.0, 0.1), (0.0, -0.1), (0.01, -0.4), (-0.01, 0.4)] {
-                prop_assert!(cost(gain + by_gain, level + by_level) > least, "{} {}", gain, level);
+                prop_assert!(cost(gain + by_gain, offset + by_level) > least, "{} {}", gain, offset);
             }
         }
 
         #[test]
-        fn whatever_comes_the_forecast_stays_finite_and_bounded(
+        fn the_forecast_stays_finite_and_bounded_for_any_input(
             rows in prop::collection::vec((-1e6f32..1e6, -1e6f32..1e6, 0u8..4), 1..400),
         ) {
             let mut adaptation = Adaptation::START;

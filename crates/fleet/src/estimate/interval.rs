@@ -1,22 +1,22 @@
-//! Intervals that hold their coverage: adaptive conformal inference on residuals that are centred and
-//! scaled by the recent ones.
+//! Prediction intervals with guaranteed coverage: adaptive conformal inference on residuals that
+//! are centred and scaled by the recent ones.
 //!
-//! An end lies at the recent mean of the residuals plus their recent mean size times a factor of its
-//! own. The factor grows whenever a reading falls outside that end, and shrinks by so much less when
-//! it does not that in the long run the wanted fraction of readings lies inside, whatever the residuals
-//! do (Angelopoulos, Candès, Tibshirani, "Conformal PID control", 2023, section 2: quantile tracking
-//! and a scale that follows). Since it moves in equal ratios, after `n` readings
+//! An end lies at the recent mean of the residuals plus their recent mean size times a factor of
+//! its own. The factor grows when a reading falls outside that end, and shrinks otherwise, by so
+//! much less that in the long run the nominal share of readings lies inside, for any residuals
+//! (Angelopoulos, Candès, Tibshirani, "Conformal PID control", 2023, section 2: quantile tracking
+//! with an adaptive scale). Since it changes by constant ratios, after `n` readings
 //!
 //! ```text
 //! |missed − tail·n|  ≤  |ln(factor now / factor at the start)| / rate
 //! ```
 //!
-//! holds exactly, for any residuals, as long as the factor stays inside its bounds: at a rate of 0.2
-//! a factor that has doubled has cost 3.5 readings.
+//! holds exactly, for any residuals, while the factor stays inside its bounds: at a rate of 0.2 a
+//! factor that has doubled corresponds to 3.5 readings.
 //!
-//! Where a reading is held, its residual is next to nothing; where a new measurement is due, it is
-//! not. Mean and size are kept apart by that; the factors, and with them the coverage, are of all
-//! readings together.
+//! The residual of a held reading is nearly zero; that of a new measurement is not. Mean and size
+//! are therefore kept separately for the two cases; the factors, and with them the coverage, are
+//! common to all readings.
 
 use joulebus_settings::IntervalSettings;
 use serde::{Deserialize, Serialize};
@@ -26,19 +26,19 @@ use crate::layout::lanes::{block, put};
 /// Weight of the newest residual in their mean and size, and in the recent coverage.
 const RECENT_WEIGHT: f32 = 0.01;
 const COVERAGE_WEIGHT: f32 = 0.005;
-/// Residuals that the size at the start counts for.
+/// Weight of the initial size, in residuals.
 const TRUST: f32 = 5.0;
-/// What a factor may be.
+/// Bounds of a factor.
 const FACTOR: (f32, f32) = (1e-3, 1e3);
-/// Largest residual that is believed, W.
+/// Limit of residuals, W.
 const RESIDUAL_MAX: f32 = 1e6;
 
-/// What the factors are multiplied by.
+/// Ratios by which the factors change.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct QuantileStep {
-    /// Of an end that was missed. Above 1.
+    /// For an end that was exceeded. Above 1.
     grow: f32,
-    /// Of an end that was not. Below 1.
+    /// For an end that was not. Below 1.
     shrink: f32,
 }
 
@@ -58,8 +58,8 @@ pub(crate) struct ConformalInterval {
     /// Distance of each end from the mean, in sizes.
     below: f32,
     above: f32,
-    /// Recent mean of the residuals, W: where a new measurement is due (or nobody knows), and where
-    /// none is.
+    /// Recent mean of the residuals, W: where a new measurement is due (or due is unknown), and
+    /// where none is.
     mean_due_w: f32,
     mean_held_w: f32,
     /// Recent mean distance from it, W.
@@ -67,15 +67,15 @@ pub(crate) struct ConformalInterval {
     size_held_w: f32,
     covered: u64,
     recent: f32,
-    /// Residuals so far, up to 255.
+    /// Number of residuals so far, saturating at 255.
     seen_due: u8,
     seen_held: u8,
 }
 
 impl ConformalInterval {
-    /// From the model's residual quantiles (5 % and 95 %) and the floor of any scale, W.
+    /// From the model's residual quantiles (5 % and 95 %) and the lower bound of any scale, W.
     pub(crate) fn new(q05_w: f32, q95_w: f32, floor_w: f32, coverage: f32) -> Self {
-        // Half of what lies between the quantiles is two mean sizes, if they are normal.
+        // Half of the distance between the quantiles is two mean sizes of a normal distribution.
         let size_w = (0.25 * (q95_w - q05_w)).max(floor_w).max(f32::MIN_POSITIVE);
         let factor = |end_w: f32| (end_w / size_w).clamp(FACTOR.0, FACTOR.1);
         Self {
@@ -92,8 +92,8 @@ impl ConformalInterval {
         }
     }
 
-    /// Takes a residual (finite), counts whether it was covered, and moves the ends; `due`: whether a
-    /// new measurement was.
+    /// Records a residual (finite), counts whether it was covered, and adapts the ends; `due`:
+    /// whether a new measurement was due.
     #[inline(always)]
     pub(crate) fn observe(
         &mut self,
@@ -118,8 +118,8 @@ impl ConformalInterval {
         };
         (self.above, self.below) = (moved(self.above, over), moved(self.below, under));
         let apart_w = (residual_w.clamp(-RESIDUAL_MAX, RESIDUAL_MAX)) - mean_w;
-        // What the training says of the size is soon forgotten, what it says of the mean is not: it
-        // is 0, or the model has a bias that one robot's first readings do not tell.
+        // The initial size is forgotten quickly, the initial mean is not: it is 0, unless the model
+        // has a bias that one robot's first readings do not show.
         let seen = if due { self.seen_due } else { self.seen_held };
         let weight = RECENT_WEIGHT.max(1.0 / (1.0 + TRUST + f32::from(seen)));
         let size_w = (size_w + weight * (apart_w.abs() - size_w)).max(floor_w);
@@ -149,7 +149,7 @@ impl ConformalInterval {
         )
     }
 
-    /// Fraction inside of the `observed` readings, over all and of late; NaN before the first.
+    /// Share of the `observed` readings inside, over all and recently; NaN before the first.
     #[inline(always)]
     pub(crate) fn coverage(&self, observed: u64) -> (f32, f32) {
         let over_all = (self.covered as f64 / observed as f64) as f32;
@@ -158,8 +158,8 @@ impl ConformalInterval {
     }
 
     /// The interval around `forecast_w`, `open_steps` sample periods after the last reading: it
-    /// widens with the square root of the steps, as a random walk would. `due`: whether a new
-    /// measurement is.
+    /// widens with the square root of the steps, like a random walk. `due`: whether a new
+    /// measurement is due.
     #[inline(always)]
     pub(crate) fn around(&self, forecast_w: f32, open_steps: u16, due: bool) -> (f32, f32) {
         let (mean_w, size_w) = self.phase_w(due);
@@ -219,7 +219,7 @@ mod tests {
             prop_assert!((0.8..=0.98).contains(&recent), "{recent}");
         }
 
-        /// The bound of the module's documentation, for residuals without any pattern.
+        /// The bound in the module's documentation, for arbitrary residuals.
         #[test]
         fn misses_are_bounded_by_how_far_the_factor_has_moved(
             residuals in prop::collection::vec((-1e3f32..1e3, -9i32..3, any::<bool>()), 1..600),
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn held_readings_have_an_interval_of_their_own() {
+    fn held_readings_have_a_separate_interval() {
         let mut interval = ConformalInterval::new(-0.2, 0.2, 0.001, 0.9);
         let quantile_step = QuantileStep::new(&SETTINGS);
         for step in 0..3_000u32 {

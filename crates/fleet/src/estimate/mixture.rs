@@ -1,42 +1,40 @@
-//! An online mixture of experts: each robot's own weights for persistence, the linear baseline, the
+//! An online mixture of experts: weights per robot for persistence, the linear baseline, the
 //! network and the adapted network.
 //!
 //! The forecast is the mean of the experts' forecasts, weighted by `exp(−η·L)`, where `L` is an
-//! expert's squared error so far, older errors counting less. The learning rate η is not set but
-//! found: `ln K / Δ`, where Δ is what averaging has cost so far. This is AdaHedge (de Rooij, van
-//! Erven, Grünwald, Koolen, "Follow the leader if you can, hedge if you must", JMLR 15, 2014,
-//! sections 2.1 and 5) with the loss of the mean forecast instead of the mean loss, and with a
-//! memory.
+//! expert's discounted squared error so far. The learning rate η is not configured but adaptive:
+//! `ln K / Δ`, where Δ is the cumulative mixability gap. This is AdaHedge (de Rooij, van Erven,
+//! Grünwald, Koolen, "Follow the leader if you can, hedge if you must", JMLR 15, 2014, sections 2.1
+//! and 5) with the loss of the mean forecast instead of the mean loss, and with discounting.
 //!
-//! **What holds**, for any readings and experts whatever, adversarial ones included. Let λ < 1 be
-//! the memory's factor, `h_t` the squared error of the mixture at step t and `ℓ_{i,t}` that of
-//! expert i. Then for every expert and at every time T
+//! **Guarantee**, for arbitrary readings and experts, adversarial ones included. Let λ < 1 be the
+//! discount factor, `h_t` the squared error of the mixture at step t and `ℓ_{i,t}` that of expert
+//! i. Then for every expert and at every time T
 //!
 //! ```text
 //! Σ λ^(T−t) (h_t − ℓ_{i,t})  ≤  2 Δ_T                                                    (1)
 //! Δ_T  ≤  max(Δ_0, 2 D² ln K / λ) + D²                                                   (2)
 //! ```
 //!
-//! where D is the largest distance between any two of reading and experts' forecasts in one step.
-//! So the mean squared error over the memory of 1/(1−λ) readings is above that of the best expert by
-//! at most `2 (1−λ) Δ_T`, which no number of readings makes larger.
+//! where D is the maximum distance between any two of reading and experts' forecasts in one step.
+//! So the mean squared error over the memory of 1/(1−λ) readings exceeds that of the best expert by
+//! at most `2 (1−λ) Δ_T`, independently of the number of readings.
 //!
-//! *Why.* The mix loss `m_t = −(λ/η_t) ln Σ w_{i,t} exp(−η_t ℓ_{i,t} / λ)` telescopes: with the
-//! scaled losses `λ^(−t) ℓ` and rates `λ^(t−1) η_t`, which never rise since Δ is a discounted sum of
-//! terms that are not negative, Σ of the scaled m is at most the scaled loss of any expert plus
-//! `ln K` over the last rate (Lemma 2 there). What remains, `h_t − m_t`, is at most what Δ takes up.
-//! That is (1). The squared error is exp-concave at rates up to 1/(2 D²) (Cesa-Bianchi and Lugosi,
-//! "Prediction, learning, and games", 2006, section 3.3), so that Δ takes up nothing once it has
-//! reached `2 D² ln K / λ`, and never more than D² at a time. That is (2).
+//! *Proof.* The mix loss `m_t = −(λ/η_t) ln Σ w_{i,t} exp(−η_t ℓ_{i,t} / λ)` telescopes: with the
+//! scaled losses `λ^(−t) ℓ` and rates `λ^(t−1) η_t`, which never increase because Δ is a discounted
+//! sum of non-negative terms, Σ of the scaled m is at most the scaled loss of any expert plus `ln
+//! K` over the last rate (Lemma 2 there). The remainder, `h_t − m_t`, is at most the increment of
+//! Δ. That is (1). The squared error is exp-concave at rates up to 1/(2 D²) (Cesa-Bianchi and
+//! Lugosi, "Prediction, learning, and games", 2006, section 3.3), so that Δ stops increasing once
+//! it has reached `2 D² ln K / λ`, and increases by at most D² at a time. That is (2).
 //!
-//! **Where it starts.** Not equal: as if each expert had made the mean squared error that the model
-//! file states, over [`TRUST`] readings. A robot of few readings, or of rare large changes, then
-//! profits from what is known of the others; against expert i the right side of (1) grows by that
-//! start's term, `λ^T L_{i,0}`.
+//! **Initial weights.** Not equal: as if each expert had had the mean squared error stated in the
+//! model file, over [`TRUST`] readings. A robot with few readings, or with rare large changes, so
+//! uses the prior from other robots; against expert i the right side of (1) grows by the initial
+//! term `λ^T L_{i,0}`.
 //!
-//! Readings that are held are of another kind than new ones: persistence is then exactly right. So
-//! weights are kept apart by whether a new measurement is due, and (1) holds in each phase, over the
-//! readings of that phase.
+//! Held readings differ from new ones: persistence is then exact. So weights are kept separately by
+//! whether a new measurement is due, and (1) holds in each phase, over the readings of that phase.
 
 use std::f32::consts::LN_2;
 
@@ -46,39 +44,38 @@ use serde::{Deserialize, Serialize};
 
 use crate::estimate::adaptation::Adaptation;
 
-/// Experts that there can be: persistence, the linear baseline, the network, the adapted network.
+/// Maximum number of experts: persistence, the linear baseline, the network, the adapted network.
 pub(crate) const EXPERTS: usize = 4;
-/// A new measurement is due (or nobody knows), or none is.
+/// A new measurement is due (or due is unknown), or none is.
 const PHASES: usize = 2;
 
-/// Readings that the scores in the model file count for.
+/// Weight of the scores in the model file, in readings.
 const TRUST: f32 = 40.0;
-/// The largest squared error at the start, as a multiple of the network's.
+/// Maximum initial squared error, as a multiple of the network's.
 const WORST: f32 = 10.0;
-/// The memory λ: half of an error's weight is left after 693 readings.
+/// The discount factor λ: half-life of 693 readings.
 const MEMORY: f32 = 0.999;
-/// The least Δ, squared standard deviations: keeps the learning rate finite.
+/// Lower bound of Δ, squared standard deviations: keeps the learning rate finite.
 const FLOOR: f32 = 2.0;
 /// Natural logarithm of the number of experts.
 const LOG: [f32; EXPERTS + 1] = [0.0, 0.0, LN_2, 1.098_612_3, 2.0 * LN_2];
-/// Largest error that is believed, standard deviations: without a bound, one absurd forecast would
-/// turn the sums into NaN indefinitely.
+/// Limit of errors, standard deviations: without it, one absurd forecast would turn the sums into
+/// NaN permanently.
 const ERROR_MAX: f32 = 1e6;
 
-/// What the robots of a platform blend, made ready for the tick.
+/// The experts of a platform, prepared for the tick.
 #[derive(Debug, Clone)]
 pub(crate) struct Blending {
     pub linear: Option<Linear>,
     /// Standard deviation of the residuals in training, W.
     sigma_w: f32,
     online: Online,
-    /// Squared error of each expert at the start, above that of the best; infinite for one that is
-    /// not there.
+    /// Initial squared error of each expert above that of the best; infinite for a missing expert.
     start: [f32; EXPERTS],
 }
 
 impl Blending {
-    /// `None` where the network alone is asked for. `sigma_w` is above 0.
+    /// `None` where only the network is configured. `sigma_w` is above 0.
     pub(crate) fn new(online: Online, model: &Model, sigma_w: f32) -> Option<Self> {
         let (Online { mixture, adapt }, Model::Network(network)) = (online, model) else {
             return None;
@@ -89,7 +86,7 @@ impl Blending {
         let (scores, linear) = (&network.card().scores, model.linear());
         let unexplained = |r2: f32| {
             let ratio = (1.0 - r2) / (1.0 - scores.network_r2).max(f32::MIN_POSITIVE);
-            // Scores of 1, or of data that do not vary, say nothing of other data.
+            // Scores of 1, or on constant data, do not transfer to other data.
             if ratio.is_finite() {
                 ratio.clamp(0.0, WORST)
             } else {
@@ -112,27 +109,27 @@ impl Blending {
     }
 }
 
-/// What a robot's forecast has learned from its readings.
+/// State of a robot's online learning.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Learned {
     /// Weights of persistence, the linear baseline, the network and the adapted network where a new
-    /// measurement is due: not negative, 1 in all, 0 for one that the platform does not have. `None`
-    /// without a mixture.
+    /// measurement is due: not negative, with sum 1, 0 for an expert that the platform does not
+    /// have. `None` without a mixture.
     pub weights: Option<[f32; 4]>,
-    /// The same where the last reading will be held.
+    /// The same where the next reading will be held.
     pub weights_held: Option<[f32; 4]>,
-    /// Gain on the network's forecast; 1 where nothing was learned.
+    /// Gain on the network's forecast; 1 without adaptation.
     pub gain: f32,
-    /// Level on top of it, W; 0 where nothing was learned.
+    /// Offset added to it, W; 0 without adaptation.
     pub level_w: f32,
 }
 
-/// One robot's experts: what they have forecast, and how good they have been.
+/// One robot's experts: their forecasts and their losses.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Blend {
     records: [Record; PHASES],
     adaptation: Adaptation,
-    /// Of the next reading, W; meaningless where the robot has no forecast.
+    /// Forecasts of the next reading, W; meaningless where the robot has no forecast.
     forecasts_w: [f32; EXPERTS],
     /// The phase that they are for.
     phase: u8,
@@ -161,8 +158,9 @@ impl Blend {
         }
     }
 
-    /// The robot's forecast, W, and its experts', where the network, finite, says `network_w`, and the
-    /// linear baseline, if there is one, `linear_w`; `due`: whether a new measurement is.
+    /// The robot's forecast, W, and its experts', from the network's forecast `network_w`, finite,
+    /// and that of the linear baseline, if there is one, `linear_w`; `due`: whether a new
+    /// measurement is due.
     pub(crate) fn forecast(
         &self,
         blending: &Blending,
@@ -180,13 +178,13 @@ impl Blend {
         (forecast_w, forecasts_w)
     }
 
-    /// Takes note of what the experts have forecast for the next sample.
+    /// Stores the experts' forecasts for the next sample.
     pub(crate) fn expect(&mut self, forecasts_w: [f32; EXPERTS], due: bool) {
         self.forecasts_w = forecasts_w;
         self.phase = phase(due) as u8;
     }
 
-    /// Learns from the reading, W, that the noted forecasts were for.
+    /// Learns from the reading, W, of the stored forecasts.
     pub(crate) fn learn(&mut self, blending: &Blending, reading_w: f32) {
         let sigma_w = blending.sigma_w;
         if blending.online.mixture {
@@ -221,18 +219,18 @@ fn phase(due: bool) -> usize {
     usize::from(!due)
 }
 
-/// The experts' records in one phase. Errors are squared, in units of the training's residuals.
+/// The experts' losses in one phase. Errors are squared, in units of the training's residuals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Record {
-    /// Discounted squared error of each expert above that of the best; infinite for one that is not
-    /// there.
+    /// Discounted squared error of each expert above that of the best; infinite for a missing
+    /// expert.
     loss: [f32; EXPERTS],
-    /// Δ: what averaging has cost.
+    /// Δ, the cumulative mixability gap.
     cost: f32,
 }
 
 impl Record {
-    /// The weight of each expert: not negative, 1 in all, and 0 for one that is not there.
+    /// The weight of each expert: not negative, with sum 1, and 0 for a missing expert.
     fn weights(&self) -> [f32; EXPERTS] {
         let rate = self.rate();
         let raw = self.loss.map(|loss| libm::expf(-rate * loss));
@@ -241,7 +239,7 @@ impl Record {
         raw.map(|raw| raw / sum)
     }
 
-    /// Learns each expert's error, in standard deviations; of one that is not there it must only be
+    /// Learns each expert's error, in standard deviations; that of a missing expert must only be
     /// finite.
     fn learn(&mut self, error: [f32; EXPERTS]) {
         let weights = self.weights();
@@ -256,8 +254,8 @@ impl Record {
         self.loss = self.loss.map(|loss| loss - best);
     }
 
-    /// −(λ/η) ln Σ w exp(−η ℓ / λ), from the losses themselves: a weight may be too small for a
-    /// number and yet decide.
+    /// −(λ/η) ln Σ w exp(−η ℓ / λ), computed from the losses: a weight may underflow and yet be
+    /// decisive.
     fn mix_loss(&self, loss: &[f32; EXPERTS]) -> f32 {
         let rate = self.rate();
         let sum = |loss: [f32; EXPERTS], least: f32| {
@@ -272,7 +270,7 @@ impl Record {
         MEMORY * (least - (sum(after, least) - sum(self.loss, 0.0)) / rate)
     }
 
-    /// η; there are two experts at least.
+    /// η; there are at least two experts.
     fn rate(&self) -> f32 {
         let there = self.loss.iter().filter(|loss| loss.is_finite()).count();
         LOG[there] / self.cost
@@ -289,7 +287,7 @@ mod tests {
 
     use super::*;
 
-    /// What the bound is about, summed up in double precision.
+    /// The quantities of the bound, summed in double precision.
     struct Account {
         regret: [f64; EXPERTS],
         largest: f64,
@@ -314,7 +312,7 @@ mod tests {
             }
         }
 
-        /// Holds (1) and (2) against what was summed up. `there`: experts that there are.
+        /// Checks (1) and (2). `there`: number of experts.
         fn check(&self, record: &Record, there: usize) -> Result<(), TestCaseError> {
             let cost = f64::from(record.cost);
             let rounding = 1e-4 * (1.0 + self.largest);
@@ -351,10 +349,9 @@ mod tests {
     }
 
     proptest! {
-        /// Experts and readings without any pattern, of any size, that change from one extreme to
-        /// another.
+        /// Arbitrary experts and readings, of any size, that change between extremes.
         #[test]
-        fn the_regret_stays_below_its_bound_whatever_comes(
+        fn the_regret_stays_below_its_bound_for_any_input(
             there in 2usize..=EXPERTS,
             start in prop::array::uniform4(0.0f32..100.0),
             steps in prop::collection::vec(
@@ -375,8 +372,8 @@ mod tests {
             }
         }
 
-        /// An adversary who knows the weights: the reading always lies where the mixture is worst off
-        /// against whoever is best so far, and experts take turns in being right.
+        /// An adversary that knows the weights: the reading is always where the mixture is worst
+        /// relative to the best expert so far, and the best expert alternates.
         #[test]
         fn the_regret_stays_below_its_bound_against_an_adversary(
             spread in 0.01f32..30.0, turn in 1usize..400, there in 2usize..=EXPERTS,
@@ -399,10 +396,10 @@ mod tests {
         }
     }
 
-    /// The test above would pass for a mixture that learned nothing, were the bound loose: this one
-    /// would not.
+    /// Complements the tests above, which a mixture that learned nothing would pass if the bound
+    /// were loose.
     #[test]
-    fn the_weight_goes_to_whoever_is_right_and_comes_back() {
+    fn the_weight_moves_to_the_best_expert_and_back() {
         let mut record = fresh(EXPERTS, [0.0; EXPERTS]);
         for best in [0, 3, 1, 2] {
             for step in 0..3_000u32 {
@@ -416,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_absurd_lasts() {
+    fn absurd_values_have_no_lasting_effect() {
         let mut record = fresh(3, [0.0; EXPERTS]);
         record.learn([ERROR_MAX, -ERROR_MAX, 0.0, 0.0]);
         record.learn([ERROR_MAX, ERROR_MAX, ERROR_MAX, 0.0]);

@@ -1,4 +1,4 @@
-//! What is estimated of one robot: its lag window, intervals, online learning and scores.
+//! Estimates per robot: lag window, intervals, online learning and scores.
 
 pub(crate) mod adaptation;
 pub(crate) mod interval;

@@ -1,4 +1,4 @@
-//! How good the forecasts have been, beside persistence.
+//! Running scores of the forecasts and of persistence.
 
 use joulebus_predictor::canonical_f64;
 use serde::{Deserialize, Serialize};
@@ -19,7 +19,7 @@ pub struct Scores {
 }
 
 impl Scores {
-    /// Takes a reading, the residual of its forecast, and the reading before it.
+    /// Records a reading, the residual of its forecast, and the reading before it.
     #[inline(always)]
     pub fn observe(&mut self, reading_w: f32, residual_w: f32, previous_w: f32) {
         let (reading, residual) = (f64::from(reading_w), f64::from(residual_w));
@@ -41,7 +41,7 @@ impl Scores {
         canonical_f64(self.sum_abs_w / self.count as f64)
     }
 
-    /// Coefficient of determination of the forecasts; NaN where the readings do not vary.
+    /// Coefficient of determination of the forecasts; NaN for constant readings.
     #[must_use]
     #[inline(always)]
     pub fn r2(&self) -> f64 {
@@ -55,14 +55,14 @@ impl Scores {
         canonical_f64(self.persistence_sum_abs_w / self.count as f64)
     }
 
-    /// Coefficient of determination of persistence; NaN where the readings do not vary.
+    /// Coefficient of determination of persistence; NaN for constant readings.
     #[must_use]
     #[inline(always)]
     pub fn persistence_r2(&self) -> f64 {
         explained(self.persistence_sum_sq_w2, self.scatter_w2)
     }
 
-    /// 1 − squared error over that of persistence; NaN where the readings do not change.
+    /// 1 − squared error over that of persistence; NaN for constant readings.
     #[must_use]
     #[inline(always)]
     pub fn skill(&self) -> f64 {

@@ -1,4 +1,4 @@
-//! The lag window of one robot: what the model sees next.
+//! The lag window of one robot, the input of the model.
 
 mod lanes;
 
@@ -10,7 +10,7 @@ pub(crate) use lanes::{ClosedLanes, WindowLanes};
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Lags {
     pub lag_w: [f32; LAGS],
-    /// NaN where there is none.
+    /// NaN if there is none.
     pub forecast_w: f32,
 }
 
@@ -20,7 +20,7 @@ impl Lags {
         forecast_w: f32::NAN,
     };
 
-    /// Moves the window on by one sample period.
+    /// Advances the window by one sample period.
     #[inline(always)]
     fn push(&mut self, power_w: f32) {
         let [first, second, third, fourth, _] = self.lag_w;
@@ -29,24 +29,24 @@ impl Lags {
     }
 }
 
-/// What came between the last sample and this one.
+/// The gap between the last sample and this one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Gap {
     /// Nothing is missing.
     None,
-    /// So many sample periods are missing; the model bridges them with its own forecasts.
+    /// This many sample periods are missing; the model bridges them with its own forecasts.
     Bridge(u16),
-    /// Too many are missing, or there was no forecast to bridge with: the window starts empty.
+    /// Too many are missing, or there was no forecast to bridge them: the window starts empty.
     Break,
 }
 
-/// The lag window. It advances by the robot's *samples*; what the worker's clock adds in between
-/// (`open`) is provisional and never changes what a sample leads to.
+/// The lag window. It advances by the robot's *samples*; advances by the worker's clock in between
+/// (`open`) are provisional and never change the result of a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Window {
     /// After the last sample.
     closed: Lags,
-    /// After `open_steps` further periods without one.
+    /// After `open_steps` further periods without a sample.
     open: Lags,
     /// The last command, m/s and rad/s, where `commanded`.
     v_mps: f32,
@@ -57,8 +57,8 @@ pub(crate) struct Window {
     /// Readings in the window.
     have: u8,
     commanded: bool,
-    /// Of the newest reading, after the last sample. It outlives an emptied window, for it knows of
-    /// no forecast: only of samples.
+    /// Age of the newest reading, after the last sample. It survives an emptied window, because it
+    /// depends on samples only, not on forecasts.
     reading_age: ReadingAge,
 }
 
@@ -85,7 +85,7 @@ impl Window {
         usize::from(self.have) == LAGS
     }
 
-    /// The forecast to show now, W, and the open-loop steps it rests on.
+    /// The forecast to publish now, W, and the number of open-loop steps it is based on.
     #[inline(always)]
     pub(crate) fn shown(&self) -> (f32, u16) {
         let steps = self.unread_steps.saturating_add(self.open_steps);
@@ -99,7 +99,7 @@ impl Window {
         )
     }
 
-    /// What lies between the last sample and one stamped `elapsed_ns` later.
+    /// The gap between the last sample and one stamped `elapsed_ns` later.
     pub(crate) fn gap_before(&self, elapsed_ns: u64, period_ns: u64, longest_steps: u16) -> Gap {
         let missing = missing_steps(elapsed_ns, period_ns);
         if missing == 0 || self.have == 0 {
@@ -112,9 +112,9 @@ impl Window {
         Gap::Break
     }
 
-    /// Begins to run open loop towards `steps` periods after the last sample. Returns the row to
-    /// infer next, or `None` when it is there already or there is nothing to continue with. What the
-    /// worker's clock had run further than `steps` is undone.
+    /// Starts open-loop steps towards `steps` periods after the last sample. Returns the row to
+    /// infer next, or `None` when that is reached or there is nothing to continue from. Steps
+    /// beyond `steps` that the worker's clock had caused are undone.
     pub(crate) fn open_towards(&mut self, steps: u16) -> Option<Features> {
         if self.open_steps > steps {
             self.open_steps = 0;
@@ -147,8 +147,8 @@ impl Window {
         }
     }
 
-    /// Makes what was run open loop part of the window, up to the sample that now arrives.
-    /// Returns the forecast made for that sample, W; NaN where there is none.
+    /// Makes the open-loop steps up to the arriving sample part of the window. Returns the forecast
+    /// for that sample, W; NaN if there is none.
     #[inline(always)]
     pub(crate) fn close(&mut self, gap: Gap) -> f32 {
         match gap {
@@ -163,7 +163,7 @@ impl Window {
         self.closed.forecast_w
     }
 
-    /// Starts empty.
+    /// Empties the window.
     fn restart(&mut self) {
         *self = Self {
             reading_age: self.reading_age,
@@ -171,29 +171,29 @@ impl Window {
         };
     }
 
-    /// What was measured before has nothing to do with what comes.
+    /// Resets the age: earlier measurements do not continue.
     pub(crate) fn reset_reading_age(&mut self) {
         self.reading_age = ReadingAge::UNKNOWN;
     }
 
-    /// So many sample periods lie between the last sample and the one that now arrives.
+    /// Advances the age by the sample periods missing before the arriving sample.
     pub(crate) fn skip_periods(&mut self, missing_steps: u64) {
         self.reading_age.pass(missing_steps);
     }
 
-    /// Whether a new measurement is due at the next sample; so too where nobody knows.
+    /// Whether a new measurement is due at the next sample; also true if unknown.
     #[inline(always)]
     pub(crate) fn due(&self) -> bool {
         self.reading_age.is_due().unwrap_or(true)
     }
 
-    /// As [`Window::due`], of the forecast that [`Window::shown`] gives.
+    /// As [`Window::due`], for the forecast that [`Window::shown`] returns.
     pub(crate) fn shown_due(&self) -> bool {
         let reading_age = self.reading_age.after(self.open_steps.into());
         reading_age.is_due().unwrap_or(true)
     }
 
-    /// Takes a sample's reading, W, a new one or the last one again: corrected mode.
+    /// Takes a sample's reading, W, new or held: corrected mode.
     #[inline(always)]
     pub(crate) fn read(&mut self, power_w: f32, new: bool) {
         self.reading_age.read(new);
@@ -202,8 +202,8 @@ impl Window {
         self.unread_steps = 0;
     }
 
-    /// Takes a sample without a reading: open loop, if there is a forecast to continue with and no
-    /// more than `longest_steps` have gone by; otherwise the window starts empty.
+    /// Takes a sample without a reading: an open-loop step, if there is a forecast to continue from
+    /// and no more than `longest_steps` have passed; otherwise the window is emptied.
     pub(crate) fn miss(&mut self, longest_steps: u16) {
         self.reading_age.pass(1);
         let forecast_w = self.closed.forecast_w;
@@ -215,9 +215,9 @@ impl Window {
         self.unread_steps += 1;
     }
 
-    /// Takes a sample's command, `elapsed_s` after the last one, and gives the row for the forecast
-    /// of the next reading, and whether it can be made: the window is full, and command and freshness
-    /// are known where they are `required`.
+    /// Takes a sample's command, `elapsed_s` after the last one, and returns the row for the
+    /// forecast of the next reading, and whether the forecast can be made: the window is full, and
+    /// command and reading age are known where they are `required`.
     #[inline(always)]
     pub(crate) fn next_row(
         &mut self,
@@ -246,7 +246,7 @@ impl Window {
     }
 }
 
-/// What a model requires beside the lags.
+/// Inputs that a model requires in addition to the lags.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RequiredInputs {
     pub command: bool,
@@ -262,8 +262,8 @@ impl RequiredInputs {
     }
 }
 
-/// Sample periods that are missing when `elapsed_ns` lie between two samples: none until the next
-/// one is overdue by more than half a period, of `period_ns`, which is not 0.
+/// Sample periods missing in `elapsed_ns` between two samples: none until the next one is overdue
+/// by more than half a period, of `period_ns`, which is not 0.
 #[must_use]
 pub fn missing_steps(elapsed_ns: u64, period_ns: u64) -> u64 {
     if elapsed_ns <= period_ns + period_ns / 2 {
@@ -313,7 +313,7 @@ mod tests {
         window
     }
 
-    /// Stands in for the model: any function of the row will do.
+    /// A stand-in for the model: any function of the row.
     fn infer(row: &Features) -> f32 {
         row[6] * 0.5 + row[7] * 0.25 + 1.0 + row[12] * 0.125
     }
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_clock_ran_ahead_never_changes_what_a_sample_leads_to() {
+    fn provisional_open_loop_steps_never_change_the_result_of_a_sample() {
         for missing in 1..6 {
             let mut reference = full();
             open(&mut reference, missing);

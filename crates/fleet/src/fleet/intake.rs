@@ -1,4 +1,4 @@
-//! How samples get in: frames, the checks of each sample in their order, and what is refused.
+//! Ingest of samples: frames, the checks of each sample in their order, and refusals.
 
 use std::sync::atomic::Ordering;
 
@@ -15,7 +15,7 @@ use crate::state::columns::Columns;
 
 impl Fleet {
     /// Takes a frame of samples, in the order in which they were sent; `now_ns` is the worker's
-    /// monotonic time. What is refused is counted, named, and harms no other robot.
+    /// monotonic time. Refusals are counted and named, and affect no other robot.
     pub fn take(&mut self, header: &SampleHeader, samples: &[Sample], now_ns: u64) {
         let frame = self.begin_frame(header, samples.len() as u64, now_ns);
         self.take_part(&frame, samples);
@@ -58,7 +58,7 @@ impl Fleet {
                 }
                 self.oldest_ns.fetch_min(*now_ns, Ordering::Relaxed);
             }
-            // Nothing in it can be relied on, not even the names of the robots; it is counted.
+            // Its contents are unreliable, including robot ids; it is only counted.
             Err(DropReason::Schema) => {}
             Err(reason) => {
                 for sample in samples {
@@ -103,7 +103,7 @@ impl Fleet {
         let (Some(invalid), Some(slot)) = (check::invalid(reason), self.find(sample.robot)) else {
             return;
         };
-        // Nothing better will come of it in this tick: the others need not wait for it.
+        // The robot will not send another sample in this tick: the others need not wait for it.
         let admission = self.mark_reported(slot);
         admission.refused_run = admission.refused_run.saturating_add(1);
         admission.invalid = Some(invalid);
@@ -129,7 +129,7 @@ impl Fleet {
         admission
     }
 
-    /// The robot's slot; a robot that is not in the fleet is given one.
+    /// The robot's slot; a new robot gets one.
     fn slot(
         &mut self,
         header: &SampleHeader,

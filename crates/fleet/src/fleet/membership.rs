@@ -1,4 +1,4 @@
-//! Who is in the fleet: robots join with their first sample and leave after long silence.
+//! Membership: robots join with their first sample and leave after a long silence.
 
 use joulebus_wire::SampleHeader;
 
@@ -28,7 +28,7 @@ impl Fleet {
         })
     }
 
-    /// The slot of a robot that is in the fleet.
+    /// The slot of a robot in the fleet.
     pub(super) fn find(&self, robot: u32) -> Option<usize> {
         let found = self
             .slot_of

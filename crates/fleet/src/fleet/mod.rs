@@ -1,4 +1,4 @@
-//! The fleet: samples in, ticks, and what they say of each robot.
+//! The fleet: takes samples, ticks, and returns results per robot.
 
 mod intake;
 mod membership;
@@ -33,20 +33,20 @@ use crate::tick::write::forecasts::Forecasts;
 
 /// The state of all robots, in columns indexed by slot, and everything one tick needs.
 ///
-/// All memory is taken in [`Fleet::new`], for the configured capacity.
+/// All memory is allocated in [`Fleet::new`], for the configured capacity.
 #[derive(Debug)]
 pub struct Fleet {
-    /// What a tick reads: settings, platforms with their models, and the time.
+    /// Inputs of a tick: settings, platforms with their models, and the time.
     tick: TickContext,
     settings_hash: u64,
-    /// Ranges of robot ids, ascending, with the platform they belong to.
+    /// Ranges of robot ids, ascending, with their platform.
     ranges: Vec<(u32, u32, u16)>,
     columns: Columns,
     slot_of: Index,
     departed: Departed,
-    /// Slot that the next sample is probably of: sources name their robots in the same order.
+    /// Expected slot of the next sample: sources list their robots in the same order.
     likely_slot: usize,
-    /// For samples that cannot wait for the tick.
+    /// For samples that are processed before the tick.
     single: Batch,
     /// For a tick on one thread.
     batch: Batch,
@@ -57,7 +57,7 @@ pub struct Fleet {
     /// Robots that have reported in this tick.
     reported: usize,
     intake: TickIntake,
-    /// No robot's last sample was taken before this, monotonic ns.
+    /// Lower bound of the times at which the robots' last samples were taken, monotonic ns.
     oldest_ns: AtomicU64,
 }
 
@@ -65,7 +65,7 @@ impl Fleet {
     /// A fleet without robots; `models[i]` is the model of `settings.platforms[i]`.
     ///
     /// # Errors
-    /// When the settings contradict themselves ([`FleetSettings::check`]) or the models do not match.
+    /// The settings are inconsistent ([`FleetSettings::check`]) or the models do not match.
     pub fn new(settings: FleetSettings, models: Vec<Model>) -> Result<Self, SettingsError> {
         settings.check()?;
         let tick = TickContext::new(settings, models)?;
@@ -105,18 +105,18 @@ impl Fleet {
             })
     }
 
-    /// What the tick in preparation has taken so far.
+    /// Intake of the tick in preparation so far.
     #[must_use]
     pub fn intake(&self) -> TickIntake {
         self.intake
     }
 
-    /// Computes: residuals, ledgers, windows, forecasts, intervals, alarms. `deadline_missed` says
-    /// that the tick before this one was late or skipped others. Returns what was taken in.
+    /// Computes: residuals, ledgers, windows, forecasts, intervals, alarms. `deadline_missed`: the
+    /// tick before this one was late or skipped others. Returns the intake.
     ///
-    /// The same as [`Fleet::begin`] and a [`Shard`] of all robots, with nothing written out: ask
-    /// for [forecasts](Fleet::forecast), [diagnostics](Fleet::diagnostic) and
-    /// [budgets](Fleet::budget) afterwards.
+    /// The same as [`Fleet::begin`] and a [`Shard`] of all robots, without output: read
+    /// [forecasts](Fleet::forecast), [diagnostics](Fleet::diagnostic) and [budgets](Fleet::budget)
+    /// afterwards.
     pub fn tick(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
         let intake = self.begin(now_ns, deadline_missed);
         let nothing = Outputs {
@@ -129,8 +129,8 @@ impl Fleet {
         intake
     }
 
-    /// Begins a tick: robots that have been silent for too long leave, and what is left is
-    /// [`Fleet::len`] robots to be ticked as a [`Fleet::shard`], once. Returns what was taken in.
+    /// Begins a tick: robots that have been silent for too long leave, and the remaining
+    /// [`Fleet::len`] robots are to be ticked as a [`Fleet::shard`], once. Returns the intake.
     pub fn begin(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
         self.tick.now_ns = now_ns;
         self.tick.deadline_missed = deadline_missed;
@@ -144,7 +144,7 @@ impl Fleet {
     }
 
     /// All robots, to be ticked on one thread or split among several. Between [`Fleet::begin`] and
-    /// the next [`Fleet::take`], all of it has to be ticked.
+    /// the next [`Fleet::take`], all of them must be ticked.
     pub fn shard(&mut self) -> Shard<'_> {
         self.shard_and_batch().0
     }
@@ -158,7 +158,7 @@ impl Fleet {
         (shard, &mut self.batch)
     }
 
-    /// Robots in the fleet: the length of every frame that is written out.
+    /// Robots in the fleet: the length of every output frame.
     #[must_use]
     pub fn len(&self) -> usize {
         self.columns.slots.used()
@@ -170,7 +170,7 @@ impl Fleet {
         self.len() == 0
     }
 
-    /// Robots that the fleet holds at most.
+    /// Maximum number of robots.
     #[must_use]
     pub fn capacity(&self) -> u32 {
         self.tick.settings.capacity
@@ -219,8 +219,8 @@ impl Fleet {
         Some(lanes::get(&self.columns.scores, slot))
     }
 
-    /// What a robot's forecast has learned from its readings; `None` for a robot that is not in the
-    /// fleet, or whose platform learns nothing online.
+    /// State of a robot's online learning; `None` for a robot that is not in the fleet, or whose
+    /// platform learns nothing online.
     #[must_use]
     pub fn learned(&self, robot: u32) -> Option<Learned> {
         let slot = self.find(robot)?;
@@ -259,14 +259,15 @@ impl Fleet {
         Budgets::of(&self.tick, block).get(&self.tick, lane)
     }
 
-    /// The block that the robot at a place lies in, and its lane.
+    /// The block of the robot at a place, and its lane.
     fn block_of(&self, place: usize) -> (BlockRef<'_>, usize) {
         let slot = self.columns.slots.at(place);
         let slot = slot.expect("a place is below the number of robots");
         (self.columns.block(slot / LANES), slot % LANES)
     }
 
-    /// Absorbs and scores the waiting sample of one robot at once, because the next one has arrived.
+    /// Absorbs and scores the waiting sample of one robot at once, because the next one has
+    /// arrived.
     fn catch_up(&mut self, slot: usize) {
         let tick = &self.tick;
         let alone = [1 << (slot % WORD)];

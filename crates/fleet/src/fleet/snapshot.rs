@@ -1,4 +1,4 @@
-//! The state of a fleet as a value: taken of it, and given back.
+//! The state of a fleet as a value: saved and restored.
 
 use joulebus_predictor::LAGS;
 
@@ -8,7 +8,7 @@ use crate::layout::lanes::{self, LANES};
 use crate::state::snapshot::{Counters, FleetState, StateError};
 
 impl Fleet {
-    /// The fleet's state as it is now. Allocates.
+    /// The fleet's current state. Allocates.
     #[must_use]
     pub fn state(&self) -> FleetState {
         let mut state = FleetState::with_room_for(&self.tick.settings);
@@ -17,7 +17,7 @@ impl Fleet {
     }
 
     /// As [`Fleet::state`], into memory of [`FleetState::with_room_for`] the same settings: copies
-    /// and allocates nothing. Takes as long as copying all slots ever used.
+    /// without allocating. Takes as long as copying all slots ever used.
     pub fn state_into(&self, state: &mut FleetState) {
         state.capacity = self.tick.settings.capacity;
         state.platforms = self.tick.platforms.len() as u32;
@@ -48,11 +48,11 @@ impl Fleet {
         state.refused.clone_from(&self.refused);
     }
 
-    /// Continues from `state`, which replaces all that this fleet has come to. It must have been
-    /// taken of a fleet with the same settings and models.
+    /// Continues from `state`, which replaces the whole state of this fleet. It must have been
+    /// taken from a fleet with the same settings and models.
     ///
     /// # Errors
-    /// [`StateError`]; the fleet is as it was.
+    /// [`StateError`]; the fleet is then unchanged.
     pub fn restore_state(&mut self, state: &FleetState) -> Result<(), StateError> {
         self.check_origin(state)?;
         self.check_consistency(state)?;
@@ -76,7 +76,7 @@ impl Fleet {
             self.slot_of.insert(admission.id, slot as u32);
         }
         self.likely_slot = 0;
-        // Looked up again at the next tick.
+        // Recomputed at the next tick.
         *self.oldest_ns.get_mut() = 0;
         self.departed.replace(&state.departed);
         self.sources.replace(&state.sources);
@@ -88,7 +88,7 @@ impl Fleet {
         Ok(())
     }
 
-    /// Refuses what belongs to another fleet.
+    /// Refuses the state of another fleet.
     fn check_origin(&self, state: &FleetState) -> Result<(), StateError> {
         let (capacity, platforms) = (self.capacity(), self.tick.platforms.len() as u32);
         if state.capacity != capacity {
@@ -118,7 +118,7 @@ impl Fleet {
         Ok(())
     }
 
-    /// Refuses states that no fleet can reach: the tick relies on that.
+    /// Refuses states that no fleet can reach, because the tick relies on it.
     fn check_consistency(&self, state: &FleetState) -> Result<(), StateError> {
         let columns = &state.columns;
         let slots = columns.admissions.len();
@@ -152,7 +152,7 @@ impl Fleet {
         self.check_slots(state)
     }
 
-    /// Each slot in use holds a robot of its own, of the platform that the settings say.
+    /// Each slot in use holds a distinct robot, of the platform in the settings.
     fn check_slots(&self, state: &FleetState) -> Result<(), StateError> {
         let mut ids = std::collections::HashSet::new();
         for (_, admission) in state.present() {

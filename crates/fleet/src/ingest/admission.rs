@@ -1,4 +1,4 @@
-//! Who holds a slot, and what the checks of its next sample need.
+//! Admission state of a robot: the slot's owner, and the inputs of its next sample's checks.
 
 use joulebus_wire::{InvalidReason, sample_flag};
 use serde::{Deserialize, Serialize};
@@ -6,26 +6,26 @@ use serde::{Deserialize, Serialize};
 use crate::ingest::codes::invalid_reason;
 use crate::ingest::pending::Pending;
 
-/// Admission state of one robot: who holds the slot, and what the checks of its next sample need. One
+/// Admission state of one robot: the slot's owner, and the inputs of its next sample's checks. One
 /// cache line per robot, because samples arrive in any order.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 #[repr(align(64))]
 pub(crate) struct AdmissionState {
-    /// When the worker last took a sample of it, monotonic ns of the worker.
+    /// When the worker last took one of its samples, monotonic ns of the worker.
     pub taken_ns: u64,
     /// Stamp of the last accepted sample, ns; 0 before the first.
     pub stamp_ns: u64,
-    /// Highest sequence number taken or refused in the epoch, where `ordered`.
+    /// Highest sequence number taken or refused in the epoch, if `ordered`.
     pub seq: u64,
     pub source_id: u64,
     pub source_epoch: u64,
     pub id: u32,
-    /// Times the slot has changed its owner.
+    /// Number of times the slot has been reassigned.
     pub generation: u32,
     pub platform: u16,
     /// Samples taken in this tick.
     pub taken: u16,
-    /// Samples refused in a row for what was in them.
+    /// Number of consecutive samples refused for their contents.
     pub refused_run: u16,
     /// Why the last sample was refused, if it was.
     #[serde(with = "invalid_reason")]
@@ -34,16 +34,17 @@ pub(crate) struct AdmissionState {
     pub present: bool,
     /// Whether a sample of the epoch has been seen.
     pub ordered: bool,
-    /// Whether a new run of the source has taken over and none of its samples was accepted yet.
+    /// Whether a new run of the source has taken over and none of its samples has been accepted
+    /// yet.
     pub renewed: bool,
-    /// Whether a sample has come in this tick, taken or refused.
+    /// Whether a sample has arrived in this tick, taken or refused.
     pub reported: bool,
     /// Whether a sample has ever been accepted.
     pub accepted: bool,
     pub charging: bool,
-    /// Whether the robot has ever been seen charging: its state of charge is then not known.
+    /// Whether the robot has ever been seen charging: its state of charge is then unknown.
     pub charged: bool,
-    /// Whether the last row lay outside the range of the training.
+    /// Whether the last row was outside the training range.
     pub outside_training: bool,
 }
 
@@ -72,8 +73,8 @@ impl AdmissionState {
         outside_training: false,
     };
 
-    /// Takes what of an absorbed sample does not depend on the forecast. Without a row for the
-    /// model there is nothing that could lie outside the training.
+    /// Records the part of an absorbed sample that does not depend on the forecast. Without a row
+    /// for the model, nothing is outside the training range.
     #[inline(always)]
     pub(crate) fn accept(&mut self, sample: &Pending) {
         self.accepted = true;

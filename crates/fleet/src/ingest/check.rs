@@ -1,4 +1,4 @@
-//! The checks of a sample of a known robot, in the order in which they are made.
+//! Checks of a sample of a known robot, in the order of their execution.
 
 use joulebus_settings::Platform;
 use joulebus_wire::{DropReason, InvalidReason, Sample, SampleHeader, sample_flag};
@@ -30,7 +30,7 @@ pub(crate) fn sender(
     Ok(())
 }
 
-/// Refuses what is more than `most` samples of the robot in one tick.
+/// Refuses samples beyond `most` per robot and tick.
 pub(crate) fn backlog(admission: &AdmissionState, most: u16) -> Result<(), DropReason> {
     if admission.taken >= most {
         return Err(DropReason::Backlog);
@@ -38,7 +38,7 @@ pub(crate) fn backlog(admission: &AdmissionState, most: u16) -> Result<(), DropR
     Ok(())
 }
 
-/// Refuses values that cannot be true of a robot of this platform.
+/// Refuses values outside the limits of the platform.
 ///
 /// A value whose flag is cleared is unknown and not checked.
 pub(crate) fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
@@ -74,8 +74,8 @@ pub(crate) fn values(sample: &Sample, platform: &Platform) -> Result<(), DropRea
     Ok(())
 }
 
-/// Refuses a stamp that does not lie after the robot's last one, or lies further than `max_jump_ns`
-/// after it; but of the first sample of a new run it only says that it breaks the sequence.
+/// Refuses a stamp that is not after the robot's last one, or more than `max_jump_ns` after it; for
+/// the first sample of a new run this only breaks the sequence.
 pub(crate) fn time(
     admission: &AdmissionState,
     stamp_ns: u64,
@@ -89,7 +89,7 @@ pub(crate) fn time(
     Ok(!in_time)
 }
 
-/// What a refused value means for the robot; `None` where the robot is not to blame.
+/// The effect of a refused value on the robot; `None` where the robot is not affected.
 pub(crate) fn invalid(reason: DropReason) -> Option<InvalidReason> {
     match reason {
         DropReason::NotFinite => Some(InvalidReason::NotFinite),

@@ -1,6 +1,6 @@
-//! How what belongs to `wire` is saved: by the codes that it has in shared memory.
+//! Serialisation of `wire` types by their codes in shared memory.
 
-/// Why a robot has no forecast, if there is a reason, as its code.
+/// The reason why a robot has no forecast, if any, as its code.
 pub(crate) mod invalid_reason {
     use joulebus_wire::InvalidReason;
     use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};

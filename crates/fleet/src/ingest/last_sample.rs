@@ -1,4 +1,4 @@
-//! What is kept of a robot's last accepted sample.
+//! State kept of a robot's last accepted sample.
 
 use joulebus_wire::{Quality, sample_flag};
 use serde::{Deserialize, Serialize};
@@ -6,23 +6,23 @@ use serde::{Deserialize, Serialize};
 use crate::ingest::pending::Pending;
 use crate::layout::lanes::{block, put};
 
-/// Time over which the mean power is taken, s.
+/// Time constant of the mean power, s.
 const MEAN_POWER_S: f32 = 60.0;
 
-/// What is kept of the last accepted sample, and how many were refused.
+/// State kept of the last accepted sample, and the number of refused ones.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Last {
     pub seq: u64,
     /// 0 before the first reading.
     pub measured_ns: u64,
-    /// Stamp since which new measurements have all been equal to `reading_w`.
+    /// Stamp since which all new measurements have been equal to `reading_w`.
     pub equal_since_ns: u64,
     pub refused: u64,
     pub reading_w: f32,
-    /// NaN where there was no forecast for it or no reading in it.
+    /// NaN without a forecast for it or without a reading.
     pub residual_w: f32,
     pub mean_power_w: f32,
-    /// [`Quality`], as it lies in shared memory.
+    /// [`Quality`], encoded as in shared memory.
     pub quality: u16,
     pub quality_detail: u16,
 }
@@ -40,12 +40,13 @@ impl Last {
         quality_detail: 0,
     };
 
-    /// Takes a sample with a reading, `elapsed_s` after the one before; `forecast_w` was made for it.
+    /// Records a sample with a reading, `elapsed_s` after the one before; `forecast_w` is its
+    /// forecast.
     #[inline(always)]
     pub(crate) fn read(&mut self, sample: &Pending, forecast_w: f32, elapsed_s: f32) {
         self.residual_w = sample.power_w - forecast_w;
-        // The first reading counts as new, or a robot that joins while its reading is held would
-        // have been stuck since the beginning of time.
+        // The first reading counts as new; otherwise a robot that joins with a held reading would
+        // count as stuck since time 0.
         let new = !sample.has(sample_flag::HELD) | self.reading_w.is_nan();
         let changed = new & (sample.power_w.to_bits() != self.reading_w.to_bits());
         put(&mut self.equal_since_ns, changed, sample.stamp_ns);

@@ -1,4 +1,4 @@
-//! What a sample must pass to be taken, and what is kept of it.
+//! Ingest: the checks of samples, and the state kept of them.
 
 pub(crate) mod admission;
 pub(crate) mod check;

@@ -1,11 +1,11 @@
-//! Samples that have passed the checks and wait for the tick.
+//! Samples that have passed the checks, until the tick.
 
 use joulebus_wire::{Sample, sample_flag};
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{Lanes, block, put};
 
-/// A sample that has passed the checks and waits for the tick: the fields that the tick uses.
+/// A sample that has passed the checks: the fields that the tick uses.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pending {
     pub seq: u64,
@@ -15,15 +15,15 @@ pub(crate) struct Pending {
     pub omega_radps: f32,
     pub power_w: f32,
     flags: u8,
-    /// Whether it breaks the sequence: nothing before it counts.
+    /// Whether it breaks the sequence, so that earlier samples are irrelevant.
     pub broken: bool,
 }
 
-// All flags that a sample may have fit.
+// All valid flags fit.
 const _: () = assert!(sample_flag::ALL <= u8::MAX as u32);
 
 impl Pending {
-    /// From a sample whose flags are all known; `broken` holds beside the sample's own flag.
+    /// From a sample whose flags are all known; `broken` adds to the sample's own flag.
     #[inline(always)]
     pub(crate) fn new(sample: &Sample, broken: bool) -> Self {
         Self {
@@ -56,16 +56,16 @@ impl Pending {
     }
 }
 
-/// How far a robot's newest sample has come.
+/// Processing state of a robot's newest sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum PendingState {
-    /// Nothing.
+    /// No sample.
     None,
-    /// A sample waits to be absorbed.
+    /// A sample is waiting to be absorbed.
     Waiting,
-    /// A sample was absorbed, and waits to be scored.
+    /// A sample was absorbed, and is waiting to be scored.
     Absorbed,
-    /// As `Absorbed`, of a sample that breaks the sequence.
+    /// As `Absorbed`, for a sample that breaks the sequence.
     Broken,
 }
 
@@ -84,13 +84,12 @@ block! {
     }
 }
 
-/// The newest samples of a block, and how far each has come.
+/// The newest samples of a block, with their processing states.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(32))]
 pub(crate) struct PendingBlock {
     pub samples: PendingLanes,
-    /// Of an absorbed sample: the forecast one step ahead that was made for its reading; NaN where
-    /// there was none.
+    /// For an absorbed sample: the one-step-ahead forecast of its reading; NaN if there was none.
     pub expected_w: Lanes<f32>,
     /// [`PendingState`].
     pending: Lanes<u8>,

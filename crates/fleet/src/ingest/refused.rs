@@ -1,11 +1,11 @@
-//! Names of recently refused robots, for operators.
+//! List of recently refused robots, for operators.
 
 use joulebus_wire::{DropReason, Refusal};
 use serde::{Deserialize, Serialize};
 
 use crate::ingest::codes::refusals;
 
-/// The newest distinct (robot, reason, source) that were refused, in a fixed number of places.
+/// The newest distinct refusals (robot, reason, source), in a fixed number of entries.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Refused {
     #[serde(with = "refusals")]

@@ -1,4 +1,4 @@
-//! Accounts for every sample of each source: sent = accepted + dropped, exactly.
+//! Sample accounting per source: sent = accepted + dropped, exactly.
 
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{DropCounts, DropReason, SampleHeader};
@@ -157,14 +157,14 @@ impl Sources {
         &self.sources
     }
 
-    /// Continues with `sources`, at most as many as the capacity allows.
+    /// Replaces the sources, at most as many as the capacity allows.
     pub(crate) fn replace(&mut self, sources: &[Source]) {
         self.sources.clear();
         self.sources.extend_from_slice(sources);
         self.recent = 0;
     }
 
-    /// The last one found is looked at first: frames of one source follow each other.
+    /// The last one found is checked first, because frames of one source often follow each other.
     fn find(&mut self, id: u64) -> Option<usize> {
         if self
             .sources

@@ -1,17 +1,18 @@
-//! Robots by id: an open-addressing hash table of places; the ids themselves are kept elsewhere.
+//! Index of robots by id: an open-addressing hash table of positions; the ids themselves are stored
+//! elsewhere.
 
-/// No place.
+/// An empty entry.
 const EMPTY: u32 = u32::MAX;
 
-/// Places by id, in a table half as large again as what it holds at most, so that it never grows.
-/// The ids are not in it: `id_of` gives the id at a place.
+/// Positions by id, in a table 1.5 times as large as its maximum number of entries, so that it
+/// never grows. The ids are not in it: `id_of` returns the id at a position.
 #[derive(Debug)]
 pub(crate) struct Index {
     table: Vec<u32>,
 }
 
 impl Index {
-    /// For at most `most` places, each below `most`.
+    /// For at most `most` positions, each below `most`.
     pub(crate) fn new(most: u32) -> Self {
         let most = most as usize;
         Self {
@@ -19,32 +20,33 @@ impl Index {
         }
     }
 
-    /// Takes out all places.
+    /// Removes all entries.
     pub(crate) fn clear(&mut self) {
         self.table.fill(EMPTY);
     }
 
-    /// The place of `id`, if it has one.
+    /// The position of `id`, if it has one.
     pub(crate) fn find(&self, id: u32, id_of: impl Fn(u32) -> u32) -> Option<u32> {
         self.position(id, id_of)
             .map(|position| self.table[position])
     }
 
-    /// Adds a place for an id that has none.
+    /// Adds a position for an id that has none.
     pub(crate) fn insert(&mut self, id: u32, place: u32) {
         let mut position = self.home(id);
-        // There is always an empty entry: more than `most` are never held.
+        // There is always an empty entry: it never holds more than `most`.
         while self.table[position] != EMPTY {
             position = self.after(position);
         }
         self.table[position] = place;
     }
 
-    /// Takes out the place of `id`, and says which it was.
+    /// Removes the position of `id`, and returns it.
     pub(crate) fn remove(&mut self, id: u32, id_of: impl Fn(u32) -> u32) -> Option<u32> {
         let mut hole = self.position(id, &id_of)?;
         let place = self.table[hole];
-        // What follows without a gap moves up, unless its home lies behind the hole.
+        // Backward-shift deletion: entries that follow without a gap move up, unless their home is
+        // after the hole.
         let mut next = self.after(hole);
         while self.table[next] != EMPTY {
             let home = self.home(id_of(self.table[next]));
@@ -58,7 +60,7 @@ impl Index {
         Some(place)
     }
 
-    /// Writes another place for an id that has one.
+    /// Replaces the position of an id that has one.
     pub(crate) fn replace(&mut self, id: u32, place: u32, id_of: impl Fn(u32) -> u32) {
         if let Some(position) = self.position(id, id_of) {
             self.table[position] = place;
@@ -76,7 +78,7 @@ impl Index {
         }
     }
 
-    /// Scatters ids that follow a pattern (Murmur3's finaliser), then scales to the table's length.
+    /// Hashes ids, which follow patterns (Murmur3's finaliser), then scales to the table's length.
     fn home(&self, id: u32) -> usize {
         let mut hash = id;
         hash = (hash ^ (hash >> 16)).wrapping_mul(0x85eb_ca6b);
@@ -112,7 +114,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn it_finds_what_a_map_finds_however_ids_come_and_go(
+        fn it_equals_a_map_under_insertion_and_removal(
             most in 1u32..40, stride in any::<u32>(),
             steps in prop::collection::vec((any::<bool>(), 0u32..60), 0..400),
         ) {

@@ -1,33 +1,33 @@
-//! Blocks of sixteen robots in structure-of-arrays layout: each value of the sixteen is contiguous, so
-//! that a loop over them compiles to a handful of vector instructions.
+//! Blocks of sixteen robots in structure-of-arrays layout: each value of the sixteen is contiguous,
+//! so that a loop over them compiles to a few vector instructions.
 //!
-//! What is done to one robot is written once, for one robot, without branches; the loop around it
-//! takes the robot out of its lane and puts it back, and the compiler makes vectors of the whole.
-//! Rare cases are handled robot by robot, with the same functions.
+//! An operation is written once, for one robot, without branches; the loop around it loads the
+//! robot from its lane and stores it back, and the compiler vectorises the whole. Rare cases are
+//! handled robot by robot, with the same functions.
 
 use std::slice;
 
 use joulebus_predictor::prefetch;
 
-/// Robots in a block: as many `f32` as the widest vectors hold.
+/// Robots per block: the f32 lanes of the widest vectors.
 pub(crate) const LANES: usize = 16;
 
 /// One value of each robot of a block.
 pub(crate) type Lanes<T> = [T; LANES];
 
-/// One subject of 16 robots, in columns.
+/// One kind of state of 16 robots, in columns.
 pub(crate) trait Block: Copy {
     /// The same of one robot.
     type Robot: Copy;
 
-    /// The robot in a lane.
+    /// Loads the robot in a lane.
     fn get(&self, lane: usize) -> Self::Robot;
 
-    /// Puts the robot into a lane, where the mask is set.
+    /// Stores the robot into a lane, where the mask is set.
     fn set(&mut self, lane: usize, mask: bool, robot: Self::Robot);
 }
 
-/// Declares the block of a struct whose fields are all numbers: each of them by itself, in this order.
+/// Declares the block of a struct whose fields are all numbers, each a column, in this order.
 macro_rules! block {
     (
         $(#[$about:meta])*
@@ -60,25 +60,25 @@ macro_rules! block {
 
 pub(crate) use block;
 
-/// Stores the value where the mask is set: a select and no branch.
+/// Stores the value where the mask is set, by a select instead of a branch.
 #[inline(always)]
 pub(crate) fn put<T: Copy>(place: &mut T, mask: bool, value: T) {
     *place = if mask { value } else { *place };
 }
 
-/// The robot in a slot.
+/// Loads the robot in a slot.
 #[inline(always)]
 pub(crate) fn get<B: Block>(blocks: &[B], slot: usize) -> B::Robot {
     blocks[slot / LANES].get(slot % LANES)
 }
 
-/// Puts the robot into a slot.
+/// Stores the robot into a slot.
 #[inline(always)]
 pub(crate) fn set<B: Block>(blocks: &mut [B], slot: usize, robot: B::Robot) {
     blocks[slot / LANES].set(slot % LANES, true, robot);
 }
 
-/// Whether one of them is.
+/// Whether any lane is set.
 #[inline(always)]
 pub(crate) fn any(mask: &Lanes<bool>) -> bool {
     let mut any = 0;
@@ -88,11 +88,11 @@ pub(crate) fn any(mask: &Lanes<bool>) -> bool {
     any != 0
 }
 
-/// Distance, in blocks, between the block being prefetched and the one being worked on: vector code
-/// finishes a block before the hardware prefetcher has recognised the stride.
+/// Prefetch distance in blocks: vector code finishes a block before the hardware prefetcher
+/// recognises the stride.
 pub(crate) const AHEAD: usize = 4;
 
-/// Prefetches the block that will be worked on [`AHEAD`] blocks later, if there is one.
+/// Prefetches the block [`AHEAD`] blocks later, if there is one.
 #[inline(always)]
 pub(crate) fn prefetch_ahead<B>(blocks: &[B], block: usize) {
     if let Some(ahead) = blocks.get(block + AHEAD) {

@@ -1,4 +1,4 @@
-//! How robots lie in memory: blocks of sixteen, slots, and where an id is found.
+//! Memory layout of robots: blocks of sixteen, slots, and the index by id.
 
 pub(crate) mod index;
 pub(crate) mod lanes;

@@ -1,4 +1,4 @@
-//! Slots of robots: a bitmap of those in use.
+//! Allocation of robot slots by a bitmap.
 
 use std::ops::Range;
 
@@ -10,19 +10,19 @@ pub(crate) const WORD: usize = u64::BITS as usize;
 /// Blocks of 16 slots in one word.
 pub(crate) const BLOCKS: usize = WORD / LANES;
 
-/// A bit per slot. The lowest free slot is given first, so that robots lie close together in
-/// memory, and in the order in which their source first named them; but robots of different
-/// platforms get blocks of their own as long as there are empty ones, since a block of one platform
-/// is worked on once.
+/// One bit per slot. The lowest free slot is assigned first, so that robots are dense in memory,
+/// and in the order in which their source first listed them; but robots of different platforms get
+/// separate blocks while there are empty ones, because a block is processed once per platform in
+/// it.
 #[derive(Debug)]
 pub(crate) struct Slots {
     words: Vec<u64>,
     capacity: usize,
     used: usize,
-    /// Slots that have ever been in use: all below.
+    /// Upper bound of the slots ever used.
     reach: usize,
-    /// By platform: no block before this one is for it and has a free slot. It says where to look
-    /// and never what is found.
+    /// By platform: lower bound of the blocks of this platform with a free slot. An optimisation of
+    /// the search only.
     look: Vec<usize>,
 }
 
@@ -37,8 +37,8 @@ impl Slots {
         }
     }
 
-    /// Takes a slot for a robot of this platform, if one is free; `platform_at` gives the platform
-    /// of the robot in a slot.
+    /// Allocates a slot for a robot of this platform, if one is free; `platform_at` returns the
+    /// platform of the robot in a slot.
     pub(crate) fn take(
         &mut self,
         platform: u16,
@@ -55,7 +55,7 @@ impl Slots {
             self.free_in(*block).is_some() && (lanes == 0 || platform_at(first) == platform)
         });
         self.look[of_platform] = own.unwrap_or(blocks);
-        // Where no block is left, platforms share.
+        // If no block is empty, platforms share.
         let block = own.or_else(|| (0..blocks).find(|block| self.free_in(*block).is_some()))?;
         let slot = self.free_in(block)?;
         self.words[slot / WORD] |= 1 << (slot % WORD);
@@ -70,7 +70,7 @@ impl Slots {
         (slot < self.capacity.min(block * LANES + LANES)).then_some(slot)
     }
 
-    /// Gives back a slot in use.
+    /// Frees a slot in use.
     pub(crate) fn free(&mut self, slot: usize) {
         self.words[slot / WORD] &= !(1 << (slot % WORD));
         self.used -= 1;
@@ -87,7 +87,8 @@ impl Slots {
         self.reach
     }
 
-    /// Has just these slots in use, all below the capacity, and all that ever were below `reach`.
+    /// Marks exactly these slots as used, all below the capacity; all slots ever used were below
+    /// `reach`.
     pub(crate) fn replace(&mut self, reach: usize, slots: impl Iterator<Item = usize>) {
         self.words.fill(0);
         (self.used, self.reach) = (0, reach);
@@ -102,7 +103,7 @@ impl Slots {
         &self.words
     }
 
-    /// The slot in use that has `place` others before it.
+    /// The slot in use with `place` used slots before it.
     pub(crate) fn at(&self, place: usize) -> Option<usize> {
         let mut before = 0;
         for (index, word) in self.words.iter().enumerate() {
@@ -131,12 +132,12 @@ pub(crate) fn slots(words: &[u64]) -> impl Iterator<Item = usize> + '_ {
     })
 }
 
-/// Which slots of a block are in use, a bit each.
+/// Used slots of a block, one bit each.
 fn lanes(words: &[u64], block: usize) -> u16 {
     (words[block / BLOCKS] >> (block % BLOCKS * LANES)) as u16
 }
 
-/// The blocks of 16 slots that have one in use, each with a bit for every slot that is.
+/// The blocks of 16 slots with a used one, each with its bits.
 #[inline(always)]
 pub(crate) fn blocks(words: &[u64]) -> impl Iterator<Item = (usize, u16)> + '_ {
     let all = words.iter().enumerate().flat_map(|(index, word)| {
@@ -155,12 +156,12 @@ pub(crate) fn bits(lanes: u16) -> impl Iterator<Item = usize> {
     }
 }
 
-/// How many slots of these words are in use.
+/// Number of used slots in these words.
 pub(crate) fn count(words: &[u64]) -> usize {
     words.iter().map(|word| word.count_ones() as usize).sum()
 }
 
-/// Words that hold the first `robots` slots in use.
+/// Words that hold the first `robots` used slots.
 pub(crate) fn words_of(words: &[u64], robots: usize) -> Range<usize> {
     let mut before = 0;
     let end = words.iter().position(|word| {
@@ -198,7 +199,7 @@ mod tests {
 
     use super::*;
 
-    /// What [`Slots::take`] says, looked up in the plainest way.
+    /// The result of [`Slots::take`] by linear search.
     fn expected(set: &BTreeMap<usize, u16>, capacity: usize, platform: u16) -> Option<usize> {
         let free = |slot: &usize| !set.contains_key(slot);
         let for_it = |slot: &usize| {
@@ -212,7 +213,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_lowest_free_slot_of_the_platforms_blocks_is_given_and_places_count_the_slots_before(
+        fn the_lowest_free_slot_of_the_platforms_blocks_is_assigned_and_places_are_ranks(
             capacity in 1usize..200, steps in prop::collection::vec(any::<(bool, u8, u8)>(), 0..600),
         ) {
             const PLATFORMS: u16 = 3;

@@ -1,4 +1,4 @@
-//! Accounts of robots that are not in the fleet: they have left, or an earlier run wrote them down.
+//! Accounts of robots that are not in the fleet: departed, or saved by an earlier run.
 
 use serde::{Deserialize, Serialize};
 
@@ -29,7 +29,7 @@ pub(crate) struct Departed {
 }
 
 impl Departed {
-    /// What an account takes beside its [`Ledger`], in bytes.
+    /// Bytes of an account in addition to its [`Ledger`].
     pub(crate) const BYTES: usize = size_of::<u32>() + size_of::<bool>();
 
     pub(crate) fn new(most: u32) -> Self {

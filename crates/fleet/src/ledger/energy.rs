@@ -1,33 +1,33 @@
-//! The exact account of one robot's energy, in integers.
+//! Exact integer energy account of one robot.
 
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{block, put};
 
-/// µW·ns in one µJ, times 2: the trapezoid is summed without being halved.
+/// µW·ns in one µJ, times 2: the trapezoid is summed without halving.
 const UNITS_PER_UJ: i64 = 2_000_000_000;
 
 /// Energy drawn, metered and unmetered time of one robot.
 ///
 /// Exact: `metered_ns + unmetered_ns` is always the time between the first stamp and the last, and
-/// the integral loses nothing to rounding (what is below one µJ is carried). A total in `f32` would
-/// be 3.6 % wrong after 30 days.
+/// the integral loses nothing to rounding (remainders below one µJ are carried). A total in `f32`
+/// would have an error of 3.6 % after 30 days.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ledger {
     /// Energy drawn over the metered time, µJ.
     pub drawn_uj: i64,
-    /// Energy that the forecasts expected over the same time, µJ.
+    /// Forecast energy over the same time, µJ.
     pub forecast_uj: i64,
-    /// Time between two readings that follow each other without a gap, ns.
+    /// Time between consecutive readings without a gap, ns.
     pub metered_ns: u64,
     /// All other time, ns.
     pub unmetered_ns: u64,
     stamp_ns: u64,
-    /// What is left of the integral below one µJ, in µW·ns · 2, from 0 to 1,999,999,999.
+    /// Remainder of the integral below one µJ, in µW·ns · 2, from 0 to 1,999,999,999.
     pub drawn_remainder: u32,
     /// As `drawn_remainder`.
     forecast_remainder: u32,
-    /// Bits of the last reading in W; of NaN where there is none.
+    /// Bits of the last reading in W; of NaN if there is none.
     last_power: u32,
     /// Whether `stamp_ns` is that of a sample.
     begun: bool,
@@ -50,7 +50,7 @@ impl Default for Ledger {
 }
 
 impl Ledger {
-    /// A ledger as it was saved: the time until the next sample will be unmetered.
+    /// A saved ledger: the time until the next sample will be unmetered.
     #[must_use]
     pub fn restored(
         drawn: (i64, i64),
@@ -78,10 +78,10 @@ impl Ledger {
         self.begun.then_some(self.stamp_ns)
     }
 
-    /// Takes a sample: its stamp, the reading in W if there is one, and the forecast that was made
-    /// for it. Time counts as metered when it lies between two readings at most `longest_ns` apart.
+    /// Records a sample: its stamp, the reading in W if there is one, and its forecast. Time counts
+    /// as metered between two readings at most `longest_ns` apart.
     ///
-    /// A stamp that lies before the last one (after a restart of the machine) adds no time.
+    /// A stamp before the last one (after a reboot) adds no time.
     pub fn meter(
         &mut self,
         stamp_ns: u64,
@@ -115,19 +115,19 @@ impl Ledger {
     }
 }
 
-/// Twice a power below this, in µW, and a time below [`LONG_NS`] are multiplied exactly in two parts:
-/// four megawatts, and two seconds.
+/// Twice a power below this, in µW, and a time below [`LONG_NS`] are multiplied exactly in two
+/// parts: four megawatts, and two seconds.
 const STRONG_UW: f64 = (1u64 << 42) as f64;
 const LONG_NS: u64 = 1 << 31;
-/// What the parts of a power are split by.
+/// Divisor that splits a power into two parts.
 const SPLIT: f64 = (1u64 << 20) as f64;
-/// Added to a number below 2⁵¹, it leaves the nearest whole number in the lowest bits.
+/// Adding it to a number below 2⁵¹ leaves the nearest integer in the lowest bits.
 const ROUND: f64 = 1.5 * (1u64 << 52) as f64;
 
 impl Ledger {
-    /// As [`Ledger::meter`], with NaN where there is no reading or no forecast, and without a branch:
-    /// in double precision, exact for all that a robot can draw in a sample period. Returns whether
-    /// it was; otherwise what it made of the ledger is of no use.
+    /// As [`Ledger::meter`], with NaN for a missing reading or forecast, and without branches: in
+    /// double precision, exact for everything that a robot can draw in a sample period. Returns
+    /// whether it was exact; otherwise the ledger is invalid.
     #[inline(always)]
     pub(crate) fn meter_narrow(
         &mut self,
@@ -173,14 +173,14 @@ impl Ledger {
     }
 }
 
-/// As [`microwatts`], as a whole number.
+/// As [`microwatts`], as an integer.
 #[inline(always)]
 fn whole_microwatts(power_w: f32) -> f64 {
     let exact_uw = f64::from(power_w) * 1e6;
     (exact_uw + 0.5f64.copysign(exact_uw)).trunc()
 }
 
-/// As [`integral`], of twice a power in µW and a time in ns, both whole and within bounds.
+/// As [`integral`], of twice a power in µW and a time in ns, both integers within bounds.
 #[inline(always)]
 fn integral_narrow(remainder: u32, twice_uw: f64, elapsed_ns: f64) -> (i64, u32) {
     let high = (twice_uw * (1.0 / SPLIT) + ROUND) - ROUND;
@@ -191,11 +191,11 @@ fn integral_narrow(remainder: u32, twice_uw: f64, elapsed_ns: f64) -> (i64, u32)
     (bits(whole_high * SPLIT + whole) as i64, bits(rest) as u32)
 }
 
-/// Whole µJ in a whole number below 2⁵³, and what is left, from 0 to 1,999,999,999.
+/// Whole µJ in an integer below 2⁵³, and the remainder, from 0 to 1,999,999,999.
 #[inline(always)]
 fn divided(sum: f64) -> (f64, f64) {
     let units = UNITS_PER_UJ as f64;
-    // The quotient is off by one at most, and the remainder is exact.
+    // The quotient is off by at most one, and the remainder is exact.
     let nearest = (sum * (1.0 / units) + ROUND) - ROUND;
     let rest = sum - nearest * units;
     let below = rest < 0.0;
@@ -205,8 +205,9 @@ fn divided(sum: f64) -> (f64, f64) {
     )
 }
 
-/// Whole µJ of a trapezoid between two powers in µW and the remainder before it, and the remainder
-/// after it. What a robot draws in a sample period fits into 64 bits by a factor of ten thousand.
+/// Whole µJ of a trapezoid between two powers in µW plus the remainder before it, and the remainder
+/// after it. The energy of a robot in a sample period fits into 64 bits by a factor of ten
+/// thousand.
 fn integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, u32) {
     let narrow = || {
         let twice = ends_uw.0.checked_add(ends_uw.1)?;
@@ -223,11 +224,11 @@ fn integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, u32) 
     }
 }
 
-/// The same for powers and times that are absurd.
+/// The same for absurd powers and times.
 #[cold]
 fn wide_integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, u32) {
     let twice = i128::from(ends_uw.0) + i128::from(ends_uw.1);
-    // Only what is absurd twice over saturates.
+    // Saturates only if power and time are both absurd.
     let sum = twice.saturating_mul(elapsed_ns.into());
     let sum = sum.saturating_add(remainder.into());
     let units = i128::from(UNITS_PER_UJ);
@@ -240,7 +241,7 @@ fn wide_integral(remainder: u32, ends_uw: (i64, i64), elapsed_ns: u64) -> (i64, 
 
 /// Rounded to the nearest µW, halves away from zero; an absurd forecast saturates.
 fn microwatts(power_w: f32) -> i64 {
-    // Exact: 24 bits times 14. So is adding the half wherever it decides, and `as` saturates.
+    // Exact: 24 bits times 14. So is adding the half wherever it matters, and `as` saturates.
     let exact_uw = f64::from(power_w) * 1e6;
     (exact_uw + 0.5f64.copysign(exact_uw)) as i64
 }
@@ -271,7 +272,7 @@ mod tests {
     const LONGEST_NS: u64 = 50_000_000;
 
     proptest! {
-        /// Against the obvious reference: one exact rational sum over all samples.
+        /// Against one exact rational sum over all samples.
         #[test]
         fn the_ledger_equals_an_exact_sum_and_time_adds_up(
             samples in prop::collection::vec(
@@ -301,7 +302,7 @@ mod tests {
         }
 
         #[test]
-        fn a_restored_ledger_goes_on_exactly_and_the_gap_is_unmetered(
+        fn a_restored_ledger_continues_exactly_and_the_gap_is_unmetered(
             powers in prop::collection::vec(0.0f32..100.0, 4..60), cut in 1usize..3, gap_ns in 1u64..10_000_000_000
         ) {
             let cut = cut.min(powers.len() - 1);
@@ -324,7 +325,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_short_way_to_an_integral_and_to_microwatts_changes_no_digit(
+        fn the_fast_integral_and_microwatts_equal_the_exact_ones(
             remainder in 0u32..2_000_000_000, bits in any::<(u32, u32)>(), elapsed_ns in any::<u64>(),
             shift in 0u32..64,
         ) {
@@ -344,7 +345,7 @@ mod tests {
         }
     }
 
-    /// Mostly what a robot draws, and now and then anything at all.
+    /// Mostly realistic powers, sometimes arbitrary ones.
     fn watts() -> impl Strategy<Value = f32> {
         prop_oneof![
             6 => -50.0f32..500.0,
@@ -356,7 +357,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn without_a_branch_the_ledger_is_the_same_or_says_that_it_is_not(
+        fn the_branchless_ledger_is_the_same_or_reports_that_it_is_not(
             samples in prop::collection::vec((watts(), watts(), 0u32..64, any::<u64>()), 1..60),
             longest_ns in prop_oneof![4 => Just(LONGEST_NS), 1 => any::<u64>()],
         ) {
@@ -367,7 +368,7 @@ mod tests {
                 let known = |watts: f32| (!watts.is_nan()).then_some(watts);
                 let mut expected = ledger;
                 expected.meter(stamp_ns, known(power_w), known(forecast_w), longest_ns);
-                // Whoever calls it has but one NaN.
+                // Callers pass the canonical NaN only.
                 let power_w = known(power_w).unwrap_or(f32::NAN);
                 if ledger.meter_narrow(stamp_ns, power_w, forecast_w, longest_ns) {
                     prop_assert_eq!(ledger, expected);
@@ -377,7 +378,7 @@ mod tests {
         }
 
         #[test]
-        fn all_that_a_platform_allows_is_metered_without_a_branch(
+        fn all_allowed_powers_are_metered_without_a_branch(
             samples in prop::collection::vec((-1e6f32..1e6, -1e6f32..1e6), 2..60),
             period_ns in 1u64..2_000_000_000,
         ) {

@@ -1,4 +1,4 @@
-//! Energy: what a robot has drawn, and what that leaves in its battery.
+//! Energy: the ledger, and the energy left in the battery.
 
 pub(crate) mod departed;
 pub(crate) mod energy;

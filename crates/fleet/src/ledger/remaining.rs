@@ -1,13 +1,13 @@
-//! What is left in the battery, and for how long.
+//! Energy left in the battery, and time to empty.
 
 use joulebus_settings::Battery;
 
 use crate::layout::lanes::{LANES, block};
 
-/// What a robot has left; NaN where that is not known.
+/// Energy left of a robot; NaN if unknown.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Remaining {
-    /// Whether its battery is known.
+    /// Whether its battery is configured.
     pub battery: bool,
     pub left_j: f32,
     pub usable_j: f32,
@@ -20,9 +20,9 @@ pub(crate) struct Remaining {
 }
 
 impl Remaining {
-    /// Of what was drawn since the battery was as the platform says it is at first: `drawn_uj`, and
-    /// in `unmetered_ns` more time nobody knows how much, at most `most_w`. `ends_w`: the interval
-    /// around the mean power `mean_w`.
+    /// From the energy drawn since the battery's initial state: `drawn_uj`, plus in `unmetered_ns`
+    /// an unknown energy, at most `most_w` times that. `ends_w`: the interval around the mean power
+    /// `mean_w`.
     #[inline(always)]
     pub(crate) fn of(
         battery: &Battery,
@@ -36,10 +36,10 @@ impl Remaining {
         let unmetered_s = unmetered_ns as f64 * 1e-9;
         let mean_w = f64::from(mean_w).max(0.0);
         let left_j = capacity_j * battery.initial_soc - drawn_j - unmetered_s * mean_w;
-        // On the safe side, nobody looked: the robot may have drawn all that it can.
+        // The conservative bound assumes maximum power in unmetered time.
         let worst_w = f64::from(most_w).max(0.0);
         let left_lo_j = capacity_j * battery.initial_soc_lo - drawn_j - unmetered_s * worst_w;
-        // Regeneration fills a battery no further than full.
+        // Regeneration cannot fill a battery beyond full.
         let (left_j, left_lo_j) = (left_j.min(capacity_j), left_lo_j.min(capacity_j));
         let reserve_j = capacity_j * battery.reserve;
         let soc = |joules: f64| (joules / capacity_j).clamp(0.0, 1.0) as f32;
@@ -69,7 +69,7 @@ impl Remaining {
 }
 
 block! {
-    /// What the robots of a block have left.
+    /// Energy left of the robots of a block.
     #[derive(Debug, Clone, Copy)]
     pub(crate) struct RemainingLanes of Remaining {
         battery: bool,

@@ -25,8 +25,8 @@ const COLUMNS: usize = size_of::<AdmissionState>()
         + size_of::<DetectorLanes>())
     .div_ceil(LANES);
 
-/// A robot takes at most 512 bytes, the account of one that has left included: the columns, that
-/// account, its bit among the slots, and one and a half entries in each of the two tables of ids.
+/// A robot takes at most 512 bytes, its account after departure included: the columns, that
+/// account, its bit in the slot map, and one and a half entries in each of the two id tables.
 const _: () =
     assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 512);
 
@@ -42,7 +42,7 @@ pub(crate) struct BlockRef<'a> {
     pub detectors: &'a DetectorLanes,
 }
 
-/// The columns, with room for the capacity, rounded up to a whole block.
+/// The columns, for the capacity rounded up to a whole block.
 #[derive(Debug)]
 pub(crate) struct Columns {
     pub admissions: Vec<AdmissionState>,
@@ -77,7 +77,7 @@ impl Columns {
         }
     }
 
-    /// What is said of the robots of a block depends on this.
+    /// State from which the output of a block is computed.
     pub(crate) fn block(&self, block: usize) -> BlockRef<'_> {
         BlockRef {
             admissions: &self.admissions.as_chunks().0[block],
@@ -106,8 +106,8 @@ impl Columns {
     }
 }
 
-/// The columns of some slots that follow each other; all of one length, and a bit for each that is
-/// in use. Shares of different slots are disjoint.
+/// Columns of a contiguous range of slots, all of one length, and a bit for each slot in use.
+/// Ranges of different shards are disjoint.
 #[derive(Debug)]
 pub(crate) struct ColumnsMut<'a> {
     pub admissions: &'a mut [AdmissionState],
@@ -167,7 +167,7 @@ impl<'a> ColumnsMut<'a> {
         )
     }
 
-    /// The same columns, for a while.
+    /// Reborrows the columns.
     pub(crate) fn reborrow(&mut self) -> ColumnsMut<'_> {
         ColumnsMut {
             admissions: self.admissions,
@@ -197,7 +197,7 @@ impl<'a> ColumnsMut<'a> {
         }
     }
 
-    /// Robots in these slots.
+    /// Number of robots in these slots.
     pub(crate) fn robots(&self) -> usize {
         slots::count(self.words)
     }

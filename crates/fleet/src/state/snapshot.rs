@@ -1,4 +1,4 @@
-//! A fleet's state as a value: to be stored, sent, and resumed from.
+//! A fleet's state as a value, for storing, sending and resuming.
 
 use joulebus_settings::{FleetSettings, Online, Platform};
 use serde::{Deserialize, Serialize};
@@ -20,16 +20,16 @@ use crate::ledger::departed::Account;
 use crate::ledger::energy::Ledger;
 use crate::ledger::energy::LedgerLanes;
 
-/// First bytes of the encoded form. The last of them is its version: one more whenever a column
+/// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
 const MAGIC: [u8; 8] = *b"jbstate\x06";
 
-/// Everything that a tick depends on but the settings and the models, bit for bit: who is in the
-/// fleet and where, windows, ledgers, intervals, scores, detectors, what is learned online, accounts
-/// of robots that have left, sources, what was refused and dropped.
+/// Everything that a tick depends on except the settings and the models, bit for bit: membership,
+/// windows, ledgers, intervals, scores, detectors, online learning, accounts of departed robots,
+/// sources, refusals and drops.
 ///
-/// A fleet that is [given](crate::Fleet::restore_state) it continues as the one that it was
-/// [taken](crate::Fleet::state) of would have.
+/// A fleet into which it is [restored](crate::Fleet::restore_state) continues exactly like the one
+/// that it was [taken](crate::Fleet::state) from.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct FleetState {
     pub(crate) capacity: u32,
@@ -43,7 +43,7 @@ pub struct FleetState {
     pub(crate) refused: Refused,
 }
 
-/// What is counted once for all robots.
+/// Counters common to all robots.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(crate) struct Counters {
     #[serde(with = "drop_counts")]
@@ -55,7 +55,7 @@ pub(crate) struct Counters {
     pub deadline_missed: bool,
 }
 
-/// The slots that have ever been in use, as in the fleet's own columns.
+/// The slots ever used, as in the fleet's own columns.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct SavedColumns {
     pub admissions: Vec<AdmissionState>,
@@ -70,7 +70,7 @@ pub(crate) struct SavedColumns {
     pub blends: Vec<Blend>,
 }
 
-/// Why a state was refused.
+/// Errors of restoring a state.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum StateError {
@@ -85,15 +85,15 @@ pub enum StateError {
         /// The version that this program reads.
         expected: u8,
     },
-    /// The bytes end too early or make no sense.
+    /// The bytes end too early or are invalid.
     #[error("a fleet's state of {bytes} bytes cannot be read: {reason}")]
     Malformed {
         /// Bytes given.
         bytes: usize,
-        /// What the decoder said.
+        /// The decoder's error.
         reason: String,
     },
-    /// Taken of a fleet with room for another number of robots.
+    /// The state of a fleet with another capacity.
     #[error("a state of a fleet with capacity {found}, expected {expected}; use the same config")]
     Capacity {
         /// Capacity in the state.
@@ -101,7 +101,7 @@ pub enum StateError {
         /// Capacity of this fleet.
         expected: u32,
     },
-    /// Taken of a fleet with other platforms.
+    /// The state of a fleet with other platforms.
     #[error("a state of a fleet with {found} platforms, expected {expected}; use the same config")]
     Platforms {
         /// Platforms in the state.
@@ -109,9 +109,9 @@ pub enum StateError {
         /// Platforms of this fleet.
         expected: u32,
     },
-    /// Taken under other settings.
+    /// The state of a fleet with other settings.
     #[error(
-        "a state taken under settings {found:016x}, these are {expected:016x}; use the same config"
+        "a state taken with settings {found:016x}, these are {expected:016x}; use the same config"
     )]
     FleetSettings {
         /// Hash of the settings in the state.
@@ -119,7 +119,7 @@ pub enum StateError {
         /// Hash of this fleet's.
         expected: u64,
     },
-    /// Taken with other models.
+    /// The state of a fleet with other models.
     #[error(
         "a state taken with models {found:016x}, these are {expected:016x}; use the same models"
     )]
@@ -129,21 +129,22 @@ pub enum StateError {
         /// Hash of this fleet's.
         expected: u64,
     },
-    /// It contradicts itself.
+    /// It is inconsistent.
     #[error("the state contradicts itself: {what} is {found}, allowed is {allowed}")]
     Corrupt {
-        /// What.
+        /// The inconsistent quantity.
         what: &'static str,
-        /// What it is.
+        /// Its value.
         found: u64,
-        /// What it may be at most.
+        /// Its maximum.
         allowed: u64,
     },
 }
 
 impl FleetState {
-    /// Memory for the state of a fleet of `capacity` robots, taken and touched, so that
-    /// [`crate::Fleet::state_into`] neither allocates nor faults. Its content is that of no fleet.
+    /// Allocates and touches memory for the state of a fleet with the capacity of `settings`, so
+    /// that [`crate::Fleet::state_into`] neither allocates nor faults. The content is not a valid
+    /// state.
     #[must_use]
     pub fn with_room_for(settings: &FleetSettings) -> Self {
         let robots = settings.capacity as usize;
@@ -180,17 +181,17 @@ impl FleetState {
         }
     }
 
-    /// As bytes: eight that say what it is, then [postcard](https://postcard.jamesmunns.com).
-    /// About 350 for a robot. Replaces what is in `bytes`.
+    /// Encodes the state: eight bytes of magic, then [postcard](https://postcard.jamesmunns.com).
+    /// About 350 bytes per robot. Replaces the contents of `bytes`.
     pub fn encode_into(&self, bytes: &mut Vec<u8>) {
         bytes.clear();
         bytes.extend_from_slice(&MAGIC);
         let encoded = postcard::to_extend(self, std::mem::take(bytes));
-        // Never an error: a vector grows, and every length is known.
+        // Serialisation into a growing vector of known lengths cannot fail.
         *bytes = encoded.unwrap_or_default();
     }
 
-    /// From bytes.
+    /// Decodes a state.
     ///
     /// # Errors
     /// [`StateError::Version`] or [`StateError::Malformed`].
@@ -236,7 +237,7 @@ impl FleetState {
     }
 }
 
-/// An empty vector with room for `length` items, all of it written to once.
+/// An empty vector with capacity for `length` items, all of it touched.
 fn with_capacity<T: Clone>(length: usize, item: T) -> Vec<T> {
     let mut items = vec![item; length];
     items.clear();

@@ -1,4 +1,4 @@
-//! Rows on their way through a model.
+//! Batch of rows for a model.
 
 use joulebus_predictor::{FEATURES, FeatureSet, Features, INPUTS, Model};
 
@@ -8,26 +8,25 @@ use crate::layout::slots::WORD;
 use crate::state::columns::ColumnsMut;
 use crate::tick::platform_context::PlatformContext;
 
-/// Slots that are worked on together unless told otherwise: their state, their rows and what is
-/// written of them stay in the core's own cache.
+/// Default slots per tile: their state, rows and output stay in the core's cache.
 const SLOTS: usize = 512;
 /// Position of the newest reading in a row.
 const LAST: usize = FeatureSet::PowerOnly.first();
 
-/// Room for the rows of one tile, for [`crate::Shard`]: one for each thread.
+/// Memory for the rows of one tile, for [`crate::Shard`]: one per thread.
 #[derive(Debug, Clone)]
 pub struct Batch {
     /// Words of slots in a tile.
     pub(crate) words: usize,
     slots: Vec<u32>,
     columns: [Vec<f32>; INPUTS],
-    /// Whether the columns of freshness are filled too.
+    /// Whether the reading-age columns are filled too.
     freshness: bool,
     forecasts_w: Vec<f32>,
-    /// Of the linear baseline, where a platform learns online.
+    /// Forecasts of the linear baseline, if a platform learns online.
     linear_w: Vec<f32>,
     outside: Vec<bool>,
-    /// Slots whose waiting sample comes after a gap.
+    /// Slots whose waiting sample follows a gap.
     pub(crate) gaps: Vec<u32>,
     /// Slots whose next sample is overdue.
     pub(crate) overdue: Vec<u32>,
@@ -40,8 +39,8 @@ impl Default for Batch {
 }
 
 impl Batch {
-    /// For tiles of so many slots, rounded up to a multiple of 64. It changes no bit of what any
-    /// robot is told.
+    /// For tiles of this many slots, rounded up to a multiple of 64, which does not affect the bits
+    /// of any output.
     #[must_use]
     pub fn of_slots(slots: usize) -> Self {
         let words = slots.div_ceil(WORD).max(1);
@@ -63,7 +62,7 @@ impl Batch {
         self.slots.clear();
     }
 
-    /// Empty, for rows of this platform.
+    /// Empties the batch, for rows of this platform.
     pub(crate) fn begin(&mut self, context: &PlatformContext) {
         self.clear();
         self.gaps.clear();
@@ -71,7 +70,7 @@ impl Batch {
         self.freshness = context.required.freshness;
     }
 
-    /// Adds the rows of a block that are `ready`; its first robot has the slot `first`.
+    /// Adds the rows of a block that are `ready`; `first` is the slot of its first robot.
     #[inline(always)]
     pub(crate) fn push_block(
         &mut self,
@@ -98,7 +97,7 @@ impl Batch {
         self.slots.is_empty()
     }
 
-    /// Adds a row; there are never more than slots in a tile.
+    /// Adds a row; there are at most as many as slots in a tile.
     #[inline(always)]
     pub(crate) fn push(&mut self, slot: usize, row: &Features) {
         let at = self.slots.len();
@@ -114,16 +113,15 @@ impl Batch {
         self.slots.push(slot as u32);
     }
 
-    /// Runs the rows through the model.
+    /// Infers the rows.
     pub(crate) fn infer(&mut self, model: &Model) {
         let rows = self.slots.len();
         let columns = self.columns.each_ref().map(|column| &column[..rows]);
         model.predict_columns(columns, &mut self.forecasts_w[..rows]);
     }
 
-    /// Puts what each robot's experts say together in the place of the network's forecast, after
-    /// [`Batch::infer`]. `open`: rows that stand in for samples that have not come, of which nothing
-    /// is learned.
+    /// Replaces the network's forecasts by the mixtures' of each robot, after [`Batch::infer`].
+    /// `open`: open-loop rows, from which nothing is learned.
     pub(crate) fn blend(&mut self, blending: &Blending, columns: &mut ColumnsMut<'_>, open: bool) {
         let rows = self.slots.len();
         if let Some(linear) = &blending.linear {
@@ -153,7 +151,7 @@ impl Batch {
         }
     }
 
-    /// Marks the rows that have a feature outside the range of the training, or NaN.
+    /// Marks the rows that have a feature outside the training range, or NaN.
     pub(crate) fn mark_outside(&mut self, context: &PlatformContext) {
         let outside = &mut self.outside[..self.slots.len()];
         match &context.trained {

@@ -1,4 +1,4 @@
-//! What a tick reads and never writes.
+//! Read-only inputs of a tick.
 
 use std::ops::RangeInclusive;
 
@@ -8,12 +8,12 @@ use joulebus_settings::{FleetSettings, SettingsError};
 use crate::ingest::admission::AdmissionState;
 use crate::tick::platform_context::PlatformContext;
 
-/// What a tick reads and never writes.
+/// Read-only inputs of a tick.
 #[derive(Debug)]
 pub(crate) struct TickContext {
     pub settings: FleetSettings,
     pub platforms: Vec<PlatformContext>,
-    /// What all but the models is compiled for: that of the first platform's model.
+    /// Instruction set of everything except the models: that of the first platform's model.
     pub simd_level: SimdLevel,
     pub now_ns: u64,
     pub deadline_missed: bool,
@@ -23,7 +23,7 @@ impl TickContext {
     /// `models[i]` is the model of `settings.platforms[i]`.
     ///
     /// # Errors
-    /// When there are more models than platforms, or fewer.
+    /// The numbers of models and platforms differ.
     pub(crate) fn new(settings: FleetSettings, models: Vec<Model>) -> Result<Self, SettingsError> {
         if settings.platforms.len() != models.len() {
             return Err(SettingsError::Models {

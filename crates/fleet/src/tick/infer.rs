@@ -1,5 +1,5 @@
-//! Where the network runs: rows through the model, forecasts into windows; and ahead of the samples,
-//! for robots whose next one is overdue.
+//! Inference: rows through the model, forecasts into windows; and open loop for robots whose next
+//! sample is overdue.
 
 use joulebus_wire::{InvalidReason, Quality};
 
@@ -10,7 +10,7 @@ use crate::tick::batch::Batch;
 use crate::tick::context::TickContext;
 use crate::tick::platform_context::PlatformContext;
 
-/// Runs the collected rows through the model.
+/// Infers the collected rows.
 pub(crate) fn infer(context: &PlatformContext, columns: &mut ColumnsMut<'_>, batch: &mut Batch) {
     if batch.is_empty() {
         return;
@@ -53,8 +53,8 @@ pub(crate) fn infer_open(
     true
 }
 
-/// Forecasts robots whose sample is overdue open loop: provisional, and discarded where the sample says
-/// otherwise.
+/// Forecasts robots whose sample is overdue in open loop: provisional, and discarded when the
+/// sample contradicts it.
 pub(crate) fn run_overdue(
     tick: &TickContext,
     context: &PlatformContext,

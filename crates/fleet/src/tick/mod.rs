@@ -1,4 +1,4 @@
-//! The tick: features, network, scores and alarms, and what is written of them.
+//! The tick: features, network, scores and alarms, and output.
 
 pub(crate) mod batch;
 pub(crate) mod context;

@@ -1,4 +1,4 @@
-//! What belongs to one platform, made ready for the tick.
+//! Settings of one platform, prepared for the tick.
 
 use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 use joulebus_settings::{FleetSettings, Platform};
@@ -7,29 +7,29 @@ use crate::estimate::interval::QuantileStep;
 use crate::estimate::mixture::Blending;
 use crate::estimate::window::RequiredInputs;
 
-/// What belongs to one platform.
+/// Settings of one platform, prepared for the tick.
 #[derive(Debug)]
 pub(crate) struct PlatformContext {
     pub platform: Platform,
     pub model: Model,
-    /// What the model requires beside the lags.
+    /// Inputs that the model requires in addition to the lags.
     pub required: RequiredInputs,
-    /// Standard deviation of the residuals in training, not below the monitor's resolution, W.
+    /// Residual standard deviation in training, at least the monitor's resolution, W.
     pub sigma_w: f32,
-    /// Sample periods that the model may run open loop.
+    /// Maximum number of open-loop sample periods.
     pub longest_steps: u16,
-    /// Silence after which the next sample is overdue, and longest time between two samples with
-    /// nothing missing, ns.
+    /// Silence after which the next sample is overdue, and maximum time between two consecutive
+    /// samples without a gap, ns.
     pub overdue_after_ns: u64,
-    /// Range of the features in training, widened by the margin of the alarm.
+    /// Training range of the features, widened by the margin of the alarm.
     pub trained: Option<Trained>,
-    /// How intervals follow.
+    /// Step of the intervals' adaptation.
     pub quantile_step: QuantileStep,
-    /// What the robots learn from their own readings, if anything.
+    /// The experts of online learning, if configured.
     pub blending: Option<Blending>,
 }
 
-/// The range that features may lie in.
+/// The allowed range of features.
 #[derive(Debug)]
 pub(crate) struct Trained {
     feature_set: FeatureSet,
@@ -54,7 +54,7 @@ impl PlatformContext {
             blending: Blending::new(platform.online, &model, sigma_w),
             quantile_step: QuantileStep::new(&settings.interval),
             sigma_w,
-            // `FleetSettings::check` has bounded the quotient by 1000.
+            // `FleetSettings::check` limits the quotient to 1000.
             longest_steps: (platform.stale_after_ns / platform.period_ns) as u16,
             overdue_after_ns: platform.period_ns + platform.period_ns / 2,
             trained,

@@ -1,12 +1,12 @@
-//! When a tick is due. Pure: the shell asks, waits, and tells.
+//! Tick schedule. Pure: the caller queries it, waits, and reports back.
 
 use joulebus_settings::Policy;
 
-/// Two ticks with frames of the `OnFrame` policy are at least this fraction of a period apart: a source whose
-/// clock runs a little fast is then followed instead of held back by up to a period.
+/// Minimum distance of two ticks with frames under `OnFrame`, as a fraction of a period: a source
+/// whose clock is slightly fast is followed instead of being delayed by up to a period.
 const CLOSEST: (u64, u64) = (4, 5);
 
-/// What to do now.
+/// The next action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Next {
     /// Tick; it was due at `due_ns`.
@@ -16,24 +16,24 @@ pub enum Next {
     },
     /// Wait for a frame, at most until `until_ns`.
     Wait {
-        /// When to ask again, monotonic ns.
+        /// When to query again, monotonic ns.
         until_ns: u64,
     },
 }
 
-/// Decides when ticks happen, and counts the ones that did not.
+/// Decides when ticks are executed, and counts skipped ones.
 ///
-/// At most one tick per period; one that cannot happen is counted and never made up for.
+/// At most one tick per period; a skipped one is counted and never made up for.
 #[derive(Debug, Clone)]
 pub struct Schedule {
     policy: Policy,
     period_ns: u64,
     /// Start of the last tick, or of the schedule.
     started_ns: u64,
-    /// Earliest next tick with frames, `OnFrame`: ticks without any do not hold frames back.
+    /// Earliest next tick with frames under `OnFrame`: ticks without frames do not delay frames.
     spaced_ns: u64,
     grid_ns: u64,
-    /// Ticks that did not happen because the one before took too long.
+    /// Ticks skipped because the one before took too long.
     pub skipped: u64,
     /// Ticks that started more than a tenth of a period after they were due.
     pub late: u64,
@@ -55,8 +55,8 @@ impl Schedule {
         }
     }
 
-    /// What to do at `now_ns`. `first_taken_ns`: when the first frame since the last tick was taken;
-    /// `complete`: whether every robot whose sample is due has reported since then.
+    /// The action at `now_ns`. `first_taken_ns`: when the first frame since the last tick was
+    /// taken; `complete`: whether every robot whose sample is due has reported since then.
     #[must_use]
     pub fn next(&self, now_ns: u64, first_taken_ns: Option<u64>, complete: bool) -> Next {
         let due_ns = match (self.policy, first_taken_ns) {
@@ -69,8 +69,8 @@ impl Schedule {
                 };
                 ready_ns.max(self.spaced_ns)
             }
-            // Without samples the tick still continues: planners must see robots go stale, and that
-            // the worker lives.
+            // Without samples the tick continues: planners must see robots become stale, and that
+            // the worker is alive.
             (Policy::OnFrame { .. }, None) => self.started_ns + self.period_ns + self.period_ns / 2,
         };
         if now_ns >= due_ns {
@@ -80,7 +80,7 @@ impl Schedule {
         }
     }
 
-    /// A tick that was due at `due_ns` has run from `start_ns` to `end_ns`, with or without
+    /// Records that a tick due at `due_ns` ran from `start_ns` to `end_ns`, with or without
     /// `frames`. Returns whether it missed its deadline: started late or took longer than a period.
     pub fn ticked(&mut self, due_ns: u64, start_ns: u64, end_ns: u64, frames: bool) -> bool {
         let late = start_ns.saturating_sub(due_ns) > self.period_ns / 10;
@@ -106,7 +106,7 @@ mod tests {
     const PERIOD: u64 = 33;
 
     #[test]
-    fn on_frame_ticks_at_once_when_complete_and_at_the_deadline_when_not() {
+    fn on_frame_ticks_when_complete_or_at_the_deadline() {
         let schedule = Schedule::new(Policy::OnFrame { deadline_ns: 5 }, PERIOD, 0);
         assert_eq!(schedule.next(30, Some(30), true), Next::Tick { due_ns: 30 });
         assert_eq!(
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn ticks_with_frames_keep_their_distance_and_idle_ones_hold_nothing_back() {
+    fn ticks_with_frames_keep_their_distance_and_idle_ones_delay_nothing() {
         let mut schedule = Schedule::new(Policy::OnFrame { deadline_ns: 5 }, PERIOD, 0);
         schedule.ticked(0, 0, 1, true);
         assert_eq!(
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn on_frame_goes_on_ticking_without_frames() {
+    fn on_frame_continues_ticking_without_frames() {
         let mut schedule = Schedule::new(Policy::OnFrame { deadline_ns: 5 }, PERIOD, 0);
         assert_eq!(schedule.next(0, None, true), Next::Wait { until_ns: 49 });
         assert_eq!(schedule.next(49, None, true), Next::Tick { due_ns: 49 });

@@ -1,6 +1,6 @@
-//! Ledgers, scores and alarms of the samples that a tick has absorbed, a block of robots at a time.
+//! Ledgers, scores and alarms of the absorbed samples, a block of robots at a time.
 
-// Lanes are counted: that is the loop that the compiler makes vectors of.
+// Indexed by lane, so that the compiler vectorises the loop.
 #![allow(clippy::needless_range_loop)]
 
 use joulebus_predictor::SimdTask;
@@ -19,12 +19,12 @@ use crate::state::columns::ColumnsMut;
 use crate::tick::context::TickContext;
 use crate::tick::platform_context::PlatformContext;
 
-/// The samples of a block that a tick has absorbed and not yet scored.
+/// The absorbed and not yet scored samples of a block.
 struct Absorbed {
     mask: Lanes<bool>,
     platform: Lanes<u16>,
     broken: Lanes<bool>,
-    /// NaN where there is none.
+    /// NaN if there is none.
     reading_w: Lanes<f32>,
     expected_w: Lanes<f32>,
     previous_w: Lanes<f32>,
@@ -32,7 +32,7 @@ struct Absorbed {
 }
 
 impl Absorbed {
-    /// Takes the absorbed samples of the robots in `lanes`, a bit each.
+    /// Takes the absorbed samples of the robots in `lanes`, one bit each.
     #[inline(always)]
     fn take(
         lanes: u16,
@@ -78,7 +78,7 @@ impl Absorbed {
         taken
     }
 
-    /// The first platform from `least` on that has a sample absorbed.
+    /// The first platform from `least` on with an absorbed sample.
     #[inline(always)]
     fn platform_from(&self, least: u16) -> Option<u16> {
         let mut first = u16::MAX;
@@ -176,7 +176,7 @@ fn meter(
     mask: &Lanes<bool>,
     overdue_after_ns: u64,
 ) {
-    // What lies between two recordings was never drawn.
+    // The time between two recordings is not metered.
     let longest_ns = |lane: usize| {
         if absorbed.broken[lane] {
             0

@@ -14,17 +14,17 @@ use crate::tick::infer::{infer, run_overdue};
 use crate::tick::score::Score;
 use crate::tick::write::{WriteAccounts, WriteForecasts};
 
-/// The stages of a tick, for whoever measures where its time goes.
+/// The stages of a tick, for time measurements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Stage {
-    /// Samples absorbed, lag windows and intervals moved on, features laid in columns.
+    /// Samples absorbed, lag windows and intervals advanced, features laid out in columns.
     Features,
-    /// The model, and its forecasts taken.
+    /// The model, and its forecasts stored.
     Network,
     /// Ledgers, scores, residuals and alarms.
     Bookkeeping,
-    /// Forecasts, diagnostics and budgets written out.
+    /// Forecasts, diagnostics and budgets written.
     Writing,
 }
 
@@ -38,12 +38,13 @@ impl Stage {
     ];
 }
 
-/// Robots that one thread ticks: disjoint from all other shards of the fleet, so that each may be
-/// worked on by a thread of its own. The output of a robot does not depend on how the fleet is
+/// Robots ticked by one thread: disjoint from all other shards of the fleet, so that each may be
+/// processed by a different thread. The output of a robot does not depend on how the fleet is
 /// split.
 ///
-/// A shard is ticked by [`Shard::forecast`] and then [`Shard::account`], or by [`Shard::run`], which
-/// does both tile by tile. `on` is called after each stage of each tile, for whoever counts the time.
+/// A shard is ticked by [`Shard::forecast`] and then [`Shard::account`], or by [`Shard::run`],
+/// which does both tile by tile. `on` is called after each stage of each tile, for time
+/// measurements.
 #[derive(Debug)]
 pub struct Shard<'a> {
     pub(crate) tick: &'a TickContext,
@@ -51,7 +52,7 @@ pub struct Shard<'a> {
     pub(crate) oldest_ns: &'a AtomicU64,
 }
 
-/// Where [`Shard::run`] writes: three slices as long as the shard.
+/// Output of [`Shard::run`]: three slices of the shard's length.
 #[derive(Debug)]
 pub struct Outputs<'a> {
     /// Forecasts.
@@ -63,8 +64,8 @@ pub struct Outputs<'a> {
 }
 
 impl<'a> Outputs<'a> {
-    /// The first `robots` of each, and the rest. What is shorter, for it is not to be written, ends
-    /// with the first.
+    /// The first `robots` of each, and the rest. A shorter slice, which is not to be written,
+    /// belongs to the first.
     #[must_use]
     pub fn split_at(self, robots: usize) -> (Self, Self) {
         let forecasts = self
@@ -90,20 +91,20 @@ impl<'a> Outputs<'a> {
 }
 
 impl<'a> Shard<'a> {
-    /// Robots in it.
+    /// Number of robots.
     #[must_use]
     pub fn len(&self) -> usize {
         self.columns.robots()
     }
 
-    /// Whether it holds no robot.
+    /// Whether it has no robot.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.columns.words.iter().all(|word| *word == 0)
     }
 
-    /// Two shards: the first holds at least `robots` robots, if there are as many, and at most 63
-    /// more; the second all others. Places are counted through the first and on into the second.
+    /// Two shards: the first has at least `robots` robots, if there are as many, and at most 63
+    /// more; the second has all others. Places continue from the first to the second.
     #[must_use]
     pub fn split_at(self, robots: usize) -> (Self, Self) {
         let words = words_of(self.columns.words, robots).end;
@@ -111,8 +112,8 @@ impl<'a> Shard<'a> {
     }
 
     /// Absorbs samples, forecasts, and writes the forecasts: as many as there are robots, in the
-    /// order of their places; further elements of `forecasts` are left alone, and those of robots
-    /// that find no room in it are not written.
+    /// order of their places; further elements of `forecasts` are unchanged, and robots beyond its
+    /// length are not written.
     pub fn forecast(
         &mut self,
         batch: &mut Batch,
@@ -127,8 +128,8 @@ impl<'a> Shard<'a> {
         });
     }
 
-    /// Accounts for what [`Shard::forecast`] absorbed, and writes the diagnostics and the budgets;
-    /// an empty list is one that is not wanted.
+    /// Scores what [`Shard::forecast`] absorbed, and writes the diagnostics and the budgets; an
+    /// empty slice is not written.
     pub fn account(
         &mut self,
         batch: &mut Batch,
@@ -145,7 +146,7 @@ impl<'a> Shard<'a> {
         });
     }
 
-    /// [`Shard::forecast`] and [`Shard::account`] in one go through memory.
+    /// [`Shard::forecast`] and [`Shard::account`] in one pass through memory.
     pub fn run(&mut self, batch: &mut Batch, outputs: Outputs<'_>, on: &mut dyn FnMut(Stage)) {
         let Outputs {
             forecasts,
@@ -192,7 +193,7 @@ impl<'a> Shard<'a> {
         });
     }
 
-    /// Each list by itself: one that is left out must not keep the other from being written.
+    /// Each slice separately: an omitted one must not suppress the other.
     fn write_accounts(
         &self,
         diagnostics: &mut slice::IterMut<'_, Diagnostic>,
@@ -206,7 +207,7 @@ impl<'a> Shard<'a> {
         });
     }
 
-    /// Calls `work` with each tile that has robots in it.
+    /// Calls `work` for each tile that has robots.
     fn each_tile(&mut self, words: usize, mut work: impl FnMut(&mut Shard<'_>)) {
         let mut rest = Shard {
             tick: self.tick,

@@ -1,4 +1,4 @@
-//! The fleet beside the oracle, bit for bit.
+//! Compares the fleet with the oracle, bit for bit.
 
 use joulebus_fleet::Fleet;
 use joulebus_wire::{Quality, diagnostic_flag};

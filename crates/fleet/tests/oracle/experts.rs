@@ -1,9 +1,9 @@
-//! What a forecast that learns online must come to, recomputed from all that was ever learned.
+//! Reference of online learning, recomputed from all readings.
 
 use joulebus_predictor::{Features, Model};
 use joulebus_settings::Platform;
 
-/// A reading and what was forecast for it.
+/// A reading and its forecasts.
 #[derive(Debug, Clone, Copy)]
 struct Lesson {
     forecasts_w: [f32; 4],
@@ -11,13 +11,13 @@ struct Lesson {
     reading_w: f32,
 }
 
-/// The experts of one robot during one stay in the fleet.
+/// The experts of one robot during one membership in the fleet.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Experts {
     lessons: Vec<Lesson>,
 }
 
-/// What was forecast: for the robot, and by each expert.
+/// Forecasts: of the robot, and of each expert.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Said {
     pub forecast_w: f32,
@@ -58,9 +58,9 @@ impl Experts {
                 due,
             };
         };
-        let (gain, level) = self.fit(sigma_w);
+        let (gain, offset) = self.fit(sigma_w);
         let bounded = (network_w / sigma_w).clamp(-1e4, 1e4);
-        let adapted_w = sigma_w * (gain * bounded + level);
+        let adapted_w = sigma_w * (gain * bounded + offset);
         let linear_w = model
             .linear()
             .map_or(f32::NAN, |linear| linear.predict(row));
@@ -81,7 +81,7 @@ impl Experts {
         }
     }
 
-    /// AdaHedge with a memory, from the first reading on.
+    /// Discounted AdaHedge, from the first reading on.
     fn weights(&self, platform: &Platform, model: &Model, sigma_w: f32, due: bool) -> [f32; 4] {
         let mut loss = start(platform, model);
         let mut cost = 2.0f32;
@@ -109,7 +109,7 @@ impl Experts {
         raw.map(|one| one / sum(raw))
     }
 
-    /// Gain and level by least squares over all readings, older ones counting less.
+    /// Gain and offset by discounted least squares over all readings.
     fn fit(&self, sigma_w: f32) -> (f32, f32) {
         let mut sums = [0.0f32; 5];
         for lesson in &self.lessons {
@@ -130,19 +130,19 @@ impl Experts {
         let (square, count) = (square + 1.0 / 0.002, count + 1.0 / 0.07);
         let determinant = (square * count - network * network).max((1.0 / 0.002) * (1.0 / 0.07));
         let gain = ((product * count - residual * network) / determinant).clamp(-3.0, 3.0);
-        let level = (residual - gain * network) / count;
-        (1.0 + gain as f32, level as f32)
+        let offset = (residual - gain * network) / count;
+        (1.0 + gain as f32, offset as f32)
     }
 }
 
-/// The unit of errors; `None` where nothing is learned.
+/// Unit of errors; `None` without online learning.
 fn sigma_w(platform: &Platform, model: &Model) -> Option<f32> {
     let learns = platform.online.mixture || platform.online.adapt;
     let network = matches!(model, Model::Network(_));
     (learns && network).then(|| model.residual().std_w.max(platform.power_resolution_w))
 }
 
-/// 40 readings with the errors that the model file states.
+/// 40 readings with the errors stated in the model file.
 fn start(platform: &Platform, model: &Model) -> [f32; 4] {
     let Model::Network(network) = model else {
         return [0.0; 4];

@@ -1,4 +1,4 @@
-//! Sources with everything that can go wrong between them and the fleet, drawn from a seed.
+//! Sources with random faults on the way to the fleet.
 
 use std::collections::VecDeque;
 
@@ -8,14 +8,14 @@ use super::robot::rarely;
 use super::world::random::Noise;
 use super::world::{PERIOD_NS, SLOW_NS, Source, healthy};
 
-/// How much goes wrong: one event in so many.
+/// Fault rates: one event in so many.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rates {
     pub sample: u64,
     pub frame: u64,
 }
 
-/// A frame on its way.
+/// A frame in transit.
 #[derive(Debug, Clone)]
 pub(crate) struct Delivery {
     pub at_ns: u64,
@@ -25,7 +25,7 @@ pub(crate) struct Delivery {
     pub lost: u64,
 }
 
-/// A source that speaks for some robots, once a period.
+/// A source of samples of some robots, once per period.
 pub(crate) struct Sender {
     source: Source,
     period_ns: u64,
@@ -93,7 +93,7 @@ impl Sender {
 
     fn send(&mut self, rates: Rates, noise: &mut Noise) {
         let now_ns = self.due_ns;
-        // Mostly steady; now and then up to the edge of what counts as a gap, and past it.
+        // Mostly steady; sometimes up to the limit of a gap, and beyond.
         let jitter_ns = if rarely(noise, 8) {
             self.period_ns * 5 / 4
         } else {
@@ -104,7 +104,7 @@ impl Sender {
             return;
         }
         if rarely(noise, 4 * rates.frame) {
-            // From a blink to longer than the fleet remembers a robot.
+            // From a moment to longer than the fleet keeps a silent robot.
             self.silent_until_ns = now_ns + (noise.next_u64() % 100) * self.period_ns;
         }
         if rarely(noise, 4 * rates.frame) {
@@ -123,7 +123,7 @@ impl Sender {
         let header = self.source.frame(samples.len());
         if rarely(noise, rates.frame) {
             self.lost += samples.len() as u64;
-            return; // The next header tells.
+            return; // The next header reports it.
         }
         // The bus keeps the order of one source's frames.
         let not_before = self.in_flight.back().map_or(0, |frame| frame.at_ns);
@@ -141,7 +141,7 @@ impl Sender {
                 lost,
             });
         };
-        // Frames of no use: once more, from a run that has been replaced, of another schema.
+        // Invalid frames: a duplicate, one from a replaced run, one of another schema.
         if let Some((before, again)) = self.last_sent.take() {
             if rarely(noise, rates.frame) {
                 deliver(before, again, 0);
@@ -159,10 +159,10 @@ impl Sender {
         self.last_sent = Some((header, samples));
     }
 
-    /// A new run of the source, perhaps with a clock that starts over.
+    /// A new run of the source, possibly with a restarted clock.
     fn restart(&mut self, noise: &mut Noise) {
         let old = self.source.header;
-        self.lost = 0; // Nobody will ever know of it.
+        self.lost = 0; // No header reports it.
         self.source = Source::new(old.source_id, old.source_epoch + 1 + noise.next_u64() % 3);
         if rarely(noise, 2) {
             self.clock_offset_ns = noise.next_u64() % (20 * PERIOD_NS);
@@ -212,7 +212,7 @@ impl Sender {
     }
 }
 
-/// Does one thing to a sample, from harmless to absurd.
+/// Applies one fault to a sample, from minor to absurd.
 fn spoil(mut sample: Sample, noise: &mut Noise) -> Sample {
     let absurd = [
         f32::NAN,

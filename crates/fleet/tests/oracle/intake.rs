@@ -1,4 +1,5 @@
-//! Which samples must be taken, and which refused for what: membership, ownership, order, values.
+//! Reference of ingest: which samples are taken, and which refused for what reason: membership,
+//! ownership, order, values.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -8,7 +9,7 @@ use joulebus_wire::{DropReason, InvalidReason, SCHEMA_VERSION, Sample, SampleHea
 
 use super::robot::{Account, Robot};
 
-/// A robot in the fleet, with what its admission rests on.
+/// A robot in the fleet, with its admission state.
 #[derive(Debug)]
 pub(crate) struct Member {
     pub robot: Robot,
@@ -18,7 +19,7 @@ pub(crate) struct Member {
     seqs: Vec<u64>,
     fresh_run: bool,
     pub heard_ns: u64,
-    /// The lowest that was free when it joined: robots that leave at once do so in this order.
+    /// The lowest free slot when it joined: robots that leave together do so in this order.
     slot: usize,
     taken: u16,
     pub refused: u64,
@@ -211,7 +212,10 @@ impl Oracle {
     ) -> Result<(), DropReason> {
         self.join(header, sample.robot, now_ns)?;
         let intake = self.settings.intake;
-        let member = self.members.get_mut(&sample.robot).expect("it has joined");
+        let member = self
+            .members
+            .get_mut(&sample.robot)
+            .expect("the robot has joined");
         if member.owner != header.source_id {
             return Err(DropReason::ForeignSource);
         }
@@ -260,12 +264,12 @@ impl Oracle {
             DropReason::BadTime => InvalidReason::BadTime,
             _ => return,
         };
-        let member = self.members.get_mut(&id).expect("it has joined");
+        let member = self.members.get_mut(&id).expect("the robot has joined");
         member.refused += 1;
         member.invalid = Some(invalid);
     }
 
-    /// The tick is over: robots that have been silent for too long leave.
+    /// Ends the tick: robots that have been silent for too long leave.
     pub(crate) fn tick(&mut self, now_ns: u64) {
         let leave_after_ns = self.settings.intake.leave_after_ns;
         let mut gone: Vec<u32> = self

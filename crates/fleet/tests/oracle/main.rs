@@ -1,4 +1,4 @@
-//! The tick against a slow, obvious oracle, under a virtual clock, with faults drawn from a seed.
+//! The tick against a slow oracle, under a virtual clock, with random faults.
 
 mod compare;
 mod experts;
@@ -19,7 +19,7 @@ use world::random::Noise;
 use world::{MS, PERIOD_NS};
 
 const START_NS: u64 = 60_000 * MS;
-/// Less than the robots that the sources name, so that some are refused.
+/// Less than the number of robots that the sources send, so that some are refused.
 const CAPACITY: u32 = 9;
 
 proptest! {
@@ -38,7 +38,7 @@ proptest! {
     }
 }
 
-/// A long run in which everything happens: the oracle is then known to have seen it all.
+/// A long run that covers every fault, which shows that the oracle handles them.
 #[test]
 fn the_injector_produces_every_fault() {
     let mut drops = Vec::new();
@@ -125,7 +125,7 @@ fn simulate(
     for _ in 0..ticks {
         now_ns += PERIOD_NS / 2 + noise.next_u64() % jitter_ns.max(PERIOD_NS);
         if rarely(&mut noise, rates.frame) {
-            now_ns += noise.next_u64() % (20 * PERIOD_NS); // The worker itself was held up.
+            now_ns += noise.next_u64() % (20 * PERIOD_NS); // The worker itself was delayed.
         }
         let mut arrived: Vec<_> = senders
             .iter_mut()

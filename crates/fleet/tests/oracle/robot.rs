@@ -1,5 +1,5 @@
-//! What must come of one robot's samples, written as plainly as possible: every step and every
-//! score is kept, nothing is updated in place that can be summed up again.
+//! Reference of one robot, as simple as possible: every step and every score is kept, and sums are
+//! recomputed.
 
 use joulebus_predictor::{Features, Model};
 use joulebus_settings::Platform;
@@ -8,8 +8,8 @@ use joulebus_wire::{Freshness, InvalidReason, Quality, Sample, sample_flag};
 use super::experts::{Experts, Said};
 use super::world::random::Noise;
 
-/// Every sample period of a stay: whether a measurement was made, and whether by a sample or only by
-/// the schedule.
+/// Every sample period of a membership: whether a measurement was made, and whether by a sample or
+/// only by the schedule.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct History {
     periods: Vec<(bool, bool)>,
@@ -20,7 +20,7 @@ impl History {
         self.periods.push((new, true));
     }
 
-    /// A period without a reading: a measurement is taken to be made when one is due.
+    /// A period without a reading: a due measurement is assumed to be made.
     fn pass(&mut self) {
         let due = self
             .interval()
@@ -28,13 +28,13 @@ impl History {
         self.periods.push((due, false));
     }
 
-    /// Periods since the last measurement; those before the first do not count.
+    /// Periods since the last measurement; periods before the first do not count.
     fn age(&self) -> u64 {
         let since = self.periods.iter().rev().take_while(|(new, _)| !new);
         (since.count() as u64).min(254)
     }
 
-    /// Gone through from the beginning.
+    /// Recomputed from the beginning.
     fn interval(&self) -> Option<u64> {
         let (mut before, mut interval) = (None::<usize>, None);
         for (at, (new, sampled)) in self.periods.iter().enumerate() {
@@ -58,7 +58,7 @@ impl History {
     }
 }
 
-/// What forecasts are made by.
+/// Inputs of forecasts.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct By<'a> {
     pub platform: &'a Platform,
@@ -71,12 +71,12 @@ pub(crate) struct By<'a> {
 pub(crate) struct Run {
     pub powers_w: Vec<f32>,
     pub forecast_w: Option<f32>,
-    /// What the forecast was made of, if a sample led to it.
+    /// The forecasts, if a sample led to them.
     pub said: Option<Said>,
     pub command: Option<(f32, f32)>,
-    /// Steps at the end that are no readings.
+    /// Steps at the end without a reading.
     pub unread: u64,
-    /// Of the newest reading; it outlives the window.
+    /// History of the newest reading; it survives an emptied window.
     pub history: History,
 }
 
@@ -85,7 +85,7 @@ impl Run {
         self.powers_w.len() >= 5
     }
 
-    /// One period without a sample: the forecast takes the reading's place. Says whether that was
+    /// One period without a sample: the forecast replaces the reading. Returns whether that was
     /// possible.
     fn advance(&mut self, by: By<'_>) -> bool {
         let Some(forecast_w) = self.forecast_w else {
@@ -99,7 +99,7 @@ impl Run {
         self.forecast_w.is_some()
     }
 
-    /// Empty, but for what is known without forecasts.
+    /// Empties the window, without the state that is independent of forecasts.
     fn empty(&mut self) {
         *self = Self {
             history: std::mem::take(&mut self.history),
@@ -107,7 +107,7 @@ impl Run {
         };
     }
 
-    /// The window as it is after so many periods without a sample.
+    /// The window after this many periods without a sample.
     pub(crate) fn ahead(&self, by: By<'_>, steps: u64) -> Option<Self> {
         let mut run = self.clone();
         (0..steps).all(|_| run.advance(by)).then_some(run)
@@ -122,7 +122,7 @@ impl Run {
     ) -> Option<Said> {
         let row = self.row(command, dv, domega);
         let network_w = predict(by.model, &row)?;
-        // Where nobody knows, one is due.
+        // If unknown, one is due.
         let due = row[12] != 0.0;
         Some(by.experts.say(by.platform, by.model, &row, network_w, due))
     }
@@ -157,12 +157,12 @@ fn predict(model: &Model, row: &Features) -> Option<f32> {
     forecast_w.is_finite().then_some(forecast_w)
 }
 
-/// How many sample instants lie empty between two samples.
+/// Number of missing samples between two samples.
 pub(crate) fn missing(elapsed_ns: u64, period_ns: u64) -> u64 {
     if elapsed_ns <= period_ns + period_ns / 2 {
         return 0;
     }
-    // To the nearest whole number of periods, less the one that is always there.
+    // Rounded to the nearest number of periods, minus one.
     let (elapsed_ns, period_ns) = (u128::from(elapsed_ns), u128::from(period_ns));
     let periods = (2 * elapsed_ns + period_ns) / (2 * period_ns);
     (periods - 1) as u64
@@ -175,7 +175,7 @@ pub(crate) struct Scored {
     pub previous_w: f32,
 }
 
-/// The account of a robot; it outlives the robot's stay in the fleet.
+/// The account of a robot; it outlives the robot's membership.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Account {
     /// Twice the integral of the power, µW · ns.
@@ -193,7 +193,7 @@ fn microwatts(power_w: f32) -> i128 {
 }
 
 impl Account {
-    /// What comes next does not follow on the last reading.
+    /// The next sample does not continue the last reading.
     fn forget_reading(&mut self) {
         if let Some((_, power_w)) = &mut self.last {
             *power_w = None;
@@ -225,7 +225,7 @@ impl Account {
     }
 }
 
-/// One robot during one stay in the fleet.
+/// One robot during one membership in the fleet.
 #[derive(Debug, Clone)]
 pub(crate) struct Robot {
     pub platform: Platform,
@@ -291,7 +291,7 @@ impl Robot {
         self.last = Some(*sample);
     }
 
-    /// Fills the periods between the last sample and this one. Says whether there were any.
+    /// Fills the periods between the last sample and this one. Returns whether there were any.
     fn bridge(&mut self, sample: &Sample, model: &Model) -> bool {
         if sample.has(sample_flag::DISCONTINUITY) {
             self.run = Run::default();
@@ -371,7 +371,7 @@ impl Robot {
         };
     }
 
-    /// What is shown after `silent_ns` without a sample by the worker's clock.
+    /// Output after `silent_ns` without a sample by the worker's clock.
     pub(crate) fn shown(&self, model: &Model, silent_ns: u64) -> (Quality, Option<f32>) {
         if silent_ns > self.platform.stale_after_ns {
             return (Quality::Invalid(InvalidReason::Stale), None);

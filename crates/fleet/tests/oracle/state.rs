@@ -1,4 +1,4 @@
-//! A fleet continues from a snapshot as if nothing had happened, whatever was going on.
+//! A fleet continues from a snapshot exactly like the original, in any state.
 
 use joulebus_fleet::{Fleet, FleetState, StateError};
 use joulebus_wire::Forecast;
@@ -9,7 +9,7 @@ use super::world::random::Noise;
 use super::world::{self, PERIOD_NS, bits};
 use super::{CAPACITY, START_NS, senders};
 
-/// All frames of a run with faults, each with the tick that takes it, and the times of the ticks.
+/// All frames of a run with faults, each with its tick, and the times of the ticks.
 fn traffic(seed: u64, ticks: usize) -> Vec<(u64, Vec<Delivery>)> {
     let rates = Rates {
         sample: 8,
@@ -52,7 +52,7 @@ fn generations(fleet: &Fleet) -> Vec<(u32, u32)> {
     (0..fleet.len()).map(|place| of(forecast(place))).collect()
 }
 
-/// Everything that one fleet says, it and all that it keeps to itself.
+/// Compares two fleets: all outputs and the whole internal state.
 fn same(one: &Fleet, other: &Fleet, tick: usize) -> Result<(), TestCaseError> {
     prop_assert_eq!(generations(one), generations(other), "tick {}", tick);
     for robot in 0..300 {
@@ -76,7 +76,12 @@ fn same(one: &Fleet, other: &Fleet, tick: usize) -> Result<(), TestCaseError> {
         (one.drops(), one.accepted()),
         (other.drops(), other.accepted())
     );
-    prop_assert_eq!(encoded(one), encoded(other), "what is kept, tick {}", tick);
+    prop_assert_eq!(
+        encoded(one),
+        encoded(other),
+        "internal state, tick {}",
+        tick
+    );
     Ok(())
 }
 
@@ -84,7 +89,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 
     #[test]
-    fn a_fleet_goes_on_from_a_snapshot_with_the_same_bits(
+    fn a_fleet_continues_from_a_snapshot_with_the_same_bits(
         seed in any::<u64>(), at in 0usize..120, restored_first in any::<bool>(), used in any::<bool>(),
         fresh in any::<bool>(), learning in any::<bool>(),
     ) {
@@ -95,7 +100,7 @@ proptest! {
         };
         let new = || {
             let models = if fresh { world::fresh_models() } else { world::models() };
-            Fleet::new(settings.clone(), models).expect("the settings agree with themselves")
+            Fleet::new(settings.clone(), models).expect("the settings are consistent")
         };
         let mut fleet = new();
         if restored_first {
@@ -106,7 +111,7 @@ proptest! {
             take(&mut fleet, frames);
             fleet.tick(*now_ns, tick % 7 == 0);
         }
-        // In the middle of an intake, so that samples wait.
+        // In the middle of an intake, so that samples are waiting.
         let (now_ns, frames) = &traffic[at];
         let (before, after) = frames.split_at(frames.len() / 2);
         take(&mut fleet, before);
@@ -118,7 +123,7 @@ proptest! {
                 other.tick(*now_ns, false);
             }
         }
-        let state = FleetState::decode(&encoded(&fleet)).expect("what was encoded is decoded");
+        let state = FleetState::decode(&encoded(&fleet)).expect("an encoded state can be decoded");
         other.restore_state(&state).expect("the same settings and models");
         same(&fleet, &other, at)?;
         for fleet in [&mut fleet, &mut other] {
@@ -138,7 +143,7 @@ proptest! {
         }
     }
 
-    /// A file may hold anything: it is refused, or the fleet continues from it somehow.
+    /// Arbitrary bytes are refused, or the fleet continues from them without a panic.
     #[test]
     fn a_state_with_flipped_bytes_never_panics(
         seed in 0u64..8, flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
@@ -160,7 +165,7 @@ proptest! {
         };
         let mut other = new();
         if other.restore_state(&state).is_err() {
-            prop_assert_eq!(encoded(&other), encoded(&new()), "refused, yet changed");
+            prop_assert_eq!(encoded(&other), encoded(&new()), "changed although refused");
             return Ok(());
         }
         for (now_ns, frames) in &traffic[60..] {
@@ -181,7 +186,7 @@ fn another_fleets_state_is_refused_with_both_numbers() {
         let mut settings = world::settings(CAPACITY);
         change(&mut settings);
         let models = world::models().into_iter().take(settings.platforms.len());
-        Fleet::new(settings, models.collect()).expect("the settings agree with themselves")
+        Fleet::new(settings, models.collect()).expect("the settings are consistent")
     };
     assert_eq!(
         refused(&mut world::fleet(CAPACITY + 1)),

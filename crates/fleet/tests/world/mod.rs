@@ -1,5 +1,5 @@
 //! A small fleet for tests: settings, models, sources, and outputs as bits.
-#![allow(dead_code)] // Each test file uses its own part.
+#![allow(dead_code)] // Each test file uses a part.
 
 #[path = "../../../predictor/tests/random/mod.rs"]
 pub(crate) mod random;
@@ -14,7 +14,7 @@ use joulebus_wire::{Budget, Diagnostic, Forecast, Quality, SCHEMA_VERSION, Sampl
 pub(crate) const MS: u64 = 1_000_000;
 /// Sample period of robots 0 to 99, whose model needs velocities.
 pub(crate) const PERIOD_NS: u64 = 33_333_333;
-/// Sample period of robots 100 to 199, whose model reads powers alone.
+/// Sample period of robots 100 to 199, whose model reads powers only.
 pub(crate) const SLOW_NS: u64 = 50 * MS;
 
 pub(crate) fn battery() -> Battery {
@@ -45,7 +45,7 @@ fn platform(name: &str, first: u32, period_ns: u64) -> Platform {
 }
 
 /// Robots 0 to 99 need velocities and have a battery, 100 to 199 need none and regenerate, 200 to
-/// 299 repeat their last reading.
+/// 299 use persistence.
 pub(crate) fn settings(capacity: u32) -> FleetSettings {
     FleetSettings {
         capacity,
@@ -86,13 +86,13 @@ pub(crate) fn settings(capacity: u32) -> FleetSettings {
     }
 }
 
-/// Of the paper's features.
+/// Models with the paper's features.
 pub(crate) fn models() -> Vec<Model> {
     models_of([FeatureSet::Full, FeatureSet::PowerOnly])
 }
 
-/// As [`models`], on a kernel and all else on its instructions; as they are where this processor
-/// does not have them.
+/// As [`models`], with a given kernel and instruction set; unchanged if this processor does not
+/// support it.
 pub(crate) fn models_on(kernel: Kernel) -> Vec<Model> {
     let on = |model: Model| match model {
         Model::Network(network) => {
@@ -104,7 +104,7 @@ pub(crate) fn models_on(kernel: Kernel) -> Vec<Model> {
     models().into_iter().map(on).collect()
 }
 
-/// As [`models`], reading freshness too.
+/// As [`models`], reading the reading age too.
 pub(crate) fn fresh_models() -> Vec<Model> {
     models_of([FeatureSet::Freshness, FeatureSet::PowerFreshness])
 }
@@ -122,8 +122,8 @@ fn models_of([first, second]: [FeatureSet; 2]) -> Vec<Model> {
     ]
 }
 
-/// As [`settings`], with all that can be learned online: the first platform's robots a mixture, a level
-/// and a gain, the second's a level and a gain.
+/// As [`settings`], with online learning: for the first platform a mixture, an offset and a gain,
+/// for the second an offset and a gain.
 pub(crate) fn learning(capacity: u32) -> FleetSettings {
     let mut settings = settings(capacity);
     settings.platforms[0].online = Online {
@@ -139,10 +139,10 @@ pub(crate) fn fleet(capacity: u32) -> Fleet {
 }
 
 pub(crate) fn fleet_of(capacity: u32, models: Vec<Model>) -> Fleet {
-    Fleet::new(settings(capacity), models).expect("the settings agree with themselves")
+    Fleet::new(settings(capacity), models).expect("the settings are consistent")
 }
 
-/// Numbers the frames of one run of one source as a publisher does.
+/// Numbers the frames of one run of one source like a publisher.
 #[derive(Debug, Clone)]
 pub(crate) struct Source {
     pub header: SampleHeader,
@@ -175,8 +175,8 @@ impl Source {
     }
 }
 
-/// What a healthy robot sends as its `step`-th sample: wandering command and power, a new
-/// measurement every third sample.
+/// The `step`-th sample of a healthy robot: varying command and power, a new measurement every
+/// third sample.
 pub(crate) fn healthy(robot: u32, step: u64, stamp_ns: u64, period_ns: u64) -> Sample {
     let phase = |rate: f64| ((step as f64 + f64::from(robot) * 7.3) * rate).sin() as f32;
     let since = step % 3;
@@ -195,7 +195,7 @@ pub(crate) fn healthy(robot: u32, step: u64, stamp_ns: u64, period_ns: u64) -> S
     }
 }
 
-/// Everything that one robot gets, with floats as their bits.
+/// All outputs of one robot, with floats as their bits.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Bits {
     pub forecast: Vec<u64>,
@@ -203,7 +203,7 @@ pub(crate) struct Bits {
     pub budget: Vec<u64>,
 }
 
-/// Outputs of a robot; `None` when it is not in the fleet. The slot's generation is left out: it
+/// Outputs of a robot; `None` when it is not in the fleet. The slot's generation is omitted: it
 /// belongs to the slot, not to the robot.
 pub(crate) fn bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
     let place = place(fleet, robot)?;

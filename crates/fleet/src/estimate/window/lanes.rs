@@ -1,4 +1,4 @@
-//! Windows side by side.
+//! Windows of a block of robots.
 
 use joulebus_predictor::{LAGS, ReadingAge};
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,7 @@ pub(crate) struct WindowLanes {
 
 const _: () = assert!(size_of::<WindowLanes>() == 64 * LANES);
 
-/// All of them but what was run open loop.
+/// The windows without their open-loop part.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(64))]
 pub(crate) struct ClosedLanes {
@@ -62,7 +62,7 @@ impl LagLanes {
 }
 
 impl ClosedLanes {
-    /// A window that was not run open loop.
+    /// A window without open-loop steps.
     #[inline(always)]
     pub(crate) fn get(&self, lane: usize) -> Window {
         let [age, interval] = &self.reading_age;
@@ -119,18 +119,18 @@ impl Block for WindowLanes {
 }
 
 impl WindowLanes {
-    /// The forecast for the row that [`Window::next_row`] gave, W; NaN is none.
+    /// Stores the forecast for the row that [`Window::next_row`] returned, W; NaN for none.
     #[inline(always)]
     pub(crate) fn forecast(&mut self, lane: usize, forecast_w: f32) {
         self.closed.closed.forecast_w[lane] = forecast_w;
     }
 
-    /// The forecast for the row that [`Window::open_towards`] gave.
+    /// Stores the forecast for the row that [`Window::open_towards`] returned.
     pub(crate) fn opened(&mut self, lane: usize, forecast_w: f32) {
         self.open.forecast_w[lane] = forecast_w;
     }
 
-    /// Whether a window was run open loop.
+    /// Whether a window has open-loop steps.
     #[inline(always)]
     pub(crate) fn is_open(&self, lane: usize) -> bool {
         self.closed.open_steps[lane] > 0

@@ -1,7 +1,7 @@
-//! The common case, sixteen robots at a time: samples with readings that follow the last ones without
-//! a gap. The same functions as [`super::step`].
+//! The common case, sixteen robots at a time: samples with readings that follow the last ones
+//! without a gap. Uses the functions of [`super::step`].
 
-// Lanes are counted: that is the loop that the compiler makes vectors of.
+// Indexed by lane, so that the compiler vectorises the loop.
 #![allow(clippy::needless_range_loop)]
 
 use joulebus_predictor::INPUTS;
@@ -19,13 +19,13 @@ use crate::tick::platform_context::PlatformContext;
 /// Samples that follow the last ones of their robots without a gap, with readings.
 #[derive(Clone, Copy)]
 pub(crate) struct InSequence<'a> {
-    /// Lanes that have one.
+    /// Lanes with such a sample.
     pub mask: &'a Lanes<bool>,
-    /// Time since the sample before, ns.
+    /// Time since the previous sample, ns.
     pub elapsed_ns: &'a Lanes<u64>,
 }
 
-/// Takes such samples of a block, and adds the rows for the next forecasts.
+/// Takes the samples in sequence of a block, and adds the rows for the next forecasts.
 #[inline(always)]
 pub(crate) fn step_block(
     context: &PlatformContext,
@@ -76,7 +76,7 @@ fn read_lasts(
     elapsed_s: &Lanes<f32>,
     forecast_w: &Lanes<f32>,
 ) {
-    // A copy, so that the compiler sees that nothing else writes to it.
+    // A copy, so that the compiler knows that it is not aliased.
     let mut copy = *lasts;
     for lane in 0..LANES {
         let mut last = copy.get(lane);
@@ -98,7 +98,7 @@ fn read_windows(
     elapsed_s: &Lanes<f32>,
     steps: &mut StepLanes,
 ) {
-    // A copy, so that the compiler sees that nothing else writes to it.
+    // A copy, so that the compiler knows that it is not aliased.
     let mut copy = *windows;
     for lane in 0..LANES {
         let mut window = copy.get(lane);
@@ -128,7 +128,7 @@ fn qualify(
     }
 }
 
-/// Stores the forecasts that were made for the readings of a block.
+/// Stores the forecasts of a block's readings.
 #[inline(always)]
 fn store_expected(pending: &mut PendingBlock, mask: &Lanes<bool>, steps: &StepLanes) {
     for lane in 0..LANES {
@@ -150,7 +150,7 @@ fn adapt_intervals(
     steps: &StepLanes,
 ) {
     let (floor_w, quantile_step) = (context.platform.power_resolution_w, context.quantile_step);
-    // A copy, so that the compiler sees that nothing else writes to it.
+    // A copy, so that the compiler knows that it is not aliased.
     let mut copy = *intervals;
     for lane in 0..LANES {
         let mut interval = copy.get(lane);

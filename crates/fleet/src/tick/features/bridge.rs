@@ -1,4 +1,4 @@
-//! Samples after a gap: the model runs open loop up to them.
+//! Bridges gaps: the model runs open loop up to the sample.
 
 use crate::estimate::window::{Gap, Window};
 use crate::ingest::admission::AdmissionState;
@@ -10,8 +10,9 @@ use crate::tick::features::step::step;
 use crate::tick::infer::{infer, infer_open};
 use crate::tick::platform_context::PlatformContext;
 
-/// Runs robots with a gap before their waiting sample open loop up to it, a step per round, and
-/// then takes the samples. The rows collected so far are run first, since the batch is reused.
+/// Runs robots with a gap before their waiting sample open loop up to it, one step per round, and
+/// then takes the samples. The rows collected so far are inferred first, because the batch is
+/// reused.
 #[cold]
 #[inline(never)]
 pub(crate) fn bridge(context: &PlatformContext, columns: &mut ColumnsMut<'_>, batch: &mut Batch) {

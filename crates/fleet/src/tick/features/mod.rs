@@ -1,5 +1,5 @@
 //! Features: every waiting sample is one step of its robot, and all steps of a platform share one
-//! batch of rows. Robots do not see each other.
+//! batch of rows. Robots are independent.
 
 mod block;
 mod bridge;
@@ -18,17 +18,17 @@ use crate::tick::features::bridge::{bridge, gap};
 use crate::tick::features::step::step;
 use crate::tick::platform_context::PlatformContext;
 
-/// What one pass over a tile has found.
+/// Result of one pass over a tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Found {
-    /// The next platform that has robots in the tile, if any.
+    /// The next platform with robots in the tile, if any.
     pub next: Option<u16>,
     /// When the oldest of the robots' last samples was taken, monotonic ns.
     pub oldest_ns: u64,
 }
 
 /// Takes the waiting samples of a platform's robots and collects the rows for their forecasts.
-/// `ticking`: also resets what is counted per tick, and lists the robots whose next sample is overdue.
+/// `ticking`: also resets the per-tick counters, and lists the robots whose next sample is overdue.
 pub(crate) fn build_rows(
     tick: &TickContext,
     platform: u16,
@@ -91,19 +91,19 @@ impl SimdTask for BuildRows<'_, '_> {
     }
 }
 
-/// The samples that wait in a block, of one platform.
+/// The waiting samples of one platform in a block.
 struct Waiting {
-    /// Whose sample has a reading and follows the last one without a gap.
+    /// Lanes whose sample has a reading and follows the last one without a gap.
     in_sequence: Lanes<bool>,
-    /// Whose sample does not.
+    /// Lanes whose sample does not.
     irregular: Lanes<bool>,
-    /// Time since the sample before, ns.
+    /// Time since the previous sample, ns.
     elapsed_ns: Lanes<u64>,
 }
 
 impl BuildRows<'_, '_> {
-    /// Resets what is counted per tick for the robots of a block, and finds the samples that wait;
-    /// `None` if no robot of the block is of the platform.
+    /// Resets the per-tick counters of a block's robots, and finds the waiting samples; `None` if
+    /// no robot of the block belongs to the platform.
     #[inline(always)]
     fn collect_waiting(
         &mut self,

@@ -1,4 +1,4 @@
-//! What one sample does to its robot.
+//! One sample of one robot.
 
 use joulebus_predictor::{Features, LAGS};
 use joulebus_wire::{InvalidReason, Quality, sample_flag};
@@ -10,8 +10,8 @@ use crate::state::columns::ColumnsMut;
 use crate::tick::batch::Batch;
 use crate::tick::platform_context::PlatformContext;
 
-/// Takes the waiting sample of a slot, whatever it is, and adds the row for its next forecast, if it
-/// gets one.
+/// Takes the waiting sample of a slot, regular or not, and adds the row for its next forecast, if
+/// there is one.
 pub(crate) fn step(
     context: &PlatformContext,
     columns: &mut ColumnsMut<'_>,
@@ -87,7 +87,7 @@ pub(crate) fn step(
     }
 }
 
-/// Takes a sample without a reading, `elapsed_s` after the one before.
+/// Takes a sample without a reading, `elapsed_s` after the previous one.
 fn miss(context: &PlatformContext, window: &mut Window, pending: &Pending, elapsed_s: f32) -> Step {
     window.miss(context.longest_steps);
     let (row, ready) = window.next_row(elapsed_s, pending.command(), context.required);
@@ -99,7 +99,7 @@ fn miss(context: &PlatformContext, window: &mut Window, pending: &Pending, elaps
     }
 }
 
-/// Quality of the forecast after a sample without a reading, as far as it depends on the sample.
+/// Quality of the forecast after a sample without a reading, as determined by the sample.
 fn quality_unread(
     required: RequiredInputs,
     pending: &Pending,
@@ -118,17 +118,17 @@ fn quality_unread(
 
 /// The result of one sample.
 pub(crate) struct Step {
-    /// The forecast one step ahead that was made for its reading, W; NaN where there was none.
+    /// The one-step-ahead forecast of its reading, W; NaN if there was none.
     pub expected_w: f32,
     /// Whether a new measurement was due with it.
     pub due: bool,
-    /// For the next forecast, if it is `ready`.
+    /// Row of the next forecast, if it is `ready`.
     pub row: Features,
     pub ready: bool,
 }
 
-/// Takes a sample with a reading, `elapsed_s` after the one before; `forecast_w` was made for it, one
-/// step ahead if `exact`.
+/// Takes a sample with a reading, `elapsed_s` after the previous one; `forecast_w` is its forecast,
+/// one step ahead if `exact`.
 #[inline(always)]
 pub(crate) fn read(
     required: RequiredInputs,
@@ -137,7 +137,7 @@ pub(crate) fn read(
     (forecast_w, exact): (f32, bool),
     elapsed_s: f32,
 ) -> Step {
-    // Only forecasts one step ahead are scored: the ones over a gap are of another kind.
+    // Only one-step-ahead forecasts are scored, not those over a gap.
     let one_step = exact & (window.unread_steps == 0) & forecast_w.is_finite();
     let due = window.due();
     window.read(pending.power_w, !pending.has(sample_flag::HELD));
@@ -155,7 +155,8 @@ pub(crate) fn seconds(elapsed_ns: u64) -> f32 {
     (elapsed_ns as f64 * 1e-9) as f32
 }
 
-/// Quality of the forecast after a sample with a reading, as far as it depends on the sample; `have`: readings in the window.
+/// Quality of the forecast after a sample with a reading, as determined by the sample; `have`:
+/// readings in the window.
 #[inline(always)]
 pub(crate) fn quality(
     required: RequiredInputs,
@@ -177,7 +178,7 @@ pub(crate) fn quality(
     }
 }
 
-/// Why a full window gives no row.
+/// Why a full window yields no row.
 #[inline(always)]
 fn missing(required: RequiredInputs, pending: &Pending) -> (u16, u16) {
     const COMMAND: (u16, u16) = Quality::Invalid(InvalidReason::NoCommand).encode();

@@ -23,7 +23,7 @@ impl<'a> Budgets<'a> {
         Self { block, remaining }
     }
 
-    /// The robot's in a lane.
+    /// The budget of the robot in a lane.
     #[inline(always)]
     pub(crate) fn get(&self, tick: &TickContext, lane: usize) -> Budget {
         let (admission, last) = (&self.block.admissions[lane], self.block.lasts.get(lane));
@@ -69,14 +69,14 @@ impl<'a> Budgets<'a> {
     }
 }
 
-/// What the robots of a block have left.
+/// Energy left of the robots of a block.
 #[inline(always)]
 fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
     let mut left = RemainingLanes::UNKNOWN;
     let (mut known, mut platform) = ([false; LANES], [0; LANES]);
     let mut silent_ns = [0; LANES];
     for (lane, admission) in block.admissions.iter().enumerate() {
-        // How much a charger has put back is not known: better no figure than a wrong one.
+        // Charged energy is unknown, so no value is published.
         known[lane] = admission.accepted & !admission.charged;
         platform[lane] = admission.platform;
         silent_ns[lane] = tick.now_ns.saturating_sub(admission.taken_ns);
@@ -97,7 +97,7 @@ fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
     left
 }
 
-/// Fills in the robots of one platform.
+/// Computes the robots of one platform.
 #[inline(always)]
 fn fill(
     left: &mut RemainingLanes,

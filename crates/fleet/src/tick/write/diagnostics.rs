@@ -52,7 +52,7 @@ impl<'a> Diagnostics<'a> {
         diagnostics
     }
 
-    /// The robot's in a lane.
+    /// The diagnostics of the robot in a lane.
     #[inline(always)]
     pub(crate) fn get(&self, tick: &TickContext, lane: usize) -> Diagnostic {
         let (admission, last) = (&self.block.admissions[lane], self.block.lasts.get(lane));
@@ -110,7 +110,7 @@ const STALE: u32 = of_level(Level::Stale);
 const ERROR: u32 = of_level(Level::Error);
 const WARN: u32 = of_level(Level::Warn);
 
-/// Codes of the worst level and of the most important alarm of a set, without going through all.
+/// Codes of the worst level and of the most important alarm of a set, without iterating over it.
 fn most_important(alarms: AlarmSet) -> (u16, u16) {
     let level = match alarms.0 {
         bits if bits & STALE != 0 => Level::Stale,
@@ -118,7 +118,7 @@ fn most_important(alarms: AlarmSet) -> (u16, u16) {
         bits if bits & WARN != 0 => Level::Warn,
         _ => Level::Ok,
     };
-    // The first of a set is its lowest bit, and the code of an alarm is its bit's place plus 1.
+    // The first of a set is its lowest bit, and the code of an alarm is the bit's position plus 1.
     let first = match alarms.0 {
         0 => Alarm::None.code(),
         bits => bits.trailing_zeros() as u16 + 1,
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_short_way_to_the_worst_alarm_names_the_same_for_every_set() {
+    fn the_fast_search_of_the_worst_alarm_is_right_for_every_set() {
         for bits in 0..1 << Alarm::ALL.len() {
             let set = AlarmSet(bits);
             let expected = (set.level().code(), set.first().code());

@@ -16,7 +16,7 @@ pub(crate) struct Forecasts<'a> {
     open_steps: Lanes<u16>,
     lo_w: Lanes<f32>,
     hi_w: Lanes<f32>,
-    /// Whether it is a forecast from a reading, as far as that does not depend on the time.
+    /// Whether it is a forecast from a reading, as far as the time does not matter.
     plain: Lanes<bool>,
 }
 
@@ -60,7 +60,7 @@ impl<'a> Forecasts<'a> {
         }
     }
 
-    /// The robot's in a lane.
+    /// The forecast of the robot in a lane.
     #[inline(always)]
     pub(crate) fn get(&self, tick: &TickContext, lane: usize) -> Forecast {
         let (admission, last) = (&self.block.admissions[lane], self.block.lasts.get(lane));
@@ -94,8 +94,8 @@ impl<'a> Forecasts<'a> {
         }
     }
 
-    /// Of a robot whose forecast is not from a reading, or none: whether there is one, its quality, and
-    /// how many sample periods it lies ahead.
+    /// For a robot whose forecast is not from a reading, or missing: whether there is one, its
+    /// quality, and how many sample periods it is ahead.
     #[cold]
     #[inline(never)]
     fn otherwise(&self, tick: &TickContext, lane: usize) -> (bool, (u16, u16), u64) {
@@ -113,7 +113,7 @@ impl<'a> Forecasts<'a> {
             quality,
             Quality::Fresh | Quality::Held | Quality::OpenLoop { .. }
         );
-        // A robot that runs open loop by the worker's clock is forecast further ahead.
+        // A robot in open loop by the worker's clock is forecast further ahead.
         let read_steps = self.block.windows.get(lane).unread_steps;
         let ahead = 1 + u64::from(open_steps.saturating_sub(read_steps));
         (known, quality.encode(), ahead)

@@ -1,5 +1,5 @@
-//! What the tick says of each robot, in the form in which it lies in shared memory: what takes
-//! arithmetic a block of robots at a time, and then robot by robot into its place.
+//! Output of the tick in the layout of shared memory: arithmetic is done a block of robots at a
+//! time, then each robot is stored to its place.
 
 pub(crate) mod budgets;
 pub(crate) mod diagnostics;
