@@ -1,4 +1,4 @@
-//! What a capture carries beside its messages, so that it can be replayed on its own.
+//! Attachments and metadata of a capture, which make it replayable on its own.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -12,11 +12,11 @@ use sha2::{Digest as _, Sha256};
 
 use crate::Clock;
 
-/// Name of the metadata record that says what the file is.
+/// Name of the metadata record that describes the file.
 const ABOUT: &str = "joulebus";
 /// Name of the metadata record with the hash of each attachment.
 const HASHES: &str = "joulebus.sha256";
-/// Version of the format, as a whole: topics, attachments, metadata.
+/// Version of the whole format: topics, attachments, metadata.
 const FORMAT: &str = "1";
 /// Name of a fleet's config among its files.
 const CONFIG: &str = "config.toml";
@@ -26,9 +26,9 @@ const CONFIG: &str = "config.toml";
 pub struct Attached {
     /// `<fleet>/config.toml`, `<fleet>/models/…`, `build.json`.
     pub name: String,
-    /// What it is, as a MIME type.
+    /// Its MIME type.
     pub media_type: String,
-    /// Its bytes.
+    /// Its contents.
     pub bytes: Vec<u8>,
 }
 
@@ -39,18 +39,18 @@ pub struct Attachments {
     pub files: Vec<Attached>,
     /// Metadata by the name of its record.
     pub metadata: BTreeMap<String, BTreeMap<String, String>>,
-    /// When they were put together, Unix ns.
+    /// When they were assembled, Unix ns.
     pub created_unix_ns: u64,
 }
 
-/// Why the files could not be put together.
+/// Errors of assembling the files.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum AttachError {
-    /// A model could not be read, or the config not made independent of its files.
+    /// A model could not be read, or the config could not be bundled.
     #[error(transparent)]
     Bundle(#[from] BundleError),
-    /// Two fleets of the same name: their channels could not be distinguished.
+    /// Two fleets of the same name: their channels would be indistinguishable.
     #[error("two configs of a fleet named {fleet:?}; give them different names to record both")]
     TwoOfAName {
         /// The name.
@@ -59,8 +59,8 @@ pub enum AttachError {
 }
 
 impl Attachments {
-    /// The configs with everything that they name, and what build this is. `clock` goes into the
-    /// metadata.
+    /// The configs with all files that they refer to, and a description of this build. `clock` is
+    /// stored in the metadata.
     ///
     /// # Errors
     /// [`AttachError`].
@@ -109,13 +109,13 @@ impl Attachments {
         });
     }
 
-    /// With something to say about this file in particular.
+    /// Adds a description of this file.
     pub fn tell(&mut self, key: &str, value: String) {
         let about = self.metadata.entry(ABOUT.to_owned()).or_default();
         about.insert(key.to_owned(), value);
     }
 
-    /// What the file says about itself under `key`.
+    /// The file's description under `key`.
     #[must_use]
     pub fn about(&self, key: &str) -> Option<&str> {
         Some(self.metadata.get(ABOUT)?.get(key)?.as_str())
@@ -128,7 +128,7 @@ impl Attachments {
         names.filter_map(move |name| name.strip_suffix(suffix))
     }
 
-    /// The config of `fleet`, independent of any file but those attached.
+    /// The config of `fleet`, which refers to attached files only.
     #[must_use]
     pub fn config(&self, fleet: &str) -> Option<&str> {
         let name = format!("{fleet}/{CONFIG}");
@@ -136,18 +136,18 @@ impl Attachments {
         std::str::from_utf8(&file.bytes).ok()
     }
 
-    /// How the capture's times relate to the monotonic clock of the host that it was recorded on.
+    /// Relation of the capture's times to the monotonic clock of the recording host.
     #[must_use]
     pub fn clock(&self) -> Option<Clock> {
         let offset_ns = self.about("clock_offset_ns")?.parse().ok()?;
         Some(Clock { offset_ns })
     }
 
-    /// Writes the files of `fleet` below `directory`, and returns the path of its config, ready for
-    /// [`Config::load`]. None if the capture has no config of this fleet.
+    /// Writes the files of `fleet` below `directory`, and returns the path of its config, for
+    /// [`Config::load`]. `None` if the capture has no config of this fleet.
     ///
     /// # Errors
-    /// A file could not be written, or has a name that would leave the directory.
+    /// A file could not be written, or its name would leave the directory.
     pub fn unpack(&self, fleet: &str, directory: &Path) -> io::Result<Option<PathBuf>> {
         let prefix = format!("{fleet}/");
         for file in &self.files {
@@ -164,8 +164,7 @@ impl Attachments {
         Ok(found.then(|| directory.join(CONFIG)))
     }
 
-    /// Attachments whose bytes are not those that were hashed when the capture was written, or that
-    /// have no hash.
+    /// Attachments whose bytes differ from their hash in the capture, or that have no hash.
     #[must_use]
     pub fn altered(&self) -> Vec<&str> {
         let hashes = self.metadata.get(HASHES);
@@ -201,7 +200,7 @@ impl Attached {
     }
 }
 
-/// A path below `directory`, whatever a capture of strangers calls its files.
+/// A path below `directory`, for any file name in an untrusted capture.
 fn below(directory: &Path, name: &str) -> io::Result<PathBuf> {
     let is_plain =
         |part: &str| !part.is_empty() && part != "." && part != ".." && !part.contains('\\');
@@ -221,7 +220,7 @@ fn hex(bytes: &[u8]) -> String {
     text
 }
 
-/// What program this is, and what it runs on.
+/// Description of the program and its platform.
 fn build() -> Vec<u8> {
     let program = std::env::current_exe().and_then(std::fs::read);
     let build = serde_json::json!({

@@ -1,7 +1,7 @@
-//! A chunk's records, decompressed and checked as a whole before the first of them is looked at.
+//! A chunk's records, decompressed and checked completely before the first of them is used.
 //!
-//! The library would make room for as many bytes as a chunk's head claims; here room is made for
-//! those that come out of the decompressor.
+//! The library would allocate as many bytes as a chunk's head claims; here only actually
+//! decompressed bytes are allocated.
 
 use std::io::{self, Read};
 
@@ -13,7 +13,7 @@ use crate::scan::{MAX_RECORD_BYTES, is_opcode, parse_record, zstd_decoder};
 /// Opcode and length before every record, bytes.
 const HEAD_BYTES: usize = 9;
 
-/// Records one after another.
+/// A sequence of records.
 #[derive(Default)]
 pub(crate) struct Records {
     bytes: Vec<u8>,
@@ -74,7 +74,7 @@ pub(crate) fn records(body: &[u8], most_bytes: u64) -> Result<Records, McapError
     Ok(Records { bytes, at: 0 })
 }
 
-/// All that comes out of a decompressor, if it is not more than `size` bytes; else one more.
+/// The decompressed bytes, if there are at most `size`; otherwise one more.
 fn up_to(size: u64, decoder: impl Read) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     decoder.take(size + 1).read_to_end(&mut bytes)?;

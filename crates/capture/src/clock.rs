@@ -1,21 +1,20 @@
-//! How the times in a capture relate to the clocks of the host.
+//! Relation of the times in a capture to the clocks of the host.
 
 use joulebus_bus::clock;
 
-/// The monotonic clock as Unix time: an offset that is fixed once, so that what is in order on one
-/// is in order on the other.
+/// Converts monotonic to Unix time by a fixed offset, so that both have the same order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Clock {
-    /// What is added to monotonic ns to get Unix ns.
+    /// Offset from monotonic to Unix ns.
     pub offset_ns: i64,
 }
 
 impl Clock {
-    /// As the clocks of this host stand now.
+    /// The offset between this host's clocks now.
     #[must_use]
     pub fn now() -> Self {
         let (unix_ns, monotonic_ns) = (clock::unix_ns(), clock::monotonic_ns());
-        // Either is below 2^63 ns for the next 200 years.
+        // Both are below 2^63 ns for the next 200 years.
         Self {
             offset_ns: unix_ns.wrapping_sub(monotonic_ns) as i64,
         }

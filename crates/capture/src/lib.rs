@@ -1,26 +1,26 @@
-//! Captures: what went through a fleet's shared memory, in a file that explains itself. The only
-//! crate that names mcap.
+//! Captures: everything in a fleet's shared memory, recorded in a self-describing file. The only
+//! crate that uses mcap.
 //!
-//! A capture is an MCAP file with protobuf messages; the schemas, the config, the models and the
-//! build are in it. It opens in Foxglove and PlotJuggler as it is. One channel per fleet and service,
-//! `joulebus/<fleet>/samples` and so on, and if wanted channels of single robots for plots,
-//! `joulebus/<fleet>/robot/<id>/forecast`.
+//! A capture is an MCAP file with protobuf messages; it contains the schemas, the config, the
+//! models and the build. Foxglove and PlotJuggler open it directly. One channel per fleet and
+//! service, `joulebus/<fleet>/samples` and so on, and optionally channels of single robots for
+//! plots, `joulebus/<fleet>/robot/<id>/forecast`.
 //!
-//! | part | what it does |
+//! | part | purpose |
 //! |---|---|
-//! | [`Writer`] | messages to a file; what was written survives whatever happens next |
-//! | [`Reader`] | a file to messages, in little memory however long it is |
-//! | [`record`] | shared memory to files, whatever the disk does |
-//! | [`verify`] | everything that was published computed again, bit for bit |
-//! | [`Attachments`] | config, models and build, so that the file can be replayed on its own |
+//! | [`Writer`] | writes messages to a file; written messages survive a crash |
+//! | [`Reader`] | reads messages from a file, in constant memory |
+//! | [`record`] | records shared memory to files, tolerating slow and full disks |
+//! | [`verify`] | recomputes everything that was published, bit for bit |
+//! | [`Attachments`] | config, models and build, which make the file replayable on its own |
 //!
-//! **Bits.** Every field of the payloads in [`joulebus_wire`] is in the message, and comes back as
-//! the same bits: −0 and the payload of a NaN as well.
+//! **Bits.** Every field of the payloads in [`joulebus_wire`] is in the message, and is restored
+//! with the same bits, −0 and NaN payloads included.
 //!
-//! **Time.** A message's log time is when the recorder knew of it, its publish time when it was sent;
-//! both are Unix ns, made of the monotonic clock by adding an offset that is fixed when the
-//! recording begins ([`Clock`]). So they are in order even if the wall clock jumps. The monotonic
-//! times themselves are in the messages.
+//! **Time.** A message's log time is when the recorder received it, its publish time when it was
+//! sent; both are Unix ns, computed from the monotonic clock with a fixed offset per recording
+//! ([`Clock`]). So they are in order even if the wall clock jumps. The messages also contain the
+//! monotonic times.
 #![forbid(unsafe_code)]
 
 mod attachments;

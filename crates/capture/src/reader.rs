@@ -15,21 +15,21 @@ use crate::chunk::{self, Records};
 use crate::scan::{MAX_RECORD_BYTES, most_expanded, parse_record};
 use crate::{Attached, Attachments, DecodeError, Entry, Message, MessageKind};
 
-/// Bytes read at once at most.
+/// Maximum number of bytes per read.
 const MOST_AT_ONCE: usize = 1 << 18;
 
-/// Reads a capture from its beginning, in memory of about its largest chunk. Messages come in the
-/// order of the file, which in captures of this program is that of their log time.
+/// Reads a capture from its beginning, in memory of about its largest chunk. Messages are returned
+/// in the order of the file, which in our captures is that of their log time.
 ///
-/// A file without its end (the recorder was killed, the disk was full) is read up to there; then
-/// [`ReadError::Truncated`] says so.
+/// A file without its end (the recorder was killed, the disk was full) is read up to there,
+/// followed by [`ReadError::Truncated`].
 pub struct Reader<S> {
     source: S,
     mcap: LinearReader,
-    /// Those of the last chunk that have not been looked at.
+    /// Unread records of the last chunk.
     records: Records,
     contents: Contents,
-    /// The first message, found while looking for attachments.
+    /// The first message, read while searching for attachments.
     first: Option<(MessageHeader, Vec<u8>)>,
     read_bytes: u64,
     /// Bytes of records that came out of chunks.
@@ -47,7 +47,7 @@ impl<S> fmt::Debug for Reader<S> {
     }
 }
 
-/// What a file says before its messages.
+/// Records before the messages of a file.
 #[derive(Default)]
 struct Contents {
     schemas: HashMap<u16, Arc<str>>,
@@ -74,7 +74,7 @@ impl Reader<File> {
 }
 
 impl<S: Read> Reader<S> {
-    /// Reads what comes before the first message: attachments and metadata are known then.
+    /// Reads the records before the first message: attachments and metadata are then available.
     ///
     /// # Errors
     /// [`ReadError`].
@@ -94,24 +94,24 @@ impl<S: Read> Reader<S> {
         };
         reader.first = match reader.advance() {
             Ok(found) => found,
-            // What came before the end is of use.
+            // The records before the end are usable.
             Err(ReadError::Truncated { .. }) if reader.read_bytes > 0 => None,
             Err(error) => return Err(error),
         };
         Ok(reader)
     }
 
-    /// Config, models and build, and what the file says about itself; of files of other programs
-    /// only what comes before the first message.
+    /// Config, models and build, and the file's metadata; in files of other programs only those
+    /// before the first message.
     #[must_use]
     pub const fn attachments(&self) -> &Attachments {
         &self.contents.attachments
     }
 
-    /// The next message; none at the end of a file that is whole.
+    /// The next message; `None` at the end of a complete file.
     ///
     /// # Errors
-    /// [`ReadError`]; after [`ReadError::Message`] the next message can be read, after others
+    /// [`ReadError`]; after [`ReadError::Message`] the next message can be read, after the others
     /// nothing can.
     pub fn next_entry(&mut self) -> Result<Option<Entry>, ReadError> {
         let found = match self.first.take() {
@@ -155,7 +155,7 @@ impl<S: Read> Reader<S> {
         })
     }
 
-    /// Continues to the next message.
+    /// Reads up to the next message.
     fn advance(&mut self) -> Result<Option<(MessageHeader, Vec<u8>)>, ReadError> {
         loop {
             while let Some(record) = self.records.next() {
@@ -196,7 +196,7 @@ impl<S: Read> Reader<S> {
 }
 
 impl Contents {
-    /// Takes what a record says; returns a message.
+    /// Processes a record; returns it if it is a message.
     fn take(
         &mut self,
         opcode: u8,
@@ -262,14 +262,15 @@ fn damage(error: McapError, read_bytes: u64) -> ReadError {
     }
 }
 
-/// Why a capture could not be read, or not further.
+/// Errors of reading a capture.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReadError {
     /// The file could not be opened or read.
     #[error("cannot read the capture: {0}")]
     Io(#[from] std::io::Error),
-    /// The file has no end: its recorder was killed, or its disk full. All messages before are fine.
+    /// The file is truncated: its recorder was killed, or its disk was full. All messages before
+    /// are valid.
     #[error(
         "the capture ends after {bytes} bytes without its last records; `joulebus recover` makes it \
          whole"
@@ -278,20 +279,20 @@ pub enum ReadError {
         /// Bytes of the file.
         bytes: u64,
     },
-    /// The file is damaged, or none of ours.
+    /// The file is corrupt, or not a capture.
     #[error("the capture is damaged: {detail}; `joulebus recover` saves what can be read")]
     Damaged {
-        /// What is wrong.
+        /// The error.
         detail: String,
     },
-    /// A message is not what its channel says. The next one can be read.
+    /// A message does not match its channel's schema. The next one can be read.
     #[error("message {sequence} of {topic} cannot be read: {source}")]
     Message {
         /// Its topic.
         topic: String,
-        /// Its number.
+        /// Its sequence number.
         sequence: u32,
-        /// What is wrong.
+        /// The error.
         source: DecodeError,
     },
 }

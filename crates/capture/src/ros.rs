@@ -1,8 +1,8 @@
-//! The few ROS 2 messages that carry power and motion, decoded from CDR.
+//! The ROS 2 messages with power and motion data, decoded from CDR.
 //!
-//! The bytes are read by the `cdr-encoding` crate, which RustDDS and ros2-client use. What a file
-//! says about a type is compared with the definition that is built in: a message with other fields
-//! is refused, not misread.
+//! The bytes are read by the `cdr-encoding` crate, which RustDDS and ros2-client use. The
+//! definition of a type in the file is compared with the built-in one: a message with other fields
+//! is refused instead of misread.
 
 use cdr_encoding::from_bytes;
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ pub struct Time {
 }
 
 impl Time {
-    /// Unix ns; nothing for 0, which stands for a stamp that nobody set, and before 1970.
+    /// Unix ns; `None` for 0, an unset stamp, and before 1970.
     #[must_use]
     pub fn unix_ns(self) -> Option<u64> {
         let sec = u64::try_from(self.sec).ok()?;
@@ -29,7 +29,7 @@ impl Time {
 /// `std_msgs/Header`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {
-    /// When it was measured.
+    /// Measurement time.
     pub stamp: Time,
     /// Its frame of reference.
     pub frame_id: String,
@@ -55,7 +55,7 @@ pub struct Quaternion {
 }
 
 impl Quaternion {
-    /// The turn about the vertical axis, rad; NaN where it is no turn at all.
+    /// Yaw, rad; NaN if it is not a rotation.
     #[must_use]
     pub fn yaw_rad(&self) -> f64 {
         let norm = self.x * self.x + self.y * self.y + self.z * self.z + self.w * self.w;
@@ -94,7 +94,7 @@ pub struct TwistStamped {
     pub twist: Twist,
 }
 
-/// Six by six, by rows.
+/// Six by six, row by row.
 pub type Covariance = [[f64; 6]; 6];
 
 /// `geometry_msgs/PoseWithCovariance`.
@@ -126,21 +126,21 @@ pub struct Odometry {
 /// `sensor_msgs/BatteryState`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BatteryState {
-    /// When it was measured.
+    /// Measurement time.
     pub header: Header,
-    /// V.
+    /// Voltage, V.
     pub voltage: f32,
-    /// °C.
+    /// Temperature, °C.
     pub temperature: f32,
-    /// A; by the definition negative while discharging.
+    /// Current, A; negative while discharging, by definition.
     pub current: f32,
-    /// Ah.
+    /// Charge, Ah.
     pub charge: f32,
-    /// Ah.
+    /// Capacity, Ah.
     pub capacity: f32,
-    /// Ah.
+    /// Design capacity, Ah.
     pub design_capacity: f32,
-    /// 0 to 1.
+    /// State of charge, 0 to 1.
     pub percentage: f32,
     /// 1 charging, 2 discharging, 3 not charging, 4 full.
     pub power_supply_status: u8,
@@ -150,17 +150,17 @@ pub struct BatteryState {
     pub power_supply_technology: u8,
     /// Whether there is a battery.
     pub present: bool,
-    /// V.
+    /// Cell voltages, V.
     pub cell_voltage: Vec<f32>,
-    /// °C.
+    /// Cell temperatures, °C.
     pub cell_temperature: Vec<f32>,
-    /// Where it is.
+    /// Location in the robot.
     pub location: String,
-    /// Its number.
+    /// Serial number.
     pub serial_number: String,
 }
 
-/// A kind of message that is decoded.
+/// A supported message type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RosType {
     /// [`BatteryState`].
@@ -173,7 +173,7 @@ pub enum RosType {
     Odometry,
 }
 
-/// A message that was decoded.
+/// A decoded message.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 #[expect(missing_docs, reason = "named as their types")]
@@ -184,25 +184,25 @@ pub enum Message {
     Odometry(Box<Odometry>),
 }
 
-/// Why a channel or one of its messages cannot be decoded.
+/// Errors of decoding a channel or a message.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RosError {
-    /// A type that is not read.
+    /// An unsupported type.
     #[error(
-        "type {found:?}; read are sensor_msgs/msg/BatteryState, geometry_msgs/msg/Twist, \
+        "type {found:?}; supported are sensor_msgs/msg/BatteryState, geometry_msgs/msg/Twist, \
          geometry_msgs/msg/TwistStamped and nav_msgs/msg/Odometry"
     )]
     Type {
         /// Its name.
         found: String,
     },
-    /// Messages or their definition are written in another way.
-    #[error("encoding {found:?}; read is {allowed:?}")]
+    /// Another encoding of messages or definitions.
+    #[error("encoding {found:?}; supported is {allowed:?}")]
     Encoding {
         /// The encoding found.
         found: String,
-        /// What can be read.
+        /// The supported encoding.
         allowed: &'static str,
     },
     /// The definition in the file has other fields.
@@ -210,22 +210,22 @@ pub enum RosError {
     Definition {
         /// The field in the file.
         found: String,
-        /// The field built in.
+        /// The expected field.
         expected: &'static str,
     },
-    /// The bytes do not begin as plain CDR.
+    /// The bytes are not plain CDR.
     #[error("begins with {found:02x?}; plain CDR begins with 00 00 or 00 01")]
     Encapsulation {
         /// The first bytes, at most four.
         found: Vec<u8>,
     },
-    /// The bytes are not what the definition says.
+    /// The bytes do not match the definition.
     #[error("{0}")]
     Bytes(String),
 }
 
 impl RosType {
-    /// The kind of a channel's messages.
+    /// The type of a channel's messages.
     ///
     /// # Errors
     /// [`RosError`]: another type, another encoding, or a definition with other fields.
@@ -244,8 +244,8 @@ impl RosType {
                 allowed: "cdr",
             });
         }
-        // Recorders that did not find a definition leave it empty; the length of every message
-        // still has to fit.
+        // Recorders that found no definition leave it empty; the length of every message must still
+        // match.
         if definition.is_empty() {
             return Ok(kind);
         }
@@ -259,7 +259,7 @@ impl RosType {
         Ok(kind)
     }
 
-    /// With `msg/` in the name, as since ROS 2, or without.
+    /// The type of this name, with `msg/` (ROS 2) or without.
     fn named(type_name: &str) -> Option<Self> {
         Some(match type_name.replacen("/msg/", "/", 1).as_str() {
             "sensor_msgs/BatteryState" => Self::BatteryState,
@@ -283,7 +283,7 @@ impl RosType {
         })
     }
 
-    /// Fields of the type and of the types in it, `type name` each, as far as they matter for the
+    /// Fields of the type and of nested types, `type name` each, as far as they determine the
     /// layout.
     const fn definition(self) -> &'static [(&'static str, &'static [&'static str])] {
         const HEADER: (&str, &[&str]) = ("Header", &["Time stamp", "string frame_id"]);
@@ -353,7 +353,7 @@ impl RosType {
     }
 }
 
-/// Compares the definition in a file with that built in.
+/// Compares the definition in a file with the built-in one.
 fn check_definition(text: &str, kind: RosType) -> Result<(), RosError> {
     let mut sections: Vec<(String, Vec<String>)> = Vec::new();
     let expected = kind.definition();
@@ -376,7 +376,7 @@ fn check_definition(text: &str, kind: RosType) -> Result<(), RosError> {
         }
     }
     for (name, fields) in expected {
-        // Files may leave out the definitions of types that they have elsewhere.
+        // Files may omit the definitions of types that they have elsewhere.
         let Some((_, found)) = sections.iter().find(|(section, _)| section == name) else {
             continue;
         };
@@ -392,7 +392,7 @@ fn check_definition(text: &str, kind: RosType) -> Result<(), RosError> {
     Ok(())
 }
 
-/// `uint8 UNKNOWN=0`, or with spaces about the sign.
+/// A constant: `uint8 UNKNOWN=0`, or with spaces about the equals sign.
 fn is_constant(line: &str) -> bool {
     line.contains('=')
 }
@@ -401,7 +401,7 @@ fn last_part(name: &str) -> &str {
     name.rsplit('/').next().unwrap_or(name)
 }
 
-/// Four bytes that say how the rest is written, then the rest.
+/// Four bytes of encapsulation header, then the fields.
 fn decode<'a, T: Deserialize<'a>>(data: &'a [u8]) -> Result<T, RosError> {
     let Some((head, body)) = data.split_at_checked(4) else {
         let found = data.to_vec();
@@ -416,7 +416,7 @@ fn decode<'a, T: Deserialize<'a>>(data: &'a [u8]) -> Result<T, RosError> {
         }
     };
     let (message, read) = decoded.map_err(|error| RosError::Bytes(error.to_string()))?;
-    // Writers may fill up to a multiple of four.
+    // Writers may pad to a multiple of four.
     match body.len() - read {
         0..=3 => Ok(message),
         left => Err(RosError::Bytes(format!(

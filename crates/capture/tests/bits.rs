@@ -1,5 +1,4 @@
-//! What lies in shared memory comes back from a capture as the same bits, and is what the schema
-//! says it is.
+//! Payloads are restored from a capture with the same bits, and match the schema.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod fields;
@@ -18,7 +17,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
     #[test]
-    fn every_message_comes_back_to_the_bit(seed: u64) {
+    fn every_message_round_trips_bit_for_bit(seed: u64) {
         for message in messages(&mut Bits(seed)) {
             let mut data = Vec::new();
             message.encode(&mut data);
@@ -28,7 +27,7 @@ proptest! {
     }
 
     #[test]
-    fn no_bytes_make_the_decoder_panic(kind in 0..MessageKind::ALL.len(), data: Vec<u8>) {
+    fn the_decoder_never_panics(kind in 0..MessageKind::ALL.len(), data: Vec<u8>) {
         let _ = Message::decode(MessageKind::ALL[kind], &data);
     }
 
@@ -54,7 +53,7 @@ proptest! {
     }
 }
 
-/// The message, read by nothing but its schema, has these fields and no others.
+/// The message, decoded by its schema only, has these fields and no others.
 fn dynamic(message: &Message) -> DynamicMessage {
     let kind = message.kind().unwrap();
     let pool = DescriptorPool::decode(kind.descriptors().as_slice()).unwrap();
@@ -75,7 +74,7 @@ fn assert_described(message: &Message, expected: &Fields) {
         };
         assert_eq!(found, *bits, "{name} of {message:?}");
     }
-    // Beside these, only the rows.
+    // In addition, only the rows.
     let described = read.descriptor().fields().count();
     let rows = usize::from(message.robot().is_none());
     assert_eq!(described, expected.len() + rows, "{message:?}");
@@ -88,9 +87,9 @@ fn number(value: &Value) -> u64 {
         Value::I64(value) => *value as u64,
         Value::F32(value) => u64::from(value.to_bits()),
         Value::F64(value) => value.to_bits(),
-        // Codes of 32 bits keep them.
+        // Codes of 32 bits are kept.
         Value::EnumNumber(value) => u64::from(*value as u32),
-        value => panic!("{value:?} is no number"),
+        value => panic!("{value:?} is not a number"),
     }
 }
 
@@ -144,7 +143,7 @@ fn codes_have_names_in_the_schema() {
 }
 
 #[test]
-fn a_file_gives_back_what_was_written_in_every_preset() {
+fn a_file_round_trips_in_every_preset() {
     for preset in Preset::ALL {
         let mut bits = Bits(preset as u64);
         let written: Vec<Message> = (0..40).flat_map(|_| messages(&mut bits)).collect();
@@ -183,7 +182,7 @@ fn a_file_gives_back_what_was_written_in_every_preset() {
             *sequence += 1;
         }
         assert!(reader.next_entry().unwrap().is_none());
-        // What other programs look at: statistics, an index of every chunk, CRCs that hold.
+        // Data for other programs: statistics, an index of every chunk, valid CRCs.
         let summary = mcap::Summary::read(&file).unwrap().unwrap();
         let stats = summary.stats.unwrap();
         assert_eq!(stats.message_count, counted.messages);

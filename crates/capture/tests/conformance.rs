@@ -1,4 +1,4 @@
-//! Every combination of the optional parts of the format is read as its description says.
+//! Every combination of the optional parts of the format is read as described.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs::{self, File};
@@ -8,7 +8,7 @@ use joulebus_capture::scan::{Event, Scan};
 use mcap::records::Record;
 use serde_json::{Map, Value, json};
 
-/// The published files, or nothing where they are not at hand.
+/// The published files, if present.
 fn folder() -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/mcap/conformance");
     if path.is_dir() {
@@ -90,7 +90,7 @@ fn counts(map: &std::collections::BTreeMap<u16, u64>) -> Value {
     Value::Object(map.iter().map(entry).collect::<Map<_, _>>())
 }
 
-/// A record as the descriptions write it; they leave message indexes out.
+/// A record in the format of the descriptions, which omit message indexes.
 fn in_json(record: Record<'_>) -> Option<Value> {
     let (kind, fields) = match record {
         Record::Header(header) => (

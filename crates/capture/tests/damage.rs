@@ -1,5 +1,5 @@
-//! Damaged files: cut off at every byte, every byte changed. Nothing panics, nothing allocates
-//! wildly, every error names its place, and what is recovered and what is lost adds up.
+//! Corrupt files: truncated at every byte, every byte changed. No panic, bounded allocation, every
+//! error names its location, and recovered and lost records add up.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../tests/counting.rs"]
@@ -16,11 +16,11 @@ use joulebus_capture::scan::{Event, Scan};
 use joulebus_capture::{ReadError, Reader};
 use mcap::records::{Record, op};
 
-/// One scan's buffers, one decompressor and one writer; a length that lies may not add to it.
+/// Buffers of one scan, one decompressor and one writer; wrong lengths must not add to it.
 const MOST_BYTES: u64 = 24 << 20;
 
 #[test]
-fn a_sound_file_comes_back_whole() {
+fn a_valid_file_is_recovered_completely() {
     for kind in KINDS {
         let recovery = recovered(&file(kind), kind.name).unwrap();
         assert!(recovery.is_clean(), "{}: {recovery}", kind.name);
@@ -31,7 +31,7 @@ fn a_sound_file_comes_back_whole() {
     }
 }
 
-/// Where each message ends in the file; only of files that are not compressed.
+/// End offset of each message in the file; for uncompressed files only.
 fn message_ends(bytes: &[u8]) -> Vec<u64> {
     let mut scan = Scan::new(Cursor::new(bytes)).unwrap();
     let mut ends = Vec::new();
@@ -54,7 +54,7 @@ fn message_ends(bytes: &[u8]) -> Vec<u64> {
 }
 
 #[test]
-fn cut_off_anywhere_every_message_before_the_cut_is_recovered() {
+fn truncated_anywhere_every_message_before_the_end_is_recovered() {
     for kind in KINDS {
         let whole = file(kind);
         let ends = message_ends(&whole);
@@ -99,7 +99,7 @@ fn cut_off_anywhere_every_message_before_the_cut_is_recovered() {
 }
 
 #[test]
-fn whatever_byte_is_changed_recovered_and_lost_add_up() {
+fn recovered_and_lost_add_up_for_any_changed_byte() {
     for kind in KINDS {
         let whole = file(kind);
         let (mut with_loss, mut unnoticed, mut most_lost) = (0, 0, 0);
@@ -117,7 +117,7 @@ fn whatever_byte_is_changed_recovered_and_lost_add_up() {
                 let found = found.unwrap();
                 let messages = recovery.messages;
                 let sum = messages.recovered + messages.lost;
-                // A changed opcode makes a message of a channel; its chunk is suspect then, or
+                // A changed opcode may create a message of a channel; its chunk is then suspect, or
                 // outside of chunks the whole data section.
                 let most = MESSAGES + messages.suspect + u64::from(recovery.doubt);
                 let more = sum > MESSAGES && sum <= most;
@@ -133,19 +133,19 @@ fn whatever_byte_is_changed_recovered_and_lost_add_up() {
             kind.name,
             2 * whole.len()
         );
-        // The header of a file, and times of records outside of chunks, have no checksum of
-        // their own; the data section has one in every file that was finished.
+        // The header of a file, and times of records outside of chunks, have no checksum of their
+        // own; the data section has one in every finished file.
         assert_eq!(unnoticed, 0, "{}", kind.name);
     }
 }
 
 #[test]
-fn no_length_in_a_file_allocates_memory_that_is_not_there() {
+fn no_length_in_a_file_causes_a_large_allocation() {
     for kind in KINDS {
         let whole = file(kind);
         for at in (8..whole.len() - 8).step_by(7) {
             let mut bytes = whole.clone();
-            // Eight bytes that say 2^56 as a length, whatever begins here.
+            // Eight bytes that encode 2^56 as a length, at any offset.
             bytes[at..at + 8].copy_from_slice(&(1_u64 << 56).to_le_bytes());
             let ((), used) = counting::peak(|| {
                 let _ = inspect(Cursor::new(&bytes));
@@ -167,7 +167,7 @@ fn no_length_in_a_file_allocates_memory_that_is_not_there() {
 }
 
 #[test]
-fn messages_lost_within_a_chunk_cost_no_other_chunk() {
+fn messages_lost_within_a_chunk_do_not_affect_other_chunks() {
     let kind = KINDS[1];
     let whole = file(kind);
     let mut scan = Scan::new(Cursor::new(&whole)).unwrap();
@@ -209,16 +209,17 @@ fn a_channel_lost_in_the_data_is_taken_from_the_summary() {
         }
     }
     let mut bytes = whole;
-    // Its topic says that it is longer than the record.
+    // The length of its topic exceeds the record.
     bytes[at + 9 + 4] = 0xff;
     let recovery = recovered(&bytes, "channel").unwrap();
     assert_eq!(recovery.messages.recovered, MESSAGES, "{recovery}");
     assert!(!recovery.is_clean());
 }
 
-/// Of a file whose first chunk is lost with the channels in it, and a later chunk has another checksum.
+/// A file whose first chunk is lost with the channels in it, and a later chunk has a wrong
+/// checksum.
 #[test]
-fn a_message_without_a_channel_is_lost_and_not_suspect_as_well() {
+fn a_message_without_a_channel_is_lost_and_not_also_suspect() {
     let mut writer = mcap::WriteOptions::new()
         .compression(None)
         .emit_summary_records(false)
@@ -241,7 +242,7 @@ fn a_message_without_a_channel_is_lost_and_not_suspect_as_well() {
             chunk_at = usize::try_from(frame.offset).unwrap();
         }
     }
-    // The number of the channel, in its first record: the message is of one that is nowhere now.
+    // The channel id in its first record: the message's channel no longer exists.
     bytes[chunk_at + 9 + 40 + 9] ^= 0x40;
     let recovery = recovered(&bytes, "a channel of another number").unwrap();
     let messages = recovery.messages;
@@ -253,9 +254,10 @@ fn a_message_without_a_channel_is_lost_and_not_suspect_as_well() {
     );
 }
 
-/// What the chunk's head claims to hold decompressed fits the limit of a reader, but not the file.
+/// The decompressed size claimed in the chunk's head is within a reader's limit, but not within the
+/// file.
 #[test]
-fn a_reader_makes_no_room_for_what_a_chunk_only_claims_to_hold() {
+fn a_reader_does_not_allocate_a_claimed_chunk_size() {
     for kind in KINDS.into_iter().filter(|kind| kind.chunks) {
         let mut bytes = file(kind);
         let mut scan = Scan::new(Cursor::new(&bytes)).unwrap();
@@ -274,9 +276,9 @@ fn a_reader_makes_no_room_for_what_a_chunk_only_claims_to_hold() {
     }
 }
 
-/// The library reads on to the end of an entry, and then takes what stands there for a length.
+/// The library reads to the end of an entry, and then interprets the following bytes as a length.
 #[test]
-fn an_index_whose_length_ends_within_an_entry_makes_no_room() {
+fn an_index_whose_length_ends_within_an_entry_causes_no_allocation() {
     let mut rest = [0; 38];
     rest[9] = 9;
     rest[18..22].copy_from_slice(&(1_u32 << 28).to_le_bytes());

@@ -1,4 +1,4 @@
-//! The Foxglove layout that ships names nothing that captures do not have.
+//! The shipped Foxglove layout refers only to existing topics and fields.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::BTreeSet;
@@ -9,7 +9,7 @@ use joulebus_capture::MessageKind;
 use prost_reflect::{DescriptorPool, FieldDescriptor, MessageDescriptor};
 use serde_json::Value;
 
-/// The fleet that the layout is written for, that of the demo.
+/// The fleet in the layout, that of the demo.
 const FLEET: &str = "demo";
 
 fn layout() -> Value {
@@ -17,7 +17,7 @@ fn layout() -> Value {
     serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
 }
 
-/// All texts under the keys that hold message paths.
+/// All texts under keys that hold message paths.
 fn paths(value: &Value, found: &mut Vec<String>) {
     match value {
         Value::Object(fields) => {
@@ -45,7 +45,7 @@ fn field(message: &MessageDescriptor, name: &str, path: &str) -> FieldDescriptor
     found.unwrap_or_else(|| panic!("{path}: {} has no field {name:?}", message.full_name()))
 }
 
-/// `"topic".field[:]{key==$variable}.field`; the variables that it uses.
+/// `"topic".field[:]{key==$variable}.field`; returns the variables used.
 fn check(path: &str) -> Vec<String> {
     let (topic, rest) = path.strip_prefix('"').unwrap().split_once('"').unwrap();
     let kind = MessageKind::OF_FLEET
@@ -101,7 +101,7 @@ fn every_path_names_a_topic_and_a_field_of_the_schemas() {
     }
 }
 
-/// The panels that are placed.
+/// The panels in the layout tree.
 fn placed(layout: &Value, found: &mut BTreeSet<String>) {
     match layout {
         Value::String(panel) => {

@@ -1,4 +1,4 @@
-//! Recordings of other programs: what is used, what is not, and why.
+//! Import of other programs' recordings: used and refused messages, with reasons.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod bag;
@@ -41,7 +41,7 @@ fn a_real_recording_becomes_rows_and_everything_else_is_counted() {
     assert_eq!((robot.name.as_str(), robot.time), ("coug2", "log"));
     assert_eq!(robot.battery.messages, 2628);
     assert!(robot.battery.refused.is_empty());
-    // Ten bursts a second for 119.5 s.
+    // Ten bursts per second for 119.5 s.
     assert_eq!(robot.row_count, robot.rows.len() as u64);
     assert_eq!(robot.row_count + robot.merged_in_bursts, 2628);
     assert!(
@@ -75,7 +75,7 @@ fn a_real_recording_becomes_rows_and_everything_else_is_counted() {
         "{notes}"
     );
     assert!(notes.contains("`present` is false"), "{notes}");
-    assert!(!notes.contains("flows into the battery"), "{notes}");
+    assert!(!notes.contains("flowing into the battery"), "{notes}");
     assert_eq!(imported.unusable.len(), 1, "{:?}", imported.unusable);
     let others: u64 = imported.others.values().sum();
     let used = robot.battery.messages + odometry.messages + imported.unusable[0].messages;
@@ -90,7 +90,7 @@ fn a_real_recording_becomes_rows_and_everything_else_is_counted() {
 }
 
 #[test]
-fn a_current_that_seems_to_flow_the_wrong_way_is_asked_about() {
+fn a_current_of_the_wrong_sign_is_reported() {
     let Some(folder) = folder("couguv") else {
         return;
     };
@@ -99,11 +99,14 @@ fn a_current_that_seems_to_flow_the_wrong_way_is_asked_about() {
     let robot = &imported.robots[0];
     assert!(robot.rows.iter().all(|row| row.power_w < 0.0));
     assert!(
-        robot.notes.join("\n").contains("is it discharge-positive?"),
+        robot
+            .notes
+            .join("\n")
+            .contains("check whether it is discharge-positive"),
         "{:?}",
         robot.notes
     );
-    // Stamps of 0 are no stamps.
+    // Stamps of 0 are unset.
     let mapping: Mapping = "time = \"header\"".parse().unwrap();
     let imported = import(File::open(&file).unwrap(), "couguv", &mapping).unwrap();
     let robot = &imported.robots[0];
@@ -113,7 +116,7 @@ fn a_current_that_seems_to_flow_the_wrong_way_is_asked_about() {
 }
 
 #[test]
-fn corner_cases_of_rosbag2_have_no_battery_and_say_so() {
+fn corner_cases_of_rosbag2_are_reported_as_without_battery() {
     let Some(folder) = folder("rosbag2") else {
         return;
     };
@@ -149,7 +152,7 @@ fn readings_commands_and_odometry_are_joined_in_time() {
     bag.channel("/r/odom", "nav_msgs/msg/Odometry", "cdr", "");
     for step in 0..20_u64 {
         let now_ns = START_NS + step * TENTH_NS;
-        // Recorded late and out of order; the headers say when it was.
+        // Recorded late and out of order; the headers have the right times.
         let late_ns = now_ns + 7_000_000 * (step % 3);
         bag.message(
             "/r/battery",
@@ -176,7 +179,7 @@ fn readings_commands_and_odometry_are_joined_in_time() {
     );
     for (step, row) in robot.rows.iter().enumerate() {
         assert_eq!(row.time_ns, START_NS + step as u64 * TENTH_NS);
-        // Negative out of the battery, as ROS has it: the power drawn is positive.
+        // Negative while discharging, as in ROS: the power drawn is positive.
         assert_eq!(row.power_w, 12.0 * (0.5 + step as f64));
         if step < 5 {
             assert!(row.v_mps.is_nan() && row.omega_radps.is_nan());
@@ -196,7 +199,7 @@ fn readings_commands_and_odometry_are_joined_in_time() {
 }
 
 #[test]
-fn what_cannot_be_decoded_is_refused_by_reason_and_the_rest_is_used() {
+fn undecodable_messages_are_refused_by_reason_and_the_rest_is_used() {
     let mut bag = Bag::new();
     bag.channel("/battery", "sensor_msgs/BatteryState", "cdr", BATTERY);
     for step in 0..10_u64 {
@@ -227,8 +230,8 @@ fn what_cannot_be_decoded_is_refused_by_reason_and_the_rest_is_used() {
         (messages, 11, "bag")
     );
     assert_eq!(robot.rows[10].power_w, 22.0);
-    // A string may lack its closing zero and up to three bytes may be filling: nothing else is
-    // forgiven.
+    // A string may lack its terminating zero and there may be up to three bytes of padding: nothing
+    // else is tolerated.
     let refused: u64 = robot.battery.refused.values().sum();
     assert_eq!(
         refused + robot.row_count + robot.merged_in_bursts,
@@ -316,7 +319,7 @@ fn a_type_with_other_fields_or_another_encoding_is_not_misread() {
 }
 
 #[test]
-fn two_robots_of_one_file_are_told_apart_by_name_space_or_mapping() {
+fn two_robots_of_one_file_are_distinguished_by_namespace_or_mapping() {
     let bag = || {
         let mut bag = Bag::new();
         for robot in ["a", "b"] {
@@ -374,7 +377,7 @@ fn two_robots_of_one_file_are_told_apart_by_name_space_or_mapping() {
 }
 
 #[test]
-fn a_mapping_that_cannot_be_meant_is_refused() {
+fn an_invalid_mapping_is_refused() {
     for (text, says) in [
         ("tme = \"log\"", "tme"),
         ("time = \"wall\"", "wall"),

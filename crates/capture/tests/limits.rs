@@ -1,5 +1,5 @@
-//! A writer that fails after any number of bytes: no panic, the failure is told, and everything that
-//! was flushed before can be read.
+//! A writer that fails after any number of bytes: no panic, the failure is reported, and everything
+//! flushed before is readable.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod fields;
@@ -13,7 +13,7 @@ use joulebus_capture::{
 
 use fields::{Bits, all_bits, messages};
 
-/// A disk with room for so many bytes.
+/// A disk of limited size.
 #[derive(Debug)]
 struct Disk<'a> {
     bytes: &'a mut Vec<u8>,
@@ -45,7 +45,7 @@ fn attachments() -> Attachments {
     attachments
 }
 
-/// Writes everything, a chunk each two messages; tells where each flush ended.
+/// Writes everything, one chunk per two messages; returns the end of each flush.
 fn write(
     disk: Disk<'_>,
     preset: Preset,
@@ -60,7 +60,7 @@ fn write(
         };
         let written = writer.write("lab", times, message);
         if written.is_err() {
-            // Whoever continues all the same is told again, and spoils nothing.
+            // Further calls fail again, and corrupt nothing.
             assert!(matches!(
                 writer.write("lab", times, message),
                 Err(WriteError::Stopped)
@@ -76,7 +76,7 @@ fn write(
     Ok(written)
 }
 
-/// What can be read, and why not more.
+/// The readable messages, and the error that ends them.
 fn read(file: &[u8]) -> (Vec<Entry>, Option<ReadError>) {
     let mut reader = match Reader::new(Cursor::new(file)) {
         Ok(reader) => reader,
@@ -93,7 +93,7 @@ fn read(file: &[u8]) -> (Vec<Entry>, Option<ReadError>) {
 }
 
 fn try_all(preset: Preset, step: usize) {
-    // Few schemas keep the file, and so the number of limits, small.
+    // Few schemas keep the file small, and so the number of limits.
     let few = [
         MessageKind::Samples,
         MessageKind::Ticks,
@@ -142,12 +142,12 @@ fn try_all(preset: Preset, step: usize) {
 }
 
 #[test]
-fn every_limit_of_a_small_capture_is_told_and_costs_only_what_was_not_flushed() {
+fn every_limit_of_a_small_capture_is_reported_and_loses_only_unflushed_messages() {
     try_all(Preset::ZstdFast, 1);
 }
 
 #[test]
-fn so_with_the_other_presets() {
+fn the_same_holds_for_the_other_presets() {
     for preset in [Preset::FastWrite, Preset::Lz4, Preset::ZstdSmall] {
         try_all(preset, 13);
     }

@@ -1,4 +1,4 @@
-//! Reading takes memory of about a record, however long the file is.
+//! Reading needs memory of about one record, for any length of the file.
 //!
 //! `JOULEBUS_CAPTURE_MB=2000` makes the file that long; release builds take seconds for it.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
@@ -18,12 +18,12 @@ use joulebus_capture::values::values;
 use mcap::WriteOptions;
 use mcap::records::MessageHeader;
 
-/// What reading may take, bytes. The promise is 200 MB for a file of 2 GB.
+/// Maximum memory of reading, bytes. The guarantee is 200 MB for a file of 2 GB.
 const MOST_BYTES: u64 = 32 << 20;
 const MESSAGE_BYTES: usize = 4096;
 const USUAL_MB: u64 = 48;
 
-/// Numbers that do not compress away.
+/// Incompressible numbers.
 fn noise(state: &mut u64, data: &mut [u8]) {
     for word in data.chunks_exact_mut(8) {
         *state ^= *state << 13;
@@ -69,7 +69,7 @@ impl From<ScanError> for Never {
 }
 
 #[test]
-fn a_long_file_is_read_in_little_memory() {
+fn a_long_file_is_read_in_bounded_memory() {
     let megabytes =
         std::env::var("JOULEBUS_CAPTURE_MB").map_or(USUAL_MB, |text| text.parse().unwrap());
     let directory = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! However long a capture is, reading it takes little memory. `JOULEBUS_CAPTURE_MB=2048` for a long one.
+//! Captures of any length are read in bounded memory. `JOULEBUS_CAPTURE_MB=2048` for a long one.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod fields;
@@ -9,7 +9,7 @@ use joulebus_capture::{Attachments, CaptureSettings, Message, Preset, Reader, Ti
 
 use fields::Bits;
 
-/// A figure of `/proc/self/status`, bytes.
+/// A value in `/proc/self/status`, bytes.
 fn memory(name: &str) -> u64 {
     let status = fs::read_to_string("/proc/self/status").unwrap();
     let line = status.lines().find(|line| line.starts_with(name)).unwrap();
@@ -18,14 +18,14 @@ fn memory(name: &str) -> u64 {
 }
 
 #[test]
-fn a_long_capture_is_read_in_little_memory() {
+fn a_long_capture_is_read_in_bounded_memory() {
     let megabytes = std::env::var("JOULEBUS_CAPTURE_MB");
     let bytes = megabytes.map_or(100, |text| text.parse().unwrap()) << 20;
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("long.mcap");
     let settings = CaptureSettings::of(Preset::FastWrite);
     let mut writer = Writer::create(&path, settings, &Attachments::default()).unwrap();
-    // 100 robots at 30 Hz, of bits that nothing can make smaller.
+    // 100 robots at 30 Hz, with incompressible bits.
     let mut bits = Bits(1);
     let header = fields::forecast_header(&mut bits);
     let rows = (0..100).map(|_| fields::forecast(&mut bits)).collect();
@@ -41,7 +41,7 @@ fn a_long_capture_is_read_in_little_memory() {
     }
     writer.finish().unwrap();
 
-    // From here on the peak is that of reading.
+    // Resets the peak, so that it is that of reading.
     fs::write("/proc/self/clear_refs", "5").unwrap();
     let before = memory("VmRSS");
     let mut reader = Reader::open(&path).unwrap();

@@ -1,4 +1,4 @@
-//! Real recordings, and what is to be said about them.
+//! Inspection of real recordings.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs::{self, File};
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_capture::inspect::{Sequence, Severity, StatisticsCheck, inspect};
 
-/// A folder of recordings, or nothing where they are not at hand.
+/// A folder of recordings, if present.
 fn folder(name: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../shared/mcap")
@@ -37,7 +37,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[test]
-fn nothing_is_wrong_with_any_conformance_file() {
+fn conformance_files_have_no_errors() {
     let Some(folder) = folder("conformance") else {
         return;
     };
@@ -59,7 +59,7 @@ fn nothing_is_wrong_with_any_conformance_file() {
 }
 
 #[test]
-fn real_recordings_are_counted_and_what_contradicts_itself_is_named() {
+fn real_recordings_are_counted_and_inconsistencies_named() {
     let Some(folder) = folder("couguv") else {
         return;
     };
@@ -79,7 +79,7 @@ fn real_recordings_are_counted_and_what_contradicts_itself_is_named() {
         .find(|channel| channel.topic == "/coug2/battery/data");
     let battery = battery.unwrap();
     assert_eq!(battery.messages, 2628);
-    // Bursts: the steps between them are gaps beside the steps within.
+    // Bursts: the steps between them are gaps relative to the steps within.
     assert!(battery.gaps > 1000 && battery.sequence == Sequence::Unused);
 }
 
@@ -93,12 +93,12 @@ fn every_rosbag2_corner_case_is_read_to_its_end() {
     for file in files {
         let found = inspect(File::open(&file).unwrap()).unwrap();
         assert!(found.complete && found.messages > 0, "{}", file.display());
-        // The writer of two of them takes a first time of 0 for none.
+        // The writer of two of them interprets a first time of 0 as none.
         let is_known = found.findings.iter().all(|finding| {
             finding.severity == Severity::Note
                 || finding
                     .what
-                    .contains("first log time: 1000000 saved, 0 found")
+                    .contains("first log time: 1000000 stated, 0 found")
         });
         assert!(is_known, "{}: {:?}", file.display(), found.findings);
     }

@@ -1,4 +1,4 @@
-//! Recording through real shared memory: complete, in order, split, kept in memory, on slow and full
+//! Recording through real shared memory: complete, ordered, split, in memory, on slow and full
 //! disks, two fleets at once.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
@@ -21,14 +21,14 @@ use joulebus_wire::{
 };
 
 const ROBOTS: usize = 10;
-/// What has not happened after so long never will.
+/// Timeout of waiting for a condition.
 const PATIENCE: Duration = Duration::from_secs(180);
 
-/// A fleet whose worker and source are this test. iceoryx2 knows one domain in a process: all tests
+/// A fleet whose worker and source are this test. iceoryx2 allows one domain per process: all tests
 /// here share it, one at a time.
 struct Stage {
     config: Config,
-    // Before the bus: ports go first.
+    // Before the bus, because ports must be dropped first.
     samples: SampleWriter,
     forecasts: BusWriter<ForecastHeader, Forecast>,
     diagnostics: BusWriter<DiagnosticHeader, Diagnostic>,
@@ -40,7 +40,7 @@ struct Stage {
     worker_epoch: u64,
     tick: u64,
     files: tempfile::TempDir,
-    // After the bus: it leaves the directory empty.
+    // After the bus, which leaves the directory empty.
     _root: Root,
     _turn: std::sync::MutexGuard<'static, ()>,
 }
@@ -103,7 +103,7 @@ impl Stage {
         Recorder::start(&self.config, streams, clock, attachments, target, options).unwrap()
     }
 
-    /// What a source and a worker send in one tick. Robot 3 raises `alarms`.
+    /// Sends the frames of a source and a worker for one tick. Robot 3 raises `alarms`.
     fn tick(&mut self, alarms: u32) {
         let now_ns = clock::monotonic_ns();
         let tick = self.tick;
@@ -171,7 +171,7 @@ impl Stage {
         self.ticks.send(header, 1, |_| taken).unwrap();
     }
 
-    /// So many ticks, no faster than recorders come round.
+    /// Plays ticks, not faster than recorders can read.
     fn play(&mut self, ticks: u64) {
         for _ in 0..ticks {
             self.tick(0);
@@ -180,7 +180,7 @@ impl Stage {
     }
 }
 
-/// The directory of the fleet's shared memory, gone at the end if it is empty.
+/// The directory of the fleet's shared memory, removed at the end if it is empty.
 struct Root(PathBuf);
 
 impl Drop for Root {
@@ -210,7 +210,7 @@ fn lost(summary: &Summary, topic: &str) -> u64 {
 
 const SERVICES: [&str; 5] = ["samples", "forecasts", "diagnostics", "budgets", "ticks"];
 
-/// Everything that was sent is written or counted as lost, service by service.
+/// Everything sent is written or counted as lost, service by service.
 fn assert_adds_up(found: &[Entry], summary: &Summary, ticks: u64) {
     let counts = counts(found);
     for service in SERVICES {
@@ -222,7 +222,7 @@ fn assert_adds_up(found: &[Entry], summary: &Summary, ticks: u64) {
 }
 
 #[test]
-fn what_is_sent_is_written_in_order_causes_before_effects() {
+fn messages_are_written_in_order_causes_before_effects() {
     let mut stage = Stage::new();
     let path = stage.path("run.mcap");
     let recorder = stage.record(Target::File(path.clone()), &Options::default());
@@ -281,14 +281,14 @@ fn a_capture_brings_its_own_config_and_models() {
         panic!("{:?}", stage.config.models());
     };
     assert_eq!(&std::fs::read(model).unwrap(), bytes);
-    // A stranger's capture cannot write elsewhere.
+    // An untrusted capture cannot write elsewhere.
     let mut evil = attachments.clone();
     evil.add("rec/../../x".to_owned(), "", Vec::new());
     assert!(evil.unpack("rec", &directory).is_err());
 }
 
 #[test]
-fn split_files_are_each_whole_and_go_on_from_each_other() {
+fn split_files_are_each_complete_and_continue_each_other() {
     let mut stage = Stage::new();
     let path = stage.path("run.mcap");
     let options = Options {
@@ -330,7 +330,7 @@ fn split_files_are_each_whole_and_go_on_from_each_other() {
 }
 
 #[test]
-fn files_that_exist_are_not_touched() {
+fn existing_files_are_not_changed() {
     let stage = Stage::new();
     let path = stage.path("run.mcap");
     std::fs::write(&path, "precious").unwrap();
@@ -358,7 +358,7 @@ fn files_that_exist_are_not_touched() {
 }
 
 #[test]
-fn robots_have_channels_of_their_own_if_wanted() {
+fn robots_have_separate_channels_on_request() {
     let mut stage = Stage::new();
     let path = stage.path("plots.mcap");
     let options = Options {
@@ -402,7 +402,7 @@ fn more_robots_than_a_file_has_channels_are_refused_with_the_numbers() {
     assert!(!root.exists());
 }
 
-/// A disk with room for so many bytes, which writes nothing while it is held up.
+/// A disk of limited size, which blocks on request.
 struct Disk {
     bytes: Arc<Mutex<Vec<u8>>>,
     held_up: Arc<AtomicBool>,
@@ -429,7 +429,7 @@ impl Write for Disk {
 }
 
 #[test]
-fn a_slow_disk_costs_messages_that_are_counted_and_nothing_else() {
+fn a_slow_disk_causes_counted_message_loss_only() {
     let mut stage = Stage::new();
     let (bytes, held_up) = (Arc::default(), Arc::new(AtomicBool::new(false)));
     let disk = Disk {
@@ -471,7 +471,7 @@ fn a_slow_disk_costs_messages_that_are_counted_and_nothing_else() {
 }
 
 #[test]
-fn a_full_disk_ends_the_capture_with_its_reason_and_what_was_written_can_be_read() {
+fn a_full_disk_ends_the_capture_with_an_error_and_the_file_is_readable() {
     let mut stage = Stage::new();
     let bytes = Arc::default();
     let disk = Disk {
@@ -499,7 +499,7 @@ fn a_full_disk_ends_the_capture_with_its_reason_and_what_was_written_can_be_read
     let end = loop {
         match reader.next_entry() {
             Ok(Some(_)) => found += 1,
-            Ok(None) => panic!("the file cannot be whole"),
+            Ok(None) => panic!("the file cannot be complete"),
             Err(error) => break error,
         }
     };
@@ -516,7 +516,7 @@ fn a_full_disk_ends_the_capture_with_its_reason_and_what_was_written_can_be_read
 }
 
 #[test]
-fn a_snapshot_keeps_the_last_seconds_and_writes_them_when_asked_and_on_alarm() {
+fn a_snapshot_keeps_the_last_seconds_and_saves_them_on_request_and_on_alarm() {
     let mut stage = Stage::new();
     let path = stage.path("alarm.mcap");
     let options = Options {
@@ -529,7 +529,7 @@ fn a_snapshot_keeps_the_last_seconds_and_writes_them_when_asked_and_on_alarm() {
     };
     let recorder = stage.record(Target::File(path.clone()), &options);
     stage.play(40);
-    assert!(!path.exists(), "nothing has happened yet");
+    assert!(!path.exists(), "no event so far");
     stage.tick(4);
     wait_for(&recorder, 1);
     let found = entries(&path);
@@ -540,7 +540,7 @@ fn a_snapshot_keeps_the_last_seconds_and_writes_them_when_asked_and_on_alarm() {
         _ => 0,
     };
     assert!(found.iter().any(|entry| alarms(entry) == 4));
-    // An alarm that stays is no news.
+    // An alarm that persists is not new.
     for _ in 0..10 {
         stage.tick(4);
         std::thread::sleep(Duration::from_millis(25));
@@ -554,7 +554,7 @@ fn a_snapshot_keeps_the_last_seconds_and_writes_them_when_asked_and_on_alarm() {
     assert!(!entries(&stage.path("alarm_1.mcap")).is_empty());
 }
 
-/// Until the recording tells of so many files.
+/// Waits until the recording reports so many files.
 fn wait_for(recorder: &Recorder, files: usize) {
     let give_up = Instant::now() + PATIENCE;
     while recorder.summary().files.len() < files {
@@ -564,14 +564,14 @@ fn wait_for(recorder: &Recorder, files: usize) {
 }
 
 #[test]
-fn two_fleets_lie_in_one_file_side_by_side() {
+fn two_fleets_are_recorded_into_one_file() {
     let mut stage = Stage::new();
     let other = config("yard", Path::new("/dev/shm/joulebus-capture-yard"));
     let theirs = Clock { offset_ns: 5 };
     let here = Clock::now();
     let attachments = Attachments::of(std::slice::from_ref(&other), theirs).unwrap();
     let mut writer = Writer::new(Vec::new(), CaptureSettings::default(), &attachments).unwrap();
-    // A frame in five is missing.
+    // One frame in five is missing.
     for frame_seq in (0..50_u64).filter(|seq| seq % 5 != 3) {
         let header = SampleHeader {
             source_id: 1,
@@ -612,7 +612,7 @@ fn two_fleets_lie_in_one_file_side_by_side() {
         .collect();
     assert_eq!(of_yard.len(), 40);
     assert_eq!(lost(&summary, "joulebus/yard/samples"), 10);
-    // Times were brought to this recording's clock.
+    // Times are converted to this recording's clock.
     let now_ns = here.unix_ns(clock::monotonic_ns());
     for entry in of_yard {
         assert!(now_ns - entry.log_time_ns < 600_000_000_000, "{entry:?}");
@@ -626,14 +626,14 @@ fn two_fleets_lie_in_one_file_side_by_side() {
 }
 
 #[test]
-fn nothing_is_left_in_shared_memory() {
+fn no_files_are_left_in_shared_memory() {
     let mut stage = Stage::new();
     let recorder = stage.record(Target::Stream(Box::new(io::sink())), &Options::default());
     stage.play(2);
     let _ = recorder.finish();
     let domain: Domain = stage.config.domain().unwrap();
     drop(stage);
-    // The next test of this file would begin in the same place.
+    // The next test of this file would use the same directory.
     let _turn = TURN.lock().unwrap_or_else(|error| error.into_inner());
     let objects = std::fs::read_dir("/dev/shm").unwrap().flatten();
     let ours = objects.filter(|entry| {

@@ -1,4 +1,4 @@
-//! The schemas that go into a capture are those of the `.proto` files, and say what is written.
+//! The schemas in a capture are those of the `.proto` files.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ fn directory() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("proto")
 }
 
-/// What a protobuf compiler makes of the files; with `comments`, what they say about each field too.
+/// The files compiled by a protobuf compiler; with `comments`, their documentation included.
 fn compiled(comments: bool) -> FileDescriptorSet {
     let mut files: Vec<PathBuf> = std::fs::read_dir(directory().join("joulebus"))
         .unwrap()
@@ -26,8 +26,8 @@ fn compiled(comments: bool) -> FileDescriptorSet {
         .file_descriptor_set()
 }
 
-/// Compares a file that is made of the `.proto` files with what is checked in. With
-/// `JOULEBUS_WRITE_SCHEMAS` set, writes it first: to be run after a change to one of them.
+/// Compares a file generated from the `.proto` files with the one checked in. With
+/// `JOULEBUS_WRITE_SCHEMAS` set, writes it first: to be run after a change.
 fn check(path: &Path, made: &[u8]) {
     if std::env::var_os("JOULEBUS_WRITE_SCHEMAS").is_some() {
         std::fs::write(path, made).unwrap();
@@ -40,13 +40,13 @@ fn check(path: &Path, made: &[u8]) {
 }
 
 #[test]
-fn the_descriptors_are_those_of_the_files() {
+fn the_descriptors_match_the_proto_files() {
     let path = directory().join("joulebus.binpb");
     check(&path, &compiled(false).encode_to_vec());
 }
 
 #[test]
-fn the_messages_in_rust_are_those_of_the_files() {
+fn the_generated_rust_messages_match_the_proto_files() {
     let made = tempfile::tempdir().unwrap();
     prost_build::Config::new()
         .out_dir(made.path())

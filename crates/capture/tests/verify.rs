@@ -1,4 +1,4 @@
-//! What a verification finds, and what it does not mistake for a difference.
+//! Verification: differences found, and conditions that are not differences.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../fleet/tests/world/mod.rs"]
@@ -28,7 +28,7 @@ const KEYFRAME_EVERY: u64 = 40;
 const KEYFRAME_LATE: u64 = 6;
 const PIECE_BYTES: usize = 1_000;
 
-/// A worker of the tests, and everything that it and its sources send, in order.
+/// A simulated worker, with everything that it and its sources send, in order.
 struct Simulation {
     fleet: Fleet,
     sources: [Source; 2],
@@ -62,7 +62,7 @@ impl Simulation {
         simulation
     }
 
-    /// Another worker takes over.
+    /// Restarts the worker.
     fn restart(&mut self) {
         let late = std::mem::take(&mut self.late);
         self.sent
@@ -126,7 +126,7 @@ impl Simulation {
     fn turn(&mut self) {
         let mut taken = Vec::new();
         for source in 0..2 {
-            // Now and then a source is held up, and sends nothing for a while.
+            // Sometimes a source stalls, and sends nothing for a while.
             if self.noise.next_u64().is_multiple_of(15) {
                 continue;
             }
@@ -220,7 +220,7 @@ fn recorded(seed: u64, ticks: u64) -> Vec<Message> {
     simulation.sent
 }
 
-/// As a recorder writes them: numbered by channel.
+/// As written by a recorder: numbered by channel.
 fn entries(messages: Vec<Message>) -> Vec<Entry> {
     let mut sequences: HashMap<MessageKind, u32> = HashMap::new();
     let entry = |(place, message): (usize, Message)| {
@@ -262,7 +262,7 @@ fn tick_of(message: &Message) -> u64 {
 }
 
 #[test]
-fn a_whole_recording_has_no_differences() {
+fn a_complete_recording_has_no_differences() {
     let report = verify(entries(recorded(1, 200)));
     assert!(report.is_clean(), "{report}");
     assert_eq!(
@@ -323,9 +323,9 @@ fn what_one_machine_records_another_computes_to_the_bit() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
-    /// The recorder looks at one service after the other, and falls behind in any of them.
+    /// The recorder reads one service after the other, and may be late in any of them.
     #[test]
-    fn the_order_in_which_a_recorder_looks_changes_nothing(
+    fn the_order_in_which_a_recorder_reads_has_no_effect(
         seed in any::<u64>(), lag in 1usize..150,
     ) {
         let mut noise = Noise(seed);
@@ -360,7 +360,7 @@ proptest! {
     }
 
     #[test]
-    fn whatever_is_lost_is_told_and_nothing_else_differs(
+    fn losses_are_reported_and_nothing_else_differs(
         seed in 0u64..8, lost in prop::collection::vec(any::<prop::sample::Index>(), 1..4),
     ) {
         let all = entries(recorded(seed, 200));
@@ -368,7 +368,7 @@ proptest! {
         let kept = all.iter().enumerate().filter(|(place, _)| !lost.contains(place));
         let report = verify(kept.map(|(_, entry)| entry.clone()));
         prop_assert_eq!(report.differences, 0, "{}", report);
-        // At either end it is not known that something was there.
+        // Losses at either end cannot be detected.
         let inside = |place: &&usize| {
             let kind = |place: usize| all[place].message.kind();
             let same = |other: &usize| kind(*other) == kind(**place) && !lost.contains(other);
@@ -405,7 +405,7 @@ fn a_lost_frame_of_samples_is_named_and_verification_resumes_at_the_next_keyfram
     assert_eq!((report.differences, report.is_clean()), (0, false));
 }
 
-/// Each field of each payload, one at a time: found, at its tick, robot and name.
+/// Each field of each payload, one at a time: found with its tick, robot and name.
 #[test]
 fn a_flipped_bit_in_any_output_is_named() {
     let messages = recorded(4, 90);
@@ -557,14 +557,17 @@ fn a_flipped_bit_in_a_sample_shows_at_its_tick_and_robot() {
     let report = verify(entries(messages));
     let first = report.first.clone().unwrap();
     assert_eq!((first.tick, first.robot), (60, Some(robot)), "{report}");
-    assert!(report.differences > 1, "a ledger never forgets: {report}");
+    assert!(
+        report.differences > 1,
+        "an error in a ledger persists: {report}"
+    );
 }
 
 #[test]
-fn a_worker_that_was_killed_and_its_successor_are_verified_each() {
+fn a_killed_worker_and_its_successor_are_both_verified() {
     let mut simulation = Simulation::new(6);
     simulation.run(100);
-    // Killed after its forecasts were out.
+    // Killed after it had sent its forecasts.
     let mut sent = std::mem::take(&mut simulation.sent);
     let half = sent.len() - 4;
     assert!(
@@ -586,7 +589,7 @@ fn a_worker_that_was_killed_and_its_successor_are_verified_each() {
 }
 
 #[test]
-fn without_a_keyframe_or_with_another_model_nothing_counts_as_verified() {
+fn without_a_keyframe_or_with_another_model_nothing_is_verified() {
     let messages = recorded(7, 60);
     let without = messages
         .iter()
@@ -618,7 +621,7 @@ fn without_a_keyframe_or_with_another_model_nothing_counts_as_verified() {
 }
 
 #[test]
-fn what_was_not_to_be_recorded_is_said_and_is_no_loss() {
+fn excluded_topics_are_reported_and_not_counted_as_lost() {
     let messages = recorded(8, 60).into_iter();
     let kept = messages.filter(|message| message.kind() != Some(MessageKind::Diagnostics));
     let report = verify(entries(kept.collect()));
@@ -626,7 +629,7 @@ fn what_was_not_to_be_recorded_is_said_and_is_no_loss() {
     assert_eq!(report.not_recorded, ["diagnostics"]);
 }
 
-/// Through the files of a recording that was split, bit for bit.
+/// Through the files of a split recording, bit for bit.
 #[test]
 fn split_files_are_verified_as_one_and_each_from_its_keyframe() {
     let all = entries(recorded(9, 200));

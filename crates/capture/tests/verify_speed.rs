@@ -1,4 +1,4 @@
-//! How fast a capture of 100 robots is verified: a figure, no promise.
+//! Speed of verifying a capture of 100 robots: a figure, no guarantee.
 //!
 //! `cargo test --release -p joulebus-capture --test verify_speed -- --ignored --nocapture`
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
@@ -35,7 +35,7 @@ fn new_fleet() -> Fleet {
     Fleet::new(settings(), models).unwrap()
 }
 
-/// What a worker and one controller send in a tick.
+/// The messages of a worker and one controller for one tick.
 fn turn(fleet: &mut Fleet, source: &mut Source, tick: u64) -> Vec<Message> {
     let now_ns = START_NS + tick * PERIOD_NS;
     let sample = |robot| -> Sample { healthy(robot, tick, now_ns, PERIOD_NS) };
@@ -139,7 +139,7 @@ fn verify(entries: impl Iterator<Item = Entry>) -> Verification {
 }
 
 #[test]
-#[ignore = "a figure for people: CONTRIBUTING.md has the command"]
+#[ignore = "prints a figure: CONTRIBUTING.md has the command"]
 fn how_fast_a_capture_is_verified() {
     let bytes = capture();
     println!(

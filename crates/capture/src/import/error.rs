@@ -1,30 +1,30 @@
-//! Why a recording cannot be imported.
+//! Errors of an import.
 
 use crate::scan::ScanError;
 
-/// Why a recording cannot be imported.
+/// Errors of an import.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImportError {
-    /// It is no MCAP file, or cannot be read.
+    /// It is not an MCAP file, or cannot be read.
     #[error(transparent)]
     Scan(#[from] ScanError),
-    /// A topic of the mapping is not in the file, or cannot be used.
+    /// A topic of the mapping is missing, or unusable.
     #[error("topic {topic:?}: {why}")]
     Topic {
         /// The topic.
         topic: String,
-        /// Why not.
+        /// The reason.
         why: String,
     },
-    /// Nothing says which topics are a robot's.
+    /// The robots' topics are ambiguous.
     #[error("{what}; name them with options or a mapping file")]
     Choice {
-        /// What is ambiguous.
+        /// The ambiguity.
         what: String,
     },
-    /// No two robots may have the same name.
-    #[error("two robots named {name:?}; give them names of their own in a mapping file")]
+    /// Two robots have the same name.
+    #[error("two robots named {name:?}; give them different names in a mapping file")]
     TwoOfAName {
         /// The name.
         name: String,

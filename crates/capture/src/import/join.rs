@@ -1,4 +1,4 @@
-//! One robot's messages, joined in time.
+//! Joins one robot's messages by time.
 
 use std::collections::BTreeMap;
 
@@ -7,13 +7,13 @@ use mcap::records::MessageHeader;
 use super::mapping::{CurrentSign, Mapping, RobotMapping, TimeSource};
 use crate::ros::{BatteryState, Header, Message, Odometry, RosType, Twist};
 
-/// Rows that are kept of a robot; what comes on top is refused. As many as a trial may have.
+/// Maximum number of rows per robot, that of a trial; further ones are refused.
 const MOST_ROWS: usize = 1 << 22;
 
-/// What was commanded and measured at one time. NaN for what is not known.
+/// Commands and measurements at one time. NaN for unknown values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row {
-    /// When the reading was made, ns of the chosen clock.
+    /// When the reading was made, ns of the selected clock.
     pub time_ns: u64,
     /// Commanded linear velocity, m/s.
     pub v_mps: f64,
@@ -37,7 +37,7 @@ pub struct Row {
     pub omega_measured_radps: f64,
 }
 
-/// When something was, by each clock.
+/// Times of a message, by clock.
 #[derive(Debug, Clone, Copy)]
 struct Times {
     header_ns: Option<u64>,
@@ -66,7 +66,7 @@ pub(super) struct Motion {
     omega_radps: f64,
 }
 
-/// Messages of one topic, and what became of them.
+/// Messages of one topic, with the reasons of refusals.
 #[derive(Debug)]
 pub(super) struct Lane<T> {
     items: Vec<(Times, T)>,
@@ -97,7 +97,7 @@ impl<T: Copy> Lane<T> {
         }
     }
 
-    /// By the chosen clock, in its order; what has no such time is refused.
+    /// Sorted by the selected clock; messages without that time are refused.
     fn timed(&mut self, clock: TimeSource) -> Vec<(u64, T)> {
         let mut timed = Vec::with_capacity(self.items.len());
         for (times, item) in std::mem::take(&mut self.items) {
@@ -116,7 +116,7 @@ impl<T: Copy> Lane<T> {
     }
 }
 
-/// One robot while its messages go by.
+/// State of one robot during the scan.
 pub(super) struct Track {
     pub(super) robot: RobotMapping,
     burst_ns: u64,
@@ -130,18 +130,18 @@ pub(super) struct Track {
     charging: u64,
 }
 
-/// A robot's rows, and what is to be said about them.
+/// A robot's rows, with notes.
 pub(super) struct Joined {
     pub(super) rows: Vec<Row>,
     pub(super) clock: TimeSource,
-    /// Readings that were not the last of their burst.
+    /// Readings merged into the last one of their burst.
     pub(super) merged: u64,
     pub(super) notes: Vec<String>,
 }
 
 impl Track {
     pub(super) fn new(robot: RobotMapping, mapping: &Mapping) -> Self {
-        // The range is checked when the mapping is made.
+        // The range is checked when the mapping is loaded.
         let ns = |seconds: f64| (seconds * 1e9).round() as u64;
         Self {
             robot,
@@ -161,7 +161,7 @@ impl Track {
         let is_battery = topic == self.robot.battery;
         let is_command = self.robot.command.as_deref() == Some(topic);
         let is_odometry = self.robot.odometry.as_deref() == Some(topic);
-        // Channels of several kinds may have one topic: the kind decides, where it fits.
+        // Channels of several kinds may share a topic: the kind decides, if it fits.
         let (as_battery, as_command, as_odometry) = match kind {
             RosType::BatteryState => (is_battery, false, false),
             RosType::Twist | RosType::TwistStamped => (false, is_command, false),
@@ -196,7 +196,7 @@ impl Track {
         *messages += 1;
         match kind.decode(data) {
             Ok(Message::BatteryState(state)) => self.reading(times(Some(&state.header)), &state),
-            // A Twist has no stamp of its own: it counts from when it was recorded.
+            // A Twist has no stamp: its log time is used.
             Ok(Message::Twist(twist)) => {
                 let mut times = times(None);
                 times.header_ns = Some(times.log_ns);
@@ -263,7 +263,7 @@ impl Track {
         self.odometry.push(times, motion);
     }
 
-    /// All that was taken, as rows in order of time.
+    /// All accepted messages as rows in order of time.
     pub(super) fn join(&mut self) -> Joined {
         let mut notes = self.notes();
         let clock = match self.wanted_time {
@@ -280,7 +280,7 @@ impl Track {
                 .iter()
                 .any(|(times, _)| times.header_ns == Some(times.log_ns))
         {
-            notes.push("commands without a stamp count from when they were recorded".to_owned());
+            notes.push("commands without a stamp use the time of recording".to_owned());
         }
         let readings = self.battery.timed(clock);
         let commands = self.command.timed(clock);
@@ -316,7 +316,7 @@ impl Track {
         }
         if self.not_present > 0 {
             notes.push(format!(
-                "{} of {all} readings say that there is no battery (`present` is false)",
+                "{} of {all} readings report that there is no battery (`present` is false)",
                 self.not_present
             ));
         }
@@ -326,7 +326,7 @@ impl Track {
                 CurrentSign::DischargePositive => "discharge-negative",
             };
             notes.push(format!(
-                "{} of {all} readings say that current flows into the battery: is it {remedy}?",
+                "{} of {all} readings have current flowing into the battery: check whether it is {remedy}",
                 self.charging
             ));
         }
@@ -340,7 +340,7 @@ fn last_of_bursts<T: Copy>(readings: &[(u64, T)], burst_ns: u64) -> Vec<(u64, T)
     for (at, reading) in readings.iter().enumerate() {
         let next_ns = readings.get(at + 1).map(|next| next.0);
         let goes_on = next_ns.is_some_and(|next_ns| {
-            // Two readings of the same time can never both be rows.
+            // Two readings of the same time cannot both be rows.
             next_ns - reading.0 < burst_ns.max(1)
         });
         if !goes_on {
@@ -350,7 +350,7 @@ fn last_of_bursts<T: Copy>(readings: &[(u64, T)], burst_ns: u64) -> Vec<(u64, T)
     last
 }
 
-/// Walks through what was known, along rising times.
+/// Iterates over known values at increasing times.
 struct Follow<'a, T> {
     items: &'a [(u64, T)],
     next: usize,
@@ -361,7 +361,7 @@ impl<'a, T: Copy> Follow<'a, T> {
         Self { items, next: 0 }
     }
 
-    /// The last item until `time_ns`, unless it is older than `most_age_ns`.
+    /// The last item up to `time_ns`, unless it is older than `most_age_ns`.
     fn at(&mut self, time_ns: u64, most_age_ns: u64) -> Option<T> {
         while self
             .items

@@ -1,4 +1,4 @@
-//! Which topics are whose, and how they are meant.
+//! Mapping of topics to robots, and their interpretation.
 
 use std::str::FromStr;
 
@@ -8,29 +8,29 @@ use super::channel::Channel;
 use super::error::ImportError;
 use crate::ros::RosType;
 
-/// Which time of a message counts.
+/// Which time of a message is used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TimeSource {
-    /// The header's where every battery message of the robot has one, else the log time.
+    /// The header's if every battery message of the robot has one, else the log time.
     #[default]
     Auto,
-    /// When it was measured, by its header; messages without a stamp are refused.
+    /// The measurement time in its header; messages without a stamp are refused.
     Header,
-    /// When it was recorded.
+    /// The log time.
     Log,
-    /// When it was published.
+    /// The publish time.
     Publish,
 }
 
-/// Which way a positive current flows.
+/// Sign of the current.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CurrentSign {
-    /// Out of the battery is negative, as the definition of the message says.
+    /// Negative while discharging, as defined for the message.
     #[default]
     DischargeNegative,
-    /// Out of the battery is positive, as many drivers have it.
+    /// Positive while discharging, as in many drivers.
     DischargePositive,
 }
 
@@ -51,13 +51,13 @@ pub struct RobotMapping {
     /// Topic of its `Odometry`.
     #[serde(default)]
     pub odometry: Option<String>,
-    /// Which way its current is positive.
+    /// Sign of its current.
     #[serde(default)]
     pub current: CurrentSign,
-    /// What one unit of its voltage is, V: 0.001 for millivolts.
+    /// Unit of its voltage, V: 0.001 for millivolts.
     #[serde(default = "one")]
     pub voltage_unit_v: f64,
-    /// What one unit of its current is, A: 0.001 for milliamperes.
+    /// Unit of its current, A: 0.001 for milliamperes.
     #[serde(default = "one")]
     pub current_unit_a: f64,
 }
@@ -66,22 +66,21 @@ const fn one() -> f64 {
     1.0
 }
 
-/// How a recording is read. As TOML: `time`, `burst_s`, `odometry_max_age_s`, `command`, and a
+/// Configuration of an import. As TOML: `time`, `burst_s`, `odometry_max_age_s`, `command`, and a
 /// table `[[robot]]` for each robot; without robots every battery topic is one.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mapping {
-    /// Which time counts.
+    /// Which time is used.
     #[serde(default)]
     pub time: TimeSource,
-    /// Readings that follow each other within this time are one burst, of which the last counts, s;
-    /// 0 keeps all.
+    /// Readings within this time are one burst, of which the last is used, s; 0 keeps all.
     #[serde(default = "usual_burst_s")]
     pub burst_s: f64,
-    /// Odometry older than this is not known any more, s.
+    /// Maximum age of odometry, s.
     #[serde(default = "usual_age_s")]
     pub odometry_max_age_s: f64,
-    /// Which way the current is positive where no robot says otherwise.
+    /// Sign of the current of robots that do not set it.
     #[serde(default)]
     pub current: CurrentSign,
     /// The robots.
@@ -109,11 +108,11 @@ impl Default for Mapping {
     }
 }
 
-/// A mapping file that cannot be meant.
+/// Errors of a mapping file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MappingError {
-    /// It is no such TOML.
+    /// It is not a valid mapping in TOML.
     #[error("{0}")]
     Toml(String),
     /// A number out of range.
@@ -140,7 +139,7 @@ impl FromStr for Mapping {
 }
 
 impl Mapping {
-    /// Whether every number can be meant.
+    /// Checks every number.
     ///
     /// # Errors
     /// [`MappingError::Range`].
@@ -175,7 +174,7 @@ impl Mapping {
     }
 }
 
-/// The robots of a recording: those of the mapping, or one for each battery topic.
+/// The robots of a recording: those of the mapping, or one per battery topic.
 pub(super) fn choose(
     name: &str,
     mapping: &Mapping,
@@ -221,13 +220,13 @@ pub(super) fn choose(
     Ok(robots)
 }
 
-/// The first part of a topic that has several.
+/// The first component of a topic with several.
 fn namespace(topic: &str) -> Option<&str> {
     let (first, rest) = topic.trim_start_matches('/').split_once('/')?;
     (!rest.is_empty()).then_some(first)
 }
 
-/// The one topic there is, or the one with the usual name among several.
+/// The only candidate topic, or the one with the usual name among several.
 fn only(found: &[&Channel], usual: &str, battery: &str) -> Result<Option<String>, ImportError> {
     match found {
         [] => Ok(None),
@@ -251,7 +250,7 @@ fn only(found: &[&Channel], usual: &str, battery: &str) -> Result<Option<String>
     }
 }
 
-/// Whether the topics of a robot are there and of the right kind.
+/// Checks that the topics of a robot exist and have the right type.
 fn check_topics(robot: &RobotMapping, channels: &[Channel]) -> Result<(), ImportError> {
     let check = |topic: &str, allowed: &[RosType]| {
         let why = match channels.iter().find(|channel| channel.topic == topic) {

@@ -1,8 +1,7 @@
-//! Recordings of other programs, as rows of commands and readings.
+//! Imports recordings of other programs as rows of commands and readings.
 //!
-//! A rosbag2 MCAP file is read message by message; what cannot be used is counted by reason. A row
-//! stands for one battery reading: the command in force when it was made, the odometry known then,
-//! and NaN for what is not known.
+//! A rosbag2 MCAP file is read message by message; unusable messages are counted by reason. A row
+//! is one battery reading with the command and odometry at its time, and NaN for unknown values.
 
 mod channel;
 mod error;
@@ -27,7 +26,7 @@ pub use report::{Imported, RobotReport, TopicReport, Unusable};
 /// Reads a recording.
 ///
 /// # Errors
-/// [`ImportError`]. A damaged file is read as far as it can be; [`Imported::damage`] says so.
+/// [`ImportError`]. A corrupt file is read as far as possible; see [`Imported::damage`].
 pub fn import(
     mut input: impl Read + Seek,
     name: &str,
@@ -49,7 +48,7 @@ pub fn import(
     Ok(report::imported(tracks, &channels, damage))
 }
 
-/// The channels of a file with their messages, and what is damaged.
+/// The channels of a file with their messages, and the damage.
 fn channels(input: &mut (impl Read + Seek)) -> Result<(Vec<Channel>, Vec<String>), ScanError> {
     let mut schemas = BTreeMap::new();
     let mut channels: BTreeMap<u16, Channel> = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! What was used and what was not.
+//! Report of an import.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -10,18 +10,18 @@ use super::join::{Row, Track};
 use super::mapping::TimeSource;
 use crate::ros::RosError;
 
-/// What became of the messages of a topic.
+/// Messages of a topic, used and refused.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct TopicReport {
     /// The topic.
     pub topic: String,
     /// Messages in the file.
     pub messages: u64,
-    /// Messages that could not be used, or not in full, by reason.
+    /// Messages not used, or only partly, by reason.
     pub refused: BTreeMap<String, u64>,
 }
 
-/// A channel that could have been of use.
+/// An unused channel of a relevant type.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Unusable {
     /// Its topic.
@@ -32,7 +32,7 @@ pub struct Unusable {
     pub encoding: String,
     /// Messages.
     pub messages: u64,
-    /// Why it is not used.
+    /// The reason.
     pub why: String,
 }
 
@@ -43,7 +43,7 @@ pub struct RobotReport {
     pub name: String,
     /// Its id in captures, if the mapping gives one.
     pub id: Option<u32>,
-    /// The clock of its rows.
+    /// Clock of its rows.
     pub time: &'static str,
     /// Its battery.
     pub battery: TopicReport,
@@ -51,32 +51,32 @@ pub struct RobotReport {
     pub command: Option<TopicReport>,
     /// Its odometry.
     pub odometry: Option<TopicReport>,
-    /// Readings that were not the last of their burst.
+    /// Readings merged into the last one of their burst.
     pub merged_in_bursts: u64,
     /// Rows.
     pub row_count: u64,
-    /// What else is to be known.
+    /// Notes.
     pub notes: Vec<String>,
     /// The rows.
     #[serde(skip)]
     pub rows: Vec<Row>,
 }
 
-/// A recording that was imported.
+/// An imported recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Imported {
     /// Its robots.
     pub robots: Vec<RobotReport>,
-    /// Channels of a kind that is read, but cannot be.
+    /// Channels of relevant types that cannot be read.
     pub unusable: Vec<Unusable>,
-    /// Channels that have nothing to do with power or motion, by type.
+    /// Channels of irrelevant types, by type.
     pub others: BTreeMap<String, u64>,
-    /// What is damaged in the file.
+    /// Damage of the file.
     pub damage: Vec<String>,
 }
 
 impl Imported {
-    /// Whether everything that was meant was used.
+    /// Whether everything in the mapping was used.
     #[must_use]
     pub fn is_whole(&self) -> bool {
         let is_used = |topic: &TopicReport| topic.refused.is_empty();
@@ -197,10 +197,7 @@ impl fmt::Display for Imported {
         }
         let (kinds, messages) = (self.others.len(), self.others.values().sum::<u64>());
         if kinds > 0 {
-            writeln!(
-                out,
-                "not looked at: {messages} messages of {kinds} other types"
-            )?;
+            writeln!(out, "ignored: {messages} messages of {kinds} other types")?;
         }
         Ok(())
     }
@@ -216,10 +213,7 @@ impl fmt::Display for RobotReport {
         write_topic(out, "battery", Some(&self.battery))?;
         if self.merged_in_bursts > 0 {
             let merged = self.merged_in_bursts;
-            writeln!(
-                out,
-                "             {merged} in bursts, of which the last counts"
-            )?;
+            writeln!(out, "             {merged} merged in bursts")?;
         }
         write_topic(out, "command", self.command.as_ref())?;
         write_topic(out, "odometry", self.odometry.as_ref())?;

@@ -1,4 +1,4 @@
-//! What is to be said about one channel.
+//! Statistics of one channel.
 
 use std::collections::BTreeMap;
 
@@ -11,17 +11,17 @@ use crate::scan::Place;
 /// A step longer than this many median steps is a gap.
 const GAP_STEPS: f64 = 3.0;
 
-/// How a channel numbers its messages.
+/// Sequence numbers of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Sequence {
-    /// Every message has the same number, or there are too few to tell.
+    /// All messages have the same number, or there are too few.
     Unused,
-    /// Each number is one more than the last, but for these.
+    /// Consecutive numbers, with exceptions.
     Counted {
-        /// Messages that the numbers leave out.
+        /// Number of missing messages.
         missing: u64,
-        /// Numbers that do not rise: a new recorder, or a message written twice.
+        /// Numbers that do not increase: a new recorder, or a duplicate message.
         restarts: u64,
     },
 }
@@ -29,15 +29,15 @@ pub enum Sequence {
 /// A channel of a file.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChannelReport {
-    /// Its number in the file.
+    /// Its id in the file.
     pub id: u16,
     /// Its topic.
     pub topic: String,
-    /// How its messages are written: `protobuf`, `cdr`, `json`, …
+    /// Its message encoding: `protobuf`, `cdr`, `json`, …
     pub message_encoding: String,
     /// Name of its schema, if it has one.
     pub schema: Option<String>,
-    /// What the file says of it.
+    /// Its metadata.
     pub metadata: BTreeMap<String, String>,
     /// Messages.
     pub messages: u64,
@@ -45,28 +45,28 @@ pub struct ChannelReport {
     pub start_ns: Option<u64>,
     /// Log time of its latest message, ns.
     pub end_ns: Option<u64>,
-    /// Messages a second between these two, Hz.
+    /// Mean message rate, Hz.
     pub rate_hz: Option<f64>,
     /// Median step of the log time, s, within 7 %.
     pub median_step_s: Option<f64>,
     /// Longest step, s.
     pub longest_step_s: Option<f64>,
-    /// Steps longer than three median ones.
+    /// Steps longer than three median steps.
     pub gaps: u64,
-    /// Messages earlier than the one before.
+    /// Messages earlier than their predecessor.
     pub out_of_order: u64,
-    /// Least time from publishing to logging, s.
+    /// Minimum time from publishing to logging, s.
     pub least_delay_s: Option<f64>,
-    /// Longest time from publishing to logging, s.
+    /// Maximum time from publishing to logging, s.
     pub longest_delay_s: Option<f64>,
-    /// How its messages are numbered.
+    /// Its sequence numbers.
     pub sequence: Sequence,
     #[serde(skip)]
     first_missing: Option<Place>,
 }
 
 impl ChannelReport {
-    /// What its numbers say is missing.
+    /// Messages missing according to the sequence numbers.
     pub(super) fn lost_words(&self) -> Option<(Option<Place>, String)> {
         let Sequence::Counted { missing, restarts } = self.sequence else {
             return None;
@@ -83,7 +83,7 @@ impl ChannelReport {
     }
 }
 
-/// What is counted of a channel while its messages go by.
+/// Counters of a channel during the scan.
 pub(super) struct Tally {
     pub(super) channel: Channel,
     messages: u64,
@@ -152,7 +152,7 @@ impl Tally {
         }
     }
 
-    /// Numbers are 32 bits wide and may wrap.
+    /// Numbers are 32 bits and may wrap.
     fn add_number(&mut self, sequence: u32, place: Place) {
         let step = sequence.wrapping_sub(self.last_sequence);
         self.numbers_differ |= step != 0;
@@ -202,7 +202,7 @@ impl Tally {
     }
 }
 
-/// Steps by length, eight classes an octave: a median in bounded memory.
+/// Histogram of steps with eight classes per octave: a median in bounded memory.
 #[derive(Debug, Default)]
 struct Steps {
     counts: BTreeMap<u16, u64>,
@@ -235,7 +235,7 @@ impl Steps {
     }
 }
 
-/// The class of a step: its highest bit and the three after it.
+/// The class of a step: its highest bit and the next three.
 fn class(step_ns: u64) -> u16 {
     if step_ns < 8 {
         return u16::try_from(step_ns).unwrap_or_default();
@@ -245,7 +245,7 @@ fn class(step_ns: u64) -> u16 {
     u16::try_from(u64::from(octave - 2) * 8 + eighth).unwrap_or(u16::MAX)
 }
 
-/// The middle of a class, ns.
+/// The centre of a class, ns.
 fn middle_ns(class: u16) -> f64 {
     if class < 8 {
         return f64::from(class);
@@ -263,7 +263,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_class_is_never_more_than_7_percent_from_its_steps(step_ns in 0_u64..=u64::MAX) {
+        fn a_class_is_within_7_percent_of_its_steps(step_ns in 0_u64..=u64::MAX) {
             let middle_ns = middle_ns(class(step_ns));
             let apart = (middle_ns - step_ns as f64).abs();
             prop_assert!(apart <= 0.07 * step_ns as f64, "{step_ns}: {middle_ns}");

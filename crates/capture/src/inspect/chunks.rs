@@ -1,4 +1,4 @@
-//! Chunks, and the indexes that stand behind each.
+//! Chunks and their message indexes.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -10,20 +10,20 @@ use crate::scan::{ChunkFrame, Place};
 /// The chunks of one compression.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct CompressionReport {
-    /// `zstd`, `lz4`, or nothing.
+    /// `zstd`, `lz4`, or empty.
     pub compression: String,
-    /// How many.
+    /// Number of chunks.
     pub chunks: u64,
-    /// Their records as they are in the file, bytes.
+    /// Size of their records in the file, bytes.
     pub compressed_bytes: u64,
-    /// Their records decompressed, bytes.
+    /// Size of their records decompressed, bytes.
     pub uncompressed_bytes: u64,
     /// Chunks without a checksum.
     pub unchecked: u64,
 }
 
-/// Messages of a channel in a chunk: how many, and a sum over time and place of each that does not
-/// depend on their order. Two lists with equal sums are taken as equal.
+/// Messages of a channel in a chunk: their number, and a sum over the time and position of each
+/// that does not depend on their order. Lists with equal sums are considered equal.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Listed {
     count: u64,
@@ -32,7 +32,7 @@ struct Listed {
 
 impl Listed {
     fn add(&mut self, log_ns: u64, offset: u64) {
-        // SplitMix64's finaliser: near pairs give far sums.
+        // SplitMix64's finaliser: similar pairs give dissimilar sums.
         let mut mixed = log_ns.rotate_left(32) ^ offset.wrapping_mul(0x9e37_79b9_7f4a_7c15);
         mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -41,7 +41,7 @@ impl Listed {
     }
 }
 
-/// A chunk whose records are going by.
+/// A chunk during the scan.
 pub(super) struct Open {
     offset: u64,
     end: u64,
@@ -67,7 +67,7 @@ impl Open {
         listed.add(log_ns, offset);
     }
 
-    /// What is wrong with the times in the chunk's head.
+    /// Error of the time range in the chunk's head.
     pub(super) fn wrong_span(&self, frame: &ChunkFrame) -> Option<String> {
         let header = &frame.header;
         let said = (header.message_start_time, header.message_end_time);
@@ -81,13 +81,13 @@ impl Open {
     }
 }
 
-/// What an index has to say of a chunk.
+/// Data of a chunk to compare with the chunk index.
 struct Known {
     bytes: u64,
     span_ns: (u64, u64),
     sizes: (u64, u64),
     compression: String,
-    /// Where its message indexes stand, by channel.
+    /// Offsets of its message indexes, by channel.
     indexes: BTreeMap<u16, u64>,
     indexes_end: u64,
     end: u64,
@@ -99,7 +99,7 @@ struct Known {
 pub(super) struct Chunks {
     known: HashMap<u64, Known>,
     by_compression: BTreeMap<String, CompressionReport>,
-    /// The last chunk, until something else than its message indexes comes.
+    /// The last chunk, while its message indexes follow.
     last: Option<Open>,
     indexes_seen: bool,
     missing_index: Option<Place>,
@@ -149,7 +149,7 @@ impl Chunks {
         self.last = Some(open);
     }
 
-    /// Compares a message index with the chunk before it; says what is wrong.
+    /// Compares a message index with the chunk before it; returns the error.
     pub(super) fn message_index(
         &mut self,
         place: Place,
@@ -180,7 +180,7 @@ impl Chunks {
         })
     }
 
-    /// No more message indexes of the last chunk: what it has and they have not.
+    /// Ends the message indexes of the last chunk; returns missing ones.
     pub(super) fn settle(&mut self) -> Vec<(Place, String)> {
         let Some(open) = self.last.take() else {
             return Vec::new();
@@ -206,17 +206,17 @@ impl Chunks {
         open.listed.iter().map(words).collect()
     }
 
-    /// A chunk without any message index in a file that has them.
+    /// A chunk without any message index in a file that has some.
     pub(super) fn without_index(&self) -> Option<Place> {
         self.missing_index.filter(|_| self.indexes_seen)
     }
 
-    /// Compares a chunk index with the chunk; says what is wrong.
+    /// Compares a chunk index with the chunk; returns the error.
     pub(super) fn chunk_index(&mut self, index: &ChunkIndex) -> Option<String> {
         let offset = index.chunk_start_offset;
         let Some(known) = self.known.get_mut(&offset) else {
             return Some(format!(
-                "chunk index: there is no sound chunk at byte {offset}"
+                "chunk index: there is no valid chunk at byte {offset}"
             ));
         };
         known.indexed = true;
@@ -237,11 +237,11 @@ impl Chunks {
             return None;
         };
         Some(format!(
-            "chunk index: the {wrong} of the chunk at byte {offset} are others"
+            "chunk index: the {wrong} of the chunk at byte {offset} differ"
         ))
     }
 
-    /// Chunks that no index names.
+    /// Chunks without a chunk index.
     pub(super) fn unindexed(&self) -> u64 {
         self.known.values().filter(|known| !known.indexed).count() as u64
     }

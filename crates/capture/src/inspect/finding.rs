@@ -1,25 +1,25 @@
-//! What a user should know about a file.
+//! Findings about a file.
 
 use serde::Serialize;
 
 use crate::scan::Place;
 
-/// How bad a finding is.
+/// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
-    /// Allowed, but worth knowing: messages out of order, a missing index.
+    /// Valid but noteworthy: messages out of order, a missing index.
     Note,
-    /// The file is damaged, incomplete or contradicts itself.
+    /// The file is corrupt, incomplete or inconsistent.
     Error,
 }
 
-/// Something about a file that a user should know.
+/// A finding about a file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// How bad it is.
+    /// Its severity.
     pub severity: Severity,
-    /// Where it is; nothing for what concerns the whole file.
+    /// Its location; `None` if it concerns the whole file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub place: Option<Place>,
     /// What was found and what is allowed.

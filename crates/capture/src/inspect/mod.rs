@@ -1,7 +1,7 @@
-//! What is in an MCAP file, and whether it is as it should be.
+//! Inspection and validation of MCAP files.
 //!
-//! One pass over the whole file in bounded memory: what grows with the file is one small entry for
-//! each chunk, attachment and metadata record, which the indexes are compared with.
+//! One pass over the whole file in bounded memory: only one small entry for each chunk, attachment
+//! and metadata record grows with the file, for comparison with the indexes.
 
 mod channel;
 mod chunks;
@@ -27,16 +27,16 @@ pub use report::Inspection;
 pub use summary::StatisticsCheck;
 use summary::Summary;
 
-/// Findings that are listed; more are only counted.
+/// Maximum number of findings listed; others are only counted.
 const LISTED_FINDINGS: usize = 200;
-/// Attachments and metadata records that are listed; more are only counted.
+/// Maximum number of attachments and metadata records listed; others are only counted.
 const LISTED_RECORDS: usize = 1000;
 
-/// Reads a file and says what is in it.
+/// Inspects a file.
 ///
 /// # Errors
-/// [`ScanError`] if it is no MCAP file at all, or the system cannot read it. Everything else that
-/// is wrong is among the findings.
+/// [`ScanError`] if it is not an MCAP file, or the system cannot read it. All other errors are
+/// findings.
 pub fn inspect(input: impl Read + Seek) -> Result<Inspection, ScanError> {
     let mut scan = Scan::new(input)?;
     let mut inspector = Inspector::new(scan.file_bytes());
@@ -59,14 +59,14 @@ pub fn inspect(input: impl Read + Seek) -> Result<Inspection, ScanError> {
     Ok(inspector.finish())
 }
 
-/// What is wrong, without the place that begins every message.
+/// The error, without the location that precedes every message.
 fn error_words(error: &ScanError) -> String {
     let words = error.to_string();
     let place = format!("{}: ", error.place());
     words.strip_prefix(&place).unwrap_or(&words).to_owned()
 }
 
-/// The part of the file that is being read.
+/// The section of the file being read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Section {
     Data,
@@ -150,7 +150,7 @@ impl Inspector {
             offset: from,
             in_chunk: None,
         };
-        let what = format!("passed over {} bytes, up to byte {to}", to - from);
+        let what = format!("skipped {} bytes, up to byte {to}", to - from);
         self.note(Some(place), what);
     }
 
@@ -170,7 +170,7 @@ impl Inspector {
             } => {
                 let kind = crate::scan::kind_name(opcode);
                 let most = crate::scan::MAX_RECORD_BYTES;
-                let what = format!("{kind} of {bytes} bytes was not looked at; up to {most} are");
+                let what = format!("{kind} of {bytes} bytes was not read; at most {most} are");
                 self.note(Some(place), what);
             }
         }
@@ -195,7 +195,7 @@ impl Inspector {
         self.chunks.add(frame, open, crc.saved == 0);
     }
 
-    /// The message indexes of a chunk stand after it, until anything else does.
+    /// The message indexes of a chunk follow it directly.
     fn settle_indexes(&mut self) {
         for (place, what) in self.chunks.settle() {
             self.error(Some(place), what);
@@ -205,7 +205,7 @@ impl Inspector {
     fn record(&mut self, raw: &Raw<'_>) {
         self.records += 1;
         if self.section == Section::Data && self.records == 1 && raw.opcode != op::HEADER {
-            self.error(Some(raw.place), "the first record is no header");
+            self.error(Some(raw.place), "the first record is not a header");
         }
         if raw.place.in_chunk.is_none() && raw.opcode != op::MESSAGE_INDEX {
             self.settle_indexes();
@@ -272,7 +272,7 @@ impl Inspector {
             }
             Record::Unknown { opcode, .. } => {
                 let what =
-                    format!("a record of opcode {opcode:#04x}, which the format has no name for");
+                    format!("a record of opcode {opcode:#04x}, which is not defined by the format");
                 self.note(Some(raw.place), what);
             }
             other => {
@@ -315,7 +315,7 @@ impl Inspector {
     fn channel(&mut self, place: Place, channel: mcap::records::Channel) {
         if channel.schema_id != 0 && !self.schemas.contains_key(&channel.schema_id) {
             let what = format!(
-                "channel {} ({}) has schema {}, which does not stand before it",
+                "channel {} ({}) has schema {}, which is not defined before it",
                 channel.id, channel.topic, channel.schema_id
             );
             self.error(Some(place), what);
@@ -355,7 +355,7 @@ impl Inspector {
             Some(tally) => tally.add(header, place),
             None => {
                 let what = format!(
-                    "a message of channel {}, which does not stand before it",
+                    "a message of channel {}, which is not defined before it",
                     header.channel_id
                 );
                 self.error(Some(place), what);
@@ -381,7 +381,7 @@ impl Inspector {
         }
         if self.out_of_order > 0 {
             let what = format!(
-                "{} messages are earlier than one that stands before them",
+                "{} messages are earlier than a message before them",
                 self.out_of_order
             );
             self.note(None, what);
@@ -421,7 +421,7 @@ impl Inspector {
         }
     }
 
-    /// Schemas and channels that messages have been written with.
+    /// Schemas and channels used by messages.
     fn used(&self) -> (u16, u32) {
         let used = || self.channels.values().filter(|tally| tally.messages() > 0);
         let schemas: BTreeSet<u16> = used()
@@ -432,7 +432,7 @@ impl Inspector {
         (schemas, u32::try_from(used().count()).unwrap_or(u32::MAX))
     }
 
-    /// What the statistics should say.
+    /// The expected statistics.
     fn counted(&self) -> mcap::records::Statistics {
         let (start, end) = self.span_ns.unwrap_or_default();
         let small = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);

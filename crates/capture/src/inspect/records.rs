@@ -7,15 +7,15 @@ use serde::Serialize;
 /// A schema of the file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct SchemaReport {
-    /// Its number in the file.
+    /// Its id in the file.
     pub id: u16,
     /// Its name.
     pub name: String,
-    /// How it is written: `protobuf`, `ros2msg`, …
+    /// Its encoding: `protobuf`, `ros2msg`, …
     pub encoding: String,
     /// Length of its definition, bytes.
     pub bytes: u64,
-    /// Checksum of its definition; a second definition has to be the same.
+    /// Checksum of its definition; repeated definitions must be equal.
     #[serde(skip)]
     pub(super) crc: u32,
 }
@@ -31,7 +31,7 @@ pub struct AttachmentReport {
     pub bytes: u64,
     /// When it was recorded, ns.
     pub log_ns: u64,
-    /// When it was made, ns.
+    /// When it was created, ns.
     pub create_ns: u64,
 }
 
@@ -40,6 +40,6 @@ pub struct AttachmentReport {
 pub struct MetadataReport {
     /// Its name.
     pub name: String,
-    /// What it says.
+    /// Its entries.
     pub entries: BTreeMap<String, String>,
 }

@@ -1,4 +1,4 @@
-//! What an inspection has found, and its text.
+//! Result of an inspection, and its text.
 
 use std::fmt;
 
@@ -10,16 +10,16 @@ use super::finding::{Finding, Severity};
 use super::records::{AttachmentReport, MetadataReport, SchemaReport};
 use super::summary::StatisticsCheck;
 
-/// What is in a file.
+/// Contents of a file.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Inspection {
     /// Length of the file, bytes.
     pub bytes: u64,
     /// Profile in its header.
     pub profile: String,
-    /// The library that wrote it, as it says.
+    /// The library that wrote it, as stated.
     pub library: String,
-    /// Whether it could be read from the first byte to the last.
+    /// Whether it could be read completely.
     pub complete: bool,
     /// Messages.
     pub messages: u64,
@@ -29,36 +29,36 @@ pub struct Inspection {
     pub end_ns: Option<u64>,
     /// From the earliest to the latest, s.
     pub duration_s: Option<f64>,
-    /// Messages whose log time is before that of a message that stands before them.
+    /// Messages whose log time is before that of an earlier message in the file.
     pub out_of_order: u64,
     /// Its chunks by compression.
     pub chunks: Vec<CompressionReport>,
     /// Messages outside of chunks.
     pub messages_outside_chunks: u64,
-    /// Its schemas by number.
+    /// Its schemas by id.
     pub schemas: Vec<SchemaReport>,
-    /// Its channels by number.
+    /// Its channels by id.
     pub channels: Vec<ChannelReport>,
     /// Attachments.
     pub attachment_count: u64,
-    /// The first of them.
+    /// The first attachments.
     pub attachments: Vec<AttachmentReport>,
     /// Metadata records.
     pub metadata_count: u64,
-    /// The first of them.
+    /// The first metadata records.
     pub metadata: Vec<MetadataReport>,
-    /// Whether the statistics in the file say the same.
+    /// Whether the statistics in the file are right.
     pub statistics: StatisticsCheck,
-    /// Errors found.
+    /// Number of errors.
     pub errors: u64,
-    /// Notes.
+    /// Number of notes.
     pub notes: u64,
-    /// The first of both, in the order of the file.
+    /// The first findings, in the order of the file.
     pub findings: Vec<Finding>,
 }
 
 impl Inspection {
-    /// Whether nothing is wrong with the file.
+    /// Whether there are no errors.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         self.errors == 0

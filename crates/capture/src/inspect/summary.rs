@@ -1,4 +1,4 @@
-//! The summary at the end of a file, compared with what stands before it.
+//! The summary section of a file, compared with its data section.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -8,22 +8,22 @@ use serde::Serialize;
 use super::chunks::Chunks;
 use super::finding::Severity;
 
-/// Whether the statistics in a file agree with what was counted.
+/// Whether the statistics in a file equal the counts.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "state")]
 pub enum StatisticsCheck {
-    /// The file has none.
+    /// The file has no statistics.
     Missing,
-    /// They say what was counted.
+    /// They equal the counts.
     Agree,
-    /// They say something else.
+    /// They differ.
     Differ {
-        /// Which count, what they say, what was counted.
+        /// Each difference: name, stated and actual count.
         differences: Vec<String>,
     },
 }
 
-/// An attachment or a metadata record as an index should name it.
+/// An attachment or a metadata record, for comparison with its index.
 struct Entry {
     bytes: u64,
     name: String,
@@ -32,7 +32,7 @@ struct Entry {
     indexed: bool,
 }
 
-/// What was read of the summary, and what it is compared with.
+/// The summary read so far, with the data to compare it with.
 #[derive(Default)]
 pub(super) struct Summary {
     starts_at: Option<u64>,
@@ -42,7 +42,7 @@ pub(super) struct Summary {
     chunk_indexes: u64,
     attachment_indexes: u64,
     metadata_indexes: u64,
-    /// First byte and length of each run of records of one kind.
+    /// Offset and length of each group of records of one kind.
     groups: BTreeMap<u8, (u64, u64)>,
     summary_offsets: Vec<mcap::records::SummaryOffset>,
 }
@@ -84,12 +84,12 @@ impl Summary {
         self.metadata.insert(offset, entry);
     }
 
-    /// The data ends; the summary begins at `offset`.
+    /// The data section ends; the summary begins at `offset`.
     pub(super) fn begins(&mut self, offset: u64) {
         self.starts_at = Some(offset);
     }
 
-    /// A record after the end of the data, for the summary offsets.
+    /// Records the group of a record in the summary, for the summary offsets.
     pub(super) fn group(&mut self, opcode: u8, offset: u64, bytes: u64) {
         if matches!(opcode, op::DATA_END | op::FOOTER) {
             return;
@@ -100,7 +100,7 @@ impl Summary {
         }
     }
 
-    /// Takes a record of the summary; says what is wrong with it.
+    /// Checks a record of the summary; returns the error.
     pub(super) fn take(
         &mut self,
         offset: u64,
@@ -121,7 +121,7 @@ impl Summary {
                 let at = index.offset;
                 let Some(entry) = self.attachments.get_mut(&at) else {
                     return Some(format!(
-                        "attachment index: there is no sound attachment at byte {at}"
+                        "attachment index: there is no valid attachment at byte {at}"
                     ));
                 };
                 entry.indexed = true;
@@ -141,7 +141,7 @@ impl Summary {
                 let at = index.offset;
                 let Some(entry) = self.metadata.get_mut(&at) else {
                     return Some(format!(
-                        "metadata index: there is no sound metadata at byte {at}"
+                        "metadata index: there is no valid metadata at byte {at}"
                     ));
                 };
                 entry.indexed = true;
@@ -158,13 +158,13 @@ impl Summary {
                 None
             }
             other => Some(format!(
-                "opcode {:#04x} has no place at byte {offset}",
+                "opcode {:#04x} is not allowed at byte {offset}",
                 other.opcode()
             )),
         }
     }
 
-    /// What is wrong with the footer at `offset`.
+    /// Errors of the footer at `offset`.
     pub(super) fn footer(&mut self, offset: u64, footer: Footer) -> Vec<String> {
         let mut wrong = Vec::new();
         let start = self.starts_at.filter(|start| *start != offset).unwrap_or(0);
@@ -172,7 +172,7 @@ impl Summary {
             .groups
             .get(&op::SUMMARY_OFFSET)
             .map_or(0, |(start, _)| *start);
-        // Where only summary offsets stand, there is no summary that begins.
+        // If there are only summary offsets, there is no summary start.
         let start = if start == offsets { 0 } else { start };
         if self.starts_at.is_none() {
             wrong.push("there is no end of data before the footer".to_owned());
@@ -210,7 +210,7 @@ impl Summary {
         wrong
     }
 
-    /// What the whole summary says about the whole file.
+    /// Final checks of the summary against the file.
     pub(super) fn finish(
         &self,
         counted: &Statistics,
@@ -223,10 +223,10 @@ impl Summary {
             None => StatisticsCheck::Missing,
             Some(said) => {
                 let mut counted = counted.clone();
-                // libmcap leaves out what no message was written with.
+                // libmcap omits schemas and channels without messages.
                 if (said.schema_count, said.channel_count) == used && used.1 < counted.channel_count
                 {
-                    let what = "the statistics leave out schemas and channels without messages";
+                    let what = "the statistics omit schemas and channels without messages";
                     wrong.push((Severity::Note, what.to_owned()));
                     (counted.schema_count, counted.channel_count) = used;
                 }
@@ -267,7 +267,7 @@ impl Summary {
                 } else {
                     Severity::Note
                 };
-                wrong.push((severity, format!("{unindexed} {kind} are in no index")));
+                wrong.push((severity, format!("{unindexed} {kind} are not indexed")));
             }
         }
         if self.statistics.is_none() {
@@ -281,10 +281,10 @@ impl Summary {
     }
 }
 
-/// Which counts differ, in words.
+/// The counts that differ, as text.
 fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
     let span = |statistics: &Statistics| {
-        // Without messages the times mean nothing.
+        // Without messages the times are meaningless.
         if statistics.message_count == 0 {
             return (0, 0);
         }
@@ -322,7 +322,7 @@ fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
     ]
     .into_iter()
     .filter(|(_, said, counted)| said != counted)
-    .map(|(what, said, counted)| format!("{what}: {said} saved, {counted} found"))
+    .map(|(what, said, counted)| format!("{what}: {said} stated, {counted} found"))
     .collect();
     let channels = said
         .channel_message_counts
@@ -342,7 +342,7 @@ fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
         if of(said) != of(counted) {
             let (said, counted) = (of(said), of(counted));
             differences.push(format!(
-                "channel {channel}: {said} messages saved, {counted} found"
+                "channel {channel}: {said} messages stated, {counted} found"
             ));
         }
     }

@@ -1,7 +1,8 @@
-//! The values in messages of any MCAP file, as far as its schemas tell what they mean.
+//! Decodes the values in messages of any MCAP file by its schemas.
 //!
-//! Protobuf messages are decoded by the descriptors in the file itself, JSON as it is, and the ROS
-//! types of [`crate::ros`] from CDR. Of everything else time, number and length are known.
+//! Protobuf messages are decoded by the descriptors in the file, JSON is passed on unchanged, and
+//! the ROS types of [`crate::ros`] are decoded from CDR. For other messages only time, sequence
+//! number and length are available.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
@@ -14,7 +15,7 @@ use serde_json::Value;
 use crate::ros;
 use crate::scan::{ScanError, each_record};
 
-/// Nested deeper than this, fields are not listed as columns.
+/// Maximum nesting depth of fields listed as columns.
 const MOST_DEPTH: usize = 8;
 
 /// A message with its values.
@@ -28,32 +29,32 @@ pub struct Line<'a> {
     pub log_time_ns: u64,
     /// When it was sent, ns.
     pub publish_time_ns: u64,
-    /// Its number.
+    /// Its sequence number.
     pub sequence: u32,
     /// Its length, bytes.
     pub bytes: usize,
-    /// Its values; `null` where they cannot be determined.
+    /// Its values; `null` if they cannot be decoded.
     pub value: Value,
-    /// Why they cannot.
+    /// The reason why they cannot be decoded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub undecoded: Option<String>,
-    /// Names of its fields, in the order of the schema; only of protobuf.
+    /// Names of its fields, in the order of the schema; protobuf only.
     #[serde(skip)]
     pub columns: &'a [String],
 }
 
-/// What went by.
+/// Result of reading a file.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Passed {
-    /// Messages handed on.
+    /// Messages passed on.
     pub messages: u64,
-    /// Of them, messages whose values could not be determined, by topic.
+    /// Messages whose values could not be decoded, by topic.
     pub undecoded: BTreeMap<String, u64>,
-    /// What is damaged in the file.
+    /// Damage of the file.
     pub damage: Vec<String>,
 }
 
-/// How messages of a channel are read.
+/// Decoder of a channel's messages.
 enum How {
     Protobuf(MessageDescriptor),
     Json,
@@ -69,11 +70,11 @@ struct Channel {
     wanted: bool,
 }
 
-/// Reads a file and hands on the messages of the topics that are `wanted`, in the order of the file.
+/// Reads a file and passes on the messages of the `wanted` topics, in the order of the file.
 ///
 /// # Errors
-/// What `take` says, or [`ScanError`] if the file is no MCAP file or cannot be read. Damage is
-/// passed over and named in [`Passed`].
+/// Errors of `take`, or [`ScanError`] if the file is not an MCAP file or cannot be read. Damage is
+/// skipped and listed in [`Passed`].
 pub fn values<E: From<ScanError>>(
     input: impl Read + Seek,
     wanted: impl Fn(&str) -> bool,
@@ -170,7 +171,7 @@ impl Channel {
             How::Protobuf(descriptor) => {
                 let message = DynamicMessage::decode(descriptor.clone(), data)
                     .map_err(|error| error.to_string())?;
-                // Field names as in the schema, zeros too; 64-bit numbers as numbers.
+                // Field names as in the schema, zeros included; 64-bit numbers as numbers.
                 let options = SerializeOptions::new()
                     .use_proto_field_name(true)
                     .stringify_64_bit_integers(false)
@@ -189,7 +190,7 @@ impl Channel {
     }
 }
 
-/// The descriptor that a file has for a message.
+/// The file's descriptor of a message.
 fn descriptor(name: &str, encoding: &str, data: &[u8]) -> Result<MessageDescriptor, String> {
     if encoding != "protobuf" {
         return Err(format!(
@@ -201,7 +202,7 @@ fn descriptor(name: &str, encoding: &str, data: &[u8]) -> Result<MessageDescript
         .ok_or_else(|| format!("its descriptors have no message {name:?}"))
 }
 
-/// The scalar fields of a message, with dots; those of its repeated messages without an index.
+/// The scalar fields of a message as dotted paths; those of repeated messages without an index.
 fn list(message: &MessageDescriptor, before: &str, depth: usize, columns: &mut Vec<String>) {
     for field in message.fields() {
         let name = format!("{before}{}", field.name());
@@ -216,7 +217,7 @@ fn list(message: &MessageDescriptor, before: &str, depth: usize, columns: &mut V
     }
 }
 
-/// Messages that JSON has as one text.
+/// Messages that JSON represents as a string.
 fn is_text(message: &MessageDescriptor) -> bool {
     matches!(
         message.full_name(),

@@ -1,19 +1,19 @@
-//! Between what lies in shared memory and what lies in a capture, bit for bit.
+//! Conversion between payloads in shared memory and messages in a capture, bit for bit.
 
 use joulebus_wire as wire;
 use prost_types::Timestamp;
 
 use super::proto;
 
-/// A number in a capture that its field in shared memory cannot hold.
+/// A number in a capture that exceeds its field in shared memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("{field} = {found}: allowed are 0 to {allowed}")]
 pub struct OutOfRange {
     /// The field.
     pub field: &'static str,
-    /// Its number.
+    /// Its value.
     pub found: i128,
-    /// The greatest number allowed.
+    /// The maximum.
     pub allowed: u64,
 }
 
@@ -26,7 +26,7 @@ fn narrow(field: &'static str, found: impl Into<i128>) -> Result<u16, OutOfRange
     })
 }
 
-/// Every u64 of ns fits into a timestamp and comes back the same.
+/// Every u64 of ns fits into a timestamp and is restored exactly.
 fn timestamp(ns: u64) -> Option<Timestamp> {
     Some(Timestamp {
         seconds: (ns / 1_000_000_000) as i64,
@@ -45,8 +45,9 @@ fn ns(field: &'static str, time: &Option<Timestamp>) -> Result<u64, OutOfRange> 
 }
 
 /// Both directions between a payload or header in shared memory and its message, field by field:
-/// `same` on both sides; `float`, which another program may have left out; `narrow`, 16 bits in shared
-/// memory; `code`, an enumeration; and one `with` functions of its own. The message of a
+/// `same` type on both sides; `float`, which another program may have omitted; `narrow`, 16 bits in
+/// shared memory; `code`, an enumeration; and one `with` conversion functions. The message of a
+/// header holds the rows of the frame in the field after `of`, initially empty.
 /// header has the rows of the frame in the field after `of`, still empty.
 macro_rules! convert {
     ($wire:ident <=> $proto:ident $(of $rows:ident)? {
@@ -188,7 +189,7 @@ fn drop_counts(drops: wire::DropCounts) -> Option<proto::DropCounts> {
         too_many_sources,
         later @ ..,
     ] = drops.counts;
-    // Reasons without a name are rare: what follows the last that occurred is not written.
+    // Unnamed reasons are rare: trailing zeros are not written.
     let used = later.iter().rposition(|count| *count != 0);
     Some(proto::DropCounts {
         unknown_robot,
@@ -241,7 +242,7 @@ fn counts_of(drops: &Option<proto::DropCounts>) -> Result<wire::DropCounts, OutO
     Ok(counts)
 }
 
-/// Places after the last that is taken are not written.
+/// Trailing empty entries are not written.
 fn refusals<const PLACES: usize>(places: [wire::Refusal; PLACES]) -> Vec<proto::Refusal> {
     let empty = wire::Refusal::default();
     let used = places.iter().rposition(|place| *place != empty);

@@ -1,15 +1,16 @@
-//! Schemas as they lie in a capture: a file set of protobuf descriptors with everything imported.
+//! Schemas in a capture: a file set of protobuf descriptors with all imports.
 
 use prost::Message as _;
 use prost_types::{FileDescriptorProto, FileDescriptorSet};
 
-/// What a protobuf compiler makes of `proto/joulebus/*.proto`; a test makes it again.
+/// Compiled from `proto/joulebus/*.proto`; a test compiles it again.
 const DESCRIPTORS: &[u8] = include_bytes!("../../proto/joulebus.binpb");
 
-/// The files that declare the message `name` (`joulebus.Samples`), imported ones first. Empty for
+/// The files that declare the message `name` (`joulebus.Samples`), imports first. Empty for a name
+/// that is not ours.
 /// a name that is not ours.
 pub(crate) fn descriptors(name: &str) -> Vec<u8> {
-    // Ours, and tested; whoever cannot read it reads messages without a schema.
+    // Ours, and tested; without it, messages have no schema.
     let all = FileDescriptorSet::decode(DESCRIPTORS).unwrap_or_default();
     let short = name.strip_prefix("joulebus.").unwrap_or(name);
     let declares = |file: &&FileDescriptorProto| {

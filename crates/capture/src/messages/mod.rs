@@ -1,4 +1,4 @@
-//! Messages of a capture: what went through shared memory, frame by frame.
+//! Messages of a capture: the frames in shared memory.
 
 mod convert;
 mod descriptors;
@@ -16,7 +16,7 @@ use prost::Message as _;
 
 pub use convert::OutOfRange;
 
-/// What a message is.
+/// Contents of a message.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Message {
     /// A frame of samples.
@@ -31,15 +31,15 @@ pub enum Message {
     Ticks(TickHeader, Vec<TakenFrame>),
     /// A piece of a keyframe.
     State(StateHeader, Vec<u8>),
-    /// One robot's sample again, for plots.
+    /// One robot's sample, repeated for plots.
     RobotSample(Sample),
-    /// One robot's forecast again, for plots.
+    /// One robot's forecast, repeated for plots.
     RobotForecast(Forecast),
-    /// One robot's diagnostics again, for plots.
+    /// One robot's diagnostics, repeated for plots.
     RobotDiagnostic(Diagnostic),
-    /// One robot's budget again, for plots.
+    /// One robot's budget, repeated for plots.
     RobotBudget(Budget),
-    /// Something else: not written by this program.
+    /// A message of another program.
     Other {
         /// Name of its schema; empty if it has none.
         schema: Arc<str>,
@@ -48,7 +48,7 @@ pub enum Message {
     },
 }
 
-/// What messages of a channel are.
+/// Kind of a channel's messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum MessageKind {
     /// [`Message::Samples`].
@@ -74,7 +74,7 @@ pub enum MessageKind {
 }
 
 impl MessageKind {
-    /// All kinds; first those with a channel of their own for the whole fleet.
+    /// All kinds; first those with one channel for the whole fleet.
     pub const ALL: [Self; 10] = [
         Self::Samples,
         Self::Forecasts,
@@ -88,7 +88,7 @@ impl MessageKind {
         Self::RobotBudget,
     ];
 
-    /// Kinds that are recorded of a fleet, one channel each.
+    /// Kinds recorded with one channel per fleet.
     pub const OF_FLEET: [Self; 6] = [
         Self::Samples,
         Self::Forecasts,
@@ -98,7 +98,7 @@ impl MessageKind {
         Self::State,
     ];
 
-    /// The last part of the topic.
+    /// The last component of the topic.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -144,7 +144,7 @@ impl MessageKind {
         Self::ALL.into_iter().find(|kind| kind.schema() == name)
     }
 
-    /// The channel's topic; `robot` counts only for kinds of single robots.
+    /// The channel's topic; `robot` is used only by kinds of single robots.
     #[must_use]
     pub fn topic(self, fleet: &str, robot: u32) -> String {
         let name = self.name();
@@ -158,7 +158,7 @@ impl MessageKind {
 }
 
 impl Message {
-    /// What it is; none for what is not ours.
+    /// Its kind; `None` for messages of other programs.
     #[must_use]
     pub const fn kind(&self) -> Option<MessageKind> {
         Some(match self {
@@ -176,7 +176,7 @@ impl Message {
         })
     }
 
-    /// The robot that it is about, if it is about one.
+    /// Its robot, if it concerns a single one.
     #[must_use]
     pub const fn robot(&self) -> Option<u32> {
         match self {
@@ -188,7 +188,7 @@ impl Message {
         }
     }
 
-    /// When it was sent, monotonic ns, if it says so. Diagnostics and single robots do not.
+    /// Send time, monotonic ns, if it has one. Diagnostics and single robots do not.
     #[must_use]
     pub const fn sent_ns(&self) -> Option<u64> {
         match self {
@@ -201,9 +201,9 @@ impl Message {
         }
     }
 
-    /// Appends it as protobuf.
+    /// Appends its protobuf encoding.
     pub fn encode(&self, out: &mut Vec<u8>) {
-        // Writing to a vector cannot fail for want of room.
+        // Writing to a vector cannot fail.
         let _ = match self {
             Self::Samples(header, rows) => proto::Samples {
                 samples: to_proto(rows),
@@ -246,10 +246,10 @@ impl Message {
         };
     }
 
-    /// From protobuf.
+    /// Decodes a message from protobuf.
     ///
     /// # Errors
-    /// The bytes are not a message of this kind, or have a number that its field cannot hold.
+    /// The bytes are not a message of this kind, or a number exceeds its field.
     pub fn decode(kind: MessageKind, data: &[u8]) -> Result<Self, DecodeError> {
         Ok(match kind {
             MessageKind::Samples => {
@@ -306,34 +306,34 @@ fn from_proto<'a, P: 'a, W: TryFrom<&'a P>>(rows: &'a [P]) -> Result<Vec<W>, W::
     rows.iter().map(TryInto::try_into).collect()
 }
 
-/// Why bytes are not a message.
+/// Errors of decoding a message.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecodeError {
     /// Not protobuf, or not of this kind.
     #[error("{reason}")]
     Protobuf {
-        /// What is wrong.
+        /// The decoder's error.
         reason: String,
     },
-    /// A number that its field cannot hold.
+    /// A number that exceeds its field.
     #[error(transparent)]
     OutOfRange(#[from] OutOfRange),
 }
 
-/// A message with its place in a capture.
+/// A message with its topic and times.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Entry {
     /// Topic of its channel: `joulebus/<fleet>/<service>`.
     pub topic: Arc<str>,
-    /// The fleet; empty for what is not ours.
+    /// The fleet; empty for messages of other programs.
     pub fleet: Arc<str>,
-    /// When the recorder knew of it, Unix ns.
+    /// When the recorder received it, Unix ns.
     pub log_time_ns: u64,
     /// When it was sent, Unix ns.
     pub publish_time_ns: u64,
-    /// Its number in the channel, from 0; continues over split files and wraps after 2^32.
+    /// Its sequence number in the channel, from 0; continues over split files and wraps after 2^32.
     pub sequence: u32,
-    /// What it is.
+    /// Its contents.
     pub message: Message,
 }

@@ -1,4 +1,4 @@
-//! Empties a fleet's services in shared memory, often enough that nothing is overwritten.
+//! Drains a fleet's services in shared memory, often enough that nothing is overwritten.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,16 +14,16 @@ use super::item::Item;
 use super::shared::Shared;
 use crate::{Clock, Message, MessageKind, Times};
 
-/// How often shared memory is looked at, at least.
+/// Maximum interval between two drains.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
-/// Time between two words about failures to receive, ns.
+/// Minimum interval between two log lines of receive failures, ns.
 const SAY_EVERY_NS: u64 = 1_000_000_000;
 
-/// Why the services could not be opened.
+/// Errors of opening the services.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DrainError {
-    /// The config's domain.
+    /// The config's domain is invalid.
     #[error(transparent)]
     Domain(#[from] joulebus_bus::DomainError),
     /// The domain could not be joined.
@@ -34,9 +34,9 @@ pub enum DrainError {
     Open(#[from] OpenError),
 }
 
-/// The ports of one fleet. Belongs to the thread that opened it.
+/// The ports of one fleet. Belongs to the thread that opened them.
 pub(crate) struct Drain {
-    // Before the bus: ports go first.
+    // Before the bus, because ports must be dropped first.
     samples: Option<SampleTap>,
     forecasts: Option<ForecastReader>,
     diagnostics: Option<DiagnosticReader>,
@@ -53,7 +53,7 @@ pub(crate) struct Drain {
 }
 
 impl Drain {
-    /// Joins, and opens a port for each kind that is `wanted`.
+    /// Joins, and opens a port for each `wanted` kind.
     pub(crate) fn open(
         config: &Config,
         clock: Clock,
@@ -61,7 +61,7 @@ impl Drain {
     ) -> Result<Self, DrainError> {
         let bus = Bus::join(&config.domain()?, "recorder")?;
         let limits = config.limits();
-        // A quarter of what waits in shared memory passes between two looks.
+        // At most a quarter of the buffered frames arrives between two drains.
         let frames = limits.forecast_frames.min(limits.sample_frames) as u64;
         let most_ns = config.tick_period_ns().saturating_mul(frames) / 4;
         Ok(Self {
@@ -111,7 +111,7 @@ impl Drain {
         self.batch.sort_by_key(place);
         for message in self.batch.drain(..) {
             let sent_ns = message.sent_ns().map(|sent_ns| self.clock.unix_ns(sent_ns));
-            // Nobody can have sent after now, and what is written is in order.
+            // No frame was sent after now, and written times must be in order.
             let publish_ns = sent_ns.unwrap_or(now_ns).min(now_ns);
             self.log_ns = self.log_ns.max(publish_ns);
             let times = Times {
@@ -126,8 +126,8 @@ impl Drain {
         }
     }
 
-    /// Effects before their causes: when a tick's journal is here, the samples that it took are
-    /// taken after it, and so are here too. A service that fails does not keep the others waiting.
+    /// Effects are received before their causes: after a tick's journal is received, the samples
+    /// that it took are received as well. A failing service does not block the others.
     fn take_all(&mut self) -> Result<(), ReceiveError> {
         let batch = &mut self.batch;
         let state = take_all(&mut self.state, batch, Message::State);
@@ -153,7 +153,7 @@ impl Drain {
     }
 }
 
-/// Takes all frames that wait, if there is a reader.
+/// Receives all waiting frames, if there is a reader.
 fn take_all<H: Payload, T: Payload>(
     reader: &mut Option<Reader<H, T>>,
     batch: &mut Vec<Message>,
@@ -165,8 +165,8 @@ fn take_all<H: Payload, T: Payload>(
     reader.take_all(|header, rows| batch.push(message(*header, rows.to_vec())))
 }
 
-/// Causes before effects: samples first, then tick by tick. What cannot be distinguished stays in the
-/// order in which it was sent.
+/// Causes are sorted before effects: samples first, then tick by tick. Otherwise messages stay in
+/// the order in which they were sent.
 fn place(message: &Message) -> (u8, u64, u64, u8) {
     match message {
         Message::Samples(header, _) => (0, header.sent_ns, 0, 0),

@@ -1,5 +1,5 @@
-//! Where recorded messages go: one file, several that continue from each other, or memory that is
-//! saved when something happens.
+//! Output of a recording: one file, a split sequence of files, or a memory buffer that is saved on
+//! events.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fmt;
@@ -14,11 +14,11 @@ use crate::{
     Attachments, CaptureFile, Message, MessageKind, Sequences, WriteError, Writer, Written,
 };
 
-/// Where a capture goes.
+/// Destination of a capture.
 pub enum Target {
-    /// A file; further ones beside it when it is split.
+    /// A file, with further parts next to it when split.
     File(PathBuf),
-    /// A pipe, or what else takes bytes; never split.
+    /// A pipe or another writer; never split.
     Stream(Box<dyn Write + Send>),
 }
 
@@ -92,7 +92,7 @@ struct Open {
 }
 
 impl Files {
-    /// Begins the first file, unless it is to be a snapshot.
+    /// Opens the first file, unless this is a snapshot.
     pub(crate) fn begin(
         target: Target,
         attachments: Attachments,
@@ -116,7 +116,7 @@ impl Files {
         Ok(files)
     }
 
-    /// Takes a message: into the file, or into memory.
+    /// Stores a message, in the file or in memory.
     pub(crate) fn take(&mut self, item: Item) -> Result<(), WriteError> {
         if let Some(snapshot) = self.options.snapshot {
             let alarm = self.snapshot.keep(item, snapshot);
@@ -135,7 +135,7 @@ impl Files {
         self.write(&item)
     }
 
-    /// Writes down what is kept in memory, if this is a snapshot and there is anything.
+    /// Saves the memory buffer, if this is a snapshot and it is not empty.
     pub(crate) fn write_down(&mut self) -> Result<(), WriteError> {
         if self.snapshot.items.is_empty() {
             return Ok(());
@@ -186,7 +186,7 @@ impl Files {
         ended
     }
 
-    /// What is in the open file so far, and in those that were ended.
+    /// Statistics of the open file, and of the finished ones.
     pub(crate) fn written(&self) -> Vec<(PathBuf, Written)> {
         let mut all = self.done.clone();
         if let Some(open) = &self.open {
@@ -314,7 +314,7 @@ impl Files {
     }
 }
 
-/// The name of the part with this number: `run.mcap`, `run_1.mcap`, `run_2.mcap`.
+/// The file name of a part: `run.mcap`, `run_1.mcap`, `run_2.mcap`.
 fn part(path: &Path, number: u32) -> PathBuf {
     if number == 0 {
         return path.to_owned();
@@ -327,8 +327,8 @@ fn part(path: &Path, number: u32) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// The last seconds, in memory. Goes back as far as is asked for, and from there to the keyframe
-/// before, so that all of it can be computed again.
+/// The last seconds, in memory. Covers the configured time, and from there back to the keyframe
+/// before, so that all of it can be recomputed.
 #[derive(Debug, Default)]
 struct KeptItems {
     items: VecDeque<Item>,
@@ -424,14 +424,14 @@ mod tests {
         let tick = |at_ns| item(at_ns, Message::Ticks(TickHeader::default(), Vec::new()));
         let keyframe = |at_ns| item(at_ns, Message::State(StateHeader::default(), Vec::new()));
         let each = tick(0).bytes();
-        // Window of 10; keyframes at these times; room for so many items; oldest that is kept at 100.
+        // Window of 10; keyframes at these times; capacity in items; oldest item kept at time 100.
         for (keyframes, room, oldest_ns) in [
             (vec![], 1_000, 90),
             (vec![95], 1_000, 90),
             (vec![60, 85], 1_000, 85),
             (vec![60, 90], 1_000, 90),
             (vec![60], 1_000, 60),
-            // No room to go back that far: the window alone.
+            // Not enough capacity to go back that far: only the window.
             (vec![60], 20, 90),
             (vec![60], 5, 96),
         ] {

@@ -1,5 +1,5 @@
-//! Counts what was overwritten in shared memory before it was taken, by the numbers in the headers.
-//! Pure.
+//! Counts the messages overwritten in shared memory before they were received, by the numbers in
+//! the headers. Pure.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -39,12 +39,12 @@ struct Run {
     looked: u64,
 }
 
-/// What a message says about others.
+/// Loss as shown by a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Found {
-    /// Messages that are missing between the one before of its kind and this one.
+    /// Messages missing between the previous one of its kind and this one.
     pub(crate) missing: u64,
-    /// Diagnostics that were told as missing before, but were never sent.
+    /// Diagnostics counted as missing before that were never sent.
     pub(crate) never_sent: u64,
 }
 
@@ -56,7 +56,7 @@ impl Gaps {
         }
     }
 
-    /// What the message says about those before it of its fleet.
+    /// Determines the loss before a message of a fleet.
     pub(crate) fn look(&mut self, fleet: &Arc<str>, message: &Message) -> Found {
         self.looked += 1;
         let never_sent = match message {
@@ -69,8 +69,8 @@ impl Gaps {
         }
     }
 
-    /// A worker whose ticks take too long leaves diagnostics out, and says so in its journal, which
-    /// may come before or after the next diagnostics. Returns how many were taken for missing.
+    /// A worker whose ticks take too long omits diagnostics, and reports so in its journal, which
+    /// may arrive before or after the next diagnostics. Returns how many were counted as missing.
     fn left_out(&mut self, fleet: &Arc<str>, header: &TickHeader) -> u64 {
         if header.flags & tick_flag::NO_DIAGNOSTICS == 0 {
             return 0;
@@ -116,7 +116,7 @@ impl Gaps {
             Message::Ticks(header, _) => {
                 (MessageKind::Ticks, 0, header.worker_epoch, header.tick, 1)
             }
-            // Pieces of a keyframe say themselves whether they are whole.
+            // Pieces of a keyframe state their completeness themselves.
             _ => return 0,
         };
         let key = (Arc::clone(fleet), kind, source, epoch);
@@ -201,18 +201,18 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_between_two_frames_is_counted_once_per_source_and_run() {
+    fn gaps_are_counted_once_per_source_and_run() {
         for (messages, missing) in [
-            // What was sent before the recording is not missing.
+            // Messages sent before the recording are not missing.
             (vec![frame(1, 5, 40), frame(1, 5, 41)], 0),
             (vec![frame(1, 5, 40), frame(1, 5, 44)], 3),
-            // Sources do not see each other.
+            // Sources are independent.
             (vec![frame(1, 5, 1), frame(2, 5, 9), frame(1, 5, 2)], 0),
-            // A run that began after the recording did is known from its first frame.
+            // A run that began after the recording is tracked from its first frame.
             (vec![frame(1, 101, 2)], 2),
             (vec![frame(1, 5, 7), frame(1, 101, 0), frame(1, 101, 1)], 0),
             (vec![frame(1, 5, 7), frame(1, 101, 3)], 3),
-            // Late words of a run that was replaced, and the same frame twice.
+            // Late messages of a replaced run, and a duplicate frame.
             (vec![frame(1, 101, 0), frame(1, 5, 9), frame(1, 101, 1)], 0),
             (vec![frame(1, 5, 7), frame(1, 5, 7), frame(1, 5, 8)], 0),
             // Ticks are numbered from 1.
@@ -227,7 +227,7 @@ mod tests {
                 .map(|message| gaps.look(&fleet, message).missing)
                 .sum();
             assert_eq!(found, missing, "{messages:?}");
-            // Another fleet is another matter, whatever its numbers.
+            // Fleets are independent.
             let other = Arc::from("yard");
             assert_eq!(gaps.look(&other, &frame(1, 5, 999)), Found::default());
         }

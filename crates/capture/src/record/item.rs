@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::{Message, Times};
 
-/// A message on its way.
+/// A message between the threads of a recording.
 #[derive(Debug)]
 pub(crate) struct Item {
     pub(crate) fleet: Arc<str>,
@@ -18,7 +18,7 @@ impl Item {
         kind.map_or_else(String::new, |kind| kind.topic(&self.fleet, 0))
     }
 
-    /// What it takes in memory, about.
+    /// Its approximate memory.
     pub(crate) fn bytes(&self) -> usize {
         let rows = match &self.message {
             Message::Samples(_, rows) => size_of_val(rows.as_slice()),

@@ -1,12 +1,12 @@
-//! Records fleets: a thread that empties shared memory, a queue of bounded size, a thread that
-//! encodes, compresses and writes.
+//! Records fleets: one thread drains shared memory into a bounded queue, another encodes,
+//! compresses and writes.
 //!
-//! A slow disk fills the queue; when it is full, messages are lost and counted, and neither the
-//! worker nor its planners notice. A full disk ends the capture with its reason, and what was written
+//! A slow disk fills the queue; when it is full, messages are dropped and counted, without effect
+//! on the worker and its planners. A full disk ends the capture with an error, and the written part
 //! can be recovered.
 //!
-//! A process can be in one fleet's shared memory only. Other fleets come as streams: captures
-//! written to a pipe by processes of their own.
+//! A process can join only one fleet's shared memory. Other fleets are read from streams: captures
+//! written to a pipe by separate processes.
 
 mod drain;
 mod files;
@@ -38,24 +38,24 @@ pub use files::Target;
 pub use options::{Options, Snapshot};
 pub use shared::{Kept, Lost, Summary};
 
-/// For how long the writing thread waits before it looks whether a chunk is due.
+/// Interval at which the writing thread checks whether a chunk is due.
 const PATIENCE: Duration = Duration::from_millis(10);
-/// How often a running recording tells what it has come to, ns.
+/// Interval at which a running recording updates its summary, ns.
 const NOTE_EVERY_NS: u64 = 500_000_000;
 
-/// Why a recording could not begin.
+/// Errors of starting a recording.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StartError {
     /// The fleet's services could not be opened.
     #[error(transparent)]
     Drain(#[from] DrainError),
-    /// The file could not be begun.
+    /// The file could not be created.
     #[error(transparent)]
     Write(#[from] WriteError),
     /// More channels than a file can have.
     #[error(
-        "channels for single robots: fleet {fleet} has room for {robots} robots, that is {needed} \
+        "channels for single robots: fleet {fleet} has a capacity of {robots} robots, that is {needed} \
          channels, and a file can have {allowed}; record fewer topics, or without them"
     )]
     TooManyChannels {
@@ -73,7 +73,7 @@ pub enum StartError {
     Thread(#[from] std::io::Error),
 }
 
-/// A recording that runs.
+/// A running recording.
 #[derive(Debug)]
 pub struct Recorder {
     shared: Arc<Shared>,
@@ -82,11 +82,11 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Begins: joins the fleet of `config`, opens the file, and records from now on. What is in
-    /// `streams` are captures as they are written by others, of other fleets.
+    /// Starts a recording: joins the fleet of `config`, opens the file, and records from now on.
+    /// `streams` are captures of other fleets, written by other processes.
     ///
     /// # Errors
-    /// [`StartError`]; nothing is left but perhaps an empty file.
+    /// [`StartError`]; at most an empty file is left behind.
     pub fn start(
         config: &Config,
         streams: Vec<Box<dyn Read + Send>>,
@@ -114,24 +114,24 @@ impl Recorder {
         Ok(recorder)
     }
 
-    /// Writes down what is kept in memory, if this is a snapshot.
+    /// Saves the memory buffer, if this is a snapshot.
     pub fn write_down(&self) {
         self.shared.write_down.store(true, Ordering::Relaxed);
     }
 
-    /// Whether it has stopped by itself: the file could not be written.
+    /// Whether it has stopped because the file could not be written.
     #[must_use]
     pub fn is_over(&self) -> bool {
         self.shared.over.load(Ordering::Relaxed)
     }
 
-    /// What it has come to so far.
+    /// The summary so far.
     #[must_use]
     pub fn summary(&self) -> Summary {
         self.shared.summary()
     }
 
-    /// Takes what waits in shared memory, ends the file and says what the recording has come to.
+    /// Drains shared memory, finishes the file and returns the summary.
     #[must_use]
     pub fn finish(mut self) -> Summary {
         self.stop();
@@ -150,7 +150,7 @@ impl Recorder {
         let drain = spawn("joulebus-drain", move || {
             match Drain::open(&config, clock, |kind| options.wants(kind, config.fleet())) {
                 Ok(drain) => {
-                    // Whoever started us waits on the other end.
+                    // The caller waits for the message.
                     let _ = ready.send(Ok(()));
                     drain.work(&shared);
                 }
@@ -204,7 +204,7 @@ impl Drop for Recorder {
     }
 }
 
-/// A file holds so many channels: whether those of all robots fit is known before the first.
+/// The number of channels per file is limited: checked before recording channels of all robots.
 fn check_channels(config: &Config, options: &Options) -> Result<(), StartError> {
     let robots = u64::from(config.settings().capacity);
     let needed = MessageKind::OF_FLEET.len() as u64 + 4 * robots;
@@ -225,7 +225,7 @@ fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<Jo
     builder.spawn(work)
 }
 
-/// The thread that writes: until the queue is closed and empty, or the file cannot be written.
+/// The writing thread: until the queue is closed and empty, or the file cannot be written.
 fn write(mut files: Files, shared: &Shared, clock: Clock) {
     let worked = work(&mut files, shared, clock);
     let ended = files.end();
@@ -259,7 +259,8 @@ fn work(files: &mut Files, shared: &Shared, clock: Clock) -> Result<(), WriteErr
     }
 }
 
-/// Passes on a capture of another fleet as it comes, its times brought to this recording's clock.
+/// Copies another fleet's capture from a stream, with its times converted to this recording's
+/// clock.
 fn pass_on(stream: impl Read, clock: Clock, shared: &Shared) -> Result<(), crate::ReadError> {
     let mut reader = Reader::new(stream)?;
     let theirs = reader.attachments().clock().unwrap_or(clock);

@@ -1,29 +1,29 @@
-//! How to record.
+//! Options of a recording.
 
 use std::fmt;
 use std::sync::Arc;
 
 use crate::{CaptureSettings, MessageKind};
 
-/// How to record.
+/// Options of a recording.
 #[derive(Clone)]
 pub struct Options {
-    /// How files are written.
+    /// Settings of the files.
     pub settings: CaptureSettings,
-    /// Channels for single robots as well, for plots.
+    /// Also channels for single robots, for plots.
     pub per_robot: bool,
     /// Which topics are recorded.
     pub choose: Arc<dyn Fn(&str) -> bool + Send + Sync>,
-    /// A file that has become this long in bytes is ended, and the next one begun.
+    /// Maximum file size, bytes; then the next file begins.
     pub max_file_bytes: u64,
-    /// A file that spans this time is ended, and the next one begun, ns. The index of a file is kept
-    /// in memory until its end: about 30 MB an hour.
+    /// Maximum duration of a file, ns; then the next file begins. A file's index is kept in memory
+    /// until its end: about 30 MB per hour.
     pub max_file_ns: u64,
-    /// Where the file exists, the next part that does not is begun, instead of an error.
+    /// If the file exists, start the next part that does not, instead of an error.
     pub go_on: bool,
     /// Keep the last seconds in memory instead of writing everything.
     pub snapshot: Option<Snapshot>,
-    /// Messages that wait for the disk, bytes in memory; those that come on top are lost.
+    /// Size of the queue in front of the disk, bytes; messages beyond it are dropped.
     pub queue_bytes: usize,
 }
 
@@ -41,20 +41,19 @@ impl fmt::Debug for Options {
     }
 }
 
-/// What is kept in memory, and when it is saved.
+/// Configuration of a snapshot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Snapshot {
-    /// How far back it goes, ns.
+    /// Time span kept, ns.
     pub keep_ns: u64,
-    /// Bytes that it takes at most; then it goes back less far.
+    /// Maximum size, bytes; the time span is reduced if necessary.
     pub max_bytes: usize,
-    /// Written down when a robot raises an alarm that it did not raise before, and not only when
-    /// asked for.
+    /// Save when a robot raises a new alarm, in addition to explicit requests.
     pub on_alarm: bool,
 }
 
 impl Default for Options {
-    /// Everything in files of an hour, 128 MiB of patience with the disk.
+    /// Everything in files of an hour, a queue of 128 MiB.
     fn default() -> Self {
         Self {
             settings: CaptureSettings::default(),
@@ -70,12 +69,12 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Whether a service of the fleet is needed for any topic that is recorded.
+    /// Whether any recorded topic needs a service of the fleet.
     pub(super) fn wants(&self, kind: MessageKind, fleet: &str) -> bool {
         let choose = &self.choose;
         let on_alarm = self.snapshot.is_some_and(|snapshot| snapshot.on_alarm);
         let alarms = on_alarm && kind == MessageKind::Diagnostics;
-        // The journal tells which diagnostics were never sent.
+        // The journal states which diagnostics were never sent.
         let diagnostics = kind == MessageKind::Ticks && self.wants(MessageKind::Diagnostics, fleet);
         choose(&kind.topic(fleet, 0)) || self.per_robot || alarms || diagnostics
     }

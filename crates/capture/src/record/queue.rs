@@ -1,5 +1,5 @@
-//! Between the thread that empties shared memory and the one that writes: a queue of bounded size,
-//! so that a slow disk costs messages, which are counted, and nobody else anything.
+//! Bounded queue between the draining thread and the writing thread: a slow disk causes counted
+//! message loss, without effect on other processes.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -22,18 +22,18 @@ struct State {
     closed: bool,
 }
 
-/// What waiting for an item came to.
+/// Result of waiting for an item.
 #[derive(Debug)]
 #[expect(
     clippy::large_enum_variant,
-    reason = "it is taken apart where it is made"
+    reason = "it is destructured where it is created"
 )]
 pub(crate) enum Popped {
     /// The oldest item.
     Item(Item),
-    /// Nothing came in time.
+    /// Timeout.
     Nothing,
-    /// Nothing will come any more.
+    /// The queue is closed and empty.
     Closed,
 }
 
@@ -46,12 +46,13 @@ impl Queue {
         }
     }
 
-    /// Appends the item if there is room; otherwise it is lost. Returns whether there was.
+    /// Appends the item unless the queue is full; then it is dropped. Returns whether it was
+    /// appended.
     #[must_use]
     pub(crate) fn push(&self, item: Item) -> bool {
         let bytes = item.bytes();
         let mut state = self.lock();
-        // An item that is larger than the whole queue fits into an empty one.
+        // An item larger than the whole queue fits into an empty one.
         let full = state.bytes + bytes > self.max_bytes && !state.items.is_empty();
         if full || state.closed {
             return false;
@@ -63,7 +64,7 @@ impl Queue {
         true
     }
 
-    /// Takes the oldest item, waiting for one as long as `patience`.
+    /// Removes the oldest item, waiting up to `patience` for one.
     pub(crate) fn pop(&self, patience: Duration) -> Popped {
         let state = self.lock();
         let is_idle = |state: &mut State| state.items.is_empty() && !state.closed;
@@ -79,7 +80,7 @@ impl Queue {
         }
     }
 
-    /// Nothing more goes in.
+    /// Closes the queue.
     pub(crate) fn close(&self) {
         self.lock().closed = true;
         self.changed.notify_all();

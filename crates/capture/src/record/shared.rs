@@ -1,4 +1,4 @@
-//! What the threads of a recording share: the queue, what was lost, and what it has come to.
+//! State shared by the threads of a recording: the queue, losses, and the summary.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -14,10 +14,10 @@ use super::options::Options;
 use super::queue::Queue;
 use crate::{MessageKind, Written};
 
-/// What a topic lost.
+/// Losses of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Lost {
-    /// Messages overwritten in shared memory before the recorder came round to them.
+    /// Messages overwritten in shared memory before the recorder received them.
     pub overwritten: u64,
     /// Messages that found the queue full, or that could not be written: the disk was too slow, full
     /// or failed.
@@ -38,9 +38,9 @@ pub struct Kept {
 /// What a recording has come to.
 #[derive(Debug, Clone, Default)]
 pub struct Summary {
-    /// Files, with what is in them.
+    /// Files with their statistics.
     pub files: Vec<(PathBuf, Written)>,
-    /// What was lost, by topic; topics that lost nothing are left out.
+    /// Losses by topic; topics without losses are omitted.
     pub lost: BTreeMap<String, Lost>,
     /// What a snapshot keeps in memory and has not written; none for other recordings.
     pub kept: Option<Kept>,
@@ -69,7 +69,7 @@ impl Summary {
     }
 }
 
-/// What the threads share.
+/// State shared by the threads.
 #[derive(Debug)]
 pub(crate) struct Shared {
     pub(super) stop: AtomicBool,
@@ -99,7 +99,8 @@ impl Shared {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Puts the item into the queue; counts what is missing before it, and it if it is lost.
+    /// Puts the item into the queue; counts the messages missing before it, and itself if it is
+    /// dropped.
     pub(crate) fn hand_on(&self, item: Item) {
         let found = {
             let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
@@ -164,7 +165,7 @@ impl Shared {
         summary.failure.get_or_insert(reason);
     }
 
-    /// Ends everything: what comes from now on is lost, and counted.
+    /// Stops the recording: all further messages are counted as lost.
     pub(super) fn fail(&self, reason: String) {
         self.note_failure(reason);
         self.over.store(true, Ordering::Relaxed);

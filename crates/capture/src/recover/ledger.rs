@@ -1,4 +1,4 @@
-//! What was recovered and what was lost.
+//! Accounting of recovered and lost records.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::scan::{ChunkFrame, Crc, Place, Raw, ScanError, Skipped, kind_name};
 
-/// Troubles that are listed; more are only counted.
+/// Maximum number of problems listed; others are only counted.
 const LISTED_TROUBLES: usize = 200;
 
 /// Records of one kind.
@@ -16,9 +16,9 @@ const LISTED_TROUBLES: usize = 200;
 pub struct Counts {
     /// Written to the result.
     pub recovered: u64,
-    /// In the damaged file, as far as it tells, and not in the result.
+    /// In the corrupt file, as far as it states, and not in the result.
     pub lost: u64,
-    /// Among the recovered: of a chunk whose checksum is wrong.
+    /// Recovered from a chunk with a wrong checksum.
     pub suspect: u64,
 }
 
@@ -32,13 +32,13 @@ impl Counts {
 /// Something that could not be read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Trouble {
-    /// Where.
+    /// Its location.
     pub place: Place,
-    /// What is wrong there.
+    /// The problem.
     pub what: String,
 }
 
-/// The first troubles, and how many there are.
+/// The first problems, and their number.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Troubles {
     listed: Vec<Trouble>,
@@ -54,7 +54,7 @@ impl Troubles {
     }
 }
 
-/// What came of a recovery.
+/// Result of a recovery.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Recovery {
     /// Messages.
@@ -67,34 +67,34 @@ pub struct Recovery {
     pub attachments: Counts,
     /// Metadata records.
     pub metadata: Counts,
-    /// Chunks; recovered are those that were read to their end.
+    /// Chunks; recovered ones were read to their end.
     pub chunks: Counts,
     /// Records of kinds that cannot be copied.
     pub others_lost: u64,
     /// Recovered messages by topic.
     pub topics: BTreeMap<String, u64>,
-    /// Whether more may have been lost than is counted: the file's own count is missing.
+    /// Whether more may have been lost than is counted: the file's own statistics are missing.
     pub lost_unknown: bool,
-    /// Whether the data section has another checksum than saved: something outside of
-    /// chunks may be changed, or a record that was lost explains it.
+    /// Whether the checksum of the data section is wrong: records outside of chunks may be altered,
+    /// or a lost record is the cause.
     pub doubt: bool,
-    /// Bytes that hold nothing readable.
+    /// Bytes skipped as unreadable.
     pub passed_over_bytes: u64,
-    /// Troubles.
+    /// Number of problems.
     pub trouble_count: u64,
-    /// The first of them, in the order of the file.
+    /// The first problems, in the order of the file.
     pub troubles: Vec<Trouble>,
 }
 
 impl Recovery {
-    /// Whether the file was as it should be.
+    /// Whether the file was valid.
     #[must_use]
     pub fn is_clean(&self) -> bool {
         self.is_lossless() && self.trouble_count == 0
     }
 
-    /// Whether all that was saved is in the result, with nothing to doubt. Indexes and
-    /// checksums may have been lost: they are recreated.
+    /// Whether all records are in the result, without doubt. Indexes and checksums may have been
+    /// lost, because they are recreated.
     #[must_use]
     pub fn is_lossless(&self) -> bool {
         let is_whole = |counts: Counts| counts.lost + counts.suspect == 0;
@@ -178,7 +178,7 @@ impl fmt::Display for Recovery {
     }
 }
 
-/// Counts while a file goes by.
+/// Counters during the scan.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Ledger {
     pub(super) messages: Counts,
@@ -199,11 +199,11 @@ pub(super) struct Ledger {
     uncounted: bool,
 }
 
-/// The last chunk, until something else than its message indexes follows.
+/// The last chunk, while its message indexes follow.
 #[derive(Debug, Clone, Copy, Default)]
 struct OpenChunk {
     recovered: u64,
-    /// Messages of channels that are nowhere in the file.
+    /// Messages of channels that are not defined in the file.
     orphans: u64,
     indexed: u64,
     has_index: bool,
@@ -225,7 +225,7 @@ impl Ledger {
         }
     }
 
-    /// No chunk stands behind the end of the data: where one does, that was none.
+    /// Chunks cannot follow the end of the data: that record was not the real end.
     pub(super) fn chunk_begins(&mut self, frame: &ChunkFrame) {
         self.settle_chunk();
         if std::mem::take(&mut self.data_ended) {
@@ -263,7 +263,7 @@ impl Ledger {
         self.troubles.add(place, what);
     }
 
-    /// Before a record is looked at.
+    /// Before a record is processed.
     pub(super) fn before(&mut self, raw: &Raw<'_>) {
         let is_of_chunk = raw.place.in_chunk.is_some()
             || matches!(
@@ -275,7 +275,7 @@ impl Ledger {
         }
     }
 
-    /// What a broken chunk had and nobody recovered.
+    /// Counts the unrecovered messages of a corrupt chunk.
     fn settle_chunk(&mut self) {
         let Some(chunk) = self.chunk.take() else {
             return;
@@ -350,7 +350,7 @@ impl Ledger {
 
     pub(super) fn orphan(&mut self, place: Place, channel: u16) {
         let what = format!("message of channel {channel}, which is nowhere in the file");
-        // The index behind its chunk counts it, too: it is lost once.
+        // The index after its chunk counts it too: it must be counted as lost once.
         if let Some(chunk) = &mut self.chunk {
             chunk.orphans += 1;
         }
@@ -392,7 +392,7 @@ impl Ledger {
         }
     }
 
-    /// A record that has no place in the summary.
+    /// A record that is not allowed in the summary.
     pub(super) fn misplaced(&mut self, place: Place, opcode: u8) {
         let what = format!("{} behind the end of the data", kind_name(opcode));
         self.troubles.add(place, what);
@@ -406,12 +406,12 @@ impl Ledger {
         }
     }
 
-    /// Closes the account; the file's own statistics are better than what was seen on the way.
+    /// Completes the counts; the file's own statistics are better than the counts of the scan.
     pub(super) fn settle(mut self, statistics: Option<&Statistics>) -> Recovery {
         self.settle_chunk();
         if let Some(said) = statistics {
             if let Some(more) = self.messages.recovered.checked_sub(said.message_count + 1) {
-                let what = format!("{} messages more than the statistics say", more + 1);
+                let what = format!("{} messages more than the statistics state", more + 1);
                 let place = Place {
                     offset: 0,
                     in_chunk: None,
@@ -431,7 +431,7 @@ impl Ledger {
             missing(&mut self.schemas, said.schema_count.into());
             missing(&mut self.channels, said.channel_count.into());
         }
-        // A changed opcode can hide a whole chunk; only the checksum of everything tells.
+        // A changed opcode can hide a whole chunk; only the checksum of the data section shows it.
         let uncounted = self.uncounted || self.doubt || !self.data_ended;
         let lost_unknown = statistics.is_none() && uncounted;
         Recovery {

@@ -1,8 +1,8 @@
-//! Making a whole file of a damaged one, and saying what is lost.
+//! Recovery of corrupt files, with an account of what is lost.
 //!
-//! Everything that can be read is written again in its order, with new indexes and checksums.
-//! What is lost is counted by kind: by the file's own statistics if they survived, else by the
-//! message indexes behind damaged chunks; what neither tells is not guessed but called unknown.
+//! Everything readable is copied in its order, with new indexes and checksums. Losses are counted
+//! by kind: by the file's own statistics if they are readable, else by the message indexes after
+//! corrupt chunks; otherwise they are reported as unknown.
 
 mod ledger;
 
@@ -16,35 +16,35 @@ use crate::scan::{Event, Place, Raw, Scan, ScanError, kind_name};
 use ledger::Ledger;
 pub use ledger::{Counts, Recovery, Trouble};
 
-/// Name of the metadata record that says what was done to a file.
+/// Name of the metadata record that describes the recovery.
 pub const RECOVERED: &str = "joulebus.recovered";
 /// Uncompressed size at which a chunk is written, bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
 /// Footer and magic at the end of a file, bytes.
 const TAIL_BYTES: u64 = 37;
 
-/// Why nothing could be recovered, or not written.
+/// Errors of a recovery.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecoverError {
-    /// The input is no MCAP file, or cannot be read.
+    /// The input is not an MCAP file, or cannot be read.
     #[error(transparent)]
     Read(#[from] ScanError),
     /// The result cannot be written.
     #[error("cannot write: {reason}")]
     Write {
-        /// What the system or the format said.
+        /// The error.
         reason: String,
     },
 }
 
-/// Reads what can be read of `input` and writes it to `output` as a whole file.
+/// Copies everything readable of `input` to `output` as a valid file.
 ///
-/// Messages of a chunk whose checksum is wrong are written and counted as suspect: which of them is
-/// damaged cannot be determined. A record of the result, [`RECOVERED`], says so.
+/// Messages of a chunk with a wrong checksum are copied and counted as suspect, because the corrupt
+/// ones cannot be identified. A metadata record of the result, [`RECOVERED`], states the counts.
 ///
 /// # Errors
-/// [`RecoverError`]: the input is no MCAP file at all, or one of the two files fails.
+/// [`RecoverError`]: the input is not an MCAP file, or one of the two files fails.
 pub fn recover<R, W>(mut input: R, output: W) -> Result<(Recovery, W), RecoverError>
 where
     R: Read + Seek,
@@ -76,7 +76,7 @@ where
     rescue.finish()
 }
 
-/// What the summary at the end of a file knows: it may have survived what the data did not.
+/// Contents of the summary section, which may be intact where the data section is not.
 #[derive(Default)]
 struct Saved {
     schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
@@ -84,12 +84,12 @@ struct Saved {
     statistics: Option<Statistics>,
 }
 
-/// Reads the summary if it is whole; its checksum has to be right.
+/// Reads the summary if it is complete and its checksum is right.
 fn read_summary(input: &mut (impl Read + Seek)) -> Saved {
     let mut saved = Saved::default();
     match try_summary(input, &mut saved) {
         Ok(true) => saved,
-        // Without a summary there is nothing to fall back on, and nothing wrong.
+        // Without a summary there is nothing to use, and nothing to report.
         Ok(false) | Err(_) => Saved::default(),
     }
 }
@@ -139,7 +139,7 @@ fn try_summary(input: &mut (impl Read + Seek), saved: &mut Saved) -> Result<bool
     Ok(false)
 }
 
-/// The file being written. Its compression is that of the first chunk.
+/// The output file. Its compression is that of the first chunk.
 enum Out<W: Write + Seek> {
     Waiting(W),
     Open(Box<mcap::Writer<W>>),
@@ -178,17 +178,17 @@ impl<W: Write + Seek> Rescue<W> {
         Ok(())
     }
 
-    /// The writer; opens it if nothing has been written yet.
+    /// The writer; created on first use.
     fn writer(
         &mut self,
         compression: Option<Compression>,
     ) -> Result<&mut mcap::Writer<W>, RecoverError> {
         if let Out::Waiting(_) = self.out {
             let Out::Waiting(output) = std::mem::replace(&mut self.out, Out::Gone) else {
-                unreachable!("it was looked at just now");
+                unreachable!("it was created just now");
             };
             let library = concat!("joulebus ", env!("CARGO_PKG_VERSION"), " recover");
-            // Seeking back in a file that could not grow is where the library panics.
+            // Seeking back in a file that could not grow makes the library panic.
             let writer = WriteOptions::new()
                 .compression(compression)
                 .profile(self.profile.as_str())
@@ -220,7 +220,7 @@ impl<W: Write + Seek> Rescue<W> {
                     self.profile = header.profile;
                 }
             }
-            // The summary repeats both; they have been read before.
+            // The summary repeats both; they have already been read.
             Record::Schema { .. } | Record::Channel(_) if self.ledger.is_past_data() => {}
             Record::Message { .. } | Record::Attachment { .. } | Record::Metadata(_)
                 if self.ledger.is_past_data() =>
@@ -254,7 +254,7 @@ impl<W: Write + Seek> Rescue<W> {
             Record::DataEnd(_) => self.ledger.data_ends(raw.crc),
             Record::Footer(_) => self.ledger.footer(raw.place, raw.crc),
             Record::Unknown { opcode, .. } => {
-                let what = format!("{} {opcode:#04x} is left out", kind_name(opcode));
+                let what = format!("{} {opcode:#04x} is omitted", kind_name(opcode));
                 self.ledger.other_lost(raw.place, what);
             }
             // Indexes and statistics are recreated.
@@ -354,7 +354,7 @@ impl<W: Write + Seek> Rescue<W> {
     }
 }
 
-/// Why the writer does not take a schema or a channel; an error where it cannot write at all.
+/// The writer's reason to refuse a schema or a channel; an error if it cannot write at all.
 fn refused(added: Result<u16, McapError>) -> Result<Option<String>, RecoverError> {
     match added {
         Ok(_) => Ok(None),

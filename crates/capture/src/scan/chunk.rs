@@ -11,7 +11,7 @@ use super::record::{
 use super::resume::Failure;
 use super::source::{Source, fill};
 
-/// Largest window of a zstd frame, as a power of two: 32 MiB, more than levels up to 19 use.
+/// Maximum window of a zstd frame, as a power of two: 32 MiB, more than levels up to 19 use.
 const MAX_WINDOW_LOG: u32 = 25;
 
 /// Bytes that are passed over at once.
@@ -24,7 +24,7 @@ pub(super) struct Chunk<R> {
     crc: crc32fast::Hasher,
     /// Decompressed bytes read.
     read: u64,
-    /// Where the record begins that is being read, in the decompressed records.
+    /// Offset of the current record in the decompressed records.
     record: u64,
 }
 
@@ -34,7 +34,7 @@ enum Body<R> {
     Lz4(lz4::Decoder<Take<Source<R>>>),
 }
 
-/// What comes next in a chunk.
+/// Next item in a chunk.
 pub(super) enum Step {
     /// A record, its body in the buffer.
     Record {
@@ -73,12 +73,9 @@ impl<R: Read> Body<R> {
 }
 
 impl<R: Read + Seek> Chunk<R> {
-    /// Reads the head of the chunk. The source comes back where the chunk cannot be read, unless
-    /// the system had no memory for a decompressor.
-    #[expect(
-        clippy::result_large_err,
-        reason = "the source continues where the chunk does not"
-    )]
+    /// Reads the head of the chunk. The source is returned if the chunk cannot be read, unless
+    /// memory for the decompressor was lacking.
+    #[expect(clippy::result_large_err, reason = "the source remains usable")]
     pub(super) fn begin(
         mut source: Source<R>,
         head: Head,
@@ -114,7 +111,7 @@ impl<R: Read + Seek> Chunk<R> {
         &self.frame
     }
 
-    /// The next record; its body goes to `buffer`.
+    /// The next record; its body is written to `buffer`.
     pub(super) fn next(&mut self, buffer: &mut Vec<u8>) -> Result<Step, ScanError> {
         let size = self.frame.header.uncompressed_size;
         if self.read == size {
@@ -165,7 +162,7 @@ impl<R: Read + Seek> Chunk<R> {
         Ok(Step::Record { place, opcode })
     }
 
-    /// Takes up to `bytes` of what is decompressed.
+    /// Takes up to `bytes` decompressed bytes.
     fn take(&mut self, bytes: u64, buffer: &mut Vec<u8>) -> Result<(), ScanError> {
         let filled = fill(&mut self.body, bytes, buffer);
         self.crc.update(buffer);
@@ -204,7 +201,7 @@ impl<R: Read + Seek> Chunk<R> {
         }
     }
 
-    /// Whether the file ends before the chunk does.
+    /// Whether the file ends within the chunk.
     fn is_cut(&self) -> bool {
         let file_bytes = match &self.body {
             Body::Plain(body) => body.get_ref().file_bytes(),
@@ -214,7 +211,7 @@ impl<R: Read + Seek> Chunk<R> {
         self.frame.offset.saturating_add(self.frame.bytes) > file_bytes
     }
 
-    /// The decompressed records end before the head says so.
+    /// The decompressed records end before the length in the head.
     fn ends_early(&self, place: Place) -> ScanError {
         if self.is_cut() {
             return ScanError::EndsEarly {
@@ -228,8 +225,8 @@ impl<R: Read + Seek> Chunk<R> {
         ScanError::ChunkHeader { place, detail }
     }
 
-    /// Where to continue after an error. The records of a plain chunk can be found one by one; what
-    /// is compressed is passed over, as far as its length can be believed.
+    /// Where to continue after an error. The records of an uncompressed chunk can be searched;
+    /// compressed data is skipped, as far as its length is plausible.
     pub(super) fn failure(&self) -> Failure {
         let end = self.frame.offset.saturating_add(self.frame.bytes);
         match &self.body {
@@ -260,12 +257,9 @@ impl<R: Read + Seek> Chunk<R> {
         HEAD_BYTES + FIXED_BYTES + self.frame.header.compression.len() as u64
     }
 
-    /// Passes over what the chunk has after its records. Where it would pass over further records,
-    /// its length is wrong.
-    #[expect(
-        clippy::result_large_err,
-        reason = "the source continues where the chunk does not"
-    )]
+    /// Skips the bytes after the chunk's records. If they contain further records, the length is
+    /// wrong.
+    #[expect(clippy::result_large_err, reason = "the source remains usable")]
     pub(super) fn end(self) -> Result<Source<R>, (Source<R>, ScanError)> {
         let end = self.frame.offset + self.frame.bytes;
         let place = self.place();
@@ -274,8 +268,7 @@ impl<R: Read + Seek> Chunk<R> {
         match follows_wrongly(&mut source, rest) {
             Ok(false) => {}
             Ok(true) => {
-                let detail =
-                    format!("its length has {rest} bytes too many, in which records stand");
+                let detail = format!("its length has {rest} bytes too many, which contain records");
                 return Err((source, ScanError::ChunkHeader { place, detail }));
             }
             Err(error) => return Err((source, error)),
@@ -301,7 +294,7 @@ impl<R: Read + Seek> Chunk<R> {
     }
 }
 
-/// Whether a record begins where only filling should be.
+/// Whether a record begins where only padding is allowed.
 fn follows_wrongly<R: Read + Seek>(source: &mut Source<R>, rest: u64) -> Result<bool, ScanError> {
     if rest == 0 {
         return Ok(false);
@@ -313,7 +306,7 @@ fn follows_wrongly<R: Read + Seek>(source: &mut Source<R>, rest: u64) -> Result<
     Ok(follows)
 }
 
-/// A decompressor that refuses larger windows than it has to have room for.
+/// A decompressor that refuses windows above the memory limit.
 pub(crate) fn zstd_decoder<R: BufRead>(input: R) -> io::Result<zstd::Decoder<'static, R>> {
     let mut decoder = zstd::Decoder::with_buffer(input)?;
     decoder.window_log_max(MAX_WINDOW_LOG)?;
@@ -330,7 +323,7 @@ fn failed(frame: &ChunkFrame, read: u64, error: &io::Error) -> ScanError {
     }
 }
 
-/// Takes the head of a chunk and checks that its lengths agree.
+/// Reads the head of a chunk and checks that its lengths agree.
 fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFrame, ScanError> {
     let place = Place::top(head.offset);
     let refuse = |detail: String| ScanError::ChunkHeader { place, detail };

@@ -6,9 +6,9 @@ use super::record::HEAD_BYTES;
 
 /// Fields of a chunk's head without the name of its compression, bytes.
 pub(super) const FIXED_BYTES: u64 = 40;
-/// Longest name of a compression that is looked at, bytes.
+/// Maximum length of a compression's name, bytes.
 pub(super) const MAX_NAME_BYTES: u64 = 64;
-/// The fields of a chunk's head; without a reason where the bytes end.
+/// Parses a chunk's head; the error has no reason if the bytes are too few.
 pub(super) fn parse(bytes: &[u8]) -> Result<ChunkHeader, Option<String>> {
     fn number<const N: usize>(bytes: &mut &[u8]) -> Result<[u8; N], Option<String>> {
         let (number, rest) = bytes.split_first_chunk::<N>().ok_or(None)?;
@@ -29,7 +29,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<ChunkHeader, Option<String>> {
     }
     let (name, mut rest) = rest.split_at_checked(name_bytes as usize).ok_or(None)?;
     let compression = String::from_utf8(name.to_vec())
-        .map_err(|_| Some("the name of its compression is no UTF-8".to_owned()))?;
+        .map_err(|_| Some("the name of its compression is not UTF-8".to_owned()))?;
     let compressed_size = u64::from_le_bytes(number(&mut rest)?);
     Ok(ChunkHeader {
         message_start_time,

@@ -1,20 +1,20 @@
-//! What may be wrong with a file, and where.
+//! Errors in a file, with their location.
 
 use super::record::Place;
 
-/// Why a file cannot be read on from a place.
+/// An error at a location of a file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScanError {
-    /// The system could not read.
+    /// The system could not read the file.
     #[error("{place}: cannot read: {source}")]
     Io {
-        /// Where.
+        /// The location.
         place: Place,
-        /// What the system said.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// The file begins with other bytes than every MCAP file.
+    /// The file has wrong magic bytes at its start.
     #[error(
         "byte 0: found {found:02x?}, an MCAP file begins with {:02x?}",
         mcap::MAGIC
@@ -23,46 +23,46 @@ pub enum ScanError {
         /// Its first bytes, at most eight.
         found: Vec<u8>,
     },
-    /// The file ends within something.
+    /// The file is truncated.
     #[error("{place}: the file ends within the {what}{}", missing_words(*missing))]
     EndsEarly {
-        /// Where the thing begins that is cut off.
+        /// Start of the truncated element.
         place: Place,
-        /// What is cut off.
+        /// The truncated element.
         what: &'static str,
-        /// Bytes that are missing, if that can be told.
+        /// Number of missing bytes, if known.
         missing: Option<u64>,
     },
-    /// An opcode that no record has.
+    /// An invalid opcode.
     #[error("{place}: found opcode {found:#04x}; records have 0x01 to 0xff")]
     Opcode {
-        /// Where.
+        /// The location.
         place: Place,
         /// The byte found.
         found: u8,
     },
-    /// A record whose fields cannot be read.
+    /// A record with invalid fields.
     #[error("{place}: {what}: {detail}")]
     Record {
-        /// Where it stands.
+        /// Its location.
         place: Place,
         /// Its kind.
         what: &'static str,
-        /// What is wrong with it.
+        /// The error.
         detail: String,
     },
-    /// A chunk whose head does not fit its length.
+    /// A chunk whose head contradicts its length.
     #[error("{place}: chunk: {detail}")]
     ChunkHeader {
-        /// Where it stands.
+        /// Its location.
         place: Place,
-        /// What is wrong with it.
+        /// The error.
         detail: String,
     },
-    /// A compression that this program does not know.
-    #[error("{place}: found compression {found:?}; known are \"\", \"lz4\" and \"zstd\"")]
+    /// An unknown compression.
+    #[error("{place}: found compression {found:?}; supported are \"\", \"lz4\" and \"zstd\"")]
     Compression {
-        /// Where the chunk stands.
+        /// Location of the chunk.
         place: Place,
         /// Its name in the file.
         found: String,
@@ -70,38 +70,38 @@ pub enum ScanError {
     /// The records of a chunk cannot be decompressed.
     #[error("{place}: cannot decompress: {detail}")]
     Decompress {
-        /// Up to where it could be.
+        /// Position up to which it was decompressed.
         place: Place,
-        /// What the decompressor said.
+        /// The decompressor's error.
         detail: String,
     },
-    /// A record runs past its chunk.
+    /// A record exceeds its chunk.
     #[error("{place}: a record of {found} bytes in a chunk that has {left} left")]
     PastChunk {
-        /// Where the record stands.
+        /// Location of the record.
         place: Place,
         /// Its length, bytes.
         found: u64,
-        /// What the chunk has left, bytes.
+        /// Bytes left in the chunk.
         left: u64,
     },
-    /// The file does not end as every MCAP file.
+    /// The file has wrong magic bytes at its end.
     #[error(
         "{place}: found {found:02x?}, an MCAP file ends with {:02x?}",
         mcap::MAGIC
     )]
     EndMagic {
-        /// Where.
+        /// The location.
         place: Place,
         /// The bytes found, at most eight.
         found: Vec<u8>,
     },
-    /// Something follows the end of the file.
+    /// Data after the end of the file.
     #[error("{place}: {bytes} bytes follow the end of the file")]
     Trailing {
-        /// Where they begin.
+        /// Its location.
         place: Place,
-        /// How many.
+        /// Its length.
         bytes: u64,
     },
 }
@@ -115,7 +115,7 @@ fn missing_words(missing: Option<u64>) -> String {
 }
 
 impl ScanError {
-    /// Where it is.
+    /// The location.
     #[must_use]
     pub const fn place(&self) -> Place {
         match self {

@@ -1,18 +1,18 @@
-//! Whether the lengths in a record fit the record, before anything is allocated for them.
+//! Checks the lengths in a record against the record, before anything is allocated for them.
 
 use mcap::records::op;
 
 /// A field of a record.
 #[derive(Debug, Clone, Copy)]
 enum Field {
-    /// Of so many bytes.
+    /// Of fixed length.
     Fixed(usize),
     /// Text: a length of four bytes, then so many bytes.
     Counted,
-    /// Entries of so many bytes each: a length of four bytes, then so many bytes. The library reads
-    /// whole entries, past the length where it ends within one.
+    /// Fixed-size entries: a length of four bytes, then so many bytes. The library reads whole
+    /// entries, beyond the length if it ends within one.
     Entries(usize),
-    /// Pairs of texts: a length of four bytes, then so many bytes of them.
+    /// Pairs of texts: a length of four bytes, then so many bytes.
     Texts,
     /// Data: a length of eight bytes, then so many bytes.
     Data,
@@ -20,7 +20,7 @@ enum Field {
 
 use Field::{Counted, Data, Entries, Fixed, Texts};
 
-/// The fields of the kinds that have lengths in them.
+/// Fields of the record kinds that contain lengths.
 const fn fields(opcode: u8) -> &'static [Field] {
     match opcode {
         op::HEADER => &[Counted, Counted],
@@ -38,7 +38,7 @@ const fn fields(opcode: u8) -> &'static [Field] {
     }
 }
 
-/// Whether all fields of a record are in its body.
+/// Whether the body of a record contains all its fields.
 pub(super) fn fits(opcode: u8, body: &[u8]) -> bool {
     let mut rest = body;
     fields(opcode)
@@ -46,7 +46,7 @@ pub(super) fn fits(opcode: u8, body: &[u8]) -> bool {
         .all(|field| pass(*field, &mut rest).is_some())
 }
 
-/// Passes over a field; nothing if it is not whole.
+/// Skips a field; `None` if it is incomplete.
 fn pass(field: Field, rest: &mut &[u8]) -> Option<()> {
     match field {
         Fixed(bytes) => {

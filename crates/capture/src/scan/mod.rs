@@ -1,9 +1,8 @@
-//! Reading any MCAP file from its first byte to its last, whatever its state.
+//! Scans any MCAP file from its first byte to its last, in any state.
 //!
-//! [`Scan`] yields every record with the place where it stands. It trusts nothing in the file: no
-//! length makes it allocate more than [`MAX_RECORD_BYTES`], chunks are decompressed as a stream,
-//! and where something is wrong the error names the byte. After an error, [`Scan::resume`] continues
-//! at the next place that looks like a record.
+//! [`Scan`] yields every record with its location. The file is untrusted: no length causes an
+//! allocation of more than [`MAX_RECORD_BYTES`], chunks are decompressed as a stream, and each
+//! error names the byte. After an error, [`Scan::resume`] continues at the next plausible record.
 
 mod chunk;
 mod chunk_header;
@@ -28,7 +27,7 @@ pub(crate) use record::{is_opcode, most_expanded};
 pub use resume::Skipped;
 use source::Source;
 
-/// What a scan comes across.
+/// An event of a scan.
 #[derive(Debug)]
 pub enum Event<'a> {
     /// A record, at top level or in a chunk.
@@ -39,12 +38,12 @@ pub enum Event<'a> {
     ChunkEnds {
         /// The chunk.
         frame: ChunkFrame,
-        /// Of its records, decompressed.
+        /// Checksum of its records, decompressed.
         crc: Crc,
     },
-    /// A record that is longer than [`MAX_RECORD_BYTES`]; it was passed over.
+    /// A record longer than [`MAX_RECORD_BYTES`], which was skipped.
     TooLong {
-        /// Where it stands.
+        /// Its location.
         place: Place,
         /// Its opcode.
         opcode: u8,
@@ -53,26 +52,26 @@ pub enum Event<'a> {
     },
 }
 
-/// A record that has not been parsed.
+/// An unparsed record.
 #[derive(Debug)]
 pub struct Raw<'a> {
-    /// Where it stands.
+    /// Its location.
     pub place: Place,
     /// Its opcode, see [`mcap::records::op`].
     pub opcode: u8,
-    /// What comes after opcode and length.
+    /// The bytes after opcode and length.
     pub body: &'a [u8],
-    /// Of the data section in its DataEnd, of the summary in the footer, if all of it was read;
-    /// nothing elsewhere.
+    /// Checksum of the data section in its DataEnd, of the summary in the footer, if all of it was
+    /// read; `None` elsewhere.
     pub crc: Option<Crc>,
 }
 
 impl<'a> Raw<'a> {
-    /// The record with its fields.
+    /// Parses the record.
     ///
     /// # Errors
-    /// [`ScanError::Record`]: its fields do not fit its length, text is no UTF-8, or the checksum
-    /// of an attachment is wrong.
+    /// [`ScanError::Record`]: its fields exceed its length, text is not UTF-8, or the checksum of
+    /// an attachment is wrong.
     pub fn parse(&self) -> Result<records::Record<'a>, ScanError> {
         let refuse = |detail: String| ScanError::Record {
             place: self.place,
@@ -86,8 +85,8 @@ impl<'a> Raw<'a> {
     }
 }
 
-/// The record in `body`; without a reason where its fields do not fit it. The library alone would
-/// allocate what a length says, and subtract without looking.
+/// Parses the record in `body`; the error has no reason if its fields exceed it. Checked first,
+/// because the library allocates by stated lengths, and subtracts without checks.
 pub(crate) fn parse_record(
     opcode: u8,
     body: &[u8],
@@ -111,7 +110,7 @@ fn in_words(error: &dyn std::error::Error) -> String {
 pub struct Scan<R> {
     state: State<R>,
     buffer: Vec<u8>,
-    /// Where the last error was, and what follows it.
+    /// Location of the last error, and what is known of its surroundings.
     failed: Option<resume::Failure>,
     file_bytes: u64,
 }
@@ -125,19 +124,19 @@ impl<R> fmt::Debug for Scan<R> {
     }
 }
 
-/// Where the scan stands. The source moves into the decompressor and back.
+/// State of the scan. The source moves into the decompressor and back.
 enum State<R> {
     Top(Source<R>),
     Chunk(Box<Chunk<R>>),
-    /// Only while the source moves, or when a decompressor has kept it.
+    /// While the source is moved, or after a decompressor has kept it.
     Gone,
 }
 
 impl<R: Read + Seek> Scan<R> {
-    /// Begins to read a file.
+    /// Starts a scan.
     ///
     /// # Errors
-    /// [`ScanError::NotMcap`] if it does not begin as an MCAP file, [`ScanError::Io`].
+    /// [`ScanError::NotMcap`] if it does not begin like an MCAP file, [`ScanError::Io`].
     pub fn new(input: R) -> Result<Self, ScanError> {
         let mut source = Source::new(input)?;
         let file_bytes = source.file_bytes();
@@ -160,8 +159,8 @@ impl<R: Read + Seek> Scan<R> {
         self.file_bytes
     }
 
-    /// Continues at `offset`, where a record has to begin. The checksum of what is jumped into is not
-    /// known then.
+    /// Continues at `offset`, the start of a record. The checksum of the current section is then
+    /// unknown.
     ///
     /// # Errors
     /// [`ScanError::Io`].
@@ -173,9 +172,9 @@ impl<R: Read + Seek> Scan<R> {
         Ok(())
     }
 
-    /// After an error: continues at the next place that looks like a record, and says what is passed
-    /// over. Within an uncompressed chunk its further records are found, and yielded as if they
-    /// stood at top level. `None` when nothing more looks like a record.
+    /// After an error: continues at the next plausible record, and returns the skipped range.
+    /// Within an uncompressed chunk its further records are found, and yielded as if at top level.
+    /// `None` if there is no further plausible record.
     ///
     /// # Errors
     /// [`ScanError::Io`].
@@ -195,10 +194,10 @@ impl<R: Read + Seek> Scan<R> {
         Ok(Some(Skipped { from, to }))
     }
 
-    /// The next thing in the file; `None` after the last byte of a complete one.
+    /// The next event; `None` after the last byte of a complete file.
     ///
     /// # Errors
-    /// [`ScanError`]. The scan has ended then, unless [`Scan::resume`] is called.
+    /// [`ScanError`]. The scan has then ended, unless [`Scan::resume`] is called.
     pub fn next_event(&mut self) -> Result<Option<Event<'_>>, ScanError> {
         if self.failed.is_some() {
             return Ok(None);
@@ -303,7 +302,7 @@ impl<R: Read + Seek> Scan<R> {
         };
         covered.extend_from_slice(&self.buffer);
         self.buffer = covered;
-        // Nothing comes after the magic: `Gone` ends the scan.
+        // Nothing follows the magic: `Gone` ends the scan.
         self.state = State::Gone;
         Ok(Some(Event::Record(Raw {
             place,
@@ -375,11 +374,10 @@ impl<R: Read + Seek> Scan<R> {
     }
 }
 
-/// Calls `take` with every record that can be read, from the beginning of the file; returns what is
-/// damaged.
+/// Calls `take` with every readable record, from the beginning of the file; returns the damage.
 ///
 /// # Errors
-/// What `take` returns, or [`ScanError`] if the file is no MCAP file or cannot be read.
+/// Errors of `take`, or [`ScanError`] if the file is not an MCAP file or cannot be read.
 pub(crate) fn each_record<E: From<ScanError>>(
     input: impl Read + Seek,
     mut take: impl FnMut(records::Record<'_>) -> Result<(), E>,
@@ -411,7 +409,7 @@ pub(crate) fn each_record<E: From<ScanError>>(
     }
 }
 
-/// Reads the head of the record that comes next, without passing over it.
+/// Reads the head of the next record without consuming it.
 fn head<R: Read + Seek>(source: &mut Source<R>) -> Result<Head, ScanError> {
     let offset = source.offset();
     let place = Place::top(offset);
@@ -487,7 +485,7 @@ fn end_magic<R: Read + Seek>(source: &mut Source<R>) -> Result<(), ScanError> {
     }
 }
 
-/// The checksum that a body has at a place, and that of what was read.
+/// The checksum stored in a body, with that of the bytes read.
 fn checked(body: &[u8], at: usize, found: Option<u32>) -> Option<Crc> {
     let saved = u32::from_le_bytes(*body.get(at..)?.first_chunk::<4>()?);
     let found = found?;

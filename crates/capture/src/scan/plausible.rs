@@ -1,4 +1,4 @@
-//! Whether bytes look like a record.
+//! Plausibility of record heads, for resynchronisation.
 
 use std::io::{Read, Seek};
 
@@ -9,7 +9,7 @@ use super::error::ScanError;
 use super::record::{HEAD_BYTES, Head, MAGIC_BYTES};
 use super::source::Source;
 
-/// The head at `offset`, if it is of a kind that the format has and the record fits the file.
+/// The head at `offset`, if its kind exists in the format and the record fits into the file.
 pub(super) fn fits(offset: u64, bytes: &[u8], file_bytes: u64) -> Option<Head> {
     let (&opcode, length) = bytes.split_first()?;
     let head = Head {
@@ -22,7 +22,7 @@ pub(super) fn fits(offset: u64, bytes: &[u8], file_bytes: u64) -> Option<Head> {
     fits.then_some(head)
 }
 
-/// Shortest body of a kind of record, bytes.
+/// Minimum body length of a kind of record, bytes.
 const fn least_bytes(opcode: u8) -> Option<u64> {
     Some(match opcode {
         op::HEADER | op::SUMMARY_OFFSET | op::METADATA => 8,
@@ -42,7 +42,7 @@ const fn least_bytes(opcode: u8) -> Option<u64> {
     })
 }
 
-/// Whether a record stands at `offset`: its head, its lengths, and the head of what follows it.
+/// Whether there is a record at `offset`: by its head, its lengths, and the head of the next one.
 pub(super) fn is_record<R: Read + Seek>(
     source: &mut Source<R>,
     offset: u64,

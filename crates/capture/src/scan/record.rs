@@ -1,4 +1,4 @@
-//! What a record is, and where it stands.
+//! Records and their locations.
 
 use std::fmt;
 
@@ -25,12 +25,12 @@ pub(crate) const fn most_expanded(compressed_bytes: u64) -> u64 {
 pub(super) const HEAD_BYTES: u64 = 9;
 pub(super) const MAGIC_BYTES: u64 = mcap::MAGIC.len() as u64;
 
-/// Where a record stands.
+/// Location of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Place {
-    /// Bytes before the record, or before the chunk that it is in.
+    /// Offset of the record, or of its chunk.
     pub offset: u64,
-    /// Bytes before the record in the decompressed chunk, if it is in one.
+    /// Offset of the record in the decompressed chunk, if it is in one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub in_chunk: Option<u64>,
 }
@@ -53,27 +53,27 @@ impl fmt::Display for Place {
     }
 }
 
-/// A checksum in the file and the one of the bytes found.
+/// A stored checksum and that of the bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Crc {
-    /// As written in the file; 0 means that none was written.
+    /// Stored in the file; 0 means none.
     pub saved: u32,
     /// Of the bytes in the file.
     pub found: u32,
 }
 
 impl Crc {
-    /// Whether the file says something else than its bytes.
+    /// Whether the two differ.
     #[must_use]
     pub const fn is_wrong(&self) -> bool {
         self.saved != 0 && self.saved != self.found
     }
 }
 
-/// The head of a chunk and where it stands.
+/// Head and location of a chunk.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ChunkFrame {
-    /// Bytes before the chunk's record.
+    /// Offset of the chunk's record.
     pub offset: u64,
     /// Length of the whole record with its head, bytes.
     pub bytes: u64,
@@ -81,7 +81,7 @@ pub struct ChunkFrame {
     pub header: ChunkHeader,
 }
 
-/// What a record's head says.
+/// Head of a record.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Head {
     pub(super) offset: u64,
@@ -90,7 +90,7 @@ pub(super) struct Head {
 }
 
 impl Head {
-    /// The first byte after the record; `None` beyond what a file can have.
+    /// The first byte after the record; `None` on overflow.
     pub(super) fn end(self) -> Option<u64> {
         self.offset.checked_add(HEAD_BYTES)?.checked_add(self.bytes)
     }
@@ -101,7 +101,7 @@ pub(crate) const fn is_opcode(opcode: u8) -> bool {
     opcode != 0
 }
 
-/// What a record is, in words.
+/// Name of a record kind, for messages.
 #[must_use]
 pub const fn kind_name(opcode: u8) -> &'static str {
     match opcode {

@@ -1,4 +1,4 @@
-//! Where to continue after something that cannot be read.
+//! Resynchronisation after unreadable data.
 
 use std::io::{Read, Seek};
 
@@ -7,22 +7,22 @@ use super::plausible::{fits, is_record};
 use super::record::HEAD_BYTES;
 use super::source::Source;
 
-/// Bytes looked through at a time.
+/// Bytes searched at a time.
 const WINDOW_BYTES: u64 = 64 << 10;
 
-/// What is known of the place that could not be read.
+/// Knowledge about the unreadable location.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Failure {
-    /// The first byte that was not read.
+    /// The first unread byte.
     pub(super) from: u64,
-    /// Nothing before this byte is of use.
+    /// Start of the search.
     pub(super) search_from: u64,
-    /// Where the next record should stand, if the length of the bad one is believed.
+    /// Expected offset of the next record, if the length of the bad one is right.
     pub(super) next: Option<u64>,
 }
 
 impl Failure {
-    /// Where the next record stands, as far as bytes can tell; `None` when nothing more looks like one.
+    /// Offset of the next plausible record; `None` if there is none.
     pub(super) fn next_record<R: Read + Seek>(
         self,
         source: &mut Source<R>,
@@ -34,16 +34,16 @@ impl Failure {
     }
 }
 
-/// Bytes that were passed over.
+/// A skipped range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Skipped {
-    /// The first of them.
+    /// Its first byte.
     pub from: u64,
-    /// The first byte after them.
+    /// The first byte after it.
     pub to: u64,
 }
 
-/// The first place from `from` on that looks like a record.
+/// The first plausible record at or after `from`.
 fn search<R: Read + Seek>(source: &mut Source<R>, from: u64) -> Result<Option<u64>, ScanError> {
     let mut window = Vec::new();
     let mut start = from;

@@ -1,4 +1,4 @@
-//! Buffered bytes of a file that know where they stand and what their checksum is.
+//! Buffered input with offset and checksum.
 
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
 
@@ -6,10 +6,10 @@ use super::error::ScanError;
 use super::record::Place;
 
 const BUFFER_BYTES: usize = 256 << 10;
-/// Room made at once for a record whose length nobody has vouched for, bytes.
+/// Maximum initial allocation for a record of unverified length, bytes.
 const TRUSTED_BYTES: u64 = 1 << 20;
 
-/// A file from which bytes are taken once, in order; [`Source::go_to`] breaks the order.
+/// A file that is read once, in order; [`Source::go_to`] breaks the order.
 pub(super) struct Source<R> {
     input: R,
     buffer: Vec<u8>,
@@ -17,7 +17,7 @@ pub(super) struct Source<R> {
     end: usize,
     offset: u64,
     file_bytes: u64,
-    /// None after a jump: it would leave bytes out.
+    /// `None` after a jump, which omits bytes.
     crc: Option<crc32fast::Hasher>,
 }
 
@@ -40,7 +40,7 @@ impl<R: Read + Seek> Source<R> {
         })
     }
 
-    /// Bytes taken.
+    /// Bytes consumed.
     pub(super) fn offset(&self) -> u64 {
         self.offset
     }
@@ -49,8 +49,8 @@ impl<R: Read + Seek> Source<R> {
         self.file_bytes
     }
 
-    /// Checksum of what was taken since the beginning or [`Source::restart_crc`], if that was
-    /// everything.
+    /// Checksum of everything consumed since the beginning or [`Source::restart_crc`], unless bytes
+    /// were omitted.
     pub(super) fn crc(&self) -> Option<u32> {
         Some(self.crc.clone()?.finalize())
     }
@@ -66,12 +66,12 @@ impl<R: Read + Seek> Source<R> {
         }
     }
 
-    /// Takes `bytes`, or as many as there are, in place of what `into` held.
+    /// Reads `bytes`, or as many as there are, replacing the contents of `into`.
     pub(super) fn read_up_to(&mut self, bytes: u64, into: &mut Vec<u8>) -> Result<(), ScanError> {
         fill(self, bytes, into).map_err(|error| self.io(error))
     }
 
-    /// Takes `bytes`, or as many as there are, and forgets them.
+    /// Skips `bytes`, or as many as there are.
     pub(super) fn skip(&mut self, bytes: u64) -> Result<(), ScanError> {
         let mut left = bytes;
         while left > 0 {
@@ -89,7 +89,7 @@ impl<R: Read + Seek> Source<R> {
         Ok(())
     }
 
-    /// The next `bytes`, or as many as there are, without taking them; at most [`BUFFER_BYTES`].
+    /// The next `bytes`, or as many as there are, without consuming them; at most [`BUFFER_BYTES`].
     pub(super) fn peek(&mut self, bytes: u64) -> Result<&[u8], ScanError> {
         let wanted = usize::try_from(bytes)
             .unwrap_or(usize::MAX)
@@ -111,7 +111,7 @@ impl<R: Read + Seek> Source<R> {
         Ok(&self.buffer[self.start..self.start + found])
     }
 
-    /// Where the source stands, and its checksum so far.
+    /// The offset, and the checksum so far.
     pub(super) fn mark(&self) -> Mark {
         Mark {
             offset: self.offset,
@@ -119,7 +119,7 @@ impl<R: Read + Seek> Source<R> {
         }
     }
 
-    /// Back to where it stood, as if nothing had been read since.
+    /// Returns to a mark, as if nothing had been read since.
     pub(super) fn back_to(&mut self, mark: Mark) -> Result<(), ScanError> {
         self.go_to(mark.offset)?;
         self.crc = mark.crc;
@@ -138,13 +138,13 @@ impl<R: Read + Seek> Source<R> {
     }
 }
 
-/// A place to come back to.
+/// A position to return to.
 pub(super) struct Mark {
     offset: u64,
     crc: Option<crc32fast::Hasher>,
 }
 
-/// Reads up to `bytes` in place of what `into` held; a length that lies allocates little.
+/// Reads up to `bytes`, replacing the contents of `into`; a wrong length allocates little.
 pub(super) fn fill(input: &mut impl Read, bytes: u64, into: &mut Vec<u8>) -> io::Result<()> {
     into.clear();
     into.shrink_to(4 * TRUSTED_BYTES as usize);

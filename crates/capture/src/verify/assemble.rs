@@ -1,5 +1,5 @@
-//! Puts the parts of each tick together: in a capture they lie in the order in which the recorder
-//! came across them.
+//! Assembles the parts of each tick: a capture has them in the order in which the recorder received
+//! them.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
@@ -11,12 +11,11 @@ use joulebus_wire::{
 use super::report::Loss;
 use crate::{Message, MessageKind};
 
-/// Ticks that a recorder may run ahead in one service before it looks at another: more than any
-/// service has capacity for.
+/// Maximum lead, in ticks, of one service over another in a capture: more than any service buffers.
 const WINDOW: u64 = 64;
-/// Frames of samples that may wait for the tick that took them.
+/// Maximum number of frames of samples waiting for their tick.
 const MOST_FRAMES: usize = 8_192;
-/// Samples in them, in all: 224 MB.
+/// Maximum number of samples in them: 224 MB.
 const MOST_SAMPLES: usize = 4_000_000;
 /// Runs of the worker that may wait for their end at once; of older ones nothing more comes.
 const MOST_RUNS: usize = 8;
@@ -26,11 +25,11 @@ const MOST_KEYFRAME_BYTES: u64 = 512 << 20;
 /// One frame of samples.
 pub(super) type SampleFrame = (SampleHeader, Vec<Sample>);
 
-/// What was recorded of one tick.
+/// Recorded parts of one tick.
 #[derive(Debug, Default)]
 pub(super) struct TickParts {
     pub(super) journal: Option<(TickHeader, Vec<TakenFrame>)>,
-    /// The frames of the journal, in its order; none where the capture lacks one.
+    /// The frames of the journal, in its order; `None` where the capture lacks one.
     pub(super) frames: Vec<Option<SampleFrame>>,
     /// Frames that have not come, with their places; none before the tick is its run's next.
     wanted: Option<HashMap<FrameKey, VecDeque<usize>>>,
@@ -39,16 +38,16 @@ pub(super) struct TickParts {
     pub(super) budgets: Option<(BudgetHeader, Vec<Budget>)>,
 }
 
-/// The next thing that a capture says of a worker's run.
+/// An event in a worker's run.
 #[derive(Debug)]
 pub(super) enum Event {
-    /// A tick with all that there is of it. Ticks of a run come in order.
+    /// A tick with all its parts. Ticks of a run are in order.
     Tick {
         worker_epoch: u64,
         tick: u64,
         parts: Box<TickParts>,
     },
-    /// A whole keyframe: the state after `tick`.
+    /// A complete keyframe: the state after `tick`.
     Keyframe {
         worker_epoch: u64,
         tick: u64,
@@ -56,25 +55,25 @@ pub(super) enum Event {
     },
 }
 
-/// Takes messages, gives events.
+/// Converts messages to events.
 #[derive(Debug, Default)]
 pub(super) struct Assembler {
     runs: BTreeMap<u64, Run>,
     frames: FrameStore,
-    /// The newest of each kind, by run; and whether all has come.
+    /// The newest of each kind, by run; and whether it is complete.
     newest: HashMap<(u64, MessageKind), u64>,
     /// The oldest and the newest frame of each run of each source.
     frame_range: HashMap<(u64, u64), (u64, u64)>,
-    /// Where the recording begins: run and tick.
+    /// Start of the recording: run and tick.
     first: Option<(u64, u64)>,
     ended: bool,
     piece: Option<(StateHeader, Vec<u8>)>,
-    /// Keyframes of which a piece is missing.
+    /// Keyframes with a missing piece.
     pub(super) broken_keyframes: u64,
     events: VecDeque<Event>,
 }
 
-/// What waits of one run of the worker.
+/// Waiting parts of one run of the worker.
 #[derive(Debug, Default)]
 struct Run {
     ticks: BTreeMap<u64, TickParts>,
@@ -96,7 +95,7 @@ struct FrameStore {
 type FrameKey = (u64, u64, u64);
 
 impl Assembler {
-    /// Takes a message; of other kinds nothing.
+    /// Takes a message; other kinds are ignored.
     pub(super) fn push(&mut self, message: Message) {
         match message {
             Message::Samples(header, samples) => self.put(header, samples),
@@ -124,7 +123,7 @@ impl Assembler {
         self.release(false);
     }
 
-    /// There is no more: gives what waits.
+    /// Ends the input: releases the waiting parts.
     pub(super) fn finish(&mut self) {
         self.broken_keyframes += u64::from(self.piece.take().is_some());
         self.ended = true;
@@ -136,12 +135,12 @@ impl Assembler {
         self.events.pop_front()
     }
 
-    /// Frames of samples that no tick took, as far as the capture tells.
+    /// Frames of samples that no tick took, as far as known.
     pub(super) fn untaken_frames(&self) -> u64 {
         self.frames.untaken + self.frames.held as u64
     }
 
-    /// Why a message of `kind` is missing: lost, or not there because the run ended.
+    /// Why a message of `kind` is missing: lost, or never sent because the run ended.
     pub(super) fn lack(&self, (run, tick): (u64, u64), kind: MessageKind, lost: Loss) -> Loss {
         let newest = self.newest.get(&(run, kind)).copied().unwrap_or_default();
         if self.is_over(run, tick) && tick > newest {
@@ -151,7 +150,7 @@ impl Assembler {
         }
     }
 
-    /// As [`Assembler::lack`], of a frame of samples.
+    /// As [`Assembler::lack`], for a frame of samples.
     pub(super) fn lack_of_frame(&self, (run, tick): (u64, u64), taken: &TakenFrame) -> Loss {
         let (source_id, frame_seq) = (taken.source_id, taken.frame_seq);
         let range = self.frame_range.get(&(source_id, taken.source_epoch));
@@ -167,7 +166,7 @@ impl Assembler {
         }
     }
 
-    /// Whether nothing more comes of a run, and `tick` is among its last.
+    /// Whether the run has ended, and `tick` is among its last.
     fn is_over(&self, run: u64, tick: u64) -> bool {
         let newest = |kind| self.newest.get(&(run, kind)).copied().unwrap_or_default();
         let last = newest(MessageKind::Ticks).max(newest(MessageKind::Forecasts));
@@ -227,7 +226,7 @@ impl Assembler {
         } else if let Some((_, sofar)) = self.piece.as_mut().filter(|piece| follows(piece)) {
             sofar.extend_from_slice(bytes);
         } else {
-            // The end of one whose beginning is missing.
+            // The end of a keyframe whose beginning is missing.
             self.broken_keyframes += u64::from(self.piece.take().is_some());
             return;
         }
@@ -243,7 +242,7 @@ impl Assembler {
         }
     }
 
-    /// Gives the ticks that are complete, and those that will never be.
+    /// Releases the ticks that are complete, and those that never will be.
     fn release(&mut self, all: bool) {
         let newest_run = self.runs.keys().next_back().copied().unwrap_or_default();
         let newest_tick = self.runs.get(&newest_run).map_or(0, |run| run.newest);

@@ -1,11 +1,11 @@
-//! Recorded against computed, field by field, bit for bit.
+//! Compares recorded with computed payloads, field by field, bit for bit.
 
 use std::fmt;
 
 use bytemuck::bytes_of;
 use joulebus_wire::{Budget, Diagnostic, DropReason, Forecast, ForecastHeader};
 
-/// How the bits of a field are to be read.
+/// Interpretation of a field's bits.
 #[derive(Debug, Clone, Copy)]
 enum Form {
     Unsigned,
@@ -34,7 +34,7 @@ impl Value {
     }
 }
 
-/// The value of a field of this type: how it is read, and its bits.
+/// The value of a field by its type: interpretation and bits.
 macro_rules! value_of {
     ($type:ty, $form:ident, $bits:expr) => {
         impl From<$type> for Value {
@@ -60,7 +60,7 @@ impl fmt::Display for Value {
         match self.form {
             Form::Unsigned => write!(out, "{}", self.bits),
             Form::Signed => write!(out, "{}", self.bits.cast_signed()),
-            // A float is written so that it reads back to the same bits; those of a NaN are shown.
+            // A float is written so that it parses to the same bits; a NaN's bits are shown.
             Form::Single => match f32::from_bits(self.bits as u32) {
                 nan if nan.is_nan() => write!(out, "NaN ({:08x})", self.bits),
                 value => write!(out, "{value:?}"),
@@ -73,7 +73,7 @@ impl fmt::Display for Value {
     }
 }
 
-/// A field that differs: its name, what was recorded, what was computed.
+/// A field that differs: name, recorded value, computed value.
 pub(super) type FieldDifference = (&'static str, Value, Value);
 
 /// Calls `differs` for each of the fields whose bits differ.
@@ -133,7 +133,7 @@ pub(super) fn budgets(
     );
 }
 
-/// What two headers say differently of the intake; times of sending are no part of it.
+/// Fields in which two headers differ about the intake; send times are not included.
 pub(super) fn intakes(
     recorded: &ForecastHeader,
     computed: &ForecastHeader,

@@ -1,10 +1,9 @@
-//! Whether what a worker published is what its samples lead to: everything is computed again, and
-//! compared bit for bit.
+//! Verification: recomputes everything that a worker published from its samples, and compares it
+//! bit for bit.
 //!
-//! The worker's journal says which frames of samples each tick took and at which time, and a
-//! keyframe what the fleet had come to before; from there on the tick is a pure function. So a
-//! recording that begins in the middle, or one with a hole in it, is verified from its next
-//! keyframe on.
+//! The worker's journal states which frames of samples each tick took at which time, and a keyframe
+//! the fleet's state before; from there the tick is a pure function. So a recording that begins in
+//! the middle, or has a gap, is verified from its next keyframe on.
 
 mod assemble;
 mod compare;
@@ -31,14 +30,14 @@ const MOST_WAITING: usize = 256 << 20;
 /// Keyframes that may wait for their ticks: one comes each five seconds, and its ticks at once.
 const MOST_KEYFRAMES: usize = 64;
 
-/// Computes a capture of one fleet again.
+/// Recomputes a capture of one fleet.
 #[derive(Debug)]
 pub struct Verifier {
     fleet: Fleet,
-    /// The tick that `fleet` has just computed: run and number. None while it follows nothing.
+    /// The tick that `fleet` has just computed: run and number. `None` without a known state.
     at: Option<(u64, u64)>,
     assembler: Assembler,
-    /// Ticks of one run that cannot be computed yet: no keyframe has come for them.
+    /// Ticks of one run that wait for a keyframe.
     waiting: VecDeque<Waiting>,
     waiting_bytes: usize,
     keyframes: BTreeMap<(u64, u64), Vec<u8>>,
@@ -54,8 +53,7 @@ struct Waiting {
 }
 
 impl Verifier {
-    /// With the settings and models that the worker ran with: `models[i]` is that of
-    /// `settings.platforms[i]`.
+    /// With the worker's settings and models: `models[i]` is that of `settings.platforms[i]`.
     ///
     /// # Errors
     /// As [`Fleet::new`].
@@ -79,7 +77,7 @@ impl Verifier {
         self.work();
     }
 
-    /// There is no more.
+    /// Ends the input.
     #[must_use]
     pub fn finish(mut self) -> Verification {
         self.assembler.finish();
@@ -101,7 +99,7 @@ impl Verifier {
         report.note_kind(kind);
         if let Some(last) = self.sequences.get_mut(&*entry.topic) {
             let lost = entry.sequence.wrapping_sub(*last).wrapping_sub(1);
-            // Numbers that go back are of another recording, which is no loss.
+            // Numbers that decrease belong to another recording, which is no loss.
             if lost < u32::MAX / 2 {
                 report.messages_lost += u64::from(lost);
             }
@@ -121,7 +119,7 @@ impl Verifier {
                     bytes,
                 } => {
                     self.report.keyframes += 1;
-                    // Of a tick that is computed already it says nothing new.
+                    // A keyframe of a tick that is already computed is redundant.
                     if self.at.is_none_or(|at| at < (worker_epoch, tick)) {
                         self.keep((worker_epoch, tick), bytes);
                     }
@@ -157,14 +155,14 @@ impl Verifier {
         self.report.note_tick(place);
         match self.at {
             Some((run, tick)) if (run, tick + 1) == place => self.compute(next),
-            // Before the keyframe, or the last, half-published tick of a worker that another has
-            // followed.
+            // Before the keyframe, or the last, partly published tick of a worker that was
+            // replaced.
             Some(at) if place <= at => self.give_up(&next),
             _ => self.wait(next),
         }
     }
 
-    /// Keeps a tick for when a keyframe comes.
+    /// Stores a tick until a keyframe arrives.
     fn wait(&mut self, next: Waiting) {
         if self
             .waiting
@@ -186,7 +184,7 @@ impl Verifier {
         }
     }
 
-    /// Nothing is known of the state before the first waiting tick, and nothing will be.
+    /// The state before the first waiting tick is unknown, and will remain so.
     fn give_up_first(&mut self) {
         let Some(first) = self.waiting.pop_front() else {
             return;
@@ -198,14 +196,14 @@ impl Verifier {
     fn give_up(&mut self, tick: &Waiting) {
         let lack = match self.lack(tick) {
             Some(Loss::End) => Loss::End,
-            // Where the recording begins, something is always missing.
+            // At the beginning of a recording, something is always missing.
             Some(lack) if self.report.has_begun => lack,
             _ => Loss::NoKeyframe,
         };
         self.report.lose((tick.worker_epoch, tick.tick), lack);
     }
 
-    /// Continues from the first keyframe that the waiting ticks follow.
+    /// Continues from the first keyframe that waiting ticks follow.
     fn resume(&mut self) {
         while let Some(first) = self.waiting.front() {
             let run = first.worker_epoch;
@@ -235,11 +233,11 @@ impl Verifier {
         }
     }
 
-    /// Computes the waiting ticks that follow each other.
+    /// Computes consecutive waiting ticks.
     fn catch_up(&mut self) {
         while let (Some(first), Some((run, tick))) = (self.waiting.front(), self.at) {
             if (first.worker_epoch, first.tick) != (run, tick + 1) {
-                // A tick is missing altogether.
+                // A tick is missing completely.
                 self.at = None;
                 return;
             }
@@ -250,7 +248,7 @@ impl Verifier {
         }
     }
 
-    /// What a tick lacks to be computed.
+    /// Missing inputs of a tick.
     fn lack(&self, next: &Waiting) -> Option<Loss> {
         let place = (next.worker_epoch, next.tick);
         let Some((header, taken)) = &next.parts.journal else {
@@ -293,7 +291,7 @@ impl Verifier {
         let assembler = &self.assembler;
         for (kind, is_there) in [
             (MessageKind::Forecasts, parts.forecasts.is_some()),
-            // Under overload the worker leaves them out, and says so.
+            // Under overload the worker omits them, and reports so.
             (
                 MessageKind::Diagnostics,
                 parts.diagnostics.is_some() || sheds,
@@ -308,7 +306,7 @@ impl Verifier {
     }
 }
 
-/// Takes the frames as the worker did.
+/// Takes the frames like the worker.
 fn take(
     fleet: &mut Fleet,
     taken: &[TakenFrame],
@@ -333,7 +331,7 @@ fn take(
     }
 }
 
-/// Ticks, and says of the intake what the worker's header would.
+/// Ticks, and returns the worker's header fields about the intake.
 fn tick(fleet: &mut Fleet, journal: &TickHeader) -> ForecastHeader {
     let missed = journal.flags & tick_flag::DEADLINE_MISSED != 0;
     let intake = fleet.tick(journal.start_ns, missed);

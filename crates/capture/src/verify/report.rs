@@ -1,4 +1,4 @@
-//! What came of a verification.
+//! Result of a verification.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -9,54 +9,54 @@ use serde::Serialize;
 use super::compare::FieldDifference;
 use crate::MessageKind;
 
-/// Losses and refused keyframes that are told one by one.
+/// Maximum number of losses and refused keyframes listed.
 const MOST_TOLD: usize = 20;
 
-/// What came of a verification.
+/// Result of a verification.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Verification {
     /// Messages read.
     pub messages: u64,
-    /// From the first of them to the last, s.
+    /// Time from the first to the last of them, s.
     pub recorded_s: f64,
     /// Runs of the worker in the capture.
     pub runs: u64,
-    /// Ticks of which anything was recorded.
+    /// Ticks with any recorded part.
     pub ticks: u64,
-    /// Ticks computed again.
+    /// Ticks recomputed.
     pub ticks_verified: u64,
-    /// Most robots in one of them.
+    /// Maximum number of robots in a tick.
     pub robots: usize,
-    /// Forecasts compared, diagnostics and budgets not counted.
+    /// Forecasts compared; diagnostics and budgets are not counted.
     pub forecasts_compared: u64,
     /// Values that differ.
     pub differences: u64,
-    /// Where they differ, with their number.
+    /// Number of differences by field.
     pub differences_by_field: BTreeMap<String, u64>,
-    /// The first of them.
+    /// The first difference.
     pub first: Option<Difference>,
-    /// Ticks before the first keyframe of a recording that began in the middle: what the worker
-    /// had come to is not known there.
+    /// Ticks before the first keyframe of a recording that began in the middle, where the worker's
+    /// state is unknown.
     pub ticks_before_first_keyframe: u64,
-    /// Last ticks that the end of the recording, or of the worker, cut in two.
+    /// Incomplete last ticks of the recording, or of a worker.
     pub ticks_cut_off: u64,
-    /// Ticks that could not be computed again: something they need was not recorded.
+    /// Ticks that could not be recomputed: an input was not recorded.
     pub ticks_unverified: u64,
-    /// Frames of outputs that were not recorded although their neighbours were, by kind.
+    /// Output frames that were not recorded although their neighbours were, by kind.
     pub outputs_missing: BTreeMap<&'static str, u64>,
-    /// Why, for the first of them: tick and reason.
+    /// The first losses: tick and reason.
     pub losses: Vec<(u64, Loss)>,
-    /// Kinds of outputs that the capture does not have at all.
+    /// Kinds of outputs that were not recorded at all.
     pub not_recorded: Vec<&'static str>,
-    /// Messages that the recorder lost, known from the gaps in their numbers.
+    /// Messages lost by the recorder, by gaps in their sequence numbers.
     pub messages_lost: u64,
     /// Keyframes found.
     pub keyframes: u64,
-    /// Keyframes of which a piece is missing.
+    /// Keyframes with a missing piece.
     pub broken_keyframes: u64,
-    /// Keyframes that were refused: of another config, model or version.
+    /// Keyframes refused: of another config, model or version.
     pub refused_keyframes: u64,
-    /// Why, for the first of them: tick and reason.
+    /// The first refusals: tick and reason.
     pub refusals: Vec<(u64, String)>,
     /// Frames of samples that no recorded tick took.
     pub untaken_frames: u64,
@@ -64,10 +64,10 @@ pub struct Verification {
     times: Option<(u64, u64)>,
     #[serde(skip)]
     run: Option<u64>,
-    /// Whether ticks are followed since the recording's beginning.
+    /// Whether the verification has begun.
     #[serde(skip)]
     pub(super) has_begun: bool,
-    /// Kinds of outputs seen: forecasts, diagnostics, budgets.
+    /// Kinds of outputs recorded: forecasts, diagnostics, budgets.
     #[serde(skip)]
     seen: [bool; 3],
 }
@@ -79,43 +79,43 @@ pub struct Difference {
     pub worker_epoch: u64,
     /// The tick in it.
     pub tick: u64,
-    /// The robot, if it is about one.
+    /// The robot, if it concerns one.
     pub robot: Option<u32>,
     /// Payload and field.
     pub field: String,
-    /// What was recorded.
+    /// The recorded value.
     pub recorded: String,
-    /// What the samples lead to.
+    /// The computed value.
     pub computed: String,
 }
 
-/// Why a tick could not be computed again, or not be compared.
+/// Why a tick could not be recomputed, or not be compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub enum Loss {
     /// Its journal was not recorded.
     Journal,
     /// A frame of samples that it took was not recorded.
     Samples {
-        /// Who sent it.
+        /// Its source.
         source_id: u64,
         /// Its number.
         frame_seq: u64,
     },
     /// It took more frames than a journal lists.
     Unlisted,
-    /// An output of it was not recorded.
+    /// One of its outputs was not recorded.
     Output,
-    /// No keyframe was recorded before it since something was lost.
+    /// No keyframe was recorded between the last loss and it.
     NoKeyframe,
     /// It took a frame that was sent before the recording began.
     Beginning,
-    /// The recording, or the worker, ended there.
+    /// The recording, or the worker, ended with it.
     End,
 }
 
 impl Verification {
-    /// Whether everything that there is was verified, and nothing differs. What lies before the
-    /// first keyframe of a recording, and the tick that its end cuts in two, are no loss.
+    /// Whether everything was verified without differences. Ticks before the first keyframe of a
+    /// recording, and an incomplete tick at its end, are not losses.
     #[must_use]
     pub fn is_clean(&self) -> bool {
         self.differences == 0
@@ -173,7 +173,7 @@ impl Verification {
         *self.differences_by_field.entry(field).or_default() += 1;
     }
 
-    /// A tick that is not computed.
+    /// Records a tick that is not computed.
     pub(super) fn lose(&mut self, (_, tick): (u64, u64), why: Loss) {
         match why {
             Loss::End => self.ticks_cut_off += 1,
@@ -211,7 +211,7 @@ impl Verification {
         }
     }
 
-    /// Everything is counted.
+    /// Completes the counts.
     pub(super) fn close(&mut self) {
         let (first, last) = self.times.unwrap_or_default();
         self.recorded_s = last.saturating_sub(first) as f64 / 1e9;
@@ -246,9 +246,9 @@ impl fmt::Display for Loss {
                 "frame {frame_seq} of source {source_id:016x} was not recorded"
             ),
             Self::Unlisted => write!(out, "it took more frames than a journal lists"),
-            Self::Output => write!(out, "what it published was not recorded"),
+            Self::Output => write!(out, "its output was not recorded"),
             Self::NoKeyframe => write!(out, "no keyframe before it"),
-            Self::Beginning => write!(out, "it took what was sent before the recording began"),
+            Self::Beginning => write!(out, "it took frames sent before the recording began"),
             Self::End => write!(out, "the recording ends there"),
         }
     }
@@ -293,7 +293,7 @@ impl fmt::Display for Verification {
             ),
             (
                 self.ticks_cut_off,
-                "ticks were cut in two by the end of the recording or of the worker",
+                "ticks are incomplete at the end of the recording or of the worker",
             ),
         ] {
             if count > 0 {

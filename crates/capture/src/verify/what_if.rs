@@ -1,4 +1,4 @@
-//! What another model would have said to the same samples.
+//! Comparison of models on the same recorded samples.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -12,8 +12,8 @@ use serde::Serialize;
 use super::assemble::{Assembler, Event, TickParts};
 use crate::Entry;
 
-/// Plays the samples of a capture to two fleets that differ in their models alone. Both begin with
-/// nothing, so that neither has an advantage; the journal says what came to which tick.
+/// Runs the samples of a capture through two fleets that differ only in their models. Both begin
+/// without state; the journal assigns frames to ticks.
 #[derive(Debug)]
 pub struct WhatIf {
     assembler: Assembler,
@@ -23,14 +23,14 @@ pub struct WhatIf {
     frames_missing: u64,
 }
 
-/// One fleet on its way.
+/// One fleet with its robots' statistics.
 #[derive(Debug)]
 struct ModelRun {
     fleet: Fleet,
     robots: BTreeMap<u32, RobotRun>,
 }
 
-/// How one robot came off so far.
+/// Statistics of one robot.
 #[derive(Debug, Clone, Copy, Default)]
 struct RobotRun {
     last: Diagnostic,
@@ -39,10 +39,10 @@ struct RobotRun {
     ticks_in_alarm: u64,
 }
 
-/// How the two models compare.
+/// Comparison of the two models.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Ticks played.
+    /// Ticks computed.
     pub ticks: u64,
     /// Frames of samples that the capture lacks.
     pub frames_missing: u64,
@@ -54,21 +54,21 @@ pub struct Comparison {
     pub robots: Vec<RobotComparison>,
 }
 
-/// How the two models compare on one robot.
+/// Comparison of the two models on one robot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RobotComparison {
     /// The robot.
     pub robot: u32,
     /// With the recorded model.
     pub recorded: ModelScores,
-    /// With the other.
+    /// With the other model.
     pub other: ModelScores,
 }
 
-/// How one model came off with one robot.
+/// Scores of one model on one robot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ModelScores {
-    /// Forecasts that a reading could be compared with.
+    /// Forecasts with a reading.
     pub scored: u64,
     /// Mean absolute residual, W.
     pub mae_w: f64,
@@ -85,8 +85,8 @@ pub struct ModelScores {
 }
 
 impl WhatIf {
-    /// `models` are those that the worker ran with, `others` those to compare with, both in the
-    /// order of `settings.platforms`.
+    /// `models` are the worker's, `others` those to compare with, both in the order of
+    /// `settings.platforms`.
     ///
     /// # Errors
     /// As [`Fleet::new`].
@@ -116,7 +116,7 @@ impl WhatIf {
         self.work();
     }
 
-    /// There is no more.
+    /// Ends the input.
     #[must_use]
     pub fn finish(mut self) -> Comparison {
         self.assembler.finish();
@@ -175,7 +175,7 @@ impl ModelRun {
 impl RobotRun {
     fn take(&mut self, diagnostic: Diagnostic) {
         let alarms = diagnostic.alarms();
-        // What the worker's lateness and a charger raise says nothing of the model.
+        // Alarms caused by the worker's delay or a charger do not depend on the model.
         let counts =
             |alarm: &Alarm| !matches!(alarm, Alarm::DeadlineMissed | Alarm::OfflineCharging);
         let raised: AlarmSet = alarms

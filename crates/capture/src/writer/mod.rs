@@ -19,13 +19,13 @@ pub use file::CaptureFile;
 use output::Output;
 pub use settings::{CaptureSettings, Preset};
 
-/// Channels that one file may have: their numbers are u16, and 0 is left free.
+/// Maximum number of channels in a file: their ids are u16, and 0 is unused.
 pub(crate) const MOST_CHANNELS: usize = 65_535;
 
-/// When a message was recorded and sent, both Unix ns.
+/// Log time and publish time of a message, Unix ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Times {
-    /// When the recorder knew of it. Must not fall.
+    /// When the recorder received it. Must not decrease.
     pub log_ns: u64,
     /// When it was sent.
     pub publish_ns: u64,
@@ -36,7 +36,7 @@ pub struct Times {
 /// can be read whatever happens afterwards, and only that counts as written: every message given to
 /// [`Writer::write`] is in [`Writer::written`] or in [`Writer::unwritten`].
 ///
-/// Dropping it without [`Writer::finish`] leaves a file that may lack its end.
+/// Dropping it without [`Writer::finish`] leaves a file that may be truncated.
 pub struct Writer<W: Write> {
     mcap: mcap::Writer<NoSeek<Output<W>>>,
     settings: CaptureSettings,
@@ -123,7 +123,7 @@ impl Writer<CaptureFile> {
 }
 
 impl<W: Write> Writer<W> {
-    /// Begins a capture: header, metadata and attachments go to `out` at once.
+    /// Begins a capture: header, metadata and attachments are written to `out` at once.
     ///
     /// # Errors
     /// [`WriteError`].
@@ -135,7 +135,7 @@ impl<W: Write> Writer<W> {
         Self::go_on(out, settings, attachments, Sequences::default())
     }
 
-    /// Begins the next file of a capture whose channels continue where the last file ended.
+    /// Begins the next file of a capture, whose channels continue from the last file.
     ///
     /// # Errors
     /// [`WriteError`].
@@ -178,8 +178,8 @@ impl<W: Write> Writer<W> {
         })
     }
 
-    /// Appends a message of `fleet`. Its log time is raised to that of the message before if it is
-    /// less: a capture is in order.
+    /// Appends a message of `fleet`. Its log time is raised to that of the previous message if it
+    /// is lower: a capture is in order.
     ///
     /// # Errors
     /// [`WriteError`]; after a failure to write every further call fails.
@@ -260,11 +260,11 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// Ends the file with its summary, and returns what was written, the numbers with which the
-    /// channels continue, and where it went.
+    /// Finishes the file with its summary, and returns the statistics, the sequence numbers with
+    /// which the channels continue, and the writer.
     ///
     /// # Errors
-    /// [`WriteError`]: the summary is not whole.
+    /// [`WriteError`]: the summary is incomplete.
     pub fn finish(mut self) -> Result<(Written, Sequences, W), WriteError> {
         self.flush()?;
         self.mcap.finish().map_err(failed)?;
@@ -273,14 +273,14 @@ impl<W: Write> Writer<W> {
         Ok((written, sequences, output.into_inner()))
     }
 
-    /// Bytes of the file so far, but for the open chunk.
+    /// Bytes of the file so far, without the open chunk.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
     }
 
-    /// Writes the open chunk to the file if it spans [`CaptureSettings::chunk_ns`] at `now_ns` (Unix): to be
-    /// called when no messages come.
+    /// Writes the open chunk to the file if it spans [`CaptureSettings::chunk_ns`] at `now_ns`
+    /// (Unix): to be called while no messages arrive.
     ///
     /// # Errors
     /// As [`Writer::flush`].
@@ -402,7 +402,7 @@ impl<W: Write> Writer<W> {
     }
 }
 
-/// Why something was not written.
+/// Errors of writing.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteError {
@@ -420,19 +420,19 @@ pub enum WriteError {
     Create {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// Writing failed: what is in the file so far can be recovered.
+    /// Writing failed: the file written so far can be recovered.
     #[error("cannot write the capture: {reason}")]
     Failed {
-        /// What the system or the format said.
+        /// The error.
         reason: String,
     },
     /// An earlier write failed.
     #[error("the capture has stopped: an earlier write failed")]
     Stopped,
-    /// The message is of a kind that only other programs write.
+    /// The message is of another program's kind.
     #[error("only messages of this program's own kinds can be written")]
     NotOurs,
     /// More channels than a file can have.
@@ -445,7 +445,7 @@ pub enum WriteError {
     },
 }
 
-/// With what the system said, which mcap's own words leave out.
+/// With the operating system's error, which mcap's text omits.
 #[expect(clippy::needless_pass_by_value, reason = "for `map_err`")]
 fn failed(error: mcap::McapError) -> WriteError {
     let reason = match &error {

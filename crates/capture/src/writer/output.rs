@@ -1,14 +1,14 @@
-//! Where a capture's bytes go: gathered, and handed on in one piece.
+//! Buffered output of a capture.
 
 use std::io::{self, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Bytes that are gathered before they are handed on without being asked to.
+/// Buffer size that causes a flush.
 const MOST_GATHERED: usize = 1 << 20;
 
-/// Gathers bytes and hands them on when flushed. After the first failure nothing is handed on any
-/// more: bytes after a hole would spoil the file for who reads it.
+/// Buffers bytes and passes them on when flushed. After the first failure nothing is passed on any
+/// more: bytes after a hole would corrupt the file.
 #[derive(Debug)]
 pub(crate) struct Output<W> {
     inner: W,

@@ -1,20 +1,20 @@
-//! How a capture is written.
+//! Settings of a capture file.
 
 use std::time::Duration;
 
 use mcap::{Compression, WriteOptions};
 
-/// How much work goes into making a capture small.
+/// Trade-off between work and file size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Hash)]
 pub enum Preset {
-    /// Not compressed: least work, biggest file.
+    /// No compression: least work, largest file.
     FastWrite,
     /// lz4.
     Lz4,
     /// zstd at its fastest.
     #[default]
     ZstdFast,
-    /// zstd in chunks of up to a second, which a kill then costs: smallest file.
+    /// zstd in chunks of up to a second, the amount lost if killed: smallest file.
     ZstdSmall,
 }
 
@@ -22,7 +22,7 @@ impl Preset {
     /// All presets.
     pub const ALL: [Self; 4] = [Self::FastWrite, Self::Lz4, Self::ZstdFast, Self::ZstdSmall];
 
-    /// The name on the command line.
+    /// The name in command-line options.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -33,7 +33,7 @@ impl Preset {
         }
     }
 
-    /// What a chunk may span in time before it is written: about what a killed recorder loses.
+    /// Maximum time span of a chunk: approximately what a killed recorder loses.
     #[must_use]
     pub const fn chunk(self) -> Duration {
         match self {
@@ -43,12 +43,12 @@ impl Preset {
     }
 }
 
-/// How a capture is written.
+/// Settings of a capture file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CaptureSettings {
     /// Compression and chunks.
     pub preset: Preset,
-    /// What a chunk may span in time before it is written, ns. Counted in log time.
+    /// Maximum time span of a chunk in log time, ns.
     pub chunk_ns: u64,
 }
 
@@ -59,7 +59,7 @@ impl Default for CaptureSettings {
 }
 
 impl CaptureSettings {
-    /// As the preset has it.
+    /// The settings of a preset.
     #[must_use]
     pub const fn of(preset: Preset) -> Self {
         Self {
@@ -68,8 +68,8 @@ impl CaptureSettings {
         }
     }
 
-    /// Chunks grow in memory and are written whole, so that nothing is ever sought or rewritten: a
-    /// full disk then ends a file, but spoils nothing that is in it.
+    /// Chunks grow in memory and are written as a whole, without seeking or rewriting: a full disk
+    /// then truncates a file, but corrupts nothing in it.
     pub(crate) fn options(&self) -> WriteOptions {
         let (compression, level) = match self.preset {
             Preset::FastWrite => (None, 0),

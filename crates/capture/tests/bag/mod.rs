@@ -15,7 +15,7 @@ use mcap::WriteOptions;
 use mcap::records::MessageHeader;
 use serde::Serialize;
 
-/// Definition of a battery's message, as a recording carries it.
+/// Definition of a battery message, as in a recording.
 pub(crate) const BATTERY: &str = "std_msgs/Header header\nfloat32 voltage # V\nfloat32 temperature\nfloat32 current\nfloat32 charge\n\
     float32 capacity\nfloat32 design_capacity\nfloat32 percentage\nuint8 power_supply_status\n\
     uint8 POWER_SUPPLY_STATUS_UNKNOWN = 0\nuint8 power_supply_health\nuint8 power_supply_technology\nbool present\n\

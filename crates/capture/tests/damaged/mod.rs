@@ -1,4 +1,4 @@
-//! Files to damage, and what every recovery promises.
+//! Files to corrupt, and the guarantees of every recovery.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::BTreeMap;
@@ -10,10 +10,10 @@ use joulebus_capture::recover::{RECOVERED, Recovery, recover};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, WriteOptions};
 
-/// Messages of every file.
+/// Messages in every file.
 pub(crate) const MESSAGES: u64 = 40;
 
-/// How a file is written.
+/// Format options of a file.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FileKind {
     pub name: &'static str,
@@ -102,7 +102,7 @@ pub(crate) fn file(kind: FileKind) -> Vec<u8> {
     writer.into_inner().into_inner()
 }
 
-/// Reads as a replay does: to the first error, and never further than the file.
+/// Reads like a replay: to the first error, and never beyond the file.
 pub(crate) fn read(bytes: &[u8]) -> u64 {
     let Ok(mut reader) = Reader::new(Cursor::new(bytes)) else {
         return 0;
@@ -114,7 +114,7 @@ pub(crate) fn read(bytes: &[u8]) -> u64 {
     messages
 }
 
-/// Recovers, and checks what every result promises.
+/// Recovers, and checks the guarantees of every result.
 pub(crate) fn recovered(bytes: &[u8], what: &str) -> Option<Recovery> {
     let (recovery, result) = match recover(Cursor::new(bytes), Cursor::new(Vec::new())) {
         Ok(done) => done,

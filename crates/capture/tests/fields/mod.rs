@@ -1,6 +1,6 @@
-//! Messages with any bits, and every field of them by name: whoever adds a field to a payload is
-//! told here by the compiler.
-#![allow(dead_code, reason = "every test takes what it needs")]
+//! Messages with arbitrary bits, and every field of them by name: adding a field to a payload
+//! causes a compile error here.
+#![allow(dead_code, reason = "each test uses a part")]
 
 use joulebus_capture::Message;
 use joulebus_wire::{
@@ -8,7 +8,7 @@ use joulebus_wire::{
     Refusal, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 
-/// Any bits, the awkward ones often: zeros, ones, -0, infinities, NaNs with and without sign.
+/// Arbitrary bits, often special values: zeros, ones, -0, infinities, NaNs with and without sign.
 pub(crate) struct Bits(pub(crate) u64);
 
 impl Bits {
@@ -48,7 +48,7 @@ impl Bits {
     }
 }
 
-/// A number by its bits, so that NaNs can be compared and -0 is not 0.
+/// A number by its bits, so that NaNs are comparable and -0 differs from 0.
 pub(crate) trait ToBits {
     fn bits(&self) -> u64;
 }
@@ -92,8 +92,7 @@ impl ToBits for f64 {
 /// Names and bits of fields.
 pub(crate) type Fields = Vec<(&'static str, u64)>;
 
-/// A function that makes a payload of any bits, and one that takes it apart without leaving a field
-/// out.
+/// Functions that create a payload of arbitrary bits, and that destructure one completely.
 macro_rules! payload {
     ($make:ident, $fields:ident, $type:ident { $($field:ident: $kind:ident),* $(,)? }) => {
         pub(crate) fn $make(bits: &mut Bits) -> $type {
@@ -324,7 +323,7 @@ pub(crate) fn diagnostic_header(bits: &mut Bits) -> DiagnosticHeader {
     }
 }
 
-/// One message of each kind, of any bits.
+/// One message of each kind, with arbitrary bits.
 pub(crate) fn messages(bits: &mut Bits) -> Vec<Message> {
     vec![
         Message::Samples(sample_header(bits), bits.rows(sample)),
@@ -340,14 +339,14 @@ pub(crate) fn messages(bits: &mut Bits) -> Vec<Message> {
     ]
 }
 
-/// Everything in a message, by its bits: that of its header, then row by row.
+/// All fields of a message as bits: the header, then row by row.
 pub(crate) fn all_bits(message: &Message) -> Vec<u64> {
     let (header, rows): (Fields, Vec<Fields>) = match message {
         Message::Samples(header, rows) => (
             sample_header_fields(header),
             rows.iter().map(sample_fields).collect(),
         ),
-        // Without floats: equality is that of bits, and the whole of it is compared by it.
+        // Without floats: equality compares all bits.
         Message::Forecasts(header, rows) => (
             vec![("tick", header.tick)],
             rows.iter().map(forecast_fields).collect(),
@@ -383,7 +382,7 @@ pub(crate) fn all_bits(message: &Message) -> Vec<u64> {
     fields.map(|(_, bits)| bits).collect()
 }
 
-/// Fails unless both are the same to the bit.
+/// Fails unless both have the same bits.
 pub(crate) fn assert_same_bits(found: &Message, expected: &Message) {
     match (found, expected) {
         (Message::Forecasts(found, _), Message::Forecasts(expected, _)) => {
