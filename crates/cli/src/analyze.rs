@@ -1,4 +1,4 @@
-//! `joulebus analyze`: what a dataset can teach.
+//! `joulebus analyze`: analysis of a dataset before training.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -17,28 +17,28 @@ use serde::Serialize;
 use crate::recordings::{Recordings, Resampling};
 use crate::split_unit::SplitUnit;
 
-/// What a dataset can teach: autocorrelation, what each input adds, and how much of a score comes
-/// from readings that only repeat the one before
+/// Analyse a dataset: autocorrelation, the gain of each input, and the share of a score that comes
+/// from held readings
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus analyze recordings/\n  \
     joulebus analyze husky/ --split group --leave-out ICE\n  \
     joulebus analyze trials/*.npy --model gternal.safetensors --lags 30 --each\n  \
     joulebus analyze recordings/ --native --format json\n\n\
-    The held series is what a controller sees that asks at 30 Hz, whatever the sensor's own rate. \
-    Lines are fitted by least squares on the training rows of the split, and all rules are scored on \
-    the same held-out rows. A held reading repeats the one before to the bit; a load that stands \
-    still within the sensor's step looks the same.")]
+    The held series is what a controller at 30 Hz reads, whatever the sensor's own rate. \
+    Linear models are fitted by least squares on the training rows of the split, and all models are scored on \
+    the same held-out rows. A held reading equals the one before to the bit; a constant load \
+    below the sensor's resolution looks the same.")]
 pub(crate) struct Args {
     #[command(flatten)]
     recordings: Recordings,
     /// Lags of the autocorrelation
     #[arg(long, value_name = "N", default_value_t = 10)]
     lags: usize,
-    /// Readings that the rules may see, 1 to 5
+    /// Readings available to the models, 1 to 5
     #[arg(long, value_name = "N", default_value_t = 5)]
     window: usize,
-    /// Beside the native series, what is seen of it on a fixed grid of time
+    /// A fixed grid, in addition to the native series
     #[arg(
         long,
         value_enum,
@@ -47,16 +47,16 @@ pub(crate) struct Args {
         default_value = "hold"
     )]
     resample: Vec<Resampling>,
-    /// Rows a second of the grid
+    /// Rows per second of the grid
     #[arg(long, value_name = "HZ", default_value_t = 30.0)]
     rate: f64,
     /// Only the native series
     #[arg(long, conflicts_with = "resample")]
     native: bool,
-    /// What stays together when rows are held out
+    /// Unit that stays together when rows are held out
     #[arg(long, value_enum, value_name = "BY", default_value_t = SplitUnit::Trial)]
     split: SplitUnit,
-    /// Share that is held out
+    /// Share held out
     #[arg(long, value_name = "SHARE", default_value_t = 0.3)]
     held_out: f64,
     /// Trials, robots or groups to hold out by name, instead of a share
@@ -65,7 +65,7 @@ pub(crate) struct Args {
     /// Seed of the split
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Models to score beside the rest; one that was trained on the held-out rows says nothing
+    /// Models to score as well; scores of one that was trained on the held-out rows are meaningless
     #[arg(long, value_name = "FILE", num_args = 1)]
     model: Vec<PathBuf>,
     /// Show the autocorrelation of each trial
@@ -171,7 +171,7 @@ fn write_series(out: &mut fmt::Formatter<'_>, series: &Series, each: bool) -> fm
     let count = series.pooled_autocorrelation.len();
     writeln!(
         out,
-        "  autocorrelation at lags 1 to {count}\n    all trials at once   {}\n    mean of the trials   {}",
+        "  autocorrelation at lags 1 to {count}\n    all trials pooled   {}\n    mean of the trials   {}",
         lags(&series.pooled_autocorrelation),
         lags(&series.mean_autocorrelation)
     )?;
@@ -231,7 +231,7 @@ fn write_ablation(out: &mut fmt::Formatter<'_>, ablation: &Ablation) -> fmt::Res
     write_plainly(out, ablation)
 }
 
-/// What share of the score comes from repeated readings, in a sentence.
+/// One sentence on the share of the score that comes from held readings.
 fn write_plainly(out: &mut fmt::Formatter<'_>, ablation: &Ablation) -> fmt::Result {
     let persistence = ablation
         .members

@@ -1,4 +1,4 @@
-//! The verbs and what goes for all of them.
+//! The verbs and global options.
 
 use clap::{Parser, Subcommand};
 use joulebus_program::options::GlobalOptions;
@@ -14,7 +14,7 @@ use crate::{
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
 /// planners, one host.
 ///
-/// Without a verb: `demo`, a simulated fleet with everything that belongs to it.
+/// Without a verb: `demo`, a complete simulated fleet.
 #[derive(Debug, Parser)]
 #[command(
     name = "joulebus",
@@ -23,14 +23,14 @@ use crate::{
         joulebus                                    20 simulated robots, worker, planner, 20 s\n  \
         joulebus run --config configs/fleet.toml    the worker\n  \
         joulebus publish sim --robots 20            a simulated fleet for it\n  \
-        joulebus watch                              what it forecasts\n  \
-        joulebus record -o run.mcap                 all of it, into a file\n  \
-        joulebus doctor                             why it does not work\n\n\
+        joulebus watch                              the forecasts, live\n  \
+        joulebus record -o run.mcap                 record everything into a file\n  \
+        joulebus doctor                             diagnose problems\n\n\
         Results go to stdout, the rest to stderr. Units are SI and stand in the names: power_w, \
         stamp_ns.\n\
         Exit codes: 0 done; 1 failed; 2 wrong usage or config; 3 finished, but data was lost or \
         differs.\n\
-        JOULEBUS_LOG sets what is logged, like RUST_LOG: JOULEBUS_LOG=debug."
+        JOULEBUS_LOG sets the log level, like RUST_LOG: JOULEBUS_LOG=debug."
 )]
 pub(crate) struct Cli {
     #[command(flatten)]

@@ -18,15 +18,15 @@ use serde_json::Value;
     joulebus cat run.mcap --topics joulebus/lab/forecasts | head\n  \
     joulebus cat run.mcap --format csv --topics joulebus/lab/samples > samples.csv\n  \
     joulebus cat recording.mcap -e battery --format ndjson\n\n\
-    Protobuf is decoded by the descriptors in the file, JSON as it is, and of ROS 2 BatteryState, \
+    Protobuf is decoded by the descriptors in the file, JSON is passed on, and of ROS 2 BatteryState, \
     Twist, TwistStamped and Odometry; of other messages time, number and length are shown. CSV has \
     a row for each robot of a message and takes one type of messages.\n\
-    Exit codes: 3 if the file is damaged or values could not be determined.")]
+    Exit codes: 3 if the file is corrupt or values could not be decoded.")]
 pub(crate) struct Args {
     /// An MCAP file
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// These topics only
+    /// Only these topics
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
     topics: Vec<String>,
     /// Topics that match, in addition to --topics
@@ -52,7 +52,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     for (topic, count) in &passed.undecoded {
         say(&format!(
-            "{topic}: the values of {count} messages cannot be determined"
+            "{topic}: the values of {count} messages cannot be decoded"
         ));
     }
     if out.unlisted > 0 {
@@ -62,13 +62,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(!is_whole))
 }
 
-/// Messages to stdout.
+/// Writer of messages to stdout.
 struct Out {
     form: OutputFormat,
     out: BufWriter<io::StdoutLock<'static>>,
     schema: Option<String>,
     columns: Vec<String>,
-    /// Values of later messages that the first one did not have.
+    /// Values of later messages without a column in the first.
     unlisted: u64,
 }
 
@@ -124,7 +124,7 @@ impl Out {
         match &self.schema {
             None => self.begin(line, rows.first().map_or(&[], Vec::as_slice))?,
             Some(schema) if schema != line.schema => {
-                let what = format!("a table of {schema} has no place for {}", line.schema);
+                let what = format!("a table of {schema} cannot hold {}", line.schema);
                 return Err(UsageError(format!("{what}; name one kind with --topics")).into());
             }
             Some(_) => {}
@@ -170,7 +170,7 @@ impl Out {
     }
 }
 
-/// The values of a message as rows: one for each element of its one list of messages, else one.
+/// The values of a message as rows: one per element of its only list of messages, else one.
 fn rows(value: &Value) -> Vec<Vec<(String, Value)>> {
     let lists: Vec<&String> = value
         .as_object()
@@ -201,7 +201,7 @@ fn is_list(value: &Value) -> bool {
         .is_some_and(|list| list.first().is_some_and(Value::is_object))
 }
 
-/// Names with dots for what is nested.
+/// Dotted names of nested values.
 fn flatten(before: &str, value: &Value, row: &mut Vec<(String, Value)>, without: Option<&str>) {
     let Some(fields) = value.as_object() else {
         let name = before.trim_end_matches('.');
@@ -217,7 +217,7 @@ fn flatten(before: &str, value: &Value, row: &mut Vec<(String, Value)>, without:
     {
         match value {
             Value::Object(_) => flatten(&format!("{before}{name}."), value, row, None),
-            // A list without elements has no rows of its own and no value either.
+            // An empty list yields no rows and no value.
             Value::Array(list) if list.is_empty() => {}
             value => row.push((format!("{before}{name}"), value.clone())),
         }

@@ -15,7 +15,7 @@ use serde::Serialize;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus config check configs/*.toml\n  \
-    joulebus config show configs/fleet.toml    every key, with where its value comes from\n  \
+    joulebus config show configs/fleet.toml    every key, with the origin of its value\n  \
     joulebus config explain tick               the keys of a section, with unit, range, default")]
 pub(crate) struct Args {
     #[command(subcommand)]
@@ -27,14 +27,14 @@ enum Verb {
     /// Check fleets' configs and the platform files and models they name; exit 2 if one is refused
     #[command(after_help = "Example:\n  joulebus config check configs/fleet.toml")]
     Check {
-        /// Configs of fleets [default: configs/fleet.toml, or the one that ships]
+        /// Configs of fleets [default: configs/fleet.toml, or the built-in one]
         #[arg(value_name = "FILE")]
         files: Vec<PathBuf>,
     },
-    /// Show the whole config, defaults included; the output is a config itself
+    /// Show the complete config with defaults; the output is a valid config
     #[command(after_help = "Example:\n  joulebus config show configs/mixed.toml > whole.toml")]
     Show {
-        /// The fleet's config [default: configs/fleet.toml, or the one that ships]
+        /// The fleet's config [default: configs/fleet.toml, or the built-in one]
         #[arg(value_name = "FILE")]
         file: Option<PathBuf>,
     },
@@ -56,7 +56,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
 }
 
-/// What came of checking configs.
+/// Result of checking configs.
 #[derive(Debug, Serialize)]
 struct CheckReport {
     files: Vec<Checked>,
@@ -129,7 +129,7 @@ impl fmt::Display for CheckReport {
             let file = &checked.file;
             writeln!(
                 out,
-                "{file}: ok: fleet {fleet}, room for {capacity} robots, {platforms}"
+                "{file}: ok: fleet {fleet}, capacity {capacity} robots, {platforms}"
             )?;
         }
         Ok(())

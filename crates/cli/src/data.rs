@@ -9,7 +9,7 @@ use clap::Subcommand;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 
-/// Look at recorded trials, check them, write them in another form, and write simulated ones
+/// Describe recorded trials, check them, convert them, and write simulated ones
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus data info recordings/*.csv.gz\n  \

@@ -1,5 +1,4 @@
-//! `joulebus eval`: recorded trials, offline: how good the forecasts are, beside what they have to
-//! beat.
+//! `joulebus eval`: offline evaluation of recorded trials against the baselines.
 
 mod subject;
 
@@ -17,11 +16,11 @@ use serde::Serialize;
 
 pub(crate) use subject::{Selection, usage};
 
-/// Live scores that the text shows trial by trial; of more trials, one line a platform.
+/// Maximum number of trials whose live scores are listed; of more, one line per platform.
 const LISTED: usize = 24;
 
-/// Evaluate recorded trials offline: the same bits as playing them live, beside what a model has to
-/// beat
+/// Evaluate recorded trials offline: the same bits as playing them live, compared with the
+/// baselines
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus eval recordings/*.csv.gz\n  \
@@ -29,18 +28,18 @@ const LISTED: usize = 24;
     joulebus eval --model my.safetensors husky/ --split group --leave-out ICE\n  \
     joulebus eval --model my.safetensors t6.npy --fit t1.npy t2.npy t3.npy t4.npy\n  \
     joulebus eval --config configs/mixed.toml robotino/@robotino husky/@husky\n\n\
-    Corrected: each forecast rests on real readings, one tick ahead. Open loop: a forecaster is fed \
-    with its own forecasts, the commands being known. MAE in W; skill is 1 - squared error over \
+    Corrected: each forecast is based on real readings, one tick ahead. Open loop: a forecaster is fed \
+    with its own forecasts and the true commands. MAE in W; skill is 1 - squared error over \
     that of persistence: above 0 is better than repeating the last reading. [lo, hi] are confidence \
     intervals by block bootstrap. All forecasters are scored on the same rows: those with five \
-    readings without a gap behind them.\n\n\
+    gapless readings before them.\n\n\
     With --model and no config, period and limits are those of each recording; else those of the \
     config's platforms. --split evaluates what `joulebus train trials` with the same recordings, \
     split and seed holds out.")]
 pub(crate) struct Args {
     #[command(flatten)]
     asked: Selection,
-    /// A model file, for all platforms [default: as the config says]
+    /// A model file, for all platforms [default: as in the config]
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
 }
@@ -67,7 +66,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
                 let robots = scored.live.into_iter().flat_map(|live| live.robots);
                 live.robots.extend(robots);
             }
-            // One platform without rows must not hide the others.
+            // A platform without rows must not hide the others.
             Err(error) if sections.len() > 1 && is_without_rows(&error) => {
                 say(&format!("warning: platform {}: {error:#}", section.name()));
                 refused = Some(error);
@@ -87,12 +86,12 @@ fn is_without_rows(error: &anyhow::Error) -> bool {
     matches!(error.downcast_ref(), Some(ScoreError::NoRows { .. }))
 }
 
-/// The model of a file, or one that ships.
+/// The model of a file, or a built-in one.
 pub(crate) fn load(path: &Path) -> anyhow::Result<Model> {
     Ok(Model::Network(model_source::load(path)?))
 }
 
-/// The live path's own account, and the evaluation of each platform.
+/// The live path's scores, and the evaluation of each platform.
 #[derive(Debug, Default, Serialize)]
 struct EvalReport {
     #[serde(flatten)]

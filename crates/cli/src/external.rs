@@ -1,5 +1,6 @@
-//! Verbs that are programs of their own. `joulebus VERB` becomes `joulebus-VERB`, which is looked for
-//! as git looks for its subcommands: beside the running program, then in the directories of `PATH`.
+//! Verbs that are separate programs. `joulebus VERB` executes `joulebus-VERB`, which is searched
+//! like git's subcommands: in the directory of the running program, then in the directories of
+//! `PATH`.
 
 use std::env;
 use std::ffi::OsString;
@@ -11,8 +12,8 @@ use anyhow::{Context as _, anyhow};
 use joulebus_program::exit::Outcome;
 use rustix::fs::{Access, access};
 
-/// Becomes the program of `verb`, with the same arguments; so signals and its exit code need no
-/// passing on. Returns only if it cannot.
+/// Executes the program of `verb`, with the same arguments, replacing this process; so signals and
+/// the exit code need no forwarding. Returns only on failure.
 ///
 /// # Errors
 /// There is no such program, or it cannot be started.
@@ -24,7 +25,7 @@ pub(crate) fn run(verb: &str) -> anyhow::Result<Outcome> {
     let program = find(&name, beside, env::split_paths(&path)).ok_or_else(|| {
         let place = beside.display();
         anyhow!(
-            "`joulebus {verb}` is a program of its own, {name}, and neither {place} nor a directory \
+            "`joulebus {verb}` is a separate program, {name}, and neither {place} nor a directory \
              of PATH has it: build it with `cargo build --release -p {name}`, or install it with \
              `cargo install {name}`"
         )
@@ -34,8 +35,8 @@ pub(crate) fn run(verb: &str) -> anyhow::Result<Outcome> {
     Err(error).with_context(|| format!("cannot start {}", program.display()))
 }
 
-/// The first executable file of that name. Entries of `PATH` that are relative are passed over: what
-/// lies in whatever directory one stands in was not installed by anybody.
+/// The first executable file of that name. Relative entries of `PATH` are skipped: files in the
+/// current directory were not installed.
 fn find(name: &str, beside: &Path, path: impl Iterator<Item = PathBuf>) -> Option<PathBuf> {
     [beside.to_owned()]
         .into_iter()
@@ -44,8 +45,8 @@ fn find(name: &str, beside: &Path, path: impl Iterator<Item = PathBuf>) -> Optio
         .find(|file| file.is_file() && access(file, Access::EXEC_OK).is_ok())
 }
 
-/// The arguments without the verb, which is the first word of its name: before it stand options of
-/// every verb only, and none of them takes a verb's name as its value.
+/// The arguments without the verb, the first word equal to its name: only global options precede
+/// it, and none of them takes a verb's name as its value.
 fn without(verb: &str, arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
     let mut arguments: Vec<OsString> = arguments.collect();
     if let Some(place) = arguments.iter().position(|argument| argument == verb) {
@@ -62,14 +63,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_the_verb_is_taken_out() {
+    fn only_the_verb_is_removed() {
         let words = ["-v", "--format", "json", "report", "report", "--out", "x"];
         let left = without("report", words.iter().map(OsString::from));
         assert_eq!(left, ["-v", "--format", "json", "report", "--out", "x"]);
     }
 
     #[test]
-    fn beside_comes_before_path_and_relative_directories_never() -> std::io::Result<()> {
+    fn the_programs_directory_precedes_path_and_relative_entries_are_skipped() -> std::io::Result<()>
+    {
         let place = tempfile::tempdir()?;
         let directory = |name: &str, mode| -> std::io::Result<PathBuf> {
             let directory = place.path().join(name);
@@ -89,10 +91,11 @@ mod tests {
         };
         let in_both = found(&beside, &[&installed]);
         assert_eq!(in_both, Some(beside.join("joulebus-x")));
-        // A file that nobody may run is no program.
+        // A file without execute permission is not a program.
         let installed_alone = found(&empty, &[&data, &installed]);
         assert_eq!(installed_alone, Some(installed.join("joulebus-x")));
-        // Tests run in the package's directory, from which a way leads to what is installed.
+        // Tests run in the package's directory, from which a relative path leads to the installed
+        // program.
         let here = env::current_dir()?;
         let up: PathBuf = here.components().skip(1).map(|_| "..").collect();
         let relative = up.join(installed.strip_prefix("/").unwrap_or(&installed));

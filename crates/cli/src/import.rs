@@ -25,11 +25,11 @@ use options::ImportArguments;
     joulebus import bag_0.mcap -o trials/ --mapping mapping.toml\n  \
     joulebus import trials/*.csv.gz -o trials.mcap\n\n\
     Of a rosbag2 file, sensor_msgs/BatteryState, geometry_msgs/Twist, TwistStamped and \
-    nav_msgs/Odometry are read (cdr); without options every battery topic is a robot. What the file \
-    does not have is missing in the result, never 0; what cannot be used is named and counted.\n\
+    nav_msgs/Odometry are read (cdr); without options every battery topic is a robot. Data that the file \
+    does not have is missing in the result, never 0; unusable data is named and counted.\n\
     The result is a capture if its name ends in .mcap, a dataset if it ends in .csv or .csv.gz, \
     else a directory of datasets, which `joulebus publish trial` plays.\n\n\
-    A mapping file (all but name and battery may be left out):\n\n  \
+    A mapping file (all keys except name and battery are optional):\n\n  \
     time = \"auto\"              # header, log, publish\n  \
     burst_s = 0.005            # of readings closer than this the last counts\n  \
     odometry_max_age_s = 1.0\n\n  \
@@ -52,8 +52,8 @@ pub(crate) struct Args {
     output: PathBuf,
     #[command(flatten)]
     options: ImportArguments,
-    /// Id in a capture of the first robot without one; the others count on [default: the lowest
-    /// of the config]
+    /// Id in a capture of the first robot without one; the others are numbered on [default: the
+    /// lowest of the config]
     #[arg(long, value_name = "ID")]
     first_robot: Option<u32>,
     /// Fleet whose config goes into a capture
@@ -61,11 +61,11 @@ pub(crate) struct Args {
     config: ConfigFile,
 }
 
-/// A robot's recording, read.
+/// A robot's recording.
 struct Recording {
     name: String,
     id: Option<u32>,
-    /// When its first row was, Unix ns, if the recording says so.
+    /// Time of its first row, Unix ns, if the recording has it.
     start_unix_ns: Option<u64>,
     trial: Trial,
 }
@@ -82,9 +82,9 @@ struct Source {
     file: String,
     #[serde(flatten)]
     imported: Option<Imported>,
-    /// Of a file that was a trial already: what is to be said about it.
+    /// For a file that was already a trial: notes on it.
     trial: Option<String>,
-    /// Robots left out, and why.
+    /// Robots left out, with reasons.
     left_out: Vec<String>,
 }
 
@@ -126,7 +126,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(!is_whole))
 }
 
-/// A name without directory and endings.
+/// A name without directory and extensions.
 fn stem(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let endings = [".mcap", ".npy", ".csv.gz", ".csv"];
@@ -212,7 +212,10 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
     }
     let is_dataset = name.ends_with(".csv") || name.ends_with(".csv.gz");
     if is_dataset && recordings.len() > 1 {
-        let what = format!("{} robots do not go into one dataset", recordings.len());
+        let what = format!(
+            "{} robots cannot be written to one dataset",
+            recordings.len()
+        );
         return Err(UsageError(format!("{what}; name a directory or a capture (.mcap)")).into());
     }
     if !is_dataset {
@@ -222,7 +225,7 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
         if is_dataset {
             return args.output.clone();
         }
-        // A robot's name may have anything in it; a file's may not.
+        // A robot's name may have any characters; a file's name may not.
         let file: String = recording
             .name
             .chars()
@@ -241,7 +244,7 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
         let path = place(recording);
         let failed = || format!("cannot write {}", path.display());
         recording.trial.write_csv(&path).with_context(failed)?;
-        // What cannot be read again was not written.
+        // Read back to verify the output.
         let again = Trial::read(&path)?;
         written.push(Written {
             file: path.display().to_string(),

@@ -1,4 +1,4 @@
-//! `joulebus info`: what is in captures and other MCAP files.
+//! `joulebus info`: contents of captures and other MCAP files.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -10,25 +10,26 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-/// Show what is in captures and other MCAP files: counts, rates, gaps, clocks, schemas, attachments
+/// Show the contents of captures and other MCAP files: counts, rates, gaps, clocks, schemas,
+/// attachments
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus info run.mcap\n  \
     joulebus info run*.mcap --format json\n\n\
-    Reads any MCAP file, damaged ones as far as they can be, in little memory however long they \
-    are. `joulebus doctor FILE` says in detail what is wrong with one.\n\
-    Exit codes: 3 if a file is damaged or contradicts itself.")]
+    Reads any MCAP file, corrupt ones as far as possible, in bounded memory for any \
+    length. `joulebus doctor FILE` reports all errors of one.\n\
+    Exit codes: 3 if a file is corrupt or inconsistent.")]
 pub(crate) struct Args {
     /// MCAP files
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
 }
 
-/// What is in a file.
+/// Contents of a file.
 #[derive(Debug, Serialize)]
 pub(crate) struct FileReport {
     file: String,
-    /// What a file of this program says about itself.
+    /// Metadata of a file written by this program.
     #[serde(skip_serializing_if = "Option::is_none")]
     joulebus: Option<BTreeMap<String, String>>,
     #[serde(flatten)]
@@ -40,7 +41,7 @@ struct InfoReport {
     files: Vec<FileReport>,
 }
 
-/// Reads a file.
+/// Inspects a file.
 pub(crate) fn look(path: &PathBuf) -> anyhow::Result<FileReport> {
     let named = || path.display().to_string();
     let file = joulebus_files::open(path).with_context(named)?;
@@ -97,7 +98,7 @@ impl fmt::Display for InfoReport {
     }
 }
 
-/// What is wrong with files, for `doctor`.
+/// Errors of files, for `doctor`.
 #[derive(Debug, Serialize)]
 pub(crate) struct Diagnosis {
     files: Vec<Checked>,

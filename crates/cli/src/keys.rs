@@ -2,14 +2,14 @@
 
 use crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
-/// The key that was pressed, or is held down; none where something else happened.
+/// The key that was pressed, or is held down; `None` for other events.
 pub(crate) fn pressed(event: &Event) -> Option<KeyEvent> {
     let key = event.as_key_event()?;
     matches!(key.kind, KeyEventKind::Press | KeyEventKind::Repeat).then_some(key)
 }
 
-/// Whether a key asks for the end: `q`, Escape, and Ctrl-C, of which the terminal does not make a
-/// signal any more.
+/// Whether a key requests the exit: `q`, Escape, and Ctrl-C, which raw mode does not convert to a
+/// signal.
 pub(crate) fn asks_for_the_end(key: KeyEvent) -> bool {
     match key.code {
         KeyCode::Char('q') | KeyCode::Esc => true,

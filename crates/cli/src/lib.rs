@@ -1,7 +1,7 @@
 //! The `joulebus` program as a library, so that other packages can build the same program.
 //!
-//! Heavy verbs are programs of their own, `joulebus-VERB`, which this one becomes when it is asked for
-//! such a verb; what all programs share is `joulebus_program`.
+//! Heavy verbs are separate programs, `joulebus-VERB`, which this one executes; `joulebus_program`
+//! has the code shared by all programs.
 #![forbid(unsafe_code)]
 
 mod analyze;
@@ -58,7 +58,7 @@ fn parse() -> Result<(Command, Output), clap::Error> {
     Ok((command, cli.options.start(has_rows)?))
 }
 
-/// `demo` as if it had been asked for without options.
+/// `demo` with default options.
 fn default_demo() -> Result<demo::Args, clap::Error> {
     let parser = demo::Args::augment_args(clap::Command::new("demo"));
     demo::Args::from_arg_matches(&parser.try_get_matches_from(["demo"])?)

@@ -1,4 +1,4 @@
-//! Recordings that a user names, and how they are resampled.
+//! Recordings on the command line, and how they are resampled.
 
 use std::path::PathBuf;
 
@@ -8,27 +8,27 @@ use joulebus_dataset::trial::Method;
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
 
-/// Recordings.
+/// Recordings on the command line.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct Recordings {
-    /// Recordings (.npy, .csv, .csv.gz), directories with all that lies below them, or patterns in
-    /// quotes: 'runs/**/*.npy'
+    /// Recordings (.npy, .csv, .csv.gz), directories (searched recursively), or patterns in quotes:
+    /// 'runs/**/*.npy'
     #[arg(required = true, value_name = "PATH")]
     paths: Vec<PathBuf>,
 }
 
 impl Recordings {
-    /// The files, as [`find_recordings`] gives them.
+    /// The files found by [`find_recordings`].
     pub(crate) fn find(&self) -> anyhow::Result<Vec<PathBuf>> {
         find_recordings(&self.paths)
     }
 }
 
-/// The files that are named; what else lies in the directories, and what was named twice, is said on
+/// Finds the files of `paths`; other files in the directories, and duplicates, are reported on
 /// stderr.
 ///
 /// # Errors
-/// Something named is not there, or holds no recordings.
+/// A path does not exist, or contains no recordings.
 pub(crate) fn find_recordings(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     let found = find(paths).map_err(|error| match error.is_usage() {
         true => UsageError(error.to_string()).into(),
@@ -38,14 +38,14 @@ pub(crate) fn find_recordings(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>>
     Ok(found.files)
 }
 
-/// How to resample.
+/// Resampling method.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub(crate) enum Resampling {
     /// The latest row
     Hold,
-    /// The mean over the period that ends
+    /// The mean over the period that ends at the row
     Mean,
-    /// The line between the rows around
+    /// Linear interpolation between the neighbouring rows
     Linear,
 }
 

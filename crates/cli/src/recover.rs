@@ -1,4 +1,4 @@
-//! `joulebus recover`: a whole file from a damaged one.
+//! `joulebus recover`: rewrites a damaged file as a complete one.
 
 use std::fmt;
 use std::fs::{self, File};
@@ -12,12 +12,12 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-/// Make a whole file of a cut off or damaged MCAP file, and say what is lost
+/// Rewrite a truncated or damaged MCAP file as a complete one, and report what is lost
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus recover killed.mcap -o whole.mcap\n  \
     joulebus recover damaged.mcap -o whole.mcap --format json\n\n\
-    Everything that can be read is written again, with new indexes and checksums; the result is \
+    Everything readable is rewritten with new indexes and checksums; the result is \
     opened again and checked. Messages of a chunk whose checksum is wrong are kept and counted as \
     suspect.\n\
     Exit codes: 3 if something was lost, is suspect, or cannot be determined.")]
@@ -25,7 +25,7 @@ pub(crate) struct Args {
     /// The damaged file; it is not changed
     #[arg(value_name = "IN")]
     input: PathBuf,
-    /// The result; it must not exist
+    /// The result; must not exist
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
 }
@@ -37,7 +37,7 @@ struct RecoverReport {
     input_bytes: u64,
     output_bytes: u64,
     duration_s: f64,
-    /// Bytes of the damaged file read in a second, MB/s, without the check of the result.
+    /// Read rate of the damaged file without the check of the result, MB/s.
     rate_mb_s: f64,
     #[serde(flatten)]
     recovery: Recovery,
@@ -49,13 +49,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let input_bytes = input.metadata()?.len();
     if args.output.exists() {
         let name = args.output.display();
-        return Err(UsageError(format!("{name} exists; name a file that does not")).into());
+        return Err(UsageError(format!("{name} exists; give a path that does not exist")).into());
     }
     let started = Instant::now();
     let recovery = match write(input, &args.output) {
         Ok(recovery) => recovery,
         Err(error) => {
-            // Half a result is none; that it cannot be removed changes nothing.
+            // A partial result is useless; failing to remove it does not matter.
             let _ = fs::remove_file(&args.output);
             return Err(error).with_context(|| args.input.display().to_string());
         }
@@ -83,7 +83,7 @@ fn write(input: File, path: &Path) -> anyhow::Result<Recovery> {
     Ok(recovery)
 }
 
-/// Opens the result again: it has to be whole, and to hold what was counted.
+/// Opens the result: it must be complete and contain what was counted.
 fn check(path: &Path, recovery: &Recovery) -> anyhow::Result<()> {
     let found = inspect(joulebus_files::open(path)?)?;
     let (wanted, messages) = (recovery.messages.recovered, found.messages);
@@ -91,7 +91,7 @@ fn check(path: &Path, recovery: &Recovery) -> anyhow::Result<()> {
         let findings: Vec<String> = found.findings.iter().map(ToString::to_string).collect();
         let name = path.display();
         bail!(
-            "{name}: the result is not as it should be: {messages} of {wanted} messages; {}",
+            "{name}: the result is wrong: {messages} of {wanted} messages; {}",
             findings.join("; ")
         );
     }

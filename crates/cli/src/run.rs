@@ -1,4 +1,4 @@
-//! `joulebus run`: the worker.
+//! `joulebus run`: runs the predictor worker.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -19,18 +19,18 @@ use crate::record::RecorderProcess;
     joulebus run --config configs/fleet.toml\n  \
     joulebus run --format json > report.json &\n  \
     joulebus run --record run.mcap\n\n\
-    A fleet has one worker; a second one ends with the pid of the first. Times in the report are \
+    A fleet has one worker; a second one exits and reports the pid of the first. Times in the report are \
     in µs. Exit code 3 if a recording lost messages or stopped.")]
 pub(crate) struct Args {
     #[command(flatten)]
     config: ConfigFile,
-    /// Record everything into this file as well, by a process beside the worker
+    /// Also record all topics into this file, in a separate process
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    // Before anything is created: who is told to stop while starting cleans up as well.
+    // Before anything is created: a signal during the start must clean up as well.
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
     let recorder = match &args.record {
@@ -63,7 +63,7 @@ fn model_name(model: &ModelSource) -> String {
     }
 }
 
-/// The worker's report with its text.
+/// The worker's report as text.
 #[derive(Debug, Serialize)]
 #[serde(transparent)]
 struct RunReport(Report);
@@ -76,7 +76,7 @@ impl fmt::Display for RunReport {
         writeln!(out, "ticks: {done} done, {skipped} skipped, {late} late")?;
         let shed = report.ticks_without_diagnostics;
         if shed > 0 {
-            writeln!(out, "ticks without diagnostics, for want of time: {shed}")?;
+            writeln!(out, "ticks without diagnostics, for lack of time: {shed}")?;
         }
         let tick = &report.tick;
         writeln!(
@@ -108,7 +108,7 @@ impl fmt::Display for RunReport {
             let (unsent, receive) = (report.frames_unsent, report.receive_errors);
             writeln!(
                 out,
-                "trouble: {unsent} frames unsent, {receive} failures to receive"
+                "errors: {unsent} frames not sent, {receive} receive errors"
             )?;
         }
         Ok(())

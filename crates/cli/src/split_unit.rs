@@ -1,17 +1,17 @@
-//! `--split`: what stays together when recordings are split.
+//! `--split`: the unit that is not divided when recordings are split.
 
 use joulebus_dataset::split::By;
 
-/// What stays together.
+/// Unit of a split.
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 pub(crate) enum SplitUnit {
     /// Each trial
     Trial,
     /// All trials of a robot
     Robot,
-    /// All trials whose file names differ only in their number
+    /// All trials whose file names differ only in a number
     Group,
-    /// Nothing: the end of every trial is held out
+    /// None: the end of every trial is held out
     Time,
 }
 

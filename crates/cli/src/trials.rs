@@ -1,4 +1,4 @@
-//! Which recorded trial is played by which robot.
+//! Assigns recorded trials to robots.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -15,78 +15,79 @@ use crate::recordings::find_recordings;
 /// Recordings, one robot each.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct TrialFiles {
-    /// Recordings (.npy, .csv, .csv.gz), or directories of them. After an @ stands the robot's id,
-    /// or the platform whose ids the robots get: a.csv.gz@100, recordings/@husky
+    /// Recordings (.npy, .csv, .csv.gz) or directories of them. PATH@ID assigns a robot id,
+    /// PATH@NAME the ids of a platform: a.csv.gz@100, recordings/@husky
     #[arg(required = true, value_name = "PATH[@ROBOT|@PLATFORM]")]
     paths: Vec<OsString>,
-    /// Platform of the config whose ids the robots get, lowest first, where a path names none
-    /// [default: the only one of the config]
+    /// Platform of the config whose ids are assigned in ascending order to paths without an @
+    /// [default: the config's only platform]
     #[arg(long, value_name = "NAME", conflicts_with = "first_robot")]
     platform: Option<String>,
-    /// Id of the first robot, where a path names none; the others count on
+    /// Id of the first robot for paths without an @; the following ids are consecutive
     #[arg(long, value_name = "ID")]
     first_robot: Option<u32>,
 }
 
-/// Whose ids the robots of a path get.
+/// Source of the ids of a path's robots.
 #[derive(Debug, Clone, PartialEq, Eq)]
-enum Who {
+enum IdSource {
     From(u32),
     Platform(String),
 }
 
 impl TrialFiles {
-    /// Reads the trials, each with its robot's id, in the order of the arguments.
+    /// Reads the trials with the ids of their robots, in the order of the arguments. From a
+    /// directory at most as many trials are read as there are ids.
     ///
     /// # Errors
-    /// A file cannot be read, a name is no platform of the config, or a platform has fewer ids than
-    /// there are files. A directory gives as many trials as there are ids.
+    /// A file cannot be read, the config has no such platform, or a platform has fewer ids than
+    /// there are files.
     pub(crate) fn read(&self, settings: &FleetSettings) -> anyhow::Result<Vec<(u32, Trial)>> {
         let mut ids = Ids::new(self.first_robot);
         let mut trials = Vec::new();
         for path in &self.paths {
-            let (path, who) = self.whose(path, settings)?;
-            for (robot, file) in assign(&path, who.as_ref(), settings, &mut ids)? {
+            let (path, source) = self.id_source(path, settings)?;
+            for (robot, file) in assign(&path, source.as_ref(), settings, &mut ids)? {
                 trials.push((robot, Trial::read(file)?));
             }
         }
         Ok(trials)
     }
 
-    /// Whether anybody says which ids or which platform the robots are of.
+    /// True if an id or a platform is given.
     pub(crate) fn names_robots(&self) -> bool {
         let named = self.platform.is_some() || self.first_robot.is_some();
         named || self.paths.iter().any(|path| split(path).1.is_some())
     }
 
-    /// The recordings, where nobody says whose they are.
+    /// The recordings, if neither ids nor platforms are given.
     ///
     /// # Errors
-    /// A directory cannot be read, or holds none.
+    /// A directory cannot be read or contains no recordings.
     pub(crate) fn files(&self) -> anyhow::Result<Vec<PathBuf>> {
         let paths: Vec<PathBuf> = self.paths.iter().map(PathBuf::from).collect();
         find_recordings(&paths)
     }
 
-    /// The recordings with their robots' ids, for robots that never meet: where a platform has no
-    /// id left, its ids are given out again.
+    /// The recordings with the ids of their robots, for independent robots: once a platform's ids
+    /// are used up, they are assigned again.
     ///
     /// # Errors
-    /// As [`TrialFiles::read`], but for too few ids.
+    /// As [`TrialFiles::read`], except for too few ids.
     pub(crate) fn assigned(&self, settings: &FleetSettings) -> anyhow::Result<Vec<(u32, PathBuf)>> {
         let mut ids = Ids::new(self.first_robot);
         let mut assigned = Vec::new();
         for path in &self.paths {
-            let (path, who) = self.whose(path, settings)?;
+            let (path, source) = self.id_source(path, settings)?;
             for file in find_recordings(&[path])? {
-                let mut robot = ids.next(who.as_ref(), settings)?;
+                let mut robot = ids.next(source.as_ref(), settings)?;
                 if robot.is_none() {
                     ids.taken.clear();
-                    robot = ids.next(who.as_ref(), settings)?;
+                    robot = ids.next(source.as_ref(), settings)?;
                 }
                 let Some(robot) = robot else {
                     let name = file.display();
-                    return Err(UsageError(format!("{name}: its platform has no ids")).into());
+                    return Err(UsageError(format!("{name}: its platform has no robot ids")).into());
                 };
                 assigned.push((robot, file));
             }
@@ -94,22 +95,22 @@ impl TrialFiles {
         Ok(assigned)
     }
 
-    /// The path, and whose ids its robots get.
-    fn whose(
+    /// The path, and the source of its ids.
+    fn id_source(
         &self,
         argument: &OsString,
         settings: &FleetSettings,
-    ) -> Result<(PathBuf, Option<Who>), UsageError> {
-        let (path, who) = split(argument);
-        let who = match who {
-            Some(who) => Some(who),
-            None => self.usual(settings)?,
+    ) -> Result<(PathBuf, Option<IdSource>), UsageError> {
+        let (path, source) = split(argument);
+        let source = match source {
+            Some(source) => Some(source),
+            None => self.default_source(settings)?,
         };
-        Ok((path, who))
+        Ok((path, source))
     }
 
-    /// Whose ids are taken where the path does not say; none: those that count on.
-    fn usual(&self, settings: &FleetSettings) -> Result<Option<Who>, UsageError> {
+    /// Source of the ids if the path does not name one; none: consecutive ids.
+    fn default_source(&self, settings: &FleetSettings) -> Result<Option<IdSource>, UsageError> {
         if self.first_robot.is_some() {
             return Ok(None);
         }
@@ -118,19 +119,19 @@ impl TrialFiles {
             (None, [only]) => only.name.clone(),
             (None, several) => {
                 let names = names(several);
-                let what = "whose robots are these? The config has several platforms";
-                let remedy = "give --platform NAME, or write PATH@NAME";
+                let what = "which platform? The config has several";
+                let remedy = "give --platform NAME or PATH@NAME";
                 return Err(UsageError(format!("{what}: {names}; {remedy}")));
             }
         };
-        Ok(Some(Who::Platform(platform)))
+        Ok(Some(IdSource::Platform(platform)))
     }
 }
 
-/// The files of a path with their robots.
+/// The files of a path with the ids of their robots.
 fn assign(
     path: &Path,
-    who: Option<&Who>,
+    source: Option<&IdSource>,
     settings: &FleetSettings,
     ids: &mut Ids,
 ) -> anyhow::Result<Vec<(u32, PathBuf)>> {
@@ -143,44 +144,44 @@ fn assign(
     let found = files.len();
     let mut assigned = Vec::with_capacity(found);
     for file in files {
-        match ids.next(who, settings)? {
+        match ids.next(source, settings)? {
             Some(robot) => assigned.push((robot, file)),
             None if is_directory && !assigned.is_empty() => break,
             None => {
                 let name = file.display();
-                let what = format!("{name}: no id is left for it");
+                let what = format!("{name}: no robot id is left");
                 let remedy = "enlarge the `robots` of its platform in the config";
-                return Err(UsageError(format!("{what}; name fewer files or {remedy}")).into());
+                return Err(UsageError(format!("{what}; give fewer files or {remedy}")).into());
             }
         }
     }
     if assigned.len() < found {
         let (name, taken) = (path.display(), assigned.len());
         say(&format!(
-            "{name}: {taken} of {found} recordings are played: there are no more ids"
+            "{name}: {taken} of {found} recordings are played: no more robot ids are left"
         ));
     }
     Ok(assigned)
 }
 
-/// The path and what stands after its @. A file that has an @ in its own name is taken as it is.
-fn split(argument: &OsString) -> (PathBuf, Option<Who>) {
+/// The path and the part after its @. A file whose own name contains an @ is not split.
+fn split(argument: &OsString) -> (PathBuf, Option<IdSource>) {
     let whole = PathBuf::from(argument);
     if whole.exists() {
         return (whole, None);
     }
     match argument.to_str().and_then(|text| text.rsplit_once('@')) {
-        Some((path, who)) if !path.is_empty() && !who.is_empty() => {
-            let who = who
+        Some((path, source)) if !path.is_empty() && !source.is_empty() => {
+            let source = source
                 .parse()
-                .map_or_else(|_| Who::Platform(who.to_owned()), Who::From);
-            (PathBuf::from(path), Some(who))
+                .map_or_else(|_| IdSource::Platform(source.to_owned()), IdSource::From);
+            (PathBuf::from(path), Some(source))
         }
         _ => (whole, None),
     }
 }
 
-/// The recordings in a directory, by name.
+/// The recordings in a directory, sorted by name.
 pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let failed = || format!("cannot read the directory {}", directory.display());
     let mut files = Vec::new();
@@ -192,13 +193,13 @@ pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
     }
     files.sort();
     if files.is_empty() {
-        let what = "holds no recordings (.npy, .csv, .csv.gz)";
+        let what = "contains no recordings (.npy, .csv, .csv.gz)";
         return Err(UsageError(format!("{} {what}", directory.display())).into());
     }
     Ok(files)
 }
 
-/// Ids that are still free.
+/// Unassigned ids.
 struct Ids {
     next: Option<u32>,
     taken: Vec<u32>,
@@ -212,20 +213,20 @@ impl Ids {
         }
     }
 
-    /// The next id; none when there is none left.
+    /// The next id; none if all are assigned.
     fn next(
         &mut self,
-        who: Option<&Who>,
+        source: Option<&IdSource>,
         settings: &FleetSettings,
     ) -> Result<Option<u32>, UsageError> {
-        let id = match who {
+        let id = match source {
             None => {
                 let id = self.next;
                 self.next = id.and_then(|id| id.checked_add(1));
                 id
             }
-            Some(Who::From(first)) => self.first_free(*first..=u32::MAX),
-            Some(Who::Platform(name)) => {
+            Some(IdSource::From(first)) => self.first_free(*first..=u32::MAX),
+            Some(IdSource::Platform(name)) => {
                 let platform = platform(settings, name)?;
                 self.first_free(platform.robots.iter().cloned().flatten())
             }

@@ -1,4 +1,5 @@
-//! The demonstration and the view, as real processes: they add up, they end, they leave nothing.
+//! `joulebus demo` and `watch` as real processes: the counts add up, they stop, they leave no
+//! files.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
@@ -24,7 +25,7 @@ impl Run {
 
     fn demo(arguments: &[&str]) -> Self {
         let mut all = vec!["demo", "--format", "json"];
-        // Demonstrations run next to each other here: only who asks for it leaves a capture.
+        // Demonstrations run in parallel here: only those that ask for it write a capture.
         if !arguments.contains(&"--capture") {
             all.push("--no-capture");
         }
@@ -37,27 +38,28 @@ impl Run {
         PathBuf::from(format!("{root}-demo-{}", self.0.pid()))
     }
 
-    /// What the demonstration has left.
+    /// Remaining files of the demonstration.
     fn stale_files(&self) -> Vec<PathBuf> {
         let root = self.root();
         let domain = Domain::new("demo", &root, "jbd_").unwrap();
         stale_files(&domain)
     }
 
-    /// What follows `text` in the first line on stderr, from now on, that has it.
+    /// Waits for the next stderr line that contains `text`; returns the rest of the line.
     fn wait_for(&mut self, text: &str) -> String {
         let line = self.0.says(text);
         line.split_once(text).unwrap().1.to_owned()
     }
 
-    /// The pid of one of the demonstration's processes.
+    /// Pid of a process of the demonstration.
     fn pid_of(&mut self, name: &str) -> u32 {
         self.wait_for(&format!("{name} runs as process "))
             .parse()
             .unwrap()
     }
 
-    /// Until workers have accepted more than so many samples, by the lines on the way; how many.
+    /// Waits until workers have accepted more than `more_than` samples, by the progress lines;
+    /// returns their number.
     fn wait_for_samples(&mut self, more_than: u64) -> u64 {
         loop {
             let told = self.wait_for("  samples ");
@@ -82,7 +84,7 @@ fn send(pid: u32, signal: Signal) {
     kill_process(pid, signal).unwrap();
 }
 
-/// Whether the process is over; a zombie that nobody waits for is.
+/// True if the process has exited; a zombie has.
 fn is_over(pid: u32) -> bool {
     let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
     stat.is_empty() || stat.contains(") Z ")
@@ -103,7 +105,7 @@ fn stale_files(domain: &Domain) -> Vec<PathBuf> {
 fn count(value: &Value) -> u64 {
     value
         .as_u64()
-        .unwrap_or_else(|| panic!("{value} is no count"))
+        .unwrap_or_else(|| panic!("{value} is not a count"))
 }
 
 fn dropped(summary: &Value) -> u64 {
@@ -118,13 +120,13 @@ fn assert_nothing_left(summary: &Value, demo: &Run) {
 }
 
 #[test]
-fn it_adds_up_and_leaves_nothing() {
+fn counts_add_up_and_no_files_are_left() {
     let mut demo = Run::demo(&["--duration", "3", "--robots", "5"]);
     let (code, summary) = demo.summary();
     assert_eq!(code, 0, "{summary:#}");
     let samples = &summary["samples"];
     let sent = count(&samples["sent"]);
-    // 90 frames of five robots, less what a busy machine makes the source pass over.
+    // 90 frames of five robots, minus those that the source skips on a busy machine.
     assert!(
         (5..=5 * 95).contains(&sent) && sent.is_multiple_of(5),
         "{sent}"
@@ -162,7 +164,7 @@ fn it_adds_up_and_leaves_nothing() {
 }
 
 #[test]
-fn it_leaves_a_capture_of_all_that_was_sent() {
+fn the_capture_contains_all_samples_sent() {
     let directory = tempfile::tempdir().unwrap();
     let run = |attempt: u32| {
         let file = directory.path().join(format!("{attempt}.mcap"));
@@ -174,7 +176,7 @@ fn it_leaves_a_capture_of_all_that_was_sent() {
         let is_whole = count(&summary["capture"]["messages_lost"]) == 0;
         is_whole.then_some((file, demo, summary))
     };
-    // A recorder that waits too long for a processor loses messages, and says so.
+    // A recorder that gets no processor in time loses messages and reports it.
     let whole = (0..5).find_map(run);
     let (file, demo, summary) = whole.expect("the recorder lost messages each time");
     let mut samples = 0;
@@ -191,7 +193,7 @@ fn it_leaves_a_capture_of_all_that_was_sent() {
 }
 
 #[test]
-fn signals_end_it_with_a_summary_of_what_there_was() {
+fn a_signal_stops_it_with_a_summary() {
     for signal in [Signal::INT, Signal::TERM, Signal::HUP] {
         let mut demo = Run::demo(&["--duration", "600", "--robots", "3"]);
         demo.wait_for_samples(0);
@@ -205,15 +207,17 @@ fn signals_end_it_with_a_summary_of_what_there_was() {
 }
 
 #[test]
-fn a_signal_at_any_moment_of_the_start_leaves_nothing() {
+fn a_signal_at_any_time_during_the_start_leaves_no_files() {
     for after_ms in [0, 5, 20, 60, 120, 250] {
         let mut demo = Run::demo(&["--duration", "600", "--robots", "3"]);
         std::thread::sleep(Duration::from_millis(after_ms));
-        // Not SIGINT: where that is ignored from the start (a shell's background job), a signal that
-        // comes before the handler would be lost.
+        // Not SIGINT: where it is ignored from the start (background job of a shell), a signal
+        // before
+        // the handler is installed would be lost.
         demo.0.signal(Signal::TERM);
         let ended = demo.0.wait();
-        // Before the handler is there, the signal kills: then nothing was begun or said yet.
+        // Before the handler is installed the signal kills: nothing has been created or printed
+        // yet.
         let early = ended.signal() == Some(15) && ended.stderr.is_empty();
         assert!(ended.code() == Some(0) || early, "{after_ms} ms: {ended:?}");
         assert_eq!(demo.stale_files(), Vec::<PathBuf>::new(), "{after_ms} ms");
@@ -236,7 +240,7 @@ fn a_killed_worker_is_restarted_and_the_summary_adds_up() {
     let told = count(&samples["accepted"]) + dropped(&summary);
     let lost = count(&samples["lost_between_workers"]);
     assert_eq!(count(&samples["sent"]), told + lost);
-    // The rest before the restart alone is longer than two frames.
+    // The backoff before the restart alone is longer than two frames.
     assert!(lost >= 4, "{summary:#}");
     let deaths = summary["deaths"].as_array().unwrap();
     assert!(
@@ -258,13 +262,13 @@ fn a_killed_source_is_restarted_and_the_summary_adds_up() {
     let (code, summary) = demo.summary();
     assert_eq!(code, 0, "{summary:#}");
     assert_eq!(summary["adds_up"], true);
-    // One frame may have died with the source, unseen.
+    // One frame may have been lost with the source, uncounted.
     assert_eq!(count(&summary["samples"]["uncertain"]), 4);
     assert_nothing_left(&summary, &demo);
 }
 
 #[test]
-fn killed_itself_its_processes_end_and_the_next_run_cleans_up() {
+fn after_sigkill_its_processes_exit_and_the_next_run_cleans_up() {
     let mut demo = Run::demo(&["--duration", "600", "--robots", "3"]);
     let children = [
         demo.pid_of("worker"),
@@ -274,7 +278,7 @@ fn killed_itself_its_processes_end_and_the_next_run_cleans_up() {
     demo.wait_for_samples(0);
     demo.0.signal(Signal::KILL);
     demo.0.wait();
-    eventually("its processes are over", || {
+    eventually("its processes have exited", || {
         children.into_iter().all(is_over)
     });
     let mut next = Run::demo(&["--duration", "0.5", "--robots", "1"]);
@@ -284,7 +288,7 @@ fn killed_itself_its_processes_end_and_the_next_run_cleans_up() {
     assert_eq!(demo.stale_files(), Vec::<PathBuf>::new());
 }
 
-/// A fleet of its own.
+/// A separate fleet.
 struct Arena {
     domain: Domain,
     directory: tempfile::TempDir,
@@ -329,7 +333,7 @@ fn frames(lines: &str) -> Vec<Value> {
 }
 
 #[test]
-fn watch_without_a_worker_says_what_to_do() {
+fn watch_without_a_worker_prints_a_hint() {
     let arena = Arena::new(2);
     let mut watch = arena.program(&["watch", "--once"]);
     watch.wait_for("no worker serves fleet w");
@@ -338,7 +342,7 @@ fn watch_without_a_worker_says_what_to_do() {
 }
 
 #[test]
-fn watch_may_begin_before_the_worker_and_goes_on_with_the_next_one() {
+fn watch_may_start_before_the_worker_and_continues_with_the_next_one() {
     let arena = Arena::new(2);
     let mut watch = arena.program(&["watch", "--format", "json"]);
     watch.wait_for("waiting for a worker");
@@ -354,7 +358,7 @@ fn watch_may_begin_before_the_worker_and_goes_on_with_the_next_one() {
     let mut worker = arena.program(&["run"]);
     let pid = worker.0.pid();
     watch.wait_for(&format!("worker {pid} serves"));
-    // It gives up after three seconds, in which a busy machine may not come so far.
+    // It times out after three seconds, which may not be enough on a busy machine.
     let mut frame = Value::Null;
     eventually("the robot is there", || {
         let mut once = arena.program(&["watch", "--once", "--robot", "1", "--format", "json"]);

@@ -1,4 +1,4 @@
-//! `joulebus data check`: what is wrong with recordings.
+//! `joulebus data check`: faults of recordings.
 
 use std::fmt;
 
@@ -11,24 +11,24 @@ use serde::Serialize;
 use crate::recordings::Recordings;
 use joulebus_program::platform::platform;
 
-/// Find what is wrong with recorded trials, with file and row
+/// Find faults in recorded trials, with file and row
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus data check recordings/\n  \
     joulebus data check 'runs/**/*.npy' --platform gternal --places 10\n  \
     joulebus data check recordings/ --format json\n\n\
-    Faults: files that are no recordings, copies, times that repeat or go back, gaps, missing \
-    readings and values, values that cannot be true, power that is not voltage times current, \
-    numbers that look like another unit, readings that stand too long, files cut off. Held readings, \
-    columns that are missing, unknown or never change are said and are no faults.\n\
+    Faults: files that are not recordings, duplicates, times that repeat or go back, gaps, missing \
+    readings and values, values out of range, power that differs from voltage times current, \
+    columns that seem to be in another unit, readings held too long, truncated files. Held readings, \
+    and columns that are missing, unknown or constant are reported, but are not faults.\n\
     Exit codes: 0 without faults, 3 with faults.")]
 pub(super) struct Args {
     #[command(flatten)]
     recordings: Recordings,
-    /// Places to show of each finding
+    /// Occurrences to show per finding
     #[arg(long, value_name = "N", default_value_t = 3)]
     places: usize,
-    /// Platform of the config whose limits of power and velocity hold, instead of those of any
+    /// Platform of the config whose limits of power and velocity apply, instead of those of any
     /// wheeled robot
     #[arg(long, value_name = "NAME")]
     platform: Option<String>,

@@ -1,4 +1,4 @@
-//! `joulebus data convert`: recordings in another form.
+//! `joulebus data convert`: converts recordings.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -12,37 +12,37 @@ use serde::Serialize;
 
 use crate::recordings::{Recordings, Resampling};
 
-/// Write recorded trials in another form, to the same bits; on another grid of time only when asked
+/// Convert recorded trials to another format, bit for bit; resample only on request
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus data convert trial1.npy --out trial1.csv.gz\n  \
     joulebus data convert runs/ --to npy --robot 7 --drop v_meas_mps,omega_meas_radps --out arrays/\n  \
     joulebus data convert husky/ --to csv.gz --resample hold --rate 30 --out husky-30hz/\n\n\
-    A file of several robots becomes one file a robot. What the form cannot hold is refused, never \
-    left out: an array holds eleven columns, and the robot as a number.\n\
-    Resampling changes the data. hold: the latest row, as a controller would have seen it; mean: over \
-    the period that ends, which keeps the energy; linear: between the rows around. Gaps stay gaps, \
+    A file of several robots is split into one file per robot. What the format cannot represent is refused, never \
+    dropped: an array has eleven columns, and the robot as a number.\n\
+    Resampling changes the data. hold: the latest row, as a controller would have read it; mean: over \
+    the period that ends, which keeps the energy; linear: between the adjacent rows. Gaps are kept, \
     and NaN stays NaN.\n\
     Exit codes: 3 if rows were left out because their time does not advance.")]
 pub(super) struct Args {
     #[command(flatten)]
     recordings: Recordings,
-    /// The file to write, or, with --to, the directory for several
+    /// The output file or, with --to, the output directory
     #[arg(short, long, value_name = "PATH")]
     out: PathBuf,
-    /// The form of the files in the directory
+    /// Format of the files in the directory
     #[arg(long, value_enum, value_name = "FORM")]
     to: Option<To>,
-    /// Another grid of time
+    /// Resampling method
     #[arg(long, value_enum, value_name = "METHOD", requires = "rate")]
     resample: Option<Resampling>,
-    /// Rows a second of that grid
+    /// Rows per second of the new grid
     #[arg(long, value_name = "HZ", requires = "resample")]
     rate: Option<f64>,
     /// Columns to leave out, by their names
     #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     drop: Vec<String>,
-    /// Another name for the robot, such as a number for an array
+    /// New name of the robot, such as a number for an array
     #[arg(long, value_name = "NAME")]
     robot: Option<String>,
 }
@@ -53,7 +53,7 @@ enum To {
     Npy,
     /// CSV with a header
     Csv,
-    /// The same, compressed
+    /// CSV compressed by gzip
     #[value(name = "csv.gz")]
     CsvGz,
 }
@@ -123,10 +123,10 @@ impl Args {
         Some(Resample { method, rate_hz })
     }
 
-    /// The columns to leave out that have a meaning.
+    /// The known columns to drop.
     fn dropped(&self) -> Result<Vec<Column>, UsageError> {
         if self.drop.iter().any(|name| name == Column::Power.name()) {
-            let what = "power_mW cannot be left out: it is what a trial is about";
+            let what = "power_mW cannot be dropped: a trial needs it";
             return Err(UsageError(what.to_owned()));
         }
         let known = Column::ALL.into_iter();
@@ -135,7 +135,7 @@ impl Args {
             .collect())
     }
 
-    /// The file that each table is written to.
+    /// The output file of each table.
     fn targets(&self, tables: &[Table]) -> Result<Vec<PathBuf>, UsageError> {
         let Some(to) = self.to else {
             if tables.len() != 1 {
@@ -148,7 +148,10 @@ impl Args {
             return Ok(vec![self.out.clone()]);
         };
         std::fs::create_dir_all(&self.out).map_err(|error| {
-            UsageError(format!("{} is no directory: {error}", self.out.display()))
+            UsageError(format!(
+                "{} is not a directory: {error}",
+                self.out.display()
+            ))
         })?;
         let targets: Vec<PathBuf> = tables
             .iter()
@@ -166,14 +169,15 @@ impl Args {
             None => Ok(targets),
             Some((at, file)) => {
                 let (from, file) = (tables[at].path().display(), file.display());
-                let what = format!("{from} and a recording before it would both become {file}");
+                let what =
+                    format!("{from} and an earlier recording would both be written to {file}");
                 Err(UsageError(format!("{what}; convert them one by one")))
             }
         }
     }
 }
 
-/// The recording's name with another ending; a robot's name in it where a file holds several.
+/// The recording's name with another extension; includes the robot's name if a file holds several.
 fn file_name(path: &Path, robot: Option<&str>, form: Form) -> String {
     let name = path.file_name().and_then(|name| name.to_str());
     let name = name.unwrap_or("recording");
@@ -208,8 +212,8 @@ impl From<To> for Form {
     }
 }
 
-/// Leaves columns out, and refuses what would be lost without having been named. The names of what
-/// was there.
+/// Drops columns, and refuses columns that would be lost without having been named. Returns the
+/// names of those dropped.
 fn drop_columns(
     table: &mut Table,
     known: &[Column],
@@ -221,10 +225,8 @@ fn drop_columns(
         .find(|name| !asked.contains(name));
     if let Some(name) = unnamed {
         let file = table.path().display();
-        let what = format!("{file}: the column {name:?} has no meaning here");
-        return Err(UsageError(format!(
-            "{what}; leave it out with --drop {name}"
-        )));
+        let what = format!("{file}: the column {name:?} is unknown");
+        return Err(UsageError(format!("{what}; drop it with --drop {name}")));
     }
     let mut dropped = table.ignored_columns().to_vec();
     for column in known {

@@ -1,4 +1,4 @@
-//! `joulebus data info`: what recordings are.
+//! `joulebus data info`: describes recordings.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -17,15 +17,15 @@ use crate::recordings::Recordings;
     joulebus data info recordings/*.csv.gz\n  \
     joulebus data info 'runs/**/*.npy' --columns\n  \
     joulebus data info a.npy --format json\n\n\
-    Held readings repeat the row before to the bit: power, voltage and current. Where most readings \
-    stand for three rows at 30 Hz, the sensor is read ten times a second.")]
+    Held readings equal those of the row before to the bit: power, voltage and current. If most readings \
+    are held for three rows at 30 Hz, the sensor is read ten times a second.")]
 pub(super) struct Args {
     #[command(flatten)]
     recordings: Recordings,
     /// Show the range of every column
     #[arg(long)]
     columns: bool,
-    /// Show the sums alone
+    /// Show only the totals
     #[arg(long)]
     short: bool,
 }
@@ -40,7 +40,7 @@ struct DataInfoReport {
     short: bool,
 }
 
-/// Over all trials.
+/// Totals over all trials.
 #[derive(Debug, Serialize)]
 struct Sums {
     trials: usize,
@@ -130,7 +130,7 @@ fn write_sums(out: &mut fmt::Formatter<'_>, sums: &Sums) -> fmt::Result {
     writeln!(out, "  groups: {}", some(&sums.groups))
 }
 
-/// The first names of many.
+/// The first of many names.
 fn some(names: &[String]) -> String {
     match names.len() {
         ..=12 => names.join(", "),
@@ -175,11 +175,7 @@ fn write_trial(out: &mut fmt::Formatter<'_>, trial: &TrialReport) -> fmt::Result
         writeln!(out, "  {rows} rows whose time does not advance")?;
     }
     if trial.unnamed_rows > 0 {
-        writeln!(
-            out,
-            "  {} rows without the robot's name",
-            trial.unnamed_rows
-        )?;
+        writeln!(out, "  {} rows without a robot name", trial.unnamed_rows)?;
     }
     let lists = [
         ("without", trial.missing_columns.join(" ")),
@@ -192,7 +188,7 @@ fn write_trial(out: &mut fmt::Formatter<'_>, trial: &TrialReport) -> fmt::Result
     if trial.no_final_line_break {
         writeln!(
             out,
-            "  the last line has no line break: it may have been cut off"
+            "  the last line has no newline: the file may be truncated"
         )?;
     }
     Ok(())
@@ -218,7 +214,7 @@ fn write_holds(out: &mut fmt::Formatter<'_>, holds: &Holds, missing: usize) -> f
     let usual = 100.0 * holds.usual_share;
     writeln!(
         out,
-        "; {usual:.0} % stand for {usual_rows} row{}, {new_hz:.2} new a second, the longest for \
+        "; {usual:.0} % are held for {usual_rows} row{}, {new_hz:.2} new a second, the longest for \
          {longest_rows} rows, {longest_s:.2} s, from row {longest_at_row}",
         if *usual_rows == 1 { "" } else { "s" }
     )

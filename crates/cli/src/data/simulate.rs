@@ -21,10 +21,10 @@ use serde::Serialize;
     joulebus data simulate simulated\n  \
     joulebus data simulate simulated-2 --seed 2 --steps 30000\n  \
     joulebus data info simulated/*.npy\n\n\
-    The files stand in for the GTernal dataset of arXiv 2603.13908 and support no claim about real \
+    The files replace the GTernal dataset of arXiv 2603.13908 and support no claim about real \
     robots. The same seed gives the same bytes on every machine. Nothing is overwritten.")]
 pub(crate) struct Args {
-    /// Directory for the files; it is made if it does not exist
+    /// Output directory; it is created if it does not exist
     #[arg(value_name = "DIR")]
     directory: PathBuf,
     /// Seed of the robots, their motion and everything random
@@ -41,11 +41,11 @@ struct SimulateReport {
     directory: String,
     seed: u64,
     files: Vec<FileReport>,
-    /// Smallest distance between two of the seven robots' centres, m.
+    /// Minimum distance between two of the seven robots' centres, m.
     closest_m: f64,
-    /// Share of steps in which the barriers changed what a robot wanted.
+    /// Share of steps in which the barriers changed a robot's desired motion.
     avoiding_share: f64,
-    /// Steps in which all robots stopped because the barriers left no way.
+    /// Steps in which all robots stopped because no motion was allowed.
     stopped_steps: usize,
 }
 

@@ -1,57 +1,57 @@
-//! Whether every sample that was sent is accounted for. Pure.
+//! Accounts for every sample sent. Pure.
 
 use std::collections::BTreeMap;
 
 use joulebus_wire::{DropCounts, DropReason};
 use serde::Serialize;
 
-/// What one run of a source sent.
+/// Samples of one run of a source.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct SourceRun {
-    /// When it began: its epoch.
+    /// Its epoch.
     pub(super) epoch: u64,
     /// Samples.
     pub(super) sent: u64,
-    /// Samples that it may have sent beyond that: it was killed, and could not tell.
+    /// Additional samples that it may have sent: it was killed before it could report.
     pub(super) unsure: u64,
 }
 
-/// What one run of a worker said last.
+/// Last counters of one run of a worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct WorkerAccount {
     /// Samples accepted.
     pub(super) accepted: u64,
     /// Samples dropped.
     pub(super) dropped: DropCounts,
-    /// Run of the source that its first samples came from; none if it has had none.
+    /// Run of the source of its first samples; `None` without samples.
     pub(super) first_source_epoch: Option<u64>,
 }
 
-/// What became of the samples.
+/// Sums over all runs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct Account {
-    /// Samples sent, by the source's own report; of a killed source, as far as they were seen.
+    /// Samples sent, by the source's report; for a killed source, as far as observed.
     pub(crate) sent: u64,
-    /// Samples accepted, all workers together.
+    /// Samples accepted, by all workers.
     pub(crate) accepted: u64,
-    /// Samples dropped, by reason, all workers together.
+    /// Samples dropped, by reason, by all workers.
     pub(crate) dropped: BTreeMap<&'static str, u64>,
-    /// Samples sent while no worker ran, or taken by one that was killed before it could tell.
+    /// Samples sent while no worker ran, or taken by one that was killed before it reported.
     pub(crate) lost_between_workers: u64,
-    /// Sent minus accounted for: 0, or something is wrong.
+    /// Sent minus accounted for: 0 unless something is wrong.
     pub(crate) difference: i128,
-    /// Samples that killed sources may have sent without anybody knowing: that far `difference`
-    /// may be from 0.
+    /// Samples that killed sources may have sent unobserved: the allowed deviation of `difference`
+    /// from 0.
     pub(crate) uncertain: u64,
 }
 
 impl Account {
-    /// Adds up. Oldest runs first.
+    /// Computes the sums. Oldest runs first.
     ///
-    /// A worker counts what was sent before it came as `BeforeJoin`, also what a worker before it
-    /// had accepted. So with several workers that reason says nothing: what is lost between them is
-    /// the rest, and the *last* worker alone must account for all that was sent since the run of
-    /// the source that it heard first.
+    /// A worker counts samples sent before it joined as `BeforeJoin`, including those that an
+    /// earlier worker had accepted. So with several workers that reason is not usable: the loss
+    /// between them is the remainder, and only the *last* worker must account for all samples since
+    /// the source's run that it received first.
     pub(super) fn new(sources: &[SourceRun], workers: &[WorkerAccount]) -> Self {
         let sent: u64 = sources.iter().map(|run| run.sent).sum();
         let accepted: u64 = workers.iter().map(|run| run.accepted).sum();
@@ -90,10 +90,10 @@ impl Account {
     }
 }
 
-/// What the worker was sent since the first run that it heard, minus what it accounts for.
+/// Samples sent to the worker since the first run that it received, minus those it accounts for.
 fn difference(sources: &[SourceRun], worker: &WorkerAccount) -> i128 {
     let Some(first) = worker.first_source_epoch else {
-        // It has heard of nothing, and accounts for nothing.
+        // It has received nothing, and accounts for nothing.
         return 0;
     };
     let sent: u64 = sources
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_worker_that_heard_nothing_of_what_was_sent_does_not_add_up() {
+    fn a_worker_that_received_nothing_of_what_was_sent_does_not_add_up() {
         let deaf = WorkerAccount {
             first_source_epoch: None,
             ..worker(0, &[], 0)
@@ -158,16 +158,16 @@ mod tests {
     }
 
     #[test]
-    fn a_killed_workers_losses_are_what_the_others_do_not_tell_of() {
+    fn a_killed_workers_losses_are_what_the_others_do_not_report() {
         use DropReason::{Backlog, BeforeJoin};
-        // 40 told by the first, 10 lost with it or after it, 50 by the second.
+        // 40 reported by the first, 10 lost with it or after it, 50 reported by the second.
         let killed = worker(38, &[(Backlog, 2)], 1);
         let second = worker(50, &[(BeforeJoin, 50)], 1);
         let account = Account::new(&[source(1, 100)], &[killed, second]);
         assert_eq!(account.lost_between_workers, 10);
         assert_eq!((account.accepted, account.difference), (88, 0));
         assert_eq!(account.dropped, BTreeMap::from([("Backlog", 2)]));
-        // The second one has lost a sample without telling.
+        // The second one has lost a sample without reporting it.
         let forgetful = worker(49, &[(BeforeJoin, 50)], 1);
         assert_eq!(
             Account::new(&[source(1, 100)], &[killed, forgetful]).difference,
@@ -187,7 +187,7 @@ mod tests {
         let sources = [killed, source(2, 40)];
         assert!(Account::new(&sources, &[worker(140, &[], 1)]).adds_up());
         assert!(!Account::new(&sources, &[worker(141, &[], 1)]).adds_up());
-        // A worker that came after it has nothing to do with it.
+        // A worker started after it is not affected.
         let late = Account::new(&sources, &[worker(60, &[], 1), worker(40, &[], 2)]);
         assert_eq!((late.difference, late.lost_between_workers), (0, 20));
     }

@@ -1,4 +1,4 @@
-//! The capture that a demonstration leaves.
+//! The capture written by a demo.
 
 use std::path::{Path, PathBuf};
 
@@ -6,13 +6,14 @@ use joulebus_bus::clock;
 use joulebus_program::exit::UsageError;
 use serde::{Deserialize, Serialize};
 
-/// Where the capture goes.
+/// Path of the capture.
 ///
 /// # Errors
-/// The file that was asked for exists, or cannot be written.
+/// The requested file exists, or cannot be written.
 pub(super) fn file(asked: Option<&Path>) -> Result<PathBuf, UsageError> {
     let path = asked.map_or_else(usual, ToOwned::to_owned);
-    // Tried here, where it can be said, and not by a process that is started again and again.
+    // Tried here, where the error can be reported, instead of in a process that would be restarted
+    // repeatedly.
     let tried = std::fs::File::create_new(&path).and_then(|_| std::fs::remove_file(&path));
     match tried {
         Ok(()) => Ok(path),
@@ -24,7 +25,7 @@ pub(super) fn file(asked: Option<&Path>) -> Result<PathBuf, UsageError> {
     }
 }
 
-/// Named after the time, so that nobody's file is overwritten.
+/// Named after the time, so that no file is overwritten.
 fn usual() -> PathBuf {
     let seconds = clock::unix_ns() / 1_000_000_000;
     let (year, month, day) = date(seconds / 86_400);
@@ -34,7 +35,7 @@ fn usual() -> PathBuf {
     ))
 }
 
-/// The day of the Gregorian calendar, so many days after 1 January 1970.
+/// Gregorian date of a number of days after 1 January 1970.
 fn date(mut days: u64) -> (u64, u64, u64) {
     let mut year = 1970;
     let is_leap = |year: u64| {
@@ -57,28 +58,28 @@ fn date(mut days: u64) -> (u64, u64, u64) {
     (year, month, days + 1)
 }
 
-/// What the recorder says of the capture.
+/// The recorder's report on the capture.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Captured {
-    /// The files: one, unless the recorder died.
+    /// The path of the first file; there is only one unless the recorder died.
     #[serde(default)]
     pub(super) path: PathBuf,
-    /// Messages.
+    /// Number of messages.
     pub(super) messages: u64,
-    /// Bytes.
+    /// Size, bytes.
     pub(super) bytes: u64,
     /// How long it recorded, s.
     pub(super) duration_s: f64,
-    /// CPU time of the recorder over that time: 1 is a whole core.
+    /// CPU time of the recorder over that time: 1 is one core.
     pub(super) cpu_share: f64,
     /// Messages that it lost.
     pub(super) messages_lost: u64,
-    /// Why it stopped by itself, if it did.
+    /// Why it stopped before its end, if it did.
     pub(super) failure: Option<String>,
 }
 
 impl Captured {
-    /// From the recorder's report.
+    /// Parses the recorder's report.
     pub(super) fn read(report: &str, path: &Path) -> Option<Self> {
         let read: Self = serde_json::from_str(report).ok()?;
         Some(Self {

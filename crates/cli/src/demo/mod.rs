@@ -1,4 +1,4 @@
-//! `joulebus demo`: a simulated fleet, a worker, a planner and a recorder as real processes.
+//! `joulebus demo`: a simulated fleet, a worker, a planner and a recorder as separate processes.
 
 mod account;
 mod capture;
@@ -28,21 +28,21 @@ const SOURCE: &str = "source";
 const PLANNER: &str = "planner";
 const RECORDER: &str = "recorder";
 
-/// How long the worker may take for its first frame.
+/// Timeout of the worker's first frame.
 const START_LIMIT_NS: u64 = 15_000_000_000;
-/// How long the last samples may take through the worker.
+/// Maximum time for the worker to process the last samples.
 const DRAIN_LIMIT_NS: u64 = 1_000_000_000;
-/// What each process has for its end.
+/// Time for each process to exit.
 const GRACE: Duration = Duration::from_secs(5);
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
-/// Run a simulated fleet, a worker, a planner and a recorder, and show what they do
+/// Run a simulated fleet, a worker, a planner and a recorder, and show their state
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus demo\n  \
     joulebus demo --robots 200 --duration 60\n  \
     joulebus demo --format json > demo.json\n\n\
-    Needs nothing, and leaves nothing but a capture of itself, which Foxglove opens. Two robots get a fault, so that there is something to find. \
+    Needs no set-up, and leaves nothing except a capture, which Foxglove can open. Two robots get a fault, which the alarms detect. \
     Exit code 3 if a sample that was sent is not accounted for.")]
 pub(crate) struct Args {
     /// Simulated GTernal robots
@@ -51,16 +51,16 @@ pub(crate) struct Args {
     /// Seed of the robots, their missions and their noise
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// How long samples are sent, s
+    /// Duration of publishing, s
     #[arg(long, value_name = "SECONDS", default_value_t = 20.0, value_parser = duration)]
     duration: f64,
-    /// The capture that it leaves [default: joulebus-demo-<time>.mcap here]
+    /// The capture to write [default: joulebus-demo-<time>.mcap in the current directory]
     #[arg(long, value_name = "FILE")]
     capture: Option<PathBuf>,
-    /// Leave no capture
+    /// Write no capture
     #[arg(long, conflicts_with = "capture")]
     no_capture: bool,
-    /// A line a second instead of the live view
+    /// One line per second instead of the live view
     #[arg(long)]
     plain: bool,
 }
@@ -68,7 +68,7 @@ pub(crate) struct Args {
 fn duration(text: &str) -> Result<f64, String> {
     let seconds: f64 = text
         .parse()
-        .map_err(|_| format!("{text:?} is no number (s)"))?;
+        .map_err(|_| format!("{text:?} is not a number (s)"))?;
     if (0.1..=1e7).contains(&seconds) {
         Ok(seconds)
     } else {
@@ -82,7 +82,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let wanted = (!args.no_capture).then_some(args.capture.as_deref());
     let capture = wanted.map(capture::file).transpose()?;
     let place = Place::make(args.robots)?;
-    // After the place, so that it goes first: all processes are waited for before the sweep.
+    // After the directory, so that it is dropped first: all processes are waited for before the
+    // clean-up.
     let mut demo = Demo {
         planted: planted(args.robots, args.duration),
         capture,
@@ -106,12 +107,12 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(!summary.is_whole()))
 }
 
-/// The robots that get a fault: enough of them must be left to compare with.
+/// The robots that get a fault: enough healthy ones must remain for comparison.
 fn planted(robots: u32, duration_s: f64) -> Vec<Planted> {
     if robots < 3 {
         return Vec::new();
     }
-    // Alarms need ten seconds to settle: in a short run the faults are there from the start.
+    // Alarms need ten seconds to settle: in a short run the faults are present from the start.
     let from_s = |share: f64| (share * (duration_s - 15.0)).clamp(0.0, 60.0).round();
     vec![
         Planted {
@@ -132,10 +133,10 @@ fn planted(robots: u32, duration_s: f64) -> Vec<Planted> {
 struct Demo<'a> {
     args: &'a Args,
     planted: Vec<Planted>,
-    /// File of the capture, if there is to be one.
+    /// Path of the capture, if one is written.
     capture: Option<PathBuf>,
     supervisor: Supervisor,
-    /// Lines on the way are results only where they do not stand between the JSON.
+    /// Progress lines go to stdout only if they do not mix with JSON.
     lines_to_stdout: bool,
     events: Vec<Event>,
 }
@@ -174,20 +175,20 @@ impl Demo<'_> {
         task
     }
 
-    /// Looks after the processes; what happened goes onto the board.
+    /// Supervises the processes; events are shown on the board.
     fn look_after(&mut self, feed: &Feed) {
         let now_ns = clock::monotonic_ns();
         let events = self.supervisor.poll();
         for event in &events {
-            // What a process says of itself is of interest only when something goes wrong.
-            if !matches!(event, Event::Said { .. }) {
+            // Output of a process is shown only if something fails.
+            if !matches!(event, Event::Output { .. }) {
                 feed.board().note(event.to_string(), now_ns);
             }
         }
         self.events.extend(events);
     }
 
-    /// Until the worker's first frame: from then on nothing that is sent is lost.
+    /// Waits for the worker's first frame: from then on no sample is lost.
     fn wait_for_worker(&mut self, feed: &Feed, stop: &Stop) -> anyhow::Result<()> {
         let give_up_ns = clock::monotonic_ns() + START_LIMIT_NS;
         while feed.board().header().is_none() && !stop.is_asked() {
@@ -195,7 +196,7 @@ impl Demo<'_> {
             anyhow::ensure!(feed.is_reading(), "the demo's own planner has ended");
             anyhow::ensure!(
                 clock::monotonic_ns() < give_up_ns,
-                "the worker has sent nothing for {} s; what the processes said stands above",
+                "the worker has sent nothing for {} s; see the output of the processes above",
                 START_LIMIT_NS / 1_000_000_000
             );
             std::thread::sleep(LOOK_EVERY);
@@ -203,11 +204,11 @@ impl Demo<'_> {
         Ok(())
     }
 
-    /// Until the recorder records, so that the capture begins before the first sample.
+    /// Waits until the recorder records, so that the capture begins before the first sample.
     fn wait_for_recorder(&mut self, feed: &Feed, stop: &Stop) {
         let give_up_ns = clock::monotonic_ns() + START_LIMIT_NS;
         let records = |event: &Event| {
-            let Event::Said { name, line } = event else {
+            let Event::Output { name, line } = event else {
                 return false;
             };
             *name == RECORDER && line.starts_with("recording ")
@@ -222,7 +223,7 @@ impl Demo<'_> {
         }
     }
 
-    /// Ends the recorder; what it says of the capture.
+    /// Stops the recorder; returns its report on the capture.
     fn captured(&mut self) -> Option<Captured> {
         let path = self.capture.clone()?;
         let recorder = self.supervisor.end(RECORDER, GRACE, &mut self.events);
@@ -233,7 +234,7 @@ impl Demo<'_> {
         captured
     }
 
-    /// The source first, then what is on its way, then planner and recorder, then the worker.
+    /// Stops the source first, drains, then stops planner and recorder, then the worker.
     fn finish(&mut self, feed: Feed) -> anyhow::Result<Summary> {
         let source = self.supervisor.end(SOURCE, GRACE, &mut self.events);
         let duration_s = feed.board().seconds(clock::monotonic_ns());
@@ -242,7 +243,7 @@ impl Demo<'_> {
         loop {
             self.look_after(&feed);
             let account = self.account(&feed.board(), told);
-            // What is on its way when a worker dies waits for the next one.
+            // Samples in transit when a worker dies wait for the next one.
             let drained = account.difference == 0 && self.supervisor.is_running(WORKER);
             if drained || clock::monotonic_ns() >= give_up_ns {
                 break;
@@ -253,7 +254,7 @@ impl Demo<'_> {
         let board = feed.finish()?;
         let captured = self.captured();
         self.supervisor.end(WORKER, GRACE, &mut self.events);
-        // One that was ended before it was ready has nothing to report.
+        // One that was stopped before it was ready has no report.
         let report: Option<PlannerReport> = serde_json::from_str(&planner.stdout).ok();
         if let (None, Some(status)) = (&report, planner.status) {
             say(&format!("the planner left no report: {status}"));
@@ -269,7 +270,7 @@ impl Demo<'_> {
         ))
     }
 
-    /// `told` is what the last run of the source said that it has sent.
+    /// `told`: number of samples sent, reported by the last run of the source.
     fn account(&self, board: &Board, told: Option<u64>) -> Account {
         let frame = u64::from(self.args.robots);
         let mut sources: Vec<SourceRun> = board
@@ -283,7 +284,7 @@ impl Demo<'_> {
             .collect();
         match (sources.last_mut(), told) {
             (Some(last), Some(told)) => (last.sent, last.unsure) = (told, 0),
-            // The run that told was heard by nobody.
+            // The reporting run was not observed by any worker.
             (None, Some(told)) if told > 0 => sources.push(SourceRun {
                 epoch: 0,
                 sent: told,
@@ -303,9 +304,9 @@ impl Demo<'_> {
         Account::new(&sources, &workers)
     }
 
-    /// Processes that died and were started again.
+    /// Processes that died and were restarted.
     fn deaths(&self) -> Vec<String> {
-        let died = |event: &&Event| matches!(event, Event::Died { .. });
+        let died = |event: &&Event| matches!(event, Event::Exited { .. });
         self.events
             .iter()
             .filter(died)
@@ -314,7 +315,7 @@ impl Demo<'_> {
     }
 }
 
-/// A process of the demonstration.
+/// A process of the demo.
 fn task(name: &'static str, place: &Place, verb: &[&str]) -> Task {
     let mut arguments: Vec<std::ffi::OsString> = verb.iter().map(Into::into).collect();
     arguments.extend(["--config".into(), place.file().into()]);
@@ -322,7 +323,7 @@ fn task(name: &'static str, place: &Place, verb: &[&str]) -> Task {
     Task { name, arguments }
 }
 
-/// The recorder; one that died continues in a file beside the first.
+/// The recorder; after a crash it continues in another file.
 fn recorder(place: &Place, capture: &Path) -> Task {
     let mut task = task(RECORDER, place, &["record", "--go-on"]);
     let arguments = ["--output".into(), capture.as_os_str().to_owned()];
@@ -330,7 +331,7 @@ fn recorder(place: &Place, capture: &Path) -> Task {
     task
 }
 
-/// What a source says that it has sent.
+/// The number of samples sent, from a source's report.
 fn samples_sent(report: &str) -> Option<u64> {
     let report: serde_json::Value = serde_json::from_str(report).ok()?;
     report.get("samples_sent")?.as_u64()

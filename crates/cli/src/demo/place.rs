@@ -1,4 +1,4 @@
-//! Where a demonstration lives: a private directory in memory, gone when it ends.
+//! The private directory of a demo, in memory, removed at its end.
 
 use std::fs::{self, File};
 use std::io::Write as _;
@@ -15,8 +15,8 @@ const FLEET: &str = "demo";
 const PREFIX: &str = "jbd_";
 const CONFIG: &str = "demo.toml";
 
-/// The directory and the config of one demonstration. The config's file is locked for as long as
-/// it runs, so that others can tell a dead one's.
+/// The directory and the config of one demo. The config file is locked while it runs, so that
+/// directories of dead demos can be identified.
 pub(super) struct Place {
     root: PathBuf,
     domain: Domain,
@@ -24,26 +24,26 @@ pub(super) struct Place {
     _lock: File,
 }
 
-/// What a demonstration has left in shared memory: nothing, or something is wrong.
+/// Objects that a demo has left in shared memory: none, unless something is wrong.
 #[derive(Debug, Default, Clone, Serialize)]
 pub(crate) struct LeftBehind {
-    /// Objects.
+    /// Number of objects.
     pub(crate) objects: u64,
-    /// Nodes.
+    /// Number of nodes.
     pub(crate) nodes: usize,
-    /// Whether the directory is still there.
+    /// Whether the directory still exists.
     pub(crate) directory: bool,
 }
 
 impl LeftBehind {
-    /// Whether that is nothing.
+    /// Whether nothing is left.
     pub(crate) const fn is_nothing(&self) -> bool {
         self.objects == 0 && self.nodes == 0 && !self.directory
     }
 }
 
 impl Place {
-    /// Makes the directory and writes the config; first removes what killed ones have left.
+    /// Creates the directory and writes the config; first removes the remains of killed demos.
     pub(super) fn make(robots: u32) -> anyhow::Result<Self> {
         remove_dead();
         let root = PathBuf::from(format!("{}-{}", stem(), std::process::id()));
@@ -53,7 +53,8 @@ impl Place {
             prefix: PREFIX.to_owned(),
             robots,
         };
-        // Of a killed one with this process id it would have been removed: it is somebody's.
+        // That of a killed demo with this process id would have been removed: it belongs to a live
+        // one.
         fs::DirBuilder::new()
             .mode(0o700)
             .create(&root)
@@ -61,7 +62,7 @@ impl Place {
         let file = root.join(CONFIG);
         let written = write_locked(&file, &demo.toml());
         let lock = written.with_context(|| format!("cannot write {}", file.display()))?;
-        let config = Config::load(&file).context("the config that ships was refused")?;
+        let config = Config::load(&file).context("the built-in config was refused")?;
         Ok(Self {
             domain: config.domain()?,
             root,
@@ -75,12 +76,13 @@ impl Place {
         &self.config
     }
 
-    /// Its file, for the other processes.
+    /// The config's file, for the other processes.
     pub(super) fn file(&self) -> PathBuf {
         self.root.join(CONFIG)
     }
 
-    /// Removes everything. All processes must have been waited for. Tells what stays all the same.
+    /// Removes everything. All processes must have been waited for. Returns what could not be
+    /// removed.
     pub(super) fn clear(self) -> anyhow::Result<LeftBehind> {
         clear(&self.domain, &self.root);
         let left = inspect(&self.domain)?;
@@ -103,14 +105,14 @@ fn clear(domain: &Domain, root: &Path) {
         return;
     }
     if let Err(error) = sweep(domain) {
-        tracing::warn!(%error, "something stays in shared memory");
+        tracing::warn!(%error, "shared memory could not be cleaned up");
     }
     let _ = fs::remove_file(root.join(CONFIG));
-    // Fails if something stays in it, which is then told.
+    // Fails if it is not empty, which is reported below.
     let _ = fs::remove_dir(root);
 }
 
-/// How the directories of this user's demonstrations begin.
+/// Common prefix of the directories of this user's demos.
 fn stem() -> String {
     format!("{}-demo", Domain::default_root().display())
 }
@@ -126,7 +128,7 @@ fn write_locked(path: &Path, text: &str) -> std::io::Result<File> {
     Ok(file)
 }
 
-/// Removes what killed demonstrations have left.
+/// Removes the directories of killed demos.
 fn remove_dead() {
     let stem = PathBuf::from(format!("{}-", stem()));
     let (Some(directory), Some(begin)) = (stem.parent(), stem.file_name()) else {
@@ -145,7 +147,7 @@ fn remove_dead() {
 }
 
 fn remove_if_dead(root: &Path) {
-    // Held until the directory is gone: two newcomers do not clean up at once.
+    // Held until the directory is removed: two new demos do not clean up at the same time.
     let lock = File::open(root.join(CONFIG));
     if let Ok(file) = &lock
         && flock(file, FlockOperation::NonBlockingLockExclusive).is_err()
@@ -155,13 +157,13 @@ fn remove_if_dead(root: &Path) {
     let Ok(domain) = Domain::new(FLEET, root, PREFIX) else {
         return;
     };
-    // Its processes notice its end by themselves, and may be about to end.
+    // Its processes notice its end by themselves, and may be about to exit.
     let lives = inspect(&domain).map_or(true, |found| {
         found.worker_pid.is_some() || found.nodes.iter().any(|node| node.alive != Some(false))
     });
-    // A directory without a config may be one that is just being made.
+    // A directory without a config may be one under construction.
     if !lives && lock.is_ok() {
-        tracing::info!(root = %root.display(), "removed what a killed demonstration had left");
+        tracing::info!(root = %root.display(), "removed the files of a killed demo");
         clear(&domain, root);
     }
 }

@@ -1,4 +1,4 @@
-//! What is to be seen while the demonstration runs.
+//! The display while a demo runs.
 
 use std::io::IsTerminal as _;
 
@@ -41,7 +41,7 @@ impl Demo<'_> {
         while !stop.is_asked() && feed.is_reading() {
             self.look_after(feed);
             for event in self.events.iter().skip(said) {
-                if matches!(event, Event::Started { .. } | Event::Died { .. }) {
+                if matches!(event, Event::Started { .. } | Event::Exited { .. }) {
                     say(&event.to_string());
                 }
             }

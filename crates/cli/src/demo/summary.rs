@@ -1,4 +1,4 @@
-//! What a demonstration comes to.
+//! Summary of a demo.
 
 use std::fmt;
 
@@ -11,14 +11,14 @@ use super::place::LeftBehind;
 use crate::view::{Board, Raised, Scores, count, level};
 use crate::watch::PlannerReport;
 
-/// A fault that a robot of the demonstration was given.
+/// A fault injected into a robot of the demo.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct Planted {
     /// The robot.
     pub(super) robot: u32,
-    /// The fault, as `publish sim --fault` has it.
+    /// The fault, in the syntax of `publish sim --fault`.
     pub(super) fault: &'static str,
-    /// In words.
+    /// Its description.
     #[serde(skip)]
     pub(super) means: &'static str,
     /// When it began, s.
@@ -26,30 +26,30 @@ pub(super) struct Planted {
 }
 
 impl Planted {
-    /// For `publish sim --fault`.
+    /// The argument of `publish sim --fault`.
     pub(super) fn argument(&self) -> String {
         format!("{}={}@{}", self.robot, self.fault, self.from_s)
     }
 }
 
-/// A robot that stood out.
+/// A robot with alarms.
 #[derive(Debug, Clone, Serialize)]
 struct StandsOut {
     robot: u32,
     /// Level at the end.
     level: &'static str,
-    /// Reasons, in the order in which they were seen.
+    /// Reasons, in the order of their occurrence.
     reasons: Vec<Reason>,
     /// Mean of the residuals at the end, W; positive: it draws more than forecast.
     bias_w: Option<f64>,
-    /// Fault that it was given, if it was.
+    /// The fault injected into it, if any.
     planted: Option<Planted>,
 }
 
 #[derive(Debug, Clone, Serialize)]
 struct Reason {
     reason: &'static str,
-    /// When it was first seen, s.
+    /// When it first occurred, s.
     at_s: f64,
 }
 
@@ -61,12 +61,12 @@ struct Ticks {
     late: u64,
 }
 
-/// What a demonstration comes to.
+/// Summary of a demo.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct Summary {
     robots: usize,
     seed: u64,
-    /// From the start of the source to its end, s.
+    /// Time from the start of the source to its end, s.
     duration_s: f64,
     /// Runs of the worker: more than one if it died.
     workers: usize,
@@ -74,16 +74,16 @@ pub(super) struct Summary {
     samples: Account,
     /// Whether every sample is accounted for.
     adds_up: bool,
-    /// What the planner's process measured; none if it did not run at the end.
+    /// The planner's report; `None` if it did not run at the end.
     planner: Option<PlannerReport>,
-    /// Of the last worker.
+    /// Scores of the last worker.
     scores: Scores,
     stand_out: Vec<StandsOut>,
-    /// Faults that began and that nobody has noticed.
+    /// Faults that began but raised no alarm.
     unnoticed: Vec<Planted>,
-    /// Processes that died and were started again.
+    /// Processes that died and were restarted.
     deaths: Vec<String>,
-    /// The capture; none if there is none, or the recorder could not tell.
+    /// The capture; `None` if there is none, or the recorder did not report it.
     capture: Option<Captured>,
     pub(super) left_behind: LeftBehind,
 }
@@ -135,7 +135,7 @@ impl Summary {
         }
     }
 
-    /// Whether every sample is accounted for and nothing stays.
+    /// Whether every sample is accounted for and nothing is left behind.
     pub(super) const fn is_whole(&self) -> bool {
         self.adds_up && self.left_behind.is_nothing()
     }
@@ -155,7 +155,7 @@ impl Summary {
         }
         match (self.adds_up, samples.difference) {
             (true, 0) => writeln!(out, "   adds up")?,
-            (true, off) => writeln!(out, "   {off} off: a killed source could not tell")?,
+            (true, off) => writeln!(out, "   {off} off: a killed source could not report")?,
             (false, off) => writeln!(out, "   DOES NOT ADD UP: {off} unaccounted for")?,
         }
         for (reason, dropped) in &samples.dropped {
@@ -165,7 +165,7 @@ impl Summary {
             writeln!(
                 out,
                 "             lost: sent while no worker ran, or taken by one that was killed \
-                 before it could tell"
+                 before it reported"
             )?;
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! The fleet's models, its shared memory and who is in it.
+//! Checks of the fleet's models, shared memory and members.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use rustix::fs::{Access, access, statfs};
 use super::{Check, Status};
 
 const SHARED_MEMORY: &str = "/dev/shm";
-/// The filesystem's magic number of a tmpfs.
+/// Magic number of tmpfs.
 const TMPFS: u64 = 0x0102_1994;
 const FIX: &str = "run `joulebus doctor --fix`";
 
@@ -38,8 +38,8 @@ pub(super) fn models(config: &Config) -> Check {
     }
 }
 
-/// Whether memory and descriptors suffice for a worker, a source and a planner, or for
-/// the fleet's further processes if a worker runs already.
+/// Whether memory and descriptors suffice for a worker, a source and a planner, or for the fleet's
+/// further processes if a worker already runs.
 pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
     let limits = config.limits();
     let ports = |sources, planners| Ports {
@@ -89,7 +89,7 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
     }
 }
 
-/// Whether shared memory may be created at all.
+/// Whether shared memory can be created.
 pub(super) fn memory_rights() -> Check {
     match access(SHARED_MEMORY, Access::WRITE_OK | Access::EXEC_OK) {
         Ok(()) => Check::ok("rights", format!("{SHARED_MEMORY} can be written")),
@@ -126,7 +126,7 @@ pub(super) fn root(domain: &Domain, inspection: &Inspection) -> Check {
     }
 }
 
-/// The directory above must let us create it.
+/// Whether the parent directory allows its creation.
 fn missing_root(root: &Path, slow: &str) -> Check {
     let name = "root";
     let above = root.parent().unwrap_or(Path::new("/"));
@@ -175,10 +175,10 @@ pub(super) fn nodes(inspection: &Inspection) -> Check {
     };
     if !dead.is_empty() {
         let found = format!("{found}; {} dead: {}", dead.len(), dead.join(", "));
-        let remedy = format!("{FIX}; a living process of the fleet does it by itself in a second");
+        let remedy = format!("{FIX}; a live process of the fleet does it within a second");
         Check::new(name, Status::Warn, found, remedy)
     } else if !unknown.is_empty() {
-        let found = format!("{found}; of {} it cannot be determined", unknown.len());
+        let found = format!("{found}; {} unknown", unknown.len());
         Check::new(name, Status::Warn, found, FIX)
     } else {
         Check::ok(name, found)
@@ -208,7 +208,7 @@ pub(super) fn stale_files(inspection: &Inspection) -> Check {
     }
     if let Some(first) = inspection.incomplete.first() {
         let (count, first) = (inspection.incomplete.len(), first.display());
-        let found = format!("{count} unfinished objects, one is {first}: who opens one hangs");
+        let found = format!("{count} incomplete objects, one is {first}: opening one hangs");
         return Check::new(name, Status::Fail, found, FIX);
     }
     let alive = inspection

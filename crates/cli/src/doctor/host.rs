@@ -8,16 +8,16 @@ use rustix::time::{ClockId, Timespec, clock_getres, clock_gettime};
 
 use super::{Check, Status};
 
-/// The workspace pins it; another minor version cannot join the same shared memory.
+/// The version pinned in the workspace; another minor version cannot join the same shared memory.
 const ICEORYX2: &str = "0.10.0";
-/// 2020-01-01: a wall clock before that has not been set.
+/// 2020-01-01: an earlier wall clock has not been set.
 const NOT_SET_BEFORE_S: u64 = 1_577_836_800;
-/// A coarser monotonic clock would blur latencies.
+/// Maximum resolution of the monotonic clock: a coarser one distorts latencies.
 const COARSE: Duration = Duration::from_micros(1);
-/// What Linux gives every thread: sleeps end up to so much late.
+/// Linux's default timer slack of a thread.
 const USUAL_SLACK_NS: u64 = 50_000;
 
-/// What must be the same in every process of a fleet.
+/// Versions that all processes of a fleet must share.
 pub(super) fn versions() -> Check {
     let found = format!(
         "joulebus {}, iceoryx2 {ICEORYX2}, schema {SCHEMA_VERSION}",
@@ -30,7 +30,7 @@ pub(super) fn clocks() -> Vec<Check> {
     vec![monotonic(), wall(), slack()]
 }
 
-/// The clock that intervals are measured on.
+/// The clock used for intervals.
 fn monotonic() -> Check {
     let name = "clock";
     let resolution = duration(clock_getres(ClockId::Monotonic));
@@ -49,7 +49,7 @@ fn monotonic() -> Check {
     Check::ok(name, found)
 }
 
-/// The wall clock: it labels, and its order tells the runs of a source apart.
+/// The wall clock: used for labels, and for the order of a source's runs.
 fn wall() -> Check {
     let name = "wall clock";
     let (now, up) = (
@@ -64,13 +64,13 @@ fn wall() -> Check {
         asleep.as_secs_f64()
     );
     if now.as_secs() < NOT_SET_BEFORE_S || now < up {
-        let remedy = "set the clock (NTP): a restarted source is known by its later start";
+        let remedy = "set the clock (NTP): runs of a source are ordered by their start time";
         return Check::new(name, Status::Warn, found, remedy);
     }
     Check::ok(name, found)
 }
 
-/// How late the kernel may end a sleep.
+/// Timer slack: how late the kernel may end a sleep.
 fn slack() -> Check {
     let name = "timer slack";
     match current_timer_slack() {

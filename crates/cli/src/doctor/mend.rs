@@ -1,4 +1,4 @@
-//! What `--fix` mends: rights of the directories, and what dead processes left.
+//! Repairs of `--fix`: directory modes, and files of dead processes.
 
 use std::fs;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
@@ -16,7 +16,7 @@ pub(super) fn mend(domain: &Domain) -> anyhow::Result<Vec<String>> {
     let swept = sweep(domain).context("cannot remove stale files")?;
     for (count, what) in [
         (swept.dead_nodes, "nodes of dead processes removed"),
-        (swept.incomplete, "unfinished objects removed"),
+        (swept.incomplete, "incomplete objects removed"),
         (
             swept.objects,
             "objects of dead processes removed from shared memory",

@@ -1,4 +1,4 @@
-//! `joulebus doctor`: whether this host and this fleet are as they should be.
+//! `joulebus doctor`: checks of this host and a fleet.
 
 mod fleet;
 mod host;
@@ -18,22 +18,22 @@ use serde::Serialize;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus doctor --config configs/fleet.toml\n  \
-    joulebus doctor --fix            removes what dead processes left, corrects rights\n  \
+    joulebus doctor --fix            removes files of dead processes, corrects directory modes\n  \
     joulebus doctor --format json\n  \
     joulebus doctor run.mcap         checks captures instead: checksums, order, indexes, losses\n\n\
-    Looking changes nothing. --fix never touches what living processes use.")]
+    Checks change nothing. --fix never touches what live processes use.")]
 pub(crate) struct Args {
     /// Captures or other MCAP files to check, instead of the host
     #[arg(value_name = "FILE", conflicts_with_all = ["config", "fix"])]
     files: Vec<PathBuf>,
     #[command(flatten)]
     config: ConfigFile,
-    /// Mend what can be mended
+    /// Repair what can be repaired
     #[arg(long)]
     fix: bool,
 }
 
-/// How a check came out.
+/// Result of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Status {
@@ -42,14 +42,14 @@ enum Status {
     Fail,
 }
 
-/// One thing looked at.
+/// One check.
 #[derive(Debug, Serialize)]
 struct Check {
     name: &'static str,
     status: Status,
     /// What was found.
     found: String,
-    /// What to do; empty if nothing.
+    /// The remedy; empty if none is needed.
     remedy: String,
 }
 
@@ -73,12 +73,12 @@ impl Check {
     }
 }
 
-/// All that was looked at.
+/// All checks.
 #[derive(Debug, Serialize)]
 struct DoctorReport {
     status: Status,
     checks: Vec<Check>,
-    /// What `--fix` has done.
+    /// Repairs made by `--fix`.
     mended: Vec<String>,
 }
 

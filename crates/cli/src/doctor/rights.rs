@@ -1,10 +1,10 @@
-//! What the worker may ask of the system, and what the config asks for.
+//! Scheduling rights of the worker, compared with the config.
 
 use joulebus_bus::{Rights, Scheduling};
 
 use super::{Check, Status};
 
-/// Whether the worker would get the processors, the priority and the locked memory of its config.
+/// Whether the worker would be granted the CPUs, the priority and the locked memory of its config.
 pub(super) fn scheduling(asked: &Scheduling) -> Check {
     let name = "scheduling";
     let found = format!("{}; {}", request(asked), rights(&Rights::of_this_process()));
@@ -29,7 +29,7 @@ pub(super) fn scheduling(asked: &Scheduling) -> Check {
 
 fn request(asked: &Scheduling) -> String {
     if asked.is_nothing() {
-        return "[worker] asks for nothing".to_owned();
+        return "[worker] requests nothing".to_owned();
     }
     let mut wishes = Vec::new();
     if !asked.cpus.is_empty() {
@@ -41,7 +41,7 @@ fn request(asked: &Scheduling) -> String {
     if asked.lock_memory {
         wishes.push("locked memory".to_owned());
     }
-    format!("[worker] asks for {}", wishes.join(", "))
+    format!("[worker] requests {}", wishes.join(", "))
 }
 
 fn rights(rights: &Rights) -> String {
@@ -67,8 +67,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_refused_fails_where_it_is_required_and_warns_where_it_is_not() {
-        // No machine has this processor.
+    fn refused_scheduling_fails_if_required_and_warns_otherwise() {
+        // No machine has this CPU.
         let asked = |required| Scheduling {
             cpus: vec![1023],
             required,

@@ -1,4 +1,4 @@
-//! What is evaluated: recordings, their platforms, which rows, and how.
+//! Inputs of an evaluation: recordings, their platforms, the evaluated rows, and options.
 
 use std::path::PathBuf;
 
@@ -17,15 +17,15 @@ use crate::recordings::find_recordings;
 use crate::split_unit::SplitUnit;
 use crate::trials::TrialFiles;
 
-/// Recordings, and how they are evaluated.
+/// Recordings, and options of their evaluation.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Selection {
     #[command(flatten)]
     trials: TrialFiles,
     #[command(flatten)]
     config: ConfigFile,
-    /// Evaluate what a split holds out, and fit the baselines on the rest: what stays together when
-    /// the recordings are split [default: evaluate all, baselines fitted on other trials in turn]
+    /// Evaluate the held-out part of a split, with baselines fitted on the rest: unit of the split
+    /// [default: evaluate all, baselines cross-fitted on other trials]
     #[arg(long, value_enum, value_name = "BY", conflicts_with = "fit")]
     split: Option<SplitUnit>,
     /// Share that the split holds out, as in training
@@ -34,34 +34,34 @@ pub(crate) struct Selection {
     /// Trials, robots or groups to hold out by name, instead of a share
     #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "split")]
     leave_out: Vec<String>,
-    /// Seed of the split and of the draws for confidence intervals
+    /// Seed of the split and of the bootstrap
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Recordings that the baselines are fitted on, instead of others of those evaluated
+    /// Recordings that the baselines are fitted on, instead of cross-fitting
     #[arg(long, value_name = "PATH", num_args = 1..)]
     fit: Vec<PathBuf>,
     /// Horizons of the open loop, ticks from 1 to 300, or none
     #[arg(long, value_name = "TICKS", default_value = "1,3,10,30,100,300")]
     horizons: String,
-    /// Rows from one rollout's beginning to the next
+    /// Rows between the origins of rollouts
     #[arg(long, value_name = "ROWS", default_value_t = Options::default().origins_every)]
     origins_every: usize,
-    /// Draws for confidence intervals; 0 for none
+    /// Draws for confidence intervals; 0 disables them
     #[arg(long, value_name = "N", default_value_t = Bootstrap::default().resamples)]
     resamples: u32,
-    /// Confidence of the intervals, a share
+    /// Confidence level, a share
     #[arg(long, value_name = "SHARE", default_value_t = Bootstrap::default().confidence)]
     confidence: f64,
-    /// Rows of a block that is drawn, where blocks are not whole trials (20 trials and more)
+    /// Rows of a resampled block, where blocks are not whole trials (below 20 trials)
     #[arg(long, value_name = "ROWS", default_value_t = Bootstrap::default().block_rows)]
     block_rows: usize,
 }
 
 /// The recordings of one platform.
 pub(crate) struct Section {
-    /// The config's platform; none takes each recording as it is.
+    /// The config's platform; `None` takes each recording as it is.
     platform: Option<Platform>,
-    /// Its place in the config, which is that of its model.
+    /// Its index in the config, and that of its model.
     pub(crate) place: usize,
     settings: FleetSettings,
     recordings: Vec<Recording>,
@@ -108,8 +108,8 @@ impl Selection {
         })
     }
 
-    /// Reads the recordings, and sorts them by platform. Where a model was named, and neither a
-    /// config nor anybody's ids, they are taken as they were recorded.
+    /// Reads the recordings, and sorts them by platform. If a model was given, but neither a config
+    /// nor robot ids, they are taken as recorded.
     pub(crate) fn sections(
         &self,
         settings: &FleetSettings,
@@ -146,7 +146,7 @@ impl Selection {
         }
     }
 
-    /// Which rows are evaluated.
+    /// The evaluated rows.
     pub(crate) fn design(&self, section: &Section) -> anyhow::Result<Design> {
         let recordings = &section.recordings;
         if let Some(together) = self.split {
@@ -172,7 +172,7 @@ impl Selection {
     }
 }
 
-/// What is wrong with the arguments is wrong usage.
+/// Errors caused by the arguments become usage errors.
 pub(crate) fn usage(error: ScoreError) -> anyhow::Error {
     match error {
         ScoreError::Split(_) | ScoreError::Horizon { .. } | ScoreError::Option { .. } => {
@@ -182,7 +182,7 @@ pub(crate) fn usage(error: ScoreError) -> anyhow::Error {
     }
 }
 
-/// Recordings of robots that nobody has numbered.
+/// Assigns ids to recordings without one.
 fn numbered(files: Vec<PathBuf>) -> Vec<(u32, PathBuf)> {
     (0..).zip(files).collect()
 }

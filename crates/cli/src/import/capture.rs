@@ -13,11 +13,11 @@ use joulebus_wire::{SCHEMA_VERSION, SampleHeader};
 
 use super::{Recording, Written};
 
-/// Monotonic time of the first row, ns: a sample's stamp of 0 would look like none.
+/// Monotonic time of the first row, ns: a stamp of 0 would mean none.
 const BASE_NS: u64 = 1_000_000_000;
 
-/// Writes the recordings as one fleet, each from its own beginning. A row's reading goes with the
-/// next row's command, as a controller would send it, in frames of a tick's period.
+/// Writes the recordings as one fleet, each from its own beginning. A row's reading is combined
+/// with the next row's command, as a controller would publish it, in frames of a tick's period.
 pub(super) fn write(
     path: &Path,
     config: &Config,
@@ -87,7 +87,7 @@ pub(super) fn write(
     })
 }
 
-/// Each trial with its robot's id: as mapped, else counted on from the first free one.
+/// Each trial with its robot's id: as mapped, else numbered from the first free one.
 fn numbered(
     config: &Config,
     first_robot: Option<u32>,

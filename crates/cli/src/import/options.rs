@@ -1,4 +1,4 @@
-//! How a recording is meant, by options or a mapping file.
+//! Interpretation of a recording, by options or a mapping file.
 
 use std::path::PathBuf;
 
@@ -12,7 +12,7 @@ const MOST_MAPPING_BYTES: u64 = 4 << 20;
 /// How a rosbag2 recording is meant.
 #[derive(Debug, clap::Args)]
 pub(super) struct ImportArguments {
-    /// A TOML file that says it for each robot
+    /// A TOML file with the mapping of each robot
     #[arg(long, value_name = "FILE", conflicts_with_all = ["battery", "command", "odometry", "robot_name", "robot_id"])]
     mapping: Option<PathBuf>,
     /// Topic of the robot's BatteryState [default: each such topic is a robot]
@@ -30,40 +30,40 @@ pub(super) struct ImportArguments {
     /// Its id in a capture
     #[arg(long, value_name = "ID", requires = "battery")]
     robot_id: Option<u32>,
-    /// Which way the current is positive [default: discharge-negative, as ROS has it]
+    /// Sign of the current [default: discharge-negative, as in ROS]
     #[arg(long, value_name = "SIGN")]
     current: Option<Sign>,
-    /// Which time counts [default: auto: the header's, or the log time where headers have none]
+    /// Time to use [default: auto: the header's, or the log time where headers have none]
     #[arg(long, value_name = "CLOCK")]
     time: Option<Clock>,
-    /// Of readings that follow each other within this time the last counts, s; 0 keeps all
-    /// [default: 0.005]
+    /// Readings within this time are one burst, of which the last is used, s; 0 keeps all [default:
+    /// 0.005]
     #[arg(long, value_name = "SECONDS")]
     burst: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Sign {
-    /// Out of the battery is negative
+    /// Negative while discharging
     DischargeNegative,
-    /// Out of the battery is positive
+    /// Positive while discharging
     DischargePositive,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Clock {
-    /// The header's where all have one, else the log time
+    /// The header's if all have one, else the log time
     Auto,
-    /// When it was measured
+    /// Measurement time
     Header,
-    /// When it was recorded
+    /// Log time
     Log,
-    /// When it was published
+    /// Publish time
     Publish,
 }
 
 impl ImportArguments {
-    /// The mapping that file and options give together; options win.
+    /// The mapping of file and options; options take precedence.
     pub(super) fn mapping(&self) -> anyhow::Result<Mapping> {
         let mut mapping = match &self.mapping {
             None => Mapping::default(),

@@ -19,23 +19,23 @@ use crate::eval::{Selection, load, usage};
     1 - squared error of the new over that of the old. Better or worse means that the whole \
     confidence interval of the skill lies on one side of 0; of twenty robots, one will do so by chance \
     at 95 %.\n\n\
-    Ends with 0 whichever is better; with --fail-worse, ends with 3 if the new one is worse on all \
+    Exits with 0 whichever is better; with --fail-worse, exits with 3 if the new one is worse on all \
     recordings of a platform together.")]
 pub(super) struct Args {
-    /// The model in use
+    /// The current model
     #[arg(value_name = "OLD")]
     old: PathBuf,
-    /// The model that may replace it
+    /// The candidate model
     #[arg(value_name = "NEW")]
     new: PathBuf,
     #[command(flatten)]
     asked: Selection,
-    /// End with 3 if the new model is worse by more than chance
+    /// Exit with 3 if the new model is significantly worse
     #[arg(long)]
     fail_worse: bool,
 }
 
-/// One comparison a platform.
+/// One comparison per platform.
 #[derive(Debug, Serialize)]
 struct CompareReport {
     comparisons: Vec<Comparison>,

@@ -1,4 +1,4 @@
-//! `joulebus model export`: a model for other programs.
+//! `joulebus model export`: exports a model for other programs.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use joulebus_program::file::write;
 
-/// Export a model for NumPy, PyTorch or any runtime of ONNX
+/// Export a model for NumPy, PyTorch or any ONNX runtime
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus model export my.safetensors --out my.onnx\n  \
@@ -21,15 +21,15 @@ use joulebus_program::file::write;
     joulebus model export my.safetensors --to npy --out my/\n\n\
     ONNX: opset 17, input `features` (n, 11) in SI units as `model info` lists them, output `power_w` \
     (n, 1); the normalisation is part of the graph. Arrays carry `check_features` and `check_power_w`, \
-    rows with their forecasts, for whoever reimplements the network.")]
+    rows with their forecasts, for testing a reimplementation of the network.")]
 pub(crate) struct Args {
-    /// A model of ours: .safetensors, or arrays that were exported
+    /// A joulebus model: .safetensors, or exported arrays
     #[arg(value_name = "MODEL")]
     model: PathBuf,
-    /// What to write; a directory for npy
+    /// The output file; a directory for npy
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// ExportFormat of file [default: by the ending of --out]
+    /// Format of the file [default: by the extension of --out]
     #[arg(long, value_enum, value_name = "KIND")]
     to: Option<ExportFormat>,
 }
@@ -37,13 +37,13 @@ pub(crate) struct Args {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum ExportFormat {
-    /// Our own model file
+    /// A joulebus model file
     Safetensors,
     /// An archive of NumPy arrays
     Npz,
     /// A directory of NumPy arrays
     Npy,
-    /// A graph for any runtime of ONNX
+    /// An ONNX graph
     Onnx,
 }
 
@@ -55,7 +55,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let checkpoint = super::read(&args.model)?;
     let Some(network) = checkpoint.network else {
         let (model, kind) = (args.model.display(), checkpoint.container);
-        let what = format!("{model} ({kind}) is a model of another program");
+        let what = format!("{model} ({kind}) is another program's model");
         return Err(UsageError(format!("{what}; import it first: joulebus model import")).into());
     };
     let bytes = export(&network, kind, &args.out)?;
@@ -78,12 +78,12 @@ fn by_ending(out: &Path) -> Result<ExportFormat, UsageError> {
         _ => {
             let out = out.display();
             let what = format!("{out} does not end in .onnx, .npz or .safetensors");
-            Err(UsageError(format!("{what}; name the kind: --to KIND")))
+            Err(UsageError(format!("{what}; name the format: --to FORMAT")))
         }
     }
 }
 
-/// Writes the model; gives the bytes written.
+/// Writes the model; returns the number of bytes written.
 fn export(network: &Network, kind: ExportFormat, out: &Path) -> anyhow::Result<usize> {
     let bytes = match kind {
         ExportFormat::Safetensors => network.to_safetensors()?,
@@ -95,7 +95,7 @@ fn export(network: &Network, kind: ExportFormat, out: &Path) -> anyhow::Result<u
     Ok(bytes.len())
 }
 
-/// A file for each array, in a directory of their own: arrays of another model must not be among
+/// Writes one file per array into an empty directory, so that no array of another model is among
 /// them.
 fn export_arrays(network: &Network, folder: &Path) -> anyhow::Result<usize> {
     let failed = || format!("cannot make the directory {}", folder.display());

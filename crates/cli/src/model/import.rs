@@ -1,4 +1,4 @@
-//! `joulebus model import`: a model of another program becomes one that the worker loads.
+//! `joulebus model import`: converts another program's model to a joulebus model.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -14,20 +14,20 @@ use super::info::{FoundReport, ScoreReport};
 use crate::trials::recordings;
 use joulebus_program::file::write;
 
-/// Conventions that the report shows.
+/// Number of conventions shown in the report.
 const SHOWN: usize = 5;
 
-/// Import a model of NumPy or PyTorch: finds the network in the file, and the features that it was
-/// trained on by trying every convention on recordings
+/// Import a model of NumPy or PyTorch: finds the network in the file, and identifies its feature
+/// convention by evaluating every convention on recordings
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus model import energy_predictor_full.npy --data recordings/ --out published.safetensors\n  \
     joulebus model import checkpoint.pt --part model_state_dict --data a.npy b.csv.gz \
     --out mine.safetensors\n  \
-    joulebus model import exported.npz --out again.safetensors    an own model needs no data\n\n\
-    Nothing in the file is ever run. The recordings should be of the robots that the model was \
+    joulebus model import exported.npz --out again.safetensors    a joulebus model needs no data\n\n\
+    No code in the file is executed. The recordings should be of the robots that the model was \
     trained for; range, residuals and scores of the imported model are those on them. Exit code 3 \
-    if they do not tell the best convention from the next one.")]
+    if they do not clearly distinguish the best convention from the second.")]
 pub(crate) struct Args {
     /// A model file (.npy, .npz, .pt, .pth) or a directory of .npy files
     #[arg(value_name = "FILE")]
@@ -42,10 +42,10 @@ pub(crate) struct Args {
     /// Name of the model [default: that of the file]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// The part of the file that holds the network, where there are several
+    /// The part of the file with the network, if there are several
     #[arg(long, value_name = "PATH")]
     part: Option<String>,
-    /// Take this convention, as a report names it, instead of the one that forecasts best
+    /// Use this convention, in the notation of a report, instead of the one that forecasts best
     #[arg(long, value_name = "CONVENTION")]
     convention: Option<Convention>,
 }
@@ -97,8 +97,8 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 
 fn trials(paths: &[PathBuf]) -> anyhow::Result<Vec<Trial>> {
     if paths.is_empty() {
-        let what = "the file does not say how its features are written";
-        let remedy = "give recordings with --data, on which every way is tried";
+        let what = "the file does not state how its features were computed";
+        let remedy = "give recordings with --data, on which every convention is evaluated";
         return Err(UsageError(format!("{what}; {remedy}")).into());
     }
     let mut trials = Vec::new();
@@ -115,7 +115,7 @@ fn trials(paths: &[PathBuf]) -> anyhow::Result<Vec<Trial>> {
     Ok(trials)
 }
 
-/// An own model, written as it was.
+/// A joulebus model, written unchanged.
 #[derive(Debug, Serialize)]
 struct OwnReport {
     file: String,
@@ -134,12 +134,12 @@ impl fmt::Display for OwnReport {
         } = self;
         writeln!(
             out,
-            "{file} ({kind}): an own model, hash {model_hash}; written to {written}"
+            "{file} ({kind}): a joulebus model, hash {model_hash}; written to {written}"
         )
     }
 }
 
-/// What was found where, and why it was read so.
+/// The network found, and the reasons for its interpretation.
 #[derive(Debug, Serialize)]
 struct ImportReport {
     file: String,
@@ -148,14 +148,14 @@ struct ImportReport {
     model_hash: String,
     found: FoundReport,
     convention: String,
-    /// Whether it was asked for.
+    /// Whether it was requested.
     forced: bool,
-    /// Whether the data tell it from the next one.
+    /// Whether the data distinguish it from the second.
     clear: bool,
     margin_r2: f64,
     blocks: usize,
     blocks_won: usize,
-    /// The step over which plain differences are taken.
+    /// The step of per-step derivatives.
     step_s: f64,
     conventions_tried: usize,
     ranking: Vec<RankedReport>,
@@ -202,14 +202,14 @@ impl fmt::Display for ImportReport {
         writeln!(out, "{file} ({kind}), written to {} as {hash}", self.out)?;
         write!(out, "{}", self.found)?;
         let how = match (self.forced, self.clear) {
-            (true, _) => "as asked for",
+            (true, _) => "as requested",
             (false, true) => "found on the recordings",
-            (false, false) => "NOT CLEAR: the recordings do not tell it from the next one",
+            (false, false) => "NOT CLEAR: the recordings do not distinguish it from the second",
         };
         writeln!(out, "convention    {}, {how}", self.convention)?;
         writeln!(
             out,
-            "margin        best before next by R² {:.5}, smaller error in {} of {} stretches",
+            "margin        best over second by R² {:.5}, smaller error in {} of {} blocks",
             self.margin_r2, self.blocks_won, self.blocks
         )?;
         writeln!(out, "on            {}", self.scores)?;

@@ -1,4 +1,4 @@
-//! `joulebus model info`: what is in a model file.
+//! `joulebus model info`: contents of a model file.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -9,10 +9,10 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-/// Entries that the text shows; JSON has all.
+/// Maximum number of entries shown as text; JSON has all.
 const SHOWN: usize = 40;
 
-/// Show what is in a model file: layers, features, normalisation, training range, hash, scores
+/// Show the contents of a model file: layers, features, normalisation, training range, hash, scores
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus model info configs/models/gternal-sim.safetensors\n  \
@@ -20,10 +20,10 @@ const SHOWN: usize = 40;
     Of a file of another program it shows what is in it and where a network was found; exit code 1 \
     if there is none.")]
 pub(crate) struct Args {
-    /// A model file of any kind, or a directory of .npy files
+    /// A model file of any format, or a directory of .npy files
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// The part of the file that holds the network, where there are several
+    /// The part of the file with the network, if there are several
     #[arg(long, value_name = "PATH")]
     part: Option<String>,
 }
@@ -45,7 +45,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     })
 }
 
-/// A model of our own.
+/// A joulebus model.
 #[derive(Debug, Serialize)]
 struct OwnReport {
     file: String,
@@ -75,7 +75,7 @@ struct LayerReport {
     outputs: usize,
 }
 
-/// A feature's statistics and range in training, in its unit.
+/// A feature's statistics and training range, in its unit.
 #[derive(Debug, Serialize)]
 struct FeatureReport {
     name: &'static str,
@@ -254,7 +254,7 @@ struct EntryReport {
     what: String,
 }
 
-/// Where a network was found.
+/// Location of a network.
 #[derive(Debug, Serialize)]
 pub(super) struct FoundReport {
     feature_set: &'static str,
@@ -262,7 +262,7 @@ pub(super) struct FoundReport {
     activation: &'static str,
     /// Whether the file states the activation.
     activation_stated: bool,
-    /// Whether the matrices have a row for each input.
+    /// Whether the matrices have one row per input.
     transposed: bool,
     biases_paired_by: &'static str,
     normalisation: Vec<String>,
@@ -326,7 +326,7 @@ impl fmt::Display for FoundReport {
         let stated = if self.activation_stated {
             "as the file states"
         } else {
-            "the usual one: the file states none"
+            "the default: the file states none"
         };
         writeln!(out, "activation    {}, {stated}", self.activation)?;
         writeln!(out, "normalisation from {}", self.normalisation_from)?;

@@ -1,4 +1,4 @@
-//! `joulebus model`: model files, our own and those of other programs.
+//! `joulebus model`: model files, ours and those of other programs.
 
 mod compare;
 mod export;
@@ -13,7 +13,7 @@ use joulebus_model_files::{Checkpoint, MAX_FILE_BYTES};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 
-/// Look into model files, import, export and compare them
+/// Inspect, import, export and compare model files
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus model info configs/models/gternal-sim.safetensors\n  \
@@ -21,7 +21,7 @@ use joulebus_program::output::Output;
     joulebus model export published.safetensors --out published.onnx\n  \
     joulebus model compare old.safetensors new.safetensors recordings/\n\n\
     Reads .npy (arrays and objects), .npz, .pt and .pth (zip and legacy), .safetensors and \
-    directories of .npy. Nothing in a file is ever run.")]
+    directories of .npy. No code in a file is executed.")]
 pub(crate) struct Args {
     #[command(subcommand)]
     verb: Verb,
@@ -44,7 +44,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
 }
 
-/// Reads a model file of any kind, or a directory of arrays.
+/// Reads a model file of any format, or a directory of arrays.
 fn read(path: &Path) -> anyhow::Result<Checkpoint> {
     let name = || format!("{}", path.display());
     if path.is_dir() {

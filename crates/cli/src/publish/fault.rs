@@ -1,4 +1,4 @@
-//! Faults of simulated robots, as they stand on the command line.
+//! Faults of simulated robots in command-line syntax.
 
 use std::str::FromStr;
 
@@ -6,15 +6,15 @@ use joulebus_sim::plant::Fault;
 
 use super::number;
 
-/// What `--fault` allows.
+/// Syntax of `--fault`.
 pub(super) const HELP: &str = "ROBOT=KIND[@SECONDS]";
 
-/// Gives a simulated robot a fault from a time on.
+/// A fault of a simulated robot, from a time on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct FaultArgument {
     /// Id of the robot.
     pub(super) robot: u32,
-    /// What it does.
+    /// The fault.
     pub(super) fault: Fault,
     /// When it begins, s after the start.
     pub(super) from_s: f64,
@@ -29,7 +29,7 @@ impl FromStr for FaultArgument {
         let (kind, from) = rest.split_once('@').unwrap_or((rest, "0"));
         let robot = robot
             .parse()
-            .map_err(|_| format!("{robot:?} is no id of a robot"))?;
+            .map_err(|_| format!("{robot:?} is not a robot id"))?;
         let fault = match kind.split_once(':') {
             Some(("load", value)) => Fault::ExtraLoad {
                 power_w: number(value, -1e6, 1e6, "W")?,
@@ -40,7 +40,7 @@ impl FromStr for FaultArgument {
             None if kind == "stuck" => Fault::StuckSensor,
             _ => {
                 let known = "load:WATT, noise:WATT (standard deviation), stuck";
-                return Err(format!("{kind:?} is no fault; those are: {known}"));
+                return Err(format!("{kind:?} is not a fault; known are: {known}"));
             }
         };
         Ok(Self {
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn faults_are_read_as_they_are_explained() {
+    fn faults_are_parsed_as_documented() {
         let load = Fault::ExtraLoad { power_w: 1.5 };
         for (text, expected) in [
             ("3=load:1.5@10", Some((3, load, 10.0))),

@@ -1,4 +1,4 @@
-//! Listening to the worker, so that it is not sent more than it can take.
+//! Flow control: follows the worker, so that it does not get more than it can take.
 
 use joulebus_bus::{Bus, Domain, ForecastReader, Limits, PeerWatch, Waiter, WorkerLock, clock};
 use joulebus_program::output::say;
@@ -7,22 +7,22 @@ use joulebus_wire::{SCHEMA_VERSION, Sample, forecast_flag};
 
 use super::window::Window;
 
-/// How long nothing may be heard before it is mentioned, ns.
+/// Silence of the worker before a warning, ns.
 const PATIENCE_NS: u64 = 2_000_000_000;
-/// How long to sleep at most while nothing is heard, ns.
+/// Maximum sleep while the worker is silent, ns.
 const LOOK_EVERY_NS: u64 = 50_000_000;
 
-/// What a source hears of the worker.
+/// State of the worker as seen by a source.
 pub(crate) struct Flow {
     window: Window,
-    // Ports before the bus: the order in which they must go.
+    // Drop order: ports before the bus.
     forecasts: ForecastReader,
     waiter: Waiter,
     _bus: Bus,
     domain: Domain,
     source_epoch: u64,
     worker: Option<HeardWorker>,
-    /// Frames that died with a worker.
+    /// Frames lost with a worker.
     pub(crate) unanswered: u64,
 }
 
@@ -34,16 +34,16 @@ struct HeardWorker {
 /// Whether the fleet can take a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum SendWindow {
-    /// There is.
+    /// It can.
     Free,
-    /// There is no worker any more.
+    /// The worker has ended.
     NoWorker,
-    /// A signal came first.
+    /// A signal arrived.
     Stopped,
 }
 
 impl Flow {
-    /// Listens to the worker of `domain` on behalf of the source that began at `source_epoch`.
+    /// Follows the worker of `domain` for the source with `source_epoch`.
     pub(crate) fn open(
         domain: &Domain,
         limits: &Limits,
@@ -79,13 +79,13 @@ impl Flow {
         Ok(())
     }
 
-    /// A frame was sent.
+    /// Records a frame that was sent.
     pub(crate) fn sent(&mut self, frame: &[Sample]) {
         self.window.sent(frame, clock::monotonic_ns());
     }
 
-    /// The source continues as run `source_epoch`, unless it has done so already: older runs' frames
-    /// are not waited for any more.
+    /// The source continues as run `source_epoch`, unless it already does: frames of older runs are
+    /// no longer waited for.
     pub(crate) fn follow(&mut self, source_epoch: u64) {
         if source_epoch > self.source_epoch {
             self.source_epoch = source_epoch;
@@ -93,7 +93,7 @@ impl Flow {
         }
     }
 
-    /// Whether a worker has been heard of: then it takes samples.
+    /// Whether a worker has been observed, so that it takes samples.
     pub(crate) fn has_heard(&mut self) -> anyhow::Result<bool> {
         self.hear()?;
         Ok(self.worker.is_some() && !self.is_gone()?)
@@ -113,7 +113,7 @@ impl Flow {
             }
             let now_ns = clock::monotonic_ns();
             if stop.is_asked() {
-                // What is on its way arrives all the same: nothing of it is lost.
+                // Frames in transit arrive nevertheless: none is lost.
                 self.window.forget();
                 return Ok(SendWindow::Stopped);
             }
@@ -126,7 +126,7 @@ impl Flow {
                 return Ok(SendWindow::Free);
             }
             if now_ns >= mention_ns {
-                say("the worker runs, but has answered nothing for 2 s; waiting for it");
+                say("the worker runs, but has not answered for 2 s; waiting for it");
                 mention_ns = u64::MAX;
             }
             let process = self
@@ -138,13 +138,13 @@ impl Flow {
         }
     }
 
-    /// Takes the newest forecasts, if there are new ones.
+    /// Reads the newest forecasts, if there are new ones.
     fn hear(&mut self) -> anyhow::Result<()> {
         let frame = match self.forecasts.take_latest() {
             Ok(Some(frame)) => frame,
             Ok(None) => return Ok(()),
             Err(error) => {
-                // The port recreates itself; the next look may succeed.
+                // The port is recreated; the next read may succeed.
                 tracing::warn!(%error, "forecasts could not be read");
                 return Ok(());
             }

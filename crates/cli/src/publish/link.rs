@@ -1,4 +1,4 @@
-//! The way to a worker: publishing, and finding out whether somebody reads it.
+//! Connection to a worker: publishing, and detecting a reader.
 
 use joulebus_bus::{Domain, WorkerLock, clock};
 use joulebus_config::Config;
@@ -9,7 +9,7 @@ use joulebus_wire::Sample;
 
 use super::report::PublishReport;
 
-/// How often to look for a worker, ns.
+/// Interval of checks for a worker, ns.
 const LOOK_EVERY_NS: u64 = 100_000_000;
 
 /// A source of the fleet.
@@ -18,12 +18,12 @@ pub(super) struct Link {
     domain: Domain,
 }
 
-/// What became of a frame.
+/// Result of sending a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Fate {
     /// A worker can read it.
     Sent,
-    /// Nobody was there to read it.
+    /// There was no reader.
     Unheard,
     /// It could not be sent.
     Failed,
@@ -41,7 +41,7 @@ impl Link {
         &self.domain
     }
 
-    /// Samples that one frame may hold.
+    /// Maximum number of samples per frame.
     pub(super) const fn capacity(&self) -> usize {
         self.publisher.capacity()
     }
@@ -51,11 +51,11 @@ impl Link {
         self.publisher.source_epoch()
     }
 
-    /// Sends a frame and counts it. A frame that the bus does not take is no reason to end: a
-    /// controller would not either.
+    /// Sends a frame and counts it. A frame that the bus refuses does not end the program, like a
+    /// controller.
     ///
     /// # Errors
-    /// The frame itself cannot be sent, now or later.
+    /// The frame is invalid.
     pub(super) fn send(
         &mut self,
         intended_ns: u64,
@@ -81,7 +81,7 @@ impl Link {
         }
     }
 
-    /// Whether a worker runs and can read what is sent: a frame without samples tells.
+    /// Whether a worker runs and reads: checked by a frame without samples.
     pub(super) fn has_worker(&mut self) -> anyhow::Result<bool> {
         if WorkerLock::owner(&self.domain)?.is_none() {
             return Ok(false);
@@ -93,7 +93,7 @@ impl Link {
         }
     }
 
-    /// Waits for a worker; false at a signal.
+    /// Waits for a worker; `false` at a signal.
     pub(super) fn wait_for_worker(&mut self, stop: &Stop) -> anyhow::Result<bool> {
         if self.has_worker()? {
             return Ok(true);
@@ -108,7 +108,7 @@ impl Link {
     }
 }
 
-/// Says that frames go nowhere for now.
+/// Warns that frames have no reader.
 pub(super) fn warn_without_worker() {
-    say("no worker runs: what is sent before one comes is lost (`joulebus run` starts it)");
+    say("no worker runs: samples sent before one starts are lost (`joulebus run` starts it)");
 }

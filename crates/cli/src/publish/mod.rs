@@ -47,7 +47,7 @@ struct Hertz(f64);
 impl Hertz {
     /// Time between two frames, ns.
     fn period_ns(self) -> u64 {
-        // The range is checked when it is made.
+        // The range is checked at construction.
         (1e9 / self.0).round() as u64
     }
 }
@@ -64,7 +64,7 @@ impl FromStr for Hertz {
 pub(crate) fn number(text: &str, least: f64, greatest: f64, unit: &str) -> Result<f64, String> {
     let value: f64 = text
         .parse()
-        .map_err(|_| format!("{text:?} is no number ({unit})"))?;
+        .map_err(|_| format!("{text:?} is not a number ({unit})"))?;
     if least <= value && value <= greatest {
         Ok(value)
     } else {

@@ -4,10 +4,10 @@ use std::fmt;
 
 use serde::Serialize;
 
-/// Notes on recordings in the text.
+/// Maximum number of notes shown as text.
 const MOST_NOTES: usize = 5;
 
-/// What a source has published.
+/// Report of a source.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct PublishReport {
     /// Name of the fleet.
@@ -20,19 +20,19 @@ pub(super) struct PublishReport {
     pub(super) duration_s: f64,
     /// Frames sent.
     pub(super) frames_sent: u64,
-    /// Samples sent: what the worker accepts and drops adds up to it.
+    /// Samples sent: the sum of those that the worker accepts and drops.
     pub(super) samples_sent: u64,
-    /// Frames sent while no worker was there to read them.
+    /// Frames sent while no worker was connected.
     pub(super) frames_unheard: u64,
     /// Frames that could not be sent.
     pub(super) frames_failed: u64,
-    /// Frames that went to a worker which did not answer them.
+    /// Frames that a worker did not answer.
     pub(super) frames_unanswered: u64,
-    /// Places on the grid that were passed over because the source was stalled.
+    /// Grid times skipped because the source stalled.
     pub(super) ticks_skipped: u64,
-    /// Time by which the playback was held up, s.
+    /// Time by which the playback was delayed, s.
     pub(super) held_up_s: f64,
-    /// Recorded time played, over the time that it took; none for a simulation.
+    /// Recorded time over playback time; `None` for a simulation.
     pub(super) speed: Option<f64>,
     /// The recordings.
     pub(super) trials: Vec<PlayedTrial>,
@@ -43,16 +43,16 @@ pub(super) struct PublishReport {
 pub(super) struct PlayedTrial {
     pub(super) robot: u32,
     pub(super) file: String,
-    /// Samples sent of it.
+    /// Its samples sent.
     pub(super) samples: u64,
-    /// What is to be known about it.
+    /// Notes on it.
     pub(super) notes: String,
-    /// Whether there is nothing questionable about it.
+    /// Whether there are no notes on faults.
     pub(super) clean: bool,
 }
 
 impl PublishReport {
-    /// Whether something did not reach a worker that was meant to.
+    /// Whether samples did not reach a worker that should have.
     pub(super) const fn has_lost(&self) -> bool {
         self.frames_failed > 0 || self.frames_unanswered > 0
     }
@@ -75,7 +75,10 @@ impl fmt::Display for PublishReport {
              frames, {duration_s:.1} s"
         )?;
         for (count, what) in [
-            (self.frames_unheard, "frames sent while no worker was there"),
+            (
+                self.frames_unheard,
+                "frames sent while no worker was connected",
+            ),
             (self.frames_failed, "frames could not be sent"),
             (
                 self.frames_unanswered,
@@ -91,7 +94,7 @@ impl fmt::Display for PublishReport {
             writeln!(out, "played at {speed:.2} times the recorded speed")?;
         }
         if self.held_up_s > 0.0 {
-            writeln!(out, "held up for {:.1} s", self.held_up_s)?;
+            writeln!(out, "delayed by {:.1} s", self.held_up_s)?;
         }
         let questionable = self.trials.iter().filter(|trial| !trial.clean);
         let more = questionable.clone().count().saturating_sub(MOST_NOTES);

@@ -19,7 +19,7 @@ use super::report::PublishReport;
 use super::{Hertz, seconds};
 use joulebus_program::platform::platform;
 
-/// The plant takes no longer step, ns.
+/// Maximum step of the simulation, ns.
 const LONGEST_STEP_NS: u64 = 1_000_000_000;
 
 /// Publish a simulated fleet of GTernal robots until SIGINT, SIGTERM or SIGHUP, then report
@@ -27,7 +27,7 @@ const LONGEST_STEP_NS: u64 = 1_000_000_000;
 #[command(after_help = "Examples:\n  \
     joulebus publish sim --robots 20 --seed 7\n  \
     joulebus publish sim --robots 5 --duration 60 --fault 3=load:1.5@20 --fault 4=stuck\n\n\
-    Faults: load:WATT (more power than the model knows of), noise:WATT (standard deviation), stuck \
+    Faults: load:WATT (additional power), noise:WATT (standard deviation), stuck \
     (the monitor repeats its last value). The same seed gives the same robots.")]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -44,13 +44,13 @@ pub(crate) struct Args {
     /// Control ticks per second, Hz, 0.1 to 1000 [default: the platform's rate]
     #[arg(long, value_name = "HZ")]
     rate: Option<Hertz>,
-    /// Gives a robot a fault, from a time on if one is given; may be repeated
+    /// Inject a fault into a robot, optionally from a time on; may be repeated
     #[arg(long = "fault", value_name = fault::HELP)]
     faults: Vec<FaultArgument>,
-    /// Platform of the config whose ids the robots get, lowest first [default: the first]
+    /// Platform of the config whose ids are used, lowest first [default: the first]
     #[arg(long, value_name = "NAME")]
     platform: Option<String>,
-    /// Id of the first robot; the others count on [default: the platform's ids]
+    /// Id of the first robot; the others are numbered on [default: the platform's ids]
     #[arg(long, value_name = "ID")]
     first_robot: Option<u32>,
     /// Name of the source; a second source of the same name replaces the first [default: sim and
@@ -101,7 +101,7 @@ impl Args {
         }
     }
 
-    /// Ids of the robots; as many as asked for, at least one.
+    /// Ids of the robots; as many as requested, at least one.
     fn ids(&self, platform: &Platform) -> Result<Vec<u32>, UsageError> {
         let wanted = self.robots as usize;
         let ids: Vec<u32> = match self.first_robot {
@@ -117,7 +117,7 @@ impl Args {
         if ids.len() < wanted {
             let (found, name) = (ids.len(), &platform.name);
             return Err(UsageError(format!(
-                "{wanted} robots asked for, ids for {found}: enlarge the `robots` of platform \
+                "{wanted} robots requested, ids for {found}: enlarge the `robots` of platform \
                  {name} in the config, or give --first-robot"
             )));
         }
@@ -147,7 +147,7 @@ impl Args {
 struct Robot {
     id: u32,
     seq: u64,
-    /// When the reading sent last was measured, ns since the plant's start.
+    /// Measurement time of the reading sent last, ns since the plant's start.
     measured_ns: Option<u64>,
 }
 
@@ -160,13 +160,13 @@ impl Robot {
         }
     }
 
-    /// What the controller sends of the robot at `stamp_ns`; the plant began at `base_ns`.
+    /// The sample of the robot at `stamp_ns`; the plant started at `base_ns`.
     fn sample(&mut self, reading: &SimReading, stamp_ns: u64, base_ns: u64) -> Sample {
         let sample = Sample::new(self.id, self.seq, stamp_ns)
             .command(reading.v_mps, reading.omega_radps)
             .reading(reading.power_w, base_ns.saturating_add(reading.measured_ns))
             .battery(reading.voltage_v, reading.current_a);
-        // Not the plant's own word: after skipped ticks the last reading that was *sent* counts.
+        // Not the plant's own flag: after skipped ticks the last reading *sent* counts.
         let held = self.measured_ns == Some(reading.measured_ns);
         self.measured_ns = Some(reading.measured_ns);
         self.seq += 1;
@@ -183,7 +183,7 @@ struct Source {
 }
 
 impl Source {
-    /// A frame at each place of the grid, until the time is over or a signal comes.
+    /// Sends a frame at each grid time, until the end or a signal.
     fn play(
         &mut self,
         period_ns: u64,
@@ -202,7 +202,7 @@ impl Source {
             let Some(slot) = grid.take(clock::monotonic_ns()) else {
                 continue;
             };
-            // After a stall the newest place is sent; those before it are passed over.
+            // After a stall the newest grid time is used; earlier ones are skipped.
             let passed_ns = slot.skipped.saturating_mul(period_ns);
             let stamp_ns = slot.intended_ns.saturating_add(passed_ns);
             self.advance(stamp_ns - base_ns);
@@ -213,7 +213,7 @@ impl Source {
         Ok(())
     }
 
-    /// Lets the robots run up to `until_ns` after the plant's start.
+    /// Simulates the robots up to `until_ns` after the plant's start.
     fn advance(&mut self, until_ns: u64) {
         loop {
             let left_ns = until_ns.saturating_sub(self.plant.now_ns());

@@ -1,4 +1,4 @@
-//! `joulebus publish trial`: recorded trials, played as a fleet.
+//! `joulebus publish trial`: plays recorded trials as a fleet.
 
 use std::collections::HashMap;
 use std::str::FromStr;
@@ -20,23 +20,23 @@ use super::window::Window;
 use super::{Hertz, number, seconds};
 use crate::trials::TrialFiles;
 
-/// Frames on their way when the source could send faster than the worker ticks.
+/// Default number of frames in flight when the source could send faster than the worker ticks.
 const USUAL_WINDOW: usize = 4;
-/// How long the worker may take for the last frames, ns.
+/// Maximum time for the worker to answer the last frames, ns.
 const SETTLE_NS: u64 = 5_000_000_000;
-/// Less than this is no hold-up, ns.
+/// Minimum delay that counts as one, ns.
 const LATE_NS: u64 = 50_000_000;
 
-/// Play recorded trials as a fleet, one robot a file, then report
+/// Play recorded trials as a fleet, one robot per file, then report
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus publish trial recordings/*.csv.gz\n  \
     joulebus publish trial a.npy b.npy --first-robot 3 --rate max\n  \
     joulebus publish trial a.npy@3 b.npy@17 --loop=10 --rate 2\n  \
     joulebus publish trial --config configs/mixed.toml robotino/@robotino husky/@husky rover/@rover\n\n\
-    A directory stands for the recordings in it, as many as its platform has ids. What a file does \
+    A directory stands for the recordings in it, up to the number of its platform's ids. Values that a file does \
     not have (a rover without velocities) is sent as missing, never as 0. Faster than recorded, the \
-    source follows the worker's forecasts and never sends more than the worker can take.")]
+    source follows the worker's forecasts and never sends more than the worker can process.")]
 pub(crate) struct Args {
     #[command(flatten)]
     trials: TrialFiles,
@@ -45,20 +45,20 @@ pub(crate) struct Args {
     /// Speed: 1 as recorded, 2 twice as fast, max as fast as the worker answers
     #[arg(long, value_name = "FACTOR|max", default_value = "1")]
     rate: Rate,
-    /// Start each trial again when it has ended: indefinitely, or N times in all
+    /// Restart each trial when it has ended: indefinitely, or N times in total
     #[arg(long = "loop", value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "for-ever")]
     passes: Option<Passes>,
     /// Frames per second of recorded time, Hz, 0.1 to 1000 [default: the config's tick.rate_hz]
     #[arg(long, value_name = "HZ")]
     frame_rate: Option<Hertz>,
-    /// Frames on their way that the worker has not answered, at most the config's
-    /// intake.buffer_frames [default: 4 when faster than recorded, else no limit]
+    /// Frames in flight without an answer of the worker, at most the config's intake.buffer_frames
+    /// [default: 4 when faster than recorded, else no limit]
     #[arg(long, value_name = "FRAMES", value_parser = clap::value_parser!(u16).range(1..=256))]
     window: Option<u16>,
-    /// Do not wait for a worker: what is sent without one is lost
+    /// Do not wait for a worker: samples sent without one are lost
     #[arg(long)]
     no_wait: bool,
-    /// End after this time, s [default: when all is played]
+    /// End after this time, s [default: at the end of the trials]
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     duration: Option<Duration>,
     /// Name of the source; a second source of the same name replaces the first [default: trial and
@@ -67,7 +67,7 @@ pub(crate) struct Args {
     name: Option<String>,
 }
 
-/// How fast to play.
+/// Playback speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Rate {
     Times(f64),
@@ -94,7 +94,7 @@ impl FromStr for Rate {
     }
 }
 
-/// How often to play each trial.
+/// Number of passes through each trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Passes {
     Count(u64),
@@ -144,7 +144,7 @@ impl Args {
         }
     }
 
-    /// Waits for a worker, unless that is not wanted; false at a signal.
+    /// Waits for a worker, unless disabled; `false` at a signal.
     fn starts(&self, link: &mut Link, stop: &Stop) -> anyhow::Result<bool> {
         if !self.no_wait {
             return link.wait_for_worker(stop);
@@ -155,7 +155,7 @@ impl Args {
         Ok(true)
     }
 
-    /// Listens to the worker where the source could be too fast for it.
+    /// Follows the worker if the source could be too fast for it.
     fn flow(&self, config: &Config, link: &Link) -> anyhow::Result<Option<Flow>> {
         let frames = match self.window {
             Some(frames) => usize::from(frames),
@@ -178,7 +178,7 @@ struct Player {
     waits: bool,
     fleet: TrialFleet,
     frame_period_ns: u64,
-    /// Samples of each robot that are played; empty: no end.
+    /// Number of samples to play per robot; empty: unlimited.
     most_samples: HashMap<u32, u64>,
     frame: Vec<Sample>,
     started_ns: u64,
@@ -190,7 +190,7 @@ struct Player {
 }
 
 impl Player {
-    /// The trials begin now.
+    /// Starts the trials now.
     fn new(
         args: &Args,
         config: &Config,
@@ -242,7 +242,7 @@ impl Player {
         });
         while let Some(due_ns) = self.fleet.next_due_ns() {
             let intended_ns = self.intended_ns(due_ns, args.rate);
-            // Whoever is due only after the end is not waited for.
+            // Frames due after the end are not waited for.
             if intended_ns > end_ns {
                 stop.sleep_until(end_ns);
                 break;
@@ -266,8 +266,8 @@ impl Player {
         Ok(())
     }
 
-    /// When the frame is to be sent. A hold-up moves all that follows: making up for it would be a
-    /// burst that no controller sends.
+    /// When to send the frame. A delay shifts all later frames: catching up would be a burst that
+    /// no controller sends.
     fn intended_ns(&mut self, due_ns: u64, rate: Rate) -> u64 {
         let now_ns = clock::monotonic_ns();
         let Rate::Times(factor) = rate else {
@@ -298,7 +298,7 @@ impl Player {
         self.frame.is_empty() && !self.most_samples.is_empty() && self.played_samples >= most
     }
 
-    /// Sends the frame, in parts if it is longer than the fleet can take; false at a signal.
+    /// Sends the frame, in parts if it is longer than the fleet can take; `false` at a signal.
     fn send(&mut self, intended_ns: u64, stop: &Stop) -> anyhow::Result<bool> {
         let frame = std::mem::take(&mut self.frame);
         for part in frame.chunks(self.link.capacity()) {
@@ -318,7 +318,7 @@ impl Player {
         Ok(true)
     }
 
-    /// Waits until the worker has answered enough; false at a signal.
+    /// Waits until the worker has answered enough; `false` at a signal.
     fn has_room(&mut self, part: &[Sample], stop: &Stop) -> anyhow::Result<bool> {
         while let Some(flow) = &mut self.flow {
             match flow.wait_for_capacity(part, stop)? {
@@ -356,7 +356,7 @@ impl Player {
     }
 }
 
-/// The report before anything is played.
+/// The initial report.
 fn report(args: &Args, config: &Config, trials: &[(u32, Trial)]) -> PublishReport {
     let mut shown: Vec<PlayedTrial> = trials
         .iter()

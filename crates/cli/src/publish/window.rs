@@ -1,22 +1,22 @@
 //! Flow control: frames that the worker has not answered yet.
 //!
-//! A frame is answered when a forecast answers a sample of it, or of a later one: the worker takes
-//! frames whole and in order. Where every sample of a frame was refused, that never happens; then
-//! the frame is answered when two ticks have begun after it was sent, because the second one took
-//! everything that had been sent before the first.
+//! A frame is answered when a forecast answers one of its samples, or of a later frame: the worker
+//! takes frames as a whole and in order. If every sample of a frame was refused, that never
+//! happens; then the frame is answered when two ticks have begun after it was sent, because the
+//! second one took everything sent before the first.
 
 use std::collections::{HashMap, VecDeque};
 
 use joulebus_wire::Sample;
 
-/// Frames that were sent and not answered yet.
+/// Frames sent and not yet answered.
 #[derive(Debug)]
 pub(crate) struct Window {
     most_frames: usize,
     most_samples: usize,
     frames: VecDeque<Outstanding>,
     answered: HashMap<u32, u64>,
-    /// When the tick before the last one seen began.
+    /// Start of the tick before the last one seen.
     before_last_ns: u64,
     last_ns: u64,
 }
@@ -46,8 +46,8 @@ impl Window {
         }
     }
 
-    /// Whether the frame can be sent without overflowing anything. When nothing is outstanding it
-    /// always can: waiting would change nothing.
+    /// Whether the frame can be sent without overflowing anything. Always true when nothing is
+    /// outstanding, because waiting would not help.
     pub(crate) fn has_capacity(&self, frame: &[Sample]) -> bool {
         if self.frames.is_empty() {
             return true;
@@ -60,7 +60,7 @@ impl Window {
         self.frames.len() < self.most_frames && by_robot(frame).iter().all(fits)
     }
 
-    /// A frame was sent at `sent_ns`.
+    /// Records a frame sent at `sent_ns`.
     pub(crate) fn sent(&mut self, frame: &[Sample], sent_ns: u64) {
         self.frames.push_back(Outstanding {
             sent_ns,
@@ -68,7 +68,7 @@ impl Window {
         });
     }
 
-    /// A tick that began at `started_ns` has answered these robots' samples.
+    /// Records that a tick that began at `started_ns` has answered these robots' samples.
     pub(crate) fn answered(&mut self, started_ns: u64, robots: impl Iterator<Item = (u32, u64)>) {
         self.answered.extend(robots);
         self.before_last_ns = self.last_ns;
@@ -79,7 +79,7 @@ impl Window {
             frame.sent_ns < self.before_last_ns
                 || robots.any(|(robot, sent)| answered(robot) >= Some(sent.last_seq))
         };
-        // An answer to a frame answers those before it.
+        // An answer to a frame answers the earlier ones too.
         let newest = self.frames.iter().rposition(is_answered);
         self.frames.drain(..newest.map_or(0, |newest| newest + 1));
     }
@@ -89,7 +89,7 @@ impl Window {
         self.frames.len()
     }
 
-    /// The worker is gone, and with it what it had not answered. Returns how many frames.
+    /// The worker is gone, with everything that it had not answered. Returns the number of frames.
     pub(crate) fn forget(&mut self) -> u64 {
         let lost = self.frames.len() as u64;
         *self = Self::new(self.most_frames, self.most_samples);
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_frames_go_out_than_the_window_holds() {
+    fn the_number_of_frames_in_flight_is_limited() {
         let mut window = Window::new(2, 8);
         for seq in 0..2 {
             assert!(window.has_capacity(&frame(&[(1, seq)])));
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_samples_of_a_robot_go_out_than_a_tick_takes() {
+    fn the_number_of_samples_in_flight_per_robot_is_limited() {
         let mut window = Window::new(8, 3);
         window.sent(&frame(&[(1, 0), (1, 1), (2, 0)]), 10);
         assert!(window.has_capacity(&frame(&[(1, 2), (2, 1)])));
@@ -166,13 +166,13 @@ mod tests {
     }
 
     #[test]
-    fn what_a_dead_worker_did_not_answer_is_counted() {
+    fn frames_unanswered_by_a_dead_worker_are_counted() {
         let mut window = Window::new(4, 8);
         window.sent(&frame(&[(1, 7)]), 10);
         window.sent(&frame(&[(1, 8)]), 20);
         assert_eq!(window.forget(), 2);
         assert_eq!(window.len(), 0);
-        // Nor does an answer of the dead one count for the next.
+        // An answer of the dead worker does not count for the next.
         window.sent(&frame(&[(1, 9)]), 30);
         window.answered(31, std::iter::empty());
         assert_eq!(window.len(), 1);

@@ -1,10 +1,10 @@
-//! Which topics are recorded.
+//! Selection of topics.
 
 use joulebus_capture::MessageKind;
 use joulebus_program::exit::UsageError;
 use regex::Regex;
 
-/// A choice of topics. Without any wish, all.
+/// A selection of topics; all by default.
 #[derive(Debug)]
 pub(super) struct TopicChoice {
     topics: Vec<String>,
@@ -30,7 +30,7 @@ impl TopicChoice {
         })
     }
 
-    /// Whether the topic is recorded. A name of a service stands for that service of any fleet.
+    /// Whether the topic is selected. A service name selects that service of any fleet.
     pub(super) fn has(&self, topic: &str) -> bool {
         if self.topics.is_empty() && self.regex.is_none() {
             return true;
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn services_topics_and_expressions_choose() {
+    fn services_topics_and_expressions_select() {
         let all = [
             "joulebus/lab/samples",
             "joulebus/yard/ticks",

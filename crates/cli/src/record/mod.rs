@@ -1,4 +1,4 @@
-//! `joulebus record`: what goes through a fleet's shared memory, into a file.
+//! `joulebus record`: records a fleet's shared memory to a file.
 
 mod choice;
 mod others;
@@ -26,17 +26,16 @@ use others::Others;
 pub(crate) use recorder_process::RecorderProcess;
 use report::RecordReport;
 
-/// How often it is looked whether to end.
+/// Interval of checking whether to stop.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// Time between two lines about the progress, ns.
+/// Interval of progress lines, ns.
 const PROGRESS_EVERY_NS: u64 = 5_000_000_000;
-/// What a snapshot takes in memory at most, bytes.
+/// Maximum memory of a snapshot, bytes.
 const SNAPSHOT_BYTES: usize = 512 << 20;
-/// The name that stands for stdout.
+/// The file name that means stdout.
 const STDOUT: &str = "-";
 
-/// Record what goes through a fleet's shared memory, into an MCAP file that Foxglove and PlotJuggler
-/// open
+/// Record a fleet's shared memory to an MCAP file for Foxglove and PlotJuggler
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus record -o run.mcap\n  \
@@ -50,41 +49,41 @@ const STDOUT: &str = "-";
     Exit codes: 1 if the file could not be written on (what was written can be recovered); 3 if \
     messages were lost.")]
 pub(crate) struct Args {
-    /// The fleet's config; several times for several fleets in one file [default: configs/fleet.toml,
-    /// or the one that ships in the program if there is no such file]
+    /// The fleet's config; repeat it to record several fleets into one file [default:
+    /// configs/fleet.toml, or the built-in one if that file does not exist]
     #[arg(long, value_name = "FILE")]
     config: Vec<PathBuf>,
     /// The file; further parts are run_1.mcap, run_2.mcap …; - for stdout
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Begin with the next part instead of refusing when the file exists
+    /// Start with the next part instead of refusing when the file exists
     #[arg(long)]
     go_on: bool,
-    /// Record these topics only: names of services (samples, forecasts, diagnostics, budgets, ticks,
-    /// state) or whole topics
+    /// Record only these topics: names of services (samples, forecasts, diagnostics, budgets,
+    /// ticks, state) or complete topics
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
     topics: Vec<String>,
     /// Record topics that match, in addition to --topics
     #[arg(short = 'e', long, value_name = "REGEX")]
     regex: Option<String>,
-    /// A channel for each robot's sample, forecast, diagnostics and budget as well, for plots
+    /// Also a channel for each robot's sample, forecast, diagnostics and budget, for plots
     #[arg(long)]
     per_robot: bool,
-    /// How much work goes into making the file small
+    /// Trade-off between work and file size
     #[arg(long, value_name = "PRESET", default_value = Preset::default().name(), value_parser = preset)]
     preset: Preset,
-    /// End a file that has become this long and begin the next, bytes; 0: never
+    /// Maximum file size, after which the next file begins, bytes; 0: unlimited
     #[arg(long, value_name = "BYTES", default_value_t = 0)]
     max_bag_size: u64,
-    /// End a file that spans this time and begin the next, s; 0: never. The index of a file is kept in
-    /// memory until its end, about 30 MB an hour
+    /// Maximum time span of a file, after which the next file begins, s; 0: unlimited. The index of
+    /// a file is kept in memory until its end, about 30 MB per hour
     #[arg(long, value_name = "SECONDS", default_value_t = 3_600.0, value_parser = seconds)]
     max_bag_duration: f64,
-    /// Keep the last seconds in memory, and write them down when a robot raises an alarm or when
-    /// SIGUSR1 comes: each time a file of its own, with what came since the last
+    /// Keep the last seconds in memory, and save them when a robot raises an alarm or on SIGUSR1:
+    /// each time a separate file, with the data since the last one
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     snapshot: Option<f64>,
-    /// With --snapshot: write down on SIGUSR1 only
+    /// With --snapshot: save on SIGUSR1 only
     #[arg(long, requires = "snapshot")]
     no_alarm: bool,
     /// End after this time, s
@@ -95,7 +94,7 @@ pub(crate) struct Args {
 fn seconds(text: &str) -> Result<f64, String> {
     let seconds: f64 = text
         .parse()
-        .map_err(|_| format!("{text:?} is no number (s)"))?;
+        .map_err(|_| format!("{text:?} is not a number (s)"))?;
     if (0.0..=1e9).contains(&seconds) {
         Ok(seconds)
     } else {
@@ -106,11 +105,12 @@ fn seconds(text: &str) -> Result<f64, String> {
 fn preset(text: &str) -> Result<Preset, String> {
     let found = Preset::ALL.into_iter().find(|preset| preset.name() == text);
     let names = Preset::ALL.map(Preset::name).join(", ");
-    found.ok_or_else(|| format!("{text:?} is none of {names}"))
+    found.ok_or_else(|| format!("{text:?} is not one of {names}"))
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    // Before anything is created: who is told to stop while starting ends the file as well.
+    // Before anything is created, so that a stop request during the start finishes the file as
+    // well.
     let stop = Stop::on_signals()?;
     let write_down = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(SIGUSR1, Arc::clone(&write_down))
@@ -151,7 +151,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(lost))
 }
 
-/// Until a signal, the end of the time, or a failure.
+/// Waits for a signal, the end of the duration, or a failure.
 fn wait(recorder: &Recorder, stop: &Stop, write_down: &AtomicBool, end_ns: Option<u64>) {
     let begin_ns = clock::monotonic_ns();
     let mut tell_ns = begin_ns.saturating_add(PROGRESS_EVERY_NS);
@@ -234,7 +234,7 @@ impl Args {
         }
     }
 
-    /// To stdout, unless that is where the capture goes.
+    /// Writes the report to stdout, unless the capture goes there.
     fn report(&self, report: &RecordReport, output: Output) -> anyhow::Result<()> {
         if self.output != Path::new(STDOUT) {
             return output.report(report);

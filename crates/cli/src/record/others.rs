@@ -1,5 +1,5 @@
-//! Other fleets in the same file: a process can be in one fleet's shared memory only, so each of
-//! them is recorded by a process of its own, into a pipe.
+//! Other fleets in the same file: a process can join only one fleet's shared memory, so each of
+//! them is recorded by a separate process, into a pipe.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -8,18 +8,18 @@ use std::process::{Child, Command, Stdio};
 use anyhow::Context as _;
 use joulebus_program::exit::UsageError;
 
-/// The processes. Dropping it kills those that were not ended.
+/// The processes. Dropping it kills those that were not stopped.
 pub(super) struct Others(Vec<Child>);
 
 impl Others {
-    /// Starts a process for each config but the first. Which topics are recorded is for the file to
-    /// decide, so they send everything.
+    /// Starts a process for each config except the first. Topics are selected when the file is
+    /// written, so the processes send everything.
     pub(super) fn start(configs: &[PathBuf], output: &Path) -> anyhow::Result<Self> {
         let mut others = Self(Vec::new());
         let program = std::env::current_exe().context("cannot find the program's own file")?;
         for config in configs.iter().skip(1) {
             if output == Path::new(super::STDOUT) {
-                let what = "several fleets go into a file, not into a pipe".to_owned();
+                let what = "several fleets can be recorded to a file, not to a pipe".to_owned();
                 return Err(UsageError(what).into());
             }
             let child = Command::new(&program)
@@ -37,7 +37,7 @@ impl Others {
         Ok(others)
     }
 
-    /// What they write.
+    /// Their output.
     pub(super) fn streams(&mut self) -> Vec<Box<dyn Read + Send>> {
         let streams = self.0.iter_mut().filter_map(|child| child.stdout.take());
         streams
@@ -45,10 +45,10 @@ impl Others {
             .collect()
     }
 
-    /// Asks them to end, and waits for them.
+    /// Requests them to stop, and waits for them.
     pub(super) fn end(&mut self) {
         for child in &mut self.0 {
-            // They end when their stdin does.
+            // They exit when their stdin closes.
             drop(child.stdin.take());
         }
         for mut child in self.0.drain(..) {

@@ -1,4 +1,4 @@
-//! A recorder beside a worker, in a process of its own: whatever becomes of it, the worker continues.
+//! A recorder as a separate process next to a worker: its failure does not affect the worker.
 
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::os::unix::process::CommandExt as _;
@@ -12,22 +12,23 @@ use anyhow::Context as _;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::output::say;
 
-/// How long the recorder may take until it records.
+/// Timeout for the recording to start.
 const START_LIMIT: Duration = Duration::from_secs(15);
 
-/// The recorder. Dropping it ends it and waits for it.
+/// The recorder process. Dropping it stops it and waits for it.
 pub(crate) struct RecorderProcess {
     process: Child,
     report: Option<JoinHandle<String>>,
 }
 
 impl RecorderProcess {
-    /// Starts it and waits until it records, so that nothing of the worker is missed.
+    /// Starts the recorder and waits until it records, so that no output of the worker is missed.
     ///
     /// # Errors
-    /// It cannot be started, or does not record: what it said stands above.
+    /// The process cannot be started or does not record; its output is printed.
     pub(crate) fn start(config: &ConfigFile, file: &Path) -> anyhow::Result<Self> {
-        let program = std::env::current_exe().context("cannot find the program's own file")?;
+        let program =
+            std::env::current_exe().context("cannot find the executable of this program")?;
         let mut command = Command::new(program);
         command.args(["record", "--exit-with-stdin", "--output"]);
         command.arg(file);
@@ -38,14 +39,14 @@ impl RecorderProcess {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // Ctrl-C reaches the worker, which ends it.
+            // Ctrl-C reaches only the worker, which stops the recorder.
             .process_group(0)
             .spawn()
             .context("cannot start the recorder")?;
         let report = process.stdout.take().map(|mut pipe| {
             std::thread::spawn(move || {
                 let mut text = String::new();
-                // What came before an error is still worth something.
+                // Output before a read error is kept.
                 let _ = pipe.read_to_string(&mut text);
                 text
             })
@@ -57,13 +58,13 @@ impl RecorderProcess {
         Ok(recorder)
     }
 
-    /// Ends it, tells what it came to, and returns whether the capture is whole.
+    /// Stops the recorder, prints its report, and returns true if the capture is complete.
     pub(crate) fn finish(mut self) -> bool {
         self.end()
     }
 
     fn end(&mut self) -> bool {
-        // It ends when its stdin does.
+        // The recorder stops at the end of its stdin.
         drop(self.process.stdin.take());
         let status = self.process.wait();
         if let Some(report) = self.report.take().and_then(|report| report.join().ok()) {
@@ -81,13 +82,13 @@ impl Drop for RecorderProcess {
     }
 }
 
-/// Passes on what it says; tells once when it records.
+/// Forwards the recorder's output; sends one message when it records.
 fn pass_on(pipe: impl std::io::Read + Send + 'static) -> Receiver<()> {
     let (tell, told) = channel();
     std::thread::spawn(move || {
         for line in BufReader::new(pipe).lines().map_while(Result::ok) {
             if line.starts_with("recording ") {
-                // Whoever waited has given up, or knows already.
+                // Fails only if the receiver has timed out.
                 let _ = tell.send(());
             }
             say(&line);

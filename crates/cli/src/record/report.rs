@@ -1,4 +1,4 @@
-//! What a recording came to.
+//! Report of a recording.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -7,19 +7,19 @@ use joulebus_capture::record::Summary;
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
-/// What a recording came to.
+/// Report of a recording.
 #[derive(Debug, Serialize)]
 pub(super) struct RecordReport {
-    /// From its start to its end, s.
+    /// Duration of the recording, s.
     duration_s: f64,
-    /// CPU time of the recorder over that time: 1 is a whole core.
+    /// CPU time of the recorder per second of that duration: 1 is a whole core.
     cpu_share: f64,
     files: Vec<File>,
     messages: u64,
     bytes: u64,
-    /// Messages by topic, channels of single robots left out.
+    /// Messages by topic; topics of single robots are omitted.
     topics: BTreeMap<String, u64>,
-    /// Messages lost by topic; topics that lost nothing are left out.
+    /// Messages lost by topic; topics without losses are omitted.
     lost: BTreeMap<String, Lost>,
     messages_lost: u64,
     /// What a snapshot kept in memory at its end, for no file; none of other recordings.
@@ -45,7 +45,7 @@ struct Kept {
 
 #[derive(Debug, Serialize)]
 struct Lost {
-    /// Overwritten in shared memory before the recorder came round to them.
+    /// Overwritten in shared memory before the recorder read them.
     overwritten: u64,
     /// The disk was too slow, full, or failed.
     unwritten: u64,

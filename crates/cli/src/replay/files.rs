@@ -1,4 +1,4 @@
-//! The files of a recording, read as one.
+//! The files of a recording, read as one stream.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,27 +11,27 @@ use joulebus_config::Config;
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
 
-/// Messages that go from the reading thread to the working one at once.
+/// Messages per batch from the reader thread.
 const AT_ONCE: usize = 64;
-/// So many times that may wait.
+/// Capacity of the queue, batches.
 const WAITING: usize = 16;
 
-/// What can be said of the files before they are read.
+/// What is known of the files before they are read.
 pub(super) struct Files {
     paths: Vec<PathBuf>,
     pub(super) attachments: Attachments,
-    /// The fleet to be played.
+    /// The fleet to play.
     pub(super) fleet: String,
 }
 
-/// A message, or the end of what can be read.
+/// A message, or the error that ends the stream.
 type Read = Result<Entry, String>;
 
 impl Files {
-    /// Looks at the first file. `fleet`: which one, if there are several in it.
+    /// Opens the first file. `fleet`: which one, if the capture contains several.
     pub(super) fn open(paths: &[PathBuf], fleet: Option<&str>) -> anyhow::Result<Self> {
         let Some(first) = paths.first() else {
-            return Err(UsageError("no capture named".to_owned()).into());
+            return Err(UsageError("no capture given".to_owned()).into());
         };
         let reader = Reader::open(first).with_context(|| first.display().to_string())?;
         let attachments = reader.attachments().clone();
@@ -45,7 +45,7 @@ impl Files {
         }
         let mut fleets: Vec<String> = attachments.fleets().map(str::to_owned).collect();
         if fleets.is_empty() {
-            // Not by our recorder: the messages say it.
+            // Not from this recorder: the fleets are taken from the messages.
             fleets.extend(first_fleet(reader));
         }
         let fleet = choose(&fleets, fleet)
@@ -57,8 +57,8 @@ impl Files {
         })
     }
 
-    /// The config that was in force, or the one given instead; the models of the attached one lie
-    /// in the directory that is returned with it.
+    /// The config attached to the capture, or the given one instead. The attached models lie in the
+    /// returned directory.
     pub(super) fn config(
         &self,
         instead: Option<&PathBuf>,
@@ -71,16 +71,16 @@ impl Files {
         let unpacked = self
             .attachments
             .unpack(&self.fleet, directory.path())
-            .context("cannot unpack the attached config")?;
+            .context("cannot extract the attached config")?;
         let Some(path) = unpacked else {
             let fleet = &self.fleet;
-            let what = format!("no config of fleet {fleet:?} is attached: name one with --config");
+            let what = format!("no config of fleet {fleet:?} is attached: give one with --config");
             return Err(UsageError(what).into());
         };
         Ok((Config::load(path)?, Some(directory)))
     }
 
-    /// All messages of the fleet, in order, read by a thread of its own.
+    /// All messages of the fleet in file order, read by a separate thread.
     pub(super) fn read(&self) -> Messages {
         let (give, waiting) = sync_channel(WAITING);
         let (paths, fleet) = (self.paths.clone(), self.fleet.clone());
@@ -89,7 +89,7 @@ impl Files {
             let mut hand = |read: Option<Read>, flush: bool| {
                 batch.extend(read);
                 let full = batch.len() == AT_ONCE || flush;
-                // Nobody reads on: so do we.
+                // The receiver is gone: stop reading.
                 !full || give.send(std::mem::take(&mut batch)).is_ok()
             };
             for path in paths {
@@ -127,7 +127,7 @@ impl Files {
     }
 }
 
-/// The messages of the files. What cannot be read is kept for the end.
+/// The messages of the files. Read errors are kept until the end.
 pub(super) struct Messages {
     waiting: Receiver<Vec<Read>>,
     batch: std::vec::IntoIter<Read>,
@@ -158,11 +158,11 @@ fn choose(fleets: &[String], wanted: Option<&str>) -> Result<String, String> {
     let there = fleets.join(", ");
     match (wanted, fleets) {
         (Some(wanted), _) if fleets.iter().any(|fleet| fleet == wanted) => Ok(wanted.to_owned()),
-        (Some(wanted), _) => Err(format!("no fleet {wanted:?} in it; there are: {there}")),
+        (Some(wanted), _) => Err(format!("contains no fleet {wanted:?}; its fleets: {there}")),
         (None, [only]) => Ok(only.clone()),
-        (None, []) => Err("nothing of a fleet in it; is it a capture of joulebus?".to_owned()),
+        (None, []) => Err("contains no fleet; is it a capture of joulebus?".to_owned()),
         (None, _) => Err(format!(
-            "several fleets in it: choose with --fleet: {there}"
+            "contains several fleets: choose with --fleet: {there}"
         )),
     }
 }
@@ -172,7 +172,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_only_fleet_is_chosen_and_one_of_several_must_be_named() {
+    fn a_single_fleet_is_the_default_and_one_of_several_must_be_given() {
         let fleets = |names: &[&str]| -> Vec<String> {
             names.iter().map(|name| (*name).to_owned()).collect()
         };

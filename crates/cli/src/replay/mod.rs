@@ -1,4 +1,4 @@
-//! `joulebus replay`: captures back into shared memory, or computed again.
+//! `joulebus replay`: plays captures into shared memory, or verifies them.
 
 mod files;
 mod pace;
@@ -19,7 +19,7 @@ use joulebus_program::output::Output;
 
 use crate::publish::{Passes, Rate, seconds};
 
-/// Play a capture back into shared memory, or prove that its samples lead to what it says
+/// Play a capture into shared memory, or recompute its forecasts and compare them bit by bit
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus replay run.mcap                       the samples, for a running worker\n  \
@@ -28,33 +28,33 @@ use crate::publish::{Passes, Rate, seconds};
     joulebus replay run.mcap --start-offset 60 --playback-duration 10 --start-paused\n  \
     joulebus replay --verify run.mcap run_1.mcap\n  \
     joulebus replay --model new.safetensors run.mcap\n\n\
-    Times between stamps stay as recorded at any rate, so a worker computes the same bits. Played \
+    Intervals between stamps stay as recorded at any rate, so a worker computes the same bits. Played \
     forecasts, diagnostics and budgets come as from the recorded worker, and only while no other \
     worker serves the fleet; planners first get the last ones before the offset. On a terminal \
-    space pauses and continues, the right arrow or s does a step, q ends; without one, --step and \
+    space pauses and continues, the right arrow or s plays a step, q quits; without one, --step and \
     --start-paused read a line of stdin for each.\n\
     --verify: exit 0 says that every tick was computed again with the same bits; 3 that something \
     differs, or could not be verified.")]
 pub(crate) struct Args {
-    /// The capture; of one that was split, its files in order
+    /// The capture; if it was split, its files in order
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
-    /// The config to go by [default: the one attached to the capture]
+    /// The config to use [default: the one attached to the capture]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// The fleet, where there are several in the capture
+    /// The fleet to play, if the capture contains several
     #[arg(long, value_name = "NAME")]
     fleet: Option<String>,
-    /// Compute every tick again and compare every bit; nothing is played
+    /// Recompute every tick and compare every bit; nothing is played
     #[arg(long, conflicts_with_all = ["model", "rate", "passes", "topics", "remap"])]
     verify: bool,
-    /// Compute with another model, and show what it would have changed; nothing is played
+    /// Recompute with another model and report the differences; nothing is played
     #[arg(long, value_name = "FILE", conflicts_with_all = ["rate", "passes", "topics", "remap"])]
     model: Option<PathBuf>,
     /// Speed: 1 as recorded, 2 twice as fast, max as fast as the worker answers
     #[arg(short, long, value_name = "FACTOR|max", default_value = "1")]
     rate: Rate,
-    /// Start again at the end: indefinitely, or N times in all
+    /// Repeat: indefinitely, or N times in total
     #[arg(short = 'l', long = "loop", value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "for-ever")]
     passes: Option<Passes>,
     #[command(flatten)]
@@ -62,7 +62,7 @@ pub(crate) struct Args {
     /// Wait before the first message, s
     #[arg(short, long, value_name = "SECONDS", value_parser = seconds)]
     delay: Option<Duration>,
-    /// Begin paused
+    /// Start paused
     #[arg(short = 'p', long)]
     start_paused: bool,
     /// Step by step: each key or line plays up to the next frame
@@ -74,7 +74,7 @@ pub(crate) struct Args {
     /// Play a fleet under another name
     #[arg(short = 'm', long, value_name = "OLD:=NEW")]
     remap: Vec<Remap>,
-    /// Do not wait for a worker: what is sent without one is lost
+    /// Do not wait for a worker: frames sent without one are lost
     #[arg(long)]
     no_wait: bool,
 }
@@ -87,7 +87,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
 }
 
-/// What can be played.
+/// Services that can be played.
 const PLAYED: [MessageKind; 4] = [
     MessageKind::Samples,
     MessageKind::Forecasts,
@@ -95,15 +95,15 @@ const PLAYED: [MessageKind; 4] = [
     MessageKind::Budgets,
 ];
 
-/// A service by its name or its whole topic.
+/// Parses the name of a service or its whole topic.
 fn service(text: &str) -> Result<MessageKind, String> {
     let name = text.rsplit('/').next().unwrap_or(text);
     let found = PLAYED.into_iter().find(|kind| kind.name() == name);
     let names = PLAYED.map(MessageKind::name).join(", ");
-    found.ok_or_else(|| format!("{text:?} is none of {names}"))
+    found.ok_or_else(|| format!("{text:?} is not one of {names}"))
 }
 
-/// A fleet's name in the capture, and the one it is played under.
+/// A fleet name in the capture and the name it is played under.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Remap {
     old: String,
@@ -114,9 +114,13 @@ impl FromStr for Remap {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("{text:?}: write lab:=copy, names of fleets or their topics");
+        let wrong = || {
+            format!(
+                "{text:?}: expected old:=new with names of fleets or their topics, such as lab:=copy"
+            )
+        };
         let (old, new) = text.split_once(":=").ok_or_else(wrong)?;
-        // Topics of a fleet go where the fleet goes: the services keep their names.
+        // A topic remaps its fleet; the service names stay.
         let fleet = |name: &str| -> Option<(String, String)> {
             match name.split('/').collect::<Vec<&str>>()[..] {
                 [fleet] if !fleet.is_empty() => Some((fleet.to_owned(), String::new())),
@@ -132,13 +136,13 @@ impl FromStr for Remap {
 }
 
 impl Args {
-    /// The fleet's name to play under.
+    /// The name under which `fleet` is played.
     fn name_for(&self, fleet: &str) -> Result<String, UsageError> {
         let mut name = fleet.to_owned();
         for remap in &self.remap {
             if remap.old != fleet {
                 let old = &remap.old;
-                let what = format!("--remap: the fleet that is played is {fleet:?}, not {old:?}");
+                let what = format!("--remap: the played fleet is {fleet:?}, not {old:?}");
                 return Err(UsageError(what));
             }
             name.clone_from(&remap.new);
@@ -146,7 +150,7 @@ impl Args {
         Ok(name)
     }
 
-    /// What is played.
+    /// The services to play.
     fn kinds(&self) -> Vec<MessageKind> {
         if self.topics.is_empty() {
             vec![MessageKind::Samples]
@@ -161,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fleets_and_their_topics_are_remapped() {
+    fn remap_takes_fleets_and_their_topics() {
         let remap = |old: &str, new: &str| Remap {
             old: old.to_owned(),
             new: new.to_owned(),
@@ -181,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_played_is_named_by_service_or_topic() {
+    fn services_are_given_by_name_or_topic() {
         assert_eq!(service("samples"), Ok(MessageKind::Samples));
         assert_eq!(service("joulebus/lab/budgets"), Ok(MessageKind::Budgets));
         assert!(service("state").unwrap_err().contains("samples, forecasts"));

@@ -1,4 +1,4 @@
-//! When the next message is due: the rate, pauses, and steps.
+//! Due times of messages: rate, pauses and steps.
 
 use std::io::{BufRead as _, IsTerminal as _};
 use std::sync::mpsc::{Receiver, channel};
@@ -13,26 +13,26 @@ use joulebus_program::stop::Stop;
 use crate::keys::{asks_for_the_end, pressed};
 use crate::publish::Rate;
 
-/// How often keys are looked for, ns.
-const LOOK_EVERY_NS: u64 = 20_000_000;
-/// Less than this is no hold-up, ns.
-const LATE_NS: u64 = 100_000_000;
+/// Interval at which keys are polled, ns.
+const KEY_POLL_NS: u64 = 20_000_000;
+/// A delay of at most this is made up for, ns; a longer one shifts what follows.
+const MAX_CATCH_UP_NS: u64 = 100_000_000;
 
-/// What somebody at the keyboard asks for.
+/// Request from the keyboard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Wish {
+enum Request {
     Toggle,
     Step,
     End,
 }
 
-/// Where wishes come from.
+/// Source of requests.
 enum Keys {
-    /// A terminal, taken over until this is dropped.
+    /// A terminal in raw mode until this is dropped.
     Terminal,
-    /// Lines on stdin: each is one wish.
-    Lines(Receiver<()>, Wish),
-    Nobody,
+    /// Lines on stdin: each is one request.
+    Lines(Receiver<()>, Request),
+    Unavailable,
 }
 
 impl Keys {
@@ -42,7 +42,7 @@ impl Keys {
             return Ok(Self::Terminal);
         }
         if (!paused && !step) || std::io::stdin().is_terminal() {
-            return Ok(Self::Nobody);
+            return Ok(Self::Unavailable);
         }
         let (give, lines) = channel();
         thread::spawn(move || {
@@ -52,18 +52,18 @@ impl Keys {
                 }
             }
         });
-        let wish = if step { Wish::Step } else { Wish::Toggle };
-        Ok(Self::Lines(lines, wish))
+        let request = if step { Request::Step } else { Request::Toggle };
+        Ok(Self::Lines(lines, request))
     }
 
-    fn next(&self) -> anyhow::Result<Option<Wish>> {
+    fn next(&self) -> anyhow::Result<Option<Request>> {
         match self {
-            Self::Nobody => Ok(None),
-            Self::Lines(lines, wish) => Ok(lines.try_recv().is_ok().then_some(*wish)),
+            Self::Unavailable => Ok(None),
+            Self::Lines(lines, request) => Ok(lines.try_recv().is_ok().then_some(*request)),
             Self::Terminal => {
                 while event::poll(Duration::ZERO).context("cannot read keys")? {
-                    if let Some(wish) = wish(&event::read().context("cannot read keys")?) {
-                        return Ok(Some(wish));
+                    if let Some(request) = request(&event::read().context("cannot read keys")?) {
+                        return Ok(Some(request));
                     }
                 }
                 Ok(None)
@@ -75,52 +75,52 @@ impl Keys {
 impl Drop for Keys {
     fn drop(&mut self) {
         if matches!(self, Self::Terminal) {
-            // A terminal that is gone needs nothing back.
+            // Fails only if the terminal is gone.
             let _ = crossterm::terminal::disable_raw_mode();
         }
     }
 }
 
-/// Whether this process may use its terminal: one in the background is stopped when it tries.
+/// True if this process may read its terminal: a background process is stopped by SIGTTIN.
 fn is_foreground() -> bool {
-    // `pid (name) state ppid pgrp session tty_nr tpgid …`; the name may have anything in it.
+    // `pid (name) state ppid pgrp session tty_nr tpgid …`; the name may contain any character.
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields = stat.rsplit(')').next().unwrap_or_default();
     let fields: Vec<&str> = fields.split_ascii_whitespace().collect();
     matches!((fields.get(2), fields.get(5)), (Some(group), Some(foreground)) if group == foreground)
 }
 
-fn wish(event: &Event) -> Option<Wish> {
+fn request(event: &Event) -> Option<Request> {
     let key = pressed(event)?;
     match key.code {
-        _ if asks_for_the_end(key) => Some(Wish::End),
-        KeyCode::Char(' ') => Some(Wish::Toggle),
-        KeyCode::Right | KeyCode::Char('s') => Some(Wish::Step),
+        _ if asks_for_the_end(key) => Some(Request::End),
+        KeyCode::Char(' ') => Some(Request::Toggle),
+        KeyCode::Right | KeyCode::Char('s') => Some(Request::Step),
         _ => None,
     }
 }
 
-/// Says when messages are due.
+/// Paces the messages of a playback.
 pub(super) struct Pace {
     keys: Keys,
-    course: RestartPolicy,
+    timeline: Timeline,
     paused: bool,
-    /// Steps asked for and not done.
+    /// Steps requested and not done.
     steps: u64,
 }
 
-/// How recorded time lies in that of now.
+/// Mapping of recorded time to monotonic time.
 #[derive(Debug, Clone, Copy)]
-struct RestartPolicy {
+struct Timeline {
     rate: Rate,
-    /// When the recorded time 0 is due, monotonic ns.
+    /// Due time of the recorded time 0, monotonic ns.
     zero_ns: u64,
-    /// After a pause: the next message is due at once, and the others after it.
+    /// After a pause: the next message is due at once and shifts the others.
     align: bool,
     held_up_ns: u64,
 }
 
-impl RestartPolicy {
+impl Timeline {
     fn wall_ns(&self, recorded_ns: u64) -> u64 {
         match self.rate {
             Rate::Max => 0,
@@ -128,15 +128,15 @@ impl RestartPolicy {
         }
     }
 
-    /// When what was recorded `recorded_ns` after the beginning is due. A hold-up moves all that
-    /// follows: making up for it would be a burst that nobody sent.
+    /// Due time of what was recorded `recorded_ns` after the start, monotonic ns. A hold-up shifts
+    /// everything after it: catching up would be a burst that is not in the recording.
     fn due_ns(&mut self, recorded_ns: u64, now_ns: u64) -> u64 {
         if self.rate == Rate::Max {
             return now_ns;
         }
         let wall_ns = self.wall_ns(recorded_ns);
         let late_ns = now_ns.saturating_sub(self.zero_ns.saturating_add(wall_ns));
-        if self.align || late_ns > LATE_NS {
+        if self.align || late_ns > MAX_CATCH_UP_NS {
             self.held_up_ns += if self.align { 0 } else { late_ns };
             self.align = false;
             self.zero_ns = now_ns.saturating_sub(wall_ns);
@@ -150,7 +150,7 @@ impl Pace {
     pub(super) fn new(rate: Rate, paused: bool, step: bool) -> anyhow::Result<Self> {
         Ok(Self {
             keys: Keys::open(paused, step)?,
-            course: RestartPolicy {
+            timeline: Timeline {
                 rate,
                 zero_ns: clock::monotonic_ns(),
                 align: true,
@@ -161,13 +161,13 @@ impl Pace {
         })
     }
 
-    /// A pass begins: its first message is due at once.
+    /// Starts a pass: its first message is due at once.
     pub(super) fn begin(&mut self) {
-        self.course.align = true;
+        self.timeline.align = true;
     }
 
-    /// Waits until what was recorded `recorded_ns` after the beginning is due; `leads`: it begins a
-    /// step. False at a signal, or when somebody wants the end.
+    /// Waits until what was recorded `recorded_ns` after the start is due; `leads`: it is the first
+    /// message of a step. False at a signal or a request to quit.
     pub(super) fn wait(
         &mut self,
         recorded_ns: u64,
@@ -175,11 +175,11 @@ impl Pace {
         stop: &Stop,
     ) -> anyhow::Result<bool> {
         loop {
-            while let Some(wish) = self.keys.next()? {
-                match wish {
-                    Wish::Toggle => self.paused = !self.paused,
-                    Wish::Step => (self.paused, self.steps) = (true, self.steps + 1),
-                    Wish::End => return Ok(false),
+            while let Some(request) = self.keys.next()? {
+                match request {
+                    Request::Toggle => self.paused = !self.paused,
+                    Request::Step => (self.paused, self.steps) = (true, self.steps + 1),
+                    Request::End => return Ok(false),
                 }
             }
             if stop.is_asked() {
@@ -187,26 +187,26 @@ impl Pace {
             }
             let now_ns = clock::monotonic_ns();
             if !self.paused {
-                let due_ns = self.course.due_ns(recorded_ns, now_ns);
+                let due_ns = self.timeline.due_ns(recorded_ns, now_ns);
                 if now_ns >= due_ns {
                     return Ok(true);
                 }
-                stop.sleep_until(due_ns.min(now_ns + LOOK_EVERY_NS));
+                stop.sleep_until(due_ns.min(now_ns + KEY_POLL_NS));
                 continue;
             }
-            self.course.align = true;
-            // What goes with a frame goes with its step.
+            self.timeline.align = true;
+            // Messages that follow a frame belong to its step.
             if !leads || self.steps > 0 {
                 self.steps -= u64::from(leads);
                 return Ok(true);
             }
-            stop.sleep_until(now_ns + LOOK_EVERY_NS);
+            stop.sleep_until(now_ns + KEY_POLL_NS);
         }
     }
 
-    /// Time by which the playback was held up, s.
+    /// Total time of hold-ups, s.
     pub(super) fn held_up_s(&self) -> f64 {
-        self.course.held_up_ns as f64 / 1e9
+        self.timeline.held_up_ns as f64 / 1e9
     }
 }
 
@@ -214,8 +214,8 @@ impl Pace {
 mod tests {
     use super::*;
 
-    fn course(rate: Rate) -> RestartPolicy {
-        RestartPolicy {
+    fn timeline(rate: Rate) -> Timeline {
+        Timeline {
             rate,
             zero_ns: 1_000_000,
             align: true,
@@ -224,25 +224,25 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_divides_times_and_a_pause_or_a_hold_up_moves_what_follows() {
-        let mut slow = course(Rate::Times(0.5));
+    fn rate_divides_times_and_a_pause_or_a_hold_up_shifts_later_messages() {
+        let mut slow = timeline(Rate::Times(0.5));
         assert_eq!(slow.due_ns(0, 2_000_000), 2_000_000);
         assert_eq!(slow.due_ns(50, 2_000_000), 2_000_100);
         slow.align = true;
         assert_eq!(slow.due_ns(100, 7_000_000), 7_000_000);
         assert_eq!(slow.due_ns(200, 7_000_000), 7_000_200);
-        let late_ns = 7_000_200 + LATE_NS + 300;
+        let late_ns = 7_000_200 + MAX_CATCH_UP_NS + 300;
         assert_eq!(slow.due_ns(200, late_ns), late_ns);
         assert_eq!(slow.due_ns(300, late_ns), late_ns + 200);
-        assert_eq!(slow.held_up_ns, LATE_NS + 300);
-        assert_eq!(course(Rate::Max).due_ns(u64::MAX, 77), 77);
+        assert_eq!(slow.held_up_ns, MAX_CATCH_UP_NS + 300);
+        assert_eq!(timeline(Rate::Max).due_ns(u64::MAX, 77), 77);
     }
 
     #[test]
-    fn a_little_late_is_made_up_for() {
-        let mut course = course(Rate::Times(2.0));
-        course.due_ns(0, 0);
-        assert_eq!(course.due_ns(200, 150), 100);
-        assert_eq!(course.due_ns(400, 160), 200);
+    fn a_short_delay_is_made_up_for() {
+        let mut timeline = timeline(Rate::Times(2.0));
+        timeline.due_ns(0, 0);
+        assert_eq!(timeline.due_ns(200, 150), 100);
+        assert_eq!(timeline.due_ns(400, 160), 200);
     }
 }

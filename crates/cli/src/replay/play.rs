@@ -1,4 +1,4 @@
-//! Playing: message after message, when it is due.
+//! Plays the messages of a capture at their due times.
 
 use std::time::Duration;
 
@@ -21,14 +21,14 @@ use crate::publish::flow::{Flow, SendWindow};
 use crate::publish::window::Window;
 use crate::publish::{Passes, Rate};
 
-/// Frames on their way when they could be sent faster than the worker ticks.
-const USUAL_WINDOW: usize = 4;
-/// How long the worker may take for the last frames, ns.
+/// Frames in flight when the source is faster than the worker's ticks.
+const DEFAULT_WINDOW: usize = 4;
+/// Timeout for the worker's answers to the last frames, ns.
 const SETTLE_NS: u64 = 5_000_000_000;
-/// How often to look for a worker, ns.
+/// Interval at which a worker is looked for, ns.
 const LOOK_EVERY_NS: u64 = 50_000_000;
-/// Slowest that is made up for in the period that planners are told.
-const SLOWEST: f64 = 1e3;
+/// Largest factor by which the announced period is stretched.
+const MAX_STRETCH: f64 = 1e3;
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
@@ -45,9 +45,9 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 
 struct Player {
     ports: Ports,
-    /// Listens to the worker, where samples go to one.
+    /// Flow control by the worker's forecasts; only when samples are played.
     flow: Option<Flow>,
-    /// Whether to send no more than the worker answers.
+    /// True if the sending rate is limited by the worker's answers.
     follows: bool,
     /// Whether to wait for a worker where there is none.
     waits: bool,
@@ -59,7 +59,7 @@ struct Player {
     report: PlayReport,
 }
 
-/// The newest frames before the offset, of what planners need to know where they are.
+/// The newest frame of each service before the offset: the state that planners need first.
 #[derive(Default)]
 struct Before {
     entries: [Option<Entry>; 3],
@@ -76,7 +76,7 @@ impl Before {
         self.entries[place] = Some(entry);
     }
 
-    /// Budgets first: a planner that is woken by forecasts finds them.
+    /// Budgets first: a planner woken by forecasts finds them.
     fn take(&mut self) -> impl Iterator<Item = Entry> {
         std::mem::take(&mut self.entries).into_iter().flatten()
     }
@@ -94,10 +94,10 @@ impl Player {
         let (limits, kinds) = (config.limits(), args.kinds());
         let ports = Ports::open(&domain, &limits, &kinds)?;
         let follows = args.rate.is_faster_than_recorded();
-        // As the recorded worker there is no other to listen to.
+        // When the replay takes the worker's place there is no other worker to follow.
         let to_worker = kinds == [MessageKind::Samples];
         let window = Window::new(
-            USUAL_WINDOW.min(config.buffer_frames()),
+            DEFAULT_WINDOW.min(config.buffer_frames()),
             usize::from(config.settings().intake.max_samples_per_tick),
         );
         let flow = to_worker.then(|| Flow::open(&domain, &limits, window, 0));
@@ -108,7 +108,7 @@ impl Player {
             waits: !args.no_wait,
             kinds,
             slower: match args.rate {
-                Rate::Times(factor) => (1.0 / factor).clamp(1.0, SLOWEST),
+                Rate::Times(factor) => (1.0 / factor).clamp(1.0, MAX_STRETCH),
                 Rate::Max => 1.0,
             },
             pace: None,
@@ -152,7 +152,7 @@ impl Player {
             let frames = self.report.frames.values().sum::<u64>();
             pace.begin();
             let go_on = self.pass(args, files, &mut pace, stop)?;
-            // A capture with nothing to play in it would be played indefinitely.
+            // A capture without anything to play would loop forever.
             if !go_on || self.report.frames.values().sum::<u64>() == frames {
                 break;
             }
@@ -165,7 +165,7 @@ impl Player {
         Ok(())
     }
 
-    /// Plays the capture once; false at a signal, or when somebody wants the end.
+    /// Plays the capture once; false at a signal or a request to quit.
     fn pass(
         &mut self,
         args: &Args,
@@ -195,9 +195,9 @@ impl Player {
                 return Ok(false);
             }
             let begin_ns = *begin.get_or_insert(entry.publish_time_ns);
-            // In the order of the file, even where a clock was set back.
+            // In file order, even if a clock was set back.
             at_ns = entry.publish_time_ns.saturating_sub(begin_ns).max(at_ns);
-            // The first one has had its step.
+            // The step of the first message was consumed by `begin`.
             let leads = kind == self.kinds[0] && !is_first;
             if !pace.wait(at_ns, leads, stop)? || !self.send(entry, kind, stop)? {
                 return Ok(false);
@@ -208,8 +208,8 @@ impl Player {
         Ok(true)
     }
 
-    /// The first message of a pass: the recorded time becomes that of now, and planners are told
-    /// how things stood.
+    /// Starts a pass at its first message: sets the time mapping and sends planners the last state
+    /// before the offset.
     fn begin(
         &mut self,
         files: &Files,
@@ -240,14 +240,14 @@ impl Player {
         Ok(true)
     }
 
-    /// Sends a message once the worker can take it; false at a signal.
+    /// Sends a message once the worker has capacity; false at a signal.
     fn send(&mut self, entry: Entry, kind: MessageKind, stop: &Stop) -> anyhow::Result<bool> {
         if let joulebus_capture::Message::Samples(header, samples) = &entry.message {
             let epoch = self
                 .rebase
                 .as_ref()
                 .map(|rebase| rebase.epoch(header.source_epoch));
-            if !self.has_room(epoch.unwrap_or_default(), samples, stop)? {
+            if !self.wait_for_capacity(epoch.unwrap_or_default(), samples, stop)? {
                 return Ok(false);
             }
         }
@@ -258,7 +258,12 @@ impl Player {
         Ok(true)
     }
 
-    fn has_room(&mut self, epoch: u64, samples: &[Sample], stop: &Stop) -> anyhow::Result<bool> {
+    fn wait_for_capacity(
+        &mut self,
+        epoch: u64,
+        samples: &[Sample],
+        stop: &Stop,
+    ) -> anyhow::Result<bool> {
         let Some(flow) = self.flow.as_mut().filter(|_| self.follows) else {
             return Ok(true);
         };
@@ -272,7 +277,7 @@ impl Player {
         }
     }
 
-    /// Whether it could be sent.
+    /// Returns true if the message was sent.
     fn deliver(&mut self, entry: Entry) -> anyhow::Result<bool> {
         let Some(rebase) = &mut self.rebase else {
             return Ok(false);
@@ -305,7 +310,7 @@ impl Player {
     }
 }
 
-/// Until a worker answers; false at a signal.
+/// Waits until a worker answers; false at a signal.
 fn wait_for_worker(flow: &mut Flow, stop: &Stop) -> anyhow::Result<bool> {
     let mut said = false;
     let patience_ns = clock::monotonic_ns() + 10 * LOOK_EVERY_NS;
@@ -321,7 +326,7 @@ fn wait_for_worker(flow: &mut Flow, stop: &Stop) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// When a message was sent, on both clocks of the host that it was recorded on.
+/// Time at which a message was sent, on both clocks of the recording host.
 fn recorded(files: &Files, entry: &Entry) -> Moment {
     let unix_ns = entry.publish_time_ns;
     let by_message = entry.message.sent_ns();

@@ -1,4 +1,4 @@
-//! What a replay sends with: as the recorded sources, and as the recorded worker.
+//! Ports of a replay: those of the recorded sources and of the recorded worker.
 
 use anyhow::Context as _;
 use joulebus_bus::{
@@ -10,16 +10,16 @@ use joulebus_wire::{Sample, WakeEvent};
 
 use super::rebase::{Moment, Rebase};
 
-/// The ports of the services that are played.
+/// Ports of the played services.
 pub(super) struct Ports {
-    // Ports before the bus, the bus before the lock: the order in which they must go.
+    // Dropped in this order: ports, bus, lock.
     samples: Option<SampleWriter>,
     worker: Option<WorkerPorts>,
     _bus: Bus,
     _lock: Option<WorkerLock>,
 }
 
-/// The ports of a worker, those that are not played among them: planners look for all of them.
+/// All ports of a worker, also those that are not played: planners open all of them.
 struct WorkerPorts {
     forecasts: ForecastWriter,
     diagnostics: DiagnosticWriter,
@@ -30,9 +30,9 @@ struct WorkerPorts {
 /// What was sent.
 #[derive(Debug)]
 pub(super) enum Sent {
-    /// A frame of samples, as it was sent.
+    /// A frame of samples as it was sent.
     Samples(Vec<Sample>),
-    /// Something else.
+    /// A frame of another service.
     Other,
 }
 
@@ -44,7 +44,7 @@ pub(super) fn now() -> Moment {
 }
 
 impl Ports {
-    /// Opens what `kinds` need. As a worker only while there is no other.
+    /// Opens the ports for `kinds`. The worker's ports require that no worker runs.
     pub(super) fn open(
         domain: &Domain,
         limits: &Limits,
@@ -78,8 +78,8 @@ impl Ports {
         })
     }
 
-    /// Sends a message now; `slower` as in [`Rebase::forecasts`]. What there is no port for is
-    /// passed over.
+    /// Sends a message now; `slower` as in [`Rebase::forecasts`]. Messages without a port are
+    /// skipped.
     pub(super) fn send(
         &mut self,
         message: Message,
@@ -118,19 +118,19 @@ impl Ports {
         Ok(Sent::Other)
     }
 
-    /// Planners that have come since get the newest budgets.
+    /// Sends the newest budgets to planners that have joined since.
     pub(super) fn update(&mut self) {
         if let Some(ports) = &mut self.worker {
             ports.budgets.update();
         }
     }
 
-    /// Tells planners that this was the end.
+    /// Announces to planners the end of the worker.
     pub(super) fn end(&mut self) {
         if let Some(ports) = &self.worker
             && let Err(error) = ports.planners.wake(WakeEvent::Ended)
         {
-            tracing::warn!(%error, "planners were not told of the end");
+            tracing::warn!(%error, "the end could not be announced to planners");
         }
     }
 }

@@ -1,43 +1,43 @@
-//! What was played.
+//! Report of a replay.
 
 use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::Serialize;
 
-/// What a replay has played.
+/// Report of a replay.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct PlayReport {
     /// The files.
     pub(super) files: String,
     /// Name of the fleet in the capture.
     pub(super) fleet: String,
-    /// Name that it was played under.
+    /// Name under which it was played.
     pub(super) played_as: String,
-    /// From the first message to the end, s.
+    /// Wall-clock time from the first message to the end, s.
     pub(super) duration_s: f64,
     /// Recorded time that was played, s.
     pub(super) played_s: f64,
-    /// Passes through the capture, the last one perhaps not to its end.
+    /// Passes through the capture, including an incomplete last one.
     pub(super) passes: u64,
     /// Frames sent, by service.
     pub(super) frames: BTreeMap<&'static str, u64>,
     /// Samples sent.
     pub(super) samples: u64,
-    /// Frames of the time before the offset, sent first so that planners know where they are.
+    /// Frames from before the offset, sent first as the initial state for planners.
     pub(super) frames_before: u64,
     /// Frames that could not be sent.
     pub(super) frames_failed: u64,
-    /// Frames that a worker did not answer.
+    /// Frames without an answer from a worker.
     pub(super) frames_unanswered: u64,
-    /// Time by which the playback was held up, s.
+    /// Total time of hold-ups, s.
     pub(super) held_up_s: f64,
-    /// What could not be read.
+    /// Read errors.
     pub(super) damages: Vec<String>,
 }
 
 impl PlayReport {
-    /// Whether something was not played that should have been.
+    /// True if something was not played that should have been.
     pub(super) fn has_lost(&self) -> bool {
         self.frames_failed > 0 || self.frames_unanswered > 0 || !self.damages.is_empty()
     }
@@ -68,7 +68,7 @@ impl fmt::Display for PlayReport {
             (self.frames_failed, "frames could not be sent"),
             (
                 self.frames_unanswered,
-                "frames were not answered by the worker",
+                "frames were not answered by a worker",
             ),
         ] {
             if count > 0 {

@@ -1,4 +1,4 @@
-//! Which part of a capture is played.
+//! The part of a capture that is played.
 
 use std::time::Duration;
 
@@ -6,18 +6,18 @@ use joulebus_capture::Entry;
 
 use crate::publish::number;
 
-/// From where, and for how long, in recorded time.
+/// Start and length in recorded time.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub(super) struct Span {
-    /// Begin so many seconds after the beginning of the capture
+    /// Start at this time after the start of the capture, s
     #[arg(long, value_name = "SECONDS", default_value = "0", value_parser = offset)]
     start_offset: Duration,
-    /// Play so many seconds of recorded time [default: to the end]
+    /// Length of recorded time to play, s [default: to the end]
     #[arg(long, value_name = "SECONDS", value_parser = crate::publish::seconds)]
     playback_duration: Option<Duration>,
 }
 
-/// Where a message lies.
+/// Position of a message relative to the span.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Place {
     Before,
@@ -30,7 +30,7 @@ fn offset(text: &str) -> Result<Duration, String> {
 }
 
 impl Span {
-    /// Where a message lies that was recorded `at_ns` after the first.
+    /// Position of a message recorded `at_ns` after the first.
     pub(super) fn place(&self, at_ns: u64) -> Place {
         let at = Duration::from_nanos(at_ns);
         let end = self
@@ -45,7 +45,7 @@ impl Span {
         }
     }
 
-    /// The messages inside.
+    /// The messages inside the span.
     pub(super) fn of<'a>(
         &'a self,
         entries: &'a mut impl Iterator<Item = Entry>,
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_span_has_both_its_ends() {
+    fn span_includes_both_its_ends() {
         let span = Span {
             start_offset: Duration::from_secs(2),
             playback_duration: Some(Duration::from_secs(3)),

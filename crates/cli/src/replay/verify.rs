@@ -1,4 +1,4 @@
-//! `replay --verify` and `replay --model`: computed, not played.
+//! `replay --verify` and `replay --model`: recompute instead of playing.
 
 use std::fmt;
 use std::path::Path;
@@ -15,17 +15,17 @@ use serde::Serialize;
 use super::Args;
 use super::files::Files;
 
-/// A result, with what goes for all of them.
+/// A result with the fields common to all of them.
 #[derive(Debug, Serialize)]
 struct Computed<R> {
     files: String,
     fleet: String,
     #[serde(flatten)]
     result: R,
-    /// What could not be read.
+    /// Read errors.
     damages: Vec<String>,
     took_s: f64,
-    /// Recorded time over the time that it took.
+    /// Recorded time over computing time.
     times_real_time: f64,
 }
 

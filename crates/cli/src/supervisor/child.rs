@@ -1,4 +1,4 @@
-//! One process, its pipes and its end.
+//! A child process, its pipes and its exit.
 
 use std::io::{self, BufRead as _, BufReader, Read as _};
 use std::os::unix::process::CommandExt as _;
@@ -18,7 +18,7 @@ pub(super) struct Child {
 }
 
 impl Child {
-    /// Starts `program`; lines that it writes to stderr go to `say`.
+    /// Starts `program`; each line of its stderr is sent to `say`.
     pub(super) fn start(
         program: &Path,
         task: &Task,
@@ -35,7 +35,7 @@ impl Child {
         let stdout = process.stdout.take().map(|mut pipe| {
             std::thread::spawn(move || {
                 let mut bytes = Vec::new();
-                // What came before an error is still worth something.
+                // Output before a read error is kept.
                 let _ = pipe.read_to_end(&mut bytes);
                 String::from_utf8_lossy(&bytes).into_owned()
             })
@@ -45,7 +45,7 @@ impl Child {
             std::thread::spawn(move || {
                 for line in BufReader::new(pipe).split(b'\n').map_while(Result::ok) {
                     let line = String::from_utf8_lossy(&line).into_owned();
-                    // Nobody listens any more: the pipe must be read all the same.
+                    // The pipe must be drained even if nobody receives the lines.
                     let _ = say.send((name, line));
                 }
             })
@@ -61,26 +61,26 @@ impl Child {
         self.process.id()
     }
 
-    /// Asks it to end.
+    /// Sends SIGTERM.
     pub(super) fn terminate(&mut self) {
         drop(self.process.stdin.take());
-        // Not waited for yet, so the id is still its own; it may have ended all the same.
+        // Not reaped yet, so the pid is not reused; the process may be a zombie.
         if let Some(pid) = Pid::from_raw(self.process.id().cast_signed()) {
             let _ = kill_process(pid, Signal::TERM);
         }
     }
 
     pub(super) fn kill(&mut self) {
-        // Fails only when it has ended.
+        // Fails only if the process has exited.
         let _ = self.process.kill();
     }
 
-    /// How it ended, once it has; then it is no zombie any more.
+    /// The exit status, once the process has exited; reaps it.
     pub(super) fn try_wait(&mut self) -> Option<ExitStatus> {
         self.process.try_wait().ok().flatten()
     }
 
-    /// What it wrote to stdout, once it has ended.
+    /// The text on stdout, once the process has exited.
     pub(super) fn stdout(mut self) -> String {
         let text = self.stdout.take().and_then(|reader| reader.join().ok());
         if let Some(reader) = self.stderr.take() {

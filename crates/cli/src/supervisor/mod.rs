@@ -1,9 +1,9 @@
-//! Starts the processes of a fleet, waits for every one of them (a zombie counts as alive, and
-//! its shared memory stays), restarts the ones that die, and ends them all.
+//! Starts the processes of a fleet, reaps them (a zombie counts as alive, and its shared memory
+//! stays), restarts those that crash, and stops them all.
 //!
-//! Children run in process groups of their own, so that Ctrl-C reaches only the supervisor, which
-//! ends them in order. Their stdin is a pipe that closes with the supervisor, killed or not
-//! ([`joulebus_program::exit_with_parent`]).
+//! Each child has its own process group, so that Ctrl-C reaches only the supervisor, which stops
+//! the children in order. Their stdin is a pipe that is closed when the supervisor exits for any
+//! reason ([`joulebus_program::exit_with_parent`]).
 
 mod child;
 mod restart_policy;
@@ -20,49 +20,49 @@ use joulebus_bus::clock;
 use child::Child;
 use restart_policy::{RestartPolicy, Step};
 
-/// Hidden flag of every verb: end when stdin closes.
+/// Hidden flag of every subcommand: exit when stdin is closed.
 const EXIT_WITH_STDIN: &str = "--exit-with-stdin";
-/// How often the end of a process is looked for while waiting for nothing else.
+/// Polling interval for exits while waiting for a process.
 const LOOK_EVERY: Duration = Duration::from_millis(5);
-/// What processes have for their end when everything ends at once.
+/// Time to exit after SIGTERM when all processes are stopped.
 const GRACE: Duration = Duration::from_secs(3);
 
-/// A process that is to run: this program with a verb.
+/// A process to run: this program with a subcommand.
 #[derive(Debug, Clone)]
 pub(crate) struct Task {
-    /// What it is called in messages.
+    /// Its name in messages.
     pub(crate) name: &'static str,
-    /// Verb and arguments.
+    /// Subcommand and arguments.
     pub(crate) arguments: Vec<OsString>,
 }
 
-/// What happened to the processes.
+/// An event of a process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Event {
-    /// One runs.
+    /// It was started.
     Started {
         /// Its task.
         name: &'static str,
-        /// Its process id.
+        /// Its pid.
         pid: u32,
     },
-    /// One wrote a line to stderr.
-    Said {
+    /// It wrote a line to stderr.
+    Output {
         /// Its task.
         name: &'static str,
         /// The line.
         line: String,
     },
-    /// One ended unasked, or could not be started, and starts again after a rest.
-    Died {
+    /// It exited unexpectedly or could not be started; it is restarted after a backoff.
+    Exited {
         /// Its task.
         name: &'static str,
-        /// Its process id; none if it was never one.
+        /// Its pid; none if it could not be started.
         pid: Option<u32>,
-        /// How it ended.
+        /// Exit status or error.
         how: String,
-        /// The rest before the next start.
-        rest: Duration,
+        /// Backoff before the restart.
+        backoff: Duration,
     },
 }
 
@@ -70,27 +70,27 @@ impl std::fmt::Display for Event {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Started { name, pid } => write!(out, "{name} runs as process {pid}"),
-            Self::Said { name, line } => write!(out, "{name}: {line}"),
-            Self::Died {
+            Self::Output { name, line } => write!(out, "{name}: {line}"),
+            Self::Exited {
                 name,
                 pid,
                 how,
-                rest,
+                backoff,
             } => {
                 let pid = pid.map_or_else(String::new, |pid| format!(" (process {pid})"));
-                let rest_ms = rest.as_millis();
-                write!(out, "{name}{pid} {how}, starts again in {rest_ms} ms")
+                let backoff_ms = backoff.as_millis();
+                write!(out, "{name}{pid} {how}, starts again in {backoff_ms} ms")
             }
         }
     }
 }
 
-/// How a process ended that was asked to.
+/// Result of a process that was asked to stop.
 #[derive(Debug)]
 pub(crate) struct Ended {
-    /// Its exit status; none when it was not running.
+    /// Its exit status; none if it was not running.
     pub(crate) status: Option<ExitStatus>,
-    /// What it wrote to stdout.
+    /// Its output on stdout.
     pub(crate) stdout: String,
 }
 
@@ -101,7 +101,7 @@ struct Job {
     ended: Option<Ended>,
 }
 
-/// The processes of a fleet. Dropping it ends them all and waits for them.
+/// The processes of a fleet. Dropping it stops them all and waits for them.
 pub(crate) struct Supervisor {
     program: PathBuf,
     jobs: Vec<Job>,
@@ -110,12 +110,13 @@ pub(crate) struct Supervisor {
 }
 
 impl Supervisor {
-    /// One without processes; they will be runs of this very program.
+    /// A supervisor without processes. They will run this program's executable.
     ///
     /// # Errors
-    /// When the system does not say which program this is.
+    /// The path of the executable is unknown.
     pub(crate) fn new() -> anyhow::Result<Self> {
-        let program = std::env::current_exe().context("cannot find the program's own file")?;
+        let program =
+            std::env::current_exe().context("cannot find the executable of this program")?;
         let (say, lines) = channel();
         Ok(Self {
             program,
@@ -135,8 +136,8 @@ impl Supervisor {
         });
     }
 
-    /// Waits for those that have ended, starts those whose time has come, and tells what happened.
-    /// To be called often.
+    /// Reaps the processes that have exited, starts those that are due, and returns the events.
+    /// Must be called often.
     pub(crate) fn poll(&mut self) -> Vec<Event> {
         let now_ns = clock::monotonic_ns();
         let mut events = Vec::new();
@@ -155,37 +156,37 @@ impl Supervisor {
         events.extend(
             self.lines
                 .try_iter()
-                .map(|(name, line)| Event::Said { name, line }),
+                .map(|(name, line)| Event::Output { name, line }),
         );
         events
     }
 
-    /// Whether the task has a process that runs.
+    /// True if the task's process runs.
     pub(crate) fn is_running(&self, name: &str) -> bool {
         let job = self.jobs.iter().find(|job| job.task.name == name);
         job.is_some_and(|job| job.policy.is_running())
     }
 
-    /// Asks the task's process to end, kills it after `grace`, waits for it, and returns what it
-    /// leaves; meanwhile the others are still supervised.
+    /// Asks the task's process to stop, kills it after `grace`, reaps it, and returns its result.
+    /// The other processes are supervised meanwhile.
     pub(crate) fn end(&mut self, name: &str, grace: Duration, events: &mut Vec<Event>) -> Ended {
-        self.ask_to_end(|task| task == name, grace);
+        self.request_stop(|task| task == name, grace);
         loop {
             events.extend(self.poll());
             let job = self.jobs.iter_mut().find(|job| job.task.name == name);
             match job {
-                Some(job) if !job.policy.is_over() => std::thread::sleep(LOOK_EVERY),
+                Some(job) if !job.policy.is_stopped() => std::thread::sleep(LOOK_EVERY),
                 Some(job) => return job.ended.take().unwrap_or(Ended::NEVER),
                 None => return Ended::NEVER,
             }
         }
     }
 
-    /// Ends all processes and waits for them.
+    /// Stops all processes and waits for them.
     pub(crate) fn end_all(&mut self) -> Vec<Event> {
         let mut events = Vec::new();
-        self.ask_to_end(|_| true, GRACE);
-        while !self.jobs.iter().all(|job| job.policy.is_over()) {
+        self.request_stop(|_| true, GRACE);
+        while !self.jobs.iter().all(|job| job.policy.is_stopped()) {
             events.extend(self.poll());
             std::thread::sleep(LOOK_EVERY);
         }
@@ -193,14 +194,14 @@ impl Supervisor {
         events
     }
 
-    fn ask_to_end(&mut self, which: impl Fn(&str) -> bool, grace: Duration) {
+    fn request_stop(&mut self, which: impl Fn(&str) -> bool, grace: Duration) {
         let (now_ns, grace_ns) = (clock::monotonic_ns(), grace.as_nanos() as u64);
         for job in &mut self.jobs {
             if which(job.task.name) {
                 if let Some(child) = job.child.as_mut().filter(|_| job.policy.is_running()) {
                     child.terminate();
                 }
-                job.policy.ask_to_end(now_ns, grace_ns);
+                job.policy.request_stop(now_ns, grace_ns);
             }
         }
     }
@@ -246,7 +247,7 @@ impl Job {
         let Some(status) = self.child.as_mut().and_then(Child::try_wait) else {
             return;
         };
-        // There is one: it has just told its status.
+        // `try_wait` has just returned its status, so there is one.
         let Some(child) = self.child.take() else {
             return;
         };
@@ -264,12 +265,12 @@ impl Job {
     }
 
     fn died(&mut self, pid: Option<u32>, how: String, now_ns: u64, events: &mut Vec<Event>) {
-        if let Some(rest_ns) = self.policy.ended(now_ns) {
-            events.push(Event::Died {
+        if let Some(backoff_ns) = self.policy.ended(now_ns) {
+            events.push(Event::Exited {
                 name: self.task.name,
                 pid,
                 how,
-                rest: Duration::from_nanos(rest_ns),
+                backoff: Duration::from_nanos(backoff_ns),
             });
         }
     }
@@ -287,7 +288,7 @@ mod tests {
             lines,
             say,
         };
-        // The flag that comes after the arguments is the script's $0.
+        // The flag appended to the arguments is the script's $0.
         let arguments = vec![OsString::from("-c"), OsString::from(script)];
         supervisor.add(Task {
             name: "shell",
@@ -309,18 +310,20 @@ mod tests {
     }
 
     fn said(events: &[Event], text: &str) -> usize {
-        let is = |event: &&Event| matches!(event, Event::Said { line, .. } if line == text);
+        let is = |event: &&Event| matches!(event, Event::Output { line, .. } if line == text);
         events.iter().filter(is).count()
     }
 
     #[test]
-    fn who_dies_is_waited_for_and_started_again() {
+    fn a_crashed_process_is_reaped_and_restarted() {
         let mut supervisor = shell("echo up >&2; exit 7");
         let events = poll_until(&mut supervisor, |events| said(events, "up") >= 2);
         let died = events
             .iter()
             .find_map(|event| match event {
-                Event::Died { pid, how, rest, .. } => Some((pid.unwrap(), how, rest)),
+                Event::Exited {
+                    pid, how, backoff, ..
+                } => Some((pid.unwrap(), how, backoff)),
                 _ => None,
             })
             .unwrap();
@@ -330,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn who_ends_when_asked_leaves_its_output() {
+    fn output_of_a_stopped_process_is_kept() {
         let mut supervisor =
             shell("trap 'echo bye; exit 0' TERM; echo up >&2; while :; do sleep 0.01; done");
         let mut events = poll_until(&mut supervisor, |events| said(events, "up") == 1);
@@ -341,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn who_does_not_end_when_asked_is_killed() {
+    fn a_process_that_ignores_sigterm_is_killed() {
         let mut supervisor = shell("trap '' TERM; echo up >&2; while :; do sleep 0.01; done");
         let mut events = poll_until(&mut supervisor, |events| said(events, "up") == 1);
         let ended = supervisor.end("shell", Duration::from_millis(20), &mut events);
@@ -354,7 +357,7 @@ mod tests {
 
     #[test]
     fn stdin_closes_with_the_supervisor() {
-        // `cat` ends at the end of its input although TERM is ignored, long before the kill.
+        // SIGTERM is ignored, but `cat` exits at the end of its input, long before the kill.
         let mut supervisor = shell("trap '' TERM; echo up >&2; cat; exit 3");
         let mut events = poll_until(&mut supervisor, |events| said(events, "up") == 1);
         let ended = supervisor.end("shell", Duration::from_secs(60), &mut events);

@@ -1,4 +1,4 @@
-//! `joulebus train`: makes models.
+//! `joulebus train`: trains models.
 
 mod report;
 mod run;
@@ -22,7 +22,7 @@ use run::RunArguments;
 #[command(after_help = "Examples:\n  \
     joulebus train sim --seed 7 --out gternal-sim.safetensors\n  \
     joulebus train trials recordings/ --split group --out husky.safetensors\n\n\
-    Ctrl-C writes the run down beside the model; --resume continues with it, to the same bytes.")]
+    Ctrl-C saves a checkpoint beside the model; --resume continues from it, to the same bytes.")]
 pub(crate) struct Args {
     #[command(subcommand)]
     verb: Verb,
@@ -30,14 +30,14 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// On simulated GTernal robots: the same bytes from the same seed on every machine
+    /// Train on simulated GTernal robots: the same seed gives the same bytes on every machine
     #[command(after_help = "Examples:\n  \
         joulebus train sim --seed 7 --out configs/models/gternal-sim.safetensors\n  \
         joulebus train sim --seed 7 --features power --out configs/models/gternal-sim-power.safetensors\n\n\
-        The models that ship were made by these two commands. A model from simulation supports no \
-        claim about real robots; it says so in its file.")]
+        The shipped models were made with these two commands. A model from simulation supports no \
+        claim about real robots; its file states this.")]
     Sim(Sim),
-    /// On recorded trials (.npy, .csv, .csv.gz), one robot a file
+    /// Train on recorded trials (.npy, .csv, .csv.gz), one robot per file
     Trials(trials::Args),
 }
 
@@ -46,7 +46,7 @@ struct Sim {
     /// Seed of the simulated robots, the initial weights and the order of the rows
     #[arg(long, value_name = "N")]
     seed: u64,
-    /// What the network reads
+    /// Input features of the network
     #[arg(long, value_enum, default_value_t = FeatureChoice::Full)]
     features: FeatureChoice,
     #[command(flatten)]
@@ -59,9 +59,9 @@ enum FeatureChoice {
     Full,
     /// Five past readings: for robots that report no velocities
     Power,
-    /// As full, and how old the newest reading is and whether a new one is due
+    /// As full, with the age of the newest reading and whether a new one is due
     Freshness,
-    /// As power, and how old the newest reading is and whether a new one is due
+    /// As power, with the age of the newest reading and whether a new one is due
     PowerFreshness,
 }
 
@@ -100,7 +100,7 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Where a run that is not finished is saved: beside the model.
+/// Path of the checkpoint of an unfinished run: beside the model.
 fn checkpoint_path(out: &std::path::Path) -> PathBuf {
     let mut name = out.as_os_str().to_owned();
     name.push(".training");

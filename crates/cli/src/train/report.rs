@@ -1,4 +1,4 @@
-//! What came of a training run.
+//! Report of a training run.
 
 use std::fmt;
 use std::path::Path;
@@ -8,18 +8,18 @@ use joulebus_dataset::split::SplitSummary;
 use joulebus_train::{Findings, Trained};
 use serde::Serialize;
 
-/// What was trained.
+/// Report of a training run.
 #[derive(Debug, Serialize)]
 pub(super) struct TrainReport {
     file: String,
     model: String,
-    /// Identifies the contents.
+    /// Hash of the model's contents.
     model_hash: String,
     source: String,
     training_data: String,
     seed: u64,
     epochs: usize,
-    /// The epoch that the model is from.
+    /// Epoch of the model.
     best_epoch: Option<u32>,
     duration_s: f64,
     findings: Findings,
@@ -28,7 +28,7 @@ pub(super) struct TrainReport {
     scores: HeldOut,
 }
 
-/// On rows that decided nothing.
+/// Scores on rows that were used for no decision.
 #[derive(Debug, Serialize)]
 struct HeldOut {
     rows: u64,
@@ -118,7 +118,11 @@ fn write_split(out: &mut fmt::Formatter<'_>, split: &SplitSummary) -> fmt::Resul
         }
     }
     if split.pause_rows > 0 {
-        writeln!(out, "  in no part, at the cuts: {} rows", split.pause_rows)?;
+        writeln!(
+            out,
+            "  in no part, next to the cuts: {} rows",
+            split.pause_rows
+        )?;
     }
     Ok(())
 }
@@ -128,7 +132,7 @@ fn write_findings(out: &mut fmt::Formatter<'_>, findings: &Findings) -> fmt::Res
     if training + validation + held_out > 0 {
         writeln!(
             out,
-            "left out for a missing or infinite number: {training} rows of training, {validation} \
+            "omitted for a missing or infinite number: {training} rows of training, {validation} \
              of validation, {held_out} of those held out"
         )?;
     }
@@ -136,14 +140,14 @@ fn write_findings(out: &mut fmt::Formatter<'_>, findings: &Findings) -> fmt::Res
         let names = findings.constant_features.join(", ");
         writeln!(
             out,
-            "never changes in training, so nothing is learned from it: {names}"
+            "constant in training, so nothing is learned from it: {names}"
         )?;
     }
     if findings.few_rows {
         let rows = findings.training_rows;
         writeln!(
             out,
-            "only {rows} training rows: what was learned may be by heart"
+            "only {rows} training rows: the model may be overfitted"
         )?;
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! A training run: progress, Ctrl-C, going on.
+//! A training run: progress, Ctrl-C, resuming.
 
 use std::io::{IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use joulebus_train::{Epoch, TrainSettings, Trained, Training};
 
 use super::checkpoint_path;
 
-/// How often a run is saved, so that not even a power cut loses more.
+/// Interval between checkpoints: the most that a power failure can lose.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
 
 /// A saved run is smaller: a network, its optimizer and an entry an epoch.
@@ -26,26 +26,26 @@ pub(super) struct RunArguments {
     /// The model file to write
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// Go on with the run that was interrupted: FILE.training beside the model
+    /// Continue the interrupted run from its checkpoint, FILE.training beside the model
     #[arg(long)]
     resume: bool,
-    /// Threads to compute on; the result is the same with any number [default: one a core]
+    /// Threads to compute on; the result does not depend on it [default: one per core]
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     threads: usize,
 }
 
 impl RunArguments {
-    /// Minutes of work should not be lost to a directory that is not there.
+    /// Checks the output directory before the training, not after minutes of it.
     pub(super) fn check(&self) -> anyhow::Result<()> {
         let folder = self.out.parent();
         if let Some(folder) = folder.filter(|folder| !folder.as_os_str().is_empty()) {
             let name = folder.display();
-            anyhow::ensure!(folder.is_dir(), "there is no directory {name}");
+            anyhow::ensure!(folder.is_dir(), "directory {name} does not exist");
         }
         Ok(())
     }
 
-    /// Trains and writes the model; none if it was interrupted and saved instead.
+    /// Trains and writes the model; none if the run was interrupted and its checkpoint saved.
     pub(super) fn train(
         &self,
         dataset: &Dataset,
@@ -63,7 +63,7 @@ impl RunArguments {
                 write(&saved_at, &training.saved())?;
                 let (at, made) = (saved_at.display(), epoch.number);
                 say(&format!(
-                    "interrupted after {made} epochs, saved in {at}: --resume continues"
+                    "interrupted after {made} epochs, checkpoint saved in {at}; continue with --resume"
                 ));
                 return Ok(None);
             }
@@ -77,7 +77,7 @@ impl RunArguments {
         }
         let trained = training.finish()?;
         write(&self.out, &trained.network.to_safetensors()?)?;
-        // Whatever was saved on the way has come to its end.
+        // The checkpoint of a finished run is not needed.
         let _ = std::fs::remove_file(&saved_at);
         Ok(Some(trained))
     }
@@ -95,19 +95,22 @@ impl RunArguments {
         let saved = match joulebus_files::read(saved_at, MOST_SAVED_BYTES) {
             Ok(saved) => saved,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                let what = format!("there is no interrupted run {at}");
+                let what = format!("there is no checkpoint {at}");
                 return Err(UsageError(format!("{what}; leave out --resume")).into());
             }
             Err(error) => return Err(error).with_context(|| format!("cannot read {at}")),
         };
         let training = Training::resume(dataset, settings, self.threads, &saved)
-            .with_context(|| format!("cannot continue with {at}"))?;
-        say(&format!("going on after epoch {}", training.epochs().len()));
+            .with_context(|| format!("cannot continue from {at}"))?;
+        say(&format!(
+            "continuing after epoch {}",
+            training.epochs().len()
+        ));
         Ok(training)
     }
 }
 
-/// A line an epoch; in a terminal, the same line again.
+/// Prints one line per epoch; a terminal shows one line that is overwritten.
 fn progress(epoch: Epoch, max_epochs: u32, start: Instant, before: usize) {
     let Epoch {
         number,

@@ -1,4 +1,4 @@
-//! `joulebus train trials`: on recordings.
+//! `joulebus train trials`: trains on recordings.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -26,37 +26,38 @@ use crate::split_unit::SplitUnit;
     joulebus train trials recordings/ --out robot.safetensors\n  \
     joulebus train trials t1.npy t2.npy t3.npy t4.npy --validate t5.npy --hold-out t6.npy \\\n      \
     --out gternal.safetensors\n\n\
-    Rows need five readings without a gap behind them. Those with a missing number are left out \
-    and counted. configs/recipes/paper.toml explains every knob of a recipe.")]
+    Rows need five gapless readings before them. Those with a missing number are omitted \
+    and counted. configs/recipes/paper.toml explains every setting of a recipe.")]
 pub(super) struct Args {
-    /// Recordings (.npy, .csv, .csv.gz), directories with all that lies below them, or patterns in
-    /// quotes
+    /// Recordings (.npy, .csv, .csv.gz), directories (searched recursively), or patterns in quotes
     #[arg(required = true, value_name = "PATH")]
     paths: Vec<PathBuf>,
-    /// Recordings that decide when to stop; with --hold-out, instead of a split
+    /// Recordings for early stopping; with --hold-out, instead of a split
     #[arg(long, value_name = "PATH", num_args = 1.., requires = "hold_out")]
     validate: Vec<PathBuf>,
-    /// Recordings that decide nothing and give the scores
+    /// Recordings for the final scores only
     #[arg(long, value_name = "PATH", num_args = 1.., requires = "validate")]
     hold_out: Vec<PathBuf>,
-    /// What stays together when the recordings are split [default: as the recipe says, or trial]
+    /// Unit of the split: what is not divided between its parts [default: that of the recipe, or
+    /// trial]
     #[arg(long, value_enum, value_name = "BY", conflicts_with = "validate")]
     split: Option<SplitUnit>,
     /// The recipe, a TOML file [default: the paper's]
     #[arg(long, value_name = "FILE")]
     recipe: Option<PathBuf>,
-    /// Seed of the split, the initial weights and the order of the rows, instead of the recipe's
+    /// Seed of the split, the initial weights and the order of the rows [default: that of the
+    /// recipe]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Name of the model, instead of the recipe's [default: that of its file]
+    /// Name of the model [default: that of the recipe, or of its file]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// What the network reads, instead of what the recipe says
+    /// Input features of the network [default: those of the recipe]
     #[arg(long, value_enum)]
     features: Option<FeatureChoice>,
-    /// Also write the rows of each part into this directory, for other programs: training.npy,
-    /// validation.npy and held_out.npy, float32, the features in the order of features.txt and then
-    /// the reading that followed, W
+    /// Also write the rows of each part into this directory: training.npy, validation.npy and
+    /// held_out.npy, float32, the features in the order of features.txt followed by the next
+    /// reading, W
     #[arg(long, value_name = "DIR")]
     rows: Option<PathBuf>,
     #[command(flatten)]
@@ -144,14 +145,14 @@ impl Args {
             validation,
             held_out,
             pause_rows: 0,
-            name: "named one by one".to_owned(),
+            name: "given individually".to_owned(),
         };
         let [training, validation, held_out] = rows;
         let dataset = Dataset {
             training,
             validation,
             held_out,
-            description: format!("{description}; parts named one by one"),
+            description: format!("{description}; parts given individually"),
         };
         Ok((dataset, summary))
     }
@@ -176,7 +177,7 @@ fn read(paths: &[PathBuf]) -> anyhow::Result<Vec<Source>> {
     Ok(sources)
 }
 
-/// Robots that share a file stay together when trials are assigned: they are of one run.
+/// Robots that share a file belong to one run and stay together in a split.
 fn source(file: &Path, trial: &Trial) -> Source {
     say(&format!("{}: {}", file.display(), trial.notes()));
     let name = file.file_name().and_then(|name| name.to_str());
@@ -205,23 +206,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_recipe_that_ships_is_the_one_that_holds_without_a_file() {
+    fn shipped_recipe_equals_the_default() {
         let path = concat!(
             env!("CARGO_MANIFEST_DIR"),
             "/../../configs/recipes/paper.toml"
         );
-        let recipe = read_recipe(Path::new(path)).expect("it is sound");
+        let recipe = read_recipe(Path::new(path)).expect("valid recipe");
         assert_eq!(recipe, Recipe::default());
-        let text = std::fs::read_to_string(path).expect("it is there");
+        let text = std::fs::read_to_string(path).expect("readable file");
         let keys = |name: &str| text.contains(&format!("\n{name} = "));
-        let knobs = serde_json::to_value(&recipe.training).expect("plain numbers and names");
-        for knob in knobs.as_object().expect("a table").keys() {
-            assert!(keys(knob), "`{knob}` is explained");
+        let settings = serde_json::to_value(&recipe.training).expect("numbers and strings");
+        for name in settings.as_object().expect("a table").keys() {
+            assert!(keys(name), "no comment for `{name}`");
         }
     }
 
     #[test]
-    fn a_recipe_with_an_unknown_knob_or_a_wrong_value_is_refused_with_its_place() {
+    fn a_recipe_with_an_unknown_setting_or_an_invalid_value_is_refused_with_its_position() {
         let folder = tempfile::tempdir().expect("a temporary directory");
         let path = folder.path().join("recipe.toml");
         for (text, named) in [
@@ -230,7 +231,7 @@ mod tests {
             ("[split]\nby = \"row\"\n", "row"),
             ("[training\n", "line 1"),
         ] {
-            std::fs::write(&path, text).expect("it can be written");
+            std::fs::write(&path, text).expect("writable file");
             let error = read_recipe(&path).expect_err("refused").to_string();
             assert!(error.contains(named), "{text}: {error}");
         }

@@ -1,4 +1,4 @@
-//! What a planner knows of a fleet: the newest of every robot, and what became of the workers.
+//! What a planner knows of a fleet: the newest data of every robot, and the runs of workers.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -9,34 +9,34 @@ use joulebus_wire::{
 use super::scores::{Pooled, Scores};
 use super::stages::Stages;
 
-/// Ticks that a robot's track and the run of latencies hold: eight seconds at 30 Hz.
+/// Length of a robot's track and of the latency history, ticks: eight seconds at 30 Hz.
 const TRACK_TICKS: usize = 240;
-/// Robots whose tracks are kept; beyond them there is too much to look at anyway.
+/// Robots with a track; more could not be viewed anyway.
 const TRACKED_ROBOTS: usize = 512;
-/// Things that happened that are kept.
+/// Capacity of the event log.
 const NOTES: usize = 200;
-/// Runs of workers and of sources that are kept apart; the oldest two become one then.
+/// Runs of workers and of sources kept apart; beyond it the two oldest are merged.
 const RUNS: usize = 1_024;
-/// Robots whose alarms are kept after they have left.
+/// Departed robots whose alarms are kept.
 const RAISED_ROBOTS: usize = 16_384;
 
-/// How the worker is.
+/// State of the worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Link {
-    /// None has been heard of.
+    /// No frame received yet.
     Waiting,
-    /// Frames come.
+    /// Frames arrive.
     Live,
-    /// Its process is there, but its last frame is older than two ticks.
+    /// The process runs, but the last frame is older than two ticks.
     Stale,
-    /// Its process is gone, unasked.
+    /// The process is gone without a shutdown.
     Gone,
-    /// It ended as it should.
+    /// It has shut down.
     Ended,
 }
 
 impl Link {
-    /// In one word.
+    /// Its name.
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Waiting => "waiting",
@@ -53,12 +53,12 @@ impl Link {
 pub(crate) struct WorkerRun {
     /// The newest header.
     pub(crate) header: ForecastHeader,
-    /// Run of the source that its first samples came from; none before it has had any.
+    /// Run of the source of its first samples; none before the first sample.
     pub(crate) first_source_epoch: Option<u64>,
 }
 
 impl WorkerRun {
-    /// Adds what an earlier run counted.
+    /// Adds the counts of an earlier run.
     fn add(&mut self, earlier: &Self) {
         let (sum, header) = (&mut self.header, &earlier.header);
         for (reason, count) in header.samples_dropped.iter() {
@@ -81,18 +81,18 @@ impl WorkerRun {
     }
 }
 
-/// A reading with the forecast that had been made for it.
+/// A reading and the forecast made for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Point {
     /// The reading, W; NaN if there was none.
     pub(crate) reading_w: f32,
     /// The forecast for it, W; NaN if there was none.
     pub(crate) forecast_w: f32,
-    /// The interval around that, W; NaN if there was none.
+    /// The interval of that forecast, W; NaN if there was none.
     pub(crate) interval_w: (f32, f32),
 }
 
-/// An alarm of a robot and when it was first seen, s after the beginning.
+/// An alarm of a robot and when it was first seen, s since the start.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Raised {
     /// The alarm.
@@ -115,21 +115,21 @@ pub(crate) struct Row {
     tick: u64,
 }
 
-/// Everything a view shows. Pure: time comes as an argument.
+/// All data of the views. Pure: time is an argument.
 #[derive(Debug, Clone)]
 pub(crate) struct Board {
     began_ns: u64,
-    /// How the worker is.
+    /// State of the worker.
     pub(crate) link: Link,
     /// Robots by id.
     pub(crate) rows: BTreeMap<u32, Row>,
-    /// Alarms of each robot in the order in which they were first seen, cleared or not.
+    /// Alarms of each robot in the order in which they were first seen, including cleared ones.
     pub(crate) raised: BTreeMap<u32, Vec<Raised>>,
     /// Runs of workers, oldest first.
     pub(crate) runs: Vec<WorkerRun>,
-    /// Runs that were added to the one after them.
+    /// Runs merged into the one after them.
     merged_runs: usize,
-    /// Latencies, all frames.
+    /// Latencies of all frames.
     pub(crate) stages: Stages,
     /// Latencies of the newest frames, µs, oldest first.
     pub(crate) recent_us: VecDeque<u64>,
@@ -137,15 +137,15 @@ pub(crate) struct Board {
     pub(crate) sent: BTreeMap<u64, u64>,
     /// Frames seen.
     pub(crate) frames: u64,
-    /// Frames that were overwritten before this planner looked.
+    /// Frames overwritten before this planner read them.
     pub(crate) frames_missed: u64,
-    /// What happened, s after the beginning, oldest first.
+    /// Event log: time since the start, s, and text; oldest first.
     pub(crate) notes: VecDeque<(f64, String)>,
     pooled: Pooled,
 }
 
 impl Board {
-    /// An empty board; times are counted from `now_ns` (monotonic).
+    /// An empty board; times are relative to `now_ns` (monotonic).
     ///
     /// # Errors
     /// Never: the histograms' bounds are fixed.
@@ -167,12 +167,12 @@ impl Board {
         })
     }
 
-    /// Seconds since the beginning.
+    /// Seconds since the start.
     pub(crate) fn seconds(&self, now_ns: u64) -> f64 {
         now_ns.saturating_sub(self.began_ns) as f64 * 1e-9
     }
 
-    /// Counts time from now on; what happened before was at 0.
+    /// Restarts the time; earlier events are at 0.
     pub(crate) fn begin(&mut self, now_ns: u64) {
         self.began_ns = now_ns;
         for (at_s, _) in &mut self.notes {
@@ -185,7 +185,7 @@ impl Board {
         self.runs.last().map(|run| &run.header)
     }
 
-    /// Keeps a note of something that happened.
+    /// Adds an event to the log.
     pub(crate) fn note(&mut self, text: String, now_ns: u64) {
         let at_s = self.seconds(now_ns);
         self.notes.push_back((at_s, text));
@@ -194,7 +194,7 @@ impl Board {
         }
     }
 
-    /// How the worker is; a change is noted.
+    /// Sets the state of the worker; a change is logged.
     pub(crate) fn set_link(&mut self, link: Link, now_ns: u64) {
         if self.link == link {
             return;
@@ -214,7 +214,7 @@ impl Board {
         }
     }
 
-    /// Takes a frame of forecasts that could be read at `readable_ns`.
+    /// Adds a frame of forecasts that became readable at `readable_ns`.
     pub(crate) fn forecasts(
         &mut self,
         header: &ForecastHeader,
@@ -243,7 +243,7 @@ impl Board {
         }
     }
 
-    /// Takes the header; whether the frame before was of the same run.
+    /// Processes the header; true if the previous frame was of the same run.
     fn run(&mut self, header: &ForecastHeader, now_ns: u64) -> bool {
         let before = self.header().copied();
         let before = before.filter(|before| before.worker_epoch == header.worker_epoch);
@@ -295,7 +295,7 @@ impl Board {
         row.tick = tick;
     }
 
-    /// Takes a frame of diagnostics.
+    /// Adds a frame of diagnostics.
     pub(crate) fn diagnostics(&mut self, diagnostics: &[Diagnostic], now_ns: u64) {
         let at_s = self.seconds(now_ns);
         for diagnostic in diagnostics {
@@ -321,7 +321,7 @@ impl Board {
         }
     }
 
-    /// Takes a frame of budgets.
+    /// Adds a frame of budgets.
     pub(crate) fn budgets(&mut self, budgets: &[Budget]) {
         for budget in budgets {
             if let Some(row) = self.rows.get_mut(&budget.robot) {
@@ -330,18 +330,18 @@ impl Board {
         }
     }
 
-    /// How good the forecasts are.
+    /// Scores of the forecasts.
     pub(crate) fn scores(&self) -> Scores {
         let diagnostics = self.rows.values().filter_map(|row| row.diagnostic.as_ref());
         Scores::of(diagnostics, &self.pooled)
     }
 
-    /// Runs of workers seen.
+    /// Number of worker runs seen.
     pub(crate) fn workers(&self) -> usize {
         self.runs.len() + self.merged_runs
     }
 
-    /// The run `epoch` of a source has sent `samples`.
+    /// Run `epoch` of a source has sent `samples`.
     pub(crate) fn source_sent(&mut self, epoch: u64, samples: u64) {
         let sent = self.sent.entry(epoch).or_default();
         *sent = samples.max(*sent);
@@ -384,7 +384,7 @@ impl Board {
         })
     }
 
-    /// Robots at each level: ok, warn, error, stale.
+    /// Number of robots at each level: ok, warn, error, stale.
     pub(crate) fn levels(&self) -> [usize; 4] {
         let mut counts = [0; 4];
         for row in self.rows.values() {
@@ -405,7 +405,7 @@ impl Row {
         }
     }
 
-    /// The level; a robot without diagnostics has none to be relied on.
+    /// The level; stale for a robot without diagnostics.
     pub(crate) fn level(&self) -> Level {
         self.diagnostic
             .map_or(Level::Stale, |diagnostic| diagnostic.level())
@@ -472,13 +472,13 @@ mod tests {
         assert_eq!(track.len(), 1);
         assert_eq!((track[0].reading_w, track[0].forecast_w), (4.0, 3.5));
         assert_eq!(board.runs[0].first_source_epoch, Some(3));
-        // Another worker's forecast was not made for the reading that follows.
+        // A forecast of another worker was not made for the next reading.
         board.forecasts(&header(2, 1), &[output(4, 2, 5.0, 5.0)], 0);
         assert!(board.rows[&4].track[1].forecast_w.is_nan());
     }
 
     #[test]
-    fn a_hundred_thousand_workers_sources_and_robots_take_the_memory_of_some_thousand() {
+    fn memory_is_bounded_for_100_000_workers_sources_and_robots() {
         let mut board = Board::new(0).unwrap();
         for name in 1..=100_000_u32 {
             let epoch = u64::from(name);
@@ -503,7 +503,7 @@ mod tests {
     }
 
     #[test]
-    fn robots_that_left_go_and_alarms_are_noted_once() {
+    fn departed_robots_are_removed_and_alarms_logged_once() {
         let mut board = Board::new(0).unwrap();
         board.forecasts(
             &header(1, 1),

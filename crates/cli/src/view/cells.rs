@@ -1,10 +1,10 @@
-//! What is known of a robot, as text: the same words in every view.
+//! Data of a robot as text, the same in every view.
 
 use joulebus_wire::{Level, Quality, budget_flag, diagnostic_flag, forecast_flag};
 
 use super::board::Row;
 
-/// What stands where nothing is known.
+/// Text of an unknown value.
 const UNKNOWN: &str = "–";
 
 /// Column heads, in the order of [`cells`], and the width of each column.
@@ -23,7 +23,7 @@ pub(crate) const HEADS: [(&str, u16); 12] = [
     ("state", 20),
 ];
 
-/// Columns that a narrow view does without, first the first.
+/// Columns that a narrow view omits, in this order.
 const DISPENSABLE: [&str; 7] = [
     "charge",
     "drawn J",
@@ -34,7 +34,7 @@ const DISPENSABLE: [&str; 7] = [
     "MAE W",
 ];
 
-/// Places of the columns that fit into `width`, with one column between any two.
+/// Indices of the columns that fit into `width`, separated by one space.
 pub(crate) fn fitting(width: u16) -> Vec<usize> {
     let mut places: Vec<usize> = (0..HEADS.len()).collect();
     for dispensable in DISPENSABLE {
@@ -85,12 +85,12 @@ fn skill(skill: f64) -> Option<String> {
     skill.is_finite().then(|| format!("{skill:+.2}"))
 }
 
-/// A share, in percent.
+/// A fraction in percent.
 pub(crate) fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)
 }
 
-/// A quality in a word or two.
+/// Text of a quality.
 pub(crate) fn quality(quality: Quality) -> String {
     match quality {
         Quality::Fresh => "fresh".to_owned(),
@@ -102,7 +102,7 @@ pub(crate) fn quality(quality: Quality) -> String {
     }
 }
 
-/// The word for a level.
+/// Text of a level.
 pub(crate) const fn level(level: Level) -> &'static str {
     match level {
         Level::Ok => "ok",
@@ -112,7 +112,7 @@ pub(crate) const fn level(level: Level) -> &'static str {
     }
 }
 
-/// Level and the most important alarm, with the number of the others.
+/// Level and most important alarm, with the number of further alarms.
 fn state(row: &Row) -> String {
     let Some(diagnostic) = &row.diagnostic else {
         return UNKNOWN.to_owned();
@@ -126,7 +126,7 @@ fn state(row: &Row) -> String {
     }
 }
 
-/// A count with a gap between thousands.
+/// A count with thousands separated by a space.
 pub(crate) fn count(value: u64) -> String {
     let digits = value.to_string();
     let mut text = String::new();
@@ -139,7 +139,7 @@ pub(crate) fn count(value: u64) -> String {
     text
 }
 
-/// A time in µs, in the unit that reads best.
+/// A time in µs, in a readable unit.
 pub(crate) fn micros(us: f64) -> String {
     match us {
         us if us < 10.0 => format!("{us:.1} µs"),
@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_narrow_view_does_without_columns_instead_of_cutting_them() {
+    fn a_narrow_view_omits_columns_instead_of_truncating_them() {
         let heads =
             |width| -> Vec<&str> { fitting(width).iter().map(|place| HEADS[*place].0).collect() };
         assert_eq!(heads(118).len(), HEADS.len());
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_read_well() {
+    fn numbers_have_readable_units() {
         assert_eq!(count(7), "7");
         assert_eq!(count(1234), "1\u{202f}234");
         assert_eq!(count(123_456_789), "123\u{202f}456\u{202f}789");

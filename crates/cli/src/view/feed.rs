@@ -1,4 +1,4 @@
-//! Reads a fleet's shared memory onto a board, as one more planner.
+//! Feeds a board from a fleet's shared memory, as a planner.
 
 use std::ops::DerefMut;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,13 +13,13 @@ use joulebus_consumer::{BudgetFeed, DiagnosticFeed, End, Event, Planner, WorkerS
 
 use super::board::{Board, Link};
 
-/// How long to wait at most for something to happen.
+/// Timeout of one wait.
 const PATIENCE: Duration = Duration::from_millis(100);
-/// Diagnostics and budgets of a tick follow its forecasts: how long to wait for them.
+/// Timeout for the diagnostics and budgets of a tick, which follow its forecasts.
 const FOLLOW_NS: u64 = 5_000_000;
 const FOLLOW_EVERY: Duration = Duration::from_micros(200);
 
-/// A planner with everything that it can read. Belongs to the thread that opened it.
+/// A planner with all its readers. Belongs to the thread that opened it.
 pub(crate) struct Reading {
     diagnostics: DiagnosticFeed,
     budgets: BudgetFeed,
@@ -28,11 +28,11 @@ pub(crate) struct Reading {
 }
 
 impl Reading {
-    /// Joins the fleet of `config`; the worker need not be there. With `taps` it also listens to
-    /// what the sources send.
+    /// Joins the fleet of `config`; no worker needs to run. With `taps` it also reads the frames of
+    /// the sources.
     ///
     /// # Errors
-    /// When the domain cannot be joined.
+    /// The domain cannot be joined.
     pub(crate) fn open(config: &Config, name: &str, taps: bool) -> anyhow::Result<Self> {
         let planner = Planner::with_config(config, name)?;
         Ok(Self {
@@ -43,17 +43,17 @@ impl Reading {
         })
     }
 
-    /// Waits for a frame, at most 100 ms; puts what is there on the board, which is borrowed only
-    /// after waking up. Returns whether there were forecasts.
+    /// Waits at most 100 ms for a frame and adds all available data to the board, which is borrowed
+    /// only after the wait. Returns true if there were forecasts.
     ///
     /// # Errors
-    /// When reading has failed in a way that does not mend itself.
+    /// Reading fails permanently.
     pub(crate) fn turn<B>(&mut self, mut borrow: impl FnMut() -> B) -> anyhow::Result<bool>
     where
         B: DerefMut<Target = Board>,
     {
         let event = self.planner.wait_next(PATIENCE);
-        // Before the board, which somebody may be drawing, has to be waited for.
+        // Before the wait for the board, which may be locked for drawing.
         let readable_ns = clock::monotonic_ns();
         let mut tick = None;
         let mut board = borrow();
@@ -79,8 +79,7 @@ impl Reading {
         Ok(tick.is_some())
     }
 
-    /// Reads the diagnostics and budgets that belong to `tick`, or what there is when they do not
-    /// come.
+    /// Reads the diagnostics and budgets of `tick`, or the available ones if these do not arrive.
     fn follow<B>(&mut self, tick: (u64, u64), borrow: &mut impl FnMut() -> B) -> anyhow::Result<()>
     where
         B: DerefMut<Target = Board>,
@@ -117,16 +116,16 @@ const fn link(worker: WorkerState) -> Link {
         WorkerState::Alive => Link::Live,
         WorkerState::Stale { .. } => Link::Stale,
         WorkerState::Gone(End::Ended) => Link::Ended,
-        // Gone, or a state that only a later version has: nothing to rely on.
+        // Gone, or a state of a later version: not reliable.
         _ => Link::Gone,
     }
 }
 
-/// Listens to what the sources send, to know what a killed one had sent.
+/// Reads the sources' frames to know what a killed source had sent.
 struct Tap {
     reader: SampleReader,
     frame: FrameBuf,
-    // After the port: the order in which they must go.
+    // Dropped after the port.
     _bus: Bus,
 }
 
@@ -160,10 +159,10 @@ pub(crate) struct Feed {
 }
 
 impl Feed {
-    /// Starts the thread and waits until it has joined.
+    /// Starts the thread and waits until it has joined the fleet.
     ///
     /// # Errors
-    /// When it could not join.
+    /// It cannot join.
     pub(crate) fn start(config: &Config, name: &'static str, taps: bool) -> anyhow::Result<Self> {
         let board = Arc::new(Mutex::new(Board::new(clock::monotonic_ns())?));
         let stop = Arc::new(AtomicBool::new(false));
@@ -173,7 +172,7 @@ impl Feed {
             .name("joulebus-feed".to_owned())
             .spawn(move || {
                 let mut reading = Reading::open(&config, name, taps)?;
-                // The starter waits on the other end.
+                // The receiver lives until the thread has joined.
                 let _ = ready.send(());
                 while !stopped.load(Ordering::Relaxed) {
                     reading.turn(|| lock(&shared))?;
@@ -190,27 +189,27 @@ impl Feed {
             Ok(()) => Ok(feed),
             Err(_) => {
                 feed.join()?;
-                anyhow::bail!("the planner ended before it had joined")
+                anyhow::bail!("the planner ended before it joined the fleet")
             }
         }
     }
 
-    /// The board, as it is now.
+    /// The current board.
     pub(crate) fn board(&self) -> MutexGuard<'_, Board> {
         lock(&self.board)
     }
 
-    /// Whether the thread still reads.
+    /// True if the thread still reads.
     pub(crate) fn is_reading(&self) -> bool {
         self.thread
             .as_ref()
             .is_some_and(|thread| !thread.is_finished())
     }
 
-    /// Leaves the fleet; the board as it was last.
+    /// Leaves the fleet and returns the last board.
     ///
     /// # Errors
-    /// What made the thread end before.
+    /// The error that ended the thread.
     pub(crate) fn finish(mut self) -> anyhow::Result<Board> {
         self.join()?;
         Ok(self.board().clone())
@@ -228,12 +227,12 @@ impl Feed {
 
 impl Drop for Feed {
     fn drop(&mut self) {
-        // Who wants to know calls `finish`.
+        // `finish` returns the error.
         let _ = self.join();
     }
 }
 
 fn lock(board: &Mutex<Board>) -> MutexGuard<'_, Board> {
-    // A panic elsewhere leaves numbers behind, no broken promise.
+    // A panic elsewhere leaves the board consistent.
     board.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,4 +1,4 @@
-//! What the live view looks like.
+//! Tests of the live view's screen.
 
 use joulebus_wire::{
     Alarm, AlarmSet, Budget, Diagnostic, Forecast, ForecastHeader, InvalidReason, Quality,
@@ -48,7 +48,7 @@ fn diagnostic(robot: u32, alarms: AlarmSet) -> Diagnostic {
     }
 }
 
-/// Robot 2 is fine, 5 is invalid and nothing is known of it, 9 has a stuck sensor.
+/// Robot 2 is ok, 5 is invalid without data, 9 has a stuck sensor.
 fn board() -> Board {
     let mut board = Board::new(0).unwrap();
     for tick in 1..=30 {
@@ -110,7 +110,7 @@ fn line_of(buffer: &Buffer, text: &str) -> (usize, String) {
     (place, lines[place].clone())
 }
 
-/// Colour of the first letter of `text`.
+/// Colour of the first character of `text`.
 fn color_of(buffer: &Buffer, text: &str) -> Color {
     let (row, line) = line_of(buffer, text);
     let before = &line[..line.find(text).unwrap()];
@@ -118,7 +118,7 @@ fn color_of(buffer: &Buffer, text: &str) -> Color {
 }
 
 #[test]
-fn a_robots_row_tells_everything_and_what_is_not_known_is_a_dash() {
+fn a_robots_row_shows_all_columns_with_a_dash_for_unknown_values() {
     let buffer = draw(&board(), &mut Screen::new("lab", None), 120, 40);
     let words = |text| {
         let (_, line) = line_of(&buffer, text);
@@ -137,7 +137,7 @@ fn a_robots_row_tells_everything_and_what_is_not_known_is_a_dash() {
 }
 
 #[test]
-fn what_is_wrong_is_coloured() {
+fn problems_are_coloured() {
     let buffer = draw(&board(), &mut Screen::new("lab", None), 120, 40);
     assert_eq!(color_of(&buffer, "error StuckSensor"), Color::Red);
     assert_eq!(color_of(&buffer, "● live"), Color::Green);
@@ -149,7 +149,7 @@ fn what_is_wrong_is_coloured() {
 }
 
 #[test]
-fn counters_latencies_and_what_happened() {
+fn screen_shows_counters_latencies_and_events() {
     let buffer = draw(&board(), &mut Screen::new("lab", None), 120, 40);
     for text in [
         "1\u{202f}234\u{202f}567",
@@ -165,7 +165,7 @@ fn counters_latencies_and_what_happened() {
 }
 
 #[test]
-fn without_a_worker_or_robots_it_says_what_to_do() {
+fn screen_without_a_worker_or_robots_shows_a_hint() {
     let mut empty = Board::new(0).unwrap();
     line_of(
         &draw(&empty, &mut Screen::new("lab", None), 100, 30),
@@ -198,7 +198,7 @@ fn keys_select_robots_within_the_fleet_and_find_the_next_that_stands_out() {
 }
 
 #[test]
-fn it_fits_every_terminal() {
+fn screen_fits_every_terminal_size() {
     let (full, empty) = (board(), Board::new(0).unwrap());
     for width in (1..=140).step_by(7) {
         for height in 1..=45 {
@@ -209,7 +209,7 @@ fn it_fits_every_terminal() {
 }
 
 #[test]
-fn in_a_large_fleet_the_selected_robot_is_seen() {
+fn selected_robot_is_visible_in_a_large_fleet() {
     let mut board = Board::new(0).unwrap();
     let robots: Vec<Forecast> = (0..5_000)
         .map(|id| forecast(id, 1, Quality::Fresh))

@@ -1,4 +1,4 @@
-//! What planners see: a board kept up to date from shared memory, as a live view, lines or JSON.
+//! The planner's view: a board fed from shared memory, shown live, as lines or as JSON.
 
 mod board;
 mod cells;

@@ -7,10 +7,10 @@ use joulebus_wire::Level;
 use super::board::{Board, Row};
 use super::cells::{HEADS, cells, level, micros};
 
-/// Robots that a line names.
+/// Maximum number of robots named in a line.
 const NAMED: usize = 4;
 
-/// The state of the fleet in one line.
+/// State of the fleet in one line.
 pub(crate) fn line(board: &Board, now_ns: u64) -> String {
     let (done, skipped, late) = board.ticks();
     let (accepted, dropped) = (board.accepted(), board.dropped().total());
@@ -43,7 +43,7 @@ pub(crate) fn line(board: &Board, now_ns: u64) -> String {
     text
 }
 
-/// The robots as a table; all of them, or one.
+/// Table of all robots or of one.
 pub(crate) fn table(board: &Board, only: Option<u32>) -> String {
     let mut text = String::new();
     let heads = HEADS.map(|(head, _)| head.to_owned());

@@ -1,4 +1,4 @@
-//! The board as JSON: one object for each frame. What is not known is null.
+//! The board as JSON: one object per frame. Unknown values are null.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -10,7 +10,7 @@ use super::board::{Board, Row};
 use super::cells::level;
 use super::scores::known;
 
-/// A frame of forecasts with what belongs to it.
+/// A frame of forecasts with the data of its tick.
 #[derive(Debug, Serialize)]
 pub(crate) struct FrameRecord {
     worker_epoch: u64,
@@ -23,17 +23,17 @@ pub(crate) struct FrameRecord {
     ticks_late: u64,
     samples_accepted: u64,
     samples_dropped: BTreeMap<&'static str, u64>,
-    /// Frames that were overwritten before this planner looked, since it began.
+    /// Frames overwritten before this planner read them, since its start.
     frames_missed: u64,
     robots: Vec<RobotRecord>,
 }
 
-/// One robot. Units stand in the names.
+/// One robot. The names contain the units.
 #[derive(Debug, Serialize)]
 struct RobotRecord {
     robot: u32,
     quality: &'static str,
-    /// Readings in the window, open-loop steps, or the reason.
+    /// Number of readings in the window, number of open-loop steps, or the reason.
     quality_detail: Option<String>,
     sample_seq: Option<u64>,
     stamp_ns: Option<u64>,
@@ -66,7 +66,7 @@ struct RobotRecord {
 }
 
 impl FrameRecord {
-    /// The newest frame on the board, if there is one: all robots, or one.
+    /// The newest frame on the board, if any, with all robots or one.
     pub(crate) fn newest(board: &Board, only: Option<u32>) -> Option<Self> {
         let header = board.header()?;
         let robots = board

@@ -1,9 +1,9 @@
-//! How good the forecasts of the whole fleet were, as far as a planner can see.
+//! Scores of the forecasts of the whole fleet, from what a planner receives.
 
 use joulebus_wire::{Diagnostic, Forecast, diagnostic_flag, forecast_flag};
 use serde::Serialize;
 
-/// Sums over all readings of the fleet whose forecast this planner has seen.
+/// Sums over all readings whose forecast this planner has received.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Pooled {
     count: u64,
@@ -14,8 +14,8 @@ pub(crate) struct Pooled {
 }
 
 impl Pooled {
-    /// Takes two outputs of one robot in a row; counts when the later one's reading is that of the
-    /// sample right after the one that the earlier answers.
+    /// Adds two successive outputs of one robot; counts them if the later one's reading is that of
+    /// the sample directly after the one that the earlier one answers.
     pub(crate) fn observe(&mut self, before: &Forecast, after: &Forecast) {
         let Some((residual_w, step_w)) = residual(before, after) else {
             return;
@@ -30,7 +30,7 @@ impl Pooled {
     }
 }
 
-/// Reading minus forecast, and reading minus the reading before, W.
+/// Reading minus forecast, and reading minus previous reading, W.
 fn residual(before: &Forecast, after: &Forecast) -> Option<(f64, f64)> {
     let read = forecast_flag::READING | forecast_flag::SAMPLE;
     let follows = before.flags & read == read
@@ -46,33 +46,33 @@ fn residual(before: &Forecast, after: &Forecast) -> Option<(f64, f64)> {
     ))
 }
 
-/// Scores of a fleet; what cannot be known yet is none.
+/// Scores of a fleet; unknown values are none.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub(crate) struct Scores {
-    /// Readings scored by the worker, all robots together.
+    /// Readings scored by the worker, all robots.
     pub(crate) scored: u64,
     /// Mean absolute error of the forecasts over all readings, W.
     pub(crate) mae_w: Option<f64>,
-    /// The same of persistence (the last reading again), W.
+    /// Mean absolute error of persistence (forecast = last reading), W.
     pub(crate) persistence_mae_w: Option<f64>,
-    /// Coefficient of determination over all readings that this planner saw.
+    /// Coefficient of determination over all readings received by this planner.
     pub(crate) r2: Option<f64>,
-    /// The same of persistence.
+    /// That of persistence.
     pub(crate) persistence_r2: Option<f64>,
     /// Median over the robots of their mean absolute errors, W.
     pub(crate) median_mae_w: Option<f64>,
-    /// The same of persistence, W.
+    /// That of persistence, W.
     pub(crate) median_persistence_mae_w: Option<f64>,
     /// Median over the robots of their coefficients of determination.
     pub(crate) median_r2: Option<f64>,
-    /// The same of persistence.
+    /// That of persistence.
     pub(crate) median_persistence_r2: Option<f64>,
-    /// Share of readings inside the interval of their forecast.
+    /// Fraction of readings inside the interval of their forecast.
     pub(crate) coverage: Option<f64>,
 }
 
 impl Scores {
-    /// From the newest diagnostics of all robots and the planner's own sums.
+    /// Computed from the newest diagnostics of all robots and the planner's own sums.
     pub(crate) fn of<'a>(
         diagnostics: impl Iterator<Item = &'a Diagnostic>,
         pooled: &Pooled,
@@ -107,7 +107,7 @@ impl Scores {
     }
 }
 
-/// A number, unless it is none.
+/// The value, or none if it is not a number.
 pub(crate) fn known(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fleets_r2_is_that_of_the_two_pass_formula_and_gaps_do_not_count() {
+    fn fleet_r2_equals_the_two_pass_formula_and_gaps_are_excluded() {
         let outputs = [
             output(0, 3.0, 4.0),
             output(1, 4.0, 4.5),
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn robots_count_by_their_readings_in_the_mean_and_alike_in_the_median() {
+    fn the_mean_weights_robots_by_readings_and_the_median_equally() {
         let diagnostic = |scored, mae_w, r2| Diagnostic {
             flags: if scored > 0 {
                 diagnostic_flag::SCORES

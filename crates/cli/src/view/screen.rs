@@ -18,22 +18,22 @@ use super::cells::{HEADS, cells, count, fitting, micros, percent};
 const ACCENT: Color = Color::Cyan;
 const FORECAST: Color = Color::Magenta;
 const QUIET: Style = Style::new().fg(Color::DarkGray);
-/// Fewest lines that leave room for the chart below the table.
+/// Minimum number of lines for a chart below the table.
 const CHART_FROM_LINES: u16 = 24;
 
-/// What stands around the board, and what is selected.
+/// Title of the screen and selected robot.
 #[derive(Debug)]
 pub(crate) struct Screen {
     fleet: String,
-    /// Right of the title: how far the run is.
+    /// Progress, to the right of the title.
     pub(crate) progress: String,
-    /// The robot whose track is shown; the first one if it is not there.
+    /// The robot whose track is shown; the first one if it is absent.
     selected: Option<u32>,
     table: TableState,
 }
 
 impl Screen {
-    /// For a fleet, with a robot selected.
+    /// Screen of a fleet, optionally with a selected robot.
     pub(crate) fn new(fleet: &str, selected: Option<u32>) -> Self {
         Self {
             fleet: fleet.to_owned(),
@@ -43,7 +43,7 @@ impl Screen {
         }
     }
 
-    /// Selects the robot `by` places further, as far as there are any.
+    /// Moves the selection by `by` rows, within the table.
     pub(crate) fn step(&mut self, board: &Board, by: isize) {
         let now = self.place(board).unwrap_or(0);
         let last = board.rows.len().saturating_sub(1);
@@ -51,7 +51,7 @@ impl Screen {
         self.selected = board.rows.keys().nth(place).copied();
     }
 
-    /// Selects the first robot after the selected one with an alarm or without forecasts, if any.
+    /// Selects the next robot with an alarm or without forecasts, if any.
     pub(crate) fn step_to_alarm(&mut self, board: &Board) {
         let from = self.selected.map_or(0, |robot| robot.saturating_add(1));
         let found = board
@@ -73,7 +73,7 @@ impl Screen {
     pub(crate) fn draw(&mut self, frame: &mut Frame, board: &Board) {
         let area = frame.area();
         let below = if area.height >= CHART_FROM_LINES {
-            // The table gets what the fleet needs, the chart the rest, within bounds.
+            // The table gets the height for the fleet, the chart the rest, within bounds.
             let table = board.rows.len() as u16 + 3;
             area.height.saturating_sub(7 + table).clamp(8, 14)
         } else {
@@ -133,7 +133,7 @@ impl Screen {
         if board.rows.is_empty() {
             let text = match board.link {
                 Link::Waiting => "waiting for a worker: `joulebus run` starts one",
-                _ => "the worker has heard of no robot yet: `joulebus publish` sends samples",
+                _ => "the worker has received no samples yet: `joulebus publish` sends some",
             };
             let text = Paragraph::new(text).style(QUIET).centered();
             frame.render_widget(text.block(boxed(title)), area);
@@ -144,7 +144,7 @@ impl Screen {
         let heads = places.iter().map(|place| HEADS[*place]);
         let widths = heads.clone().map(|(_, width)| Constraint::Length(width));
         let heads = heads.map(|(head, _)| right_or_left(head, head));
-        // Only what can be seen is turned into text: a fleet may have thousands of robots.
+        // Only visible rows are formatted: a fleet may have thousands of robots.
         let seen = usize::from(area.height);
         let from = self.table.selected().unwrap_or(0).saturating_sub(seen);
         let rows = board.rows.iter().enumerate().map(|(place, (robot, row))| {
@@ -332,7 +332,7 @@ fn draw_latency(frame: &mut Frame, area: Rect, board: &Board) {
         .len()
         .saturating_sub(usize::from(spark.width));
     let recent: Vec<u64> = board.recent_us.iter().skip(from).copied().collect();
-    // A rare spike would flatten everything else.
+    // A rare spike would flatten the rest.
     let mut sorted = recent.clone();
     sorted.sort_unstable();
     let top = sorted

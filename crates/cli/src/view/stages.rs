@@ -1,4 +1,4 @@
-//! Where the time goes between a sample and its forecast, from the stamps in the headers.
+//! Latency from a sample to its forecast by stage, from the timestamps in the headers.
 
 use std::fmt;
 
@@ -7,10 +7,10 @@ use joulebus_predictor_worker::Spread;
 use joulebus_wire::ForecastHeader;
 use serde::{Deserialize, Serialize};
 
-/// Longest time that is distinguished, ns.
+/// Upper bound of the histograms, ns.
 const LONGEST_NS: u64 = 60_000_000_000;
 
-/// Distributions of the stages, one value for each frame that answers samples.
+/// Distributions of the stages, one value per frame that answers samples.
 #[derive(Debug, Clone)]
 pub(crate) struct Stages {
     total: Histogram<u64>,
@@ -18,7 +18,7 @@ pub(crate) struct Stages {
 }
 
 impl Stages {
-    /// Nothing measured yet.
+    /// Empty distributions.
     ///
     /// # Errors
     /// Never: the bounds are fixed.
@@ -30,8 +30,8 @@ impl Stages {
         })
     }
 
-    /// Counts a frame that could be read at `readable_ns` (monotonic). Returns the whole time from
-    /// the first sample sent, ns; none if the frame answers no sample.
+    /// Adds a frame that became readable at `readable_ns` (monotonic). Returns the total latency
+    /// from the first sample sent, ns; none if the frame answers no sample.
     pub(crate) fn observe(&mut self, header: &ForecastHeader, readable_ns: u64) -> Option<u64> {
         if header.first_sent_ns == 0 {
             return None;
@@ -72,25 +72,25 @@ impl Stages {
     }
 }
 
-/// From a sample sent to its forecast readable by a planner, and its stages.
+/// Latency from a sample sent to its forecast readable by a planner, and its stages.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Latency {
-    /// The whole.
+    /// The total.
     pub(crate) total: Spread,
-    /// First sample of the tick sent → taken by the worker.
+    /// First sample of the tick sent → received by the worker.
     pub(crate) sent_to_taken: Spread,
-    /// Taken → the tick computes: waiting for the rest of the fleet.
+    /// Received → tick starts computing: waiting for the rest of the fleet.
     pub(crate) taken_to_compute: Spread,
-    /// The tick computes.
+    /// Computation of the tick.
     pub(crate) compute: Spread,
     /// Computed → sent by the worker.
     pub(crate) compute_to_sent: Spread,
-    /// Sent by the worker → readable: the planner has woken up.
+    /// Sent by the worker → readable: wake-up of the planner.
     pub(crate) sent_to_readable: Spread,
 }
 
 impl Latency {
-    /// Stages in their order, with what they are called in text.
+    /// The stages in order, with their labels.
     pub(crate) const fn stages(&self) -> [(&'static str, Spread); 6] {
         [
             ("sent → taken", self.sent_to_taken),
@@ -125,7 +125,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stages_add_up_to_the_whole_and_frames_without_samples_do_not_count() {
+    fn stages_add_up_to_the_total_and_frames_without_samples_are_excluded() {
         let mut stages = Stages::new().unwrap();
         let header = ForecastHeader {
             first_sent_ns: 1_000,

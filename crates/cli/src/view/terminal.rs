@@ -1,4 +1,4 @@
-//! The terminal: taken over for the live view and always given back.
+//! The terminal: in raw mode for the live view and always restored.
 
 use std::mem::ManuallyDrop;
 use std::time::{Duration, Instant};
@@ -14,17 +14,17 @@ use super::feed::Feed;
 use super::screen::Screen;
 use crate::keys::{asks_for_the_end, pressed};
 
-/// How often the processes and the end are looked after.
+/// Interval at which the processes and the end are checked.
 const LOOK_EVERY: Duration = Duration::from_millis(30);
-/// How often the view is drawn.
+/// Interval between redraws.
 const DRAW_EVERY: Duration = Duration::from_millis(100);
 
-/// The terminal in the view's hands; given back when dropped, and by a hook when somebody panics.
-struct Taken {
+/// The terminal in use by the view; restored when dropped, and by a panic hook.
+struct RawTerminal {
     terminal: ManuallyDrop<ratatui::DefaultTerminal>,
 }
 
-impl Taken {
+impl RawTerminal {
     fn take() -> anyhow::Result<Self> {
         let terminal = ratatui::try_init().context("cannot use the terminal; try --plain")?;
         Ok(Self {
@@ -33,28 +33,28 @@ impl Taken {
     }
 }
 
-impl Drop for Taken {
+impl Drop for RawTerminal {
     fn drop(&mut self) {
-        // The terminal's own drop shows the cursor, and panics when there is nobody to complain to:
-        // a terminal that is gone is left alone.
+        // The terminal's own drop shows the cursor, and panics if stderr is closed: a closed
+        // terminal is left alone.
         if ratatui::try_restore().is_ok() {
             let _ = self.terminal.show_cursor();
         }
     }
 }
 
-/// Shows the board until `q`, a signal, the end of the feed, or until `look` says that it is over.
-/// `look` is called often; it returns how far the run is, or none when it is over.
+/// Shows the board until `q`, a signal, the end of the feed, or until `look` returns none. `look`
+/// is called often and returns the progress.
 ///
 /// # Errors
-/// What `look` said, or the terminal.
+/// The error of `look` or of the terminal.
 pub(crate) fn show(
     feed: &Feed,
     screen: &mut Screen,
     stop: &Stop,
     mut look: impl FnMut() -> anyhow::Result<Option<String>>,
 ) -> anyhow::Result<()> {
-    let mut taken = Taken::take()?;
+    let mut terminal = RawTerminal::take()?;
     let mut drawn: Option<Instant> = None;
     while !stop.is_asked() && feed.is_reading() {
         let Some(progress) = look()? else {
@@ -63,7 +63,7 @@ pub(crate) fn show(
         screen.progress = progress;
         if drawn.is_none_or(|drawn| drawn.elapsed() >= DRAW_EVERY) {
             drawn = Some(Instant::now());
-            let terminal = &mut taken.terminal;
+            let terminal = &mut terminal.terminal;
             terminal
                 .draw(|frame| screen.draw(frame, &feed.board()))
                 .context("cannot draw")?;
@@ -82,8 +82,8 @@ pub(crate) fn show(
     Ok(())
 }
 
-/// Waits for a key; whether the terminal is gone instead. Crossterm would wait indefinitely for the
-/// keys of one that is.
+/// Waits for a key; returns true if the terminal is closed. Crossterm would wait forever for the
+/// keys of a closed terminal.
 fn is_closed(patience: Duration) -> anyhow::Result<bool> {
     let stdin = std::io::stdin();
     let mut polled = [PollFd::new(&stdin, PollFlags::IN)];
@@ -96,13 +96,13 @@ fn is_closed(patience: Duration) -> anyhow::Result<bool> {
             let gone = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;
             Ok(polled[0].revents().intersects(gone))
         }
-        // A signal: whoever asked for the end is seen in the next round.
+        // A signal: the stop request is checked in the next iteration.
         Err(Errno::INTR) => Ok(false),
         Err(error) => Err(error).context("cannot wait for keys"),
     }
 }
 
-/// Does what a key asks for; whether it asks for the end.
+/// Handles a key; true if it requests the end.
 fn act(event: &Event, screen: &mut Screen, board: &Board) -> bool {
     let Some(key) = pressed(event) else {
         return false;

@@ -1,4 +1,4 @@
-//! `joulebus watch`: what the worker of a fleet forecasts.
+//! `joulebus watch`: shows the forecasts of a fleet's worker.
 
 mod summary;
 
@@ -17,36 +17,36 @@ use crate::view::{Board, Feed, FrameRecord, Link, Reading, Row, Screen, line, sh
 
 pub(crate) use summary::PlannerReport;
 
-/// How long `--once` waits for a worker.
+/// Timeout of `--once` for a worker, ns.
 const PATIENCE_NS: u64 = 3_000_000_000;
-/// How often a plain line is written, ns.
+/// Interval between plain lines, ns.
 const LINE_EVERY_NS: u64 = 1_000_000_000;
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// Show what the worker of a fleet forecasts, live, as lines or as JSON
+/// Show the forecasts of a fleet's worker, live, as lines or as JSON
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus watch --config configs/fleet.toml\n  \
     joulebus watch --once\n  \
     joulebus watch --robot 3 --format json | jq .robots[0].power_w\n\n\
-    May begin before the worker does, and continues when it is restarted. In a terminal: the live \
+    May start before the worker, and continues when it is restarted. In a terminal: the live \
     view; otherwise one line a second. --format json: one object for each frame, in one line.")]
 pub(crate) struct Args {
     #[command(flatten)]
     config: ConfigFile,
-    /// Only this robot; in the live view: selected from the start
+    /// Only this robot; in the live view: the initial selection
     #[arg(long, value_name = "ID")]
     robot: Option<u32>,
-    /// Show the newest frame and end; exit code 1 if there is no worker within 3 s
+    /// Show the newest frame and exit; exit code 1 if there is no worker within 3 s
     #[arg(long, conflicts_with_all = ["duration", "summary"])]
     once: bool,
-    /// End after this time, s [default: at a signal]
+    /// Stop after this time, s [default: at a signal]
     #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(f64))]
     duration: Option<f64>,
-    /// Lines also in a terminal
+    /// Lines also on a terminal
     #[arg(long)]
     plain: bool,
-    /// Show nothing on the way, but latencies and gaps at the end
+    /// Only a summary of latencies and gaps at the end
     #[arg(long)]
     summary: bool,
 }
@@ -80,7 +80,7 @@ impl Args {
         let mut reading = Reading::open(config, "watch", false)?;
         let give_up_ns = clock::monotonic_ns() + PATIENCE_NS;
         while !stop.is_asked() && clock::monotonic_ns() < give_up_ns {
-            // The first frames may be of a fleet that nobody has reported of yet.
+            // The first frames may be empty: no robot has sent samples yet.
             reading.turn(|| board.borrow_mut())?;
             let board = board.borrow();
             let whole = |row: &Row| row.diagnostic.is_some() && row.budget.is_some();
@@ -95,15 +95,17 @@ impl Args {
         let board = board.borrow();
         let Some(record) = FrameRecord::newest(&board, self.robot) else {
             say(&format!(
-                "no worker serves fleet {} of {}: start one with `joulebus run`, or name the \
-                 fleet's config with --config; `joulebus doctor` looks further",
+                "no worker serves fleet {} of {}: start one with `joulebus run`, or give the \
+                 fleet's config with --config; `joulebus doctor` finds the cause",
                 config.fleet(),
                 self.config.name()
             ));
             return Ok(Outcome::Failed);
         };
         if let Some(robot) = self.robot.filter(|robot| !board.rows.contains_key(robot)) {
-            say(&format!("the worker has not heard of robot {robot}"));
+            say(&format!(
+                "the worker has received no samples of robot {robot}"
+            ));
             return Ok(Outcome::Failed);
         }
         match output.format() {
@@ -117,7 +119,7 @@ impl Args {
         Ok(Outcome::Done)
     }
 
-    /// One object for each frame.
+    /// One JSON object per frame.
     fn stream(
         &self,
         config: &Config,
@@ -127,11 +129,11 @@ impl Args {
     ) -> anyhow::Result<Outcome> {
         let board = RefCell::new(Board::new(clock::monotonic_ns())?);
         let mut reading = Reading::open(config, "watch", false)?;
-        let mut said = Said::default();
+        let mut reporter = LinkReporter::default();
         while !stop.is_asked() && clock::monotonic_ns() < end_ns {
             let came = reading.turn(|| board.borrow_mut())?;
             let board = board.borrow();
-            said.say_news(&board);
+            reporter.report_changes(&board);
             if let Some(record) = FrameRecord::newest(&board, self.robot).filter(|_| came) {
                 output.line(&record)?;
             }
@@ -139,7 +141,7 @@ impl Args {
         Ok(Outcome::Done)
     }
 
-    /// The live view, or a line a second.
+    /// The live view, or one line per second.
     fn live(&self, config: &Config, stop: &Stop, end_ns: u64) -> anyhow::Result<Outcome> {
         let feed = Feed::start(config, "watch", false)?;
         let began_ns = clock::monotonic_ns();
@@ -151,12 +153,12 @@ impl Args {
                 Ok((now_ns < end_ns).then(|| format!("{seconds:.0} s")))
             })?;
         } else {
-            let mut said = Said::default();
+            let mut reporter = LinkReporter::default();
             let mut next_ns = began_ns + LINE_EVERY_NS;
             while !stop.is_asked() && feed.is_reading() && clock::monotonic_ns() < end_ns {
                 std::thread::sleep(LOOK_EVERY);
                 let now_ns = clock::monotonic_ns();
-                said.say_news(&feed.board());
+                reporter.report_changes(&feed.board());
                 if now_ns >= next_ns {
                     next_ns += LINE_EVERY_NS;
                     let line = line(&feed.board(), now_ns);
@@ -169,16 +171,16 @@ impl Args {
     }
 }
 
-/// What has been said of the worker on stderr.
+/// State of the worker last reported on stderr.
 #[derive(Debug, Default)]
-struct Said {
+struct LinkReporter {
     link: Option<Link>,
     noted_s: f64,
 }
 
-impl Said {
-    /// Says what is new.
-    fn say_news(&mut self, board: &Board) {
+impl LinkReporter {
+    /// Reports changes.
+    fn report_changes(&mut self, board: &Board) {
         if self.link != Some(board.link) && board.link == Link::Waiting {
             say("waiting for a worker: `joulebus run` starts one");
         }

@@ -1,4 +1,4 @@
-//! What a planner has seen, at its end.
+//! Summary of a planner.
 
 use std::cell::RefCell;
 use std::fmt;
@@ -12,20 +12,20 @@ use serde::{Deserialize, Serialize};
 
 use crate::view::{Board, Latency, Reading};
 
-/// What a planner has seen.
+/// Summary of a planner.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct PlannerReport {
     /// Frames of forecasts.
     pub(crate) frames: u64,
-    /// Frames that were overwritten before it looked.
+    /// Frames overwritten before it read them.
     pub(crate) frames_missed: u64,
     /// Runs of workers.
     pub(crate) workers: usize,
-    /// From a sample sent to its forecast readable.
+    /// Latency from a sample sent to its forecast readable.
     pub(crate) latency: Latency,
 }
 
-/// Reads until the end, and reports.
+/// Reads until the end and reports.
 pub(super) fn run(
     config: &Config,
     output: Output,

@@ -1,4 +1,5 @@
-//! Captures and recordings of others: imported, looked at, damaged, recovered.
+//! `joulebus import`, `cat`, `info`, `doctor FILE` and `recover` on captures and foreign
+//! recordings.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -28,7 +29,7 @@ pub(crate) fn capture(fleet: &Fleet, rows: u32) -> (PathBuf, u64) {
 }
 
 #[test]
-fn a_capture_is_shown_damaged_and_recovered() {
+fn a_damaged_capture_is_diagnosed_and_recovered() {
     let fleet = Fleet::new();
     let (whole, samples) = capture(&fleet, 300);
     let info = run(&["info", &text(&whole), "--format", "json"]);
@@ -149,7 +150,7 @@ fn what_is_no_capture_is_refused() {
     assert!(!result.exists());
 }
 
-/// The recordings, or nothing where they are not at hand.
+/// Path of a file of the recordings; none if they are not downloaded.
 fn recordings(name: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../shared/mcap")
@@ -167,7 +168,7 @@ fn recordings(name: &str) -> Option<PathBuf> {
 }
 
 #[test]
-fn a_real_recording_becomes_a_dataset_that_is_played() {
+fn a_real_recording_is_imported_and_played() {
     let Some(file) = recordings("couguv/SO_lastbag_mcap_0.mcap") else {
         return;
     };
@@ -183,7 +184,7 @@ fn a_real_recording_becomes_a_dataset_that_is_played() {
         sign[1],
     ];
     let imported = run(&arguments);
-    // Positions that are no numbers are named, and cost the exit code.
+    // Positions that are not numbers are reported and set the exit code.
     assert_eq!(code(&imported), 3, "{}", stderr(&imported));
     assert!(
         stdout(&imported).contains("its position is not a number"),
@@ -215,7 +216,7 @@ fn a_real_recording_becomes_a_dataset_that_is_played() {
 }
 
 #[test]
-fn a_recording_without_a_battery_ends_with_1_and_says_what_it_has() {
+fn a_recording_without_a_battery_exits_with_1_and_lists_its_topics() {
     let Some(folder) = recordings("rosbag2") else {
         return;
     };

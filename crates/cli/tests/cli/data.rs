@@ -1,9 +1,9 @@
-//! `joulebus data` and `joulebus analyze`: from recordings to what is known about them.
+//! `joulebus data` and `joulebus analyze`.
 
 use super::fleet::{Fleet, code, json, output, stderr, stdout};
 
 #[test]
-fn what_is_wrong_with_recordings_is_said_with_file_and_row_and_ends_with_3() {
+fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
     let fleet = Fleet::new();
     let sound = fleet.recording("sound.csv", 200);
     let text = std::fs::read_to_string(&sound).unwrap();
@@ -43,7 +43,7 @@ fn what_is_wrong_with_recordings_is_said_with_file_and_row_and_ends_with_3() {
 }
 
 #[test]
-fn recordings_change_their_form_and_their_grid_only_when_asked() {
+fn recordings_are_converted_and_resampled_only_on_request() {
     let fleet = Fleet::new();
     let from = fleet.recording("run.csv", 300);
     let folder = tempfile::tempdir().unwrap();
@@ -57,7 +57,7 @@ fn recordings_change_their_form_and_their_grid_only_when_asked() {
     let made = convert(from, &["--out", &array]);
     assert_eq!(code(&made), 0, "{}", stderr(&made));
     let again = convert(from, &["--out", &array]);
-    assert_eq!(code(&again), 1, "nothing is overwritten");
+    assert_eq!(code(&again), 1, "a file was overwritten");
     let back = path("b.csv");
     assert_eq!(code(&convert(&array, &["--out", &back])), 0);
     let third = path("c.npy");
@@ -98,7 +98,7 @@ fn recordings_change_their_form_and_their_grid_only_when_asked() {
 }
 
 #[test]
-fn an_analysis_names_its_split_and_tells_held_readings_apart() {
+fn an_analysis_reports_its_split_and_held_readings() {
     let fleet = Fleet::new();
     for trial in 0..4 {
         fleet.recording(&format!("run_{trial}.csv"), 240 + 10 * trial);
@@ -126,10 +126,5 @@ fn an_analysis_names_its_split_and_tells_held_readings_apart() {
     assert!((held - 0.5).abs() < 0.01, "{held}");
     assert_eq!(series[1]["grid"]["method"], "hold");
     let refused = output(["analyze", pattern, "--split", "group"]);
-    assert_eq!(
-        code(&refused),
-        2,
-        "one group cannot be split: {}",
-        stderr(&refused)
-    );
+    assert_eq!(code(&refused), 2, "{}", stderr(&refused));
 }

@@ -1,4 +1,4 @@
-//! `joulebus eval` and `joulebus model compare`: what they evaluate, what they say, how they end.
+//! `joulebus eval` and `joulebus model compare`: scored rows, output and exit codes.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ const MODELS: [&str; 2] = [
     ),
 ];
 
-/// Recordings of two groups in one directory, whose power wanders.
+/// Recordings of two groups in one directory with power that reverts to its mean.
 fn recordings(folder: &Path, trials: u32, rows: u32) -> PathBuf {
     let folder = folder.join("recordings");
     fs::create_dir(&folder).unwrap();
@@ -52,7 +52,7 @@ fn forecaster<'a>(cell: &'a Value, name: &str) -> &'a Value {
 }
 
 #[test]
-fn a_directory_is_evaluated_whole_by_group_robot_and_trial() {
+fn a_directory_is_evaluated_by_group_robot_and_trial() {
     let folder = tempfile::tempdir().unwrap();
     let data = recordings(folder.path(), 120, 60);
     let asked = [
@@ -68,7 +68,7 @@ fn a_directory_is_evaluated_whole_by_group_robot_and_trial() {
     let evaluated = output(asked);
     assert_eq!(code(&evaluated), 0, "{}", stderr(&evaluated));
     let report = json(&evaluated);
-    // More trials than the config has ids: none is left out.
+    // More trials than the config has ids: all are evaluated.
     assert_eq!(report["robots"].as_array().unwrap().len(), 120);
     assert_eq!(report["platforms"][0]["platform"], "recorded");
     let evaluation = &report["evaluations"][0];
@@ -85,7 +85,7 @@ fn a_directory_is_evaluated_whole_by_group_robot_and_trial() {
     );
     assert!(
         line["skill"][0]["value"].as_f64().unwrap() > 0.0,
-        "a wandering power returns"
+        "power reverts to its mean"
     );
     let model = &all["forecasters"][0];
     assert!(
@@ -125,7 +125,7 @@ fn a_directory_is_evaluated_whole_by_group_robot_and_trial() {
 }
 
 #[test]
-fn a_model_that_ships_is_named_as_in_a_config() {
+fn a_built_in_model_is_named_as_in_a_config() {
     let folder = tempfile::tempdir().unwrap();
     let data = recordings(folder.path(), 2, 60);
     let with = |model: &str| output(["eval", "--format", "json", "--model", model, text(&data)]);
@@ -140,7 +140,7 @@ fn a_model_that_ships_is_named_as_in_a_config() {
 }
 
 #[test]
-fn a_split_is_named_and_holds_out_what_training_held_out() {
+fn split_holds_out_the_trials_that_training_held_out() {
     let folder = tempfile::tempdir().unwrap();
     let data = recordings(folder.path(), 10, 80);
     let model = folder.path().join("own.safetensors");
@@ -216,7 +216,7 @@ fn a_split_is_named_and_holds_out_what_training_held_out() {
 }
 
 #[test]
-fn baselines_can_be_fitted_on_named_recordings() {
+fn baselines_can_be_fitted_on_given_recordings() {
     let folder = tempfile::tempdir().unwrap();
     let data = recordings(folder.path(), 4, 80);
     let at = |name: &str| data.join(name);
@@ -255,7 +255,7 @@ fn baselines_can_be_fitted_on_named_recordings() {
 }
 
 #[test]
-fn wrong_usage_is_refused_with_what_is_allowed() {
+fn a_usage_error_lists_the_allowed_values() {
     let folder = tempfile::tempdir().unwrap();
     let data = recordings(folder.path(), 2, 40);
     for (arguments, says) in [
@@ -282,10 +282,10 @@ fn wrong_usage_is_refused_with_what_is_allowed() {
 }
 
 #[test]
-fn platforms_of_a_config_are_evaluated_apart() {
+fn platforms_of_a_config_are_evaluated_separately() {
     let fleet = Fleet::new();
     let one = fleet.recording("a.csv", 200);
-    // A rover reports no velocities.
+    // A rover publishes no velocities.
     let other = fleet.path("b.csv");
     let rows =
         (0..90).map(|row| format!("{:.4},{}\n", f64::from(row) / 30.0, 10_000 + row % 7 * 100));
@@ -312,7 +312,7 @@ fn platforms_of_a_config_are_evaluated_apart() {
 }
 
 #[test]
-fn a_comparison_shows_differences_and_ends_with_3_only_if_asked_to() {
+fn a_comparison_shows_differences_and_exits_with_3_only_on_request() {
     let folder = tempfile::tempdir().unwrap();
     let data = recordings(folder.path(), 24, 60);
     let compare = |old: &str, new: &str, more: &[&str]| {

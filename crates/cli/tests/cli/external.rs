@@ -1,4 +1,4 @@
-//! Verbs that are programs of their own: how they are found, and what passes through.
+//! Subcommands in separate executables: lookup, arguments, exit codes and signals.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 
 use crate::fleet::{code, output, stderr, stdout};
 
-/// The program in a directory of its own, without others beside it.
+/// The program in an otherwise empty directory.
 struct Installed(tempfile::TempDir);
 
 impl Installed {
@@ -35,7 +35,7 @@ impl Installed {
     }
 }
 
-/// A program that says who it is and what it is told, and then does as told.
+/// Writes a script that prints its path and arguments and then runs `then`.
 fn write_program(directory: &Path, verb: &str, then: &str) {
     let file = directory.join(format!("joulebus-{verb}"));
     fs::write(&file, format!("#!/bin/sh\necho \"$0\" \"$@\"\n{then}\n")).unwrap();
@@ -43,7 +43,7 @@ fn write_program(directory: &Path, verb: &str, then: &str) {
 }
 
 #[test]
-fn a_program_beside_this_one_gets_the_arguments_and_its_exit_code_and_signals_are_ours() {
+fn an_executable_beside_this_one_gets_the_arguments_and_passes_its_exit_code_and_signals() {
     let installed = Installed::new();
     let in_path = installed.directory("path");
     write_program(&in_path, "serve", "exit 9");
@@ -64,7 +64,7 @@ fn a_program_beside_this_one_gets_the_arguments_and_its_exit_code_and_signals_ar
 }
 
 #[test]
-fn without_one_beside_it_comes_from_path_and_never_from_where_one_stands() {
+fn without_one_the_executable_is_looked_up_in_path_but_not_in_the_current_directory() {
     let installed = Installed::new();
     write_program(&installed.directory("stands-here"), "bench", "exit 9");
     for path in ["", ".", ":", "../stands-here"] {
@@ -86,7 +86,7 @@ fn without_one_beside_it_comes_from_path_and_never_from_where_one_stands() {
 }
 
 #[test]
-fn help_and_usage_errors_need_no_program() {
+fn help_and_usage_errors_need_no_executable() {
     let installed = Installed::new();
     for (words, exit, says) in [
         ("help serve", 0, "--foxglove"),

@@ -1,4 +1,4 @@
-//! A fleet of a test's own: its config, its shared memory, and its programs.
+//! A fleet for one test: its config, shared memory, and processes.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -78,7 +78,7 @@ impl Fleet {
         &self.root
     }
 
-    /// How the fleet's objects in shared memory begin.
+    /// Prefix of the fleet's objects in shared memory.
     pub(crate) fn prefix(&self) -> &str {
         &self.prefix
     }
@@ -87,7 +87,7 @@ impl Fleet {
         self.directory.path().join(name)
     }
 
-    /// The words of `verb`, then the fleet's config.
+    /// A command with the words of `verb` and the fleet's config.
     pub(crate) fn joulebus(&self, verb: &str) -> Command {
         let mut command = joulebus(verb.split_whitespace());
         command.arg("--config").arg(self.config());
@@ -98,7 +98,7 @@ impl Fleet {
         self.joulebus(verb).output().unwrap()
     }
 
-    /// A recording of `rows` rows at 30 Hz whose power changes in each of them.
+    /// A recording of `rows` rows at 30 Hz whose power changes in every row.
     pub(crate) fn recording(&self, name: &str, rows: u32) -> PathBuf {
         let mut text = "timestamp_s,power_mW,v_cmd_mps,omega_cmd_radps\n".to_owned();
         for row in 0..rows {
@@ -118,7 +118,7 @@ impl Fleet {
         worker
     }
 
-    /// What is left of the fleet.
+    /// Remaining files of the fleet.
     pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
         let shared = fs::read_dir("/dev/shm").unwrap().flatten();
         let ours = shared.map(|entry| entry.path()).filter(|path| {
@@ -138,7 +138,7 @@ impl Drop for Fleet {
     }
 }
 
-/// A program that runs beside the test.
+/// A process of the test.
 pub(crate) struct Program(Child);
 
 impl Program {

@@ -1,4 +1,4 @@
-//! Worker and sources together.
+//! A worker with sources.
 
 use std::fs;
 
@@ -40,7 +40,7 @@ fn every_sample_played_as_fast_as_possible_is_accepted() {
 }
 
 #[test]
-fn a_file_gets_the_robot_or_the_platform_that_stands_after_it() {
+fn a_file_gets_the_robot_or_platform_after_its_at_sign() {
     let fleet = Fleet::new();
     fs::create_dir(fleet.path("rovers")).unwrap();
     let rovers = [
@@ -98,7 +98,7 @@ fn a_trial_waits_for_the_worker_and_loses_nothing() {
 }
 
 #[test]
-fn a_worker_killed_under_a_fast_source_costs_at_most_the_window() {
+fn a_killed_worker_loses_at_most_the_window_of_a_fast_source() {
     let fleet = Fleet::new();
     let file = fleet.recording("a.csv", 600);
     let worker = fleet.worker();
@@ -106,8 +106,8 @@ fn a_worker_killed_under_a_fast_source_costs_at_most_the_window() {
         fleet.joulebus("publish trial --first-robot 0 --rate max --window 3 --format json");
     play.arg(&file);
     let mut play = Program::start(play);
-    // One look gives up after three seconds.
-    eventually("a robot has been heard of", || {
+    // Each attempt has a timeout of three seconds.
+    eventually("a robot has sent samples", || {
         code(&fleet.output("watch --once")) == 0
     });
     let killed = worker.end(Signal::KILL);
@@ -134,7 +134,7 @@ fn a_worker_killed_under_a_fast_source_costs_at_most_the_window() {
 }
 
 #[test]
-fn a_second_worker_ends_with_the_pid_of_the_first() {
+fn a_second_worker_exits_and_reports_the_pid_of_the_first() {
     let fleet = Fleet::new();
     let worker = fleet.worker();
     let second = fleet.output("run");
@@ -156,7 +156,7 @@ fn a_second_worker_ends_with_the_pid_of_the_first() {
 }
 
 #[test]
-fn a_simulated_fleet_is_accepted_whole() {
+fn all_samples_of_a_simulated_fleet_are_accepted() {
     let fleet = Fleet::new();
     let worker = fleet.worker();
     let sim =
@@ -165,7 +165,7 @@ fn a_simulated_fleet_is_accepted_whole() {
     let sim = json(&sim);
     let (frames, skipped) = (&sim["frames_sent"], &sim["ticks_skipped"]);
     let places = frames.as_u64().unwrap() + skipped.as_u64().unwrap();
-    // More than 45 only if the last one came late.
+    // More than 45 only if the last one was late.
     let duration_s = sim["duration_s"].as_f64().unwrap();
     assert!(
         places >= 45 && places as f64 <= 45.0_f64.max(30.0 * duration_s),
@@ -237,5 +237,5 @@ fn trials_are_evaluated_offline() {
     let mut eval = fleet.joulebus("eval --first-robot 0");
     eval.arg(&file).arg("--model").arg(&file);
     let refused = eval.output().unwrap();
-    assert_eq!(code(&refused), 1, "a recording is no model");
+    assert_eq!(code(&refused), 1, "a recording is not a model");
 }

@@ -1,4 +1,4 @@
-//! The program as its users meet it: real processes, exit codes, what goes where.
+//! Tests of the executable: real processes, exit codes, stdout and stderr.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod captures;
@@ -58,7 +58,7 @@ const VERBS: [&str; 33] = [
 ];
 
 #[test]
-fn every_verb_teaches_itself() {
+fn every_verb_has_help_with_examples() {
     let help = output(["--help"]);
     assert_eq!(code(&help), 0);
     assert!(stdout(&help).contains("Exit codes"));
@@ -75,7 +75,7 @@ fn every_verb_teaches_itself() {
 }
 
 #[test]
-fn wrong_usage_ends_with_2_and_without_a_result() {
+fn a_usage_error_exits_with_2_and_without_a_result() {
     let fleet = Fleet::new();
     let recording = fleet.recording("a.csv", 10).display().to_string();
     let config = fleet.config().display().to_string();
@@ -106,14 +106,14 @@ fn wrong_usage_ends_with_2_and_without_a_result() {
         ),
         (
             vec!["publish", "trial", &recording, "--rate", "fast"],
-            "is no number",
+            "is not a number",
         ),
         (
             vec!["publish", "trial", &recording, "--rate", "NaN"],
             "allowed are",
         ),
         (vec!["publish", "trial", &recording, "--loop=0"], "from 1"),
-        // Two platforms: whose robot is it?
+        // Two platforms: the robot's platform is ambiguous.
         (
             vec!["publish", "trial", &recording, "--config", &config],
             "--platform NAME",
@@ -223,7 +223,7 @@ fn what_is_shown_of_a_config_is_the_same_config() {
     assert_eq!((again.fleet(), again.root()), (first.fleet(), first.root()));
     let as_json = json(&output(["config", "show", &config, "--format", "json"]));
     assert_eq!(as_json["toml"], stdout(&shown).as_str());
-    // Without a file: the one that ships, from any directory.
+    // Without a file: the built-in one, from any directory.
     let shipped = joulebus(["config", "show"])
         .current_dir("/")
         .output()
@@ -233,7 +233,7 @@ fn what_is_shown_of_a_config_is_the_same_config() {
 }
 
 #[test]
-fn keys_are_explained_for_people_and_for_programs() {
+fn keys_are_explained_as_text_and_as_json() {
     let text = stdout(&output(["config", "explain", "tick.rate_hz"]));
     assert!(text.contains("Hz") && text.contains("default 30"), "{text}");
     let keys = json(&output(["config", "explain", "tick", "--format", "json"]));
@@ -247,7 +247,7 @@ fn keys_are_explained_for_people_and_for_programs() {
 }
 
 #[test]
-fn completions_name_the_verbs() {
+fn completions_contain_the_verbs() {
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         let script = output(["completions", shell]);
         assert_eq!(code(&script), 0, "{shell}");
@@ -277,7 +277,7 @@ fn a_closed_stdout_is_no_error_and_no_panic() {
 }
 
 #[test]
-fn doctor_finds_a_fresh_place_well_and_leaves_nothing() {
+fn doctor_passes_on_a_fresh_fleet_and_leaves_no_files() {
     let fleet = Fleet::new();
     let healthy = fleet.output("doctor --format json");
     assert_eq!(code(&healthy), 0, "{}", stdout(&healthy));
@@ -301,13 +301,13 @@ fn doctor_finds_a_fresh_place_well_and_leaves_nothing() {
 }
 
 #[test]
-fn doctor_finds_what_dead_runs_left_and_mends_it() {
+fn doctor_finds_and_removes_stale_files() {
     let fleet = Fleet::new();
     let unfinished = format!("/dev/shm/{}dead.connection", fleet.prefix());
     fs::write(&unfinished, "").unwrap();
     fs::create_dir(fleet.root()).unwrap();
     fs::set_permissions(fleet.root(), fs::Permissions::from_mode(0o755)).unwrap();
-    // Younger ones may be in the making.
+    // Younger ones may be under construction.
     std::thread::sleep(Duration::from_millis(400));
 
     let ill = fleet.output("doctor --format json");
@@ -323,7 +323,7 @@ fn doctor_finds_what_dead_runs_left_and_mends_it() {
         .collect();
     assert_eq!(failed, ["root", "stale files"]);
     let mode = |path| fs::metadata(path).unwrap().mode() & 0o777;
-    assert_eq!(mode(fleet.root()), 0o755, "looking changes nothing");
+    assert_eq!(mode(fleet.root()), 0o755, "doctor changed the mode");
 
     let mended = fleet.output("doctor --fix");
     assert_eq!(code(&mended), 0, "{}", stdout(&mended));
@@ -337,7 +337,7 @@ fn doctor_finds_what_dead_runs_left_and_mends_it() {
 }
 
 #[test]
-fn training_does_not_begin_where_its_result_cannot_be_written() {
+fn training_does_not_start_if_its_result_cannot_be_written() {
     let refused = output([
         "train",
         "sim",

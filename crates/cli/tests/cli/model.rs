@@ -1,4 +1,4 @@
-//! `joulebus model`: files of other programs in, files for other programs out.
+//! `joulebus model`: import and export of foreign formats.
 
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ const SHIPPED: &str = concat!(
 );
 const CONVENTION: &str = "mW+newest-first+lags-last+d-normalised-per-second+abs-as-velocity";
 
-/// A model file of NumPy or PyTorch, from the tests of `model-files`.
+/// A model file of NumPy or PyTorch from the tests of `model-files`.
 fn foreign(folder: &Path, name: &str) -> PathBuf {
     let packed = format!("../model-files/tests/fixtures/{name}.gz");
     let packed = std::fs::File::open(Path::new(env!("CARGO_MANIFEST_DIR")).join(packed)).unwrap();
@@ -29,7 +29,7 @@ fn text(path: &Path) -> &str {
 }
 
 #[test]
-fn info_says_everything_of_an_own_model() {
+fn info_describes_a_native_model() {
     let info = output(["model", "info", SHIPPED]);
     assert_eq!(code(&info), 0, "{}", stderr(&info));
     for said in [
@@ -51,7 +51,7 @@ fn info_says_everything_of_an_own_model() {
 }
 
 #[test]
-fn a_file_of_another_program_is_shown_imported_exported_and_read_back() {
+fn a_foreign_file_is_shown_imported_exported_and_read_back() {
     let fleet = Fleet::new();
     let folder = tempfile::tempdir().unwrap();
     let data = fleet.recording("a.csv", 400);
@@ -103,7 +103,7 @@ fn a_file_of_another_program_is_shown_imported_exported_and_read_back() {
 }
 
 #[test]
-fn what_cannot_be_read_or_written_ends_with_its_code_and_reason() {
+fn an_unreadable_or_unwritable_file_sets_exit_code_and_reason() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let canary = at("canary");

@@ -1,9 +1,9 @@
-//! `joulebus train trials`: recordings in, a model that the worker loads out.
+//! `joulebus train trials`: from recordings to a model that the worker loads.
 
 use super::fleet::{Fleet, code, json, output, stderr, stdout};
 
 #[test]
-fn recordings_become_a_model_and_what_went_where_is_said() {
+fn a_model_is_trained_and_its_split_is_reported() {
     let fleet = Fleet::new();
     let folder = tempfile::tempdir().unwrap();
     let data: Vec<String> = (0..4)
@@ -47,7 +47,7 @@ fn recordings_become_a_model_and_what_went_where_is_said() {
 }
 
 #[test]
-fn what_cannot_be_trained_on_is_refused_with_a_remedy() {
+fn unusable_recordings_are_refused_with_a_remedy() {
     let fleet = Fleet::new();
     let folder = tempfile::tempdir().unwrap();
     let files = [("one.csv", 300), ("two.csv", 320), ("copy.csv", 300)];
@@ -59,7 +59,7 @@ fn what_cannot_be_trained_on_is_refused_with_a_remedy() {
         (vec![one], "at least 3 are needed"),
         (
             vec![one, "--resume", "--split", "time"],
-            "no interrupted run",
+            "there is no checkpoint",
         ),
         (
             vec![one, "--validate", one, "--hold-out", one],
