@@ -1,16 +1,16 @@
-//! An allocator that counts what the calling thread allocates, for the tests of all crates that
-//! promise to allocate nothing: include it with `#[path]`.
-#![allow(unsafe_code, reason = "a global allocator cannot be written without")]
-#![allow(dead_code, reason = "not every test asks for both figures")]
+//! An allocator that counts the allocations of the calling thread, for the tests of all crates that
+//! guarantee allocation-free code: include it with `#[path]`.
+#![allow(unsafe_code, reason = "a global allocator requires unsafe code")]
+#![allow(dead_code, reason = "not every test uses both figures")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 thread_local! {
-    /// Calls and bytes of this thread alone: keepers, checkpointers and other tests run beside it.
+    /// Calls and bytes of this thread only: keepers, checkpointers and other tests run in parallel.
     static CALLS: Cell<u64> = const { Cell::new(0) };
     static BYTES: Cell<u64> = const { Cell::new(0) };
-    /// What is allocated now, and the most that was, bytes.
+    /// Bytes allocated now, and their maximum.
     static LIVE: Cell<i64> = const { Cell::new(0) };
     static PEAK: Cell<i64> = const { Cell::new(0) };
 }
@@ -18,7 +18,7 @@ thread_local! {
 struct Counting;
 
 fn count(bytes: usize) {
-    // A thread that is being torn down has no counters any more.
+    // Fails only while the thread's locals are destroyed.
     let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
     let _ = BYTES.try_with(|total| total.set(total.get() + bytes as u64));
     hold(bytes as i64);
@@ -34,12 +34,13 @@ fn hold(bytes: i64) {
     let _ = PEAK.try_with(|peak| peak.set(peak.get().max(live)));
 }
 
-// SAFETY: every call goes to the system's allocator unchanged; counting touches only constant
+// SAFETY: every call is passed unchanged to the system allocator; counting accesses only constant
 // thread-locals without destructors, which neither allocate nor unwind.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size());
-        // SAFETY: the caller keeps the contract of `alloc`, which is the system's too.
+        // SAFETY: the caller upholds the contract of `alloc`, which is the same for the system
+        // allocator.
         unsafe { System.alloc(layout) }
     }
 
@@ -52,13 +53,13 @@ unsafe impl GlobalAlloc for Counting {
     unsafe fn realloc(&self, block: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count(size);
         hold(-(layout.size() as i64));
-        // SAFETY: `block` came from the system's allocator, as all blocks of this one do.
+        // SAFETY: `block` was allocated by the system allocator, as all blocks of this allocator.
         unsafe { System.realloc(block, layout, size) }
     }
 
     unsafe fn dealloc(&self, block: *mut u8, layout: Layout) {
         hold(-(layout.size() as i64));
-        // SAFETY: `block` came from the system's allocator, as all blocks of this one do.
+        // SAFETY: `block` was allocated by the system allocator, as all blocks of this allocator.
         unsafe { System.dealloc(block, layout) }
     }
 }
@@ -66,24 +67,24 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Allocations of this thread so far.
+/// Number of allocations of this thread so far.
 pub(crate) fn calls() -> u64 {
     CALLS.get()
 }
 
-/// Bytes that this thread has allocated so far, given back or not.
+/// Bytes allocated by this thread so far, freed or not.
 pub(crate) fn bytes() -> u64 {
     BYTES.get()
 }
 
-/// Allocations of this thread while it does `work`.
+/// Number of allocations of this thread during `work`.
 pub(crate) fn allocations(work: impl FnOnce()) -> u64 {
     let before = calls();
     work();
     calls() - before
 }
 
-/// What `work` returns, and the most bytes that this thread held at once for it.
+/// Result of `work`, and the maximum number of bytes that this thread held for it at a time.
 pub(crate) fn peak<T>(work: impl FnOnce() -> T) -> (T, u64) {
     let before = LIVE.get();
     PEAK.set(before);

@@ -1,4 +1,4 @@
-//! A fleet of its own for each test.
+//! A separate fleet for each test.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -15,7 +15,7 @@ static ARENAS: AtomicU32 = AtomicU32::new(0);
 const FLEET: &str = "t";
 const PREFIX: &str = "jbt_";
 
-/// What an arena's config says.
+/// Config of an arena.
 #[derive(Debug, Clone)]
 pub struct Setup {
     /// `fleet.capacity`.
@@ -32,17 +32,17 @@ pub struct Setup {
     pub buffer_frames: u32,
     /// `readers.max_planners`.
     pub max_planners: u32,
-    /// Whether the ledger is saved, to [`Arena::ledger`], each 50 ms at most.
+    /// Whether the ledger is saved to [`Arena::ledger`], at most every 50 ms.
     pub ledger: bool,
-    /// Robots of the one platform, a GTernal.
+    /// Robots of the only platform, a GTernal.
     pub robots: &'static str,
     /// `platform.rate_hz`.
     pub rate_hz: f64,
     /// `platform.stale_after_s`.
     pub stale_after_s: f64,
-    /// `platform.model`; that of the platform when not set.
+    /// `platform.model`; the platform's own if not set.
     pub model: Option<PathBuf>,
-    /// Further text at the end, within the platform.
+    /// Further lines at the end, in the platform's section.
     pub more: String,
 }
 
@@ -58,7 +58,7 @@ impl Default for Setup {
             max_planners: 4,
             ledger: false,
             robots: "0-99",
-            // Slower than a test sends: however long a process waits for a processor, no sample is
+            // Slower than the tests send: however long a process waits for a CPU, no sample is
             // overdue and no robot silent by the worker's clock.
             rate_hz: 1.0,
             stale_after_s: 30.0,
@@ -69,7 +69,7 @@ impl Default for Setup {
 }
 
 impl Setup {
-    /// For [`Arena::simulate`] and a recorder beside it: frames wait for who is late.
+    /// For [`Arena::simulate`] with a recorder: ticks wait for late robots.
     #[must_use]
     pub fn simulated() -> Self {
         Self {
@@ -125,8 +125,8 @@ impl Setup {
     }
 }
 
-/// A fleet of its own: directories, config, shared memory. [`Arena::close`] it at the end: nothing
-/// may be left then.
+/// A separate fleet: directories, config, shared memory. Must be closed with [`Arena::close`],
+/// which checks that nothing is left.
 #[derive(Debug)]
 pub struct Arena {
     files: PathBuf,
@@ -135,18 +135,18 @@ pub struct Arena {
 }
 
 impl Arena {
-    /// A new one, with its config written.
+    /// Creates the directories and writes the config.
     #[must_use]
     pub fn new(setup: &Setup) -> Self {
         let number = ARENAS.fetch_add(1, Ordering::Relaxed);
         let name = format!("jbt-{}-{number}", std::process::id());
         let shm = Path::new("/dev/shm");
         let (files, root) = (shm.join(format!("{name}.f")), shm.join(name));
-        let domain = Domain::new(FLEET, &root, PREFIX).expect("short and plain");
+        let domain = Domain::new(FLEET, &root, PREFIX).expect("valid names");
         fs::DirBuilder::new()
             .mode(0o755)
             .create(&files)
-            .expect("no other test has the name");
+            .expect("the name is unique to this test");
         let arena = Self {
             files,
             domain,
@@ -156,19 +156,19 @@ impl Arena {
         arena
     }
 
-    /// Writes the config again.
+    /// Rewrites the config.
     pub fn configure(&self, setup: &Setup) {
         let text = setup.toml(self.domain.root(), &self.ledger());
-        fs::write(self.config(), text).expect("the arena's own directory");
+        fs::write(self.config(), text).expect("writable directory");
     }
 
-    /// Where its shared memory lives.
+    /// Its domain in shared memory.
     #[must_use]
     pub const fn domain(&self) -> &Domain {
         &self.domain
     }
 
-    /// A directory for files of the test, outside the fleet's root.
+    /// A directory for the test's files, outside the fleet's root.
     #[must_use]
     pub fn files(&self) -> &Path {
         &self.files
@@ -186,7 +186,7 @@ impl Arena {
         self.files.join("ledger.json")
     }
 
-    /// The program under test with `arguments` and the arena's config.
+    /// A command of the program under test with `arguments` and the arena's config.
     #[must_use]
     pub fn command(&self, arguments: &[&str]) -> Command {
         let mut command = Command::new(program("joulebus-under-test"));
@@ -194,15 +194,16 @@ impl Arena {
         command
     }
 
-    /// Runs the program under test to its end.
+    /// Runs the program under test until it exits.
     #[must_use]
     pub fn run(&self, arguments: &[&str]) -> Ended {
         let mut child = Child::spawn(&arguments.join(" "), self.command(arguments));
         child.wait()
     }
 
-    /// Simulates robots beside a worker until it has accepted so many more frames of them, the same
-    /// robots each time: the program under test, which must end well. A busy machine takes longer.
+    /// Simulates robots with the program under test until the worker has accepted that many more of
+    /// their frames; the same robots each time. The simulation must succeed. A busy machine takes
+    /// longer.
     pub fn simulate(&self, robots: u32, frames: u64) {
         let mut planner = self.consumer();
         let count = robots.to_string();
@@ -220,18 +221,18 @@ impl Arena {
         planner.leave();
     }
 
-    /// Starts `joulebus record` into a file, with more arguments, its report as JSON, and waits until it
-    /// records.
+    /// Starts `joulebus record` into `file` with the arguments `more` and a JSON report, and waits
+    /// until it records.
     #[must_use]
     pub fn recording(&self, file: &Path, more: &[&str]) -> Child {
-        let name = file.to_str().expect("tests name their files in ASCII");
+        let name = file.to_str().expect("ASCII file name");
         let arguments = [&["record", "--format", "json", "-o", name], more].concat();
         let mut child = Child::spawn("recorder", self.command(&arguments));
         child.says(&format!("recording {FLEET} into"));
         child
     }
 
-    /// The worker as a command: `joulebus run`, its report as JSON, told to log what it cleans up.
+    /// Command of the worker: `joulebus run` with a JSON report that logs its cleanup.
     #[must_use]
     pub fn worker_command(&self) -> Command {
         self.command(&["run", "--format", "json", "--verbose"])
@@ -259,14 +260,14 @@ impl Arena {
         command
     }
 
-    /// Starts a source that sends what the test tells it to, and waits until it has joined.
+    /// Starts a source controlled by the test and waits until it has joined.
     #[must_use]
     pub fn source(&self, name: &str) -> Source {
         Source::new(Child::spawn(name, self.probe(&["source", name])))
     }
 
-    /// Starts a controller: a real publisher that sends [`crate::steady`] samples of `robots` robots
-    /// from `first` on, `rate_hz` times a second, until it is stopped. Does not wait for it.
+    /// Starts a controller: a publisher that sends [`crate::steady`] samples of `robots` robots
+    /// from `first` on at `rate_hz` until it is stopped. Does not wait for it.
     #[must_use]
     pub fn controller(&self, name: &str, first: u32, robots: u32, rate_hz: f64) -> Child {
         let numbers = [first.to_string(), robots.to_string(), rate_hz.to_string()];
@@ -274,19 +275,19 @@ impl Arena {
         Child::spawn(name, self.probe(&arguments))
     }
 
-    /// Starts a planner that tells every frame, and waits until it has joined.
+    /// Starts a planner that reports every frame, and waits until it has joined.
     #[must_use]
     pub fn planner(&self) -> Planner {
         Planner::ready(Child::spawn("planner", self.probe(&["planner"])))
     }
 
-    /// Starts a planner that uses the consumer library, and waits until it has joined.
+    /// Starts a planner built on the consumer library, and waits until it has joined.
     #[must_use]
     pub fn consumer(&self) -> Planner {
         Planner::ready(Child::spawn("consumer", self.probe(&["consumer"])))
     }
 
-    /// Starts a reader of samples, beside the worker, and waits until it has joined.
+    /// Starts a reader of samples beside the worker, and waits until it has joined.
     #[must_use]
     pub fn recorder(&self) -> Planner {
         Planner::ready(Child::spawn("recorder", self.probe(&["recorder"])))
@@ -307,7 +308,7 @@ impl Arena {
         found
     }
 
-    /// Ends the arena: all its processes have ended, and nothing may be left.
+    /// Closes the arena: all its processes have exited, and no file may be left.
     pub fn close(mut self) {
         self.closed = true;
         assert_eq!(self.stale_files(), Vec::<PathBuf>::new(), "left behind");
@@ -323,14 +324,14 @@ impl Drop for Arena {
         if !std::thread::panicking() {
             assert!(
                 self.closed,
-                "an arena must be closed, or its stale files go unnoticed"
+                "an arena must be closed, otherwise its stale files go unnoticed"
             );
         }
     }
 }
 
-/// Runs the program under test to its end without a config, its report as JSON: as somebody who has a
-/// capture and nothing else.
+/// Runs the program under test until it exits, with a JSON report and without a config, as a user
+/// who has only a capture.
 #[must_use]
 pub fn alone(arguments: &[&str]) -> Ended {
     let mut command = Command::new(program("joulebus-under-test"));
@@ -338,8 +339,8 @@ pub fn alone(arguments: &[&str]) -> Ended {
     Child::spawn(&arguments.join(" "), command).wait()
 }
 
-/// Records until nothing is lost, five times at most: a recorder that waits too long for a processor loses
-/// messages, and says so with exit code 3. Each attempt has its number.
+/// Records until nothing is lost, at most five times: a recorder that waits too long for a CPU
+/// loses messages and exits with code 3. `record` is given the number of the attempt.
 pub fn without_loss<T>(mut record: impl FnMut(usize) -> (T, Ended)) -> (T, Ended) {
     const ATTEMPTS: usize = 5;
     for attempt in 0..ATTEMPTS {
@@ -353,7 +354,7 @@ pub fn without_loss<T>(mut record: impl FnMut(usize) -> (T, Ended)) -> (T, Ended
     panic!("the recorder lost messages {ATTEMPTS} times");
 }
 
-/// A program of this package: cargo builds it before the tests, next to them.
+/// Path of a program of this package: cargo builds it before the tests, next to them.
 #[must_use]
 pub fn program(name: &str) -> PathBuf {
     let mut path = std::env::current_exe().expect("Linux tells");

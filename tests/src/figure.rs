@@ -1,4 +1,4 @@
-//! Figures for `RELIABILITY.md`, and chance that can be repeated.
+//! Figures for `RELIABILITY.md`, and reproducible random numbers.
 
 use std::fmt;
 use std::time::Duration;
@@ -6,29 +6,29 @@ use std::time::Duration;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
-/// Prints a figure on a line of its own.
+/// Prints a figure on a separate line.
 pub fn figure(name: &str, value: impl fmt::Display) {
     println!("figure: {name}: {value}");
 }
 
-/// Distribution of a time.
+/// Distribution of a duration.
 #[derive(Debug, Clone, Default)]
 pub struct Spread {
     values: Vec<Duration>,
 }
 
 impl Spread {
-    /// One more value.
+    /// Adds a value.
     pub fn add(&mut self, value: Duration) {
         self.values.push(value);
     }
 
-    /// One more value, ns.
+    /// Adds a value, ns.
     pub fn add_ns(&mut self, value_ns: u64) {
         self.add(Duration::from_nanos(value_ns));
     }
 
-    /// Values so far.
+    /// Number of values.
     #[must_use]
     pub const fn count(&self) -> usize {
         self.values.len()
@@ -54,7 +54,7 @@ impl fmt::Display for Spread {
     }
 }
 
-/// Seeded chance; the seed is printed. `JOULEBUS_SEED` sets another one.
+/// Seeded random numbers; the seed is printed. `JOULEBUS_SEED` sets another one.
 #[derive(Debug)]
 pub struct Dice(Pcg64Mcg);
 
@@ -67,22 +67,22 @@ impl Dice {
         Self(Pcg64Mcg::seed_from_u64(seed))
     }
 
-    /// A whole number below `end`.
+    /// A random integer below `end`.
     pub fn below(&mut self, end: u64) -> u64 {
         self.0.random_range(0..end)
     }
 
-    /// A time below `end`.
+    /// A random duration below `end`.
     pub fn time_below(&mut self, end: Duration) -> Duration {
         Duration::from_nanos(self.below(end.as_nanos() as u64))
     }
 
-    /// True in `share` of all cases, 0 to 1.
+    /// True with probability `share`, 0 to 1.
     pub fn chance(&mut self, share: f64) -> bool {
         self.0.random_bool(share)
     }
 
-    /// How often to do something: from the environment variable `name`, else `default`.
+    /// Number of repetitions: from the environment variable `name`, or `default`.
     #[must_use]
     pub fn rounds(name: &str, default: u64) -> u64 {
         count(name, default)
@@ -93,7 +93,7 @@ fn count(name: &str, default: u64) -> u64 {
     match std::env::var(name) {
         Ok(text) => text
             .parse()
-            .unwrap_or_else(|_| panic!("{name} is {text:?}, allowed are whole numbers")),
+            .unwrap_or_else(|_| panic!("{name} is {text:?}; an integer is required")),
         Err(_) => default,
     }
 }

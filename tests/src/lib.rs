@@ -1,9 +1,9 @@
-//! What the system tests stand on: an [`Arena`] of its own for each test, real [`Child`] processes,
-//! and test-side [`Source`]s and [`Planner`]s.
+//! Support for the system tests: a separate [`Arena`] for each test, processes ([`Child`]), and
+//! test-side [`Source`]s and [`Planner`]s.
 //!
-//! One process can be in one domain only, so the tests themselves never touch shared memory: a
-//! small program, `joulebus-probe`, does it for them and speaks JSON lines. Nothing here sleeps in
-//! order to synchronise: everything waits for a condition, with [`PATIENCE`].
+//! A process can be in one domain only, so the tests never access shared memory themselves: a small
+//! program, `joulebus-probe`, does so and reports in JSON lines. Nothing here sleeps to
+//! synchronise: everything waits for a condition, with the timeout [`PATIENCE`].
 #![forbid(unsafe_code)]
 
 mod arena;

@@ -1,4 +1,4 @@
-//! A planner that tells a test all that it reads.
+//! A planner that reports to a test everything it reads.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -24,7 +24,7 @@ pub struct Planner {
 }
 
 impl Planner {
-    /// For a process that speaks like the probe's readers; nothing is waited for.
+    /// Wraps a process that prints the lines of the probe's readers; does not wait.
     #[must_use]
     pub const fn new(child: Child) -> Self {
         Self {
@@ -85,7 +85,7 @@ impl Planner {
             };
             if left.is_zero() || is_over {
                 panic!(
-                    "not in {:?}: {what}; {}",
+                    "timeout of {:?}: {what}; {}",
                     begin.elapsed(),
                     self.child.tail()
                 );
@@ -93,7 +93,7 @@ impl Planner {
         }
     }
 
-    /// Reads on until a frame of forecasts gives something.
+    /// Reads until `look` returns something for a frame of forecasts.
     pub fn forecast<T>(
         &mut self,
         what: &str,
@@ -105,14 +105,14 @@ impl Planner {
         })
     }
 
-    /// Reads on until a robot has a quality that `is_it`.
+    /// Reads until `is_it` holds for the quality of a robot.
     pub fn quality(&mut self, what: &str, robot: u32, is_it: impl Fn(Quality) -> bool) {
         self.forecast(what, |frame| {
             is_it(frame.robot(robot)?.quality()).then_some(())
         });
     }
 
-    /// Reads on until each of `samples` is the newest that its robot's forecast answers.
+    /// Reads until each of `samples` is the newest one answered by its robot's forecast.
     pub fn answered(&mut self, samples: &[Sample]) -> ForecastFrame {
         self.forecast("the samples are answered", |frame| {
             let is_answered = |sample: &Sample| {
@@ -123,7 +123,7 @@ impl Planner {
         })
     }
 
-    /// Sends frame after frame, each when the one before has been answered.
+    /// Sends frame after frame, each once the previous one has been answered.
     pub fn play(&mut self, source: &mut Source, frames: &[Vec<Sample>]) {
         for frame in frames {
             source.send(frame);
@@ -131,13 +131,13 @@ impl Planner {
         }
     }
 
-    /// All that it has read so far.
+    /// All lines read so far.
     pub fn seen(&mut self) -> &[ReaderLine] {
         self.fetch(Duration::ZERO);
         &self.lines
     }
 
-    /// All frames of forecasts so far.
+    /// All frames of forecasts read so far.
     pub fn forecasts(&mut self) -> impl Iterator<Item = &ForecastFrame> {
         self.seen().iter().filter_map(|line| match line {
             ReaderLine::Forecasts(frame) => Some(frame),
@@ -145,8 +145,8 @@ impl Planner {
         })
     }
 
-    /// First answers to samples in corrected mode, of the robots that `is_one`. What the worker's
-    /// clock adds while nothing comes is provisional, and left out.
+    /// First answers to samples in corrected mode, of the robots selected by `is_one`. Open-loop
+    /// forecasts by the worker's clock are provisional and omitted.
     pub fn answers(&mut self, is_one: impl Fn(u32) -> bool) -> Answers {
         let mut answers = Answers::new();
         for line in self.forecasts().flat_map(|frame| &frame.robots) {
@@ -163,7 +163,7 @@ impl Planner {
         answers
     }
 
-    /// Lets it leave, and waits for it.
+    /// Closes its stdin and waits for the exit.
     pub fn leave(mut self) -> Ended {
         self.child.finish()
     }
@@ -171,9 +171,9 @@ impl Planner {
     fn fetch(&mut self, within: Duration) -> usize {
         let lines = self.child.lines(self.lines.len(), within);
         for line in &lines {
-            // What a killed reader wrote last may be cut: its last line does not count.
+            // The last line of a killed reader may be truncated and is ignored.
             let Ok(line) = serde_json::from_str(line) else {
-                assert!(!self.child.is_running(), "not understood: {line:?}");
+                assert!(!self.child.is_running(), "invalid line: {line:?}");
                 break;
             };
             self.lines.push(line);

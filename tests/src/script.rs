@@ -1,4 +1,4 @@
-//! Samples that are known beforehand.
+//! Samples with known values.
 
 use joulebus_wire::Sample;
 
@@ -9,8 +9,8 @@ pub const fn steady_uw(robot: u32) -> i128 {
     3_500_000 + robot as i128 * 125_000
 }
 
-/// Sample `seq` of `robot` in a script: everything follows from the two numbers. Stamps are
-/// `period_ns` apart and begin at an hour; the worker compares them only with each other.
+/// Sample `seq` of `robot` in a script: a pure function of the two numbers. Stamps are `period_ns`
+/// apart and start at one hour; the worker compares them only with each other.
 #[must_use]
 pub fn sample(robot: u32, seq: u64, period_ns: u64) -> Sample {
     let stamp_ns = 3_600_000_000_000 + seq * period_ns;
@@ -23,7 +23,7 @@ pub fn sample(robot: u32, seq: u64, period_ns: u64) -> Sample {
         .reading(power_w, stamp_ns)
 }
 
-/// `frames` frames, one sample of each of `robots` in each.
+/// `frames` frames with one sample of each of `robots`.
 #[must_use]
 pub fn script(robots: &[u32], frames: u64, period_ns: u64) -> Vec<Vec<Sample>> {
     (0..frames)
@@ -36,8 +36,8 @@ pub fn script(robots: &[u32], frames: u64, period_ns: u64) -> Vec<Vec<Sample>> {
         .collect()
 }
 
-/// A sample of a robot that draws the same power all the time; its other values follow from robot
-/// and number, so that [`is_whole`] can tell.
+/// A sample of a robot with constant power; its other values are a function of robot and number, so
+/// that [`is_whole`] can check them.
 #[must_use]
 pub fn steady(robot: u32, seq: u64, stamp_ns: u64) -> Sample {
     let power_w = 3.5 + robot as f32 * 0.125;
@@ -52,7 +52,7 @@ pub fn steady(robot: u32, seq: u64, stamp_ns: u64) -> Sample {
         .battery(voltage_v, current_a)
 }
 
-/// Whether every byte of a sample is as [`steady`] made it.
+/// True if every byte of a sample is as [`steady`] made it.
 #[must_use]
 pub fn is_whole(sample: &Sample) -> bool {
     *sample == steady(sample.robot, sample.seq, sample.stamp_ns)

@@ -1,4 +1,5 @@
-//! Rows 15 and 16: the disk is full while capturing; the recorder is killed in the middle of a chunk.
+//! Rows 15 and 16: the disk fills up while recording; the recorder is killed in the middle of a
+//! chunk.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::{BTreeMap, HashSet};
@@ -10,7 +11,7 @@ use joulebus_bus::clock;
 use joulebus_capture::{Entry, Message, ReadError, Reader};
 use joulebus_tests::{Arena, Child, Dice, Setup, Spread, eventually, figure, without_loss};
 
-/// 20 robots at 30 Hz, as the demonstration has them.
+/// 20 robots at 30 Hz, as in the demonstration.
 fn arena() -> Arena {
     Arena::new(&Setup {
         tick_hz: 30.0,
@@ -23,7 +24,7 @@ fn arena() -> Arena {
 const HZ: f64 = 30.0;
 const ROBOTS: u32 = 20;
 
-/// All messages that can be read, and why not more.
+/// All readable messages, and the error that ended reading.
 fn read(path: &Path) -> (Vec<Entry>, Option<ReadError>) {
     let mut reader = match Reader::open(path) {
         Ok(reader) => reader,
@@ -39,7 +40,7 @@ fn read(path: &Path) -> (Vec<Entry>, Option<ReadError>) {
     }
 }
 
-/// What tells a message from all others.
+/// Identity of a message.
 fn name(entry: &Entry) -> (String, u64, u64) {
     let (run, number) = match &entry.message {
         Message::Samples(header, _) => (header.source_epoch, header.frame_seq),
@@ -53,25 +54,25 @@ fn name(entry: &Entry) -> (String, u64, u64) {
     (entry.topic.to_string(), run, number)
 }
 
-/// Bytes of the file, 0 while there is none.
+/// Size of the file, bytes; 0 if it does not exist.
 fn bytes(file: &Path) -> u64 {
     file.metadata().map_or(0, |file| file.len())
 }
 
 #[test]
-fn a_killed_recorder_costs_at_most_the_stated_window() {
+fn a_killed_recorder_loses_at_most_the_stated_window() {
     let arena = arena();
     let mut dice = Dice::roll();
     let mut worker = arena.worker();
     let mut source = arena.controller("source", 0, ROBOTS, HZ);
-    // One that nobody kills tells what was sent.
+    // A second recorder, not killed, records what was sent.
     let whole = arena.files().join("whole.mcap");
     let mut witness = arena.recording(&whole, &[]);
     let mut killed: Vec<(PathBuf, u64)> = Vec::new();
     for round in 0..Dice::rounds("JOULEBUS_KILLS", 10) {
         let file = arena.files().join(format!("killed-{round}.mcap"));
         let mut victim = arena.recording(&file, &[]);
-        // Whoever is killed while starting has recorded nothing that could be lost.
+        // A recorder killed during its start has recorded nothing that could be lost.
         eventually("messages of each kind in the file", || {
             let found = read(&file).0;
             let topics: HashSet<_> = found.iter().map(|entry| &*entry.topic).collect();
@@ -87,7 +88,7 @@ fn a_killed_recorder_costs_at_most_the_stated_window() {
         assert_eq!(ended.signal(), Some(9), "{ended:?}");
         killed.push((file, at_ns));
     }
-    // What the witness lost on a busy machine is asked of nobody.
+    // Messages that the second recorder lost on a busy machine are not expected.
     let ended = witness.end();
     assert!(matches!(ended.code(), Some(0 | 3)), "{}", ended.errors());
     source.finish();
@@ -101,9 +102,9 @@ fn a_killed_recorder_costs_at_most_the_stated_window() {
         let (found, end) = read(file);
         assert!(matches!(end, Some(ReadError::Truncated { .. })), "{end:?}");
         let names: HashSet<_> = found.iter().map(name).collect();
-        assert_eq!(names.len(), found.len(), "no message twice");
-        // While it starts, a recorder opens one service after the other: of each, what came after
-        // its first message. Nothing is missing in the middle: what is lost is the end.
+        assert_eq!(names.len(), found.len(), "a message occurs twice");
+        // A recorder opens one service after the other: of each, the messages after its first one.
+        // Nothing is missing in the middle: what is lost is the end.
         let mut spans: BTreeMap<&str, (u64, u64)> = BTreeMap::new();
         for entry in &found {
             let time_ns = entry.publish_time_ns;
@@ -133,13 +134,13 @@ fn a_killed_recorder_costs_at_most_the_stated_window() {
         "row 16, messages lost",
         format!("p50 {p50}, max {max} of {} a second", (5.0 * HZ) as u64),
     );
-    // Two seconds is no figure but a bound that no load explains away.
+    // Two seconds is not a measured value but a bound that holds under any load.
     assert!(max < (2.0 * 5.0 * HZ) as usize, "{messages:?}");
     arena.close();
 }
 
 #[test]
-fn a_full_disk_ends_the_capture_and_nothing_else() {
+fn a_full_disk_ends_only_the_capture() {
     let arena = arena();
     let mut worker = arena.worker();
     let mut source = arena.controller("source", 0, ROBOTS, HZ);
@@ -197,7 +198,7 @@ fn two_fleets_are_recorded_into_one_file() {
     let fleets = [&one, &other].map(start);
     let (file, _) = without_loss(|attempt| {
         let file = one.files().join(format!("both-{attempt}.mcap"));
-        // The first config is the arena's own: it comes first on the command line.
+        // The arena's config comes first on the command line.
         let mut command = Command::new(joulebus_tests::program("joulebus-under-test"));
         command
             .args(["record", "--format", "json", "-o"])

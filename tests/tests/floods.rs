@@ -183,7 +183,7 @@ fn row_22_overload_skips_ticks_sheds_diagnostics_first_and_ends_by_itself() {
         _ => None,
     });
     let recovered_s = left.elapsed().as_secs_f64();
-    worker.says("diagnostics are back");
+    worker.says("diagnostics resume");
 
     // As if nothing had been: what comes now is answered.
     let mut source = arena.source("few");

@@ -1,13 +1,9 @@
-//! Every seed of the fuzz targets, and every input that fuzzing found, on stable: nothing panics,
-//! what each target asserts holds, and each target accepts some of them.
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends")]
+//! Every seed of the fuzz targets and every input found by fuzzing, on stable Rust: nothing panics,
+//! the assertions of each target hold, and each target accepts some of them.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../fuzz/src/lib.rs"]
-#[allow(
-    dead_code,
-    unreachable_pub,
-    reason = "the programs that are fuzzed use the rest"
-)]
+#[allow(dead_code, unreachable_pub, reason = "the fuzz targets use the rest")]
 mod joulebus_fuzz;
 
 use std::path::{Path, PathBuf};
@@ -19,7 +15,7 @@ fn directory() -> PathBuf {
 }
 
 #[test]
-fn every_target_takes_its_seeds() {
+fn every_target_accepts_some_of_its_seeds() {
     for target in TARGETS {
         let (mut inputs, mut accepted) = (0, 0);
         for file in std::fs::read_dir(directory().join(target.seeds)).unwrap() {
@@ -40,7 +36,7 @@ fn every_target_takes_its_seeds() {
 }
 
 #[test]
-fn seeds_that_are_written_now_are_accepted_too() {
+fn newly_generated_seeds_are_accepted() {
     for target in TARGETS {
         let seeds = seeds::seeds();
         let mut own = seeds
@@ -55,7 +51,7 @@ fn seeds_that_are_written_now_are_accepted_too() {
 }
 
 #[test]
-#[ignore = "writes fuzz/seeds anew; for a change of a format"]
+#[ignore = "regenerates fuzz/seeds after a change of a format"]
 fn write_the_seeds() {
     seeds::write(&directory()).unwrap();
 }

@@ -1,14 +1,14 @@
-//! Rows 10 and 11: robots join late, leave, and come back.
+//! Rows 10 and 11: robots join late, leave, and rejoin.
 
 use std::time::Duration;
 
 use joulebus_tests::{Arena, Dice, ForecastLine, Planner, Setup, Source, Spread, figure, sample};
 use joulebus_wire::{Quality, Sample};
 
-/// Readings that a lag window holds.
+/// Readings in a lag window.
 const WINDOW: u64 = 5;
 
-/// Sends the frame and waits for its answer; the lines of `robots` in it, and its tick.
+/// Sends the frame and waits for its answer; returns the lines of `robots` in it, and its tick.
 fn answer(
     planner: &mut Planner,
     source: &mut Source,
@@ -23,11 +23,11 @@ fn line(lines: &[ForecastLine], robot: u32) -> ForecastLine {
     *lines
         .iter()
         .find(|line| line.robot == robot)
-        .expect("it is answered")
+        .expect("an answer for each robot")
 }
 
 #[test]
-fn row_10_a_late_joiner_warms_up_visibly_and_is_forecast_with_its_fifth_sample() {
+fn row_10_a_late_joiner_is_warming_up_and_gets_a_forecast_with_its_fifth_sample() {
     const JOINERS: u32 = 20;
     let setup = Setup {
         capacity: 32,
@@ -63,9 +63,9 @@ fn row_10_a_late_joiner_warms_up_visibly_and_is_forecast_with_its_fifth_sample()
             assert_eq!(
                 found.flags & 1 != 0,
                 own + 1 >= WINDOW,
-                "a forecast exactly when it can be made"
+                "a forecast from the fifth sample on only"
             );
-            // In the very tick that takes its first sample it is shown.
+            // It appears in the tick that accepts its first sample.
             let first = *joined_tick.get_or_insert(tick);
             assert!(own > 0 || tick > before || before == 0);
             if own + 1 == WINDOW {
@@ -98,10 +98,10 @@ fn row_10_a_late_joiner_warms_up_visibly_and_is_forecast_with_its_fifth_sample()
 }
 
 #[test]
-fn row_11_a_place_that_is_taken_over_carries_nothing_of_its_previous_owner() {
+fn row_11_a_reused_slot_keeps_no_state_of_its_previous_robot() {
     const SAMPLES: u64 = 8;
     let stays = Dice::rounds("JOULEBUS_STAYS", 4);
-    // Nobody who continues is silent for two seconds, however busy the machine is.
+    // No continuing robot is silent for two seconds, however busy the machine is.
     let setup = Setup {
         capacity: 4,
         stale_after_s: 2.0,
@@ -123,7 +123,7 @@ fn row_11_a_place_that_is_taken_over_carries_nothing_of_its_previous_owner() {
     let mut first_stay: Vec<Vec<ForecastLine>> = Vec::new();
     let (mut compared, mut generations) = (0, Vec::new());
     for stay in 0..stays {
-        // Two robots in turn in the same two places.
+        // Two pairs of robots alternate in the same two slots.
         let visitors = if stay % 2 == 0 { [0, 1] } else { [4, 5] };
         for own in 0..SAMPLES {
             let mut frame = stayers_frame();
@@ -138,7 +138,7 @@ fn row_11_a_place_that_is_taken_over_carries_nothing_of_its_previous_owner() {
                 assert_eq!(
                     found.map(|line| line.quality()),
                     [expected; 2],
-                    "stay {stay}: an old lag"
+                    "stay {stay}: a lag of the previous robot"
                 );
             }
             let at = (stay % 2 * SAMPLES + own) as usize;
@@ -146,7 +146,7 @@ fn row_11_a_place_that_is_taken_over_carries_nothing_of_its_previous_owner() {
                 None => first_stay.push(found.to_vec()),
                 Some(first) => {
                     for (first, again) in first.iter().zip(&found) {
-                        // What a busy machine shows only provisionally does not count.
+                        // Provisional open-loop forecasts of a busy machine are excluded.
                         if !matches!(again.quality(), Quality::OpenLoop { .. }) {
                             assert_eq!(
                                 (first.code, first.bits),
@@ -162,7 +162,7 @@ fn row_11_a_place_that_is_taken_over_carries_nothing_of_its_previous_owner() {
                 generations.push(found[0].generation);
             }
         }
-        // The visitors fall silent; the others continue until the places are free.
+        // The visitors fall silent; the others continue until the slots are free.
         loop {
             let frame = stayers_frame();
             let (_, lines) = answer(&mut planner, &mut source, &frame);
@@ -172,14 +172,14 @@ fn row_11_a_place_that_is_taken_over_carries_nothing_of_its_previous_owner() {
             assert_eq!(
                 lines.len(),
                 4,
-                "both leave in the same tick, being silent for as long"
+                "both leave in the same tick, having the same silence"
             );
             std::thread::sleep(Duration::from_millis(20));
         }
     }
     assert!(
         generations.windows(2).all(|pair| pair[0] < pair[1]),
-        "a new owner, a new generation: {generations:?}"
+        "each owner has its own generation: {generations:?}"
     );
     assert!(compared as u64 >= (stays - 2) * SAMPLES, "{compared}");
     figure(

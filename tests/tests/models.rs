@@ -1,5 +1,5 @@
-//! Row 12: damaged model files are refused with the file and what was found, and harm no worker that
-//! runs.
+//! Row 12: damaged model files are refused with the path and the finding, and do not affect a
+//! running worker.
 
 use std::path::Path;
 
@@ -8,32 +8,32 @@ use joulebus_tests::{Arena, Setup, figure, script};
 
 const MODEL: &str = "gternal-sim";
 
-/// What is wrong, the file, and what the message must show.
+/// Defect, file contents, and parts that the message must contain.
 type Case = (String, Vec<u8>, Vec<&'static str>);
 
 fn shipped() -> Vec<u8> {
     builtin_model(MODEL).expect("it ships").1.to_vec()
 }
 
-/// Where the numbers begin.
+/// Offset of the tensor data.
 fn data_at(bytes: &[u8]) -> usize {
     let header: [u8; 8] = bytes[..8].try_into().expect("eight");
     8 + u64::from_le_bytes(header) as usize
 }
 
-/// The file with `from` in its header replaced by `to`, which is as long.
+/// The file with `from` in its header replaced by `to` of the same length.
 fn with_header(from: &str, to: &str) -> Vec<u8> {
     let mut bytes = shipped();
     assert_eq!(from.len(), to.len());
     let at = bytes
         .windows(from.len())
         .position(|window| window == from.as_bytes())
-        .unwrap_or_else(|| panic!("{from} is in the header"));
+        .unwrap_or_else(|| panic!("the header lacks {from}"));
     bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
     bytes
 }
 
-/// A number of the weights replaced.
+/// The file with one weight replaced.
 fn with_number(position: usize, value: f32) -> Vec<u8> {
     let mut bytes = shipped();
     let at = data_at(&bytes) + 4 * position;
@@ -41,30 +41,33 @@ fn with_number(position: usize, value: f32) -> Vec<u8> {
     bytes
 }
 
-/// The file with the digest that belongs to its contents, as somebody would write it who knows how:
-/// the refusal of the wrong digest tells the right one.
+/// The file with the correct digest for its contents, as an attacker could produce it: the refusal
+/// of a wrong digest states the expected one.
 fn signed(arena: &Arena, path: &Path, mut bytes: Vec<u8>) -> Vec<u8> {
-    std::fs::write(path, &bytes).expect("the arena's own directory");
+    std::fs::write(path, &bytes).expect("writable directory");
     let errors = arena.run(&["run"]).errors();
     let after = |words: &str| errors.split(words).nth(1).and_then(|rest| rest.get(..64));
     if let (Some(found), Some(stated)) = (after("SHA-256 "), after("metadata says ")) {
         let is_it = |window: &[u8]| window == stated.as_bytes();
-        let at = bytes.windows(64).position(is_it).expect("it is stated");
+        let at = bytes
+            .windows(64)
+            .position(is_it)
+            .expect("the message states the digest");
         bytes[at..at + 64].copy_from_slice(found.as_bytes());
     }
     bytes
 }
 
-/// Wrong in their contents; to be signed.
+/// Files with invalid contents and a valid digest.
 fn forged() -> Vec<Case> {
     vec![
         (
-            "a weight matrix turned on its side".to_owned(),
+            "a transposed weight matrix".to_owned(),
             with_header("[64,11]", "[11,64]"),
             vec!["layers.0.weight", "[11, 64]", "[64, 11]"],
         ),
         (
-            "numbers of another type".to_owned(),
+            "tensors of another type".to_owned(),
             with_header("\"dtype\":\"F32\"", "\"dtype\":\"I32\""),
             vec!["I32", "F32"],
         ),
@@ -79,19 +82,19 @@ fn forged() -> Vec<Case> {
             vec!["inf", "finite"],
         ),
         (
-            "another version of the format".to_owned(),
+            "another format version".to_owned(),
             with_header("\"format_version\":\"1\"", "\"format_version\":\"2\""),
             vec!["`format_version` is 2", "allowed: 1"],
         ),
         (
-            "residuals that scatter by less than nothing".to_owned(),
+            "a negative variance of residuals".to_owned(),
             with_header("residual_std_w\":\"0.", "residual_std_w\":\"-."),
             vec!["residual_std_w", "-0.0"],
         ),
     ]
 }
 
-/// Cut, lengthened or flipped.
+/// Truncated and extended files, and flipped bits.
 fn damaged() -> Vec<Case> {
     let whole = shipped();
     let data = data_at(&whole);
@@ -119,7 +122,7 @@ fn damaged() -> Vec<Case> {
         whole.len() - 1,
     ] {
         cases.push((
-            format!("cut to {length} bytes"),
+            format!("truncated to {length} bytes"),
             whole[..length].to_vec(),
             vec!["refused"],
         ));
@@ -136,7 +139,7 @@ fn damaged() -> Vec<Case> {
 }
 
 #[test]
-fn row_12_a_damaged_model_file_is_refused_with_file_and_both_values_and_nothing_is_left() {
+fn row_12_a_damaged_model_file_is_refused_with_path_and_both_values_and_leaves_no_files() {
     let arena = Arena::new(&Setup::default());
     let path = arena.files().join("model.safetensors");
     let setup = Setup {
@@ -158,11 +161,11 @@ fn row_12_a_damaged_model_file_is_refused_with_file_and_both_values_and_nothing_
         let errors = ended.errors();
         assert!(
             errors.contains(&path.display().to_string()),
-            "{what}: the file is named: {errors}"
+            "{what}: no path in {errors}"
         );
         assert!(!errors.contains("panicked"), "{what}: {errors}");
         let remedies = errors.matches("copy or train the model again").count();
-        assert!(remedies <= 1, "said once: {errors}");
+        assert!(remedies <= 1, "more than one remedy: {errors}");
         for part in parts {
             assert!(errors.contains(part), "{what}: {part:?} in {errors}");
         }
@@ -188,7 +191,7 @@ fn row_12_a_damaged_model_file_is_refused_with_file_and_both_values_and_nothing_
 }
 
 #[test]
-fn row_12_a_model_file_overwritten_with_garbage_does_not_disturb_the_worker_that_has_loaded_it() {
+fn row_12_overwriting_a_loaded_model_file_does_not_affect_the_worker() {
     let robots = [0, 1, 2];
     let play = |garbage: bool| {
         let arena = Arena::new(&Setup::default());

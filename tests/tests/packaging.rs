@@ -1,5 +1,5 @@
-//! What crates.io asks of every crate that is published, and what its users need: metadata, licences, a
-//! README, versions of all dependencies, and every embedded file inside the package.
+//! Requirements of crates.io and of users for every published crate: metadata, licences, README,
+//! versions of all dependencies, and every embedded file inside the package.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
@@ -8,7 +8,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// What Cargo knows of the workspace; with `dependencies`, of all crates that it is built of.
+/// Cargo's metadata of the workspace; with `dependencies`, of all crates in its dependency graph.
 fn metadata(dependencies: bool) -> Value {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut cargo = Command::new(env!("CARGO"));
@@ -31,7 +31,7 @@ fn packages(metadata: &Value) -> impl Iterator<Item = &Value> {
     metadata["packages"].as_array().unwrap().iter()
 }
 
-/// Crates that go to crates.io: all but those with `publish = false`.
+/// Published crates: all without `publish = false`.
 fn published(metadata: &Value) -> Vec<&Value> {
     packages(metadata)
         .filter(|package| package["publish"] != serde_json::json!([]))
@@ -59,7 +59,7 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
 }
 
 #[test]
-fn only_tests_and_examples_stay_unpublished() {
+fn only_tests_and_examples_are_unpublished() {
     let metadata = metadata(false);
     let mut kept: Vec<&str> = packages(&metadata)
         .filter(|package| package["publish"] == serde_json::json!([]))
@@ -75,7 +75,7 @@ fn only_tests_and_examples_stay_unpublished() {
 }
 
 #[test]
-fn every_published_crate_describes_itself() {
+fn every_published_crate_has_complete_metadata() {
     let metadata = metadata(false);
     let mut missing = Vec::new();
     for package in published(&metadata) {
@@ -107,9 +107,9 @@ fn every_published_crate_describes_itself() {
     assert!(missing.is_empty(), "{missing:#?}");
 }
 
-/// A description, as `joulebus-<what>`, that two crates share would be of no use in a search.
+/// Two crates with the same description could not be distinguished in a search.
 #[test]
-fn no_two_crates_have_one_description() {
+fn descriptions_of_crates_are_unique() {
     let metadata = metadata(false);
     let mut descriptions: Vec<&str> = published(&metadata)
         .iter()
@@ -122,7 +122,7 @@ fn no_two_crates_have_one_description() {
 }
 
 #[test]
-fn crates_of_the_workspace_need_each_other_in_one_exact_version() {
+fn workspace_crates_depend_on_each_other_in_one_exact_version() {
     let metadata = metadata(false);
     let published = published(&metadata);
     let version = published[0]["version"].as_str().unwrap();
@@ -135,7 +135,7 @@ fn crates_of_the_workspace_need_each_other_in_one_exact_version() {
             let is_published = published
                 .iter()
                 .any(|other| other["name"] == dependency["name"]);
-            // Cargo leaves development dependencies without a version out of a package.
+            // Cargo omits dev-dependencies without a version from a package.
             let is_left_out = dependency["kind"] == "dev" && dependency["req"] == "*";
             assert!(
                 (is_published && dependency["req"] == format!("={version}")) || is_left_out,
@@ -148,9 +148,10 @@ fn crates_of_the_workspace_need_each_other_in_one_exact_version() {
     }
 }
 
-/// Files outside a crate's folder are not in its package. Links inside it are, as files.
+/// Files outside a crate's directory are not in its package. Symbolic links inside it are packaged
+/// as files.
 #[test]
-fn no_embedded_file_lies_outside_its_crate() {
+fn embedded_files_are_inside_their_crate() {
     let metadata = metadata(false);
     for package in published(&metadata) {
         let folder = folder(package);
@@ -158,7 +159,7 @@ fn no_embedded_file_lies_outside_its_crate() {
         sources(&folder.join("src"), &mut files);
         for file in files {
             let text = fs::read_to_string(&file).unwrap();
-            // Unit tests are compiled in the repository only, and stand last.
+            // Unit tests are compiled only in the repository, and are at the end of a file.
             let shipped = text.split("#[cfg(test)]\nmod tests").next().unwrap();
             let code = shipped
                 .lines()
@@ -180,21 +181,21 @@ fn no_embedded_file_lies_outside_its_crate() {
             }
             assert!(
                 !shipped.contains("CARGO_MANIFEST_DIR"),
-                "{} needs the repository",
+                "{} requires a file of the repository",
                 file.display()
             );
         }
     }
 }
 
-/// `1.89` or `1.89.0` as major and minor number.
+/// Major and minor number of `1.89` or `1.89.0`.
 fn version(text: &str) -> (u32, u32) {
     let mut parts = text.split('.').map(|part| part.parse().unwrap());
     (parts.next().unwrap(), parts.next().unwrap_or(0))
 }
 
 #[test]
-fn no_dependency_asks_for_a_newer_compiler_than_is_promised() {
+fn no_dependency_requires_a_newer_compiler_than_rust_version() {
     let metadata = metadata(true);
     let ours = packages(&metadata).find(|package| package["source"].is_null());
     let promised = version(ours.unwrap()["rust_version"].as_str().unwrap());
@@ -202,7 +203,7 @@ fn no_dependency_asks_for_a_newer_compiler_than_is_promised() {
         .filter(|package| !package["source"].is_null())
         .filter_map(|package| Some((name(package), package["rust_version"].as_str()?)))
         .filter(|(_, needed)| version(needed) > promised)
-        .map(|(name, needed)| format!("{name} needs {needed}"))
+        .map(|(name, needed)| format!("{name} requires {needed}"))
         .collect();
     assert!(
         newer.is_empty(),

@@ -1,4 +1,4 @@
-//! Rows 3 and 4: planners are killed and stopped, and the worker does not notice.
+//! Rows 3 and 4: killed and stopped planners do not affect the worker.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ fn frame(seq: u64, setup: &Setup) -> Vec<Sample> {
 }
 
 #[test]
-fn row_3_killed_planners_cost_the_worker_no_frame_and_their_loans_come_back() {
+fn row_3_killed_planners_cost_the_worker_no_frame_and_their_loans_are_reclaimed() {
     let mut dice = Dice::roll();
     let rounds = Dice::rounds("JOULEBUS_PLANNER_KILLS", 40);
     let setup = Setup::default();
@@ -41,12 +41,12 @@ fn row_3_killed_planners_cost_the_worker_no_frame_and_their_loans_come_back() {
         } else {
             starting += 1;
         }
-        // The point of the kill, not a wait for anything.
+        // Random time of the kill, not a wait for a condition.
         std::thread::sleep(dice.time_below(Duration::from_millis(20)));
         planner.child.kill();
         play(&mut witness);
     }
-    // Had a place or a loan not come back, there would be none for these.
+    // Without the reclaimed slots and loans these could not join.
     let holders: Vec<Planner> = (0..2)
         .map(|_| {
             let mut holder = Planner::new(Child::spawn("holder", arena.probe(&["holder"])));
@@ -78,7 +78,7 @@ fn row_3_killed_planners_cost_the_worker_no_frame_and_their_loans_come_back() {
 }
 
 #[test]
-fn row_4_a_stopped_planner_leaves_the_worker_alone_and_resumes_at_the_newest_with_one_gap() {
+fn row_4_a_stopped_planner_does_not_affect_the_worker_and_resumes_at_the_newest_with_one_gap() {
     const FRAMES: u64 = 150;
     let setup = Setup::default();
     let arena = Arena::new(&setup);
@@ -98,7 +98,7 @@ fn row_4_a_stopped_planner_leaves_the_worker_alone_and_resumes_at_the_newest_wit
         matches!(line, ReaderLine::Given { .. }).then_some(())
     });
     stopped.child.signal(Signal::STOP);
-    // Twice the planner's buffers: from here on nothing that it has not seen is still there.
+    // Twice the planner's buffers: after this all frames it has not read are overwritten.
     let first = play(&mut witness, 10);
     let last = (11..10 + FRAMES)
         .map(|seq| play(&mut witness, seq))
@@ -118,7 +118,7 @@ fn row_4_a_stopped_planner_leaves_the_worker_alone_and_resumes_at_the_newest_wit
         ReaderLine::Given { gaps, tick, .. } => {
             assert!(
                 *tick <= first.tick + 5,
-                "an old frame after it went on: tick {tick}"
+                "an old frame after it resumed: tick {tick}"
             );
             gaps_before = Some(*gaps);
             None

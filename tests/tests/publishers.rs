@@ -10,12 +10,12 @@ use joulebus_tests::{
 };
 use joulebus_wire::{InvalidReason, Quality, Sample};
 
-/// Robots of the controller that is killed.
+/// Robots of the killed controller.
 const KILLED: u32 = 0;
 const ROBOTS: u32 = 4;
-/// Robots of the source that is not.
+/// Robots of the other source.
 const OTHERS: [u32; 4] = [50, 51, 52, 53];
-/// Between two frames of that source.
+/// Period of that source.
 const PACE: Duration = Duration::from_millis(15);
 
 fn other(seq: u64, setup: &Setup) -> Vec<Sample> {
@@ -24,7 +24,8 @@ fn other(seq: u64, setup: &Setup) -> Vec<Sample> {
         .to_vec()
 }
 
-/// Plays to the other robots until told to stop; their answers, and the source's pid.
+/// Sends samples of the other robots until stopped; returns their answers and the pid of the
+/// source.
 fn play_others(
     arena: &Arena,
     setup: &Setup,
@@ -50,8 +51,8 @@ fn play_others(
     (answers, pid)
 }
 
-/// Starts a controller and waits until a forecast answers a sample of this run. When it was started,
-/// and when the forecast was read, monotonic ns.
+/// Starts a controller and waits until a forecast answers a sample of this run. Returns the
+/// controller, its start time and the time at which the forecast was read, monotonic ns.
 fn start(arena: &Arena, planner: &mut Planner) -> (Child, u64, u64) {
     let started_ns = clock::monotonic_ns();
     let controller = arena.controller("controller", KILLED, ROBOTS, 30.0);
@@ -69,7 +70,7 @@ fn start(arena: &Arena, planner: &mut Planner) -> (Child, u64, u64) {
     (controller, started_ns, answered_ns)
 }
 
-/// After a kill: the robot runs open loop, and then is invalid because nothing comes any more.
+/// After a kill: the robot is in open loop, and then invalid as stale.
 fn assert_goes_stale(planner: &mut Planner) {
     let mut steps = Vec::new();
     planner.forecast("its robots go stale", |frame| {
@@ -79,7 +80,7 @@ fn assert_goes_stale(planner: &mut Planner) {
                 steps.push(step);
                 None
             }
-            // What had been sent before the kill is still answered.
+            // Samples sent before the kill are still answered.
             Quality::Fresh | Quality::Held => {
                 steps.clear();
                 None
@@ -87,18 +88,18 @@ fn assert_goes_stale(planner: &mut Planner) {
             quality => panic!("{quality:?} after {steps:?}"),
         }
     });
-    assert!(!steps.is_empty(), "open loop comes before stale");
+    assert!(!steps.is_empty(), "no open loop before stale");
     assert!(steps.is_sorted(), "{steps:?}");
 }
 
 #[test]
-fn row_1_killed_publishers_harm_nobody_else_and_every_restart_works() {
+fn row_1_killed_publishers_do_not_affect_others_and_every_restart_works() {
     let mut dice = Dice::roll();
     let rounds = Dice::rounds("JOULEBUS_PUBLISHER_KILLS", 32);
     let setup = Setup {
         tick_hz: 100.0,
         rate_hz: 30.0,
-        // Long enough for open loop to be seen before it on a busy machine.
+        // Long enough to observe the open loop on a busy machine.
         stale_after_s: 1.0,
         ..Setup::default()
     };
@@ -118,7 +119,7 @@ fn row_1_killed_publishers_harm_nobody_else_and_every_restart_works() {
                 PACE,
             )
         });
-        // However this ends, the other source must not play indefinitely.
+        // The other source must stop even if this thread panics.
         let _stopped = Stop(&stop);
         let (mut controller, ..) = start(&arena, &mut planner);
         for round in 0..rounds {
@@ -128,7 +129,7 @@ fn row_1_killed_publishers_harm_nobody_else_and_every_restart_works() {
                     quality == Quality::Fresh
                 });
             }
-            // The point of the kill, not a wait for anything.
+            // Random time of the kill, not a wait for a condition.
             std::thread::sleep(dice.time_below(Duration::from_millis(150)));
             let killed_ns = clock::monotonic_ns();
             assert_eq!(controller.kill().signal(), Some(9));
@@ -136,7 +137,7 @@ fn row_1_killed_publishers_harm_nobody_else_and_every_restart_works() {
                 assert_goes_stale(&mut planner);
             }
             if round % 2 == 1 {
-                // Another one dies while it starts.
+                // Another one is killed during its start.
                 let mut unfinished = arena.controller("controller", KILLED, ROBOTS, 30.0);
                 std::thread::sleep(dice.time_below(Duration::from_millis(25)));
                 unfinished.kill();
@@ -159,7 +160,7 @@ fn row_1_killed_publishers_harm_nobody_else_and_every_restart_works() {
     let (mut read, mut torn) = (0, 0);
     for line in recorder.seen() {
         match line {
-            // The scripted source's samples follow another rule.
+            // The scripted source has different samples.
             ReaderLine::Samples {
                 samples,
                 torn: broken,
@@ -186,7 +187,7 @@ fn row_1_killed_publishers_harm_nobody_else_and_every_restart_works() {
     clean.close();
     let mut compared = 0;
     for (key, answer) in &answers {
-        // A planner that waited for a processor may have missed a frame.
+        // A planner that waited for a CPU may have missed a frame.
         let Some(expected) = expected.get(key) else {
             continue;
         };

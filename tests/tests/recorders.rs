@@ -11,7 +11,7 @@ use rustix::process::Signal;
 
 const ROBOTS: u32 = 12;
 
-/// Samples in a capture.
+/// Number of samples in a capture.
 fn samples(file: &Path) -> u64 {
     let messages = Reader::open(file)
         .unwrap()
@@ -24,7 +24,8 @@ fn samples(file: &Path) -> u64 {
         .sum()
 }
 
-/// A worker that records itself while robots are simulated; the capture and the worker's end.
+/// A worker that records itself while robots are simulated; returns the capture and the worker's
+/// exit.
 fn recorded(arena: &Arena, name: &str) -> (PathBuf, Ended) {
     without_loss(|attempt| {
         let file = arena.files().join(format!("{attempt}-{name}"));
@@ -43,7 +44,7 @@ fn recorded(arena: &Arena, name: &str) -> (PathBuf, Ended) {
 }
 
 #[test]
-fn a_worker_that_records_itself_leaves_a_capture_that_proves_itself() {
+fn a_capture_of_a_worker_that_records_itself_is_verified() {
     let arena = Arena::new(&Setup::simulated());
     let (file, ended) = recorded(&arena, "beside.mcap");
     let report = ended.json();
@@ -56,7 +57,7 @@ fn a_worker_that_records_itself_leaves_a_capture_that_proves_itself() {
 }
 
 #[test]
-fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
+fn a_signal_writes_a_snapshot_and_the_recorder_continues() {
     let arena = Arena::new(&Setup::simulated());
     let file = arena.files().join("snapshot.mcap");
     let name = file.to_str().unwrap();
@@ -66,7 +67,7 @@ fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
     recorder.says("recording t into");
     let mut worker = arena.worker();
     arena.simulate(ROBOTS, 30);
-    assert!(!file.exists(), "nobody asked for it yet");
+    assert!(!file.exists(), "written without a request");
     recorder.signal(Signal::USR1);
     eventually("the first snapshot", || {
         Reader::open(&file).is_ok_and(|mut reader| reader.all(|entry| entry.is_ok()))
@@ -79,7 +80,7 @@ fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
     eventually("the second snapshot", || second.exists());
     let report = recorder.end();
     assert!(matches!(report.code(), Some(0 | 3)), "{}", report.errors());
-    // What was saved is not written again.
+    // Messages of the first snapshot are not written again.
     assert!(samples(&second) > 0);
     let frames = |file: &Path| Reader::open(file).unwrap().count();
     assert_eq!(
@@ -90,13 +91,13 @@ fn a_snapshot_is_written_down_on_a_signal_and_the_recorder_goes_on() {
     );
     let left = fs::read_dir(arena.files()).unwrap().flatten();
     let captures = left.filter(|entry| entry.path().extension().is_some_and(|end| end == "mcap"));
-    assert_eq!(captures.count(), 2, "nothing is written at the end");
+    assert_eq!(captures.count(), 2, "a snapshot was written at the end");
     worker.stop();
     arena.close();
 }
 
 #[test]
-fn a_loop_sends_every_sample_again_and_each_is_accepted() {
+fn all_samples_of_a_looped_replay_are_accepted() {
     let arena = Arena::new(&Setup::simulated());
     let (file, _) = recorded(&arena, "loop.mcap");
     let once = samples(&file);

@@ -1,7 +1,7 @@
-//! The live path and the offline path are one arithmetic: recorded trials of three platforms, played
+//! The live and the offline path compute the same bits: recorded trials of three platforms, played
 //! through publisher, shared memory and worker, give the bits of the offline evaluation.
 //!
-//! Real processes; real recordings under `../shared/data`.
+//! Uses processes, and recordings under `../shared/data`.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::HashMap;
@@ -18,7 +18,7 @@ use joulebus_predictor_worker::load_models;
 use joulebus_tests::{Child, PATIENCE, program};
 use joulebus_wire::{Diagnostic, Forecast, Quality};
 
-/// Files of a folder of recordings, sorted; none when the recordings are not there.
+/// Files of a directory of recordings, sorted; none if the recordings are missing.
 fn recordings(folder: &str) -> Vec<PathBuf> {
     let directory = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../shared/data")
@@ -40,7 +40,7 @@ fn fleet() -> Vec<(u32, PathBuf)> {
         .step_by(6)
         .take(100)
         .collect();
-    // The shortest: a recording of minutes shows no more than one of seconds.
+    // The shortest ones: minutes of recording test no more than seconds.
     let mut husky = recordings("borealtc_husky");
     husky.sort_by_key(|path| path.metadata().unwrap().len());
     let rover = recordings("ase_rover").into_iter().step_by(5);
@@ -50,8 +50,8 @@ fn fleet() -> Vec<(u32, PathBuf)> {
         .collect()
 }
 
-/// A network that needs velocities, persistence, and a network that needs none; two of the rovers
-/// are given the network that needs what they lack.
+/// A network with velocities, persistence, and a network without velocities; two of the rovers are
+/// assigned the network whose velocities they lack.
 fn config(root: &Path) -> String {
     format!(
         r#"
@@ -89,7 +89,7 @@ model = "builtin:gternal-sim"
     )
 }
 
-/// What the worker published: by robot and sample, and the last of each robot.
+/// Output of the worker: by robot and sample, and the last of each robot.
 #[derive(Default)]
 struct Published {
     forecasts: HashMap<(u32, u64), Forecast>,
@@ -98,7 +98,7 @@ struct Published {
 }
 
 impl Published {
-    /// Reads frames until the source has ended and everything it sent is answered.
+    /// Reads frames until the source has exited and all its samples are answered.
     fn read(config: &Config, ended: &AtomicBool) -> Self {
         let bus = Bus::join(&config.domain().unwrap(), "planner").unwrap();
         let limits = config.limits();
@@ -109,13 +109,14 @@ impl Published {
         let mut rounds_after = 0;
         let begun = Instant::now();
         while rounds_after < 20 {
-            assert!(begun.elapsed() < PATIENCE, "the source has not ended");
+            assert!(begun.elapsed() < PATIENCE, "the source has not exited");
             waiter.wait_until(None, None).unwrap();
             rounds_after += u32::from(ended.load(Ordering::Relaxed));
             while let Some(frame) = forecasts.take_next().unwrap() {
                 for forecast in frame.payload() {
                     let live = !matches!(forecast.quality(), Quality::OpenLoop { .. });
-                    // Open loop by the worker's clock is provisional: no part of the promise.
+                    // Open loop by the worker's clock is provisional and excluded from the
+                    // comparison.
                     if live {
                         published
                             .forecasts
@@ -140,7 +141,7 @@ fn bits(watts: Option<f32>) -> Option<u32> {
     watts.map(f32::to_bits)
 }
 
-/// Compares one published forecast with its step; a robot is stale once its recording has ended.
+/// Compares a published forecast with its step; a robot is stale once its recording has ended.
 fn same_forecast(robot: u32, live: &Forecast, step: &Step) {
     if live.quality() == Quality::Invalid(joulebus_wire::InvalidReason::Stale) {
         return;
@@ -200,7 +201,7 @@ fn same_scores(live: &Diagnostic, offline: &RobotEvaluation) {
     );
 }
 
-/// Compares all that was published. Returns how many forecasts and residuals.
+/// Compares all output. Returns the number of forecasts and residuals.
 fn compare(published: &Published, offline: &Evaluation) -> (usize, usize) {
     let (mut forecasts, mut residuals) = (0, 0);
     for robot in &offline.robots {
@@ -249,14 +250,14 @@ fn start_source(config: &Path, fleet: &[(u32, PathBuf)]) -> Child {
 }
 
 #[test]
-fn a_recorded_fleet_gives_the_same_bits_live_and_offline() {
+fn a_recorded_fleet_has_the_same_bits_live_and_offline() {
     let fleet = fleet();
     if fleet.is_empty() {
         assert!(
             std::env::var("CI").as_deref() != Ok("true"),
             "the recordings under ../shared/data are missing"
         );
-        println!("skipped: the recordings under ../shared/data are not there");
+        println!("skipped: the recordings under ../shared/data are missing");
         return;
     }
     let root = PathBuf::from(format!("/dev/shm/jbt-bits-{}", std::process::id()));
@@ -287,11 +288,11 @@ fn a_recorded_fleet_gives_the_same_bits_live_and_offline() {
     );
     assert!(
         forecasts > steps / 2,
-        "only {forecasts} of {steps} forecasts were seen"
+        "only {forecasts} of {steps} forecasts received"
     );
     assert!(
         residuals > steps / 2,
-        "only {residuals} of {steps} residuals were seen"
+        "only {residuals} of {steps} residuals received"
     );
     let blind = offline
         .robots
@@ -305,7 +306,7 @@ fn a_recorded_fleet_gives_the_same_bits_live_and_offline() {
             .iter()
             .skip(5)
             .all(|step| step.quality == no_command),
-        "a rover has no velocities"
+        "a rover publishes no velocities"
     );
     assert!(!root.exists(), "left behind: {}", root.display());
 }

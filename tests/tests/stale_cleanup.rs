@@ -1,5 +1,5 @@
-//! Row 18, and the traps of a kill at the start: what dead runs leave is removed at the next start,
-//! and no point of a start is a bad one to die at.
+//! Row 18, and the traps of a kill during a start: files of dead runs are removed at the next
+//! start, and a start can be killed at any point.
 
 use std::collections::{HashMap, HashSet};
 use std::fs;
@@ -13,7 +13,7 @@ use serde_json::Value;
 
 const CLEANED: &str = "removed what dead processes had left";
 
-/// A worker, a controller and a planner that work together, all killed.
+/// A worker, a controller and a planner that exchange frames, all killed.
 fn killed_fleet(arena: &Arena) {
     let mut worker = arena.worker();
     let mut planner = arena.planner();
@@ -25,9 +25,9 @@ fn killed_fleet(arena: &Arena) {
     assert!(arena.stale_files().len() > 10, "{:?}", arena.stale_files());
 }
 
-/// Starts a worker, a controller and a planner, and waits until the planner is told of the
-/// controller's robots; then all leave. How long that took from the start of the worker, and what
-/// they have logged.
+/// Starts a worker, a controller and a planner, waits until the planner has received forecasts of
+/// the controller's robots, and stops all. Returns the time since the start of the worker, and the
+/// logs.
 fn works(arena: &Arena, first: u32) -> (Duration, String) {
     let begin = Instant::now();
     let mut worker = arena.worker();
@@ -35,7 +35,7 @@ fn works(arena: &Arena, first: u32) -> (Duration, String) {
     let mut planner = arena.planner();
     let pid = worker.pid();
     planner.forecast(
-        "a fresh worker, controller and planner work together",
+        "a forecast of a fresh worker, controller and planner",
         |frame| (frame.pid == pid && frame.robot(first).is_some()).then_some(()),
     );
     let elapsed = begin.elapsed();
@@ -65,7 +65,7 @@ fn row_18_stale_files_of_dead_runs_are_removed_at_the_next_start_in_one_log_line
     assert_eq!(lines.len(), 1, "{}", ended.errors());
     assert!(lines[0].contains("cold: true"), "{}", lines[0]);
     assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
-    // Nothing was left this time: nothing is said.
+    // Nothing was left this time: nothing is logged.
     let ended = arena.worker().stop();
     assert!(!ended.errors().contains(CLEANED), "{}", ended.errors());
     works(&arena, 10);
@@ -73,12 +73,12 @@ fn row_18_stale_files_of_dead_runs_are_removed_at_the_next_start_in_one_log_line
 }
 
 #[test]
-fn row_18_doctor_lists_what_dead_runs_left_and_mends_it_but_only_when_told_to() {
+fn row_18_doctor_lists_stale_files_and_removes_them_only_on_request() {
     let arena = Arena::new(&Setup::default());
     killed_fleet(&arena);
     let before = arena.stale_files();
     let listed = arena.run(&["doctor", "--format", "json"]).json();
-    assert_eq!(arena.stale_files(), before, "looking changes nothing");
+    assert_eq!(arena.stale_files(), before, "doctor changed files");
     let found = check(&listed, "stale files");
     assert_ne!(found["status"], "ok", "{listed}");
     let text = found["found"].as_str().unwrap();
@@ -106,7 +106,7 @@ fn row_18_doctor_lists_what_dead_runs_left_and_mends_it_but_only_when_told_to() 
 }
 
 #[test]
-fn row_18_after_a_killed_worker_the_last_to_leave_removes_all_of_it() {
+fn row_18_after_a_killed_worker_the_last_process_to_leave_removes_its_files() {
     let arena = Arena::new(&Setup::default());
     let mut worker = arena.worker();
     let mut planner = arena.planner();
@@ -120,7 +120,7 @@ fn row_18_after_a_killed_worker_the_last_to_leave_removes_all_of_it() {
 }
 
 #[test]
-fn row_18_doctor_does_not_touch_what_the_living_use() {
+fn row_18_doctor_does_not_touch_files_in_use() {
     let arena = Arena::new(&Setup::default());
     let mut worker = arena.worker();
     let mut planner = arena.planner();
@@ -146,7 +146,7 @@ fn row_18_doctor_does_not_touch_what_the_living_use() {
 }
 
 #[test]
-fn trap_1_files_of_length_zero_hold_nobody_up_whether_somebody_lives_or_not() {
+fn trap_1_empty_files_do_not_block_a_start_with_or_without_running_processes() {
     let arena = Arena::new(&Setup::default());
     let plant = |name: &str| {
         let path = Path::new("/dev/shm").join(format!("{}{name}", arena.domain().shm_prefix()));
@@ -169,7 +169,7 @@ fn trap_1_files_of_length_zero_hold_nobody_up_whether_somebody_lives_or_not() {
     assert!(!controller.lines(0, PATIENCE).is_empty());
     let planted = plant("1.connection");
     let (warm, _) = works(&arena, 20);
-    eventually("the living remove it", || !planted.exists());
+    eventually("a running process removes it", || !planted.exists());
     controller.finish();
     figure(
         "trap 1, ready in spite of files of length zero",
@@ -178,7 +178,7 @@ fn trap_1_files_of_length_zero_hold_nobody_up_whether_somebody_lives_or_not() {
     arena.close();
 }
 
-/// A way to join: how to start it, and what shows that it has.
+/// A kind of process: how to start it, and how to detect that it has joined.
 struct Joiner {
     name: &'static str,
     command: fn(&Arena) -> Command,
@@ -203,7 +203,7 @@ const JOINERS: [Joiner; 3] = [
     },
 ];
 
-/// `strace` with `options`, running the joiner; its pid is written to `pid_file`.
+/// `strace` with `options` on the joiner; its pid is written to `pid_file`.
 fn traced(arena: &Arena, joiner: &Joiner, options: &[&str]) -> Child {
     let inner = (joiner.command)(arena);
     let mut command = Command::new("strace");
@@ -215,7 +215,7 @@ fn traced(arena: &Arena, joiner: &Joiner, options: &[&str]) -> Child {
     Child::spawn(joiner.name, command)
 }
 
-/// Kills the processes that `strace` has started: the one that it was told to.
+/// Kills the traced process.
 fn kill_traced(strace: &Child) {
     let path = format!("/proc/{0}/task/{0}/children", strace.pid());
     for pid in fs::read_to_string(path)
@@ -223,13 +223,14 @@ fn kill_traced(strace: &Child) {
         .split_whitespace()
     {
         if let Some(pid) = pid.parse().ok().and_then(Pid::from_raw) {
-            // It may have ended: strace, its parent, has not waited for it then.
+            // It may have exited; its parent, strace, has not reaped it then.
             let _ = kill_process(pid, Signal::KILL);
         }
     }
 }
 
-/// Every system call of a start, in order: its name and which of that name it is in its thread.
+/// Every system call of a start in order: its name and its index among calls of that name in its
+/// thread.
 fn points(arena: &Arena, joiner: &Joiner) -> Vec<(String, u32)> {
     let log = arena.files().join(format!("{}.strace", joiner.name));
     let mut strace = traced(arena, joiner, &["-o", &log.display().to_string()]);
@@ -261,7 +262,7 @@ fn points(arena: &Arena, joiner: &Joiner) -> Vec<(String, u32)> {
     points
 }
 
-/// Kills joiners at points spread evenly over their start; after each, everything must work.
+/// Kills joiners at points spread evenly over their start; after each kill, a start must succeed.
 fn killed_while_joining(name: &str, somebody_lives: bool) {
     let works_here = Command::new("strace")
         .args(["-qq", "-e", "trace=none", "true"])
@@ -270,7 +271,7 @@ fn killed_while_joining(name: &str, somebody_lives: bool) {
         println!("skipped: needs strace with the right to trace");
         return;
     }
-    // How many points of each kind of joiner: a number, or all.
+    // Number of kill points per joiner: an integer, or all.
     let wanted = std::env::var("JOULEBUS_CRASH_POINTS").unwrap_or_else(|_| "5".to_owned());
     let wanted: usize = wanted.parse().unwrap_or(usize::MAX);
     let arena = Arena::new(&Setup::default());
@@ -294,7 +295,8 @@ fn killed_while_joining(name: &str, somebody_lives: bool) {
                 joiner,
                 &["-e", &trace, "-e", &inject, "-o", "/dev/null"],
             );
-            // Threads take turns: now and then a point is not reached. Then it dies at the end.
+            // Threads interleave differently: some points are not reached. Then it is killed
+            // afterwards.
             if (joiner.is_ready)(&mut victim) {
                 kill_traced(&victim);
                 passed += 1;
@@ -313,7 +315,7 @@ fn killed_while_joining(name: &str, somebody_lives: bool) {
         assert!(planner.child.is_running(), "{}", planner.child.tail());
         let mut worker = arena.worker();
         let pid = worker.pid();
-        planner.forecast("the living work on", |frame| {
+        planner.forecast("running processes continue", |frame| {
             (frame.pid == pid && frame.robot(90).is_some()).then_some(())
         });
         let is_failure = |line: &&ReaderLine| matches!(line, ReaderLine::Failed(_));
@@ -334,11 +336,11 @@ fn killed_while_joining(name: &str, somebody_lives: bool) {
 }
 
 #[test]
-fn trap_11_killed_at_any_call_of_a_start_with_nobody_alive_and_the_next_ones_work() {
+fn trap_11_after_a_kill_at_any_call_of_a_start_without_other_processes_the_next_start_works() {
     killed_while_joining("nobody alive", false);
 }
 
 #[test]
-fn trap_12_killed_at_any_call_of_a_start_with_others_alive_and_the_next_ones_work() {
+fn trap_12_after_a_kill_at_any_call_of_a_start_with_other_processes_the_next_start_works() {
     killed_while_joining("others alive", true);
 }

@@ -1,11 +1,12 @@
-//! Rows 20 and 24: what cannot work is refused at the start, in words, and leaves nothing.
+//! Rows 20 and 24: impossible configurations are refused at the start with a message, and leave no
+//! files.
 
 use std::process::Command;
 
 use joulebus_tests::{Arena, Child, Ended, Setup, figure, program};
 
-/// What is wrong in the config, how (a line replaced, or lines added), and what the message must
-/// show.
+/// A defect of the config, its form (a line replaced, or lines added), and parts that the message
+/// must contain.
 struct Wrong {
     what: &'static str,
     from: &'static str,
@@ -57,7 +58,7 @@ const WRONG: &[Wrong] = &[
         shows: &["fleet.toml:9", "rate_hz"],
     },
     Wrong {
-        what: "a choice that there is not",
+        what: "an unknown choice",
         from: "\"on_frame\"",
         to: "\"on_fram\"",
         shows: &["on_fram", "on_frame"],
@@ -75,25 +76,25 @@ const WRONG: &[Wrong] = &[
         shows: &["leave_after_s", "stale_after_s", "0.5"],
     },
     Wrong {
-        what: "no TOML at all",
+        what: "not TOML",
         from: "[fleet]",
         to: "[fleet",
         shows: &["fleet.toml:1"],
     },
     Wrong {
-        what: "a platform that does not ship",
+        what: "an unknown built-in platform",
         from: "builtin:gternal",
         to: "builtin:gternel",
         shows: &["gternel", "gternal"],
     },
     Wrong {
-        what: "a prefix in capitals",
+        what: "a prefix in upper case",
         from: "\"jbt_\"",
         to: "\"JBT_\"",
         shows: &["prefix", "JBT_"],
     },
     Wrong {
-        what: "robots that are none",
+        what: "an invalid robot range",
         from: "[\"0-99\"]",
         to: "[\"99-0\"]",
         shows: &["robots", "99-0"],
@@ -101,7 +102,7 @@ const WRONG: &[Wrong] = &[
 ];
 
 #[test]
-fn row_20_a_wrong_config_is_refused_with_line_key_nearest_key_and_unit_and_exit_code_2() {
+fn row_20_an_invalid_config_is_refused_with_line_key_nearest_key_and_unit_and_exit_code_2() {
     let arena = Arena::new(&Setup::default());
     let good = std::fs::read_to_string(arena.config()).unwrap();
     arena.worker().stop();

@@ -1,5 +1,5 @@
-//! Real processes for the tests of every crate: started, signalled, always waited for. Whatever a
-//! test waits for has [`PATIENCE`].
+//! Processes for the tests of every crate: started, signalled, always waited for. Every wait has
+//! the timeout [`PATIENCE`].
 #![forbid(unsafe_code)]
 
 mod member;
@@ -16,15 +16,17 @@ use rustix::process::{Pid, Signal, kill_process};
 
 pub use member::{Member, say};
 
-/// What has not happened after so long never will, however busy the machine is: only what is broken
-/// waits that long.
+/// Timeout of every wait. Far beyond the delays of a busy machine: only a defect reaches it.
 pub const PATIENCE: Duration = Duration::from_secs(180);
 
 /// Waits until `condition` holds.
 pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !condition() {
-        assert!(begin.elapsed() < PATIENCE, "not after {PATIENCE:?}: {what}");
+        assert!(
+            begin.elapsed() < PATIENCE,
+            "timeout of {PATIENCE:?}: {what}"
+        );
         std::thread::sleep(Duration::from_millis(5));
     }
 }
@@ -47,11 +49,11 @@ pub struct Child {
     stderr: Output,
     ended: Option<ExitStatus>,
     started: Instant,
-    /// Lines of stderr that have been waited for.
+    /// Lines of stderr already consumed by a wait.
     heard: usize,
 }
 
-/// How a process ended, and all that it wrote.
+/// Exit status and complete output of a process.
 #[derive(Debug, Clone)]
 pub struct Ended {
     /// Exit code or signal.
@@ -63,7 +65,7 @@ pub struct Ended {
 }
 
 impl Ended {
-    /// Exit code, none when killed by a signal.
+    /// Exit code; none if killed by a signal.
     #[must_use]
     pub fn code(&self) -> Option<i32> {
         self.status.code()
@@ -96,7 +98,7 @@ impl Ended {
         self.stdout.join("\n")
     }
 
-    /// stdout read as one JSON value.
+    /// stdout parsed as one JSON value.
     #[must_use]
     pub fn json(&self) -> serde_json::Value {
         let text = self.text();
@@ -105,7 +107,7 @@ impl Ended {
 }
 
 impl Child {
-    /// Starts a program; `name` is what messages call it.
+    /// Starts a program; `name` is used in messages.
     #[must_use]
     pub fn spawn(name: &str, mut command: Command) -> Self {
         let started = Instant::now();
@@ -133,23 +135,23 @@ impl Child {
         self.process.id()
     }
 
-    /// When it was started.
+    /// Start time.
     #[must_use]
     pub const fn started(&self) -> Instant {
         self.started
     }
 
-    /// Sends a signal. One that has ended already gets none.
+    /// Sends a signal; ignored if the process has exited.
     pub fn signal(&mut self, signal: Signal) {
         if self.is_running()
             && let Some(pid) = Pid::from_raw(self.process.id().cast_signed())
         {
-            // It may end in between: until it is waited for its pid is nobody else's.
+            // It may exit in between: until it is waited for, its pid is not reused.
             let _ = kill_process(pid, signal);
         }
     }
 
-    /// Whether it has not ended.
+    /// True if it has not exited.
     pub fn is_running(&mut self) -> bool {
         if self.ended.is_none() {
             self.ended = self.process.try_wait().unwrap_or_default();
@@ -157,26 +159,26 @@ impl Child {
         self.ended.is_none()
     }
 
-    /// Kills it with SIGKILL and waits for it.
+    /// Sends SIGKILL and waits for the exit.
     pub fn kill(&mut self) -> Ended {
         self.signal(Signal::KILL);
         self.wait()
     }
 
-    /// Asks it to end with SIGTERM and waits for it, however it ends.
+    /// Sends SIGTERM and waits for the exit with any status.
     pub fn end(&mut self) -> Ended {
         self.signal(Signal::TERM);
         self.wait()
     }
 
-    /// Asks it to end with SIGTERM and waits for it; it must end well.
+    /// Sends SIGTERM and waits for the exit; it must succeed.
     pub fn stop(&mut self) -> Ended {
         let ended = self.end();
         assert_eq!(ended.code(), Some(0), "{}: {ended:?}", self.name);
         ended
     }
 
-    /// Closes its stdin and waits for it; it must end well.
+    /// Closes its stdin and waits for the exit; it must succeed.
     pub fn finish(&mut self) -> Ended {
         self.stdin = None;
         let ended = self.wait();
@@ -184,13 +186,13 @@ impl Child {
         ended
     }
 
-    /// Waits for its end.
+    /// Waits for the exit.
     pub fn wait(&mut self) -> Ended {
         let begin = Instant::now();
         while self.is_running() {
             assert!(
                 begin.elapsed() < PATIENCE,
-                "{} does not end: {}",
+                "{} does not exit: {}",
                 self.name,
                 self.tail()
             );
@@ -203,15 +205,16 @@ impl Child {
         }
     }
 
-    /// Waits until a line on stderr contains `part`; the line. Later calls continue after that line.
+    /// Waits until a line on stderr contains `part` and returns the line. Later calls continue
+    /// after it.
     pub fn says(&mut self, part: &str) -> String {
         match self.try_says(part, PATIENCE) {
             Some(line) => line,
-            None => panic!("{} has not said {part:?}: {}", self.name, self.tail()),
+            None => panic!("{} has not printed {part:?}: {}", self.name, self.tail()),
         }
     }
 
-    /// Like [`Self::says`]; `None` when it ends or the time is over without having said it.
+    /// Like [`Self::says`]; `None` if it exits or the timeout passes first.
     pub fn try_says(&mut self, part: &str, within: Duration) -> Option<String> {
         let begin = Instant::now();
         loop {
@@ -227,27 +230,27 @@ impl Child {
         }
     }
 
-    /// What it has written to stderr so far.
+    /// Its output on stderr so far.
     #[must_use]
     pub fn errors(&self) -> String {
         self.stderr.lock().lines.join("\n")
     }
 
-    /// Writes a line to its stdin. One that has ended does not read it.
+    /// Writes a line to its stdin; ignored if the process has exited.
     pub fn tell(&mut self, line: &str) {
         if let Some(stdin) = &mut self.stdin {
             let _ = writeln!(stdin, "{line}");
         }
     }
 
-    /// Lines of stdout from `from` on; waits for at least one. Empty at the end of the output, or
-    /// when the time is over.
+    /// Lines of stdout from `from` on; waits for at least one. Empty at the end of the output or
+    /// after the timeout.
     #[must_use]
     pub fn lines(&self, from: usize, within: Duration) -> Vec<String> {
         self.stdout.after(from, within)
     }
 
-    /// The end of what it has written.
+    /// The last lines of its output.
     #[must_use]
     pub fn tail(&self) -> String {
         let mut text = format!("what {} (pid {}) wrote:", self.name, self.pid());
@@ -273,7 +276,7 @@ impl Drop for Child {
     }
 }
 
-/// Lines that a thread reads.
+/// Lines read by a thread.
 #[derive(Debug)]
 struct Output {
     shared: Arc<(Mutex<Lines>, Condvar)>,
@@ -294,7 +297,7 @@ impl Output {
             std::thread::spawn(move || {
                 let mut source = BufReader::new(source);
                 let mut line = Vec::new();
-                // Bytes: what a killed process wrote last may be cut anywhere.
+                // Bytes, not text: the last line of a killed process may be truncated anywhere.
                 while source
                     .read_until(b'\n', &mut line)
                     .is_ok_and(|length| length > 0)
@@ -327,7 +330,7 @@ impl Output {
         lines.lines.get(from..).unwrap_or_default().to_vec()
     }
 
-    /// Everything, once the process has ended.
+    /// All lines, once the process has exited.
     fn whole(&mut self) -> Vec<String> {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();

@@ -1,4 +1,5 @@
-//! The test binary started again, as a member of a fleet: what one process may do only once, many do.
+//! The test binary restarted as a member of a fleet: a process can join only one fleet, and only
+//! once.
 
 use std::process::Command;
 
@@ -6,10 +7,10 @@ use rustix::process::{Pid, Signal, WaitOptions, waitpid};
 
 use crate::{Child, Ended, PATIENCE};
 
-/// Marks what members say among what the test runner prints.
+/// Marks the lines of members among the output of the test runner.
 const MARK: &str = "@ ";
 
-/// A member in a process of its own. Members and tests talk in lines.
+/// A member in a separate process. Members and tests exchange lines.
 #[derive(Debug)]
 pub struct Member {
     child: Child,
@@ -17,7 +18,7 @@ pub struct Member {
 }
 
 impl Member {
-    /// The calling test binary, told to run its test named `member` alone.
+    /// The command of the calling test binary with its test `member` selected.
     ///
     /// # Panics
     /// Linux always tells which program runs.
@@ -28,7 +29,7 @@ impl Member {
         command
     }
 
-    /// Starts one; `name` is what messages call it.
+    /// Starts a member; `name` is used in messages.
     #[must_use]
     pub fn spawn(name: &str, command: Command) -> Self {
         Self {
@@ -43,22 +44,22 @@ impl Member {
         self.child.pid()
     }
 
-    /// Tells it a line. It may have been killed already: then its answer is missing, which is noticed.
+    /// Sends it a line. A killed member does not answer, which the test detects.
     pub fn tell(&mut self, line: &str) {
         self.child.tell(line);
     }
 
-    /// What it says next.
+    /// Its next line.
     ///
     /// # Panics
-    /// It has ended, or says nothing for [`PATIENCE`].
+    /// It has exited, or prints nothing for [`PATIENCE`].
     pub fn hear(&mut self) -> String {
         loop {
             let lines = self.child.lines(self.heard, PATIENCE);
             assert!(!lines.is_empty(), "nothing heard: {}", self.child.tail());
             for line in lines {
                 self.heard += 1;
-                // The runner may have begun the line.
+                // The test runner may have written the start of the line.
                 if let Some((_, said)) = line.split_once(MARK) {
                     return said.to_owned();
                 }
@@ -66,16 +67,16 @@ impl Member {
         }
     }
 
-    /// Tells it a line; what it answers.
+    /// Sends a line and returns its answer.
     pub fn ask(&mut self, line: &str) -> String {
         self.tell(line);
         self.hear()
     }
 
-    /// Stops it; it has stopped when this returns.
+    /// Sends SIGSTOP; the process is stopped when this returns.
     ///
     /// # Panics
-    /// It has ended.
+    /// It has exited.
     pub fn stop(&mut self) {
         self.child.signal(Signal::STOP);
         let pid = Pid::from_raw(self.pid().cast_signed());
@@ -83,28 +84,28 @@ impl Member {
         assert!(stopped.is_some_and(|(_, status)| status.stopped()));
     }
 
-    /// Lets it continue.
+    /// Sends SIGCONT.
     pub fn go_on(&mut self) {
         self.child.signal(Signal::CONT);
     }
 
-    /// Kills it with SIGKILL and waits for it.
+    /// Sends SIGKILL and waits for the exit.
     pub fn kill(mut self) {
         self.child.kill();
     }
 
-    /// Ends its input, and waits until it has ended, without a failure.
+    /// Closes its stdin and waits for the exit, which must succeed.
     pub fn finish(mut self) {
         self.child.finish();
     }
 
-    /// Waits for its end.
+    /// Waits for the exit.
     pub fn wait(&mut self) -> Ended {
         self.child.wait()
     }
 }
 
-/// As a member: says a line to the test.
+/// In a member: sends a line to the test.
 pub fn say(line: impl std::fmt::Display) {
     println!("{MARK}{line}");
 }

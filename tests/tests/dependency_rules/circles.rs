@@ -1,16 +1,16 @@
-//! No circle of imports, and within `fleet` only downward imports.
+//! No import cycles, and within `fleet` only downward imports.
 
 use std::path::{Path, PathBuf};
 
 use super::imports::{circles, imports};
 use super::{crates, names};
 
-/// Crates in which a submodule may take names from a module around it whose code calls it; in all
-/// others not even these import each other.
+/// Crates in which a submodule may import from an enclosing module that calls it; in all others not
+/// even these may import each other.
 const LENIENT: [&str; 2] = ["benches", "cli"];
 
 #[test]
-fn no_files_import_each_other_in_a_circle() {
+fn files_have_no_import_cycles() {
     let root = crates().parent().unwrap().to_owned();
     let members = names().into_iter().map(|name| (crates().join(&name), name));
     let benches = (root.join("benches"), "benches".to_owned());
@@ -19,7 +19,7 @@ fn no_files_import_each_other_in_a_circle() {
         let (src, lenient) = (directory.join("src"), LENIENT.contains(&name.as_str()));
         assert!(
             !lenient || !circles(&imports(&src, true)).is_empty(),
-            "{name} needs no leniency any more: take it off the list"
+            "{name} has no such import: remove it from the list"
         );
         let imports = imports(&src, !lenient);
         for circle in circles(&imports) {
@@ -27,7 +27,7 @@ fn no_files_import_each_other_in_a_circle() {
                 let within = imports[from].iter().filter(|(to, _)| circle.contains(to));
                 described.extend(within.map(|(to, taken)| {
                     let (from, to) = (from.display(), to.display());
-                    format!("{name}: {from} takes `{taken}` from {to}\n")
+                    format!("{name}: {from} imports `{taken}` from {to}\n")
                 }));
             }
         }
@@ -35,7 +35,7 @@ fn no_files_import_each_other_in_a_circle() {
     assert!(described.is_empty(), "\n{described}");
 }
 
-/// The layers of `fleet`, lowest first.
+/// The layers of `fleet`, from the lowest.
 const LAYERS: [&str; 8] = [
     "layout", "ingest", "ledger", "estimate", "alarms", "state", "tick", "fleet",
 ];
@@ -57,7 +57,7 @@ fn the_layers_of_the_fleet_import_only_downward() {
             let below = layer(to).unwrap_or_else(|| panic!("{} is in no layer", to.display()));
             assert!(
                 below <= above,
-                "{} takes `{taken}` from {}, which is a layer above",
+                "{} imports `{taken}` from {}, a higher layer",
                 from.display(),
                 to.display()
             );
@@ -66,13 +66,13 @@ fn the_layers_of_the_fleet_import_only_downward() {
     }
     assert!(
         downward > 50,
-        "found only {downward} imports: is the reader of imports blind?"
+        "found only {downward} imports: imports are not detected"
     );
 }
 
-/// That circles are found at all: two files in a temporary directory, in each way of naming.
+/// Checks that cycles are found: two files in a temporary directory, for each form of path.
 #[test]
-fn a_circle_is_found_however_it_is_written() {
+fn an_import_cycle_is_found_in_every_notation() {
     for (one, two, circle) in [
         (
             "use crate::two::Two; pub struct One;",

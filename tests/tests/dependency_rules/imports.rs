@@ -1,17 +1,17 @@
-//! Which file of a crate takes names from which: `use` declarations and paths through `crate`,
-//! `self`, `super` and modules, resolved to the file that defines the name. A re-export only hands
-//! a name on, so whoever uses the name depends on its definition.
+//! Imports between the files of a crate: `use` declarations and paths through `crate`, `self`,
+//! `super` and modules, resolved to the file that defines the name. A re-export only passes a name
+//! on: its user depends on the definition.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::sources;
 
-/// For each file, the files it takes names from, with one of the names.
+/// For each file, the files it imports from, with one of the imported names.
 pub(crate) type Imports = BTreeMap<PathBuf, BTreeMap<PathBuf, String>>;
 
-/// The imports within one crate, of its code without tests; paths are relative to `src`. What a
-/// submodule takes from a module around it counts only with `submodules`: it is a part of it.
+/// The imports within a crate, without tests; paths are relative to `src`. Imports of a submodule
+/// from an enclosing module count only with `submodules`.
 pub(crate) fn imports(src: &Path, submodules: bool) -> Imports {
     let files: BTreeMap<Vec<String>, File> = sources(src)
         .into_iter()
@@ -37,7 +37,7 @@ pub(crate) fn imports(src: &Path, submodules: bool) -> Imports {
     imports
 }
 
-/// Files that import each other in a circle, each circle ascending.
+/// Cycles of imports, each in ascending order.
 pub(crate) fn circles(imports: &Imports) -> Vec<Vec<PathBuf>> {
     let reached: BTreeMap<&PathBuf, BTreeSet<&PathBuf>> = imports
         .keys()
@@ -65,7 +65,7 @@ fn reachable<'a>(imports: &'a Imports, start: &PathBuf) -> BTreeSet<&'a PathBuf>
     reached
 }
 
-/// `a/b.rs` and `a/b/mod.rs` are the module `a::b`; a root is the crate itself, or the program
+/// `a/b.rs` and `a/b/mod.rs` are the module `a::b`; a root file is the crate itself, or the binary
 /// beside its library.
 fn module_of(path: &Path) -> Vec<String> {
     let parts = path.with_extension("");
@@ -79,7 +79,7 @@ fn module_of(path: &Path) -> Vec<String> {
     parts
 }
 
-/// Whether a file is a submodule of what another file defines.
+/// True if a file is a submodule of a module that another file defines.
 fn is_within(file: &Path, around: &Path) -> bool {
     let root = around == Path::new("main.rs");
     root || module_of(file).starts_with(&module_of(around))
@@ -90,7 +90,7 @@ struct Crate {
 }
 
 impl Crate {
-    /// The crate's root, as seen by a module: a program's own where there is no library.
+    /// The crate root as seen by a module: that of the binary if there is no library.
     fn root(&self) -> Vec<String> {
         let library = self.files.contains_key(&Vec::new());
         if library {
@@ -100,8 +100,8 @@ impl Crate {
         }
     }
 
-    /// The file that defines what a path used in `module` leads to, and the name there; `None` for
-    /// what other crates define, for modules as such and for what is defined in a function.
+    /// The file that defines what a path used in `module` refers to, and the name there; `None` for
+    /// items of other crates, for modules themselves and for items local to a function.
     fn resolve(
         &self,
         module: &[String],
@@ -127,7 +127,7 @@ impl Crate {
                 let file = self.files.get(&at)?;
                 if child.is_none() {
                     let bound = file.bound.get(first)?;
-                    // What a name is bound to by `use` is itself a path from this module.
+                    // The target of a name bound by `use` is itself a path from this module.
                     let whole: Vec<String> = bound.iter().chain(&rest[1..]).cloned().collect();
                     return (depth < 8 && whole != path)
                         .then(|| self.resolve(module, &whole, depth + 1))
@@ -170,16 +170,16 @@ impl Crate {
     }
 }
 
-/// What one file says.
+/// Contents of a file.
 struct File {
     path: PathBuf,
-    /// Names that items of the file define at its top.
+    /// Names defined by top-level items of the file.
     defined: BTreeSet<String>,
-    /// Names bound by `use`, with the path that each stands for.
+    /// Names bound by `use`, with their paths.
     bound: BTreeMap<String, Vec<String>>,
-    /// What `use …::*` takes all names of.
+    /// Paths of `use …::*`.
     globs: Vec<Vec<String>>,
-    /// Paths that the code goes through; those of a re-export only where the name is used here too.
+    /// Paths used in the code; those of a re-export only if the name is also used here.
     paths: Vec<Vec<String>>,
 }
 
@@ -194,7 +194,7 @@ impl File {
             paths: Vec::new(),
         };
         let (mut handed_on, mut mentioned) = (Vec::new(), BTreeSet::new());
-        // Depth of braces at which each inline module ends.
+        // Brace depth at which each inline module ends.
         let (mut inline, mut depth) = (Vec::new(), 0usize);
         let mut at = 0;
         while at < tokens.len() {
@@ -260,7 +260,8 @@ impl File {
     }
 }
 
-/// Takes as many `super` from a path as there are inline modules around it: they end in this file.
+/// Removes as many leading `super` from a path as there are enclosing inline modules: they refer to
+/// this file.
 fn outward(path: &mut Vec<String>, inline: usize) {
     let supers = path.iter().take_while(|part| *part == "super").count();
     if supers > 0 && inline > 0 {
@@ -271,7 +272,7 @@ fn outward(path: &mut Vec<String>, inline: usize) {
     }
 }
 
-/// Paths of a `use` declaration, each with the name that it binds, `*` for all names.
+/// Paths of a `use` declaration, each with the name it binds, `*` for a glob.
 fn tree(tokens: &[String]) -> Vec<(Vec<String>, String)> {
     let (mut prefix, mut at) = (Vec::new(), 0);
     while at < tokens.len() {
@@ -309,7 +310,7 @@ fn tree(tokens: &[String]) -> Vec<(Vec<String>, String)> {
     vec![(prefix, name)]
 }
 
-/// Parts between the commas that no inner brace holds.
+/// Parts separated by commas outside inner braces.
 fn split(tokens: &[String]) -> Vec<&[String]> {
     let (mut parts, mut depth, mut from) = (Vec::new(), 0, 0);
     for (at, token) in tokens.iter().enumerate() {
@@ -332,7 +333,8 @@ fn is_name(token: &str) -> bool {
     token.starts_with(|c: char| c.is_alphabetic() || c == '_')
 }
 
-/// Names, `::` and single signs; no comments, no contents of strings and characters.
+/// Identifiers, `::` and single punctuation characters; no comments, no contents of string and
+/// character literals.
 fn tokens(text: &str) -> Vec<String> {
     let chars: Vec<char> = text.chars().collect();
     let (mut tokens, mut at) = (Vec::new(), 0);

@@ -1,4 +1,4 @@
-//! Enforced dependency rules, read from sources and manifests.
+//! Dependency rules, checked against sources and manifests.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod circles;

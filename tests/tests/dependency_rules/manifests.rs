@@ -1,4 +1,4 @@
-//! Which crate may depend on which.
+//! Allowed dependencies between crates.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use super::{crates, names};
 
-/// The crates in the drawing of ARCHITECTURE.md, line by line from the top.
+/// The crates in the diagram of ARCHITECTURE.md, line by line from the top.
 fn drawing() -> Vec<Vec<String>> {
     let page = fs::read_to_string(crates().parent().unwrap().join("ARCHITECTURE.md")).unwrap();
     let (_, after) = page.split_once("## Crate layout\n\n```\n").unwrap();
@@ -22,13 +22,13 @@ fn drawing() -> Vec<Vec<String>> {
 }
 
 #[test]
-fn a_crate_depends_only_on_lines_of_the_drawing_below_its_own() {
+fn a_crate_depends_only_on_lower_lines_of_the_diagram() {
     let drawing = drawing();
     let line = |name: &str| {
         let found = drawing
             .iter()
             .position(|line| line.iter().any(|other| other == name));
-        found.unwrap_or_else(|| panic!("the drawing in ARCHITECTURE.md lacks {name}"))
+        found.unwrap_or_else(|| panic!("the diagram in ARCHITECTURE.md lacks {name}"))
     };
     line("benches");
     for (package, dependencies) in direct_dependencies() {
@@ -44,7 +44,7 @@ fn a_crate_depends_only_on_lines_of_the_drawing_below_its_own() {
 }
 
 #[test]
-fn what_all_programs_share_is_light() {
+fn the_program_crate_has_few_dependencies() {
     let graph = direct_dependencies();
     let ours = graph["joulebus-program"]
         .iter()
@@ -56,8 +56,8 @@ fn what_all_programs_share_is_light() {
     }
 }
 
-/// The workspace's packages and their direct dependencies, other than those of their tests, by the
-/// names of their tables.
+/// Workspace packages and their direct dependencies without dev-dependencies, by the names of their
+/// tables.
 fn direct_dependencies() -> BTreeMap<String, Vec<String>> {
     let manifests = names().into_iter().map(|name| {
         let manifest = fs::read_to_string(crates().join(&name).join("Cargo.toml")).unwrap();
@@ -72,7 +72,7 @@ fn direct_dependencies() -> BTreeMap<String, Vec<String>> {
     manifests.collect()
 }
 
-/// The packages of `Cargo.lock` and what each depends on.
+/// The packages of `Cargo.lock` and their dependencies.
 fn locked_dependencies() -> BTreeMap<String, Vec<String>> {
     let lock = fs::read_to_string(crates().parent().unwrap().join("Cargo.lock")).unwrap();
     let mut locked: BTreeMap<String, Vec<String>> = BTreeMap::new();
@@ -81,7 +81,7 @@ fn locked_dependencies() -> BTreeMap<String, Vec<String>> {
         let list = package.split_once("dependencies = [");
         let list = list.map_or("", |(_, list)| list);
         let names = list.split('"').skip(1).step_by(2);
-        // Of two versions of a package the lock names each with its version.
+        // If the lock file has two versions of a package, the name is followed by the version.
         let names = names.filter_map(|name| Some(name.split(' ').next()?.to_owned()));
         locked
             .entry(quoted[0].to_owned())
@@ -92,9 +92,10 @@ fn locked_dependencies() -> BTreeMap<String, Vec<String>> {
 }
 
 #[test]
-fn the_sdk_compiles_no_kernel_no_tick_and_no_thread_pool() {
+fn the_sdk_depends_on_no_kernel_no_tick_and_no_thread_pool() {
     let mut graph = locked_dependencies();
-    // The lock does not tell the dependencies of a package's tests from its own.
+    // The lock file does not distinguish dev-dependencies, so the manifests replace it for the
+    // workspace.
     graph.extend(direct_dependencies());
     for sdk in ["joulebus-publisher", "joulebus-consumer"] {
         let mut reached = BTreeSet::new();
@@ -112,7 +113,7 @@ fn the_sdk_compiles_no_kernel_no_tick_and_no_thread_pool() {
 }
 
 #[test]
-fn measurements_stand_below_nothing() {
+fn nothing_depends_on_the_benchmarks() {
     let root = crates().parent().unwrap().to_owned();
     let dependencies = |manifest: PathBuf| {
         let manifest = fs::read_to_string(manifest).unwrap();
@@ -123,7 +124,7 @@ fn measurements_stand_below_nothing() {
         let dependencies = dependencies(crates().join(&name).join("Cargo.toml"));
         assert!(
             !dependencies.contains("joulebus-bench"),
-            "{name} depends on the measurements"
+            "{name} depends on the benchmarks"
         );
     }
     let benches = dependencies(root.join("benches/Cargo.toml"));
@@ -141,13 +142,13 @@ fn measurements_stand_below_nothing() {
 }
 
 #[test]
-fn the_crates_are_the_ones_that_the_architecture_describes() {
+fn the_architecture_describes_all_crates() {
     let page = crates().parent().unwrap().join("ARCHITECTURE.md");
     let page = fs::read_to_string(page).unwrap();
     for name in names() {
         assert!(
             page.contains(&format!("| `{name}` |")),
-            "ARCHITECTURE.md says nothing of {name}"
+            "ARCHITECTURE.md does not mention {name}"
         );
     }
 }

@@ -1,4 +1,4 @@
-//! Where `unsafe` may stand, and what must stand above it.
+//! Files allowed to contain `unsafe`, and the required SAFETY comments.
 
 use std::fs;
 
@@ -6,14 +6,14 @@ use super::words::places;
 use super::{crates, names, sources};
 
 #[test]
-fn unsafe_code_stays_in_its_named_files() {
+fn unsafe_code_is_only_in_the_listed_files() {
     let allowed = [
         "predictor/src/kernel/avx2.rs",
         "predictor/src/kernel/avx512.rs",
         "predictor/src/kernel/neon.rs",
         "predictor/src/kernel/forward.rs",
         "predictor/src/kernel/prefetch.rs",
-        // A trait that promises to have initialised, and its implementation for one lane.
+        // A trait that guarantees initialisation, and its implementation for one lane.
         "predictor/src/kernel/lanes.rs",
         "predictor/src/kernel/scalar.rs",
     ];
@@ -25,7 +25,7 @@ fn unsafe_code_stays_in_its_named_files() {
         );
         assert_eq!(found, Vec::<String>::new());
         let src = crates().join(name).join("src");
-        // A crate is a library, with or without a program, or a program alone.
+        // A crate has a library, a binary, or both.
         let root = fs::read_to_string(src.join("lib.rs"));
         let root = root
             .or_else(|_| fs::read_to_string(src.join("main.rs")))
@@ -36,7 +36,7 @@ fn unsafe_code_stays_in_its_named_files() {
             "forbid"
         };
         let lint = format!("#![{level}(unsafe_code)]");
-        // The workspace denies it already; `predictor` allows it in the files above.
+        // The workspace denies it; `predictor` allows it in the files above.
         assert!(
             level == "deny" || root.contains(&lint),
             "{name} lacks {lint}"
@@ -45,7 +45,7 @@ fn unsafe_code_stays_in_its_named_files() {
 }
 
 #[test]
-fn every_unsafe_block_says_why_it_is_sound() {
+fn every_unsafe_block_has_a_safety_comment() {
     for (path, text) in sources(&crates()) {
         let lines: Vec<&str> = text.lines().collect();
         for (number, line) in lines.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! A planner as a stranger would write it, with the consumer library.
+//! A planner built on the public consumer library.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;

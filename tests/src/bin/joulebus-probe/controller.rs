@@ -1,4 +1,4 @@
-//! A fleet controller: a real publisher with known samples.
+//! A fleet controller: a publisher with known samples.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -23,7 +23,7 @@ pub(crate) fn run(config: &Config, name: &str, first: u32, robots: u32, rate_hz:
         let samples: Vec<_> = (first..first + robots)
             .map(|robot| steady(robot, seq, stamp_ns))
             .collect();
-        // The publisher may be used again: a controller that gives up at once would be none.
+        // The publisher recovers; a controller must not give up at the first error.
         if let Err(error) = publisher.publish_samples(slot.intended_ns, &samples) {
             tell(&SourceLine::Failed(error.to_string()))?;
         }

@@ -1,4 +1,4 @@
-//! Tries everything that another user could try with files, and tells what worked.
+//! Attempts every file access open to another user, and reports which succeeded.
 
 use std::fs;
 use std::os::unix::net::UnixDatagram;

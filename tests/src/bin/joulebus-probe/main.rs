@@ -1,5 +1,5 @@
-//! The tests' own source, controller, planner and recorder: what they do in shared memory happens
-//! in this process, and is told in JSON lines.
+//! Source, controller, planner and recorder for the tests: accesses shared memory in this process
+//! and reports in JSON lines.
 #![forbid(unsafe_code)]
 
 mod consumer;
@@ -47,11 +47,11 @@ fn run(arguments: &[&str]) -> Done {
         ["holder", config] => reader::plan(&Config::load(config)?, true),
         ["recorder", config] => reader::record(&Config::load(config)?),
         ["intruder", config] => intruder::run(&Config::load(config)?),
-        _ => Err(format!("not understood: {arguments:?}").into()),
+        _ => Err(format!("unknown arguments: {arguments:?}").into()),
     }
 }
 
-/// Writes a line. Nobody reading it is the end.
+/// Writes a line. A closed stdout ends the program.
 fn tell(line: &impl Serialize) -> Done {
     let mut text = serde_json::to_string(line)?;
     text.push('\n');
@@ -59,7 +59,7 @@ fn tell(line: &impl Serialize) -> Done {
     Ok(())
 }
 
-/// Set when stdin ends: the test has had enough, or is no more.
+/// Set at the end of stdin: the test has finished or is gone.
 fn stop_with_stdin() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let asked = Arc::clone(&stop);

@@ -1,4 +1,4 @@
-//! Readers that tell all that they read.
+//! Readers that report everything they read.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -33,7 +33,7 @@ pub(crate) fn plan(config: &Config, holds: bool) -> Done {
         let watched = worker.as_ref().map(|(_, watch)| watch);
         let woken = waiter.wait_until(Some(until_ns), watched)?;
         let now_ns = clock::monotonic_ns();
-        // The next call may succeed: a planner that gives up at once would be none.
+        // The next call may succeed; a planner must not give up at the first error.
         let newest = match ports.tell() {
             Ok(newest) => newest,
             Err(error) => {
@@ -78,7 +78,7 @@ struct Ports {
 }
 
 impl Ports {
-    /// Tells everything that waits; the pid of the worker that sent the newest frame.
+    /// Reports all available frames; returns the pid of the worker that sent the newest frame.
     fn tell(&mut self) -> Result<Option<u32>, Box<dyn std::error::Error>> {
         let mut newest = None;
         while let Some(frame) = self.forecasts.take_next()? {
@@ -100,7 +100,7 @@ impl Ports {
     }
 }
 
-/// Reads samples beside the worker, and tells whether they are whole.
+/// Reads samples beside the worker and reports whether they are intact.
 pub(crate) fn record(config: &Config) -> Done {
     let stop = stop_with_stdin();
     let limits = config.limits();
