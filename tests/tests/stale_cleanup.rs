@@ -11,7 +11,7 @@ use joulebus_tests::{Arena, Child, PATIENCE, ReaderLine, Setup, Spread, eventual
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-const CLEANED: &str = "removed what dead processes had left";
+const CLEANED: &str = "removed stale files of dead processes";
 
 /// A worker, a controller and a planner that exchange frames, all killed.
 fn killed_fleet(arena: &Arena) {

@@ -14,14 +14,15 @@ use crate::cleanup::objects::objects;
 use crate::membership::Membership;
 use crate::{Domain, Housekeeping, JoinError, SweepReport};
 
-/// How long creating a node is retried.
+/// Timeout of retries of creating a node.
 const NODE_LIMIT: Duration = Duration::from_secs(2);
 const NODE_AGAIN_AFTER: Duration = Duration::from_millis(10);
 
-/// Membership in a domain. Dropping it and all ports leaves; the last member to leave removes
-/// everything.
+/// Membership in a domain. Dropping it and all ports leaves the domain; the last member to leave
+/// removes all its files.
 ///
-/// Belongs to one thread. iceoryx2's own signal handling is off: signals stay the program's.
+/// Belongs to one thread. iceoryx2's own signal handling is disabled: signals are left to the
+/// program.
 #[derive(Debug)]
 pub struct Bus {
     pub(crate) node: Node<ipc::Service>,
@@ -53,7 +54,7 @@ impl Bus {
         make_private(domain)?;
         if !joined.is_clean() {
             let report = joined;
-            tracing::info!(?report, "removed what dead processes had left");
+            tracing::info!(?report, "removed stale files of dead processes");
         }
         Ok(Self {
             node,
@@ -74,8 +75,8 @@ impl Bus {
         self.joined
     }
 
-    /// What the cleanup thread has removed since: it looks for incomplete objects four times a second
-    /// and for dead nodes once a second.
+    /// Stale files removed since by the cleanup thread, which looks for incomplete objects four
+    /// times a second and for dead nodes once a second.
     #[must_use]
     pub fn housekeeping(&self) -> Housekeeping {
         self.member.cleanup.counts()
@@ -107,13 +108,13 @@ fn create_node(domain: &Domain, name: &NodeName) -> Result<Node<ipc::Service>, J
     }
 }
 
-/// iceoryx2 makes its node counter writable by everybody; only members need it.
+/// iceoryx2 makes its node counter writable by all users; only members need access.
 fn make_private(domain: &Domain) -> Result<(), JoinError> {
     for object in objects(domain)? {
         if object.mode & 0o077 != 0
             && let Err(error) = rustix::fs::chmod(&object.path, Mode::RUSR | Mode::WUSR)
         {
-            tracing::warn!(path = ?object.path, %error, "an object stays open to other users");
+            tracing::warn!(path = ?object.path, %error, "other users can access an object");
         }
     }
     Ok(())

@@ -10,7 +10,7 @@ use joulebus_wire::fnv1a;
 use crate::os::files::{effective_uid, filesystem, is_memory};
 use crate::os::memory::SHM_DIR;
 
-/// `sun_path` of a Unix socket holds 108 bytes with the closing zero.
+/// `sun_path` of a Unix socket has 108 bytes including the terminating zero.
 const MAX_SOCKET_PATH_BYTES: usize = 107;
 /// A 128-bit port id in decimal, `.event`, and the slashes around the fleet.
 const SOCKET_NAME_BYTES: usize = 39 + 6 + 2;
@@ -33,7 +33,7 @@ impl Domain {
     /// object, so domains never touch each other's.
     ///
     /// # Errors
-    /// [`DomainError`] names the value and what is allowed.
+    /// [`DomainError`] states the value and the allowed ones.
     pub fn new(fleet: &str, root: &Path, prefix: &str) -> Result<Self, DomainError> {
         let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
         if fleet.is_empty() || fleet.len() > MAX_FLEET_BYTES || !fleet.chars().all(plain) {
@@ -79,7 +79,7 @@ impl Domain {
         })
     }
 
-    /// The root that is used when none is configured: `/dev/shm/joulebus-<uid>`.
+    /// The default root: `/dev/shm/joulebus-<uid>`.
     #[must_use]
     pub fn default_root() -> PathBuf {
         PathBuf::from(format!("{SHM_DIR}/joulebus-{}", effective_uid()))
@@ -91,7 +91,7 @@ impl Domain {
         &self.fleet
     }
 
-    /// The private root directory; it may hold several fleets.
+    /// The private root directory; it may contain several fleets.
     #[must_use]
     pub fn root(&self) -> &Path {
         &self.root
@@ -103,7 +103,7 @@ impl Domain {
         &self.prefix
     }
 
-    /// How the names of this domain's objects in `/dev/shm` begin.
+    /// Prefix of the names of this domain's objects in `/dev/shm`.
     #[must_use]
     pub fn shm_prefix(&self) -> &str {
         &self.shm_prefix
@@ -205,7 +205,7 @@ fn hash(parts: &[&str]) -> u32 {
     (hash ^ (hash >> 32)) as u32
 }
 
-/// Why a [`Domain`] is not valid.
+/// Reason that a [`Domain`] is invalid.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DomainError {
@@ -364,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn names_in_shared_memory_are_those_of_every_version() {
+    fn names_in_shared_memory_are_the_same_in_every_version() {
         let domain = Domain::new("lab", Path::new("/dev/shm/joulebus-0"), "jb_").unwrap();
         assert_eq!(domain.shm_prefix(), "jb_e0675357_");
     }

@@ -1,4 +1,4 @@
-//! iceoryx2's configuration: written for each domain, loaded as the global one, and checked.
+//! iceoryx2's configuration: written for each domain, loaded as the global one, and verified.
 
 use std::io::Write;
 use std::os::unix::fs::OpenOptionsExt;
@@ -11,10 +11,10 @@ use iceoryx2::prelude::{FileName, FilePath, Path as BusPath, SemanticString};
 
 use crate::Domain;
 
-/// How long iceoryx2 waits for another process that is creating a service; then we clean up and retry.
+/// Timeout of iceoryx2 for another process that is creating a service; after it, cleanup and retry.
 const CREATION_TIMEOUT_MS: u64 = 300;
 
-/// What iceoryx2 must be set to for `domain`.
+/// The iceoryx2 configuration of `domain`.
 pub(crate) fn wanted(domain: &Domain) -> Result<Config, IceoryxConfigError> {
     let refused = |what: &'static str| IceoryxConfigError::Refused {
         what,
@@ -31,10 +31,10 @@ pub(crate) fn wanted(domain: &Domain) -> Result<Config, IceoryxConfigError> {
     Ok(config)
 }
 
-/// Writes the domain's file and makes it this process's global configuration.
+/// Writes the domain's file and makes it the global configuration of this process.
 ///
-/// The global one must be it: when the details of a dead node are missing, iceoryx2 cleans up by
-/// the global configuration, and would look in the wrong place.
+/// It must be the global one: if the details of a dead node are missing, iceoryx2 cleans up by the
+/// global configuration, and would search in the wrong place.
 pub(crate) fn load(domain: &Domain) -> Result<&'static Config, IceoryxConfigError> {
     let wanted = wanted(domain)?;
     let path = domain.config_file();
@@ -54,7 +54,7 @@ pub(crate) fn load(domain: &Domain) -> Result<&'static Config, IceoryxConfigErro
             reason: reason.to_string(),
         }
     })?;
-    // Unknown keys are ignored in silence and an earlier configuration stays: compare.
+    // Unknown keys are silently ignored and an earlier configuration stays in force: compare.
     if *loaded == wanted {
         Ok(loaded)
     } else {
@@ -68,7 +68,7 @@ pub(crate) fn load(domain: &Domain) -> Result<&'static Config, IceoryxConfigErro
 }
 
 fn text(domain: &Domain) -> String {
-    // Both values are checked by `Domain::new`: no character needs quoting.
+    // Both values are checked by `Domain::new`: no character needs escaping.
     format!(
         "# Written by joulebus; the same for every process of the fleet {fleet:?}.\n\
          [global]\nprefix = \"{prefix}\"\nroot-path = \"{root}\"\n\
@@ -94,11 +94,11 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
     fs::rename(&draft, path)
 }
 
-/// Why iceoryx2 could not be set to a domain.
+/// Reason that iceoryx2 could not be configured for a domain.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum IceoryxConfigError {
-    /// iceoryx2 does not take the name.
+    /// iceoryx2 rejects the name.
     #[error("iceoryx2 refuses the {what} of {domain:?}; choose a shorter `root` and `fleet`")]
     Refused {
         /// Which name.
@@ -111,7 +111,7 @@ pub enum IceoryxConfigError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
     /// iceoryx2 could not read its file.
@@ -119,10 +119,10 @@ pub enum IceoryxConfigError {
     Load {
         /// The file.
         path: PathBuf,
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
-    /// This process already works in another domain.
+    /// This process is already in another domain.
     #[error(
         "this process already uses iceoryx2 with prefix {found:?} and root {found_root:?}, wanted \
          are {wanted:?} and {wanted_root:?}: one process, one domain"

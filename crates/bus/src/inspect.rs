@@ -15,7 +15,7 @@ use crate::os::files::{effective_uid, filesystem, is_memory};
 use crate::preflight::{CapacityError, measure};
 use crate::{CapacityReport, Domain, RootError, WorkerLock};
 
-/// The state of a domain. Reading it changes nothing.
+/// The state of a domain. Reading it has no side effects.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct Inspection {
@@ -23,7 +23,7 @@ pub struct Inspection {
     pub root: Option<RootInfo>,
     /// Why the root cannot be used, if so.
     pub root_error: Option<RootError>,
-    /// Nodes that iceoryx2 knows of.
+    /// Nodes known to iceoryx2.
     pub nodes: Vec<NodeInfo>,
     /// Process id of the worker, if one runs.
     pub worker_pid: Option<u32>,
@@ -33,7 +33,7 @@ pub struct Inspection {
     pub foreign: Vec<PathBuf>,
     /// Objects of the domain in shared memory.
     pub objects: u64,
-    /// Their sizes together, bytes; only what has been written takes memory.
+    /// Total size, bytes; only written pages take memory.
     pub object_bytes: u64,
     /// Shared memory and file descriptors of the host and this process.
     pub capacity: CapacityReport,
@@ -57,24 +57,24 @@ pub struct NodeInfo {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RootInfo {
-    /// Where.
+    /// Its path.
     pub path: PathBuf,
     /// Owner's uid.
     pub owner: u32,
-    /// The uid it must have: ours.
+    /// The required uid: ours.
     pub expected_owner: u32,
     /// Permission bits; 0700 is expected.
     pub mode: u32,
     /// The filesystem's magic number.
     pub filesystem: u64,
-    /// Whether it lies in memory, as it should.
+    /// True if it is on a tmpfs, as recommended.
     pub in_memory: bool,
 }
 
 /// Reads the state of a domain without joining it. May be called from any thread.
 ///
 /// # Errors
-/// [`InspectError`] when the system does not answer; defects of the domain itself are in the result.
+/// [`InspectError`] if a system call fails; defects of the domain itself are in the result.
 pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     let root = root_info(domain)?;
     let root_error = match &root {
@@ -143,14 +143,14 @@ fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
     Ok(found)
 }
 
-/// Why the state of a domain could not be read.
+/// Reason that the state of a domain could not be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InspectError {
     /// A directory could not be read.
     #[error(transparent)]
     Root(#[from] RootError),
-    /// iceoryx2 does not take the domain's names.
+    /// iceoryx2 rejects the domain's names.
     #[error(transparent)]
     Config(#[from] IceoryxConfigError),
     /// Free shared memory or file descriptors could not be read.
@@ -159,7 +159,7 @@ pub enum InspectError {
     /// iceoryx2 could not list its nodes.
     #[error("cannot list nodes: {reason}")]
     Nodes {
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
 }

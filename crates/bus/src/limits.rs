@@ -1,4 +1,4 @@
-//! Limits of a fleet's services, and the size of each that follows from them.
+//! Limits of a fleet's services, and the resulting size of each.
 
 use joulebus_settings::bounds;
 
@@ -13,10 +13,10 @@ pub struct Limits {
     pub max_sources: usize,
     /// Processes that may read forecasts at once; at most [`bounds::MAX_PLANNERS`].
     pub max_planners: usize,
-    /// Frames of samples that wait for the worker, per source; older ones are overwritten; at most
+    /// Frames of samples queued for the worker, per source; older ones are overwritten; at most
     /// [`bounds::BUFFER_FRAMES`].
     pub sample_frames: usize,
-    /// Frames of forecasts, diagnostics and budgets that wait for a reader; at most 64.
+    /// Frames of forecasts, diagnostics and budgets queued for a reader; at most 64.
     pub forecast_frames: usize,
 }
 
@@ -32,27 +32,27 @@ impl Default for Limits {
     }
 }
 
-/// Ports that a service can hold beyond those in use: a killed process holds its ports until they are
-/// cleaned up, and its successor may start earlier.
+/// Spare ports of a service: a killed process holds its ports until the cleanup, and its successor
+/// may start earlier.
 const SPARE: usize = 2;
-/// Processes that may record a fleet at once.
+/// Recorders that a fleet can have at once.
 const RECORDERS: usize = 2;
-/// Journals that wait for a recorder: a second at 30 Hz.
+/// Journals queued for a recorder: a second at 30 Hz.
 const TICK_FRAMES: usize = 32;
-/// Frames that a journal lists at most, whatever the limits: 160 KiB.
+/// Maximum number of frames that a journal lists, whatever the limits: 160 KiB.
 const MOST_LISTED: usize = 4_096;
 
-/// Bytes in one piece of a keyframe: a robot takes about 350.
+/// Bytes per robot in a piece of a keyframe: a robot takes about 350.
 const STATE_BYTES_PER_ROBOT: usize = 512;
 const STATE_PIECE_BYTES: (usize, usize) = (4 * 1024, 64 * 1024);
-/// Pieces of a keyframe that wait for a reader; older ones are overwritten.
+/// Pieces of a keyframe queued for a reader; older ones are overwritten.
 const STATE_PIECES: usize = 8;
 
 impl Limits {
-    /// The limits, if each lies in its range.
+    /// The limits, if all are in their ranges.
     ///
     /// # Errors
-    /// [`LimitsError`] names the first that does not.
+    /// [`LimitsError`] states the first that is not.
     pub fn checked(self) -> Result<Self, LimitsError> {
         for (name, found, max) in [
             ("capacity", self.capacity, *bounds::CAPACITY.end()),
@@ -77,7 +77,7 @@ impl Limits {
         Ok(self)
     }
 
-    /// As it is written into each service, so that others can compare.
+    /// Text stored in each service for comparison by other processes.
     pub(crate) fn describe(&self) -> String {
         format!(
             "capacity={} max_sources={} max_planners={} sample_frames={} forecast_frames={}",
@@ -93,8 +93,8 @@ impl Limits {
         2 * (self.max_sources + self.max_planners + SPARE)
     }
 
-    /// Frames of samples that a tick's journal can list: all that can wait when a tick begins, up to
-    /// 4,096.
+    /// Frames of samples that a tick's journal can list: all that can be queued when a tick begins,
+    /// up to 4,096.
     #[must_use]
     pub const fn listed_frames(&self) -> usize {
         let waiting = self.max_sources * self.sample_frames;
@@ -129,13 +129,13 @@ impl Limits {
 
     pub(crate) const fn budgets(&self) -> Shape {
         Shape {
-            // Planners need the newest frame at once; recorders take all.
+            // Planners need the newest frame at once; recorders read all.
             history: 1,
             ..self.forecasts()
         }
     }
 
-    /// Keyframes, in pieces: a reader takes what waits at every tick.
+    /// Keyframes, in pieces: a reader empties the queue at every tick.
     pub(crate) const fn state(&self) -> Shape {
         Shape {
             publishers: 1 + SPARE,
@@ -185,13 +185,13 @@ pub(crate) struct Shape {
 }
 
 impl Shape {
-    /// Frames that one publisher keeps memory for, as iceoryx2 counts them with one loan.
+    /// Frames for which one publisher allocates memory, as iceoryx2 counts them with one loan.
     pub(crate) const fn frames(&self) -> usize {
         self.subscribers * (self.buffer + self.borrowed) + self.history + 1
     }
 }
 
-/// A limit that lies outside its range.
+/// A limit outside its range.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{name} = {found}: allowed are 1 to {max}")]
 pub struct LimitsError {

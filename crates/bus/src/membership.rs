@@ -16,7 +16,7 @@ use crate::{Domain, RootError, SweepError, SweepReport};
 pub(crate) const JOIN_LIMIT: Duration = Duration::from_secs(5);
 const RETRY_EVERY: Duration = Duration::from_millis(2);
 
-/// A process's membership. Ports share it, so that it outlives them.
+/// Membership of a process. Ports share it, so that it outlives them.
 #[derive(Debug)]
 pub(crate) struct Membership {
     pub(crate) domain: Domain,
@@ -25,7 +25,8 @@ pub(crate) struct Membership {
 }
 
 impl Membership {
-    /// Takes the lock, cleans up if no process is alive, configures iceoryx2 and starts the cleanup thread.
+    /// Takes the lock, cleans up if no process is alive, configures iceoryx2 and starts the cleanup
+    /// thread.
     pub(crate) fn join(domain: &Domain) -> Result<(Self, SweepReport), JoinError> {
         let mut report = SweepReport::default();
         let lock = Self::lock(domain, &mut report)?;
@@ -55,7 +56,7 @@ impl Membership {
         loop {
             match Self::try_lock(domain, report) {
                 Ok(Some(lock)) => return Ok(lock),
-                // Another process cleans up, or has just removed the directory.
+                // Another process is cleaning up, or has just removed the directory.
                 Ok(None) => {}
                 Err(JoinError::Root(error)) if error.vanished() => {}
                 Err(JoinError::Lock { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
@@ -85,7 +86,8 @@ impl Membership {
         if lock.try_exclusive().map_err(failed)? && lock.is_current(domain).map_err(failed)? {
             remove_all(domain, report)?;
         }
-        // We have created nothing yet, so another process may clean up while we change our lock.
+        // Nothing has been created yet, so another process may clean up while the lock is
+        // converted.
         let mine = lock.try_shared().map_err(failed)? && lock.is_current(domain).map_err(failed)?;
         Ok(mine.then_some(lock))
     }
@@ -96,7 +98,7 @@ impl Drop for Membership {
         self.cleanup.stop();
         let Some(lock) = self.lock.take() else { return };
         // Requesting the exclusive lock releases the shared one, granted or not: of several members
-        // that leave at once exactly the last gets it.
+        // that leave at the same time exactly the last one gets it.
         match lock.try_exclusive() {
             Ok(true) if lock.is_current(&self.domain).unwrap_or(false) => {
                 let mut report = SweepReport::default();
@@ -118,7 +120,7 @@ pub enum JoinError {
     /// The root directory is not private.
     #[error(transparent)]
     Root(#[from] RootError),
-    /// iceoryx2 could not be set to the domain.
+    /// iceoryx2 could not be configured for the domain.
     #[error(transparent)]
     Config(#[from] IceoryxConfigError),
     /// Stale files could not be removed.
@@ -129,7 +131,7 @@ pub enum JoinError {
     Lock {
         /// The lock file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
     /// Another process has held the members' lock exclusively for too long.
@@ -170,7 +172,7 @@ pub enum JoinError {
     Node {
         /// iceoryx2's root path.
         root: PathBuf,
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
 }

@@ -1,4 +1,5 @@
-//! The preflight check: whether shared memory and file descriptors suffice, before anything is created.
+//! The preflight check: whether shared memory and file descriptors are sufficient, before anything
+//! is created.
 
 use std::io;
 
@@ -12,9 +13,9 @@ use crate::Limits;
 use crate::limits::Shape;
 use crate::os::memory::SHM_DIR;
 
-/// iceoryx2's own header of a frame with its padding, generously.
+/// Header and padding of a frame in iceoryx2, upper bound.
 const FRAME_OVERHEAD: usize = 128;
-/// A publisher's bookkeeping per segment: allocator and headers, generously.
+/// Bookkeeping of a publisher per segment: allocator and headers, upper bound.
 const SEGMENT_OVERHEAD: usize = 16 * 1024;
 /// One connection between two ports: two index queues and the list of used chunks.
 const CONNECTION_BYTES: usize = 16 * 1024;
@@ -22,10 +23,10 @@ const CONNECTION_BYTES: usize = 16 * 1024;
 const PROCESS_BYTES: usize = 192 * 1024;
 /// Descriptors of a process before it connects to anybody: node, locks, eight services.
 const BASE_DESCRIPTORS: u64 = 64;
-/// Descriptors of one connection, both data and bookkeeping.
+/// File descriptors of one connection, data and bookkeeping.
 const CONNECTION_DESCRIPTORS: u64 = 4;
 
-/// How many of each process will create their ports.
+/// Number of processes of each kind that will create their ports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ports {
     /// Processes that publish samples.
@@ -36,29 +37,29 @@ pub struct Ports {
     pub planners: usize,
 }
 
-/// Capacity needed and found.
+/// Required and available capacity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CapacityReport {
-    /// Shared memory that the ports will take at most, bytes.
+    /// Upper bound of the shared memory of the ports, bytes.
     pub needed_bytes: u64,
     /// Free in `/dev/shm`, bytes.
     pub free_bytes: u64,
     /// Size of `/dev/shm`, bytes.
     pub total_bytes: u64,
-    /// File descriptors that the worker, the process with the most connections, will need.
+    /// File descriptors required by the worker, the process with the most connections.
     pub descriptors_needed: u64,
-    /// File descriptors this process may have open.
+    /// Limit of open file descriptors of this process.
     pub descriptors_limit: u64,
-    /// File descriptors this process has open.
+    /// Open file descriptors of this process.
     pub descriptors_used: u64,
 }
 
 /// Checks that the ports of `ports` fit, before any of them is created: writing to shared memory
-/// that does not fit is a SIGBUS, not an error.
+/// that does not fit raises SIGBUS instead of an error.
 ///
 /// # Errors
-/// [`CapacityError`] with what is needed and what there is.
+/// [`CapacityError`] with the required and the available capacity.
 pub fn check_capacity(limits: &Limits, ports: Ports) -> Result<CapacityReport, CapacityError> {
     let report = CapacityReport {
         needed_bytes: needed_bytes(limits, ports),
@@ -82,7 +83,7 @@ pub fn check_capacity(limits: &Limits, ports: Ports) -> Result<CapacityReport, C
     Ok(report)
 }
 
-/// The state of this host and process, with nothing needed.
+/// The state of this host and process, with nothing required.
 pub(crate) fn measure() -> Result<CapacityReport, CapacityError> {
     let (free_bytes, total_bytes) = shared_memory()?;
     let limit = getrlimit(Resource::Nofile).current;
@@ -93,7 +94,7 @@ pub(crate) fn measure() -> Result<CapacityReport, CapacityError> {
         total_bytes,
         descriptors_needed: 0,
         descriptors_limit: limit.unwrap_or(u64::MAX),
-        // The directory that is being read is one of them.
+        // Includes the directory being read.
         descriptors_used: used.count().saturating_sub(1) as u64,
     })
 }
@@ -132,7 +133,7 @@ fn descriptors(limits: &Limits) -> u64 {
     BASE_DESCRIPTORS + CONNECTION_DESCRIPTORS * connections as u64
 }
 
-/// Why the ports would not fit.
+/// Reason that the ports would not fit.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CapacityError {
@@ -154,7 +155,7 @@ pub enum CapacityError {
          limit (`ulimit -n {needed}`)"
     )]
     Descriptors {
-        /// Needed in all.
+        /// Total required.
         needed: u64,
         /// In use.
         used: u64,

@@ -1,5 +1,5 @@
-//! After warm-up the thread that uses the ports allocates nothing of its own: one allocation a
-//! loan is iceoryx2's.
+//! After warm-up the thread that uses the ports does not allocate, except for one allocation per
+//! loan in iceoryx2.
 
 #[path = "../../../tests/counting.rs"]
 mod counting;
@@ -11,7 +11,7 @@ use joulebus_bus::{Bus, Domain, FrameBuf, Limits, WorkerLock, clock};
 use joulebus_wire::{Forecast, ForecastHeader, Sample, SampleHeader, WakeEvent};
 
 #[test]
-fn only_loans_allocate_and_only_once() {
+fn only_loans_allocate_and_once_each() {
     let root = format!("/dev/shm/joulebus-allocations-{}", std::process::id());
     let domain = Domain::new("test", Path::new(&root), "jbt_").unwrap();
     let limits = Limits {

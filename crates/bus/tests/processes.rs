@@ -1,4 +1,4 @@
-//! What members of a domain promise one another, on real processes.
+//! Guarantees between members of a domain, tested with processes.
 
 mod harness;
 
@@ -11,7 +11,7 @@ use harness::{Place, must};
 use joulebus_bus::{Ports, check_capacity, inspect, sweep};
 use joulebus_test_processes::{Member, eventually};
 
-/// Not a test of its own: what the others start.
+/// Not a test: the entry point of members started by the tests.
 #[test]
 fn member() {
     harness::run_member();
@@ -53,7 +53,7 @@ fn samples_and_forecasts_cross_processes() {
 }
 
 #[test]
-fn frames_of_a_process_that_is_not_the_worker_are_passed_over() {
+fn frames_of_a_process_that_is_not_the_worker_are_skipped() {
     let place = Place::new();
     let mut planner = joined(&place, "planner");
     let mut impostor = joined(&place, "impostor");
@@ -65,7 +65,7 @@ fn frames_of_a_process_that_is_not_the_worker_are_passed_over() {
     assert_eq!(must(&mut planner, "latest"), "[Some(1), Some(1), Some(1)]");
     must(&mut impostor, "tick 7");
     assert_eq!(must(&mut planner, "latest"), "[None, None, None]");
-    // What a worker has sent before its death is still its own.
+    // Frames that a worker sent before its death are its own.
     must(&mut worker, "tick 1");
     worker.kill();
     assert_eq!(must(&mut planner, "latest"), "[Some(2), Some(2), Some(2)]");
@@ -73,7 +73,7 @@ fn frames_of_a_process_that_is_not_the_worker_are_passed_over() {
     assert_eq!(must(&mut planner, "latest"), "[None, None, None]");
     // Now it is the worker.
     must(&mut impostor, "lock");
-    eventually("it is believed", || {
+    eventually("its frames are accepted", || {
         must(&mut impostor, "tick 1");
         must(&mut planner, "latest").contains("Some")
     });
@@ -83,7 +83,7 @@ fn frames_of_a_process_that_is_not_the_worker_are_passed_over() {
 }
 
 #[test]
-fn whoever_comes_first_everybody_joins() {
+fn members_can_join_in_any_order() {
     let roles = ["source", "worker", "planner"];
     for order in [
         [0, 1, 2],
@@ -113,7 +113,7 @@ fn whoever_comes_first_everybody_joins() {
             "[Some(2), Some(2), Some(2)]",
             "{order:?}"
         );
-        // The first to come is the first to leave.
+        // The first to join is the first to leave.
         source.finish();
         worker.finish();
         planner.finish();
@@ -147,18 +147,18 @@ fn many_start_and_leave_at_once() {
 }
 
 #[test]
-fn a_newcomer_gets_the_newest_budgets() {
+fn a_late_reader_gets_the_newest_budgets() {
     let place = Place::new();
     let mut worker = joined(&place, "worker");
     must(&mut worker, "tick 5");
     let mut planner = joined(&place, "planner");
-    // History goes out with the next send or update of the worker.
+    // History is delivered with the next send or update of the worker.
     must(&mut worker, "latest");
     assert_eq!(must(&mut planner, "latest"), "[None, None, Some(5)]");
 }
 
 #[test]
-fn differing_limits_are_told_with_both_values() {
+fn different_limits_are_reported_with_both_values() {
     let place = Place::new();
     let _source = joined(&place, "source");
     let mut worker = place.member();
@@ -170,7 +170,7 @@ fn differing_limits_are_told_with_both_values() {
 }
 
 #[test]
-fn a_stopped_planner_costs_nobody_anything_and_resumes_at_the_newest() {
+fn a_stopped_planner_does_not_affect_others_and_resumes_at_the_newest() {
     let place = Place::new();
     let mut worker = joined(&place, "worker");
     let mut stuck = joined(&place, "planner");
@@ -185,7 +185,7 @@ fn a_stopped_planner_costs_nobody_anything_and_resumes_at_the_newest() {
         assert_eq!(must(&mut other, "count"), format!("[{tick}]"));
     }
     stuck.go_on();
-    // Two frames wait, as the limits say; what lies between is the gap.
+    // Two frames are queued, by the limits; the ones before are the gap.
     assert_eq!(must(&mut stuck, "count"), "[199, 200]");
     must(&mut worker, "tick 1");
     assert_eq!(must(&mut stuck, "count"), "[201]");
@@ -206,11 +206,11 @@ fn a_planner_sees_at_once_that_the_worker_is_gone() {
 }
 
 #[test]
-fn the_living_clean_up_after_the_dead() {
+fn members_clean_up_after_dead_members() {
     let place = Place::new();
     let mut planner = joined(&place, "planner");
     joined(&place, "worker").kill();
-    // Told by whoever cleans up, within a second or so.
+    // Notified by the member that cleans up, within about a second.
     assert!(must(&mut planner, "wait").contains("died: true"));
     let dead = |node: &joulebus_bus::NodeInfo| node.alive != Some(true);
     eventually("no dead node", || {
@@ -225,7 +225,7 @@ fn the_living_clean_up_after_the_dead() {
 }
 
 #[test]
-fn killed_twenty_times_at_the_start_and_the_next_one_joins() {
+fn after_twenty_kills_during_a_start_the_next_one_joins() {
     let place = Place::new();
     let mut source = joined(&place, "source");
     for round in 0..20_u64 {
@@ -247,7 +247,7 @@ fn killed_twenty_times_at_the_start_and_the_next_one_joins() {
 }
 
 #[test]
-fn with_everybody_dead_the_next_start_removes_all_and_with_anybody_alive_nothing() {
+fn a_start_removes_all_files_only_if_no_member_is_alive() {
     let place = Place::new();
     let mut source = joined(&place, "source");
     let worker = joined(&place, "worker");
@@ -261,7 +261,7 @@ fn with_everybody_dead_the_next_start_removes_all_and_with_anybody_alive_nothing
     assert_eq!(
         must(&mut source, "send 1"),
         "0",
-        "the living must not be disturbed"
+        "live members must not be affected"
     );
 
     source.kill();
@@ -274,14 +274,14 @@ fn with_everybody_dead_the_next_start_removes_all_and_with_anybody_alive_nothing
 }
 
 #[test]
-fn a_sweep_after_everybody_died_leaves_nothing() {
+fn a_sweep_without_live_members_leaves_no_files() {
     let place = Place::new();
     let members = ["source", "worker", "planner"].map(|role| joined(&place, role));
     for member in members {
         member.kill();
     }
     assert!(!place.objects().is_empty());
-    // In a process of its own it would be a supervisor; here it is this one, once.
+    // A supervisor does this in a separate process; here it is this process, once.
     let report = sweep(&place.domain).unwrap();
     assert!(
         report.cold && report.objects > 0 && report.bytes > 0,
@@ -292,11 +292,11 @@ fn a_sweep_after_everybody_died_leaves_nothing() {
 }
 
 #[test]
-fn an_object_without_a_size_holds_nobody_up() {
+fn an_object_of_size_0_does_not_block_members() {
     let place = Place::new();
     let source = joined(&place, "source");
-    // What a process leaves that is killed between creating and sizing: iceoryx2 waits for it for
-    // ever. Every joiner opens this one.
+    // Left by a process killed between creating and sizing: iceoryx2 waits for it forever. Every
+    // joiner opens this object.
     let counter = place
         .objects()
         .into_iter()
@@ -314,20 +314,20 @@ fn an_object_without_a_size_holds_nobody_up() {
 }
 
 #[test]
-fn an_object_without_a_size_that_somebody_holds_open_stays() {
+fn an_object_of_size_0_that_is_open_is_kept() {
     let place = Place::new();
     let member = joined(&place, "source");
     let name = format!("{}slow.connection", place.domain.shm_prefix());
     let path = std::path::Path::new("/dev/shm").join(name);
     let creator = fs::File::create(&path).unwrap();
     std::thread::sleep(Duration::from_millis(800));
-    assert!(path.exists(), "its creator is only slow");
+    assert!(path.exists(), "its creator may be slow");
     assert_eq!(
         inspect(&place.domain).unwrap().incomplete,
         std::slice::from_ref(&path)
     );
     drop(creator);
-    eventually("nobody will ever size it", || !path.exists());
+    eventually("the object is removed", || !path.exists());
     member.finish();
     place.assert_nothing_left();
 }
@@ -374,8 +374,8 @@ fn killed_at_every_call_of_a_start_and_the_next_one_is_ready() {
     }
 }
 
-/// Kills a worker at the first, second, … of each of `calls`, until it gets through, a source being
-/// alive. At how many; `None` without the means.
+/// Kills a worker at the first, second, … of each of `calls`, until its start succeeds, with a
+/// source alive. Returns the number of kills; `None` if tracing is not possible.
 fn killed_at_every(calls: &[&str]) -> Option<u32> {
     let works = Command::new("strace")
         .args(["-qq", "-e", "trace=none", "true"])
@@ -402,7 +402,7 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
             }
             killed += 1;
             assert!(number < 300, "each death makes the next start longer");
-            // The living must not be held up either: its next send connects to the newcomer.
+            // Live members must not be blocked either: the next send connects to the new worker.
             let begin = Instant::now();
             let mut next = joined(&place, "worker");
             must(&mut source, "send 2");
@@ -421,7 +421,7 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
 }
 
 #[test]
-fn one_worker_per_fleet_and_the_second_is_told_the_pid() {
+fn one_worker_per_fleet_and_the_second_gets_the_pid() {
     let place = Place::new();
     let mut first = place.member();
     let mut second = place.member();
@@ -441,7 +441,7 @@ fn one_worker_per_fleet_and_the_second_is_told_the_pid() {
 }
 
 #[test]
-fn nobody_else_can_read_or_write_what_members_share() {
+fn other_users_cannot_access_the_objects_of_members() {
     let place = Place::new();
     let _source = joined(&place, "source");
     let _worker = joined(&place, "worker");
@@ -455,7 +455,7 @@ fn nobody_else_can_read_or_write_what_members_share() {
 }
 
 #[test]
-fn what_is_asked_of_shared_memory_covers_what_is_taken() {
+fn the_preflight_check_covers_the_shared_memory_used() {
     use std::os::unix::fs::MetadataExt;
     let place = Place::new();
     let ports = Ports {
@@ -483,7 +483,7 @@ fn what_is_asked_of_shared_memory_covers_what_is_taken() {
 }
 
 #[test]
-fn too_little_shared_memory_is_an_error_and_no_signal() {
+fn too_little_shared_memory_is_an_error_instead_of_a_signal() {
     let works = Command::new("unshare")
         .args([
             "-m", "mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", "/dev/shm",

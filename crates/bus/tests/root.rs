@@ -1,4 +1,4 @@
-//! Roots that are not private are refused, and so is what does not fit.
+//! Roots that are not private and fleets that do not fit are refused.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
@@ -32,7 +32,7 @@ impl Drop for Root {
 }
 
 #[test]
-fn a_root_that_others_may_enter_is_refused_with_its_mode() {
+fn a_root_accessible_to_others_is_refused_with_its_mode() {
     for mode in [0o755, 0o710, 0o701, 0o1777] {
         let root = Root::new();
         fs::create_dir(&root.0).unwrap();
@@ -48,9 +48,9 @@ fn a_root_that_others_may_enter_is_refused_with_its_mode() {
 }
 
 #[test]
-fn a_root_of_somebody_else_is_refused_with_both_owners() {
+fn a_root_of_another_user_is_refused_with_both_uids() {
     if !rustix::process::geteuid().is_root() {
-        println!("skipped: only root can give a directory away");
+        println!("skipped: only root can change the owner of a directory");
         return;
     }
     let root = Root::new();
@@ -70,7 +70,7 @@ fn a_root_of_somebody_else_is_refused_with_both_owners() {
 }
 
 #[test]
-fn a_link_and_a_file_are_refused() {
+fn a_symbolic_link_and_a_file_are_refused() {
     let root = Root::new();
     symlink("/dev/shm", &root.0).unwrap();
     assert!(matches!(
@@ -98,7 +98,7 @@ fn a_fleet_below_a_private_root_must_be_private_too() {
 }
 
 #[test]
-fn what_does_not_fit_is_refused_with_bytes_needed_and_free() {
+fn a_fleet_that_does_not_fit_is_refused_with_bytes_needed_and_free() {
     let ports = Ports {
         sources: 1_024,
         workers: 1,

@@ -1,4 +1,4 @@
-//! Processors and priorities belong to the thread that asks, and what is refused says what to do.
+//! CPU and priority apply to the requesting thread, and refusals state a remedy.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::thread;
@@ -20,7 +20,7 @@ fn policy() -> (u32, u32) {
     (fields[38].parse().unwrap(), fields[37].parse().unwrap())
 }
 
-/// Takes the calling thread's rights away. Capabilities are a thread's own, the limit is not: no
+/// Drops the calling thread's privileges. Capabilities are per thread, the limit is per process: no
 /// other test here depends on it.
 fn without_rights() {
     let held = capabilities(None).unwrap();
@@ -46,7 +46,7 @@ fn without_rights() {
 }
 
 #[test]
-fn a_processor_is_the_asking_threads_own() {
+fn affinity_applies_to_the_requesting_thread() {
     let allowed = Rights::of_this_process().cpus;
     let cpu = *allowed.last().unwrap();
     let asked = Scheduling {
@@ -61,7 +61,7 @@ fn a_processor_is_the_asking_threads_own() {
         assert_eq!(asked.apply().unwrap().len(), 0);
         let set = sched_getaffinity(None).unwrap();
         assert!(set.is_set(cpu) && set.count() == 1, "{set:?}");
-        // A place past the end asks for nothing.
+        // Beyond the end of the list no CPU is requested.
         asked.apply_to_thread(7).unwrap();
         before.thread().unpark();
         assert_eq!(before.join().unwrap() as usize, allowed.len());
@@ -72,7 +72,7 @@ fn a_processor_is_the_asking_threads_own() {
 }
 
 #[test]
-fn threads_of_a_real_time_thread_are_ordinary_ones() {
+fn threads_of_a_real_time_thread_are_scheduled_normally() {
     let asked = Scheduling {
         priority: 3,
         required: true,
@@ -92,7 +92,7 @@ fn threads_of_a_real_time_thread_are_ordinary_ones() {
 }
 
 #[test]
-fn what_is_refused_names_the_limit_the_capability_and_the_key() {
+fn a_refusal_states_the_limit_the_capability_and_the_key() {
     thread::spawn(|| {
         without_rights();
         let wanted = Scheduling {
@@ -137,7 +137,7 @@ fn what_is_refused_names_the_limit_the_capability_and_the_key() {
             required.apply(),
             Err(SchedulingError::Memory { .. })
         ));
-        assert_eq!(policy(), (0, 0), "nothing was taken");
+        assert_eq!(policy(), (0, 0), "scheduling unchanged");
     })
     .join()
     .unwrap();
@@ -155,7 +155,7 @@ fn page_faults_are_counted_for_the_calling_thread() {
         std::hint::black_box(&memory);
         page_faults().unwrap().0 - before
     };
-    // Huge pages of 2 MiB take 512 at once.
+    // Huge pages of 2 MiB map 512 pages at once.
     assert!(touch() >= PAGES / 512);
     let (before, _) = page_faults().unwrap();
     let elsewhere = thread::spawn(touch).join().unwrap();

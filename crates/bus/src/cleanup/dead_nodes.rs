@@ -6,7 +6,7 @@ use iceoryx2::prelude::{CallbackProgression, ipc};
 
 use super::report::SweepReport;
 
-/// Lets iceoryx2 remove the nodes of dead processes. 1 to 25 ms when there is work.
+/// Makes iceoryx2 remove the nodes of dead processes. Takes 1 to 25 ms if there are any.
 pub(crate) fn remove_dead_nodes(config: &Config, report: &mut SweepReport) {
     let listed = Node::<ipc::Service>::list(config, |node| {
         if let NodeState::Dead(dead) = node {

@@ -1,8 +1,8 @@
 //! Objects, services and nodes whose creator was killed before they were complete.
 //!
-//! iceoryx2 removes nodes of dead processes, but only complete ones, and it cannot distinguish an
-//! incomplete object from one that is being created. The kernel can: a process that creates or uses
-//! an object has its file open.
+//! iceoryx2 removes complete nodes of dead processes only, and it cannot distinguish an incomplete
+//! object from one that is being created. The kernel can: a process that creates or uses an object
+//! has its file open.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
@@ -11,26 +11,27 @@ use std::path::PathBuf;
 use super::objects::{Identity, OWNER_READ, Object, list, objects, open_files};
 use crate::{Domain, RootError};
 
-/// A description (of a service, a node, a port of a node) loses this permission when it is complete.
+/// A static description (of a service, a node, a port of a node) loses this permission once it is
+/// complete.
 const OWNER_WRITE: u32 = 0o200;
 /// The files of a node's monitor: `<prefix><id>.node_monitor<suffix>`.
 const MONITOR: &str = ".node_monitor";
 const CONTEXT: &str = "_context";
 const OWNER_LOCK: &str = "_owner_lock";
 
-/// Objects in shared memory that were not completed in time; their creators may be alive.
+/// Objects in shared memory not completed in time; their creators may be alive.
 pub(crate) fn incomplete_objects(domain: &Domain) -> Result<Vec<PathBuf>, RootError> {
     let incomplete = |object: &Object| object.is_incomplete() && object.is_old();
     let found = objects(domain)?.into_iter().filter(incomplete);
     Ok(found.map(|object| object.path).collect())
 }
 
-/// Removes incomplete objects, services and nodes: opening an object without a size blocks indefinitely, an
-/// incomplete service stays so, iceoryx2 ignores an incomplete node, and cannot remove a dead node with
-/// an incomplete tag of a port or service.
+/// Removes incomplete objects, services and nodes: opening an object of size 0 blocks forever, an
+/// incomplete service is never completed, iceoryx2 ignores an incomplete node, and cannot remove a
+/// dead node with an incomplete tag of a port or service.
 ///
-/// Only this user's, only what is older than 250 ms, and only if no process has it open. Returns how
-/// many were removed.
+/// Restricted to objects of this user that are older than 250 ms and that no process has open.
+/// Returns the number of removed objects.
 pub(crate) fn remove_incomplete(domain: &Domain) -> Result<u64, RootError> {
     let mut objects = objects(domain)?;
     objects.retain(|object| object.is_incomplete() && object.is_old());
@@ -41,7 +42,7 @@ pub(crate) fn remove_incomplete(domain: &Domain) -> Result<u64, RootError> {
     if objects.is_empty() && descriptions.is_empty() && nodes.is_empty() {
         return Ok(0);
     }
-    // Read after the candidates: a living creator has had them open since before.
+    // Read after the candidates: a live creator has had them open since before.
     let open = open_files();
     let mut removed = 0;
     objects.retain(|object| !open.contains(&object.identity));
@@ -98,7 +99,7 @@ fn node_details(domain: &Domain) -> Vec<Object> {
         .collect()
 }
 
-/// A node on disk: the directory of its details, and the files of its monitor.
+/// A node on disk: the directory of its details and the files of its monitor.
 #[derive(Default)]
 struct NodeFiles {
     directory: Option<PathBuf>,
@@ -120,8 +121,7 @@ impl NodeFiles {
     }
 }
 
-/// Nodes whose creator, or the process that removed them, was killed before it had finished: they have
-/// no port yet, or none any more.
+/// Nodes whose creator or remover was killed before it finished: they have no ports.
 fn incomplete_nodes(domain: &Domain) -> Vec<NodeFiles> {
     let mut nodes: BTreeMap<String, NodeFiles> = BTreeMap::new();
     for path in list(&domain.directory().join("nodes")) {

@@ -1,4 +1,4 @@
-//! The files of a domain, and which files are open.
+//! The files of a domain, and open files.
 
 use std::collections::HashSet;
 use std::fs;
@@ -10,9 +10,9 @@ use crate::os::files::effective_uid;
 use crate::os::memory::SHM_DIR;
 use crate::{Domain, RootError};
 
-/// How long an object may stay incomplete before it counts as stale. Creating one takes microseconds.
+/// Age at which an incomplete object counts as stale. Creating one takes microseconds.
 const OLD: Duration = Duration::from_millis(250);
-/// An object, and a node's context, get this permission when they are complete.
+/// An object and a node's context get this permission once complete.
 pub(super) const OWNER_READ: u32 = 0o400;
 
 /// A file of a domain.
@@ -26,7 +26,7 @@ pub(crate) struct Object {
     pub(super) identity: Identity,
 }
 
-/// Device and inode: identify a file, whatever its path.
+/// Device and inode: identify a file independently of its path.
 pub(super) type Identity = (u64, u64);
 
 impl Object {
@@ -48,13 +48,13 @@ impl Object {
         self.owner == effective_uid() && self.modified.is_some_and(|at| age(at) > OLD)
     }
 
-    /// Of an object in shared memory: without a size, or without its final permissions.
+    /// For an object in shared memory: without a size or without its final permissions.
     pub(super) fn is_incomplete(&self) -> bool {
         self.bytes == 0 || self.mode & OWNER_READ == 0
     }
 }
 
-/// All objects in shared memory whose names begin with the domain's prefix, whoever owns them.
+/// All objects in shared memory with the domain's prefix, of any owner.
 pub(crate) fn objects(domain: &Domain) -> Result<Vec<Object>, RootError> {
     let read = |error| RootError::io(Path::new(SHM_DIR), error);
     let mut found = Vec::new();
@@ -76,7 +76,7 @@ pub(super) fn list(directory: &Path) -> Vec<PathBuf> {
     entries.map(|entry| entry.path()).collect()
 }
 
-/// All files that processes of this user have open. Other users cannot open ours, which have mode 0600.
+/// All files open in processes of this user. Other users cannot open ours, which have mode 0600.
 pub(super) fn open_files() -> HashSet<Identity> {
     list(Path::new("/proc"))
         .into_iter()

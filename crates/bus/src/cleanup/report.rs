@@ -1,27 +1,27 @@
-//! What was removed.
+//! Report of a cleanup.
 
-/// What was removed.
+/// What a cleanup removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct SweepReport {
     /// Nodes of dead processes that iceoryx2 removed.
     pub dead_nodes: u64,
-    /// Nodes of dead processes that could not be removed; they go with the last member.
+    /// Nodes of dead processes that could not be removed; the last member to leave removes them.
     pub failed_nodes: u64,
     /// Incomplete objects, services and nodes.
     pub incomplete: u64,
     /// Objects in shared memory removed because no member was alive.
     pub objects: u64,
-    /// Bytes that they took.
+    /// Size of these objects, bytes.
     pub bytes: u64,
     /// Other files removed because no member was alive.
     pub files: u64,
-    /// Whether no member was alive, so that everything of the domain was removed.
+    /// True if no member was alive, so that all files of the domain were removed.
     pub cold: bool,
 }
 
 impl SweepReport {
-    /// Whether nothing stale was found.
+    /// True if no stale files were found.
     #[must_use]
     pub const fn is_clean(&self) -> bool {
         self.dead_nodes == 0

@@ -1,4 +1,4 @@
-//! Removing everything stale in a domain.
+//! Removal of all stale files of a domain.
 
 use std::fs;
 use std::io;
@@ -15,12 +15,12 @@ use crate::liveness::members_lock::MembersLock;
 use crate::os::files::effective_uid;
 use crate::{Domain, RootError, WorkerLock};
 
-/// Removes stale files of dead processes in `domain`: everything when no member is alive, else their
-/// nodes and incomplete objects. For a supervisor, after it has waited for its children, and for
+/// Removes stale files of dead processes in `domain`: all files if no member is alive, otherwise
+/// dead nodes and incomplete objects. For a supervisor that has waited for its children, and for
 /// `doctor --fix`. The caller must not be a member itself. May be called from any thread.
 ///
 /// # Errors
-/// [`SweepError`]; what could be removed has been.
+/// [`SweepError`]; whatever could be removed has been removed.
 pub fn sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
     loop {
         match try_sweep(domain) {
@@ -51,10 +51,10 @@ fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
     Ok(report)
 }
 
-/// Removes everything of the domain but the members' lock. The caller holds that exclusively, so
-/// no member is alive.
+/// Removes all files of the domain except the members' lock. The caller holds it exclusively, so no
+/// member is alive.
 ///
-/// A process may use iceoryx2 in our domain without being a member (its own command-line tool, the
+/// A process may use iceoryx2 in this domain without being a member (its command-line tool, the
 /// Python package): while such a node lives, only dead nodes are removed.
 pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<(), SweepError> {
     check_private(&domain.directory())?;
@@ -105,10 +105,10 @@ fn remove_contents(
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SweepError {
-    /// The root is not ours to clean.
+    /// The root is not private to this user.
     #[error(transparent)]
     Root(#[from] RootError),
-    /// iceoryx2 could not be set to the domain.
+    /// iceoryx2 could not be configured for the domain.
     #[error(transparent)]
     Config(#[from] IceoryxConfigError),
     /// The members' lock could not be read.
@@ -119,7 +119,7 @@ pub enum SweepError {
     Remove {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
 }

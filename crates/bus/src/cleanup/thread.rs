@@ -15,16 +15,16 @@ use crate::Domain;
 
 /// A member may be blocked on an incomplete object, so this is frequent; one pass takes 20 µs.
 const INCOMPLETE_EVERY: Duration = Duration::from_millis(250);
-/// Dead nodes are looked for every so many rounds: once a second.
+/// Number of rounds between searches for dead nodes: once a second.
 const DEAD_NODES_EVERY: u64 = 4;
 
-/// What this process has removed since it joined.
+/// Stale files that this process has removed since it joined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Housekeeping {
     /// Nodes of dead processes removed.
     pub dead_nodes: u64,
-    /// Attempts at dead nodes that failed; another member may have been faster.
+    /// Failed attempts to remove dead nodes; another member may have been faster.
     pub failed_nodes: u64,
     /// Incomplete objects, services and nodes removed.
     pub incomplete: u64,

@@ -1,4 +1,4 @@
-//! Who is alive: every member holds a shared lock on one file for as long as it lives.
+//! Members of the domain: every member holds a shared lock on one file while it is alive.
 //!
 //! The kernel releases the lock when the process ends, however it ends. A process that gets it
 //! exclusively knows that no member is alive, and may remove everything.
@@ -31,7 +31,7 @@ impl MembersLock {
         Ok(Self { file })
     }
 
-    /// Takes the lock exclusively; false while another process holds it.
+    /// Takes the exclusive lock; false if another process holds it.
     pub(crate) fn try_exclusive(&self) -> io::Result<bool> {
         self.lock(FlockOperation::NonBlockingLockExclusive)
     }

@@ -1,4 +1,4 @@
-//! Which processes are alive: locks and descriptors that the kernel releases when a process ends.
+//! Liveness of processes: locks and descriptors that the kernel releases when a process ends.
 
 pub(crate) mod members_lock;
 pub(crate) mod peer_watch;

@@ -1,22 +1,21 @@
-//! Watching one process.
+//! Watches one process.
 
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, pidfd_open};
 
-/// Watches a process for its end.
+/// Detects the end of a process.
 #[derive(Debug)]
 pub struct PeerWatch {
     descriptor: OwnedFd,
 }
 
 impl PeerWatch {
-    /// Watches the process `pid`. `None` when there is no such process, or when the system cannot
-    /// watch (Linux before 5.3, some sandboxes).
+    /// Watches the process `pid`. `None` if there is no such process, or if the system cannot watch
+    /// processes (Linux before 5.3, some sandboxes).
     ///
-    /// A pid may have been given to another process already: read it again from a fresh frame
-    /// after opening.
+    /// The pid may already have been reused: read it again from a new frame after opening.
     #[must_use]
     pub fn open(pid: u32) -> Option<Self> {
         let pid = Pid::from_raw(i32::try_from(pid).ok()?)?;
@@ -24,7 +23,7 @@ impl PeerWatch {
         Some(Self { descriptor })
     }
 
-    /// Whether the process has ended, its parent having waited for it or not.
+    /// True if the process has ended, even if its parent has not waited for it.
     #[must_use]
     pub fn is_gone(&self) -> bool {
         let mut polled = [PollFd::new(&self.descriptor, PollFlags::IN)];

@@ -13,8 +13,8 @@ use rustix::process::{Pid, test_kill_process};
 use crate::os::files::is_same;
 use crate::{Domain, RootError, clock};
 
-/// The right to be a fleet's worker, held while this value lives. The kernel releases the lock when the
-/// process ends, however it ends.
+/// The exclusive right to be a fleet's worker, held while this value lives. The kernel releases the
+/// lock when the process ends for any reason.
 #[derive(Debug)]
 pub struct WorkerLock {
     file: File,
@@ -25,7 +25,7 @@ impl WorkerLock {
     /// Takes the lock.
     ///
     /// # Errors
-    /// [`WorkerLockError::AlreadyRunning`] with the owner's pid while another worker lives.
+    /// [`WorkerLockError::AlreadyRunning`] with the owner's pid if another worker is alive.
     pub fn acquire(domain: &Domain) -> Result<Self, WorkerLockError> {
         loop {
             match Self::try_acquire(domain) {
@@ -209,11 +209,11 @@ fn is_alive(pid: u32) -> bool {
     pid.is_some_and(|pid| !matches!(test_kill_process(pid), Err(Errno::SRCH)))
 }
 
-/// Why a process may not be the worker.
+/// Reason that a process may not be the worker.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WorkerLockError {
-    /// There is one.
+    /// Another worker is alive.
     #[error(
         "fleet {fleet:?} already has a worker, pid {pid}; stop it first (`kill {pid}`), or run \
          this one for another fleet"
@@ -229,12 +229,12 @@ pub enum WorkerLockError {
     /// The root directory is not private.
     #[error(transparent)]
     Root(#[from] RootError),
-    /// The system refused.
+    /// The system call failed.
     #[error("cannot lock {path:?}: {source}")]
     Io {
         /// The lock file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
 }

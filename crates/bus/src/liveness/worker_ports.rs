@@ -1,17 +1,19 @@
-//! Whose frames are taken on the worker's services: those of the process that holds the worker's lock.
+//! Filter for frames on the worker's services: only those of the process that holds the worker's
+//! lock are accepted.
 //!
-//! Every process of the user can send there. A frame of another one would otherwise pass for the worker's,
-//! and one with a run or a tick far ahead would hide all that the worker sends.
+//! Every process of the user can send there. A frame of another process would otherwise be taken
+//! for the worker's, and one with a run or a tick far in the future would hide all frames of the
+//! worker.
 
 use std::path::PathBuf;
 
 use crate::liveness::worker_lock::{Owner, WorkerLock};
 use crate::{Domain, clock};
 
-/// A port that was refused is not looked up again for so long, ns.
+/// Time before a refused port is looked up again, ns.
 const REFUSED_FOR_NS: u64 = 10_000_000;
 
-/// Tells the worker's ports from those of other processes.
+/// Distinguishes the worker's ports from those of other processes.
 #[derive(Debug)]
 pub(crate) struct WorkerPorts {
     lock_file: PathBuf,
@@ -19,7 +21,7 @@ pub(crate) struct WorkerPorts {
     port: Option<u128>,
     owner: Option<Owner>,
     runs: u64,
-    /// The port that was refused last, and until when, monotonic ns.
+    /// The port refused last and the end of its refusal, monotonic ns.
     refused: Option<(u128, u64)>,
     foreign: u64,
 }
@@ -36,8 +38,8 @@ impl WorkerPorts {
         }
     }
 
-    /// Whether the worker has sent a frame that came from `port`. Reads the lock's file for a port that
-    /// was not the last one.
+    /// True if a frame from `port` is the worker's. Reads the lock file if the port is not the last
+    /// one.
     pub(crate) fn admits(&mut self, port: u128) -> bool {
         if self.port == Some(port) {
             return true;
@@ -63,19 +65,19 @@ impl WorkerPorts {
         }
     }
 
-    /// Number of the worker's run that the last admitted frame is of, from 1.
+    /// Number of the worker's run of the last accepted frame, from 1.
     pub(crate) const fn runs(&self) -> u64 {
         self.runs
     }
 
-    /// Frames that were not the worker's.
+    /// Number of frames that were not the worker's.
     pub(crate) const fn foreign(&self) -> u64 {
         self.foreign
     }
 }
 
-/// The process that made a port: iceoryx2 puts seconds, nanoseconds, pid and a counter, each of 32 bits,
-/// into a port's id.
+/// Process that created a port: a port id of iceoryx2 contains seconds, nanoseconds, pid and a
+/// counter of 32 bits each.
 fn process_of(port: u128) -> u32 {
     let bytes = port.to_ne_bytes();
     u32::from_ne_bytes([bytes[8], bytes[9], bytes[10], bytes[11]])
@@ -111,12 +113,13 @@ mod tests {
         assert!(!ports.admits(port(10, 0)), "there is no worker");
         for (line, admitted, refused, runs) in [
             ("10 500\n", port(10, 0), port(11, 0), 1),
-            // Another port of the same process, and the next holder; the one before is over.
+            // Another port of the same process, then the next lock holder; the previous one has
+            // ended.
             ("10 500\n", port(10, 9), port(12, 0), 1),
             ("11 600\n", port(11, 1), port(10, 7), 2),
             // The same pid, later: another run.
             ("11 700\n", port(11, 2), port(10, 7), 3),
-            // In a container, the pid that iceoryx2 sees may be another one.
+            // In a container the pid seen by iceoryx2 may be another one.
             ("1 800 4321\n", port(4321, 0), port(1, 0), 4),
         ] {
             fs::write(&ports.lock_file, line).unwrap();
@@ -132,7 +135,7 @@ mod tests {
             assert!(!ports.admits(port(11, 3)), "{line:?}");
         }
         fs::remove_file(&ports.lock_file).unwrap();
-        assert!(ports.admits(port(4321, 0)), "who was the worker stays it");
+        assert!(ports.admits(port(4321, 0)), "frames of the last worker");
         assert!(ports.foreign() > 5);
     }
 }

@@ -2,23 +2,23 @@
 
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
-/// Time on the monotonic clock, ns since boot, the time asleep not counted. The same clock in
-/// every process of the host.
+/// Time of the monotonic clock, ns since boot without suspend. The same clock in every process of
+/// the host.
 #[must_use]
 pub fn monotonic_ns() -> u64 {
     nanoseconds(clock_gettime(ClockId::Monotonic))
 }
 
-/// Wall-clock time, ns since 1970. May jump: a label, never the end of an interval.
+/// Wall-clock time, ns since 1970. May jump: use as a label only, not for intervals.
 #[must_use]
 pub fn unix_ns() -> u64 {
     nanoseconds(clock_gettime(ClockId::Realtime))
 }
 
-/// The id of this boot: monotonic times of different boots cannot be compared.
+/// The id of this boot: monotonic times of different boots are not comparable.
 ///
 /// # Errors
-/// When `/proc` cannot be read.
+/// `/proc` cannot be read.
 pub fn boot_id() -> std::io::Result<String> {
     Ok(std::fs::read_to_string("/proc/sys/kernel/random/boot_id")?
         .trim()

@@ -1,4 +1,4 @@
-//! Owners, identities and file systems.
+//! Owners, identities and file systems of files.
 
 use std::fs::{self, File};
 use std::io;
@@ -12,7 +12,7 @@ pub(crate) fn effective_uid() -> u32 {
     rustix::process::geteuid().as_raw()
 }
 
-/// Whether `file` is still what lies at `path`.
+/// True if `path` still refers to `file`.
 pub(crate) fn is_same(file: &File, path: &Path) -> io::Result<bool> {
     let held = file.metadata()?;
     match fs::symlink_metadata(path) {

@@ -1,4 +1,4 @@
-//! Memory that is allocated and mapped before it is needed.
+//! Allocates and maps memory before its first use.
 #![allow(unsafe_code)]
 
 use std::fs;
@@ -8,9 +8,9 @@ use std::path::Path;
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::mm::{Advice, madvise};
 
-/// Where POSIX shared memory lies on Linux.
+/// Directory of POSIX shared memory on Linux.
 pub(crate) const SHM_DIR: &str = "/dev/shm";
-/// Longest mapping that is populated at once while ticks run, bytes: takes some milliseconds.
+/// Maximum size of a mapping populated while ticks run, bytes: takes a few milliseconds.
 const MOST_AT_ONCE: usize = 64 << 20;
 
 /// Allocates and populates all memory of the shared-memory objects that this process has mapped for
@@ -45,10 +45,10 @@ pub(crate) fn map(part: &str) {
     }
 }
 
-/// Touches all memory of this process's own, allocated and never used memory included, so that its
-/// first use takes no page fault: about 0.2 s a GiB. To be called after everything large has been
-/// allocated, and before threads are started, whose stacks would be touched too. Best effort: kernels
-/// before 5.14 cannot.
+/// Touches all private memory of this process, including allocated but unused memory, so that its
+/// first use causes no page fault: about 0.2 s per GiB. Call it after all large allocations, and
+/// before starting threads, whose stacks would be touched too. Best effort: not supported by
+/// kernels before 5.14.
 pub fn touch_own_memory() {
     let Ok(maps) = fs::read_to_string("/proc/self/maps") else {
         return;
@@ -64,7 +64,7 @@ struct Mapping<'a> {
     start: usize,
     len: usize,
     is_writable: bool,
-    /// Empty where there is none.
+    /// Empty for anonymous memory.
     path: &'a str,
 }
 
@@ -100,15 +100,16 @@ impl<'a> Mapping<'a> {
     }
 
     fn populate(&self, advice: Advice) {
-        // SAFETY: populating changes neither the content nor the protection of a mapping; the
-        // range was just read from the list of this process's mappings, and if it has been
-        // unmapped since, the call fails.
+        // SAFETY: populating changes neither the contents nor the protection of a mapping; the
+        // range was just read from the list of this process's mappings, and if it has been unmapped
+        // since, the call fails.
         let populated = unsafe {
             let start = std::ptr::without_provenance_mut(self.start);
             madvise(start, self.len, advice)
         };
         if let Err(error) = populated {
-            // Kernels before 5.14 cannot; then the first frames fault, and nothing worse.
+            // Not supported by kernels before 5.14; the first frames then cause page faults,
+            // nothing worse.
             tracing::debug!(%error, path = self.path, "memory was not mapped in advance");
         }
     }

@@ -1,5 +1,5 @@
-//! Scheduling of the tick's threads: processors, real-time priority, locked memory. All of it is
-//! optional, and most of it needs privileges.
+//! Scheduling of the tick's threads: CPUs, real-time priority, locked memory. All of it is
+//! optional, and most of it requires privileges.
 #![allow(unsafe_code)]
 
 use std::fs;
@@ -10,31 +10,31 @@ use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::process::{Resource, getrlimit};
 use rustix::thread::{CapabilitySet, CpuSet, capabilities, sched_getaffinity, sched_setaffinity};
 
-/// What the threads of the tick ask of the system. The default asks for nothing.
+/// Requested scheduling of the tick's threads. The default requests nothing.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Scheduling {
-    /// Processors, one for each thread, the tick's own first. Empty: wherever the system puts them.
+    /// CPUs, one per thread, that of the tick's own thread first. Empty: no affinity.
     pub cpus: Vec<usize>,
-    /// Real-time priority (`SCHED_FIFO`), 1 to 99; 0: an ordinary thread.
+    /// Real-time priority (`SCHED_FIFO`), 1 to 99; 0: normal scheduling.
     pub priority: u8,
-    /// Whether all memory of the process is to stay in memory (`mlockall`).
+    /// Whether to lock all memory of the process (`mlockall`).
     pub lock_memory: bool,
-    /// Whether a request that the system refuses stops the start; else it is a warning.
+    /// Whether a refused request prevents the start; otherwise it is a warning.
     pub required: bool,
 }
 
 impl Scheduling {
-    /// Whether it asks for nothing.
+    /// True if nothing is requested.
     #[must_use]
     pub fn is_nothing(&self) -> bool {
         self.cpus.is_empty() && self.priority == 0 && !self.lock_memory
     }
 
-    /// Asks for all of it, for the calling thread, which is the tick's own, and for the process.
-    /// Threads started earlier are unaffected. Returns what was refused, if none of it is required.
+    /// Applies all requests to the calling thread, which is the tick's own, and to the process.
+    /// Threads started earlier are not affected. Returns the refused requests, if none is required.
     ///
     /// # Errors
-    /// What was refused first, if it is required.
+    /// The first refused request, if it is required.
     pub fn apply(&self) -> Result<Vec<SchedulingError>, SchedulingError> {
         let memory = if self.lock_memory {
             lock_memory()
@@ -52,18 +52,18 @@ impl Scheduling {
         Ok(refused)
     }
 
-    /// Asks for the calling thread only: processor and priority of the thread at `place`, 0 being
-    /// the tick's own. Past the end of [`Scheduling::cpus`] no processor is asked for.
+    /// Applies CPU and priority to the calling thread, number `place` of the tick's threads, 0
+    /// being the tick's own. No CPU is requested beyond the end of [`Scheduling::cpus`].
     ///
     /// # Errors
-    /// What was refused, processor first.
+    /// The first refused request; the CPU is requested first.
     pub fn apply_to_thread(&self, place: usize) -> Result<(), SchedulingError> {
         let [cpu, priority] = self.requests(place);
         cpu.and(priority)
     }
 
-    /// What would be refused now: processors and priority are tried on threads that end at once, memory
-    /// is judged by the privileges. Changes nothing for the caller.
+    /// Requests that would be refused now: CPUs and priority are tested on short-lived threads,
+    /// memory is judged by the privileges. Has no effect on the caller.
     ///
     /// # Errors
     /// A thread could not be started.
@@ -79,10 +79,10 @@ impl Scheduling {
                     .map(std::thread::ScopedJoinHandle::join)
             })?;
             let Ok([cpu, priority]) = tried else {
-                return Err(io::Error::other("the thread that tried panicked"));
+                return Err(io::Error::other("the test thread panicked"));
             };
             refused.extend(cpu.err());
-            // The same for all of them.
+            // The result is the same for all threads.
             refused.extend(priority.err().filter(|_| place == 0));
         }
         Ok(refused)
@@ -98,23 +98,23 @@ impl Scheduling {
     }
 }
 
-/// What this process may ask for.
+/// Privileges of this process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rights {
-    /// Processors that it may use.
+    /// CPUs it may use.
     pub cpus: Vec<usize>,
-    /// Greatest real-time priority that its limit allows (`RLIMIT_RTPRIO`); `None`: any.
+    /// Maximum real-time priority of its limit (`RLIMIT_RTPRIO`); `None`: unlimited.
     pub priority_limit: Option<u64>,
-    /// Whether it may take any priority (`CAP_SYS_NICE`).
+    /// Whether it may request any priority (`CAP_SYS_NICE`).
     pub may_take_any_priority: bool,
-    /// Memory that it may lock (`RLIMIT_MEMLOCK`), bytes; `None`: any.
+    /// Memory it may lock (`RLIMIT_MEMLOCK`), bytes; `None`: unlimited.
     pub memory_limit: Option<u64>,
     /// Whether it may lock any memory (`CAP_IPC_LOCK`).
     pub may_lock_any_memory: bool,
 }
 
 impl Rights {
-    /// Those of the calling thread.
+    /// Privileges of the calling thread.
     #[must_use]
     pub fn of_this_process() -> Self {
         let held = capabilities(None).map_or(CapabilitySet::empty(), |sets| sets.effective);
@@ -127,7 +127,7 @@ impl Rights {
         }
     }
 
-    /// Whether `priority` is within the rights. A container may refuse it still.
+    /// True if the limits allow `priority`. A container may still refuse it.
     #[must_use]
     pub fn allow_priority(&self, priority: u8) -> bool {
         self.may_take_any_priority
@@ -136,46 +136,46 @@ impl Rights {
                 .is_none_or(|limit| u64::from(priority) <= limit)
     }
 
-    /// Whether all memory may be locked, that of the future included: a finite limit is not enough,
-    /// for past it every new mapping would fail.
+    /// True if all memory may be locked, including future mappings: a finite limit is not
+    /// sufficient, because beyond it every new mapping would fail.
     #[must_use]
     pub const fn allow_locking(&self) -> bool {
         self.may_lock_any_memory || self.memory_limit.is_none()
     }
 }
 
-/// What the system refused.
+/// A refused request.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SchedulingError {
-    /// The processor is not there, or not for this process.
+    /// The CPU does not exist or is not allowed for this process.
     #[error(
         "the tick's thread cannot stay on CPU {cpu} ({source}): this process may use {allowed:?}; \
          change `worker.cpus`, or the cpuset or `taskset` that the worker was started with"
     )]
     Cpu {
-        /// The processor asked for.
+        /// The requested CPU.
         cpu: usize,
-        /// Those that the process may use.
+        /// The CPUs allowed for the process.
         allowed: Vec<usize>,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
-    /// No real-time priority.
+    /// Real-time priority was refused.
     #[error(
         "SCHED_FIFO priority {priority} was refused ({source}): RLIMIT_RTPRIO is {limit}, \
          CAP_SYS_NICE is {capability}; {remedy}, or set `worker.priority = 0`"
     )]
     Priority {
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
-        /// The limit, in words.
+        /// The limit as text.
         limit: String,
-        /// Whether the capability is there, in words.
+        /// Presence of the capability as text.
         capability: &'static str,
-        /// What to do.
+        /// Remedy.
         remedy: String,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
     /// Memory cannot be locked.
@@ -185,16 +185,16 @@ pub enum SchedulingError {
          memlock unlimited` into /etc/security/limits.conf, or set `worker.memory = \"unlocked\"`"
     )]
     Memory {
-        /// The limit, in words.
+        /// The limit as text.
         limit: String,
-        /// Whether the capability is there, in words.
+        /// Presence of the capability as text.
         capability: &'static str,
-        /// What the system said, or why it was not asked.
+        /// The error of the system, or the reason for not requesting it.
         reason: String,
     },
 }
 
-/// Keeps the calling thread, and threads that it starts from now on, on one processor.
+/// Binds the calling thread, and threads it starts from now on, to one CPU.
 fn stay_on(cpu: usize) -> Result<(), SchedulingError> {
     let refused = |source| SchedulingError::Cpu {
         cpu,
@@ -209,13 +209,13 @@ fn stay_on(cpu: usize) -> Result<(), SchedulingError> {
     sched_setaffinity(None, &set).map_err(|error| refused(error.into()))
 }
 
-/// Gives the calling thread a real-time priority; threads that it starts are ordinary ones.
+/// Sets a real-time priority for the calling thread; threads it starts are scheduled normally.
 fn take_priority(priority: u8) -> Result<(), SchedulingError> {
     let parameters = libc::sched_param {
         sched_priority: priority.into(),
     };
-    // The call itself: the function of that name does nothing in some C libraries.
-    // SAFETY: the pointer is to a `sched_param` that lives through the call; the system only reads
+    // The raw system call: the function of that name does nothing in some C libraries.
+    // SAFETY: the pointer is to a `sched_param` that lives through the call; the kernel only reads
     // it. 0 is the calling thread.
     let outcome = unsafe {
         libc::syscall(
@@ -250,7 +250,7 @@ fn take_priority(priority: u8) -> Result<(), SchedulingError> {
     })
 }
 
-/// Keeps all memory of the process in memory, that of the future included, and touches it.
+/// Locks all memory of the process, including future mappings, and touches it.
 fn lock_memory() -> Result<(), SchedulingError> {
     let rights = Rights::of_this_process();
     let refused = |reason: String| SchedulingError::Memory {
@@ -260,18 +260,18 @@ fn lock_memory() -> Result<(), SchedulingError> {
     };
     if !rights.allow_locking() {
         return Err(refused(
-            "not asked for: past a finite limit every new mapping fails".to_owned(),
+            "not requested: beyond a finite limit every new mapping fails".to_owned(),
         ));
     }
     mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE)
         .map_err(|error| refused(io::Error::from(error).to_string()))
 }
 
-/// Lets the sleeps of the calling thread end on time: the kernel otherwise delays them by up to
-/// 50 µs to save power. For the worker.
+/// Sets the timer slack of the calling thread to the minimum: the kernel otherwise delays the end
+/// of sleeps by up to 50 µs to save power. For the worker.
 ///
 /// # Errors
-/// When the system refuses; then sleeps stay as they were.
+/// The system refuses; the timer slack is unchanged.
 pub fn set_timer_slack() -> io::Result<()> {
     rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).map_err(Into::into)
 }
@@ -296,14 +296,15 @@ const fn held(capability: bool) -> &'static str {
     if capability { "there" } else { "missing" }
 }
 
-/// Page faults of the calling thread since it began: minor ones (a page that was in memory had to be
+/// Page faults of the calling thread since its start: minor ones (a page in memory had to be
 /// mapped) and major ones (it had to be read from disk).
 ///
 /// # Errors
 /// `/proc` cannot be read.
+/// `/proc` cannot be read.
 pub fn page_faults() -> io::Result<(u64, u64)> {
     let text = fs::read_to_string("/proc/thread-self/stat")?;
-    // The second field is the thread's name, in brackets, and may hold anything.
+    // The second field is the thread's name in parentheses, which may contain any character.
     let fields = text.rsplit(')').next().unwrap_or_default();
     let mut counts = fields.split_ascii_whitespace().skip(7).step_by(2);
     let mut next = || counts.next()?.parse().ok();

@@ -1,4 +1,4 @@
-//! Ports: what each service carries, and how a member opens it.
+//! Ports: the payload of each service, and how a member opens it.
 
 mod degradation;
 mod reader;
@@ -38,13 +38,13 @@ pub type BudgetReader = Reader<BudgetHeader, Budget>;
 pub type StateWriter = Writer<StateHeader, u8>;
 /// A recorder's port for keyframes.
 pub type StateReader = Reader<StateHeader, u8>;
-/// A recorder's port for samples: reads what the worker reads, without being it.
+/// A recorder's port for samples: reads the same frames as the worker.
 pub type SampleTap = Reader<SampleHeader, Sample>;
 /// A recorder's port for the worker's journal.
 pub type TickReader = Reader<TickHeader, TakenFrame>;
 
 impl Bus {
-    /// A source's port. `max_len`: samples that one frame may hold, at most the capacity.
+    /// A source's port. `max_len`: maximum number of samples per frame, at most the capacity.
     ///
     /// # Errors
     /// [`OpenError`].
@@ -132,7 +132,7 @@ impl Bus {
         Reader::open(self, Service::Diagnostics, limits, limits.forecasts())
     }
 
-    /// A planner's port for budgets; the newest frame comes at once.
+    /// A planner's port for budgets; the newest frame is delivered at once.
     ///
     /// # Errors
     /// [`OpenError`].

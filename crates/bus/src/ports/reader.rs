@@ -1,4 +1,4 @@
-//! Reading frames in place.
+//! Reads frames in place.
 
 use std::marker::PhantomData;
 use std::rc::Rc;
@@ -19,7 +19,7 @@ use crate::liveness::worker_ports::WorkerPorts;
 use crate::membership::Membership;
 use crate::{Bus, Limits, clock};
 
-/// Frames of other processes than the worker that one look at a service passes over at most.
+/// Maximum number of frames of other processes than the worker that one call skips.
 const MOST_PASSED_OVER: u32 = 4_096;
 
 /// Reads frames in place; on a service of the worker, only those of the process that holds the worker's
@@ -33,7 +33,7 @@ pub struct Reader<H: Payload, T: Payload> {
     buffer: usize,
     degraded: Arc<AtomicU64>,
     repair: Repair,
-    /// None where every process may send.
+    /// None for services on which every process may send.
     worker: Option<WorkerPorts>,
     _member: Rc<Membership>,
 }
@@ -61,16 +61,17 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         })
     }
 
-    /// The oldest frame that waits, in order; `None` when there is none. Frames that were
-    /// overwritten before are known by the numbers in the headers.
+    /// The oldest queued frame; `None` if the queue is empty. Overwritten frames are detected by
+    /// the numbers in the headers.
     ///
     /// # Errors
+    /// [`ReceiveError`]; the next call may succeed.
     /// [`ReceiveError`]; the next call may succeed.
     pub fn take_next(&mut self) -> Result<Option<Frame<'_, H, T>>, ReceiveError> {
         Ok(self.receive()?.map(Frame::new))
     }
 
-    /// Hands all frames that wait to `each`, in order.
+    /// Calls `each` for all queued frames, in order.
     ///
     /// # Errors
     /// [`ReceiveError`]; the next call may succeed.
@@ -81,7 +82,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         Ok(())
     }
 
-    /// The newest frame, older ones passed over; `None` when none has come since the last call.
+    /// The newest frame, skipping older ones; `None` if there is no new one since the last call.
     ///
     /// # Errors
     /// [`ReceiveError`]; the next call may succeed.
@@ -120,21 +121,21 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         }
     }
 
-    /// The frame that [`Reader::hold_latest`] keeps: its header and its slice. Its writer could
-    /// still change it (it does not): copy it where that matters.
+    /// The frame held by [`Reader::hold_latest`]: its header and its slice. Its writer could still
+    /// change it (it does not): copy it where that matters.
     #[must_use]
     pub fn held(&self) -> Option<(&H, &[T])> {
         let held = self.held.as_ref()?;
         Some((held.user_header(), held.payload()))
     }
 
-    /// Connections to writers that could not be made, or broke.
+    /// Number of failed or broken connections to writers.
     #[must_use]
     pub fn degraded(&self) -> u64 {
         self.degraded.load(Ordering::Relaxed)
     }
 
-    /// Frames on a service of the worker that another process has sent: they were passed over.
+    /// Number of skipped frames on a service of the worker that another process has sent.
     #[must_use]
     pub fn foreign(&self) -> u64 {
         self.worker.as_ref().map_or(0, WorkerPorts::foreign)
@@ -168,7 +169,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
                     return Ok(Some(frame));
                 }
                 passed_over += 1;
-                // One who sends without end must not hold the reader here.
+                // A process that sends without end must not block the reader.
                 if passed_over == MOST_PASSED_OVER {
                     return Ok(None);
                 }
@@ -184,8 +185,8 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         }
     }
 
-    /// iceoryx2 does not retry a failed connection; only a new port does. The old one has been emptied
-    /// by then, and is dropped first: the service may be at its limit of ports.
+    /// iceoryx2 does not retry a failed connection; only a new port does. The old one is empty by
+    /// then, and is dropped first: the service may be at its limit of ports.
     fn renew(&mut self) -> Result<(), ReceiveError> {
         self.subscriber = None;
         match subscribe(&self.factory, self.buffer, &self.degraded) {
@@ -248,7 +249,7 @@ impl<H: Payload, T: Payload> Frame<'_, H, T> {
     }
 }
 
-/// Why no frame could be read.
+/// Reason that no frame could be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReceiveError {
@@ -262,10 +263,10 @@ pub enum ReceiveError {
         /// Connections failed since the port was opened.
         connections: u64,
     },
-    /// iceoryx2 refused.
+    /// iceoryx2 returned an error.
     #[error("cannot receive: {reason}")]
     Receive {
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
 }

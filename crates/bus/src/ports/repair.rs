@@ -1,39 +1,39 @@
-//! When a port is recreated, and when its failure is an error.
+//! Decides when a port is recreated, and when its failure is an error.
 
-/// Shortest time between two recreations of a port, ns; a failure that lasts longer is an error.
+/// Minimum interval between two recreations of a port, ns; a failure that lasts longer is an error.
 const RENEW_EVERY_NS: u64 = 1_000_000_000;
-/// The same while there is no port at all, ns.
+/// The same while there is no port, ns.
 const RETRY_EVERY_NS: u64 = 20_000_000;
 
-/// What the count of a port's failed connections means.
+/// Meaning of a port's count of failed connections.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Look {
-    /// Nothing new has failed.
+    /// No new failures.
     Whole,
     /// A connection has failed: recreate the port and receive again.
     Renew,
-    /// Connections still fail a second after the first one did.
+    /// Connections still fail one second after the first failure.
     Failing {
         /// Connections failed since the port was opened.
         connections: u64,
     },
 }
 
-/// When a port has failed and was recreated. Times are monotonic ns.
+/// Failures and recreations of a port. Times are monotonic ns.
 #[derive(Debug, Default)]
 pub(crate) struct Repair {
-    /// Failed connections, when they were last looked at.
+    /// Number of failed connections at the last check.
     seen: u64,
-    /// Whether a connection has failed since the port was made.
+    /// True if a connection has failed since the port was created.
     broken: bool,
-    /// Since when it has been failing.
+    /// Time of the first failure.
     failing_since_ns: Option<u64>,
-    /// No new port before this.
+    /// Earliest time of the next recreation.
     renew_from_ns: u64,
 }
 
 impl Repair {
-    /// Whether the caller is to recreate the port now. The clock is read only after a failure.
+    /// True if the port is to be recreated now. The clock is read only after a failure.
     pub(crate) fn is_due(&mut self, now_ns: impl FnOnce() -> u64) -> bool {
         if !self.broken {
             return false;
@@ -47,7 +47,7 @@ impl Repair {
         true
     }
 
-    /// Looks at the count of failed connections, when the port has nothing more to give.
+    /// Checks the number of failed connections once the port's queue is empty.
     pub(crate) fn look(&mut self, degraded: u64, now_ns: impl FnOnce() -> u64) -> Look {
         if degraded == self.seen {
             if !self.broken {
@@ -69,7 +69,8 @@ impl Repair {
         Look::Renew
     }
 
-    /// The port could not be recreated. Returns whether that has lasted long enough to be an error.
+    /// Records that the port could not be recreated. Returns true if the failure has lasted long
+    /// enough to be an error.
     pub(crate) fn failed(&mut self, now_ns: u64) -> bool {
         self.broken = true;
         self.renew_from_ns = now_ns.saturating_add(RETRY_EVERY_NS);
@@ -93,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn a_connection_that_fails_once_is_recreated_at_once_and_is_no_error() {
+    fn a_port_whose_connection_fails_once_is_recreated_at_once_without_an_error() {
         let mut repair = Repair::default();
         assert!(!repair.is_due(at(0)));
         assert_eq!(repair.look(1, at(5 * MS)), Look::Renew);
@@ -104,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_still_fails_a_second_later_is_an_error_and_tried_once_a_second() {
+    fn a_failure_of_a_second_is_an_error_and_retried_once_a_second() {
         let mut repair = Repair::default();
         assert_eq!(repair.look(1, at(0)), Look::Renew);
         assert!(repair.is_due(at(0)));
@@ -128,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_cannot_be_created_is_retried_soon_and_an_error_after_a_second() {
+    fn a_port_that_cannot_be_created_is_retried_soon_and_is_an_error_after_a_second() {
         let mut repair = Repair::default();
         assert_eq!(repair.look(1, at(0)), Look::Renew);
         assert!(repair.is_due(at(0)));

@@ -1,4 +1,4 @@
-//! Frames of samples: a source's port, the worker's port, and the worker's own copy.
+//! Frames of samples: a source's port, the worker's port, and the worker's copy.
 
 use std::marker::PhantomData;
 
@@ -13,14 +13,14 @@ use super::writer::{SendError, Writer};
 use crate::os::memory;
 use crate::{Bus, Limits};
 
-/// Sources whose memory a [`SampleReader`] remembers to have mapped.
+/// Number of sources that a [`SampleReader`] remembers as mapped.
 const MAPPED: usize = 256;
 
 /// The worker's port for samples of all sources.
 #[derive(Debug)]
 pub struct SampleReader {
     reader: Reader<SampleHeader, Sample>,
-    /// Ports of sources whose memory has been mapped whole.
+    /// Ports of sources whose memory is completely mapped.
     mapped: Vec<u128>,
 }
 
@@ -32,9 +32,9 @@ impl SampleReader {
         }
     }
 
-    /// Copies the next frame into `frame` and returns whether there was one. Call it until there is
-    /// none: frames of different sources come one after the other. Each byte is read from shared memory once, so what is
-    /// checked afterwards cannot change any more.
+    /// Copies the next frame into `frame` and returns true if there was one. Call it until it
+    /// returns false: frames of different sources are queued in turn. Each byte is read from shared
+    /// memory once, so what is validated afterwards cannot change.
     ///
     /// # Errors
     /// [`ReceiveError`]; the next call may succeed.
@@ -44,15 +44,15 @@ impl SampleReader {
         };
         frame.header = *incoming.header();
         frame.truncated = incoming.truncated();
-        // The buffer holds all of it, or has no capacity at all.
+        // The buffer holds the whole frame, or its capacity is 0.
         if incoming.copy_part(&mut frame.samples).is_none() {
             frame.samples.clear();
         }
         Ok(true)
     }
 
-    /// The next frame, to be copied part by part, at most `most` samples of it; `None` when there
-    /// is none.
+    /// The next frame, to be copied in parts, at most `most` of its samples; `None` if there is
+    /// none.
     ///
     /// # Errors
     /// [`ReceiveError`]; the next call may succeed.
@@ -62,7 +62,8 @@ impl SampleReader {
         };
         let source = received.header().publisher_id().value();
         if !self.mapped.contains(&source) {
-            // Bounded, because sources come and go for months; forgetting one costs one more scan.
+            // Bounded, because sources are replaced over months; forgetting one costs one more
+            // scan.
             if self.mapped.len() == MAPPED {
                 self.mapped.clear();
             }
@@ -78,16 +79,15 @@ impl SampleReader {
         }))
     }
 
-    /// Connections to sources that could not be made, or broke.
+    /// Number of failed or broken connections to sources.
     #[must_use]
     pub fn degraded(&self) -> u64 {
         self.reader.degraded()
     }
 }
 
-/// A frame of samples on its way in. Each byte is read from shared memory once, into a buffer that
-/// may be small enough to stay in the core's own cache; what is checked there cannot change any
-/// more.
+/// A frame of samples being received. Each byte is read from shared memory once, into a buffer that
+/// may be small enough to stay in the core's cache; what is validated there cannot change.
 #[derive(Debug)]
 pub struct IncomingFrame<'a> {
     received: Borrowed<ipc::Service, [Sample], SampleHeader>,
@@ -104,19 +104,19 @@ impl IncomingFrame<'_> {
         &self.header
     }
 
-    /// Samples that will be copied.
+    /// Number of samples that will be copied.
     #[must_use]
     pub const fn len(&self) -> usize {
         self.kept
     }
 
-    /// Whether there is none.
+    /// True if there are none.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.kept == 0
     }
 
-    /// Samples of the frame past those, which will not be.
+    /// Number of samples beyond the limit, which are not copied.
     #[must_use]
     pub fn truncated(&self) -> usize {
         self.received.payload().len() - self.kept
@@ -137,7 +137,7 @@ impl IncomingFrame<'_> {
     }
 }
 
-/// A process's own copy of a frame of samples. Allocates when made, then never.
+/// A private copy of a frame of samples. Allocates only when created.
 #[derive(Debug, Clone)]
 pub struct FrameBuf {
     header: SampleHeader,
@@ -170,14 +170,15 @@ impl FrameBuf {
         &self.samples
     }
 
-    /// Samples of the frame past the capacity, which were not copied.
+    /// Number of samples beyond the capacity, which were not copied.
     #[must_use]
     pub const fn truncated(&self) -> usize {
         self.truncated
     }
 }
 
-/// A buffer for `capacity` samples, every page of it touched: the first long frame takes no page fault.
+/// A buffer for `capacity` samples with every page touched: the first long frame causes no page
+/// fault.
 fn touched(capacity: usize) -> Vec<Sample> {
     let mut samples = vec![Sample::new(0, 0, 0); capacity];
     samples.clear();
@@ -205,8 +206,9 @@ impl SampleWriter {
         })
     }
 
-    /// Sends a frame of `len` samples, sample `i` being `sample(i)`, written straight into shared
-    /// memory, and wakes the worker. Returns how many readers got it: 0 means that no worker runs.
+    /// Sends a frame of `len` samples, sample `i` being `sample(i)`, written directly to shared
+    /// memory, and wakes the worker. Returns the number of readers reached: 0 means that no worker
+    /// runs.
     ///
     /// # Errors
     /// [`SendError`]; [`SendError::Wake`] if the frame was sent but the worker not woken.
@@ -221,13 +223,13 @@ impl SampleWriter {
         Ok(readers)
     }
 
-    /// Samples that one frame may hold.
+    /// Maximum number of samples per frame.
     #[must_use]
     pub const fn max_len(&self) -> usize {
         self.writer.max_len()
     }
 
-    /// Connections to readers that could not be made, or broke.
+    /// Number of failed or broken connections to readers.
     #[must_use]
     pub fn degraded(&self) -> u64 {
         self.writer.degraded()

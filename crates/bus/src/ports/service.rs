@@ -1,4 +1,4 @@
-//! Opening services: the first process creates one, with limits that all others must share.
+//! Opens services: the first process creates a service, with limits that all others must share.
 
 use std::fmt::Debug;
 use std::time::Duration;
@@ -19,9 +19,9 @@ use crate::cleanup::incomplete::{remove_abandoned_service, remove_incomplete};
 use crate::limits::Shape;
 use crate::{Bus, CapacityError, Limits, SweepReport, clock};
 
-/// The attribute of a service that holds its limits.
+/// The attribute of a service with its limits.
 const LIMITS_KEY: &[u8] = b"joulebus.limits";
-/// How long opening a service is retried, ns.
+/// Timeout of retries of opening a service, ns.
 const OPEN_LIMIT_NS: u64 = 4_000_000_000;
 const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
 
@@ -86,8 +86,8 @@ pub(super) fn open_event(
     })
 }
 
-/// Opens a service. Errors caused by a process that was killed while it created or left the service
-/// disappear after cleaning up, so they are retried.
+/// Opens a service. Errors caused by a process killed while it created or left the service are
+/// transient: cleaning up and retrying resolves them.
 fn retry<S, E: Debug>(
     bus: &Bus,
     name: &ServiceName,
@@ -175,7 +175,8 @@ fn verifier(limits: &Limits) -> AttributeVerifier {
     let key = AttributeKey::new(LIMITS_KEY);
     let value = AttributeValue::new(limits.describe().as_bytes());
     let (Ok(key), Ok(value)) = (key, value) else {
-        // Never: the key is constant, and five numbers of at most 20 digits stay below 256 bytes.
+        // Never: the key is constant, and five numbers of at most 20 digits are shorter than 256
+        // bytes.
         return AttributeVerifier::new();
     };
     // One attribute always fits.
@@ -207,11 +208,11 @@ fn refused(
     OpenError::port(service, format_args!("{reason:?}"))
 }
 
-/// Why a port could not be opened.
+/// Reason that a port could not be opened.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OpenError {
-    /// Another process of the fleet runs with other limits.
+    /// Another process of the fleet uses other limits.
     #[error(
         "service {service:?} runs with limits {found}, wanted are {wanted}; use one config for \
          all processes of a fleet, and restart those with the old one"
@@ -227,7 +228,7 @@ pub enum OpenError {
     /// A length of frame of 0, or beyond the capacity.
     #[error("frames of up to {found} samples: allowed are 1 to {allowed}, the fleet's capacity")]
     Length {
-        /// Length wanted.
+        /// Requested length.
         found: usize,
         /// The capacity.
         allowed: usize,
@@ -251,7 +252,7 @@ pub enum OpenError {
     Port {
         /// The service.
         service: &'static str,
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
 }

@@ -1,4 +1,5 @@
-//! Events: sending them, and waiting for them by `poll` with nanosecond deadlines, without allocation.
+//! Events: sending them, and waiting for them with `poll` and nanosecond deadlines, without
+//! allocation.
 #![allow(unsafe_code)]
 
 use std::io;
@@ -16,9 +17,9 @@ use super::service::{OpenError, open_event};
 use crate::membership::Membership;
 use crate::{Bus, Limits, PeerWatch, clock};
 
-/// The longest sleep. A notification that races with the emptying of the listener
-/// can leave its descriptor silent although events are pending, and a signal may arrive just before
-/// the sleep: this bounds both.
+/// Maximum duration of a sleep. A notification that races with the emptying of the listener can
+/// leave its descriptor not readable although events are pending, and a signal may arrive just
+/// before the sleep: this bounds both.
 const LONGEST_SLEEP_NS: u64 = 100_000_000;
 
 /// Sends a service's event.
@@ -47,8 +48,8 @@ impl Waker {
         })
     }
 
-    /// Tells all waiters. About 1 µs for each that sleeps; no allocation unless waiters have come
-    /// or gone. Returns how many were told.
+    /// Wakes all waiters. About 1 µs for each that sleeps; allocates only if waiters have joined or
+    /// left. Returns the number of waiters notified.
     ///
     /// # Errors
     /// [`WaitError::Notify`].
@@ -61,24 +62,24 @@ impl Waker {
     }
 }
 
-/// Why [`Waiter::wait_until`] returned. Nothing set: the deadline has passed, or 100 ms have.
+/// Why [`Waiter::wait_until`] returned. Nothing set: at the deadline, or after 100 ms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Woken {
     /// A frame can be read.
     pub frame: bool,
-    /// A process on the other side was found dead.
+    /// A process of the other side was found dead.
     pub died: bool,
-    /// A process on the other side has ended as it should.
+    /// A process of the other side has shut down.
     pub ended: bool,
     /// The watched process is gone.
     pub peer_gone: bool,
-    /// A signal came.
+    /// A signal arrived.
     pub interrupted: bool,
 }
 
 impl Woken {
-    /// Whether nothing happened.
+    /// True if nothing is set.
     #[must_use]
     pub fn is_nothing(&self) -> bool {
         *self == Self::default()
@@ -111,7 +112,7 @@ impl Waiter {
     }
 
     /// Sleeps until woken, until `deadline_ns` (monotonic), until `peer` is gone, or until a signal
-    /// comes; at most 100 ms. Events that came before are found at once. Allocates nothing.
+    /// arrives; at most 100 ms. Earlier events are found immediately. Does not allocate.
     ///
     /// # Errors
     /// [`WaitError::Listen`] when the listener is broken, [`WaitError::Poll`] when the system
@@ -155,7 +156,7 @@ impl Waiter {
         })
     }
 
-    /// Takes all pending events, so that the descriptor is no longer readable.
+    /// Reads all pending events, so that the descriptor is no longer readable.
     fn drain(&self) -> Result<Woken, WaitError> {
         let mut woken = Woken::default();
         loop {
@@ -177,29 +178,29 @@ impl Waiter {
     }
 
     fn descriptor(&self) -> BorrowedFd<'_> {
-        // SAFETY: the descriptor is open for as long as the listener lives, and the borrow ends
-        // with that of `self`; nobody closes or keeps it.
+        // SAFETY: the descriptor is open as long as the listener lives, and the borrow ends with
+        // that of `self`; it is neither closed nor kept.
         unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }
     }
 }
 
-/// Why waiting or waking failed.
+/// Reason that waiting or waking failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WaitError {
     /// iceoryx2 could not notify.
     #[error("cannot wake the others: {reason}")]
     Notify {
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
     /// iceoryx2 could not read the listener.
     #[error("cannot read what woke us: {reason}; join again")]
     Listen {
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
-    /// The system could not wait.
+    /// `poll` failed.
     #[error("cannot wait: {0}")]
     Poll(io::Error),
 }

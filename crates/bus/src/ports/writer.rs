@@ -1,4 +1,4 @@
-//! Sending frames: a header and a slice, written where readers read it.
+//! Sends frames: a header and a slice, written in place in shared memory.
 #![allow(unsafe_code)] // Memory of a frame is lent without being written to first.
 
 use std::marker::PhantomData;
@@ -24,7 +24,7 @@ use crate::os::memory;
 use crate::preflight::{segment_bytes, shared_memory};
 use crate::{Bus, CapacityError, Limits};
 
-/// Sends frames: a header `H` and a slice of `T`, written where readers read it.
+/// Sends frames: a header `H` and a slice of `T`, written in place in shared memory.
 #[derive(Debug)]
 pub struct Writer<H: Payload, T: Payload> {
     // Dropped in this order: port, factory, membership.
@@ -70,8 +70,8 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         })
     }
 
-    /// Sends a frame of `len` elements, element `i` being `element(i)`, written straight into
-    /// shared memory. Returns how many readers got it. iceoryx2 allocates once.
+    /// Sends a frame of `len` elements, element `i` being `element(i)`, written directly to shared
+    /// memory. Returns the number of readers reached. iceoryx2 allocates once.
     ///
     /// # Errors
     /// [`SendError`]; nothing was sent.
@@ -105,8 +105,8 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         })
     }
 
-    /// As [`Writer::loan`], for a caller that writes every element: until then they hold those of an
-    /// earlier frame, or zeros. Saves a pass over memory that fits into no cache.
+    /// As [`Writer::loan`], for a caller that writes every element: until then they contain those
+    /// of an earlier frame, or zeros. Saves a pass over memory that fits into no cache.
     ///
     /// # Errors
     /// [`SendError`].
@@ -117,9 +117,9 @@ impl<H: Payload, T: Payload> Writer<H, T> {
             .loan_slice_uninit(len)
             .map_err(SendError::loan)?;
         *sample.user_header_mut() = H::default();
-        // SAFETY: the memory is a mapping of a shared memory object: the system hands it out as
-        // zeros, and every later byte in it is that of an earlier frame. So all of it is
-        // initialised, and of a payload any bytes are a value.
+        // SAFETY: the memory is a mapping of a shared memory object: the kernel provides zeroed
+        // pages, and all other bytes in it are those of an earlier frame. So all of it is
+        // initialised, and every bit pattern is a valid payload.
         let sample = unsafe { sample.assume_init() };
         Ok(Loan {
             sample,
@@ -127,27 +127,26 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         })
     }
 
-    /// Connects to readers that have come since the last frame: they get the history. Cheap when
-    /// none have.
+    /// Connects to readers that have joined since the last frame: they receive the history. Cheap
+    /// if there are none.
     pub fn update(&mut self) {
         // The degradation handler counts failures.
         let _ = self.publisher.update_connections();
     }
 
-    /// Readers of the service, wherever they are; one that was killed counts until it is
-    /// cleaned up.
+    /// Number of readers of the service; a killed one counts until the cleanup.
     #[must_use]
     pub fn readers(&self) -> usize {
         self.factory.dynamic_config().number_of_subscribers()
     }
 
-    /// Elements that one frame may hold.
+    /// Maximum number of elements per frame.
     #[must_use]
     pub const fn max_len(&self) -> usize {
         self.max_len
     }
 
-    /// Connections to readers that could not be made, or broke: they miss frames.
+    /// Number of failed or broken connections to readers: these miss frames.
     #[must_use]
     pub fn degraded(&self) -> u64 {
         self.degraded.load(Ordering::Relaxed)
@@ -164,7 +163,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     }
 }
 
-/// Memory of a frame to be sent.
+/// Memory of a frame to send.
 #[derive(Debug)]
 pub struct Loan<'a, H: Payload, T: Payload> {
     sample: SampleMut<ipc::Service, [T], H>,
@@ -182,7 +181,7 @@ impl<H: Payload, T: Payload> Loan<'_, H, T> {
         self.sample.payload_mut()
     }
 
-    /// Sends the frame. Returns how many readers got it.
+    /// Sends the frame. Returns the number of readers reached.
     ///
     /// # Errors
     /// [`SendError`].
@@ -191,7 +190,7 @@ impl<H: Payload, T: Payload> Loan<'_, H, T> {
     }
 }
 
-/// Why a frame was not sent.
+/// Reason that a frame was not sent.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SendError {
@@ -203,16 +202,16 @@ pub enum SendError {
         /// Elements allowed.
         allowed: usize,
     },
-    /// No memory for the frame: readers hold more than they may.
+    /// No memory for the frame: readers hold more frames than allowed.
     #[error("no memory for a frame: {reason}")]
     Loan {
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
-    /// The frame could not be delivered to anybody.
+    /// The frame could not be delivered to any reader.
     #[error("cannot send a frame: {reason}; join again")]
     Send {
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         reason: String,
     },
     /// The frame was sent, but the worker was not woken.

@@ -1,4 +1,4 @@
-//! Real processes for tests: the test binary starts itself as members that obey commands.
+//! Processes for tests: the test binary restarts itself as members that execute commands.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 #![allow(
     unreachable_pub,
@@ -24,7 +24,7 @@ use joulebus_wire::{
 const CHILD: &str = "JOULEBUS_TEST_CHILD";
 static PLACES: AtomicU32 = AtomicU32::new(0);
 
-/// A domain of one test, removed with it.
+/// The domain of one test; removed when dropped.
 pub struct Place {
     pub domain: Domain,
 }
@@ -63,7 +63,7 @@ impl Place {
         Member::spawn("member", self.as_member(Member::command()))
     }
 
-    /// A member, run by another program, such as `strace`.
+    /// A member run by another program, such as `strace`.
     pub fn member_under(&self, program: &str, arguments: &[&str]) -> Member {
         let mine = Member::command();
         let mut command = Command::new(program);
@@ -97,7 +97,7 @@ fn tree(path: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Gives a command that must succeed; what the member answers.
+/// Sends a command that must succeed; returns the answer.
 pub fn must(member: &mut Member, command: &str) -> String {
     let answer = member.ask(command);
     match answer.strip_prefix("ok ") {
@@ -115,7 +115,7 @@ pub fn limits() -> Limits {
     }
 }
 
-/// Obeys the parent if this process was started by one.
+/// Executes the parent's commands if this process was started as a member.
 pub fn run_member() {
     let Some(root) = std::env::var_os(CHILD) else {
         return;
@@ -134,7 +134,7 @@ pub fn run_member() {
     }
 }
 
-/// Declared so that ports go before the bus.
+/// Declaration order: ports are dropped before the bus.
 struct Ports {
     sources: Option<SampleWriter>,
     samples: Option<SampleReader>,
@@ -142,7 +142,7 @@ struct Ports {
     forecasts: Option<ForecastWriter>,
     diagnostics: Option<DiagnosticWriter>,
     budgets: Option<BudgetWriter>,
-    /// The journal and the keyframes, which take memory as the others do.
+    /// Journal and keyframes, which also take memory.
     recorded: Option<(TickWriter, StateWriter)>,
     wake: Option<Waker>,
     forecast_reader: Option<ForecastReader>,
@@ -206,7 +206,7 @@ impl Ports {
                 }
                 self.open_worker()
             }
-            // With the worker's ports, and without its lock.
+            // With the worker's ports but without its lock.
             "impostor" => self.open_worker(),
             "planner" => self.open_planner(),
             "send" => self.send(number),
@@ -271,7 +271,7 @@ impl Ports {
         Ok(String::new())
     }
 
-    /// Sends a frame of so many samples; sample `i` of frame `n` draws `n + i / 100` W.
+    /// Sends a frame of `len` samples; sample `i` of frame `n` draws `n + i / 100` W.
     fn send(&mut self, len: u64) -> Answer {
         let number = self.sent;
         let header = SampleHeader {
@@ -304,7 +304,7 @@ impl Ports {
         Ok(format!("{number}:{}", self.frame.samples().len()))
     }
 
-    /// Sends so many ticks of forecasts, diagnostics and budgets of three robots.
+    /// Sends `ticks` ticks of forecasts, diagnostics and budgets of three robots.
     fn tick(&mut self, ticks: u64) -> Answer {
         for _ in 0..ticks {
             self.sent += 1;
@@ -380,7 +380,7 @@ impl Ports {
         Ok(format!("{ticks:?}"))
     }
 
-    /// The ticks of all forecasts that wait, in order.
+    /// The ticks of all queued forecasts, in order.
     fn count(&mut self) -> Answer {
         let reader = self.forecast_reader.as_mut().ok_or("no port")?;
         let mut ticks = Vec::new();
@@ -390,7 +390,7 @@ impl Ports {
         Ok(format!("{ticks:?}"))
     }
 
-    /// Waits until something happens.
+    /// Waits until an event.
     fn wait(&mut self) -> Answer {
         let waiter = self.arrivals.as_mut().or(self.planner.as_mut());
         let waiter = waiter.ok_or("no port")?;
