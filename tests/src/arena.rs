@@ -293,13 +293,19 @@ impl Arena {
         Planner::ready(Child::spawn("recorder", self.probe(&["recorder"])))
     }
 
-    /// What is left of the fleet: objects in shared memory, and the root directory.
+    /// What is left of the fleet: objects in shared memory, and the root directory with its drafts.
     #[must_use]
     pub fn stale_files(&self) -> Vec<PathBuf> {
         let entries = fs::read_dir("/dev/shm").into_iter().flatten().flatten();
         let prefix = self.domain.shm_prefix();
+        let root = self.domain.root().file_name().unwrap_or_default();
+        let draft = format!(".{}.", root.to_string_lossy());
         let mut found: Vec<PathBuf> = entries
-            .filter(|entry| entry.file_name().to_string_lossy().starts_with(prefix))
+            .filter(|entry| {
+                let name = entry.file_name();
+                let name = name.to_string_lossy();
+                name.starts_with(prefix) || name.starts_with(&draft)
+            })
             .map(|entry| entry.path())
             .collect();
         if self.domain.root().exists() {

@@ -1,18 +1,27 @@
 //! A process in a domain.
 
+use std::fs;
+use std::io;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::path::Path;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use iceoryx2::config::Config;
 use iceoryx2::node::{Node, NodeBuilder};
-use iceoryx2::prelude::{NodeName, SignalHandlingMode, ipc};
-use rustix::fs::Mode;
+use iceoryx2::prelude::{NodeName, SignalHandlingMode};
+use rustix::fs::{Mode, OFlags, fchmod};
 
 use crate::cleanup::dead_nodes::remove_dead_nodes;
 use crate::cleanup::incomplete::remove_incomplete;
-use crate::cleanup::objects::objects;
-use crate::membership::Membership;
-use crate::{Domain, Housekeeping, JoinError, SweepReport};
+use crate::cleanup::objects::{named, objects};
+use crate::ipc::Ipc;
+use crate::liveness::kept::Kept;
+use crate::liveness::presence::Need;
+use crate::membership::{Membership, remove_unused};
+use crate::os::files::effective_uid;
+use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_free};
+use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLock};
 
 /// Timeout of retries of creating a node.
 const NODE_LIMIT: Duration = Duration::from_secs(2);
@@ -25,7 +34,9 @@ const NODE_AGAIN_AFTER: Duration = Duration::from_millis(10);
 /// program.
 #[derive(Debug)]
 pub struct Bus {
-    pub(crate) node: Node<ipc::Service>,
+    // Dropped in this order: need of the worker's lock, node, membership.
+    lock_need: Option<Need>,
+    pub(crate) node: Kept<Node<Ipc>>,
     pub(crate) member: Rc<Membership>,
     joined: SweepReport,
 }
@@ -37,6 +48,18 @@ impl Bus {
     /// # Errors
     /// [`JoinError`] names the obstacle and the remedy.
     pub fn join(domain: &Domain, name: &str) -> Result<Self, JoinError> {
+        // What fails for want of memory does not always say so.
+        Self::try_join(domain, name).map_err(|error| {
+            let full = check_free(PROCESS_BYTES).err();
+            remove_unused(domain);
+            match full {
+                Some(full) if error.may_be_shortage() => full.into(),
+                _ => error,
+            }
+        })
+    }
+
+    fn try_join(domain: &Domain, name: &str) -> Result<Self, JoinError> {
         let node_name = NodeName::new(name)
             .ok()
             .filter(|_| !name.is_empty())
@@ -50,14 +73,18 @@ impl Bus {
         let config = Config::global_config();
         joined.incomplete += remove_incomplete(domain)?;
         remove_dead_nodes(config, &mut joined);
+        // What dead processes held is free now.
+        check_free(PROCESS_BYTES)?;
         let node = create_node(domain, &node_name)?;
         make_private(domain)?;
+        let monitor = named(domain, &node.id().value().to_string(), &[".node_monitor"]);
         if !joined.is_clean() {
             let report = joined;
             tracing::info!(?report, "removed stale files of dead processes");
         }
         Ok(Self {
-            node,
+            lock_need: None,
+            node: Kept::new(node, member.presence.need(monitor)),
             member: Rc::new(member),
             joined,
         })
@@ -67,6 +94,20 @@ impl Bus {
     #[must_use]
     pub fn domain(&self) -> &Domain {
         &self.member.domain
+    }
+
+    /// Whether everything that this process needs still lies where others look for it. A thread looks
+    /// four times a second; this reads what it found. Ports check it too.
+    ///
+    /// # Errors
+    /// [`FilesRemoved`] names what is missing: end the process, and start it again.
+    pub fn check(&self) -> Result<(), FilesRemoved> {
+        self.member.presence.check()
+    }
+
+    /// From now on the file of `lock` must stay where it is as well.
+    pub fn needs_lock(&mut self, lock: &WorkerLock) {
+        self.lock_need = Some(self.member.presence.need([lock.path()]));
     }
 
     /// What joining removed.
@@ -85,19 +126,20 @@ impl Bus {
 
 /// Creates the node. About once in 300 starts next to a process killed at its own start, while
 /// members clean up, iceoryx2 answers `InternalError`: that passes.
-fn create_node(domain: &Domain, name: &NodeName) -> Result<Node<ipc::Service>, JoinError> {
+fn create_node(domain: &Domain, name: &NodeName) -> Result<Node<Ipc>, JoinError> {
     let begin = Instant::now();
     loop {
         let created = NodeBuilder::new()
             .name(name)
             .config(Config::global_config())
             .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create::<ipc::Service>();
+            .create::<Ipc>();
         let reason = match created {
             Ok(node) => return Ok(node),
             Err(reason) => reason,
         };
-        if begin.elapsed() > NODE_LIMIT {
+        let is_full = check_free(PORT_BYTES).is_err();
+        if is_full || begin.elapsed() > NODE_LIMIT {
             return Err(JoinError::Node {
                 root: domain.directory(),
                 reason: reason.to_string(),
@@ -112,10 +154,24 @@ fn create_node(domain: &Domain, name: &NodeName) -> Result<Node<ipc::Service>, J
 fn make_private(domain: &Domain) -> Result<(), JoinError> {
     for object in objects(domain)? {
         if object.mode & 0o077 != 0
-            && let Err(error) = rustix::fs::chmod(&object.path, Mode::RUSR | Mode::WUSR)
+            && let Err(error) = restrict(&object.path)
         {
             tracing::warn!(path = ?object.path, %error, "other users can access an object");
         }
     }
     Ok(())
+}
+
+/// Follows no link, and changes no file that has another name elsewhere.
+fn restrict(path: &Path) -> io::Result<()> {
+    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
+    let file = fs::OpenOptions::new()
+        .read(true)
+        .custom_flags(flags.bits().cast_signed())
+        .open(path)?;
+    let found = file.metadata()?;
+    if !found.is_file() || found.uid() != effective_uid() || found.nlink() > 1 {
+        return Err(io::Error::other("it is not an object of joulebus"));
+    }
+    Ok(fchmod(&file, Mode::RUSR | Mode::WUSR)?)
 }

@@ -1,19 +1,18 @@
-//! The location of a fleet's shared memory, and its access rights.
+//! The location of a fleet's shared memory.
 
-use std::fs;
-use std::io;
-use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
 use joulebus_wire::fnv1a;
 
-use crate::os::files::{effective_uid, filesystem, is_memory};
+use crate::os::files::effective_uid;
 use crate::os::memory::SHM_DIR;
 
 /// `sun_path` of a Unix socket has 108 bytes including the terminating zero.
 const MAX_SOCKET_PATH_BYTES: usize = 107;
 /// A 128-bit port id in decimal, `.event`, and the slashes around the fleet.
 const SOCKET_NAME_BYTES: usize = 39 + 6 + 2;
+/// The members' lock is the marker of a fleet's directory.
+pub(crate) const FLEET_MARKER: &str = "members.lock";
 const MAX_FLEET_BYTES: usize = 32;
 const MAX_PREFIX_BYTES: usize = 8;
 /// The location of one fleet's shared memory: the same in every process of the fleet.
@@ -116,7 +115,7 @@ impl Domain {
     }
 
     pub(crate) fn members_file(&self) -> PathBuf {
-        self.directory().join("members.lock")
+        self.directory().join(FLEET_MARKER)
     }
 
     pub(crate) fn config_file(&self) -> PathBuf {
@@ -126,77 +125,6 @@ impl Domain {
     pub(crate) fn worker_file(&self) -> PathBuf {
         self.root.join(format!("worker-{}.lock", self.fleet))
     }
-
-    /// Creates the root directory, and the fleet's below it, with mode 0700 if they are missing,
-    /// and checks that they are private. [`crate::Bus::join`] calls it; calling it again is harmless.
-    ///
-    /// # Errors
-    /// [`RootError`] when either is not a directory, belongs to somebody else, or can be entered
-    /// by others.
-    pub fn prepare(&self) -> Result<Vec<DomainWarning>, RootError> {
-        private_directory(&self.root)?;
-        private_directory(&self.directory())?;
-        self.warnings()
-    }
-
-    /// What works, but not as well as it could.
-    pub(crate) fn warnings(&self) -> Result<Vec<DomainWarning>, RootError> {
-        let filesystem =
-            filesystem(&self.root).map_err(|error| RootError::io(&self.root, error))?;
-        Ok(if is_memory(filesystem) {
-            Vec::new()
-        } else {
-            vec![DomainWarning::NotInMemory {
-                root: self.root.clone(),
-                filesystem,
-            }]
-        })
-    }
-
-    /// Like [`Self::prepare`], for the root alone.
-    pub(crate) fn prepare_root(&self) -> Result<(), RootError> {
-        private_directory(&self.root)
-    }
-
-    /// Removes the root directory if it is empty.
-    pub(crate) fn remove_root(&self) {
-        // Fails while another fleet, or another process of this one, uses it: then it is not empty.
-        let _ = fs::remove_dir(&self.root);
-    }
-}
-
-fn private_directory(path: &Path) -> Result<(), RootError> {
-    match fs::DirBuilder::new().mode(0o700).create(path) {
-        Ok(()) => {}
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-        Err(error) => return Err(RootError::io(path, error)),
-    }
-    check_private(path)
-}
-
-/// Whether `path` is a directory of this user that no other user can enter.
-pub(crate) fn check_private(path: &Path) -> Result<(), RootError> {
-    let found = fs::symlink_metadata(path).map_err(|error| RootError::io(path, error))?;
-    let path = path.to_owned();
-    if found.file_type().is_symlink() {
-        return Err(RootError::Symlink { path });
-    }
-    if !found.is_dir() {
-        return Err(RootError::NotADirectory { path });
-    }
-    let (owner, expected) = (found.uid(), effective_uid());
-    if owner != expected {
-        return Err(RootError::Owner {
-            path,
-            found: owner,
-            expected,
-        });
-    }
-    let mode = found.mode() & 0o7777;
-    if mode & 0o077 != 0 {
-        return Err(RootError::Mode { path, found: mode });
-    }
-    Ok(())
 }
 
 /// FNV-1a, folded to 32 bits.
@@ -240,93 +168,6 @@ pub enum DomainError {
         /// The path.
         root: PathBuf,
     },
-}
-
-/// Why a root directory is not used.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RootError {
-    /// A symbolic link could be redirected.
-    #[error("{path:?} is a symbolic link; remove it, or set `root` to the directory itself")]
-    Symlink {
-        /// The path.
-        path: PathBuf,
-    },
-    /// The path is no directory.
-    #[error("{path:?} is not a directory; remove it, or set another `root`")]
-    NotADirectory {
-        /// The path.
-        path: PathBuf,
-    },
-    /// Another user owns it.
-    #[error(
-        "{path:?} belongs to uid {found}, expected uid {expected}; set another `root`, or have its \
-         owner remove it"
-    )]
-    Owner {
-        /// The path.
-        path: PathBuf,
-        /// Its owner.
-        found: u32,
-        /// The effective uid of this process.
-        expected: u32,
-    },
-    /// Other users may enter it.
-    #[error("{path:?} has mode {found:04o}, allowed is 0700; run `chmod 700 {}`", path.display())]
-    Mode {
-        /// The path.
-        path: PathBuf,
-        /// Its permission bits.
-        found: u32,
-    },
-    /// The system refused.
-    #[error("{path:?}: {source}")]
-    Io {
-        /// The path.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-}
-
-impl RootError {
-    pub(crate) fn io(path: &Path, source: io::Error) -> Self {
-        Self::Io {
-            path: path.to_owned(),
-            source,
-        }
-    }
-
-    /// The last member has removed the directory in the meantime.
-    pub(crate) fn vanished(&self) -> bool {
-        matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
-    }
-}
-
-/// What works, but not as well as it could.
-#[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum DomainWarning {
-    /// The root lies on a disk: joining takes 23 ms instead of 1 ms, and a kill at the start can
-    /// leave nodes that only a cold start removes.
-    NotInMemory {
-        /// The root.
-        root: PathBuf,
-        /// The filesystem's magic number.
-        filesystem: u64,
-    },
-}
-
-impl std::fmt::Display for DomainWarning {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::NotInMemory { root, filesystem } => write!(
-                f,
-                "{root:?} is not on a tmpfs (filesystem {filesystem:#x}): starts are slower and \
-                 stale files more likely; set `root` below /dev/shm or /run/user"
-            ),
-        }
-    }
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use std::{fs, io};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{FileName, FilePath, Path as BusPath, SemanticString};
+use rustix::fs::OFlags;
 
 use crate::Domain;
 
@@ -80,6 +81,16 @@ fn text(domain: &Domain) -> String {
     )
 }
 
+/// Whether `path` is the domain's file, or a draft of it.
+pub(crate) fn is_config(domain: &Domain, path: &Path) -> bool {
+    let (config, name) = (domain.config_file(), path.to_string_lossy());
+    let Some(rest) = name.strip_prefix(&*config.to_string_lossy()) else {
+        return false;
+    };
+    let pid = rest.strip_prefix('.').unwrap_or(rest);
+    pid.bytes().all(|byte| byte.is_ascii_digit())
+}
+
 /// Written to a draft and renamed: members that read it meanwhile see a complete file or none.
 fn write(path: &Path, text: &str) -> io::Result<()> {
     let draft = path.with_extension(format!("toml.{}", std::process::id()));
@@ -88,6 +99,7 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
         .create(true)
         .truncate(true)
         .mode(0o600)
+        .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
         .open(&draft)?;
     file.write_all(text.as_bytes())?;
     drop(file);

@@ -6,14 +6,17 @@ use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 
 use iceoryx2::node::{Node, NodeState, NodeView};
-use iceoryx2::prelude::{CallbackProgression, ipc};
+use iceoryx2::prelude::CallbackProgression;
 
 use crate::cleanup::incomplete::incomplete_objects;
 use crate::cleanup::objects::objects;
+use crate::cleanup::removed::{RemovedFiles, removed_files};
 use crate::iceoryx_config::{self, IceoryxConfigError};
+use crate::ipc::Ipc;
 use crate::os::files::{effective_uid, filesystem, is_memory};
 use crate::preflight::{CapacityError, measure};
-use crate::{CapacityReport, Domain, RootError, WorkerLock};
+use crate::private::check_private;
+use crate::{CapacityReport, Domain, RootError, WorkerLock, WorkerOwner};
 
 /// The state of a domain. Reading it has no side effects.
 #[derive(Debug)]
@@ -21,14 +24,17 @@ use crate::{CapacityReport, Domain, RootError, WorkerLock};
 pub struct Inspection {
     /// The root directory, if it exists.
     pub root: Option<RootInfo>,
-    /// Why the root cannot be used, if so.
+    /// Why the root, or the fleet's directory in it, cannot be used, if so.
     pub root_error: Option<RootError>,
     /// Nodes known to iceoryx2.
     pub nodes: Vec<NodeInfo>,
-    /// Process id of the worker, if one runs.
-    pub worker_pid: Option<u32>,
+    /// Who holds the worker's lock, if a worker runs.
+    pub worker: Option<WorkerOwner>,
     /// Incomplete objects on which a process may be blocked.
     pub incomplete: Vec<PathBuf>,
+    /// Processes of this user that use files of the fleet which were removed: what starts now cannot
+    /// reach them.
+    pub removed: Vec<RemovedFiles>,
     /// Objects with our prefix that belong to another user.
     pub foreign: Vec<PathBuf>,
     /// Objects of the domain in shared memory.
@@ -77,18 +83,21 @@ pub struct RootInfo {
 /// [`InspectError`] if a system call fails; defects of the domain itself are in the result.
 pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     let root = root_info(domain)?;
-    let root_error = match &root {
-        Some(_) => crate::domain::check_private(domain.root()).err(),
-        None => None,
-    };
+    let root_error = root.as_ref().and_then(|_| directory_error(domain));
     let objects = objects(domain)?;
     let (mine, others): (Vec<_>, Vec<_>) = objects
         .into_iter()
         .partition(|object| object.owner == effective_uid());
     Ok(Inspection {
-        nodes: nodes(domain)?,
-        worker_pid: WorkerLock::owner(domain).unwrap_or_default(),
+        // What is not ours is not read.
+        nodes: if root_error.is_none() {
+            nodes(domain)?
+        } else {
+            Vec::new()
+        },
+        worker: WorkerLock::owner(domain).unwrap_or_default(),
         incomplete: incomplete_objects(domain)?,
+        removed: removed_files(domain),
         foreign: others.into_iter().map(|object| object.path).collect(),
         objects: mine.len() as u64,
         object_bytes: mine.iter().map(|object| object.bytes).sum(),
@@ -96,6 +105,15 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
         root,
         root_error,
     })
+}
+
+/// Why a directory that exists cannot be used.
+fn directory_error(domain: &Domain) -> Option<RootError> {
+    check_private(domain.root())
+        .and_then(|()| domain.check().map(drop))
+        .err()
+        // The fleet's is made when a process joins.
+        .filter(|error| !error.vanished())
 }
 
 fn root_info(domain: &Domain) -> Result<Option<RootInfo>, InspectError> {
@@ -119,7 +137,7 @@ fn root_info(domain: &Domain) -> Result<Option<RootInfo>, InspectError> {
 fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
     let config = iceoryx_config::wanted(domain)?;
     let mut found = Vec::new();
-    Node::<ipc::Service>::list(&config, |node| {
+    Node::<Ipc>::list(&config, |node| {
         let (details, alive) = match &node {
             NodeState::Alive(view) => (view.details().as_ref(), Some(true)),
             NodeState::Dead(view) => (view.details().as_ref(), Some(false)),

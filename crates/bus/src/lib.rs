@@ -16,7 +16,9 @@
 //!
 //! Ports, the [`Bus`] and the [`Waiter`] belong to the thread that made them. Every member runs a
 //! cleanup thread that removes stale files of dead processes ([`Bus::housekeeping`]). The last
-//! member to leave removes everything of the domain, in `/dev/shm` and in the root directory.
+//! member to leave removes everything of the domain, in `/dev/shm` and in the root directory; what joulebus
+//! did not make, by its marker and names, it neither changes nor removes. A member whose own files are
+//! removed gets [`FilesRemoved`] from every port.
 //!
 //! Behaviour of iceoryx2 0.10.0 that this crate compensates for, each with a test:
 //! - Opening a shared-memory object of length zero blocks indefinitely, not only while joining: a process
@@ -28,32 +30,41 @@
 //!   incomplete, old, and open in no process is removed.
 //! - A connection that could not be established is not retried until the list of ports changes:
 //!   readers recreate their port.
-//! - The object that counts nodes (`…global_mgmt`) is readable and writable by every user of the
-//!   host: [`Bus::join`] restricts it to its owner.
+//! - Objects are sized, and their pages come with the first access, which in a full `/dev/shm` is a SIGBUS: ours
+//!   are allocated whole when they are created.
+//! - The object that counts nodes (`…global_mgmt`) is readable and writable by every user of the host if
+//!   another program of iceoryx2 made it: [`Bus::join`] restricts it to its owner.
 #![deny(unsafe_code)]
 
 mod bus;
 mod cleanup;
+mod directory;
 mod domain;
 mod iceoryx_config;
 mod inspect;
+mod ipc;
 mod limits;
 mod liveness;
+mod marker;
 mod membership;
 mod os;
 mod ports;
 mod preflight;
+mod private;
+mod reserved;
 
 pub use bus::Bus;
+pub use cleanup::removed::RemovedFiles;
 pub use cleanup::report::SweepReport;
 pub use cleanup::sweep::{SweepError, sweep};
 pub use cleanup::thread::Housekeeping;
-pub use domain::{Domain, DomainError, DomainWarning, RootError};
+pub use domain::{Domain, DomainError};
 pub use iceoryx_config::IceoryxConfigError;
 pub use inspect::{InspectError, Inspection, NodeInfo, RootInfo, inspect};
 pub use limits::{Limits, LimitsError};
 pub use liveness::peer_watch::PeerWatch;
-pub use liveness::worker_lock::{WorkerLock, WorkerLockError};
+pub use liveness::presence::FilesRemoved;
+pub use liveness::worker_lock::{WorkerLock, WorkerLockError, WorkerOwner};
 pub use membership::JoinError;
 pub use os::clock;
 pub use os::memory::touch_own_memory;
@@ -65,3 +76,4 @@ pub use ports::{
     Waker, Woken, Writer,
 };
 pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity};
+pub use private::{DomainWarning, RootError};

@@ -2,18 +2,20 @@
 
 use std::io;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::cleanup::objects::objects;
 use crate::cleanup::sweep::remove_all;
 use crate::cleanup::thread::CleanupThread;
+use crate::directory::RETRY_LIMIT;
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::liveness::members_lock::MembersLock;
+use crate::liveness::presence::{Need, Presence};
+use crate::marker::{Marked, this_boot};
 use crate::os::files::effective_uid;
-use crate::{Domain, RootError, SweepError, SweepReport};
+use crate::{CapacityError, Domain, RootError, SweepError, SweepReport};
 
-/// How long a join is retried.
-pub(crate) const JOIN_LIMIT: Duration = Duration::from_secs(5);
 const RETRY_EVERY: Duration = Duration::from_millis(2);
 
 /// Membership of a process. Ports share it, so that it outlives them.
@@ -21,6 +23,9 @@ const RETRY_EVERY: Duration = Duration::from_millis(2);
 pub(crate) struct Membership {
     pub(crate) domain: Domain,
     pub(crate) cleanup: CleanupThread,
+    /// What must stay where it is while this process is a member.
+    pub(crate) presence: Arc<Presence>,
+    _marker: Need,
     lock: Option<MembersLock>,
 }
 
@@ -40,11 +45,16 @@ impl Membership {
             }
         }
         let config = iceoryx_config::load(domain)?;
-        let cleanup = CleanupThread::start(domain, config).map_err(JoinError::CleanupThread)?;
+        let presence = Arc::new(Presence::default());
+        let marker = presence.need([domain.members_file()]);
+        let cleanup = CleanupThread::start(domain, config, Arc::clone(&presence))
+            .map_err(JoinError::CleanupThread)?;
         Ok((
             Self {
                 domain: domain.clone(),
                 cleanup,
+                presence,
+                _marker: marker,
                 lock: Some(lock),
             },
             report,
@@ -63,10 +73,10 @@ impl Membership {
                 }
                 Err(error) => return Err(error),
             }
-            if begin.elapsed() > JOIN_LIMIT {
+            if begin.elapsed() > RETRY_LIMIT {
                 return Err(JoinError::Timeout {
                     path: domain.members_file(),
-                    waited_s: JOIN_LIMIT.as_secs(),
+                    waited_s: RETRY_LIMIT.as_secs(),
                 });
             }
             std::thread::sleep(RETRY_EVERY);
@@ -85,6 +95,10 @@ impl Membership {
         let lock = MembersLock::open(domain).map_err(failed)?;
         if lock.try_exclusive().map_err(failed)? && lock.is_current(domain).map_err(failed)? {
             remove_all(domain, report)?;
+            if domain.check()? != this_boot() {
+                // Of an earlier boot, on a disk: made again, if nothing else is in it.
+                Marked::fleet(domain).remove();
+            }
         }
         // Nothing has been created yet, so another process may clean up while the lock is
         // converted.
@@ -113,6 +127,34 @@ impl Drop for Membership {
     }
 }
 
+/// Removes what a process that could not join has made, if no member is alive.
+pub(crate) fn remove_unused(domain: &Domain) {
+    if domain.check().is_ok()
+        && let Ok(lock) = MembersLock::open(domain)
+        && lock.try_exclusive().unwrap_or(false)
+        && lock.is_current(domain).unwrap_or(false)
+        && remove_all(domain, &mut SweepReport::default()).is_ok()
+    {
+        lock.remove(domain);
+    } else {
+        domain.remove_root();
+    }
+}
+
+impl JoinError {
+    /// Whether a full file system may be the cause.
+    pub(crate) const fn may_be_shortage(&self) -> bool {
+        matches!(
+            self,
+            Self::Root(RootError::Io { .. })
+                | Self::Config(_)
+                | Self::Sweep(_)
+                | Self::Lock { .. }
+                | Self::Node { .. }
+        )
+    }
+}
+
 /// Why a process could not join.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -123,6 +165,9 @@ pub enum JoinError {
     /// iceoryx2 could not be configured for the domain.
     #[error(transparent)]
     Config(#[from] IceoryxConfigError),
+    /// Too little shared memory.
+    #[error(transparent)]
+    Capacity(#[from] CapacityError),
     /// Stale files could not be removed.
     #[error("{0}; run `joulebus doctor --fix`")]
     Sweep(#[from] SweepError),

@@ -20,7 +20,9 @@ const SEGMENT_OVERHEAD: usize = 16 * 1024;
 /// One connection between two ports: two index queues and the list of used chunks.
 const CONNECTION_BYTES: usize = 16 * 1024;
 /// Services, nodes, events and what rounding to pages costs, per process.
-const PROCESS_BYTES: usize = 192 * 1024;
+pub(crate) const PROCESS_BYTES: usize = 192 * 1024;
+/// A service's description and lists of ports, and what the process notes of a port.
+pub(crate) const PORT_BYTES: usize = 64 * 1024;
 /// Descriptors of a process before it connects to anybody: node, locks, eight services.
 const BASE_DESCRIPTORS: u64 = 64;
 /// File descriptors of one connection, data and bookkeeping.
@@ -106,6 +108,15 @@ pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
         shm.f_bavail.saturating_mul(shm.f_frsize),
         shm.f_blocks.saturating_mul(shm.f_frsize),
     ))
+}
+
+/// Checks that `needed` bytes are free in shared memory.
+pub(crate) fn check_free(needed: usize) -> Result<(), CapacityError> {
+    let (needed, (free, _)) = (needed as u64, shared_memory()?);
+    if needed > free {
+        return Err(CapacityError::Memory { needed, free });
+    }
+    Ok(())
 }
 
 /// Bytes of the memory that one publisher writes its frames to: a header `H` and up to `max_len` of `T`.

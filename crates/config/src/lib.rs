@@ -58,8 +58,8 @@ pub use shared_memory::ConnectError;
 /// The errors contained in [`ConnectError`], and in the errors of opening ports.
 pub mod error {
     pub use joulebus_bus::{
-        CapacityError, DomainError, IceoryxConfigError, JoinError, LimitsError, OpenError,
-        ReceiveError, RootError, SendError, SweepError, WaitError,
+        CapacityError, DomainError, FilesRemoved, IceoryxConfigError, JoinError, LimitsError,
+        OpenError, ReceiveError, RootError, SendError, SweepError, WaitError,
     };
     pub use joulebus_settings::SettingsError;
 

@@ -5,8 +5,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use hdrhistogram::Histogram;
 use joulebus_bus::{
-    Bus, CapacityError, DomainError, JoinError, Ports, SampleReader, SchedulingError, WaitError,
-    Waiter, WorkerLock, WorkerLockError, check_capacity, clock, set_timer_slack, touch_own_memory,
+    Bus, CapacityError, DomainError, FilesRemoved, JoinError, Ports, SampleReader, SchedulingError,
+    WaitError, Waiter, WorkerLock, WorkerLockError, check_capacity, clock, set_timer_slack,
+    touch_own_memory,
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
@@ -42,7 +43,7 @@ pub struct Worker {
     waiter: Waiter,
     pool: TickPool,
     checkpointer: Checkpointer,
-    _bus: Bus,
+    bus: Bus,
     _lock: WorkerLock,
     /// Buffer into which samples are copied before they are checked.
     part: Vec<Sample>,
@@ -101,6 +102,10 @@ pub enum RunError {
     /// Waiting or waking failed.
     #[error(transparent)]
     Wait(#[from] WaitError),
+    /// What it shares with other processes was removed. A new worker makes everything again, by the way
+    /// that is taken after every kill; to rebuild the ports of a running one would be a second way.
+    #[error(transparent)]
+    Removed(#[from] FilesRemoved),
 }
 
 impl Worker {
@@ -135,6 +140,8 @@ impl Worker {
             .expect("these bounds are constant, and valid");
         // Before the other threads are started, whose stacks are not touched.
         touch_own_memory();
+        let mut bus = Bus::join(&domain, "worker")?;
+        // After joining, which frees what dead processes held.
         check_capacity(
             &limits,
             Ports {
@@ -143,7 +150,7 @@ impl Worker {
                 planners: 1,
             },
         )?;
-        let bus = Bus::join(&domain, "worker")?;
+        bus.needs_lock(&lock);
         let outbox = Outbox::open(&bus, &limits)?;
         let journal = Journal::open(&bus, &limits)?;
         let failures = Arc::new(Failures::default());
@@ -190,7 +197,7 @@ impl Worker {
             waiter,
             pool,
             checkpointer,
-            _bus: bus,
+            bus,
             _lock: lock,
             failures,
             header,
@@ -207,7 +214,11 @@ impl Worker {
             tracing::warn!(%error, "ticks may start 50 µs late");
         }
         while !stop.load(Ordering::Relaxed) {
-            self.turn()?;
+            if let Err(error) = self.turn() {
+                // Planners are told; dropping the rest writes the ledger down.
+                self.outbox.end();
+                return Err(error);
+            }
         }
         Ok(self.finish())
     }
@@ -218,6 +229,7 @@ impl Worker {
     /// # Errors
     /// As [`Worker::run`].
     pub fn turn(&mut self) -> Result<bool, RunError> {
+        self.bus.check()?;
         self.drain();
         let now_ns = clock::monotonic_ns();
         let taken_ns = self.fleet.intake().first.map(|(_, _, taken_ns)| taken_ns);

@@ -2,13 +2,13 @@
 
 use iceoryx2::config::Config;
 use iceoryx2::node::{Node, NodeState};
-use iceoryx2::prelude::{CallbackProgression, ipc};
+use iceoryx2::prelude::CallbackProgression;
 
 use super::report::SweepReport;
 
 /// Makes iceoryx2 remove the nodes of dead processes. Takes 1 to 25 ms if there are any.
 pub(crate) fn remove_dead_nodes(config: &Config, report: &mut SweepReport) {
-    let listed = Node::<ipc::Service>::list(config, |node| {
+    let listed = Node::<Ipc>::list(config, |node| {
         if let NodeState::Dead(dead) = node {
             match dead.try_remove_stale_resources() {
                 Ok(()) => report.dead_nodes += 1,
@@ -27,9 +27,10 @@ pub(crate) fn remove_dead_nodes(config: &Config, report: &mut SweepReport) {
 
 pub(crate) fn is_any_node_alive(config: &Config) -> bool {
     let mut alive = false;
-    let listed = Node::<ipc::Service>::list(config, |node| {
+    let listed = Node::<Ipc>::list(config, |node| {
         alive |= matches!(node, NodeState::Alive(_));
         CallbackProgression::Continue
     });
     alive || listed.is_err()
 }
+use crate::ipc::Ipc;

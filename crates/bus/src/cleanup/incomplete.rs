@@ -6,9 +6,12 @@
 
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use super::objects::{Identity, OWNER_READ, Object, list, objects, open_files};
+use super::objects::{
+    Identity, OWNER_READ, Object, is_of, is_of_node, list_own, named, objects, open_files,
+};
+use crate::directory::{NODES, SERVICES};
 use crate::{Domain, RootError};
 
 /// A static description (of a service, a node, a port of a node) loses this permission once it is
@@ -62,15 +65,31 @@ pub(crate) fn remove_incomplete(domain: &Domain) -> Result<u64, RootError> {
 }
 
 /// Removes the description of service `name` if no process uses it any more: its creator was killed
-/// before its shared memory existed, or its last user before it removed the description.
+/// before its shared memory existed, or its last user before it removed the description. One whose shared
+/// memory was removed is removed even if a process still has it open: nobody else can ever use it.
 pub(crate) fn remove_abandoned_service(domain: &Domain, name: &str) -> u64 {
     let mut services = services(domain);
     services.retain(|service| {
-        let text = fs::read(&service.path).unwrap_or_default();
-        let mut parts = text.windows(name.len());
-        service.is_old() && parts.any(|part| part == name.as_bytes())
+        let text = fs::read_to_string(&service.path).unwrap_or_default();
+        service.is_old() && text.contains(name)
     });
-    remove_unless_open(services, &open_files())
+    let (empty, others): (Vec<_>, Vec<_>) = services.into_iter().partition(|service| {
+        let text = fs::read_to_string(&service.path).unwrap_or_default();
+        service.mode & OWNER_WRITE == 0 && !has_ports(domain, &text)
+    });
+    remove_unless_open(others, &open_files()) + remove_unless_open(empty, &HashSet::new())
+}
+
+/// Whether there is the list of ports of a service with this description, as far as it tells.
+fn has_ports(domain: &Domain, description: &str) -> bool {
+    let half = |key: &str| -> Option<u128> {
+        let line = description.lines().find_map(|line| line.strip_prefix(key));
+        line?.strip_prefix(" = ")?.trim().parse().ok()
+    };
+    let (Some(low), Some(high)) = (half("payload_value"), half("unique_value")) else {
+        return true;
+    };
+    !named(domain, &(high << 64 | low).to_string(), &[".dynamic"]).is_empty()
 }
 
 fn remove_unless_open(files: Vec<Object>, open: &HashSet<Identity>) -> u64 {
@@ -84,17 +103,22 @@ fn remove_unless_open(files: Vec<Object>, open: &HashSet<Identity>) -> u64 {
 
 /// The descriptions of the domain's services.
 fn services(domain: &Domain) -> Vec<Object> {
-    list(&domain.directory().join("services"))
-        .into_iter()
-        .filter_map(Object::new)
-        .collect()
+    own_files(domain, &domain.directory().join(SERVICES))
 }
 
 /// The details of nodes, and the tags of their services and ports.
 fn node_details(domain: &Domain) -> Vec<Object> {
-    list(&domain.directory().join("nodes"))
+    list_own(&domain.directory().join(NODES))
         .into_iter()
-        .flat_map(|node| list(&node))
+        .filter(|path| is_of_node(path))
+        .flat_map(|node| own_files(domain, &node))
+        .collect()
+}
+
+fn own_files(domain: &Domain, directory: &Path) -> Vec<Object> {
+    list_own(directory)
+        .into_iter()
+        .filter(|path| is_of(domain, path))
         .filter_map(Object::new)
         .collect()
 }
@@ -124,15 +148,17 @@ impl NodeFiles {
 /// Nodes whose creator or remover was killed before it finished: they have no ports.
 fn incomplete_nodes(domain: &Domain) -> Vec<NodeFiles> {
     let mut nodes: BTreeMap<String, NodeFiles> = BTreeMap::new();
-    for path in list(&domain.directory().join("nodes")) {
+    for path in list_own(&domain.directory().join(NODES)) {
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
             continue;
         };
-        let Some(object) = Object::new(path.clone()) else {
+        if is_of_node(&path) {
             let node = nodes.entry(name.to_owned()).or_default();
-            node.files
-                .extend(list(&path).into_iter().filter_map(Object::new));
+            node.files.extend(own_files(domain, &path));
             node.directory = Some(path);
+            continue;
+        }
+        let Some(object) = Object::new(path.clone()) else {
             continue;
         };
         let Some((id, part)) = name

@@ -6,6 +6,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
+use crate::directory::{NODES, SERVICES};
 use crate::os::files::effective_uid;
 use crate::os::memory::SHM_DIR;
 use crate::{Domain, RootError};
@@ -60,15 +61,53 @@ pub(crate) fn objects(domain: &Domain) -> Result<Vec<Object>, RootError> {
     let mut found = Vec::new();
     for entry in fs::read_dir(SHM_DIR).map_err(read)? {
         let entry = entry.map_err(read)?;
-        let name = entry.file_name();
-        if name
-            .as_encoded_bytes()
-            .starts_with(domain.shm_prefix().as_bytes())
-        {
+        if is_of(domain, &entry.path()) {
             found.extend(Object::new(entry.path()));
         }
     }
     Ok(found)
+}
+
+/// The files of the domain, wherever they lie, whose names hold `id` and end with one of `suffixes`.
+pub(crate) fn named(domain: &Domain, id: &str, suffixes: &[&str]) -> Vec<PathBuf> {
+    let directory = domain.directory();
+    let inner = [NODES, SERVICES].map(|inner| directory.join(inner));
+    let mut found = Vec::new();
+    for directory in [Path::new(SHM_DIR), &directory, &inner[0], &inner[1]] {
+        found.extend(list(directory).into_iter().filter(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            let is_wanted = suffixes.iter().any(|suffix| name.ends_with(suffix));
+            is_of(domain, path) && is_wanted && name.contains(id)
+        }));
+    }
+    found
+}
+
+/// The entries of a directory of this user, which must be no link and lie where the one above it does:
+/// nothing elsewhere is looked at.
+pub(super) fn list_own(directory: &Path) -> Vec<PathBuf> {
+    let found = fs::symlink_metadata(directory);
+    let above = directory.parent().map(fs::symlink_metadata);
+    match (found, above) {
+        (Ok(found), Some(Ok(above)))
+            if found.is_dir() && found.uid() == effective_uid() && found.dev() == above.dev() =>
+        {
+            list(directory)
+        }
+        _ => Vec::new(),
+    }
+}
+
+/// Whether iceoryx2 gives a file of `domain` such a name.
+pub(super) fn is_of(domain: &Domain, path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().as_encoded_bytes();
+    name.starts_with(domain.shm_prefix().as_bytes())
+}
+
+/// Whether it gives a node's directory such a name.
+pub(super) fn is_of_node(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().as_encoded_bytes();
+    !name.is_empty() && name.iter().all(u8::is_ascii_digit)
 }
 
 pub(super) fn list(directory: &Path) -> Vec<PathBuf> {

@@ -2,14 +2,15 @@
 
 use std::fs;
 use std::io;
-use std::os::unix::fs::FileTypeExt;
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use super::dead_nodes::{is_any_node_alive, remove_dead_nodes};
 use super::incomplete::remove_incomplete;
-use super::objects::objects;
+use super::objects::{is_of, is_of_node, list_own, objects};
 use super::report::SweepReport;
-use crate::domain::check_private;
+use crate::directory::{NODES, RETRY_LIMIT, SERVICES};
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::liveness::members_lock::MembersLock;
 use crate::os::files::effective_uid;
@@ -22,10 +23,11 @@ use crate::{Domain, RootError, WorkerLock};
 /// # Errors
 /// [`SweepError`]; whatever could be removed has been removed.
 pub fn sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
+    let begin = Instant::now();
     loop {
         match try_sweep(domain) {
             // The last member has just removed the directory.
-            Err(error) if error.vanished() => {}
+            Err(error) if error.vanished() && begin.elapsed() < RETRY_LIMIT => {}
             result => return result,
         }
     }
@@ -57,7 +59,7 @@ fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
 /// A process may use iceoryx2 in this domain without being a member (its command-line tool, the
 /// Python package): while such a node lives, only dead nodes are removed.
 pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<(), SweepError> {
-    check_private(&domain.directory())?;
+    domain.check()?;
     let config = iceoryx_config::wanted(domain)?;
     report.incomplete += remove_incomplete(domain)?;
     if is_any_node_alive(&config) {
@@ -71,31 +73,41 @@ pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<()
             report.bytes += object.bytes;
         }
     }
-    remove_contents(&domain.directory(), &domain.members_file(), report)
+    remove_contents(domain, report)
 }
 
-fn remove_contents(
+/// Removes what joulebus and iceoryx2 make in the fleet's directory, by its names. What else is there stays,
+/// and keeps the directory.
+fn remove_contents(domain: &Domain, report: &mut SweepReport) -> Result<(), SweepError> {
+    let directory = domain.directory();
+    let nodes = directory.join(NODES);
+    for node in list_own(&nodes).into_iter().filter(|path| is_of_node(path)) {
+        remove_files(&node, report, |path| is_of(domain, path))?;
+        // Fails if something else is in it, as below.
+        let _ = fs::remove_dir(&node);
+    }
+    for inner in [nodes, directory.join(SERVICES)] {
+        remove_files(&inner, report, |path| is_of(domain, path))?;
+        let _ = fs::remove_dir(&inner);
+    }
+    remove_files(&directory, report, |path| {
+        is_of(domain, path) || iceoryx_config::is_config(domain, path)
+    })
+}
+
+fn remove_files(
     directory: &Path,
-    keep: &Path,
     report: &mut SweepReport,
+    is_ours: impl Fn(&Path) -> bool,
 ) -> Result<(), SweepError> {
-    let failed = |path: &Path, source| SweepError::Remove {
-        path: path.to_owned(),
-        source,
-    };
-    let entries = fs::read_dir(directory).map_err(|source| failed(directory, source))?;
-    for entry in entries {
-        let path = entry.map_err(|source| failed(directory, source))?.path();
-        if path == keep {
+    for path in list_own(directory).into_iter().filter(|path| is_ours(path)) {
+        let Ok(found) = fs::symlink_metadata(&path) else {
             continue;
-        }
-        let kind = fs::symlink_metadata(&path).map_err(|source| failed(&path, source))?;
-        if kind.is_dir() {
-            remove_contents(&path, keep, report)?;
-            fs::remove_dir(&path).map_err(|source| failed(&path, source))?;
-        } else {
-            fs::remove_file(&path).map_err(|source| failed(&path, source))?;
-            report.files += u64::from(kind.is_file() || kind.file_type().is_socket());
+        };
+        let kind = found.file_type();
+        if found.uid() == effective_uid() && (kind.is_file() || kind.is_socket()) {
+            fs::remove_file(&path).map_err(|source| SweepError::Remove { path, source })?;
+            report.files += 1;
         }
     }
     Ok(())

@@ -1,4 +1,5 @@
-//! The cleanup thread of each member: removes stale files of dead processes while members live.
+//! The cleanup thread of each member: removes stale files of dead processes while members live, and looks
+//! whether the member's own are still there.
 
 use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -12,6 +13,8 @@ use super::dead_nodes::remove_dead_nodes;
 use super::incomplete::remove_incomplete;
 use super::report::SweepReport;
 use crate::Domain;
+use crate::liveness::presence::{FilesRemoved, Presence};
+use crate::marker::{Marked, open_directory};
 
 /// A member may be blocked on an incomplete object, so this is frequent; one pass takes 20 µs.
 const INCOMPLETE_EVERY: Duration = Duration::from_millis(250);
@@ -46,12 +49,23 @@ pub(crate) struct CleanupThread {
 }
 
 impl CleanupThread {
-    pub(crate) fn start(domain: &Domain, config: &'static Config) -> io::Result<Self> {
+    pub(crate) fn start(
+        domain: &Domain,
+        config: &'static Config,
+        presence: Arc<Presence>,
+    ) -> io::Result<Self> {
         let shared = Arc::new(Shared::default());
         let (domain, inside) = (domain.clone(), Arc::clone(&shared));
+        let directory = open_directory(&domain.directory())?;
         let thread = std::thread::Builder::new()
             .name("joulebus-clean".to_owned())
-            .spawn(move || inside.run(&domain, config))?;
+            .spawn(move || {
+                if let Some(error) = inside.run(&domain, config, &presence) {
+                    // What lies at the domain's paths now is another fleet's, or somebody else's.
+                    tracing::error!("{error}");
+                    Marked::fleet(&domain).restore(&directory);
+                }
+            })?;
         Ok(Self {
             shared,
             thread: Some(thread),
@@ -83,10 +97,14 @@ impl CleanupThread {
 }
 
 impl Shared {
-    fn run(&self, domain: &Domain, config: &Config) {
+    /// Cleans until told to stop, or until files of this process are gone.
+    fn run(&self, domain: &Domain, config: &Config, presence: &Presence) -> Option<FilesRemoved> {
         for round in 1_u64.. {
             if self.wait() {
-                return;
+                return None;
+            }
+            if let Err(error) = presence.look() {
+                return Some(error);
             }
             if let Ok(removed) = remove_incomplete(domain) {
                 self.incomplete.fetch_add(removed, Ordering::Relaxed);
@@ -98,6 +116,7 @@ impl Shared {
                 self.remove_dead_nodes(config);
             }
         }
+        None
     }
 
     fn remove_dead_nodes(&self, config: &Config) {

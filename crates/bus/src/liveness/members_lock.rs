@@ -1,7 +1,8 @@
 //! Members of the domain: every member holds a shared lock on one file while it is alive.
 //!
 //! The kernel releases the lock when the process ends, however it ends. A process that gets it
-//! exclusively knows that no member is alive, and may remove everything.
+//! exclusively knows that no member is alive, and may remove everything. The file is the marker of the
+//! fleet's directory and comes and goes with that.
 
 use std::fs::{self, File};
 use std::io;
@@ -11,6 +12,7 @@ use rustix::fs::{FlockOperation, OFlags, flock};
 
 use crate::Domain;
 use crate::liveness::worker_lock::WorkerLock;
+use crate::marker::Marked;
 use crate::os::files::is_same;
 
 /// The file that members lock.
@@ -23,10 +25,7 @@ impl MembersLock {
     pub(crate) fn open(domain: &Domain) -> io::Result<Self> {
         let file = fs::OpenOptions::new()
             .read(true)
-            .write(true)
-            .create(true)
-            .mode(0o600)
-            .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
+            .custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed())
             .open(domain.members_file())?;
         Ok(Self { file })
     }
@@ -52,13 +51,12 @@ impl MembersLock {
         is_same(&self.file, &domain.members_file())
     }
 
-    /// Removes the file, that of a killed worker, and the directories around them, as far as they
-    /// are empty. The caller holds the lock exclusively; a process that opened the file meanwhile
-    /// sees that it is gone and retries.
+    /// Removes the fleet's directory with this file, that of a killed worker, and the root, as far as they
+    /// are empty. The caller holds the lock exclusively; a process that opened the file meanwhile sees
+    /// that it is gone and retries.
     pub(crate) fn remove(self, domain: &Domain) {
         if self.is_current(domain).unwrap_or(false) {
-            let _ = fs::remove_file(domain.members_file());
-            let _ = fs::remove_dir(domain.directory());
+            Marked::fleet(domain).remove();
             WorkerLock::remove_stale(domain);
             domain.remove_root();
         }

@@ -1,17 +1,19 @@
 //! One worker per fleet.
 
 use std::fs::{self, File};
-use std::io::{self, Read, Seek, SeekFrom, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::io::Errno;
-use rustix::process::{Pid, test_kill_process};
 
-use crate::os::files::is_same;
-use crate::{Domain, RootError, clock};
+use crate::directory::RETRY_LIMIT;
+use crate::os::files::{effective_uid, is_same};
+use crate::os::process::lock_holders;
+use crate::preflight::{PROCESS_BYTES, check_free};
+use crate::{CapacityError, Domain, RootError, clock};
 
 /// The exclusive right to be a fleet's worker, held while this value lives. The kernel releases the
 /// lock when the process ends for any reason.
@@ -27,33 +29,47 @@ impl WorkerLock {
     /// # Errors
     /// [`WorkerLockError::AlreadyRunning`] with the owner's pid if another worker is alive.
     pub fn acquire(domain: &Domain) -> Result<Self, WorkerLockError> {
+        let begin = Instant::now();
         loop {
-            match Self::try_acquire(domain) {
+            let error = match Self::try_acquire(domain) {
                 Ok(Some(lock)) => return Ok(lock),
                 // The previous owner has just removed the file, or its directory.
-                Ok(None) => {}
-                Err(WorkerLockError::Io { source, .. })
-                    if source.kind() == io::ErrorKind::NotFound => {}
-                Err(WorkerLockError::Root(error)) if error.vanished() => {}
-                Err(error) => return Err(error),
+                Ok(None) => continue,
+                Err(error) => error,
+            };
+            let vanished = match &error {
+                WorkerLockError::Io { source, .. } => source.kind() == ErrorKind::NotFound,
+                WorkerLockError::Root(error) => error.vanished(),
+                _ => false,
+            };
+            if !vanished || begin.elapsed() > RETRY_LIMIT {
+                if !matches!(error, WorkerLockError::AlreadyRunning { .. }) {
+                    // What was made before it failed.
+                    Self::remove_stale(domain);
+                    domain.remove_root();
+                }
+                return Err(error.or_shortage());
             }
         }
     }
 
-    /// The pid of the worker that holds the lock of `domain`, if any does.
+    pub(crate) fn path(&self) -> PathBuf {
+        self.domain.worker_file()
+    }
+
+    /// Who holds the lock of `domain`, if anybody does.
     ///
     /// # Errors
     /// When the lock file cannot be read.
-    pub fn owner(domain: &Domain) -> io::Result<Option<u32>> {
-        let path = domain.worker_file();
-        let mut file = match fs::OpenOptions::new().read(true).open(&path) {
+    pub fn owner(domain: &Domain) -> io::Result<Option<WorkerOwner>> {
+        let mut file = match open(domain, false) {
             Ok(file) => file,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(error),
         };
         match flock(&file, FlockOperation::NonBlockingLockShared) {
             Ok(()) => Ok(None),
-            Err(Errno::WOULDBLOCK) => Ok(Some(read(&mut file)?.0)),
+            Err(Errno::WOULDBLOCK) => WorkerOwner::read(&mut file).map(Some),
             Err(error) => Err(error.into()),
         }
     }
@@ -71,13 +87,14 @@ impl WorkerLock {
         Owner::parse(&text)
     }
 
-    /// Removes the file of a killed worker, but not one that is held. A process that takes the lock at
-    /// this moment sees that the file is gone and retries.
+    /// Removes the file of a killed worker, but not one that is held, or that is something else. A process
+    /// that takes the lock at this moment sees that the file is gone and retries.
     pub(crate) fn remove_stale(domain: &Domain) {
         let path = domain.worker_file();
-        if let Ok(file) = fs::OpenOptions::new().read(true).open(&path)
+        if let Ok(mut file) = open(domain, false)
             && flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok()
             && is_same(&file, &path).unwrap_or(false)
+            && is_lock(&mut file).unwrap_or(false)
         {
             let _ = fs::remove_file(&path);
         }
@@ -90,27 +107,23 @@ impl WorkerLock {
             path: path.clone(),
             source,
         };
-        let mut file = fs::OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .mode(0o600)
-            .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
-            .open(&path)
-            .map_err(failed)?;
+        let mut file = match open(domain, true) {
+            Ok(file) => file,
+            Err(error) if is_symlink(&error) => return Err(WorkerLockError::NotALock { path }),
+            Err(error) => return Err(failed(error)),
+        };
         match flock(&file, FlockOperation::NonBlockingLockExclusive) {
             Ok(()) => {}
             Err(Errno::INTR) => return Ok(None),
             Err(Errno::WOULDBLOCK) => {
-                let (pid, since_unix_ns) = read(&mut file).map_err(failed)?;
+                let owner = WorkerOwner::read(&mut file).map_err(failed)?;
                 if !is_same(&file, &path).map_err(failed)? {
                     return Ok(None);
                 }
                 return Err(WorkerLockError::AlreadyRunning {
                     fleet: domain.fleet().to_owned(),
-                    pid,
-                    since_unix_ns,
+                    owner,
+                    path,
                 });
             }
             Err(error) => return Err(failed(error.into())),
@@ -118,13 +131,17 @@ impl WorkerLock {
         if !is_same(&file, &path).map_err(failed)? {
             return Ok(None);
         }
+        if !is_lock(&mut file).map_err(failed)? {
+            return Err(WorkerLockError::NotALock { path });
+        }
         let owner = Owner {
             pid: std::process::id(),
             since_unix_ns: clock::unix_ns(),
             port_pid: outermost_pid(),
         };
         file.set_len(0)
-            .and_then(|()| file.write_all(owner.line().as_bytes()))
+            .and_then(|()| file.seek(SeekFrom::Start(0)))
+            .and_then(|_| file.write_all(owner.line().as_bytes()))
             .map_err(failed)?;
         Ok(Some(Self {
             file,
@@ -184,29 +201,96 @@ fn outermost_pid() -> u32 {
     outermost.unwrap_or_else(std::process::id)
 }
 
-/// Pid and start of the owner. It writes them right after locking; until then the file may still name
-/// a killed one, so this waits briefly.
-fn read(file: &mut File) -> io::Result<(u32, u64)> {
-    let mut found = (0, 0);
-    for _ in 0..50 {
-        let mut text = String::new();
-        file.seek(SeekFrom::Start(0))?;
-        file.read_to_string(&mut text)?;
-        if let Some(owner) = Owner::parse(&text) {
-            found = (owner.pid, owner.since_unix_ns);
-            if is_alive(owner.pid) {
-                break;
-            }
-        }
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    Ok(found)
+/// Opens the lock file, or makes it. Never follows a link, never waits for a FIFO's other end.
+fn open(domain: &Domain, make: bool) -> io::Result<File> {
+    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
+    fs::OpenOptions::new()
+        .read(true)
+        .write(make)
+        .create(make)
+        .truncate(false)
+        .mode(0o600)
+        .custom_flags(flags.bits().cast_signed())
+        .open(domain.worker_file())
 }
 
-/// Whether there is such a process here; one of another container is not seen.
-fn is_alive(pid: u32) -> bool {
-    let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
-    pid.is_some_and(|pid| !matches!(test_kill_process(pid), Err(Errno::SRCH)))
+fn is_symlink(error: &io::Error) -> bool {
+    error.raw_os_error() == Some(Errno::LOOP.raw_os_error())
+}
+
+/// Whether this is a lock file that nobody else can have made into something else: a regular file with
+/// one name, that is empty, or holds an owner's line, or zeros as after a power failure.
+fn is_lock(file: &mut File) -> io::Result<bool> {
+    let found = file.metadata()?;
+    if !found.is_file() || found.nlink() != 1 || found.uid() != effective_uid() {
+        return Ok(false);
+    }
+    let text = first_bytes(file)?;
+    let line = text.strip_suffix(b"\n").unwrap_or(&text);
+    let is_line = line
+        .iter()
+        .all(|byte| byte.is_ascii_digit() || *byte == b' ');
+    Ok(found.len() <= LONGEST_BYTES && (is_line || text.iter().all(|byte| *byte == 0)))
+}
+
+fn first_bytes(file: &mut File) -> io::Result<Vec<u8>> {
+    let mut text = Vec::new();
+    // A directory or a FIFO is not read.
+    if file.metadata()?.is_file() {
+        file.seek(SeekFrom::Start(0))?;
+        file.take(LONGEST_BYTES).read_to_end(&mut text)?;
+    }
+    Ok(text)
+}
+
+/// The process that holds a worker's lock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct WorkerOwner {
+    /// Its process id. `None` when it is not visible here, as in another container.
+    pub pid: Option<u32>,
+    /// When it took the lock, Unix ns, if the file tells.
+    pub since_unix_ns: Option<u64>,
+}
+
+impl WorkerOwner {
+    /// The kernel knows the process; what is written in the file is believed only where it agrees. The
+    /// owner writes right after locking: this waits briefly.
+    fn read(file: &mut File) -> io::Result<Self> {
+        let mut owner = Self {
+            pid: None,
+            since_unix_ns: None,
+        };
+        for _ in 0..50 {
+            let text = String::from_utf8_lossy(&first_bytes(file)?).into_owned();
+            let mut words = text.split_ascii_whitespace();
+            let written = words.next().and_then(|word| word.parse().ok());
+            let since = words.next().and_then(|word| word.parse().ok());
+            let holders = lock_holders(file, written)?;
+            owner.pid = holders.first().copied();
+            if let Some(pid) = written.filter(|pid| holders.contains(pid)) {
+                return Ok(Self {
+                    pid: Some(pid),
+                    since_unix_ns: since,
+                });
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        Ok(owner)
+    }
+}
+
+impl WorkerLockError {
+    /// The numbers, if shared memory is full.
+    fn or_shortage(self) -> Self {
+        let (Self::Io { source, .. } | Self::Root(RootError::Io { source, .. })) = &self else {
+            return self;
+        };
+        match check_free(PROCESS_BYTES) {
+            Err(full) if source.kind() == ErrorKind::StorageFull => full.into(),
+            _ => self,
+        }
+    }
 }
 
 /// Reason that a process may not be the worker.
@@ -215,17 +299,29 @@ fn is_alive(pid: u32) -> bool {
 pub enum WorkerLockError {
     /// Another worker is alive.
     #[error(
-        "fleet {fleet:?} already has a worker, pid {pid}; stop it first (`kill {pid}`), or run \
-         this one for another fleet"
+        "fleet {fleet:?} already has a worker{}, or run this one for another fleet",
+        remedy(*owner, path)
     )]
     AlreadyRunning {
         /// Name of the fleet.
         fleet: String,
-        /// Its process id; 0 if it has not said.
-        pid: u32,
-        /// When it took the lock, Unix ns.
-        since_unix_ns: u64,
+        /// Its process.
+        owner: WorkerOwner,
+        /// The lock file.
+        path: PathBuf,
     },
+    /// The lock file is none.
+    #[error(
+        "{path:?} is not a lock file of joulebus: it is a link, a special file, or holds something else; it \
+         is left as it is. Move it away, or set another `domain.root`"
+    )]
+    NotALock {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Too little shared memory.
+    #[error(transparent)]
+    Capacity(#[from] CapacityError),
     /// The root directory is not private.
     #[error(transparent)]
     Root(#[from] RootError),
@@ -237,4 +333,14 @@ pub enum WorkerLockError {
         /// The error of the system.
         source: io::Error,
     },
+}
+
+fn remedy(owner: WorkerOwner, path: &Path) -> String {
+    match owner.pid {
+        Some(pid) => format!(", pid {pid}; stop it first (`kill {pid}`)"),
+        None => format!(
+            " whose process is not visible here (it holds {}; is it in another container?); stop it first",
+            path.display()
+        ),
+    }
 }

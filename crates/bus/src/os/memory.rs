@@ -3,9 +3,10 @@
 
 use std::fs;
 use std::io;
-use std::path::Path;
+use std::os::fd::AsFd;
 
 use rustix::fs::{FallocateFlags, fallocate};
+use rustix::io::Errno;
 use rustix::mm::{Advice, madvise};
 
 /// Directory of POSIX shared memory on Linux.
@@ -13,21 +14,32 @@ pub(crate) const SHM_DIR: &str = "/dev/shm";
 /// Maximum size of a mapping populated while ticks run, bytes: takes a few milliseconds.
 const MOST_AT_ONCE: usize = 64 << 20;
 
-/// Allocates and populates all memory of the shared-memory objects that this process has mapped for
-/// writing and whose name contains `part`: no SIGBUS and no page fault later.
+/// Allocates the first `bytes` of a file in shared memory, all or none: no SIGBUS later.
 ///
 /// # Errors
-/// `StorageFull` when it does not fit.
-pub(crate) fn take(part: &str) -> io::Result<u64> {
-    let maps = fs::read_to_string("/proc/self/maps")?;
-    let mut bytes = 0;
-    for mapping in maps.lines().filter_map(Mapping::parse) {
-        if mapping.is_writable && mapping.is_shared() && mapping.path.contains(part) {
-            mapping.take()?;
-            bytes += mapping.len as u64;
+/// `StorageFull` when they do not fit.
+pub(crate) fn reserve(file: impl AsFd, bytes: u64) -> io::Result<()> {
+    loop {
+        match fallocate(&file, FallocateFlags::empty(), 0, bytes) {
+            // A file system that cannot be full.
+            Ok(()) | Err(Errno::OPNOTSUPP) => return Ok(()),
+            Err(Errno::INTR) => {}
+            Err(error) => return Err(error.into()),
         }
     }
-    Ok(bytes)
+}
+
+/// Populates the mappings of the shared-memory objects whose name contains `part` and that this process
+/// writes: no page fault later. Best effort.
+pub(crate) fn populate(part: &str) {
+    let Ok(maps) = fs::read_to_string("/proc/self/maps") else {
+        return;
+    };
+    for mapping in maps.lines().filter_map(Mapping::parse) {
+        if mapping.is_writable && mapping.is_shared() && mapping.path.contains(part) {
+            mapping.populate(Advice::LinuxPopulateWrite);
+        }
+    }
 }
 
 /// Populates the mappings of the shared-memory objects whose name contains `part` and that this process
@@ -87,16 +99,6 @@ impl<'a> Mapping<'a> {
 
     fn is_shared(&self) -> bool {
         self.path.starts_with(SHM_DIR)
-    }
-
-    fn take(&self) -> io::Result<()> {
-        let file = fs::OpenOptions::new()
-            .write(true)
-            .open(Path::new(self.path))?;
-        let len = file.metadata()?.len();
-        fallocate(&file, FallocateFlags::empty(), 0, len)?;
-        self.populate(Advice::LinuxPopulateWrite);
-        Ok(())
     }
 
     fn populate(&self, advice: Advice) {

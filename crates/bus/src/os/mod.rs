@@ -3,4 +3,5 @@
 pub mod clock;
 pub(crate) mod files;
 pub(crate) mod memory;
+pub(crate) mod process;
 pub(crate) mod scheduling;

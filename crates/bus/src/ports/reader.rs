@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as Borrowed;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use joulebus_wire::{Payload, Service};
@@ -14,10 +13,12 @@ use joulebus_wire::{Payload, Service};
 use super::degradation::count_degradation;
 use super::repair::{Look, Repair};
 use super::service::{self, OpenError};
+use crate::ipc::Ipc;
 use crate::limits::Shape;
+use crate::liveness::kept::Kept;
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::membership::Membership;
-use crate::{Bus, Limits, clock};
+use crate::{Bus, FilesRemoved, Limits, clock};
 
 /// Maximum number of frames of other processes than the worker that one call skips.
 const MOST_PASSED_OVER: u32 = 4_096;
@@ -27,15 +28,14 @@ const MOST_PASSED_OVER: u32 = 4_096;
 #[derive(Debug)]
 pub struct Reader<H: Payload, T: Payload> {
     // Dropped in this order: held frame, port, factory, membership.
-    held: Option<Borrowed<ipc::Service, [T], H>>,
-    subscriber: Option<Subscriber<ipc::Service, [T], H>>,
-    factory: PortFactory<ipc::Service, [T], H>,
+    held: Option<Borrowed<Ipc, [T], H>>,
+    port: Kept<(Option<Subscriber<Ipc, [T], H>>, PortFactory<Ipc, [T], H>)>,
     buffer: usize,
     degraded: Arc<AtomicU64>,
     repair: Repair,
     /// None for services on which every process may send.
     worker: Option<WorkerPorts>,
-    _member: Rc<Membership>,
+    member: Rc<Membership>,
 }
 
 impl<H: Payload, T: Payload> Reader<H, T> {
@@ -49,15 +49,17 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         let degraded = Arc::new(AtomicU64::new(0));
         let subscriber = subscribe(&factory, shape.buffer, &degraded)
             .map_err(|reason| OpenError::port(service, reason))?;
+        // A connection that could not be made only counts, above.
+        service::check_shortage()?;
+        let need = service::need(bus, &factory, None);
         Ok(Self {
             held: None,
-            subscriber: Some(subscriber),
-            factory,
+            port: Kept::new((Some(subscriber), factory), need),
             buffer: shape.buffer,
             degraded,
             repair: Repair::default(),
             worker: (service != Service::Samples).then(|| WorkerPorts::new(bus.domain())),
-            _member: Rc::clone(&bus.member),
+            member: Rc::clone(&bus.member),
         })
     }
 
@@ -147,15 +149,14 @@ impl<H: Payload, T: Payload> Reader<H, T> {
 
     /// A writer that dies while its connection is established leaves a failed connection: the port is
     /// recreated without an error. Only a connection that still fails a second later is one.
-    pub(super) fn receive(
-        &mut self,
-    ) -> Result<Option<Borrowed<ipc::Service, [T], H>>, ReceiveError> {
+    pub(super) fn receive(&mut self) -> Result<Option<Borrowed<Ipc, [T], H>>, ReceiveError> {
+        self.member.presence.check()?;
         let mut passed_over = 0;
         loop {
             if self.repair.is_due(clock::monotonic_ns) {
                 self.renew()?;
             }
-            let Some(subscriber) = &self.subscriber else {
+            let Some(subscriber) = &self.port.0 else {
                 return Ok(None);
             };
             let received = subscriber
@@ -188,10 +189,11 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     /// iceoryx2 does not retry a failed connection; only a new port does. The old one is empty by
     /// then, and is dropped first: the service may be at its limit of ports.
     fn renew(&mut self) -> Result<(), ReceiveError> {
-        self.subscriber = None;
-        match subscribe(&self.factory, self.buffer, &self.degraded) {
+        self.member.presence.look()?;
+        self.port.0 = None;
+        match subscribe(&self.port.1, self.buffer, &self.degraded) {
             Ok(subscriber) => {
-                self.subscriber = Some(subscriber);
+                self.port.0 = Some(subscriber);
                 Ok(())
             }
             Err(error) if self.repair.failed(clock::monotonic_ns()) => Err(error),
@@ -204,10 +206,10 @@ impl<H: Payload, T: Payload> Reader<H, T> {
 }
 
 fn subscribe<H: Payload, T: Payload>(
-    factory: &PortFactory<ipc::Service, [T], H>,
+    factory: &PortFactory<Ipc, [T], H>,
     buffer: usize,
     degraded: &Arc<AtomicU64>,
-) -> Result<Subscriber<ipc::Service, [T], H>, ReceiveError> {
+) -> Result<Subscriber<Ipc, [T], H>, ReceiveError> {
     let counted = Arc::clone(degraded);
     factory
         .subscriber_builder()
@@ -224,12 +226,12 @@ fn subscribe<H: Payload, T: Payload>(
 /// Its writer could still change it (it does not): copy it where that matters.
 #[derive(Debug)]
 pub struct Frame<'a, H: Payload, T: Payload> {
-    sample: Borrowed<ipc::Service, [T], H>,
+    sample: Borrowed<Ipc, [T], H>,
     reader: PhantomData<&'a mut Reader<H, T>>,
 }
 
 impl<H: Payload, T: Payload> Frame<'_, H, T> {
-    const fn new(sample: Borrowed<ipc::Service, [T], H>) -> Self {
+    const fn new(sample: Borrowed<Ipc, [T], H>) -> Self {
         Self {
             sample,
             reader: PhantomData,
@@ -253,6 +255,9 @@ impl<H: Payload, T: Payload> Frame<'_, H, T> {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReceiveError {
+    /// Files of this process were removed: every further call fails as well.
+    #[error(transparent)]
+    Removed(#[from] FilesRemoved),
     /// The connection to a writer has failed for a second or more; its frames are missing. The port is
     /// recreated each second. A writer that died meanwhile is no error.
     #[error(

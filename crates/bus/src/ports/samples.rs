@@ -2,7 +2,6 @@
 
 use std::marker::PhantomData;
 
-use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample as Borrowed;
 use joulebus_wire::{Sample, SampleHeader, Service, WakeEvent};
 
@@ -10,6 +9,7 @@ use super::reader::{Reader, ReceiveError};
 use super::service::OpenError;
 use super::wait::Waker;
 use super::writer::{SendError, Writer};
+use crate::ipc::Ipc;
 use crate::os::memory;
 use crate::{Bus, Limits};
 
@@ -90,7 +90,7 @@ impl SampleReader {
 /// may be small enough to stay in the core's cache; what is validated there cannot change.
 #[derive(Debug)]
 pub struct IncomingFrame<'a> {
-    received: Borrowed<ipc::Service, [Sample], SampleHeader>,
+    received: Borrowed<Ipc, [Sample], SampleHeader>,
     header: SampleHeader,
     kept: usize,
     copied: usize,

@@ -3,21 +3,27 @@
 use std::fmt::Debug;
 use std::time::Duration;
 
-use iceoryx2::prelude::{EventId, MessagingPattern, SemanticString, ServiceName, ipc};
+use iceoryx2::prelude::{EventId, MessagingPattern, SemanticString, ServiceName};
 use iceoryx2::service::Service as _;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue, AttributeVerifier};
 use iceoryx2::service::builder::event::{EventCreateError, EventOpenError, EventOpenOrCreateError};
 use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
+use iceoryx2::service::port_factory::PortFactory as PortFactoryOfAny;
 use iceoryx2::service::port_factory::event::PortFactory as EventFactory;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use joulebus_wire::{Payload, Service, WakeEvent, service_name};
 
 use crate::cleanup::dead_nodes::remove_dead_nodes;
 use crate::cleanup::incomplete::{remove_abandoned_service, remove_incomplete};
+use crate::cleanup::objects::named;
+use crate::ipc::Ipc;
 use crate::limits::Shape;
-use crate::{Bus, CapacityError, Limits, SweepReport, clock};
+use crate::liveness::presence::Need;
+use crate::preflight::{PORT_BYTES, check_free};
+use crate::reserved::take_shortage;
+use crate::{Bus, CapacityError, FilesRemoved, Limits, SweepReport, clock};
 
 /// The attribute of a service with its limits.
 const LIMITS_KEY: &[u8] = b"joulebus.limits";
@@ -30,7 +36,10 @@ pub(super) fn open<H: Payload, T: Payload>(
     service: Service,
     limits: &Limits,
     shape: Shape,
-) -> Result<PortFactory<ipc::Service, [T], H>, OpenError> {
+) -> Result<PortFactory<Ipc, [T], H>, OpenError> {
+    bus.member.presence.look()?;
+    // Of an earlier attempt.
+    let _ = take_shortage();
     let name = name(bus, service)?;
     let open = || {
         bus.node
@@ -63,7 +72,10 @@ pub(super) fn open_event(
     service: Service,
     limits: &Limits,
     (listeners, notifiers): (usize, usize),
-) -> Result<EventFactory<ipc::Service>, OpenError> {
+) -> Result<EventFactory<Ipc>, OpenError> {
+    bus.member.presence.look()?;
+    // Of an earlier attempt.
+    let _ = take_shortage();
     let name = name(bus, service)?;
     let open = || {
         bus.node
@@ -100,7 +112,8 @@ fn retry<S, E: Debug>(
             Err(error) if is_transient(&error) => error,
             result => return result,
         };
-        if clock::monotonic_ns() > limit_ns {
+        let is_full = check_free(PORT_BYTES).is_err();
+        if is_full || clock::monotonic_ns() > limit_ns {
             return Err(error);
         }
         let mut report = SweepReport::default();
@@ -166,6 +179,24 @@ const fn is_transient_event(error: &EventOpenOrCreateError) -> bool {
     )
 }
 
+/// Whether an object could not be created for want of memory since this was called last.
+pub(super) fn check_shortage() -> Result<(), CapacityError> {
+    take_shortage().map_or(Ok(()), Err)
+}
+
+/// What newcomers need of a service that this process has open, and of its own port there, if it has one.
+pub(super) fn need(bus: &Bus, factory: &impl PortFactoryOfAny, port: Option<u128>) -> Need {
+    let domain = bus.domain();
+    let mut paths = named(domain, factory.service_hash().as_str(), &[".service"]);
+    let service = factory.unique_service_id().value().to_string();
+    paths.extend(named(domain, &service, &[".dynamic"]));
+    if let Some(port) = port {
+        let suffixes = [".data", ".event", ".event_mgmt"];
+        paths.extend(named(domain, &port.to_string(), &suffixes));
+    }
+    bus.member.presence.need(paths)
+}
+
 fn name(bus: &Bus, service: Service) -> Result<ServiceName, OpenError> {
     ServiceName::new(&service_name(bus.domain().fleet(), service))
         .map_err(|reason| OpenError::port(service, reason))
@@ -195,7 +226,7 @@ fn refused(
 ) -> OpenError {
     if differs
         && let Ok(name) = name(bus, service)
-        && let Ok(Some(details)) = ipc::Service::details(&name, bus.node.config(), pattern)
+        && let Ok(Some(details)) = Ipc::details(&name, bus.node.config(), pattern)
         && let Ok(key) = AttributeKey::new(LIMITS_KEY)
         && let Some(found) = details.static_details.attributes().key_value(&key, 0)
     {
@@ -236,14 +267,9 @@ pub enum OpenError {
     /// Too little shared memory.
     #[error(transparent)]
     Capacity(#[from] CapacityError),
-    /// The memory was free a moment ago, but could not be allocated.
-    #[error("cannot take {needed} bytes of shared memory: {source}")]
-    Memory {
-        /// Bytes needed.
-        needed: u64,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    /// Files of this process were removed: iceoryx2 would make them again, for this process alone.
+    #[error(transparent)]
+    Removed(#[from] FilesRemoved),
     /// iceoryx2 refused.
     #[error(
         "service {service:?}: {reason}; are all processes of the same version, and are there more \
@@ -259,9 +285,13 @@ pub enum OpenError {
 
 impl OpenError {
     pub(super) fn port(service: Service, reason: impl std::fmt::Display) -> Self {
-        Self::Port {
-            service: service.name(),
-            reason: reason.to_string(),
+        // iceoryx2 does not tell what for want of memory failed.
+        match check_shortage().and_then(|()| check_free(PORT_BYTES)) {
+            Err(full) => Self::Capacity(full),
+            Ok(()) => Self::Port {
+                service: service.name(),
+                reason: reason.to_string(),
+            },
         }
     }
 }

@@ -8,14 +8,16 @@ use std::rc::Rc;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::prelude::{EventId, FileDescriptorBased, ipc};
+use iceoryx2::prelude::{EventId, FileDescriptorBased};
 use joulebus_wire::{Service, WakeEvent};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-use super::service::{OpenError, open_event};
+use super::service::{OpenError, need, open_event};
+use crate::ipc::Ipc;
+use crate::liveness::kept::Kept;
 use crate::membership::Membership;
-use crate::{Bus, Limits, PeerWatch, clock};
+use crate::{Bus, FilesRemoved, Limits, PeerWatch, clock};
 
 /// Maximum duration of a sleep. A notification that races with the emptying of the listener can
 /// leave its descriptor not readable although events are pending, and a signal may arrive just
@@ -25,7 +27,7 @@ const LONGEST_SLEEP_NS: u64 = 100_000_000;
 /// Sends a service's event.
 #[derive(Debug)]
 pub struct Waker {
-    notifier: Notifier<ipc::Service>,
+    notifier: Kept<Notifier<Ipc>>,
     // Dropped after the port.
     _member: Rc<Membership>,
 }
@@ -37,13 +39,14 @@ impl Waker {
         limits: &Limits,
         ports: (usize, usize),
     ) -> Result<Self, OpenError> {
-        let notifier = open_event(bus, service, limits, ports)?
+        let factory = open_event(bus, service, limits, ports)?;
+        let notifier = factory
             .notifier_builder()
             .default_event_id(EventId::new(WakeEvent::Frame.id()))
             .create()
             .map_err(|reason| OpenError::port(service, reason))?;
         Ok(Self {
-            notifier,
+            notifier: Kept::new(notifier, need(bus, &factory, None)),
             _member: Rc::clone(&bus.member),
         })
     }
@@ -89,9 +92,9 @@ impl Woken {
 /// Waits for a service's events.
 #[derive(Debug)]
 pub struct Waiter {
-    listener: Listener<ipc::Service>,
+    listener: Kept<Listener<Ipc>>,
     // Dropped after the port.
-    _member: Rc<Membership>,
+    member: Rc<Membership>,
 }
 
 impl Waiter {
@@ -101,13 +104,15 @@ impl Waiter {
         limits: &Limits,
         ports: (usize, usize),
     ) -> Result<Self, OpenError> {
-        let listener = open_event(bus, service, limits, ports)?
+        let factory = open_event(bus, service, limits, ports)?;
+        let listener = factory
             .listener_builder()
             .create()
             .map_err(|reason| OpenError::port(service, reason))?;
+        let need = need(bus, &factory, Some(listener.id().value()));
         Ok(Self {
-            listener,
-            _member: Rc::clone(&bus.member),
+            listener: Kept::new(listener, need),
+            member: Rc::clone(&bus.member),
         })
     }
 
@@ -115,13 +120,14 @@ impl Waiter {
     /// arrives; at most 100 ms. Earlier events are found immediately. Does not allocate.
     ///
     /// # Errors
-    /// [`WaitError::Listen`] when the listener is broken, [`WaitError::Poll`] when the system
-    /// refuses.
+    /// [`WaitError::Removed`] when this process must end, [`WaitError::Listen`] when the listener is
+    /// broken, [`WaitError::Poll`] when the system refuses.
     pub fn wait_until(
         &mut self,
         deadline_ns: Option<u64>,
         peer: Option<&PeerWatch>,
     ) -> Result<Woken, WaitError> {
+        self.member.presence.check()?;
         let mut woken = self.drain()?;
         if !woken.is_nothing() {
             woken.peer_gone = peer.is_some_and(PeerWatch::is_gone);
@@ -188,6 +194,9 @@ impl Waiter {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WaitError {
+    /// Files of this process were removed.
+    #[error(transparent)]
+    Removed(#[from] FilesRemoved),
     /// iceoryx2 could not notify.
     #[error("cannot wake the others: {reason}")]
     Notify {

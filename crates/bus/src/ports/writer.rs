@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use iceoryx2::port::LoanError;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::{AllocationStrategy, ipc};
+use iceoryx2::prelude::AllocationStrategy;
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
@@ -18,21 +18,22 @@ use joulebus_wire::{Payload, Service};
 use super::degradation::count_degradation;
 use super::service::{self, OpenError};
 use super::wait::WaitError;
+use crate::ipc::Ipc;
 use crate::limits::Shape;
+use crate::liveness::kept::Kept;
 use crate::membership::Membership;
 use crate::os::memory;
-use crate::preflight::{segment_bytes, shared_memory};
-use crate::{Bus, CapacityError, Limits};
+use crate::preflight::{check_free, segment_bytes};
+use crate::{Bus, FilesRemoved, Limits};
 
 /// Sends frames: a header `H` and a slice of `T`, written in place in shared memory.
 #[derive(Debug)]
 pub struct Writer<H: Payload, T: Payload> {
     // Dropped in this order: port, factory, membership.
-    publisher: Publisher<ipc::Service, [T], H>,
-    factory: PortFactory<ipc::Service, [T], H>,
+    port: Kept<(Publisher<Ipc, [T], H>, PortFactory<Ipc, [T], H>)>,
     max_len: usize,
     degraded: Arc<AtomicU64>,
-    _member: Rc<Membership>,
+    member: Rc<Membership>,
 }
 
 impl<H: Payload, T: Payload> Writer<H, T> {
@@ -44,10 +45,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         max_len: usize,
     ) -> Result<Self, OpenError> {
         let needed = segment_bytes::<H, T>(shape, max_len);
-        let (free, _) = shared_memory()?;
-        if needed > free {
-            return Err(CapacityError::Memory { needed, free }.into());
-        }
+        check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let degraded = Arc::new(AtomicU64::new(0));
         let counted = Arc::clone(&degraded);
         let factory = service::open::<H, T>(bus, service, limits, shape)?;
@@ -59,14 +57,14 @@ impl<H: Payload, T: Payload> Writer<H, T> {
             .set_degradation_handler(move |_, _| count_degradation(&counted))
             .create()
             .map_err(|reason| OpenError::port(service, reason))?;
-        memory::take(&publisher.id().value().to_string())
-            .map_err(|source| OpenError::Memory { needed, source })?;
+        service::check_shortage()?;
+        memory::populate(&publisher.id().value().to_string());
+        let need = service::need(bus, &factory, Some(publisher.id().value()));
         Ok(Self {
-            publisher,
-            factory,
+            port: Kept::new((publisher, factory), need),
             max_len,
             degraded,
-            _member: Rc::clone(&bus.member),
+            member: Rc::clone(&bus.member),
         })
     }
 
@@ -83,7 +81,8 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     ) -> Result<usize, SendError> {
         self.check(len)?;
         let mut loan = self
-            .publisher
+            .port
+            .0
             .loan_slice_uninit(len)
             .map_err(SendError::loan)?;
         *loan.user_header_mut() = header;
@@ -97,7 +96,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     /// [`SendError`].
     pub fn loan(&mut self, len: usize) -> Result<Loan<'_, H, T>, SendError> {
         self.check(len)?;
-        let mut sample = self.publisher.loan_slice(len).map_err(SendError::loan)?;
+        let mut sample = self.port.0.loan_slice(len).map_err(SendError::loan)?;
         *sample.user_header_mut() = H::default();
         Ok(Loan {
             sample,
@@ -113,7 +112,8 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     pub fn loan_to_fill(&mut self, len: usize) -> Result<Loan<'_, H, T>, SendError> {
         self.check(len)?;
         let mut sample = self
-            .publisher
+            .port
+            .0
             .loan_slice_uninit(len)
             .map_err(SendError::loan)?;
         *sample.user_header_mut() = H::default();
@@ -131,13 +131,13 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     /// if there are none.
     pub fn update(&mut self) {
         // The degradation handler counts failures.
-        let _ = self.publisher.update_connections();
+        let _ = self.port.0.update_connections();
     }
 
     /// Number of readers of the service; a killed one counts until the cleanup.
     #[must_use]
     pub fn readers(&self) -> usize {
-        self.factory.dynamic_config().number_of_subscribers()
+        self.port.1.dynamic_config().number_of_subscribers()
     }
 
     /// Maximum number of elements per frame.
@@ -152,7 +152,8 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         self.degraded.load(Ordering::Relaxed)
     }
 
-    const fn check(&self, len: usize) -> Result<(), SendError> {
+    fn check(&self, len: usize) -> Result<(), SendError> {
+        self.member.presence.check()?;
         if len > self.max_len {
             return Err(SendError::TooLong {
                 found: len,
@@ -166,7 +167,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
 /// Memory of a frame to send.
 #[derive(Debug)]
 pub struct Loan<'a, H: Payload, T: Payload> {
-    sample: SampleMut<ipc::Service, [T], H>,
+    sample: SampleMut<Ipc, [T], H>,
     writer: PhantomData<&'a mut Writer<H, T>>,
 }
 
@@ -194,6 +195,9 @@ impl<H: Payload, T: Payload> Loan<'_, H, T> {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SendError {
+    /// Files of this process were removed.
+    #[error(transparent)]
+    Removed(#[from] FilesRemoved),
     /// The frame is longer than the port was opened for.
     #[error("a frame of {found} elements, allowed are {allowed}")]
     TooLong {
@@ -220,6 +224,12 @@ pub enum SendError {
 }
 
 impl SendError {
+    /// Whether every further frame will fail as well: this process must end, or join again.
+    #[must_use]
+    pub const fn is_final(&self) -> bool {
+        matches!(self, Self::Removed(_) | Self::Wake(WaitError::Removed(_)))
+    }
+
     fn loan(reason: LoanError) -> Self {
         Self::Loan {
             reason: reason.to_string(),

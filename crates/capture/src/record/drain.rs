@@ -43,7 +43,7 @@ pub(crate) struct Drain {
     budgets: Option<BudgetReader>,
     ticks: Option<TickReader>,
     state: Option<StateReader>,
-    _bus: Bus,
+    bus: Bus,
     fleet: Arc<str>,
     clock: Clock,
     look_every: Duration,
@@ -83,7 +83,7 @@ impl Drain {
             state: wanted(MessageKind::State)
                 .then(|| bus.state_reader(&limits))
                 .transpose()?,
-            _bus: bus,
+            bus,
             fleet: Arc::from(config.fleet()),
             clock,
             look_every: LOOK_EVERY.min(Duration::from_nanos(most_ns)),
@@ -93,11 +93,14 @@ impl Drain {
         })
     }
 
-    /// Hands on what comes until told to stop. Does not listen for events: a listener more would
+    /// Hands on what comes until told to stop, or until its files in shared memory are removed. Does not listen for events: a listener more would
     /// cost the worker time in every tick.
     pub(crate) fn work(mut self, shared: &Shared) {
         while !shared.is_stopping() {
             self.look(shared);
+            if let Err(error) = self.bus.check() {
+                return shared.fail(error.to_string());
+            }
             std::thread::sleep(self.look_every);
         }
         self.look(shared);

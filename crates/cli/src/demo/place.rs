@@ -137,13 +137,21 @@ fn remove_dead() {
     let entries = fs::read_dir(directory).into_iter().flatten().flatten();
     for entry in entries {
         let name = entry.file_name();
-        if name
-            .as_encoded_bytes()
-            .starts_with(begin.as_encoded_bytes())
-        {
+        let number = name.to_str().zip(begin.to_str());
+        let number = number.and_then(|(name, begin)| name.strip_prefix(begin));
+        if number.is_some_and(|number| number.parse::<u32>().is_ok()) && is_demo(&entry.path()) {
             remove_if_dead(&entry.path());
         }
     }
+}
+
+/// Whether a directory is a demonstration's: no link, and with a config that says so.
+fn is_demo(root: &Path) -> bool {
+    let file = root.join(CONFIG);
+    let is_plain = fs::symlink_metadata(root).is_ok_and(|found| found.is_dir())
+        && fs::symlink_metadata(&file).is_ok_and(|found| found.is_file());
+    let line = format!("root = \"{}\"", root.display());
+    is_plain && fs::read_to_string(&file).is_ok_and(|text| text.contains(&line))
 }
 
 fn remove_if_dead(root: &Path) {
@@ -159,7 +167,7 @@ fn remove_if_dead(root: &Path) {
     };
     // Its processes notice its end by themselves, and may be about to exit.
     let lives = inspect(&domain).map_or(true, |found| {
-        found.worker_pid.is_some() || found.nodes.iter().any(|node| node.alive != Some(false))
+        found.worker.is_some() || found.nodes.iter().any(|node| node.alive != Some(false))
     });
     // A directory without a config may be one under construction.
     if !lives && lock.is_ok() {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use joulebus_bus::{CapacityError, Domain, Inspection, NodeInfo, Ports, check_capacity};
+use joulebus_bus::{CapacityError, Domain, Inspection, NodeInfo, Ports, RootError, check_capacity};
 use joulebus_config::Config;
 use joulebus_predictor_worker::load_models;
 use rustix::fs::{Access, access, statfs};
@@ -44,7 +44,7 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
     let limits = config.limits();
     let ports = |sources, planners| Ports {
         sources,
-        workers: usize::from(inspection.worker_pid.is_none()),
+        workers: usize::from(inspection.worker.is_none()),
         planners,
     };
     let capacity = match check_capacity(&limits, ports(1, 1)) {
@@ -105,7 +105,14 @@ pub(super) fn memory_rights() -> Check {
 pub(super) fn root(domain: &Domain, inspection: &Inspection) -> Check {
     let name = "root";
     if let Some(error) = &inspection.root_error {
-        return Check::new(name, Status::Fail, error.to_string(), FIX);
+        // Only the rights of joulebus's own directories are mended.
+        let remedy = match error {
+            RootError::Mode { .. } => {
+                "`joulebus doctor --fix` corrects the mode of a directory that joulebus made"
+            }
+            _ => "",
+        };
+        return Check::new(name, Status::Fail, error.to_string(), remedy);
     }
     let slow = "keep `root` on a tmpfs, below /dev/shm or /run/user: on a disk starts are slower and \
                 stale files more likely";
@@ -151,8 +158,9 @@ fn missing_root(root: &Path, slow: &str) -> Check {
 
 /// The worker.
 pub(super) fn worker(inspection: &Inspection) -> Check {
-    match inspection.worker_pid {
-        Some(pid) => Check::ok("worker", format!("runs, pid {pid}")),
+    match inspection.worker.map(|owner| owner.pid) {
+        Some(Some(pid)) => Check::ok("worker", format!("runs, pid {pid}")),
+        Some(None) => Check::ok("worker", "runs, in another container or unseen from here"),
         None => Check::ok("worker", "none runs (`joulebus run` starts one)"),
     }
 }
@@ -195,6 +203,27 @@ fn node_name(node: &NodeInfo) -> String {
         Some(pid) => format!("{name} (pid {pid})"),
         None => name.to_owned(),
     }
+}
+
+/// Whether the files that living processes use are still where others look for them.
+pub(super) fn removed_files(inspection: &Inspection) -> Check {
+    let name = "removed files";
+    let processes = inspection.removed.iter().map(|removed| {
+        let (pid, first, more) = (removed.pid, removed.first.display(), removed.count - 1);
+        format!("pid {pid}: {first} and {more} more")
+    });
+    let processes: Vec<String> = processes.collect();
+    if processes.is_empty() {
+        return Check::ok(name, "none in use");
+    }
+    let found = format!(
+        "processes that start now cannot reach {} running ones, whose files were removed: {}",
+        processes.len(),
+        processes.join("; ")
+    );
+    let remedy = "end these processes and start them again; if it happened when a user logged out, set \
+                  `RemoveIPC=no` in logind.conf, or enable lingering (docs/operation.md)";
+    Check::new(name, Status::Fail, found, remedy)
 }
 
 /// Objects in shared memory that no process of ours uses any more.

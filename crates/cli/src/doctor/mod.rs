@@ -106,6 +106,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         fleet::root(&domain, &inspection),
         fleet::worker(&inspection),
         fleet::nodes(&inspection),
+        fleet::removed_files(&inspection),
         fleet::stale_files(&inspection),
     ];
     checks.extend(host::clocks());

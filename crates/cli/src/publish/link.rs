@@ -72,7 +72,7 @@ impl Link {
                 report.frames_unheard += 1;
                 Ok(Fate::Unheard)
             }
-            Err(PublishError::Send(error)) => {
+            Err(PublishError::Send(error)) if !error.is_final() => {
                 report.frames_failed += 1;
                 tracing::warn!(%error, "a frame was not sent");
                 Ok(Fate::Failed)
@@ -88,7 +88,7 @@ impl Link {
         }
         match self.publisher.publish_samples(clock::monotonic_ns(), &[]) {
             Ok(sent) => Ok(sent.readers > 0),
-            Err(PublishError::Send(_)) => Ok(false),
+            Err(PublishError::Send(error)) if !error.is_final() => Ok(false),
             Err(error) => Err(error.into()),
         }
     }

@@ -305,7 +305,9 @@ fn doctor_finds_and_removes_stale_files() {
     let fleet = Fleet::new();
     let unfinished = format!("/dev/shm/{}dead.connection", fleet.prefix());
     fs::write(&unfinished, "").unwrap();
-    fs::create_dir(fleet.root()).unwrap();
+    // A killed member leaves the directories that it made.
+    let config = joulebus_config::Config::load(fleet.config()).unwrap();
+    config.domain().unwrap().prepare().unwrap();
     fs::set_permissions(fleet.root(), fs::Permissions::from_mode(0o755)).unwrap();
     // Younger ones may be under construction.
     std::thread::sleep(Duration::from_millis(400));

@@ -1,0 +1,120 @@
+//! A fleet's directories: making them, and whether they may be used.
+
+use std::fs;
+use std::io::ErrorKind;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use crate::Domain;
+use crate::marker::Marked;
+use crate::os::files::{filesystem, is_memory};
+use crate::private::{check_own, check_private};
+use crate::{DomainWarning, RootError};
+
+/// How long a process tries again while others make or remove the directories.
+pub(crate) const RETRY_LIMIT: Duration = Duration::from_secs(5);
+/// The directories that iceoryx2 makes in a fleet's.
+pub(crate) const NODES: &str = "nodes";
+pub(crate) const SERVICES: &str = "services";
+
+impl Domain {
+    /// Makes the root directory, and the fleet's below it, with mode 0700 if they are missing. Both
+    /// must be private, and the fleet's must carry the marker that joulebus puts there when it makes
+    /// it: another one is left as it is. [`crate::Bus::join`] calls this; calling it again is harmless.
+    ///
+    /// # Errors
+    /// [`RootError`] when one cannot be made, is no directory of this user's alone, or is not
+    /// joulebus's.
+    pub fn prepare(&self) -> Result<Vec<DomainWarning>, RootError> {
+        self.prepare_root()?;
+        if is_missing(&self.directory()) {
+            Marked::fleet(self).create()?;
+        }
+        self.check()?;
+        self.warnings()
+    }
+
+    /// Takes other users' rights away from those of the directories that joulebus made. Returns which
+    /// were changed, with their modes before.
+    ///
+    /// # Errors
+    /// [`RootError`] when a directory that others can enter is not joulebus's.
+    pub fn restrict(&self) -> Result<Vec<(PathBuf, u32)>, RootError> {
+        let root = match Marked::root(self).restrict() {
+            // Its owner made it, and is told what to do.
+            Err(RootError::Unmarked { .. }) => check_private(self.root()).map(|()| None)?,
+            mode => mode?,
+        };
+        let root = root.map(|mode| (self.root().to_owned(), mode));
+        let fleet = Marked::fleet(self).restrict()?;
+        let fleet = fleet.map(|mode| (self.directory(), mode));
+        Ok(root.into_iter().chain(fleet).collect())
+    }
+
+    /// What works, but not as well as it could.
+    pub(crate) fn warnings(&self) -> Result<Vec<DomainWarning>, RootError> {
+        let root = self.root();
+        let filesystem = filesystem(root).map_err(|error| RootError::io(root, error))?;
+        Ok(if is_memory(filesystem) {
+            Vec::new()
+        } else {
+            vec![DomainWarning::NotInMemory {
+                root: root.to_owned(),
+                filesystem,
+            }]
+        })
+    }
+
+    /// Like [`Self::prepare`], for the root alone.
+    pub(crate) fn prepare_root(&self) -> Result<(), RootError> {
+        let root = self.root();
+        if is_missing(root) {
+            let parent = root.parent().unwrap_or(Path::new("/"));
+            if is_missing(parent) {
+                return Err(RootError::NoParent {
+                    path: root.to_owned(),
+                    parent: parent.to_owned(),
+                });
+            }
+            Marked::root(self).create()?;
+        }
+        check_private(root)
+    }
+
+    /// Whether the fleet's directory is joulebus's, made for this fleet, and nothing in it leads elsewhere.
+    /// Changes nothing. The boot in which it was made.
+    pub(crate) fn check(&self) -> Result<String, RootError> {
+        let boot = Marked::fleet(self).check()?;
+        let directory = self.directory();
+        let device = device(&directory)?;
+        if self::device(self.root())? != device {
+            return Err(RootError::MountPoint { path: directory });
+        }
+        for inner in [NODES, SERVICES] {
+            let path = directory.join(inner);
+            match check_own(&path) {
+                Ok(found) if found.dev() != device => return Err(RootError::MountPoint { path }),
+                Ok(_) => {}
+                Err(error) if error.vanished() => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(boot)
+    }
+
+    /// Removes the root directory if joulebus made it and it is empty. The caller uses nothing in it.
+    pub(crate) fn remove_root(&self) {
+        Marked::root(self).remove();
+    }
+}
+
+fn is_missing(path: &Path) -> bool {
+    let found = fs::symlink_metadata(path);
+    found.is_err_and(|error| error.kind() == ErrorKind::NotFound)
+}
+
+fn device(path: &Path) -> Result<u64, RootError> {
+    let found = fs::symlink_metadata(path).map_err(|error| RootError::io(path, error))?;
+    Ok(found.dev())
+}

@@ -1,0 +1,279 @@
+//! Directories that joulebus makes. Each carries a marker; one without it is somebody else's and is neither
+//! changed nor removed.
+
+use std::fs::{self, File};
+use std::io::{self, ErrorKind, Read, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use rustix::fs::{CWD, Mode, OFlags, RenameFlags, fchmod, openat, renameat_with};
+use rustix::io::Errno;
+
+use crate::domain::FLEET_MARKER;
+use crate::os::files::{effective_uid, is_same};
+use crate::os::process::is_alive;
+use crate::private::{check_own, check_private};
+use crate::{Domain, RootError, clock};
+
+const ROOT_MARKER: &str = ".joulebus";
+/// How every marker begins.
+const FIRST_LINE: &str = "joulebus directory 1\n";
+/// Bytes of a marker that are read.
+const LONGEST: u64 = 512;
+/// A directory that is being made, and one that is being removed.
+const ASIDE: [&str; 2] = ["new", "gone"];
+
+static DRAFTS: AtomicU32 = AtomicU32::new(0);
+
+/// A directory of joulebus, made or to be made.
+#[derive(Debug)]
+pub(crate) struct Marked {
+    path: PathBuf,
+    marker: &'static str,
+    /// What the marker says, but for the boot.
+    says: String,
+}
+
+impl Marked {
+    /// The root of `domain`. One without a marker may be used all the same, but is not ours to remove.
+    pub(crate) fn root(domain: &Domain) -> Self {
+        Self {
+            path: domain.root().to_owned(),
+            marker: ROOT_MARKER,
+            says: format!("{FIRST_LINE}root\n"),
+        }
+    }
+
+    /// The directory of the fleet.
+    pub(crate) fn fleet(domain: &Domain) -> Self {
+        let (fleet, prefix) = (domain.fleet(), domain.shm_prefix());
+        Self {
+            path: domain.directory(),
+            marker: FLEET_MARKER,
+            says: format!("{FIRST_LINE}fleet {fleet}\nprefix {prefix}\n"),
+        }
+    }
+
+    /// Makes the directory, unless something lies at its path. It appears there with its marker, in one
+    /// step: a process that is killed meanwhile leaves a draft under another name.
+    pub(crate) fn create(&self) -> Result<(), RootError> {
+        self.remove_drafts();
+        let draft = self.aside(ASIDE[0]);
+        let made = fs::DirBuilder::new()
+            .mode(0o700)
+            .create(&draft)
+            .and_then(|()| self.write_marker(&draft))
+            .and_then(|()| rename(&draft, &self.path));
+        let Err(error) = made else { return Ok(()) };
+        self.discard(&draft);
+        if error.kind() == ErrorKind::AlreadyExists {
+            return Ok(());
+        }
+        Err(RootError::io(&self.path, error))
+    }
+
+    /// The boot in which the directory was made, if it is private and carries our marker.
+    pub(crate) fn check(&self) -> Result<String, RootError> {
+        // Whose it is first: nobody is told to change the mode of a directory that is not ours.
+        check_own(&self.path)?;
+        let directory = open_directory(&self.path).map_err(|e| RootError::io(&self.path, e))?;
+        let boot = self.read_marker(&directory)?;
+        check_private(&self.path)?;
+        Ok(boot)
+    }
+
+    /// Takes other users' rights away, if the directory is ours. Its mode before, if that changed.
+    pub(crate) fn restrict(&self) -> Result<Option<u32>, RootError> {
+        let Ok(directory) = open_directory(&self.path) else {
+            // None, or none of ours: `check` tells.
+            return Ok(None);
+        };
+        let failed = |error| RootError::io(&self.path, error);
+        let found = directory.metadata().map_err(failed)?;
+        let mode = found.mode() & 0o7777;
+        if found.uid() != effective_uid() || mode & 0o077 == 0 {
+            return Ok(None);
+        }
+        self.read_marker(&directory)?;
+        fchmod(&directory, Mode::RWXU).map_err(|error| failed(error.into()))?;
+        Ok(Some(mode))
+    }
+
+    /// Removes the directory if it is ours and holds nothing but its marker. The caller knows that no
+    /// process uses it. Others see it whole or not at all.
+    pub(crate) fn remove(&self) {
+        self.remove_drafts();
+        if self.check().is_err() || !self.holds_nothing(&self.path) {
+            return;
+        }
+        let aside = self.aside(ASIDE[1]);
+        if rename(&self.path, &aside).is_err() {
+            return;
+        }
+        if self.holds_nothing(&aside) {
+            self.discard(&aside);
+        } else {
+            // Something was put into it meanwhile.
+            let _ = rename(&aside, &self.path);
+        }
+    }
+
+    /// Puts the marker back into `directory`, which carried it, if it is gone: the directory can be cleaned
+    /// then. The locks on the marker that was removed do not count any more.
+    pub(crate) fn restore(&self, directory: &File) {
+        let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::CLOEXEC;
+        // Fails if it is there, and if the directory is gone as well.
+        if let Ok(file) = openat(directory, self.marker, flags, Mode::RUSR | Mode::WUSR) {
+            let _ = self.write(File::from(file));
+        }
+    }
+
+    fn write_marker(&self, directory: &Path) -> io::Result<()> {
+        let file = fs::OpenOptions::new()
+            .write(true)
+            .create_new(true)
+            .mode(0o600)
+            .open(directory.join(self.marker))?;
+        self.write(file)
+    }
+
+    fn write(&self, mut file: File) -> io::Result<()> {
+        file.write_all(format!("{}boot {}\n", self.says, this_boot()).as_bytes())?;
+        file.sync_all()
+    }
+
+    fn read_marker(&self, directory: &File) -> Result<String, RootError> {
+        let failed = |error| RootError::io(&self.path, error);
+        let unmarked = || RootError::Unmarked {
+            path: self.path.clone(),
+            marker: self.marker,
+        };
+        let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+        let file = match openat(directory, self.marker, flags, Mode::empty()) {
+            Ok(file) => File::from(file),
+            // Another process has just removed the directory.
+            Err(Errno::NOENT) if !is_same(directory, &self.path).map_err(failed)? => {
+                return Err(failed(ErrorKind::NotFound.into()));
+            }
+            Err(_) => return Err(unmarked()),
+        };
+        let text = own_text(file).ok_or_else(unmarked)?;
+        if let Some(rest) = text.strip_prefix(&self.says) {
+            let boot = rest
+                .strip_prefix("boot ")
+                .and_then(|id| id.strip_suffix('\n'));
+            return Ok(boot.ok_or_else(unmarked)?.to_owned());
+        }
+        let Some(found) = text.strip_prefix(FIRST_LINE) else {
+            return Err(unmarked());
+        };
+        let found = found.lines().take(2).collect::<Vec<_>>().join(", ");
+        Err(RootError::AnotherFleet {
+            path: self.path.clone(),
+            found,
+            wanted: self.says.lines().skip(1).collect::<Vec<_>>().join(", "),
+        })
+    }
+
+    fn holds_nothing(&self, directory: &Path) -> bool {
+        let Ok(mut entries) = fs::read_dir(directory) else {
+            return false;
+        };
+        entries.all(|entry| entry.is_ok_and(|entry| entry.file_name() == self.marker))
+    }
+
+    /// A name beside the directory, for this process alone.
+    fn aside(&self, kind: &str) -> PathBuf {
+        let number = DRAFTS.fetch_add(1, Ordering::Relaxed);
+        let (name, pid) = (self.name(), std::process::id());
+        self.path
+            .with_file_name(format!(".{name}.{kind}-{pid}-{number}"))
+    }
+
+    fn name(&self) -> &str {
+        // `Domain::new` has checked the path: it has a last part, in ASCII.
+        let name = self.path.file_name().and_then(|name| name.to_str());
+        name.unwrap_or_default()
+    }
+
+    /// Removes what killed processes have left beside the directory.
+    fn remove_drafts(&self) {
+        let begin = format!(".{}.", self.name());
+        let parent = self.path.parent().unwrap_or(Path::new("/"));
+        for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            let rest = name.to_str().and_then(|name| name.strip_prefix(&begin));
+            if rest.and_then(maker).is_some_and(has_ended) {
+                self.discard(&entry.path());
+            }
+        }
+    }
+
+    /// Removes a draft: a directory that holds at most a marker, perhaps one that was cut short.
+    fn discard(&self, draft: &Path) {
+        let is_ours = fs::symlink_metadata(draft)
+            .is_ok_and(|found| found.is_dir() && found.uid() == effective_uid());
+        if !is_ours {
+            return;
+        }
+        let marker = draft.join(self.marker);
+        let is_marker = open_regular(&marker)
+            .ok()
+            .and_then(own_text)
+            .is_some_and(|text| text.starts_with(FIRST_LINE) || FIRST_LINE.starts_with(&text));
+        if is_marker {
+            let _ = fs::remove_file(&marker);
+        }
+        // Fails if it holds anything else.
+        let _ = fs::remove_dir(draft);
+    }
+}
+
+/// The present boot, as markers name it.
+pub(crate) fn this_boot() -> String {
+    clock::boot_id().unwrap_or_else(|_| "unknown".to_owned())
+}
+
+/// Which process made a draft, by the end of its name: `new-<pid>-<number>`.
+fn maker(rest: &str) -> Option<u32> {
+    let (kind, rest) = rest.split_once('-')?;
+    let (pid, number) = rest.split_once('-')?;
+    number.parse::<u32>().ok()?;
+    ASIDE.contains(&kind).then_some(pid.parse().ok()?)
+}
+
+/// One of this process is an earlier process's with the same pid, or of an attempt that failed.
+fn has_ended(pid: u32) -> bool {
+    pid == std::process::id() || !is_alive(pid)
+}
+
+/// The text of a regular file that only this user can write.
+fn own_text(file: File) -> Option<String> {
+    let found = file.metadata().ok()?;
+    let is_own = found.is_file() && found.uid() == effective_uid() && found.mode() & 0o022 == 0;
+    let mut text = String::new();
+    let read = file.take(LONGEST).read_to_string(&mut text);
+    (is_own && read.is_ok()).then_some(text)
+}
+
+fn open_regular(path: &Path) -> io::Result<File> {
+    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
+    fs::OpenOptions::new()
+        .read(true)
+        .custom_flags(flags.bits().cast_signed())
+        .open(path)
+}
+
+pub(crate) fn open_directory(path: &Path) -> io::Result<File> {
+    let flags = OFlags::NOFOLLOW | OFlags::DIRECTORY;
+    fs::OpenOptions::new()
+        .read(true)
+        .custom_flags(flags.bits().cast_signed())
+        .open(path)
+}
+
+/// Never replaces anything, not even an empty directory.
+fn rename(from: &Path, to: &Path) -> io::Result<()> {
+    Ok(renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE)?)
+}

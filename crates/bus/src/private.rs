@@ -1,0 +1,169 @@
+//! Directories of this user alone, and why one is not used.
+
+use std::fs;
+use std::io;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use crate::os::files::effective_uid;
+
+/// Whether `path` is a directory of this user.
+pub(crate) fn check_own(path: &Path) -> Result<fs::Metadata, RootError> {
+    let found = fs::symlink_metadata(path).map_err(|error| RootError::io(path, error))?;
+    let path = path.to_owned();
+    if found.file_type().is_symlink() {
+        return Err(RootError::Symlink { path });
+    }
+    if !found.is_dir() {
+        return Err(RootError::NotADirectory { path });
+    }
+    let (owner, expected) = (found.uid(), effective_uid());
+    if owner != expected {
+        return Err(RootError::Owner {
+            path,
+            found: owner,
+            expected,
+        });
+    }
+    Ok(found)
+}
+
+/// Whether `path` is a directory of this user that no other user can enter.
+pub(crate) fn check_private(path: &Path) -> Result<(), RootError> {
+    let mode = check_own(path)?.mode() & 0o7777;
+    if mode & 0o077 != 0 {
+        let path = path.to_owned();
+        return Err(RootError::Mode { path, found: mode });
+    }
+    Ok(())
+}
+
+/// Why a root directory is not used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RootError {
+    /// A symbolic link could be redirected.
+    #[error("{path:?} is a symbolic link; remove it, or set `root` to the directory itself")]
+    Symlink {
+        /// The path.
+        path: PathBuf,
+    },
+    /// The path is no directory.
+    #[error("{path:?} is not a directory; remove it, or set another `root`")]
+    NotADirectory {
+        /// The path.
+        path: PathBuf,
+    },
+    /// Another user owns it.
+    #[error(
+        "{path:?} belongs to uid {found}, expected uid {expected}; set another `root`, or have its \
+         owner remove it"
+    )]
+    Owner {
+        /// The path.
+        path: PathBuf,
+        /// Its owner.
+        found: u32,
+        /// The effective uid of this process.
+        expected: u32,
+    },
+    /// Other users may enter it.
+    #[error("{path:?} has mode {found:04o}, allowed is 0700; run `chmod 700 {}`", path.display())]
+    Mode {
+        /// The path.
+        path: PathBuf,
+        /// Its permission bits.
+        found: u32,
+    },
+    /// Joulebus did not make it, or its marker is damaged.
+    #[error(
+        "{path:?} was not made by joulebus: it has no file {marker} that says so. Nothing in it is read, \
+         changed or removed. Set another `fleet.name` or `domain.root`, or move it away. If an older \
+         release made it, end that release's processes, look at what is in it, and remove it by hand"
+    )]
+    Unmarked {
+        /// The path.
+        path: PathBuf,
+        /// The marker's name.
+        marker: &'static str,
+    },
+    /// Joulebus made it, for other processes.
+    #[error(
+        "{path:?} is in use for {found}, wanted is {wanted}: set another `domain.root`, or end those \
+         processes and run `joulebus doctor --fix` with their config"
+    )]
+    AnotherFleet {
+        /// The path.
+        path: PathBuf,
+        /// What its marker says.
+        found: String,
+        /// What it should say.
+        wanted: String,
+    },
+    /// Another file system lies there.
+    #[error(
+        "{path:?} is a mount point, which joulebus did not make; unmount it, or set another `domain.root`"
+    )]
+    MountPoint {
+        /// The path.
+        path: PathBuf,
+    },
+    /// The directory above does not exist.
+    #[error(
+        "{path:?} cannot be made, because {parent:?} does not exist; make it, or set another `domain.root`"
+    )]
+    NoParent {
+        /// The path.
+        path: PathBuf,
+        /// The directory above it.
+        parent: PathBuf,
+    },
+    /// The system refused.
+    #[error("{path:?}: {source}")]
+    Io {
+        /// The path.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+impl RootError {
+    pub(crate) fn io(path: &Path, source: io::Error) -> Self {
+        Self::Io {
+            path: path.to_owned(),
+            source,
+        }
+    }
+
+    /// The last member has removed the directory in the meantime.
+    pub(crate) fn vanished(&self) -> bool {
+        matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
+    }
+}
+
+/// What works, but not as well as it could.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum DomainWarning {
+    /// The root lies on a disk: joining takes 23 ms instead of 1 ms, and a kill at the start can
+    /// leave nodes that only a cold start removes.
+    NotInMemory {
+        /// The root.
+        root: PathBuf,
+        /// The filesystem's magic number.
+        filesystem: u64,
+    },
+}
+
+impl std::fmt::Display for DomainWarning {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::NotInMemory { root, filesystem } => write!(
+                f,
+                "{root:?} is not on a tmpfs (filesystem {filesystem:#x}): starts are slower and \
+                 stale files more likely; set `root` below /dev/shm or /run/user"
+            ),
+        }
+    }
+}

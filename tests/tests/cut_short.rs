@@ -1,0 +1,137 @@
+//! Processes of one user trust each other: any of them may cut an object in shared memory short, and whoever
+//! touches what is missing dies by SIGBUS. What is promised is that a supervisor's restarts cure it.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use joulebus_tests::{Arena, Child, PATIENCE, ReaderLine, Setup, Spread, figure};
+
+const SIGBUS: i32 = 7;
+
+/// How each process of the fleet is started.
+type Start = fn(&Arena) -> Child;
+
+const TASKS: [(&str, Start); 3] = [
+    ("worker", Arena::spawn_worker),
+    ("controller", |arena| arena.controller("fleet", 0, 4, 30.0)),
+    ("planner", |arena| {
+        Child::spawn("planner", arena.probe(&["planner"]))
+    }),
+];
+
+/// Restarts what ends, after a rest, and counts how it ended.
+struct Supervisor {
+    running: BTreeMap<&'static str, Child>,
+    by_signal: u64,
+    by_error: u64,
+}
+
+impl Supervisor {
+    fn start(arena: &Arena) -> Self {
+        Self {
+            running: TASKS
+                .iter()
+                .map(|(name, start)| (*name, start(arena)))
+                .collect(),
+            by_signal: 0,
+            by_error: 0,
+        }
+    }
+
+    fn poll(&mut self, arena: &Arena) {
+        for (name, start) in TASKS {
+            let child = self.running.get_mut(name).expect("every task runs");
+            // A controller that is told that its files are gone ends in the field; the tests' own goes on.
+            let is_told = child.lines(0, Duration::ZERO).last().is_some_and(|line| {
+                name == "controller" && line.contains("while this process used it")
+            });
+            if is_told {
+                child.end();
+            }
+            if child.is_running() {
+                continue;
+            }
+            let ended = child.wait();
+            if ended.signal() == Some(SIGBUS) {
+                self.by_signal += 1;
+            } else {
+                self.by_error += 1;
+            }
+            std::thread::sleep(Duration::from_millis(100));
+            self.running.insert(name, start(arena));
+        }
+    }
+
+    /// Until the present planner has a forecast of a robot of the present worker.
+    fn until_it_works(&mut self, arena: &Arena, what: &str) -> Duration {
+        let begin = Instant::now();
+        loop {
+            self.poll(arena);
+            let pid = self.running["worker"].pid();
+            let lines = self.running["planner"].lines(0, Duration::ZERO);
+            // The last may be cut: the process may have died over it.
+            let newest = lines.iter().rev().take(4);
+            let works = newest
+                .filter_map(|line| serde_json::from_str::<ReaderLine>(line).ok())
+                .any(|line| match line {
+                    ReaderLine::Forecasts(frame) => frame.pid == pid && frame.robot(3).is_some(),
+                    _ => false,
+                });
+            if works {
+                return begin.elapsed();
+            }
+            assert!(begin.elapsed() < PATIENCE, "{what}: {:?}", self.running);
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+fn objects(arena: &Arena, end: &str) -> Vec<PathBuf> {
+    let is_object = |path: &PathBuf| path.parent() == Some(Path::new("/dev/shm")) && path.is_file();
+    let objects = arena.stale_files().into_iter().filter(is_object);
+    objects
+        .filter(|path| path.to_string_lossy().ends_with(end))
+        .collect()
+}
+
+#[test]
+fn an_object_that_is_cut_short_kills_or_ends_its_users_and_their_restarts_cure_it() {
+    let arena = Arena::new(&Setup::default());
+    let (mut cured, mut killed, mut ended) = (Spread::default(), 0, 0);
+    for end in [".data", ".dynamic", ".connection", ".event_mgmt", ""] {
+        for length in [0, 4_096] {
+            let what = format!("all *{end} cut to {length} bytes");
+            let mut fleet = Supervisor::start(&arena);
+            fleet.until_it_works(&arena, &what);
+            for object in objects(&arena, end) {
+                if let Ok(file) = fs::OpenOptions::new().write(true).open(&object)
+                    && file.metadata().is_ok_and(|found| found.len() > length)
+                {
+                    file.set_len(length).unwrap();
+                }
+            }
+            // Those who touch it notice at their next frame; then everything must come back.
+            std::thread::sleep(Duration::from_millis(600));
+            let took = fleet.until_it_works(&arena, &what);
+            println!("{what}: {took:?}");
+            cured.add(took);
+            killed += fleet.by_signal;
+            ended += fleet.by_error;
+            for child in fleet.running.values_mut() {
+                child.end();
+            }
+            let swept = arena.run(&["doctor", "--fix"]);
+            assert!(swept.code().is_some(), "{what}: {swept:?}");
+            assert_eq!(arena.stale_files(), Vec::<PathBuf>::new(), "{what}");
+        }
+    }
+    figure(
+        "objects cut short by a process of the same user",
+        format_args!(
+            "10 ways: {killed} processes died by SIGBUS, {ended} ended by themselves; 0.6 s later the fleet works after {cured}"
+        ),
+    );
+    arena.close();
+}

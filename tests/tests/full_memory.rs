@@ -1,0 +1,272 @@
+//! Row 24: shared memory that is nearly full is an error with numbers for whoever needs more, and nothing for
+//! those who run. Never a signal.
+//!
+//! Each test has a shared memory of its own, in a mount namespace; where there is no right to that it says so
+//! and passes, but fails where CI=true.
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::Command;
+
+use joulebus_tests::{Arena, Child, Ended, PATIENCE, Planner, Setup, figure, program};
+
+/// A `/dev/shm` of its own, in which the arena's fleet lives.
+struct OwnShm {
+    arena: Arena,
+    holder: Child,
+    config: PathBuf,
+    capture: PathBuf,
+}
+
+impl OwnShm {
+    fn new(setup: &Setup) -> Option<Self> {
+        let arena = Arena::new(setup);
+        let mut command = Command::new("unshare");
+        let script = "mount -t tmpfs -o size=1g tmpfs /dev/shm && echo mounted && exec sleep 3600";
+        command.args(["-m", "sh", "-c", script]);
+        let holder = Child::spawn("holder", command);
+        if holder.lines(0, PATIENCE).is_empty() {
+            assert_ne!(
+                std::env::var("CI").as_deref(),
+                Ok("true"),
+                "{}",
+                holder.tail()
+            );
+            println!("skipped: needs the right to mount");
+            arena.close();
+            return None;
+        }
+        let name = arena.files().file_name().expect("an arena's name");
+        let place = std::env::temp_dir().join(name);
+        fs::create_dir(&place).expect("no other test has the name");
+        let config = place.join("fleet.toml");
+        fs::copy(arena.config(), &config).expect("there is room");
+        Some(Self {
+            arena,
+            holder,
+            config,
+            capture: place.join("run.mcap"),
+        })
+    }
+
+    fn inside(&self, program: &std::path::Path, arguments: &[&str]) -> Command {
+        let mut command = Command::new("nsenter");
+        let pid = self.holder.pid().to_string();
+        command
+            .args(["-m", "-t", &pid])
+            .arg(program)
+            .args(arguments);
+        command
+    }
+
+    fn joulebus(&self, arguments: &[&str]) -> Command {
+        let mut command = self.inside(&program("joulebus-under-test"), arguments);
+        command.arg("--config").arg(&self.config);
+        command
+    }
+
+    fn probe(&self, arguments: &[&str]) -> Command {
+        let mut command = self.inside(&program("joulebus-probe"), arguments);
+        command.arg(&self.config);
+        command
+    }
+
+    /// Bytes in use.
+    fn used(&self) -> u64 {
+        let path = format!("/proc/{}/root/dev/shm", self.holder.pid());
+        let found = rustix::fs::statvfs(&path).expect("the holder lives");
+        (found.f_blocks - found.f_bfree) * found.f_frsize
+    }
+
+    /// Lets so many bytes be free.
+    fn leave_free(&self, bytes: u64) {
+        // 0 would be no limit.
+        let options = format!("remount,size={}", (self.used() + bytes).max(4_096));
+        let mut command = self.inside("mount".as_ref(), &["-o", &options]);
+        let done = command.arg("/dev/shm").status();
+        assert!(done.expect("mount can be run").success(), "{options}");
+    }
+
+    /// How many objects are in it.
+    fn objects(&self) -> usize {
+        let path = format!("/proc/{}/root/dev/shm", self.holder.pid());
+        fs::read_dir(path).expect("the holder lives").count()
+    }
+
+    fn close(mut self) {
+        self.holder.kill();
+        let place = self.config.parent().expect("it has one");
+        fs::remove_dir_all(place).expect("it is ours");
+        self.arena.close();
+    }
+}
+
+/// How a process comes into a fleet.
+struct Role {
+    name: &'static str,
+    command: fn(&OwnShm) -> Command,
+    is_ready: fn(&mut Child) -> bool,
+    /// Asks it to end well.
+    end: fn(&mut Child) -> Ended,
+}
+
+const ROLES: [Role; 6] = [
+    Role {
+        name: "run",
+        command: |shm| shm.joulebus(&["run"]),
+        is_ready: |child| child.try_says("ready:", PATIENCE).is_some(),
+        end: Child::stop,
+    },
+    Role {
+        name: "publish",
+        command: |shm| shm.probe(&["controller", "newcomer", "50", "4", "30"]),
+        is_ready: |child| !child.lines(0, PATIENCE).is_empty(),
+        end: Child::finish,
+    },
+    Role {
+        name: "planner",
+        command: |shm| shm.probe(&["planner"]),
+        is_ready: |child| !child.lines(0, PATIENCE).is_empty(),
+        end: Child::finish,
+    },
+    Role {
+        name: "consumer",
+        command: |shm| shm.probe(&["consumer"]),
+        is_ready: |child| !child.lines(0, PATIENCE).is_empty(),
+        end: Child::finish,
+    },
+    Role {
+        name: "watch",
+        command: |shm| shm.joulebus(&["watch", "--format", "json"]),
+        is_ready: |child| !child.lines(0, PATIENCE).is_empty(),
+        end: Child::stop,
+    },
+    Role {
+        name: "record",
+        command: |shm| {
+            let capture = shm.capture.display().to_string();
+            let _ = fs::remove_file(&shm.capture);
+            shm.joulebus(&["record", "-o", &capture])
+        },
+        is_ready: |child| child.try_says("recording t into", PATIENCE).is_some(),
+        end: Child::stop,
+    },
+];
+
+/// KiB left: pages, what joining takes, what ports take, and what was found to kill.
+const LEFT_KIB: [u64; 14] = [
+    0, 4, 8, 24, 60, 120, 180, 200, 240, 320, 480, 720, 1_100, 2_400,
+];
+
+/// Starts so many of `role` at once with `left` bytes free. How many were ready; the others must have failed
+/// with the numbers.
+fn start(shm: &OwnShm, role: &Role, at_once: usize, left: u64) -> usize {
+    shm.leave_free(left);
+    let mut children: Vec<Child> = (0..at_once)
+        .map(|_| Child::spawn(role.name, (role.command)(shm)))
+        .collect();
+    let mut ready = 0;
+    for child in &mut children {
+        if (role.is_ready)(child) {
+            ready += 1;
+            continue;
+        }
+        let ended = child.wait();
+        let what = format!("{} with {left} bytes left", role.name);
+        assert_eq!(ended.signal(), None, "{what}: {ended:?}");
+        assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
+        let said = ended.errors();
+        let is_told = said.contains("bytes needed") && said.contains("free");
+        assert!(is_told, "{what}: {said}");
+    }
+    for child in &mut children {
+        if child.is_running() {
+            // Those that work do so until they are told to end, however little is left for them.
+            (role.end)(child);
+        }
+    }
+    shm.leave_free(1 << 30);
+    ready
+}
+
+#[test]
+fn row_24_a_newcomer_to_a_running_fleet_with_little_memory_left_fails_with_numbers_or_works() {
+    let Some(shm) = OwnShm::new(&Setup::default()) else {
+        return;
+    };
+    let mut worker = Child::spawn("worker", shm.joulebus(&["run", "--format", "json"]));
+    worker.says("ready:");
+    let mut controller = Child::spawn("fleet", shm.probe(&["controller", "fleet", "0", "4", "30"]));
+    let mut planner = Planner::new(Child::spawn("planner", shm.probe(&["planner"])));
+    planner.forecast("it works", |frame| frame.robot(3).map(|_| ()));
+    let (mut started, mut worked) = (0, 0);
+    for role in &ROLES[1..] {
+        let at_once = if role.name == "record" { 1 } else { 3 };
+        for left in LEFT_KIB {
+            worked += start(&shm, role, at_once, left << 10);
+            started += at_once;
+            assert!(
+                worker.is_running(),
+                "{} {left}: {}",
+                role.name,
+                worker.tail()
+            );
+            let newest = planner.forecasts().last().map(|frame| frame.tick);
+            planner.forecast("the fleet goes on", |frame| {
+                (Some(frame.tick) > newest).then_some(())
+            });
+        }
+    }
+    assert!(controller.is_running(), "{}", controller.tail());
+    controller.finish();
+    planner.leave();
+    worker.stop();
+    assert_eq!(shm.objects(), 0, "nothing is left");
+    figure(
+        "row 24, newcomers with 0 to 2,400 KiB left",
+        format_args!(
+            "{worked} of {started} worked, the others were refused with numbers; SIGBUS 0"
+        ),
+    );
+    shm.close();
+}
+
+#[test]
+fn row_24_the_first_process_of_a_fleet_with_little_memory_left_fails_with_numbers_or_works() {
+    let Some(shm) = OwnShm::new(&Setup::default()) else {
+        return;
+    };
+    let (mut started, mut worked) = (0, 0);
+    for role in ROLES.iter().filter(|role| role.name != "watch") {
+        for left in LEFT_KIB.into_iter().chain([6_000, 12_000]) {
+            worked += start(&shm, role, 1, left << 10);
+            started += 1;
+            assert_eq!(shm.objects(), 0, "{} {left}: something is left", role.name);
+        }
+    }
+    figure(
+        "row 24, first processes with 0 to 12,000 KiB left",
+        format_args!(
+            "{worked} of {started} worked, the others were refused with numbers; SIGBUS 0"
+        ),
+    );
+    shm.close();
+}
+
+/// What dead processes have left is removed before it is decided whether there is room.
+#[test]
+fn row_24_memory_that_dead_processes_hold_is_free_for_the_next_start() {
+    let Some(shm) = OwnShm::new(&Setup::default()) else {
+        return;
+    };
+    let mut worker = Child::spawn("worker", shm.joulebus(&["run"]));
+    worker.says("ready:");
+    worker.kill();
+    // Less than a worker takes, which is what the dead one holds.
+    shm.leave_free(2 << 20);
+    let mut worker = Child::spawn("worker", shm.joulebus(&["run"]));
+    worker.says("ready:");
+    worker.stop();
+    assert_eq!(shm.objects(), 0, "nothing is left");
+    shm.close();
+}

@@ -1,0 +1,108 @@
+//! A message names a process to stop only if that process holds the lock.
+
+use std::fs;
+use std::process::{Command, Stdio};
+
+use joulebus_tests::{Arena, Setup, figure};
+
+/// The process ids that a message says to kill.
+fn to_kill(message: &str) -> Vec<i64> {
+    let told = message.split("`kill ").skip(1);
+    told.map(|rest| {
+        let number = rest.split('`').next().unwrap_or_default();
+        number
+            .trim()
+            .parse()
+            .unwrap_or_else(|_| panic!("{message}"))
+    })
+    .collect()
+}
+
+#[test]
+fn whatever_the_lock_file_says_a_second_worker_names_the_one_that_holds_it() {
+    let arena = Arena::new(&Setup::default());
+    let mut worker = arena.worker();
+    let (pid, mine) = (i64::from(worker.pid()), std::process::id());
+    let lock = arena.domain().root().join("worker-t.lock");
+    let texts: Vec<Vec<u8>> = [
+        "",
+        "\n",
+        "0 0\n",
+        "1 1\n",
+        "-1 5\n",
+        "-9 9\n",
+        "4294967295 1\n",
+        "2147483648 1\n",
+        "99999999999999999999 1\n",
+        "1 ",
+        "garbage\n",
+        "kill -9 -1\n",
+        "0x10 1\n",
+        "\u{1b}[2J 1\n",
+    ]
+    .iter()
+    .map(|text| text.as_bytes().to_vec())
+    .chain([
+        format!("{mine} 1700000000000000000\n").into_bytes(),
+        vec![0; 40],
+        vec![0xff; 40],
+        b"7 ".repeat(100_000),
+    ])
+    .collect();
+    for text in &texts {
+        fs::write(&lock, text).unwrap();
+        let shown = String::from_utf8_lossy(&text[..text.len().min(40)]).into_owned();
+        let ended = arena.run(&["run"]);
+        assert_eq!(ended.code(), Some(1), "{shown:?}: {ended:?}");
+        assert_eq!(to_kill(&ended.errors()), [pid], "{shown:?}: {ended:?}");
+        let doctor = arena.run(&["doctor"]);
+        let named = format!("pid {pid}");
+        assert!(doctor.text().contains(&named), "{shown:?}: {doctor:?}");
+    }
+    worker.stop();
+    arena.close();
+    figure(
+        "lock files that lie",
+        format_args!("{}: 0 believed", texts.len()),
+    );
+}
+
+#[test]
+fn a_holder_that_cannot_be_seen_is_not_named() {
+    let arena = Arena::new(&Setup::default());
+    let mut worker = arena.worker();
+    let lock = arena.domain().root().join("worker-t.lock");
+    worker.stop();
+    // The process that took the lock has ended, and another one holds it open: the kernel names the former.
+    let script = "mkdir -m 700 -p $0 && exec 9>$1 && flock -x 9 && exec sleep 600";
+    let holder = Command::new("sh")
+        .args(["-c", script])
+        .args([arena.domain().root(), &lock])
+        .stdin(Stdio::null())
+        .spawn();
+    let mut holder = holder.unwrap();
+    joulebus_tests::eventually("the lock is held", || {
+        let taken = Command::new("flock")
+            .args(["-n", "-x"])
+            .arg(&lock)
+            .arg("true")
+            .status();
+        lock.exists() && !taken.unwrap().success()
+    });
+    for text in ["", "0 0\n", "1 1\n", "garbage\n"] {
+        fs::write(&lock, text).unwrap();
+        let ended = arena.run(&["run"]);
+        assert_eq!(ended.code(), Some(1), "{text:?}: {ended:?}");
+        assert!(
+            ended.errors().contains("not visible"),
+            "{text:?}: {ended:?}"
+        );
+        assert_eq!(to_kill(&ended.errors()), Vec::<i64>::new(), "{ended:?}");
+        let doctor = arena.run(&["doctor"]);
+        assert!(doctor.text().contains("unseen from here"), "{doctor:?}");
+    }
+    holder.kill().unwrap();
+    holder.wait().unwrap();
+    fs::remove_dir_all(arena.domain().root()).unwrap();
+    arena.close();
+}
