@@ -13,6 +13,7 @@ pub mod raw;
 
 pub use figures::distribution;
 
+use std::os::unix::process::CommandExt as _;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -22,6 +23,7 @@ use hdrhistogram::Histogram;
 use joulebus_bus::Scheduling;
 use joulebus_predictor::{Model, Network};
 use joulebus_predictor_worker::Spread;
+use joulebus_program::stop::Stop;
 use joulebus_program::verbs::bench::BenchOptions;
 use joulebus_publisher::Pace;
 
@@ -68,6 +70,8 @@ impl Launcher {
             .args(role)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
+            // Signals of the terminal reach the benchmark alone, which ends its processes.
+            .process_group(0)
             .spawn()
             .with_context(|| self.program.display().to_string())?;
         ready(&mut child)?;
@@ -171,10 +175,11 @@ pub(crate) fn measure(options: &BenchOptions, launcher: &Launcher) -> anyhow::Re
     let (rate_hz, seconds) = (options.rate_hz, options.seconds_or(10));
     let scheduling = threads::scheduling(options);
     let model = model()?;
+    let stop = Stop::on_signals()?;
     let mut rows = Vec::new();
     for robots in options.sizes(&ROBOTS) {
         eprintln!("latency: {robots} robots, {seconds} s");
-        rows.push(row(&model, robots, options, launcher)?);
+        rows.push(row(&model, robots, options, launcher, &stop)?);
     }
     let input = format!(
         "{rate_hz} frames a second for {seconds} s a size, built-in GTernal model, policy on_frame; \
@@ -190,6 +195,7 @@ fn row(
     robots: usize,
     options: &BenchOptions,
     launcher: &Launcher,
+    stop: &Stop,
 ) -> anyhow::Result<Row> {
     let frames = options.rate_hz * options.seconds_or(10);
     let period_ns = 1_000_000_000 / options.rate_hz;
@@ -199,14 +205,18 @@ fn row(
     let mut kernel = kernel::Alone::new(model, robots);
     let mut pace = Pace::every(Duration::from_nanos(period_ns / SHARES));
     for frame in 0..WARM_UP + frames {
+        if stop.is_asked() {
+            break;
+        }
         broker.send(pace.wait().intended_ns, frame)?;
         raw.send(pace.wait().intended_ns)?;
         pace.wait();
         kernel.run(frame >= WARM_UP);
     }
     let passed_over = pace.grid().skipped();
-    let broker = broker.finish()?;
-    let raw = raw.finish()?;
+    let (broker, raw) = (broker.finish(), raw.finish());
+    anyhow::ensure!(!stop.is_asked(), "interrupted");
+    let (broker, raw) = (broker?, raw?);
     let kernel = kernel.finish();
     Ok(Row {
         robots,

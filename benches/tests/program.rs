@@ -3,8 +3,10 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
-use joulebus_test_processes::{Ended, run};
+use joulebus_test_processes::{Child, Ended, run};
+use rustix::process::Signal;
 use serde_json::Value;
 
 fn output<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Ended {
@@ -163,5 +165,28 @@ fn invalid_requests_are_refused_before_measuring() {
             refused.errors()
         );
         assert_eq!(refused.text(), "", "{more:?}");
+    }
+}
+
+#[test]
+fn a_signal_ends_a_measurement_between_processes_and_leaves_no_files() {
+    for signal in [Signal::TERM, Signal::HUP] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-bench"));
+        command.args(["latency", "--robots", "1", "--seconds", "3600"]);
+        let mut bench = Child::spawn("bench", command);
+        bench.says("latency: 1 robots");
+        bench.signal(signal);
+        let ended = bench.wait();
+        assert_eq!(ended.exit_code(), 1, "{ended:?}");
+        assert!(ended.errors().contains("interrupted"), "{ended:?}");
+        let pid = format!("-{}", bench.pid());
+        for folder in [Path::new("/dev/shm"), &std::env::temp_dir()] {
+            let names = fs::read_dir(folder).unwrap().flatten();
+            let left = names.map(|entry| entry.file_name().into_string().unwrap_or_default());
+            let left: Vec<String> = left
+                .filter(|name| name.starts_with("joulebus-bench") && name.contains(&pid))
+                .collect();
+            assert_eq!(left, Vec::<String>::new(), "{signal:?}");
+        }
     }
 }

@@ -110,13 +110,14 @@ impl Broker {
     /// One of them failed.
     pub fn finish(mut self) -> anyhow::Result<Figures> {
         drop(self.worker.stdin.take());
-        let worker: WorkerFigures = finish(self.worker)?;
-        let mut figures: Figures = finish(self.planner)?;
-        (figures.tick_us, figures.worker_bytes) = (worker.tick_us, worker.own_bytes);
+        let worker: anyhow::Result<WorkerFigures> = finish(self.worker);
+        let figures: anyhow::Result<Figures> = finish(self.planner);
         drop(self.publisher);
         // The last member has removed the rest.
         std::fs::remove_dir(self.config.root()).ok();
         std::fs::remove_file(&self.path)?;
+        let (worker, mut figures) = (worker?, figures?);
+        (figures.tick_us, figures.worker_bytes) = (worker.tick_us, worker.own_bytes);
         Ok(figures)
     }
 }
