@@ -9,7 +9,6 @@ use std::sync::Arc;
 
 use super::item::Item;
 use super::options::{Options, Snapshot};
-use super::shared::Kept;
 use crate::{
     Attachments, CaptureFile, Message, MessageKind, Sequences, WriteError, Writer, Written,
 };
@@ -325,6 +324,17 @@ fn part(path: &Path, number: u32) -> PathBuf {
         None => format!("{stem}_{number}"),
     };
     path.with_file_name(name)
+}
+
+/// What a snapshot keeps in memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Kept {
+    /// Messages.
+    pub messages: u64,
+    /// What they take, bytes.
+    pub bytes: u64,
+    /// From the oldest to the newest, ns.
+    pub span_ns: u64,
 }
 
 /// The last seconds, in memory. Covers the configured time, and from there back to the keyframe

@@ -34,9 +34,9 @@ use queue::Popped;
 use shared::Shared;
 
 pub use drain::DrainError;
-pub use files::Target;
+pub use files::{Kept, Target};
 pub use options::{Options, Snapshot};
-pub use shared::{Kept, Lost, Summary};
+pub use shared::{Lost, Summary};
 
 /// Interval at which the writing thread checks whether a chunk is due.
 const PATIENCE: Duration = Duration::from_millis(10);

@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 
 use joulebus_bus::clock;
 
-use super::files::Files;
+use super::files::{Files, Kept};
 use super::gaps::Gaps;
 use super::item::Item;
 use super::options::Options;
@@ -22,17 +22,6 @@ pub struct Lost {
     /// Messages that found the queue full, or that could not be written: the disk was too slow, full
     /// or failed.
     pub unwritten: u64,
-}
-
-/// What a snapshot keeps in memory.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Kept {
-    /// Messages.
-    pub messages: u64,
-    /// What they take, bytes.
-    pub bytes: u64,
-    /// From the oldest to the newest, ns.
-    pub span_ns: u64,
 }
 
 /// What a recording has come to.

@@ -124,6 +124,15 @@ impl<R: Read + Seek> Chunk<R> {
             });
         }
         let place = self.place();
+        // What comes out counts, not what the head claims: that may be damaged.
+        let compressed = self.frame.header.compressed_size;
+        let allowed = most_expanded(compressed);
+        if self.read > allowed {
+            let detail = format!(
+                "more than {allowed} bytes of records in {compressed} compressed ones, which is the limit"
+            );
+            return Err(ScanError::ChunkHeader { place, detail });
+        }
         self.record = self.read;
         self.take(HEAD_BYTES, buffer)?;
         let (opcode, bytes) = match buffer.split_first() {
@@ -345,13 +354,6 @@ fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFram
         return Err(refuse(format!(
             "{header_bytes} bytes of head and {} of records do not fit its {} bytes",
             header.compressed_size, head.bytes
-        )));
-    }
-    let allowed = most_expanded(header.compressed_size);
-    if header.uncompressed_size > allowed {
-        let (found, compressed) = (header.uncompressed_size, header.compressed_size);
-        return Err(refuse(format!(
-            "{found} bytes of records in {compressed} compressed ones; allowed are {allowed}"
         )));
     }
     source.skip(HEAD_BYTES + header_bytes)?;

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use super::WriteError;
+use super::error::WriteError;
 
 /// A file that holds what was flushed and nothing else: when a write fails, the bytes since the last
 /// flush are cut off again. So a capture has no half of a chunk, and a chunk that arrived whole while

@@ -1,5 +1,6 @@
 //! Writes captures.
 
+mod error;
 mod file;
 mod output;
 mod settings;
@@ -7,7 +8,7 @@ mod settings;
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -15,6 +16,7 @@ use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 
 use crate::{Attachments, Message, MessageKind};
+pub use error::WriteError;
 pub use file::CaptureFile;
 use output::Output;
 pub use settings::{CaptureSettings, Preset};
@@ -400,49 +402,6 @@ impl<W: Write> Writer<W> {
         });
         Ok(channels.len() - 1)
     }
-}
-
-/// Errors of writing.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum WriteError {
-    /// There is a file of that name.
-    #[error(
-        "{path:?} exists and is not touched; name another file, or begin its next part \
-         (`joulebus record --go-on`)"
-    )]
-    Exists {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The file could not be created.
-    #[error("cannot create {path:?}: {source}")]
-    Create {
-        /// The file.
-        path: PathBuf,
-        /// The operating system's error.
-        source: std::io::Error,
-    },
-    /// Writing failed: the file written so far can be recovered.
-    #[error("cannot write the capture: {reason}")]
-    Failed {
-        /// The error.
-        reason: String,
-    },
-    /// An earlier write failed.
-    #[error("the capture has stopped: an earlier write failed")]
-    Stopped,
-    /// The message is of another program's kind.
-    #[error("only messages of this program's own kinds can be written")]
-    NotOurs,
-    /// More channels than a file can have.
-    #[error(
-        "more than {allowed} channels in one file; record fewer robots with channels of their own"
-    )]
-    TooManyChannels {
-        /// Channels that a file may have.
-        allowed: usize,
-    },
 }
 
 /// With the operating system's error, which mcap's text omits.

@@ -149,7 +149,7 @@ fn an_unreadable_or_unwritable_file_sets_exit_code_and_reason() {
                 "x",
             ],
             2,
-            "no convention",
+            "is not a convention",
         ),
         (
             vec![

@@ -1,0 +1,46 @@
+//! Errors of writing captures.
+
+use std::path::PathBuf;
+
+/// Errors of writing.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteError {
+    /// There is a file of that name.
+    #[error(
+        "{path:?} exists and is not touched; name another file, or begin its next part \
+         (`joulebus record --go-on`)"
+    )]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file could not be created.
+    #[error("cannot create {path:?}: {source}")]
+    Create {
+        /// The file.
+        path: PathBuf,
+        /// The operating system's error.
+        source: std::io::Error,
+    },
+    /// Writing failed: the file written so far can be recovered.
+    #[error("cannot write the capture: {reason}")]
+    Failed {
+        /// The error.
+        reason: String,
+    },
+    /// An earlier write failed.
+    #[error("the capture has stopped: an earlier write failed")]
+    Stopped,
+    /// The message is of another program's kind.
+    #[error("only messages of this program's own kinds can be written")]
+    NotOurs,
+    /// More channels than a file can have.
+    #[error(
+        "more than {allowed} channels in one file; record fewer robots with channels of their own"
+    )]
+    TooManyChannels {
+        /// Channels that a file may have.
+        allowed: usize,
+    },
+}
