@@ -1,4 +1,4 @@
-//! What the probe and the tests tell each other, one JSON value a line. Floats travel as bits.
+//! Messages between the probe and the tests, one JSON value per line. Floats are sent as bits.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use joulebus_wire::{
 };
 use serde::{Deserialize, Serialize};
 
-/// A [`Sample`], bit by bit.
+/// A [`Sample`] as bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SampleLine(u32, u32, u64, u64, u64, [u32; 5], u32);
 
@@ -56,7 +56,7 @@ impl From<SampleLine> for Sample {
     }
 }
 
-/// What a frame's header is to say instead of the truth.
+/// Forged values of a frame's header.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Forge {
     /// Version of the payloads.
@@ -72,11 +72,11 @@ pub struct Forge {
 pub struct FrameLine {
     /// Its samples.
     pub samples: Vec<SampleLine>,
-    /// Where its header lies.
+    /// Forged header values.
     pub forge: Forge,
 }
 
-/// What a source says.
+/// A message from a source.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum SourceLine {
     /// It has joined.
@@ -86,7 +86,7 @@ pub enum SourceLine {
     },
     /// It has sent the frames asked for.
     Sent {
-        /// Readers of the last one.
+        /// Number of readers of the last one.
         readers: usize,
         /// Samples sent so far.
         samples: u64,
@@ -95,12 +95,12 @@ pub enum SourceLine {
     Failed(String),
 }
 
-/// What a planner or recorder says.
+/// A message from a planner or recorder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ReaderLine {
     /// It has joined.
     Ready,
-    /// It holds a frame and will not let go.
+    /// It holds a frame and does not release it.
     Holds,
     /// A frame of forecasts.
     Forecasts(ForecastFrame),
@@ -112,45 +112,45 @@ pub enum ReaderLine {
     Gone {
         /// Its pid.
         pid: u32,
-        /// When it was noticed, monotonic ns.
+        /// Time of the detection, monotonic ns.
         at_ns: u64,
     },
-    /// The worker has said that it ends.
+    /// The worker has announced its shutdown.
     Ended,
-    /// A frame of samples, and how many of them were not what a source wrote.
+    /// A frame of samples, and the number of samples that differ from what a source wrote.
     Samples {
         /// Pid of the source.
         pid: u32,
         /// Samples in it.
         samples: usize,
-        /// Of these, not whole.
+        /// Number of these that are torn.
         torn: usize,
     },
-    /// A frame that the consumer library gave to a planner.
+    /// A frame that the consumer library returned to a planner.
     Given {
         /// Run of the worker.
         worker_epoch: u64,
         /// Tick.
         tick: u64,
-        /// Ticks passed over before it.
+        /// Ticks skipped before it.
         ticks_missed: u64,
-        /// Whether it is the first of another run.
+        /// True if it is the first of another run.
         restarted: bool,
-        /// Gaps counted so far.
+        /// Number of gaps so far.
         gaps: u64,
         /// Robots in it.
         robots: usize,
         /// Samples that the worker has accepted so far.
         accepted: u64,
     },
-    /// The consumer library says that the worker is gone.
+    /// The consumer library reports that the worker is gone.
     WorkerGone {
-        /// How.
+        /// Kind of its end.
         end: String,
-        /// When it was noticed, monotonic ns.
+        /// Time of the detection, monotonic ns.
         at_ns: u64,
     },
-    /// The consumer library says that the newest frame is too old.
+    /// The consumer library reports that the newest frame is too old.
     Stale {
         /// Its age, ns.
         age_ns: u64,
@@ -183,7 +183,7 @@ pub struct ForecastFrame {
 }
 
 impl ForecastFrame {
-    /// Reads a frame.
+    /// Converts a frame.
     #[must_use]
     pub fn new(header: &ForecastHeader, robots: &[Forecast], read_ns: u64) -> Self {
         Self {
@@ -273,14 +273,14 @@ pub struct DiagnosticFrame {
     pub worker_epoch: u64,
     /// Tick.
     pub tick: u64,
-    /// Robots refused of late.
+    /// Robots refused recently.
     pub refused: Vec<RefusalLine>,
     /// Its robots.
     pub robots: Vec<DiagnosticLine>,
 }
 
 impl DiagnosticFrame {
-    /// Reads a frame.
+    /// Converts a frame.
     #[must_use]
     pub fn new(header: &DiagnosticHeader, robots: &[Diagnostic]) -> Self {
         let refused = header.refusals().map(|refusal| RefusalLine {
@@ -309,11 +309,11 @@ impl DiagnosticFrame {
 pub struct RefusalLine {
     /// The robot.
     pub robot: u32,
-    /// Why.
+    /// Reason.
     pub reason: String,
     /// Pid of the source.
     pub pid: u32,
-    /// Samples.
+    /// Number of samples.
     pub count: u32,
 }
 
@@ -362,7 +362,7 @@ pub struct BudgetFrame {
 }
 
 impl BudgetFrame {
-    /// Reads a frame.
+    /// Converts a frame.
     #[must_use]
     pub fn new(header: &BudgetHeader, robots: &[Budget]) -> Self {
         Self {
@@ -386,7 +386,7 @@ pub struct BudgetLine {
     pub robot: u32,
     /// Energy drawn, µJ.
     pub drawn_uj: i64,
-    /// What is left below one µJ, µW·ns · 2.
+    /// Remainder below one µJ, µW·ns · 2.
     pub drawn_remainder: i64,
     /// Metered time, ns.
     pub metered_ns: u64,
@@ -408,7 +408,7 @@ impl BudgetLine {
         }
     }
 
-    /// Energy drawn in µW·ns · 2, nothing rounded.
+    /// Energy drawn in µW·ns · 2, exact.
     #[must_use]
     pub fn drawn_exact(&self) -> i128 {
         i128::from(self.drawn_uj) * 2_000_000_000 + i128::from(self.drawn_remainder)

@@ -1,10 +1,10 @@
-//! A source that sends what a test tells it to.
+//! A source controlled by a test.
 
 use joulebus_wire::Sample;
 
 use crate::{Child, Ended, Forge, FrameLine, PATIENCE, SourceLine};
 
-/// A source in a process of its own.
+/// A source in a separate process.
 #[derive(Debug)]
 pub struct Source {
     /// The process.
@@ -28,18 +28,18 @@ impl Source {
         source
     }
 
-    /// Sends a frame; how many read it.
+    /// Sends a frame; returns the number of readers.
     pub fn send(&mut self, samples: &[Sample]) -> usize {
         self.send_forged(samples, Forge::default())
     }
 
-    /// Sends a frame whose header lies; how many read it.
+    /// Sends a frame with a forged header; returns the number of readers.
     pub fn send_forged(&mut self, samples: &[Sample], forge: Forge) -> usize {
         let samples = samples.iter().copied().map(Into::into).collect();
         self.send_all(&[FrameLine { samples, forge }])
     }
 
-    /// Sends frames one right after the other; how many read the last.
+    /// Sends frames without a pause; returns the number of readers of the last one.
     pub fn send_all(&mut self, frames: &[FrameLine]) -> usize {
         let line = serde_json::to_string(frames).expect("plain data");
         self.child.tell(&line);
@@ -49,7 +49,7 @@ impl Source {
         }
     }
 
-    /// Lets it leave, and waits for it.
+    /// Closes its stdin and waits for the exit.
     pub fn leave(mut self) -> Ended {
         self.child.finish()
     }

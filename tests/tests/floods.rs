@@ -1,4 +1,4 @@
-//! Rows 5 and 22: too much from one source, and too much for the period.
+//! Rows 5 and 22: too many samples from one source, and too many robots for the period.
 
 use std::time::Instant;
 
@@ -10,11 +10,11 @@ use serde_json::Value;
 
 const ROBOTS: [u32; 6] = [0, 1, 2, 3, 4, 5];
 const FLOODED: [u32; 6] = [50, 51, 52, 53, 54, 55];
-/// Frames of the flood for each frame of the others.
+/// Frames of the flood per frame of the others.
 const TIMES: u64 = 10;
 const FRAMES: u64 = 150;
 
-/// What a run with or without the flood came to.
+/// Result of a run with or without the flood.
 struct Run {
     answers: Answers,
     report: Value,
@@ -23,7 +23,7 @@ struct Run {
     flood_pid: u32,
 }
 
-/// One round of the flood: each robot's samples ten times as often as the platform says.
+/// One round of the flood: each robot's samples at ten times the platform's rate.
 fn burst(round: u64, setup: &Setup) -> Vec<FrameLine> {
     (0..TIMES)
         .map(|place| {
@@ -74,7 +74,7 @@ fn run(setup: &Setup, with_flood: bool) -> Run {
     }
 }
 
-/// All that was named as refused so far: robot, pid, reason.
+/// All refusals reported so far: robot, pid, reason.
 fn refusals(planner: &mut Planner) -> Vec<(u32, u32, String)> {
     let lines = planner.seen().iter();
     let frames = lines.filter_map(|line| match line {
@@ -88,17 +88,17 @@ fn refusals(planner: &mut Planner) -> Vec<(u32, u32, String)> {
 }
 
 #[test]
-fn row_5_a_source_that_floods_tenfold_loses_its_own_samples_and_nobody_elses() {
+fn row_5_a_source_that_floods_tenfold_loses_only_its_own_samples() {
     let setup = Setup::default();
     let clean = run(&setup, false);
     let flooded = run(&setup, true);
 
-    // Fair to the others: each of their samples has its answer, with the same bits.
+    // All samples of the others are answered, with the same bits.
     let wanted = ROBOTS.len() * FRAMES as usize;
     assert_eq!(clean.report["samples_accepted"], wanted as u64);
     let mut compared = 0;
     for (key, answer) in &flooded.answers {
-        // A planner that waited for a processor may have missed a frame, and says so.
+        // A planner that waited for a CPU may have missed a frame, and reports it.
         let Some(expected) = clean.answers.get(key) else {
             continue;
         };
@@ -110,7 +110,7 @@ fn row_5_a_source_that_floods_tenfold_loses_its_own_samples_and_nobody_elses() {
         "{compared} answers of {wanted}"
     );
 
-    // Every sample is accepted or dropped with a reason, and what is dropped is the flood's.
+    // Every sample is accepted or dropped with a reason, and all dropped ones are of the flood.
     let dropped = flooded.report["samples_dropped"].as_object().unwrap();
     let drops: u64 = dropped.values().map(|count| count.as_u64().unwrap()).sum();
     let accepted = flooded.report["samples_accepted"].as_u64().unwrap();
@@ -150,8 +150,8 @@ fn row_22_overload_skips_ticks_sheds_diagnostics_first_and_ends_by_itself() {
     let setup = Setup {
         capacity: MANY,
         policy: "timer",
-        // A period that no tick of so many robots fits into, not even one without samples on a fast
-        // machine, and of a few any.
+        // A period too short for a tick of so many robots, even one without samples on a fast
+        // machine, and long enough for a few.
         tick_hz: 1000.0,
         robots: "0-59999",
         rate_hz: 10.0,
@@ -174,8 +174,8 @@ fn row_22_overload_skips_ticks_sheds_diagnostics_first_and_ends_by_itself() {
     worker.says("diagnostics are left out");
     many.finish();
     let left = Instant::now();
-    // They leave two seconds after their last sample, and nobody touches the worker. Until then
-    // their robots are theirs: what another source sent of them would be refused.
+    // They leave two seconds after their last sample, without intervention. Until then their robots
+    // are owned: samples of another source would be refused.
     let emptied = robots_given("the many have left", 0);
     let mut planner = arena.planner();
     planner.until("diagnostics again", |line| match line {
@@ -185,7 +185,7 @@ fn row_22_overload_skips_ticks_sheds_diagnostics_first_and_ends_by_itself() {
     let recovered_s = left.elapsed().as_secs_f64();
     worker.says("diagnostics resume");
 
-    // As if nothing had been: what comes now is answered.
+    // Afterwards, new samples are answered as before.
     let mut source = arena.source("few");
     let frames = script(&ROBOTS, 10, setup.period_ns());
     planner.play(&mut source, &frames);

@@ -1,5 +1,5 @@
-//! What was recorded of real processes is computed again with the same bits, played back into shared
-//! memory, and gives the same bits there.
+//! A recording of real processes is verified bit by bit, played back into shared memory, and gives
+//! the same bits there.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[allow(dead_code, reason = "its rows")]
@@ -24,7 +24,7 @@ fn entries(file: &Path) -> Vec<Entry> {
     Reader::open(file).unwrap().map(Result::unwrap).collect()
 }
 
-/// Samples, and what was said to each, by robot and number.
+/// Samples and the answers to each, by robot and number.
 #[derive(Default)]
 struct Heard {
     samples: BTreeMap<(u32, u64), Sample>,
@@ -40,7 +40,7 @@ fn heard(file: &Path) -> Heard {
                 .samples
                 .extend(rows.into_iter().map(|row| ((row.robot, row.seq), row))),
             Message::Forecasts(_, rows) => {
-                // What the worker's clock ran ahead is provisional.
+                // Open-loop forecasts by the worker's clock are provisional.
                 let live = rows.into_iter().filter(|row| {
                     matches!(
                         row.quality(),
@@ -61,7 +61,7 @@ fn heard(file: &Path) -> Heard {
     heard
 }
 
-/// Everything but the times and the runs, as text: floats that differ in a bit read differently.
+/// All fields except times and runs, as text: floats that differ in a bit have different text.
 fn timeless_sample(row: &Sample, first: &Sample) -> String {
     let mut row = *row;
     row.stamp_ns -= first.stamp_ns;
@@ -78,7 +78,7 @@ fn timeless_forecast(row: &Forecast) -> String {
     format!("{row:?}")
 }
 
-/// The residual and the scores; alarms also say whether the worker was late.
+/// The residual and the scores; alarms depend also on the worker's lateness.
 fn timeless_diagnostic(row: &Diagnostic) -> String {
     let mut row = *row;
     (row.stamp_ns, row.source_epoch) = (0, 0);
@@ -106,7 +106,7 @@ fn same<R>(
     compared
 }
 
-/// Ends a recorder, whose exit code says whether it has lost anything.
+/// Stops a recorder, whose exit code reports losses.
 fn end(recorder: &mut Child) -> Ended {
     let ended = recorder.end();
     let lost = ended.json()["messages_lost"].as_u64().unwrap();
@@ -119,7 +119,7 @@ fn end(recorder: &mut Child) -> Ended {
     ended
 }
 
-/// Worker, recorder and a simulated fleet from the first sample on, for so many frames.
+/// Records a worker and a simulated fleet from the first sample on, for `frames` frames.
 fn record(arena: &Arena, name: &str, frames: u64) -> PathBuf {
     let (file, _) = without_loss(|attempt| {
         let file = arena.files().join(format!("{attempt}-{name}"));
@@ -133,7 +133,7 @@ fn record(arena: &Arena, name: &str, frames: u64) -> PathBuf {
     file
 }
 
-/// The capture with one value changed, written as the recorder would have.
+/// Writes a copy of the capture with one value changed, as the recorder would have written it.
 fn spoilt(file: &Path, to: &Path, spoil: impl Fn(&mut Message) -> bool) {
     let reader = Reader::open(file).unwrap();
     let attachments = reader.attachments().clone();
@@ -152,7 +152,8 @@ fn spoilt(file: &Path, to: &Path, spoil: impl Fn(&mut Message) -> bool) {
     writer.finish().unwrap();
 }
 
-/// Every tick since the first keyframe was computed again, but for those that the end cut in two.
+/// Checks that every tick since the first keyframe was recomputed, except those split by the end of
+/// the capture.
 fn assert_every_tick_verified(report: &Value) {
     let count = |name: &str| report[name].as_u64().unwrap();
     let verified = count("ticks_verified");
@@ -165,7 +166,7 @@ fn assert_every_tick_verified(report: &Value) {
 }
 
 #[test]
-fn a_recorded_run_is_verified_and_a_flipped_bit_is_named() {
+fn a_recorded_run_is_verified_and_a_flipped_bit_is_reported() {
     let arena = Arena::new(&Setup::simulated());
     let file = record(&arena, "run.mcap", 90);
     let name = file.to_str().unwrap();
@@ -224,7 +225,7 @@ fn a_recorded_run_is_verified_and_a_flipped_bit_is_named() {
 fn a_run_with_a_model_that_reads_freshness_is_verified() {
     let arena = Arena::new(&Setup::simulated());
     let path = arena.files().join("fresh.safetensors");
-    // Random as its weights are, every forecast depends on how fresh the newest reading is.
+    // The weights are random, so every forecast depends on the freshness of the newest reading.
     let model = random::network(1, FeatureSet::Freshness);
     std::fs::write(&path, model.to_safetensors().unwrap()).unwrap();
     arena.configure(&Setup {
@@ -255,7 +256,7 @@ fn a_run_with_a_model_that_reads_freshness_is_verified() {
     arena.close();
 }
 
-/// The recording of a replay at twice the speed, and what the replay reported.
+/// The recording of a replay at twice the speed, and the report of the replay.
 fn replayed_and_recorded(arena: &Arena, first: &Path) -> (PathBuf, Value) {
     let (recorded, _) = without_loss(|attempt| {
         let second = arena.files().join(format!("{attempt}-second.mcap"));
@@ -272,7 +273,7 @@ fn replayed_and_recorded(arena: &Arena, first: &Path) -> (PathBuf, Value) {
 }
 
 #[test]
-fn what_is_recorded_of_a_replay_is_what_was_replayed() {
+fn the_recording_of_a_replay_equals_the_original() {
     let arena = Arena::new(&Setup::simulated());
     let first = record(&arena, "first.mcap", 90);
     let (second, report) = replayed_and_recorded(&arena, &first);
@@ -319,7 +320,7 @@ fn what_is_recorded_of_a_replay_is_what_was_replayed() {
 }
 
 #[test]
-fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
+fn a_recording_started_in_the_middle_and_split_is_verified_from_its_keyframes() {
     let arena = Arena::new(&Setup::simulated());
     let mut worker = arena.worker();
     let mut source = arena.controller("source", 0, 12, 30.0);
@@ -345,11 +346,12 @@ fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
     let report = ended.json();
     assert_eq!(ended.code(), Some(0), "{report:#}");
     assert_every_tick_verified(&report);
-    // The second file by itself: a keyframe comes every five seconds.
+    // The second file alone: it contains a keyframe every five seconds.
     let report = alone(&["replay", "--verify", &files[1]]).json();
     assert_eq!(report["differences"], 0, "{report:#}");
     assert!(report["ticks_verified"].as_u64().unwrap() > 0, "{report:#}");
-    // Without the second file, what the third needs is not there: it continues from its own keyframe.
+    // Without the second file, the state for the third is missing: it continues from its own
+    // keyframe.
     let ended = alone(&["replay", "--verify", &files[0], &files[2]]);
     assert_eq!(ended.json()["differences"], 0);
     assert_eq!(ended.code(), Some(3), "{}", ended.text());
@@ -359,7 +361,7 @@ fn a_recording_begun_in_the_middle_and_split_is_verified_from_its_keyframes() {
 #[test]
 fn another_model_is_compared_robot_by_robot() {
     let arena = Arena::new(&Setup::simulated());
-    // Stamps of a script: how many readings are scored does not depend on the machine's speed.
+    // Stamps of a script: the number of scored readings does not depend on the machine's speed.
     let robots: Vec<u32> = (0..ROBOTS).collect();
     let frames = script(&robots, 90, Setup::simulated().period_ns());
     let (file, _) = without_loss(|attempt| {
@@ -395,7 +397,7 @@ fn another_model_is_compared_robot_by_robot() {
         assert_ne!(recorded["mae_w"], other["mae_w"], "{robot:#}");
         assert!(other["coverage"].as_f64().unwrap() > 0.5, "{robot:#}");
     }
-    // What the recorded model is said to have done is what the worker published.
+    // The reported errors of the recorded model are those of the worker's output.
     let heard = heard(&file);
     let last = |robot: u32| {
         heard
@@ -419,7 +421,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
     let name = file.to_str().unwrap();
     let outputs = ["--topics", "forecasts", "diagnostics", "budgets"];
 
-    // Not beside a worker: planners could not tell them apart.
+    // Refused beside a worker: planners could not distinguish them.
     let mut worker = arena.worker();
     let ended = alone(&[&["replay", name][..], &outputs].concat());
     assert_eq!(ended.code(), Some(1), "{}", ended.text());
@@ -444,7 +446,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
     let report = ended.json();
     assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
     assert_eq!(report["frames_before"], 3, "{report:#}");
-    // More than enough is left on a busy machine too.
+    // Enough is left on a busy machine too.
     recorder.end();
 
     let frames = |file: &Path| -> Vec<(u64, Vec<String>)> {
@@ -465,7 +467,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
             .unwrap();
         assert_eq!(rows, recorded, "tick {tick}");
     }
-    // Budgets of the time before the offset came first.
+    // Budgets from before the offset were sent first.
     let first = entries(&second)
         .into_iter()
         .find_map(|entry| match entry.message {
@@ -481,7 +483,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
 }
 
 #[test]
-fn a_replay_goes_step_by_step() {
+fn a_replay_can_be_stepped() {
     let arena = Arena::new(&Setup::simulated());
     let file = record(&arena, "run.mcap", 60);
     let mut planner = arena.recorder();

@@ -1,4 +1,4 @@
-//! Rows 6, 7, 8, 9 and 21: what is wrong with one sample, or with one source, harms no other robot.
+//! Rows 6, 7, 8, 9 and 21: an invalid sample or source does not affect other robots.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,8 @@ use joulebus_wire::{DropReason, InvalidReason, Quality, Sample};
 
 const ROBOTS: [u32; 6] = [0, 1, 2, 3, 4, 5];
 
-/// Plays `frames` to a fleet of its own, one answered after the other; the first answers.
+/// Plays `frames` to a separate fleet, each once the previous one is answered; returns the first
+/// answers.
 fn clean_run(setup: &Setup, frames: &[Vec<Sample>]) -> Answers {
     let arena = Arena::new(setup);
     let mut worker = arena.worker();
@@ -25,12 +26,12 @@ fn clean_run(setup: &Setup, frames: &[Vec<Sample>]) -> Answers {
     answers
 }
 
-/// Every answer is the one of the clean run; how many were compared. What a busy machine shows only
-/// provisionally is not among the answers, hence the share.
+/// Checks that every answer equals that of the clean run; returns the number of comparisons.
+/// Provisional forecasts of a busy machine are not among the answers, hence the fraction.
 fn assert_same(clean: &Answers, found: &Answers, of: usize) -> usize {
     let mut compared = 0;
     for (key, answer) in found {
-        // Nor what the clean run's planner has missed, while it waited for a processor.
+        // Nor frames that the clean run's planner missed while it waited for a CPU.
         let Some(expected) = clean.get(key) else {
             continue;
         };
@@ -43,7 +44,7 @@ fn assert_same(clean: &Answers, found: &Answers, of: usize) -> usize {
 
 type Spoil = fn(Sample) -> Sample;
 
-/// What can be wrong with the values of a sample, why it is refused, and what its robot is then.
+/// Invalid values of a sample, the drop reason, and the resulting quality of the robot.
 const POISON: &[(&str, Spoil, DropReason, InvalidReason)] = {
     use joulebus_wire::DropReason as D;
     use joulebus_wire::InvalidReason as I;
@@ -179,10 +180,10 @@ const POISON: &[(&str, Spoil, DropReason, InvalidReason)] = {
 };
 
 #[test]
-fn row_7_a_poisoned_robot_is_invalid_with_its_reason_and_no_other_robot_changes_by_a_bit() {
+fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_every_bit() {
     const VICTIM: u32 = 3;
     let setup = Setup::default();
-    // Each poison twice: with a full window, and right after a good sample.
+    // Each defect twice: with a full window, and directly after a valid sample.
     let frames = script(&ROBOTS, 10 + 4 * POISON.len() as u64, setup.period_ns());
     let clean = clean_run(&setup, &frames);
 
@@ -254,7 +255,7 @@ fn row_7_a_poisoned_robot_is_invalid_with_its_reason_and_no_other_robot_changes_
 }
 
 #[test]
-fn row_8_unknown_robots_and_a_second_source_are_counted_and_named_and_change_nothing() {
+fn row_8_unknown_robots_and_a_second_source_are_counted_and_reported_without_effect() {
     let setup = Setup {
         robots: "0-9",
         ..Setup::default()
@@ -271,8 +272,8 @@ fn row_8_unknown_robots_and_a_second_source_are_counted_and_named_and_change_not
     planner.play(&mut owner, std::slice::from_ref(first));
     let mut last = None;
     for frame in rest {
-        // The second source claims robots that are owned, with other values and later stamps, and
-        // two that nobody knows.
+        // The second source claims owned robots, with other values and later stamps, and two
+        // unknown robots.
         let mut claims: Vec<Sample> = frame
             .iter()
             .take(3)
@@ -328,7 +329,8 @@ fn row_8_unknown_robots_and_a_second_source_are_counted_and_named_and_change_not
     arena.close();
 }
 
-/// The first frame in which so many samples are accounted for; `newest` has been read already.
+/// Waits for the first frame in which `samples` samples are accounted for; `newest` has been read
+/// already.
 fn await_accounted(planner: &mut Planner, newest: ForecastFrame, samples: u64) -> ForecastFrame {
     if newest.accounted() >= samples {
         assert_eq!(newest.accounted(), samples);
@@ -346,7 +348,7 @@ fn await_accounted(planner: &mut Planner, newest: ForecastFrame, samples: u64) -
     frame
 }
 
-/// What one robot's account must come to: a slow, obvious reading of the rules.
+/// Expected account of one robot: a slow, direct implementation of the rules.
 #[derive(Default)]
 struct Oracle {
     last: Option<Sample>,
@@ -378,7 +380,7 @@ impl Oracle {
 }
 
 #[test]
-fn row_9_out_of_order_twice_missing_and_late_samples_are_accepted_once_and_the_ledger_is_exact() {
+fn row_9_reordered_duplicate_missing_and_late_samples_are_accepted_once_and_the_ledger_is_exact() {
     let mut dice = Dice::roll();
     let setup = Setup::default();
     let arena = Arena::new(&setup);
@@ -399,7 +401,8 @@ fn row_9_out_of_order_twice_missing_and_late_samples_are_accepted_once_and_the_l
                 _ => frame.push(now),
             }
         }
-        // Late ones come some frames later, in any order: out of order unless nothing came between.
+        // Late samples arrive some frames later, in any order: out of order unless no other came
+        // between.
         while !late.is_empty() && dice.chance(0.4) {
             let at = dice.below(late.len() as u64) as usize;
             let place = dice.below(frame.len() as u64 + 1) as usize;
@@ -414,13 +417,14 @@ fn row_9_out_of_order_twice_missing_and_late_samples_are_accepted_once_and_the_l
         source.send(&frame);
         sent += frame.len() as u64;
         tail = seq;
-        // One after the other, so that no sample is lost to a burst and the oracle knows them all.
+        // One after the other, so that no sample is lost in a burst and the oracle knows all of
+        // them.
         let accounted = sent;
         planner.forecast("the frame is accounted for", |frame| {
             (frame.accounted() >= accounted).then_some(())
         });
     }
-    // A frame that is sent twice is dropped whole.
+    // A duplicate frame is dropped as a whole.
     let again = script(&ROBOTS, tail + 2, setup.period_ns()).pop().unwrap();
     for _ in 0..2 {
         let forge = Forge {
@@ -476,11 +480,11 @@ fn row_9_out_of_order_twice_missing_and_late_samples_are_accepted_once_and_the_l
 }
 
 #[test]
-fn row_9_in_bursts_what_was_sent_is_what_was_accepted_and_dropped_by_reason() {
+fn row_9_in_bursts_samples_sent_equal_accepted_plus_dropped_by_reason() {
     let setup = Setup {
         buffer_frames: 4,
         tick_hz: 50.0,
-        // What a burst loses is a gap that a robot may jump over.
+        // Samples lost in a burst are gaps, which the robot's rate must allow.
         rate_hz: 10.0,
         ..Setup::default()
     };
@@ -510,7 +514,7 @@ fn row_9_in_bursts_what_was_sent_is_what_was_accepted_and_dropped_by_reason() {
             source.send_all(&lines);
         }
     }
-    // What the last frames lost is known from the next frame's header.
+    // Losses of the last frames are known from the next frame's header.
     let last: Vec<Sample> = [0, 1, 2]
         .map(|robot| sample(robot, 600, setup.period_ns()))
         .to_vec();
@@ -561,7 +565,7 @@ fn row_9_in_bursts_what_was_sent_is_what_was_accepted_and_dropped_by_reason() {
 }
 
 #[test]
-fn row_21_robots_past_the_capacity_are_refused_and_named_and_the_first_do_not_change_by_a_bit() {
+fn row_21_robots_beyond_the_capacity_are_refused_and_reported_and_the_first_keep_every_bit() {
     let setup = Setup {
         capacity: 6,
         ..Setup::default()
@@ -624,7 +628,7 @@ fn row_21_robots_past_the_capacity_are_refused_and_named_and_the_first_do_not_ch
 }
 
 #[test]
-fn row_6_a_run_from_the_far_future_in_a_sources_name_shuts_it_out_for_a_stale_period_and_no_more() {
+fn row_6_a_forged_run_from_the_far_future_blocks_a_source_for_one_stale_period_only() {
     let setup = Setup {
         tick_hz: 100.0,
         rate_hz: 50.0,
@@ -660,7 +664,7 @@ fn row_6_a_run_from_the_far_future_in_a_sources_name_shuts_it_out_for_a_stale_pe
         });
     }
     impostor.leave();
-    // The next run counts at once.
+    // The next run is accepted at once.
     controller.kill();
     let mut controller = arena.controller("fleet", 0, 4, 50.0);
     planner.forecast("the next run is heard", |frame| {
@@ -679,7 +683,7 @@ fn row_6_a_run_from_the_far_future_in_a_sources_name_shuts_it_out_for_a_stale_pe
 }
 
 #[test]
-fn more_sources_than_places_come_and_go_in_a_workers_life_and_each_is_heard() {
+fn more_successive_sources_than_slots_are_all_accepted() {
     const PLACES: u32 = 2;
     const NAMES: u32 = 4 * PLACES + 1;
     let setup = Setup {

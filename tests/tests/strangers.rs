@@ -1,7 +1,7 @@
-//! Row 19: another user of the host can neither read, nor inject, nor squat.
+//! Row 19: another user of the host can neither read, inject, nor squat.
 //!
-//! Needs the right to become another user; says so and passes where there is none, but fails
-//! where CI=true.
+//! Requires the privilege to become another user; without it the test is skipped, and fails if
+//! CI=true.
 
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt as _;
@@ -10,14 +10,14 @@ use std::process::{Command, ExitStatus, Stdio};
 
 use joulebus_tests::{Arena, Child, Setup, figure, program, sample};
 
-/// `nobody`.
+/// Uid of `nobody`.
 const STRANGER: u32 = 65_534;
 
-/// Copies of the programs where a stranger can run them.
+/// Copies of the programs that the other user can execute.
 struct Programs(PathBuf);
 
 impl Programs {
-    /// `None` where a stranger cannot be had.
+    /// `None` if this process cannot become another user.
     fn copy(arena: &Arena) -> Option<Self> {
         let name = arena.files().file_name()?.to_owned();
         let directory = std::env::temp_dir().join(name);
@@ -25,8 +25,8 @@ impl Programs {
         let programs = Self(directory);
         std::fs::set_permissions(&programs.0, PermissionsExt::from_mode(0o755)).ok()?;
         for name in ["joulebus-probe", "joulebus-under-test"] {
-            // In a process of its own: a child that another test forks meanwhile would inherit the open
-            // file, and a file that is open for writing cannot be executed (ETXTBSY).
+            // In a separate process: a child forked by another test in the meantime would inherit
+            // the open file, and a file open for writing cannot be executed (ETXTBSY).
             let copied = Command::new("cp")
                 .arg(program(name))
                 .arg(&programs.0)
@@ -69,7 +69,7 @@ fn as_stranger(program: &Path) -> Command {
     command
 }
 
-/// Runs a shell line as the stranger; it must work.
+/// Runs a shell line as the other user; it must succeed.
 fn stranger_does(line: &str) {
     let status = as_stranger(Path::new("/bin/sh"))
         .args(["-c", line])
@@ -79,7 +79,7 @@ fn stranger_does(line: &str) {
 }
 
 #[test]
-fn row_19_a_stranger_can_neither_read_nor_inject_nor_clean_up() {
+fn row_19_another_user_can_neither_read_nor_inject_nor_clean_up() {
     let setup = Setup::default();
     let arena = Arena::new(&setup);
     let Some(programs) = Programs::copy(&arena) else {
@@ -146,7 +146,7 @@ fn row_19_a_stranger_can_neither_read_nor_inject_nor_clean_up() {
 }
 
 #[test]
-fn row_19_a_stranger_who_was_there_first_is_named_and_nothing_of_his_is_used() {
+fn row_19_files_created_earlier_by_another_user_are_refused_with_the_owner() {
     let arena = Arena::new(&Setup::default());
     let Some(_programs) = Programs::copy(&arena) else {
         return arena.close();

@@ -1,4 +1,4 @@
-//! Rows 2 and 17: the worker is killed at any point, and there is never a second one.
+//! Rows 2 and 17: the worker is killed at any point, and a fleet never has two.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -14,8 +14,8 @@ const ROBOTS: u32 = 4;
 
 type Accounts = BTreeMap<u32, Value>;
 
-/// The file of the ledger with this ending: generation, and accounts by robot. One that is being written
-/// cannot be read yet; any other must be whole.
+/// The ledger file with this extension: generation, and accounts by robot. A file being written
+/// cannot be read yet; any other must be intact.
 fn generation(arena: &Arena, ending: &str) -> Option<(u64, Accounts)> {
     let mut path = arena.ledger().into_os_string();
     path.push(ending);
@@ -31,7 +31,8 @@ fn generation(arena: &Arena, ending: &str) -> Option<(u64, Accounts)> {
     Some((file["generation"].as_u64()?, accounts.collect()))
 }
 
-/// The newest accounts on disk; none while there is no file. A kill at any point leaves one that is whole.
+/// The newest accounts on disk; none if there is no file. A kill at any point leaves an intact
+/// file.
 fn written_down(arena: &Arena) -> Option<Accounts> {
     let found = ["", ".older", ".new"].map(|ending| generation(arena, ending));
     let newest = found
@@ -47,8 +48,8 @@ fn number(account: &Value, name: &str) -> u64 {
         .unwrap_or_else(|| panic!("{name} in {account}"))
 }
 
-/// Checks every ledger of every frame of budgets: time adds up to the nanosecond, energy to the last
-/// digit.
+/// Checks every ledger of every frame of budgets: time adds up to the nanosecond, energy to the
+/// last digit.
 #[derive(Default)]
 struct Audit {
     /// Stamp of each robot's first sample, ns.
@@ -81,7 +82,8 @@ impl Audit {
 }
 
 #[test]
-fn row_2_killed_workers_are_seen_at_once_and_the_ledger_goes_on_exactly_from_its_checkpoint() {
+fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_from_its_checkpoint()
+{
     let mut dice = Dice::roll();
     let rounds = Dice::rounds("JOULEBUS_WORKER_KILLS", 20);
     let setup = Setup {
@@ -115,7 +117,7 @@ fn row_2_killed_workers_are_seen_at_once_and_the_ledger_goes_on_exactly_from_its
         );
         epochs.push(epoch);
         let budgets = planner.until("budgets", |line| match line {
-            // The first ticks may have been before the first sample.
+            // The first ticks may precede the first sample.
             ReaderLine::Budgets(frame)
                 if frame.worker_epoch == epoch && !frame.robots.is_empty() =>
             {
@@ -145,12 +147,12 @@ fn row_2_killed_workers_are_seen_at_once_and_the_ledger_goes_on_exactly_from_its
                 written_down(&arena).is_some_and(|robots| robots.len() == ROBOTS as usize)
             });
         }
-        // The point of the kill, not a wait for anything.
+        // Random time of the kill, not a wait for a condition.
         std::thread::sleep(dice.time_below(Duration::from_millis(300)));
         let killed_ns = clock::monotonic_ns();
         assert_eq!(worker.kill().signal(), Some(9));
         let gone_ns = consumer.until("the planner is told", |line| match line {
-            // One that was killed while it started may have been seen, and gone, before.
+            // A worker killed during its start may have been detected, and reported gone, before.
             ReaderLine::WorkerGone { end, at_ns } if *at_ns >= killed_ns => {
                 assert_eq!(
                     end, "Exited",
@@ -162,7 +164,7 @@ fn row_2_killed_workers_are_seen_at_once_and_the_ledger_goes_on_exactly_from_its
         });
         noticed.add_ns(gone_ns - killed_ns);
         if round % 3 == 2 {
-            // Another one dies while it starts.
+            // Another one is killed during its start.
             let mut unfinished = arena.spawn_worker();
             std::thread::sleep(dice.time_below(Duration::from_millis(40)));
             unfinished.kill();
@@ -213,7 +215,7 @@ fn row_2_killed_workers_are_seen_at_once_and_the_ledger_goes_on_exactly_from_its
 }
 
 #[test]
-fn an_edited_ledger_is_set_aside_and_named_and_the_account_goes_on_from_the_one_before() {
+fn an_edited_ledger_is_renamed_and_reported_and_the_previous_one_is_used() {
     let setup = Setup {
         tick_hz: 100.0,
         rate_hz: 50.0,
@@ -266,8 +268,7 @@ fn an_edited_ledger_is_set_aside_and_named_and_the_account_goes_on_from_the_one_
     arena.close();
 }
 
-/// The runs of workers in the order of their frames, each once; panics when a run comes back after
-/// another.
+/// The runs of workers in the order of their frames; panics if a run reappears after another.
 fn runs(planner: &mut Planner) -> Vec<u64> {
     let mut runs: Vec<u64> = Vec::new();
     for frame in planner.forecasts() {
@@ -280,7 +281,7 @@ fn runs(planner: &mut Planner) -> Vec<u64> {
 }
 
 #[test]
-fn row_17_a_second_worker_ends_with_the_owners_pid_and_the_first_goes_on() {
+fn row_17_a_second_worker_exits_with_the_owners_pid_and_the_first_continues() {
     let setup = Setup::default();
     let arena = Arena::new(&setup);
     let mut first = arena.worker();
@@ -306,7 +307,7 @@ fn row_17_a_second_worker_ends_with_the_owners_pid_and_the_first_goes_on() {
 }
 
 #[test]
-fn row_17_of_eight_workers_at_once_one_serves_and_after_its_death_another_may() {
+fn row_17_of_eight_concurrent_workers_one_serves_and_after_its_death_another_can() {
     const RACERS: usize = 8;
     let rounds = Dice::rounds("JOULEBUS_RACES", 4);
     let arena = Arena::new(&Setup::default());

@@ -1,17 +1,17 @@
-//! What a crate must not name.
+//! Names that a crate must not use.
 
 use std::fs;
 use std::path::Path;
 
 use super::{crates, names, sources};
 
-/// Code without comments, so that a document may name what the code must not.
+/// Code without comments, so that comments may use the names.
 fn code(text: &str) -> String {
     let code_of = |line: &str| line.split("//").next().unwrap_or_default().to_owned();
     text.lines().map(|line| code_of(line) + "\n").collect()
 }
 
-/// Places below `directory` whose code has one of `words`, except in `allowed` files.
+/// Places below `directory` whose code contains one of `words`, except in `allowed` files.
 pub(crate) fn places(directory: &Path, words: &[&str], allowed: &[&str]) -> Vec<String> {
     let mut places = Vec::new();
     for (path, text) in sources(directory) {
@@ -26,7 +26,7 @@ pub(crate) fn places(directory: &Path, words: &[&str], allowed: &[&str]) -> Vec<
 }
 
 #[test]
-fn the_core_knows_no_clock_file_thread_or_shared_memory() {
+fn the_core_uses_no_clock_file_thread_or_shared_memory() {
     let words = [
         "std::time",
         "Instant::",
@@ -50,7 +50,7 @@ fn the_core_knows_no_clock_file_thread_or_shared_memory() {
 }
 
 #[test]
-fn only_the_bus_names_iceoryx2() {
+fn only_the_bus_uses_iceoryx2() {
     for name in names().iter().filter(|name| *name != "bus") {
         let found = places(
             &crates().join(name).join("src"),
@@ -62,7 +62,7 @@ fn only_the_bus_names_iceoryx2() {
 }
 
 #[test]
-fn only_the_capture_names_mcap() {
+fn only_the_capture_uses_mcap() {
     for name in names().iter().filter(|name| *name != "capture") {
         let found = places(&crates().join(name).join("src"), &["mcap::"], &[]);
         assert_eq!(found, Vec::<String>::new());
@@ -86,26 +86,27 @@ fn only_model_files_reads_pickles() {
     }
 }
 
-/// The wall clock may be set at any time, both ways: it labels, and orders nothing and measures nothing.
+/// The wall clock may be set at any time in either direction: it is used only for labels, not to
+/// order or measure.
 #[test]
 fn row_6_only_labels_come_from_the_wall_clock() {
     let labels = [
         "bus/src/os/clock.rs",
-        // Which holder of the lock: two are told apart by pid and label.
+        // Identity of the lock's holder: pid and time of locking.
         "bus/src/liveness/worker_lock.rs",
         // `sent_unix_ns` of frames.
         "publisher/src/publisher.rs",
         "predictor-worker/src/outbox.rs",
         "predictor-worker/src/keyframes.rs",
         "cli/src/replay/ports.rs",
-        // How old a file is, which only the wall clock tells.
+        // Age of a file, which only the wall clock gives.
         "bus/src/cleanup/objects.rs",
         "cli/src/doctor/host.rs",
-        // Stamps in recordings of other programs.
+        // Timestamps in recordings of other programs.
         "capture/src/import/join.rs",
-        // How long the machine was off: no other clock knows.
+        // Time the machine was off, which no other clock gives.
         "predictor-worker/src/checkpointer.rs",
-        // Captures and their names say when they were made.
+        // Captures and their names contain their creation time.
         "capture/src/clock.rs",
         "capture/src/attachments.rs",
         "cli/src/demo/capture.rs",

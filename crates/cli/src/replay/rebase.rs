@@ -1,4 +1,4 @@
-//! Recorded times and runs, made those of now. Nothing else is changed.
+//! Maps recorded times and runs to the present. Everything else is unchanged.
 
 use std::collections::{HashMap, HashSet};
 
@@ -7,26 +7,26 @@ use joulebus_wire::{
     SampleHeader, sample_flag,
 };
 
-/// A moment on both clocks, ns.
+/// A point in time on both clocks, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Moment {
     pub(super) monotonic_ns: u64,
     pub(super) unix_ns: u64,
 }
 
-/// One pass through the capture: by how much times and runs are moved.
+/// One pass through the capture: offset of times and runs.
 #[derive(Debug)]
 pub(super) struct Rebase {
     /// Added to every recorded monotonic time, modulo 2^64.
     shift_ns: u64,
-    /// The recorded moment that becomes `epoch_ns`: runs that began after it keep their distances, those
-    /// before it had begun when the recording did, and become one.
+    /// The recorded time that becomes `epoch_ns`: runs that began later keep their distances; those
+    /// that began earlier had begun when the recording started, and are merged into one.
     recorded_ns: u64,
     epoch_ns: u64,
     pid: u32,
-    /// Runs of sources: number of the first frame, and samples before it.
+    /// First frame number and number of samples before it, by run of a source.
     first_frame: HashMap<(u64, u64), (u64, u64)>,
-    /// Robots that this pass has begun with; none in the first pass.
+    /// Robots already sent in this pass; none in the first pass.
     joined: Option<HashSet<u32>>,
     /// The newest stamp and the newest run sent.
     newest_ns: u64,
@@ -48,9 +48,8 @@ impl Rebase {
         }
     }
 
-    /// Another pass, of newer runs than this one's and with later stamps, even if it was played
-    /// faster than recorded. The first sample of each robot is marked: what came before has nothing
-    /// to do with it.
+    /// Another pass, with newer runs than this one's and later stamps, even if it was played faster
+    /// than recorded. The first sample of each robot is marked as a discontinuity.
     pub(super) fn again(&self, recorded: Moment, now: Moment) -> Self {
         let mut next = Self::new(
             recorded,
@@ -64,13 +63,13 @@ impl Rebase {
         next
     }
 
-    /// The run that a run of now is to be compared with: all of this pass are at least as new.
+    /// The mapped run for comparison with present runs: all of this pass are at least as new.
     pub(super) fn epoch(&self, recorded_epoch: u64) -> u64 {
         let since_ns = recorded_epoch.saturating_sub(self.recorded_ns);
         self.epoch_ns.saturating_add(since_ns)
     }
 
-    /// A recorded monotonic time; 0 stays 0: not known.
+    /// Maps a recorded monotonic time; 0 (unknown) stays 0.
     fn ns(&self, recorded_ns: u64) -> u64 {
         if recorded_ns == 0 {
             0
@@ -79,7 +78,7 @@ impl Rebase {
         }
     }
 
-    /// A recorded run; 0 stays 0: not known.
+    /// Maps a recorded run; 0 (unknown) stays 0.
     fn run(&mut self, recorded_epoch: u64) -> u64 {
         if recorded_epoch == 0 {
             return 0;
@@ -89,8 +88,8 @@ impl Rebase {
         epoch
     }
 
-    /// A frame of samples that is sent `now`. Frames that were lost when it was recorded stay lost:
-    /// the worker counts them.
+    /// Header of a frame of samples sent at `now`. Frames lost during the recording stay lost: the
+    /// worker counts them.
     pub(super) fn samples(
         &mut self,
         header: &SampleHeader,
@@ -123,8 +122,8 @@ impl Rebase {
         }
     }
 
-    /// Forecasts that are sent `now`; `slower`: how much longer a period is than recorded, so that
-    /// planners do not take a slow replay for a dead worker.
+    /// Header of forecasts sent at `now`; `slower`: factor by which the period is stretched, so
+    /// that planners do not take a slow replay for a dead worker.
     pub(super) fn forecasts(
         &mut self,
         header: &ForecastHeader,
@@ -138,7 +137,7 @@ impl Rebase {
             row.source_epoch = self.run(row.source_epoch);
             self.newest_ns = self.newest_ns.max(row.stamp_ns);
         }
-        // The worker's own times keep their distances from when the frame was sent.
+        // The worker's own times keep their distances from the time of sending.
         let own = |recorded_ns: u64| match recorded_ns {
             0 => 0,
             recorded_ns => recorded_ns
@@ -160,7 +159,7 @@ impl Rebase {
         }
     }
 
-    /// Diagnostics.
+    /// Header of diagnostics.
     pub(super) fn diagnostics(
         &mut self,
         header: &DiagnosticHeader,
@@ -177,7 +176,7 @@ impl Rebase {
         }
     }
 
-    /// Budgets that are sent `now`.
+    /// Header of budgets sent at `now`.
     pub(super) fn budgets(
         &mut self,
         header: &BudgetHeader,
@@ -229,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn times_keep_their_distances_and_frames_their_gaps() {
+    fn times_keep_their_intervals_and_frames_their_gaps() {
         let now = Moment {
             monotonic_ns: 90_000,
             unix_ns: 2_000_000,
@@ -253,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_stay_in_order_and_are_never_older_than_the_replay_however_long_either_machine_was_up() {
+    fn runs_stay_in_order_and_are_never_older_than_the_replay_at_any_uptime() {
         for (recorded_ns, now_ns) in [(1 << 50, 5), (5, 1 << 50), (1 << 50, 1 << 50)] {
             let at = |monotonic_ns| Moment {
                 monotonic_ns,
@@ -268,14 +267,14 @@ mod tests {
     }
 
     #[test]
-    fn another_pass_is_newer_whatever_the_rate() {
+    fn another_pass_is_newer_at_any_rate() {
         let now = Moment {
             monotonic_ns: 90_000,
             unix_ns: 2_000_000,
         };
         let mut rebase = Rebase::new(RECORDED, now);
         let (_, early) = frame(&mut rebase, 999_000, 0, 5_100);
-        // The source was restarted late in the recording, which is played in no time.
+        // The source was restarted late in the recording, which is played at maximum rate.
         let (before, late) = frame(&mut rebase, 1_500_000, 0, 600_000);
         let soon = Moment {
             monotonic_ns: 90_001,

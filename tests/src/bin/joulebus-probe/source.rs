@@ -1,4 +1,4 @@
-//! A source that sends what it is told, lies included.
+//! A source that sends the frames it is given, including forged ones.
 
 use joulebus_bus::{Bus, clock};
 use joulebus_config::Config;
