@@ -117,7 +117,7 @@ fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<R
     })
 }
 
-/// A file of figures larger than this is none: something else was named by mistake.
+/// Maximum size of a file of figures, bytes.
 const MOST_FIGURES_BYTES: u64 = 16 << 20;
 
 fn read(path: &Path) -> anyhow::Result<Suite> {

@@ -11,10 +11,10 @@ use crate::{Child, Ended, ForecastFrame, PATIENCE, ReaderLine, Source};
 /// forecast, interval and reading.
 pub type Answers = BTreeMap<(u32, u64), ((u16, u16), [u32; 4])>;
 
-/// How often it is looked whether a source has ended.
+/// Interval of checking whether a source has exited.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// A planner, or a recorder, in a process of its own.
+/// A planner or recorder in a separate process.
 #[derive(Debug)]
 pub struct Planner {
     /// The process.
@@ -42,12 +42,13 @@ impl Planner {
         planner
     }
 
-    /// Reads on until a line gives something, and returns that. Later calls continue after that line.
+    /// Reads until `look` returns something for a line, and returns that. Later calls continue
+    /// after that line.
     pub fn until<T>(&mut self, what: &str, look: impl FnMut(&ReaderLine) -> Option<T>) -> T {
         self.read_on(None, what, look)
     }
 
-    /// As [`Self::until`]; fails at once, with what `source` wrote, when that has ended.
+    /// As [`Self::until`]; fails at once with the output of `source` if it has exited.
     pub fn until_beside<T>(
         &mut self,
         source: &mut Child,

@@ -146,7 +146,7 @@ fn a_full_disk_ends_only_the_capture() {
     let mut source = arena.controller("source", 0, ROBOTS, HZ);
     let mut planner = arena.planner();
     let file = arena.files().join("full.mcap");
-    // The shell limits the size of files.
+    // The shell limits the file size.
     let command = arena.command(&["record", "--format", "json", "-o", file.to_str().unwrap()]);
     let mut limited = Command::new("bash");
     limited.arg("-c");

@@ -21,7 +21,7 @@ pub(crate) struct Records {
 }
 
 impl Records {
-    /// Bytes of all of them.
+    /// Total length of the records, bytes.
     pub(crate) fn bytes(&self) -> u64 {
         self.bytes.len() as u64
     }
@@ -42,7 +42,7 @@ impl Records {
     }
 }
 
-/// The records of the chunk with this body, of at most `most_bytes`.
+/// The records of a chunk's body, at most `most_bytes` decompressed.
 pub(crate) fn records(body: &[u8], most_bytes: u64) -> Result<Records, McapError> {
     let chunk = parse_record(op::CHUNK, body);
     let Record::Chunk { header, data } =

@@ -32,7 +32,7 @@ pub struct Reader<S> {
     /// The first message, read while searching for attachments.
     first: Option<(MessageHeader, Vec<u8>)>,
     read_bytes: u64,
-    /// Bytes of records that came out of chunks.
+    /// Bytes of decompressed records so far.
     expanded_bytes: u64,
     done: bool,
 }
@@ -63,7 +63,7 @@ struct Channel {
 }
 
 impl Reader<File> {
-    /// Opens a regular file and reads what comes before the first message; streams are for
+    /// Opens a regular file and reads the records before the first message; for streams use
     /// [`Reader::new`].
     ///
     /// # Errors

@@ -297,7 +297,7 @@ fn an_index_whose_length_ends_within_an_entry_causes_no_allocation() {
     assert!(used < MOST_BYTES, "{used} bytes");
 }
 
-/// A file of chunks, each of so many records like this, compressed.
+/// A file of chunks, each of `records` compressed records of this kind.
 fn compressed(record: &[u8], records: usize, chunks: usize) -> Vec<u8> {
     let mut file = mcap::MAGIC.to_vec();
     let mut put = |opcode: u8, body: &[u8]| {
@@ -322,12 +322,12 @@ fn compressed(record: &[u8], records: usize, chunks: usize) -> Vec<u8> {
 }
 
 #[test]
-fn a_small_file_costs_its_reader_bounded_work() {
-    // A record of 1 MiB that applications may have: nothing is wrong with it.
+fn the_work_of_reading_a_small_file_is_bounded() {
+    // A valid record of an application, 1 MiB long.
     let mut large = vec![0x80];
     large.extend((1_u64 << 20).to_le_bytes());
     large.resize(9 + (1 << 20), 0);
-    // Opcode 0 is no record: the first of a great many ends the chunk.
+    // Opcode 0 is invalid: the first of many such records ends the chunk.
     for (record, records, chunks, wrong) in [
         (&[0; 9][..], 7 << 20, 1, true),
         (&large[..], 60, 1, false),
@@ -355,7 +355,7 @@ fn a_small_file_costs_its_reader_bounded_work() {
             }
         };
         assert!(events < 200, "{records}: {events} events");
-        // The file has no end in any case.
+        // The file is truncated in any case.
         assert!(end.is_err(), "{records}");
     }
 }

@@ -505,7 +505,8 @@ fn a_full_disk_ends_the_capture_with_an_error_and_the_file_is_readable() {
     };
     assert!(matches!(end, ReadError::Truncated { .. }), "{end}");
     assert!(found > 0 && found < 5 * ticks, "{found} of {}", 5 * ticks);
-    // A chunk that arrived whole before the rest of its flush failed can be read and is counted as lost.
+    // A chunk written completely before the rest of its flush failed is readable, and counted as
+    // lost.
     assert!(summary.messages() > 0 && summary.messages() <= found);
     let written = &summary.files[0].1.by_topic;
     for service in SERVICES {

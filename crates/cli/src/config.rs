@@ -70,7 +70,7 @@ struct Checked {
     /// Maximum number of robots.
     capacity: Option<u32>,
     platforms: Vec<String>,
-    /// Why the file could not be read, or the worker would not start with it, if so.
+    /// Why the file could not be read, or the worker would refuse it; none if it is valid.
     error: Option<String>,
     problems: Vec<Problem>,
     warnings: Vec<Problem>,
@@ -109,7 +109,7 @@ impl Checked {
     }
 }
 
-/// Why the worker would refuse a config that is well written, before it joins the fleet.
+/// Why the worker would refuse a well-formed config before it joins the fleet.
 fn refusal(config: &Config) -> Option<String> {
     if let Err(error) = load_models(config) {
         return Some(error.to_string());

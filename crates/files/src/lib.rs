@@ -1,8 +1,8 @@
-//! Files that a user names, opened in one way.
+//! Opens files given by the user.
 //!
-//! A pipe would be waited for, a device never ends, and opening some devices does something. So only
-//! regular files are opened, also through symbolic links, and whole files are read into memory only
-//! up to a limit that the reader states.
+//! Opening a pipe blocks, reading a device never ends, and opening some devices has side effects.
+//! So only regular files are opened, also through symbolic links, and whole files are read into
+//! memory only up to a limit set by the reader.
 #![forbid(unsafe_code)]
 
 use std::fs::{File, Metadata, OpenOptions};
@@ -12,22 +12,22 @@ use std::path::Path;
 
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 
-/// Why a file is not read, as the cause of an [`io::Error`].
+/// Reason that a file is refused, as the cause of an [`io::Error`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Refused {
-    /// It is something else than a regular file.
+    /// It is not a regular file.
     #[error("is {found}; allowed are regular files")]
     Kind {
-        /// What it is.
+        /// Its kind.
         found: &'static str,
     },
-    /// It is longer than its reader allows.
+    /// It is longer than the limit.
     #[error("has {found} bytes; allowed are {allowed}")]
     TooLong {
-        /// Bytes of the file, at least.
+        /// Length of the file, at least, bytes.
         found: u64,
-        /// Bytes allowed.
+        /// Limit, bytes.
         allowed: u64,
     },
 }
@@ -42,20 +42,21 @@ impl From<Refused> for io::Error {
     }
 }
 
-/// What the system says of a regular file.
+/// Metadata of a regular file.
 ///
 /// # Errors
-/// What the system said, or [`Refused::Kind`].
+/// The error of the system, or [`Refused::Kind`].
 pub fn look(path: &Path) -> io::Result<Metadata> {
     regular(std::fs::metadata(path)?)
 }
 
-/// Opens a regular file to read it; never waits for the other end of a pipe.
+/// Opens a regular file for reading; does not block on a pipe.
 ///
 /// # Errors
-/// What the system said, or [`Refused::Kind`].
+/// The error of the system, or [`Refused::Kind`].
 pub fn open(path: &Path) -> io::Result<File> {
-    // Before it is opened, because of devices; and again after, because it may be another file then.
+    // Before opening, because of devices; and again after, because the path may refer to another
+    // file by then.
     look(path)?;
     let flags = OFlags::NONBLOCK | OFlags::NOCTTY;
     let file = OpenOptions::new()
@@ -82,7 +83,7 @@ pub fn read(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
     };
     allowed(file.metadata()?.len())?;
     let mut bytes = Vec::new();
-    // It may grow, or be one of those whose length the system does not know.
+    // It may grow, or be a file whose length is unknown to the system.
     file.take(most_bytes.saturating_add(1))
         .read_to_end(&mut bytes)?;
     allowed(bytes.len() as u64)?;
@@ -92,7 +93,7 @@ pub fn read(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
 /// The text of a regular file of at most `most_bytes`.
 ///
 /// # Errors
-/// As of [`read`]; the text is no UTF-8.
+/// As of [`read`]; the text is not UTF-8.
 pub fn read_to_string(path: &Path, most_bytes: u64) -> io::Result<String> {
     String::from_utf8(read(path, most_bytes)?)
         .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))

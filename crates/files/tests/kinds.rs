@@ -1,4 +1,4 @@
-//! What is opened, and what is refused without waiting for it.
+//! Files that are opened, and files that are refused without blocking.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
@@ -14,7 +14,7 @@ fn fifo(path: &Path) {
 }
 
 #[test]
-fn only_regular_files_are_opened_and_nothing_is_waited_for() {
+fn only_regular_files_are_opened_without_blocking() {
     let directory = tempfile::tempdir().unwrap();
     let at = |name: &str| directory.path().join(name);
     fs::write(at("file"), "text").unwrap();
@@ -61,7 +61,7 @@ fn only_regular_files_are_opened_and_nothing_is_waited_for() {
 }
 
 #[test]
-fn what_is_longer_than_allowed_is_refused_with_the_numbers_before_it_is_read() {
+fn files_beyond_the_limit_are_refused_with_both_lengths_before_reading() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("file");
     for (bytes, allowed) in [(0, 0), (1, 1), (10, 10), (10, 11)] {
@@ -71,14 +71,14 @@ fn what_is_longer_than_allowed_is_refused_with_the_numbers_before_it_is_read() {
     fs::write(&path, "0123456789").unwrap();
     let refused = joulebus_files::read(&path, 9).unwrap_err();
     assert_eq!(refused.to_string(), "has 10 bytes; allowed are 9");
-    // A hole of a terabyte takes no memory.
+    // A sparse file of a terabyte takes no memory.
     fs::File::create(&path).unwrap().set_len(1 << 40).unwrap();
     let refused = joulebus_files::read(&path, 9).unwrap_err();
     assert_eq!(
         refused.to_string(),
         "has 1099511627776 bytes; allowed are 9"
     );
-    // The system states no length of these.
+    // The length of these is unknown to the system.
     let refused = joulebus_files::read(Path::new("/proc/self/status"), 9).unwrap_err();
     assert_eq!(refused.to_string(), "has 10 bytes; allowed are 9");
     fs::write(&path, b"\xff").unwrap();

@@ -154,12 +154,12 @@ mod tests {
                 "bell\u{7} null\0 delete\u{7f}",
                 "bell\\u0007 null\\u0000 delete\\u007f",
             ),
-            // One character that some terminals take for ESC [.
+            // A single character that some terminals interpret as ESC [.
             ("\u{9b}31m", "\\u009b31m"),
             ("a\u{202e}lmth.exe", "a\\u202elmth.exe"),
         ] {
             assert_eq!(printable(text), shown);
-            // Twice is once: what a child has said is said again by its supervisor.
+            // Escaping is idempotent: a supervisor repeats the output of its children.
             assert_eq!(printable(&printable(text)), shown);
         }
     }

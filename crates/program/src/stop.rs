@@ -57,18 +57,18 @@ impl Stop {
     }
 }
 
-/// A write beyond the limit on the length of files (`ulimit -f`) becomes an error, as on a full disk,
-/// instead of killing the process.
+/// Makes a write beyond the file size limit (`ulimit -f`) an error, as on a full disk, instead of
+/// killing the process.
 ///
 /// # Errors
-/// The system does not let the signal be handled.
+/// The signal handler cannot be installed.
 pub fn survive_file_limit() -> anyhow::Result<()> {
     signal_hook::flag::register(SIGXFSZ, Arc::default())
         .context("cannot handle the limit on the length of files")?;
     Ok(())
 }
 
-/// Whether the signal is ignored, as Linux tells; what it does not tell is not.
+/// True if /proc reports the signal as ignored; false if it cannot be read.
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

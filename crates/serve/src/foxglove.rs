@@ -3,7 +3,6 @@
 //! A recorder writes its capture into a pipe, and the messages read from the pipe are sent to the
 //! connected clients: so live and recorded data are the same by construction. A client that is too
 //! slow loses messages, without effect on the fleet.
-//! messages, never the fleet.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -27,11 +26,11 @@ use serde::Serialize;
 
 use crate::guard::{Guard, hidden_address};
 
-/// How often it is looked whether to end.
+/// Interval of checking whether to stop.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// Time that clients have to disconnect at the end.
+/// Timeout for clients to disconnect at the end.
 const LEAVE_LIMIT: Duration = Duration::from_secs(1);
-/// Messages that wait for a reader that is slow, bytes.
+/// Bytes of messages queued for a slow reader.
 const QUEUE_BYTES: usize = 64 << 20;
 
 #[derive(Debug, Serialize)]
@@ -105,13 +104,13 @@ pub(super) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     Ok(Outcome::unless_lost(lost > 0))
 }
 
-/// Waits for clients to disconnect, for [`LEAVE_LIMIT`] at most: the exit of the process closes their
+/// Waits for clients to disconnect, at most [`LEAVE_LIMIT`]: the exit of the process closes their
 /// connections.
 fn end(clients: ShutdownHandle) {
     let (tell, told) = channel();
     let wait = move || {
         clients.wait_blocking();
-        // The receiver may have given up.
+        // The receiver may have timed out.
         let _ = tell.send(());
     };
     let waiting = std::thread::Builder::new().name("joulebus-end".to_owned());
@@ -120,7 +119,7 @@ fn end(clients: ShutdownHandle) {
     }
 }
 
-/// Hands on what comes through the pipe until it ends.
+/// Forwards the messages from the pipe until it ends.
 fn forward(pipe: io::PipeReader, context: &Arc<Context>, sent: &AtomicU64) -> anyhow::Result<()> {
     let mut channels: HashMap<Arc<str>, Arc<RawChannel>> = HashMap::new();
     let mut bytes = Vec::new();

@@ -49,11 +49,11 @@ struct Shared {
 /// Why a connection is refused.
 #[derive(Debug, PartialEq, Eq)]
 enum Refusal {
-    /// The request is no HTTP.
+    /// The request is not HTTP.
     Malformed,
-    /// The web page is of an origin that is not accepted.
+    /// The origin of the web page is not accepted.
     Origin(String),
-    /// The request did not come in time.
+    /// The request was not complete in time.
     Late,
     TooLong,
     TooMany,
@@ -94,7 +94,7 @@ impl fmt::Display for Refusal {
 pub(crate) fn hidden_address() -> IpAddr {
     // The keys of a new hash map's state are random.
     let [_, a, b, c, ..] = RandomState::new().build_hasher().finish().to_be_bytes();
-    // 0 and 255 stand for networks and broadcasts.
+    // 0 and 255 are network and broadcast addresses.
     let [a, b, c] = [a, b, c].map(|byte| byte.clamp(1, 254));
     Ipv4Addr::new(127, a, b, c).into()
 }
@@ -154,7 +154,7 @@ impl Shared {
         while !self.stop.load(Ordering::Relaxed) {
             match listener.accept() {
                 Ok((client, _)) => self.take(client),
-                // No connection, or no free descriptor: that may change.
+                // No connection, or no free descriptor: a transient error.
                 Err(_) => thread::sleep(LOOK_EVERY),
             }
         }
@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn pages_from_elsewhere_may_not() {
+    fn pages_of_other_origins_may_not_connect() {
         for origin in [
             "null",
             "file://",
@@ -358,7 +358,7 @@ mod tests {
         ] {
             let refused = checked(&format!("Origin: {origin}\r\n"));
             assert_eq!(refused, Err(Refusal::Origin(origin.to_owned())), "{origin}");
-            // Nor with a good one beside it.
+            // Nor together with an accepted origin.
             for headers in [
                 format!("Origin: http://localhost\r\nOrigin: {origin}\r\n"),
                 format!("Origin: {origin}\r\nOrigin: http://localhost\r\n"),
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn what_others_may_read_differently_is_refused() {
+    fn ambiguous_requests_are_refused() {
         for request in [
             "POST / HTTP/1.1\r\n\r\n",
             "GET / HTTP/1.1\r\nOrigin : http://evil.example\r\n\r\n",

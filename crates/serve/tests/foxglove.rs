@@ -77,7 +77,7 @@ impl Fleet {
     }
 }
 
-/// Starts a server; it, and where it listens.
+/// Starts a server; returns it and its address.
 fn start(config: &Path, more: &[&str]) -> (Child, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
     command.args(["--foxglove", "--port", "0", "--format", "json", "--config"]);
@@ -96,8 +96,8 @@ fn dial(address: &str) -> TcpStream {
     stream
 }
 
-/// Connects as a page of `origin` does, or as a program; the status if that is refused, 0 if the
-/// connection ends without one.
+/// Connects as a page of `origin` does, or as a program; returns the status if that is refused, 0
+/// if the connection ends without one.
 fn try_connect(address: &str, origin: Option<&str>) -> Result<WebSocket<TcpStream>, u16> {
     let mut request = address.into_client_request().unwrap();
     let headers = request.headers_mut();
@@ -212,26 +212,26 @@ fn see_a_forecast(config: &Path) {
     assert!(report["messages"].as_u64().unwrap() > 0, "{report}");
 }
 
-/// The beginning of a handshake.
+/// The first bytes of a handshake.
 const HALF: &[u8] = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: webso";
 
-/// What the server says before it closes the connection.
+/// The response of the server before it closes the connection.
 fn farewell(stream: &mut TcpStream) -> String {
     let mut said = Vec::new();
-    // A reset is an end as well.
+    // A reset also ends the connection.
     let _ = stream.read_to_end(&mut said);
     String::from_utf8(said).unwrap()
 }
 
 #[test]
-fn no_connection_keeps_the_server_from_ending() {
+fn connections_do_not_block_the_exit_of_the_server() {
     for signal in [Signal::TERM, Signal::HUP] {
         let fleet = Fleet::new();
         let (mut server, address) = start(&fleet.path(), &[]);
         let _idle = dial(&address);
         let mut half = dial(&address);
         half.write_all(HALF).unwrap();
-        // One that is connected and reads nothing.
+        // Connected and never reading.
         let _connected = connect(&address);
         server.signal(signal);
         let ended = server.wait();
@@ -241,7 +241,7 @@ fn no_connection_keeps_the_server_from_ending() {
 }
 
 #[test]
-fn a_handshake_that_does_not_come_to_its_end_is_closed() {
+fn an_incomplete_handshake_is_closed() {
     let fleet = Fleet::new();
     let (mut server, address) = start(&fleet.path(), &[]);
     let mut idle = dial(&address);
@@ -250,7 +250,7 @@ fn a_handshake_that_does_not_come_to_its_end_is_closed() {
     let mut slow = dial(&address);
     let mut slowly = slow.try_clone().unwrap();
     let dripping = thread::spawn(move || {
-        // Byte after byte, for as long as it is taken.
+        // Byte by byte, as long as they are accepted.
         for byte in b"GET / HTTP/1.1\r\nX: "
             .iter()
             .chain(std::iter::repeat(&b'x'))
@@ -263,7 +263,7 @@ fn a_handshake_that_does_not_come_to_its_end_is_closed() {
     });
     for stream in [&mut idle, &mut half, &mut slow] {
         let said = farewell(stream);
-        // The slow one may have been reset before it read the reason.
+        // The slow client may have been reset before it read the reason.
         assert!(
             said.starts_with("HTTP/1.1 408 ") || said.is_empty(),
             "{said}"
@@ -284,13 +284,13 @@ fn a_handshake_that_does_not_come_to_its_end_is_closed() {
         said.starts_with("HTTP/1.1 431 ") || said.is_empty(),
         "{said}"
     );
-    // All that while it serves.
+    // The server serves other clients meanwhile.
     next_json(&mut connect(&address), "serverInfo");
     server.stop();
 }
 
 #[test]
-fn pages_from_elsewhere_are_refused_and_those_of_this_host_and_of_foxglove_served() {
+fn pages_of_this_host_and_of_foxglove_are_served_and_others_refused() {
     let fleet = Fleet::new();
     let allowed = "https://lab.example:8080";
     let (mut server, address) = start(&fleet.path(), &["--allow-origin", allowed]);
@@ -318,7 +318,7 @@ fn pages_from_elsewhere_are_refused_and_those_of_this_host_and_of_foxglove_serve
 }
 
 #[test]
-fn many_connections_are_bounded_and_make_room_again() {
+fn the_number_of_connections_is_bounded_and_closed_ones_are_freed() {
     let fleet = Fleet::new();
     let (mut server, address) = start(&fleet.path(), &[]);
     let mut streams: Vec<TcpStream> = (0..200).map(|_| dial(&address)).collect();
@@ -331,7 +331,7 @@ fn many_connections_are_bounded_and_make_room_again() {
         .find_map(|line| line.strip_prefix("Threads:"));
     let threads: u32 = threads.unwrap().trim().parse().unwrap();
     assert!(threads < 64 + 40, "{threads} threads");
-    // Those that say nothing are closed, and others get their places.
+    // Silent connections are closed, and others are accepted.
     eventually("a place for a client", || {
         try_connect(&address, None).is_ok_and(|mut client| {
             next_json(&mut client, "serverInfo");

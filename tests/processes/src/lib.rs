@@ -31,7 +31,7 @@ pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
     }
 }
 
-/// Runs a program to its end, with nothing of its log but what it says without being asked.
+/// Runs a program until it exits, without additional log output.
 #[must_use]
 pub fn run<A: AsRef<OsStr>>(program: &str, arguments: impl IntoIterator<Item = A>) -> Ended {
     let mut command = Command::new(program);
@@ -39,7 +39,7 @@ pub fn run<A: AsRef<OsStr>>(program: &str, arguments: impl IntoIterator<Item = A
     Child::spawn(program, command).wait()
 }
 
-/// A process. Killed and waited for when dropped; what it wrote is shown when a test fails.
+/// A process. Dropping it kills it and waits for it; if the test fails, its output is printed.
 #[derive(Debug)]
 pub struct Child {
     name: String,
@@ -71,16 +71,16 @@ impl Ended {
         self.status.code()
     }
 
-    /// Exit code of a process that no signal has killed.
+    /// Exit code of a process that was not killed by a signal.
     ///
     /// # Panics
-    /// One has.
+    /// It was killed by a signal.
     #[must_use]
     pub fn exit_code(&self) -> i32 {
         self.code().unwrap_or_else(|| panic!("killed: {self:?}"))
     }
 
-    /// Signal that killed it.
+    /// The signal that killed it.
     #[must_use]
     pub fn signal(&self) -> Option<i32> {
         self.status.signal()

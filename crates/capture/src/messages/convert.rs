@@ -48,7 +48,6 @@ fn ns(field: &'static str, time: &Option<Timestamp>) -> Result<u64, OutOfRange> 
 /// `same` type on both sides; `float`, which another program may have omitted; `narrow`, 16 bits in
 /// shared memory; `code`, an enumeration; and one `with` conversion functions. The message of a
 /// header holds the rows of the frame in the field after `of`, initially empty.
-/// header has the rows of the frame in the field after `of`, still empty.
 macro_rules! convert {
     ($wire:ident <=> $proto:ident $(of $rows:ident)? {
         $(same: $($same:ident),+;)?

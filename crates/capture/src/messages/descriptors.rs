@@ -8,7 +8,6 @@ const DESCRIPTORS: &[u8] = include_bytes!("../../proto/joulebus.binpb");
 
 /// The files that declare the message `name` (`joulebus.Samples`), imports first. Empty for a name
 /// that is not ours.
-/// a name that is not ours.
 pub(crate) fn descriptors(name: &str) -> Vec<u8> {
     // Ours, and tested; without it, messages have no schema.
     let all = FileDescriptorSet::decode(DESCRIPTORS).unwrap_or_default();

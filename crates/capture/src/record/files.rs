@@ -33,7 +33,7 @@ impl fmt::Debug for Target {
 /// Topics whose choice is remembered; forgetting it costs asking again.
 const MOST_CHOSEN: usize = 1 << 17;
 
-/// Where the bytes of a part go.
+/// Output of a part.
 enum Out {
     File(CaptureFile),
     Stream(Box<dyn Write + Send>),
@@ -56,7 +56,7 @@ impl Write for Out {
 }
 
 impl Out {
-    /// Everything is written: on the disk as well, where there is one.
+    /// Writes all buffered data; for a file also to the disk.
     fn end(self) -> Result<(), WriteError> {
         match self {
             Self::File(file) => file.sync().map_err(|error| WriteError::Failed {
@@ -67,8 +67,8 @@ impl Out {
     }
 }
 
-/// Files of a capture, open and done. Whatever [`Files::take`] was given is in a file, or lost and
-/// counted, or kept in memory.
+/// Files of a capture, open and finished. Every message passed to [`Files::take`] is in a file,
+/// counted as lost, or kept in memory.
 pub(crate) struct Files {
     target: Target,
     attachments: Attachments,
@@ -77,9 +77,9 @@ pub(crate) struct Files {
     open: Option<Open>,
     snapshot: KeptItems,
     sequences: Sequences,
-    /// Files that were ended, with what is in them.
+    /// Finished files with their statistics.
     done: Vec<(PathBuf, Written)>,
-    /// Messages by topic that were to be written and are in no file.
+    /// Lost messages by topic.
     lost: BTreeMap<String, u64>,
     parts: u32,
 }
@@ -150,7 +150,7 @@ impl Files {
         written.and(ended)
     }
 
-    /// Counts a message that will be in no file.
+    /// Counts a lost message.
     pub(crate) fn lose(&mut self, item: &Item) {
         *self.lost.entry(item.topic()).or_default() += 1;
     }
@@ -163,7 +163,7 @@ impl Files {
         }
     }
 
-    /// Ends the open file with its summary. What its writer could not write is lost.
+    /// Finishes the open file with its summary. Messages that its writer could not write are lost.
     pub(crate) fn end(&mut self) -> Result<(), WriteError> {
         let Some(mut open) = self.open.take() else {
             return Ok(());
@@ -194,12 +194,12 @@ impl Files {
         all
     }
 
-    /// Messages by topic that were to be written and are in no file, but for those of the open one.
+    /// Lost messages by topic, without those of the open file.
     pub(crate) fn lost(&self) -> &BTreeMap<String, u64> {
         &self.lost
     }
 
-    /// What is kept in memory; none unless this is a snapshot.
+    /// State of the memory buffer; none unless this is a snapshot.
     pub(crate) fn kept(&self) -> Option<Kept> {
         self.options.snapshot.map(|_| self.snapshot.summary())
     }
@@ -236,7 +236,7 @@ impl Files {
         let sequences = self.sequences.clone();
         let writer =
             Writer::go_on(out, settings, &self.attachments, sequences).inspect_err(|_| {
-                // It was created a moment ago and has nothing in it. That it cannot be removed changes nothing.
+                // Just created and empty; failing to remove it does not matter.
                 if is_file {
                     let _ = std::fs::remove_file(&path);
                 }
@@ -350,7 +350,8 @@ struct KeptItems {
 }
 
 impl KeptItems {
-    /// Keeps the item and forgets what has become too old or too much; whether it raises an alarm.
+    /// Stores the item and drops those that are too old or too many; returns whether it raises an
+    /// alarm.
     fn keep(&mut self, item: Item, snapshot: Snapshot) -> bool {
         let alarm = self.raises_alarm(&item);
         let from_ns = item.times.log_ns.saturating_sub(snapshot.keep_ns);
@@ -388,7 +389,7 @@ impl KeptItems {
         }
     }
 
-    /// Gives everything away; what was raised stays known.
+    /// Returns all items; the raised alarms stay known.
     fn take(&mut self) -> VecDeque<Item> {
         self.bytes = 0;
         self.keyframes.clear();
@@ -465,7 +466,7 @@ mod tests {
         }
     }
 
-    /// A disk with room for so many bytes.
+    /// A disk with a capacity of `room` bytes.
     struct Disk {
         room: usize,
     }
@@ -487,7 +488,8 @@ mod tests {
 
     const GIVEN: u64 = 9;
 
-    /// Gives files on a disk with so much room all messages: how many are written, lost and kept.
+    /// Passes all messages to files on a disk of that capacity; returns how many are written, lost
+    /// and kept.
     fn record(room: usize, snapshot: Option<Snapshot>, write_down: bool) -> [u64; 3] {
         let options = Options {
             snapshot,
@@ -521,7 +523,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_room_the_disk_has_every_message_is_written_or_lost_or_kept() {
+    fn at_any_capacity_of_the_disk_every_message_is_written_lost_or_kept() {
         let snapshot = Some(Snapshot {
             keep_ns: 1_000,
             max_bytes: 1 << 20,

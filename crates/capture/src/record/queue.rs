@@ -86,7 +86,7 @@ impl Queue {
         self.changed.notify_all();
     }
 
-    /// Nobody panics while holding the lock; and if so, the items are still whole.
+    /// No panic occurs while the lock is held, and the items would still be valid.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -19,8 +19,8 @@ use crate::{MessageKind, Written};
 pub struct Lost {
     /// Messages overwritten in shared memory before the recorder received them.
     pub overwritten: u64,
-    /// Messages that found the queue full, or that could not be written: the disk was too slow, full
-    /// or failed.
+    /// Messages dropped because the queue was full, or not written: the disk was too slow, full or
+    /// failed.
     pub unwritten: u64,
 }
 
@@ -31,9 +31,9 @@ pub struct Summary {
     pub files: Vec<(PathBuf, Written)>,
     /// Losses by topic; topics without losses are omitted.
     pub lost: BTreeMap<String, Lost>,
-    /// What a snapshot keeps in memory and has not written; none for other recordings.
+    /// Memory buffer of a snapshot that was not written; none for other recordings.
     pub kept: Option<Kept>,
-    /// Why it stopped by itself, if it did.
+    /// Why it stopped before its end, if it did.
     pub failure: Option<String>,
 }
 
@@ -83,7 +83,7 @@ impl Shared {
         }
     }
 
-    /// A recording that failed counts what it loses until it is stopped.
+    /// After a failure, losses are counted until the recording is stopped.
     pub(crate) fn is_stopping(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
@@ -126,7 +126,8 @@ impl Shared {
     pub(super) fn summary(&self) -> Summary {
         let summary = self.summary.lock().unwrap_or_else(PoisonError::into_inner);
         let gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
-        // The journal is read for the diagnostics' sake as well: what nobody asked for is not lost.
+        // The journal is also read for the diagnostics: messages of kinds that are not recorded are
+        // not lost.
         let is_asked_for = |topic: &str| self.options.per_robot || (self.options.choose)(topic);
         let lost = gaps.1.iter().filter(|(topic, _)| is_asked_for(topic));
         Summary {
@@ -141,7 +142,7 @@ impl Shared {
         summary.kept = files.kept();
     }
 
-    /// The last word about files: nothing will be written any more.
+    /// Final statistics of the files.
     pub(super) fn end_files(&self, files: &Files) {
         for (topic, count) in files.lost() {
             self.count(topic.clone(), 0, *count);

@@ -14,10 +14,10 @@ use super::source::{Source, fill};
 /// Maximum window of a zstd frame, as a power of two: 32 MiB, more than levels up to 19 use.
 const MAX_WINDOW_LOG: u32 = 25;
 
-/// Bytes that are passed over at once.
+/// Number of bytes skipped per read.
 const PASSED_AT_ONCE: u64 = 1 << 20;
 
-/// A chunk that is being read.
+/// A chunk being read.
 pub(super) struct Chunk<R> {
     frame: ChunkFrame,
     body: Body<R>,

@@ -5,18 +5,18 @@ use std::fmt;
 use mcap::records::{ChunkHeader, op};
 use serde::Serialize;
 
-/// Longest record that is read into memory, bytes: a message for a million robots is shorter. A scan
-/// passes over longer ones, reports them, and reads longer chunks as a stream; a
-/// [`Reader`](crate::Reader) ends at them.
+/// Maximum length of a record that is read into memory, bytes: a message for a million robots is
+/// shorter. A scan skips and reports longer records, and reads longer chunks as a stream; a
+/// [`Reader`](crate::Reader) returns an error.
 pub const MAX_RECORD_BYTES: u64 = 256 << 20;
 
-/// What may always come out of compressed records, bytes.
+/// Decompressed size that is always allowed, bytes.
 const FREE_BYTES: u64 = 64 << 20;
-/// What may come out of each compressed byte beyond that, bytes. Captures have some 5.
+/// Decompressed size allowed beyond that per compressed byte, bytes. Captures have about 5.
 const MOST_EXPANSION: u64 = 256;
 
-/// How many bytes may come out of so many compressed ones: more, and a small file would cost its
-/// reader any time.
+/// Allowed decompressed size of `compressed_bytes`: it bounds the time that a small file can cost
+/// its reader.
 pub(crate) const fn most_expanded(compressed_bytes: u64) -> u64 {
     FREE_BYTES.saturating_add(compressed_bytes.saturating_mul(MOST_EXPANSION))
 }
@@ -96,7 +96,7 @@ impl Head {
     }
 }
 
-/// 0 is none; all others are either known, or kept for later versions and applications.
+/// 0 is invalid; all others are either known, or reserved for later versions and applications.
 pub(crate) const fn is_opcode(opcode: u8) -> bool {
     opcode != 0
 }

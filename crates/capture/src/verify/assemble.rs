@@ -17,9 +17,9 @@ const WINDOW: u64 = 64;
 const MOST_FRAMES: usize = 8_192;
 /// Maximum number of samples in them: 224 MB.
 const MOST_SAMPLES: usize = 4_000_000;
-/// Runs of the worker that may wait for their end at once; of older ones nothing more comes.
+/// Maximum number of unfinished runs of the worker; older ones count as ended.
 const MOST_RUNS: usize = 8;
-/// Bytes of a keyframe: a million robots take some 305 MB.
+/// Maximum size of a keyframe, bytes: that of a million robots has about 305 MB.
 const MOST_KEYFRAME_BYTES: u64 = 512 << 20;
 
 /// One frame of samples.
@@ -31,7 +31,7 @@ pub(super) struct TickParts {
     pub(super) journal: Option<(TickHeader, Vec<TakenFrame>)>,
     /// The frames of the journal, in its order; `None` where the capture lacks one.
     pub(super) frames: Vec<Option<SampleFrame>>,
-    /// Frames that have not come, with their places; none before the tick is its run's next.
+    /// Missing frames and their positions; none until the tick is the next one of its run.
     wanted: Option<HashMap<FrameKey, VecDeque<usize>>>,
     pub(super) forecasts: Option<(ForecastHeader, Vec<Forecast>)>,
     pub(super) diagnostics: Option<(DiagnosticHeader, Vec<Diagnostic>)>,
@@ -80,11 +80,11 @@ struct Run {
     newest: u64,
 }
 
-/// Frames that no tick has taken yet, each with its number, and the order in which they came.
+/// Frames not taken by a tick so far, each with its number, and their order of arrival.
 #[derive(Debug, Default)]
 struct FrameStore {
     frames: HashMap<FrameKey, VecDeque<(u64, SampleFrame)>>,
-    /// Numbers of frames; some of them were taken long ago.
+    /// Numbers of frames, including some taken long ago.
     order: VecDeque<(u64, FrameKey)>,
     next: u64,
     held: usize,
@@ -249,7 +249,7 @@ impl Assembler {
         let oldest_run = self.runs.keys().rev().nth(MOST_RUNS - 1).copied();
         let oldest_run = oldest_run.unwrap_or_default();
         for (worker_epoch, run) in &mut self.runs {
-            // Of a run that others have followed for long nothing more comes.
+            // A run that others have long followed has ended.
             let over = all
                 || (*worker_epoch < newest_run && newest_tick > WINDOW)
                 || *worker_epoch < oldest_run;
@@ -284,7 +284,7 @@ impl TickParts {
             && self.budgets.is_some()
     }
 
-    /// The place of a frame that the tick has been waiting for.
+    /// Position of a frame that the tick is waiting for.
     fn place_of(&mut self, key: FrameKey) -> Option<usize> {
         let wanted = self.wanted.as_mut()?;
         let places = wanted.get_mut(&key)?;
@@ -295,7 +295,7 @@ impl TickParts {
         place
     }
 
-    /// Bytes that it takes, roughly.
+    /// Approximate memory of the parts, bytes.
     pub(super) fn bytes(&self) -> usize {
         let frames = self.frames.iter().flatten();
         size_of::<Self>()
@@ -334,7 +334,7 @@ impl FrameStore {
                 self.untaken += u64::from(self.get(oldest).is_some());
             }
         }
-        // What was taken leaves the order once it is the greater part of it.
+        // Taken frames are removed from the order once they are more than half of it.
         if self.order.len() > 2 * self.held + MOST_FRAMES {
             let mut order = std::mem::take(&mut self.order);
             order.retain(|(number, key)| self.holds(*number, *key));
@@ -342,7 +342,7 @@ impl FrameStore {
         }
     }
 
-    /// Whether the frame of that number has not been taken: those of a key are taken in order.
+    /// True if the frame of that number has not been taken: those of a key are taken in order.
     fn holds(&self, number: u64, key: FrameKey) -> bool {
         let waiting = self.frames.get(&key).and_then(VecDeque::front);
         waiting.is_some_and(|(oldest, _)| *oldest <= number)
@@ -360,8 +360,8 @@ impl FrameStore {
         Some(frame)
     }
 
-    /// Gives a tick the frames that its journal names, as far as they have come. Once: of those that
-    /// come later it is told one by one.
+    /// Adds the available frames in a tick's journal, once; frames that arrive later are added one
+    /// by one.
     fn fill(&mut self, parts: &mut TickParts) {
         let (None, Some((_, taken))) = (&parts.wanted, &parts.journal) else {
             return;
@@ -434,7 +434,7 @@ mod tests {
         ]
     }
 
-    /// The ticks that come out, each with whether all its frames are there.
+    /// The released ticks, each with whether all its frames are present.
     fn ticks(assembler: &mut Assembler) -> Vec<(u64, u64, bool)> {
         let mut ticks = Vec::new();
         while let Some(event) = assembler.next_event() {
@@ -452,8 +452,8 @@ mod tests {
     }
 
     #[test]
-    fn a_tick_gets_its_frames_whenever_they_come_and_each_frame_goes_to_one() {
-        // Two ticks that name the same frame: it came twice.
+    fn a_tick_gets_its_frames_at_any_order_of_arrival_and_each_frame_once() {
+        // Two ticks list the same frame, which was received twice.
         let (first, second) = (
             journal(1, 1, [5, 6].into_iter()),
             journal(1, 2, [6].into_iter()),
@@ -483,12 +483,12 @@ mod tests {
         }
     }
 
-    /// Messages that a small file can hold. What each costs must not grow with those before it, or
-    /// these tests take hours.
+    /// Number of messages in a small file. The cost of each must not grow with their number,
+    /// otherwise these tests take hours.
     const MANY: u64 = 200_000;
 
     #[test]
-    fn a_tick_that_lacks_many_frames_costs_the_messages_after_it_nothing() {
+    fn a_tick_that_lacks_many_frames_does_not_slow_later_messages() {
         let mut assembler = Assembler::default();
         assembler.push(journal(1, 1, 0..MANY));
         for seq in 0..MANY {
@@ -504,7 +504,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_that_never_end_wait_in_bounded_number() {
+    fn the_number_of_unfinished_runs_is_bounded() {
         let mut assembler = Assembler::default();
         let mut found = 0;
         for run in 1..=MANY {
@@ -516,7 +516,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_comes_and_goes_again_and_again_leaves_nothing() {
+    fn a_frame_received_and_taken_repeatedly_leaves_no_entries() {
         let mut store = FrameStore::default();
         let key = (0, 0, 7);
         for _ in 0..MANY {

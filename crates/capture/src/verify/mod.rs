@@ -25,9 +25,10 @@ pub use compare::Value;
 pub use report::{Difference, Loss, Verification};
 pub use what_if::{Comparison, ModelScores, RobotComparison, WhatIf};
 
-/// What may wait for a keyframe, and what keyframes may take that wait for their ticks, bytes.
+/// Maximum memory of ticks waiting for a keyframe, and of keyframes waiting for their ticks, bytes.
 const MOST_WAITING: usize = 256 << 20;
-/// Keyframes that may wait for their ticks: one comes each five seconds, and its ticks at once.
+/// Maximum number of keyframes waiting for their ticks: one arrives every five seconds, and its
+/// ticks directly after it.
 const MOST_KEYFRAMES: usize = 64;
 
 /// Recomputes a capture of one fleet.
@@ -138,7 +139,7 @@ impl Verifier {
         }
     }
 
-    /// Keeps a keyframe until its tick comes; the oldest ones make room.
+    /// Stores a keyframe until its tick arrives; the oldest ones are dropped if there are too many.
     fn keep(&mut self, place: (u64, u64), bytes: Vec<u8>) {
         self.keyframes.insert(place, bytes);
         let held =

@@ -1,4 +1,4 @@
-//! The file of a capture, on a disk that may fill up or fail.
+//! The file of a capture on a disk that may be full or fail.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use super::error::WriteError;
 
-/// A file that holds what was flushed and nothing else: when a write fails, the bytes since the last
-/// flush are cut off again. So a capture has no half of a chunk, and a chunk that arrived whole while
-/// the rest of its flush failed is not in it either: what is counted as written is what can be read.
+/// A file that contains only flushed data: when a write fails, the bytes since the last flush are
+/// truncated. So a capture contains no partial chunk, nor a complete chunk of a failed flush: what
+/// is counted as written is what can be read.
 #[derive(Debug)]
 pub struct CaptureFile {
     path: PathBuf,
@@ -18,7 +18,7 @@ pub struct CaptureFile {
 }
 
 impl CaptureFile {
-    /// Creates the file; one that exists is not touched.
+    /// Creates the file; an existing file is refused.
     ///
     /// # Errors
     /// [`WriteError::Exists`], [`WriteError::Create`].
@@ -40,7 +40,7 @@ impl CaptureFile {
         })
     }
 
-    /// Waits until the file is on the disk: an error of the disk may come only then.
+    /// Syncs the file to the disk: write errors of the disk may be reported only then.
     pub(crate) fn sync(self) -> io::Result<()> {
         self.file.sync_all()
     }
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
     use crate::{Attachments, CaptureSettings, Message, Preset, Reader, Times, Writer};
 
-    /// A disk with room for so many bytes, and a second descriptor of the file on it.
+    /// A disk with a capacity of `room` bytes, and a second descriptor of the file on it.
     fn disk(room: u64) -> (CaptureFile, File) {
         let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
         let file = File::from(memfd_create("joulebus-test", flags).unwrap());
@@ -96,7 +96,7 @@ mod tests {
         (capture, reading)
     }
 
-    /// Messages of a file.
+    /// Number of messages in a file.
     fn readable(file: &Path) -> u64 {
         let Ok(reader) = Reader::open(file) else {
             return 0;
@@ -106,7 +106,8 @@ mod tests {
 
     const GIVEN: u64 = 7;
 
-    /// Gives a writer messages, a chunk each two; what it says is in the file, and what is not.
+    /// Passes messages to a writer, two per chunk; returns the counts of written and unwritten
+    /// ones.
     fn write<W: Write>(out: W, settings: CaptureSettings) -> (u64, u64, bool) {
         let Ok(mut writer) = Writer::new(out, settings, &Attachments::default()) else {
             return (0, GIVEN, false);
@@ -114,7 +115,7 @@ mod tests {
         for number in 1..=GIVEN {
             let message = Message::Ticks(TickHeader::default(), Vec::new());
             let times = Times::default();
-            // What fails is counted; whoever continues all the same is told again.
+            // A failure is counted; later calls return an error again.
             let _ = writer.write("lab", times, &message);
             if number % 2 == 0 {
                 let _ = writer.flush();
@@ -128,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_room_the_disk_has_the_file_holds_what_is_counted_as_written() {
+    fn at_any_capacity_of_the_disk_the_file_contains_what_is_counted_as_written() {
         for preset in Preset::ALL {
             let settings = CaptureSettings::of(preset);
             let mut whole = Vec::new();

@@ -33,10 +33,10 @@ pub struct Times {
     pub publish_ns: u64,
 }
 
-/// Writes a capture, chunk by chunk: a chunk goes to the file whole when it spans
-/// [`CaptureSettings::chunk_ns`], when [`Writer::flush`] is called, and at the end. What has gone to the file
-/// can be read whatever happens afterwards, and only that counts as written: every message given to
-/// [`Writer::write`] is in [`Writer::written`] or in [`Writer::unwritten`].
+/// Writes a capture, chunk by chunk: a chunk is written to the file as a whole when it spans
+/// [`CaptureSettings::chunk_ns`], when [`Writer::flush`] is called, and at the end. Data written to
+/// the file remains readable whatever happens later, and only that counts as written: every message
+/// passed to [`Writer::write`] is in [`Writer::written`] or in [`Writer::unwritten`].
 ///
 /// Dropping it without [`Writer::finish`] leaves a file that may be truncated.
 pub struct Writer<W: Write> {
@@ -48,18 +48,18 @@ pub struct Writer<W: Write> {
     sequences: Sequences,
     chunk_from_ns: Option<u64>,
     log_ns: u64,
-    /// What is in the file.
+    /// Statistics of the file.
     messages: u64,
     encoded: u64,
     bytes: Arc<AtomicU64>,
     open: OpenChunk,
-    /// Messages that were refused, by topic.
+    /// Refused messages by topic.
     refused: BTreeMap<String, u64>,
     failed: bool,
     scratch: Vec<u8>,
 }
 
-/// What was taken and is not in the file yet.
+/// Messages accepted and not yet in the file.
 #[derive(Debug, Default)]
 struct OpenChunk {
     messages: u64,
@@ -86,17 +86,17 @@ struct Channel {
 }
 
 impl OpenChunk {
-    /// Messages of the channel.
+    /// Number of messages of the channel.
     fn of(&self, channel: &Channel) -> u64 {
         self.by_channel.get(&channel.id).copied().unwrap_or(0)
     }
 }
 
-/// The next number of each channel, by topic: continues in the next file.
+/// The next sequence number of each channel, by topic, to continue in the next file.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Sequences(BTreeMap<String, u32>);
 
-/// What is in a file.
+/// Statistics of a file.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Written {
     /// Messages.
@@ -110,7 +110,7 @@ pub struct Written {
 }
 
 impl Writer<CaptureFile> {
-    /// Creates the file; one that exists is not touched.
+    /// Creates the file; an existing file is refused.
     ///
     /// # Errors
     /// [`WriteError`].
@@ -295,7 +295,7 @@ impl<W: Write> Writer<W> {
         }
     }
 
-    /// What is in the file so far.
+    /// Statistics of the file so far.
     #[must_use]
     pub fn written(&self) -> Written {
         let by_topic = self.topics().map(|(topic, channel)| {
@@ -312,8 +312,8 @@ impl<W: Write> Writer<W> {
         }
     }
 
-    /// Messages by topic that were given to [`Writer::write`] and are not in the file: those of the
-    /// open chunk, which a failure costs, and those that were refused.
+    /// Messages by topic that were passed to [`Writer::write`] and are not in the file: those of
+    /// the open chunk, which are lost by a failure, and refused ones.
     #[must_use]
     pub fn unwritten(&self) -> BTreeMap<String, u64> {
         let mut unwritten = self.refused.clone();
@@ -352,7 +352,7 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// The channel's place among those of its kind and robot: one fleet as a rule, a few at most.
+    /// The channel's index among those of its kind and robot: usually one fleet, at most a few.
     fn place(&mut self, fleet: &str, kind: MessageKind, robot: u32) -> Result<usize, WriteError> {
         let known = self.channels.get(&(kind, robot));
         let known =
@@ -363,7 +363,7 @@ impl<W: Write> Writer<W> {
         }
     }
 
-    /// Opens the channel and returns its place among those of its kind and robot.
+    /// Opens the channel and returns its index among those of its kind and robot.
     fn open_channel(
         &mut self,
         fleet: &str,

@@ -13,14 +13,14 @@ const MOST_GATHERED: usize = 1 << 20;
 pub(crate) struct Output<W> {
     inner: W,
     gathered: Vec<u8>,
-    /// Bytes that have come in.
+    /// Bytes received.
     taken: u64,
     bytes: Arc<AtomicU64>,
     failed: bool,
 }
 
 impl<W: Write> Output<W> {
-    /// `bytes` tells how many have been handed on and flushed.
+    /// `bytes` counts the bytes passed on and flushed.
     pub(crate) const fn new(inner: W, bytes: Arc<AtomicU64>) -> Self {
         Self {
             inner,

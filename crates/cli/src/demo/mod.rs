@@ -77,7 +77,7 @@ fn duration(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    // Before anything is created: who is told to stop while starting cleans up as well.
+    // Before anything is created, so that a stop request during the start cleans up as well.
     let stop = Stop::on_signals()?;
     let wanted = (!args.no_capture).then_some(args.capture.as_deref());
     let capture = wanted.map(capture::file).transpose()?;

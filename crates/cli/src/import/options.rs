@@ -6,10 +6,10 @@ use anyhow::Context as _;
 use joulebus_capture::import::{CurrentSign, Mapping, RobotMapping, TimeSource};
 use joulebus_program::exit::UsageError;
 
-/// A mapping larger than this is none: something else was named by mistake.
+/// Maximum size of a mapping, bytes.
 const MOST_MAPPING_BYTES: u64 = 4 << 20;
 
-/// How a rosbag2 recording is meant.
+/// Interpretation of a rosbag2 recording.
 #[derive(Debug, clap::Args)]
 pub(super) struct ImportArguments {
     /// A TOML file with the mapping of each robot

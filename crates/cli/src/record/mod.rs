@@ -135,11 +135,11 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         .duration
         .map(|seconds| began_ns.saturating_add(ns(seconds)));
     wait(&recorder, &stop, &write_down, end_ns);
-    // Asked for together with the end.
+    // Requested together with the end.
     if write_down.swap(false, Ordering::Relaxed) {
         recorder.write_down();
     }
-    // Their captures end before ours does.
+    // Their captures end before ours.
     others.end();
     let summary = recorder.finish();
     let duration_s = (clock::monotonic_ns() - began_ns) as f64 * 1e-9;

@@ -22,9 +22,9 @@ pub(super) struct RecordReport {
     /// Messages lost by topic; topics without losses are omitted.
     lost: BTreeMap<String, Lost>,
     messages_lost: u64,
-    /// What a snapshot kept in memory at its end, for no file; none of other recordings.
+    /// Memory buffer of a snapshot that was not written; none for other recordings.
     kept: Option<Kept>,
-    /// Why it stopped by itself, if it did.
+    /// Error that stopped the recording, if any.
     failure: Option<String>,
 }
 
@@ -39,7 +39,7 @@ struct File {
 struct Kept {
     messages: u64,
     bytes: u64,
-    /// From the oldest to the newest, s.
+    /// Time span from the oldest to the newest, s.
     span_s: f64,
 }
 
@@ -47,7 +47,7 @@ struct Kept {
 struct Lost {
     /// Overwritten in shared memory before the recorder read them.
     overwritten: u64,
-    /// The disk was too slow, full, or failed.
+    /// Not written because the disk was too slow, full, or failed.
     unwritten: u64,
 }
 

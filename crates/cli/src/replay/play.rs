@@ -49,7 +49,7 @@ struct Player {
     flow: Option<Flow>,
     /// True if the sending rate is limited by the worker's answers.
     follows: bool,
-    /// Whether to wait for a worker where there is none.
+    /// Whether to wait until a worker runs.
     waits: bool,
     kinds: Vec<MessageKind>,
     slower: f64,
@@ -271,7 +271,7 @@ impl Player {
         match flow.wait_for_capacity(samples, stop)? {
             SendWindow::Free => Ok(true),
             SendWindow::Stopped => Ok(false),
-            // What is sent is lost, as was asked for.
+            // With --no-wait, frames sent without a worker are lost.
             SendWindow::NoWorker if !self.waits => Ok(true),
             SendWindow::NoWorker => wait_for_worker(flow, stop),
         }

@@ -17,10 +17,11 @@ use super::checkpoint_path;
 /// Interval between checkpoints: the most that a power failure can lose.
 const SAVE_EVERY: Duration = Duration::from_secs(10);
 
-/// A saved run is smaller: a network, its optimizer and an entry an epoch.
+/// Maximum size of a checkpoint, bytes: a network, its optimizer and an entry per epoch are
+/// smaller.
 const MOST_SAVED_BYTES: u64 = 64 << 20;
 
-/// Where the model goes, and how the run continues.
+/// Output file and options of a training run.
 #[derive(Debug, clap::Args)]
 pub(super) struct RunArguments {
     /// The model file to write

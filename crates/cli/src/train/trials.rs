@@ -158,7 +158,7 @@ impl Args {
     }
 }
 
-/// A recipe larger than this is none: something else was named by mistake.
+/// Maximum size of a recipe, bytes.
 const MOST_RECIPE_BYTES: u64 = 4 << 20;
 
 fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {

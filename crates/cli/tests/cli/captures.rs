@@ -98,7 +98,7 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
 }
 
 #[test]
-fn a_replay_that_does_not_wait_plays_to_its_end_without_a_worker() {
+fn a_replay_with_no_wait_plays_to_its_end_without_a_worker() {
     let fleet = Fleet::new();
     let (file, samples) = capture(&fleet, 300);
     for rate in ["50", "max", "1000"] {
@@ -107,7 +107,7 @@ fn a_replay_that_does_not_wait_plays_to_its_end_without_a_worker() {
             file.display()
         );
         let played = fleet.output(&verb);
-        // What is sent without a worker is lost, as the option says.
+        // Frames sent without a worker are lost, as documented for the option.
         assert!(matches!(code(&played), 0 | 3), "{}", stderr(&played));
         assert_eq!(json(&played)["samples"], samples, "rate {rate}");
         assert!(!stderr(&played).contains("waiting"), "{}", stderr(&played));
@@ -116,7 +116,7 @@ fn a_replay_that_does_not_wait_plays_to_its_end_without_a_worker() {
 }
 
 #[test]
-fn a_file_that_exists_is_refused_with_what_to_do() {
+fn an_existing_file_is_refused_with_a_remedy() {
     let fleet = Fleet::new();
     let file = fleet.path("run.mcap");
     fs::write(&file, "precious").unwrap();
@@ -130,7 +130,7 @@ fn a_file_that_exists_is_refused_with_what_to_do() {
 }
 
 #[test]
-fn what_is_no_capture_is_refused() {
+fn a_file_that_is_not_a_capture_is_refused() {
     let fleet = Fleet::new();
     let file = fleet.recording("a.csv", 10);
     for verb in ["info", "doctor", "cat"] {

@@ -158,12 +158,12 @@ impl Program {
         self.0.signal(signal);
     }
 
-    /// Lines that it has written to stderr so far.
+    /// Its lines on stderr so far.
     pub(crate) fn said(&self) -> Vec<String> {
         self.0.errors().lines().map(str::to_owned).collect()
     }
 
-    /// Asks it to end, and waits.
+    /// Sends `signal` and waits for the exit.
     pub(crate) fn end(mut self, signal: Signal) -> Output {
         self.signal(signal);
         self.wait()

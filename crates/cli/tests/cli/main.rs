@@ -173,7 +173,7 @@ fn a_typo_in_a_config_is_refused_with_its_line_and_the_nearest_key() {
 }
 
 #[test]
-fn a_config_whose_model_the_worker_would_refuse_is_refused_by_the_check_as_well() {
+fn config_check_refuses_a_config_whose_model_the_worker_would_refuse() {
     let fleet = Fleet::new();
     let (path, model) = (fleet.path("model.toml"), fleet.path("broken.safetensors"));
     let text = fs::read_to_string(fleet.config()).unwrap();
@@ -189,7 +189,7 @@ fn a_config_whose_model_the_worker_would_refuse_is_refused_by_the_check_as_well(
         assert_eq!(code(&ran), 1, "{}", stderr(&ran));
         let checked = output(["config", "check", &path, "--format", "json"]);
         assert_eq!(code(&checked), 2, "{}", stderr(&checked));
-        // The same words.
+        // The same error text.
         let why = stderr(&ran);
         let why = why.trim().strip_prefix("error: ").unwrap();
         assert!(
@@ -211,7 +211,7 @@ fn a_config_whose_model_the_worker_would_refuse_is_refused_by_the_check_as_well(
 }
 
 #[test]
-fn what_is_shown_of_a_config_is_the_same_config() {
+fn config_show_prints_an_equivalent_config() {
     let fleet = Fleet::new();
     let config = fleet.config().display().to_string();
     let shown = output(["config", "show", &config]);

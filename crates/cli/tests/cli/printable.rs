@@ -1,4 +1,4 @@
-//! Names with escape sequences in them, in files and of files: a terminal never gets them raw.
+//! Names with escape sequences, in files and of files, are escaped in all output.
 
 use std::fs;
 use std::path::Path;
@@ -9,10 +9,11 @@ use joulebus_wire::{Sample, SampleHeader};
 
 use crate::fleet::{Fleet, output};
 
-/// Clears the screen, sets a title, and as one character that some terminals take for ESC [.
+/// Clears the screen, sets a title, and contains the single character that some terminals interpret
+/// as ESC [.
 const EVIL: &str = "x\u{1b}[2J\u{1b}]0;y\u{7}\u{9b}31m\r\u{202e}z";
 
-/// What a terminal would obey.
+/// Control characters that a terminal would execute.
 fn is_obeyed(letter: char) -> bool {
     letter.is_control() && letter != '\n' && letter != '\t' || letter == '\u{202e}'
 }
@@ -24,7 +25,7 @@ fn assert_is_printable(arguments: &[&str], ended: &Output) {
     }
 }
 
-/// A capture whose fleet and topics are named so, and whose file is.
+/// A capture in which fleet, topics and file have that name.
 fn capture(folder: &Path) -> String {
     let path = folder.join(format!("{EVIL}.mcap"));
     let mut attachments = Attachments::default();
@@ -38,7 +39,7 @@ fn capture(folder: &Path) -> String {
 }
 
 #[test]
-fn names_in_files_and_of_files_never_reach_a_terminal_raw() {
+fn names_in_files_and_of_files_are_escaped() {
     let fleet = Fleet::new();
     let file = capture(&fleet.path(""));
     let (csv, config) = (

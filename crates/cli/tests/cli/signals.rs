@@ -1,4 +1,4 @@
-//! Signals that end a verb: each ends it cleanly, and nothing of it is left.
+//! Signals that end a subcommand: each ends it cleanly and leaves no files.
 
 use std::fs;
 use std::path::PathBuf;
@@ -10,7 +10,7 @@ use rustix::process::Signal;
 use crate::captures::capture;
 use crate::fleet::{Fleet, Program, code, joulebus, json, stderr};
 
-/// Verbs that run until they are told to end, and what they say once they run.
+/// Subcommands that run until stopped, and the text they print once running.
 const VERBS: [(&str, &str); 10] = [
     ("run", "ready:"),
     ("run --record FILE", "ready:"),
@@ -27,7 +27,7 @@ const VERBS: [(&str, &str); 10] = [
     ("replay CAPTURE", "waiting for one"),
 ];
 
-/// The verb as a command, its files made.
+/// The command of a subcommand, with its input files created.
 fn command(fleet: &Fleet, verb: &str) -> Command {
     let file = |name: &str| -> PathBuf {
         match name {
@@ -43,7 +43,7 @@ fn command(fleet: &Fleet, verb: &str) -> Command {
 }
 
 #[test]
-fn every_verb_ends_cleanly_when_it_is_told_to_and_when_its_terminal_is_closed() {
+fn every_verb_ends_cleanly_at_a_signal_and_when_its_terminal_is_closed() {
     for (verb, says) in VERBS {
         for signal in [Signal::HUP, Signal::TERM, Signal::INT] {
             let fleet = Fleet::new();
@@ -56,7 +56,7 @@ fn every_verb_ends_cleanly_when_it_is_told_to_and_when_its_terminal_is_closed() 
     }
 }
 
-/// Whether the process ignores the end of its terminal, as Linux tells.
+/// True if the process ignores SIGHUP, by /proc.
 fn ignores_hangup(pid: u32) -> bool {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
@@ -64,7 +64,7 @@ fn ignores_hangup(pid: u32) -> bool {
 }
 
 #[test]
-fn what_was_started_to_outlive_its_terminal_does() {
+fn a_process_started_with_nohup_outlives_its_terminal() {
     let fleet = Fleet::new();
     let run = fleet.joulebus("run");
     let mut nohup = Command::new("bash");
@@ -82,7 +82,7 @@ fn what_was_started_to_outlive_its_terminal_does() {
 }
 
 #[test]
-fn a_snapshot_that_is_asked_for_together_with_the_end_is_written() {
+fn a_snapshot_requested_together_with_the_end_is_written() {
     let fleet = Fleet::new();
     let file = fleet.path("asked.mcap");
     let worker = fleet.worker();
@@ -95,7 +95,7 @@ fn a_snapshot_that_is_asked_for_together_with_the_end_is_written() {
     let sent = fleet.output("publish sim --robots 3 --duration 0.5 --format json");
     assert_eq!(code(&sent), 0, "{}", stderr(&sent));
     eventually("messages in memory", || {
-        // The progress is told each five seconds.
+        // Progress is printed every five seconds.
         record
             .said()
             .iter()

@@ -1,5 +1,5 @@
-//! Pipes, devices, directories and sockets in the place of every file that a verb reads: refused with
-//! a reason, at once; and in the place of files that it writes: left as they are.
+//! Pipes, devices, directories and sockets in place of every input file are refused at once with a
+//! reason; in place of output files they are left unchanged.
 
 use std::fs;
 use std::os::unix::fs::{FileTypeExt as _, symlink};
@@ -12,7 +12,7 @@ use rustix::fs::{CWD, FileType, Mode, mknodat};
 use crate::captures::capture;
 use crate::fleet::{Fleet, Program, code, joulebus, stderr};
 
-/// Every place of a file that is read; X is the file.
+/// Every argument that is an input file; X is the file.
 const READERS: [&str; 34] = [
     "run --config X",
     "record -o OUT --config X",
@@ -58,7 +58,7 @@ fn fifo(path: &Path) {
     mknodat(CWD, path, FileType::Fifo, Mode::from_raw_mode(0o600), 0).unwrap();
 }
 
-/// What is no regular file, and how it is called. The socket lives as long as what is returned.
+/// Non-regular files and their kinds. The socket lives as long as the returned value.
 fn special_files(fleet: &Fleet) -> (Vec<(PathBuf, &'static str)>, UnixListener) {
     let at = |name: &str| fleet.path(name);
     fs::create_dir(at("directory")).unwrap();
@@ -76,7 +76,7 @@ fn special_files(fleet: &Fleet) -> (Vec<(PathBuf, &'static str)>, UnixListener) 
 }
 
 #[test]
-fn what_is_no_regular_file_is_refused_wherever_a_verb_reads_one() {
+fn files_that_are_not_regular_are_refused_as_input_of_every_verb() {
     let fleet = Fleet::new();
     let (specials, _socket) = special_files(&fleet);
     let (whole, _) = capture(&fleet, 100);
@@ -94,11 +94,11 @@ fn what_is_no_regular_file_is_refused_wherever_a_verb_reads_one() {
                 word => PathBuf::from(word),
             };
             let mut command = joulebus(verb.split_whitespace().map(word));
-            // A pipe that is waited for would not end.
+            // Waiting for a pipe would never end.
             command.current_dir(fleet.path(""));
             let ended = Program::start(command).wait();
             let (said, shown) = (stderr(&ended), special.display());
-            // A replay of what can be read of several files tells what cannot at its end.
+            // A replay of several files plays the readable ones, and reports the others at its end.
             let codes = if verb.contains("CAPTURE X") {
                 3..=3
             } else {
@@ -115,7 +115,7 @@ fn what_is_no_regular_file_is_refused_wherever_a_verb_reads_one() {
 }
 
 #[test]
-fn files_that_a_config_names_are_checked_before_anything_is_created() {
+fn files_named_in_a_config_are_checked_before_anything_is_created() {
     let fleet = Fleet::new();
     let (specials, _socket) = special_files(&fleet);
     let text = fs::read_to_string(fleet.config()).unwrap();

@@ -74,7 +74,7 @@ pub enum TrialError {
         /// The file.
         path: PathBuf,
     },
-    /// Too much text for so small a compressed file.
+    /// Too much text for the size of the compressed file.
     #[error(
         "{path}: more than {allowed} bytes of text in {found} bytes of gzip; allowed are {MAX_EXPANSION} \
          for each, and {FREE_TEXT_BYTES} in any case; decompress it first",
@@ -85,7 +85,7 @@ pub enum TrialError {
         path: PathBuf,
         /// Bytes of the file.
         found: u64,
-        /// Bytes of text that are allowed.
+        /// Allowed bytes of text.
         allowed: u64,
     },
     /// A row is too long.
@@ -96,7 +96,7 @@ pub enum TrialError {
     RowTooLong {
         /// The file.
         path: PathBuf,
-        /// Whole rows before it.
+        /// Complete rows before it.
         rows: usize,
     },
     /// The header of the array is not that of a plain array.

@@ -587,7 +587,7 @@ fn what_is_questionable_is_reported_with_its_row_and_kept() {
 }
 
 #[test]
-fn a_small_compressed_file_cannot_hold_any_amount_of_text() {
+fn the_text_in_a_small_compressed_file_is_bounded() {
     let files = Files::new();
     let head = b"timestamp_s,power_mW\n";
     let rows = |row: &[u8], bytes: usize| [head, row.repeat(bytes / row.len()).as_slice()].concat();
@@ -613,7 +613,7 @@ fn a_small_compressed_file_cannot_hold_any_amount_of_text() {
         );
         assert!(refused.to_string().contains("1048576 bytes"), "{refused}");
     }
-    // Rows as they should be, far too many for so few bytes of gzip.
+    // Valid rows, but too many for the size of the gzip file.
     let bomb = gzip(&rows(
         b"000000000000000000000000000000000000000000000000.5,1\n",
         20 << 20,

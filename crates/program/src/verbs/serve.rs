@@ -37,13 +37,14 @@ pub struct ServeArguments {
     pub config: ConfigFile,
 }
 
-/// An origin as browsers send it: a scheme, a host and perhaps a port.
+/// An origin as browsers send it: a scheme, a host and optionally a port.
 fn origin(text: &str) -> Result<String, String> {
     let host = text.split_once("://").map(|(_, host)| host);
     match host {
         Some(host) if !host.is_empty() && !host.contains(['/', ' ', '*']) => Ok(text.to_owned()),
         _ => Err(
-            "write a scheme, a host and perhaps a port, like https://lab.example:8080".to_owned(),
+            "expected a scheme, a host and optionally a port, such as https://lab.example:8080"
+                .to_owned(),
         ),
     }
 }
