@@ -1,5 +1,6 @@
-//! Processes of one user trust each other: any of them may cut an object in shared memory short, and whoever
-//! touches what is missing dies by SIGBUS. What is promised is that a supervisor's restarts cure it.
+//! Processes of one user trust each other: any of them can truncate an object in shared memory, and
+//! accesses to the missing part raise SIGBUS. Guaranteed is that restarts by a supervisor recover
+//! the fleet.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -10,7 +11,7 @@ use joulebus_tests::{Arena, Child, PATIENCE, ReaderLine, Setup, Spread, figure};
 
 const SIGBUS: i32 = 7;
 
-/// How each process of the fleet is started.
+/// Command of each process of the fleet.
 type Start = fn(&Arena) -> Child;
 
 const TASKS: [(&str, Start); 3] = [
@@ -21,7 +22,7 @@ const TASKS: [(&str, Start); 3] = [
     }),
 ];
 
-/// Restarts what ends, after a rest, and counts how it ended.
+/// Restarts processes after a delay, and counts how they ended.
 struct Supervisor {
     running: BTreeMap<&'static str, Child>,
     by_signal: u64,
@@ -43,7 +44,8 @@ impl Supervisor {
     fn poll(&mut self, arena: &Arena) {
         for (name, start) in TASKS {
             let child = self.running.get_mut(name).expect("every task runs");
-            // A controller that is told that its files are gone ends in the field; the tests' own goes on.
+            // A controller that is notified of removed files ends in production; this one
+            // continues.
             let is_told = child.lines(0, Duration::ZERO).last().is_some_and(|line| {
                 name == "controller" && line.contains("while this process used it")
             });
@@ -64,14 +66,14 @@ impl Supervisor {
         }
     }
 
-    /// Until the present planner has a forecast of a robot of the present worker.
+    /// Waits until the current planner has a forecast of a robot from the current worker.
     fn until_it_works(&mut self, arena: &Arena, what: &str) -> Duration {
         let begin = Instant::now();
         loop {
             self.poll(arena);
             let pid = self.running["worker"].pid();
             let lines = self.running["planner"].lines(0, Duration::ZERO);
-            // The last may be cut: the process may have died over it.
+            // The last line may be truncated if the process was killed.
             let newest = lines.iter().rev().take(4);
             let works = newest
                 .filter_map(|line| serde_json::from_str::<ReaderLine>(line).ok())
@@ -97,7 +99,7 @@ fn objects(arena: &Arena, end: &str) -> Vec<PathBuf> {
 }
 
 #[test]
-fn an_object_that_is_cut_short_kills_or_ends_its_users_and_their_restarts_cure_it() {
+fn after_truncation_of_an_object_restarts_recover_the_fleet() {
     let arena = Arena::new(&Setup::default());
     let (mut cured, mut killed, mut ended) = (Spread::default(), 0, 0);
     for end in [".data", ".dynamic", ".connection", ".event_mgmt", ""] {
@@ -112,7 +114,7 @@ fn an_object_that_is_cut_short_kills_or_ends_its_users_and_their_restarts_cure_i
                     file.set_len(length).unwrap();
                 }
             }
-            // Those who touch it notice at their next frame; then everything must come back.
+            // Its users detect it at their next frame; then all processes must recover.
             std::thread::sleep(Duration::from_millis(600));
             let took = fleet.until_it_works(&arena, &what);
             println!("{what}: {took:?}");

@@ -1,4 +1,4 @@
-//! What joulebus did not make it neither reads, changes nor removes, whoever asks it to.
+//! Files not created by joulebus are neither read, changed nor removed by any subcommand.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -10,7 +10,8 @@ use std::time::Duration;
 
 use joulebus_tests::{Arena, Child, Ended, PATIENCE, Setup, eventually, figure};
 
-/// Everything below a directory: what it is, its mode, and its content or target. Nothing is followed.
+/// Everything below a directory: kind, mode, and content or target. Symbolic links are not
+/// followed.
 type Tree = BTreeMap<PathBuf, (u32, Vec<u8>)>;
 
 fn tree(path: &Path) -> Tree {
@@ -39,8 +40,8 @@ fn directory(path: &Path, mode: u32) {
     fs::set_permissions(path, fs::Permissions::from_mode(mode)).unwrap();
 }
 
-/// A folder of somebody's: a letter, photos in folders that are named as iceoryx2 names its own, all older than
-/// what counts as being made.
+/// A directory of the user: a file, directories with names that iceoryx2 uses, all older than the
+/// limit for objects under construction.
 fn fill(path: &Path) {
     fs::write(path.join("letter.txt"), "dear\n").unwrap();
     for inner in ["photos", "nodes", "services"] {
@@ -51,7 +52,7 @@ fn fill(path: &Path) {
     }
 }
 
-/// The processes of a fleet that touch its folder, each told to end soon if it works.
+/// The processes of a fleet that access its directory, each stopped soon if it works.
 fn everybody(arena: &Arena) -> Vec<(&'static str, Command)> {
     let capture = arena.files().join("run.mcap").display().to_string();
     let controller = arena.probe(&["controller", "fleet", "0", "2", "30"]);
@@ -73,13 +74,13 @@ fn everybody(arena: &Arena) -> Vec<(&'static str, Command)> {
     ]
 }
 
-/// Everybody must refuse the fleet's folder, say why, and leave all of the root as it is.
+/// All must refuse the fleet's directory with a reason, and leave the root unchanged.
 fn everybody_refuses(what: &str, arena: &Arena, shows: &str) {
     let before = tree(arena.domain().root());
     for (name, command) in everybody(arena) {
         let ended: Ended = Child::spawn(name, command).wait();
         assert_eq!(ended.code(), Some(1), "{what}: {name}: {ended:?}");
-        // The recorder may have begun its file.
+        // The recorder may have created its file.
         let _ = fs::remove_file(arena.files().join("run.mcap"));
         let said = format!("{}{}", ended.errors(), ended.text());
         let path = arena.domain().directory().display().to_string();
@@ -93,7 +94,7 @@ fn everybody_refuses(what: &str, arena: &Arena, shows: &str) {
 const REFUSED: &str = "was not made by joulebus";
 
 #[test]
-fn a_folder_that_joulebus_did_not_make_is_refused_by_everybody_and_stays_as_it_is() {
+fn a_directory_not_created_by_joulebus_is_refused_and_unchanged() {
     type Make = fn(&Arena, &Path);
     let kinds: [(&str, &str, Make); 9] = [
         ("somebody's folder", REFUSED, |_, path| {
@@ -164,9 +165,9 @@ fn a_folder_that_joulebus_did_not_make_is_refused_by_everybody_and_stays_as_it_i
     );
 }
 
-/// The modes of somebody's root are his.
+/// The modes of a root not created by joulebus are not changed.
 #[test]
-fn a_root_that_joulebus_did_not_make_is_not_changed_and_stays_when_the_last_process_leaves() {
+fn a_root_not_created_by_joulebus_is_neither_changed_nor_removed() {
     let arena = Arena::new(&Setup::default());
     let root = arena.domain().root().to_owned();
     directory(&root, 0o755);
@@ -194,7 +195,7 @@ fn a_root_that_joulebus_did_not_make_is_not_changed_and_stays_when_the_last_proc
 }
 
 #[test]
-fn what_somebody_puts_into_a_fleets_folder_stays_whoever_lives_dies_or_mends() {
+fn foreign_files_in_a_fleets_directory_are_kept() {
     let arena = Arena::new(&Setup::default());
     let elsewhere = arena.files().join("elsewhere");
     directory(&elsewhere, 0o700);
@@ -216,7 +217,7 @@ fn what_somebody_puts_into_a_fleets_folder_stays_whoever_lives_dies_or_mends() {
         fs::write(&file, "dear\n").unwrap();
         let empty = inner.join("empty");
         fs::write(&empty, "").unwrap();
-        // Named as iceoryx2 names its own, and leading elsewhere.
+        // With names that iceoryx2 uses, and leading elsewhere.
         let link = inner.join("170141183460469231731687303715884105727");
         symlink(&elsewhere, &link).unwrap();
         let named = inner.join(format!("{prefix}letter"));
@@ -233,7 +234,7 @@ fn what_somebody_puts_into_a_fleets_folder_stays_whoever_lives_dies_or_mends() {
     let trees = || -> Vec<Tree> { puts.iter().map(|path| tree(path)).collect() };
     let before = trees();
 
-    // Those who live clean up after one who is killed.
+    // Live members clean up after a killed one.
     let object_count = || arena.stale_files().len();
     let living = object_count();
     controller.kill();
@@ -241,7 +242,7 @@ fn what_somebody_puts_into_a_fleets_folder_stays_whoever_lives_dies_or_mends() {
     assert_eq!(trees(), before, "beside living processes");
     assert_eq!(arena.run(&["doctor", "--fix"]).code(), Some(0));
     assert_eq!(trees(), before, "doctor --fix beside living processes");
-    // The next start finds all of it, and everybody dead.
+    // The next start finds all of it, with no member alive.
     worker.kill();
     planner.child.kill();
     arena.worker().stop();
@@ -261,7 +262,7 @@ fn what_somebody_puts_into_a_fleets_folder_stays_whoever_lives_dies_or_mends() {
 }
 
 #[test]
-fn a_folder_of_an_earlier_boot_is_cleaned_and_used_since_its_marker_says_whose_it_is() {
+fn a_directory_of_an_earlier_boot_with_our_marker_is_cleaned_and_reused() {
     let arena = Arena::new(&Setup::default());
     arena.worker().kill();
     let marker = arena.domain().directory().join("members.lock");
@@ -276,7 +277,7 @@ fn a_folder_of_an_earlier_boot_is_cleaned_and_used_since_its_marker_says_whose_i
 }
 
 #[test]
-fn many_that_start_at_once_make_one_folder_and_none_is_refused() {
+fn concurrent_starts_create_one_directory_and_none_is_refused() {
     let arena = Arena::new(&Setup {
         max_planners: 16,
         ..Setup::default()
@@ -304,9 +305,9 @@ fn many_that_start_at_once_make_one_folder_and_none_is_refused() {
     arena.close();
 }
 
-/// What lies where the worker's lock belongs.
+/// Other files at the path of the worker's lock.
 #[test]
-fn a_lock_file_that_is_something_else_is_refused_and_stays_as_it_is() {
+fn an_invalid_lock_file_is_refused_and_unchanged() {
     let arena = Arena::new(&Setup::default());
     let root = arena.domain().root().to_owned();
     directory(&root, 0o700);
@@ -348,7 +349,7 @@ fn a_lock_file_that_is_something_else_is_refused_and_stays_as_it_is() {
         assert_eq!((tree(&root), tree(arena.files())), before, "{what}");
         fs::remove_file(&lock).unwrap();
     }
-    // What a power failure may leave is no letter.
+    // Contents that a power failure may leave are accepted.
     for what in [&b""[..], b"12", b"4711 1700000000000000000\n", &[0; 40]] {
         fs::write(&lock, what).unwrap();
         arena.worker().stop();

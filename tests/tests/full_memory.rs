@@ -1,8 +1,8 @@
-//! Row 24: shared memory that is nearly full is an error with numbers for whoever needs more, and nothing for
-//! those who run. Never a signal.
+//! Row 24: if shared memory is nearly full, processes that need more fail with an error that states
+//! the numbers, and running ones are not affected. Never a signal.
 //!
-//! Each test has a shared memory of its own, in a mount namespace; where there is no right to that it says so
-//! and passes, but fails where CI=true.
+//! Each test has a separate shared memory in a mount namespace; without the privilege for it the
+//! test is skipped, and fails if CI=true.
 
 use std::fs;
 use std::path::PathBuf;
@@ -10,7 +10,7 @@ use std::process::Command;
 
 use joulebus_tests::{Arena, Child, Ended, PATIENCE, Planner, Setup, figure, program};
 
-/// A `/dev/shm` of its own, in which the arena's fleet lives.
+/// A separate `/dev/shm` with the arena's fleet.
 struct OwnShm {
     arena: Arena,
     holder: Child,
@@ -78,16 +78,16 @@ impl OwnShm {
         (found.f_blocks - found.f_bfree) * found.f_frsize
     }
 
-    /// Lets so many bytes be free.
+    /// Sets the number of free bytes.
     fn leave_free(&self, bytes: u64) {
-        // 0 would be no limit.
+        // 0 would mean no limit.
         let options = format!("remount,size={}", (self.used() + bytes).max(4_096));
         let mut command = self.inside("mount".as_ref(), &["-o", &options]);
         let done = command.arg("/dev/shm").status();
         assert!(done.expect("mount can be run").success(), "{options}");
     }
 
-    /// How many objects are in it.
+    /// Number of objects in it.
     fn objects(&self) -> usize {
         let path = format!("/proc/{}/root/dev/shm", self.holder.pid());
         fs::read_dir(path).expect("the holder lives").count()
@@ -101,12 +101,12 @@ impl OwnShm {
     }
 }
 
-/// How a process comes into a fleet.
+/// A kind of process that joins a fleet.
 struct Role {
     name: &'static str,
     command: fn(&OwnShm) -> Command,
     is_ready: fn(&mut Child) -> bool,
-    /// Asks it to end well.
+    /// Requests its shutdown.
     end: fn(&mut Child) -> Ended,
 }
 
@@ -153,13 +153,13 @@ const ROLES: [Role; 6] = [
     },
 ];
 
-/// KiB left: pages, what joining takes, what ports take, and what was found to kill.
+/// KiB left: pages, the memory of joining, the memory of ports, and values found to crash.
 const LEFT_KIB: [u64; 14] = [
     0, 4, 8, 24, 60, 120, 180, 200, 240, 320, 480, 720, 1_100, 2_400,
 ];
 
-/// Starts so many of `role` at once with `left` bytes free. How many were ready; the others must have failed
-/// with the numbers.
+/// Starts `count` processes of `role` concurrently with `left` free bytes. Returns how many were
+/// ready; the others must have failed with the numbers.
 fn start(shm: &OwnShm, role: &Role, at_once: usize, left: u64) -> usize {
     shm.leave_free(left);
     let mut children: Vec<Child> = (0..at_once)
@@ -181,7 +181,7 @@ fn start(shm: &OwnShm, role: &Role, at_once: usize, left: u64) -> usize {
     }
     for child in &mut children {
         if child.is_running() {
-            // Those that work do so until they are told to end, however little is left for them.
+            // Ready processes must work until stopped, however little memory is left.
             (role.end)(child);
         }
     }
@@ -190,7 +190,7 @@ fn start(shm: &OwnShm, role: &Role, at_once: usize, left: u64) -> usize {
 }
 
 #[test]
-fn row_24_a_newcomer_to_a_running_fleet_with_little_memory_left_fails_with_numbers_or_works() {
+fn row_24_joining_a_fleet_with_little_memory_left_works_or_fails_with_numbers() {
     let Some(shm) = OwnShm::new(&Setup::default()) else {
         return;
     };
@@ -232,7 +232,7 @@ fn row_24_a_newcomer_to_a_running_fleet_with_little_memory_left_fails_with_numbe
 }
 
 #[test]
-fn row_24_the_first_process_of_a_fleet_with_little_memory_left_fails_with_numbers_or_works() {
+fn row_24_the_first_process_with_little_memory_left_works_or_fails_with_numbers() {
     let Some(shm) = OwnShm::new(&Setup::default()) else {
         return;
     };
@@ -253,16 +253,16 @@ fn row_24_the_first_process_of_a_fleet_with_little_memory_left_fails_with_number
     shm.close();
 }
 
-/// What dead processes have left is removed before it is decided whether there is room.
+/// Files of dead processes are removed before free memory is checked.
 #[test]
-fn row_24_memory_that_dead_processes_hold_is_free_for_the_next_start() {
+fn row_24_memory_of_dead_processes_is_freed_for_the_next_start() {
     let Some(shm) = OwnShm::new(&Setup::default()) else {
         return;
     };
     let mut worker = Child::spawn("worker", shm.joulebus(&["run"]));
     worker.says("ready:");
     worker.kill();
-    // Less than a worker takes, which is what the dead one holds.
+    // Less than a worker needs, which is what the dead one holds.
     shm.leave_free(2 << 20);
     let mut worker = Child::spawn("worker", shm.joulebus(&["run"]));
     worker.says("ready:");

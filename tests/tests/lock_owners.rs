@@ -1,11 +1,11 @@
-//! A message names a process to stop only if that process holds the lock.
+//! A message names a process to kill only if that process holds the lock.
 
 use std::fs;
 use std::process::{Command, Stdio};
 
 use joulebus_tests::{Arena, Setup, figure};
 
-/// The process ids that a message says to kill.
+/// The pids that a message suggests to kill.
 fn to_kill(message: &str) -> Vec<i64> {
     let told = message.split("`kill ").skip(1);
     told.map(|rest| {
@@ -19,7 +19,7 @@ fn to_kill(message: &str) -> Vec<i64> {
 }
 
 #[test]
-fn whatever_the_lock_file_says_a_second_worker_names_the_one_that_holds_it() {
+fn a_second_worker_names_the_holder_of_the_lock_at_any_contents_of_its_file() {
     let arena = Arena::new(&Setup::default());
     let mut worker = arena.worker();
     let (pid, mine) = (i64::from(worker.pid()), std::process::id());
@@ -68,12 +68,13 @@ fn whatever_the_lock_file_says_a_second_worker_names_the_one_that_holds_it() {
 }
 
 #[test]
-fn a_holder_that_cannot_be_seen_is_not_named() {
+fn an_invisible_holder_is_not_named() {
     let arena = Arena::new(&Setup::default());
     let mut worker = arena.worker();
     let lock = arena.domain().root().join("worker-t.lock");
     worker.stop();
-    // The process that took the lock has ended, and another one holds it open: the kernel names the former.
+    // The process that took the lock has exited, and another one holds it open: the kernel reports
+    // the former.
     let script = "mkdir -m 700 -p $0 && exec 9>$1 && flock -x 9 && exec sleep 600";
     let holder = Command::new("sh")
         .args(["-c", script])

@@ -1,5 +1,5 @@
-//! Files of a running fleet that are removed, as `rm` or systemd-logind's `RemoveIPC` do it: those who live
-//! notice and end with the reason, and who is started then works.
+//! Files of a running fleet that are removed, as by `rm` or systemd-logind's `RemoveIPC`: running
+//! processes detect it and exit with the reason, and processes started afterwards work.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ const NOTICED: &str = "while this process used it";
 
 fn remove(path: &Path) {
     let removed = fs::remove_file(path).or_else(|_| fs::remove_dir_all(path));
-    // The fleet may have removed what is in a directory at the same moment.
+    // The fleet may have removed files of a directory at the same time.
     assert!(
         removed.is_ok() || !path.exists(),
         "{}: {removed:?}",
@@ -20,7 +20,7 @@ fn remove(path: &Path) {
     );
 }
 
-/// Removes the fleet's objects in shared memory whose names end so.
+/// Removes the fleet's objects in shared memory with such a suffix.
 fn remove_objects(arena: &Arena, end: &str) {
     let is_object = |path: &PathBuf| path.parent() == Some(Path::new("/dev/shm")) && path.is_file();
     let objects: Vec<PathBuf> = arena.stale_files().into_iter().filter(is_object).collect();
@@ -30,7 +30,7 @@ fn remove_objects(arena: &Arena, end: &str) {
     assert_ne!(chosen.map(|path| remove(path)).count(), 0, "no {end}");
 }
 
-/// The programs of a fleet, all at work.
+/// The running processes of a fleet.
 struct Fleet {
     worker: Child,
     members: Vec<Child>,
@@ -68,7 +68,7 @@ impl Fleet {
         }
     }
 
-    /// Ends those who have not ended.
+    /// Stops the processes that have not exited.
     fn end(mut self) {
         for member in &mut self.members {
             if member.is_running() {
@@ -78,7 +78,7 @@ impl Fleet {
     }
 }
 
-/// What is removed, and by what means.
+/// Removed files, and how they are removed.
 type Removal = (&'static str, fn(&Arena));
 
 const REMOVALS: [Removal; 9] = [
@@ -110,7 +110,7 @@ const REMOVALS: [Removal; 9] = [
 ];
 
 #[test]
-fn a_worker_whose_files_are_removed_ends_with_the_reason_and_the_next_one_works() {
+fn a_worker_whose_files_are_removed_exits_with_the_reason_and_the_next_one_works() {
     let arena = Arena::new(&Setup::default());
     let mut noticed = Spread::default();
     for (round, (what, remove)) in REMOVALS.into_iter().enumerate() {
@@ -122,7 +122,7 @@ fn a_worker_whose_files_are_removed_ends_with_the_reason_and_the_next_one_works(
         let ended = fleet.worker.wait();
         assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
         assert!(ended.errors().contains("RemoveIPC"), "{what}: {ended:?}");
-        // As a supervisor would, and then everybody else's.
+        // As a supervisor would, then the others.
         let mut worker = arena.worker();
         fleet.end();
         let mut controller = arena.controller("fresh", 50, 2, 60.0);
@@ -147,7 +147,7 @@ fn a_worker_whose_files_are_removed_ends_with_the_reason_and_the_next_one_works(
 }
 
 #[test]
-fn every_program_whose_files_are_removed_says_so_and_ends() {
+fn every_program_whose_files_are_removed_reports_it_and_exits() {
     let arena = Arena::new(&Setup::default());
     let fleet = Fleet::start(&arena, 0);
     for path in arena.stale_files() {
@@ -162,7 +162,7 @@ fn every_program_whose_files_are_removed_says_so_and_ends() {
         .into_iter()
         .zip(members)
     {
-        // A controller is free to go on; the library tells it each time.
+        // A controller may continue; the library returns the error each time.
         if name == "controller" {
             let mut read = 0;
             eventually("the controller is told", || {
@@ -194,7 +194,7 @@ fn doctor_names_processes_that_use_removed_files() {
         planner.forecast("all work", |frame| frame.robot(3).map(|_| ()));
         let healthy = arena.run(&["doctor"]);
         assert_eq!(healthy.code(), Some(0), "{what}: {healthy:?}");
-        // Stopped, it cannot notice: doctor must.
+        // A stopped process cannot detect it: doctor must.
         worker.signal(Signal::STOP);
         remove(&arena);
         let ended = arena.run(&["doctor"]);
@@ -218,7 +218,7 @@ fn doctor_names_processes_that_use_removed_files() {
 }
 
 #[test]
-fn a_lock_file_that_is_removed_ends_the_worker_before_two_can_be_one() {
+fn removal_of_the_lock_file_ends_the_worker_before_a_second_one_can_start() {
     let arena = Arena::new(&Setup::default());
     let mut worker = arena.worker();
     remove(&arena.domain().root().join("worker-t.lock"));
@@ -228,9 +228,9 @@ fn a_lock_file_that_is_removed_ends_the_worker_before_two_can_be_one() {
     arena.close();
 }
 
-/// Those who come and go, are killed, or fall behind are no reason to end.
+/// Processes that join, leave, are killed or fall behind cause no errors.
 #[test]
-fn nothing_is_missed_while_processes_come_go_and_die() {
+fn no_file_is_reported_missing_while_processes_join_leave_and_are_killed() {
     let arena = Arena::new(&Setup::default());
     let mut worker = arena.worker();
     let mut planner = arena.planner();

@@ -48,7 +48,7 @@ impl Bus {
     /// # Errors
     /// [`JoinError`] names the obstacle and the remedy.
     pub fn join(domain: &Domain, name: &str) -> Result<Self, JoinError> {
-        // What fails for want of memory does not always say so.
+        // An error caused by lack of memory does not always state it.
         Self::try_join(domain, name).map_err(|error| {
             let full = check_free(PROCESS_BYTES).err();
             remove_unused(domain);
@@ -73,7 +73,7 @@ impl Bus {
         let config = Config::global_config();
         joined.incomplete += remove_incomplete(domain)?;
         remove_dead_nodes(config, &mut joined);
-        // What dead processes held is free now.
+        // Memory held by dead processes has been freed.
         check_free(PROCESS_BYTES)?;
         let node = create_node(domain, &node_name)?;
         make_private(domain)?;
@@ -96,16 +96,16 @@ impl Bus {
         &self.member.domain
     }
 
-    /// Whether everything that this process needs still lies where others look for it. A thread looks
-    /// four times a second; this reads what it found. Ports check it too.
+    /// Checks that all files used by this process are still at their paths. A thread checks them
+    /// four times a second; this returns its result. Ports check it too.
     ///
     /// # Errors
-    /// [`FilesRemoved`] names what is missing: end the process, and start it again.
+    /// [`FilesRemoved`] states what is missing: restart the process.
     pub fn check(&self) -> Result<(), FilesRemoved> {
         self.member.presence.check()
     }
 
-    /// From now on the file of `lock` must stay where it is as well.
+    /// From now on the file of `lock` is checked as well.
     pub fn needs_lock(&mut self, lock: &WorkerLock) {
         self.lock_need = Some(self.member.presence.need([lock.path()]));
     }
@@ -162,7 +162,7 @@ fn make_private(domain: &Domain) -> Result<(), JoinError> {
     Ok(())
 }
 
-/// Follows no link, and changes no file that has another name elsewhere.
+/// Does not follow symbolic links, and does not change a file with further hard links.
 fn restrict(path: &Path) -> io::Result<()> {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
     let file = fs::OpenOptions::new()

@@ -1,4 +1,4 @@
-//! A fleet's directories: making them, and whether they may be used.
+//! A fleet's directories: creation and checks.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -12,20 +12,20 @@ use crate::os::files::{filesystem, is_memory};
 use crate::private::{check_own, check_private};
 use crate::{DomainWarning, RootError};
 
-/// How long a process tries again while others make or remove the directories.
+/// Timeout of retries while other processes create or remove the directories.
 pub(crate) const RETRY_LIMIT: Duration = Duration::from_secs(5);
-/// The directories that iceoryx2 makes in a fleet's.
+/// The directories that iceoryx2 creates in that of a fleet.
 pub(crate) const NODES: &str = "nodes";
 pub(crate) const SERVICES: &str = "services";
 
 impl Domain {
-    /// Makes the root directory, and the fleet's below it, with mode 0700 if they are missing. Both
-    /// must be private, and the fleet's must carry the marker that joulebus puts there when it makes
-    /// it: another one is left as it is. [`crate::Bus::join`] calls this; calling it again is harmless.
+    /// Creates the root directory, and the fleet's below it, with mode 0700 if they are missing.
+    /// Both must be private, and the fleet's must contain the marker that joulebus writes at its
+    /// creation: others are not changed. Called by [`crate::Bus::join`]; idempotent.
     ///
     /// # Errors
-    /// [`RootError`] when one cannot be made, is no directory of this user's alone, or is not
-    /// joulebus's.
+    /// [`RootError`] if one cannot be created, is not a private directory of this user, or was not
+    /// created by joulebus.
     pub fn prepare(&self) -> Result<Vec<DomainWarning>, RootError> {
         self.prepare_root()?;
         if is_missing(&self.directory()) {
@@ -35,14 +35,14 @@ impl Domain {
         self.warnings()
     }
 
-    /// Takes other users' rights away from those of the directories that joulebus made. Returns which
-    /// were changed, with their modes before.
+    /// Removes other users' rights from those of the directories that joulebus created. Returns the
+    /// changed ones with their previous modes.
     ///
     /// # Errors
-    /// [`RootError`] when a directory that others can enter is not joulebus's.
+    /// [`RootError`] if a directory accessible to others was not created by joulebus.
     pub fn restrict(&self) -> Result<Vec<(PathBuf, u32)>, RootError> {
         let root = match Marked::root(self).restrict() {
-            // Its owner made it, and is told what to do.
+            // Created by its owner, who gets a message.
             Err(RootError::Unmarked { .. }) => check_private(self.root()).map(|()| None)?,
             mode => mode?,
         };
@@ -52,7 +52,7 @@ impl Domain {
         Ok(root.into_iter().chain(fleet).collect())
     }
 
-    /// What works, but not as well as it could.
+    /// Conditions that work with reduced performance.
     pub(crate) fn warnings(&self) -> Result<Vec<DomainWarning>, RootError> {
         let root = self.root();
         let filesystem = filesystem(root).map_err(|error| RootError::io(root, error))?;
@@ -66,7 +66,7 @@ impl Domain {
         })
     }
 
-    /// Like [`Self::prepare`], for the root alone.
+    /// Like [`Self::prepare`], for the root only.
     pub(crate) fn prepare_root(&self) -> Result<(), RootError> {
         let root = self.root();
         if is_missing(root) {
@@ -82,8 +82,8 @@ impl Domain {
         check_private(root)
     }
 
-    /// Whether the fleet's directory is joulebus's, made for this fleet, and nothing in it leads elsewhere.
-    /// Changes nothing. The boot in which it was made.
+    /// Checks that the fleet's directory was created by joulebus for this fleet, and that nothing
+    /// in it leads elsewhere. Has no side effects. Returns the boot in which it was created.
     pub(crate) fn check(&self) -> Result<String, RootError> {
         let boot = Marked::fleet(self).check()?;
         let directory = self.directory();
@@ -103,7 +103,8 @@ impl Domain {
         Ok(boot)
     }
 
-    /// Removes the root directory if joulebus made it and it is empty. The caller uses nothing in it.
+    /// Removes the root directory if joulebus created it and it is empty. The caller uses nothing
+    /// in it.
     pub(crate) fn remove_root(&self) {
         Marked::root(self).remove();
     }

@@ -81,7 +81,7 @@ fn text(domain: &Domain) -> String {
     )
 }
 
-/// Whether `path` is the domain's file, or a draft of it.
+/// True if `path` is the domain's file, or a temporary one of it.
 pub(crate) fn is_config(domain: &Domain, path: &Path) -> bool {
     let (config, name) = (domain.config_file(), path.to_string_lossy());
     let Some(rest) = name.strip_prefix(&*config.to_string_lossy()) else {

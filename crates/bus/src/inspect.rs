@@ -24,15 +24,15 @@ use crate::{CapacityReport, Domain, RootError, WorkerLock, WorkerOwner};
 pub struct Inspection {
     /// The root directory, if it exists.
     pub root: Option<RootInfo>,
-    /// Why the root, or the fleet's directory in it, cannot be used, if so.
+    /// Why the root, or the fleet's directory in it, cannot be used, if it cannot.
     pub root_error: Option<RootError>,
     /// Nodes known to iceoryx2.
     pub nodes: Vec<NodeInfo>,
-    /// Who holds the worker's lock, if a worker runs.
+    /// Holder of the worker's lock, if a worker runs.
     pub worker: Option<WorkerOwner>,
     /// Incomplete objects on which a process may be blocked.
     pub incomplete: Vec<PathBuf>,
-    /// Processes of this user that use files of the fleet which were removed: what starts now cannot
+    /// Processes of this user that use removed files of the fleet: processes started now cannot
     /// reach them.
     pub removed: Vec<RemovedFiles>,
     /// Objects with our prefix that belong to another user.
@@ -89,7 +89,7 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
         .into_iter()
         .partition(|object| object.owner == effective_uid());
     Ok(Inspection {
-        // What is not ours is not read.
+        // Files of other users are not read.
         nodes: if root_error.is_none() {
             nodes(domain)?
         } else {
@@ -107,12 +107,12 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
     })
 }
 
-/// Why a directory that exists cannot be used.
+/// Why an existing directory cannot be used.
 fn directory_error(domain: &Domain) -> Option<RootError> {
     check_private(domain.root())
         .and_then(|()| domain.check().map(drop))
         .err()
-        // The fleet's is made when a process joins.
+        // The fleet's directory is created when a process joins.
         .filter(|error| !error.vanished())
 }
 

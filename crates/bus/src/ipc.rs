@@ -18,7 +18,7 @@ use iceoryx2_cal::zero_copy_connection::common::details::{Connection, SharedMana
 
 use crate::reserved::Reserved;
 
-/// Interoperates with [`ipc::Service`]; differs from it in how objects are created.
+/// Interoperates with [`ipc::Service`]; differs from it only in the creation of objects.
 #[derive(Debug, Clone)]
 pub(crate) struct Ipc;
 

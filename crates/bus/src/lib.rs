@@ -30,10 +30,10 @@
 //!   incomplete, old, and open in no process is removed.
 //! - A connection that could not be established is not retried until the list of ports changes:
 //!   readers recreate their port.
-//! - Objects are sized, and their pages come with the first access, which in a full `/dev/shm` is a SIGBUS: ours
-//!   are allocated whole when they are created.
-//! - The object that counts nodes (`…global_mgmt`) is readable and writable by every user of the host if
-//!   another program of iceoryx2 made it: [`Bus::join`] restricts it to its owner.
+//! - Objects are sized, and their pages are allocated at the first access, which raises SIGBUS in a
+//!   full `/dev/shm`: ours are allocated completely when they are created.
+//! - The object that counts nodes (`…global_mgmt`) is readable and writable by every user of the
+//!   host if another iceoryx2 program created it: [`Bus::join`] restricts it to its owner.
 #![deny(unsafe_code)]
 
 mod bus;

@@ -1,5 +1,5 @@
-//! Directories that joulebus makes. Each carries a marker; one without it is somebody else's and is neither
-//! changed nor removed.
+//! Directories created by joulebus. Each contains a marker; those without one belong to others and
+//! are neither changed nor removed.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Write};
@@ -17,26 +17,26 @@ use crate::private::{check_own, check_private};
 use crate::{Domain, RootError, clock};
 
 const ROOT_MARKER: &str = ".joulebus";
-/// How every marker begins.
+/// Prefix of every marker.
 const FIRST_LINE: &str = "joulebus directory 1\n";
-/// Bytes of a marker that are read.
+/// Maximum number of bytes read from a marker.
 const LONGEST: u64 = 512;
-/// A directory that is being made, and one that is being removed.
+/// Name prefixes of directories being created and being removed.
 const ASIDE: [&str; 2] = ["new", "gone"];
 
 static DRAFTS: AtomicU32 = AtomicU32::new(0);
 
-/// A directory of joulebus, made or to be made.
+/// A directory of joulebus, existing or not.
 #[derive(Debug)]
 pub(crate) struct Marked {
     path: PathBuf,
     marker: &'static str,
-    /// What the marker says, but for the boot.
+    /// Contents of the marker, without the boot.
     says: String,
 }
 
 impl Marked {
-    /// The root of `domain`. One without a marker may be used all the same, but is not ours to remove.
+    /// The root of `domain`. One without a marker may be used, but is not removed.
     pub(crate) fn root(domain: &Domain) -> Self {
         Self {
             path: domain.root().to_owned(),
@@ -55,8 +55,8 @@ impl Marked {
         }
     }
 
-    /// Makes the directory, unless something lies at its path. It appears there with its marker, in one
-    /// step: a process that is killed meanwhile leaves a draft under another name.
+    /// Creates the directory, unless its path exists. It appears there with its marker atomically:
+    /// a process killed in the meantime leaves a temporary directory under another name.
     pub(crate) fn create(&self) -> Result<(), RootError> {
         self.remove_drafts();
         let draft = self.aside(ASIDE[0]);
@@ -73,9 +73,9 @@ impl Marked {
         Err(RootError::io(&self.path, error))
     }
 
-    /// The boot in which the directory was made, if it is private and carries our marker.
+    /// The boot in which the directory was created, if it is private and contains our marker.
     pub(crate) fn check(&self) -> Result<String, RootError> {
-        // Whose it is first: nobody is told to change the mode of a directory that is not ours.
+        // The marker is checked first: the mode of others' directories must not be changed.
         check_own(&self.path)?;
         let directory = open_directory(&self.path).map_err(|e| RootError::io(&self.path, e))?;
         let boot = self.read_marker(&directory)?;
@@ -83,10 +83,11 @@ impl Marked {
         Ok(boot)
     }
 
-    /// Takes other users' rights away, if the directory is ours. Its mode before, if that changed.
+    /// Removes other users' rights, if the directory is ours. Returns the previous mode if it was
+    /// changed.
     pub(crate) fn restrict(&self) -> Result<Option<u32>, RootError> {
         let Ok(directory) = open_directory(&self.path) else {
-            // None, or none of ours: `check` tells.
+            // Missing, or not ours: `check` reports it.
             return Ok(None);
         };
         let failed = |error| RootError::io(&self.path, error);
@@ -100,8 +101,8 @@ impl Marked {
         Ok(Some(mode))
     }
 
-    /// Removes the directory if it is ours and holds nothing but its marker. The caller knows that no
-    /// process uses it. Others see it whole or not at all.
+    /// Removes the directory if it is ours and contains only its marker. The caller knows that no
+    /// process uses it. Atomic for other processes.
     pub(crate) fn remove(&self) {
         self.remove_drafts();
         if self.check().is_err() || !self.holds_nothing(&self.path) {
@@ -114,16 +115,16 @@ impl Marked {
         if self.holds_nothing(&aside) {
             self.discard(&aside);
         } else {
-            // Something was put into it meanwhile.
+            // A file was created in it in the meantime.
             let _ = rename(&aside, &self.path);
         }
     }
 
-    /// Puts the marker back into `directory`, which carried it, if it is gone: the directory can be cleaned
-    /// then. The locks on the marker that was removed do not count any more.
+    /// Restores a removed marker in `directory`, so that the directory can be cleaned up. Locks on
+    /// the removed marker have no effect any more.
     pub(crate) fn restore(&self, directory: &File) {
         let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::CLOEXEC;
-        // Fails if it is there, and if the directory is gone as well.
+        // Fails if it exists, or if the directory is gone.
         if let Ok(file) = openat(directory, self.marker, flags, Mode::RUSR | Mode::WUSR) {
             let _ = self.write(File::from(file));
         }
@@ -183,7 +184,7 @@ impl Marked {
         entries.all(|entry| entry.is_ok_and(|entry| entry.file_name() == self.marker))
     }
 
-    /// A name beside the directory, for this process alone.
+    /// A name beside the directory, unique to this process.
     fn aside(&self, kind: &str) -> PathBuf {
         let number = DRAFTS.fetch_add(1, Ordering::Relaxed);
         let (name, pid) = (self.name(), std::process::id());
@@ -192,12 +193,12 @@ impl Marked {
     }
 
     fn name(&self) -> &str {
-        // `Domain::new` has checked the path: it has a last part, in ASCII.
+        // `Domain::new` has checked the path: it has a last component, in ASCII.
         let name = self.path.file_name().and_then(|name| name.to_str());
         name.unwrap_or_default()
     }
 
-    /// Removes what killed processes have left beside the directory.
+    /// Removes temporary directories of killed processes.
     fn remove_drafts(&self) {
         let begin = format!(".{}.", self.name());
         let parent = self.path.parent().unwrap_or(Path::new("/"));
@@ -210,7 +211,7 @@ impl Marked {
         }
     }
 
-    /// Removes a draft: a directory that holds at most a marker, perhaps one that was cut short.
+    /// Removes a temporary directory: one that contains at most a marker, possibly truncated.
     fn discard(&self, draft: &Path) {
         let is_ours = fs::symlink_metadata(draft)
             .is_ok_and(|found| found.is_dir() && found.uid() == effective_uid());
@@ -225,17 +226,17 @@ impl Marked {
         if is_marker {
             let _ = fs::remove_file(&marker);
         }
-        // Fails if it holds anything else.
+        // Fails if it contains anything else.
         let _ = fs::remove_dir(draft);
     }
 }
 
-/// The present boot, as markers name it.
+/// The current boot, as written in markers.
 pub(crate) fn this_boot() -> String {
     clock::boot_id().unwrap_or_else(|_| "unknown".to_owned())
 }
 
-/// Which process made a draft, by the end of its name: `new-<pid>-<number>`.
+/// Process that created a temporary directory, by the suffix of its name: `new-<pid>-<number>`.
 fn maker(rest: &str) -> Option<u32> {
     let (kind, rest) = rest.split_once('-')?;
     let (pid, number) = rest.split_once('-')?;
@@ -243,7 +244,7 @@ fn maker(rest: &str) -> Option<u32> {
     ASIDE.contains(&kind).then_some(pid.parse().ok()?)
 }
 
-/// One of this process is an earlier process's with the same pid, or of an attempt that failed.
+/// One with our pid is of an earlier process, or of a failed attempt.
 fn has_ended(pid: u32) -> bool {
     pid == std::process::id() || !is_alive(pid)
 }
@@ -273,7 +274,7 @@ pub(crate) fn open_directory(path: &Path) -> io::Result<File> {
         .open(path)
 }
 
-/// Never replaces anything, not even an empty directory.
+/// Never replaces an existing path, not even an empty directory.
 fn rename(from: &Path, to: &Path) -> io::Result<()> {
     Ok(renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE)?)
 }

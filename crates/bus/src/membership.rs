@@ -23,7 +23,7 @@ const RETRY_EVERY: Duration = Duration::from_millis(2);
 pub(crate) struct Membership {
     pub(crate) domain: Domain,
     pub(crate) cleanup: CleanupThread,
-    /// What must stay where it is while this process is a member.
+    /// Files needed while this process is a member.
     pub(crate) presence: Arc<Presence>,
     _marker: Need,
     lock: Option<MembersLock>,
@@ -96,7 +96,7 @@ impl Membership {
         if lock.try_exclusive().map_err(failed)? && lock.is_current(domain).map_err(failed)? {
             remove_all(domain, report)?;
             if domain.check()? != this_boot() {
-                // Of an earlier boot, on a disk: made again, if nothing else is in it.
+                // Of an earlier boot, on a disk: recreated, if it contains nothing else.
                 Marked::fleet(domain).remove();
             }
         }
@@ -127,7 +127,7 @@ impl Drop for Membership {
     }
 }
 
-/// Removes what a process that could not join has made, if no member is alive.
+/// Removes the files of a process that could not join, if no member is alive.
 pub(crate) fn remove_unused(domain: &Domain) {
     if domain.check().is_ok()
         && let Ok(lock) = MembersLock::open(domain)
@@ -142,7 +142,7 @@ pub(crate) fn remove_unused(domain: &Domain) {
 }
 
 impl JoinError {
-    /// Whether a full file system may be the cause.
+    /// True if a full file system may be the cause.
     pub(crate) const fn may_be_shortage(&self) -> bool {
         matches!(
             self,

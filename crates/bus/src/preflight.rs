@@ -21,7 +21,7 @@ const SEGMENT_OVERHEAD: usize = 16 * 1024;
 const CONNECTION_BYTES: usize = 16 * 1024;
 /// Services, nodes, events and what rounding to pages costs, per process.
 pub(crate) const PROCESS_BYTES: usize = 192 * 1024;
-/// A service's description and lists of ports, and what the process notes of a port.
+/// A service's description and lists of ports, and the files of a port.
 pub(crate) const PORT_BYTES: usize = 64 * 1024;
 /// Descriptors of a process before it connects to anybody: node, locks, eight services.
 const BASE_DESCRIPTORS: u64 = 64;

@@ -1,4 +1,4 @@
-//! Directories of this user alone, and why one is not used.
+//! Private directories of this user, and why one is refused.
 
 use std::fs;
 use std::io;
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use crate::os::files::effective_uid;
 
-/// Whether `path` is a directory of this user.
+/// Checks that `path` is a directory of this user.
 pub(crate) fn check_own(path: &Path) -> Result<fs::Metadata, RootError> {
     let found = fs::symlink_metadata(path).map_err(|error| RootError::io(path, error))?;
     let path = path.to_owned();
@@ -28,7 +28,7 @@ pub(crate) fn check_own(path: &Path) -> Result<fs::Metadata, RootError> {
     Ok(found)
 }
 
-/// Whether `path` is a directory of this user that no other user can enter.
+/// Checks that `path` is a directory of this user that no other user can access.
 pub(crate) fn check_private(path: &Path) -> Result<(), RootError> {
     let mode = check_own(path)?.mode() & 0o7777;
     if mode & 0o077 != 0 {
@@ -38,7 +38,7 @@ pub(crate) fn check_private(path: &Path) -> Result<(), RootError> {
     Ok(())
 }
 
-/// Why a root directory is not used.
+/// Reason that a root directory is refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RootError {
@@ -48,7 +48,7 @@ pub enum RootError {
         /// The path.
         path: PathBuf,
     },
-    /// The path is no directory.
+    /// The path is not a directory.
     #[error("{path:?} is not a directory; remove it, or set another `root`")]
     NotADirectory {
         /// The path.
@@ -67,7 +67,7 @@ pub enum RootError {
         /// The effective uid of this process.
         expected: u32,
     },
-    /// Other users may enter it.
+    /// Other users can access it.
     #[error("{path:?} has mode {found:04o}, allowed is 0700; run `chmod 700 {}`", path.display())]
     Mode {
         /// The path.
@@ -75,7 +75,7 @@ pub enum RootError {
         /// Its permission bits.
         found: u32,
     },
-    /// Joulebus did not make it, or its marker is damaged.
+    /// Not created by joulebus, or its marker is damaged.
     #[error(
         "{path:?} was not made by joulebus: it has no file {marker} that says so. Nothing in it is read, \
          changed or removed. Set another `fleet.name` or `domain.root`, or move it away. If an older \
@@ -87,7 +87,7 @@ pub enum RootError {
         /// The marker's name.
         marker: &'static str,
     },
-    /// Joulebus made it, for other processes.
+    /// Created by joulebus for other processes.
     #[error(
         "{path:?} is in use for {found}, wanted is {wanted}: set another `domain.root`, or end those \
          processes and run `joulebus doctor --fix` with their config"
@@ -95,12 +95,12 @@ pub enum RootError {
     AnotherFleet {
         /// The path.
         path: PathBuf,
-        /// What its marker says.
+        /// Contents of its marker.
         found: String,
-        /// What it should say.
+        /// Expected contents.
         wanted: String,
     },
-    /// Another file system lies there.
+    /// It is a mount point.
     #[error(
         "{path:?} is a mount point, which joulebus did not make; unmount it, or set another `domain.root`"
     )]
@@ -108,22 +108,22 @@ pub enum RootError {
         /// The path.
         path: PathBuf,
     },
-    /// The directory above does not exist.
+    /// The parent directory does not exist.
     #[error(
         "{path:?} cannot be made, because {parent:?} does not exist; make it, or set another `domain.root`"
     )]
     NoParent {
         /// The path.
         path: PathBuf,
-        /// The directory above it.
+        /// The parent directory.
         parent: PathBuf,
     },
-    /// The system refused.
+    /// The system call failed.
     #[error("{path:?}: {source}")]
     Io {
         /// The path.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
 }
@@ -136,18 +136,18 @@ impl RootError {
         }
     }
 
-    /// The last member has removed the directory in the meantime.
+    /// True if the last member has removed the directory in the meantime.
     pub(crate) fn vanished(&self) -> bool {
         matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
     }
 }
 
-/// What works, but not as well as it could.
+/// Conditions that work with reduced performance.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum DomainWarning {
-    /// The root lies on a disk: joining takes 23 ms instead of 1 ms, and a kill at the start can
-    /// leave nodes that only a cold start removes.
+    /// The root is on a disk: joining takes 23 ms instead of 1 ms, and a process killed during its
+    /// start can leave nodes that only a cold start removes.
     NotInMemory {
         /// The root.
         root: PathBuf,

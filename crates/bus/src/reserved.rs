@@ -1,9 +1,10 @@
-//! Shared memory whose pages exist before anybody writes to them.
+//! Shared memory whose pages are allocated before the first write.
 //!
-//! iceoryx2 sizes an object and lets pages come with the first write. In a full file system that write, or a
-//! mere read, is a SIGBUS in whichever process makes it. Here all pages are allocated before the first one is
-//! touched, so what does not fit is an error of the process that wanted it. Layout and names are those of
-//! iceoryx2 0.10.0: its own programs and other languages' packages open these objects, and the other way round.
+//! iceoryx2 sizes an object, and its pages are allocated at the first write. In a full file system
+//! that write, or even a read, raises SIGBUS in the process that executes it. Here all pages are
+//! allocated before the first access, so lack of memory is an error in the creating process. Layout
+//! and names are those of iceoryx2 0.10.0: its own programs and packages of other languages open
+//! these objects, and vice versa.
 #![allow(unsafe_code)] // Memory is initialised before others can open it.
 
 use std::cell::Cell;
@@ -42,39 +43,39 @@ use crate::CapacityError;
 use crate::os::memory::{SHM_DIR, reserve};
 use crate::preflight::shared_memory;
 
-/// How often an object that has no length yet is looked at.
+/// Polling interval for an object without a length.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 
 thread_local! {
-    /// Bytes that did not fit, by this thread's last attempt that failed.
+    /// Bytes that did not fit in this thread's last failed attempt.
     static SHORTAGE: Cell<Option<u64>> = const { Cell::new(None) };
 }
 
-/// Why this thread could not create an object since the last call, if it was for want of memory: iceoryx2's
-/// errors do not tell.
+/// Why this thread could not create an object since the last call, if memory was lacking: the
+/// errors of iceoryx2 do not state it.
 pub(crate) fn take_shortage() -> Option<CapacityError> {
     let needed = SHORTAGE.take()?;
     let free = shared_memory().map_or(0, |(free, _)| free);
     Some(CapacityError::Memory { needed, free })
 }
 
-/// What may lie in shared memory, for iceoryx2.
+/// Marks types that iceoryx2 may place in shared memory.
 pub(crate) trait Shareable: Send + Sync + fmt::Debug + ZeroCopySend {}
 impl<T: Send + Sync + fmt::Debug + ZeroCopySend> Shareable for T {}
 
-/// An object in shared memory that holds a `T`, and memory that belongs to it.
+/// An object in shared memory with a `T`, and memory that belongs to it.
 #[derive(Debug)]
 pub(crate) struct Reserved<T: Shareable>(posix::Storage<T>);
 
-/// How objects begin.
+/// Head of an object.
 #[repr(C)]
 struct Content<T> {
-    /// Of iceoryx2; 0 until the rest is initialised.
+    /// Version of iceoryx2; 0 until the rest is initialised.
     version: AtomicU64,
     value: MaybeUninit<T>,
 }
 
-/// Writes the value, and takes what belongs to it from the allocator.
+/// Writes the value, and allocates its memory.
 type Initialize<'b, T> = Box<dyn FnMut(&mut MaybeUninit<T>, &mut BumpAllocator) -> bool + 'b>;
 
 /// Opens or creates a [`Reserved`].
@@ -97,7 +98,8 @@ impl<T: Shareable> fmt::Debug for Builder<'_, T> {
 }
 
 impl<T: Shareable> Builder<'_, T> {
-    /// iceoryx2 waits for an object without a length for ever, and holds it open: nobody could remove it then.
+    /// iceoryx2 waits forever for an object without a length, and holds it open: no other process
+    /// could remove it then.
     fn open_existing(&self, access: AccessMode) -> Result<Reserved<T>, DynamicStorageOpenError> {
         let file = self.config.path_for(&self.name).file_name().to_string();
         let (path, begin) = (std::path::Path::new(SHM_DIR).join(file), Instant::now());
@@ -135,7 +137,7 @@ impl<T: Shareable> Builder<'_, T> {
     fn allocate(&self) -> Result<SharedMemory, DynamicStorageCreateError> {
         let size = size_of::<Content<T>>() + self.supplementary_size;
         let (free, _) = shared_memory().map_err(|_| DynamicStorageCreateError::InternalError)?;
-        // To try would fill the file system for others meanwhile.
+        // An attempt would fill the file system for others meanwhile.
         if size as u64 > free {
             return Err(shortage(size));
         }
@@ -207,7 +209,7 @@ impl<'b, T: Shareable> DynamicStorageBuilder<'b, T, Reserved<T>> for Builder<'b,
         self
     }
 
-    /// What only members of a fleet use is their user's alone.
+    /// Objects used only by members of a fleet are private to the user.
     fn enable_global_access(self, _value: bool) -> Self {
         self
     }

@@ -64,9 +64,9 @@ pub(crate) fn remove_incomplete(domain: &Domain) -> Result<u64, RootError> {
     Ok(removed)
 }
 
-/// Removes the description of service `name` if no process uses it any more: its creator was killed
-/// before its shared memory existed, or its last user before it removed the description. One whose shared
-/// memory was removed is removed even if a process still has it open: nobody else can ever use it.
+/// Removes the description of service `name` if no process uses it: its creator was killed before
+/// its shared memory existed, or its last user before removing the description. One whose shared
+/// memory was removed is removed even if a process has it open: no other process can use it.
 pub(crate) fn remove_abandoned_service(domain: &Domain, name: &str) -> u64 {
     let mut services = services(domain);
     services.retain(|service| {
@@ -80,7 +80,8 @@ pub(crate) fn remove_abandoned_service(domain: &Domain, name: &str) -> u64 {
     remove_unless_open(others, &open_files()) + remove_unless_open(empty, &HashSet::new())
 }
 
-/// Whether there is the list of ports of a service with this description, as far as it tells.
+/// True if the list of ports of a service with this description exists, as far as the description
+/// tells.
 fn has_ports(domain: &Domain, description: &str) -> bool {
     let half = |key: &str| -> Option<u128> {
         let line = description.lines().find_map(|line| line.strip_prefix(key));

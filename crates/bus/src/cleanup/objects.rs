@@ -68,7 +68,8 @@ pub(crate) fn objects(domain: &Domain) -> Result<Vec<Object>, RootError> {
     Ok(found)
 }
 
-/// The files of the domain, wherever they lie, whose names hold `id` and end with one of `suffixes`.
+/// The files of the domain, in all directories, whose names contain `id` and end with one of
+/// `suffixes`.
 pub(crate) fn named(domain: &Domain, id: &str, suffixes: &[&str]) -> Vec<PathBuf> {
     let directory = domain.directory();
     let inner = [NODES, SERVICES].map(|inner| directory.join(inner));
@@ -83,8 +84,8 @@ pub(crate) fn named(domain: &Domain, id: &str, suffixes: &[&str]) -> Vec<PathBuf
     found
 }
 
-/// The entries of a directory of this user, which must be no link and lie where the one above it does:
-/// nothing elsewhere is looked at.
+/// The entries of a directory of this user, which must not be a symbolic link and must be on the
+/// same file system as its parent.
 pub(super) fn list_own(directory: &Path) -> Vec<PathBuf> {
     let found = fs::symlink_metadata(directory);
     let above = directory.parent().map(fs::symlink_metadata);
@@ -98,13 +99,13 @@ pub(super) fn list_own(directory: &Path) -> Vec<PathBuf> {
     }
 }
 
-/// Whether iceoryx2 gives a file of `domain` such a name.
+/// True if iceoryx2 uses such a name for a file of `domain`.
 pub(super) fn is_of(domain: &Domain, path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().as_encoded_bytes();
     name.starts_with(domain.shm_prefix().as_bytes())
 }
 
-/// Whether it gives a node's directory such a name.
+/// True if iceoryx2 uses such a name for a node's directory.
 pub(super) fn is_of_node(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().as_encoded_bytes();
     !name.is_empty() && name.iter().all(u8::is_ascii_digit)

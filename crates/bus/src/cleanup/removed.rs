@@ -1,4 +1,4 @@
-//! Files of a fleet that were removed while processes use them.
+//! Files of a fleet that were removed while in use.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use super::objects::{is_of, list};
 use crate::Domain;
 use crate::os::memory::SHM_DIR;
 
-/// What a process uses although it was removed.
+/// Removed files that a process uses.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct RemovedFiles {
@@ -15,12 +15,12 @@ pub struct RemovedFiles {
     pub pid: u32,
     /// One of the files.
     pub first: PathBuf,
-    /// How many there are.
+    /// Number of these files.
     pub count: usize,
 }
 
-/// Processes of this user that have files of the domain open that exist no more. What a process that left
-/// has taken with it does not count: connections, and frames that are only read.
+/// Processes of this user with open files of the domain that no longer exist. Files that a leaving
+/// process has removed are excluded: connections, and frames that are only read.
 pub(crate) fn removed_files(domain: &Domain) -> Vec<RemovedFiles> {
     let mut found = Vec::new();
     for process in list(Path::new("/proc")) {
@@ -53,7 +53,7 @@ fn removed_file(domain: &Domain, descriptor: &Path) -> Option<PathBuf> {
     ((is_in_shm || is_in_root) && is_needed).then_some(path)
 }
 
-/// Whether a descriptor, given as its link in `/proc`, was opened for writing.
+/// True if a descriptor, given as its link in `/proc`, was opened for writing.
 fn is_written(descriptor: &Path) -> bool {
     let (Some(number), Some(process)) = (
         descriptor.file_name(),
@@ -63,7 +63,7 @@ fn is_written(descriptor: &Path) -> bool {
     };
     let info = fs::read_to_string(process.join("fdinfo").join(number)).unwrap_or_default();
     let flags = info.lines().find_map(|line| line.strip_prefix("flags:"));
-    // Octal; the last two bits are the access mode, 0 for reading only.
+    // Octal; the last two bits are the access mode, 0 for read-only.
     let flags = flags.and_then(|flags| u32::from_str_radix(flags.trim(), 8).ok());
     flags.is_some_and(|flags| flags & 3 != 0)
 }

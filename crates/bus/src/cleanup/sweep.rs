@@ -76,14 +76,14 @@ pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<()
     remove_contents(domain, report)
 }
 
-/// Removes what joulebus and iceoryx2 make in the fleet's directory, by its names. What else is there stays,
-/// and keeps the directory.
+/// Removes the files of joulebus and iceoryx2 in the fleet's directory, identified by name. Other
+/// files are kept, and so is the directory then.
 fn remove_contents(domain: &Domain, report: &mut SweepReport) -> Result<(), SweepError> {
     let directory = domain.directory();
     let nodes = directory.join(NODES);
     for node in list_own(&nodes).into_iter().filter(|path| is_of_node(path)) {
         remove_files(&node, report, |path| is_of(domain, path))?;
-        // Fails if something else is in it, as below.
+        // Fails if it contains other files, as below.
         let _ = fs::remove_dir(&node);
     }
     for inner in [nodes, directory.join(SERVICES)] {

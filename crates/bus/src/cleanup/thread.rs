@@ -1,5 +1,5 @@
-//! The cleanup thread of each member: removes stale files of dead processes while members live, and looks
-//! whether the member's own are still there.
+//! The cleanup thread of each member: removes stale files of dead processes while members are
+//! alive, and checks that the member's own files exist.
 
 use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -61,7 +61,7 @@ impl CleanupThread {
             .name("joulebus-clean".to_owned())
             .spawn(move || {
                 if let Some(error) = inside.run(&domain, config, &presence) {
-                    // What lies at the domain's paths now is another fleet's, or somebody else's.
+                    // The files at the domain's paths now belong to another fleet or program.
                     tracing::error!("{error}");
                     Marked::fleet(&domain).restore(&directory);
                 }
@@ -97,7 +97,7 @@ impl CleanupThread {
 }
 
 impl Shared {
-    /// Cleans until told to stop, or until files of this process are gone.
+    /// Cleans up until stopped, or until files of this process are missing.
     fn run(&self, domain: &Domain, config: &Config, presence: &Presence) -> Option<FilesRemoved> {
         for round in 1_u64.. {
             if self.wait() {

@@ -1,4 +1,4 @@
-//! What iceoryx2 made for this process, and when it may be dropped.
+//! Ports and nodes of this process, and when they may be dropped.
 #![allow(unsafe_code)] // A value is dropped, or not.
 
 use std::mem::ManuallyDrop;
@@ -6,9 +6,9 @@ use std::ops::{Deref, DerefMut};
 
 use super::presence::Need;
 
-/// A port or node with the files that it needs. Dropping it removes what iceoryx2 knows by name, which may be
-/// another process's by then if ours were removed: in that case the value is leaked. The process is
-/// about to end.
+/// A port or node with the files it needs. Dropping it removes its files by name. If ours were
+/// removed, these may be another process's by then: in that case the value is leaked. The process
+/// is about to end.
 #[derive(Debug)]
 pub(crate) struct Kept<T> {
     need: Option<Need>,
@@ -27,7 +27,7 @@ impl<T> Kept<T> {
 impl<T> Drop for Kept<T> {
     fn drop(&mut self) {
         let is_whole = self.need.as_ref().is_some_and(Need::is_met);
-        // From here on the files may go.
+        // From here on the files may be removed.
         self.need = None;
         if is_whole {
             // SAFETY: the value is dropped once, and not used afterwards.

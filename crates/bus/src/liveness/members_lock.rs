@@ -1,8 +1,8 @@
 //! Members of the domain: every member holds a shared lock on one file while it is alive.
 //!
-//! The kernel releases the lock when the process ends, however it ends. A process that gets it
-//! exclusively knows that no member is alive, and may remove everything. The file is the marker of the
-//! fleet's directory and comes and goes with that.
+//! The kernel releases the lock when the process ends for any reason. A process that gets it
+//! exclusively knows that no member is alive, and may remove all files. The file is the marker of
+//! the fleet's directory, and is created and removed with it.
 
 use std::fs::{self, File};
 use std::io;
@@ -51,9 +51,9 @@ impl MembersLock {
         is_same(&self.file, &domain.members_file())
     }
 
-    /// Removes the fleet's directory with this file, that of a killed worker, and the root, as far as they
-    /// are empty. The caller holds the lock exclusively; a process that opened the file meanwhile sees
-    /// that it is gone and retries.
+    /// Removes the fleet's directory with this file, that of a killed worker, and the root, if they
+    /// are empty. The caller holds the exclusive lock; a process that opened the file in the
+    /// meantime detects that it is gone and retries.
     pub(crate) fn remove(self, domain: &Domain) {
         if self.is_current(domain).unwrap_or(false) {
             Marked::fleet(domain).remove();

@@ -1,7 +1,7 @@
-//! Whether the files that a member needs still lie where others look for them.
+//! Checks that the files needed by a member are still at their paths.
 //!
-//! A removed file stays usable for those who have it open, and does not exist for those who come: a fleet
-//! whose files were removed works on and cannot be joined.
+//! A removed file remains usable for processes that have it open, but new processes cannot open it:
+//! a fleet whose files were removed continues to work and cannot be joined.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use crate::os::memory::SHM_DIR;
 
-/// The files of one member that must stay where they are.
+/// The files that one member needs.
 #[derive(Debug, Default)]
 pub(crate) struct Presence {
     is_lost: AtomicBool,
@@ -27,11 +27,11 @@ struct NeededFile {
     need: u64,
 }
 
-/// Device and inode: a file of the same name that was made again is another one. The length of objects in shared
-/// memory, too, never changes.
+/// Device and inode: a recreated file of the same name is another one. The length of objects in
+/// shared memory never changes either.
 type Identity = (u64, u64, u64);
 
-/// Files that are needed while this value lives. To be dropped before what uses them.
+/// Files that are needed while this value lives. To be dropped before their users.
 #[derive(Debug)]
 pub(crate) struct Need {
     presence: Arc<Presence>,
@@ -57,10 +57,10 @@ impl Presence {
         }
     }
 
-    /// Looks at all files. One that is missing is found missing for good.
+    /// Checks all files. A missing file is reported permanently.
     ///
     /// # Errors
-    /// [`FilesRemoved`] names the first.
+    /// [`FilesRemoved`] with the first missing file.
     pub(crate) fn look(&self) -> Result<(), FilesRemoved> {
         let files = self.files();
         if let Some(file) = files
@@ -74,7 +74,7 @@ impl Presence {
         self.check()
     }
 
-    /// What the last look found. One load.
+    /// Result of the last check. One atomic load.
     ///
     /// # Errors
     /// [`FilesRemoved`].
@@ -93,7 +93,7 @@ impl Presence {
 }
 
 impl Need {
-    /// Whether all files of the process are where they were.
+    /// True if all files of the process are at their paths.
     pub(crate) fn is_met(&self) -> bool {
         self.presence.look().is_ok()
     }
@@ -113,7 +113,8 @@ fn identity(path: &Path) -> Option<Identity> {
     Some((found.dev(), found.ino(), len))
 }
 
-/// A file that this process uses was removed, replaced or cut short: processes that start now cannot find it.
+/// A file that this process uses was removed, replaced or truncated: processes started now cannot
+/// open it.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{path:?} was removed or cut short while this process used it: what starts now cannot reach it. End this process and \
@@ -121,7 +122,7 @@ fn identity(path: &Path) -> Option<Identity> {
      set `RemoveIPC=no`, or enable lingering for the user (docs/operation.md)"
 )]
 pub struct FilesRemoved {
-    /// The first that was found missing.
+    /// The first missing file.
     pub path: PathBuf,
 }
 
@@ -135,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_removed_or_replaced_is_missed_for_good_unless_it_is_needed_no_more() {
+    fn a_removed_or_replaced_file_is_reported_permanently_while_it_is_needed() {
         let (one, two) = (place("one"), place("two"));
         fs::write(&one, "").unwrap();
         fs::write(&two, "").unwrap();

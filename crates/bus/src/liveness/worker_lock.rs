@@ -44,7 +44,7 @@ impl WorkerLock {
             };
             if !vanished || begin.elapsed() > RETRY_LIMIT {
                 if !matches!(error, WorkerLockError::AlreadyRunning { .. }) {
-                    // What was made before it failed.
+                    // Created before the failure.
                     Self::remove_stale(domain);
                     domain.remove_root();
                 }
@@ -57,7 +57,7 @@ impl WorkerLock {
         self.domain.worker_file()
     }
 
-    /// Who holds the lock of `domain`, if anybody does.
+    /// Holder of the lock of `domain`, if any.
     ///
     /// # Errors
     /// When the lock file cannot be read.
@@ -87,8 +87,8 @@ impl WorkerLock {
         Owner::parse(&text)
     }
 
-    /// Removes the file of a killed worker, but not one that is held, or that is something else. A process
-    /// that takes the lock at this moment sees that the file is gone and retries.
+    /// Removes the file of a killed worker, unless it is held or not a lock file. A process that
+    /// takes the lock at this moment detects that the file is gone and retries.
     pub(crate) fn remove_stale(domain: &Domain) {
         let path = domain.worker_file();
         if let Ok(mut file) = open(domain, false)
@@ -201,7 +201,7 @@ fn outermost_pid() -> u32 {
     outermost.unwrap_or_else(std::process::id)
 }
 
-/// Opens the lock file, or makes it. Never follows a link, never waits for a FIFO's other end.
+/// Opens or creates the lock file. Does not follow symbolic links, and does not block on a FIFO.
 fn open(domain: &Domain, make: bool) -> io::Result<File> {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
     fs::OpenOptions::new()
@@ -218,8 +218,8 @@ fn is_symlink(error: &io::Error) -> bool {
     error.raw_os_error() == Some(Errno::LOOP.raw_os_error())
 }
 
-/// Whether this is a lock file that nobody else can have made into something else: a regular file with
-/// one name, that is empty, or holds an owner's line, or zeros as after a power failure.
+/// True for a valid lock file: a regular file with one hard link that is empty, or contains an
+/// owner's line, or zeros as after a power failure.
 fn is_lock(file: &mut File) -> io::Result<bool> {
     let found = file.metadata()?;
     if !found.is_file() || found.nlink() != 1 || found.uid() != effective_uid() {
@@ -243,18 +243,18 @@ fn first_bytes(file: &mut File) -> io::Result<Vec<u8>> {
     Ok(text)
 }
 
-/// The process that holds a worker's lock.
+/// Holder of a worker's lock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct WorkerOwner {
-    /// Its process id. `None` when it is not visible here, as in another container.
+    /// Its pid. `None` if it is not visible here, as in another container.
     pub pid: Option<u32>,
-    /// When it took the lock, Unix ns, if the file tells.
+    /// When it took the lock, Unix ns, if the file states it.
     pub since_unix_ns: Option<u64>,
 }
 
 impl WorkerOwner {
-    /// The kernel knows the process; what is written in the file is believed only where it agrees. The
+    /// The kernel knows the process; the contents of the file are used only if they agree. The
     /// owner writes right after locking: this waits briefly.
     fn read(file: &mut File) -> io::Result<Self> {
         let mut owner = Self {
@@ -305,12 +305,12 @@ pub enum WorkerLockError {
     AlreadyRunning {
         /// Name of the fleet.
         fleet: String,
-        /// Its process.
+        /// The holder.
         owner: WorkerOwner,
         /// The lock file.
         path: PathBuf,
     },
-    /// The lock file is none.
+    /// The file is not a lock file.
     #[error(
         "{path:?} is not a lock file of joulebus: it is a link, a special file, or holds something else; it \
          is left as it is. Move it away, or set another `domain.root`"

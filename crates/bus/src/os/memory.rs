@@ -17,11 +17,11 @@ const MOST_AT_ONCE: usize = 64 << 20;
 /// Allocates the first `bytes` of a file in shared memory, all or none: no SIGBUS later.
 ///
 /// # Errors
-/// `StorageFull` when they do not fit.
+/// `StorageFull` if they do not fit.
 pub(crate) fn reserve(file: impl AsFd, bytes: u64) -> io::Result<()> {
     loop {
         match fallocate(&file, FallocateFlags::empty(), 0, bytes) {
-            // A file system that cannot be full.
+            // A file system without a limit.
             Ok(()) | Err(Errno::OPNOTSUPP) => return Ok(()),
             Err(Errno::INTR) => {}
             Err(error) => return Err(error.into()),
@@ -29,8 +29,8 @@ pub(crate) fn reserve(file: impl AsFd, bytes: u64) -> io::Result<()> {
     }
 }
 
-/// Populates the mappings of the shared-memory objects whose name contains `part` and that this process
-/// writes: no page fault later. Best effort.
+/// Populates the mappings of the shared-memory objects whose name contains `part` and that this
+/// process writes: no page fault later. Best effort.
 pub(crate) fn populate(part: &str) {
     let Ok(maps) = fs::read_to_string("/proc/self/maps") else {
         return;

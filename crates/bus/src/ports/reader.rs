@@ -49,7 +49,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         let degraded = Arc::new(AtomicU64::new(0));
         let subscriber = subscribe(&factory, shape.buffer, &degraded)
             .map_err(|reason| OpenError::port(service, reason))?;
-        // A connection that could not be made only counts, above.
+        // A failed connection is only counted, above.
         service::check_shortage()?;
         let need = service::need(bus, &factory, None);
         Ok(Self {

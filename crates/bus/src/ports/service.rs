@@ -179,12 +179,13 @@ const fn is_transient_event(error: &EventOpenOrCreateError) -> bool {
     )
 }
 
-/// Whether an object could not be created for want of memory since this was called last.
+/// Returns an error if an object could not be created for lack of memory since the last call.
 pub(super) fn check_shortage() -> Result<(), CapacityError> {
     take_shortage().map_or(Ok(()), Err)
 }
 
-/// What newcomers need of a service that this process has open, and of its own port there, if it has one.
+/// Files that other processes need of a service that this process has open, and of its own port
+/// there, if any.
 pub(super) fn need(bus: &Bus, factory: &impl PortFactoryOfAny, port: Option<u128>) -> Need {
     let domain = bus.domain();
     let mut paths = named(domain, factory.service_hash().as_str(), &[".service"]);
@@ -267,7 +268,7 @@ pub enum OpenError {
     /// Too little shared memory.
     #[error(transparent)]
     Capacity(#[from] CapacityError),
-    /// Files of this process were removed: iceoryx2 would make them again, for this process alone.
+    /// Files of this process were removed: iceoryx2 would recreate them for this process only.
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
     /// iceoryx2 refused.
@@ -285,7 +286,7 @@ pub enum OpenError {
 
 impl OpenError {
     pub(super) fn port(service: Service, reason: impl std::fmt::Display) -> Self {
-        // iceoryx2 does not tell what for want of memory failed.
+        // iceoryx2 does not report that memory was lacking.
         match check_shortage().and_then(|()| check_free(PORT_BYTES)) {
             Err(full) => Self::Capacity(full),
             Ok(()) => Self::Port {

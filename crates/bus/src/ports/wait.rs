@@ -120,8 +120,8 @@ impl Waiter {
     /// arrives; at most 100 ms. Earlier events are found immediately. Does not allocate.
     ///
     /// # Errors
-    /// [`WaitError::Removed`] when this process must end, [`WaitError::Listen`] when the listener is
-    /// broken, [`WaitError::Poll`] when the system refuses.
+    /// [`WaitError::Removed`] if this process must end, [`WaitError::Listen`] if the listener is
+    /// broken, [`WaitError::Poll`] if `poll` fails.
     pub fn wait_until(
         &mut self,
         deadline_ns: Option<u64>,

@@ -224,7 +224,7 @@ pub enum SendError {
 }
 
 impl SendError {
-    /// Whether every further frame will fail as well: this process must end, or join again.
+    /// True if every further frame will fail as well: this process must end, or join again.
     #[must_use]
     pub const fn is_final(&self) -> bool {
         matches!(self, Self::Removed(_) | Self::Wake(WaitError::Removed(_)))
