@@ -23,13 +23,16 @@ use crate::{Bus, FilesRemoved, Limits, clock};
 /// Maximum number of frames of other processes than the worker that one call skips.
 const MOST_PASSED_OVER: u32 = 4_096;
 
+/// A port, unless it is being recreated, and its service.
+type Port<H, T> = (Option<Subscriber<Ipc, [T], H>>, PortFactory<Ipc, [T], H>);
+
 /// Reads frames in place; on a service of the worker, only those of the process that holds the worker's
 /// lock.
 #[derive(Debug)]
 pub struct Reader<H: Payload, T: Payload> {
     // Dropped in this order: held frame, port, factory, membership.
     held: Option<Borrowed<Ipc, [T], H>>,
-    port: Kept<(Option<Subscriber<Ipc, [T], H>>, PortFactory<Ipc, [T], H>)>,
+    port: Kept<Port<H, T>>,
     buffer: usize,
     degraded: Arc<AtomicU64>,
     repair: Repair,

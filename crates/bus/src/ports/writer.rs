@@ -26,11 +26,14 @@ use crate::os::memory;
 use crate::preflight::{check_free, segment_bytes};
 use crate::{Bus, FilesRemoved, Limits};
 
+/// A port and its service.
+type Port<H, T> = (Publisher<Ipc, [T], H>, PortFactory<Ipc, [T], H>);
+
 /// Sends frames: a header `H` and a slice of `T`, written in place in shared memory.
 #[derive(Debug)]
 pub struct Writer<H: Payload, T: Payload> {
     // Dropped in this order: port, factory, membership.
-    port: Kept<(Publisher<Ipc, [T], H>, PortFactory<Ipc, [T], H>)>,
+    port: Kept<Port<H, T>>,
     max_len: usize,
     degraded: Arc<AtomicU64>,
     member: Rc<Membership>,
