@@ -1,5 +1,5 @@
-//! A fleet lives through any number of names, robots and false frames: its tables free what is silent, and
-//! what lives keeps its place.
+//! A fleet with an unlimited number of successive robots, sources and forged frames: its tables
+//! free silent entries, and live ones keep their slots.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../tests/counting.rs"]
@@ -12,13 +12,13 @@ use joulebus_wire::{DropReason, Quality};
 use world::{MS, PERIOD_NS, Source, fleet, forecast, healthy, quality};
 
 const NAMES: u64 = 100_000;
-/// The world's fleets let a robot leave after this.
+/// `leave_after` of the fleets.
 const LEAVE_AFTER_NS: u64 = 2_500 * MS;
 const LIVING: u32 = 7;
 
 #[test]
-fn a_hundred_thousand_sources_and_robots_come_and_go_and_a_living_robot_never_notices() {
-    // Room for the living robot and its source, and for 63 others.
+fn a_hundred_thousand_successive_sources_and_robots_do_not_affect_a_live_robot() {
+    // Capacity for the live robot and its source, and for 63 others.
     let mut settings = world::settings(64);
     settings.intake.max_sources = 64;
     let mut fleet = Fleet::new(settings, world::models()).unwrap();
@@ -62,7 +62,7 @@ fn a_hundred_thousand_sources_and_robots_come_and_go_and_a_living_robot_never_no
 }
 
 #[test]
-fn a_false_frame_in_a_sources_name_costs_its_robots_a_stale_period_and_no_more() {
+fn a_forged_frame_blocks_the_robots_of_a_source_for_one_stale_period_only() {
     let far = u64::MAX;
     let settings = world::settings(2);
     let stale_after_ns = settings.platforms.iter().map(|it| it.stale_after_ns).max();

@@ -19,12 +19,11 @@ use crate::save_schedule::SaveSchedule;
 
 /// Longest sleep of the checkpointer, ns.
 const PERIOD_NS: u64 = 200_000_000;
-/// How often a keyframe is looked for while one is on its way, ns.
+/// Polling interval for a keyframe being sent, ns.
 const POLL_EVERY_NS: u64 = PERIOD_NS / 10;
-/// Time from one log of what was refused to the next, ns.
+/// Interval between two logs of refusals, ns.
 const LOG_EVERY_NS: u64 = 5 * PERIOD_NS;
-/// Accounts that the ledger keeps, for each robot that the fleet has room for: as many of robots that have
-/// left.
+/// Accounts in the ledger per robot of the fleet's capacity: as many again for departed robots.
 const ACCOUNTS_PER_ROBOT: usize = 2;
 
 /// Errors of starting the checkpointer.
@@ -62,7 +61,8 @@ pub(crate) struct Checkpointer {
 }
 
 impl Checkpointer {
-    /// Starts the thread and waits until it reads. `before` is what an earlier run saved, and where.
+    /// Starts the thread and waits until it reads. `before`: the ledger of an earlier run and its
+    /// location.
     pub(crate) fn start(
         domain: &Domain,
         config: &Config,
@@ -122,7 +122,7 @@ struct CheckpointerLoop {
     _bus: Bus,
     failures: Arc<Failures>,
     checkpoint: Checkpoint,
-    /// None where the ledger is not saved.
+    /// None if the ledger is not saved.
     files: Option<LedgerFiles>,
     most_accounts: usize,
     schedule: SaveSchedule,
@@ -219,7 +219,7 @@ impl CheckpointerLoop {
         let begun_ns = clock::monotonic_ns();
         let of_ns = self.checkpoint.written_ns;
         let Some(files) = self.files.as_mut().filter(|_| self.changed) else {
-            // Nothing is newer than what is saved.
+            // Nothing is newer than the saved state.
             self.schedule.tried(begun_ns, (begun_ns, begun_ns), true);
             return;
         };
@@ -269,7 +269,7 @@ impl CheckpointerLoop {
         self.log_shed();
     }
 
-    /// Logs one line when diagnostics begin to be left out, and one when they resume.
+    /// Logs one line when diagnostics are omitted for the first time, and one when they resume.
     fn log_shed(&mut self) {
         let before = std::mem::replace(&mut self.shed, self.failures.shed.load(Ordering::Relaxed));
         let (ticks, more) = (self.shed, self.shed > before);
@@ -310,14 +310,14 @@ impl CheckpointerLoop {
     }
 }
 
-/// What an earlier run saved, and where the next one is saved.
+/// The ledger of an earlier run, and the location for the next save.
 #[derive(Debug)]
 pub(crate) struct SavedLedger {
     pub(crate) checkpoint: Checkpoint,
     files: Option<LedgerFiles>,
 }
 
-/// What an earlier run saved for this fleet, made to fit the machine's present run.
+/// The ledger of an earlier run of this fleet, converted to the current boot.
 pub(crate) fn read_ledger(config: &Config) -> Result<SavedLedger, LedgerFileError> {
     let io = |source| LedgerFileError::Io {
         path: "/proc/sys/kernel/random/boot_id".into(),

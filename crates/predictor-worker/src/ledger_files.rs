@@ -1,7 +1,8 @@
-//! The ledger's files: two generations, so that a damaged one costs seconds and not the account.
+//! The ledger's files: two generations, so that damage to one costs seconds of the account instead
+//! of all of it.
 //!
-//! `ledger.json` is the newest, `ledger.json.older` the one before. Another is written aside and takes their
-//! place by renaming, so that a kill or a loss of power at any point leaves two that are whole.
+//! `ledger.json` is the newest, `ledger.json.older` the previous one. A new one is written to a
+//! temporary file and renamed, so that a kill or power failure at any point leaves two intact ones.
 
 use std::fs::{self, File};
 use std::io::{self, Write as _};
@@ -16,22 +17,22 @@ use crate::checkpoint::Checkpoint;
 const SCHEMA: u32 = 2;
 /// Maximum size of a file: the accounts of two million robots take about half of it.
 const MOST_BYTES: u64 = 1 << 30;
-/// Damaged files that are kept; the last name is used again.
+/// Maximum number of damaged files kept; the last name is reused.
 const MOST_DAMAGED: u32 = 9;
 
-/// What a file holds.
+/// Contents of a file.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Content<C> {
     schema: u32,
-    /// One more than that of the file before.
+    /// One more than that of the previous file.
     generation: u64,
     /// FNV-1a of generation and ledger as they are written, 16 hexadecimal digits.
     fnv1a: String,
     ledger: C,
 }
 
-/// The version alone, whatever else the file holds.
+/// Only the version, whatever else the file contains.
 #[derive(Debug, Deserialize)]
 struct Version {
     schema: u32,
@@ -41,26 +42,26 @@ struct Version {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LedgerFileError {
-    /// The system refused.
+    /// The system call failed.
     #[error("ledger {path:?}: {source}")]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
-    /// No file that is there can be believed.
+    /// No existing file is valid.
     #[error(
         "ledger {path:?} is damaged: {reason}; and there is no older one that is not: restore a copy, or \
          move the files away to begin a new account"
     )]
     Damaged {
-        /// The newest file that is there.
+        /// The newest existing file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The defect.
         reason: String,
     },
-    /// The file is of another version.
+    /// The file has another version.
     #[error(
         "ledger {path:?} is in version {found}, expected {SCHEMA}: use the release of joulebus that wrote \
          it, or move the file away to begin a new account"
@@ -68,31 +69,31 @@ pub enum LedgerFileError {
     Version {
         /// The file.
         path: PathBuf,
-        /// Version it is in.
+        /// Its version.
         found: u32,
     },
-    /// The file is another fleet's.
+    /// The file is of another fleet.
     #[error(
         "ledger {path:?} is of fleet {found:?}, expected {expected:?}; give each fleet a file of its own"
     )]
     Foreign {
         /// The file.
         path: PathBuf,
-        /// Fleet it is of.
+        /// Its fleet.
         found: String,
-        /// Fleet it should be of.
+        /// The expected fleet.
         expected: String,
     },
 }
 
-/// Where one fleet's ledger is kept.
+/// Location of a fleet's ledger.
 #[derive(Debug, Clone)]
 pub(crate) struct LedgerFiles {
     newest: PathBuf,
     generation: u64,
 }
 
-/// What was found in place of a whole file.
+/// Why a file is not valid.
 enum Flaw {
     Damaged(String),
     Fatal(LedgerFileError),
@@ -106,12 +107,12 @@ impl LedgerFiles {
         }
     }
 
-    /// The newest ledger of `fleet` that is whole; `None` when there is no file. A damaged one is set
-    /// aside, and named in the log.
+    /// The newest valid ledger of `fleet`; `None` if there is no file. A damaged file is renamed
+    /// and logged.
     ///
     /// # Errors
-    /// The system refuses, there are files and none can be believed, or the newest is another fleet's or
-    /// of another version.
+    /// The system call failed, files exist and none is valid, or the newest is of another fleet or
+    /// version.
     pub(crate) fn read(&mut self, fleet: &str) -> Result<Option<Checkpoint>, LedgerFileError> {
         let mut whole: Option<(u64, Checkpoint, PathBuf)> = None;
         let mut damaged = Vec::new();
@@ -126,7 +127,7 @@ impl LedgerFiles {
                     }
                 }
                 Ok(None) => {}
-                // It was being written when the worker was killed: the others are whole.
+                // The worker was killed while writing it: the others are intact.
                 Err(Flaw::Damaged(_)) if path == self.unfinished() => {}
                 Err(Flaw::Damaged(reason)) => damaged.push((path, reason)),
                 Err(Flaw::Fatal(error)) => return Err(error),
@@ -153,10 +154,10 @@ impl LedgerFiles {
         Ok(Some(ledger))
     }
 
-    /// Writes the ledger as the newest generation, whole or not at all, down to the disk.
+    /// Writes the ledger atomically as the newest generation, and syncs it to the disk.
     ///
     /// # Errors
-    /// The system refused; what was there before can still be read.
+    /// The system call failed; the previous files are intact.
     pub(crate) fn write(&mut self, ledger: &Checkpoint) -> Result<(), LedgerFileError> {
         self.generation += 1;
         self.replace(ledger).map_err(|source| LedgerFileError::Io {
@@ -180,7 +181,7 @@ impl LedgerFiles {
             _ => {}
         }
         fs::rename(self.unfinished(), &self.newest)?;
-        // The names too, or a loss of power could take them back.
+        // Also syncs the directory, otherwise a power failure could revert the renames.
         File::open(folder)?.sync_all()
     }
 
@@ -224,7 +225,7 @@ fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::E
     })
 }
 
-/// Reads a file; `None` when there is none.
+/// Reads a file; `None` if it does not exist.
 fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
     let failed = |source| {
         Flaw::Fatal(LedgerFileError::Io {
@@ -283,7 +284,7 @@ mod tests {
         Some(ledger.robots.values().next().unwrap().drawn_uj)
     }
 
-    /// Two generations: 100 µJ, and before that 50 µJ.
+    /// Two generations: 100 µJ, and the previous one with 50 µJ.
     fn two(path: &Path) -> LedgerFiles {
         let mut files = LedgerFiles::new(path);
         for drawn_uj in [20, 50, 100] {
@@ -300,7 +301,7 @@ mod tests {
         assert_eq!(files.read("lab").unwrap(), None);
         files.write(&checkpoint()).unwrap();
         assert_eq!(files.read("lab").unwrap(), Some(checkpoint()));
-        // Relative, without a folder.
+        // Relative, without a directory.
         assert_eq!(
             LedgerFiles::new(Path::new("no-such.json"))
                 .read("lab")
@@ -310,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_is_changed_in_a_file_it_is_set_aside_and_the_older_one_taken() {
+    fn any_changed_byte_in_a_file_is_detected_and_the_older_one_used() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("ledger.json");
         two(&path);
@@ -324,7 +325,7 @@ mod tests {
         let flips = (0..8 * whole.len()).filter_map(|bit| {
             let mut flipped = whole.clone();
             flipped[bit / 8] ^= 1 << (bit % 8);
-            // A version that differs is a matter of its own.
+            // Another version is reported separately.
             let versions = serde_json::from_slice(&flipped)
                 .ok()
                 .map(|it: Version| it.schema);
@@ -392,7 +393,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_whole_generation_and_for_other_files_it_says_which_and_why() {
+    fn without_a_valid_generation_the_error_states_file_and_reason() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("ledger.json");
         let error = |fleet: &str| LedgerFiles::new(&path).read(fleet).unwrap_err();

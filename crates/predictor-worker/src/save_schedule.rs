@@ -1,16 +1,16 @@
-//! When the ledger is saved, so that a kill at any moment loses no more of it than was promised. Pure.
+//! Schedule of the ledger's saves: a kill at any time loses at most the configured time. Pure.
 
-/// Decides when to save next, from how long the last save took.
+/// Determines the time of the next save from the duration of the last one.
 #[derive(Debug, Clone)]
 pub(crate) struct SaveSchedule {
     every_ns: u64,
-    /// When what was saved last was true, monotonic ns.
+    /// Time of the last saved state, monotonic ns.
     saved_ns: u64,
     next_ns: u64,
 }
 
 impl SaveSchedule {
-    /// From `now_ns` on nothing older than `every_ns` is to be all that is saved.
+    /// From `now_ns` on the saved state must not be older than `every_ns`.
     pub(crate) const fn new(every_ns: u64, now_ns: u64) -> Self {
         Self {
             every_ns,
@@ -19,16 +19,18 @@ impl SaveSchedule {
         }
     }
 
-    /// When to begin the next save, monotonic ns.
+    /// Start time of the next save, monotonic ns.
     pub(crate) const fn next_ns(&self) -> u64 {
         self.next_ns
     }
 
-    /// Something that was true at `of_ns` has been saved, or not, from `begun_ns` to `ended_ns`. Returns
-    /// how much would have been lost just before, if that is more than was promised, ns.
+    /// Records a save, successful or not, of the state at `of_ns`, which took from `begun_ns` to
+    /// `ended_ns`. Returns the age of the previously saved state just before, if it exceeded the
+    /// limit, ns.
     ///
-    /// The next save begins early enough to take twice as long as this one, a quarter of the time being
-    /// left for the thread to get its processor; and not so early that it saves without a pause.
+    /// The next save begins early enough to take twice as long as this one, with a quarter of the
+    /// interval as a reserve for scheduling delays; and not so early that saves follow without a
+    /// pause.
     pub(crate) fn tried(
         &mut self,
         of_ns: u64,
@@ -67,7 +69,7 @@ mod tests {
             let mut saved_ns = 0;
             for (late, took, age) in saves {
                 let share = |of: u64, parts: u64| every_ns / 1_000 * of / parts;
-                // The frame that is saved was sent at most a fiftieth before it is read.
+                // The saved frame was sent at most a fiftieth of the interval before it is read.
                 let begun_ns = schedule.next_ns() + share(late, 8);
                 let of_ns = begun_ns - share(age, 50).min(begun_ns);
                 let ended_ns = begun_ns + share(took, 8);
@@ -79,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn a_save_that_comes_too_late_is_told_with_what_was_at_stake() {
+    fn a_late_save_is_reported_with_the_time_at_risk() {
         let mut schedule = SaveSchedule::new(SECOND_NS, 0);
         let at = schedule.next_ns();
         assert_eq!(at, SECOND_NS / 2);
@@ -87,7 +89,7 @@ mod tests {
         assert_eq!(schedule.tried(at, slow, true), Some(3 * SECOND_NS));
         let next = schedule.next_ns();
         assert!(next > 3 * SECOND_NS, "never without a pause");
-        // Nothing was saved: what was there before grows older.
+        // The save failed: the saved state grows older.
         let refused = schedule.tried(next, (next, next), false);
         assert_eq!(refused, Some(next - at));
         let again = schedule.next_ns();

@@ -153,7 +153,7 @@ impl WorkerLock {
 impl Drop for WorkerLock {
     fn drop(&mut self) {
         let path = self.domain.worker_file();
-        // Only the file that we locked: somebody may have removed it by hand.
+        // Only the file that we locked: it may have been removed by hand.
         if is_same(&self.file, &path).unwrap_or(false) {
             let _ = fs::remove_file(&path);
         }

@@ -301,7 +301,6 @@ const fn held(capability: bool) -> &'static str {
 ///
 /// # Errors
 /// `/proc` cannot be read.
-/// `/proc` cannot be read.
 pub fn page_faults() -> io::Result<(u64, u64)> {
     let text = fs::read_to_string("/proc/thread-self/stat")?;
     // The second field is the thread's name in parentheses, which may contain any character.

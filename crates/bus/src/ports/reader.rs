@@ -71,7 +71,6 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     ///
     /// # Errors
     /// [`ReceiveError`]; the next call may succeed.
-    /// [`ReceiveError`]; the next call may succeed.
     pub fn take_next(&mut self) -> Result<Option<Frame<'_, H, T>>, ReceiveError> {
         Ok(self.receive()?.map(Frame::new))
     }
@@ -99,14 +98,14 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         Ok(latest.map(Frame::new))
     }
 
-    /// Takes all frames that wait and keeps the last that is `newer` than the one kept before;
-    /// returns whether there was one. `newer` is also told which run of the worker the frame is of, as a
-    /// number that rises whenever another process has become the worker. The frame is held in shared
-    /// memory until a newer one is kept or the reader goes: [`Reader::held`]. Not to be mixed with the
-    /// other ways to take.
+    /// Receives all queued frames and holds the last one that is `newer` than the held one; returns
+    /// whether there was one. `newer` is also passed the number of the worker's run of the frame,
+    /// which increases whenever another process has become the worker. The frame is held in shared
+    /// memory until a newer one is held or the reader is dropped: [`Reader::held`]. Must not be
+    /// combined with the other methods of receiving.
     ///
     /// # Errors
-    /// [`ReceiveError`] when nothing newer was found; the next call may succeed.
+    /// [`ReceiveError`] if nothing newer was found; the next call may succeed.
     pub fn hold_latest(
         &mut self,
         mut newer: impl FnMut(&H, u64) -> bool,
@@ -261,8 +260,8 @@ pub enum ReceiveError {
     /// Files of this process were removed: every further call fails as well.
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
-    /// The connection to a writer has failed for a second or more; its frames are missing. The port is
-    /// recreated each second. A writer that died meanwhile is no error.
+    /// The connection to a writer has failed for a second or more; its frames are missing. The port
+    /// is recreated every second. A writer that died in the meantime is not an error.
     #[error(
         "{connections} connections to writers failed so far; are there file descriptors left \
          (`ulimit -n`), and shared memory? `joulebus doctor` tells"

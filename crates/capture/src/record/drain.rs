@@ -93,8 +93,8 @@ impl Drain {
         })
     }
 
-    /// Hands on what comes until told to stop, or until its files in shared memory are removed. Does not listen for events: a listener more would
-    /// cost the worker time in every tick.
+    /// Passes on frames until stopped, or until its files in shared memory are removed. It does not
+    /// listen to events, because each listener costs the worker time in every tick.
     pub(crate) fn work(mut self, shared: &Shared) {
         while !shared.is_stopping() {
             self.look(shared);

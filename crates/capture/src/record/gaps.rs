@@ -8,34 +8,35 @@ use joulebus_wire::{TickHeader, tick_flag};
 
 use crate::{Message, MessageKind};
 
-/// Runs of sources and workers that account is kept of; then those that were silent longest are forgotten.
+/// Maximum number of tracked runs of sources and workers; beyond it those silent longest are
+/// dropped.
 const MOST_RUNS: usize = 4_096;
-/// Ticks without diagnostics that are kept in mind for one run.
+/// Maximum number of ticks without diagnostics stored per run.
 const MOST_UNSENT: usize = 4_096;
 
 /// Counts gaps.
 #[derive(Debug, Default)]
 pub(crate) struct Gaps {
-    /// Runs that began later are known from their first frame, monotonic ns. When the recording began, or
-    /// later: when the newest run began that was forgotten.
+    /// Runs that began later are tracked from their first frame, monotonic ns. Start of the
+    /// recording, or of the newest dropped run if that is later.
     known_since_ns: u64,
     runs: HashMap<Key, Run>,
-    /// Messages looked at.
+    /// Number of messages processed.
     looked: u64,
 }
 
 /// Fleet, kind, source (0 of a worker) and run.
 type Key = (Arc<str>, MessageKind, u64, u64);
 
-/// Where a numbered stream stands.
+/// State of a numbered stream.
 #[derive(Debug, Default)]
 struct Run {
     next: u64,
-    /// The number that came last.
+    /// The last number.
     last: u64,
-    /// Numbers from `next` on that nobody has sent.
+    /// Numbers from `next` on that were not sent.
     unsent: VecDeque<u64>,
-    /// When it was looked at last, by the count of messages.
+    /// Message count at its last frame.
     looked: u64,
 }
 
@@ -138,7 +139,7 @@ impl Gaps {
         run.missing_before(number)
     }
 
-    /// Makes room for other runs: the half that was silent longest is forgotten.
+    /// Frees space for other runs: drops the half that was silent longest.
     fn forget_silent(&mut self) {
         if self.runs.len() < MOST_RUNS {
             return;
@@ -148,7 +149,7 @@ impl Gaps {
         self.runs.retain(|(_, _, _, epoch), run| {
             let stays = run.looked > *median;
             if !stays {
-                // Should it speak again, what it said before is not missing.
+                // If it sends again, its earlier messages do not count as missing.
                 self.known_since_ns = self.known_since_ns.max(*epoch);
             }
             stays
@@ -294,7 +295,7 @@ mod tests {
             }
             assert!(gaps.runs.len() <= MOST_RUNS);
         }
-        // One that was forgotten has nothing missing when it speaks again.
+        // A dropped run has no missing messages when it sends again.
         assert_eq!(gaps.look(&fleet, &frame(7, 207, 90)).missing, 0);
     }
 

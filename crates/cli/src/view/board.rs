@@ -478,7 +478,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_is_bounded_for_100_000_workers_sources_and_robots() {
+    fn a_hundred_thousand_workers_sources_and_robots_take_bounded_memory() {
         let mut board = Board::new(0).unwrap();
         for name in 1..=100_000_u32 {
             let epoch = u64::from(name);

@@ -67,7 +67,7 @@ impl Source {
             if !silent {
                 return Err(DropReason::OldEpoch);
             }
-            // What was lost of it meanwhile is not known.
+            // Its losses in the meantime are unknown.
             self.replace(header.samples_before, header.source_epoch);
         } else if header.source_epoch > self.run.epoch {
             let returned = self.other.filter(|run| run.epoch == header.source_epoch);
@@ -260,7 +260,7 @@ mod tests {
                 let taken = real(&mut sources, now_ns, &mut drops);
                 assert_eq!(taken, Ok(()), "{epoch} {before} at {now_ns}");
             }
-            // What was refused is not counted a second time as lost.
+            // Refused samples are not counted as lost too.
             assert_eq!(drops, lost, "{epoch} {before}");
         }
     }

@@ -14,15 +14,15 @@ pub(crate) struct Account {
     pub ledger: Ledger,
 }
 
-/// At most as many accounts as the capacity, in columns that are a ring: the one that is given up for
-/// another is among the oldest.
+/// Ring buffer of accounts in columns, with a fixed capacity; the account dropped for another one
+/// is among the oldest.
 #[derive(Debug)]
 pub(crate) struct Departed {
     robots: Vec<u32>,
     charged: Vec<bool>,
     ledgers: Vec<Ledger>,
     place_of: Index,
-    /// Place of the oldest account, and how many there are from there on.
+    /// Index of the oldest account, and the number of accounts.
     oldest: usize,
     len: usize,
     given_up: u64,
@@ -45,8 +45,8 @@ impl Departed {
         }
     }
 
-    /// Keeps an account. One kept before for the same robot is replaced; when there is no room, the
-    /// oldest is given up. Returns whether none was.
+    /// Stores an account and replaces one of the same robot; if the buffer is full, the oldest one
+    /// is dropped. Returns true if none was.
     pub(crate) fn keep(&mut self, account: Account) -> bool {
         let known = self.place(account.robot);
         let room = known.is_some() || self.len < self.robots.len();
@@ -66,7 +66,7 @@ impl Departed {
         room
     }
 
-    /// Gives up a robot's account. The oldest one moves to its place.
+    /// Removes a robot's account. The oldest one moves to its index.
     pub(crate) fn take(&mut self, robot: u32) -> Option<Account> {
         let Self {
             robots, place_of, ..
@@ -91,7 +91,7 @@ impl Departed {
         (0..self.len).map(|nth| self.account(self.after(nth)))
     }
 
-    /// Keeps `accounts` instead of those kept so far, the oldest first.
+    /// Replaces all accounts by `accounts`, the oldest first.
     pub(crate) fn replace(&mut self, accounts: &[Account]) {
         self.place_of.clear();
         (self.oldest, self.len) = (0, 0);
@@ -104,12 +104,12 @@ impl Departed {
         self.place(robot).map(|place| &self.ledgers[place])
     }
 
-    /// Accounts that had to make room for others.
+    /// Number of accounts dropped for others.
     pub(crate) const fn given_up(&self) -> u64 {
         self.given_up
     }
 
-    /// The `nth` place from the oldest on.
+    /// Index of the `nth` account from the oldest one.
     fn after(&self, nth: usize) -> usize {
         let (place, places) = (self.oldest + nth, self.robots.len());
         if place < places {
@@ -152,7 +152,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn it_keeps_what_a_queue_keeps_however_robots_leave_and_come_back(
+        fn it_keeps_the_same_accounts_as_a_queue_for_any_order_of_departures(
             most in 1u32..20,
             steps in prop::collection::vec((any::<bool>(), 0u32..40), 0..400),
         ) {
