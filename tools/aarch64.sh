@@ -60,7 +60,7 @@ cross=(cargo test --locked --target "$target")
 for crate in predictor fleet capture train; do
     cross+=(-p "joulebus-$crate")
 done
-tests=(--lib --test kernels --test rollouts --test files --test oracle --test shards)
+tests=(--test kernels --test rollouts --test files --test oracle --test shards)
 
 # Records here what is computed again there.
 step cargo test --locked --workspace --test verify what_one_machine_records
