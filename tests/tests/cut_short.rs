@@ -1,6 +1,7 @@
 //! Processes of one user trust each other: any of them can truncate an object in shared memory, and
 //! accesses to the missing part raise SIGBUS. Guaranteed is that restarts by a supervisor recover
 //! the fleet.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::BTreeMap;
 use std::fs;

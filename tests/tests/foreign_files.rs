@@ -1,4 +1,5 @@
 //! Files not created by joulebus are neither read, changed nor removed by any subcommand.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -319,7 +320,7 @@ fn an_invalid_lock_file_is_refused_and_unchanged() {
     let what: [(&str, &dyn Fn()); 6] = [
         ("text", &|| fs::write(&lock, "dear\n").unwrap()),
         ("a long file", &|| {
-            fs::write(&lock, "1 ".repeat(200)).unwrap()
+            fs::write(&lock, "1 ".repeat(200)).unwrap();
         }),
         ("a link", &|| symlink(&letter, &lock).unwrap()),
         ("a link to numbers", &|| symlink(&numbers, &lock).unwrap()),

@@ -1,4 +1,5 @@
 //! A message names a process to kill only if that process holds the lock.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::process::{Command, Stdio};

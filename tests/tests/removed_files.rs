@@ -1,5 +1,6 @@
 //! Files of a running fleet that are removed, as by `rm` or systemd-logind's `RemoveIPC`: running
 //! processes detect it and exit with the reason, and processes started afterwards work.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -99,7 +100,7 @@ const REMOVALS: [Removal; 9] = [
         remove(&arena.domain().directory().join("members.lock"));
     }),
     ("the fleet's folder", |arena| {
-        remove(&arena.domain().directory())
+        remove(&arena.domain().directory());
     }),
     ("the root", |arena| remove(arena.domain().root())),
     ("everything of the user, as logind does", |arena| {

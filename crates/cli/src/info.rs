@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use joulebus_capture::inspect::{Finding, Inspection, inspect};
@@ -42,7 +42,7 @@ struct InfoReport {
 }
 
 /// Inspects a file.
-pub(crate) fn look(path: &PathBuf) -> anyhow::Result<FileReport> {
+pub(crate) fn look(path: &Path) -> anyhow::Result<FileReport> {
     let named = || path.display().to_string();
     let file = joulebus_files::open(path).with_context(named)?;
     let found = inspect(file).with_context(named)?;
@@ -62,7 +62,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let files = args
         .files
         .iter()
-        .map(look)
+        .map(|path| look(path))
         .collect::<anyhow::Result<Vec<_>>>()?;
     let report = InfoReport { files };
     output.report(&report)?;

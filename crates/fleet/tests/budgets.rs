@@ -217,7 +217,7 @@ fn without_a_battery_or_an_accepted_sample_nothing_is_published() {
 #[test]
 fn a_restored_account_continues_and_the_gap_is_charged_at_maximum_power() {
     let (_, _, saved) = warm();
-    let mut fleet = fleet(1);
+    let mut fleet = fleet(2);
     let account = Ledger::restored(
         (saved.drawn_uj, saved.drawn_remainder),
         saved.forecast_uj,
@@ -225,15 +225,17 @@ fn a_restored_account_continues_and_the_gap_is_charged_at_maximum_power() {
         saved.unmetered_ns,
         saved.stamp_ns,
     );
+    assert!(fleet.restore(8, account, false));
     assert!(fleet.restore(ROBOT, account, false));
     assert!(
         fleet.restore(ROBOT, account, false),
         "a stored account can be replaced"
     );
     assert!(
-        !fleet.restore(8, account, false),
-        "there is capacity for one"
+        !fleet.restore(9, account, false),
+        "there is capacity for two: the oldest is dropped"
     );
+    assert!(fleet.ledger(8).is_none());
     let back = send(&mut fleet, &mut Source::new(1, 2), at(129));
     assert_eq!(
         (back.drawn_uj, back.drawn_remainder),

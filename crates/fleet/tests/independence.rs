@@ -188,7 +188,7 @@ fn robots_beyond_the_capacity_change_no_bit_of_the_others() {
 
 #[test]
 fn a_reassigned_slot_has_no_state_of_its_last_robot_and_accounts_continue() {
-    let (mut fleet, mut source) = (fleet(1), Source::new(1, 1));
+    let (mut fleet, mut source) = (fleet(2), Source::new(1, 1));
     let mut send = |fleet: &mut Fleet, robot: u32, step: u64, now_ns: u64| {
         source.send(fleet, &[healthy(robot, step, now_ns, PERIOD_NS)], now_ns);
         fleet.tick(now_ns, false);

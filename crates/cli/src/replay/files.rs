@@ -184,7 +184,7 @@ mod tests {
         for (there, wanted, said) in [
             (fleets(&["lab", "yard"]), None, "lab, yard"),
             (fleets(&["lab"]), Some("yard"), "lab"),
-            (fleets(&[]), None, "nothing"),
+            (fleets(&[]), None, "contains no fleet"),
         ] {
             let error = choose(&there, wanted).unwrap_err();
             assert!(error.contains(said), "{error}");

@@ -112,7 +112,8 @@ pub(crate) struct Row {
     pub(crate) budget: Option<Budget>,
     /// Readings and their forecasts, oldest first.
     pub(crate) track: VecDeque<Point>,
-    tick: u64,
+    /// Number of the frame of forecasts that it is from.
+    frame: u64,
 }
 
 /// All data of the views. Pure: time is an argument.
@@ -227,10 +228,10 @@ impl Board {
             keep(&mut self.recent_us, total_ns / 1_000);
         }
         for forecast in forecasts {
-            self.forecast(forecast, header.tick, in_a_row);
+            self.forecast(forecast, in_a_row);
         }
         if self.rows.len() > forecasts.len() {
-            self.rows.retain(|_, row| row.tick == header.tick);
+            self.rows.retain(|_, row| row.frame == self.frames);
         }
         let heard = forecasts
             .iter()
@@ -266,10 +267,11 @@ impl Board {
         false
     }
 
-    fn forecast(&mut self, forecast: &Forecast, tick: u64, in_a_row: bool) {
+    fn forecast(&mut self, forecast: &Forecast, in_a_row: bool) {
+        let frame = self.frames;
         let tracked = self.rows.len() <= TRACKED_ROBOTS;
         let Some(row) = self.rows.get_mut(&forecast.robot) else {
-            self.rows.insert(forecast.robot, Row::new(*forecast, tick));
+            self.rows.insert(forecast.robot, Row::new(*forecast, frame));
             return;
         };
         let before = row.forecast;
@@ -292,7 +294,7 @@ impl Board {
             );
         }
         row.forecast = *forecast;
-        row.tick = tick;
+        row.frame = frame;
     }
 
     /// Adds a frame of diagnostics.
@@ -395,13 +397,13 @@ impl Board {
 }
 
 impl Row {
-    fn new(forecast: Forecast, tick: u64) -> Self {
+    fn new(forecast: Forecast, frame: u64) -> Self {
         Self {
             forecast,
             diagnostic: None,
             budget: None,
             track: VecDeque::new(),
-            tick,
+            frame,
         }
     }
 
