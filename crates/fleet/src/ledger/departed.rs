@@ -145,7 +145,7 @@ mod tests {
     fn account(robot: u32, stamp_ns: u64) -> Account {
         Account {
             robot,
-            charged: stamp_ns % 3 == 0,
+            charged: stamp_ns.is_multiple_of(3),
             ledger: Ledger::restored((1, 2), 3, 4, 5, stamp_ns),
         }
     }

@@ -25,6 +25,7 @@ pub struct ServeArguments {
     /// Port to listen on; 0: any free port
     #[arg(long, default_value_t = 8765)]
     pub port: u16,
+    #[allow(rustdoc::bare_urls, reason = "`--help` shows the text as it is")]
     /// Also accept web pages of this origin, like https://lab.example:8080; may be repeated. Pages of
     /// this host and of https://app.foxglove.dev are always accepted
     #[arg(long, value_name = "ORIGIN", value_parser = origin)]
