@@ -174,7 +174,7 @@ fn a_signal_ends_a_measurement_between_processes_and_leaves_no_files() {
         let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-bench"));
         command.args(["latency", "--robots", "1", "--seconds", "3600"]);
         let mut bench = Child::spawn("bench", command);
-        bench.says("latency: 1 robots");
+        bench.wait_for_line("latency: 1 robots");
         bench.signal(signal);
         let ended = bench.wait();
         assert_eq!(ended.exit_code(), 1, "{ended:?}");

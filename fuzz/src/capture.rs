@@ -1,7 +1,7 @@
-//! MCAP files: read to their end, made whole again, imported.
+//! MCAP files: scanned, recovered, imported.
 
 #[path = "../../crates/capture/tests/damaged/mod.rs"]
-#[allow(dead_code)] // The tests damage the files that it writes; here they are damaged already.
+#[allow(dead_code)] // The tests damage its files; here the input is already damaged.
 pub(crate) mod damaged;
 
 use std::io::Cursor;
@@ -10,7 +10,7 @@ use joulebus_capture::import::{Imported, Mapping};
 use joulebus_capture::inspect::inspect;
 use joulebus_capture::scan::{Event, Scan, ScanError};
 
-/// No input is longer, and a place lies within it.
+/// Maximum length of an input, bytes; offsets are below it.
 fn place_lies_in(offset: u64, bytes: &[u8]) {
     assert!(
         offset <= bytes.len() as u64,
@@ -76,7 +76,7 @@ pub(crate) fn recover(bytes: &[u8]) -> bool {
     recovery.messages.recovered > 0
 }
 
-/// How a recording is read, by an input's first byte.
+/// Options of the import, by an input's first byte.
 const MAPPINGS: [&str; 4] = [
     "",
     "time = \"log\"\nburst_s = 0.0\ncurrent = \"discharge-positive\"",

@@ -1,8 +1,7 @@
-//! Model files of other programs: refused with a place, or read, and what is found in them is a
-//! network.
+//! Model files of other programs: refused with the position of the fault, or read as a valid network.
 
 #[path = "../../crates/model-files/tests/wrapped/mod.rs"]
-#[allow(dead_code)] // The tests put a pickle into files of other kinds as well.
+#[allow(dead_code)] // The tests also embed pickles in other formats.
 pub(crate) mod wrapped;
 
 use std::sync::OnceLock;
@@ -12,10 +11,10 @@ use joulebus_predictor::FeatureSet;
 
 use super::oracle::world::random::network;
 
-/// Values that are kept of a tensor.
+/// Maximum number of values read of a tensor.
 const MOST_VALUES: usize = 1 << 16;
 
-/// A file as it is.
+/// The input is the file.
 pub(crate) fn whole(bytes: &[u8]) -> bool {
     let checkpoint = match Checkpoint::read(bytes) {
         Ok(checkpoint) => checkpoint,
@@ -55,7 +54,7 @@ pub(crate) fn whole(bytes: &[u8]) -> bool {
     true
 }
 
-/// A pickle in a file of NumPy and, by the first byte's lowest bit, in one of PyTorch.
+/// A pickle inside a NumPy file, or inside a PyTorch file if bit 0 of the first byte is set.
 pub(crate) fn pickle(bytes: &[u8]) -> bool {
     let Some((kind, pickle)) = bytes.split_first() else {
         return false;
@@ -68,7 +67,7 @@ pub(crate) fn pickle(bytes: &[u8]) -> bool {
     }
 }
 
-/// Names that members of archives are looked for by: those of our own arrays, then those of others.
+/// Names of archive members that readers look for: first of our own arrays, then of others.
 fn names() -> &'static [String] {
     static NAMES: OnceLock<Vec<String>> = OnceLock::new();
     NAMES.get_or_init(|| {
@@ -90,7 +89,7 @@ fn names() -> &'static [String] {
     })
 }
 
-/// An archive of members, whose checksums fit: number of the name, length, bytes.
+/// An archive with valid checksums; each member is: number of its name, length, bytes.
 pub(crate) fn archive(bytes: &[u8]) -> bool {
     whole(&wrapped::zipped(&members(bytes)))
 }
@@ -101,7 +100,7 @@ fn members(mut bytes: &[u8]) -> Vec<(&'static str, &[u8])> {
         let length = usize::from(u16::from_le_bytes([*low, *high]));
         let (member, rest) = rest.split_at(length.min(rest.len()));
         let name = names()[usize::from(*name) % names().len()].as_str();
-        // An archive's writer refuses to have two of a name.
+        // The archive writer refuses duplicate names.
         if !members.iter().any(|(known, _)| *known == name) {
             members.push((name, member));
         }

@@ -1,10 +1,10 @@
-//! Config files: refused with places and remedies, or read, written out and read again.
+//! Config files: refused with position and remedy, or read, written and read again.
 
 use std::path::Path;
 
 use joulebus_config::{Config, ConfigError, explain};
 
-/// Longer ones find nothing that shorter ones do not.
+/// Maximum length of an input, bytes: longer ones reach no further code.
 const MOST_BYTES: usize = 64 << 10;
 
 pub(crate) fn run(bytes: &[u8]) -> bool {
@@ -67,7 +67,7 @@ fn refused(error: &ConfigError, text: &str) {
         let line = problem.line.unwrap_or(1);
         assert!(line >= 1 && (!named || line <= lines), "{problem:?}");
     }
-    // Whatever is asked for is explained, or the nearest key is named.
+    // Every key is explained, or the nearest key is named.
     let asked = problems.first().map(|problem| problem.key.as_str());
     match explain(asked) {
         Ok(explained) => assert!(!explained.is_empty()),

@@ -1,8 +1,8 @@
 //! Frames as another process might write them into shared memory, in any order, at any time:
-//! `Fleet` does what the oracle does.
+//! `Fleet` agrees with the oracle.
 //!
 //! An input is a first byte of options, then steps: a tick some time later, a new run of a source,
-//! or a frame of sound samples of which any field can be set to anything.
+//! or a frame of valid samples with any field overwritten.
 
 use std::sync::OnceLock;
 
@@ -15,14 +15,14 @@ use super::input::Input;
 use super::oracle::world::{self, MS, PERIOD_NS, Source, healthy};
 use super::oracle::{Oracle, compare};
 
-/// The oracle goes through all that ever was, for each sample.
+/// The oracle's time per sample grows with the history.
 const MOST_STEPS: usize = 64;
 const MOST_SAMPLES: usize = 8;
 const START_NS: u64 = 60_000 * MS;
-/// Fewer than the robots that can be named.
+/// Fewer than the robot ids that an input can name.
 const CAPACITY: u32 = 9;
 
-/// Robots of every platform, and one of none.
+/// Robots of every platform, and one that is not configured.
 const ROBOTS: [u32; 13] = [0, 1, 2, 3, 99, 100, 101, 199, 200, 201, 202, 299, 300];
 
 /// Settings and models, by the options in an input's first byte.
@@ -164,7 +164,7 @@ pub(crate) fn run(bytes: &[u8]) -> bool {
     fleet.accepted() > 0
 }
 
-/// All that a fleet has come to.
+/// The complete state of a fleet.
 pub(crate) fn encoded(fleet: &Fleet) -> Vec<u8> {
     let mut bytes = Vec::new();
     fleet.state().encode_into(&mut bytes);

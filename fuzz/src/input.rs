@@ -1,6 +1,6 @@
-//! Numbers out of an input; past its end they are 0.
+//! Numbers read from an input; after its end they are 0.
 
-/// What is left of an input.
+/// The rest of an input.
 pub(crate) struct Input<'a>(pub(crate) &'a [u8]);
 
 impl Input<'_> {

@@ -1,8 +1,7 @@
-//! The state of a fleet as a file may hold it: refused with nothing changed, or gone on from.
+//! The state of a fleet in a file: refused without a change to the fleet, or restored and continued.
 //!
-//! An input's first byte chooses settings and models; with its third bit set, what follows comes
-//! after the beginning of such a fleet's own state (format, capacity, hashes), which no change
-//! would guess.
+//! An input's first byte selects settings and models; if its third bit is set, the rest follows the
+//! valid head of such a state (format, capacity, hashes), which mutation would not find.
 
 use joulebus_fleet::{Fleet, FleetState};
 
@@ -13,12 +12,12 @@ use super::oracle::world::{PERIOD_NS, Source, bits, healthy};
 const STEPS: u64 = 8;
 const START_NS: u64 = 61_000_000_000;
 
-/// Bytes of a number as postcard writes it.
+/// A number in postcard's encoding.
 fn varint_bytes(number: u64) -> usize {
     (64 - number.leading_zeros()).div_ceil(7).max(1) as usize
 }
 
-/// What the state of `fleet` begins with, up to its counters.
+/// The head of the state of `fleet`, up to its counters.
 pub(crate) fn beginning(fleet: &Fleet, settings_hash: u64, platforms: usize) -> Vec<u8> {
     let numbers = [
         u64::from(fleet.capacity()),
@@ -63,7 +62,7 @@ pub(crate) fn run(bytes: &[u8]) -> bool {
     let mut other = new();
     other.restore_state(&again).expect("the same state");
     for fleet in [&mut fleet, &mut other] {
-        go_on(fleet);
+        exercise(fleet);
     }
     assert_eq!(encoded(&fleet), encoded(&other), "two fleets of one state");
     for robot in 0..300 {
@@ -72,8 +71,8 @@ pub(crate) fn run(bytes: &[u8]) -> bool {
     true
 }
 
-/// Samples of every platform and ticks, and everything that is written of them.
-fn go_on(fleet: &mut Fleet) {
+/// Sends samples of every platform, ticks, and checks all outputs.
+fn exercise(fleet: &mut Fleet) {
     let mut source = Source::new(1, 20);
     let (accepted, dropped) = (fleet.accepted(), fleet.drops().total());
     let mut sent = 0;

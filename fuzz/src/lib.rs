@@ -1,9 +1,8 @@
-//! What is fuzzed: a function for each kind of input that comes from elsewhere. Each asserts what
-//! the input has to keep, not only that nothing panics, and says whether the input got through the
-//! checks.
+//! The fuzz targets: one function for each kind of untrusted input. Each asserts the invariants of
+//! the result, not only the absence of panics, and returns whether the input was accepted.
 //!
-//! The programs in `fuzz_targets` give them to libFuzzer; `tests/tests/fuzz_inputs.rs` of the
-//! workspace above runs every seed and every input found so far through them, on stable.
+//! The programs in `fuzz_targets` run them under libFuzzer; `tests/tests/fuzz_inputs.rs` of the
+//! parent workspace runs every seed and every finding through them on stable.
 
 mod capture;
 mod checkpoints;
@@ -19,15 +18,15 @@ mod oracle;
 pub mod seeds;
 mod trials;
 
-/// Something to be fuzzed.
+/// A fuzz target.
 #[derive(Debug, Clone, Copy)]
 pub struct Target {
-    /// Its name, and that of its program.
+    /// Its name and the name of its program.
     pub name: &'static str,
     /// Directory of its seeds.
     pub seeds: &'static str,
     run: fn(&[u8]) -> bool,
-    /// Most memory that may be taken at the same time, bytes.
+    /// Maximum heap memory at any time, bytes.
     most_bytes: u64,
 }
 
@@ -40,7 +39,7 @@ const fn of(name: &'static str, most_mib: u64, run: fn(&[u8]) -> bool) -> Target
     }
 }
 
-/// All targets. A scan holds a record of at most 64 MiB, an archive at most 32 MiB.
+/// All targets. A scan buffers a record of at most 64 MiB, an archive at most 32 MiB.
 pub const TARGETS: [Target; 12] = [
     of("archive", 96, checkpoints::archive),
     of("checkpoint", 96, checkpoints::whole),
@@ -66,7 +65,7 @@ impl Target {
     /// Runs one input; returns whether it was accepted.
     ///
     /// # Panics
-    /// When the input breaks what the target asserts, or takes more memory than it may.
+    /// The input violates an assertion of the target, or exceeds its memory limit.
     #[must_use]
     pub fn run(&self, bytes: &[u8]) -> bool {
         let (accepted, peak_bytes) = counting::peak(|| (self.run)(bytes));
@@ -79,18 +78,18 @@ impl Target {
     }
 }
 
-/// The target of that name.
+/// The target with this name.
 ///
 /// # Panics
-/// When there is none.
+/// There is none.
 #[must_use]
 pub fn target(name: &str) -> Target {
     let found = TARGETS.into_iter().find(|target| target.name == name);
     found.unwrap_or_else(|| panic!("no target {name:?}"))
 }
 
-/// The program of a target: under cargo-fuzz libFuzzer's, otherwise one that runs the files it is
-/// given, so that a finding can be looked at without nightly.
+/// The program of a target: with cargo-fuzz the libFuzzer driver, otherwise a program that runs
+/// the files in its arguments, so that a finding can be reproduced without nightly.
 #[macro_export]
 macro_rules! program {
     ($name:literal) => {

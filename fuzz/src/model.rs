@@ -1,9 +1,9 @@
-//! Model files: refused, or read, written and read again without a changed bit, with the same
-//! forecasts on every kernel.
+//! Model files: refused, or read, written and read again bit for bit, with the same forecasts on
+//! every kernel.
 //!
-//! After a first byte of 0 an input is a file as it is. After any other it is the file's header (a
-//! text up to a zero byte) and weights, which are repeated as often as the header needs; the file
-//! gets a digest that fits it, as a careful forger would give it.
+//! If an input's first byte is 0, the rest is the file. Otherwise the rest is the file's header
+//! (text up to a zero byte) and weights, repeated up to the size in the header; the file gets a
+//! valid digest, so that mutations pass that check.
 
 #[path = "../../crates/predictor/tests/forged/mod.rs"]
 mod forged;
@@ -11,7 +11,7 @@ mod forged;
 use joulebus_predictor::{Features, Kernel, Network, Tiling};
 use safetensors::SafeTensors;
 
-/// More weights than a header of ours can need.
+/// More weights than any header of ours describes.
 const MOST_DATA_BYTES: usize = 64 << 10;
 const ROWS: usize = 21;
 
@@ -32,7 +32,7 @@ pub(crate) fn run(bytes: &[u8]) -> bool {
     read(&forged::forged(&metadata, &tensors))
 }
 
-/// The file of a header and the beginning of its weights; none where the header is no text of a map.
+/// The file of a header and the beginning of its weights; `None` if the header is no JSON object.
 fn grown(bytes: &[u8]) -> Option<Vec<u8>> {
     let end = bytes.iter().position(|byte| *byte == 0)?;
     let (header, data) = (&bytes[..end], &bytes[end + 1..]);
@@ -67,7 +67,7 @@ fn read(bytes: &[u8]) -> bool {
     true
 }
 
-/// Rows around the training's means, far from them, and of no numbers.
+/// Rows near the training means, far from them, and of NaN.
 fn rows(network: &Network) -> [Features; ROWS] {
     let normalisation = network.parameters().normalisation;
     std::array::from_fn(|row| {

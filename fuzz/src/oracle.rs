@@ -1,4 +1,4 @@
-//! The slow, obvious fleet of `crates/fleet/tests`.
+//! The reference fleet of `crates/fleet/tests`.
 
 #[path = "../../crates/fleet/tests/oracle/compare.rs"]
 pub(crate) mod compare;

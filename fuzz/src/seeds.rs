@@ -1,4 +1,4 @@
-//! The seeds, made by our own writers: small, whole, and one of each kind of thing.
+//! The seeds, made by our own writers: small, valid, and one of each kind.
 
 #[path = "../../crates/capture/tests/bag/mod.rs"]
 #[allow(dead_code)] // Its tests import what they write.
@@ -52,7 +52,7 @@ fn named(name: &str, bytes: impl Into<Vec<u8>>) -> (String, Vec<u8>) {
     (name.to_owned(), bytes.into())
 }
 
-/// A dict of a number, a text, and nested lists, in protocol 2.
+/// A dict of a number, a string and nested lists, in protocol 2.
 const PLAIN: &[u8] =
     b"\x80\x02}q\x00(X\x01\x00\x00\x00aG@\t!\xfbTD-\x18X\x01\x00\x00\x00bX\x02\x00\x00\x00\
     hiX\x01\x00\x00\x00c](]K\x01a]K\x02aeu.";
@@ -60,7 +60,7 @@ const PLAIN: &[u8] =
 const NUMPY: &[u8] = b"\x80\x02cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85U\x01b\x87R(K\x01\
     K\x02\x85cnumpy\ndtype\nU\x02f8K\x00K\x01\x87R(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89U\x10\
     \x00\x00\x00\x00\x00\x00\xf0\x3f\x00\x00\x00\x00\x00\x00\x00\x40tb.";
-/// A tensor of two by two, whose numbers stand elsewhere.
+/// A tensor of two by two, whose values are in another member.
 const TORCH: &[u8] = b"\x80\x02}X\x01\x00\x00\x00wctorch._utils\n_rebuild_tensor_v2\n((X\x07\x00\x00\x00storage\
     ctorch\nFloatStorage\nX\x01\x00\x00\x000X\x03\x00\x00\x00cpuK\x04tQK\x00K\x02K\x02\x86K\x02K\x01\x86\x89\
     ccollections\nOrderedDict\n)RtRs.";
@@ -172,7 +172,7 @@ fn tables() -> Vec<(String, Vec<u8>)> {
     ]
 }
 
-/// A short trial as our writer writes it.
+/// A short trial, written by our writer.
 fn written(robot: &str, name: &str) -> Vec<u8> {
     let rows = (0..5).map(|step| {
         let mut values = [f64::NAN; Column::ALL.len()];
@@ -206,7 +206,7 @@ fn configs() -> Vec<(String, Vec<u8>)> {
     ]
 }
 
-/// Ticks of a few robots in the language of [`super::frames`].
+/// Ticks of a few robots in the format of [`super::frames`].
 fn frames() -> Vec<(String, Vec<u8>)> {
     let healthy = |options: u8, ticks: usize| {
         let mut steps = vec![options];
@@ -220,7 +220,7 @@ fn frames() -> Vec<(String, Vec<u8>)> {
         steps
     };
     let mut faults = healthy(0, 7);
-    // A header that tells of losses, a number that is none, a clock that goes back, a long silence.
+    // A header with losses, a NaN, a stamp that goes back, a long gap.
     faults.extend([3, 1, 1, 1, 1, 5, 255, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
     faults.extend([3, 1, 1, 1, 0, 0, 1, 9, 0, 0, 0xc0, 0x7f, 0, 0, 0, 0]);
     faults.extend([3, 1, 1, 1, 0, 0, 1, 5, 0, 0, 0, 0xff, 0, 0, 0, 0]);
@@ -333,7 +333,7 @@ fn recordings() -> Vec<(String, Vec<u8>)> {
 /// Writes every seed below `directory`.
 ///
 /// # Errors
-/// What the system says.
+/// Errors of the file system.
 pub fn write(directory: &Path) -> std::io::Result<()> {
     for (kind, name, bytes) in seeds() {
         let directory = directory.join(kind);

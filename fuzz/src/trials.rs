@@ -1,18 +1,18 @@
-//! Recorded trials as files: refused, or read, written and read again to the bit.
+//! Recorded trials as files: refused, or read, written and read again bit for bit.
 
 use std::io::Write as _;
 use std::path::Path;
 
 use joulebus_dataset::trial::{Column, Form, Method, Resample, Table, Trial, WriteError};
 
-/// Longer ones find nothing that shorter ones do not.
+/// Maximum length of an input, bytes: longer ones reach no further code.
 const MOST_BYTES: usize = 64 << 10;
 
 pub(crate) fn npy(bytes: &[u8]) -> bool {
     read(bytes, ".npy")
 }
 
-/// CSV, plain or in gzip: the reader tells by the first bytes.
+/// CSV, plain or in gzip: the reader decides by the first bytes.
 pub(crate) fn csv(bytes: &[u8]) -> bool {
     read(bytes, ".csv")
 }
@@ -51,7 +51,7 @@ fn read(bytes: &[u8], ending: &str) -> bool {
 fn written_and_read(table: &Table, form: Form, path: &Path) {
     match table.write(path) {
         Ok(()) => {}
-        // An array has no place for names and further columns, and at least two rows.
+        // An array has no names, no further columns, and at least two rows.
         Err(
             WriteError::RobotName { .. }
             | WriteError::NoSuchColumns { .. }
@@ -76,7 +76,7 @@ fn written_and_read(table: &Table, form: Form, path: &Path) {
     }
 }
 
-/// What is made of a trial that was read.
+/// Operations on a trial that was read.
 fn samples(table: Table) {
     let rows = table.rows();
     let Ok(trial) = table.into_trial() else {
@@ -86,7 +86,7 @@ fn samples(table: Table) {
     let samples = trial.to_samples(1, 1 << 40);
     assert_eq!(samples.len(), rows);
     assert!(samples.iter().all(|sample| sample.flags <= 0xff));
-    // Two rows years apart would become as many as a trial may have: hundreds of megabytes, as asked for.
+    // Two rows years apart would be resampled to the maximum number of rows: hundreds of megabytes.
     let times = trial.timestamp_s();
     let rows = (times[rows - 1] - times[0]) * 1e9 / trial.period_ns() as f64;
     if rows <= MOST_RESAMPLED_ROWS {
@@ -96,7 +96,7 @@ fn samples(table: Table) {
     }
 }
 
-/// Rows of a resampled trial that fit into the target's memory.
+/// Maximum rows of a resampled trial within the target's memory limit.
 const MOST_RESAMPLED_ROWS: f64 = 65_536.0;
 
 fn resampled(trial: &Trial, method: Method) {

@@ -228,7 +228,7 @@ impl Arena {
         let name = file.to_str().expect("ASCII file name");
         let arguments = [&["record", "--format", "json", "-o", name], more].concat();
         let mut child = Child::spawn("recorder", self.command(&arguments));
-        child.says(&format!("recording {FLEET} into"));
+        child.wait_for_line(&format!("recording {FLEET} into"));
         child
     }
 
@@ -248,7 +248,7 @@ impl Arena {
     #[must_use]
     pub fn worker(&self) -> Child {
         let mut worker = self.spawn_worker();
-        worker.says("ready:");
+        worker.wait_for_line("ready:");
         worker
     }
 

@@ -42,7 +42,7 @@ impl Source {
     /// Sends frames without a pause; returns the number of readers of the last one.
     pub fn send_all(&mut self, frames: &[FrameLine]) -> usize {
         let line = serde_json::to_string(frames).expect("plain data");
-        self.child.tell(&line);
+        self.child.send_line(&line);
         match self.answer() {
             SourceLine::Sent { readers, .. } => readers,
             other => panic!("{other:?}: {}", self.child.tail()),

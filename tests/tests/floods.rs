@@ -171,7 +171,7 @@ fn row_22_overload_skips_ticks_sheds_diagnostics_first_and_ends_by_itself() {
     };
     let mut many = arena.controller("many", 0, MANY, setup.rate_hz);
     robots_given("the many have joined", MANY);
-    worker.says("diagnostics are left out");
+    worker.wait_for_line("diagnostics are left out");
     many.finish();
     let left = Instant::now();
     // They leave two seconds after their last sample, without intervention. Until then their robots
@@ -183,7 +183,7 @@ fn row_22_overload_skips_ticks_sheds_diagnostics_first_and_ends_by_itself() {
         _ => None,
     });
     let recovered_s = left.elapsed().as_secs_f64();
-    worker.says("diagnostics resume");
+    worker.wait_for_line("diagnostics resume");
 
     // Afterwards, new samples are answered as before.
     let mut source = arena.source("few");

@@ -114,7 +114,7 @@ const ROLES: [Role; 6] = [
     Role {
         name: "run",
         command: |shm| shm.joulebus(&["run"]),
-        is_ready: |child| child.try_says("ready:", PATIENCE).is_some(),
+        is_ready: |child| child.try_wait_for_line("ready:", PATIENCE).is_some(),
         end: Child::stop,
     },
     Role {
@@ -148,7 +148,11 @@ const ROLES: [Role; 6] = [
             let _ = fs::remove_file(&shm.capture);
             shm.joulebus(&["record", "-o", &capture])
         },
-        is_ready: |child| child.try_says("recording t into", PATIENCE).is_some(),
+        is_ready: |child| {
+            child
+                .try_wait_for_line("recording t into", PATIENCE)
+                .is_some()
+        },
         end: Child::stop,
     },
 ];
@@ -195,7 +199,7 @@ fn row_24_joining_a_fleet_with_little_memory_left_works_or_fails_with_numbers() 
         return;
     };
     let mut worker = Child::spawn("worker", shm.joulebus(&["run", "--format", "json"]));
-    worker.says("ready:");
+    worker.wait_for_line("ready:");
     let mut controller = Child::spawn("fleet", shm.probe(&["controller", "fleet", "0", "4", "30"]));
     let mut planner = Planner::new(Child::spawn("planner", shm.probe(&["planner"])));
     planner.forecast("it works", |frame| frame.robot(3).map(|_| ()));
@@ -260,12 +264,12 @@ fn row_24_memory_of_dead_processes_is_freed_for_the_next_start() {
         return;
     };
     let mut worker = Child::spawn("worker", shm.joulebus(&["run"]));
-    worker.says("ready:");
+    worker.wait_for_line("ready:");
     worker.kill();
     // Less than a worker needs, which is what the dead one holds.
     shm.leave_free(2 << 20);
     let mut worker = Child::spawn("worker", shm.joulebus(&["run"]));
-    worker.says("ready:");
+    worker.wait_for_line("ready:");
     worker.stop();
     assert_eq!(shm.objects(), 0, "nothing is left");
     shm.close();

@@ -37,7 +37,7 @@ fn recorded(arena: &Arena, name: &str) -> (PathBuf, Ended) {
             file.to_str().unwrap(),
         ];
         let mut worker = Child::spawn("worker", arena.command(&arguments));
-        worker.says("ready:");
+        worker.wait_for_line("ready:");
         arena.simulate(ROBOTS, 60);
         (file, worker.end())
     })
@@ -64,7 +64,7 @@ fn a_signal_writes_a_snapshot_and_the_recorder_continues() {
     let options = ["--snapshot", "60", "--no-alarm", "--format", "json"];
     let arguments = [&["record", "-o", name], &options[..]].concat();
     let mut recorder = Child::spawn("recorder", arena.command(&arguments));
-    recorder.says("recording t into");
+    recorder.wait_for_line("recording t into");
     let mut worker = arena.worker();
     arena.simulate(ROBOTS, 30);
     assert!(!file.exists(), "written without a request");
@@ -131,7 +131,7 @@ fn a_capture_is_played_under_another_name() {
         .args(["run", "--format", "json", "--config"])
         .arg(config);
     let mut worker = Child::spawn("the copy's worker", command);
-    worker.says("ready:");
+    worker.wait_for_line("ready:");
     let played = alone(&[
         "replay",
         file.to_str().unwrap(),

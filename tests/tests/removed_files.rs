@@ -118,7 +118,7 @@ fn a_worker_whose_files_are_removed_exits_with_the_reason_and_the_next_one_works
         let mut fleet = Fleet::start(&arena, round);
         let begin = Instant::now();
         remove(&arena);
-        fleet.worker.says(NOTICED);
+        fleet.worker.wait_for_line(NOTICED);
         noticed.add(begin.elapsed());
         let ended = fleet.worker.wait();
         assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
@@ -223,7 +223,7 @@ fn removal_of_the_lock_file_ends_the_worker_before_a_second_one_can_start() {
     let arena = Arena::new(&Setup::default());
     let mut worker = arena.worker();
     remove(&arena.domain().root().join("worker-t.lock"));
-    worker.says(NOTICED);
+    worker.wait_for_line(NOTICED);
     assert_eq!(worker.wait().code(), Some(1));
     arena.worker().stop();
     arena.close();

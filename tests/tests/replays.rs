@@ -504,7 +504,7 @@ fn a_replay_can_be_stepped() {
         samples.count()
     };
     for step in 1..=3 {
-        replay.tell("");
+        replay.send_line("");
         eventually("the step", || frames() >= step);
     }
     let report = replay.stop().json();

@@ -189,7 +189,7 @@ const JOINERS: [Joiner; 3] = [
     Joiner {
         name: "worker",
         command: Arena::worker_command,
-        is_ready: |child| child.try_says("ready:", PATIENCE).is_some(),
+        is_ready: |child| child.try_wait_for_line("ready:", PATIENCE).is_some(),
     },
     Joiner {
         name: "source",

@@ -14,6 +14,16 @@ const ROBOTS: u32 = 4;
 
 type Accounts = BTreeMap<u32, Value>;
 
+fn with_ledger() -> Setup {
+    Setup {
+        tick_hz: 100.0,
+        rate_hz: 50.0,
+        stale_after_s: 0.5,
+        ledger: true,
+        ..Setup::default()
+    }
+}
+
 /// The ledger file with this extension: generation, and accounts by robot. A file being written
 /// cannot be read yet; any other must be intact.
 fn generation(arena: &Arena, ending: &str) -> Option<(u64, Accounts)> {
@@ -86,14 +96,7 @@ fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_fr
 {
     let mut dice = Dice::roll();
     let rounds = Dice::rounds("JOULEBUS_WORKER_KILLS", 20);
-    let setup = Setup {
-        tick_hz: 100.0,
-        rate_hz: 50.0,
-        stale_after_s: 0.5,
-        ledger: true,
-        ..Setup::default()
-    };
-    let arena = Arena::new(&setup);
+    let arena = Arena::new(&with_ledger());
     let mut planner = arena.planner();
     let mut consumer = arena.consumer();
     let mut controller = arena.controller("controller", 0, ROBOTS, 50.0);
@@ -216,14 +219,7 @@ fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_fr
 
 #[test]
 fn an_edited_ledger_is_renamed_and_reported_and_the_previous_one_is_used() {
-    let setup = Setup {
-        tick_hz: 100.0,
-        rate_hz: 50.0,
-        stale_after_s: 0.5,
-        ledger: true,
-        ..Setup::default()
-    };
-    let arena = Arena::new(&setup);
+    let arena = Arena::new(&with_ledger());
     let mut worker = arena.worker();
     let mut planner = arena.planner();
     let mut controller = arena.controller("controller", 0, ROBOTS, 50.0);
@@ -323,7 +319,7 @@ fn row_17_of_eight_concurrent_workers_one_serves_and_after_its_death_another_can
         });
         let at = racers.iter_mut().position(Child::is_running).expect("one");
         let mut owner = racers.swap_remove(at);
-        owner.says("ready:");
+        owner.wait_for_line("ready:");
         for mut loser in racers {
             let ended = loser.wait();
             assert_eq!(ended.code(), Some(1), "{ended:?}");

@@ -127,17 +127,17 @@ fn many_start_and_leave_at_once() {
     for _ in 0..3 {
         let mut members: Vec<_> = (0..6).map(|_| place.member()).collect();
         for (i, member) in members.iter_mut().enumerate() {
-            member.tell("join");
-            member.tell(["source", "planner"][i % 2]);
+            member.send_line("join");
+            member.send_line(["source", "planner"][i % 2]);
         }
         for member in &mut members {
             for _ in 0..2 {
-                let answer = member.hear();
+                let answer = member.next_line();
                 assert!(answer.starts_with("ok"), "{answer}");
             }
         }
         for member in &mut members {
-            member.tell("quit");
+            member.send_line("quit");
         }
         for mut member in members {
             assert!(member.wait().status.success());
@@ -184,7 +184,7 @@ fn a_stopped_planner_does_not_affect_others_and_resumes_at_the_newest() {
         assert_eq!(must(&mut worker, "tick 1"), tick.to_string());
         assert_eq!(must(&mut other, "count"), format!("[{tick}]"));
     }
-    stuck.go_on();
+    stuck.resume();
     // Two frames are queued, by the limits; the ones before are the gap.
     assert_eq!(must(&mut stuck, "count"), "[199, 200]");
     must(&mut worker, "tick 1");
@@ -200,9 +200,9 @@ fn a_planner_sees_at_once_that_the_worker_is_gone() {
         println!("skipped: this system cannot watch processes");
         return;
     }
-    planner.tell("wait");
+    planner.send_line("wait");
     worker.kill();
-    assert!(planner.hear().contains("peer_gone: true"));
+    assert!(planner.next_line().contains("peer_gone: true"));
 }
 
 #[test]
@@ -230,9 +230,9 @@ fn after_twenty_kills_during_a_start_the_next_one_joins() {
     let mut source = joined(&place, "source");
     for round in 0..20_u64 {
         let mut member = place.member();
-        member.tell("join");
-        member.tell("worker");
-        member.tell("planner");
+        member.send_line("join");
+        member.send_line("worker");
+        member.send_line("planner");
         // Spread over the start of the program.
         std::thread::sleep(Duration::from_micros(500 * round));
         member.kill();
@@ -395,7 +395,7 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
             let options = ["-f", "-qq", "-e", &trace, "-e", &inject, "-o", "/dev/null"];
             let mut victim = place.member_under("strace", &options);
             for command in ["join", "worker", "quit"] {
-                victim.tell(command);
+                victim.send_line(command);
             }
             if victim.wait().status.success() {
                 break;

@@ -110,7 +110,7 @@ impl Attachments {
     }
 
     /// Adds a description of this file.
-    pub fn tell(&mut self, key: &str, value: String) {
+    pub fn describe(&mut self, key: &str, value: String) {
         let about = self.metadata.entry(ABOUT.to_owned()).or_default();
         about.insert(key.to_owned(), value);
     }

@@ -335,9 +335,9 @@ fn existing_files_are_not_changed() {
     let path = stage.path("run.mcap");
     std::fs::write(&path, "precious").unwrap();
     let (config, clock) = (&stage.config, Clock::now());
-    let start = |go_on| {
+    let start = |resume| {
         let options = Options {
-            go_on,
+            resume,
             ..Options::default()
         };
         let target = Target::File(path.clone());

@@ -638,7 +638,7 @@ fn split_files_are_verified_as_one_and_each_from_its_keyframe() {
     for part in all.chunks(all.len() / 3 + 1) {
         let attachments = Attachments::default();
         let settings = CaptureSettings::default();
-        let mut writer = Writer::go_on(Vec::new(), settings, &attachments, sequences).unwrap();
+        let mut writer = Writer::resume(Vec::new(), settings, &attachments, sequences).unwrap();
         for entry in part {
             let times = Times {
                 log_ns: entry.log_time_ns,

@@ -47,7 +47,7 @@ impl Run {
 
     /// Waits for the next stderr line that contains `text`; returns the rest of the line.
     fn wait_for(&mut self, text: &str) -> String {
-        let line = self.0.says(text);
+        let line = self.0.wait_for_line(text);
         line.split_once(text).unwrap().1.to_owned()
     }
 

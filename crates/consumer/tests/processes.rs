@@ -14,7 +14,7 @@ use std::time::Duration;
 use harness::{Place, run_member, told};
 use joulebus_bus::{Bus, WorkerLock, clock};
 use joulebus_consumer::{BudgetFeed, Config, DiagnosticFeed, Event, Planner, WorkerState};
-use joulebus_test_processes::{Member, say};
+use joulebus_test_processes::{Member, send_to_test};
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, SCHEMA_VERSION,
     WakeEvent, forecast_flag,
@@ -32,7 +32,7 @@ fn member() {
         "planner" => plan(config),
         "example" => {
             planner::run(config, 3).unwrap();
-            say("seen");
+            send_to_test("seen");
         }
         _ => panic!("no such role: {role}"),
     });
@@ -56,7 +56,7 @@ fn worker(config: &Path, is_worker: bool) {
         period_ns: HOUR_NS,
         ..ForecastHeader::default()
     };
-    say("ready");
+    send_to_test("ready");
     while let Some(line) = told() {
         let mut words = line.split(' ');
         let command = words.next().unwrap();
@@ -106,7 +106,7 @@ fn worker(config: &Path, is_worker: bool) {
             }
             _ => panic!("no such command: {line}"),
         }
-        say(command);
+        send_to_test(command);
     }
 }
 
@@ -129,28 +129,28 @@ fn power_w(robot: u64, tick: u64) -> f32 {
 fn plan(config: &Path) {
     let mut planner = Planner::connect(config).unwrap();
     let mut feeds: Option<(DiagnosticFeed, BudgetFeed)> = None;
-    say("ready");
+    send_to_test("ready");
     while let Some(line) = told() {
         match line.split_once(' ').unwrap_or((&line, "")) {
             ("next", ms) => {
                 let timeout = Duration::from_millis(ms.parse().unwrap());
-                say(match planner.wait_next(timeout) {
+                send_to_test(match planner.wait_next(timeout) {
                     Ok(event) => describe(&event),
                     Err(error) => error.to_string(),
                 });
             }
             ("latest", _) => match planner.latest().unwrap() {
-                Some(frame) => say(describe(&Event::Frame(frame))),
-                None => say("none"),
+                Some(frame) => send_to_test(describe(&Event::Frame(frame))),
+                None => send_to_test("none"),
             },
-            ("worker", _) => say(match planner.worker() {
+            ("worker", _) => send_to_test(match planner.worker() {
                 WorkerState::Stale { .. } => "Stale".to_owned(),
                 state => format!("{state:?}"),
             }),
-            ("foreign", _) => say(planner.foreign().to_string()),
+            ("foreign", _) => send_to_test(planner.foreign().to_string()),
             ("counts", _) => {
                 let counts = planner.counts();
-                say(format!(
+                send_to_test(format!(
                     "{} frames, {} gaps, {} ticks, {} workers",
                     counts.frames, counts.gaps, counts.ticks_missed, counts.workers
                 ));
@@ -171,7 +171,7 @@ fn plan(config: &Path) {
                     assert_eq!(frame.robot(63).unwrap().drawn_uj, 63);
                     frame.header().tick
                 });
-                say(format!("{forecasts:?} {diagnosed:?} {budgeted:?}"));
+                send_to_test(format!("{forecasts:?} {diagnosed:?} {budgeted:?}"));
             }
             _ => panic!("no such command: {line}"),
         }
@@ -205,7 +205,7 @@ fn describe(event: &Event<'_>) -> String {
 
 fn ready(place: &Place, role: &str) -> Member {
     let mut member = place.start(role);
-    assert_eq!(member.hear(), "ready");
+    assert_eq!(member.next_line(), "ready");
     member
 }
 
@@ -216,10 +216,10 @@ fn a_planner_may_start_before_or_after_the_worker() {
     assert_eq!(early.ask("next 0"), "TimedOut");
     assert_eq!(early.ask("latest"), "none");
     assert_eq!(early.ask("worker"), "Waiting");
-    early.tell("next 60000");
+    early.send_line("next 60000");
     let mut worker = ready(&place, "worker");
     worker.ask("ticks 1 1");
-    assert_eq!(early.hear(), "tick 1, missed 0");
+    assert_eq!(early.next_line(), "tick 1, missed 0");
     assert_eq!(early.ask("worker"), "Alive");
 
     let mut late = ready(&place, "planner");
@@ -251,9 +251,9 @@ fn a_killed_worker_is_gone_at_once_and_its_successor_takes_over() {
         assert_eq!(planner.ask("next 60000"), expected, "life {life}");
         assert_eq!(planner.ask("next 0"), "TimedOut", "life {life}");
         // It sleeps, or is about to, when the worker dies; its frame is valid for another hour.
-        planner.tell("next 60000");
+        planner.send_line("next 60000");
         worker.kill();
-        assert_eq!(planner.hear(), "Gone(Exited)", "life {life}");
+        assert_eq!(planner.next_line(), "Gone(Exited)", "life {life}");
         assert_eq!(planner.ask("worker"), "Gone(Exited)", "life {life}");
         assert_eq!(planner.ask("next 0"), "TimedOut", "told once");
     }
@@ -381,7 +381,7 @@ fn a_silent_worker_is_stale_until_it_continues() {
     assert_eq!(planner.ask("next 60000"), "Stale");
     assert_eq!(planner.ask("worker"), "Stale");
     assert_eq!(planner.ask("next 200"), "TimedOut", "told once");
-    worker.go_on();
+    worker.resume();
     worker.ask(&format!("period {HOUR_NS}"));
     worker.ask("ticks 2 2");
     assert_eq!(planner.ask("next 60000"), "tick 2, missed 0");
@@ -399,7 +399,7 @@ fn a_stopped_planner_resumes_at_the_newest_frame_with_one_gap() {
     let mut worker = ready(&place, "worker");
     worker.ask("ticks 1 1");
     assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
-    planner.tell("next 60000");
+    planner.send_line("next 60000");
     planner.stop();
     for tick in 2..=500 {
         worker.ask(&format!("ticks {tick} {tick}"));
@@ -408,8 +408,8 @@ fn a_stopped_planner_resumes_at_the_newest_frame_with_one_gap() {
             assert!(newest.starts_with(&format!("tick {tick},")), "{newest}");
         }
     }
-    planner.go_on();
-    assert_eq!(planner.hear(), "tick 500, missed 498");
+    planner.resume();
+    assert_eq!(planner.next_line(), "tick 500, missed 498");
     worker.ask("ticks 501 501");
     assert_eq!(planner.ask("next 60000"), "tick 501, missed 0");
     assert_eq!(
@@ -506,7 +506,7 @@ fn the_example_prints_the_forecasts() {
     let mut example = place.start("example");
     let (send, ended) = std::sync::mpsc::channel();
     let listener = std::thread::spawn(move || {
-        send.send(example.hear()).unwrap();
+        send.send(example.next_line()).unwrap();
         example.finish();
     });
     let seen = (1..).find_map(|tick| {

@@ -30,13 +30,13 @@ struct Keyframe {
 }
 
 impl Keyframe {
-    fn with_room_for(settings: &FleetSettings) -> Self {
+    fn with_capacity_for(settings: &FleetSettings) -> Self {
         Self {
             worker_epoch: 0,
             tick: 0,
             taken_ns: 0,
             copied_in_ns: 0,
-            state: FleetState::with_room_for(settings),
+            state: FleetState::with_capacity_for(settings),
         }
     }
 }
@@ -167,7 +167,7 @@ impl KeyframeSender {
         }
         let keyframe = match self.spare.take() {
             Some(keyframe) => keyframe,
-            None => Box::new(Keyframe::with_room_for(&self.settings)),
+            None => Box::new(Keyframe::with_capacity_for(&self.settings)),
         };
         self.next_ns = u64::MAX;
         self.is_asked = self.orders.ask.try_send(keyframe).is_ok();

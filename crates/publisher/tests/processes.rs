@@ -11,7 +11,7 @@ use std::path::Path;
 use harness::{Place, run_member, told};
 use joulebus_bus::{Bus, FrameBuf, SampleReader, Waiter};
 use joulebus_publisher::{Config, PublishError, Publisher, RobotState, clock};
-use joulebus_test_processes::say;
+use joulebus_test_processes::send_to_test;
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 /// Not a test: the entry point of the processes that the tests start.
@@ -55,14 +55,14 @@ impl Intake {
 }
 
 fn example(config: &Path) {
-    say(controller::run(config, 7).unwrap());
+    send_to_test(controller::run(config, 7).unwrap());
 }
 
 /// Receives frames, checks that each is complete, and reports each run of the source after the
 /// requested number of frames.
 fn worker(config: &Path) {
     let mut intake = Intake::new(config);
-    say("ready");
+    send_to_test("ready");
     let mut told_of = 0;
     while let Some(wanted) = told() {
         let wanted: u64 = wanted.parse().unwrap();
@@ -79,7 +79,7 @@ fn worker(config: &Path) {
             }
         }
         told_of = newest.source_epoch;
-        say(format!(
+        send_to_test(format!(
             "{frames} {samples} {} {}",
             newest.source_id, newest.source_epoch
         ));
@@ -103,11 +103,11 @@ fn check(header: &SampleHeader, robots: &[Sample]) {
 fn the_worker_receives_every_frame_of_the_example() {
     let place = Place::new();
     let mut worker = place.start("worker");
-    assert_eq!(worker.hear(), "ready");
-    worker.tell("7");
+    assert_eq!(worker.next_line(), "ready");
+    worker.send_line("7");
     let mut example = place.start("example");
-    assert_eq!(example.hear(), "140");
-    let took = worker.hear();
+    assert_eq!(example.next_line(), "140");
+    let took = worker.next_line();
     example.finish();
     assert!(took.starts_with("7 140 "), "{took}");
     worker.finish();
@@ -128,12 +128,12 @@ fn source(config: &Path) {
 fn a_restarted_source_has_the_same_id_and_a_greater_epoch() {
     let place = Place::new();
     let mut worker = place.start("worker");
-    assert_eq!(worker.hear(), "ready");
+    assert_eq!(worker.next_line(), "ready");
     let mut before: Option<(u64, u64)> = None;
     for life in 0..6 {
-        worker.tell("3");
+        worker.send_line("3");
         let source = place.start("source");
-        let took = worker.hear();
+        let took = worker.next_line();
         source.kill();
         let numbers: Vec<u64> = took.split(' ').map(|word| word.parse().unwrap()).collect();
         let [frames, samples, id, epoch] = numbers[..] else {

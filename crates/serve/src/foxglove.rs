@@ -71,7 +71,7 @@ pub(super) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
         choose: Arc::new(|_| true),
         max_file_bytes: u64::MAX,
         max_file_ns: u64::MAX,
-        go_on: false,
+        resume: false,
         snapshot: None,
         queue_bytes: QUEUE_BYTES,
     };

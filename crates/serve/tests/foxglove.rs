@@ -83,7 +83,7 @@ fn start(config: &Path, more: &[&str]) -> (Child, String) {
     command.args(["--foxglove", "--port", "0", "--format", "json", "--config"]);
     command.arg(config).args(more).env_remove("JOULEBUS_LOG");
     let mut server = Child::spawn("serve", command);
-    let line = server.says("serving fleet serve at ");
+    let line = server.wait_for_line("serving fleet serve at ");
     let address = line.rsplit(' ').next().unwrap();
     assert!(address.starts_with("ws://127.0.0.1:"), "{address}");
     let address = address.to_owned();
@@ -311,7 +311,7 @@ fn pages_of_this_host_and_of_foxglove_are_served_and_others_refused() {
     ] {
         let refused = try_connect(&address, Some(origin)).map(drop);
         assert_eq!(refused, Err(403), "{origin}");
-        let said = server.says("--allow-origin");
+        let said = server.wait_for_line("--allow-origin");
         assert!(said.contains(origin), "{said}");
     }
     server.stop();

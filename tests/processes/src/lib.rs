@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 
-pub use member::{Member, say};
+pub use member::{Member, send_to_test};
 
 /// Timeout of every wait. Far beyond the delays of a busy machine: only a defect reaches it.
 pub const PATIENCE: Duration = Duration::from_secs(180);
@@ -50,7 +50,7 @@ pub struct Child {
     ended: Option<ExitStatus>,
     started: Instant,
     /// Lines of stderr already consumed by a wait.
-    heard: usize,
+    lines_read: usize,
 }
 
 /// Exit status and complete output of a process.
@@ -125,7 +125,7 @@ impl Child {
             process,
             ended: None,
             started,
-            heard: 0,
+            lines_read: 0,
         }
     }
 
@@ -207,21 +207,21 @@ impl Child {
 
     /// Waits until a line on stderr contains `part` and returns the line. Later calls continue
     /// after it.
-    pub fn says(&mut self, part: &str) -> String {
-        match self.try_says(part, PATIENCE) {
+    pub fn wait_for_line(&mut self, part: &str) -> String {
+        match self.try_wait_for_line(part, PATIENCE) {
             Some(line) => line,
             None => panic!("{} has not printed {part:?}: {}", self.name, self.tail()),
         }
     }
 
-    /// Like [`Self::says`]; `None` if it exits or the timeout passes first.
-    pub fn try_says(&mut self, part: &str, within: Duration) -> Option<String> {
+    /// Like [`Self::wait_for_line`]; `None` if it exits or the timeout passes first.
+    pub fn try_wait_for_line(&mut self, part: &str, within: Duration) -> Option<String> {
         let begin = Instant::now();
         loop {
             let left = within.saturating_sub(begin.elapsed());
-            let lines = self.stderr.after(self.heard, left);
+            let lines = self.stderr.after(self.lines_read, left);
             let found = lines.iter().position(|line| line.contains(part));
-            self.heard += found.map_or(lines.len(), |at| at + 1);
+            self.lines_read += found.map_or(lines.len(), |at| at + 1);
             match found {
                 Some(at) => return lines.into_iter().nth(at),
                 None if lines.is_empty() => return None,
@@ -237,7 +237,7 @@ impl Child {
     }
 
     /// Writes a line to its stdin; ignored if the process has exited.
-    pub fn tell(&mut self, line: &str) {
+    pub fn send_line(&mut self, line: &str) {
         if let Some(stdin) = &mut self.stdin {
             let _ = writeln!(stdin, "{line}");
         }

@@ -14,7 +14,7 @@ const MARK: &str = "@ ";
 #[derive(Debug)]
 pub struct Member {
     child: Child,
-    heard: usize,
+    lines_read: usize,
 }
 
 impl Member {
@@ -34,7 +34,7 @@ impl Member {
     pub fn spawn(name: &str, command: Command) -> Self {
         Self {
             child: Child::spawn(name, command),
-            heard: 0,
+            lines_read: 0,
         }
     }
 
@@ -45,23 +45,23 @@ impl Member {
     }
 
     /// Sends it a line. A killed member does not answer, which the test detects.
-    pub fn tell(&mut self, line: &str) {
-        self.child.tell(line);
+    pub fn send_line(&mut self, line: &str) {
+        self.child.send_line(line);
     }
 
     /// Its next line.
     ///
     /// # Panics
     /// It has exited, or prints nothing for [`PATIENCE`].
-    pub fn hear(&mut self) -> String {
+    pub fn next_line(&mut self) -> String {
         loop {
-            let lines = self.child.lines(self.heard, PATIENCE);
-            assert!(!lines.is_empty(), "nothing heard: {}", self.child.tail());
+            let lines = self.child.lines(self.lines_read, PATIENCE);
+            assert!(!lines.is_empty(), "no line: {}", self.child.tail());
             for line in lines {
-                self.heard += 1;
+                self.lines_read += 1;
                 // The test runner may have written the start of the line.
-                if let Some((_, said)) = line.split_once(MARK) {
-                    return said.to_owned();
+                if let Some((_, text)) = line.split_once(MARK) {
+                    return text.to_owned();
                 }
             }
         }
@@ -69,8 +69,8 @@ impl Member {
 
     /// Sends a line and returns its answer.
     pub fn ask(&mut self, line: &str) -> String {
-        self.tell(line);
-        self.hear()
+        self.send_line(line);
+        self.next_line()
     }
 
     /// Sends SIGSTOP; the process is stopped when this returns.
@@ -85,7 +85,7 @@ impl Member {
     }
 
     /// Sends SIGCONT.
-    pub fn go_on(&mut self) {
+    pub fn resume(&mut self) {
         self.child.signal(Signal::CONT);
     }
 
@@ -106,6 +106,6 @@ impl Member {
 }
 
 /// In a member: sends a line to the test.
-pub fn say(line: impl std::fmt::Display) {
+pub fn send_to_test(line: impl std::fmt::Display) {
     println!("{MARK}{line}");
 }

@@ -15,7 +15,7 @@ use joulebus_bus::{
     ForecastWriter, FrameBuf, Limits, PeerWatch, SampleReader, SampleWriter, StateWriter,
     TickWriter, Waiter, Waker, WorkerLock,
 };
-use joulebus_test_processes::{Member, say};
+use joulebus_test_processes::{Member, send_to_test};
 use joulebus_wire::{
     Budget, BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, Sample, SampleHeader,
     WakeEvent,
@@ -128,8 +128,8 @@ pub fn run_member() {
             break;
         }
         match ports.obey(&line) {
-            Ok(answer) => say(format_args!("ok {answer}")),
-            Err(error) => say(format_args!("err {error}")),
+            Ok(answer) => send_to_test(format_args!("ok {answer}")),
+            Err(error) => send_to_test(format_args!("err {error}")),
         }
     }
 }

@@ -7,10 +7,10 @@ pub struct Budget {
     /// Id of the robot.
     #[prost(uint32, tag = "1")]
     pub robot: u32,
-    /// What is known: bit 0 battery, 1 time to empty, 2 ledger, 3 charged.
+    /// Which values are present: bit 0 battery, 1 time to empty, 2 ledger, 3 charged.
     #[prost(uint32, tag = "2")]
     pub flags: u32,
-    /// Whether the battery is filling.
+    /// Whether the battery charges.
     #[prost(enumeration = "ChargeState", tag = "3")]
     pub charge_state: i32,
     /// Zero.
@@ -19,10 +19,10 @@ pub struct Budget {
     /// Energy drawn over the metered time, microjoules.
     #[prost(int64, tag = "5")]
     pub drawn_uj: i64,
-    /// What is left of the integral below one microjoule.
+    /// Remainder of the integral below one microjoule.
     #[prost(int64, tag = "6")]
     pub drawn_remainder: i64,
-    /// Energy that the forecasts expected over the same time, microjoules.
+    /// Energy by the forecasts over the same time, microjoules.
     #[prost(int64, tag = "7")]
     pub forecast_uj: i64,
     /// Time covered by readings, ns.
@@ -34,7 +34,7 @@ pub struct Budget {
     /// Stamp of the newest sample in the ledger, monotonic ns.
     #[prost(fixed64, tag = "10")]
     pub stamp_ns: u64,
-    /// Until when this may be relied on, monotonic ns.
+    /// End of this budget's validity, monotonic ns.
     #[prost(fixed64, tag = "11")]
     pub valid_until_ns: u64,
     /// Mean power over the last minutes, W.
@@ -46,22 +46,22 @@ pub struct Budget {
     /// Energy that may still be used above the reserve, J.
     #[prost(float, optional, tag = "14")]
     pub usable_j: ::core::option::Option<f32>,
-    /// The same, on the safe side, J.
+    /// Lower bound of usable_j, J.
     #[prost(float, optional, tag = "15")]
     pub usable_lo_j: ::core::option::Option<f32>,
     /// State of charge, 0 to 1.
     #[prost(float, optional, tag = "16")]
     pub soc: ::core::option::Option<f32>,
-    /// State of charge, on the safe side.
+    /// Lower bound of the state of charge.
     #[prost(float, optional, tag = "17")]
     pub soc_lo: ::core::option::Option<f32>,
     /// Time until the reserve is reached at the mean power, s.
     #[prost(float, optional, tag = "18")]
     pub time_to_empty_s: ::core::option::Option<f32>,
-    /// The same, on the safe side, s.
+    /// Lower bound of it, s.
     #[prost(float, optional, tag = "19")]
     pub time_to_empty_lo_s: ::core::option::Option<f32>,
-    /// The same, at the low end of the power, s.
+    /// Upper bound of it, s.
     #[prost(float, optional, tag = "20")]
     pub time_to_empty_hi_s: ::core::option::Option<f32>,
     /// Zero.
@@ -74,10 +74,10 @@ pub struct Budgets {
     /// Version of the payloads in shared memory.
     #[prost(uint32, tag = "1")]
     pub schema: u32,
-    /// Process that sent the frame.
+    /// Pid of the process that sent the frame.
     #[prost(uint32, tag = "2")]
     pub pid: u32,
-    /// When this run of the worker began, Unix ns: its id.
+    /// Run of the worker: monotonic ns of its start; later runs have greater ones.
     #[prost(fixed64, tag = "3")]
     pub worker_epoch: u64,
     /// Number of the tick within that run, from 1.
@@ -96,7 +96,7 @@ pub struct Budgets {
 // Times that end in _ns are u64 nanoseconds. Numbers that are not known are NaN, and their flag is
 // cleared.
 
-/// Whether the battery is filling.
+/// Whether the battery charges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
 #[repr(i32)]
 pub enum ChargeState {
@@ -161,7 +161,7 @@ pub struct DropCounts {
     pub before_join: u64,
     #[prost(uint64, tag = "16")]
     pub too_many_sources: u64,
-    /// Counts of reasons that this schema has no name for yet.
+    /// Counts of reasons that a later version added.
     #[prost(uint64, repeated, tag = "17")]
     pub later: ::prost::alloc::vec::Vec<u64>,
 }
@@ -171,10 +171,10 @@ pub struct Refusal {
     /// Id of the robot that the samples claimed to be of.
     #[prost(uint32, tag = "1")]
     pub robot: u32,
-    /// Why; NONE for an empty place.
+    /// Reason; NONE in an unused entry.
     #[prost(enumeration = "DropReason", tag = "2")]
     pub reason: i32,
-    /// Process that sent them.
+    /// Pid of the process that sent them.
     #[prost(uint32, tag = "3")]
     pub pid: u32,
     /// Samples refused.
@@ -259,7 +259,7 @@ pub struct Diagnostic {
     /// Id of the robot.
     #[prost(uint32, tag = "1")]
     pub robot: u32,
-    /// What is known: bit 0 residual, 1 scores.
+    /// Which values are present: bit 0 residual, 1 scores.
     #[prost(uint32, tag = "2")]
     pub flags: u32,
     /// As in ROS diagnostic_msgs.
@@ -268,7 +268,7 @@ pub struct Diagnostic {
     /// The most important alarm.
     #[prost(enumeration = "Alarm", tag = "4")]
     pub alarm: i32,
-    /// All alarms that are raised: bit (code - 1).
+    /// All active alarms: bit (code - 1).
     #[prost(uint32, tag = "5")]
     pub alarms: u32,
     /// Reading minus the forecast made for it, W.
@@ -304,16 +304,16 @@ pub struct Diagnostic {
     /// Coefficient of determination of the forecasts.
     #[prost(double, optional, tag = "16")]
     pub r2: ::core::option::Option<f64>,
-    /// Mean absolute error of the last reading again, W.
+    /// Mean absolute error of persistence (the last reading again), W.
     #[prost(double, optional, tag = "17")]
     pub persistence_mae_w: ::core::option::Option<f64>,
-    /// Coefficient of determination of the last reading again.
+    /// Coefficient of determination of persistence (the last reading again).
     #[prost(double, optional, tag = "18")]
     pub persistence_r2: ::core::option::Option<f64>,
     /// 1 - (squared error of the forecasts / squared error of persistence).
     #[prost(double, optional, tag = "19")]
     pub skill: ::core::option::Option<f64>,
-    /// Number of the newest sample accepted.
+    /// Sequence number of the newest accepted sample.
     #[prost(uint64, tag = "20")]
     pub sample_seq: u64,
     /// Stamp of that sample, monotonic ns.
@@ -332,16 +332,16 @@ pub struct Diagnostics {
     /// Version of the payloads in shared memory.
     #[prost(uint32, tag = "1")]
     pub schema: u32,
-    /// Process that sent the frame.
+    /// Pid of the process that sent the frame.
     #[prost(uint32, tag = "2")]
     pub pid: u32,
-    /// When this run of the worker began, Unix ns: its id.
+    /// Run of the worker: monotonic ns of its start; later runs have greater ones.
     #[prost(fixed64, tag = "3")]
     pub worker_epoch: u64,
     /// Number of the tick within that run, from 1.
     #[prost(uint64, tag = "4")]
     pub tick: u64,
-    /// Who was refused of late and why.
+    /// Recent refusals: robot and reason.
     #[prost(message, repeated, tag = "5")]
     pub refused: ::prost::alloc::vec::Vec<Refusal>,
     /// In no particular order.
@@ -450,13 +450,13 @@ pub struct Forecast {
     /// Id of the robot.
     #[prost(uint32, tag = "1")]
     pub robot: u32,
-    /// What is known: bit 0 power, 1 interval, 2 reading, 3 sample.
+    /// Which values are present: bit 0 power, 1 interval, 2 reading, 3 sample.
     #[prost(uint32, tag = "2")]
     pub flags: u32,
-    /// How far the forecast can be trusted.
+    /// Quality of the forecast.
     #[prost(enumeration = "Quality", tag = "3")]
     pub quality: i32,
-    /// What goes with the quality: readings held so far, open-loop steps, or the reason.
+    /// Detail of the quality: readings held so far, open-loop steps, or the reason.
     #[prost(uint32, tag = "4")]
     pub quality_detail: u32,
     /// The last accepted reading, W.
@@ -471,16 +471,16 @@ pub struct Forecast {
     /// Upper end of the interval, W.
     #[prost(float, optional, tag = "8")]
     pub hi_w: ::core::option::Option<f32>,
-    /// Times the robot's slot has changed its owner.
+    /// How often the robot's slot has been reassigned.
     #[prost(uint32, tag = "9")]
     pub generation: u32,
-    /// Number of the sample that this forecast answers.
+    /// Sequence number of the newest sample that the forecast is based on.
     #[prost(uint64, tag = "10")]
     pub sample_seq: u64,
     /// Stamp of that sample, monotonic ns.
     #[prost(fixed64, tag = "11")]
     pub stamp_ns: u64,
-    /// Stamp at which the forecast reading is expected, monotonic ns.
+    /// Time of the reading that is forecast, monotonic ns.
     #[prost(fixed64, tag = "12")]
     pub target_ns: u64,
     /// From the measurement of reading_w to stamp_ns, ns.
@@ -490,16 +490,16 @@ pub struct Forecast {
     #[prost(fixed64, tag = "14")]
     pub source_epoch: u64,
 }
-/// A tick's forecasts, and how the intake stands.
+/// A tick's forecasts, and the counters of the intake.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Forecasts {
     /// Version of the payloads in shared memory.
     #[prost(uint32, tag = "1")]
     pub schema: u32,
-    /// Process that sent the frame.
+    /// Pid of the process that sent the frame.
     #[prost(uint32, tag = "2")]
     pub pid: u32,
-    /// When this run of the worker began, Unix ns: its id.
+    /// Run of the worker: monotonic ns of its start; later runs have greater ones.
     #[prost(fixed64, tag = "3")]
     pub worker_epoch: u64,
     /// Number of the tick within that run, from 1.
@@ -511,19 +511,19 @@ pub struct Forecasts {
     /// Hash of the models in use.
     #[prost(fixed64, tag = "6")]
     pub model_hash: u64,
-    /// Robots that the worker has room for.
+    /// Most robots that the worker accepts.
     #[prost(uint32, tag = "7")]
     pub capacity: u32,
-    /// Frames of samples taken in this tick.
+    /// Frames of samples processed in this tick.
     #[prost(uint32, tag = "8")]
     pub frames_taken: u32,
-    /// When the first of them was meant to be sent, monotonic ns.
+    /// When the first of them was due, monotonic ns.
     #[prost(fixed64, tag = "9")]
     pub first_intended_ns: u64,
     /// When it was sent, monotonic ns.
     #[prost(fixed64, tag = "10")]
     pub first_sent_ns: u64,
-    /// When it was taken, monotonic ns.
+    /// When it was received, monotonic ns.
     #[prost(fixed64, tag = "11")]
     pub first_taken_ns: u64,
     /// When the tick began to compute, monotonic ns.
@@ -557,7 +557,7 @@ pub struct Forecasts {
 // Times that end in _ns are u64 nanoseconds. Numbers that are not known are NaN, and their flag is
 // cleared.
 
-/// How far a robot's output can be trusted.
+/// Quality of a robot's forecast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
 #[repr(i32)]
 pub enum Quality {
@@ -605,10 +605,10 @@ pub struct Sample {
     /// Id of the robot, unique in the fleet.
     #[prost(uint32, tag = "1")]
     pub robot: u32,
-    /// What is known and how the reading came: bit 0 v, 1 omega, 2 power, 3 voltage, 4 current, 5 held, 6 charging, 7 discontinuity.
+    /// Which values are present, and properties of the reading: bit 0 v, 1 omega, 2 power, 3 voltage, 4 current, 5 held, 6 charging, 7 discontinuity.
     #[prost(uint32, tag = "2")]
     pub flags: u32,
-    /// Number of this robot's sample within the source epoch.
+    /// Sequence number of this robot's sample within the source epoch.
     #[prost(uint64, tag = "3")]
     pub seq: u64,
     /// When the command was issued, monotonic ns.
@@ -636,28 +636,28 @@ pub struct Sample {
     #[prost(uint32, tag = "11")]
     pub reserved: u32,
 }
-/// A frame of samples: what one source sends at once.
+/// A frame of samples, sent by one source at one time.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Samples {
     /// Version of the payloads in shared memory.
     #[prost(uint32, tag = "1")]
     pub schema: u32,
-    /// Process that sent the frame.
+    /// Pid of the process that sent the frame.
     #[prost(uint32, tag = "2")]
     pub pid: u32,
-    /// Who sends: stable over restarts.
+    /// Hash of the source's name: the same after a restart.
     #[prost(fixed64, tag = "3")]
     pub source_id: u64,
-    /// When this run of the source began, Unix ns: its id.
+    /// Run of the source: monotonic ns of its start; later runs have greater ones.
     #[prost(fixed64, tag = "4")]
     pub source_epoch: u64,
-    /// Number of this frame within the epoch, from 0.
+    /// Sequence number of this frame within the epoch, from 0.
     #[prost(uint64, tag = "5")]
     pub frame_seq: u64,
     /// Samples sent in this epoch before this frame.
     #[prost(uint64, tag = "6")]
     pub samples_before: u64,
-    /// When the frame was meant to be sent, monotonic ns.
+    /// When the frame was due, monotonic ns.
     #[prost(fixed64, tag = "7")]
     pub intended_ns: u64,
     /// When the frame was sent, monotonic ns.
@@ -676,19 +676,19 @@ pub struct State {
     /// Version of the payloads in shared memory.
     #[prost(uint32, tag = "1")]
     pub schema: u32,
-    /// Process that sent the frame.
+    /// Pid of the process that sent the frame.
     #[prost(uint32, tag = "2")]
     pub pid: u32,
-    /// When this run of the worker began, Unix ns: its id.
+    /// Run of the worker: monotonic ns of its start; later runs have greater ones.
     #[prost(fixed64, tag = "3")]
     pub worker_epoch: u64,
     /// The tick after which the state was taken; 0 before the first.
     #[prost(uint64, tag = "4")]
     pub tick: u64,
-    /// Bytes of the whole keyframe.
+    /// Size of the whole keyframe, bytes.
     #[prost(uint64, tag = "5")]
     pub total_bytes: u64,
-    /// Place of this piece in it.
+    /// Offset of this piece in it, bytes.
     #[prost(uint64, tag = "6")]
     pub offset: u64,
     /// When the state was taken, monotonic ns.
@@ -700,14 +700,14 @@ pub struct State {
     /// When the piece was sent, by the wall clock.
     #[prost(message, optional, tag = "9")]
     pub sent_at: ::core::option::Option<::prost_types::Timestamp>,
-    /// What they mean is the worker's own business.
+    /// Encoded by the worker; the format is not part of this schema.
     #[prost(bytes = "vec", tag = "20")]
     pub bytes: ::prost::alloc::vec::Vec<u8>,
 }
 // Times that end in _ns are u64 nanoseconds. Numbers that are not known are NaN, and their flag is
 // cleared.
 
-/// One frame of samples that a tick took.
+/// One frame of samples that a tick processed.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct TakenFrame {
     /// Source of the frame.
@@ -716,47 +716,47 @@ pub struct TakenFrame {
     /// Run of the source.
     #[prost(fixed64, tag = "2")]
     pub source_epoch: u64,
-    /// Number of the frame within that run.
+    /// Sequence number of the frame within that run.
     #[prost(uint64, tag = "3")]
     pub frame_seq: u64,
-    /// When the worker took it, monotonic ns.
+    /// When the worker received it, monotonic ns.
     #[prost(fixed64, tag = "4")]
     pub taken_ns: u64,
-    /// Samples taken from it.
+    /// Samples processed from it.
     #[prost(uint32, tag = "5")]
     pub samples: u32,
     /// Samples in it beyond the fleet's capacity.
     #[prost(uint32, tag = "6")]
     pub truncated: u32,
 }
-/// A tick's journal: which frames it took, in which order, at which time.
+/// A tick's journal: the frames it processed, in order, with their times.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Ticks {
     /// Version of the payloads in shared memory.
     #[prost(uint32, tag = "1")]
     pub schema: u32,
-    /// Process that sent the frame.
+    /// Pid of the process that sent the frame.
     #[prost(uint32, tag = "2")]
     pub pid: u32,
-    /// When this run of the worker began, Unix ns: its id.
+    /// Run of the worker: monotonic ns of its start; later runs have greater ones.
     #[prost(fixed64, tag = "3")]
     pub worker_epoch: u64,
     /// Number of the tick within that run, from 1.
     #[prost(uint64, tag = "4")]
     pub tick: u64,
-    /// The time that the tick was told, monotonic ns.
+    /// The time given to the tick, monotonic ns.
     #[prost(fixed64, tag = "5")]
     pub start_ns: u64,
     /// When the journal was sent, monotonic ns.
     #[prost(fixed64, tag = "6")]
     pub sent_ns: u64,
-    /// Bit 0: the tick before this one started too late; 1: this one left the diagnostics out.
+    /// Bit 0: the previous tick started late; bit 1: this tick omitted the diagnostics.
     #[prost(uint32, tag = "7")]
     pub flags: u32,
-    /// Frames taken for which the list had no room.
+    /// Frames processed that did not fit into the list.
     #[prost(uint32, tag = "8")]
     pub unlisted: u32,
-    /// In the order in which they were taken.
+    /// In the order of processing.
     #[prost(message, repeated, tag = "20")]
     pub frames: ::prost::alloc::vec::Vec<TakenFrame>,
 }

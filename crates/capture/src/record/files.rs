@@ -215,7 +215,7 @@ impl Files {
 
     fn open(&mut self) -> Result<(), WriteError> {
         let settings = self.options.settings;
-        if let (Target::File(path), true) = (&self.target, self.options.go_on) {
+        if let (Target::File(path), true) = (&self.target, self.options.resume) {
             while part(path, self.parts).exists() {
                 self.parts += 1;
             }
@@ -232,10 +232,10 @@ impl Files {
             }
         };
         let is_file = matches!(out, Out::File(_));
-        self.attachments.tell("part", self.parts.to_string());
+        self.attachments.describe("part", self.parts.to_string());
         let sequences = self.sequences.clone();
         let writer =
-            Writer::go_on(out, settings, &self.attachments, sequences).inspect_err(|_| {
+            Writer::resume(out, settings, &self.attachments, sequences).inspect_err(|_| {
                 // Just created and empty; failing to remove it does not matter.
                 if is_file {
                     let _ = std::fs::remove_file(&path);

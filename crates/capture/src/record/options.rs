@@ -20,7 +20,7 @@ pub struct Options {
     /// until its end: about 30 MB per hour.
     pub max_file_ns: u64,
     /// If the file exists, start the next part that does not, instead of an error.
-    pub go_on: bool,
+    pub resume: bool,
     /// Keep the last seconds in memory instead of writing everything.
     pub snapshot: Option<Snapshot>,
     /// Size of the queue in front of the disk, bytes; messages beyond it are dropped.
@@ -34,7 +34,7 @@ impl fmt::Debug for Options {
             .field("per_robot", &self.per_robot)
             .field("max_file_bytes", &self.max_file_bytes)
             .field("max_file_ns", &self.max_file_ns)
-            .field("go_on", &self.go_on)
+            .field("resume", &self.resume)
             .field("snapshot", &self.snapshot)
             .field("queue_bytes", &self.queue_bytes)
             .finish_non_exhaustive()
@@ -61,7 +61,7 @@ impl Default for Options {
             choose: Arc::new(|_| true),
             max_file_bytes: u64::MAX,
             max_file_ns: 3_600_000_000_000,
-            go_on: false,
+            resume: false,
             snapshot: None,
             queue_bytes: 128 << 20,
         }

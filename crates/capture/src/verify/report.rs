@@ -184,7 +184,7 @@ impl Verification {
             Loss::NoKeyframe if !self.has_begun => self.ticks_before_first_keyframe += 1,
             why => {
                 self.ticks_unverified += 1;
-                self.tell(tick, why);
+                self.note_loss(tick, why);
             }
         }
     }
@@ -195,7 +195,7 @@ impl Verification {
             return;
         }
         *self.outputs_missing.entry(kind.name()).or_default() += 1;
-        self.tell(tick, why);
+        self.note_loss(tick, why);
     }
 
     pub(super) fn refuse_keyframe(&mut self, tick: u64, error: &StateError) {
@@ -205,7 +205,7 @@ impl Verification {
         }
     }
 
-    fn tell(&mut self, tick: u64, why: Loss) {
+    fn note_loss(&mut self, tick: u64, why: Loss) {
         if self.losses.len() < MOST_TOLD {
             self.losses.push((tick, why));
         }

@@ -9,7 +9,7 @@ pub enum WriteError {
     /// There is a file of that name.
     #[error(
         "{path:?} exists and is not touched; name another file, or begin its next part \
-         (`joulebus record --go-on`)"
+         (`joulebus record --resume`)"
     )]
     Exists {
         /// The file.

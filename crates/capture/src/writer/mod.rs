@@ -134,14 +134,14 @@ impl<W: Write> Writer<W> {
         settings: CaptureSettings,
         attachments: &Attachments,
     ) -> Result<Self, WriteError> {
-        Self::go_on(out, settings, attachments, Sequences::default())
+        Self::resume(out, settings, attachments, Sequences::default())
     }
 
     /// Begins the next file of a capture, whose channels continue from the last file.
     ///
     /// # Errors
     /// [`WriteError`].
-    pub fn go_on(
+    pub fn resume(
         out: W,
         settings: CaptureSettings,
         attachments: &Attachments,

@@ -43,7 +43,7 @@ pub(super) fn write(
         .iter()
         .zip(&names)
         .map(|(id, name)| format!("{id} {name}"));
-    attachments.tell("imported", robots.collect::<Vec<_>>().join(", "));
+    attachments.describe("imported", robots.collect::<Vec<_>>().join(", "));
     let settings = CaptureSettings::of(Preset::ZstdSmall);
     let mut writer = Writer::create(path, settings, &attachments)
         .with_context(|| format!("cannot write {}", path.display()))?;

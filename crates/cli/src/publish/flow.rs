@@ -94,8 +94,8 @@ impl Flow {
     }
 
     /// Whether a worker has been observed, so that it takes samples.
-    pub(crate) fn has_heard(&mut self) -> anyhow::Result<bool> {
-        self.hear()?;
+    pub(crate) fn has_seen_worker(&mut self) -> anyhow::Result<bool> {
+        self.read_newest()?;
         Ok(self.worker.is_some() && !self.is_gone()?)
     }
 
@@ -107,7 +107,7 @@ impl Flow {
     ) -> anyhow::Result<SendWindow> {
         let mut mention_ns = clock::monotonic_ns() + PATIENCE_NS;
         loop {
-            self.hear()?;
+            self.read_newest()?;
             if enough(&self.window) {
                 return Ok(SendWindow::Free);
             }
@@ -139,7 +139,7 @@ impl Flow {
     }
 
     /// Reads the newest forecasts, if there are new ones.
-    fn hear(&mut self) -> anyhow::Result<()> {
+    fn read_newest(&mut self) -> anyhow::Result<()> {
         let frame = match self.forecasts.take_latest() {
             Ok(Some(frame)) => frame,
             Ok(None) => return Ok(()),

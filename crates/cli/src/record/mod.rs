@@ -58,7 +58,7 @@ pub(crate) struct Args {
     output: PathBuf,
     /// Start with the next part instead of refusing when the file exists
     #[arg(long)]
-    go_on: bool,
+    resume: bool,
     /// Record only these topics: names of services (samples, forecasts, diagnostics, budgets,
     /// ticks, state) or complete topics
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
@@ -216,7 +216,7 @@ impl Args {
             choose: Arc::new(move |topic| choice.has(topic)),
             max_file_bytes: or_never(self.max_bag_size),
             max_file_ns: or_never(ns(self.max_bag_duration)),
-            go_on: self.go_on,
+            resume: self.resume,
             snapshot: self.snapshot.map(|seconds| Snapshot {
                 keep_ns: ns(seconds),
                 max_bytes: SNAPSHOT_BYTES,

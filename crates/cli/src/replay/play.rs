@@ -136,9 +136,9 @@ impl Player {
         }
         let delay = args.delay.unwrap_or(Duration::ZERO);
         let delay_ns = u64::try_from(delay.as_nanos()).unwrap_or(u64::MAX);
-        let go_on = stop.sleep_until(clock::monotonic_ns().saturating_add(delay_ns));
+        let continues = stop.sleep_until(clock::monotonic_ns().saturating_add(delay_ns));
         self.started_ns = clock::monotonic_ns();
-        Ok(go_on)
+        Ok(continues)
     }
 
     fn play(&mut self, args: &Args, files: &Files, stop: &Stop) -> anyhow::Result<()> {
@@ -151,9 +151,9 @@ impl Player {
             self.report.passes += 1;
             let frames = self.report.frames.values().sum::<u64>();
             pace.begin();
-            let go_on = self.pass(args, files, &mut pace, stop)?;
+            let continues = self.pass(args, files, &mut pace, stop)?;
             // A capture without anything to play would loop forever.
-            if !go_on || self.report.frames.values().sum::<u64>() == frames {
+            if !continues || self.report.frames.values().sum::<u64>() == frames {
                 break;
             }
         }
@@ -314,7 +314,7 @@ impl Player {
 fn wait_for_worker(flow: &mut Flow, stop: &Stop) -> anyhow::Result<bool> {
     let mut said = false;
     let patience_ns = clock::monotonic_ns() + 10 * LOOK_EVERY_NS;
-    while !flow.has_heard()? {
+    while !flow.has_seen_worker()? {
         if !said && clock::monotonic_ns() > patience_ns {
             say("no worker runs; waiting for one (`joulebus run` starts it)");
             said = true;

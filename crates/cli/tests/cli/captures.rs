@@ -123,7 +123,11 @@ fn an_existing_file_is_refused_with_a_remedy() {
     for verb in ["record -o", "run --record"] {
         let refused = fleet.output(&format!("{verb} {}", file.display()));
         assert_eq!(code(&refused), 1, "{verb}");
-        assert!(stderr(&refused).contains("--go-on"), "{}", stderr(&refused));
+        assert!(
+            stderr(&refused).contains("--resume"),
+            "{}",
+            stderr(&refused)
+        );
         assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
         assert!(fleet.stale_files().is_empty());
     }

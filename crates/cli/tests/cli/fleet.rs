@@ -151,7 +151,7 @@ impl Program {
     }
 
     pub(crate) fn wait_for_stderr(&mut self, text: &str) {
-        self.0.says(text);
+        self.0.wait_for_line(text);
     }
 
     pub(crate) fn signal(&mut self, signal: Signal) {

@@ -29,7 +29,7 @@ fn assert_is_printable(arguments: &[&str], ended: &Output) {
 fn capture(folder: &Path) -> String {
     let path = folder.join(format!("{EVIL}.mcap"));
     let mut attachments = Attachments::default();
-    attachments.tell(EVIL, EVIL.to_owned());
+    attachments.describe(EVIL, EVIL.to_owned());
     attachments.add(format!("{EVIL}/config.toml"), EVIL, b"name =".to_vec());
     let mut writer = Writer::create(&path, CaptureSettings::default(), &attachments).unwrap();
     let message = Message::Samples(SampleHeader::default(), vec![Sample::new(0, 0, 0)]);

@@ -11,12 +11,12 @@ impl Fleet {
     /// The fleet's current state. Allocates.
     #[must_use]
     pub fn state(&self) -> FleetState {
-        let mut state = FleetState::with_room_for(&self.tick.settings);
+        let mut state = FleetState::with_capacity_for(&self.tick.settings);
         self.state_into(&mut state);
         state
     }
 
-    /// As [`Fleet::state`], into memory of [`FleetState::with_room_for`] the same settings: copies
+    /// As [`Fleet::state`], into memory of [`FleetState::with_capacity_for`] the same settings: copies
     /// without allocating. Takes as long as copying all slots ever used.
     pub fn state_into(&self, state: &mut FleetState) {
         state.capacity = self.tick.settings.capacity;

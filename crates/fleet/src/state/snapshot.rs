@@ -146,7 +146,7 @@ impl FleetState {
     /// that [`crate::Fleet::state_into`] neither allocates nor faults. The content is not a valid
     /// state.
     #[must_use]
-    pub fn with_room_for(settings: &FleetSettings) -> Self {
+    pub fn with_capacity_for(settings: &FleetSettings) -> Self {
         let robots = settings.capacity as usize;
         let blocks = robots.div_ceil(LANES);
         let learns = |platform: &Platform| platform.online != Online::default();

@@ -7,14 +7,14 @@ use joulebus_config::Config;
 use joulebus_consumer::{Event, Planner, clock};
 use joulebus_tests::ReaderLine;
 
-use crate::{Done, stop_with_stdin, tell};
+use crate::{Done, print_line, stop_with_stdin};
 
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 pub(crate) fn run(config: &Config) -> Done {
     let stop = stop_with_stdin();
     let mut planner = Planner::with_config(config, "consumer")?;
-    tell(&ReaderLine::Ready)?;
+    print_line(&ReaderLine::Ready)?;
     while !stop.load(Ordering::Relaxed) {
         let gaps = planner.counts().gaps;
         let line = match planner.wait_next(LOOK_EVERY)? {
@@ -34,7 +34,7 @@ pub(crate) fn run(config: &Config) -> Done {
             Event::Stale { age_ns } => ReaderLine::Stale { age_ns },
             _ => continue,
         };
-        tell(&line)?;
+        print_line(&line)?;
     }
     Ok(())
 }

@@ -7,12 +7,12 @@ use joulebus_config::Config;
 use joulebus_publisher::{Pace, Publisher, clock};
 use joulebus_tests::{SourceLine, steady};
 
-use crate::{Done, stop_with_stdin, tell};
+use crate::{Done, print_line, stop_with_stdin};
 
 pub(crate) fn run(config: &Config, name: &str, first: u32, robots: u32, rate_hz: f64) -> Done {
     let stop = stop_with_stdin();
     let mut publisher = Publisher::with_config(config, name)?;
-    tell(&SourceLine::Ready {
+    print_line(&SourceLine::Ready {
         source_epoch: publisher.source_epoch(),
     })?;
     let mut pace = Pace::every(Duration::from_secs_f64(1.0 / rate_hz));
@@ -25,7 +25,7 @@ pub(crate) fn run(config: &Config, name: &str, first: u32, robots: u32, rate_hz:
             .collect();
         // The publisher recovers; a controller must not give up at the first error.
         if let Err(error) = publisher.publish_samples(slot.intended_ns, &samples) {
-            tell(&SourceLine::Failed(error.to_string()))?;
+            print_line(&SourceLine::Failed(error.to_string()))?;
         }
         seq += 1;
     }

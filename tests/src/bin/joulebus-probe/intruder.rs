@@ -7,7 +7,7 @@ use std::path::Path;
 use joulebus_bus::Bus;
 use joulebus_config::Config;
 
-use crate::{Done, tell};
+use crate::{Done, print_line};
 
 pub(crate) fn run(config: &Config) -> Done {
     let domain = config.domain()?;
@@ -55,5 +55,5 @@ pub(crate) fn run(config: &Config) -> Done {
     if Bus::join(&domain, "intruder").is_ok() {
         worked.push("join".to_owned());
     }
-    tell(&(tried, worked))
+    print_line(&(tried, worked))
 }

@@ -52,7 +52,7 @@ fn run(arguments: &[&str]) -> Done {
 }
 
 /// Writes a line. A closed stdout ends the program.
-fn tell(line: &impl Serialize) -> Done {
+fn print_line(line: &impl Serialize) -> Done {
     let mut text = serde_json::to_string(line)?;
     text.push('\n');
     std::io::stdout().write_all(text.as_bytes())?;

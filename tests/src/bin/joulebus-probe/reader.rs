@@ -8,7 +8,7 @@ use joulebus_bus::{
 use joulebus_config::Config;
 use joulebus_tests::{BudgetFrame, DiagnosticFrame, ForecastFrame, ReaderLine, is_whole};
 
-use crate::{Done, stop_with_stdin, tell};
+use crate::{Done, print_line, stop_with_stdin};
 
 const LOOK_EVERY_NS: u64 = 20_000_000;
 
@@ -23,7 +23,7 @@ pub(crate) fn plan(config: &Config, holds: bool) -> Done {
         diagnostics: bus.diagnostic_reader(&limits)?,
         budgets: bus.budget_reader(&limits)?,
     };
-    tell(&ReaderLine::Ready)?;
+    print_line(&ReaderLine::Ready)?;
     if holds {
         return hold(&mut ports.forecasts, &stop);
     }
@@ -34,20 +34,20 @@ pub(crate) fn plan(config: &Config, holds: bool) -> Done {
         let woken = waiter.wait_until(Some(until_ns), watched)?;
         let now_ns = clock::monotonic_ns();
         // The next call may succeed; a planner must not give up at the first error.
-        let newest = match ports.tell() {
+        let newest = match ports.print_frames() {
             Ok(newest) => newest,
             Err(error) => {
-                tell(&ReaderLine::Failed(error.to_string()))?;
+                print_line(&ReaderLine::Failed(error.to_string()))?;
                 None
             }
         };
         if woken.ended {
-            tell(&ReaderLine::Ended)?;
+            print_line(&ReaderLine::Ended)?;
         }
         if woken.peer_gone
             && let Some((pid, _)) = worker.take()
         {
-            tell(&ReaderLine::Gone { pid, at_ns: now_ns })?;
+            print_line(&ReaderLine::Gone { pid, at_ns: now_ns })?;
             continue;
         }
         let known = worker.as_ref().map(|(pid, _)| *pid);
@@ -61,7 +61,7 @@ pub(crate) fn plan(config: &Config, holds: bool) -> Done {
 fn hold(forecasts: &mut ForecastReader, stop: &AtomicBool) -> Done {
     while !stop.load(Ordering::Relaxed) {
         if let Some(_held) = forecasts.take_next()? {
-            tell(&ReaderLine::Holds)?;
+            print_line(&ReaderLine::Holds)?;
             while !stop.load(Ordering::Relaxed) {
                 std::thread::park_timeout(std::time::Duration::from_millis(50));
             }
@@ -79,19 +79,19 @@ struct Ports {
 
 impl Ports {
     /// Reports all available frames; returns the pid of the worker that sent the newest frame.
-    fn tell(&mut self) -> Result<Option<u32>, Box<dyn std::error::Error>> {
+    fn print_frames(&mut self) -> Result<Option<u32>, Box<dyn std::error::Error>> {
         let mut newest = None;
         while let Some(frame) = self.forecasts.take_next()? {
             newest = Some(frame.header().pid);
             let line = ForecastFrame::new(frame.header(), frame.payload(), clock::monotonic_ns());
-            tell(&ReaderLine::Forecasts(line))?;
+            print_line(&ReaderLine::Forecasts(line))?;
         }
         while let Some(frame) = self.diagnostics.take_next()? {
             let line = DiagnosticFrame::new(frame.header(), frame.payload());
-            tell(&ReaderLine::Diagnostics(line))?;
+            print_line(&ReaderLine::Diagnostics(line))?;
         }
         while let Some(frame) = self.budgets.take_next()? {
-            tell(&ReaderLine::Budgets(BudgetFrame::new(
+            print_line(&ReaderLine::Budgets(BudgetFrame::new(
                 frame.header(),
                 frame.payload(),
             )))?;
@@ -108,7 +108,7 @@ pub(crate) fn record(config: &Config) -> Done {
     let mut waiter = bus.arrivals_waiter(&limits)?;
     let mut samples = bus.sample_reader(&limits)?;
     let mut frame = FrameBuf::new(limits.capacity);
-    tell(&ReaderLine::Ready)?;
+    print_line(&ReaderLine::Ready)?;
     while !stop.load(Ordering::Relaxed) {
         waiter.wait_until(Some(clock::monotonic_ns() + LOOK_EVERY_NS), None)?;
         loop {
@@ -116,7 +116,7 @@ pub(crate) fn record(config: &Config) -> Done {
                 Ok(true) => {}
                 Ok(false) => break,
                 Err(error) => {
-                    tell(&ReaderLine::Failed(error.to_string()))?;
+                    print_line(&ReaderLine::Failed(error.to_string()))?;
                     break;
                 }
             }
@@ -125,7 +125,7 @@ pub(crate) fn record(config: &Config) -> Done {
                 .iter()
                 .filter(|sample| !is_whole(sample))
                 .count();
-            tell(&ReaderLine::Samples {
+            print_line(&ReaderLine::Samples {
                 pid: frame.header().pid,
                 samples: frame.samples().len(),
                 torn: torn + frame.truncated(),

@@ -5,7 +5,7 @@ use joulebus_config::Config;
 use joulebus_tests::{FrameLine, SourceLine};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a};
 
-use crate::{Done, tell};
+use crate::{Done, print_line};
 
 pub(crate) fn run(config: &Config, name: &str) -> Done {
     let limits = config.limits();
@@ -18,7 +18,7 @@ pub(crate) fn run(config: &Config, name: &str) -> Done {
         source_epoch: clock::monotonic_ns(),
         ..SampleHeader::default()
     };
-    tell(&SourceLine::Ready {
+    print_line(&SourceLine::Ready {
         source_epoch: header.source_epoch,
     })?;
     for line in std::io::stdin().lines() {
@@ -39,14 +39,14 @@ pub(crate) fn run(config: &Config, name: &str) -> Done {
             {
                 Ok(readers) => readers,
                 Err(error) => {
-                    tell(&SourceLine::Failed(error.to_string()))?;
+                    print_line(&SourceLine::Failed(error.to_string()))?;
                     return Err(error.into());
                 }
             };
             header.frame_seq += 1;
             header.samples_before += samples.len() as u64;
         }
-        tell(&SourceLine::Sent {
+        print_line(&SourceLine::Sent {
             readers,
             samples: header.samples_before,
         })?;
