@@ -10,8 +10,12 @@ use std::path::PathBuf;
 use crate::liveness::worker_lock::{Owner, WorkerLock};
 use crate::{Domain, clock};
 
-/// Time before a refused port is looked up again, ns.
-const REFUSED_FOR_NS: u64 = 10_000_000;
+/// Reads of the lock file are limited, from however many ports frames arrive: after
+/// [`LOOKUPS_PER_PERIOD`] of them, the last result is used until the end of the period.
+const LOOKUP_PERIOD_NS: u64 = 10_000_000;
+
+/// At most 800 reads per second. A new worker's frames may be refused until the end of a period.
+const LOOKUPS_PER_PERIOD: u32 = 8;
 
 /// Distinguishes the worker's ports from those of other processes.
 #[derive(Debug)]
@@ -21,8 +25,12 @@ pub(crate) struct WorkerPorts {
     port: Option<u128>,
     owner: Option<Owner>,
     runs: u64,
-    /// The port refused last and the end of its refusal, monotonic ns.
-    refused: Option<(u128, u64)>,
+    /// The lock's holder at the last lookup.
+    holder: Option<Owner>,
+    /// Lookups in this period.
+    lookups: u32,
+    /// End of the period, monotonic ns.
+    period_end_ns: u64,
     foreign: u64,
 }
 
@@ -33,36 +41,46 @@ impl WorkerPorts {
             port: None,
             owner: None,
             runs: 0,
-            refused: None,
+            holder: None,
+            lookups: 0,
+            period_end_ns: 0,
             foreign: 0,
         }
     }
 
-    /// True if a frame from `port` is the worker's. Reads the lock file if the port is not the last
-    /// one.
+    /// True if a frame from `port` is the worker's. May read the lock file if the port is not the
+    /// last one.
     pub(crate) fn admits(&mut self, port: u128) -> bool {
         if self.port == Some(port) {
             return true;
         }
-        let now_ns = clock::monotonic_ns();
-        let known = |(refused, until_ns): (u128, u64)| refused == port && now_ns < until_ns;
-        if self.refused.is_some_and(known) {
-            self.foreign += 1;
-            return false;
-        }
-        let owner = WorkerLock::named_owner(&self.lock_file);
-        match owner.filter(|owner| owner.port_pid == process_of(port)) {
+        match self
+            .holder()
+            .filter(|owner| owner.port_pid == process_of(port))
+        {
             Some(owner) => {
                 self.runs += u64::from(self.owner != Some(owner));
                 (self.owner, self.port) = (Some(owner), Some(port));
                 true
             }
             None => {
-                self.refused = Some((port, now_ns.saturating_add(REFUSED_FOR_NS)));
                 self.foreign += 1;
                 false
             }
         }
+    }
+
+    /// The process that the lock file names.
+    fn holder(&mut self, now_ns: u64) -> Option<Owner> {
+        if now_ns >= self.period_end_ns {
+            self.period_end_ns = now_ns.saturating_add(LOOKUP_PERIOD_NS);
+            self.lookups = 0;
+        }
+        if self.lookups < LOOKUPS_PER_PERIOD {
+            self.lookups += 1;
+            self.holder = WorkerLock::named_owner(&self.lock_file);
+        }
+        self.holder
     }
 
     /// Number of the worker's run of the last accepted frame, from 1.
@@ -123,7 +141,7 @@ mod tests {
             ("1 800 4321\n", port(4321, 0), port(1, 0), 4),
         ] {
             fs::write(&ports.lock_file, line).unwrap();
-            ports.refused = None;
+            ports.lookups = 0;
             assert!(ports.admits(admitted), "{line}");
             assert!(!ports.admits(refused), "{line}");
             assert!(ports.admits(admitted), "{line}: once more");
@@ -131,11 +149,29 @@ mod tests {
         }
         for line in ["", "11", "11 900", "x y\n", "-1 900\n"] {
             fs::write(&ports.lock_file, line).unwrap();
-            ports.refused = None;
+            ports.lookups = 0;
             assert!(!ports.admits(port(11, 3)), "{line:?}");
         }
         fs::remove_file(&ports.lock_file).unwrap();
         assert!(ports.admits(port(4321, 0)), "frames of the last worker");
         assert!(ports.foreign() > 5);
+    }
+
+    #[test]
+    fn frames_of_many_foreign_ports_cause_a_bounded_number_of_reads_and_do_not_hide_a_new_worker() {
+        let mut ports = ports("jb-port-flood");
+        let mut lookups = 0;
+        for period in 0..100_u64 {
+            let now_ns = period * LOOKUP_PERIOD_NS;
+            for _ in 0..1000 {
+                assert_eq!(ports.holder(now_ns), None);
+            }
+            lookups += ports.lookups;
+        }
+        assert_eq!(lookups, 100 * LOOKUPS_PER_PERIOD);
+        fs::write(&ports.lock_file, "10 500\n").unwrap();
+        let next_ns = 100 * LOOKUP_PERIOD_NS;
+        assert_eq!(ports.holder(next_ns).map(|owner| owner.pid), Some(10));
+        fs::remove_file(&ports.lock_file).unwrap();
     }
 }
