@@ -1,31 +1,22 @@
 //! Every combination of the optional parts of the format is read as described.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
+#[path = "../../../tests/recordings.rs"]
+mod recordings;
+
 use std::fs::{self, File};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use joulebus_capture::scan::{Event, Scan};
 use mcap::records::Record;
+use recordings::shared;
 use serde_json::{Map, Value, json};
-
-/// The published files, if present.
-fn folder() -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/mcap/conformance");
-    if path.is_dir() {
-        return Some(path);
-    }
-    assert!(
-        std::env::var("CI").as_deref() != Ok("true"),
-        "{} is missing",
-        path.display()
-    );
-    println!("skipped: {} is missing", path.display());
-    None
-}
 
 #[test]
 fn the_416_conformance_files_are_read_as_they_are_described() {
-    let Some(folder) = folder() else { return };
+    let Some(folder) = shared("mcap/conformance") else {
+        return;
+    };
     let mut files = 0;
     for variant in fs::read_dir(folder).unwrap() {
         let variant = variant.unwrap().path();

@@ -2,35 +2,22 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod bag;
+#[path = "../../../tests/recordings.rs"]
+mod recordings;
 
 use std::fs::{self, File};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use bag::{BATTERY, Bag, battery, header, odometry, twist};
 use byteorder::BigEndian;
 use cdr_encoding::to_vec;
 use joulebus_capture::import::{Mapping, import};
 use joulebus_capture::ros::TwistStamped;
-
-fn folder(name: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/mcap")
-        .join(name);
-    if path.is_dir() {
-        return Some(path);
-    }
-    assert!(
-        std::env::var("CI").as_deref() != Ok("true"),
-        "{} is missing",
-        path.display()
-    );
-    println!("skipped: {} is missing", path.display());
-    None
-}
+use recordings::shared;
 
 #[test]
 fn a_real_recording_becomes_rows_and_everything_else_is_counted() {
-    let Some(folder) = folder("couguv") else {
+    let Some(folder) = shared("mcap/couguv") else {
         return;
     };
     let file = folder.join("SO_lastbag_mcap_0.mcap");
@@ -91,7 +78,7 @@ fn a_real_recording_becomes_rows_and_everything_else_is_counted() {
 
 #[test]
 fn a_current_of_the_wrong_sign_is_reported() {
-    let Some(folder) = folder("couguv") else {
+    let Some(folder) = shared("mcap/couguv") else {
         return;
     };
     let file = folder.join("SO_lastbag_mcap_0.mcap");

@@ -1,27 +1,14 @@
 //! Inspection of real recordings.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
+#[path = "../../../tests/recordings.rs"]
+mod recordings;
+
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use joulebus_capture::inspect::{Sequence, Severity, StatisticsCheck, inspect};
-
-/// A folder of recordings, if present.
-fn folder(name: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/mcap")
-        .join(name);
-    if path.is_dir() {
-        return Some(path);
-    }
-    assert!(
-        std::env::var("CI").as_deref() != Ok("true"),
-        "{} is missing",
-        path.display()
-    );
-    println!("skipped: {} is missing", path.display());
-    None
-}
+use recordings::shared;
 
 fn files(folder: &Path) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = fs::read_dir(folder)
@@ -38,7 +25,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 
 #[test]
 fn conformance_files_have_no_errors() {
-    let Some(folder) = folder("conformance") else {
+    let Some(folder) = shared("mcap/conformance") else {
         return;
     };
     for variant in fs::read_dir(folder).unwrap() {
@@ -60,7 +47,7 @@ fn conformance_files_have_no_errors() {
 
 #[test]
 fn real_recordings_are_counted_and_inconsistencies_named() {
-    let Some(folder) = folder("couguv") else {
+    let Some(folder) = shared("mcap/couguv") else {
         return;
     };
     let found = inspect(File::open(&files(&folder)[0]).unwrap()).unwrap();
@@ -85,7 +72,7 @@ fn real_recordings_are_counted_and_inconsistencies_named() {
 
 #[test]
 fn every_rosbag2_corner_case_is_read_to_its_end() {
-    let Some(folder) = folder("rosbag2") else {
+    let Some(folder) = shared("mcap/rosbag2") else {
         return;
     };
     let files = files(&folder);

@@ -1,29 +1,16 @@
 //! The built-in platforms accept every row of the real recordings.
 #![forbid(unsafe_code)]
 
+#[path = "../../../tests/recordings.rs"]
+mod recordings;
+
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use flate2::read::GzDecoder;
 use joulebus_config::Config;
 use joulebus_settings::Platform;
-
-/// The recordings of a folder; `None` if absent, which is an error in CI.
-fn recordings(folder: &str) -> Option<Vec<PathBuf>> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let Ok(entries) = std::fs::read_dir(root.join(folder)) else {
-        let in_ci = std::env::var("CI").is_ok_and(|value| value == "true");
-        assert!(!in_ci, "no recordings under ../shared/data");
-        println!("skipped: no recordings under ../shared/data");
-        return None;
-    };
-    let paths = entries.map(|entry| entry.expect("a file").path());
-    Some(
-        paths
-            .filter(|path| path.to_string_lossy().ends_with(".csv.gz"))
-            .collect(),
-    )
-}
+use recordings::trials;
 
 /// Seconds, m/s, rad/s and W of each row; NaN where nothing was recorded.
 fn rows(path: &Path) -> Vec<[f64; 4]> {
@@ -97,7 +84,7 @@ fn no_recorded_row_is_out_of_its_platforms_limits() {
         ("ase_rover", "rover", 28_260),
     ];
     for (folder, name, expected) in folders {
-        let Some(paths) = recordings(folder) else {
+        let Some(paths) = trials(folder) else {
             return;
         };
         let platform = platform(name);

@@ -2,8 +2,10 @@
 //! baselines where the network does not, and intervals keep their coverage per trial.
 
 mod live;
+#[path = "../../../tests/recordings.rs"]
+mod recordings;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use joulebus_dataset::rows::trial_rows;
 use joulebus_dataset::rows::{Dataset, Row};
@@ -18,20 +20,8 @@ use live::settings;
 
 /// The first trials of a terrain; `None` where there are no recordings.
 fn trials(terrain: &str, count: usize) -> Option<Vec<Trial>> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/borealtc_husky");
-    let Ok(files) = std::fs::read_dir(&folder) else {
-        assert_ne!(
-            std::env::var("CI").as_deref(),
-            Ok("true"),
-            "{} is missing",
-            folder.display()
-        );
-        println!("skipped: {} is missing", folder.display());
-        return None;
-    };
-    let mut paths: Vec<PathBuf> = files.flatten().map(|file| file.path()).collect();
+    let mut paths = recordings::trials("borealtc_husky")?;
     paths.retain(|path| path.to_string_lossy().contains(&format!("/{terrain}_")));
-    paths.sort();
     let read = |path: &PathBuf| Trial::read(path).expect("a recording");
     Some(paths.iter().take(count).map(read).collect())
 }

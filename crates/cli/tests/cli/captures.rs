@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use crate::fleet::{Fleet, code, json, output, stderr, stdout};
+use crate::recordings::shared;
 
 fn run(arguments: &[&str]) -> Output {
     output(arguments)
@@ -154,26 +155,9 @@ fn a_file_that_is_not_a_capture_is_refused() {
     assert!(!result.exists());
 }
 
-/// Path of a file of the recordings; none if they are not downloaded.
-fn recordings(name: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/mcap")
-        .join(name);
-    if path.exists() {
-        return Some(path);
-    }
-    assert!(
-        std::env::var("CI").as_deref() != Ok("true"),
-        "{} is missing",
-        path.display()
-    );
-    println!("skipped: {} is missing", path.display());
-    None
-}
-
 #[test]
 fn a_real_recording_is_imported_and_played() {
-    let Some(file) = recordings("couguv/SO_lastbag_mcap_0.mcap") else {
+    let Some(file) = shared("mcap/couguv/SO_lastbag_mcap_0.mcap") else {
         return;
     };
     let fleet = Fleet::new();
@@ -221,7 +205,7 @@ fn a_real_recording_is_imported_and_played() {
 
 #[test]
 fn a_recording_without_a_battery_exits_with_1_and_lists_its_topics() {
-    let Some(folder) = recordings("rosbag2") else {
+    let Some(folder) = shared("mcap/rosbag2") else {
         return;
     };
     let fleet = Fleet::new();

@@ -9,6 +9,8 @@ mod fleet;
 mod live;
 mod model;
 mod printable;
+#[path = "../../../../tests/recordings.rs"]
+mod recordings;
 mod signals;
 mod special_files;
 mod train;

@@ -9,7 +9,7 @@ use joulebus_dataset::inspect::{
 use joulebus_dataset::trial::Trial;
 
 use crate::files::{Files, csv, npy_f8};
-use crate::recordings::recordings;
+use crate::recordings::trials;
 
 /// Sound rows at 10 Hz: all columns, every reading new, power the product of voltage and current.
 fn sound(rows: usize) -> Vec<[f64; 11]> {
@@ -371,7 +371,7 @@ fn files_directories_and_patterns_are_found_once_and_ignored_files_are_named() {
 fn the_real_recordings_are_as_their_description_says() {
     let mut paths = Vec::new();
     for platform in ["robotino", "borealtc_husky", "ase_rover"] {
-        let Some(found) = recordings(platform) else {
+        let Some(found) = trials(platform) else {
             return;
         };
         paths.extend(found);

@@ -6,7 +6,7 @@ use joulebus_dataset::trial::{Column, Table, Trial, TrialError, WriteError};
 use proptest::prelude::*;
 
 use crate::files::{Files, ROWS, csv, npy_f8, timed};
-use crate::recordings::recordings;
+use crate::recordings::trials;
 
 /// The contents of a table as bits; all NaNs are equal, and a column of NaNs is absent.
 fn bits(table: &Table) -> (Option<String>, Vec<u64>, Vec<Option<Vec<u64>>>) {
@@ -86,7 +86,7 @@ proptest! {
 #[test]
 fn conversion_of_real_recordings_preserves_the_bits_of_all_kept_columns() {
     for platform in ["robotino", "borealtc_husky", "ase_rover"] {
-        let Some(paths) = recordings(platform) else {
+        let Some(paths) = trials(platform) else {
             return;
         };
         for path in paths.iter().step_by(25) {

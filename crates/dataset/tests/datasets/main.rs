@@ -7,5 +7,6 @@ mod convert;
 #[allow(dead_code)] // The tests of reading use all of it, these only a part.
 #[path = "../trial/files.rs"]
 mod files;
+#[path = "../../../../tests/recordings.rs"]
 mod recordings;
 mod resample;

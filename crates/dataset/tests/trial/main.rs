@@ -5,6 +5,8 @@
 mod files;
 mod fleet;
 mod read;
+mod real;
+#[path = "../../../../tests/recordings.rs"]
 mod recordings;
 mod samples;
 mod truncation;

@@ -10,9 +10,9 @@ use joulebus_eval::analyze::{
 };
 use proptest::prelude::*;
 
-use recordings::recordings;
+use recordings::trials;
 
-#[path = "../../../dataset/tests/datasets/recordings.rs"]
+#[path = "../../../../tests/recordings.rs"]
 mod recordings;
 
 /// Uniform on [−1, 1), from a simple reference generator.
@@ -274,7 +274,7 @@ fn a_group_is_held_out_by_name_and_an_unknown_one_is_refused() {
 /// correlations also count the pairs across the ends of trials.
 #[test]
 fn the_robotino_scores_equal_the_reference() {
-    let Some(paths) = recordings("robotino") else {
+    let Some(paths) = trials("robotino") else {
         return;
     };
     let trials: Vec<Trial> = paths

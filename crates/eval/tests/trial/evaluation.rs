@@ -11,11 +11,11 @@ use joulebus_wire::{
 
 use crate::files::{Files, npy_f8, timed};
 use crate::model::{HUSKY, ROBOTINO, ROVER, network, networks, persistence, settings};
-use crate::recordings::recordings;
+use crate::recordings::trials;
 
 /// Every `every`-th recording of a platform, with robot ids from `first`.
 fn some(platform: &str, first: u32, every: usize) -> Option<Vec<(u32, Trial)>> {
-    let paths = recordings(platform)?;
+    let paths = trials(platform)?;
     let read = |path| Trial::read(path).unwrap_or_else(|error| panic!("{error}"));
     Some(
         (first..)

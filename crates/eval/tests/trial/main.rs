@@ -12,7 +12,7 @@ mod model;
 #[allow(dead_code, reason = "its rows")]
 #[path = "../../../predictor/tests/random/mod.rs"]
 mod random;
-#[path = "../../../dataset/tests/datasets/recordings.rs"]
+#[path = "../../../../tests/recordings.rs"]
 mod recordings;
 mod rows;
 mod score;

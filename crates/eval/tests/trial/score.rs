@@ -17,13 +17,13 @@ use rayon::prelude::*;
 
 use crate::files::{Files, npy_f8};
 use crate::model::{network, persistence, settings};
-use crate::recordings::recordings;
+use crate::recordings::trials;
 
 const NEWEST: usize = FeatureSet::PowerOnly.first();
 
 /// Every `every`-th recording of a platform.
 fn some(platform: &str, every: usize) -> Option<Vec<Recording>> {
-    let paths: Vec<_> = recordings(platform)?.into_iter().step_by(every).collect();
+    let paths: Vec<_> = trials(platform)?.into_iter().step_by(every).collect();
     let numbered = paths.par_iter().enumerate();
     let read = numbered.map(|(id, path)| Recording::new(id as u32, Trial::read(path).unwrap()));
     Some(read.collect())

@@ -7,26 +7,11 @@ use flate2::read::GzDecoder;
 use joulebus_dataset::trial::{Column, Trial};
 use joulebus_wire::sample_flag::{OMEGA, POWER, V};
 
-/// The recordings of a platform, sorted by name; `None` if absent.
-pub(crate) fn recordings(platform: &str) -> Option<Vec<PathBuf>> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let Ok(entries) = std::fs::read_dir(root.join(platform)) else {
-        let in_ci = std::env::var("CI").is_ok_and(|value| value == "true");
-        assert!(!in_ci, "no recordings under ../shared/data");
-        println!("skipped: no recordings under ../shared/data");
-        return None;
-    };
-    let mut paths = entries
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| path.to_string_lossy().ends_with(".csv.gz"))
-        .collect::<Vec<_>>();
-    paths.sort();
-    Some(paths)
-}
+use crate::recordings::trials;
 
 fn read_all(platform: &str) -> Option<Vec<Trial>> {
     let read = |path: &PathBuf| Trial::read(path).unwrap_or_else(|error| panic!("{error}"));
-    Some(recordings(platform)?.iter().map(read).collect())
+    Some(trials(platform)?.iter().map(read).collect())
 }
 
 const PLATFORMS: [(&str, usize, usize); 3] = [
