@@ -54,10 +54,8 @@ impl WorkerPorts {
         if self.port == Some(port) {
             return true;
         }
-        match self
-            .holder()
-            .filter(|owner| owner.port_pid == process_of(port))
-        {
+        let holder = self.holder(clock::monotonic_ns());
+        match holder.filter(|owner| owner.port_pid == process_of(port)) {
             Some(owner) => {
                 self.runs += u64::from(self.owner != Some(owner));
                 (self.owner, self.port) = (Some(owner), Some(port));
