@@ -6,7 +6,6 @@ mod bag;
 mod recordings;
 
 use std::fs::{self, File};
-use std::path::Path;
 
 use bag::{BATTERY, Bag, battery, header, odometry, twist};
 use byteorder::BigEndian;
@@ -104,7 +103,7 @@ fn a_current_of_the_wrong_sign_is_reported() {
 
 #[test]
 fn corner_cases_of_rosbag2_are_reported_as_without_battery() {
-    let Some(folder) = folder("rosbag2") else {
+    let Some(folder) = shared("mcap/rosbag2") else {
         return;
     };
     let mut files = 0;

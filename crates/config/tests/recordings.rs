@@ -5,7 +5,7 @@
 mod recordings;
 
 use std::io::Read as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use flate2::read::GzDecoder;
 use joulebus_config::Config;

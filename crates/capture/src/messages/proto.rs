@@ -93,8 +93,7 @@ pub struct Budgets {
     #[prost(message, repeated, tag = "20")]
     pub budgets: ::prost::alloc::vec::Vec<Budget>,
 }
-// Times that end in _ns are u64 nanoseconds. Numbers that are not known are NaN, and their flag is
-// cleared.
+// Fields that end in _ns are nanoseconds. A value that is not present is NaN, and its flag is 0.
 
 /// Whether the battery charges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
@@ -348,8 +347,7 @@ pub struct Diagnostics {
     #[prost(message, repeated, tag = "20")]
     pub diagnostics: ::prost::alloc::vec::Vec<Diagnostic>,
 }
-// Times that end in _ns are u64 nanoseconds. Numbers that are not known are NaN, and their flag is
-// cleared.
+// Fields that end in _ns are nanoseconds. A value that is not present is NaN, and its flag is 0.
 
 /// Levels as in ROS diagnostic_msgs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
@@ -554,8 +552,7 @@ pub struct Forecasts {
     #[prost(message, repeated, tag = "30")]
     pub forecasts: ::prost::alloc::vec::Vec<Forecast>,
 }
-// Times that end in _ns are u64 nanoseconds. Numbers that are not known are NaN, and their flag is
-// cleared.
+// Fields that end in _ns are nanoseconds. A value that is not present is NaN, and its flag is 0.
 
 /// Quality of a robot's forecast.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
@@ -596,8 +593,7 @@ impl Quality {
         }
     }
 }
-// Times that end in _ns are u64 nanoseconds. Numbers that are not known are NaN, and their flag is
-// cleared.
+// Fields that end in _ns are nanoseconds. A value that is not present is NaN, and its flag is 0.
 
 /// One robot's command and latest reading in one control tick.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
@@ -704,8 +700,7 @@ pub struct State {
     #[prost(bytes = "vec", tag = "20")]
     pub bytes: ::prost::alloc::vec::Vec<u8>,
 }
-// Times that end in _ns are u64 nanoseconds. Numbers that are not known are NaN, and their flag is
-// cleared.
+// Fields that end in _ns are nanoseconds. A value that is not present is NaN, and its flag is 0.
 
 /// One frame of samples that a tick processed.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
