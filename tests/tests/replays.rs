@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use joulebus_capture::{CaptureSettings, Entry, Message, Reader, Writer};
-use joulebus_predictor::FeatureSet;
+use joulebus_predictor::{FeatureSet, Network};
 use joulebus_tests::{
     Arena, Child, Ended, ReaderLine, Setup, alone, eventually, program, script, without_loss,
 };
@@ -388,7 +388,14 @@ fn another_model_is_compared_robot_by_robot() {
     let ended = alone(&arguments);
     let report = ended.json();
     assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
-    assert_ne!(report["recorded_model_hash"], report["other_model_hash"]);
+    // The same text as in `joulebus model info`.
+    let hash_of = |name: &str| {
+        let file = models.join(format!("{name}.safetensors"));
+        let network = Network::from_safetensors(&std::fs::read(file).unwrap()).unwrap();
+        format!("{:016x}", network.hash())
+    };
+    assert_eq!(report["recorded_model_hash"], hash_of("gternal-sim"));
+    assert_eq!(report["other_model_hash"], hash_of("gternal-sim-power"));
     let robots = report["robots"].as_array().unwrap();
     assert_eq!(robots.len(), 12, "{report:#}");
     for robot in robots {

@@ -147,7 +147,8 @@ pub struct ForecastHeader {
     pub tick: u64,
     /// Period of the tick, ns: a frame older than two of these is stale.
     pub period_ns: u64,
-    /// Hash of the models in use, all platforms together.
+    /// Hash of the model in use. Where platforms use different models: a combination of their hashes,
+    /// in the order of the platforms.
     pub model_hash: u64,
     /// Robots that the worker has capacity for.
     pub capacity: u32,

@@ -7,7 +7,7 @@ use joulebus_fleet::Fleet;
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, tick_flag};
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use super::assemble::{Assembler, Event, TickParts};
 use crate::Entry;
@@ -47,11 +47,17 @@ pub struct Comparison {
     /// Frames of samples that the capture lacks.
     pub frames_missing: u64,
     /// Hash of the recorded models, as in [`joulebus_wire::ForecastHeader::model_hash`].
+    #[serde(serialize_with = "hexadecimal")]
     pub recorded_model_hash: u64,
     /// Hash of the other models.
+    #[serde(serialize_with = "hexadecimal")]
     pub other_model_hash: u64,
     /// The robots, ascending.
     pub robots: Vec<RobotComparison>,
+}
+
+fn hexadecimal<S: Serializer>(hash: &u64, out: S) -> Result<S::Ok, S::Error> {
+    out.collect_str(&format_args!("{hash:016x}"))
 }
 
 /// Comparison of the two models on one robot.

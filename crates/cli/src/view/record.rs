@@ -18,7 +18,8 @@ pub(crate) struct FrameRecord {
     tick: u64,
     sent_ns: u64,
     sent_unix_ns: u64,
-    model_hash: u64,
+    /// Hexadecimal, as `joulebus model info` prints it.
+    model_hash: String,
     ticks_skipped: u64,
     ticks_late: u64,
     samples_accepted: u64,
@@ -81,7 +82,7 @@ impl FrameRecord {
             tick: header.tick,
             sent_ns: header.sent_ns,
             sent_unix_ns: header.sent_unix_ns,
-            model_hash: header.model_hash,
+            model_hash: format!("{:016x}", header.model_hash),
             ticks_skipped: header.ticks_skipped,
             ticks_late: header.ticks_late,
             samples_accepted: header.samples_accepted,

@@ -201,15 +201,16 @@ impl Fleet {
         self.refused.places()
     }
 
-    /// Hash over the models of all platforms, in order.
+    /// Hash of the model of all platforms; where they use different models, a combination of their
+    /// hashes in the order of the platforms.
     #[must_use]
     pub fn model_hash(&self) -> u64 {
-        combine_hashes(
-            self.tick
-                .platforms
-                .iter()
-                .map(|context| context.model.hash()),
-        )
+        let platforms = self.tick.platforms.iter();
+        let hashes = platforms.map(|context| context.model.hash());
+        match hashes.clone().next() {
+            Some(first) if hashes.clone().all(|hash| hash == first) => first,
+            _ => combine_hashes(hashes),
+        }
     }
 
     /// Scores of a robot, if it is in the fleet.
