@@ -13,7 +13,7 @@ use joulebus_predictor::{Features, Model, Network};
 use joulebus_predictor_worker::TickPool;
 use joulebus_program::verbs::bench::TickFleet;
 use joulebus_publisher::Pace;
-use joulebus_settings::{FleetSettings, Online, Platform};
+use joulebus_settings::{FleetSettings, Platform};
 use joulebus_wire::{Budget, Diagnostic, Forecast};
 
 use crate::world::World;
@@ -245,11 +245,8 @@ fn settings(kind: TickFleet, robots: usize) -> anyhow::Result<FleetSettings> {
     if kind == TickFleet::Mixed {
         settings.platforms = split(&settings.platforms[0], demo.robots);
     }
-    if kind == TickFleet::Learning {
-        settings.platforms[0].online = Online {
-            mixture: true,
-            adapt: true,
-        };
+    for platform in &mut settings.platforms {
+        platform.online = kind == TickFleet::Learning;
     }
     Ok(settings)
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use joulebus_bus::Scheduling;
 use joulebus_settings::{
-    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Online, Platform, Policy,
+    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Platform, Policy,
 };
 
 use crate::consistency;
@@ -364,10 +364,7 @@ impl Builder<'_> {
             omega_max_radps: number("platform.omega_max_radps")?,
             power_resolution_w: number("platform.power_resolution_w")?,
             battery,
-            online: Online {
-                mixture: self.0.text("platform.forecast")? == "mixture",
-                adapt: self.0.text("platform.adapt")? == "on",
-            },
+            online: self.0.text("platform.forecast")? == "online",
         })
     }
 

@@ -242,15 +242,6 @@ fn model(values: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Proble
                 .to_owned(),
         ));
     }
-    for (key, word) in [("platform.forecast", "mixture"), ("platform.adapt", "on")] {
-        if persistence && values.text(key).is_some_and(|text| text == word) {
-            problems.push(contradiction(
-                [(values, key), (values, model)],
-                &format!("{} beside {}", values.quote(key), values.quote(model)),
-                "Online learning needs a network: name a model file, or remove this key",
-            ));
-        }
-    }
     if !persistence && values.text(model).is_some() && values.names(scale) {
         warnings.push(complaint(
             values,

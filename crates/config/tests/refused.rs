@@ -461,18 +461,6 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
             &["`hold_max_s` = 0.5 s"],
         ),
         (
-            "model = \"persistence\"",
-            "forecast = \"mixture\"\nmodel = \"persistence\"",
-            "platform.forecast",
-            &["`model` = \"persistence\""],
-        ),
-        (
-            "model = \"persistence\"",
-            "adapt = \"on\"\nmodel = \"persistence\"",
-            "platform.adapt",
-            &["`model` = \"persistence\""],
-        ),
-        (
             "power_min_w = 0.0",
             "power_min_w = 20",
             "platform.power_min_w",

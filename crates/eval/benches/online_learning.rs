@@ -49,11 +49,11 @@ fn main() {
 fn heading() {
     println!(
         "| trained on | tested on | trials · readings | persistence | linear | {} | best member | \
-         mixture + adapted, MAE in W | coverage: all · least and most of a trial · trials within 2 % · where a new measurement was due | \
+         online, MAE in W | coverage: all · least and most of a trial · trials within 2 % · where a new measurement was due | \
          the same, network alone |",
         VARIANTS.map(|(name, _)| name).join(" | ")
     );
-    println!("|{}", "---|".repeat(12));
+    println!("|{}", "---|".repeat(10));
 }
 
 fn line(trained_on: &str, tested_on: &str, judged: &Judged) {

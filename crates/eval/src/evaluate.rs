@@ -163,7 +163,17 @@ pub fn evaluate_trial(
     let mut now_ns = 0;
     for sample in trial.to_samples(robot, BASE_NS) {
         now_ns = sample.stamp_ns.max(now_ns);
-        steps.push(step(&mut fleet, &sample, now_ns));
+        let mut next = step(&mut fleet, &sample, now_ns);
+        let before = steps.iter().rev().find(|step: &&Step| step.accepted);
+        if let (true, Some(reading_w), Some(forecast_w)) = (
+            next.scored,
+            next.reading_w,
+            before.and_then(|step| step.power_w),
+        ) {
+            // The diagnostics' residual is the network's, whatever was published.
+            next.residual_w = Some(reading_w - forecast_w);
+        }
+        steps.push(next);
     }
     let coverage = (!fleet.is_empty()).then(|| fleet.diagnostic(0).coverage);
     Ok(RobotEvaluation {

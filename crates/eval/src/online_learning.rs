@@ -1,9 +1,8 @@
-//! Gain of online learning over the network alone: the platform options `forecast` and `adapt`,
-//! evaluated by the live tick on recorded trials, compared with persistence and the linear baseline
-//! AR(5) + velocities of the model file.
+//! Gain of online learning over the network alone: the platform option `forecast`, evaluated by the live
+//! tick on recorded trials, compared with persistence and the model file's linear baseline.
 
 use joulebus_predictor::{FEATURES, FeatureSet, Linear, Model, Network};
-use joulebus_settings::{FleetSettings, Online, Platform};
+use joulebus_settings::{FleetSettings, Platform};
 
 use crate::evaluate::{EvaluateError, RobotEvaluation, evaluate_trial};
 use crate::score::recorded_platform;
@@ -11,13 +10,9 @@ use joulebus_dataset::rows::{TrialRows, sample_rows};
 use joulebus_dataset::trial::Trial;
 use joulebus_statistics::metrics::{CoverageTally, Tally};
 
-/// The four ways to forecast with a network, in the order of [`Judged::variants`].
-pub const VARIANTS: [(&str, Online); 4] = [
-    ("network", online(false, false)),
-    ("adapted", online(false, true)),
-    ("mixture", online(true, false)),
-    ("mixture + adapted", online(true, true)),
-];
+/// The two ways to forecast with a network, in the order of [`Judged::variants`], and whether each learns
+/// online.
+pub const VARIANTS: [(&str, bool); 2] = [("network", false), ("online", true)];
 
 /// Minimum number of readings of a trial for its coverage to be judged: with fewer, one reading
 /// changes it by half a percent or more.
@@ -26,10 +21,6 @@ pub const FEWEST_READINGS: u64 = 200;
 const DUE: usize = FEATURES + 1;
 /// Allowed deviation of a trial's coverage from the nominal one.
 pub const TOLERANCE: f64 = 0.02;
-
-const fn online(mixture: bool, adapt: bool) -> Online {
-    Online { mixture, adapt }
-}
 
 /// Scores on the same readings. Each trial is a separate robot without prior state.
 #[derive(Debug, Clone)]
@@ -116,7 +107,7 @@ pub fn judge(
 }
 
 /// The platform with the trial's recorded period.
-fn of_trial(platform: &Platform, trial: &Trial, online: Online) -> Platform {
+fn of_trial(platform: &Platform, trial: &Trial, online: bool) -> Platform {
     Platform {
         power_resolution_w: platform.power_resolution_w,
         power_min_w: platform.power_min_w,

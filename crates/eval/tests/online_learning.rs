@@ -1,4 +1,4 @@
-//! On a part of the recordings: a mixture is never much worse than its best member, it beats the
+//! On a part of the recordings: the online forecast is never much worse than its best member, it beats the
 //! baselines where the network does not, and intervals keep their coverage per trial.
 
 mod live;
@@ -64,7 +64,7 @@ fn check(terrain: &str) -> Option<Judged> {
     let [network, .., both] = &judged.variants;
     let linear = judged.linear.as_ref().map_or(f64::NAN, Tally::r2);
     println!(
-        "{terrain}: persistence {:.4}, linear {linear:.4}, network {:.4}, mixture {:.4}",
+        "{terrain}: persistence {:.4}, linear {linear:.4}, network {:.4}, online {:.4}",
         judged.persistence.r2(),
         network.forecasts.r2(),
         both.forecasts.r2()
@@ -92,7 +92,7 @@ fn check(terrain: &str) -> Option<Judged> {
 }
 
 #[test]
-fn on_ice_the_network_falls_below_persistence_and_the_mixture_does_not() {
+fn on_ice_the_network_falls_below_persistence_and_the_online_forecast_does_not() {
     let Some(judged) = check("ICE") else { return };
     let [network, .., both] = &judged.variants;
     assert!(
@@ -103,6 +103,6 @@ fn on_ice_the_network_falls_below_persistence_and_the_mixture_does_not() {
 }
 
 #[test]
-fn on_snow_the_mixture_is_as_good_as_its_best_member_and_intervals_hold() {
+fn on_snow_the_online_forecast_is_as_good_as_its_best_member_and_intervals_hold() {
     check("SNOW");
 }

@@ -20,7 +20,7 @@ mod ledger;
 mod state;
 mod tick;
 
-pub use estimate::mixture::Learned;
+pub use estimate::online::Learned;
 pub use estimate::scores::Scores;
 pub use estimate::window::missing_steps;
 pub use fleet::Fleet;

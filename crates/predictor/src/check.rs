@@ -90,7 +90,7 @@ fn check_linear(linear: Option<&Linear>, feature_set: FeatureSet) -> Result<(), 
         return Ok(());
     };
     let allowed = Linear::feature_set_beside(feature_set);
-    if linear.feature_set != allowed {
+    if ![allowed, FeatureSet::PowerOnly].contains(&linear.feature_set) {
         return Err(ModelError::field(
             "feature set of linear_weights",
             linear.feature_set.name(),

@@ -161,7 +161,7 @@ fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<ModelCa
     })
 }
 
-/// Older files have no linear baseline.
+/// Older files have no linear baseline, or one that reads velocities too.
 fn read_linear(
     metadata: &Metadata<'_>,
     feature_set: FeatureSet,
@@ -170,7 +170,11 @@ fn read_linear(
     if !fields.iter().any(|field| metadata.0.contains_key(*field)) {
         return Ok(None);
     }
-    let feature_set = Linear::feature_set_beside(feature_set);
+    let numbers = metadata.text("linear_weights")?.split(',').count();
+    let feature_set = match numbers == FeatureSet::PowerOnly.inputs() {
+        true => FeatureSet::PowerOnly,
+        false => Linear::feature_set_beside(feature_set),
+    };
     Ok(Some(Linear {
         feature_set,
         bias_w: metadata.number("linear_bias_w")?,

@@ -1,12 +1,12 @@
-//! The linear baseline: AR(5) and velocities.
+//! The linear baseline: AR(5), in older model files with velocities.
 
 use crate::error::ModelError;
 use crate::features::{FeatureSet, Features, INPUTS};
 use crate::nan::canonical;
 
 /// A forecast that is linear in the features: the last five readings (an autoregression, AR(5))
-/// and, where they are read, the velocities. The trainer fits it by least squares on the network's
-/// training rows; a model file includes it for the tick's mixture.
+/// and, in older model files, the velocities. The trainer fits the autoregression by least squares on the
+/// network's training rows; the model file includes it for forecasts that learn online.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Linear {
     /// The features read, [`FeatureSet::Full`] or [`FeatureSet::PowerOnly`]; the weights of the
@@ -21,8 +21,8 @@ pub struct Linear {
 }
 
 impl Linear {
-    /// Feature set of the baseline of a network that reads `network`: the same without the reading
-    /// age, whose effect is not linear.
+    /// The largest feature set of the baseline of a network that reads `network`: the same without the
+    /// reading age, whose effect is not linear.
     pub const fn feature_set_beside(network: FeatureSet) -> FeatureSet {
         if network.needs_command() {
             FeatureSet::Full

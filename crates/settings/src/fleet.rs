@@ -246,7 +246,7 @@ mod tests {
                 initial_soc: 0.9,
                 initial_soc_lo: 0.8,
             }),
-            online: crate::Online::default(),
+            online: true,
         }
     }
 
@@ -301,7 +301,7 @@ mod tests {
         let fingerprint = settings().fingerprint();
         assert_eq!(settings().fingerprint(), fingerprint);
         let mut changed = settings();
-        changed.platforms[1].online.adapt = true;
+        changed.platforms[1].online = false;
         assert_ne!(changed.fingerprint(), fingerprint);
     }
 }

@@ -35,18 +35,9 @@ pub struct Platform {
     pub power_resolution_w: f32,
     /// The battery, if configured.
     pub battery: Option<Battery>,
-    /// Online learning per robot.
-    pub online: Online,
-}
-
-/// Online learning per robot; off by default. Needs a network: on a platform that uses persistence
-/// there is nothing to learn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub struct Online {
-    /// Mixes persistence, the model's linear baseline and its network by learned weights.
-    pub mixture: bool,
-    /// Learns an offset and a gain on the network's forecast.
-    pub adapt: bool,
+    /// Whether forecasts combine persistence, the model's autoregression and its network with weights that each
+    /// robot's own readings teach; otherwise they are the network's. Without a network nothing is learned.
+    pub online: bool,
 }
 
 /// A battery.

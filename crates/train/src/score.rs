@@ -32,7 +32,7 @@ pub(super) fn finished(
         training_data: dataset.description.clone(),
         training_data_sha256: dataset.sha256(feature_set),
         seed: settings.seed,
-        linear: linear(dataset, feature_set),
+        linear: linear(dataset),
         ..ModelCard::new(TrainingRange::of(feature_set, rows))
     };
     // The final arithmetic gives the scores, so the network is first built without them.
@@ -43,20 +43,14 @@ pub(super) fn finished(
 
 /// The linear baseline fitted on the training rows, with its score on the held-out rows; `None` if
 /// there are too few rows, or their power is constant.
-fn linear(dataset: &Dataset, feature_set: FeatureSet) -> Option<Linear> {
-    let feature_set = Linear::feature_set_beside(feature_set);
-    let terms = if feature_set.needs_command() {
-        Terms::AR5_AND_VELOCITIES
-    } else {
-        Terms::AR5
-    };
-    let fitted = crate::linear::Linear::fit(&dataset.training, terms).ok()?;
+fn linear(dataset: &Dataset) -> Option<Linear> {
+    let fitted = crate::linear::Linear::fit(&dataset.training, Terms::AR5).ok()?;
     let mut weights = [0.0; INPUTS];
     for (feature, coefficient) in fitted.coefficients() {
         weights[*feature] = *coefficient as f32;
     }
     let mut linear = Linear {
-        feature_set,
+        feature_set: FeatureSet::PowerOnly,
         bias_w: fitted.intercept_w() as f32,
         weights,
         r2: 0.0,

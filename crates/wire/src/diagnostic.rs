@@ -27,7 +27,7 @@ pub struct Diagnostic {
     pub alarm: u16,
     /// All alarms that are raised: [`AlarmSet`] bits.
     pub alarms: u32,
-    /// Reading minus the forecast made for it, W.
+    /// Reading minus what the network forecast for it, W, whatever was published.
     pub residual_w: f32,
     /// The residual over the model's own residual standard deviation.
     pub residual_z: f32,

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use joulebus_settings::{Online, Platform};
+use joulebus_settings::Platform;
 use rayon::prelude::*;
 
 use joulebus_dataset::rows::{TrialRows, trial_rows};
@@ -112,7 +112,7 @@ pub fn recorded_platform(robot: u32, trial: &Trial) -> Platform {
         omega_max_radps: 1e3,
         power_resolution_w: 1e-3,
         battery: None,
-        online: Online::default(),
+        online: false,
     }
 }
 

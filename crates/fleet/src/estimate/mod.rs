@@ -1,7 +1,7 @@
 //! Estimates per robot: lag window, intervals, online learning and scores.
 
-pub(crate) mod adaptation;
+pub(crate) mod hedge;
 pub(crate) mod interval;
-pub(crate) mod mixture;
+pub(crate) mod online;
 pub(crate) mod scores;
 pub(crate) mod window;

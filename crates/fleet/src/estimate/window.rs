@@ -80,6 +80,34 @@ impl Window {
         self.have
     }
 
+    /// The readings after the last sample, newest first.
+    #[inline(always)]
+    pub(crate) fn lags_w(&self) -> [f32; LAGS] {
+        self.closed.lag_w
+    }
+
+    /// The last reading, if the next sample's follows on it; else NaN.
+    #[inline(always)]
+    pub(crate) fn last_w(&self) -> f32 {
+        if self.unread_steps == 0 {
+            self.closed.lag_w[0]
+        } else {
+            f32::NAN
+        }
+    }
+
+    /// Whether the next sample's reading is scored if no gap lies before it: only forecasts one step ahead
+    /// are.
+    #[inline(always)]
+    pub(crate) fn is_scored(&self) -> bool {
+        (self.unread_steps == 0) & self.closed.forecast_w.is_finite()
+    }
+
+    /// [`Window::lags_w`] after the periods that were run open loop.
+    pub(crate) fn open_lags_w(&self) -> [f32; LAGS] {
+        self.open.lag_w
+    }
+
     #[inline(always)]
     pub(crate) fn is_full(&self) -> bool {
         usize::from(self.have) == LAGS

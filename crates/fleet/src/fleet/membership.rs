@@ -4,7 +4,7 @@ use joulebus_wire::SampleHeader;
 
 use crate::alarms::detector::Detector;
 use crate::estimate::interval::ConformalInterval;
-use crate::estimate::mixture::Blend;
+use crate::estimate::online::Online;
 use crate::estimate::scores::Scores;
 use crate::estimate::window::Window;
 use crate::fleet::Fleet;
@@ -58,8 +58,8 @@ impl Fleet {
             ..AdmissionState::FREE
         };
         let context = &self.tick.platforms[usize::from(platform)];
-        if let Some(blending) = &context.blending {
-            columns.blends[slot] = Blend::new(blending);
+        if let Some(members) = &context.members {
+            lanes::set(&mut columns.online, slot, Online::new(members));
         }
         let residual = context.model.residual();
         columns.pending[slot / LANES].mark(slot % LANES, true, PendingState::None);

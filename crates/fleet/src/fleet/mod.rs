@@ -10,7 +10,7 @@ use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{Budget, Diagnostic, DropCounts, Forecast, Refusal, combine_hashes};
 
-use crate::estimate::mixture::Learned;
+use crate::estimate::online::Learned;
 use crate::estimate::scores::Scores;
 use crate::ingest::frame::TickIntake;
 use crate::ingest::refused::Refused;
@@ -70,7 +70,7 @@ impl Fleet {
         settings.check()?;
         let tick = TickContext::new(settings, models)?;
         let settings = &tick.settings;
-        let learning = tick.platforms.iter().any(|it| it.blending.is_some());
+        let learning = tick.platforms.iter().any(|it| it.members.is_some());
         let capacity = settings.capacity as usize;
         Ok(Self {
             settings_hash: settings.fingerprint(),
@@ -226,8 +226,8 @@ impl Fleet {
     pub fn learned(&self, robot: u32) -> Option<Learned> {
         let slot = self.find(robot)?;
         let platform = usize::from(self.columns.admissions[slot].platform);
-        let blending = self.tick.platforms[platform].blending.as_ref()?;
-        Some(self.columns.blends[slot].learned(blending))
+        self.tick.platforms[platform].members?;
+        Some(lanes::get(&self.columns.online, slot).learned())
     }
 
     /// Account of a robot, in the fleet or departed.

@@ -41,7 +41,10 @@ impl Fleet {
         copy(&mut to.ledgers, &from.ledgers[..blocks]);
         copy(&mut to.scores, &from.scores[..blocks]);
         copy(&mut to.detectors, &from.detectors[..blocks]);
-        copy(&mut to.blends, &from.blends[..used.min(from.blends.len())]);
+        copy(
+            &mut to.online,
+            &from.online[..blocks.min(from.online.len())],
+        );
         state.departed.clear();
         state.departed.extend(self.departed.accounts());
         copy(&mut state.sources, self.sources.all());
@@ -68,7 +71,7 @@ impl Fleet {
         to.ledgers[..blocks].copy_from_slice(&from.ledgers);
         to.scores[..blocks].copy_from_slice(&from.scores);
         to.detectors[..blocks].copy_from_slice(&from.detectors);
-        to.blends[..from.blends.len()].copy_from_slice(&from.blends);
+        to.online[..from.online.len()].copy_from_slice(&from.online);
         to.slots
             .replace(used, state.present().map(|(slot, _)| slot));
         self.slot_of.clear();
@@ -135,11 +138,11 @@ impl Fleet {
         ] {
             exactly(what, length, blocks)?;
         }
-        let blends = slots.min(self.columns.blends.len());
+        let online = blocks.min(self.columns.online.len());
         exactly(
-            "length of what is learned online",
-            columns.blends.len(),
-            blends,
+            "blocks of what is learned online",
+            columns.online.len(),
+            online,
         )?;
         at_most("accounts", state.departed.len(), state.capacity as usize)?;
         let most = self.tick.settings.intake.max_sources;

@@ -19,7 +19,7 @@ pub(crate) struct Last {
     pub equal_since_ns: u64,
     pub refused: u64,
     pub reading_w: f32,
-    /// NaN without a forecast for it or without a reading.
+    /// The reading minus the network's forecast of it, W; NaN if there was no forecast or no reading.
     pub residual_w: f32,
     pub mean_power_w: f32,
     /// [`Quality`], encoded as in shared memory.
@@ -40,13 +40,13 @@ impl Last {
         quality_detail: 0,
     };
 
-    /// Records a sample with a reading, `elapsed_s` after the one before; `forecast_w` is its
-    /// forecast.
+    /// Takes a sample with a reading, `elapsed_s` after the one before; `network_w`: what the
+    /// network forecast for it.
     #[inline(always)]
-    pub(crate) fn read(&mut self, sample: &Pending, forecast_w: f32, elapsed_s: f32) {
-        self.residual_w = sample.power_w - forecast_w;
-        // The first reading counts as new; otherwise a robot that joins with a held reading would
-        // count as stuck since time 0.
+    pub(crate) fn read(&mut self, sample: &Pending, network_w: f32, elapsed_s: f32) {
+        self.residual_w = sample.power_w - network_w;
+        // The first reading counts as new, or a robot that joins while its reading is held would
+        // have been stuck since the beginning of time.
         let new = !sample.has(sample_flag::HELD) | self.reading_w.is_nan();
         let changed = new & (sample.power_w.to_bits() != self.reading_w.to_bits());
         put(&mut self.equal_since_ns, changed, sample.stamp_ns);
@@ -72,7 +72,7 @@ block! {
         pub equal_since_ns: u64,
         pub refused: u64,
         reading_w: f32,
-        residual_w: f32,
+        pub residual_w: f32,
         pub mean_power_w: f32,
         quality: u16,
         quality_detail: u16,

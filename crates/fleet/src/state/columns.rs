@@ -2,7 +2,7 @@
 
 use crate::alarms::detector::DetectorLanes;
 use crate::estimate::interval::IntervalLanes;
-use crate::estimate::mixture::Blend;
+use crate::estimate::online::OnlineLanes;
 use crate::estimate::scores::ScoreLanes;
 use crate::estimate::window::WindowLanes;
 use crate::ingest::admission::AdmissionState;
@@ -54,7 +54,7 @@ pub(crate) struct Columns {
     pub scores: Vec<ScoreLanes>,
     pub detectors: Vec<DetectorLanes>,
     /// Empty unless a platform learns online.
-    pub blends: Vec<Blend>,
+    pub online: Vec<OnlineLanes>,
     pub slots: Slots,
 }
 
@@ -72,7 +72,7 @@ impl Columns {
             ledgers: vec![LedgerLanes::default(); blocks],
             scores: vec![ScoreLanes::default(); blocks],
             detectors: vec![DetectorLanes::default(); blocks],
-            blends: vec![Blend::NONE; if learning { robots } else { 0 }],
+            online: vec![OnlineLanes::default(); if learning { blocks } else { 0 }],
             slots: Slots::new(capacity, platforms),
         }
     }
@@ -100,7 +100,7 @@ impl Columns {
             ledgers: &mut self.ledgers,
             scores: &mut self.scores,
             detectors: &mut self.detectors,
-            blends: &mut self.blends,
+            online: &mut self.online,
             words: self.slots.words(),
         }
     }
@@ -119,7 +119,7 @@ pub(crate) struct ColumnsMut<'a> {
     pub scores: &'a mut [ScoreLanes],
     pub detectors: &'a mut [DetectorLanes],
     /// Empty unless a platform learns online.
-    pub blends: &'a mut [Blend],
+    pub online: &'a mut [OnlineLanes],
     pub words: &'a [u64],
 }
 
@@ -137,7 +137,7 @@ impl<'a> ColumnsMut<'a> {
         let ledgers = self.ledgers.split_at_mut(block);
         let scores = self.scores.split_at_mut(block);
         let detectors = self.detectors.split_at_mut(block);
-        let blends = self.blends.split_at_mut(at.min(self.blends.len()));
+        let online = self.online.split_at_mut(block.min(self.online.len()));
         let words = self.words.split_at(words);
         (
             Self {
@@ -149,7 +149,7 @@ impl<'a> ColumnsMut<'a> {
                 ledgers: ledgers.0,
                 scores: scores.0,
                 detectors: detectors.0,
-                blends: blends.0,
+                online: online.0,
                 words: words.0,
             },
             Self {
@@ -161,7 +161,7 @@ impl<'a> ColumnsMut<'a> {
                 ledgers: ledgers.1,
                 scores: scores.1,
                 detectors: detectors.1,
-                blends: blends.1,
+                online: online.1,
                 words: words.1,
             },
         )
@@ -178,7 +178,7 @@ impl<'a> ColumnsMut<'a> {
             ledgers: self.ledgers,
             scores: self.scores,
             detectors: self.detectors,
-            blends: self.blends,
+            online: self.online,
             words: self.words,
         }
     }

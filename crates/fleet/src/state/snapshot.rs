@@ -1,11 +1,11 @@
 //! A fleet's state as a value, for storing, sending and resuming.
 
-use joulebus_settings::{FleetSettings, Online, Platform};
+use joulebus_settings::FleetSettings;
 use serde::{Deserialize, Serialize};
 
 use crate::alarms::detector::DetectorLanes;
 use crate::estimate::interval::IntervalLanes;
-use crate::estimate::mixture::Blend;
+use crate::estimate::online::OnlineLanes;
 use crate::estimate::scores::ScoreLanes;
 use crate::estimate::window::WindowLanes;
 use crate::ingest::admission::AdmissionState;
@@ -22,7 +22,7 @@ use crate::ledger::energy::LedgerLanes;
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x06";
+const MAGIC: [u8; 8] = *b"jbstate\x07";
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
 /// windows, ledgers, intervals, scores, detectors, online learning, accounts of departed robots,
@@ -67,7 +67,7 @@ pub(crate) struct SavedColumns {
     pub scores: Vec<ScoreLanes>,
     pub detectors: Vec<DetectorLanes>,
     /// Empty unless a platform learns online.
-    pub blends: Vec<Blend>,
+    pub online: Vec<OnlineLanes>,
 }
 
 /// Errors of restoring a state.
@@ -149,8 +149,7 @@ impl FleetState {
     pub fn with_capacity_for(settings: &FleetSettings) -> Self {
         let robots = settings.capacity as usize;
         let blocks = robots.div_ceil(LANES);
-        let learns = |platform: &Platform| platform.online != Online::default();
-        let learning = settings.platforms.iter().any(learns);
+        let learning = settings.platforms.iter().any(|platform| platform.online);
         Self {
             capacity: 0,
             platforms: 0,
@@ -166,7 +165,7 @@ impl FleetState {
                 ledgers: with_capacity(blocks, LedgerLanes::default()),
                 scores: with_capacity(blocks, ScoreLanes::default()),
                 detectors: with_capacity(blocks, DetectorLanes::default()),
-                blends: with_capacity(if learning { robots } else { 0 }, Blend::NONE),
+                online: with_capacity(if learning { blocks } else { 0 }, OnlineLanes::default()),
             },
             departed: with_capacity(
                 robots,

@@ -1,17 +1,13 @@
 //! Batch of rows for a model.
 
-use joulebus_predictor::{FEATURES, FeatureSet, Features, INPUTS, Model};
+use joulebus_predictor::{FEATURES, Features, INPUTS, Model};
 
-use crate::estimate::mixture::Blending;
 use crate::layout::lanes::{self, LANES, Lanes};
 use crate::layout::slots::WORD;
-use crate::state::columns::ColumnsMut;
 use crate::tick::platform_context::PlatformContext;
 
 /// Default slots per tile: their state, rows and output stay in the core's cache.
 const SLOTS: usize = 512;
-/// Position of the newest reading in a row.
-const LAST: usize = FeatureSet::PowerOnly.first();
 
 /// Memory for the rows of one tile, for [`crate::Shard`]: one per thread.
 #[derive(Debug, Clone)]
@@ -23,8 +19,8 @@ pub struct Batch {
     /// Whether the reading-age columns are filled too.
     freshness: bool,
     forecasts_w: Vec<f32>,
-    /// Forecasts of the linear baseline, if a platform learns online.
-    linear_w: Vec<f32>,
+    /// By block: lanes that the network has a forecast for, a bit each.
+    forecast_lanes: Vec<u16>,
     outside: Vec<bool>,
     /// Slots whose waiting sample follows a gap.
     pub(crate) gaps: Vec<u32>,
@@ -51,7 +47,7 @@ impl Batch {
             columns: std::array::from_fn(|_| vec![0.0; slots]),
             freshness: false,
             forecasts_w: vec![0.0; slots],
-            linear_w: vec![0.0; slots],
+            forecast_lanes: vec![0; slots / LANES],
             outside: vec![false; slots],
             gaps: Vec::with_capacity(slots),
             overdue: Vec::with_capacity(slots),
@@ -120,35 +116,14 @@ impl Batch {
         model.predict_columns(columns, &mut self.forecasts_w[..rows]);
     }
 
-    /// Replaces the network's forecasts by the mixtures' of each robot, after [`Batch::infer`].
-    /// `open`: open-loop rows, from which nothing is learned.
-    pub(crate) fn blend(&mut self, blending: &Blending, columns: &mut ColumnsMut<'_>, open: bool) {
-        let rows = self.slots.len();
-        if let Some(linear) = &blending.linear {
-            let columns = self.columns.each_ref().map(|column| &column[..rows]);
-            linear.predict_columns(columns, &mut self.linear_w[..rows]);
+    /// By block, the lanes with a forecast that is finite, after [`Batch::infer`].
+    pub(crate) fn forecast_lanes(&mut self) -> &[u16] {
+        self.forecast_lanes.fill(0);
+        for (slot, forecast_w) in self.slots.iter().zip(&self.forecasts_w) {
+            let (block, lane) = (*slot as usize / LANES, *slot as usize % LANES);
+            self.forecast_lanes[block] |= u16::from(forecast_w.is_finite()) << lane;
         }
-        let last_w = &self.columns[LAST];
-        for (at, slot) in self.slots.iter().map(|slot| *slot as usize).enumerate() {
-            let network_w = self.forecasts_w[at];
-            if !network_w.is_finite() {
-                continue;
-            }
-            let window = lanes::get(columns.windows, slot);
-            let due = if open {
-                window.shown_due()
-            } else {
-                window.due()
-            };
-            let blend = &mut columns.blends[slot];
-            let linear_w = blending.linear.map_or(f32::NAN, |_| self.linear_w[at]);
-            let said_w = [last_w[at], linear_w, network_w];
-            let (forecast_w, experts_w) = blend.forecast(blending, said_w, due);
-            self.forecasts_w[at] = forecast_w;
-            if !open {
-                blend.expect(experts_w, due);
-            }
-        }
+        &self.forecast_lanes
     }
 
     /// Marks the rows that have a feature outside the training range, or NaN.

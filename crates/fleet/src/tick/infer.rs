@@ -1,10 +1,15 @@
 //! Inference: rows through the model, forecasts into windows; and open loop for robots whose next
 //! sample is overdue.
 
+// Lanes are counted: that is the loop that the compiler makes vectors of.
+#![allow(clippy::needless_range_loop)]
+
+use joulebus_predictor::SimdTask;
 use joulebus_wire::{InvalidReason, Quality};
 
-use crate::estimate::window::missing_steps;
-use crate::layout::lanes::{self, LANES};
+use crate::estimate::online::{Members, OnlineLanes};
+use crate::estimate::window::{WindowLanes, missing_steps};
+use crate::layout::lanes::{self, Block as _, LANES};
 use crate::state::columns::ColumnsMut;
 use crate::tick::batch::Batch;
 use crate::tick::context::TickContext;
@@ -16,18 +21,25 @@ pub(crate) fn infer(context: &PlatformContext, columns: &mut ColumnsMut<'_>, bat
         return;
     }
     batch.infer(&context.model);
-    if let Some(blending) = &context.blending {
-        batch.blend(blending, columns, false);
-    }
     for (slot, forecast_w) in batch.forecasts() {
         if forecast_w.is_finite() {
             columns.windows[slot / LANES].forecast(slot % LANES, forecast_w);
+            if context.members.is_some() {
+                columns.online[slot / LANES].network_w[slot % LANES] = forecast_w;
+            }
         } else {
             let mut last = lanes::get(columns.lasts, slot);
             let invalid = Quality::Invalid(InvalidReason::ModelOutput);
             (last.quality, last.quality_detail) = invalid.encode();
             lanes::set(columns.lasts, slot, last);
         }
+    }
+    if let Some(members) = &context.members {
+        context.model.simd_level().run(Combine {
+            members,
+            columns,
+            forecast_lanes: batch.forecast_lanes(),
+        });
     }
     batch.mark_outside(context);
     for (slot, outside) in batch.outside() {
@@ -44,17 +56,57 @@ pub(crate) fn infer_open(
         return false;
     }
     batch.infer(&context.model);
-    if let Some(blending) = &context.blending {
-        batch.blend(blending, columns, true);
-    }
-    for (slot, forecast_w) in batch.forecasts() {
+    for (slot, network_w) in batch.forecasts() {
+        let mut forecast_w = network_w;
+        if let (Some(members), true) = (&context.members, network_w.is_finite()) {
+            let window = lanes::get(columns.windows, slot);
+            let online = lanes::get(columns.online, slot);
+            let lag_w = window.open_lags_w();
+            forecast_w = online.forecast(members, &lag_w, network_w, window.shown_due());
+        }
         columns.windows[slot / LANES].opened(slot % LANES, forecast_w);
     }
     true
 }
 
-/// Forecasts robots whose sample is overdue in open loop: provisional, and discarded when the
-/// sample contradicts it.
+/// Replaces the network's forecasts in the windows by the robots' own, a block at a time.
+struct Combine<'a, 'b> {
+    members: &'a Members,
+    columns: &'a mut ColumnsMut<'b>,
+    forecast_lanes: &'a [u16],
+}
+
+impl SimdTask for Combine<'_, '_> {
+    #[inline(always)]
+    fn run(self) {
+        let ColumnsMut {
+            windows, online, ..
+        } = self.columns;
+        let members = *self.members;
+        for (block, bits) in self.forecast_lanes.iter().enumerate() {
+            if *bits != 0 {
+                let online = &online[block];
+                combine_block(&members, *bits, &mut windows[block], online);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn combine_block(members: &Members, bits: u16, windows: &mut WindowLanes, online: &OnlineLanes) {
+    let mut forecast_w = [0.0; LANES];
+    for lane in 0..LANES {
+        let (window, robot) = (windows.closed.get(lane), online.get(lane));
+        let (lag_w, due) = (window.lags_w(), window.due());
+        forecast_w[lane] = robot.forecast(members, &lag_w, robot.network_w, due);
+    }
+    for lane in 0..LANES {
+        windows.replace_forecast(lane, bits >> lane & 1 == 1, forecast_w[lane]);
+    }
+}
+
+/// Forecasts robots whose sample is overdue open loop: provisional, and discarded where the sample says
+/// otherwise.
 pub(crate) fn run_overdue(
     tick: &TickContext,
     context: &PlatformContext,

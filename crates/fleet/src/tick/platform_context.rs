@@ -4,7 +4,7 @@ use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 use joulebus_settings::{FleetSettings, Platform};
 
 use crate::estimate::interval::QuantileStep;
-use crate::estimate::mixture::Blending;
+use crate::estimate::online::Members;
 use crate::estimate::window::RequiredInputs;
 
 /// Settings of one platform, prepared for the tick.
@@ -25,8 +25,8 @@ pub(crate) struct PlatformContext {
     pub trained: Option<Trained>,
     /// Step of the intervals' adaptation.
     pub quantile_step: QuantileStep,
-    /// The experts of online learning, if configured.
-    pub blending: Option<Blending>,
+    /// What the robots' forecasts combine, where they learn online.
+    pub members: Option<Members>,
 }
 
 /// The allowed range of features.
@@ -50,8 +50,10 @@ impl PlatformContext {
             }
         });
         let sigma_w = model.residual().std_w.max(platform.power_resolution_w);
+        let members =
+            (platform.online).then(|| Members::new(&model, sigma_w, platform.power_resolution_w));
         Self {
-            blending: Blending::new(platform.online, &model, sigma_w),
+            members: members.flatten(),
             quantile_step: QuantileStep::new(&settings.interval),
             sigma_w,
             // `FleetSettings::check` limits the quotient to 1000.

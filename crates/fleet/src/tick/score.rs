@@ -27,6 +27,8 @@ struct Absorbed {
     /// NaN if there is none.
     reading_w: Lanes<f32>,
     expected_w: Lanes<f32>,
+    /// The reading minus the network's forecast of it, whatever was published.
+    residual_w: Lanes<f32>,
     previous_w: Lanes<f32>,
     alarms: AlarmInputLanes,
 }
@@ -47,6 +49,7 @@ impl Absorbed {
             broken: [false; LANES],
             reading_w: [f32::NAN; LANES],
             expected_w: pending.expected_w,
+            residual_w: lasts.residual_w,
             previous_w: [f32::NAN; LANES],
             alarms: AlarmInputLanes {
                 stamp_ns: pending.samples.stamp_ns,
@@ -237,7 +240,7 @@ fn detect(
     for lane in 0..LANES {
         let mut detector = detectors.get(lane);
         let reading_w = absorbed.reading_w[lane];
-        let residual_w = reading_w - absorbed.expected_w[lane];
+        let residual_w = absorbed.residual_w[lane];
         let change_w = reading_w - absorbed.previous_w[lane];
         detector.observe(residual_w, change_w, sigma_w, &alarms);
         detectors.set_observed(lane, scored[lane], &detector);

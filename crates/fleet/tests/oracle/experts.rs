@@ -1,43 +1,67 @@
-//! Reference of online learning, recomputed from all readings.
+//! What a forecast that learns online must come to, recomputed from all readings since the robot joined.
 
-use joulebus_predictor::{Features, Model};
+use joulebus_predictor::{FeatureSet, Features, Model};
 use joulebus_settings::Platform;
 
-/// A reading and its forecasts.
+/// A reading, what came before it, and what was forecast for it.
 #[derive(Debug, Clone, Copy)]
 struct Lesson {
-    forecasts_w: [f32; 4],
+    /// The lags and the network's forecast, if the forecast is scored.
+    scored: Option<([f32; 5], f32)>,
+    last_w: Option<f32>,
     due: bool,
     reading_w: f32,
 }
 
-/// The experts of one robot during one membership in the fleet.
+/// The forecasters of one robot during one stay in the fleet.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Experts {
     lessons: Vec<Lesson>,
 }
 
-/// Forecasts: of the robot, and of each expert.
+/// What was forecast: for the robot, and by the network.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Said {
     pub forecast_w: f32,
-    forecasts_w: [f32; 4],
-    due: bool,
+    pub network_w: f32,
+    lag_w: [f32; 5],
 }
 
-fn sum(values: [f32; 4]) -> f32 {
-    (values[0] + values[1]) + (values[2] + values[3])
+const START: [f32; 4] = [0.1, 0.95, 0.1, 0.0];
+const VARIANCE: [f32; 4] = [0.09, 0.04, 0.04, 0.25];
+
+/// All that a robot has learned.
+struct Knowledge {
+    theta: [f32; 4],
+    covariance: [[f32; 4]; 4],
+    mean_w: f32,
+    change_w: f32,
+    seen: u8,
+    /// Where a measurement is due, and where none is.
+    weights: [Weights; 2],
 }
 
-fn times(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
-    [0, 1, 2, 3].map(|i| a[i] * b[i])
+/// Losses of last reading, network and stack above that of the stack, and what averaging has cost; `None`
+/// before the first.
+#[derive(Clone, Copy)]
+struct Weights {
+    learned: Option<([f32; 3], f32)>,
+    experts: f32,
 }
 
 impl Experts {
-    pub(crate) fn learn(&mut self, said: &Said, reading_w: f32) {
+    /// `said` is given where the forecast is scored.
+    pub(crate) fn learn(
+        &mut self,
+        said: Option<&Said>,
+        last_w: Option<f32>,
+        due: bool,
+        reading_w: f32,
+    ) {
         self.lessons.push(Lesson {
-            forecasts_w: said.forecasts_w,
-            due: said.due,
+            scored: said.map(|said| (said.lag_w, said.network_w)),
+            last_w,
+            due,
             reading_w,
         });
     }
@@ -50,115 +74,198 @@ impl Experts {
         network_w: f32,
         due: bool,
     ) -> Said {
-        let online = platform.online;
-        let Some(sigma_w) = sigma_w(platform, model) else {
-            return Said {
-                forecast_w: network_w,
-                forecasts_w: [network_w; 4],
-                due,
-            };
-        };
-        let (gain, offset) = self.fit(sigma_w);
-        let bounded = (network_w / sigma_w).clamp(-1e4, 1e4);
-        let adapted_w = sigma_w * (gain * bounded + offset);
-        let linear_w = model
-            .linear()
-            .map_or(f32::NAN, |linear| linear.predict(row));
-        let forecasts_w = [row[6], linear_w, network_w, adapted_w]
-            .map(|watts| if watts.is_finite() { watts } else { network_w });
-        let forecast_w = match (online.mixture, online.adapt) {
-            (true, _) => {
-                let weights = self.weights(platform, model, sigma_w, due);
-                sum(times(weights, forecasts_w))
-            }
-            (false, true) => adapted_w,
-            (false, false) => network_w,
-        };
+        let lag_w = [row[6], row[7], row[8], row[9], row[10]];
+        let known = Knowledge::of(platform, model, &self.lessons);
+        let forecast_w = known.map_or(network_w, |known| {
+            let (members_w, _) = known.members(model, &lag_w, network_w, due);
+            dot(known.shares(due), members_w)
+        });
         Said {
             forecast_w,
-            forecasts_w,
-            due,
+            network_w,
+            lag_w,
+        }
+    }
+}
+
+impl Knowledge {
+    /// `None` where nothing is learned.
+    fn of(platform: &Platform, model: &Model, lessons: &[Lesson]) -> Option<Self> {
+        if !platform.online || !matches!(model, Model::Network(_)) {
+            return None;
+        }
+        let resolution_w = platform.power_resolution_w;
+        let sigma_w = model.residual().std_w.max(resolution_w);
+        let diagonal = |row: usize, column: usize| if row == column { VARIANCE[row] } else { 0.0 };
+        let mut known = Self {
+            theta: START,
+            covariance: [0, 1, 2, 3].map(|row| [0, 1, 2, 3].map(|column| diagonal(row, column))),
+            mean_w: 0.0,
+            change_w: (0.8 * sigma_w).max(resolution_w),
+            seen: 0,
+            weights: [
+                Weights {
+                    learned: None,
+                    experts: 3.0,
+                },
+                Weights {
+                    learned: None,
+                    experts: 2.0,
+                },
+            ],
+        };
+        for lesson in lessons {
+            known.learn(model, lesson);
+            known.read(resolution_w, lesson);
+        }
+        Some(known)
+    }
+
+    fn members(
+        &self,
+        model: &Model,
+        lag_w: &[f32; 5],
+        network_w: f32,
+        due: bool,
+    ) -> ([f32; 3], [f32; 4]) {
+        let (bias_w, weights) = match model.linear() {
+            Some(linear) if linear.feature_set == FeatureSet::PowerOnly => {
+                let [.., a, b, c, d, e, _, _] = linear.weights;
+                (linear.bias_w, [a, b, c, d, e])
+            }
+            _ => (0.0, [1.0, 0.0, 0.0, 0.0, 0.0]),
+        };
+        let terms = weights.iter().zip(lag_w);
+        let auto_w = terms.fold(bias_w, |sum, (weight, lag_w)| sum + weight * lag_w);
+        let most_w = 30.0 * self.change_w;
+        let from_auto = |watts: f32| (watts - auto_w).clamp(-most_w, most_w);
+        let u = [
+            from_auto(lag_w[0]),
+            from_auto(network_w),
+            from_auto(self.mean_w),
+            self.change_w,
+        ];
+        let [a, b, c, d] = [0, 1, 2, 3].map(|term| self.theta[term] * u[term]);
+        let stack_w = auto_w + ((a + b) + (c + d));
+        let early_w = if due {
+            0.0
+        } else {
+            0.02 * (stack_w - lag_w[0])
+        };
+        ([lag_w[0] + early_w, network_w, stack_w], u)
+    }
+
+    fn learn(&mut self, model: &Model, lesson: &Lesson) {
+        let Some((lag_w, network_w)) = lesson.scored else {
+            return;
+        };
+        let (members_w, u) = self.members(model, &lag_w, network_w, lesson.due);
+        let square = self.change_w * self.change_w;
+        let shares = self.shares(lesson.due);
+        let (before, cost) = self.losses(lesson.due);
+        let experts = self.weights[usize::from(!lesson.due)].experts;
+        let error = members_w.map(|watts| (watts - lesson.reading_w).clamp(-1e6, 1e6));
+        let loss = error.map(|error| error * error);
+        let rate = log(experts) / cost;
+        let least = |losses: [f32; 3]| losses.into_iter().fold(f32::INFINITY, f32::min);
+        let before = before.map(|loss| loss - least(before));
+        let after = [0, 1, 2].map(|i| before[i] + loss[i] / 0.997);
+        let lowest = least(after);
+        let sum = |losses: [f32; 3], least: f32| {
+            let [a, b, c] = losses.map(|loss| exp(-rate * (loss - least)));
+            ln((a + b) + c)
+        };
+        let mix_loss = 0.997 * (lowest - (sum(after, lowest) - sum(before, 0.0)) / rate);
+        let mixed = dot(shares, error);
+        let cost = (0.997 * cost + (mixed * mixed - mix_loss).max(0.0)).max(2.0 * square);
+        let (old, _) = self.losses(lesson.due);
+        let above = [0, 1, 2].map(|i| 0.997 * old[i] + (loss[i] - loss[2]));
+        self.weights[usize::from(!lesson.due)].learned = Some((above, cost));
+        if lesson.due {
+            let most_w = 2.5 * self.change_w;
+            let innovation_w = (lesson.reading_w - members_w[2]).clamp(-most_w, most_w);
+            self.follow(u, innovation_w, square);
         }
     }
 
-    /// Discounted AdaHedge, from the first reading on.
-    fn weights(&self, platform: &Platform, model: &Model, sigma_w: f32, due: bool) -> [f32; 4] {
-        let mut loss = start(platform, model);
-        let mut cost = 2.0f32;
-        let experts = loss.iter().filter(|loss| loss.is_finite()).count();
-        let log = (experts as f64).ln() as f32;
-        for lesson in self.lessons.iter().filter(|lesson| lesson.due == due) {
-            let rate = log / cost;
-            let error = lesson
-                .forecasts_w
-                .map(|watts| ((watts - lesson.reading_w) / sigma_w).clamp(-1e6, 1e6));
-            let raw = loss.map(|loss| libm::expf(-rate * loss));
-            let weights = raw.map(|one| one / sum(raw));
-            let mixed = sum(times(weights, error));
-            let after = [0, 1, 2, 3].map(|i| loss[i] + error[i] * error[i] / 0.999);
-            let least = after.into_iter().fold(f32::INFINITY, f32::min);
-            let before_log = libm::logf(sum(loss.map(|loss| libm::expf(-rate * (loss - 0.0)))));
-            let after_log = libm::logf(sum(after.map(|loss| libm::expf(-rate * (loss - least)))));
-            let mix_loss = 0.999 * (least - (after_log - before_log) / rate);
-            cost = (0.999 * cost + (mixed * mixed - mix_loss).max(0.0)).max(2.0);
-            loss = [0, 1, 2, 3].map(|i| 0.999 * loss[i] + error[i] * error[i]);
-            let best = loss.into_iter().fold(f32::INFINITY, f32::min);
-            loss = loss.map(|loss| loss - best);
+    fn follow(&mut self, u: [f32; 4], innovation_w: f32, square: f32) {
+        let product = self.covariance.map(|row| {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|column| row[column] * u[column]);
+            (a + b) + (c + d)
+        });
+        let [a, b, c, d] = [0, 1, 2, 3].map(|row| product[row] * u[row]);
+        let gain = 1.0 / (square + ((a + b) + (c + d)));
+        for row in 0..4 {
+            let theta = self.theta[row] + product[row] * (gain * innovation_w);
+            self.theta[row] = theta.clamp(-100.0, 100.0);
         }
-        let raw = loss.map(|loss| libm::expf(-(log / cost) * loss));
-        raw.map(|one| one / sum(raw))
-    }
-
-    /// Gain and offset by discounted least squares over all readings.
-    fn fit(&self, sigma_w: f32) -> (f32, f32) {
-        let mut sums = [0.0f32; 5];
-        for lesson in &self.lessons {
-            let network = (lesson.forecasts_w[2] / sigma_w).clamp(-1e4, 1e4);
-            let residual = (lesson.reading_w / sigma_w - network).clamp(-1e4, 1e4);
-            let new = [
-                1.0,
-                network,
-                network * network,
-                residual,
-                network * residual,
-            ];
-            for (sum, new) in sums.iter_mut().zip(new) {
-                *sum = 0.998 * *sum + new;
+        for row in 0..4 {
+            for column in row..4 {
+                let start = if row == column { VARIANCE[row] } else { 0.0 };
+                let less = self.covariance[row][column] - product[row] * (product[column] * gain);
+                let pulled = less + 0.002 * (start - less);
+                (self.covariance[row][column], self.covariance[column][row]) = (pulled, pulled);
             }
         }
-        let [count, network, square, residual, product] = sums.map(f64::from);
-        let (square, count) = (square + 1.0 / 0.002, count + 1.0 / 0.07);
-        let determinant = (square * count - network * network).max((1.0 / 0.002) * (1.0 / 0.07));
-        let gain = ((product * count - residual * network) / determinant).clamp(-3.0, 3.0);
-        let offset = (residual - gain * network) / count;
-        (1.0 + gain as f32, offset as f32)
+    }
+
+    fn read(&mut self, resolution_w: f32, lesson: &Lesson) {
+        let seen = f32::from(self.seen);
+        self.mean_w += (lesson.reading_w - self.mean_w) / (1.0 + seen);
+        if let (Some(last_w), true) = (lesson.last_w, lesson.due) {
+            let size_w = (lesson.reading_w - last_w).abs();
+            let change_w = self.change_w + (size_w - self.change_w) / (1.0 + 8.0 + seen);
+            self.change_w = change_w.max(resolution_w);
+        }
+        self.seen = self.seen.saturating_add(1);
+    }
+
+    /// Losses above that of the stack, and what averaging has cost.
+    fn losses(&self, due: bool) -> ([f32; 3], f32) {
+        let square = self.change_w * self.change_w;
+        let start = match due {
+            true => [300.0 * square, 1.0 * square, 0.0],
+            false => [0.0, f32::INFINITY, 0.0],
+        };
+        self.weights[usize::from(!due)]
+            .learned
+            .unwrap_or((start, 2.0 * square))
+    }
+
+    fn shares(&self, due: bool) -> [f32; 3] {
+        let (losses, cost) = self.losses(due);
+        let rate = log(self.weights[usize::from(!due)].experts) / cost;
+        let least = losses.into_iter().fold(f32::INFINITY, f32::min);
+        let raw = losses.map(|loss| exp(-rate * (loss - least)));
+        let sum = (raw[0] + raw[1]) + raw[2];
+        raw.map(|raw| raw / sum)
     }
 }
 
-/// Unit of errors; `None` without online learning.
-fn sigma_w(platform: &Platform, model: &Model) -> Option<f32> {
-    let learns = platform.online.mixture || platform.online.adapt;
-    let network = matches!(model, Model::Network(_));
-    (learns && network).then(|| model.residual().std_w.max(platform.power_resolution_w))
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
 }
 
-/// 40 readings with the errors stated in the model file.
-fn start(platform: &Platform, model: &Model) -> [f32; 4] {
-    let Model::Network(network) = model else {
-        return [0.0; 4];
-    };
-    let card = network.card();
-    let shard = |r2: f32| ((1.0 - r2) / (1.0 - card.scores.network_r2)).clamp(0.0, 10.0);
-    let error = [
-        shard(card.scores.persistence_r2),
-        card.linear.map_or(f32::INFINITY, |linear| shard(linear.r2)),
-        1.0,
-        if platform.online.adapt {
-            1.0
-        } else {
-            f32::INFINITY
-        },
-    ];
-    let best = error.into_iter().fold(f32::INFINITY, f32::min);
-    error.map(|error| 40.0 * (error - best))
+fn log(experts: f32) -> f32 {
+    f64::from(experts).ln() as f32
+}
+
+fn exp(x: f32) -> f32 {
+    let scaled = x.max(-80.0) * std::f32::consts::LOG2_E;
+    let whole = scaled.round_ties_even();
+    let rest = (scaled - whole) * std::f32::consts::LN_2;
+    let factors = [1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0];
+    let series = factors
+        .iter()
+        .fold(1.0f32 / 720.0, |sum, factor| factor + rest * sum);
+    series * f32::from_bits(((whole as i32 + 127) as u32) << 23)
+}
+
+fn ln(y: f32) -> f32 {
+    let s = (y - 1.0) / (y + 1.0);
+    let factors = [17.0f32, 15.0, 13.0, 11.0, 9.0, 7.0, 5.0, 3.0, 1.0];
+    let series = factors
+        .iter()
+        .fold(1.0 / 19.0, |sum, odd| 1.0 / odd + s * s * sum);
+    2.0 * s * series
 }

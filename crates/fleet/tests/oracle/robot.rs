@@ -276,15 +276,27 @@ impl Robot {
         }
         self.account
             .meter(sample.stamp_ns, reading_w, scorable_w, period_ns);
-        self.residual_w = reading_w.zip(forecast_w).map(|(y, f)| y - f);
+        let network_w = self.run.said.map(|said| said.network_w);
+        let judged_w = forecast_w.map(|forecast_w| network_w.unwrap_or(forecast_w));
+        self.residual_w = reading_w.zip(judged_w).map(|(y, f)| y - f);
+        // Where nobody knows, one is due.
+        let due = self.run.history.features()[1] != 0.0;
+        let last_w = self
+            .run
+            .powers_w
+            .last()
+            .copied()
+            .filter(|_| self.run.unread == 0);
         if let (Some(reading_w), Some(forecast_w)) = (reading_w, scorable_w) {
             self.scored.push(Scored {
                 reading_w,
                 residual_w: reading_w - forecast_w,
                 previous_w: *self.run.powers_w.last().expect("it made a forecast"),
             });
-            let said = self.run.said.expect("it made a forecast of a sample");
-            self.experts.learn(&said, reading_w);
+        }
+        if let Some(reading_w) = reading_w {
+            let said = self.run.said.filter(|_| scorable_w.is_some());
+            self.experts.learn(said.as_ref(), last_w, due, reading_w);
         }
         self.read(sample);
         self.forecast(sample, model);

@@ -7,7 +7,7 @@ pub(crate) mod random;
 use joulebus_fleet::Fleet;
 use joulebus_predictor::{FeatureSet, Kernel, Model, Persistence, ResidualStats};
 use joulebus_settings::{
-    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Online, Platform,
+    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Platform,
 };
 use joulebus_wire::{Budget, Diagnostic, Forecast, Quality, SCHEMA_VERSION, Sample, SampleHeader};
 
@@ -40,7 +40,7 @@ fn platform(name: &str, first: u32, period_ns: u64) -> Platform {
         omega_max_radps: 3.0,
         power_resolution_w: 0.01,
         battery: None,
-        online: Online::default(),
+        online: false,
     }
 }
 
@@ -122,15 +122,12 @@ fn models_of([first, second]: [FeatureSet; 2]) -> Vec<Model> {
     ]
 }
 
-/// As [`settings`], with online learning: for the first platform a mixture, an offset and a gain,
-/// for the second an offset and a gain.
+/// As [`settings`], with all forecasts learning online.
 pub(crate) fn learning(capacity: u32) -> FleetSettings {
     let mut settings = settings(capacity);
-    settings.platforms[0].online = Online {
-        mixture: true,
-        adapt: true,
-    };
-    settings.platforms[1].online.adapt = true;
+    for platform in &mut settings.platforms {
+        platform.online = true;
+    }
     settings
 }
 

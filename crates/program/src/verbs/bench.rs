@@ -29,7 +29,7 @@ pub enum TickFleet {
     Mixed,
     /// One sample in ten has no reading
     MissingReadings,
-    /// Every robot learns online: mixture, offset and gain
+    /// Every robot's forecast learns online; in the others none does
     Learning,
 }
 

@@ -125,7 +125,13 @@ impl WindowLanes {
         self.closed.closed.forecast_w[lane] = forecast_w;
     }
 
-    /// Stores the forecast for the row that [`Window::open_towards`] returned.
+    /// The forecast in place of the one that [`WindowLanes::forecast`] stored, where the mask is set.
+    #[inline(always)]
+    pub(crate) fn replace_forecast(&mut self, lane: usize, mask: bool, forecast_w: f32) {
+        put(&mut self.closed.closed.forecast_w[lane], mask, forecast_w);
+    }
+
+    /// The forecast for the row that [`Window::open_towards`] gave.
     pub(crate) fn opened(&mut self, lane: usize, forecast_w: f32) {
         self.open.forecast_w[lane] = forecast_w;
     }

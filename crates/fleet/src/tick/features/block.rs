@@ -7,6 +7,7 @@
 use joulebus_predictor::INPUTS;
 
 use crate::estimate::interval::IntervalLanes;
+use crate::estimate::online::{LessonLanes, Members, OnlineLanes};
 use crate::estimate::window::{ClosedLanes, Gap, RequiredInputs, WindowLanes};
 use crate::ingest::last_sample::LastLanes;
 use crate::ingest::pending::{PendingBlock, PendingState};
@@ -42,7 +43,16 @@ pub(crate) fn step_block(
         elapsed_s[lane] = seconds(next.elapsed_ns[lane]);
         forecast_w[lane] = windows.get(lane).close(Gap::None);
     }
-    read_lasts(lasts, pending, mask, &elapsed_s, &forecast_w);
+    let mut network_w = forecast_w;
+    if let Some(members) = &context.members {
+        let online = &mut columns.online[block];
+        for lane in 0..LANES {
+            let known = !forecast_w[lane].is_nan();
+            put(&mut network_w[lane], known, online.network_w[lane]);
+        }
+        learn(members, online, &windows.closed, pending, mask);
+    }
+    read_lasts(lasts, pending, mask, &elapsed_s, &network_w);
     let mut steps = StepLanes::NONE;
     let closed = &mut windows.closed;
     read_windows(
@@ -59,12 +69,41 @@ pub(crate) fn step_block(
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
         columns.admissions[first + lane].accept(&pending.samples.get(lane));
     }
-    if let Some(blending) = &context.blending {
-        for lane in (0..LANES).filter(|lane| steps.scored[*lane]) {
-            columns.blends[first + lane].learn(blending, pending.samples.power_w[lane]);
-        }
-    }
     batch.push_block(first, &steps.ready, &steps.rows);
+}
+
+/// Learns the readings of a block, before they become part of the windows.
+#[inline(always)]
+fn learn(
+    members: &Members,
+    online: &mut OnlineLanes,
+    windows: &ClosedLanes,
+    pending: &PendingBlock,
+    mask: &Lanes<bool>,
+) {
+    // Copies, so that the compiler sees that nothing else writes to them.
+    let (members, mut copy) = (*members, *online);
+    let (mut lessons, mut scored) = (LessonLanes::NONE, [false; LANES]);
+    for lane in 0..LANES {
+        let (window, mut robot) = (windows.get(lane), copy.get(lane));
+        let reading_w = pending.samples.power_w[lane];
+        let lesson = robot.weigh(&members, &window.lags_w(), window.due(), reading_w);
+        lessons.set(lane, &lesson);
+        scored[lane] = mask[lane] & window.is_scored();
+        copy.set(lane, scored[lane], robot);
+    }
+    for lane in 0..LANES {
+        let mut robot = copy.get(lane);
+        robot.follow(&lessons.get(lane));
+        copy.set(lane, scored[lane], robot);
+    }
+    for lane in 0..LANES {
+        let (window, mut robot) = (windows.get(lane), copy.get(lane));
+        let reading_w = pending.samples.power_w[lane];
+        robot.read(&members, window.last_w(), window.due(), reading_w);
+        copy.set(lane, mask[lane], robot);
+    }
+    *online = copy;
 }
 
 /// Replaces the last samples of a block by the next.

@@ -34,7 +34,19 @@ pub(crate) fn step(
     let elapsed_s = seconds(elapsed_ns);
     last.seq = pending.seq;
     let step = if pending.read() {
-        last.read(pending, forecast_w, elapsed_s);
+        let mut network_w = forecast_w;
+        if let Some(members) = &context.members {
+            let mut online = columns.online[block].get(lane);
+            if gap == Gap::None && !forecast_w.is_nan() {
+                network_w = online.network_w;
+            }
+            if gap == Gap::None && window.is_scored() {
+                online.learn(members, &window.lags_w(), window.due(), pending.power_w);
+            }
+            online.read(members, window.last_w(), window.due(), pending.power_w);
+            columns.online[block].set(lane, true, online);
+        }
+        last.read(pending, network_w, elapsed_s);
         let forecast_w = (forecast_w, gap == Gap::None);
         let step = read(
             context.required,
@@ -78,9 +90,6 @@ pub(crate) fn step(
             context.quantile_step,
         );
         columns.intervals[block].set(lane, true, interval);
-        if let Some(blending) = &context.blending {
-            columns.blends[slot].learn(blending, pending.power_w);
-        }
     }
     if step.ready {
         batch.push(slot, &step.row);
@@ -137,8 +146,8 @@ pub(crate) fn read(
     (forecast_w, exact): (f32, bool),
     elapsed_s: f32,
 ) -> Step {
-    // Only one-step-ahead forecasts are scored, not those over a gap.
-    let one_step = exact & (window.unread_steps == 0) & forecast_w.is_finite();
+    // Only forecasts one step ahead are scored: the ones over a gap are of another kind.
+    let one_step = exact & window.is_scored();
     let due = window.due();
     window.read(pending.power_w, !pending.has(sample_flag::HELD));
     let (row, ready) = window.next_row(elapsed_s, pending.command(), required);

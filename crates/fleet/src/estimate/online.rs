@@ -1,0 +1,587 @@
+//! Forecasts that learn online: the model's members combined per robot by its own readings.
+//!
+//! With A the model's autoregression, P the last reading, N the network, M the mean of the robot's readings
+//! and r the mean size of their changes,
+//!
+//! ```text
+//! u = (P − A, N − A, M − A, r)
+//! S = A + θ·u                                          the stack
+//! F = w_P P + w_N N + w_S S                            the forecast
+//! ```
+//!
+//! θ follows the readings y by recursive least squares with a bounded innovation and a covariance that is
+//! pulled back to its start, so that it neither winds up nor stops learning:
+//!
+//! ```text
+//! g = Σu / (r² + uᵀΣu)
+//! θ ← θ + g · clamp(y − S, ±2.5 r)
+//! Σ ← Σ − g (Σu)ᵀ,   Σ ← Σ + 0.002 (Σ₀ − Σ)
+//! ```
+//!
+//! The weights w are those of [`Hedge`], whose documentation states and proves the bound on F against each
+//! member. They are kept separately for readings with and without a new measurement due: where none is, the
+//! last reading is nearly always exact, and only it and the stack take part.
+//!
+//! Coefficients are dimensionless and sizes are the robot's own, so that a model of another robot and
+//! another power is corrected as well. The start, the same for every model, is that of a network that is
+//! nearly right.
+
+use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
+use serde::{Deserialize, Serialize};
+
+use crate::estimate::hedge::{Hedge, MEMBERS, dot};
+use crate::layout::lanes::{Block, LANES, Lanes, put};
+
+/// Deviations that the stack weighs: of the last reading, the network and the mean from the
+/// autoregression, and the level.
+const TERMS: usize = 4;
+/// Numbers of a symmetric matrix of that size: row by row, from the diagonal on.
+const PAIRS: usize = 10;
+const PAIR: [[usize; 2]; PAIRS] = [
+    [0, 0],
+    [0, 1],
+    [0, 2],
+    [0, 3],
+    [1, 1],
+    [1, 2],
+    [1, 3],
+    [2, 2],
+    [2, 3],
+    [3, 3],
+];
+
+/// θ at the start, and the variances Σ₀, uncorrelated.
+const START: [f32; TERMS] = [0.1, 0.95, 0.1, 0.0];
+const VARIANCE: [f32; TERMS] = [0.09, 0.04, 0.04, 0.25];
+const COVARIANCE: [f32; PAIRS] = {
+    let mut all = [0.0; PAIRS];
+    let mut pair = 0;
+    while pair < PAIRS {
+        let [row, column] = PAIR[pair];
+        if row == column {
+            all[pair] = VARIANCE[row];
+        }
+        pair += 1;
+    }
+    all
+};
+/// Share of the way back to Σ₀ that Σ goes with each reading.
+const PULL: f32 = 0.002;
+/// Largest innovation that θ follows, and largest deviation, in r.
+const INNOVATION_MAX: f32 = 2.5;
+const DEVIATION_MAX: f32 = 30.0;
+/// θ stays within ±this.
+const COEFFICIENT_MAX: f32 = 100.0;
+/// Readings that the model's own error counts for in r.
+const TRUST: f32 = 8.0;
+/// Initial losses where a new measurement is due, in r²: the last reading is a fallback.
+const LOSS_LAST: f32 = 300.0;
+const LOSS_NETWORK: f32 = 1.0;
+/// Δ is at least this, in r².
+const COST: f32 = 2.0;
+/// Where no measurement is due, the share of the stack's forecast in that of the last reading: some
+/// measurements come early.
+const EARLY: f32 = 0.02;
+/// Largest size that is believed, W.
+const SIZE_MAX: f32 = 1e6;
+
+/// What the robots of a platform combine, prepared for the tick.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Members {
+    /// The autoregression A: bias, W, and weights of the last readings, newest first.
+    bias_w: f32,
+    lags: [f32; LAGS],
+    /// r of a robot of which nothing is known, W.
+    change_w: f32,
+    /// The least r, W.
+    floor_w: f32,
+}
+
+/// Mean absolute value of a normal distribution with unit deviation.
+const MEAN_OF_NORMAL: f32 = 0.8;
+
+impl Members {
+    /// `None` where there is no network. `sigma_w`: deviation of its residuals, W; `resolution_w`: of the
+    /// power monitor; both above 0.
+    pub(crate) fn new(model: &Model, sigma_w: f32, resolution_w: f32) -> Option<Self> {
+        let Model::Network(_) = model else {
+            return None;
+        };
+        let (bias_w, lags) = match model.linear() {
+            Some(Linear {
+                feature_set: FeatureSet::PowerOnly,
+                bias_w,
+                weights,
+                ..
+            }) => {
+                let first = FeatureSet::PowerOnly.first();
+                (*bias_w, std::array::from_fn(|lag| weights[first + lag]))
+            }
+            // Model files without an autoregression: the last reading in its place.
+            _ => (0.0, [1.0, 0.0, 0.0, 0.0, 0.0]),
+        };
+        Some(Self {
+            bias_w,
+            lags,
+            change_w: (MEAN_OF_NORMAL * sigma_w).max(resolution_w),
+            floor_w: resolution_w,
+        })
+    }
+
+    #[inline(always)]
+    fn autoregression(&self, lag_w: &[f32; LAGS]) -> f32 {
+        let [a, b, c, d, e] = self.lags;
+        let [first, second, third, fourth, fifth] = *lag_w;
+        ((((self.bias_w + a * first) + b * second) + c * third) + d * fourth) + e * fifth
+    }
+}
+
+/// `value` within ±`most`. Without the check of `clamp`, whose branch would keep loops from becoming vectors.
+#[inline(always)]
+fn within(value: f32, most: f32) -> f32 {
+    value.max(-most).min(most)
+}
+
+/// What a robot's forecast has learned from its readings.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Learned {
+    /// Weights of the last reading, the network and the stack where a new measurement is due: not
+    /// negative, 1 in all.
+    pub weights: [f32; 3],
+    /// The same where the last reading will be held.
+    pub weights_held: [f32; 3],
+    /// Weights within the stack, of the deviations of the last reading, the network and the mean of the
+    /// readings from the model's autoregression.
+    pub coefficients: [f32; 3],
+    /// Level of the stack, W.
+    pub level_w: f32,
+}
+
+/// One robot's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Online {
+    theta: [f32; TERMS],
+    covariance: [f32; PAIRS],
+    /// The network's forecast of the next reading, W, where the robot has a forecast.
+    pub network_w: f32,
+    /// Mean of the readings so far, W; the newest counts 1/256 at least.
+    mean_w: f32,
+    /// r: mean size of their changes, W.
+    change_w: f32,
+    /// [`Hedge`] where a measurement is due, and where none is.
+    due_above: [f32; 2],
+    due_cost: f32,
+    held_above: f32,
+    held_cost: f32,
+    /// Readings so far, up to 255.
+    seen: u8,
+}
+
+/// The members' forecasts and what the stack's was made of.
+struct Said {
+    members_w: [f32; MEMBERS],
+    u: [f32; TERMS],
+}
+
+/// What a reading teaches the stack.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Lesson {
+    u: [f32; TERMS],
+    innovation_w: f32,
+    /// r².
+    square: f32,
+    due: bool,
+}
+
+/// [`Lesson`]s of a block.
+pub(crate) struct LessonLanes {
+    u: [Lanes<f32>; TERMS],
+    innovation_w: Lanes<f32>,
+    square: Lanes<f32>,
+    due: Lanes<bool>,
+}
+
+impl LessonLanes {
+    pub(crate) const NONE: Self = Self {
+        u: [[0.0; LANES]; TERMS],
+        innovation_w: [0.0; LANES],
+        square: [1.0; LANES],
+        due: [false; LANES],
+    };
+
+    #[inline(always)]
+    pub(crate) fn get(&self, lane: usize) -> Lesson {
+        Lesson {
+            u: [
+                self.u[0][lane],
+                self.u[1][lane],
+                self.u[2][lane],
+                self.u[3][lane],
+            ],
+            innovation_w: self.innovation_w[lane],
+            square: self.square[lane],
+            due: self.due[lane],
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn set(&mut self, lane: usize, lesson: &Lesson) {
+        for term in 0..TERMS {
+            self.u[term][lane] = lesson.u[term];
+        }
+        self.innovation_w[lane] = lesson.innovation_w;
+        self.square[lane] = lesson.square;
+        self.due[lane] = lesson.due;
+    }
+}
+
+impl Online {
+    /// Of no robot.
+    pub(crate) const NONE: Self = Self {
+        theta: START,
+        covariance: COVARIANCE,
+        network_w: f32::NAN,
+        mean_w: 0.0,
+        change_w: 0.0,
+        due_above: [0.0; 2],
+        due_cost: 0.0,
+        held_above: 0.0,
+        held_cost: 0.0,
+        seen: 0,
+    };
+
+    pub(crate) fn new(members: &Members) -> Self {
+        Self {
+            change_w: members.change_w,
+            ..Self::NONE
+        }
+    }
+
+    /// The forecast after the readings `lag_w`, newest first, where the network, finite, says `network_w`;
+    /// `due`: whether a new measurement is.
+    #[inline(always)]
+    pub(crate) fn forecast(
+        &self,
+        members: &Members,
+        lag_w: &[f32; LAGS],
+        network_w: f32,
+        due: bool,
+    ) -> f32 {
+        let said = self.say(members, lag_w, network_w, due);
+        dot(&self.hedge(due).weights(), &said.members_w)
+    }
+
+    #[inline(always)]
+    fn say(&self, members: &Members, lag_w: &[f32; LAGS], network_w: f32, due: bool) -> Said {
+        let a_w = members.autoregression(lag_w);
+        let (last_w, most_w) = (lag_w[0], DEVIATION_MAX * self.change_w);
+        let deviation = |watts: f32| within(watts - a_w, most_w);
+        let u = [
+            deviation(last_w),
+            deviation(network_w),
+            deviation(self.mean_w),
+            self.change_w,
+        ];
+        let [p, n, m, level] = self.theta;
+        let stack_w = a_w + ((p * u[0] + n * u[1]) + (m * u[2] + level * u[3]));
+        let early_w = if due { 0.0 } else { EARLY * (stack_w - last_w) };
+        Said {
+            members_w: [last_w + early_w, network_w, stack_w],
+            u,
+        }
+    }
+
+    /// Learns the reading that the forecast after `lag_w` was made for.
+    #[inline(always)]
+    pub(crate) fn learn(
+        &mut self,
+        members: &Members,
+        lag_w: &[f32; LAGS],
+        due: bool,
+        reading_w: f32,
+    ) {
+        let lesson = self.weigh(members, lag_w, due, reading_w);
+        self.follow(&lesson);
+    }
+
+    /// The part of [`Online::learn`] that moves the weights; [`Online::follow`] is the other.
+    #[inline(always)]
+    pub(crate) fn weigh(
+        &mut self,
+        members: &Members,
+        lag_w: &[f32; LAGS],
+        due: bool,
+        reading_w: f32,
+    ) -> Lesson {
+        let Said { members_w, u } = self.say(members, lag_w, self.network_w, due);
+        let square = self.change_w * self.change_w;
+        let mut hedge = self.hedge(due);
+        hedge.learn(
+            members_w.map(|member_w| member_w - reading_w),
+            COST * square,
+        );
+        put(&mut self.due_above[0], due, hedge.above[0]);
+        put(&mut self.due_above[1], due, hedge.above[1]);
+        put(&mut self.due_cost, due, hedge.cost);
+        put(&mut self.held_above, !due, hedge.above[0]);
+        put(&mut self.held_cost, !due, hedge.cost);
+        let most_w = INNOVATION_MAX * self.change_w;
+        Lesson {
+            u,
+            innovation_w: within(reading_w - members_w[2], most_w),
+            square,
+            due,
+        }
+    }
+
+    /// A step of the recursive least squares, if a measurement was due.
+    #[inline(always)]
+    pub(crate) fn follow(&mut self, lesson: &Lesson) {
+        let Lesson {
+            u,
+            innovation_w,
+            square,
+            due,
+        } = *lesson;
+        let c = &self.covariance;
+        let product = [
+            (c[0] * u[0] + c[1] * u[1]) + (c[2] * u[2] + c[3] * u[3]),
+            (c[1] * u[0] + c[4] * u[1]) + (c[5] * u[2] + c[6] * u[3]),
+            (c[2] * u[0] + c[5] * u[1]) + (c[7] * u[2] + c[8] * u[3]),
+            (c[3] * u[0] + c[6] * u[1]) + (c[8] * u[2] + c[9] * u[3]),
+        ];
+        let spread =
+            (product[0] * u[0] + product[1] * u[1]) + (product[2] * u[2] + product[3] * u[3]);
+        let gain = 1.0 / (square + spread);
+        for row in 0..TERMS {
+            let theta = self.theta[row] + product[row] * (gain * innovation_w);
+            let theta = theta.clamp(-COEFFICIENT_MAX, COEFFICIENT_MAX);
+            put(&mut self.theta[row], due, theta);
+        }
+        for (pair, [row, column]) in PAIR.into_iter().enumerate() {
+            let less = self.covariance[pair] - product[row] * (product[column] * gain);
+            let pulled = less + PULL * (COVARIANCE[pair] - less);
+            put(&mut self.covariance[pair], due, pulled);
+        }
+    }
+
+    /// Takes a reading into mean and size; `last_w` is the one before, NaN where there is none that it
+    /// follows on; `due`: whether a new measurement was.
+    #[inline(always)]
+    pub(crate) fn read(&mut self, members: &Members, last_w: f32, due: bool, reading_w: f32) {
+        let seen = f32::from(self.seen);
+        self.mean_w += (reading_w - self.mean_w) / (1.0 + seen);
+        let size_w = (reading_w - last_w).abs().min(SIZE_MAX);
+        let change_w = self.change_w + (size_w - self.change_w) / (1.0 + TRUST + seen);
+        let counts = due & !last_w.is_nan();
+        put(&mut self.change_w, counts, change_w.max(members.floor_w));
+        self.seen = self.seen.saturating_add(1);
+    }
+
+    /// The weights' state where a measurement is due, or where none is; as at the start if nothing was
+    /// learned there.
+    #[inline(always)]
+    fn hedge(&self, due: bool) -> Hedge {
+        let square = self.change_w * self.change_w;
+        let cost = if due { self.due_cost } else { self.held_cost };
+        let started = cost > 0.0;
+        let last = if due {
+            self.due_above[0]
+        } else {
+            self.held_above
+        };
+        let start = if due { LOSS_LAST * square } else { 0.0 };
+        let network = if started {
+            self.due_above[1]
+        } else {
+            LOSS_NETWORK * square
+        };
+        Hedge {
+            above: [
+                if started { last } else { start },
+                if due { network } else { f32::INFINITY },
+            ],
+            cost: if started { cost } else { COST * square },
+            log: if due { Hedge::LOG_3 } else { Hedge::LOG_2 },
+        }
+    }
+
+    pub(crate) fn learned(&self) -> Learned {
+        let [p, n, m, level] = self.theta;
+        Learned {
+            weights: self.hedge(true).weights(),
+            weights_held: self.hedge(false).weights(),
+            coefficients: [p, n, m],
+            level_w: level * self.change_w,
+        }
+    }
+}
+
+/// What the robots of a block have learned.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[repr(align(16))]
+pub(crate) struct OnlineLanes {
+    theta: [Lanes<f32>; TERMS],
+    covariance: [Lanes<f32>; PAIRS],
+    pub network_w: Lanes<f32>,
+    mean_w: Lanes<f32>,
+    change_w: Lanes<f32>,
+    due_above: [Lanes<f32>; 2],
+    due_cost: Lanes<f32>,
+    held_above: Lanes<f32>,
+    held_cost: Lanes<f32>,
+    seen: Lanes<u8>,
+}
+
+const _: () = assert!(size_of::<OnlineLanes>() <= 90 * crate::layout::lanes::LANES);
+
+impl Block for OnlineLanes {
+    type Robot = Online;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Online {
+        let mut robot = Online::NONE;
+        for term in 0..TERMS {
+            robot.theta[term] = self.theta[term][lane];
+        }
+        for pair in 0..PAIRS {
+            robot.covariance[pair] = self.covariance[pair][lane];
+        }
+        robot.network_w = self.network_w[lane];
+        robot.mean_w = self.mean_w[lane];
+        robot.change_w = self.change_w[lane];
+        robot.due_above = [self.due_above[0][lane], self.due_above[1][lane]];
+        robot.due_cost = self.due_cost[lane];
+        robot.held_above = self.held_above[lane];
+        robot.held_cost = self.held_cost[lane];
+        robot.seen = self.seen[lane];
+        robot
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, mask: bool, robot: Online) {
+        for term in 0..TERMS {
+            put(&mut self.theta[term][lane], mask, robot.theta[term]);
+        }
+        for pair in 0..PAIRS {
+            put(
+                &mut self.covariance[pair][lane],
+                mask,
+                robot.covariance[pair],
+            );
+        }
+        put(&mut self.network_w[lane], mask, robot.network_w);
+        put(&mut self.mean_w[lane], mask, robot.mean_w);
+        put(&mut self.change_w[lane], mask, robot.change_w);
+        put(&mut self.due_above[0][lane], mask, robot.due_above[0]);
+        put(&mut self.due_above[1][lane], mask, robot.due_above[1]);
+        put(&mut self.due_cost[lane], mask, robot.due_cost);
+        put(&mut self.held_above[lane], mask, robot.held_above);
+        put(&mut self.held_cost[lane], mask, robot.held_cost);
+        put(&mut self.seen[lane], mask, robot.seen);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const MEMBERS: Members = Members {
+        bias_w: 0.0,
+        lags: [1.0, 0.0, 0.0, 0.0, 0.0],
+        change_w: 0.8,
+        floor_w: 0.01,
+    };
+
+    /// A robot that draws what `power_w` says, beside a network that says `network_w`; the mean squared error
+    /// of the forecasts over the last fifth, of all that count.
+    fn run(
+        online: &mut Online,
+        steps: u32,
+        power_w: impl Fn(u32) -> f32,
+        network_w: impl Fn(u32) -> f32,
+    ) -> f32 {
+        let (mut lag_w, mut sum, mut count) = ([f32::NAN; LAGS], 0.0, 0.0);
+        for step in 0..steps {
+            let reading_w = power_w(step);
+            if !lag_w[LAGS - 1].is_nan() {
+                online.network_w = network_w(step);
+                let forecast_w = online.forecast(&MEMBERS, &lag_w, online.network_w, true);
+                if step > steps / 5 * 4 {
+                    sum += (forecast_w - reading_w).powi(2);
+                    count += 1.0;
+                }
+                online.learn(&MEMBERS, &lag_w, true, reading_w);
+            }
+            online.read(&MEMBERS, lag_w[0], true, reading_w);
+            lag_w.rotate_right(1);
+            lag_w[0] = reading_w;
+        }
+        sum / count
+    }
+
+    #[test]
+    fn a_gain_and_a_level_are_learned_and_followed_when_they_change() {
+        let mut online = Online::new(&MEMBERS);
+        let power_w = |step: u32| 30.0 + 8.0 * (step as f32 * 1.37).sin();
+        for (gain, level) in [(1.0, 0.0), (1.3, -4.0), (0.8, 6.0), (-1.0, 20.0)] {
+            let error = run(&mut online, 5_000, power_w, |step| {
+                gain * power_w(step) + level
+            });
+            // The readings alone say next to nothing: their variance is 32.
+            assert!(
+                error < 1.0,
+                "gain {gain}, level {level}: {error}, {online:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn standing_still_for_a_day_winds_nothing_up() {
+        let mut online = Online::new(&MEMBERS);
+        run(&mut online, 30 * 3600 * 24, |_| 30.0, |_| 30.5);
+        for (pair, start) in online.covariance.iter().zip(COVARIANCE) {
+            assert!(
+                pair.abs() <= 0.26 && (start == 0.0 || *pair >= 0.0),
+                "{online:?}"
+            );
+        }
+        let power_w = |step: u32| 30.0 + 8.0 * (step as f32 * 1.37).sin();
+        let error = run(&mut online, 2_000, power_w, |step| power_w(step) + 0.5);
+        assert!(error < 1.0, "{error}, {online:?}");
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_comes_forecasts_stay_finite(
+            steps in prop::collection::vec((-1.0f32..1.0, -1.0f32..1.0, -8i32..7, any::<bool>()), 6..400),
+        ) {
+            let mut online = Online::new(&MEMBERS);
+            let mut lag_w = [1.0; LAGS];
+            for (reading, network, exponent, due) in steps {
+                let scale = 10f32.powi(exponent);
+                let reading_w = reading * scale;
+                online.network_w = network * scale * scale;
+                let forecast_w = online.forecast(&MEMBERS, &lag_w, online.network_w, due);
+                prop_assert!(forecast_w.is_finite(), "{online:?}");
+                online.learn(&MEMBERS, &lag_w, due, reading_w);
+                online.read(&MEMBERS, lag_w[0], due, reading_w);
+                lag_w.rotate_right(1);
+                lag_w[0] = reading_w;
+                let learned = online.learned();
+                let shares = learned.weights.iter().chain(&learned.weights_held);
+                for share in shares {
+                    prop_assert!((0.0..=1.0).contains(share), "{learned:?}");
+                }
+                for (pair, [row, column]) in PAIR.into_iter().enumerate() {
+                    if row == column {
+                        let allowed = -1e-3..=VARIANCE[row] + 1e-3;
+                        prop_assert!(allowed.contains(&online.covariance[pair]), "{online:?}");
+                    }
+                }
+            }
+        }
+    }
+}
