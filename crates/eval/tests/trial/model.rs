@@ -4,7 +4,7 @@ use joulebus_predictor::{
     Activation, FEATURES, FeatureSet, INPUTS, Model, ModelCard, Network, Normalisation, Parameters,
     Persistence, ResidualStats, TrainingRange,
 };
-use joulebus_settings::{FleetSettings, Intake, Online, Platform};
+use joulebus_settings::{FleetSettings, Intake, Platform};
 
 use crate::live;
 use crate::random::{self, Noise};
@@ -27,7 +27,7 @@ pub(crate) fn settings() -> FleetSettings {
         omega_max_radps: 10.0,
         power_resolution_w: 0.01,
         battery: None,
-        online: Online::default(),
+        online: false,
     };
     FleetSettings {
         capacity: 1_000,
