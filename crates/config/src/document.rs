@@ -333,7 +333,10 @@ impl Walk<'_> {
                 let near = words.iter().max_by(|one, other| {
                     strsim::jaro_winkler(one, text).total_cmp(&strsim::jaro_winkler(other, text))
                 });
-                let advice = near.map(|word| format!("The nearest word is {word:?}"));
+                let advice = match remedy::replaced_word(key, text) {
+                    Some(by) => Some(by.to_owned()),
+                    None => near.map(|word| format!("The nearest word is {word:?}")),
+                };
                 Err(refused(format!("is {text:?}"), advice))
             }
             ValueKind::Text(rule) => {

@@ -190,8 +190,34 @@ fn likeness(key: &Key, wanted: &str) -> f64 {
     best + same_section + 0.01 * whole
 }
 
+/// Keys and words of earlier versions, with what replaced them.
+const REPLACED: &[(&str, &str)] = &[
+    (
+        "platform.adapt",
+        "Remove it: `platform.forecast` = \"online\", the default, learns an offset and a gain per robot",
+    ),
+    (
+        "platform.forecast = mixture",
+        "\"online\", the default, replaces it",
+    ),
+];
+
+/// What replaced a key.
+fn replaced_key(path: &str) -> Option<&'static str> {
+    let (_, by) = REPLACED.iter().find(|(old, _)| *old == path)?;
+    Some(by)
+}
+
+/// What replaced a word that a key once allowed.
+pub(crate) fn replaced_word(key: &Key, word: &str) -> Option<&'static str> {
+    replaced_key(&format!("{} = {word}", key.path))
+}
+
 /// The remedy for an unknown key.
 pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) -> String {
+    if let Some(by) = replaced_key(path) {
+        return by.to_owned();
+    }
     // A period is called a rate here, and converted.
     let path = &path.replace("period", "rate");
     let Some(key) = nearest(file, path) else {

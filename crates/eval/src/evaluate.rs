@@ -160,18 +160,16 @@ pub fn evaluate_trial(
     };
     let mut fleet = Fleet::new(alone, models.to_vec())?;
     let mut steps = Vec::with_capacity(trial.rows());
-    let mut now_ns = 0;
+    let (mut now_ns, mut published_w) = (0, None);
     for sample in trial.to_samples(robot, BASE_NS) {
         now_ns = sample.stamp_ns.max(now_ns);
         let mut next = step(&mut fleet, &sample, now_ns);
-        let before = steps.iter().rev().find(|step: &&Step| step.accepted);
-        if let (true, Some(reading_w), Some(forecast_w)) = (
-            next.scored,
-            next.reading_w,
-            before.and_then(|step| step.power_w),
-        ) {
+        if let (true, Some(reading_w), Some(power_w)) = (next.scored, next.reading_w, published_w) {
             // The diagnostics' residual is the network's, whatever was published.
-            next.residual_w = Some(reading_w - forecast_w);
+            next.residual_w = Some(reading_w - power_w);
+        }
+        if next.accepted {
+            published_w = next.power_w;
         }
         steps.push(next);
     }

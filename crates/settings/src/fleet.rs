@@ -60,7 +60,8 @@ pub struct AlarmSettings {
     pub noise_weight: f32,
     /// Noise ratio at which `NoiseHigh` is raised; cleared below half.
     pub noise_limit: f32,
-    /// Squared error over that of persistence at which `ModelMismatch` is raised; cleared below
+    /// Squared error of the model over that of persistence, or over three times its own in training if that is
+    /// more, at which `ModelMismatch` is raised; cleared below
     /// nine tenths of it.
     pub mismatch_limit: f32,
     /// Residuals before any alarm on them is raised.

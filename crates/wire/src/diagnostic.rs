@@ -10,12 +10,15 @@ pub mod diagnostic_flag {
     pub const RESIDUAL: u32 = 1 << 0;
     /// At least one residual has been scored.
     pub const SCORES: u32 = 1 << 1;
+    /// The forecast learns online: the fields from `network_w` to `level_w` are known. Otherwise they are
+    /// NaN.
+    pub const LEARNED: u32 = 1 << 2;
 }
 
-/// One robot's diagnostics. 128 bytes.
+/// One robot's diagnostics. 176 bytes.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.Diagnostic.v1")]
+#[type_name("joulebus.Diagnostic.v2")]
 pub struct Diagnostic {
     /// Id of the robot.
     pub robot: u32,
@@ -63,6 +66,30 @@ pub struct Diagnostic {
     pub source_epoch: u64,
     /// Samples of this robot that were refused in this epoch.
     pub refused: u64,
+    /// The network's own forecast of the next reading, W, whatever is published.
+    pub network_w: f32,
+    /// Mean of the readings, W; the newest counts 1/256 at least.
+    pub mean_w: f32,
+    /// Mean size of the changes between new measurements, W.
+    pub change_w: f32,
+    /// Weight of the last reading where a new measurement is due, 0 to 1.
+    pub weight_last: f32,
+    /// That of the network.
+    pub weight_network: f32,
+    /// That of the stack.
+    pub weight_stack: f32,
+    /// Weight of the last reading where the measurement will be held.
+    pub held_weight_last: f32,
+    /// That of the stack.
+    pub held_weight_stack: f32,
+    /// Gain of the last reading within the stack: signed, on its deviation from the model's autoregression.
+    pub gain_last: f32,
+    /// That of the network.
+    pub gain_network: f32,
+    /// That of the mean of the readings.
+    pub gain_mean: f32,
+    /// Level that the stack adds, W.
+    pub level_w: f32,
 }
 
 impl Diagnostic {

@@ -33,7 +33,7 @@ layout!(Sample, 56);
 layout!(SampleHeader, 64);
 layout!(Forecast, 72);
 layout!(ForecastHeader, 320);
-layout!(Diagnostic, 128);
+layout!(Diagnostic, 176);
 layout!(DiagnosticHeader, 280);
 layout!(Budget, 112);
 layout!(BudgetHeader, 40);

@@ -109,7 +109,9 @@ convert! { Diagnostic <=> Diagnostic {
         robot, flags, alarms, scored, sample_seq, stamp_ns, source_epoch, refused;
     float:
         residual_w, residual_z, bias_w, cusum_up, cusum_down, noise_ratio, coverage,
-        coverage_recent, mae_w, r2, persistence_mae_w, persistence_r2, skill;
+        coverage_recent, mae_w, r2, persistence_mae_w, persistence_r2, skill, network_w, mean_w,
+        change_w, weight_last, weight_network, weight_stack, held_weight_last,
+        held_weight_stack, gain_last, gain_network, gain_mean, level_w;
     narrow:
         level, alarm;
 } }

@@ -258,7 +258,7 @@ pub struct Diagnostic {
     /// Id of the robot.
     #[prost(uint32, tag = "1")]
     pub robot: u32,
-    /// Which values are present: bit 0 residual, 1 scores.
+    /// Which values are present: bit 0 residual, 1 scores, 2 network_w to level_w.
     #[prost(uint32, tag = "2")]
     pub flags: u32,
     /// As in ROS diagnostic_msgs.
@@ -270,7 +270,7 @@ pub struct Diagnostic {
     /// All active alarms: bit (code - 1).
     #[prost(uint32, tag = "5")]
     pub alarms: u32,
-    /// Reading minus the forecast made for it, W.
+    /// Reading minus what the network forecast for it, W, whatever was published.
     #[prost(float, optional, tag = "6")]
     pub residual_w: ::core::option::Option<f32>,
     /// The residual in standard deviations of the model's own.
@@ -324,6 +324,42 @@ pub struct Diagnostic {
     /// Samples of this robot that were refused in this epoch.
     #[prost(uint64, tag = "23")]
     pub refused: u64,
+    /// The network's own forecast of the next reading, W, whatever is published.
+    #[prost(float, optional, tag = "24")]
+    pub network_w: ::core::option::Option<f32>,
+    /// Mean of the readings, W; the newest counts 1/256 at least.
+    #[prost(float, optional, tag = "25")]
+    pub mean_w: ::core::option::Option<f32>,
+    /// Mean size of the changes between new measurements, W.
+    #[prost(float, optional, tag = "26")]
+    pub change_w: ::core::option::Option<f32>,
+    /// Weight of the last reading where a new measurement is due, 0 to 1.
+    #[prost(float, optional, tag = "27")]
+    pub weight_last: ::core::option::Option<f32>,
+    /// That of the network.
+    #[prost(float, optional, tag = "28")]
+    pub weight_network: ::core::option::Option<f32>,
+    /// That of the stack.
+    #[prost(float, optional, tag = "29")]
+    pub weight_stack: ::core::option::Option<f32>,
+    /// Weight of the last reading where the measurement will be held.
+    #[prost(float, optional, tag = "30")]
+    pub held_weight_last: ::core::option::Option<f32>,
+    /// That of the stack.
+    #[prost(float, optional, tag = "31")]
+    pub held_weight_stack: ::core::option::Option<f32>,
+    /// Gain of the last reading within the stack: signed, on its deviation from the model's autoregression.
+    #[prost(float, optional, tag = "32")]
+    pub gain_last: ::core::option::Option<f32>,
+    /// That of the network.
+    #[prost(float, optional, tag = "33")]
+    pub gain_network: ::core::option::Option<f32>,
+    /// That of the mean of the readings.
+    #[prost(float, optional, tag = "34")]
+    pub gain_mean: ::core::option::Option<f32>,
+    /// Level that the stack adds, W.
+    #[prost(float, optional, tag = "35")]
+    pub level_w: ::core::option::Option<f32>,
 }
 /// A tick's diagnostics.
 #[derive(Clone, PartialEq, ::prost::Message)]

@@ -113,7 +113,9 @@ pub(super) fn diagnostics(
     each_difference!(recorded, computed, differs:
         robot, flags, level, alarm, alarms, residual_w, residual_z, bias_w, cusum_up, cusum_down,
         noise_ratio, coverage, coverage_recent, scored, mae_w, r2, persistence_mae_w,
-        persistence_r2, skill, sample_seq, stamp_ns, source_epoch, refused
+        persistence_r2, skill, sample_seq, stamp_ns, source_epoch, refused, network_w, mean_w,
+        change_w, weight_last, weight_network, weight_stack, held_weight_last,
+        held_weight_stack, gain_last, gain_network, gain_mean, level_w
     );
 }
 

@@ -185,6 +185,18 @@ payload!(
         stamp_ns: u64,
         source_epoch: u64,
         refused: u64,
+        network_w: f32,
+        mean_w: f32,
+        change_w: f32,
+        weight_last: f32,
+        weight_network: f32,
+        weight_stack: f32,
+        held_weight_last: f32,
+        held_weight_stack: f32,
+        gain_last: f32,
+        gain_network: f32,
+        gain_mean: f32,
+        level_w: f32,
     }
 );
 payload!(

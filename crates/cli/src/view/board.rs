@@ -112,6 +112,8 @@ pub(crate) struct Row {
     pub(crate) budget: Option<Budget>,
     /// Readings and their forecasts, oldest first.
     pub(crate) track: VecDeque<Point>,
+    /// The newest reading minus the forecast published for it, W.
+    pub(crate) residual_w: Option<f64>,
     /// Number of the frame of forecasts that it is from.
     frame: u64,
 }
@@ -275,8 +277,9 @@ impl Board {
             return;
         };
         let before = row.forecast;
-        if in_a_row {
-            self.pooled.observe(&before, forecast);
+        let residual_w = in_a_row.then(|| self.pooled.observe(&before, forecast));
+        if forecast.sample_seq != before.sample_seq || !in_a_row {
+            row.residual_w = residual_w.flatten();
         }
         let (lo_w, hi_w) = before.interval_w().unwrap_or((f32::NAN, f32::NAN));
         if tracked && (forecast.sample_seq != before.sample_seq || !in_a_row) {
@@ -403,6 +406,7 @@ impl Row {
             diagnostic: None,
             budget: None,
             track: VecDeque::new(),
+            residual_w: None,
             frame,
         }
     }

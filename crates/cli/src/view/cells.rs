@@ -52,8 +52,6 @@ pub(crate) fn cells(robot: u32, row: &Row) -> [String; 12] {
     let (forecast, diagnostic, budget) = (&row.forecast, &row.diagnostic, &row.budget);
     let read = forecast.flags & forecast_flag::READING != 0;
     let scored = diagnostic.filter(|diagnostic| diagnostic.flags & diagnostic_flag::SCORES != 0);
-    let residual =
-        diagnostic.filter(|diagnostic| diagnostic.flags & diagnostic_flag::RESIDUAL != 0);
     let metered = budget.filter(|budget| budget.flags & budget_flag::LEDGER != 0);
     let battery = budget.filter(|budget| budget.flags & budget_flag::BATTERY != 0);
     let watts = |value: f64| format!("{value:.2}");
@@ -67,7 +65,7 @@ pub(crate) fn cells(robot: u32, row: &Row) -> [String; 12] {
                 .interval_w()
                 .map(|(lo, hi)| format!("{lo:.2} – {hi:.2}")),
         ),
-        or_unknown(residual.map(|diagnostic| format!("{:+.2}", diagnostic.residual_w))),
+        or_unknown(row.residual_w.map(|residual_w| format!("{residual_w:+.2}"))),
         or_unknown(scored.map(|diagnostic| format!("{:.3}", diagnostic.mae_w))),
         or_unknown(scored.and_then(|diagnostic| skill(diagnostic.skill))),
         or_unknown(scored.map(|diagnostic| percent(diagnostic.coverage.into()))),

@@ -34,7 +34,7 @@ fn forecast(robot: u32, seq: u64, quality: Quality) -> Forecast {
 fn diagnostic(robot: u32, alarms: AlarmSet) -> Diagnostic {
     Diagnostic {
         robot,
-        flags: diagnostic_flag::RESIDUAL | diagnostic_flag::SCORES,
+        flags: diagnostic_flag::RESIDUAL | diagnostic_flag::SCORES | diagnostic_flag::LEARNED,
         level: alarms.level().code(),
         alarm: alarms.first().code(),
         alarms: alarms.0,
@@ -44,6 +44,11 @@ fn diagnostic(robot: u32, alarms: AlarmSet) -> Diagnostic {
         persistence_mae_w: 0.09,
         skill: 0.31,
         coverage: 0.875,
+        weight_last: 0.05,
+        weight_network: 0.1,
+        weight_stack: 0.85,
+        gain_network: 0.93,
+        level_w: -0.25,
         ..Diagnostic::default()
     }
 }
@@ -128,8 +133,9 @@ fn a_robots_row_shows_all_columns_with_a_dash_for_unknown_values() {
             .collect::<Vec<String>>()
             .join(" ")
     };
-    // The last reading: 3.21 + 30 · 0.1.
-    let fine = "2 held 6.21 3.33 3.05 – 3.75 -0.12 0.062 +0.31 88 % 63.4 – ok";
+    // The last reading: 3.21 + 30 · 0.1. Its forecast was the 3.33 before; the diagnostics' residual is the
+    // network's.
+    let fine = "2 held 6.21 3.33 3.05 – 3.75 +2.88 0.062 +0.31 88 % 63.4 – ok";
     assert_eq!(words("2 held").trim_matches('│').trim(), fine);
     let silent = "5 ✗ NoCommand – – – – – – – – – –";
     assert_eq!(words("5 ✗").trim_matches('│').trim(), silent);
@@ -157,6 +163,7 @@ fn screen_shows_counters_latencies_and_events() {
         "take 40  wait 1  compute 20  wake 48 µs",
         "0.062  persistence 0.090",
         "inside the interval 88 %",
+        "last 5 % network 10 % stack 85 %: gains +0.00 +0.93 mean +0.00 level -0.25 W",
         "12.5 s  robot 9: StuckSensor",
         " 1 ok  0 warn  1 error  1 stale",
     ] {

@@ -46,6 +46,9 @@ struct RobotRecord {
     hi_w: Option<f64>,
     residual_w: Option<f64>,
     bias_w: Option<f64>,
+    /// The network's own forecast of the next reading.
+    network_w: Option<f64>,
+    learned: Option<LearnedRecord>,
     scored: u64,
     mae_w: Option<f64>,
     persistence_mae_w: Option<f64>,
@@ -64,6 +67,40 @@ struct RobotRecord {
     usable_j: Option<f64>,
     usable_lo_j: Option<f64>,
     time_to_empty_s: Option<f64>,
+}
+
+/// What the robot's readings have taught; weights are of last reading, network and stack, gains within the stack.
+#[derive(Debug, Serialize)]
+struct LearnedRecord {
+    weight_last: f32,
+    weight_network: f32,
+    weight_stack: f32,
+    held_weight_last: f32,
+    held_weight_stack: f32,
+    gain_last: f32,
+    gain_network: f32,
+    gain_mean: f32,
+    level_w: f32,
+    mean_w: f32,
+    change_w: f32,
+}
+
+impl LearnedRecord {
+    fn of(diagnostic: &Diagnostic) -> Self {
+        Self {
+            weight_last: diagnostic.weight_last,
+            weight_network: diagnostic.weight_network,
+            weight_stack: diagnostic.weight_stack,
+            held_weight_last: diagnostic.held_weight_last,
+            held_weight_stack: diagnostic.held_weight_stack,
+            gain_last: diagnostic.gain_last,
+            gain_network: diagnostic.gain_network,
+            gain_mean: diagnostic.gain_mean,
+            level_w: diagnostic.level_w,
+            mean_w: diagnostic.mean_w,
+            change_w: diagnostic.change_w,
+        }
+    }
 }
 
 impl FrameRecord {
@@ -107,6 +144,7 @@ impl RobotRecord {
         let diagnostic = row.diagnostic.as_ref();
         let residual = diagnostic.filter(|d| d.flags & diagnostic_flag::RESIDUAL != 0);
         let scores = diagnostic.filter(|d| d.flags & diagnostic_flag::SCORES != 0);
+        let learned = diagnostic.filter(|d| d.flags & diagnostic_flag::LEARNED != 0);
         let score = |value: fn(&Diagnostic) -> f64| scores.and_then(|d| known(value(d)));
         let budget = row.budget.as_ref();
         let ledger = budget.filter(|b| b.flags & budget_flag::LEDGER != 0);
@@ -127,6 +165,8 @@ impl RobotRecord {
             hi_w: interval_w.map(|(_, hi_w)| hi_w.into()),
             residual_w: residual.and_then(|d| known(d.residual_w.into())),
             bias_w: scores.and_then(|d| known(d.bias_w.into())),
+            network_w: learned.and_then(|d| known(d.network_w.into())),
+            learned: learned.map(LearnedRecord::of),
             scored: diagnostic.map_or(0, |d| d.scored),
             mae_w: score(|d| d.mae_w),
             persistence_mae_w: score(|d| d.persistence_mae_w),

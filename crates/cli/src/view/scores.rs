@@ -15,11 +15,9 @@ pub(crate) struct Pooled {
 
 impl Pooled {
     /// Adds two successive outputs of one robot; counts them if the later one's reading is that of
-    /// the sample directly after the one that the earlier one answers.
-    pub(crate) fn observe(&mut self, before: &Forecast, after: &Forecast) {
-        let Some((residual_w, step_w)) = residual(before, after) else {
-            return;
-        };
+    /// the sample directly after the one that the earlier one answers. Returns the reading minus its forecast, W.
+    pub(crate) fn observe(&mut self, before: &Forecast, after: &Forecast) -> Option<f64> {
+        let (residual_w, step_w) = residual(before, after)?;
         let reading_w = f64::from(after.reading_w);
         self.count += 1;
         self.sum_sq_w2 += residual_w * residual_w;
@@ -27,6 +25,7 @@ impl Pooled {
         let from_mean = reading_w - self.mean_w;
         self.mean_w += from_mean / self.count as f64;
         self.scatter_w2 += from_mean * (reading_w - self.mean_w);
+        Some(residual_w)
     }
 }
 

@@ -1,7 +1,7 @@
 //! The live view: draws a board.
 
 use joulebus_predictor_worker::Spread;
-use joulebus_wire::Level;
+use joulebus_wire::{Diagnostic, Level, diagnostic_flag};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style, Stylize as _};
@@ -178,6 +178,7 @@ impl Screen {
             Span::styled("━ reading ", Style::new().fg(ACCENT)),
             Span::styled("━ forecast ", Style::new().fg(FORECAST)),
             Span::styled("· interval ", QUIET),
+            Span::styled(learned(row), QUIET),
         ]);
         let points: Vec<&Point> = row.track.iter().collect();
         let line = |value: fn(&Point) -> f32| -> Vec<(f64, f64)> {
@@ -219,6 +220,26 @@ impl Screen {
         .block(boxed(title));
         frame.render_widget(chart, area);
     }
+}
+
+/// What the robot's forecast has learned; empty if it learns nothing.
+fn learned(row: &Row) -> String {
+    let learning = |diagnostic: &&Diagnostic| diagnostic.flags & diagnostic_flag::LEARNED != 0;
+    row.diagnostic
+        .as_ref()
+        .filter(learning)
+        .map_or_else(String::new, |learned| {
+            format!(
+                "· last {} network {} stack {}: gains {:+.2} {:+.2} mean {:+.2} level {:+.2} W ",
+                percent(learned.weight_last.into()),
+                percent(learned.weight_network.into()),
+                percent(learned.weight_stack.into()),
+                learned.gain_last,
+                learned.gain_network,
+                learned.gain_mean,
+                learned.level_w,
+            )
+        })
 }
 
 fn boxed(title: Line<'_>) -> Block<'_> {

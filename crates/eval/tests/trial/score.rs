@@ -6,10 +6,11 @@ use joulebus_dataset::rows::Row;
 use joulebus_dataset::split::{By, Split, split};
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::score::{
-    Comparison, Design, Options, Recording, ScoreError, Scored, Subject, Verdict, compare, score,
+    Comparison, Design, Options, Recording, ScoreError, Scored, Subject, Verdict, compare,
+    recorded_platform, score,
 };
 use joulebus_predictor::{FeatureSet, LAGS, Model};
-use joulebus_settings::{FleetSettings, IntervalSettings};
+use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_statistics::metrics::{ResidualQuantiles, sorted, tally};
 use joulebus_train::linear::{Linear, Terms};
@@ -95,6 +96,28 @@ fn run(recordings: &[Recording], models: &[Model], design: &Design, options: &Op
     let subject = Subject {
         settings: &settings(),
         platform: None,
+        models,
+        recordings,
+        design,
+    };
+    score(subject, options).unwrap()
+}
+
+/// As [`run`], with the network's forecasts published as they are.
+fn run_network(
+    recordings: &[Recording],
+    models: &[Model],
+    design: &Design,
+    options: &Options,
+) -> Scored {
+    let platform = Platform {
+        robots: vec![0..=u32::MAX],
+        online: false,
+        ..recorded_platform(0, &recordings[0].trial)
+    };
+    let subject = Subject {
+        settings: &settings(),
+        platform: Some(&platform),
         models,
         recordings,
         design,
@@ -193,7 +216,7 @@ fn corrected_scores_equal_the_formulas_over_the_rows() {
     let recordings = made_up(9, 400);
     let model = network(5, FeatureSet::Full, 30.0);
     let design = Design::folds(&recordings);
-    let scored = run(&recordings, std::slice::from_ref(&model), &design, &quick());
+    let scored = run_network(&recordings, std::slice::from_ref(&model), &design, &quick());
     let rows_of = |wanted: &dyn Fn(&Recording) -> bool| -> Vec<(Row, f64)> {
         let chosen = recordings.iter().filter(|recording| wanted(recording));
         let rows = chosen.flat_map(|one| {
@@ -378,7 +401,7 @@ fn the_open_loop_equals_rollouts_one_by_one() {
 }
 
 #[test]
-fn one_tick_open_loop_is_the_corrected_forecast() {
+fn one_tick_open_loop_is_the_networks_corrected_forecast() {
     let recordings = made_up(3, 300);
     let models = [network(5, FeatureSet::Full, 30.0), persistence()];
     let options = Options {
@@ -386,7 +409,7 @@ fn one_tick_open_loop_is_the_corrected_forecast() {
         origins_every: 1,
         ..quick()
     };
-    let report = run(&recordings, &models, &Design::folds(&recordings), &options).report;
+    let report = run_network(&recordings, &models, &Design::folds(&recordings), &options).report;
     let ahead = &report.open_loop.horizons[0];
     assert_eq!(ahead.origins, report.all.rows);
     for (one, corrected) in ahead.forecasters.iter().zip(&report.all.forecasters) {

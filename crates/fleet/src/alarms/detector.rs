@@ -13,6 +13,19 @@ const CORRELATION_MAX: f32 = 0.9;
 /// the sums into NaN, and no alarm would ever be raised again.
 const RESIDUAL_MAX: f32 = 1e6;
 
+/// The sums stay within this many times their limit, so that an alarm is cleared soon after its cause ends.
+const CUSUM_MAX: f32 = 1.2;
+/// Largest squared residual that the noise ratio believes: one step of the load is not noise.
+const NOISE_SQUARE_MAX: f32 = 300.0;
+/// The model is judged over this many times as many readings as the noise: few of them carry the changes
+/// that it is there for.
+const MISMATCH_MEMORY: f32 = 10.0;
+/// Limit of an error and a change in that judgement, and its least squared error, in standard deviations
+/// of the training's residuals: a model that errs as in training is none the worse for a robot that stands
+/// still, where the last reading is nearly exact.
+const MISMATCH_ERROR_MAX: f32 = 100.0;
+const MISMATCH_SQUARE_MIN: f32 = 3.0;
+
 /// Number of alarms.
 const ALARMS: usize = Alarm::ALL.len();
 
@@ -26,6 +39,7 @@ pub(crate) struct Detector {
     z_last: f32,
     z_square: f32,
     z_product: f32,
+    /// Recent squared errors of the model and of persistence, in squared standard deviations.
     error_square: f32,
     persistence_square: f32,
     /// Number of consecutive samples for which the condition of an alarm has required a change.
@@ -67,8 +81,9 @@ impl Detector {
             z_last: 0.0,
             z_square: 1.0,
             z_product: 0.0,
-            error_square: 0.0,
-            persistence_square: 0.0,
+            // Equal, until readings say otherwise.
+            error_square: 1.0,
+            persistence_square: 1.0,
             agreeing: [0; ALARMS],
             changing: AlarmSet::default(),
             raised: AlarmSet::default(),
@@ -89,13 +104,16 @@ impl Detector {
         self.bias_w += settings.bias_weight * (residual_w - self.bias_w);
         let z = (residual_w / sigma_w).clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
         let white = self.whiten(z, settings.bias_weight);
-        let ceiling = 2.0 * settings.cusum_limit;
+        let ceiling = CUSUM_MAX * settings.cusum_limit;
         self.cusum_up = (self.cusum_up + white - settings.cusum_slack).clamp(0.0, ceiling);
         self.cusum_down = (self.cusum_down - white - settings.cusum_slack).clamp(0.0, ceiling);
-        self.noise_ratio += settings.noise_weight * (white * white - self.noise_ratio);
-        self.error_square += settings.noise_weight * (residual_w * residual_w - self.error_square);
-        self.persistence_square +=
-            settings.noise_weight * (change_w * change_w - self.persistence_square);
+        let square = (white * white).min(NOISE_SQUARE_MAX);
+        self.noise_ratio += settings.noise_weight * (square - self.noise_ratio);
+        let weight = settings.noise_weight / MISMATCH_MEMORY;
+        let bounded = |z: f32| z.clamp(-MISMATCH_ERROR_MAX, MISMATCH_ERROR_MAX);
+        let (error, step) = (bounded(z), bounded(change_w / sigma_w));
+        self.error_square += weight * (error * error - self.error_square);
+        self.persistence_square += weight * (step * step - self.persistence_square);
     }
 
     /// Removes the serial correlation from `z`: a cumulative sum of correlated residuals would
@@ -122,7 +140,8 @@ impl Detector {
         conditions.between(down > bias, down > 0.5 * bias, Alarm::BiasLow);
         let (ratio, noise) = (self.noise_ratio, settings.noise_limit);
         conditions.between(ratio > noise, ratio > 0.5 * noise, Alarm::NoiseHigh);
-        let worst = settings.mismatch_limit * self.persistence_square;
+        let expected = self.persistence_square.max(MISMATCH_SQUARE_MIN);
+        let worst = settings.mismatch_limit * expected;
         let (error, floor) = (self.error_square, 0.9 * worst);
         conditions.between(error > worst, error > floor, Alarm::ModelMismatch);
         Conditions {

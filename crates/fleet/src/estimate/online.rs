@@ -24,7 +24,9 @@
 //!
 //! Coefficients are dimensionless and sizes are the robot's own, so that a model of another robot and
 //! another power is corrected as well. The start, the same for every model, is that of a network that is
-//! nearly right.
+//! nearly right. Where the mean power lies outside the range that the model was trained on, or is small
+//! beside the model's own error, the network cannot be nearly right: such a robot starts from its last reading, and the
+//! network and the stack must earn their weights.
 
 use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
 use serde::{Deserialize, Serialize};
@@ -77,6 +79,14 @@ const TRUST: f32 = 8.0;
 /// Initial losses where a new measurement is due, in r²: the last reading is a fallback.
 const LOSS_LAST: f32 = 300.0;
 const LOSS_NETWORK: f32 = 1.0;
+/// Initial losses of the network and the stack where the mean power is unlike any in the training, where a
+/// measurement is due and where none is, in r²: there the last reading has none.
+const LOSS_UNLIKE: f32 = 20.0;
+const LOSS_UNLIKE_HELD: f32 = 40.0;
+/// How far the mean power may lie outside the training range, in the model's own error, and its least
+/// share of that error.
+const OUTSIDE_MAX: f32 = 0.5;
+const SHARE_MIN: f32 = 0.125;
 /// Δ is at least this, in r².
 const COST: f32 = 2.0;
 /// Where no measurement is due, the share of the stack's forecast in that of the last reading: some
@@ -95,6 +105,9 @@ pub(crate) struct Members {
     change_w: f32,
     /// The least r, W.
     floor_w: f32,
+    /// Range of mean power for which the network is nearly right, W.
+    least_w: f32,
+    most_w: f32,
 }
 
 /// Mean absolute value of a normal distribution with unit deviation.
@@ -120,12 +133,26 @@ impl Members {
             // Model files without an autoregression: the last reading in its place.
             _ => (0.0, [1.0, 0.0, 0.0, 0.0, 0.0]),
         };
+        let change_w = (MEAN_OF_NORMAL * sigma_w).max(resolution_w);
+        let newest = FeatureSet::PowerOnly.first();
+        let trained = model.training_range();
+        let (min_w, max_w) = trained.map_or((f32::NEG_INFINITY, f32::INFINITY), |range| {
+            (range.min[newest], range.max[newest])
+        });
         Some(Self {
             bias_w,
             lags,
-            change_w: (MEAN_OF_NORMAL * sigma_w).max(resolution_w),
+            change_w,
             floor_w: resolution_w,
+            least_w: (min_w - OUTSIDE_MAX * change_w).max(SHARE_MIN * change_w),
+            most_w: max_w + OUTSIDE_MAX * change_w,
         })
+    }
+
+    /// Whether the model was trained on nothing like a robot of this mean power.
+    #[inline(always)]
+    pub(crate) fn is_unlike(&self, mean_w: f32) -> bool {
+        !((self.least_w <= mean_w) & (mean_w <= self.most_w))
     }
 
     #[inline(always)]
@@ -143,19 +170,28 @@ fn within(value: f32, most: f32) -> f32 {
 }
 
 /// What a robot's forecast has learned from its readings.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Learned {
+    /// The network's own forecast of the next reading, W; NaN before the first.
+    pub network_w: f32,
+    /// Mean of the readings, W; the newest counts 1/256 at least.
+    pub mean_w: f32,
+    /// Mean size of the changes between new measurements, W.
+    pub change_w: f32,
     /// Weights of the last reading, the network and the stack where a new measurement is due: not
     /// negative, 1 in all.
     pub weights: [f32; 3],
-    /// The same where the last reading will be held.
-    pub weights_held: [f32; 3],
-    /// Weights within the stack, of the deviations of the last reading, the network and the mean of the
+    /// Weights of the last reading and the stack where the last reading will be held.
+    pub held_weights: [f32; 2],
+    /// Gains within the stack, on the deviations of the last reading, the network and the mean of the
     /// readings from the model's autoregression.
-    pub coefficients: [f32; 3],
-    /// Level of the stack, W.
+    pub gains: [f32; 3],
+    /// Level that the stack adds, W.
     pub level_w: f32,
 }
+
+/// As in [`Learned`], where a new measurement is due and where none is.
+pub(crate) type Weights = ([f32; 3], [f32; 2]);
 
 /// One robot's.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -165,7 +201,7 @@ pub(crate) struct Online {
     /// The network's forecast of the next reading, W, where the robot has a forecast.
     pub network_w: f32,
     /// Mean of the readings so far, W; the newest counts 1/256 at least.
-    mean_w: f32,
+    pub mean_w: f32,
     /// r: mean size of their changes, W.
     change_w: f32,
     /// [`Hedge`] where a measurement is due, and where none is.
@@ -181,6 +217,7 @@ pub(crate) struct Online {
 struct Said {
     members_w: [f32; MEMBERS],
     u: [f32; TERMS],
+    unlike: bool,
 }
 
 /// What a reading teaches the stack.
@@ -268,7 +305,7 @@ impl Online {
         due: bool,
     ) -> f32 {
         let said = self.say(members, lag_w, network_w, due);
-        dot(&self.hedge(due).weights(), &said.members_w)
+        dot(&self.hedge(said.unlike, due).weights(), &said.members_w)
     }
 
     #[inline(always)]
@@ -284,10 +321,16 @@ impl Online {
         ];
         let [p, n, m, level] = self.theta;
         let stack_w = a_w + ((p * u[0] + n * u[1]) + (m * u[2] + level * u[3]));
-        let early_w = if due { 0.0 } else { EARLY * (stack_w - last_w) };
+        let unlike = members.is_unlike(self.mean_w);
+        let early_w = if due | unlike {
+            0.0
+        } else {
+            EARLY * (stack_w - last_w)
+        };
         Said {
             members_w: [last_w + early_w, network_w, stack_w],
             u,
+            unlike,
         }
     }
 
@@ -313,9 +356,10 @@ impl Online {
         due: bool,
         reading_w: f32,
     ) -> Lesson {
-        let Said { members_w, u } = self.say(members, lag_w, self.network_w, due);
+        let said = self.say(members, lag_w, self.network_w, due);
+        let (members_w, u) = (said.members_w, said.u);
         let square = self.change_w * self.change_w;
-        let mut hedge = self.hedge(due);
+        let mut hedge = self.hedge(said.unlike, due);
         hedge.learn(
             members_w.map(|member_w| member_w - reading_w),
             COST * square,
@@ -379,9 +423,9 @@ impl Online {
     }
 
     /// The weights' state where a measurement is due, or where none is; as at the start if nothing was
-    /// learned there.
+    /// learned there. `unlike`: [`Members::is_unlike`].
     #[inline(always)]
-    fn hedge(&self, due: bool) -> Hedge {
+    fn hedge(&self, unlike: bool, due: bool) -> Hedge {
         let square = self.change_w * self.change_w;
         let cost = if due { self.due_cost } else { self.held_cost };
         let started = cost > 0.0;
@@ -390,15 +434,18 @@ impl Online {
         } else {
             self.held_above
         };
-        let start = if due { LOSS_LAST * square } else { 0.0 };
+        let familiar = if due { LOSS_LAST } else { 0.0 };
+        let of_others = if due { LOSS_UNLIKE } else { LOSS_UNLIKE_HELD };
+        let last_start = if unlike { -of_others } else { familiar };
+        let network_start = if unlike { 0.0 } else { LOSS_NETWORK };
         let network = if started {
             self.due_above[1]
         } else {
-            LOSS_NETWORK * square
+            network_start * square
         };
         Hedge {
             above: [
-                if started { last } else { start },
+                if started { last } else { last_start * square },
                 if due { network } else { f32::INFINITY },
             ],
             cost: if started { cost } else { COST * square },
@@ -406,12 +453,24 @@ impl Online {
         }
     }
 
-    pub(crate) fn learned(&self) -> Learned {
+    /// Weights of last reading, network and stack where a new measurement is due, and of last reading and
+    /// stack where none is.
+    #[inline(always)]
+    pub(crate) fn weights(&self, unlike: bool) -> Weights {
+        let [last, _, stack] = self.hedge(unlike, false).weights();
+        (self.hedge(unlike, true).weights(), [last, stack])
+    }
+
+    #[inline(always)]
+    pub(crate) fn learned(&self, (weights, held_weights): Weights) -> Learned {
         let [p, n, m, level] = self.theta;
         Learned {
-            weights: self.hedge(true).weights(),
-            weights_held: self.hedge(false).weights(),
-            coefficients: [p, n, m],
+            network_w: self.network_w,
+            mean_w: self.mean_w,
+            change_w: self.change_w,
+            weights,
+            held_weights,
+            gains: [p, n, m],
             level_w: level * self.change_w,
         }
     }
@@ -424,7 +483,7 @@ pub(crate) struct OnlineLanes {
     theta: [Lanes<f32>; TERMS],
     covariance: [Lanes<f32>; PAIRS],
     pub network_w: Lanes<f32>,
-    mean_w: Lanes<f32>,
+    pub mean_w: Lanes<f32>,
     change_w: Lanes<f32>,
     due_above: [Lanes<f32>; 2],
     due_cost: Lanes<f32>,
@@ -493,6 +552,8 @@ mod tests {
         lags: [1.0, 0.0, 0.0, 0.0, 0.0],
         change_w: 0.8,
         floor_w: 0.01,
+        least_w: 0.1,
+        most_w: 1e9,
     };
 
     /// A robot that draws what `power_w` says, beside a network that says `network_w`; the mean squared error
@@ -538,6 +599,43 @@ mod tests {
         }
     }
 
+    /// A robot of 3 W under a model whose network is hundreds of watts off, be it that the power lies outside
+    /// the training range or is tiny beside the model's error: the first forecasts are the last reading.
+    #[test]
+    fn a_robot_unlike_any_in_the_training_starts_from_its_last_reading() {
+        let power_w = |step: u32| 3.0 + 0.05 * (step as f32 * 0.37).sin();
+        let far = Members {
+            least_w: 14.0,
+            most_w: 900.0,
+            ..MEMBERS
+        };
+        let faint = Members {
+            change_w: 46.0,
+            bias_w: 40.0,
+            least_w: SHARE_MIN * 46.0,
+            ..MEMBERS
+        };
+        for members in [far, faint] {
+            for every in [1, 3] {
+                let mut online = Online::new(&members);
+                let mut lag_w = [f32::NAN; LAGS];
+                for step in 0..600 {
+                    let (due, reading_w) = (step % every == 0, power_w(step / every * every));
+                    if !lag_w[LAGS - 1].is_nan() {
+                        online.network_w = 240.0;
+                        let forecast_w = online.forecast(&members, &lag_w, 240.0, due);
+                        let off_w = (forecast_w - lag_w[0]).abs();
+                        assert!(off_w < 0.05, "step {step}: {off_w}, {online:?}");
+                        online.learn(&members, &lag_w, due, reading_w);
+                    }
+                    online.read(&members, lag_w[0], due, reading_w);
+                    lag_w.rotate_right(1);
+                    lag_w[0] = reading_w;
+                }
+            }
+        }
+    }
+
     #[test]
     fn standing_still_for_a_day_winds_nothing_up() {
         let mut online = Online::new(&MEMBERS);
@@ -553,7 +651,141 @@ mod tests {
         assert!(error < 1.0, "{error}, {online:?}");
     }
 
+    /// The quantities in the bound of [`Hedge`], of the readings with or without a measurement due.
+    #[derive(Default)]
+    struct Phase {
+        /// Squared error of the published forecast above that of each member that takes part, the newest
+        /// counting 1, minus what is left of the initial losses.
+        regret: Option<[f64; 3]>,
+        largest: f64,
+        floor: f64,
+    }
+
+    impl Phase {
+        fn take(
+            &mut self,
+            hedge: &Hedge,
+            square: f32,
+            said: &Said,
+            forecast_w: f32,
+            reading_w: f32,
+        ) {
+            let memory = f64::from(crate::estimate::hedge::MEMORY);
+            let wrong = |watts: f32| (f64::from(watts) - f64::from(reading_w)).powi(2);
+            let least = hedge
+                .above
+                .iter()
+                .fold(0.0f32, |least, above| least.min(*above));
+            let [last, network] = hedge.above;
+            let start = [last, network, 0.0].map(|loss| -f64::from(loss - least));
+            let before = self.regret.unwrap_or(start);
+            let mut regret = [f64::NEG_INFINITY; 3];
+            for (place, member_w) in said.members_w.iter().enumerate() {
+                if hedge.weights()[place] > 0.0 {
+                    regret[place] = memory * before[place] + wrong(forecast_w) - wrong(*member_w);
+                    // Between two members, or one and the reading.
+                    self.largest = self.largest.max(4.0 * wrong(*member_w));
+                }
+            }
+            self.regret = Some(regret);
+            self.floor = self.floor.max(f64::from(COST * square));
+        }
+
+        fn check(&self, cost: f32, log: f32) -> Result<(), TestCaseError> {
+            let cost = f64::from(cost);
+            let rounding = 1e-3 * (self.floor + self.largest);
+            for regret in self.regret.into_iter().flatten() {
+                prop_assert!(regret <= 2.0 * cost + rounding, "{regret} above {cost}");
+            }
+            let most =
+                2.0 * self.largest * f64::from(log) / f64::from(crate::estimate::hedge::MEMORY);
+            prop_assert!(
+                cost <= most.max(self.floor) + self.largest + rounding,
+                "{cost}"
+            );
+            Ok(())
+        }
+    }
+
+    /// Plays a robot against readings and network of `next`, which knows everything, and checks the bound of
+    /// what is published, where a measurement is due and where none is.
+    fn holds_its_bound(
+        steps: usize,
+        mut next: impl FnMut(usize, &Online, &[f32; LAGS]) -> (bool, f32, f32),
+    ) -> Result<(), TestCaseError> {
+        let (mut online, mut lag_w) = (Online::new(&MEMBERS), [3.0; LAGS]);
+        let mut phases = [Phase::default(), Phase::default()];
+        for _ in 0..LAGS {
+            online.read(&MEMBERS, f32::NAN, true, 3.0);
+        }
+        for step in 0..steps {
+            let (due, network_w, reading_w) = next(step, &online, &lag_w);
+            online.network_w = network_w;
+            let forecast_w = online.forecast(&MEMBERS, &lag_w, network_w, due);
+            let said = online.say(&MEMBERS, &lag_w, network_w, due);
+            let (hedge, square) = (
+                online.hedge(said.unlike, due),
+                online.change_w * online.change_w,
+            );
+            let phase = &mut phases[usize::from(due)];
+            phase.take(&hedge, square, &said, forecast_w, reading_w);
+            online.learn(&MEMBERS, &lag_w, due, reading_w);
+            let cost = if due {
+                online.due_cost
+            } else {
+                online.held_cost
+            };
+            phase.check(cost, hedge.log)?;
+            online.read(&MEMBERS, lag_w[0], due, reading_w);
+            lag_w.rotate_right(1);
+            lag_w[0] = reading_w;
+        }
+        Ok(())
+    }
+
     proptest! {
+        #[test]
+        fn what_is_published_holds_its_bound_against_each_member_for_any_readings(
+            steps in prop::collection::vec(
+                (any::<bool>(), -50.0f32..50.0, -50.0f32..50.0, -3i32..2), 1..400
+            ),
+        ) {
+            holds_its_bound(steps.len(), |step, _, _| {
+                let (due, network_w, reading_w, exponent) = steps[step];
+                let scale = 10f32.powi(exponent);
+                (due, scale * network_w, scale * reading_w)
+            })?;
+        }
+
+        /// An adversary that sees weights and forecasts: in bursts it takes the reading that the most trusted
+        /// member is farthest from, or the one on the other side of what is published.
+        #[test]
+        fn what_is_published_holds_its_bound_against_an_adversary(
+            period in 1usize..5,
+            burst in 1usize..60,
+            wait in 1usize..400,
+            distance in 0.05f32..40.0,
+            mirrored in any::<bool>(),
+        ) {
+            holds_its_bound(3_000, |step, online, lag_w| {
+                let due = step % period == 0;
+                let network_w = lag_w[0] + if step % 2 == 0 { distance } else { -distance };
+                let said = online.say(&MEMBERS, lag_w, network_w, due);
+                let weights = online.hedge(said.unlike, due).weights();
+                let trusted = (0..3).max_by(|a, b| weights[*a].total_cmp(&weights[*b])).unwrap_or(0);
+                let forecast_w = dot(&weights, &said.members_w);
+                let trusted_w = said.members_w[trusted];
+                let reading_w = if step % (burst + wait) >= burst {
+                    lag_w[0]
+                } else if mirrored {
+                    forecast_w - distance * (trusted_w - lag_w[0]).signum()
+                } else {
+                    trusted_w + distance * (lag_w[0] - trusted_w).signum()
+                };
+                (due, network_w, reading_w.clamp(-1e3, 1e3))
+            })?;
+        }
+
         #[test]
         fn whatever_comes_forecasts_stay_finite(
             steps in prop::collection::vec((-1.0f32..1.0, -1.0f32..1.0, -8i32..7, any::<bool>()), 6..400),
@@ -570,8 +802,8 @@ mod tests {
                 online.read(&MEMBERS, lag_w[0], due, reading_w);
                 lag_w.rotate_right(1);
                 lag_w[0] = reading_w;
-                let learned = online.learned();
-                let shares = learned.weights.iter().chain(&learned.weights_held);
+                let learned = online.learned(online.weights(MEMBERS.is_unlike(online.mean_w)));
+                let shares = learned.weights.iter().chain(&learned.held_weights);
                 for share in shares {
                     prop_assert!((0.0..=1.0).contains(share), "{learned:?}");
                 }

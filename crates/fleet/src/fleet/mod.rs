@@ -226,8 +226,10 @@ impl Fleet {
     pub fn learned(&self, robot: u32) -> Option<Learned> {
         let slot = self.find(robot)?;
         let platform = usize::from(self.columns.admissions[slot].platform);
-        self.tick.platforms[platform].members?;
-        Some(lanes::get(&self.columns.online, slot).learned())
+        let members = self.tick.platforms[platform].members?;
+        let online = lanes::get(&self.columns.online, slot);
+        let weights = online.weights(members.is_unlike(online.mean_w));
+        Some(online.learned(weights))
     }
 
     /// Account of a robot, in the fleet or departed.
@@ -250,7 +252,7 @@ impl Fleet {
     #[must_use]
     pub fn diagnostic(&self, place: usize) -> Diagnostic {
         let (block, lane) = self.block_of(place);
-        Diagnostics::of(block).get(&self.tick, lane)
+        Diagnostics::of(&self.tick, block).get(&self.tick, lane)
     }
 
     /// The budget of the robot at `place`, as of the last tick.

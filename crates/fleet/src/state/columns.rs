@@ -40,6 +40,8 @@ pub(crate) struct BlockRef<'a> {
     pub ledgers: &'a LedgerLanes,
     pub scores: &'a ScoreLanes,
     pub detectors: &'a DetectorLanes,
+    /// `None` unless a platform learns online.
+    pub online: Option<&'a OnlineLanes>,
 }
 
 /// The columns, for the capacity rounded up to a whole block.
@@ -87,6 +89,7 @@ impl Columns {
             ledgers: &self.ledgers[block],
             scores: &self.scores[block],
             detectors: &self.detectors[block],
+            online: self.online.get(block),
         }
     }
 
@@ -194,6 +197,7 @@ impl<'a> ColumnsMut<'a> {
             ledgers: &self.ledgers[block],
             scores: &self.scores[block],
             detectors: &self.detectors[block],
+            online: self.online.get(block),
         }
     }
 

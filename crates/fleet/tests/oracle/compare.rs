@@ -1,6 +1,7 @@
 //! Compares the fleet with the oracle, bit for bit.
 
 use joulebus_fleet::Fleet;
+use joulebus_predictor::Model;
 use joulebus_wire::{Quality, diagnostic_flag};
 use proptest::prelude::*;
 
@@ -23,6 +24,7 @@ pub(crate) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(),
     for (id, member) in &oracle.members {
         compare_forecast(fleet, oracle, *id, member, now_ns)?;
         compare_scores(fleet, *id, member)?;
+        compare_learned(fleet, *id, member, &oracle.models[member.context])?;
         compare_account(fleet, *id, &member.robot.account)?;
         one_nan(fleet, *id)?;
     }
@@ -49,6 +51,8 @@ fn one_nan(fleet: &Fleet, id: u32) -> Result<(), TestCaseError> {
         diagnostic.noise_ratio,
         diagnostic.coverage,
         diagnostic.coverage_recent,
+        diagnostic.network_w,
+        diagnostic.level_w,
         budget.mean_power_w,
         budget.left_j,
         budget.usable_j,
@@ -103,7 +107,9 @@ fn compare_forecast(
     );
     prop_assert_eq!(found.power_w().is_some(), power_w.is_some());
     if power_w.is_some() {
-        prop_assert!(found.lo_w <= found.hi_w, "robot {}: {:?}", id, found);
+        // Also open loop, and whatever the residuals were.
+        let inside = found.lo_w <= found.power_w && found.power_w <= found.hi_w;
+        prop_assert!(inside, "robot {}: {:?}", id, found);
     }
     if let Some(last) = &member.robot.last {
         prop_assert_eq!(
@@ -111,6 +117,47 @@ fn compare_forecast(
             (last.seq, last.stamp_ns)
         );
     }
+    Ok(())
+}
+
+fn compare_learned(
+    fleet: &Fleet,
+    id: u32,
+    member: &Member,
+    model: &Model,
+) -> Result<(), TestCaseError> {
+    let found = world::diagnostic(fleet, id);
+    let robot = &member.robot;
+    let flagged = found.flags & diagnostic_flag::LEARNED != 0;
+    let learns = robot.platform.online && matches!(model, Model::Network(_));
+    prop_assert_eq!(flagged, learns, "robot {}", id);
+    // Everything is recomputed from the first reading on: now and then.
+    if learns && robot.scored.len() % 8 != 0 {
+        return Ok(());
+    }
+    let shown = [
+        found.mean_w,
+        found.change_w,
+        found.weight_last,
+        found.weight_network,
+        found.weight_stack,
+        found.held_weight_last,
+        found.held_weight_stack,
+        found.gain_last,
+        found.gain_network,
+        found.gain_mean,
+        found.level_w,
+    ];
+    let expected = robot.experts.learned(&robot.platform, model);
+    let expected = expected.unwrap_or([f32::NAN; 11]);
+    prop_assert_eq!(
+        shown.map(f32::to_bits),
+        expected.map(f32::to_bits),
+        "robot {}: {:?}, expected {:?}",
+        id,
+        found,
+        expected
+    );
     Ok(())
 }
 

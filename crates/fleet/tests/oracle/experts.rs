@@ -37,6 +37,8 @@ struct Knowledge {
     mean_w: f32,
     change_w: f32,
     seen: u8,
+    /// Mean powers that are like those of the training.
+    like_w: std::ops::RangeInclusive<f32>,
     /// Where a measurement is due, and where none is.
     weights: [Weights; 2],
 }
@@ -88,6 +90,21 @@ impl Experts {
     }
 }
 
+impl Experts {
+    /// What the diagnostics say from `mean_w` to `level_w`; `None` where nothing is learned.
+    pub(crate) fn learned(&self, platform: &Platform, model: &Model) -> Option<[f32; 11]> {
+        let known = Knowledge::of(platform, model, &self.lessons)?;
+        let ([last, network, stack], [held, _, held_stack]) =
+            (known.shares(true), known.shares(false));
+        let [p, n, m, level] = known.theta;
+        let (mean_w, change_w) = (known.mean_w, known.change_w);
+        let level_w = level * change_w;
+        Some([
+            mean_w, change_w, last, network, stack, held, held_stack, p, n, m, level_w,
+        ])
+    }
+}
+
 impl Knowledge {
     /// `None` where nothing is learned.
     fn of(platform: &Platform, model: &Model, lessons: &[Lesson]) -> Option<Self> {
@@ -96,13 +113,19 @@ impl Knowledge {
         }
         let resolution_w = platform.power_resolution_w;
         let sigma_w = model.residual().std_w.max(resolution_w);
+        let error_w = (0.8 * sigma_w).max(resolution_w);
+        let trained = model.training_range();
+        let (least_w, most_w) =
+            trained.map_or((f32::MIN, f32::MAX), |range| (range.min[6], range.max[6]));
+        let like_w = (least_w - 0.5 * error_w).max(error_w / 8.0)..=most_w + 0.5 * error_w;
         let diagonal = |row: usize, column: usize| if row == column { VARIANCE[row] } else { 0.0 };
         let mut known = Self {
             theta: START,
             covariance: [0, 1, 2, 3].map(|row| [0, 1, 2, 3].map(|column| diagonal(row, column))),
             mean_w: 0.0,
-            change_w: (0.8 * sigma_w).max(resolution_w),
+            change_w: error_w,
             seen: 0,
+            like_w,
             weights: [
                 Weights {
                     learned: None,
@@ -147,7 +170,7 @@ impl Knowledge {
         ];
         let [a, b, c, d] = [0, 1, 2, 3].map(|term| self.theta[term] * u[term]);
         let stack_w = auto_w + ((a + b) + (c + d));
-        let early_w = if due {
+        let early_w = if due || !self.like_w.contains(&self.mean_w) {
             0.0
         } else {
             0.02 * (stack_w - lag_w[0])
@@ -223,9 +246,11 @@ impl Knowledge {
     /// Losses above that of the stack, and what averaging has cost.
     fn losses(&self, due: bool) -> ([f32; 3], f32) {
         let square = self.change_w * self.change_w;
-        let start = match due {
-            true => [300.0 * square, 1.0 * square, 0.0],
-            false => [0.0, f32::INFINITY, 0.0],
+        let start = match (self.like_w.contains(&self.mean_w), due) {
+            (true, true) => [300.0 * square, 1.0 * square, 0.0],
+            (false, true) => [-20.0 * square, 0.0, 0.0],
+            (true, false) => [0.0, f32::INFINITY, 0.0],
+            (false, false) => [-40.0 * square, f32::INFINITY, 0.0],
         };
         self.weights[usize::from(!due)]
             .learned

@@ -3,6 +3,7 @@
 use joulebus_predictor::canonical;
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, Level, diagnostic_flag};
 
+use crate::estimate::online::Learned;
 use crate::layout::lanes::{Block as _, LANES, Lanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
@@ -18,11 +19,15 @@ pub(crate) struct Diagnostics<'a> {
     skill: Lanes<f64>,
     coverage: Lanes<f32>,
     coverage_recent: Lanes<f32>,
+    /// Whether the robot's platform learns online.
+    learns: Lanes<bool>,
+    weights: [Lanes<f32>; 3],
+    held_weights: [Lanes<f32>; 2],
 }
 
 impl<'a> Diagnostics<'a> {
     #[inline(always)]
-    pub(crate) fn of(block: BlockRef<'a>) -> Self {
+    pub(crate) fn of(tick: &TickContext, block: BlockRef<'a>) -> Self {
         let mut diagnostics = Self {
             block,
             mae_w: [0.0; LANES],
@@ -32,6 +37,9 @@ impl<'a> Diagnostics<'a> {
             skill: [0.0; LANES],
             coverage: [0.0; LANES],
             coverage_recent: [0.0; LANES],
+            learns: [false; LANES],
+            weights: [[f32::NAN; LANES]; 3],
+            held_weights: [[f32::NAN; LANES]; 2],
         };
         for lane in 0..LANES {
             let scores = block.scores.get(lane);
@@ -49,7 +57,48 @@ impl<'a> Diagnostics<'a> {
                 diagnostics.coverage_recent[lane],
             ) = coverage;
         }
+        diagnostics.weigh(tick);
         diagnostics
+    }
+
+    /// The weights of the members.
+    #[inline(always)]
+    fn weigh(&mut self, tick: &TickContext) {
+        let Some(online) = self.block.online else {
+            return;
+        };
+        let mut unlike = [false; LANES];
+        for lane in 0..LANES {
+            let platform = usize::from(self.block.admissions[lane].platform);
+            let members = tick
+                .platforms
+                .get(platform)
+                .and_then(|context| context.members.as_ref());
+            self.learns[lane] = members.is_some();
+            unlike[lane] = members.is_some_and(|members| members.is_unlike(online.mean_w[lane]));
+        }
+        for lane in 0..LANES {
+            let (weights, held_weights) = online.get(lane).weights(unlike[lane]);
+            for (place, weight) in weights.into_iter().enumerate() {
+                self.weights[place][lane] = weight;
+            }
+            for (place, weight) in held_weights.into_iter().enumerate() {
+                self.held_weights[place][lane] = weight;
+            }
+        }
+    }
+
+    /// What the robot in a lane has learned.
+    #[inline(always)]
+    fn learned(&self, lane: usize) -> Learned {
+        let [last, network, stack] = &self.weights;
+        let [held_last, held_stack] = &self.held_weights;
+        let weights = (
+            [last[lane], network[lane], stack[lane]],
+            [held_last[lane], held_stack[lane]],
+        );
+        let robot = self.block.online.map(|online| online.get(lane));
+        robot.map_or(Learned::default(), |robot| robot.learned(weights))
     }
 
     /// The diagnostics of the robot in a lane.
@@ -65,10 +114,16 @@ impl<'a> Diagnostics<'a> {
             raised
         };
         let (level, first) = most_important(alarms);
+        let (learns, learned) = (self.learns[lane], self.learned(lane));
+        let known = |value: f32| canonical(if learns { value } else { f32::NAN });
+        let ([weight_last, weight_network, weight_stack], [held_weight_last, held_weight_stack]) =
+            (learned.weights, learned.held_weights);
+        let [gain_last, gain_network, gain_mean] = learned.gains;
         Diagnostic {
             robot: admission.id,
             flags: flag(!last.residual_w.is_nan(), diagnostic_flag::RESIDUAL)
-                | flag(scored > 0, diagnostic_flag::SCORES),
+                | flag(scored > 0, diagnostic_flag::SCORES)
+                | flag(learns, diagnostic_flag::LEARNED),
             level,
             alarm: first,
             alarms: alarms.0,
@@ -90,6 +145,18 @@ impl<'a> Diagnostics<'a> {
             stamp_ns: admission.stamp_ns,
             source_epoch: admission.source_epoch,
             refused: last.refused,
+            network_w: known(learned.network_w),
+            mean_w: known(learned.mean_w),
+            change_w: known(learned.change_w),
+            weight_last: known(weight_last),
+            weight_network: known(weight_network),
+            weight_stack: known(weight_stack),
+            held_weight_last: known(held_weight_last),
+            held_weight_stack: known(held_weight_stack),
+            gain_last: known(gain_last),
+            gain_network: known(gain_network),
+            gain_mean: known(gain_mean),
+            level_w: known(learned.level_w),
         }
     }
 }

@@ -66,7 +66,7 @@ impl SimdTask for WriteAccounts<'_, '_, '_, '_> {
             prefetch_ahead(self.budgets.as_slice());
             let block = columns.block(block);
             if self.diagnostics.len() > 0 {
-                let diagnostics = Diagnostics::of(block);
+                let diagnostics = Diagnostics::of(tick, block);
                 for (lane, place) in slots::bits(lanes).zip(self.diagnostics.by_ref()) {
                     *place = diagnostics.get(tick, lane);
                 }
