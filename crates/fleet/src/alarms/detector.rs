@@ -23,7 +23,7 @@ const MISMATCH_MEMORY: f32 = 10.0;
 /// Limit of an error and a change in that judgement, and its least squared error, in standard deviations
 /// of the training's residuals: a model that errs as in training is none the worse for a robot that stands
 /// still, where the last reading is nearly exact.
-const MISMATCH_ERROR_MAX: f32 = 100.0;
+const MISMATCH_ERROR_MAX: f32 = 20.0;
 const MISMATCH_SQUARE_MIN: f32 = 3.0;
 
 /// Number of alarms.

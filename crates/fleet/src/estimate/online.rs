@@ -28,6 +28,9 @@
 //! beside the model's own error, the network cannot be nearly right: such a robot starts from its last reading, and the
 //! network and the stack must earn their weights.
 
+// Terms and lanes are counted: those are the loops that the compiler makes vectors of.
+#![allow(clippy::needless_range_loop)]
+
 use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
 use serde::{Deserialize, Serialize};
 

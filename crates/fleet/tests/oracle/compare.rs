@@ -132,7 +132,7 @@ fn compare_learned(
     let learns = robot.platform.online && matches!(model, Model::Network(_));
     prop_assert_eq!(flagged, learns, "robot {}", id);
     // Everything is recomputed from the first reading on: now and then.
-    if learns && robot.scored.len() % 8 != 0 {
+    if learns && !robot.scored.len().is_multiple_of(8) {
         return Ok(());
     }
     let shown = [

@@ -218,9 +218,8 @@ impl Knowledge {
         });
         let [a, b, c, d] = [0, 1, 2, 3].map(|row| product[row] * u[row]);
         let gain = 1.0 / (square + ((a + b) + (c + d)));
-        for row in 0..4 {
-            let theta = self.theta[row] + product[row] * (gain * innovation_w);
-            self.theta[row] = theta.clamp(-100.0, 100.0);
+        for (theta, product) in self.theta.iter_mut().zip(product) {
+            *theta = (*theta + product * (gain * innovation_w)).clamp(-100.0, 100.0);
         }
         for row in 0..4 {
             for column in row..4 {

@@ -1,5 +1,8 @@
 //! Diagnostics.
 
+// Lanes are counted: that is the loop that the compiler makes vectors of.
+#![allow(clippy::needless_range_loop)]
+
 use joulebus_predictor::canonical;
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, Level, diagnostic_flag};
 
