@@ -156,7 +156,7 @@ fn same_forecast(robot: u32, live: &Forecast, step: &Step) {
 fn same_residual(robot: u32, live: &Diagnostic, step: &Step) {
     let residual_w = Some(live.residual_w).filter(|residual_w| !residual_w.is_nan());
     let place = format!("robot {robot}, sample {}", step.sample_seq);
-    assert_eq!(bits(residual_w), bits(step.residual_w), "{place}");
+    assert_eq!(bits(residual_w), bits(step.network_residual_w), "{place}");
 }
 
 fn same_scores(live: &Diagnostic, offline: &RobotEvaluation) {

@@ -104,6 +104,23 @@ fn the_complete_text_is_accepted() {
 }
 
 #[test]
+fn what_replaced_mixture_and_adapt_is_named() {
+    for (line, key) in [
+        ("adapt = \"on\"", "platform.adapt"),
+        ("adapt = \"off\"", "platform.adapt"),
+        ("forecast = \"mixture\"", "platform.forecast"),
+    ] {
+        let before = format!("{line}\nresidual_std_w = 0.1");
+        assert_refused(
+            "residual_std_w = 0.1",
+            &before,
+            key,
+            &["\"online\", the default"],
+        );
+    }
+}
+
+#[test]
 fn typos_are_refused_with_the_nearest_key() {
     let cases: &[(&str, &str, &str, &[&str])] = &[
         (

@@ -94,6 +94,8 @@ pub struct Step {
     pub reading_w: Option<f32>,
     /// The reading minus its forecast, W.
     pub residual_w: Option<f32>,
+    /// As in the diagnostics: the reading minus the network's forecast of it, whatever was published, W.
+    pub network_residual_w: Option<f32>,
     /// Whether the residual is scored: its forecast was one step ahead.
     pub scored: bool,
     /// Forecast of the next reading, W.
@@ -165,7 +167,6 @@ pub fn evaluate_trial(
         now_ns = sample.stamp_ns.max(now_ns);
         let mut next = step(&mut fleet, &sample, now_ns);
         if let (true, Some(reading_w), Some(power_w)) = (next.scored, next.reading_w, published_w) {
-            // The diagnostics' residual is the network's, whatever was published.
             next.residual_w = Some(reading_w - power_w);
         }
         if next.accepted {
@@ -219,6 +220,7 @@ fn step(fleet: &mut Fleet, sample: &Sample, now_ns: u64) -> Step {
             .has(joulebus_wire::sample_flag::POWER)
             .then_some(sample.power_w),
         residual_w: known(has_residual.then_some(diagnostic.residual_w)),
+        network_residual_w: known(has_residual.then_some(diagnostic.residual_w)),
         scored: scored(fleet, sample.robot) > scored_before,
         power_w: known(forecast.power_w()),
         lo_w: known(interval.map(|(lo_w, _)| lo_w)),
