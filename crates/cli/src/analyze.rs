@@ -84,8 +84,9 @@ struct AnalyzeReport {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let models = args.models()?;
     let mut trials = Vec::new();
+    let map = args.recordings.map();
     for file in args.recordings.find()? {
-        trials.extend(Trial::read_robots(file)?);
+        trials.extend(Trial::read_mapped(file, &map)?);
     }
     let analysis = analyze(&trials, &args.settings(), &models);
     let analysis = analysis.map_err(|error| UsageError(error.to_string()))?;

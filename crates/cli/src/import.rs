@@ -3,29 +3,33 @@
 mod capture;
 mod options;
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use joulebus_capture::import::{Imported, RobotReport, import};
-use joulebus_dataset::trial::{Row, Trial};
+use joulebus_dataset::trial::{ColumnMap, Row, Trial, is_capture};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
 
+use crate::recordings::ColumnArguments;
 use options::ImportArguments;
 
-/// Import recordings (rosbag2 MCAP, .npy, .csv, .csv.gz) as datasets or as a capture
+/// Import recordings (rosbag2 MCAP, our captures, .npy, .csv, .csv.gz) as datasets or as a capture
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus import bag_0.mcap -o trials/ --current discharge-positive\n  \
     joulebus import bag_0.mcap -o robot.csv.gz --battery /r1/battery --command /r1/cmd_vel\n  \
     joulebus import bag_0.mcap -o trials/ --mapping mapping.toml\n  \
-    joulebus import trials/*.csv.gz -o trials.mcap\n\n\
+    joulebus import trials/*.csv.gz -o trials.mcap\n  \
+    joulebus import captures/fleet.mcap -o trials/\n\n\
     Of a rosbag2 file, sensor_msgs/BatteryState, geometry_msgs/Twist, TwistStamped and \
-    nav_msgs/Odometry are read (cdr); without options every battery topic is a robot. Data that the file \
+    nav_msgs/Odometry are read (cdr); without options every battery topic is a robot. Of a capture of \
+    joulebus, the samples of each robot are read. Data that the file \
     does not have is missing in the result, never 0; unusable data is named and counted.\n\
     The result is a capture if its name ends in .mcap, a dataset if it ends in .csv or .csv.gz, \
     else a directory of datasets, which `joulebus publish trial` plays.\n\n\
@@ -52,6 +56,8 @@ pub(crate) struct Args {
     output: PathBuf,
     #[command(flatten)]
     options: ImportArguments,
+    #[command(flatten)]
+    columns: ColumnArguments,
     /// Id in a capture of the first robot without one; the others are numbered on [default: the
     /// lowest of the config]
     #[arg(long, value_name = "ID")]
@@ -104,10 +110,10 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         let is_mcap = file
             .extension()
             .is_some_and(|extension| extension == "mcap");
-        sources.push(if is_mcap {
+        sources.push(if is_mcap && !is_capture(file) {
             read_mcap(file, &mapping, &mut recordings)?
         } else {
-            read_trial(file, &mut recordings)?
+            read_trials(file, &args.columns.map(), &mut recordings)?
         });
     }
     let mut report = ImportReport {
@@ -186,20 +192,45 @@ fn recording(path: &Path, robot: &RobotReport) -> anyhow::Result<Recording> {
     })
 }
 
-fn read_trial(path: &Path, recordings: &mut Vec<Recording>) -> anyhow::Result<Source> {
-    let trial = Trial::read(path)?;
+/// The trials of a dataset with one robot, or of our capture with any number.
+fn read_trials(
+    path: &Path,
+    map: &ColumnMap,
+    recordings: &mut Vec<Recording>,
+) -> anyhow::Result<Source> {
+    let from_capture = is_capture(path);
+    let trials = match from_capture {
+        true => Trial::read_robots(path)?,
+        false => vec![crate::trials::read_one(path, map)?],
+    };
+    let notes: Vec<String> = trials
+        .iter()
+        .map(|trial| trial.notes().to_string())
+        .collect();
     let source = Source {
         file: path.display().to_string(),
         imported: None,
-        trial: Some(trial.notes().to_string()),
+        trial: Some(notes.join("; ")),
         left_out: Vec::new(),
     };
-    recordings.push(Recording {
-        name: stem(path),
-        id: None,
-        start_unix_ns: None,
-        trial,
-    });
+    let several = trials.len() > 1;
+    let mut runs: BTreeMap<String, u32> = BTreeMap::new();
+    for trial in trials {
+        let robot = trial.robot_name().unwrap_or_default().to_owned();
+        let run = runs.entry(robot.clone()).or_default();
+        *run += 1;
+        let name = match (several, *run) {
+            (false, _) => stem(path),
+            (true, 1) => format!("{}_robot_{robot}", stem(path)),
+            (true, run) => format!("{}_robot_{robot}_run_{run}", stem(path)),
+        };
+        recordings.push(Recording {
+            name,
+            id: robot.parse().ok().filter(|_| from_capture && *run == 1),
+            start_unix_ns: None,
+            trial,
+        });
+    }
     Ok(source)
 }
 

@@ -4,23 +4,46 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use joulebus_dataset::inspect::find;
-use joulebus_dataset::trial::Method;
+use joulebus_dataset::trial::{ColumnMap, MappedColumn, Method};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
 
 /// Recordings on the command line.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct Recordings {
-    /// Recordings (.npy, .csv, .csv.gz), directories (searched recursively), or patterns in quotes:
-    /// 'runs/**/*.npy'
+    /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
+    /// patterns in quotes: 'runs/**/*.npy'
     #[arg(required = true, value_name = "PATH")]
     paths: Vec<PathBuf>,
+    #[command(flatten)]
+    columns: ColumnArguments,
+}
+
+/// Names of a CSV's columns.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct ColumnArguments {
+    /// Names of columns in CSV files, where they are not found by themselves:
+    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names)
+    #[arg(long, value_name = "QUANTITY=COLUMN,…", value_delimiter = ',')]
+    map: Vec<MappedColumn>,
+}
+
+impl ColumnArguments {
+    /// The names given.
+    pub(crate) fn map(&self) -> ColumnMap {
+        self.map.clone().into()
+    }
 }
 
 impl Recordings {
     /// The files found by [`find_recordings`].
     pub(crate) fn find(&self) -> anyhow::Result<Vec<PathBuf>> {
         find_recordings(&self.paths)
+    }
+
+    /// The names of their columns.
+    pub(crate) fn map(&self) -> ColumnMap {
+        self.columns.map()
     }
 }
 

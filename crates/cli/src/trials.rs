@@ -4,18 +4,19 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use joulebus_dataset::trial::{Form, Trial};
+use joulebus_dataset::inspect::is_recording;
+use joulebus_dataset::trial::{ColumnMap, Table, Trial};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
 use joulebus_program::platform::{names, platform};
 use joulebus_settings::FleetSettings;
 
-use crate::recordings::find_recordings;
+use crate::recordings::{ColumnArguments, find_recordings};
 
 /// Recordings, one robot each.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct TrialFiles {
-    /// Recordings (.npy, .csv, .csv.gz) or directories of them. PATH@ID assigns a robot id,
+    /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), or directories of them. PATH@ID assigns a robot id,
     /// PATH@NAME the ids of a platform: a.csv.gz@100, recordings/@husky
     #[arg(required = true, value_name = "PATH[@ROBOT|@PLATFORM]")]
     paths: Vec<OsString>,
@@ -26,6 +27,8 @@ pub(crate) struct TrialFiles {
     /// Id of the first robot for paths without an @; the following ids are consecutive
     #[arg(long, value_name = "ID")]
     first_robot: Option<u32>,
+    #[command(flatten)]
+    columns: ColumnArguments,
 }
 
 /// Source of the ids of a path's robots.
@@ -48,10 +51,15 @@ impl TrialFiles {
         for path in &self.paths {
             let (path, source) = self.id_source(path, settings)?;
             for (robot, file) in assign(&path, source.as_ref(), settings, &mut ids)? {
-                trials.push((robot, Trial::read(file)?));
+                trials.push((robot, read_one(&file, &self.columns.map())?));
             }
         }
         Ok(trials)
+    }
+
+    /// The names of the recordings' columns.
+    pub(crate) fn map(&self) -> ColumnMap {
+        self.columns.map()
     }
 
     /// True if an id or a platform is given.
@@ -181,19 +189,24 @@ fn split(argument: &OsString) -> (PathBuf, Option<IdSource>) {
     }
 }
 
+/// The trial of a file with one robot.
+pub(crate) fn read_one(file: &Path, map: &ColumnMap) -> anyhow::Result<Trial> {
+    Ok(Table::only_of(file, map)?.into_trial()?)
+}
+
 /// The recordings in a directory, sorted by name.
 pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let failed = || format!("cannot read the directory {}", directory.display());
     let mut files = Vec::new();
     for entry in std::fs::read_dir(directory).with_context(failed)? {
         let path = entry.with_context(failed)?.path();
-        if Form::of(&path).is_some() && path.is_file() {
+        if is_recording(&path) {
             files.push(path);
         }
     }
     files.sort();
     if files.is_empty() {
-        let what = "contains no recordings (.npy, .csv, .csv.gz)";
+        let what = "contains no recordings (.npy, .csv, .csv.gz, .mcap of joulebus)";
         return Err(UsageError(format!("{} {what}", directory.display())).into());
     }
     Ok(files)

@@ -7,12 +7,14 @@ mod find;
 mod finding;
 mod hold;
 mod limits;
+mod profile;
 mod units;
 
 pub use check::{Check, check_files, check_trial};
 pub use describe::{ColumnReport, Steps, TrialReport, describe};
-pub use find::{FindError, Found, find};
+pub use find::{FindError, Found, find, is_recording};
 pub use finding::{Finding, FindingKind, Place};
 pub use hold::{Holds, holds};
 pub use limits::{Limits, Range};
+pub use profile::{Profile, profile};
 pub use units::{PowerCheck, power_check};

@@ -1,13 +1,16 @@
 //! Recorded trials: reading them, notes on their quality, and their samples.
 //!
 //! A trial is what one robot recorded in one run. Its file has the published layout as a NumPy
-//! array, or the same table as CSV with a header, plain or compressed by gzip. Units are converted
+//! array, or the same table as CSV with a header, plain or compressed by gzip; or it is a capture of
+//! joulebus, with the samples of each robot. Units are converted
 //! here, once: everything inside is SI, and values that were not recorded are NaN or a missing
 //! column. A [`Table`] holds the same in the units of the file, for writing it again.
 
+mod capture;
 mod error;
 mod fleet;
 mod limits;
+mod names;
 mod note;
 mod npy;
 mod read;
@@ -19,9 +22,11 @@ mod write;
 
 use std::path::{Path, PathBuf};
 
+pub use capture::is_capture;
 pub use error::TrialError;
 pub use fleet::{Playback, TrialFleet, TrialFleetError};
 pub use limits::MAX_ROWS;
+pub use names::{ColumnMap, MapError, MappedColumn, Quantity, column_names};
 pub use note::{Gap, TrialNotes};
 pub use resample::{Method, Resample, ResampleError, Resampled};
 pub use table::{Column, Table};
@@ -47,8 +52,9 @@ impl Trial {
     ///
     /// The format is detected from the first bytes: a NumPy array of shape (n, 11) with floats of 4
     /// or 8 bytes in either byte order and either memory order; gzip with CSV in it; CSV. CSV
-    /// columns are found by name, in any order; `timestamp_s` and `power_mW` are required. `NaN`
-    /// and an empty field mean "not recorded".
+    /// columns are found by name, in any order ([`column_names`]); time and power are required, or
+    /// voltage and current instead of power. `NaN` and an empty field mean "not recorded". A
+    /// capture (MCAP) gives the rows whose samples it holds.
     ///
     /// # Errors
     /// [`TrialError`] names the file and, where there is one, row and column, with what was found

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use joulebus_dataset::split::{By, Split};
+use joulebus_dataset::trial::ColumnMap;
 use joulebus_eval::score::{Design, Options, Recording, Subject, read_recordings, score};
 use joulebus_predictor::{Model, Network};
 use joulebus_statistics::bootstrap::Bootstrap;
@@ -74,7 +75,8 @@ fn median<T>(mut run: impl FnMut() -> T) -> (f64, T) {
 }
 
 fn run(files: &[(u32, PathBuf)], model: &Model, threads: usize) -> String {
-    let (reading_s, found) = median(|| read_recordings(files).expect("they can be read"));
+    let (reading_s, found) =
+        median(|| read_recordings(files, &ColumnMap::default()).expect("they can be read"));
     let rows: usize = found.iter().map(|one| one.trial.rows()).sum();
     println!("{threads} thread(s): reading {rows} rows and making features {reading_s:.3} s");
     let everything = Options::default();

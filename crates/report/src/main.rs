@@ -8,8 +8,8 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use joulebus_dataset::inspect::find;
-use joulebus_dataset::trial::Trial;
-use joulebus_eval::score::{Recording, check_apart};
+use joulebus_dataset::trial::{ColumnMap, MappedColumn};
+use joulebus_eval::score::{Recording, check_apart, read_recordings};
 use joulebus_predictor::Model;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
@@ -83,8 +83,11 @@ fn evaluate(args: &ReportArguments) -> anyhow::Result<Document> {
     let first = kind
         .and_then(|kind| kind.robots.first())
         .map_or(0, |ids| *ids.start());
-    let evaluated = read(&args.paths, first)?;
-    let learned_from = read(&args.train, first)?;
+    let columns = args.map.iter().map(|column| column.parse::<MappedColumn>());
+    let columns = columns.collect::<Result<Vec<_>, _>>();
+    let map = ColumnMap::from(columns.map_err(|error| UsageError(error.to_string()))?);
+    let evaluated = read(&args.paths, first, &map)?;
+    let learned_from = read(&args.train, first, &map)?;
     check_apart(&evaluated, (&learned_from, "in --train"))
         .map_err(|error| UsageError(error.to_string()))?;
     say(&format!("evaluating {} recordings", evaluated.len()));
@@ -103,7 +106,7 @@ fn model(path: &Path) -> anyhow::Result<Model> {
 }
 
 /// The recordings of files and directories, all with the same robot id, since each is run alone.
-fn read(paths: &[PathBuf], robot: u32) -> anyhow::Result<Vec<Recording>> {
+fn read(paths: &[PathBuf], robot: u32, map: &ColumnMap) -> anyhow::Result<Vec<Recording>> {
     if paths.is_empty() {
         return Ok(Vec::new());
     }
@@ -112,10 +115,8 @@ fn read(paths: &[PathBuf], robot: u32) -> anyhow::Result<Vec<Recording>> {
         false => anyhow::Error::from(error),
     })?;
     found.remarks().for_each(|remark| say(&remark));
-    let recordings = found.files.into_iter();
-    recordings
-        .map(|file| Ok(Recording::new(robot, Trial::read(file)?)))
-        .collect()
+    let files: Vec<(u32, PathBuf)> = found.files.into_iter().map(|file| (robot, file)).collect();
+    Ok(read_recordings(&files, map)?)
 }
 
 /// In a terminal one line is overwritten; elsewhere every tenth epoch prints a line.

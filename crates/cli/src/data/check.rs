@@ -13,15 +13,18 @@ use joulebus_program::platform::platform;
 
 /// Find faults in recorded trials, with file and row
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  \
+#[command(after_help = format!("Examples:\n  \
     joulebus data check recordings/\n  \
     joulebus data check 'runs/**/*.npy' --platform gternal --places 10\n  \
+    joulebus data check logs/ --map time=stamp_ms,power_W=load\n  \
     joulebus data check recordings/ --format json\n\n\
     Faults: files that are not recordings, duplicates, times that repeat or go back, gaps, missing \
     readings and values, values out of range, power that differs from voltage times current, \
     columns that seem to be in another unit, readings held too long, truncated files. Held readings, \
     and columns that are missing, unknown or constant are reported, but are not faults.\n\
-    Exit codes: 0 without faults, 3 with faults.")]
+    Exit codes: 0 without faults, 3 with faults.\n\n\
+    Names of columns in a CSV, upper or lower case; --map names others. Time and power are required, or \
+    voltage and current instead of power:\n{}", joulebus_dataset::trial::column_names()))]
 pub(super) struct Args {
     #[command(flatten)]
     recordings: Recordings,
@@ -47,7 +50,7 @@ struct CheckReport {
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let files = args.recordings.find()?;
     let limits = args.limits()?;
-    let check = check_files(&files, &limits, args.places);
+    let check = check_files(&files, &args.recordings.map(), &limits, args.places);
     let sound = check.is_sound();
     output.report(&CheckReport {
         sound,

@@ -82,7 +82,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let found = args.recordings.find()?;
     let mut tables = Vec::new();
     for file in &found {
-        tables.extend(Table::read_robots(file)?);
+        tables.extend(Table::read_mapped(file, &args.recordings.map())?);
     }
     let targets = args.targets(&tables)?;
     let mut files = Vec::with_capacity(tables.len());
@@ -183,7 +183,7 @@ fn file_name(path: &Path, robot: Option<&str>, form: Form) -> String {
     let name = name.unwrap_or("recording");
     let stem = match Form::of(path) {
         Some(form) => name.strip_suffix(form.ending()).unwrap_or(name),
-        None => name,
+        None => name.strip_suffix(".mcap").unwrap_or(name),
     };
     let ending = form.ending();
     match robot {

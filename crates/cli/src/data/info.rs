@@ -56,8 +56,9 @@ struct Sums {
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut trials = Vec::new();
+    let map = args.recordings.map();
     for file in args.recordings.find()? {
-        trials.extend(Trial::read_robots(file)?.iter().map(describe));
+        trials.extend(Trial::read_mapped(file, &map)?.iter().map(describe));
     }
     let sums = Sums::of(&trials);
     let (columns, short) = (args.columns, args.short);

@@ -115,6 +115,7 @@ impl Selection {
         settings: &FleetSettings,
         model_named: bool,
     ) -> anyhow::Result<Vec<Section>> {
+        let map = self.trials.map();
         let section = |platform, place, recordings| Section {
             platform,
             place,
@@ -122,11 +123,11 @@ impl Selection {
             recordings,
         };
         if model_named && self.config.config.is_none() && !self.trials.names_robots() {
-            let recordings = read_recordings(&numbered(self.trials.files()?))?;
+            let recordings = read_recordings(&numbered(self.trials.files()?), &map)?;
             return Ok(vec![section(None, 0, recordings)]);
         }
         let mut sections = Vec::new();
-        let mut recordings = read_recordings(&self.trials.assigned(settings)?)?;
+        let mut recordings = read_recordings(&self.trials.assigned(settings)?, &map)?;
         for (place, platform) in settings.platforms.iter().enumerate() {
             let is_its =
                 |one: &mut Recording| platform.robots.iter().any(|ids| ids.contains(&one.id));
@@ -165,7 +166,7 @@ impl Selection {
         if self.fit.is_empty() {
             return Ok(Design::folds(recordings));
         }
-        let others = read_recordings(&numbered(find_recordings(&self.fit)?))?;
+        let others = read_recordings(&numbered(find_recordings(&self.fit)?), &self.trials.map())?;
         check_apart(recordings, (&others, "after --fit"))
             .map_err(|error| UsageError(error.to_string()))?;
         Ok(Design::fitted_on(recordings, others))

@@ -14,6 +14,7 @@ use joulebus_program::output::Output;
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
 use joulebus_train::{TrainSettings, settings_for_sim};
 
+use crate::recordings::ColumnArguments;
 use report::TrainReport;
 use run::RunArguments;
 
@@ -98,6 +99,26 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
         None,
     ))?;
     Ok(Outcome::Done)
+}
+
+/// Trains on recordings by the default recipe; returns false if the run was interrupted. `full`:
+/// velocities are recorded. Few files are split in time, since there is no trial to hold out.
+///
+/// # Errors
+/// The recordings cannot be read or are too few, or the model cannot be written.
+pub(crate) fn train_recordings(
+    paths: &[PathBuf],
+    columns: &ColumnArguments,
+    out: &std::path::Path,
+    full: bool,
+    files: usize,
+) -> anyhow::Result<bool> {
+    let features = if full {
+        FeatureChoice::Full
+    } else {
+        FeatureChoice::Power
+    };
+    trials::Args::of(paths, columns, out, features, files).train()
 }
 
 /// Path of the checkpoint of an unfinished run: beside the model.

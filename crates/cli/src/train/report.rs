@@ -26,6 +26,9 @@ pub(super) struct TrainReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     split: Option<SplitSummary>,
     scores: HeldOut,
+    /// Commands for the model.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) next: Vec<String>,
 }
 
 /// Scores on rows that were used for no decision.
@@ -67,6 +70,7 @@ impl TrainReport {
                 persistence_mae_w: card.scores.persistence_mae_w,
                 persistence_r2: card.scores.persistence_r2,
             },
+            next: Vec::new(),
         }
     }
 }
@@ -99,7 +103,14 @@ impl fmt::Display for TrainReport {
             out,
             "held out, {} rows: MAE {:.4} W, R² {:.4}; persistence: MAE {:.4} W, R² {:.4}",
             scores.rows, scores.mae_w, scores.r2, scores.persistence_mae_w, scores.persistence_r2
-        )
+        )?;
+        if !self.next.is_empty() {
+            writeln!(out, "next:")?;
+        }
+        for command in &self.next {
+            writeln!(out, "  {command}")?;
+        }
+        Ok(())
     }
 }
 

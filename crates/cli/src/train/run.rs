@@ -36,6 +36,15 @@ pub(super) struct RunArguments {
 }
 
 impl RunArguments {
+    /// A run that writes this model.
+    pub(super) fn new(out: &Path) -> Self {
+        Self {
+            out: out.to_owned(),
+            resume: false,
+            threads: 0,
+        }
+    }
+
     /// Checks the output directory before the training, not after minutes of it.
     pub(super) fn check(&self) -> anyhow::Result<()> {
         let folder = self.out.parent();

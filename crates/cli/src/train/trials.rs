@@ -9,7 +9,7 @@ use joulebus_dataset::rows::{trial_rows, write_rows};
 use joulebus_dataset::split::{
     By, PARTS, Placed, Source, Split, SplitSummary, check_copies, group_of, split,
 };
-use joulebus_dataset::trial::Trial;
+use joulebus_dataset::trial::{ColumnMap, Trial};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
 use joulebus_train::TrainSettings;
@@ -18,7 +18,7 @@ use serde::Deserialize;
 use super::FeatureChoice;
 use super::report::TrainReport;
 use super::run::RunArguments;
-use crate::recordings::find_recordings;
+use crate::recordings::{ColumnArguments, find_recordings};
 use crate::split_unit::SplitUnit;
 
 #[derive(Debug, clap::Args)]
@@ -29,7 +29,8 @@ use crate::split_unit::SplitUnit;
     Rows need five gapless readings before them. Those with a missing number are omitted \
     and counted. configs/recipes/paper.toml explains every setting of a recipe.")]
 pub(super) struct Args {
-    /// Recordings (.npy, .csv, .csv.gz), directories (searched recursively), or patterns in quotes
+    /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
+    /// patterns in quotes
     #[arg(required = true, value_name = "PATH")]
     paths: Vec<PathBuf>,
     /// Recordings for early stopping; with --hold-out, instead of a split
@@ -61,6 +62,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "DIR")]
     rows: Option<PathBuf>,
     #[command(flatten)]
+    columns: ColumnArguments,
+    #[command(flatten)]
     run: RunArguments,
 }
 
@@ -84,12 +87,60 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let Some(trained) = args.run.train(&dataset, &recipe.training)? else {
         return Ok(Outcome::Failed);
     };
-    let report = TrainReport::new(&args.run.out, &trained, start.elapsed(), Some(summary));
+    let mut report = TrainReport::new(&args.run.out, &trained, start.elapsed(), Some(summary));
+    report.next = args.next();
     output.report(&report)?;
     Ok(Outcome::Done)
 }
 
+/// From this many recordings on, whole ones are held out.
+const WHOLE_FROM: usize = 10;
+
 impl Args {
+    /// Arguments for the default recipe.
+    pub(super) fn of(
+        paths: &[PathBuf],
+        columns: &ColumnArguments,
+        out: &Path,
+        features: FeatureChoice,
+        files: usize,
+    ) -> Self {
+        Self {
+            paths: paths.to_vec(),
+            validate: Vec::new(),
+            hold_out: Vec::new(),
+            split: Some(match files {
+                WHOLE_FROM.. => SplitUnit::Trial,
+                _ => SplitUnit::Time,
+            }),
+            recipe: None,
+            seed: None,
+            name: None,
+            features: Some(features),
+            rows: None,
+            columns: columns.clone(),
+            run: RunArguments::new(out),
+        }
+    }
+
+    /// Commands for the trained model.
+    fn next(&self) -> Vec<String> {
+        let path = |path: &PathBuf| path.display().to_string();
+        let recordings: Vec<String> = self.paths.iter().map(path).collect();
+        let (recordings, model) = (recordings.join(" "), path(&self.run.out));
+        vec![
+            format!("joulebus eval {recordings} --model {model}"),
+            format!("joulebus config init --from {recordings} --model {model} --out lab/"),
+        ]
+    }
+
+    /// Trains without a report; false if the run was interrupted.
+    pub(super) fn train(&self) -> anyhow::Result<bool> {
+        let recipe = self.recipe()?;
+        let (dataset, _) = self.dataset(&recipe)?;
+        Ok(self.run.train(&dataset, &recipe.training)?.is_some())
+    }
+
     fn recipe(&self) -> anyhow::Result<Recipe> {
         let mut recipe = match &self.recipe {
             None => Recipe::default(),
@@ -116,13 +167,14 @@ impl Args {
     }
 
     fn dataset(&self, recipe: &Recipe) -> anyhow::Result<(Dataset, SplitSummary)> {
-        let sources = read(&self.paths)?;
+        let map = self.columns.map();
+        let sources = read(&self.paths, &map)?;
         let description = describe(&sources);
         if self.hold_out.is_empty() {
             return split(&sources, recipe.split, &description)
                 .map_err(|error| UsageError(error.to_string()).into());
         }
-        let (validation, held_out) = (read(&self.validate)?, read(&self.hold_out)?);
+        let (validation, held_out) = (read(&self.validate, &map)?, read(&self.hold_out, &map)?);
         let parts = [&sources, &validation, &held_out];
         let names = parts.map(|part| -> Vec<String> {
             part.iter().map(|source| source.trial.clone()).collect()
@@ -168,10 +220,10 @@ fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
     toml::from_str(&text).map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
 }
 
-fn read(paths: &[PathBuf]) -> anyhow::Result<Vec<Source>> {
+fn read(paths: &[PathBuf], map: &ColumnMap) -> anyhow::Result<Vec<Source>> {
     let mut sources = Vec::new();
     for file in find_recordings(paths)? {
-        let trials = Trial::read_robots(&file)?;
+        let trials = Trial::read_mapped(&file, map)?;
         sources.extend(trials.iter().map(|trial| source(&file, trial)));
     }
     Ok(sources)

@@ -12,7 +12,7 @@ use super::finding::{Finding, FindingKind, Place};
 use super::hold::runs;
 use super::limits::Limits;
 use super::units::{power_check, suspicions};
-use crate::trial::{Column, Trial};
+use crate::trial::{Column, ColumnMap, Trial};
 
 /// Result of checking a set of files.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -49,10 +49,10 @@ impl Check {
 /// `places` occurrences are kept, in the order of the files and rows. The result is the same for
 /// any number of threads.
 #[must_use]
-pub fn check_files(files: &[PathBuf], limits: &Limits, places: usize) -> Check {
+pub fn check_files(files: &[PathBuf], map: &ColumnMap, limits: &Limits, places: usize) -> Check {
     let looked: Vec<Looked> = files
         .par_iter()
-        .map(|file| look(file, limits, places))
+        .map(|file| look(file, map, limits, places))
         .collect();
     let mut all = Findings::new(places);
     let mut first_with = HashMap::new();
@@ -93,8 +93,8 @@ struct Looked {
     rows: usize,
 }
 
-fn look(file: &Path, limits: &Limits, places: usize) -> Looked {
-    match Trial::read_robots(file) {
+fn look(file: &Path, map: &ColumnMap, limits: &Limits, places: usize) -> Looked {
+    match Trial::read_mapped(file, map) {
         Err(error) => {
             let text = error.to_string();
             let prefix = format!("{}: ", file.display());

@@ -5,14 +5,14 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::trial::Form;
+use crate::trial::{Form, is_capture};
 
 /// Recordings found.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Found {
     /// Recordings in the order of the arguments; those of a directory sorted by name.
     pub files: Vec<PathBuf>,
-    /// Other files in the directories: not `.npy`, `.csv` or `.csv.gz`, ignored.
+    /// Other files in the directories: not `.npy`, `.csv`, `.csv.gz` or a capture, ignored.
     pub others: Vec<PathBuf>,
     /// Files named more than once; each is used once.
     pub repeated: Vec<PathBuf>,
@@ -47,7 +47,7 @@ pub enum FindError {
         source: io::Error,
     },
     /// A directory without recordings.
-    #[error("{path} holds no recordings (.npy, .csv, .csv.gz)", path = path.display())]
+    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mcap of joulebus)", path = path.display())]
     NoRecordings {
         /// The directory.
         path: PathBuf,
@@ -144,6 +144,13 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
     Ok(())
 }
 
+/// Whether a file of a directory is a recording: by its name, and an `.mcap` by its first record,
+/// since those of other programs have to be converted.
+#[must_use]
+pub fn is_recording(path: &Path) -> bool {
+    (Form::of(path).is_some() && path.is_file()) || is_capture(path)
+}
+
 /// Symbolic links to directories are not followed, so the walk terminates.
 fn walk(directory: &Path, found: &mut Found) -> Result<(), FindError> {
     let failed = |source| io_error(directory, source);
@@ -156,7 +163,7 @@ fn walk(directory: &Path, found: &mut Found) -> Result<(), FindError> {
         let told = fs::symlink_metadata(&path).map_err(|source| io_error(&path, source))?;
         if told.is_dir() {
             walk(&path, found)?;
-        } else if Form::of(&path).is_some() && path.is_file() {
+        } else if is_recording(&path) {
             found.files.push(path);
         } else {
             found.others.push(path);

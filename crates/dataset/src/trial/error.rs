@@ -27,7 +27,8 @@ pub enum TrialError {
     },
     /// The file has another format.
     #[error(
-        "{path}: found {found}; expected a .npy array of shape (n, 11), or a CSV, plain or .gz",
+        "{path}: found {found}; expected a .npy array of shape (n, 11), a CSV, plain or .gz, or a capture \
+         (.mcap)",
         path = path.display()
     )]
     Kind {
@@ -149,22 +150,31 @@ pub enum TrialError {
         /// Bytes of header and rows.
         expected_bytes: u64,
     },
-    /// A required column is missing.
+    /// Required columns are missing.
     #[error(
-        "{path}: no column {expected}; found {found}",
+        "{path}: no column for {missing}; found {found}; name them with --map, such as \
+         --map time=t,power_W=p (`joulebus data check --help` lists the accepted names)",
         path = path.display()
     )]
-    MissingColumn {
+    MissingColumns {
         /// The file.
         path: PathBuf,
-        /// The accepted names of the column.
-        expected: String,
+        /// The missing columns with their accepted names.
+        missing: String,
         /// The columns of the header.
         found: String,
     },
+    /// A capture could not be read.
+    #[error("{path}: {detail}", path = path.display())]
+    Capture {
+        /// The file.
+        path: PathBuf,
+        /// What was found, and what to do.
+        detail: String,
+    },
     /// Two columns have the same meaning.
     #[error(
-        "{path}: columns {first} and {second} are synonyms; keep one",
+        "{path}: columns {first} and {second} are synonyms; keep one, or name it with --map",
         path = path.display()
     )]
     DuplicateColumn {

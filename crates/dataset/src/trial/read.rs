@@ -3,8 +3,9 @@
 use std::io::{BufReader, Cursor, Read};
 use std::path::Path;
 
-use super::limits::{GZIP_MAGIC, ZIP_MAGIC};
-use super::{Table, Trial, TrialError, npy, text};
+use super::limits::{GZIP_MAGIC, MCAP_MAGIC, ZIP_MAGIC};
+use super::names::ColumnMap;
+use super::{Table, Trial, TrialError, capture, npy, text};
 
 const HEAD_BYTES: u64 = 8;
 
@@ -23,6 +24,14 @@ impl Table {
     /// [`TrialError`], like [`Table::read`], but several robots are accepted if every row names its
     /// robot.
     pub fn read_robots(path: impl AsRef<Path>) -> Result<Vec<Self>, TrialError> {
+        Self::read_mapped(path, &ColumnMap::default())
+    }
+
+    /// As [`Table::read_robots`], with names for the columns of a CSV.
+    ///
+    /// # Errors
+    /// As [`Table::read_robots`], and for a mapped column that the file lacks.
+    pub fn read_mapped(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
         let path = path.as_ref();
         let io = |source| TrialError::Io {
             path: path.to_owned(),
@@ -44,6 +53,8 @@ impl Table {
             let file_bytes = file.metadata().map_err(io)?.len();
             let whole = head.as_slice().chain(BufReader::new(file));
             npy::read(path, whole, file_bytes)
+        } else if head.starts_with(MCAP_MAGIC) {
+            capture::read(path)
         } else if head.starts_with(ZIP_MAGIC) {
             Err(TrialError::Kind {
                 path: path.to_owned(),
@@ -53,8 +64,16 @@ impl Table {
             let file_bytes = file.metadata().map_err(io)?.len();
             let zipped = head.starts_with(GZIP_MAGIC).then_some(file_bytes);
             let whole = Cursor::new(head).chain(BufReader::new(file));
-            text::read(path, Box::new(whole), zipped)
+            text::read(path, Box::new(whole), zipped, map)
         }
+    }
+
+    /// As [`Table::read`], with names for the columns of a CSV.
+    ///
+    /// # Errors
+    /// As [`Table::read`], and for a mapped column that the file lacks.
+    pub fn only_of(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Self, TrialError> {
+        Self::only(Self::read_mapped(path, map)?)
     }
 
     /// The trial in SI units.
@@ -79,7 +98,15 @@ impl Trial {
     /// [`TrialError`], like [`Trial::read`], but several robots are accepted if every row names its
     /// robot.
     pub fn read_robots(path: impl AsRef<Path>) -> Result<Vec<Self>, TrialError> {
-        let tables = Table::read_robots(path)?;
+        Self::read_mapped(path, &ColumnMap::default())
+    }
+
+    /// As [`Trial::read_robots`], with names for the columns of a CSV.
+    ///
+    /// # Errors
+    /// As [`Trial::read_robots`], and for a mapped column that the file lacks.
+    pub fn read_mapped(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
+        let tables = Table::read_mapped(path, map)?;
         tables.into_iter().map(Table::into_trial).collect()
     }
 }

@@ -55,23 +55,18 @@ impl Column {
     /// Name in a CSV header, with the unit in the file.
     #[must_use]
     pub const fn name(self) -> &'static str {
-        self.names()[0]
-    }
-
-    /// Accepted names of the column in a CSV: with the unit, and as in the array layout.
-    pub(super) const fn names(self) -> &'static [&'static str] {
         match self {
-            Self::Phase => &["phase"],
-            Self::V => &["v_cmd_mps", "v_cmd"],
-            Self::Omega => &["omega_cmd_radps", "omega_cmd"],
-            Self::X => &["x_m", "x"],
-            Self::Y => &["y_m", "y"],
-            Self::Theta => &["theta_rad", "theta"],
-            Self::Voltage => &["voltage_mV", "voltage"],
-            Self::Current => &["current_mA", "current"],
-            Self::Power => &["power_mW"],
-            Self::VMeasured => &["v_meas_mps", "v_meas"],
-            Self::OmegaMeasured => &["omega_meas_radps", "omega_meas"],
+            Self::Phase => "phase",
+            Self::V => "v_cmd_mps",
+            Self::Omega => "omega_cmd_radps",
+            Self::X => "x_m",
+            Self::Y => "y_m",
+            Self::Theta => "theta_rad",
+            Self::Voltage => "voltage_mV",
+            Self::Current => "current_mA",
+            Self::Power => "power_mW",
+            Self::VMeasured => "v_meas_mps",
+            Self::OmegaMeasured => "omega_meas_radps",
         }
     }
 

@@ -8,13 +8,15 @@ use flate2::bufread::MultiGzDecoder;
 
 use super::TrialError;
 use super::limits::{FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROW_BYTES, MAX_TEXT_BYTES};
-use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table, Tables};
+use super::names::{ColumnMap, Quantity, accepted};
+use super::table::{Cell, Column, TIME_NAMES, Table, Tables};
 
 /// Reads the table; `zipped`: the bytes are gzip, with the size of the file.
 pub(super) fn read(
     path: &Path,
     source: Box<dyn Read>,
     zipped: Option<u64>,
+    map: &ColumnMap,
 ) -> Result<Vec<Table>, TrialError> {
     let (source, allowed): (Box<dyn Read>, u64) = match zipped {
         Some(bytes) => {
@@ -44,7 +46,7 @@ pub(super) fn read(
             found: "a compressed NumPy array (decompress it first)",
         });
     }
-    let (layout, ignored_columns) = Layout::find(path, &header)?;
+    let (layout, ignored_columns) = Layout::find(path, &header, map)?;
     let mut tables = Tables::default();
     let mut record = ByteRecord::new();
     let mut rows = 0;
@@ -140,58 +142,86 @@ fn explain(
     }
 }
 
-/// Position of each column of the table in a row.
+/// Position of each column of the table in a row, and the factor to the unit of the layout.
 struct Layout {
     fields: usize,
     robot: Option<usize>,
-    time: usize,
-    columns: Vec<(Column, usize)>,
+    time: (usize, f64),
+    columns: Vec<(Column, usize, f64)>,
+    /// Whether power is voltage times current.
+    by_product: bool,
 }
 
 impl Layout {
-    fn find(path: &Path, header: &ByteRecord) -> Result<(Self, Vec<String>), TrialError> {
+    fn find(
+        path: &Path,
+        header: &ByteRecord,
+        map: &ColumnMap,
+    ) -> Result<(Self, Vec<String>), TrialError> {
         let names = header
             .iter()
             .map(|name| String::from_utf8_lossy(name).into_owned())
             .collect::<Vec<_>>();
+        let shown = || names.join(", ").chars().take(400).collect::<String>();
+        let absent = map
+            .named()
+            .filter(|(_, name)| names.iter().all(|found| found != name));
+        let absent: Vec<String> = absent
+            .map(|(quantity, name)| format!("{quantity}={name}"))
+            .collect();
+        if !absent.is_empty() {
+            return Err(TrialError::MissingColumns {
+                path: path.to_owned(),
+                missing: format!("mapped: {}", absent.join(", ")),
+                found: shown(),
+            });
+        }
         let mut used = vec![false; names.len()];
-        let mut find = |wanted: &[&str]| {
-            let mut found = None;
-            for (position, name) in names.iter().enumerate() {
-                if !wanted.contains(&name.as_str()) {
-                    continue;
-                }
-                used[position] = true;
-                if let Some(first) = found.replace(position) {
-                    return Err(TrialError::DuplicateColumn {
-                        path: path.to_owned(),
-                        first: names[first].clone(),
-                        second: name.clone(),
-                    });
-                }
+        let mut find = |quantity| match map.positions(quantity, &names).as_slice() {
+            [] => Ok(None),
+            [one] => {
+                used[one.0] = true;
+                Ok(Some(*one))
             }
-            Ok(found)
+            [first, second, ..] => Err(TrialError::DuplicateColumn {
+                path: path.to_owned(),
+                first: names[first.0].clone(),
+                second: names[second.0].clone(),
+            }),
         };
-        let missing = |wanted: &[&str]| TrialError::MissingColumn {
-            path: path.to_owned(),
-            expected: wanted.join(" or "),
-            found: names.join(", ").chars().take(400).collect(),
-        };
-        let robot = find(ROBOT_NAMES)?;
-        let time = find(TIME_NAMES)?.ok_or_else(|| missing(TIME_NAMES))?;
+        let robot = find(Quantity::Robot)?.map(|(position, _)| position);
+        let time = find(Quantity::Time)?;
         let mut columns = Vec::new();
         for column in Column::ALL {
-            match find(column.names())? {
-                Some(position) => columns.push((column, position)),
-                None if column == Column::Power => return Err(missing(column.names())),
-                None => {}
+            if let Some((position, factor)) = find(Quantity::Column(column))? {
+                columns.push((column, position, factor));
             }
         }
+        let has = |wanted| columns.iter().any(|(column, ..)| *column == wanted);
+        let by_product = !has(Column::Power) && has(Column::Voltage) && has(Column::Current);
+        let mut missing = Vec::new();
+        if time.is_none() {
+            missing.push(accepted(Quantity::Time));
+        }
+        if !has(Column::Power) && !by_product {
+            missing.push(format!(
+                "{}, or voltage and current",
+                accepted(Quantity::Column(Column::Power))
+            ));
+        }
+        let Some(time) = time.filter(|_| missing.is_empty()) else {
+            return Err(TrialError::MissingColumns {
+                path: path.to_owned(),
+                missing: missing.join(" and "),
+                found: shown(),
+            });
+        };
         let layout = Self {
             fields: names.len(),
             robot,
             time,
             columns,
+            by_product,
         };
         let ignored_columns = names
             .into_iter()
@@ -220,11 +250,21 @@ impl Layout {
             .map(|position| String::from_utf8_lossy(&record[position]));
         let name = name.filter(|name| !name.eq_ignore_ascii_case("nan"));
         let table = tables.of(cell, name.as_deref().unwrap_or_default())?;
-        let time_s = number(cell, TIME_NAMES[0], &record[self.time])?;
+        let (position, factor) = self.time;
+        let time_s = number(cell, TIME_NAMES[0], &record[position])? * factor;
         table.push_time(cell, time_s)?;
-        for (column, position) in &self.columns {
-            let value = number(cell, column.name(), &record[*position])?;
+        let (mut voltage_mv, mut current_ma) = (f64::NAN, f64::NAN);
+        for (column, position, factor) in &self.columns {
+            let value = number(cell, column.name(), &record[*position])? * factor;
+            match column {
+                Column::Voltage => voltage_mv = value,
+                Column::Current => current_ma = value,
+                _ => {}
+            }
             table.push(cell, *column, value)?;
+        }
+        if self.by_product {
+            table.push(cell, Column::Power, voltage_mv * current_ma / 1000.0)?;
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use joulebus_dataset::inspect::{
     Check, FindError, FindingKind, Limits, Range, check_files, check_trial, describe, find, holds,
 };
-use joulebus_dataset::trial::Trial;
+use joulebus_dataset::trial::{ColumnMap, Trial};
 
 use crate::files::{Files, csv, npy_f8};
 use crate::recordings::trials;
@@ -38,7 +38,12 @@ fn sound(rows: usize) -> Vec<[f64; 11]> {
 
 fn check(name: &str, bytes: &[u8]) -> Check {
     let files = Files::new();
-    check_files(&[files.write(name, bytes)], &Limits::default(), 100)
+    check_files(
+        &[files.write(name, bytes)],
+        &ColumnMap::default(),
+        &Limits::default(),
+        100,
+    )
 }
 
 fn faults(check: &Check) -> Vec<(FindingKind, usize)> {
@@ -219,7 +224,7 @@ fn a_file_that_is_not_a_recording_is_a_finding_beside_the_others() {
         files.write("b.npy", &npy_f8(&sound(41))),
         files.write("same.csv", csv(&sound(41)).as_bytes()),
     ];
-    let found = check_files(&paths, &Limits::default(), 2);
+    let found = check_files(&paths, &ColumnMap::default(), &Limits::default(), 2);
     assert_eq!((found.files, found.trials), (7, 4));
     let wanted = [
         (FindingKind::Unreadable, 3),
@@ -376,13 +381,13 @@ fn the_real_recordings_are_as_their_description_says() {
         };
         paths.extend(found);
     }
-    let found = check_files(&paths, &Limits::default(), 1);
+    let found = check_files(&paths, &ColumnMap::default(), &Limits::default(), 1);
     assert_eq!((found.trials, found.robots, found.rows), (780, 3, 346_887));
     // Gaps of the Robotino, and a Husky at rest: nothing else.
     let kinds: Vec<FindingKind> = faults(&found).iter().map(|fault| fault.0).collect();
     assert_eq!(kinds, [FindingKind::Gap, FindingKind::Stuck]);
     let gaps = found.finding(FindingKind::Gap).unwrap();
     assert_eq!((gaps.count, gaps.files), (245, 159));
-    let one = check_files(&paths[..1], &Limits::default(), 1);
+    let one = check_files(&paths[..1], &ColumnMap::default(), &Limits::default(), 1);
     assert!(one.is_sound(), "{one:?}");
 }

@@ -174,20 +174,24 @@ fn malformed_text_is_refused_with_row_column_what_was_found_and_what_is_allowed(
         ),
         (
             "no_time.csv",
-            with("timestamp_s", "time"),
-            |e| matches!(e, TrialError::MissingColumn { .. }),
-            &["timestamp_s or timestamp", "robot_id, time, phase"],
+            with("timestamp_s", "clock"),
+            |e| matches!(e, TrialError::MissingColumns { .. }),
+            &["timestamp_s, timestamp", "robot_id, clock, phase", "--map"],
         ),
         (
             "no_power.csv",
-            with("power_mW", "power_W"),
-            |e| matches!(e, TrialError::MissingColumn { .. }),
-            &["power_mW", "power_W"],
+            // With voltage and current, power would be their product.
+            String::from_utf8(with("power_mW", "power"))
+                .unwrap()
+                .replacen("voltage_mV", "tension", 1)
+                .into_bytes(),
+            |e| matches!(e, TrialError::MissingColumns { .. }),
+            &["power_mW", "power_W", "voltage and current"],
         ),
         (
             "no_header.csv",
             text.split_once('\n').unwrap().1.as_bytes().to_vec(),
-            |e| matches!(e, TrialError::MissingColumn { .. }),
+            |e| matches!(e, TrialError::MissingColumns { .. }),
             &["timestamp_s"],
         ),
         (

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use joulebus_dataset::rows::{TrialRows, trial_rows};
 use joulebus_dataset::split::{Placed, Source, SplitError, check_copies, group_of};
-use joulebus_dataset::trial::{Trial, TrialError};
+use joulebus_dataset::trial::{ColumnMap, Trial, TrialError};
 
 /// A trial with its names and rows.
 #[derive(Debug, Clone)]
@@ -66,14 +66,18 @@ impl Recording {
 }
 
 /// Reads recordings in parallel and returns them in the order of their files. Each has the id given
-/// with its file; a file with several robots yields a recording for each.
+/// with its file; a file with several robots yields a recording for each. `map` names the columns of
+/// CSV files.
 ///
 /// # Errors
 /// The error of the first file, in their order, that cannot be read.
-pub fn read_recordings(files: &[(u32, PathBuf)]) -> Result<Vec<Recording>, TrialError> {
+pub fn read_recordings(
+    files: &[(u32, PathBuf)],
+    map: &ColumnMap,
+) -> Result<Vec<Recording>, TrialError> {
     let each = files.par_iter();
     let read = each.map(|(id, path)| -> Result<Vec<Recording>, TrialError> {
-        let trials = Trial::read_robots(path)?;
+        let trials = Trial::read_mapped(path, map)?;
         let several = trials.len() > 1;
         let named = trials.into_iter().map(|trial| {
             let mut recording = Recording::new(*id, trial);

@@ -18,9 +18,13 @@ use crate::config_file::ConfigFile;
     Every model is compared with persistence and AR(5) + velocities, on the same rows, with 95 % \
     intervals.")]
 pub struct ReportArguments {
-    /// Recordings to evaluate (.npy, .csv, .csv.gz), or directories of them
+    /// Recordings to evaluate (.npy, .csv, .csv.gz), captures (.mcap), or directories of them
     #[arg(value_name = "PATH", required_unless_present = "simulated")]
     pub paths: Vec<PathBuf>,
+    /// Names of columns in CSV files, where they are not found by themselves:
+    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names)
+    #[arg(long, value_name = "QUANTITY=COLUMN,…", value_delimiter = ',')]
+    pub map: Vec<String>,
     /// A model file; the first is shown in every figure, further ones are compared with it
     #[arg(long, value_name = "FILE", required_unless_present = "simulated")]
     pub model: Vec<PathBuf>,
