@@ -10,7 +10,7 @@ use joulebus_sim::protocol;
 fn main() -> Result<(), Box<dyn Error>> {
     let checkpoint = Checkpoint::from_arrays(&arrays_of_another_program()?)?;
     // The network is found by the shapes of its arrays, the normalisation by its names.
-    let found = checkpoint.find(None)?;
+    let found = checkpoint.find(None, None)?;
     for layer in &found.layers {
         println!("found {}", layer.weight_path);
     }

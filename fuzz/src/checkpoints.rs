@@ -30,7 +30,7 @@ pub(crate) fn whole(bytes: &[u8]) -> bool {
             assert_eq!(tensor.values().len(), kept, "{}", entry.path);
         }
     }
-    if let Ok(found) = checkpoint.find(None) {
+    if let Ok(found) = checkpoint.find(None, None) {
         let mut inputs = found.feature_set.inputs();
         for found in &found.layers {
             let outputs = found.layer.bias.len();

@@ -4,7 +4,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::entry::{Container, Entry};
 use super::error::{MAX_FILE_BYTES, ReadError};
-use super::{archive, entries, own, torch};
+use super::{archive, entries, onnx, own, state_dict, torch};
 use joulebus_predictor::{ModelError, Network};
 
 /// Contents of a model file.
@@ -16,7 +16,7 @@ pub struct Checkpoint {
     pub entries: Vec<Entry>,
     /// SHA-256 of the file, hexadecimal.
     pub sha256: String,
-    /// The model, if the file is a joulebus model, as safetensors or as arrays.
+    /// The model, if the file is a joulebus model: as safetensors, arrays or ONNX.
     pub network: Option<Network>,
 }
 
@@ -26,7 +26,6 @@ impl Checkpoint {
     ///
     /// # Errors
     /// [`ReadError`] with the location, what was found and what is allowed.
-    /// [`ReadError`], naming the place: what was found and what is allowed.
     pub fn read(bytes: &[u8]) -> Result<Checkpoint, ReadError> {
         let found = bytes.len();
         if found > MAX_FILE_BYTES {
@@ -55,8 +54,20 @@ impl Checkpoint {
         if torch::is_legacy(bytes) {
             return checkpoint(Container::TorchLegacy, bytes, torch::read_legacy(bytes)?);
         }
-        if own::is_own(bytes) {
-            return own_file(bytes);
+        if own::is_safetensors(bytes) {
+            return match own::is_foreign(bytes) {
+                true => checkpoint(Container::StateDict, bytes, state_dict::entries(bytes)?),
+                false => own_file(bytes),
+            };
+        }
+        if let Some(network) = onnx::read(bytes) {
+            let network = network?;
+            return Ok(Checkpoint {
+                container: Container::Onnx,
+                entries: own::entries(&network),
+                sha256: hex(&Sha256::digest(bytes)),
+                network: Some(network),
+            });
         }
         let head = bytes.get(..bytes.len().min(8)).unwrap_or_default();
         Err(ReadError::Kind {

@@ -2,12 +2,14 @@
 //!
 //! A file holds weights and statistics, but not how the features were computed. The published
 //! model's features are known: `v, ω`, their derivatives, their magnitudes, five readings. The
-//! unknown details have few possible values, and wrong ones forecast badly, so every [`Convention`]
-//! is evaluated on recorded trials and the best one is chosen. All of them read the row as
+//! unknown details have few possible values. Those under which the file's statistics are far from
+//! the recordings' are ruled out first; each other [`Convention`] is evaluated on the recordings,
+//! and the best one is chosen if it is clearly better than the others. All of them read the row as
 //! documented: the command of row *t* and the readings before it, derivatives over the step before.
 
 mod choose;
 mod score;
+mod statistics;
 
 use std::fmt;
 use std::str::FromStr;
@@ -199,6 +201,27 @@ pub enum ChooseError {
         r2: f64,
         /// Readings.
         rows: usize,
+    },
+    /// Several conventions forecast equally well.
+    #[error(
+        "the recordings do not tell these conventions apart: {candidates}; give recordings with more \
+         changing commands, or name one with --convention"
+    )]
+    Indistinguishable {
+        /// The conventions with their R², best first.
+        candidates: String,
+    },
+    /// The file has no statistics, and those of the published model are not those of this robot.
+    #[error(
+        "the file has no normalisation constants, and the recordings are not of the published \
+         model's robot: {found}, published: {published}; add the constants to the file, or take those \
+         of the recordings with --normalisation recordings if the network was trained on them"
+    )]
+    NotPublished {
+        /// What the recordings have.
+        found: String,
+        /// What the published model's documentation states.
+        published: String,
     },
     /// The requested convention does not match the statistics.
     #[error("{asked} does not match the file's statistics; those that match: {allowed}")]

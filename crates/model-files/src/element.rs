@@ -3,6 +3,9 @@
 /// An element type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Element {
+    F16,
+    /// The upper half of an f32.
+    BF16,
     F32,
     F64,
     I8,
@@ -16,8 +19,11 @@ pub(super) enum Element {
     Bool,
 }
 
-/// Element types with NumPy's code, PyTorch's storage class and the name in messages.
-const NAMES: [(Element, &str, &str, &str); 11] = [
+/// Element types with NumPy's code (`-`: it has none), PyTorch's storage class and the name in
+/// messages.
+const NAMES: [(Element, &str, &str, &str); 13] = [
+    (Element::F16, "f2", "HalfStorage", "f16"),
+    (Element::BF16, "-", "BFloat16Storage", "bf16"),
     (Element::F32, "f4", "FloatStorage", "f32"),
     (Element::F64, "f8", "DoubleStorage", "f64"),
     (Element::I8, "i1", "CharStorage", "i8"),
@@ -54,7 +60,7 @@ impl Element {
     pub(super) const fn size(self) -> usize {
         match self {
             Element::I8 | Element::U8 | Element::Bool => 1,
-            Element::I16 | Element::U16 => 2,
+            Element::F16 | Element::BF16 | Element::I16 | Element::U16 => 2,
             Element::F32 | Element::I32 | Element::U32 => 4,
             Element::F64 | Element::I64 | Element::U64 => 8,
         }
@@ -75,6 +81,8 @@ impl Element {
         }
         let [a, b, c, d, ..] = word;
         match self {
+            Element::F16 => half(u16::from_le_bytes([a, b])),
+            Element::BF16 => f64::from(f32::from_le_bytes([0, 0, a, b])),
             Element::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
             Element::F64 => f64::from_le_bytes(word),
             Element::I8 => f64::from(i8::from_le_bytes([a])),
@@ -90,9 +98,45 @@ impl Element {
     }
 }
 
+/// An IEEE 754 half: a sign, five bits of exponent, ten of fraction.
+fn half(bits: u16) -> f64 {
+    let (exponent, fraction) = (i32::from(bits >> 10 & 0x1f), f64::from(bits & 0x3ff));
+    let magnitude = match exponent {
+        0 => fraction * 2f64.powi(-24),
+        31 if fraction > 0.0 => f64::NAN,
+        31 => f64::INFINITY,
+        _ => (1024.0 + fraction) * 2f64.powi(exponent - 25),
+    };
+    if bits >> 15 == 1 {
+        -magnitude
+    } else {
+        magnitude
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn halves_of_both_kinds_are_exact() {
+        for (bits, value) in [
+            (0x0000, 0.0),
+            (0x0001, 2f64.powi(-24)),
+            (0x03ff, 1023.0 * 2f64.powi(-24)),
+            (0x0400, 2f64.powi(-14)),
+            (0x3c00, 1.0),
+            (0x3c01, 1.0 + 2f64.powi(-10)),
+            (0xc000, -2.0),
+            (0x7bff, 65504.0),
+            (0x7c00, f64::INFINITY),
+        ] {
+            assert_eq!(half(bits), value, "{bits:04x}");
+        }
+        assert!(half(0x7e00).is_nan());
+        let bf16 = |bits: u16| Element::BF16.decode(&bits.to_le_bytes(), false);
+        assert_eq!((bf16(0x3f80), bf16(0xc049)), (1.0, -3.140625));
+    }
 
     #[test]
     fn elements_are_decoded_in_both_byte_orders() {

@@ -9,7 +9,7 @@ const MAX_DEPTH: usize = 16;
 /// Maximum number of values visited; a value may be referenced repeatedly.
 const MAX_VISITS: usize = 1 << 16;
 /// Maximum number of entries.
-const MAX_ENTRIES: usize = 4_096;
+pub(super) const MAX_ENTRIES: usize = 4_096;
 /// Maximum length of a key, bytes.
 const MAX_KEY_BYTES: usize = 200;
 /// Maximum number of elements of all arrays; views may share elements.

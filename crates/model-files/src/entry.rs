@@ -10,6 +10,8 @@ use super::tensor::Tensor;
 pub enum Container {
     /// A joulebus model file.
     Safetensors,
+    /// Tensors of another program as safetensors, such as a PyTorch state dict.
+    StateDict,
     /// A NumPy array: of numbers, or of objects, which is a pickle.
     Npy,
     /// A zip archive of NumPy arrays.
@@ -20,17 +22,28 @@ pub enum Container {
     TorchLegacy,
     /// A directory of NumPy arrays.
     Arrays,
+    /// A joulebus model as ONNX graph.
+    Onnx,
+}
+
+impl Container {
+    /// Whether entries come in the order in which they were written, which is that of the layers.
+    pub(crate) fn is_ordered(self) -> bool {
+        !matches!(self, Container::StateDict | Container::Arrays)
+    }
 }
 
 impl fmt::Display for Container {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
             Container::Safetensors => "safetensors",
+            Container::StateDict => "state dict as safetensors",
             Container::Npy => "npy",
             Container::Npz => "npz",
             Container::TorchZip => "PyTorch (zip)",
             Container::TorchLegacy => "PyTorch (legacy)",
             Container::Arrays => "directory of npy",
+            Container::Onnx => "onnx",
         })
     }
 }

@@ -22,8 +22,8 @@ pub enum ReadError {
     },
     /// None of the supported formats.
     #[error(
-        "byte 0: {found}; expected a NumPy file (.npy, .npz), a PyTorch file (.pt, .pth) or a model of \
-         joulebus (.safetensors)"
+        "byte 0: {found}; expected a NumPy file (.npy, .npz), a PyTorch file (.pt, .pth), tensors \
+         (.safetensors) or a model that joulebus exported (.onnx)"
     )]
     Kind {
         /// What was found.
@@ -60,12 +60,23 @@ pub enum ReadError {
 pub enum FindError {
     /// No part of the file has the arrays of the network.
     #[error(
-        "no part of the file has exactly the arrays of the network (weights 64×11 or 64×5, 64×64, \
-         32×64, 1×32, all of them or none transposed; biases 64, 64, 32, 1); a network that reads \
+        "no part of the file has exactly the arrays of a network: one to three hidden layers of at \
+         most 64, 64 and 32 units, each with weights (from 11 or 5 inputs to one output, all of them or \
+         none transposed) and biases, and no other array of these sizes; a network that reads \
          freshness comes as an own model only; found: {found}"
     )]
     NoNetwork {
         /// The arrays found, with their shapes.
+        found: String,
+    },
+    /// The network is larger than the worker's.
+    #[error(
+        "the network is {found}; the worker runs 11→64→64→32→1 or smaller: 11 inputs, or the 5 \
+         readings alone, and one to three hidden layers of at most 64, 64 and 32 units; train a smaller \
+         one"
+    )]
+    TooLarge {
+        /// Its widths, such as `11→128→64→32→1`.
         found: String,
     },
     /// Several parts of the file have them.
@@ -92,16 +103,46 @@ pub enum FindError {
         /// The value.
         value: f64,
     },
-    /// The activation is unsupported, or differs between layers.
+    /// The activation is unsupported.
     #[error(
-        "{path:?} is {found:?}, allowed: \"none\" (GELU by the error function) or \"tanh\", the same \
-         in every layer"
+        "{path:?} states the activation {found:?}, which the worker does not have; allowed: {allowed}, \
+         or gelu, which is gelu_erf; if this is not about the hidden layers, name theirs with --activation",
+        allowed = joulebus_predictor::Activation::NAMES
     )]
     Activation {
         /// The setting.
         path: String,
         /// Its value.
         found: String,
+    },
+    /// Statements of the activation contradict each other.
+    #[error(
+        "{first}, but {second}; allowed: one activation in all hidden layers, or name it with --activation"
+    )]
+    ActivationsDiffer {
+        /// A statement.
+        first: String,
+        /// Another.
+        second: String,
+    },
+    /// The output has an activation.
+    #[error(
+        "{path:?} is {found:?}: the output has no activation here; allowed: identity, linear, none"
+    )]
+    OutputActivation {
+        /// The setting.
+        path: String,
+        /// Its value.
+        found: String,
+    },
+    /// The network has layers that are not run.
+    #[error(
+        "{path:?} belongs to a normalisation layer; the worker runs dense layers alone: fold it into the \
+         layer beside it, or train without it"
+    )]
+    NormalisationLayer {
+        /// An array of it.
+        path: String,
     },
     /// Some statistics of the normalisation are missing.
     #[error("the normalisation is incomplete: found {found}; missing: {missing}")]

@@ -21,8 +21,22 @@ pub struct FoundNormalisation {
     pub statistics: Statistics,
     /// The source of each, as text.
     pub sources: Vec<String>,
-    /// Whether the file has none, so that those of the published model's documentation were used.
-    pub documented: bool,
+    /// Where they come from.
+    pub from: StatisticsFrom,
+}
+
+/// The source of the statistics.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StatisticsFrom {
+    /// The file.
+    File,
+    /// The file has none; those of the published model's documentation, if recordings agree with
+    /// them.
+    Assumed,
+    /// As named by the caller: those of the published model's documentation.
+    Published,
+    /// As named by the caller: those of the recordings.
+    Recordings,
 }
 
 /// Means and standard deviations, in the file's units: velocities in m/s and rad/s, power in mW or
@@ -171,7 +185,7 @@ pub(super) fn find<'a>(
     Ok(FoundNormalisation {
         statistics,
         sources,
-        documented: false,
+        from: StatisticsFrom::File,
     })
 }
 
@@ -272,6 +286,6 @@ fn published(set: FeatureSet) -> FoundNormalisation {
     FoundNormalisation {
         statistics: Statistics::Shared { v, omega, power },
         sources,
-        documented: true,
+        from: StatisticsFrom::Assumed,
     }
 }

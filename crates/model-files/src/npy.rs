@@ -15,6 +15,8 @@ pub(super) enum ElementType {
     Objects,
     /// Text of this many bytes per element.
     Text(usize),
+    /// Text of this many code points of four bytes per element.
+    Unicode(usize),
 }
 
 /// Reads the header; `name` locates the file in messages.
@@ -45,6 +47,10 @@ fn kind(descr: &str) -> Option<ElementType> {
         return length.parse().ok().map(ElementType::Text);
     }
     let code = descr.strip_prefix(['<', '>', '|'])?;
+    if let Some(length) = code.strip_prefix('U') {
+        let length: usize = length.parse().ok()?;
+        return Some(ElementType::Unicode(length.checked_mul(4)?));
+    }
     Element::from_code(code).map(ElementType::Numbers)
 }
 
@@ -60,10 +66,7 @@ pub(super) fn value(name: &str, bytes: &[u8]) -> Result<EntryValue, ReadError> {
     let shape = header.shape.clone();
     let (size, what) = match kind {
         ElementType::Numbers(element) => (element.size(), element.name()),
-        ElementType::Text(length) if shape.is_empty() => (length, "text"),
-        ElementType::Text(_) => {
-            return Err(bad("found an array of texts, allowed: one text".to_owned()));
-        }
+        ElementType::Text(length) | ElementType::Unicode(length) => (length, "text"),
         ElementType::Objects => {
             return Err(bad("found objects, allowed: numbers and text".to_owned()));
         }
@@ -75,17 +78,35 @@ pub(super) fn value(name: &str, bytes: &[u8]) -> Result<EntryValue, ReadError> {
         let detail = format!("found {found} bytes, the shape {shape:?} of {what} needs {needed}");
         return Err(bad(detail));
     }
-    match kind {
+    let big_endian = header.element.starts_with('>');
+    let text = match kind {
         ElementType::Numbers(element) => {
-            let big_endian = header.element.starts_with('>');
             let tensor = Tensor::dense(shape, element, contents, big_endian, header.fortran_order);
-            Ok(EntryValue::Tensor(tensor))
+            return Ok(EntryValue::Tensor(tensor));
         }
-        _ => match std::str::from_utf8(contents) {
-            Ok(text) => Ok(EntryValue::Text(text.trim_end_matches('\0').to_owned())),
-            Err(error) => Err(bad(format!("found text that is not UTF-8: {error}"))),
-        },
+        _ if !shape.is_empty() => return Ok(EntryValue::Other("an array of texts")),
+        ElementType::Unicode(_) => code_points(contents, big_endian),
+        _ => std::str::from_utf8(contents)
+            .map(str::to_owned)
+            .map_err(|error| error.to_string()),
+    };
+    match text {
+        Ok(text) => Ok(EntryValue::Text(text.trim_end_matches('\0').to_owned())),
+        Err(error) => Err(bad(format!("found text that is not Unicode: {error}"))),
     }
+}
+
+/// Text of four bytes per code point.
+fn code_points(contents: &[u8], big_endian: bool) -> Result<String, String> {
+    let (words, _) = contents.as_chunks::<4>();
+    let character = |word: &[u8; 4]| {
+        let code = match big_endian {
+            true => u32::from_be_bytes(*word),
+            false => u32::from_le_bytes(*word),
+        };
+        char::from_u32(code).ok_or_else(|| format!("code point {code:#x}"))
+    };
+    words.iter().map(character).collect()
 }
 
 /// An array file in NumPy's format. `element` is the type and `contents` its bytes.
@@ -116,6 +137,18 @@ mod tests {
         }
         let text = value("", &write("|S6", &[], "größe".as_bytes()[..6].as_ref()));
         assert_eq!(text.expect("whole"), EntryValue::Text("größ".to_owned()));
+        let unicode = |code: &str, swap: bool| {
+            let words = "tanh".chars().map(|c| c as u32);
+            let bytes = words.flat_map(|word| match swap {
+                true => word.to_be_bytes(),
+                false => word.to_le_bytes(),
+            });
+            value("", &write(code, &[], &bytes.collect::<Vec<u8>>())).expect("whole")
+        };
+        assert_eq!(unicode("<U4", false), EntryValue::Text("tanh".to_owned()));
+        assert_eq!(unicode(">U4", true), EntryValue::Text("tanh".to_owned()));
+        let several = value("", &write("|S2", &[2], b"abcd")).expect("whole");
+        assert_eq!(several, EntryValue::Other("an array of texts"));
     }
 
     #[test]
@@ -133,7 +166,7 @@ mod tests {
             ("(1,)", "(99999999999999,)"),
             ("(1,)", "(1 + 1,)"),
             ("<f4", "<c8"),
-            ("<f4", "<U9"),
+            ("<f4", "<M8[s]"),
             ("False", "0"),
             ("}\n", "}"),
             ("}\n", "__import__('os') }\n"),

@@ -5,6 +5,11 @@ use std::f32::consts::{FRAC_1_SQRT_2, PI};
 use joulebus_predictor::{Activation, FEATURE_NAMES, Network};
 use prost::Message;
 
+use super::{Container, Entry, EntryValue, ReadError, own};
+
+const PRODUCER: &str = "joulebus";
+/// Property with the model file's metadata.
+const METADATA: &str = "joulebus_metadata";
 const IR_VERSION: i64 = 8;
 const OPSET: i64 = 17;
 const FLOAT: i32 = 1;
@@ -162,6 +167,7 @@ pub(super) fn model(network: &Network, metadata: &str) -> Model {
             builder.constant("linear", &[], &[linear]);
             builder.constant("cubic", &[], &[linear * 0.044715]);
         }
+        Activation::Relu => {}
     }
     builder.constant("power_mean_w", &[], &[normalisation.power_mean_w]);
     builder.constant("power_std_w", &[], &[normalisation.power_std_w]);
@@ -182,6 +188,7 @@ pub(super) fn model(network: &Network, metadata: &str) -> Model {
             values = match parameters.activation {
                 Activation::GeluErf => builder.gelu(&values, number),
                 Activation::GeluTanh => builder.gelu_tanh(&values, number),
+                Activation::Relu => builder.node("Relu", &[&values], &format!("relu.{number}")),
             };
         }
     }
@@ -195,7 +202,7 @@ pub(super) fn model(network: &Network, metadata: &str) -> Model {
     };
     Model {
         ir_version: IR_VERSION,
-        producer_name: "joulebus".to_owned(),
+        producer_name: PRODUCER.to_owned(),
         producer_version: env!("CARGO_PKG_VERSION").to_owned(),
         graph: Some(Graph {
             node: builder.nodes,
@@ -211,8 +218,57 @@ pub(super) fn model(network: &Network, metadata: &str) -> Model {
         }],
         metadata_props: vec![
             property("joulebus_hash", format!("{:016x}", network.hash())),
-            property("joulebus_metadata", metadata.to_owned()),
+            property(METADATA, metadata.to_owned()),
         ],
+    }
+}
+
+/// The network of a graph that [`model`] made; `None` if the bytes are no such graph. The graph
+/// must be exactly that of the network.
+pub(super) fn read(bytes: &[u8]) -> Option<Result<Network, ReadError>> {
+    // The first field is the version, a short number.
+    if bytes.first() != Some(&0x08) {
+        return None;
+    }
+    let model = Model::decode(bytes).ok()?;
+    let graph = model.graph.as_ref()?;
+    let bad = |part: &str, detail: &str| ReadError::Part {
+        container: Container::Onnx,
+        part: format!("{part:?}"),
+        detail: detail.to_owned(),
+    };
+    let metadata = model
+        .metadata_props
+        .iter()
+        .find(|property| property.key == METADATA);
+    let Some(metadata) = metadata.filter(|_| model.producer_name == PRODUCER) else {
+        let detail = "is not joulebus; only graphs that `model export` wrote are read, others as \
+                      state dict (.pt, .safetensors) or arrays (.npz)";
+        return Some(Err(bad("producer_name", detail)));
+    };
+    let network = || {
+        let fields = serde_json::from_str(&metadata.value)
+            .map_err(|error| bad(METADATA, &error.to_string()))?;
+        let entries: Vec<Entry> = graph.initializer.iter().map(entry).collect();
+        let network = Network::from_safetensors(&own::whole(&entries, fields)?)?;
+        match self::model(&network, &metadata.value).graph.as_ref() == Some(graph) {
+            true => Ok(network),
+            false => Err(bad("graph", "contradicts the metadata of the model")),
+        }
+    };
+    Some(network())
+}
+
+fn entry(tensor: &Tensor) -> Entry {
+    let shape = tensor
+        .dims
+        .iter()
+        .map(|size| usize::try_from(*size).unwrap_or(0));
+    let (words, _) = tensor.raw_data.as_chunks::<4>();
+    let values: Vec<f32> = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
+    Entry {
+        path: tensor.name.clone(),
+        value: EntryValue::Tensor(super::Tensor::from_f32(shape.collect(), &values)),
     }
 }
 
@@ -343,6 +399,7 @@ mod tests {
                 "Mul" => each(|a, b| a * b),
                 "Add" => each(|a, b| a + b),
                 "Tanh" => inputs[0].iter().map(|x| libm::tanh(*x)).collect(),
+                "Relu" => inputs[0].iter().map(|x| x.max(0.0)).collect(),
                 "Erf" => inputs[0].iter().map(|x| libm::erf(*x)).collect(),
                 "Gemm" => {
                     assert_eq!(node.attribute[0].name, "transB");
@@ -368,6 +425,7 @@ mod tests {
             ("gternal-sim", Activation::GeluErf),
             ("gternal-sim-power", Activation::GeluErf),
             ("gternal-sim", Activation::GeluTanh),
+            ("gternal-sim", Activation::Relu),
         ] {
             let shipped = shipped(name);
             let mut parameters = shipped.parameters().clone();

@@ -1,4 +1,5 @@
-//! Joulebus models: as safetensors, or as the arrays that [`to_arrays`](super::to_arrays) writes.
+//! Joulebus models: as safetensors, or as the arrays that [`to_arrays`](super::to_arrays) and
+//! [`to_onnx`](super::to_onnx) write.
 
 use std::collections::HashMap;
 
@@ -12,9 +13,31 @@ pub(super) const METADATA: &str = "metadata";
 /// Prefix of the arrays for testing a reimplementation of the network.
 pub(super) const CHECK: &str = "check_";
 
+/// Array with the weights of features that were constant in training: they have no effect, and
+/// `layers.0.weight` has zeros instead.
+pub(super) const CONSTANT_WEIGHT: &str = "constant_feature_weight";
+
 /// Whether a file is safetensors: a length, then JSON.
-pub(super) fn is_own(bytes: &[u8]) -> bool {
+pub(super) fn is_safetensors(bytes: &[u8]) -> bool {
     bytes.get(8) == Some(&b'{')
+}
+
+/// Whether a file of safetensors is another program's: a sound one without any of a model's
+/// metadata. A damaged file is taken for a model, whose reader says what is wrong.
+pub(super) fn is_foreign(bytes: &[u8]) -> bool {
+    let Ok((_, header)) = SafeTensors::read_metadata(bytes) else {
+        return false;
+    };
+    let own = ["format_version", "kind", "convention", "sha256"];
+    match header.metadata() {
+        Some(fields) => {
+            own.iter()
+                .filter(|field| fields.contains_key(**field))
+                .count()
+                < 2
+        }
+        None => true,
+    }
 }
 
 /// End of the header of a safetensors file, as stated in it.
@@ -27,6 +50,8 @@ pub(super) fn header_end(bytes: &[u8]) -> u64 {
 pub(super) fn entries(network: &Network) -> Vec<Entry> {
     let parameters = network.parameters();
     let set = parameters.feature_set;
+    let normalisation = &parameters.normalisation;
+    let is_constant = |feature: usize| normalisation.feature_std[feature] == 0.0;
     let mut entries = Vec::new();
     let mut add = |path: String, shape: Vec<usize>, values: &[f32]| {
         let value = EntryValue::Tensor(Tensor::from_f32(shape, values));
@@ -35,18 +60,36 @@ pub(super) fn entries(network: &Network) -> Vec<Entry> {
     for (number, layer) in parameters.layers.iter().enumerate() {
         let outputs = layer.bias.len();
         let inputs = layer.weights.len() / outputs;
+        let mut weights = layer.weights.clone();
+        if number == 0 && set.range().any(is_constant) {
+            let columns = set.range().cycle().zip(&mut weights);
+            let mut without_effect = vec![0.0; layer.weights.len()];
+            for ((feature, weight), left_out) in columns.zip(&mut without_effect) {
+                if is_constant(feature) {
+                    *left_out = std::mem::take(weight);
+                }
+            }
+            add(
+                CONSTANT_WEIGHT.to_owned(),
+                vec![outputs, inputs],
+                &without_effect,
+            );
+        }
         add(
             format!("layers.{number}.weight"),
             vec![outputs, inputs],
-            &layer.weights,
+            &weights,
         );
         add(format!("layers.{number}.bias"), vec![outputs], &layer.bias);
     }
-    let normalisation = &parameters.normalisation;
     let range = &network.card().training_range;
+    let mut feature_std = normalisation.feature_std;
+    for std in feature_std.iter_mut().filter(|std| **std == 0.0) {
+        *std = 1.0;
+    }
     for (name, values) in [
         ("feature_mean", &normalisation.feature_mean),
-        ("feature_std", &normalisation.feature_std),
+        ("feature_std", &feature_std),
         ("feature_min", &range.min),
         ("feature_max", &range.max),
     ] {
@@ -91,14 +134,35 @@ pub(super) fn from_arrays(
 }
 
 /// The model file from which the arrays were exported.
-fn whole(entries: &[Entry], fields: HashMap<String, String>) -> Result<Vec<u8>, ReadError> {
+pub(super) fn whole(
+    entries: &[Entry],
+    fields: HashMap<String, String>,
+) -> Result<Vec<u8>, ReadError> {
+    let constant = entries.iter().find(|entry| entry.path == CONSTANT_WEIGHT);
+    let constant = constant
+        .and_then(values)
+        .map_or(&[][..], |(_, values)| values);
     let layers = entries.iter().filter_map(|entry| match &entry.value {
         EntryValue::Tensor(tensor) if entry.path.starts_with("layers.") => {
-            let values = tensor.values().iter();
-            let bytes: Vec<u8> = values
-                .flat_map(|value| (*value as f32).to_le_bytes())
-                .collect();
-            Some((entry.path.as_str(), tensor.shape(), bytes))
+            let left_out = match entry.path.as_str() {
+                "layers.0.weight" => constant,
+                _ => &[],
+            };
+            let left_out = left_out.iter().copied().chain(std::iter::repeat(0.0));
+            // By bits: a weight may be a negative zero.
+            let bytes = tensor
+                .values()
+                .iter()
+                .zip(left_out)
+                .flat_map(|(value, left_out)| {
+                    let value = if left_out.to_bits() == 0 {
+                        *value
+                    } else {
+                        left_out
+                    };
+                    (value as f32).to_le_bytes()
+                });
+            Some((entry.path.as_str(), tensor.shape(), bytes.collect()))
         }
         _ => None,
     });

@@ -45,7 +45,7 @@ fn read(bytes: &[u8]) -> Result<Vec<u8>, String> {
     match file.network {
         Some(network) => Ok(network.hash().to_le_bytes().to_vec()),
         None => file
-            .find(None)
+            .find(None, None)
             .map(|found| digest(&found))
             .map_err(|error| error.to_string()),
     }

@@ -112,7 +112,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, ModelCard), ModelError> 
     metadata.must_be("kind", KIND)?;
     let activation_name = metadata.text("activation")?;
     let activation = Activation::from_name(activation_name)
-        .ok_or_else(|| ModelError::field("activation", &activation_name, "gelu_erf, gelu_tanh"))?;
+        .ok_or_else(|| ModelError::field("activation", &activation_name, Activation::NAMES))?;
     let set_name = metadata.text("feature_set")?;
     let feature_set = FeatureSet::from_name(set_name)
         .ok_or_else(|| ModelError::field("feature_set", &set_name, FeatureSet::NAMES))?;

@@ -1,8 +1,9 @@
-//! GELU in both forms, with the arithmetic shared by all kernels.
+//! The activations, with the arithmetic shared by all kernels.
 //!
 //! GELU(x) = relu(x) − p(|x|) in both forms, where p is smooth, at most 0.17 and tends to 0. p is a
 //! polynomial of degree five in each of eight segments; a table that fits into registers holds −p,
-//! and *the table alone* decides the form. The layers before and after carry scale factors, so that
+//! and *the table alone* decides the form: of zeros, it is relu itself. (Every table gives a function
+//! f with f(x) − f(−x) in proportion to x, so none gives tanh.) The layers before and after carry scale factors, so that
 //! finding the segment and adding relu are additions, which do not compete with the multiply-adds.
 //! `tools/fit_gelu.py` computes the tables and documents them.
 
@@ -13,20 +14,28 @@ pub enum Activation {
     GeluErf,
     /// x·(1 + tanh(√(2/π)·(x + 0.044715·x³)))/2: the approximation of older models.
     GeluTanh,
+    /// x where it is positive, else 0.
+    Relu,
 }
 
 impl Activation {
+    /// All of them.
+    pub const ALL: [Activation; 3] = [Activation::GeluErf, Activation::GeluTanh, Activation::Relu];
+    /// Their names, for messages.
+    pub const NAMES: &'static str = "gelu_erf, gelu_tanh, relu";
+
     /// The name in model files.
     pub const fn name(self) -> &'static str {
         match self {
             Activation::GeluErf => "gelu_erf",
             Activation::GeluTanh => "gelu_tanh",
+            Activation::Relu => "relu",
         }
     }
 
     /// The activation of this name, if there is one.
     pub fn from_name(name: &str) -> Option<Activation> {
-        [Activation::GeluErf, Activation::GeluTanh]
+        Activation::ALL
             .into_iter()
             .find(|activation| activation.name() == name)
     }
@@ -36,6 +45,7 @@ impl Activation {
         match self {
             Activation::GeluErf => &ERF,
             Activation::GeluTanh => &TANH,
+            Activation::Relu => &[[0.0; 8]; 6],
         }
     }
 
@@ -48,10 +58,12 @@ impl Activation {
                 // (1 + tanh z) / 2 = 1 / (1 + exp(−2 z)), which avoids cancellation.
                 x / (1.0 + libm::exp(-2.0 * scale * (x + 0.044715 * x * x * x)))
             }
+            // Halves of both: `max` would drop a NaN.
+            Activation::Relu => 0.5 * x + 0.5 * x.abs(),
         }
     }
 
-    /// 2·SCALE·GELU(y / SCALE): the definition of the bits that every kernel computes. In units of
+    /// 2·SCALE·f(y / SCALE) of the activation f: the definition of the bits that every kernel computes. In units of
     /// GELU the absolute error is at most 5e-7 plus half a unit in the last place of the argument.
     ///
     /// NaN and −∞ give NaN; +∞ and values that overflow when doubled give +∞. So an invalid input
@@ -211,8 +223,6 @@ static TANH: [[f32; 8]; 6] = [
 mod tests {
     use super::*;
 
-    const BOTH: [Activation; 2] = [Activation::GeluErf, Activation::GeluTanh];
-
     /// Every 20,000th f32 below 16 in magnitude and a fine grid where GELU is curved.
     fn arguments() -> impl Iterator<Item = f32> {
         let grid = (-800_000..=800_000).map(|step| step as f32 * 1e-5);
@@ -222,8 +232,8 @@ mod tests {
 
     #[test]
     #[cfg_attr(miri, ignore = "takes hours under Miri")]
-    fn gelu_stays_within_its_stated_error_of_both_forms() {
-        for activation in BOTH {
+    fn every_activation_stays_within_its_stated_error() {
+        for activation in Activation::ALL {
             let mut worst = 0.0f64;
             for x in arguments() {
                 let y = SCALE * x;
@@ -238,12 +248,21 @@ mod tests {
     }
 
     #[test]
-    fn gelu_never_hides_an_invalid_value() {
-        for activation in BOTH {
+    fn no_activation_hides_an_invalid_value() {
+        for activation in Activation::ALL {
             for poison in [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
                 assert!(!activation.scaled_value(poison).is_finite(), "{poison}");
             }
         }
+    }
+
+    #[test]
+    fn names_are_read_back() {
+        for activation in Activation::ALL {
+            assert_eq!(Activation::from_name(activation.name()), Some(activation));
+            assert!(Activation::NAMES.contains(activation.name()));
+        }
+        assert_eq!(Activation::from_name("tanh"), None);
     }
 
     #[test]

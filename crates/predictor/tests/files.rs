@@ -102,10 +102,10 @@ fn a_rewritten_file_with_valid_contents_is_accepted() {
 }
 
 #[test]
-fn the_form_of_gelu_is_stored_and_changes_hash_and_forecast() {
+fn the_activation_is_stored_and_changes_hash_and_forecast() {
     let row = [0.3; INPUTS];
     let mut parameters = parameters(&mut Noise(31), FeatureSet::Full);
-    let seen = [Activation::GeluErf, Activation::GeluTanh].map(|activation| {
+    let seen = Activation::ALL.map(|activation| {
         parameters.activation = activation;
         let network = Network::new(parameters.clone(), card(FeatureSet::Full));
         let bytes = network.and_then(|network| network.to_safetensors());
@@ -113,7 +113,9 @@ fn the_form_of_gelu_is_stored_and_changes_hash_and_forecast() {
         assert_eq!(read.parameters().activation, activation);
         (read.hash(), read.predict_reference_f64(&row).to_bits())
     });
-    assert!(seen[0].0 != seen[1].0 && seen[0].1 != seen[1].1);
+    for (a, b) in [(0, 1), (1, 2), (0, 2)] {
+        assert!(seen[a].0 != seen[b].0 && seen[a].1 != seen[b].1);
+    }
 }
 
 #[test]
@@ -132,7 +134,7 @@ fn wrong_metadata_is_refused_by_name() {
         ("format", "other"),
         ("format_version", "2"),
         ("kind", "forest"),
-        ("activation", "relu"),
+        ("activation", "tanh"),
         ("convention", "oldest first"),
         ("feature_set", "half"),
         ("features", "v_mps"),

@@ -3,8 +3,8 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use joulebus_model_files::{Checkpoint, Entry, EntryValue, Found};
-use joulebus_predictor::{FEATURE_NAMES, Network};
+use joulebus_model_files::{ActivationFrom, Checkpoint, Entry, EntryValue, Found, StatisticsFrom};
+use joulebus_predictor::{Activation, FEATURE_NAMES, Network};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
@@ -26,6 +26,9 @@ pub(crate) struct Args {
     /// The part of the file with the network, if there are several
     #[arg(long, value_name = "PATH")]
     part: Option<String>,
+    /// Activation of the hidden layers of another program's network, whatever the file states
+    #[arg(long, value_name = "NAME", value_parser = super::activation)]
+    activation: Option<Activation>,
 }
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
@@ -36,7 +39,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         output.report(&OwnReport::new(file, kind, &checkpoint.sha256, network))?;
         return Ok(Outcome::Done);
     }
-    let report = ForeignReport::new(file, &checkpoint, args.part.as_deref());
+    let report = ForeignReport::new(file, &checkpoint, args);
     output.report(&report)?;
     Ok(if report.problem.is_none() {
         Outcome::Done
@@ -260,8 +263,7 @@ pub(super) struct FoundReport {
     feature_set: &'static str,
     layers: Vec<FoundLayerReport>,
     activation: &'static str,
-    /// Whether the file states the activation.
-    activation_stated: bool,
+    activation_from: &'static str,
     /// Whether the matrices have one row per input.
     transposed: bool,
     biases_paired_by: &'static str,
@@ -285,19 +287,28 @@ impl FoundReport {
             weight: found.weight_path.clone(),
             bias: found.bias_path.clone(),
         });
-        let (by_name, documented) = (found.paired_by_name, found.normalisation.documented);
+        let by_name = found.paired_by_name;
         Self {
             feature_set: found.feature_set.name(),
             layers: layers.collect(),
             activation: found.activation.name(),
-            activation_stated: found.activation_stated,
+            activation_from: match found.activation_from {
+                ActivationFrom::Caller => "as requested",
+                ActivationFrom::File => "as the file states",
+                ActivationFrom::Default => "the default: the file states none",
+            },
             transposed: found.transposed,
             biases_paired_by: if by_name { "name" } else { "order" },
             normalisation: found.normalisation.sources.clone(),
-            normalisation_from: if documented {
-                "the published model's documentation: the file has none"
-            } else {
-                "the file"
+            normalisation_from: match found.normalisation.from {
+                StatisticsFrom::File => "the file",
+                StatisticsFrom::Assumed => {
+                    "the published model's documentation, if recordings agree: the file has none"
+                }
+                StatisticsFrom::Published => {
+                    "the published model's documentation, as requested: the file has none"
+                }
+                StatisticsFrom::Recordings => "the recordings, as requested: the file has none",
             },
         }
     }
@@ -323,14 +334,14 @@ impl fmt::Display for FoundReport {
             out,
             "matrices      a row for each {rows}; biases paired by {by}"
         )?;
-        let stated = if self.activation_stated {
-            "as the file states"
-        } else {
-            "the default: the file states none"
-        };
-        writeln!(out, "activation    {}, {stated}", self.activation)?;
+        writeln!(
+            out,
+            "activation    {}, {}",
+            self.activation, self.activation_from
+        )?;
         writeln!(out, "normalisation from {}", self.normalisation_from)?;
-        for source in &self.normalisation {
+        let by_recordings = self.normalisation_from.starts_with("the recordings");
+        for source in self.normalisation.iter().filter(|_| !by_recordings) {
             writeln!(out, "              {source}")?;
         }
         Ok(())
@@ -338,8 +349,8 @@ impl fmt::Display for FoundReport {
 }
 
 impl ForeignReport {
-    fn new(file: String, checkpoint: &Checkpoint, part: Option<&str>) -> Self {
-        let found = checkpoint.find(part);
+    fn new(file: String, checkpoint: &Checkpoint, args: &Args) -> Self {
+        let found = checkpoint.find(args.part.as_deref(), args.activation);
         let (network, problem) = match found {
             Ok(found) => (Some(FoundReport::new(&found)), None),
             Err(error) => (None, Some(error.to_string())),

@@ -10,6 +10,7 @@ use std::path::Path;
 use anyhow::Context as _;
 use clap::Subcommand;
 use joulebus_model_files::{Checkpoint, MAX_FILE_BYTES};
+use joulebus_predictor::Activation;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 
@@ -42,6 +43,11 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         Verb::Export(args) => export::run(args, output),
         Verb::Compare(args) => compare::run(args, output),
     }
+}
+
+/// An activation by name.
+fn activation(name: &str) -> Result<Activation, String> {
+    Activation::from_name(name).ok_or_else(|| format!("allowed: {}", Activation::NAMES))
 }
 
 /// Reads a model file of any format, or a directory of arrays.

@@ -1,4 +1,4 @@
-//! Evaluates every convention on recordings and chooses the best.
+//! Evaluates the conventions that fit the statistics on recordings and chooses the best.
 
 use joulebus_dataset::trial::Trial;
 use joulebus_predictor::{
@@ -7,14 +7,21 @@ use joulebus_predictor::{
 };
 
 use super::score;
+use super::statistics::{Spread, check_published, distances, is_ruled_out};
 use super::{
     ChooseError, Convention, DERIVATIVES, Derivative, LagOrder, Lags, MAGNITUDES, Magnitude,
     ORDERS, Origin, PLACES, PowerUnit, UNITS,
 };
-use crate::{Found, Statistics};
+use crate::padding::padded;
+use crate::{Found, Statistics, StatisticsFrom};
 
 /// Features of the command, before the readings.
 const COMMANDS: usize = FEATURES - LAGS;
+
+/// Least share by which the second's squared error must be larger: at R² .9, a margin of .005.
+const MIN_EXCESS: f64 = 0.05;
+/// Conventions named in an error.
+const SHOWN: usize = 4;
 
 /// Score of a convention.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,14 +41,18 @@ pub struct Choice {
     pub convention: Convention,
     /// Whether it was requested instead of found.
     pub forced: bool,
-    /// All conventions that differ on these data, best first.
+    /// All conventions that differ on these data and fit the statistics, best first.
     pub ranking: Vec<Ranked>,
+    /// Those that the statistics ruled out.
+    pub ruled_out: Vec<Convention>,
     /// R² of the best minus that of the second; infinite if there is no other.
     pub margin_r2: f64,
     /// Blocks of 300 readings, ten seconds at 30 Hz.
     pub blocks: usize,
     /// Blocks in which the best has a smaller squared error than the second.
     pub blocks_won: usize,
+    /// Share by which the second's squared error is larger.
+    pub excess: f64,
     /// Readings forecast.
     pub rows: usize,
     /// The step of per-step derivatives, s.
@@ -58,14 +69,14 @@ struct Candidate {
 }
 
 impl Found {
-    /// Evaluates every convention on the readings of recorded trials and chooses the best one, or
-    /// the `forced` one. Range, residuals and scores of the network are those on these readings, as
-    /// its card states.
+    /// Evaluates every convention that fits the statistics on the readings of recorded trials and
+    /// chooses the best one, or the `forced` one. Range, residuals and scores of the network are
+    /// those on these readings, as its card states.
     ///
     /// # Errors
-    /// [`ChooseError`]: too few readings, no convention that fits, or one that the worker cannot
-    /// compute.
-    /// [`ChooseError`]: too few readings, none that fits, one that cannot run.
+    /// [`ChooseError`]: too few readings, no convention that fits, several that are equally good,
+    /// one that the worker cannot compute, or recordings of another robot than the published one
+    /// for a file without constants.
     pub fn choose(
         &self,
         trials: &[Trial],
@@ -73,7 +84,19 @@ impl Found {
         origin: &Origin<'_>,
     ) -> Result<Choice, ChooseError> {
         let data = score::Data::new(trials, self.feature_set)?;
-        let candidates = self.candidates(data.step_s);
+        let (recorded, target) = data.spreads();
+        let stated = &self.normalisation.statistics;
+        if self.normalisation.from == StatisticsFrom::Assumed {
+            check_published(stated, self.feature_set, &recorded, target)?;
+        }
+        let mut candidates = match self.normalisation.from {
+            StatisticsFrom::Recordings => self.by_recordings(&recorded, target, data.step_s),
+            _ => self.candidates(stated, &UNITS, data.step_s),
+        };
+        let ruled_out = match (self.normalisation.from, forced) {
+            (StatisticsFrom::File, None) => self.rule_out(&mut candidates, &recorded, target),
+            _ => Vec::new(),
+        };
         let mut scored = Vec::new();
         for candidate in candidates {
             let network = network(&candidate, placeholder(self.feature_set))?;
@@ -93,21 +116,87 @@ impl Found {
         let (candidate, score) = &scored[place];
         let card = data.card(self.feature_set, score, origin, candidate.convention);
         let network = network(candidate, card)?;
-        let (margin_r2, blocks_won) = match scored.as_slice() {
-            [(_, best), (_, next), ..] => (best.r2 - next.r2, best.blocks_won(next)),
-            _ => (f64::INFINITY, score.blocks()),
+        let (margin_r2, blocks_won, excess) = match scored.as_slice() {
+            [(_, best), (_, next), ..] => (
+                best.r2 - next.r2,
+                best.blocks_won(next),
+                best.excess_of(next),
+            ),
+            _ => (f64::INFINITY, score.blocks(), f64::INFINITY),
         };
-        Ok(Choice {
+        let choice = Choice {
             convention: candidate.convention,
             forced: forced.is_some(),
             ranking,
+            ruled_out,
             margin_r2,
             blocks: score.blocks(),
             blocks_won,
+            excess,
             rows: data.rows(),
             step_s: data.step_s,
             network,
-        })
+        };
+        choice.clear()
+    }
+
+    /// Removes and returns the conventions under which the stated statistics are far from the
+    /// recordings'.
+    fn rule_out(
+        &self,
+        candidates: &mut Vec<Candidate>,
+        recorded: &[Spread],
+        target: Spread,
+    ) -> Vec<Convention> {
+        let distances: Vec<Vec<f64>> = candidates
+            .iter()
+            .map(|candidate| {
+                let stated = &self.normalisation.statistics;
+                let normalisation = &candidate.parameters.normalisation;
+                distances(stated, self.feature_set, normalisation, recorded, target)
+            })
+            .collect();
+        let is_out = |own: &Vec<f64>| distances.iter().any(|other| is_ruled_out(own, other));
+        let out: Vec<bool> = distances.iter().map(is_out).collect();
+        // Statistics that contradict every convention say nothing.
+        if out.iter().all(|out| *out) {
+            return Vec::new();
+        }
+        let mut ruled_out = Vec::new();
+        let mut at = 0;
+        candidates.retain(|candidate| {
+            let keep = !out[at];
+            at += 1;
+            if !keep {
+                ruled_out.push(candidate.convention);
+            }
+            keep
+        });
+        ruled_out
+    }
+
+    /// Candidates by the statistics of the recordings: one pair per feature, and one per quantity.
+    fn by_recordings(&self, recorded: &[Spread], target: Spread, step_s: f64) -> Vec<Candidate> {
+        let pair = |spread: Spread| (spread.mean, spread.std);
+        let power = pair(target);
+        let units = [(PowerUnit::Watt, "W")];
+        if !self.feature_set.needs_command() {
+            let (v, omega) = ((0.0, 1.0), (0.0, 1.0));
+            return self.candidates(&Statistics::Shared { v, omega, power }, &units, step_s);
+        }
+        let commands = &recorded[..COMMANDS];
+        let own = Statistics::Own {
+            mean: commands.iter().map(|spread| spread.mean).collect(),
+            std: commands.iter().map(|spread| spread.std).collect(),
+            power,
+        };
+        let (v, omega) = (pair(recorded[0]), pair(recorded[1]));
+        let shared = Statistics::Shared { v, omega, power };
+        let mut candidates = self.candidates(&own, &units, step_s);
+        // Per second and per step are the same by statistics of their own.
+        candidates.retain(|one| one.convention.derivative == Derivative::OwnPerSecond);
+        candidates.extend(self.candidates(&shared, &units, step_s));
+        candidates
     }
 
     /// Index of the chosen candidate; candidates are sorted best first.
@@ -153,9 +242,14 @@ impl Found {
         }
     }
 
-    /// Every convention that matches the statistics, without equivalent ones.
-    fn candidates(&self, step_s: f64) -> Vec<Candidate> {
-        let own = match &self.normalisation.statistics {
+    /// Every convention that the statistics allow, without equivalent ones.
+    fn candidates(
+        &self,
+        statistics: &Statistics,
+        units: &[(PowerUnit, &str)],
+        step_s: f64,
+    ) -> Vec<Candidate> {
+        let own = match statistics {
             Statistics::Own { mean, .. } => mean.len() >= COMMANDS,
             Statistics::Shared { .. } => false,
         };
@@ -171,7 +265,7 @@ impl Found {
         };
         let places = if is_full { &PLACES[..] } else { &PLACES[..1] };
         let mut candidates: Vec<Candidate> = Vec::new();
-        for (unit, _) in UNITS {
+        for &(unit, _) in units {
             for (order, _) in ORDERS {
                 for &(lags, _) in places {
                     for &(derivative, _) in derivatives {
@@ -183,7 +277,7 @@ impl Found {
                                 derivative,
                                 magnitude,
                             };
-                            let candidate = self.candidate(convention, step_s);
+                            let candidate = self.candidate(statistics, convention, step_s);
                             let same = |other: &Candidate| {
                                 (&other.parameters, other.centre)
                                     == (&candidate.parameters, candidate.centre)
@@ -200,14 +294,14 @@ impl Found {
     }
 
     /// The network under one convention: columns in our order, statistics of our features.
-    fn candidate(&self, convention: Convention, step_s: f64) -> Candidate {
+    fn candidate(&self, stated: &Statistics, convention: Convention, step_s: f64) -> Candidate {
         let place = |feature| file_place(feature, self.feature_set, &convention);
-        let statistics = self.statistics(&convention, step_s);
+        let statistics = self.statistics(stated, &convention, step_s);
         let scale_w = match convention.unit {
             PowerUnit::Milliwatt => 1e-3,
             PowerUnit::Watt => 1.0,
         };
-        let (power_mean, power_std) = match self.normalisation.statistics {
+        let (power_mean, power_std) = match *stated {
             Statistics::Shared { power, .. } | Statistics::Own { power, .. } => power,
         };
         let mut feature_mean = [0.0; INPUTS];
@@ -217,16 +311,24 @@ impl Found {
             feature_mean[feature] = mean as f32;
             feature_std[feature] = std as f32;
         }
-        let [first, rest @ ..] = &self.layers;
         let inputs = self.feature_set.inputs();
-        let reordered = first
-            .layer
-            .weights
-            .chunks(inputs)
-            .flat_map(|row| self.feature_set.range().map(|feature| row[place(feature)]));
-        let weights = reordered.collect();
-        let bias = first.layer.bias.clone();
-        let [second, third, fourth] = rest.each_ref().map(|layer| layer.layer.clone());
+        let mut layers: Vec<Layer> = self
+            .layers
+            .iter()
+            .map(|found| found.layer.clone())
+            .collect();
+        if let Some(first) = layers.first_mut() {
+            let rows = first.weights.chunks(inputs);
+            let reordered =
+                rows.flat_map(|row| self.feature_set.range().map(|feature| row[place(feature)]));
+            first.weights = reordered.collect();
+        }
+        // Layers that do not fit were refused when they were found; none has no shape.
+        let nothing = || Layer {
+            weights: Vec::new(),
+            bias: Vec::new(),
+        };
+        let layers = padded(&layers).unwrap_or_else(|| std::array::from_fn(|_| nothing()));
         Candidate {
             convention,
             parameters: Parameters {
@@ -238,9 +340,9 @@ impl Found {
                     power_mean_w: (power_mean * scale_w) as f32,
                     power_std_w: (power_std * scale_w) as f32,
                 },
-                layers: [Layer { weights, bias }, second, third, fourth],
+                layers,
             },
-            centre: self.centre(&convention),
+            centre: centre(stated, &convention),
         }
     }
 
@@ -248,6 +350,7 @@ impl Found {
     /// and its position in the file.
     fn statistics(
         &self,
+        stated: &Statistics,
         convention: &Convention,
         step_s: f64,
     ) -> impl Fn(usize, usize) -> (f64, f64) {
@@ -268,7 +371,7 @@ impl Found {
             }
             _ => 1.0,
         };
-        let statistics = self.normalisation.statistics.clone();
+        let statistics = stated.clone();
         let feature_set = self.feature_set;
         move |feature, place| match &statistics {
             Statistics::Own { mean, std, power } => {
@@ -300,27 +403,43 @@ impl Found {
             }
         }
     }
+}
 
-    /// The means subtracted from the velocities before their magnitudes are taken, if any.
-    fn centre(&self, convention: &Convention) -> Option<[f32; 2]> {
-        match (&self.normalisation.statistics, convention.magnitude) {
-            (Statistics::Shared { v, omega, .. }, Magnitude::OfNormalised) => {
-                let centre = [v.0 as f32, omega.0 as f32];
-                (centre != [0.0, 0.0]).then_some(centre)
-            }
-            _ => None,
+/// The means subtracted from the velocities before their magnitudes are taken, if any.
+fn centre(stated: &Statistics, convention: &Convention) -> Option<[f32; 2]> {
+    match (stated, convention.magnitude) {
+        (Statistics::Shared { v, omega, .. }, Magnitude::OfNormalised) => {
+            let centre = [v.0 as f32, omega.0 as f32];
+            (centre != [0.0, 0.0]).then_some(centre)
         }
+        _ => None,
     }
 }
 
 impl Choice {
-    /// Whether the best convention is significantly better than the second: it wins more blocks
-    /// than it loses by at least twice the square root of their number, which happens by chance
-    /// once in some forty times; or it was requested.
-    #[must_use]
-    pub fn is_clear(&self) -> bool {
+    /// This choice, if it was requested or the recordings tell the best convention from the second:
+    /// its squared error is smaller by a share that matters, and in more blocks than chance
+    /// explains (by twice the square root of their number, which happens once in some forty times).
+    fn clear(self) -> Result<Choice, ChooseError> {
         let (won, all) = (self.blocks_won as f64, self.blocks as f64);
-        self.forced || 2.0 * won - all >= 2.0 * all.sqrt()
+        let is_significant = 2.0 * won - all >= 2.0 * all.sqrt();
+        let matters = self.excess >= MIN_EXCESS;
+        if self.forced || self.ranking.len() == 1 || (is_significant && matters) {
+            return Ok(self);
+        }
+        let best_r2 = self.ranking[0].r2;
+        let close = self.ranking.iter().enumerate().filter(|(place, ranked)| {
+            let excess = (best_r2 - ranked.r2) / (1.0 - best_r2).max(f64::MIN_POSITIVE);
+            *place < 2 || excess < MIN_EXCESS
+        });
+        let close: Vec<String> = close
+            .map(|(_, ranked)| format!("{} (R² {:.5})", ranked.convention, ranked.r2))
+            .collect();
+        let mut candidates = close[..close.len().min(SHOWN)].join(", ");
+        if close.len() > SHOWN {
+            candidates.push_str(&format!(", and {} more", close.len() - SHOWN));
+        }
+        Err(ChooseError::Indistinguishable { candidates })
     }
 
     /// The model that the worker loads.

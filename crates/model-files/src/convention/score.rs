@@ -1,5 +1,6 @@
 //! The readings used to evaluate conventions, and the scores of each.
 
+use super::statistics::Spread;
 use super::{ChooseError, Convention, Origin};
 use joulebus_dataset::rows::Row;
 use joulebus_dataset::trial::{Column, Trial};
@@ -38,6 +39,12 @@ pub(super) struct Score {
 impl Score {
     pub(super) fn blocks(&self) -> usize {
         self.squared.len()
+    }
+
+    /// Share by which the other's squared error is larger.
+    pub(super) fn excess_of(&self, other: &Score) -> f64 {
+        let sum = |score: &Score| score.squared.iter().sum::<f64>();
+        sum(other) / sum(self) - 1.0
     }
 
     /// Number of blocks in which this score has the smaller error.
@@ -97,6 +104,19 @@ impl Data {
             .map(|(row, forecast_w)| row.target_w - forecast_w)
             .collect();
         self.score_of(residuals_w)
+    }
+
+    /// Mean and deviation of each feature, and of the readings that are forecast.
+    pub(super) fn spreads(&self) -> (Vec<Spread>, Spread) {
+        let of = |feature: usize| {
+            Spread::of(
+                self.rows
+                    .iter()
+                    .map(move |row| f64::from(row.features[feature])),
+            )
+        };
+        let target = Spread::of(self.rows.iter().map(|row| f64::from(row.target_w)));
+        ((0..FEATURES).map(of).collect(), target)
     }
 
     fn persistence(&self) -> Score {

@@ -204,7 +204,7 @@ impl Machine<'_> {
             code => match Element::from_code(code) {
                 Some(element) => Some(element),
                 None => {
-                    let allowed = "f4, f8, i1 to i8, u1 to u8, b1, O8";
+                    let allowed = "f2, f4, f8, i1 to i8, u1 to u8, b1, O8";
                     let detail = format!("is {code:?}, allowed: {allowed}");
                     return Err(self.wrong(Global::DType, detail));
                 }

@@ -133,13 +133,21 @@ pub(crate) enum Global {
     Layer(&'static str),
 }
 
-/// Supported layers of `torch.nn.modules`.
-const LAYERS: [&str; 5] = [
+/// Layers of `torch.nn.modules` that are read; activations that cannot run are refused by name
+/// when the network is found.
+const LAYERS: [&str; 12] = [
     "container.Sequential",
     "container.ModuleList",
     "linear.Linear",
     "activation.GELU",
+    "activation.ReLU",
+    "activation.Tanh",
+    "activation.Sigmoid",
+    "activation.SiLU",
+    "activation.ELU",
+    "activation.LeakyReLU",
     "dropout.Dropout",
+    "linear.Identity",
 ];
 
 impl Global {

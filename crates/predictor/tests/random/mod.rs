@@ -38,10 +38,7 @@ pub(crate) fn parameters(noise: &mut Noise, feature_set: FeatureSet) -> Paramete
         layer(second, third),
         layer(third, 1),
     ];
-    let activation = match noise.next_u64() % 2 {
-        0 => Activation::GeluErf,
-        _ => Activation::GeluTanh,
-    };
+    let activation = Activation::ALL[(noise.next_u64() % 3) as usize];
     let mut feature_mean = [0.0; INPUTS];
     let mut feature_std = [0.0; INPUTS];
     for i in feature_set.range() {
