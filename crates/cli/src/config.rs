@@ -1,19 +1,24 @@
-//! `joulebus config`: check, show and explain configs.
+//! `joulebus config`: make, check, show and explain configs.
+
+mod init;
+mod model_range;
 
 use std::fmt;
 use std::path::PathBuf;
 
 use clap::Subcommand;
 use joulebus_config::{Config, ConfigError, Explanation, Problem, explain, explanations};
+use joulebus_predictor::Model;
 use joulebus_predictor_worker::load_models;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{self, Format, Output, say};
 use serde::Serialize;
 
-/// Check, show and explain configs
+/// Make configs from recordings; check, show and explain configs
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
+    joulebus config init --from recordings/ --out lab/ --train\n  \
     joulebus config check configs/*.toml\n  \
     joulebus config show configs/fleet.toml    every key, with the origin of its value\n  \
     joulebus config explain tick               the keys of a section, with unit, range, default")]
@@ -24,6 +29,7 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
+    Init(init::Args),
     /// Check fleets' configs and the platform files and models they name; exit 2 if one is refused
     #[command(after_help = "Example:\n  joulebus config check configs/fleet.toml")]
     Check {
@@ -50,6 +56,7 @@ enum Verb {
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     match &args.verb {
+        Verb::Init(args) => init::run(args, output),
         Verb::Check { files } => check(files, output),
         Verb::Show { file } => show(file.clone(), output),
         Verb::Explain { key } => explain_key(key.as_deref(), output),
@@ -99,7 +106,13 @@ impl Checked {
                     .map(|platform| platform.name.clone());
                 checked.platforms = names.collect();
                 checked.warnings = config.warnings().to_vec();
-                checked.error = refusal(&config).map(|why| format!("{}: {why}", checked.file));
+                match refusal(&config) {
+                    Ok(models) => {
+                        let doubtful = model_range::warnings(&config, &models);
+                        checked.warnings.extend(doubtful);
+                    }
+                    Err(why) => checked.error = Some(format!("{}: {why}", checked.file)),
+                }
                 checked.accepted = checked.error.is_none();
             }
             Err(error) if error.problems().is_empty() => checked.error = Some(error.to_string()),
@@ -109,15 +122,15 @@ impl Checked {
     }
 }
 
-/// Why the worker would refuse a well-formed config before it joins the fleet.
-fn refusal(config: &Config) -> Option<String> {
-    if let Err(error) = load_models(config) {
-        return Some(error.to_string());
-    }
-    if let Err(error) = config.settings().check() {
-        return Some(error.to_string());
-    }
-    config.domain().err().map(|error| error.to_string())
+/// The models, or why the worker would refuse a well-formed config before it joins the fleet.
+fn refusal(config: &Config) -> Result<Vec<Model>, String> {
+    let models = load_models(config).map_err(|error| error.to_string())?;
+    config
+        .settings()
+        .check()
+        .map_err(|error| error.to_string())?;
+    config.domain().map_err(|error| error.to_string())?;
+    Ok(models)
 }
 
 impl fmt::Display for CheckReport {

@@ -41,6 +41,7 @@ mod remedy;
 mod robots;
 mod shared_memory;
 mod show;
+mod template;
 mod values;
 
 pub use builtin::{Demo, builtin_model, builtin_models, builtin_platform, builtin_platforms};
@@ -54,6 +55,7 @@ pub use keys::KEYS;
 pub use model_source::ModelSource;
 pub use problem::{ConfigError, Problem};
 pub use shared_memory::ConnectError;
+pub use template::{Assignment, fleet_file, platform_file};
 
 /// The errors contained in [`ConnectError`], and in the errors of opening ports.
 pub mod error {

@@ -6,6 +6,7 @@ mod data;
 mod evaluate;
 mod external;
 mod fleet;
+mod from_recordings;
 mod live;
 mod model;
 mod printable;
@@ -23,7 +24,7 @@ use std::time::Duration;
 use fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
 
-const VERBS: [&str; 33] = [
+const VERBS: [&str; 34] = [
     "demo",
     "run",
     "publish",
@@ -43,6 +44,7 @@ const VERBS: [&str; 33] = [
     "data info",
     "doctor",
     "config",
+    "config init",
     "config check",
     "config show",
     "config explain",

@@ -1,0 +1,374 @@
+//! Recordings in every form, and from recordings to a worker.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::fleet::{Fleet, code, json, output, stderr, stdout};
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// A recording of a robot of some 40 W at 20 Hz: `header` names time, power, v and ω, in SI units
+/// divided by `units`.
+fn recording(path: &Path, header: &str, units: [f64; 4], rows: u32, seed: u32) {
+    let mut state = u64::from(seed) * 7_919 + 1;
+    let mut uniform = || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1);
+        (state >> 40) as f64 / f64::from(1 << 24) - 0.5
+    };
+    let mut table = format!("{header}\n");
+    let (mut v, mut omega, mut power_w) = (0.0, 0.0, 40.0_f64);
+    for row in 0..rows {
+        v = (v + 0.1 * uniform()).clamp(-0.8, 0.8);
+        omega = (omega + 0.3 * uniform()).clamp(-1.5, 1.5);
+        power_w = 0.8 * power_w + 8.0 + 4.0 * f64::abs(v) + uniform();
+        // A monitor of 10 mW.
+        let reading_w = (power_w * 100.0).round() / 100.0;
+        let values = [f64::from(row) / 20.0, reading_w, v, omega];
+        let [t, p, v, omega] = std::array::from_fn(|at| values[at] / units[at]);
+        writeln!(table, "{t},{p},{v},{omega}").unwrap();
+    }
+    fs::write(path, table).unwrap();
+}
+
+const LAYOUT: (&str, [f64; 4]) = (
+    "timestamp_s,power_mW,v_cmd_mps,omega_cmd_radps",
+    [1.0, 1e-3, 1.0, 1.0],
+);
+
+/// The rows for training, as bytes: one short epoch.
+fn rows(folder: &Path, recordings: &[&str], columns: &[&str]) -> Vec<Vec<u8>> {
+    let recipe = folder.join("recipe.toml");
+    fs::write(
+        &recipe,
+        "[training]\nmax_epochs = 1\n[split]\nby = \"time\"\n",
+    )
+    .unwrap();
+    let (arrays, out) = (folder.join("rows"), folder.join("m.safetensors"));
+    let mut command = vec!["train", "trials"];
+    command.extend(recordings);
+    command.extend(columns);
+    command.extend([
+        "--recipe",
+        text(&recipe),
+        "--rows",
+        text(&arrays),
+        "--out",
+        text(&out),
+    ]);
+    let trained = output(&command);
+    assert_eq!(code(&trained), 0, "{command:?}: {}", stderr(&trained));
+    let parts = ["training.npy", "validation.npy", "held_out.npy"];
+    parts
+        .map(|part| fs::read(arrays.join(part)).unwrap())
+        .to_vec()
+}
+
+#[test]
+fn usual_column_names_and_units_give_the_rows_of_the_published_layout() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let layout = at("layout.csv");
+    recording(&layout, LAYOUT.0, LAYOUT.1, 600, 1);
+    let expected = rows(folder.path(), &[text(&layout)], &[]);
+    for (name, header, units, map) in [
+        ("si.csv", "time,power_W,v,omega", [1.0; 4], None),
+        (
+            "ms.csv",
+            "Time (ms),P [mW],linear.x,yaw_rate",
+            [1e-3, 1e-3, 1.0, 1.0],
+            None,
+        ),
+        (
+            "own.csv",
+            "stamp,load,speed,turn",
+            [1.0, 1.0, 1.0, 1.0],
+            Some("time=stamp,power_W=load,v=speed,omega=turn"),
+        ),
+    ] {
+        let path = at(name);
+        recording(&path, header, units, 600, 1);
+        let map: Vec<&str> = map.iter().flat_map(|map| ["--map", map]).collect();
+        let found = rows(folder.path(), &[text(&path)], &map);
+        let close = |a: &[u8], b: &[u8]| {
+            let floats = |bytes: &[u8]| -> Vec<f32> {
+                let (_, body) = bytes.split_at(bytes.len() % 4 + 128);
+                let (words, _) = body.as_chunks::<4>();
+                words.iter().map(|word| f32::from_le_bytes(*word)).collect()
+            };
+            let pairs = floats(a).into_iter().zip(floats(b));
+            // Times of 50 ms in another unit differ in the last place.
+            let same = |(a, b): (f32, f32)| {
+                a.to_bits() == b.to_bits() || (a - b).abs() <= 1e-4 * a.abs().max(1.0)
+            };
+            a.len() == b.len() && pairs.into_iter().all(same)
+        };
+        for (a, b) in expected.iter().zip(&found) {
+            assert!(close(a, b), "{name}");
+        }
+    }
+}
+
+#[test]
+fn all_missing_columns_are_named_at_once_with_the_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.csv");
+    fs::write(&path, "stamp_of_log,load,power\n0,1,2\n1,2,3\n").unwrap();
+    let refused = output(["data", "info", text(&path)]);
+    assert_eq!(code(&refused), 1);
+    for said in [
+        "timestamp_s",
+        "power_mW",
+        "stamp_of_log, load, power",
+        "--map",
+    ] {
+        assert!(
+            stderr(&refused).contains(said),
+            "{said}: {}",
+            stderr(&refused)
+        );
+    }
+    let refused = output([
+        "data",
+        "info",
+        text(&path),
+        "--map",
+        "time=stamp_of_log,power_W=lod",
+    ]);
+    assert!(
+        stderr(&refused).contains("power=lod"),
+        "{}",
+        stderr(&refused)
+    );
+    let refused = output(["data", "info", text(&path), "--map", "speed=load"]);
+    assert_eq!(code(&refused), 2);
+    let fine = output([
+        "data",
+        "info",
+        text(&path),
+        "--map",
+        "time=stamp_of_log,power_W=load",
+    ]);
+    assert_eq!(code(&fine), 0, "{}", stderr(&fine));
+    let help = stdout(&output(["data", "check", "--help"]));
+    for name in [
+        "power_mW",
+        "timestamp_s",
+        "omega_cmd_radps",
+        "yaw_rate",
+        "battery_voltage",
+    ] {
+        assert!(help.contains(name), "{name}");
+    }
+}
+
+#[test]
+fn a_capture_gives_the_rows_of_the_trials_that_it_was_made_of() {
+    let fleet = Fleet::new();
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let (a, b) = (at("a.csv"), at("b.csv"));
+    recording(&a, LAYOUT.0, LAYOUT.1, 600, 1);
+    recording(&b, LAYOUT.0, LAYOUT.1, 500, 2);
+    let capture = at("both.mcap");
+    let config = fleet.config().display().to_string();
+    let import = [
+        "import",
+        text(&a),
+        text(&b),
+        "-o",
+        text(&capture),
+        "--config",
+        &config,
+    ];
+    let imported = output(import);
+    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
+    let expected = rows(folder.path(), &[text(&a), text(&b)], &[]);
+    assert!(
+        rows(folder.path(), &[text(&capture)], &[]) == expected,
+        "rows differ"
+    );
+
+    // And as datasets again.
+    let again = at("again");
+    let imported = output(["import", text(&capture), "-o", text(&again)]);
+    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
+    let mut files: Vec<PathBuf> = fs::read_dir(&again)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    files.sort();
+    assert_eq!(files.len(), 2, "{files:?}");
+    let paths: Vec<&str> = files.iter().map(|path| text(path)).collect();
+    assert!(rows(folder.path(), &paths, &[]) == expected, "rows differ");
+
+    // Every verb that reads recordings reads it, in a directory too.
+    let captures = at("captures");
+    fs::create_dir(&captures).unwrap();
+    fs::copy(&capture, captures.join("both.mcap")).unwrap();
+    let model = text(&at("m.safetensors")).to_owned();
+    for command in [
+        vec!["data", "info", text(&captures)],
+        vec!["data", "check", text(&captures)],
+        vec!["analyze", text(&captures), "--split", "time", "--native"],
+        vec!["eval", text(&captures), "--model", &model],
+    ] {
+        let done = output(&command);
+        assert!(
+            matches!(code(&done), 0 | 3),
+            "{command:?}: {}",
+            stderr(&done)
+        );
+        assert!(!stdout(&done).is_empty(), "{command:?}");
+    }
+}
+
+#[test]
+fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
+    let folder = tempfile::tempdir().unwrap();
+    let recordings = folder.path().join("husky-like");
+    fs::create_dir(&recordings).unwrap();
+    for seed in 0..3 {
+        let path = recordings.join(format!("run_{seed}.csv"));
+        recording(&path, LAYOUT.0, LAYOUT.1, 400, seed);
+    }
+    let out = folder.path().join("lab");
+    let init = [
+        "config",
+        "init",
+        "--from",
+        text(&recordings),
+        "--out",
+        text(&out),
+    ];
+    let made = output(
+        init.iter()
+            .chain(&["--battery-wh", "480", "--format", "json"]),
+    );
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    let report = json(&made);
+    let recorded = &report["recorded"];
+    assert!(
+        (recorded["rate_hz"].as_f64().unwrap() - 20.0).abs() < 1e-6,
+        "{recorded}"
+    );
+    assert!(
+        (recorded["resolution_w"].as_f64().unwrap() - 0.01).abs() < 1e-6,
+        "{recorded}"
+    );
+    let next = report["next"].to_string();
+    assert!(
+        next.contains("joulebus run --config") && next.contains("train trials"),
+        "{next}"
+    );
+
+    let fleet = out.join("fleet.toml");
+    let checked = output(["config", "check", text(&fleet)]);
+    assert_eq!(code(&checked), 0, "{}", stderr(&checked));
+    assert!(
+        !stderr(&checked).contains("warning"),
+        "{}",
+        stderr(&checked)
+    );
+    let platform = fs::read_to_string(out.join("platforms/husky-like.toml")).unwrap();
+    for said in [
+        "rate_hz = 20.0",
+        "power_resolution_w = 0.01",
+        "capacity_wh = 480.0",
+    ] {
+        assert!(platform.contains(said), "{said}: {platform}");
+    }
+    // The recordings are accepted by the platform made of them.
+    let eval = output([
+        "eval",
+        text(&recordings),
+        "--config",
+        text(&fleet),
+        "--format",
+        "json",
+    ]);
+    assert_eq!(code(&eval), 0, "{}", stderr(&eval));
+
+    // Nothing is overwritten.
+    let again = output(init);
+    assert_eq!(code(&again), 2, "{}", stderr(&again));
+}
+
+#[test]
+fn a_model_of_another_range_of_power_is_warned_about() {
+    let folder = tempfile::tempdir().unwrap();
+    let recordings = folder.path().join("runs");
+    fs::create_dir(&recordings).unwrap();
+    recording(&recordings.join("a.csv"), LAYOUT.0, LAYOUT.1, 400, 1);
+    let out = folder.path().join("lab");
+    let gternal = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../configs/models/gternal-sim.safetensors"
+    );
+    let init = [
+        "config",
+        "init",
+        "--from",
+        text(&recordings),
+        "--out",
+        text(&out),
+        "--model",
+        gternal,
+    ];
+    let made = output(init);
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    let checked = output(["config", "check", text(&out.join("fleet.toml"))]);
+    assert_eq!(code(&checked), 0, "{}", stderr(&checked));
+    for said in ["warning", "was trained on readings of", "power_max_w"] {
+        assert!(
+            stderr(&checked).contains(said),
+            "{said}: {}",
+            stderr(&checked)
+        );
+    }
+    // The model's own platform has no such warning.
+    let own = output(["config", "check"]);
+    assert!(!stderr(&own).contains("was trained on"), "{}", stderr(&own));
+}
+
+#[test]
+fn config_init_trains_when_asked_and_the_worker_starts_with_the_result() {
+    let folder = tempfile::tempdir().unwrap();
+    let recordings = folder.path().join("runs");
+    fs::create_dir(&recordings).unwrap();
+    for seed in 0..2 {
+        recording(
+            &recordings.join(format!("{seed}.csv")),
+            LAYOUT.0,
+            LAYOUT.1,
+            300,
+            seed,
+        );
+    }
+    let out = folder.path().join("lab");
+    let made = output([
+        "config",
+        "init",
+        "--from",
+        text(&recordings),
+        "--out",
+        text(&out),
+        "--train",
+        "--name",
+        "mine",
+    ]);
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    assert!(out.join("models/mine.safetensors").is_file());
+    let fleet = out.join("fleet.toml");
+    let checked = output(["config", "check", text(&fleet)]);
+    assert_eq!(code(&checked), 0, "{}", stderr(&checked));
+    assert!(
+        !stderr(&checked).contains("warning"),
+        "{}",
+        stderr(&checked)
+    );
+}
