@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use joulebus_bus::Domain;
 use joulebus_config::Demo as DemoConfig;
-use joulebus_test_processes::{Child, eventually};
+use joulebus_test_processes::{Child, end_signals, eventually};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -194,7 +194,7 @@ fn the_capture_contains_all_samples_sent() {
 
 #[test]
 fn a_signal_stops_it_with_a_summary() {
-    for signal in [Signal::INT, Signal::TERM, Signal::HUP] {
+    for signal in end_signals() {
         let mut demo = Run::demo(&["--duration", "600", "--robots", "3"]);
         demo.wait_for_samples(0);
         demo.0.signal(signal);

@@ -15,7 +15,7 @@ use joulebus_capture::{Message, MessageKind};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
-use joulebus_test_processes::{Child, PATIENCE, eventually};
+use joulebus_test_processes::{Child, PATIENCE, end_signals, eventually};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest as _;
@@ -225,7 +225,7 @@ fn farewell(stream: &mut TcpStream) -> String {
 
 #[test]
 fn connections_do_not_block_the_exit_of_the_server() {
-    for signal in [Signal::TERM, Signal::HUP] {
+    for signal in end_signals() {
         let fleet = Fleet::new();
         let (mut server, address) = start(&fleet.path(), &[]);
         let _idle = dial(&address);

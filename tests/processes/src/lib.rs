@@ -2,6 +2,7 @@
 //! the timeout [`PATIENCE`].
 #![forbid(unsafe_code)]
 
+mod end_signals;
 mod member;
 
 use std::ffi::OsStr;
@@ -14,6 +15,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 
+pub use end_signals::{end_signals, ignores_hangup};
 pub use member::{Member, send_to_test};
 
 /// Timeout of every wait. Far beyond the delays of a busy machine: only a defect reaches it.

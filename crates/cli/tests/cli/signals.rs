@@ -1,10 +1,9 @@
 //! Signals that end a subcommand: each ends it cleanly and leaves no files.
 
-use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
-use joulebus_test_processes::eventually;
+use joulebus_test_processes::{end_signals, eventually, ignores_hangup};
 use rustix::process::Signal;
 
 use crate::captures::capture;
@@ -45,7 +44,7 @@ fn command(fleet: &Fleet, verb: &str) -> Command {
 #[test]
 fn every_verb_ends_cleanly_at_a_signal_and_when_its_terminal_is_closed() {
     for (verb, says) in VERBS {
-        for signal in [Signal::HUP, Signal::TERM, Signal::INT] {
+        for signal in end_signals() {
             let fleet = Fleet::new();
             let mut program = Program::start(command(&fleet, verb));
             program.wait_for_stderr(says);
@@ -54,13 +53,6 @@ fn every_verb_ends_cleanly_at_a_signal_and_when_its_terminal_is_closed() {
             assert!(fleet.stale_files().is_empty(), "{verb}, {signal:?}");
         }
     }
-}
-
-/// True if the process ignores SIGHUP, by /proc.
-fn ignores_hangup(pid: u32) -> bool {
-    let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
-    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    u64::from_str_radix(ignored.unwrap().trim(), 16).unwrap() & 1 == 1
 }
 
 #[test]
