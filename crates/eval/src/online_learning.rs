@@ -59,7 +59,7 @@ impl Variant {
 }
 
 impl Judged {
-    /// The best R² among the mixture's members: persistence, the linear baseline and the network.
+    /// The best R² of persistence, the linear baseline and the network alone.
     #[must_use]
     pub fn best_member_r2(&self) -> f64 {
         let linear = self.linear.as_ref().map_or(f64::NEG_INFINITY, Tally::r2);
