@@ -100,6 +100,15 @@ fn record(domain: &Domain, config: &Config, keyframes: &AtomicU32, stop: &Atomic
     }
 }
 
+/// Sets a flag when dropped.
+struct OnDrop<'a>(&'a AtomicBool);
+
+impl Drop for OnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
 /// Allocations so far of the pool's other threads.
 fn others() -> Vec<u64> {
     if rayon::current_thread_index().is_none() {
@@ -121,6 +130,8 @@ fn measure(case: Case) {
     let stop = AtomicBool::new(false);
     let mut worker = Worker::open(&config).unwrap();
     std::thread::scope(|scope| {
+        // A failed assertion must end the other threads, which the scope waits for.
+        let _end = OnDrop(&stop);
         scope.spawn(|| feed(&domain, &config, case.robots, &sent, &stop));
         // At least so many ticks, and until the other threads have done their part too: on a busy
         // machine ticks continue without them.
@@ -172,7 +183,7 @@ fn after_warm_up_the_worker_allocates_nothing_of_its_own() {
     // Enough robots for each thread to get a part.
     measure(Case {
         policy: "on_frame",
-        robots: 3_000,
+        robots: 1_000,
         threads: 2,
     });
 }
