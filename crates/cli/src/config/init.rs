@@ -77,7 +77,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     };
     let name = args.name()?;
     let places = Places::new(args, &name);
-    places.check()?;
+    places.check(args.train)?;
     if args.train {
         places.make(&places.models)?;
         let full = recorded.v_mps.is_some() && recorded.omega_radps.is_some();
@@ -116,10 +116,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         next.push(format!(
             "joulebus train trials {} --out {}",
             from.join(" "),
-            args.out
-                .join("models")
-                .join(format!("{name}.safetensors"))
-                .display()
+            places.model.display()
         ));
     }
     next.push(format!("joulebus config check {file}"));
@@ -160,10 +157,11 @@ impl Places {
         }
     }
 
-    /// Refuses to overwrite a file.
-    fn check(&self) -> Result<(), UsageError> {
+    /// Refuses to overwrite a file; the model is written only if it is trained.
+    fn check(&self, train: bool) -> Result<(), UsageError> {
         let existing = [&self.fleet, &self.platform]
             .into_iter()
+            .chain(train.then_some(&self.model))
             .find(|path| path.exists());
         match existing {
             Some(path) => {
@@ -182,6 +180,11 @@ impl Places {
     }
 }
 
+/// True if a name of a platform may contain it.
+const fn is_allowed(letter: char) -> bool {
+    letter.is_ascii_alphanumeric() || matches!(letter, '-' | '_')
+}
+
 impl Args {
     fn name(&self) -> Result<String, UsageError> {
         let name = match &self.name {
@@ -194,10 +197,8 @@ impl Args {
                 };
                 let name = directory.as_deref().and_then(Path::file_name);
                 let name = name.map(|name| name.to_string_lossy().into_owned());
-                let allowed =
-                    |letter: char| letter.is_ascii_alphanumeric() || "-_".contains(letter);
                 let plain = name.unwrap_or_default();
-                let plain = plain.chars().map(|c| if allowed(c) { c } else { '_' });
+                let plain = plain.chars().map(|c| if is_allowed(c) { c } else { '_' });
                 let plain: String = plain.take(32).collect();
                 if plain.is_empty() {
                     "robot".to_owned()
@@ -206,8 +207,7 @@ impl Args {
                 }
             }
         };
-        let allowed = |letter: char| letter.is_ascii_alphanumeric() || "-_".contains(letter);
-        match (1..=32).contains(&name.len()) && name.chars().all(allowed) {
+        match (1..=32).contains(&name.len()) && name.chars().all(is_allowed) {
             true => Ok(name),
             false => Err(UsageError(format!(
                 "the name {name:?} is not of 1 to 32 letters, digits, - and _; give one with --name"

@@ -350,7 +350,7 @@ fn config_init_trains_when_asked_and_the_worker_starts_with_the_result() {
         );
     }
     let out = folder.path().join("lab");
-    let made = output([
+    let init = [
         "config",
         "init",
         "--from",
@@ -360,7 +360,8 @@ fn config_init_trains_when_asked_and_the_worker_starts_with_the_result() {
         "--train",
         "--name",
         "mine",
-    ]);
+    ];
+    let made = output(init);
     assert_eq!(code(&made), 0, "{}", stderr(&made));
     assert!(out.join("models/mine.safetensors").is_file());
     let fleet = out.join("fleet.toml");
@@ -371,4 +372,14 @@ fn config_init_trains_when_asked_and_the_worker_starts_with_the_result() {
         "{}",
         stderr(&checked)
     );
+
+    // Nor is a model overwritten.
+    fs::remove_file(&fleet).unwrap();
+    fs::remove_file(out.join("platforms/mine.toml")).unwrap();
+    fs::write(out.join("models/mine.safetensors"), b"of somebody").unwrap();
+    let again = output(init);
+    assert_eq!(code(&again), 2, "{}", stderr(&again));
+    assert!(stderr(&again).contains("mine.safetensors exists"));
+    let kept = fs::read(out.join("models/mine.safetensors")).unwrap();
+    assert_eq!(kept, b"of somebody");
 }
