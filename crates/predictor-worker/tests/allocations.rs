@@ -5,6 +5,8 @@
 
 #[path = "../../../tests/counting.rs"]
 mod counting;
+#[path = "../../../tests/on_drop.rs"]
+mod on_drop;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
@@ -14,6 +16,7 @@ use joulebus_bus::{Bus, Domain, clock};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
+use on_drop::OnDrop;
 
 /// Timeout of waiting for a condition.
 const PATIENCE: Duration = Duration::from_secs(180);
@@ -100,15 +103,6 @@ fn record(domain: &Domain, config: &Config, keyframes: &AtomicU32, stop: &Atomic
     }
 }
 
-/// Sets a flag when dropped.
-struct OnDrop<'a>(&'a AtomicBool);
-
-impl Drop for OnDrop<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-}
-
 /// Allocations so far of the pool's other threads.
 fn others() -> Vec<u64> {
     if rayon::current_thread_index().is_none() {
@@ -130,7 +124,6 @@ fn measure(case: Case) {
     let stop = AtomicBool::new(false);
     let mut worker = Worker::open(&config).unwrap();
     std::thread::scope(|scope| {
-        // A failed assertion must end the other threads, which the scope waits for.
         let _end = OnDrop(&stop);
         scope.spawn(|| feed(&domain, &config, case.robots, &sent, &stop));
         // At least so many ticks, and until the other threads have done their part too: on a busy

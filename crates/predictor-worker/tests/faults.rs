@@ -1,6 +1,9 @@
 //! After warm-up the tick's thread takes no page fault: its memory has been touched before.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
+#[path = "../../../tests/on_drop.rs"]
+mod on_drop;
+
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -9,6 +12,7 @@ use joulebus_bus::{Bus, Domain, clock, page_faults};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
+use on_drop::OnDrop;
 
 const ROBOTS: u32 = 2_000;
 
@@ -68,6 +72,7 @@ fn measure(policy: &str, warm_up: u32, ticks: u32) -> (u64, u64) {
     let (sent, stop) = (AtomicU64::new(0), AtomicBool::new(false));
     let mut worker = Worker::open(&config).unwrap();
     let faults = std::thread::scope(|scope| {
+        let _end = OnDrop(&stop);
         scope.spawn(|| feed(&domain, &config, &sent, &stop));
         // On a busy machine ticks of the timer continue without frames.
         let mut tick = |ticks: u32| {

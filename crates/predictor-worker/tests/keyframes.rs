@@ -2,6 +2,9 @@
 //! later keyframe; without readers there is no cost.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
+#[path = "../../../tests/on_drop.rs"]
+mod on_drop;
+
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -15,6 +18,7 @@ use joulebus_wire::{
     Budget, Forecast, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
     tick_flag,
 };
+use on_drop::OnDrop;
 
 const ROBOTS: u32 = 300;
 /// Timeout of waiting for a condition.
@@ -203,6 +207,7 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
     // Before its first tick a recorder delays nothing.
     let [read_early, read_late] = [const { AtomicU64::new(u64::MAX) }; 2];
     let (early, late) = std::thread::scope(|scope| {
+        let _end = OnDrop(&stop);
         let early = scope.spawn(|| record(&config, &ready, &read_early, &stop));
         eventually(|| ready.load(Ordering::Relaxed));
         let mut worker = Worker::open(&config).unwrap();
