@@ -182,7 +182,7 @@ fn what_is_published_does_not_change_what_is_alarmed() {
 
 /// Figures of many seeds and long runs.
 #[test]
-#[ignore = "minutes, prints figures"]
+#[ignore = "prints figures for minutes: CONTRIBUTING.md has the command"]
 fn figures() {
     let runs: Vec<Raised> = (1..=8).map(|seed| play(seed, 100, 900.0, &[])).collect();
     for run in &runs {
