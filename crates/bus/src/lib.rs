@@ -28,8 +28,9 @@
 //!   ever, or a node that counts as starting and is never removed; an incomplete tag keeps a dead node
 //!   from being removed. A process that creates or uses an object has its file open, so what is
 //!   incomplete, old, and open in no process is removed.
-//! - A connection that could not be established is not retried until the list of ports changes:
-//!   readers recreate their port.
+//! - A connection that could not be established is not retried until the list of ports changes. If
+//!   its port is still listed three seconds later, a reader recreates its own port, and a writer lets
+//!   a reader join for a moment, which changes the list.
 //! - Objects are sized, and their pages are allocated at the first access, which raises SIGBUS in a
 //!   full `/dev/shm`: ours are allocated completely when they are created.
 //! - The object that counts nodes (`…global_mgmt`) is readable and writable by every user of the

@@ -17,19 +17,23 @@ fn member() {
     harness::run_member();
 }
 
-fn joined(place: &Place, role: &str) -> Member {
-    let mut member = place.member();
-    must(&mut member, "join");
-    must(&mut member, role);
-    member
+/// A member run by another program, such as `strace`.
+fn member_under(place: &Place, program: &str, arguments: &[&str]) -> Member {
+    let mine = Member::command();
+    let mut command = Command::new(program);
+    command
+        .args(arguments)
+        .arg(mine.get_program())
+        .args(mine.get_args());
+    Member::spawn(program, place.as_member(command))
 }
 
 #[test]
 fn samples_and_forecasts_cross_processes() {
     let place = Place::new();
-    let mut source = joined(&place, "source");
-    let mut worker = joined(&place, "worker");
-    let mut planner = joined(&place, "planner");
+    let mut source = place.joined("source");
+    let mut worker = place.joined("worker");
+    let mut planner = place.joined("planner");
 
     assert_eq!(must(&mut source, "send 64"), "1");
     assert!(must(&mut worker, "wait").contains("frame: true"));
@@ -55,11 +59,11 @@ fn samples_and_forecasts_cross_processes() {
 #[test]
 fn frames_of_a_process_that_is_not_the_worker_are_skipped() {
     let place = Place::new();
-    let mut planner = joined(&place, "planner");
-    let mut impostor = joined(&place, "impostor");
+    let mut planner = place.joined("planner");
+    let mut impostor = place.joined("impostor");
     must(&mut impostor, "tick 2");
     assert_eq!(must(&mut planner, "latest"), "[None, None, None]");
-    let mut worker = joined(&place, "worker");
+    let mut worker = place.joined("worker");
     must(&mut worker, "tick 1");
     must(&mut impostor, "tick 1");
     assert_eq!(must(&mut planner, "latest"), "[Some(1), Some(1), Some(1)]");
@@ -96,7 +100,7 @@ fn members_can_join_in_any_order() {
         let place = Place::new();
         let mut members: Vec<_> = order
             .iter()
-            .map(|role| (*role, joined(&place, roles[*role])))
+            .map(|role| (*role, place.joined(roles[*role])))
             .collect();
         members.sort_by_key(|(role, _)| *role);
         let mut members = members.into_iter().map(|(_, member)| member);
@@ -149,9 +153,9 @@ fn many_start_and_leave_at_once() {
 #[test]
 fn a_late_reader_gets_the_newest_budgets() {
     let place = Place::new();
-    let mut worker = joined(&place, "worker");
+    let mut worker = place.joined("worker");
     must(&mut worker, "tick 5");
-    let mut planner = joined(&place, "planner");
+    let mut planner = place.joined("planner");
     // History is delivered with the next send or update of the worker.
     must(&mut worker, "latest");
     assert_eq!(must(&mut planner, "latest"), "[None, None, Some(5)]");
@@ -160,7 +164,7 @@ fn a_late_reader_gets_the_newest_budgets() {
 #[test]
 fn different_limits_are_reported_with_both_values() {
     let place = Place::new();
-    let _source = joined(&place, "source");
+    let _source = place.joined("source");
     let mut worker = place.member();
     must(&mut worker, "join");
     must(&mut worker, "capacity 65");
@@ -172,9 +176,9 @@ fn different_limits_are_reported_with_both_values() {
 #[test]
 fn a_stopped_planner_does_not_affect_others_and_resumes_at_the_newest() {
     let place = Place::new();
-    let mut worker = joined(&place, "worker");
-    let mut stuck = joined(&place, "planner");
-    let mut other = joined(&place, "planner");
+    let mut worker = place.joined("worker");
+    let mut stuck = place.joined("planner");
+    let mut other = place.joined("planner");
     must(&mut worker, "tick 1");
     for planner in [&mut stuck, &mut other] {
         assert_eq!(must(planner, "count"), "[1]");
@@ -194,8 +198,8 @@ fn a_stopped_planner_does_not_affect_others_and_resumes_at_the_newest() {
 #[test]
 fn a_planner_sees_at_once_that_the_worker_is_gone() {
     let place = Place::new();
-    let worker = joined(&place, "worker");
-    let mut planner = joined(&place, "planner");
+    let worker = place.joined("worker");
+    let mut planner = place.joined("planner");
     if must(&mut planner, &format!("watch {}", worker.pid())) != "true" {
         println!("skipped: this system cannot watch processes");
         return;
@@ -208,8 +212,8 @@ fn a_planner_sees_at_once_that_the_worker_is_gone() {
 #[test]
 fn members_clean_up_after_dead_members() {
     let place = Place::new();
-    let mut planner = joined(&place, "planner");
-    joined(&place, "worker").kill();
+    let mut planner = place.joined("planner");
+    place.joined("worker").kill();
     // Notified by the member that cleans up, within about a second.
     assert!(must(&mut planner, "wait").contains("died: true"));
     let dead = |node: &joulebus_bus::NodeInfo| node.alive != Some(true);
@@ -227,7 +231,7 @@ fn members_clean_up_after_dead_members() {
 #[test]
 fn after_twenty_kills_during_a_start_the_next_one_joins() {
     let place = Place::new();
-    let mut source = joined(&place, "source");
+    let mut source = place.joined("source");
     for round in 0..20_u64 {
         let mut member = place.member();
         member.send_line("join");
@@ -237,7 +241,7 @@ fn after_twenty_kills_during_a_start_the_next_one_joins() {
         std::thread::sleep(Duration::from_micros(500 * round));
         member.kill();
     }
-    let mut worker = joined(&place, "worker");
+    let mut worker = place.joined("worker");
     must(&mut source, "send 7");
     assert!(must(&mut worker, "wait").contains("frame: true"));
     assert!(must(&mut worker, "take").ends_with(":7"));
@@ -249,8 +253,8 @@ fn after_twenty_kills_during_a_start_the_next_one_joins() {
 #[test]
 fn a_start_removes_all_files_only_if_no_member_is_alive() {
     let place = Place::new();
-    let mut source = joined(&place, "source");
-    let worker = joined(&place, "worker");
+    let mut source = place.joined("source");
+    let worker = place.joined("worker");
     let before = place.objects().len();
     assert!(before > 5);
 
@@ -276,7 +280,7 @@ fn a_start_removes_all_files_only_if_no_member_is_alive() {
 #[test]
 fn a_sweep_without_live_members_leaves_no_files() {
     let place = Place::new();
-    let members = ["source", "worker", "planner"].map(|role| joined(&place, role));
+    let members = ["source", "worker", "planner"].map(|role| place.joined(role));
     for member in members {
         member.kill();
     }
@@ -294,7 +298,7 @@ fn a_sweep_without_live_members_leaves_no_files() {
 #[test]
 fn an_object_of_size_0_does_not_block_members() {
     let place = Place::new();
-    let source = joined(&place, "source");
+    let source = place.joined("source");
     // Left by a process killed between creating and sizing: iceoryx2 waits for it forever. Every
     // joiner opens this object.
     let counter = place
@@ -307,7 +311,7 @@ fn an_object_of_size_0_does_not_block_members() {
         .truncate(true)
         .open(counter)
         .unwrap();
-    let worker = joined(&place, "worker");
+    let worker = place.joined("worker");
     source.finish();
     worker.finish();
     place.assert_nothing_left();
@@ -316,7 +320,7 @@ fn an_object_of_size_0_does_not_block_members() {
 #[test]
 fn an_object_of_size_0_that_is_open_is_kept() {
     let place = Place::new();
-    let member = joined(&place, "source");
+    let member = place.joined("source");
     let name = format!("{}slow.connection", place.domain.shm_prefix());
     let path = std::path::Path::new("/dev/shm").join(name);
     let creator = fs::File::create(&path).unwrap();
@@ -385,7 +389,7 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
         return None;
     }
     let place = Place::new();
-    let mut source = joined(&place, "source");
+    let mut source = place.joined("source");
     let mut killed = 0;
     let mut slowest = Duration::ZERO;
     for call in calls {
@@ -393,7 +397,7 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
             let trace = format!("trace={call}");
             let inject = format!("inject={call}:signal=SIGKILL:when={number}");
             let options = ["-f", "-qq", "-e", &trace, "-e", &inject, "-o", "/dev/null"];
-            let mut victim = place.member_under("strace", &options);
+            let mut victim = member_under(&place, "strace", &options);
             for command in ["join", "worker", "quit"] {
                 victim.send_line(command);
             }
@@ -404,7 +408,7 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
             assert!(number < 300, "each death makes the next start longer");
             // Live members must not be blocked either: the next send connects to the new worker.
             let begin = Instant::now();
-            let mut next = joined(&place, "worker");
+            let mut next = place.joined("worker");
             must(&mut source, "send 2");
             slowest = slowest.max(begin.elapsed());
             assert!(
@@ -446,8 +450,8 @@ fn one_worker_per_fleet_and_the_second_gets_the_pid() {
 #[test]
 fn other_users_cannot_access_the_objects_of_members() {
     let place = Place::new();
-    let _source = joined(&place, "source");
-    let _worker = joined(&place, "worker");
+    let _source = place.joined("source");
+    let _worker = place.joined("worker");
     for object in place.objects() {
         let mode = fs::metadata(&object).unwrap().permissions().mode();
         assert_eq!(mode & 0o077, 0, "{object:?} has mode {mode:o}");
@@ -472,7 +476,7 @@ fn the_preflight_check_covers_the_shared_memory_used() {
     let roles = [
         "source", "source", "worker", "planner", "planner", "planner",
     ];
-    let mut members = roles.map(|role| joined(&place, role));
+    let mut members = roles.map(|role| place.joined(role));
     must(&mut members[0], "send 64");
     must(&mut members[2], "tick 10");
     let taken: u64 = place
@@ -498,10 +502,10 @@ fn too_little_shared_memory_is_an_error_instead_of_a_signal() {
     }
     let place = Place::new();
     let script = "mount -t tmpfs -o size=4m tmpfs /dev/shm && exec \"$0\" \"$@\"";
-    let mut member = place.member_under("unshare", &["-m", "sh", "-c", script]);
+    let mut member = member_under(&place, "unshare", &["-m", "sh", "-c", script]);
     must(&mut member, "join");
     must(&mut member, "worker");
-    let mut crowded = place.member_under("unshare", &["-m", "sh", "-c", script]);
+    let mut crowded = member_under(&place, "unshare", &["-m", "sh", "-c", script]);
     must(&mut crowded, "capacity 10000");
     must(&mut crowded, "join");
     let answer = crowded.ask("worker");

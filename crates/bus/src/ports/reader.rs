@@ -3,15 +3,16 @@
 use std::marker::PhantomData;
 use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::sample::Sample as Borrowed;
+use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use joulebus_wire::{Payload, Service};
 
-use super::degradation::count_degradation;
-use super::repair::{Look, Repair};
+use super::degradation::Failures;
+use super::repair::Repair;
 use super::service::{self, OpenError};
 use crate::ipc::Ipc;
 use crate::limits::Shape;
@@ -23,8 +24,8 @@ use crate::{Bus, FilesRemoved, Limits, clock};
 /// Maximum number of frames of other processes than the worker that one call skips.
 const MOST_PASSED_OVER: u32 = 4_096;
 
-/// A port, unless it is being recreated, and its service.
-type Port<H, T> = (Option<Subscriber<Ipc, [T], H>>, PortFactory<Ipc, [T], H>);
+/// A port and its service.
+type Port<H, T> = (Subscriber<Ipc, [T], H>, PortFactory<Ipc, [T], H>);
 
 /// Reads frames in place; on a service of the worker, only those of the process that holds the worker's
 /// lock.
@@ -34,7 +35,7 @@ pub struct Reader<H: Payload, T: Payload> {
     held: Option<Borrowed<Ipc, [T], H>>,
     port: Kept<Port<H, T>>,
     buffer: usize,
-    degraded: Arc<AtomicU64>,
+    failures: Arc<Failures>,
     repair: Repair,
     /// None for services on which every process may send.
     worker: Option<WorkerPorts>,
@@ -49,17 +50,17 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         shape: Shape,
     ) -> Result<Self, OpenError> {
         let factory = service::open::<H, T>(bus, service, limits, shape)?;
-        let degraded = Arc::new(AtomicU64::new(0));
-        let subscriber = subscribe(&factory, shape.buffer, &degraded)
+        let failures = Failures::new();
+        let subscriber = subscribe(&factory, shape.buffer, &failures)
             .map_err(|reason| OpenError::port(service, reason))?;
         // A failed connection is only counted, above.
         service::check_shortage()?;
         let need = service::need(bus, &factory, None);
         Ok(Self {
             held: None,
-            port: Kept::new((Some(subscriber), factory), need),
+            port: Kept::new((subscriber, factory), need),
             buffer: shape.buffer,
-            degraded,
+            failures,
             repair: Repair::default(),
             worker: (service != Service::Samples).then(|| WorkerPorts::new(bus.domain())),
             member: Rc::clone(&bus.member),
@@ -136,7 +137,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     /// Number of failed or broken connections to writers.
     #[must_use]
     pub fn degraded(&self) -> u64 {
-        self.degraded.load(Ordering::Relaxed)
+        self.failures.count()
     }
 
     /// Number of skipped frames on a service of the worker that another process has sent.
@@ -149,19 +150,15 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         self.worker.as_ref().map_or(0, WorkerPorts::runs)
     }
 
-    /// A writer that dies while its connection is established leaves a failed connection: the port is
-    /// recreated without an error. Only a connection that still fails a second later is one.
+    /// A writer that dies while its connection is established leaves a failed connection, which is
+    /// not an error: only one to a writer that is still there three seconds later is.
     pub(super) fn receive(&mut self) -> Result<Option<Borrowed<Ipc, [T], H>>, ReceiveError> {
         self.member.presence.check()?;
         let mut passed_over = 0;
         loop {
-            if self.repair.is_due(clock::monotonic_ns) {
-                self.renew()?;
-            }
-            let Some(subscriber) = &self.port.0 else {
-                return Ok(None);
-            };
-            let received = subscriber
+            let received = self
+                .port
+                .0
                 .receive()
                 .map_err(|reason| ReceiveError::Receive {
                     reason: reason.to_string(),
@@ -178,45 +175,53 @@ impl<H: Payload, T: Payload> Reader<H, T> {
                 }
                 continue;
             }
-            match self.repair.look(self.degraded(), clock::monotonic_ns) {
-                Look::Whole => return Ok(None),
-                Look::Renew => {}
-                Look::Failing { connections } => {
-                    return Err(ReceiveError::Degraded { connections });
-                }
+            if !self.is_retry_due() {
+                return Ok(None);
             }
+            self.reconnect()?;
         }
     }
 
-    /// iceoryx2 does not retry a failed connection; only a new port does. The old one is empty by
-    /// then, and is dropped first: the service may be at its limit of ports.
-    fn renew(&mut self) -> Result<(), ReceiveError> {
+    fn is_retry_due(&mut self) -> bool {
+        let is_listed = || {
+            self.failures.are_listed(|each| {
+                self.port.1.dynamic_config().list_publishers(|writer| {
+                    each(writer.publisher_id.value());
+                    CallbackProgression::Continue
+                });
+            })
+        };
+        self.repair
+            .is_due(self.failures.count(), clock::monotonic_ns, is_listed)
+    }
+
+    /// iceoryx2 does not retry a failed connection; a new port does. The old one is empty, and is kept
+    /// if the new one fails to connect as well: it may have less.
+    fn reconnect(&mut self) -> Result<(), ReceiveError> {
         self.member.presence.look()?;
-        self.port.0 = None;
-        match subscribe(&self.port.1, self.buffer, &self.degraded) {
-            Ok(subscriber) => {
-                self.port.0 = Some(subscriber);
-                Ok(())
-            }
-            Err(error) if self.repair.failed(clock::monotonic_ns()) => Err(error),
-            Err(error) => {
-                tracing::debug!(%error, "a port could not be recreated yet");
-                Ok(())
-            }
+        let before = self.failures.count();
+        let created = subscribe(&self.port.1, self.buffer, &self.failures);
+        let connections = self.failures.count();
+        let is_whole = created.is_ok() && connections == before;
+        self.repair.retried(connections, is_whole);
+        if !is_whole {
+            return Err(ReceiveError::Degraded { connections });
         }
+        self.port.0 = created?;
+        self.failures.forget();
+        Ok(())
     }
 }
 
 fn subscribe<H: Payload, T: Payload>(
     factory: &PortFactory<Ipc, [T], H>,
     buffer: usize,
-    degraded: &Arc<AtomicU64>,
+    failures: &Arc<Failures>,
 ) -> Result<Subscriber<Ipc, [T], H>, ReceiveError> {
-    let counted = Arc::clone(degraded);
     factory
         .subscriber_builder()
         .buffer_size(buffer)
-        .set_degradation_handler(move |_, _| count_degradation(&counted))
+        .set_degradation_handler(failures.handler(|info| info.sender_port_id))
         .create()
         .map_err(|reason| ReceiveError::Receive {
             reason: reason.to_string(),
@@ -260,8 +265,8 @@ pub enum ReceiveError {
     /// Files of this process were removed: every further call fails as well.
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
-    /// The connection to a writer has failed for a second or more; its frames are missing. The port
-    /// is recreated every second. A writer that died in the meantime is not an error.
+    /// The connection to a writer has failed for three seconds or more; its frames are missing. It is
+    /// retried every three seconds. A writer that died in the meantime is not an error.
     #[error(
         "{connections} connections to writers failed so far; are there file descriptors left \
          (`ulimit -n`), and shared memory? `joulebus doctor` tells"

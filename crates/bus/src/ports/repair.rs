@@ -1,85 +1,51 @@
-//! Decides when a port is recreated, and when its failure is an error.
+//! Decides when failed connections of a port are retried.
+//!
+//! iceoryx2 tries to connect to a port once, and again whenever the service's list of ports has
+//! changed. Most failures are those of a port that is being removed because its process died: it leaves
+//! the list next, and nothing needs to be done. Retried here are connections to ports that are
+//! still listed three seconds later, because file descriptors or memory were short.
 
-/// Minimum interval between two recreations of a port, ns; a failure that lasts longer is an error.
-const RENEW_EVERY_NS: u64 = 1_000_000_000;
-/// The same while there is no port, ns.
-const RETRY_EVERY_NS: u64 = 20_000_000;
+/// Duration of a failure until it is retried, and the period of further retries, ns. Ports of dead
+/// processes are searched for once a second by every member, and on a busy machine later.
+const RETRY_EVERY_NS: u64 = 3_000_000_000;
 
-/// Meaning of a port's count of failed connections.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Look {
-    /// No new failures.
-    Whole,
-    /// A connection has failed: recreate the port and receive again.
-    Renew,
-    /// Connections still fail one second after the first failure.
-    Failing {
-        /// Connections failed since the port was opened.
-        connections: u64,
-    },
-}
-
-/// Failures and recreations of a port. Times are monotonic ns.
+/// Failures and retries of a port. Times are monotonic ns.
 #[derive(Debug, Default)]
 pub(crate) struct Repair {
     /// Number of failed connections at the last check.
     seen: u64,
-    /// True if a connection has failed since the port was created.
-    broken: bool,
-    /// Time of the first failure.
-    failing_since_ns: Option<u64>,
-    /// Earliest time of the next recreation.
-    renew_from_ns: u64,
+    /// Time of the next retry; none if all connections are established.
+    retry_from_ns: Option<u64>,
 }
 
 impl Repair {
-    /// True if the port is to be recreated now. The clock is read only after a failure.
-    pub(crate) fn is_due(&mut self, now_ns: impl FnOnce() -> u64) -> bool {
-        if !self.broken {
+    /// True if connections are to be retried now; then call [`Self::retried`]. The clock is read, and
+    /// `is_listed` asked whether a failed port still exists, only after a failure.
+    pub(crate) fn is_due(
+        &mut self,
+        failed: u64,
+        now_ns: impl FnOnce() -> u64,
+        is_listed: impl FnOnce() -> bool,
+    ) -> bool {
+        if failed == self.seen && self.retry_from_ns.is_none() {
             return false;
         }
+        self.seen = failed;
         let now_ns = now_ns();
-        if now_ns < self.renew_from_ns {
+        let next_ns = now_ns.saturating_add(RETRY_EVERY_NS);
+        if now_ns < *self.retry_from_ns.get_or_insert(next_ns) {
             return false;
         }
-        self.renew_from_ns = now_ns.saturating_add(RENEW_EVERY_NS);
-        self.broken = false;
-        true
+        self.retry_from_ns = is_listed().then_some(next_ns);
+        self.retry_from_ns.is_some()
     }
 
-    /// Checks the number of failed connections once the port's queue is empty.
-    pub(crate) fn look(&mut self, degraded: u64, now_ns: impl FnOnce() -> u64) -> Look {
-        if degraded == self.seen {
-            if !self.broken {
-                self.failing_since_ns = None;
-            }
-            return Look::Whole;
+    /// Records the number of failed connections after a retry, and whether it has established all.
+    pub(crate) const fn retried(&mut self, failed: u64, is_whole: bool) {
+        self.seen = failed;
+        if is_whole {
+            self.retry_from_ns = None;
         }
-        self.seen = degraded;
-        self.broken = true;
-        let now_ns = now_ns();
-        if self.outlasted(now_ns) {
-            return Look::Failing {
-                connections: degraded,
-            };
-        }
-        if now_ns < self.renew_from_ns {
-            return Look::Whole;
-        }
-        Look::Renew
-    }
-
-    /// Records that the port could not be recreated. Returns true if the failure has lasted long
-    /// enough to be an error.
-    pub(crate) fn failed(&mut self, now_ns: u64) -> bool {
-        self.broken = true;
-        self.renew_from_ns = now_ns.saturating_add(RETRY_EVERY_NS);
-        self.outlasted(now_ns)
-    }
-
-    fn outlasted(&mut self, now_ns: u64) -> bool {
-        let since_ns = *self.failing_since_ns.get_or_insert(now_ns);
-        now_ns.saturating_sub(since_ns) >= RENEW_EVERY_NS
     }
 }
 
@@ -87,57 +53,51 @@ impl Repair {
 mod tests {
     use super::*;
 
-    const MS: u64 = 1_000_000;
+    const PERIOD: u64 = RETRY_EVERY_NS;
 
-    fn at(now_ns: u64) -> impl FnOnce() -> u64 {
-        move || now_ns
+    /// A port of which connections have failed `failed` times, at a time; `listed` is what it is
+    /// told about the failed ports.
+    fn is_due(repair: &mut Repair, failed: u64, now_ns: u64, listed: bool) -> bool {
+        repair.is_due(failed, || now_ns, || listed)
     }
 
     #[test]
-    fn a_port_whose_connection_fails_once_is_recreated_at_once_without_an_error() {
+    fn without_a_failure_neither_the_clock_nor_the_list_is_read() {
         let mut repair = Repair::default();
-        assert!(!repair.is_due(at(0)));
-        assert_eq!(repair.look(1, at(5 * MS)), Look::Renew);
-        assert!(repair.is_due(at(5 * MS)));
-        assert_eq!(repair.look(1, at(5 * MS)), Look::Whole);
-        assert!(!repair.is_due(at(9_000 * MS)), "it is whole again");
-        assert_eq!(repair.look(2, at(9_000 * MS)), Look::Renew, "long after");
+        assert!(!repair.is_due(0, || unreachable!(), || unreachable!()));
+        assert!(!is_due(&mut repair, 1, 0, true));
+        assert!(is_due(&mut repair, 1, PERIOD, true));
+        repair.retried(1, true);
+        assert!(!repair.is_due(1, || unreachable!(), || unreachable!()));
     }
 
     #[test]
-    fn a_failure_of_a_second_is_an_error_and_retried_once_a_second() {
+    fn a_failed_port_that_is_gone_when_a_retry_is_due_is_not_retried() {
         let mut repair = Repair::default();
-        assert_eq!(repair.look(1, at(0)), Look::Renew);
-        assert!(repair.is_due(at(0)));
-        assert_eq!(repair.look(2, at(MS)), Look::Whole, "too soon to try again");
-        for now_ms in [2, 500, 999] {
-            assert!(!repair.is_due(at(now_ms * MS)), "at {now_ms} ms");
-            assert_eq!(repair.look(2, at(now_ms * MS)), Look::Whole);
+        for failure in 1..=3 {
+            let begin_ns = failure * 10 * PERIOD;
+            for now_ns in [begin_ns, begin_ns + 1, begin_ns + PERIOD - 1] {
+                assert!(!repair.is_due(failure, || now_ns, || unreachable!()));
+            }
+            assert!(!is_due(&mut repair, failure, begin_ns + PERIOD, false));
+            assert!(!repair.is_due(failure, || unreachable!(), || unreachable!()));
         }
-        for second in 1..4 {
-            let now_ns = second * 1_000 * MS;
-            assert!(repair.is_due(at(now_ns)));
-            let connections = 2 + second;
-            assert_eq!(
-                repair.look(connections, at(now_ns)),
-                Look::Failing { connections }
-            );
-        }
-        assert!(repair.is_due(at(4_000 * MS)));
-        assert_eq!(repair.look(5, at(4_000 * MS)), Look::Whole, "healed");
-        assert_eq!(repair.look(6, at(6_000 * MS)), Look::Renew, "a new failure");
     }
 
     #[test]
-    fn a_port_that_cannot_be_created_is_retried_soon_and_is_an_error_after_a_second() {
+    fn a_failed_port_that_is_still_there_is_retried_once_a_period() {
         let mut repair = Repair::default();
-        assert_eq!(repair.look(1, at(0)), Look::Renew);
-        assert!(repair.is_due(at(0)));
-        assert!(!repair.failed(0));
-        assert!(!repair.is_due(at(19 * MS)));
-        assert!(repair.is_due(at(20 * MS)));
-        assert!(!repair.failed(20 * MS));
-        assert!(repair.is_due(at(1_000 * MS)));
-        assert!(repair.failed(1_000 * MS));
+        assert!(!is_due(&mut repair, 1, 0, true));
+        for period in 1..=3 {
+            let now_ns = period * PERIOD;
+            assert!(!is_due(&mut repair, period, now_ns - 1, true));
+            assert!(is_due(&mut repair, period, now_ns, true));
+            repair.retried(period + 1, false);
+            assert!(!is_due(&mut repair, period + 1, now_ns, true));
+        }
+        assert!(is_due(&mut repair, 4, 4 * PERIOD, true));
+        repair.retried(4, true);
+        assert!(!is_due(&mut repair, 5, 6 * PERIOD, true), "a new failure");
+        assert!(is_due(&mut repair, 5, 7 * PERIOD, true));
     }
 }

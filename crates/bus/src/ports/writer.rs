@@ -4,18 +4,18 @@
 use std::marker::PhantomData;
 use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
-use iceoryx2::port::LoanError;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::AllocationStrategy;
+use iceoryx2::port::{DegradationAction, LoanError};
+use iceoryx2::prelude::{AllocationStrategy, CallbackProgression};
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use joulebus_wire::{Payload, Service};
 
-use super::degradation::count_degradation;
+use super::degradation::Failures;
+use super::repair::Repair;
 use super::service::{self, OpenError};
 use super::wait::WaitError;
 use crate::ipc::Ipc;
@@ -24,7 +24,7 @@ use crate::liveness::kept::Kept;
 use crate::membership::Membership;
 use crate::os::memory;
 use crate::preflight::{check_free, segment_bytes};
-use crate::{Bus, FilesRemoved, Limits};
+use crate::{Bus, FilesRemoved, Limits, clock};
 
 /// A port and its service.
 type Port<H, T> = (Publisher<Ipc, [T], H>, PortFactory<Ipc, [T], H>);
@@ -35,7 +35,8 @@ pub struct Writer<H: Payload, T: Payload> {
     // Dropped in this order: port, factory, membership.
     port: Kept<Port<H, T>>,
     max_len: usize,
-    degraded: Arc<AtomicU64>,
+    failures: Arc<Failures>,
+    repair: Repair,
     member: Rc<Membership>,
 }
 
@@ -49,15 +50,14 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     ) -> Result<Self, OpenError> {
         let needed = segment_bytes::<H, T>(shape, max_len);
         check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
-        let degraded = Arc::new(AtomicU64::new(0));
-        let counted = Arc::clone(&degraded);
+        let failures = Failures::new();
         let factory = service::open::<H, T>(bus, service, limits, shape)?;
         let publisher = factory
             .publisher_builder()
             .initial_max_slice_len(max_len)
             .max_loaned_samples(1)
             .allocation_strategy(AllocationStrategy::Static)
-            .set_degradation_handler(move |_, _| count_degradation(&counted))
+            .set_degradation_handler(failures.handler(|info| info.receiver_port_id))
             .create()
             .map_err(|reason| OpenError::port(service, reason))?;
         service::check_shortage()?;
@@ -66,7 +66,8 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         Ok(Self {
             port: Kept::new((publisher, factory), need),
             max_len,
-            degraded,
+            failures,
+            repair: Repair::default(),
             member: Rc::clone(&bus.member),
         })
     }
@@ -133,6 +134,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     /// Connects to readers that have joined since the last frame: they receive the history. Cheap
     /// if there are none.
     pub fn update(&mut self) {
+        self.reconnect();
         // The degradation handler counts failures.
         let _ = self.port.0.update_connections();
     }
@@ -152,11 +154,12 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     /// Number of failed or broken connections to readers: these miss frames.
     #[must_use]
     pub fn degraded(&self) -> u64 {
-        self.degraded.load(Ordering::Relaxed)
+        self.failures.count()
     }
 
-    fn check(&self, len: usize) -> Result<(), SendError> {
+    fn check(&mut self, len: usize) -> Result<(), SendError> {
         self.member.presence.check()?;
+        self.reconnect();
         if len > self.max_len {
             return Err(SendError::TooLong {
                 found: len,
@@ -164,6 +167,36 @@ impl<H: Payload, T: Payload> Writer<H, T> {
             });
         }
         Ok(())
+    }
+
+    /// Retries failed connections to readers. iceoryx2 does so when the list of readers has changed,
+    /// and a reader that joins for a moment changes it. A new port of this writer would do as well,
+    /// but the other readers would lose frames.
+    fn reconnect(&mut self) {
+        let (publisher, factory) = &*self.port;
+        let is_listed = || {
+            self.failures.are_listed(|each| {
+                factory.dynamic_config().list_subscribers(|reader| {
+                    each(reader.subscriber_id.value());
+                    CallbackProgression::Continue
+                });
+            })
+        };
+        let failed = self.failures.count();
+        if !self.repair.is_due(failed, clock::monotonic_ns, is_listed) {
+            return;
+        }
+        let joined = factory
+            .subscriber_builder()
+            .set_degradation_handler(|_, _| DegradationAction::Ignore)
+            .create();
+        let updated = publisher.update_connections();
+        let failed_now = self.failures.count();
+        let is_whole = joined.is_ok() && updated.is_ok() && failed_now == failed;
+        self.repair.retried(failed_now, is_whole);
+        if is_whole {
+            self.failures.forget();
+        }
     }
 }
 

@@ -6,6 +6,7 @@
 )]
 
 use std::fs;
+use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -20,6 +21,7 @@ use joulebus_wire::{
     Budget, BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, Sample, SampleHeader,
     WakeEvent,
 };
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 const CHILD: &str = "JOULEBUS_TEST_CHILD";
 static PLACES: AtomicU32 = AtomicU32::new(0);
@@ -63,18 +65,16 @@ impl Place {
         Member::spawn("member", self.as_member(Member::command()))
     }
 
-    /// A member run by another program, such as `strace`.
-    pub fn member_under(&self, program: &str, arguments: &[&str]) -> Member {
-        let mine = Member::command();
-        let mut command = Command::new(program);
-        command
-            .args(arguments)
-            .arg(mine.get_program())
-            .args(mine.get_args());
-        Member::spawn(program, self.as_member(command))
+    /// A member that has joined and opened the ports of `role`.
+    pub fn joined(&self, role: &str) -> Member {
+        let mut member = self.member();
+        must(&mut member, "join");
+        must(&mut member, role);
+        member
     }
 
-    fn as_member(&self, mut command: Command) -> Command {
+    /// Makes `command` start a member of this domain.
+    pub fn as_member(&self, mut command: Command) -> Command {
         command.env(CHILD, self.domain.root());
         command
     }
@@ -113,6 +113,20 @@ pub fn limits() -> Limits {
         max_planners: 3,
         ..Limits::default()
     }
+}
+
+/// Allows this process `most` open files; 0: no more than it has open.
+fn limit_files(most: u64) -> Answer {
+    let allowed = match most {
+        0 => fs::File::open("/proc/self/fd")?.as_raw_fd() as u64,
+        most => most,
+    };
+    let limit = Rlimit {
+        current: Some(allowed),
+        ..getrlimit(Resource::Nofile)
+    };
+    setrlimit(Resource::Nofile, limit)?;
+    Ok(String::new())
 }
 
 /// Executes the parent's commands if this process was started as a member.
@@ -227,6 +241,14 @@ impl Ports {
                 self.worker_lock = None;
                 Ok(String::new())
             }
+            "degraded" => Ok(self
+                .samples
+                .as_ref()
+                .ok_or("no port")?
+                .degraded()
+                .to_string()),
+            // Most files that this process may have open; 0: as many as it has.
+            "files" => limit_files(number),
             "housekeeping" => Ok(format!("{:?}", self.bus()?.housekeeping())),
             "leave" => {
                 *self = Self::new(self.domain.clone());

@@ -144,7 +144,7 @@ impl Flow {
             Ok(Some(frame)) => frame,
             Ok(None) => return Ok(()),
             Err(error) => {
-                // The port is recreated; the next read may succeed.
+                // The next read may succeed.
                 tracing::warn!(%error, "forecasts could not be read");
                 return Ok(());
             }

@@ -1,0 +1,104 @@
+//! Connections between ports that fail, and others that must not notice.
+
+mod harness;
+
+use std::time::Duration;
+
+use harness::{Place, must};
+use joulebus_test_processes::{Member, eventually};
+
+/// Not a test: the entry point of members started by the tests.
+#[test]
+fn member() {
+    harness::run_member();
+}
+
+/// Sends a frame, which the worker must receive. Returns whether it reported failed connections.
+fn is_degraded(source: &mut Member, worker: &mut Member, number: u64) -> bool {
+    let len = number % 60 + 1;
+    assert_eq!(must(source, &format!("send {len}")), "1");
+    let (wanted, mut is_degraded) = (format!("ok {number}:{len}"), false);
+    eventually("the frame is received", || {
+        let taken = worker.ask("take");
+        is_degraded |= taken.contains("connections to writers failed");
+        taken == wanted
+    });
+    is_degraded
+}
+
+#[test]
+fn a_source_that_cannot_be_connected_and_dies_costs_the_others_no_frame() {
+    let place = Place::new();
+    let mut worker = place.joined("worker");
+    let mut source = place.joined("source");
+    assert!(!is_degraded(&mut source, &mut worker, 0));
+    must(&mut worker, "files 0");
+    let failing = place.joined("source");
+    assert_eq!(must(&mut worker, "take"), "none");
+    assert_eq!(must(&mut worker, "degraded"), "1");
+    failing.kill();
+    // It is removed by the other source, and there is nothing to be retried.
+    for number in 1..40 {
+        assert!(!is_degraded(&mut source, &mut worker, number));
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    assert_eq!(must(&mut worker, "degraded"), "1");
+    worker.finish();
+    source.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_reader_connects_to_a_writer_once_it_has_file_descriptors_again() {
+    let place = Place::new();
+    let mut worker = place.joined("worker");
+    let mut first = place.joined("source");
+    assert!(!is_degraded(&mut first, &mut worker, 0));
+    must(&mut worker, "files 0");
+    let mut second = place.joined("source");
+    must(&mut second, "send 1");
+    let mut sent = 1;
+    eventually("it is an error", || {
+        sent += 1;
+        is_degraded(&mut first, &mut worker, sent - 1)
+            || worker.ask("take").contains("connections to writers failed")
+    });
+    must(&mut worker, "files 1000");
+    eventually("its frames are received", || {
+        must(&mut second, "send 64");
+        worker.ask("take").contains(":64")
+    });
+    for member in [worker, first, second] {
+        member.finish();
+    }
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_writer_connects_to_a_reader_once_it_has_file_descriptors_again() {
+    let place = Place::new();
+    let mut worker = place.joined("worker");
+    let mut first = place.joined("planner");
+    must(&mut worker, "tick 1");
+    assert_eq!(must(&mut first, "latest"), "[Some(1), Some(1), Some(1)]");
+    must(&mut worker, "files 0");
+    let mut second = place.joined("planner");
+    must(&mut worker, "tick 1");
+    assert_eq!(must(&mut second, "latest"), "[None, None, None]");
+    must(&mut worker, "files 1000");
+    let mut ticks = 2;
+    eventually("its frames reach the second planner", || {
+        ticks += 1;
+        must(&mut worker, "tick 1");
+        let latest = must(&mut first, "latest");
+        assert_eq!(
+            latest,
+            format!("[Some({ticks}), Some({ticks}), Some({ticks})]")
+        );
+        must(&mut second, "latest") == latest
+    });
+    for member in [worker, first, second] {
+        member.finish();
+    }
+    place.assert_nothing_left();
+}
