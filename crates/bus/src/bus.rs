@@ -20,7 +20,7 @@ use crate::liveness::kept::Kept;
 use crate::liveness::presence::Need;
 use crate::membership::{Membership, remove_unused};
 use crate::os::files::effective_uid;
-use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_free};
+use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_free, check_left};
 use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLock};
 
 /// Timeout of retries of creating a node.
@@ -48,9 +48,9 @@ impl Bus {
     /// # Errors
     /// [`JoinError`] names the obstacle and the remedy.
     pub fn join(domain: &Domain, name: &str) -> Result<Self, JoinError> {
-        // An error caused by lack of memory does not always state it.
+        // An error caused by lack of memory or file descriptors does not always state it.
         Self::try_join(domain, name).map_err(|error| {
-            let full = check_free(PROCESS_BYTES).err();
+            let full = check_left(PROCESS_BYTES).err();
             remove_unused(domain);
             match full {
                 Some(full) if error.may_be_shortage() => full.into(),
@@ -138,7 +138,7 @@ fn create_node(domain: &Domain, name: &NodeName) -> Result<Node<Ipc>, JoinError>
             Ok(node) => return Ok(node),
             Err(reason) => reason,
         };
-        let is_full = check_free(PORT_BYTES).is_err();
+        let is_full = check_left(PORT_BYTES).is_err();
         if is_full || begin.elapsed() > NODE_LIMIT {
             return Err(JoinError::Node {
                 root: domain.directory(),

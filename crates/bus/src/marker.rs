@@ -157,9 +157,13 @@ impl Marked {
             Err(Errno::NOENT) if !is_same(directory, &self.path).map_err(failed)? => {
                 return Err(failed(ErrorKind::NotFound.into()));
             }
-            Err(_) => return Err(unmarked()),
+            // Missing, a link, a socket, or unreadable for us.
+            Err(Errno::NOENT | Errno::LOOP | Errno::NXIO | Errno::ACCESS) => {
+                return Err(unmarked());
+            }
+            Err(error) => return Err(failed(error.into())),
         };
-        let text = own_text(file).ok_or_else(unmarked)?;
+        let text = own_text(file).map_err(failed)?.ok_or_else(unmarked)?;
         if let Some(rest) = text.strip_prefix(&self.says) {
             let boot = rest
                 .strip_prefix("boot ")
@@ -220,8 +224,8 @@ impl Marked {
         }
         let marker = draft.join(self.marker);
         let is_marker = open_regular(&marker)
-            .ok()
             .and_then(own_text)
+            .unwrap_or_default()
             .is_some_and(|text| text.starts_with(FIRST_LINE) || FIRST_LINE.starts_with(&text));
         if is_marker {
             let _ = fs::remove_file(&marker);
@@ -249,13 +253,15 @@ fn has_ended(pid: u32) -> bool {
     pid == std::process::id() || !is_alive(pid)
 }
 
-/// The text of a regular file that only this user can write.
-fn own_text(file: File) -> Option<String> {
-    let found = file.metadata().ok()?;
-    let is_own = found.is_file() && found.uid() == effective_uid() && found.mode() & 0o022 == 0;
-    let mut text = String::new();
-    let read = file.take(LONGEST).read_to_string(&mut text);
-    (is_own && read.is_ok()).then_some(text)
+/// The text of a regular file that only this user can write; `None` of any other.
+fn own_text(file: File) -> io::Result<Option<String>> {
+    let found = file.metadata()?;
+    if !found.is_file() || found.uid() != effective_uid() || found.mode() & 0o022 != 0 {
+        return Ok(None);
+    }
+    let mut text = Vec::new();
+    file.take(LONGEST).read_to_end(&mut text)?;
+    Ok(String::from_utf8(text).ok())
 }
 
 fn open_regular(path: &Path) -> io::Result<File> {

@@ -25,6 +25,8 @@ pub(crate) const PROCESS_BYTES: usize = 192 * 1024;
 pub(crate) const PORT_BYTES: usize = 64 * 1024;
 /// Descriptors of a process before it connects to anybody: node, locks, eight services.
 const BASE_DESCRIPTORS: u64 = 64;
+/// File descriptors that opening a node, service or port takes, upper bound.
+const PORT_DESCRIPTORS: u64 = 16;
 /// File descriptors of one connection, data and bookkeeping.
 const CONNECTION_DESCRIPTORS: u64 = 4;
 
@@ -108,6 +110,26 @@ pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
         shm.f_bavail.saturating_mul(shm.f_frsize),
         shm.f_blocks.saturating_mul(shm.f_frsize),
     ))
+}
+
+/// Checks that a node, service or port would have the file descriptors and `needed` bytes of shared memory: the
+/// errors of iceoryx2 do not state that one of them is lacking.
+pub(crate) fn check_left(needed: usize) -> Result<(), CapacityError> {
+    check_free(needed)?;
+    let limit = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
+    let used = match std::fs::read_dir("/proc/self/fd") {
+        Ok(used) => used.count().saturating_sub(1) as u64,
+        Err(_) => limit,
+    };
+    let needed = used.saturating_add(PORT_DESCRIPTORS);
+    if needed > limit {
+        return Err(CapacityError::Descriptors {
+            needed,
+            used,
+            limit,
+        });
+    }
+    Ok(())
 }
 
 /// Checks that `needed` bytes are free in shared memory.

@@ -1,4 +1,4 @@
-//! Connections between ports that fail, and others that must not notice.
+//! Connections and starts that fail for lack of file descriptors, beside others that must not notice.
 
 mod harness;
 
@@ -100,5 +100,34 @@ fn a_writer_connects_to_a_reader_once_it_has_file_descriptors_again() {
     for member in [worker, first, second] {
         member.finish();
     }
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_start_with_few_file_descriptors_is_an_error_that_says_so_and_leaves_nothing() {
+    const MOST: u64 = 200;
+    let place = Place::new();
+    let mut started = false;
+    for more in (0..48).chain([MOST]) {
+        for role in ["source", "worker", "planner"] {
+            let mut member = place.member();
+            must(&mut member, &format!("files {more}"));
+            let mut answer = member.ask("join");
+            if answer.starts_with("ok") {
+                answer = member.ask(role);
+            }
+            assert!(
+                answer.starts_with("ok")
+                    || answer.contains("Too many open files")
+                    || answer.contains("file descriptors"),
+                "{role} with {more} descriptors: {answer}"
+            );
+            started |= answer.starts_with("ok");
+            assert!(more < MOST || answer.starts_with("ok"), "{role}: {answer}");
+            must(&mut member, "files 1000");
+            member.finish();
+        }
+    }
+    assert!(started);
     place.assert_nothing_left();
 }

@@ -21,7 +21,7 @@ use crate::cleanup::objects::named;
 use crate::ipc::Ipc;
 use crate::limits::Shape;
 use crate::liveness::presence::Need;
-use crate::preflight::{PORT_BYTES, check_free};
+use crate::preflight::{PORT_BYTES, check_left};
 use crate::reserved::take_shortage;
 use crate::{Bus, CapacityError, FilesRemoved, Limits, SweepReport, clock};
 
@@ -112,7 +112,7 @@ fn retry<S, E: Debug>(
             Err(error) if is_transient(&error) => error,
             result => return result,
         };
-        let is_full = check_free(PORT_BYTES).is_err();
+        let is_full = check_left(PORT_BYTES).is_err();
         if is_full || clock::monotonic_ns() > limit_ns {
             return Err(error);
         }
@@ -286,8 +286,7 @@ pub enum OpenError {
 
 impl OpenError {
     pub(super) fn port(service: Service, reason: impl std::fmt::Display) -> Self {
-        // iceoryx2 does not report that memory was lacking.
-        match check_shortage().and_then(|()| check_free(PORT_BYTES)) {
+        match check_shortage().and_then(|()| check_left(PORT_BYTES)) {
             Err(full) => Self::Capacity(full),
             Ok(()) => Self::Port {
                 service: service.name(),

@@ -115,15 +115,14 @@ pub fn limits() -> Limits {
     }
 }
 
-/// Allows this process `most` open files; 0: no more than it has open.
-fn limit_files(most: u64) -> Answer {
-    let allowed = match most {
-        0 => fs::File::open("/proc/self/fd")?.as_raw_fd() as u64,
-        most => most,
-    };
+/// Allows this process to open `more` files.
+fn limit_files(more: u64) -> Answer {
+    let before = getrlimit(Resource::Nofile);
+    // It cannot be opened if the limit is reached.
+    let next = fs::File::open("/proc/self/fd").map(|file| file.as_raw_fd() as u64);
     let limit = Rlimit {
-        current: Some(allowed),
-        ..getrlimit(Resource::Nofile)
+        current: next.ok().or(before.current).map(|next| next + more),
+        ..before
     };
     setrlimit(Resource::Nofile, limit)?;
     Ok(String::new())
@@ -247,7 +246,7 @@ impl Ports {
                 .ok_or("no port")?
                 .degraded()
                 .to_string()),
-            // Most files that this process may have open; 0: as many as it has.
+            // Most further files that this process may open.
             "files" => limit_files(number),
             "housekeeping" => Ok(format!("{:?}", self.bus()?.housekeeping())),
             "leave" => {
