@@ -310,8 +310,14 @@ impl Player {
             if fate != Fate::Failed {
                 self.count(part);
             }
-            if let (Some(flow), Fate::Sent) = (&mut self.flow, fate) {
-                flow.sent(part);
+            let Some(flow) = &mut self.flow else { continue };
+            match fate {
+                Fate::Sent => flow.sent(part),
+                // A frame without a reader is not answered, and further ones would be lost as well.
+                Fate::Unheard if self.waits && !self.link.wait_for_worker(stop)? => {
+                    return Ok(false);
+                }
+                Fate::Unheard | Fate::Failed => {}
             }
         }
         self.frame = frame;

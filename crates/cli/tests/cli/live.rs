@@ -99,6 +99,17 @@ fn a_trial_waits_for_the_worker_and_loses_nothing() {
 
 #[test]
 fn a_killed_worker_loses_at_most_the_window_of_a_fast_source() {
+    assert_lost_at_most_the_window(false);
+}
+
+#[test]
+fn a_worker_killed_and_removed_while_a_fast_source_is_paused_costs_at_most_the_window() {
+    assert_lost_at_most_the_window(true);
+}
+
+/// Kills the worker of a fast source, which may be paused until the worker's files have been removed: then its
+/// frames have no reader at all.
+fn assert_lost_at_most_the_window(is_paused: bool) {
     let fleet = Fleet::new();
     let file = fleet.recording("a.csv", 600);
     let worker = fleet.worker();
@@ -110,8 +121,17 @@ fn a_killed_worker_loses_at_most_the_window_of_a_fast_source() {
     eventually("a robot has sent samples", || {
         code(&fleet.output("watch --once")) == 0
     });
+    if is_paused {
+        play.signal(Signal::STOP);
+    }
     let killed = worker.end(Signal::KILL);
     assert_eq!(killed.status.code(), None);
+    if is_paused {
+        // Its exit code tells that no worker runs.
+        let removed = fleet.output("doctor --fix");
+        assert!(code(&removed) < 2, "{}", stderr(&removed));
+        play.signal(Signal::CONT);
+    }
     play.wait_for_stderr("waiting for one");
     let worker = fleet.worker();
     let played = play.wait();
