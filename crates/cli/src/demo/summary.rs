@@ -222,6 +222,13 @@ impl Summary {
         ] {
             writeln!(out, "  {name:<18}{}    {}", number(ours), number(theirs))?;
         }
+        if let Some(better) = scores.better_than_persistence {
+            let percent = 100.0 * better;
+            writeln!(
+                out,
+                "  {percent:.0} % of the robots are forecast better than by persistence"
+            )?;
+        }
         writeln!(
             out,
             "  Two of three readings repeat the one before (a 10 Hz monitor, 30 ticks a second): \

@@ -54,6 +54,8 @@ pub(crate) struct Scores {
     pub(crate) mae_w: Option<f64>,
     /// Mean absolute error of persistence (forecast = last reading), W.
     pub(crate) persistence_mae_w: Option<f64>,
+    /// Fraction of the robots whose mean absolute error is below that of persistence.
+    pub(crate) better_than_persistence: Option<f64>,
     /// Coefficient of determination over all readings received by this planner.
     pub(crate) r2: Option<f64>,
     /// That of persistence.
@@ -90,11 +92,15 @@ impl Scores {
         let middle = |value: fn(&Diagnostic) -> f64| {
             median(scored.iter().map(|diagnostic| value(diagnostic)).collect())
         };
+        let better = scored
+            .iter()
+            .filter(|diagnostic| diagnostic.mae_w < diagnostic.persistence_mae_w);
         let explained = |error: f64| known(1.0 - error / pooled.scatter_w2);
         Self {
             scored: count,
             mae_w: mean(|diagnostic| diagnostic.mae_w),
             persistence_mae_w: mean(|diagnostic| diagnostic.persistence_mae_w),
+            better_than_persistence: known(better.count() as f64 / scored.len() as f64),
             r2: explained(pooled.sum_sq_w2),
             persistence_r2: explained(pooled.persistence_sum_sq_w2),
             median_mae_w: middle(|diagnostic| diagnostic.mae_w),
@@ -157,10 +163,11 @@ mod tests {
         assert!((scores.r2.unwrap() - (1.0 - 4.25 / scatter)).abs() < 1e-12);
         assert!((scores.persistence_r2.unwrap() - (1.0 - 6.0 / scatter)).abs() < 1e-12);
         assert_eq!(scores.mae_w, None);
+        assert_eq!(scores.better_than_persistence, None);
     }
 
     #[test]
-    fn the_mean_weights_robots_by_readings_and_the_median_equally() {
+    fn the_mean_weights_robots_by_readings_and_median_and_share_equally() {
         let diagnostic = |scored, mae_w, r2| Diagnostic {
             flags: if scored > 0 {
                 diagnostic_flag::SCORES
@@ -169,6 +176,7 @@ mod tests {
             },
             scored,
             mae_w,
+            persistence_mae_w: 2.0,
             r2,
             ..Diagnostic::default()
         };
@@ -182,6 +190,7 @@ mod tests {
         assert_eq!(scores.scored, 50);
         assert_eq!(scores.mae_w, Some(2.6));
         assert_eq!(scores.median_mae_w, Some(2.0));
+        assert_eq!(scores.better_than_persistence, Some(1.0 / 3.0));
         assert_eq!(scores.median_r2, Some(0.6));
         assert_eq!(scores.r2, None);
     }
