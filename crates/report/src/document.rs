@@ -89,6 +89,8 @@ pub enum Cell {
     Number(f64, usize),
     /// Two ends with a number of decimals; NaN: unknown.
     Range([f64; 2], usize),
+    /// Mean and standard deviation with a number of decimals; NaN: unknown.
+    Spread([f64; 2], usize),
     /// An empty cell.
     Nothing,
 }
@@ -118,6 +120,9 @@ impl Cell {
                     number(*high, *decimals)
                 )
             }
+            Self::Spread([mean, std], decimals) => {
+                format!("{} ± {}", number(*mean, *decimals), number(*std, *decimals))
+            }
             Self::Nothing => String::new(),
         }
     }
@@ -125,7 +130,7 @@ impl Cell {
     /// Whether it is numeric, and so right-aligned.
     #[must_use]
     pub(super) fn is_number(&self) -> bool {
-        matches!(self, Self::Count(_) | Self::Number(..) | Self::Range(..))
+        !matches!(self, Self::Words(_) | Self::Nothing)
     }
 }
 
@@ -151,6 +156,9 @@ impl Serialize for Cell {
             // Numbers that are not finite become null.
             Self::Number(value, _) => to.serialize_f64(*value),
             Self::Range(ends, _) => ends.serialize(to),
+            Self::Spread([mean, std], _) => {
+                to.collect_map([("mean", mean), ("standard_deviation", std)])
+            }
             Self::Nothing => to.serialize_none(),
         }
     }

@@ -10,12 +10,14 @@ use joulebus_train::TrainError;
 #[non_exhaustive]
 pub enum ReportError {
     /// The simulated experiment is too short to be evaluated.
-    #[error("{found} {what}: allowed are 100 or more")]
+    #[error("{found} {what}: allowed are {least} or more")]
     TooShort {
         /// The quantity.
         what: &'static str,
         /// Its value.
         found: usize,
+        /// Its minimum.
+        least: usize,
     },
     /// The evaluation was refused.
     #[error(transparent)]

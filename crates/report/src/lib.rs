@@ -8,8 +8,11 @@
 
 mod ablation;
 mod calibration;
+mod comparison;
 mod document;
+mod draw;
 mod error;
+mod experiment;
 pub mod figure;
 mod files;
 mod forecast;
@@ -28,7 +31,8 @@ mod unit;
 
 pub use document::{Cell, Column, Document, Part, Section, Table};
 pub use error::ReportError;
+pub use experiment::{DRAWS, Simulated};
 pub use files::{File, files};
 pub use html::html;
 pub use recorded::{Recorded, recorded};
-pub use simulated::{NOTE, Simulated, SimulatedReport, simulated};
+pub use simulated::{NOTE, SimulatedReport, simulated};

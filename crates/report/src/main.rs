@@ -50,19 +50,22 @@ fn run(args: &ReportArguments, output: Output) -> anyhow::Result<Outcome> {
 fn simulate(args: &ReportArguments) -> anyhow::Result<Document> {
     let mut experiment = Simulated::new(args.seed);
     (experiment.samples, experiment.robot_steps) = (args.samples, args.samples);
+    experiment.draws = args.draws;
     experiment.recipe.max_epochs = args.max_epochs;
     let config = args.config.load()?;
     say(&format!(
-        "simulating six trials and seven robots of {} samples, training on trials 1 to 4",
-        args.samples
+        "{} draws of six trials and seven robots of {} samples, training on trials 1 to 4",
+        args.draws, args.samples
     ));
-    let report = simulated(&experiment, config.settings(), |epoch| {
-        progress(epoch, args.max_epochs);
+    let report = simulated(&experiment, config.settings(), |seed, epoch| {
+        progress(seed, epoch, args.max_epochs);
     });
     if std::io::stderr().is_terminal() {
         say("");
     }
-    let SimulatedReport { document, network } = report?;
+    let SimulatedReport {
+        document, network, ..
+    } = report?;
     write(
         &args.out.join("network.safetensors"),
         &network.to_safetensors()?,
@@ -120,13 +123,14 @@ fn read(paths: &[PathBuf], robot: u32, map: &ColumnMap) -> anyhow::Result<Vec<Re
 }
 
 /// In a terminal one line is overwritten; elsewhere every tenth epoch prints a line.
-fn progress(epoch: Epoch, max_epochs: u32) {
+fn progress(seed: u64, epoch: Epoch, max_epochs: u32) {
     let Epoch {
         number,
         validation_loss,
         ..
     } = epoch;
-    let line = format!("epoch {number:3} of at most {max_epochs}: loss {validation_loss:.5}");
+    let line =
+        format!("seed {seed}, epoch {number:3} of at most {max_epochs}: loss {validation_loss:.5}");
     let mut stderr = std::io::stderr();
     if stderr.is_terminal() {
         let _ = write!(stderr, "\r\x1b[K{line}");

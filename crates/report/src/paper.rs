@@ -1,8 +1,6 @@
 //! The paper's numbers (arXiv 2603.13908), for comparison.
 //!
-//! From its abstract, from the README of its repository (y4ssn/robotarium-energy-predictor), and
-//! from the statistics of its sections 4 to 6 as quoted in this project's task. Further numbers of
-//! its figures and tables could not be read for this work.
+//! From its full text.
 
 /// Mean of all power readings, W.
 pub(super) const POWER_MEAN_W: f64 = 3.652;
@@ -18,17 +16,15 @@ pub(super) const R2_VELOCITIES: f64 = 0.16;
 pub(super) const R2_ONE_LAG: f64 = 0.90;
 /// R² of the network, minimum and maximum of the trials.
 pub(super) const R2_TRIALS: [f64; 2] = [0.89, 0.92];
-/// R² of the network on trial 5, the validation trial.
-pub(super) const R2_VALIDATION: f64 = 0.90;
-/// Its mean absolute error there, W.
-pub(super) const MAE_VALIDATION_W: f64 = 0.0373;
+/// R² of the network, mean of the six trials.
+pub(super) const R2_TRIALS_MEAN: f64 = 0.90;
 /// R² of the network on trial 6.
 pub(super) const R2_TRIAL_6: f64 = 0.92;
 /// Its mean absolute error there, W.
 pub(super) const MAE_TRIAL_6_W: f64 = 0.0315;
-/// Mean of the residuals there, W.
+/// Mean of the residuals of all trials, W.
 pub(super) const RESIDUAL_MEAN_W: f64 = 0.0013;
-/// Central 90 % of the residuals there, W.
+/// Central 90 % of the residuals of all trials, W.
 pub(super) const RESIDUAL_90_W: [f64; 2] = [-0.047, 0.050];
 /// R² over the seven robots: mean and standard deviation.
 pub(super) const R2_ROBOTS: [f64; 2] = [0.87, 0.018];

@@ -23,6 +23,7 @@ use serde_json::Value;
 
 fn experiment() -> Simulated {
     let mut experiment = Simulated::new(3);
+    experiment.draws = 3;
     (experiment.samples, experiment.robot_steps) = (900, 700);
     experiment.recipe.max_epochs = 3;
     experiment
@@ -31,7 +32,7 @@ fn experiment() -> Simulated {
 /// Made once and shared by all tests.
 fn made() -> &'static SimulatedReport {
     static MADE: OnceLock<SimulatedReport> = OnceLock::new();
-    MADE.get_or_init(|| simulated(&experiment(), &settings(), |_| ()).unwrap())
+    MADE.get_or_init(|| simulated(&experiment(), &settings(), |_, _| ()).unwrap())
 }
 
 fn written() -> &'static [File] {
@@ -100,9 +101,10 @@ fn every_output_is_marked_as_simulated() {
         );
     }
     for figure in made().document.figures() {
+        let note = format!("simulated robots, seed {}", made().shown_seed);
         assert_eq!(
             figure.note.as_deref(),
-            Some("simulated robots"),
+            Some(note.as_str()),
             "{}",
             figure.name
         );
@@ -152,6 +154,16 @@ fn check_json(cell: &Cell, found: &Value, table: &Table) {
             assert_eq!(found[0].as_f64(), Some(*low), "{}", table.id);
             assert_eq!(found[1].as_f64(), Some(*high), "{}", table.id);
         }
+        Cell::Spread([mean, std], _) if std.is_finite() => {
+            assert_eq!(found["mean"].as_f64(), Some(*mean), "{}", table.id);
+            assert_eq!(
+                found["standard_deviation"].as_f64(),
+                Some(*std),
+                "{}",
+                table.id
+            );
+        }
+        Cell::Spread(..) => assert!(found["standard_deviation"].is_null(), "{}", table.id),
         Cell::Number(..) | Cell::Nothing => assert!(found.is_null(), "{}", table.id),
         Cell::Range(..) => assert!(found[0].is_null(), "{}", table.id),
     }
@@ -179,25 +191,63 @@ fn the_papers_numbers_are_shown_in_the_right_unit() {
     };
     assert_eq!(row("mean power (mW)")["paper"], 3652.0);
     assert_eq!(row("MAE on trial 6 (mW)")["paper"], 31.5);
-    assert_eq!(
-        row("the four robots with the highest consumption")["paper"],
-        "1, 2, 3, 6"
-    );
-    // The mean power of the simulated trials, recomputed.
-    let mut sum_w = 0.0;
-    let mut count = 0.0;
-    for protocol in Protocol::ALL {
-        let trial = protocol.trial_with(Parts::default(), 3, 900);
-        for power_w in trial
-            .column(joulebus_dataset::trial::Column::Power)
-            .unwrap()
-        {
-            sum_w += power_w;
-            count += 1.0;
+    // The mean power of the simulated trials of every draw, recomputed.
+    let mean_mw = |seed: u64| {
+        let mut powers_w = Vec::new();
+        for protocol in Protocol::ALL {
+            let trial = protocol.trial_with(Parts::default(), seed, 900);
+            let power = trial.column(joulebus_dataset::trial::Column::Power);
+            powers_w.extend_from_slice(power.unwrap());
         }
-    }
-    let here = row("mean power (mW)")["here"].as_f64().unwrap();
-    assert!((here - 1e3 * sum_w / count).abs() < 1e-6, "{here}");
+        1e3 * powers_w.iter().sum::<f64>() / powers_w.len() as f64
+    };
+    let draws = [3, 4, 5].map(mean_mw);
+    let mean = draws.iter().sum::<f64>() / 3.0;
+    let square = draws.iter().map(|draw| (draw - mean).powi(2)).sum::<f64>() / 2.0;
+    let here = row("mean power (mW)")["here"].clone();
+    assert!(
+        (here["mean"].as_f64().unwrap() - mean).abs() < 1e-6,
+        "{here}"
+    );
+    let std = here["standard_deviation"].as_f64().unwrap();
+    assert!((std - square.sqrt()).abs() < 1e-6, "{here}");
+    let ends = row("mean power (mW)")["ends"].clone();
+    let least = draws.iter().copied().fold(f64::MAX, f64::min);
+    assert!((ends[0].as_f64().unwrap() - least).abs() < 1e-6, "{ends}");
+}
+
+#[test]
+fn the_page_begins_with_the_published_forecast_over_all_draws() {
+    let summary = &made().document.summary;
+    assert!(
+        summary[0].starts_with("The forecast that the worker publishes"),
+        "{summary:#?}"
+    );
+    assert!(
+        summary[0].contains("of 21 robots"),
+        "three draws of seven robots: {summary:#?}"
+    );
+    assert!(summary[1].starts_with("The plain network"), "{summary:#?}");
+    let first = &made().document.sections[0];
+    assert_eq!(first.id, "forecasts");
+    // The figures show a draw that is one of those averaged.
+    let shown = format!("show seed {}", made().shown_seed);
+    assert!(summary[2].contains(&shown) && (3..=5).contains(&made().shown_seed));
+}
+
+#[test]
+fn one_draw_is_not_enough() {
+    let mut experiment = experiment();
+    experiment.draws = 1;
+    let error = simulated(&experiment, &settings(), |_, _| ()).unwrap_err();
+    assert!(matches!(
+        error,
+        ReportError::TooShort {
+            what: "draws",
+            found: 1,
+            least: 2
+        }
+    ));
 }
 
 #[test]
@@ -208,7 +258,7 @@ fn the_same_experiments_give_the_same_bytes() {
             ..experiment()
         },
         &settings(),
-        |_| (),
+        |_, _| (),
     )
     .unwrap();
     assert_eq!(again.network.hash(), made().network.hash());

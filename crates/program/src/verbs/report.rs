@@ -12,9 +12,9 @@ use crate::config_file::ConfigFile;
     joulebus report test/ --train training/ --model new.safetensors --model old.safetensors -o report/\n  \
     joulebus report energy_data_trial*.npy --published --model gternal.safetensors -o report/\n\n\
     DIR/report.html is a self-contained file; DIR also gets report.json, report.txt and \
-    figures/*.svg, *.png. --simulated runs the paper's experiments on simulated robots: six trials, \
-    training on 1 to 4, evaluation on all six and on seven robots; everything says that it is \
-    simulated.\n\
+    figures/*.svg, *.png. --simulated runs the paper's experiments on simulated robots, ten times: six \
+    trials, training on 1 to 4, evaluation on all six and on seven robots; mean and deviation stand \
+    beside the paper's figures, and everything says that it is simulated.\n\
     Every model is compared with persistence and AR(5) + velocities, on the same rows, with 95 % \
     intervals.")]
 pub struct ReportArguments {
@@ -44,9 +44,13 @@ pub struct ReportArguments {
     /// Simulate the paper's trials and robots, train on them and report; needs no data
     #[arg(long, conflicts_with_all = ["paths", "model"])]
     pub simulated: bool,
-    /// With --simulated: seed of robots and training
-    #[arg(long, value_name = "N", default_value_t = 7, requires = "simulated")]
+    /// With --simulated: seed of robots and training of the first draw; each draw has the next
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "simulated")]
     pub seed: u64,
+    /// With --simulated: draws over which mean and deviation are taken, 2 to 1000
+    #[arg(long, value_name = "N", default_value_t = 10, requires = "simulated",
+          value_parser = clap::value_parser!(u32).range(2..=1000))]
+    pub draws: u32,
     /// With --simulated: samples of each trial, at least 100
     #[arg(long, value_name = "N", default_value_t = 8000, requires = "simulated")]
     pub samples: usize,
