@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             range.min[6], range.max[6]
         );
     }
-    let candidates = [(0.05, 0.0), (0.2, 0.0), (0.0, 3.0)];
+    let candidates = [(0.05, 0.0), (0.15, 0.0), (0.0, 3.0)];
     let steps = 60;
     // Commands are stored step by step: those of all candidates at step 0, then of all at step 1.
     let v_mps = candidates.map(|(v_mps, _)| v_mps).repeat(steps);

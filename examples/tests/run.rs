@@ -135,9 +135,9 @@ fn rollouts() {
     assert_starts(
         &lines,
         &[
-            "gternal-sim was trained on 2.99",
+            "gternal-sim was trained on 3.09",
             "0.05 m/s",
-            "0.20 m/s",
+            "0.15 m/s",
             "0.00 m/s",
         ],
     );

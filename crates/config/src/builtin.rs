@@ -26,6 +26,10 @@ const MODELS: &[(&str, &[u8])] = &[
         "gternal-sim-power",
         include_bytes!("../configs/models/gternal-sim-power.safetensors"),
     ),
+    (
+        "gternal-sim-freshness",
+        include_bytes!("../configs/models/gternal-sim-freshness.safetensors"),
+    ),
 ];
 
 /// Names of the built-in platforms, for `file = "builtin:<name>"`.

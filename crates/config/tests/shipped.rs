@@ -170,16 +170,17 @@ fn the_root_is_the_users_own() {
 
 #[test]
 fn built_in_models_can_be_loaded_by_name() {
-    assert_eq!(builtin_models().count(), 2);
+    assert_eq!(builtin_models().count(), 3);
     for name in builtin_models() {
         let (_, bytes) = builtin_model(name).unwrap();
         let network = Network::from_safetensors(bytes).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(network.card().name, name);
-        let needs_no_command = name.ends_with("-power");
-        assert_eq!(
-            network.feature_set() == FeatureSet::PowerOnly,
-            needs_no_command
-        );
+        let expected = match name {
+            "gternal-sim-power" => FeatureSet::PowerOnly,
+            "gternal-sim-freshness" => FeatureSet::Freshness,
+            _ => FeatureSet::Full,
+        };
+        assert_eq!(network.feature_set(), expected, "{name}");
     }
     let (name, bytes) = builtin_model("gternal-sim").unwrap();
     let shipped = load("fleet.toml").unwrap();

@@ -1,6 +1,7 @@
 //! One robot with all its parts, for any controller.
 
 use super::arena::{Command, Pose};
+use super::fault::Fault;
 use super::loads::Loads;
 use super::monitor::{Battery, Measurement, POLL_NS};
 use super::parts::Parts;
@@ -13,12 +14,15 @@ const MOST_DRAWN_J: f64 = 6_000.0;
 #[derive(Clone, Debug)]
 pub(super) struct Body {
     pub(super) pose: Pose,
+    /// The monitor's output.
+    pub(super) measured: Measurement,
+    /// When it was measured, ns.
+    pub(super) measured_ns: u64,
     noise: Noise,
-    parts: Parts,
+    monitor_noise_w: f64,
     loads: Loads,
     battery: Battery,
-    measured: Measurement,
-    measured_ns: u64,
+    faults: Vec<(Fault, f64)>,
     next_poll_ns: u64,
 }
 
@@ -39,19 +43,24 @@ impl Body {
         let next_poll_ns = (noise.uniform() * POLL_NS as f64) as u64;
         Self {
             pose,
-            noise,
-            parts,
-            loads,
-            battery,
             measured,
             measured_ns: 0,
+            noise,
+            monitor_noise_w: parts.monitor_noise_w,
+            loads,
+            battery,
+            faults: Vec::new(),
             next_poll_ns,
         }
     }
 
-    /// Simulates from `now_ns` to `end_ns` under a command; returns the monitor's output at the
-    /// end.
-    pub(super) fn run(&mut self, now_ns: u64, end_ns: u64, command: Command) -> Measurement {
+    /// Adds a fault from a time on, s.
+    pub(super) fn fail(&mut self, fault: Fault, from_s: f64) {
+        self.faults.push((fault, from_s));
+    }
+
+    /// Simulates from `now_ns` to `end_ns` under a command.
+    pub(super) fn run(&mut self, now_ns: u64, end_ns: u64, command: Command) {
         self.loads.command(command, &mut self.noise);
         self.pose = self
             .pose
@@ -60,19 +69,35 @@ impl Body {
         while self.next_poll_ns <= end_ns {
             self.turn(now_ns, self.next_poll_ns, command);
             now_ns = self.next_poll_ns;
-            let power_w = self.loads.poll(&mut self.noise);
-            let shown_w = power_w + self.parts.monitor_noise_w * self.noise.normal();
-            self.measured = self.battery.measure(power_w, shown_w);
-            self.measured_ns = now_ns;
+            self.poll(now_ns);
             self.next_poll_ns += POLL_NS;
         }
         self.turn(now_ns, end_ns, command);
-        self.measured
     }
 
     fn turn(&mut self, now_ns: u64, end_ns: u64, command: Command) {
         if end_ns > now_ns {
             self.loads.turn((end_ns - now_ns) as f64 * 1e-9, command);
         }
+    }
+
+    fn poll(&mut self, now_ns: u64) {
+        let mut power_w = self.loads.poll(&mut self.noise);
+        let mut noise_w = self.monitor_noise_w * self.noise.normal();
+        let mut stuck = false;
+        for (fault, from_s) in &self.faults {
+            if now_ns as f64 * 1e-9 >= *from_s {
+                match fault {
+                    Fault::ExtraLoad { power_w: extra_w } => power_w += extra_w,
+                    Fault::Noise { std_w } => noise_w += std_w * self.noise.normal(),
+                    Fault::StuckSensor => stuck = true,
+                }
+            }
+        }
+        let measured = self.battery.measure(power_w, power_w + noise_w);
+        if !stuck {
+            self.measured = measured;
+        }
+        self.measured_ns = now_ns;
     }
 }

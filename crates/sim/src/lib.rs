@@ -1,9 +1,10 @@
-//! Simulated robots: the plant of the demo, and the paper's protocols and scenario.
+//! Simulated robots: the paper's protocols and scenario, and a live fleet that drives them.
 #![forbid(unsafe_code)]
 
 pub mod arena;
 pub mod barrier;
 mod body;
+mod fault;
 mod loads;
 mod monitor;
 pub mod parts;

@@ -80,7 +80,7 @@ impl Default for Parts {
             burst_w: 0.41,
             burst_time_s: 0.46,
             burst_cut_per_neighbour: 0.02,
-            stall_chance: 0.003,
+            stall_chance: 0.005,
             stall_w: 4.6,
             monitor_noise_w: 0.008,
         }

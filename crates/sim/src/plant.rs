@@ -1,30 +1,28 @@
-//! Simulated GTernal robots: their commands and electrical power.
+//! A live fleet of simulated GTernal robots, each of which drives the paper's protocols.
 //!
-//! A robot's power is the sum of loads (the constants of `electrical.rs`): electronics with
-//! manufacturing variation, slow thermal drift, processor load, motors with friction, radio bursts
-//! and rare inrush. The controller reads it through a power monitor that is polled at 10 Hz, in
-//! steps of 10 mW, and held in between.
-//!
-//! Sources: the command limits and the monitor are those of the published platform (arXiv
-//! 2603.13908). *Fitted* to the published figures of its dataset (power 3.65 ± 0.375 W within 3.0
-//! to 8.45 W, lag-1 autocorrelation .95 at 30 Hz, velocities alone explain .16) are the magnitudes
-//! and time constants of the loads. *Assumed*, with no figure to fit: battery voltage and
-//! resistance, the split between the loads, the mission. The plant is for tests and demonstrations;
-//! measurements on it are no claims about real robots.
+//! The robots are those of the trials: the same loads and the same power monitor
+//! ([`Parts`], fitted to the figures of arXiv 2603.13908). Each has its own manufacturing
+//! variation, and drives in an arena and on a radio channel of its own, as the paper's robot did in
+//! the trials.
 //!
 //! The same seed gives the same bits on every machine: only basic arithmetic, square roots and the
 //! portable functions of `libm`.
 
-mod electrical;
-mod motion;
-
-use crate::monitor::{Measurement, POLL_NS};
-use electrical::Electrical;
+use crate::arena::{Command, saturated};
+use crate::body::Body;
+pub use crate::fault::Fault;
+use crate::parts::Parts;
+use crate::protocol::{Driver, Protocol, TRIAL_S};
 use joulebus_statistics::noise::Noise;
-use motion::Mission;
 use thiserror::Error;
 
 const LONGEST_STEP_S: f64 = 1.0;
+
+/// Random streams of one robot: manufacturing variation, state, motion.
+const STREAMS: u64 = 3;
+/// Random streams of the robots of [`Plant::new`] and of [`Plant::driving`].
+const FLEET: u64 = 7 << 32;
+const DRIVING: u64 = 8 << 32;
 
 /// What a controller knows at one control tick: the latest reading of a robot and the command that
 /// it has just issued, which holds until the next tick.
@@ -47,24 +45,6 @@ pub struct SimReading {
     pub held: bool,
     /// When it was measured, ns since the plant's start.
     pub measured_ns: u64,
-}
-
-/// A fault of a robot.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub enum Fault {
-    /// A constant additional load, such as a dragging brush.
-    ExtraLoad {
-        /// Additional power, W.
-        power_w: f64,
-    },
-    /// The monitor repeats its last value indefinitely and marks it as new.
-    StuckSensor,
-    /// Additional white noise in each measurement.
-    Noise {
-        /// Standard deviation, W.
-        std_w: f64,
-    },
 }
 
 /// Errors of configuring a plant.
@@ -90,18 +70,34 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// A fleet at time 0, each robot at rest at its own position. Robot `i` of a seed is the same
-    /// whatever the size of the fleet.
-    pub fn new(seed: u64, robots: usize) -> Plant {
-        let robots: Vec<Robot> = (0..robots)
-            .map(|robot| Robot::new(seed, robot as u64))
-            .collect();
-        let readings = robots
-            .iter()
-            .enumerate()
-            .map(|(i, robot)| robot.reading(i, true))
-            .collect();
-        Plant {
+    /// A fleet at time 0, each robot at rest. Robot `i` begins with the protocol of trial `i` mod 6
+    /// + 1, at a random segment of it, and goes on to the next after each [`TRIAL_S`]. Robot `i` of a seed is the same whatever
+    /// the size of the fleet.
+    #[must_use]
+    pub fn new(seed: u64, robots: usize) -> Self {
+        let protocols = Protocol::ALL.into_iter().cycle().take(robots);
+        Self::of(protocols.enumerate().map(|(robot, protocol)| {
+            let stream = FLEET + STREAMS * robot as u64;
+            Robot::new(seed, stream, protocol, Turn::EveryProtocol)
+        }))
+    }
+
+    /// A fleet at time 0 with one robot for each protocol given, which it drives all the time. They
+    /// are other robots than those of [`Plant::new`], also with the same seed.
+    #[must_use]
+    pub fn driving(seed: u64, protocols: impl IntoIterator<Item = Protocol>) -> Self {
+        let protocols = protocols.into_iter().enumerate();
+        Self::of(protocols.map(|(robot, protocol)| {
+            let stream = DRIVING + STREAMS * robot as u64;
+            Robot::new(seed, stream, protocol, Turn::One)
+        }))
+    }
+
+    fn of(robots: impl Iterator<Item = Robot>) -> Self {
+        let robots: Vec<Robot> = robots.collect();
+        let readings = robots.iter().enumerate();
+        let readings = readings.map(|(i, robot)| robot.reading(i, true)).collect();
+        Self {
             robots,
             readings,
             now_ns: 0,
@@ -117,12 +113,12 @@ impl Plant {
         robot: usize,
         fault: Fault,
         from_s: f64,
-    ) -> Result<Plant, PlantError> {
+    ) -> Result<Self, PlantError> {
         let robots = self.robots.len();
         let Some(faulty) = self.robots.get_mut(robot) else {
             return Err(PlantError::UnknownRobot { robot, robots });
         };
-        faulty.faults.push((fault, from_s));
+        faulty.body.fail(fault, from_s);
         Ok(self)
     }
 
@@ -135,9 +131,10 @@ impl Plant {
             let end_ns = self.now_ns + libm::round(dt_s * 1e9) as u64;
             for (i, (robot, reading)) in self.robots.iter_mut().zip(&mut self.readings).enumerate()
             {
-                let held = !robot.run(self.now_ns, end_ns);
-                robot.mission.issue(dt_s, &mut robot.noise);
-                *reading = robot.reading(i, held);
+                let measured_ns = robot.body.measured_ns;
+                robot.body.run(self.now_ns, end_ns, robot.command);
+                robot.issue(dt_s);
+                *reading = robot.reading(i, robot.body.measured_ns == measured_ns);
             }
             self.now_ns = end_ns;
         }
@@ -145,91 +142,71 @@ impl Plant {
     }
 
     /// Nanoseconds since the plant's start.
+    #[must_use]
     pub fn now_ns(&self) -> u64 {
         self.now_ns
     }
 }
 
+/// Which protocols a robot drives.
+#[derive(Clone, Copy, Debug)]
+enum Turn {
+    One,
+    EveryProtocol,
+}
+
 #[derive(Clone, Debug)]
 struct Robot {
-    noise: Noise,
-    mission: Mission,
-    electrical: Electrical,
-    faults: Vec<(Fault, f64)>,
-    measured: Measurement,
-    measured_ns: u64,
-    next_poll_ns: u64,
+    body: Body,
+    driver: Driver,
+    command: Command,
+    turn: Turn,
+    /// Time until the next protocol, s.
+    left_s: f64,
 }
 
 impl Robot {
-    fn new(seed: u64, robot: u64) -> Robot {
-        let mut noise = Noise::new(seed, robot);
-        let mission = Mission::new(&mut noise);
-        let electrical = Electrical::new(&mut noise);
-        let measured = electrical.measure(0.0, &mut noise);
-        let next_poll_ns = (noise.uniform() * POLL_NS as f64) as u64;
-        let faults = Vec::new();
-        Robot {
-            noise,
-            mission,
-            electrical,
-            faults,
-            measured,
-            measured_ns: 0,
-            next_poll_ns,
+    fn new(seed: u64, stream: u64, protocol: Protocol, turn: Turn) -> Self {
+        let mut made = Noise::new(seed, stream);
+        let state = Noise::new(seed, stream + 1);
+        let (mut driver, pose) = Driver::new(protocol, Noise::new(seed, stream + 2));
+        if let Turn::EveryProtocol = turn {
+            driver.begin_anywhere();
+        }
+        let body = Body::new(Parts::default(), 0.0, 0, pose, &mut made, state);
+        Self {
+            body,
+            driver,
+            command: Command::default(),
+            turn,
+            left_s: TRIAL_S,
         }
     }
 
-    /// Simulates the robot under the current command; returns whether the monitor was polled.
-    fn run(&mut self, mut now_ns: u64, end_ns: u64) -> bool {
-        let mut polled = false;
-        while self.next_poll_ns <= end_ns {
-            self.advance((self.next_poll_ns - now_ns) as f64 * 1e-9);
-            now_ns = self.next_poll_ns;
-            self.poll(now_ns);
-            polled = true;
-            self.next_poll_ns += POLL_NS;
-        }
-        self.advance((end_ns - now_ns) as f64 * 1e-9);
-        polled
-    }
-
-    fn advance(&mut self, dt_s: f64) {
-        self.mission.drive(dt_s);
-        self.electrical
-            .advance(dt_s, self.mission.command(), &mut self.noise);
-    }
-
-    fn poll(&mut self, now_ns: u64) {
-        let mut extra_w = 0.0;
-        let mut stuck = false;
-        for (fault, from_s) in &self.faults {
-            if now_ns as f64 * 1e-9 >= *from_s {
-                match fault {
-                    Fault::ExtraLoad { power_w } => extra_w += power_w,
-                    Fault::Noise { std_w } => extra_w += std_w * self.noise.normal(),
-                    Fault::StuckSensor => stuck = true,
-                }
+    /// The controller's decision at a tick, `dt_s` before the next one.
+    fn issue(&mut self, dt_s: f64) {
+        self.left_s -= dt_s;
+        if self.left_s <= 0.0 {
+            self.left_s += TRIAL_S;
+            if let Turn::EveryProtocol = self.turn {
+                self.driver.begin_next();
             }
         }
-        let measured = self.electrical.measure(extra_w, &mut self.noise);
-        if !stuck {
-            self.measured = measured;
-        }
-        self.measured_ns = now_ns;
+        let (_, command) = self.driver.next(dt_s, self.body.pose);
+        self.command = saturated(command);
     }
 
     fn reading(&self, robot: usize, held: bool) -> SimReading {
-        let command = self.mission.command();
+        let (command, measured) = (self.command, self.body.measured);
         SimReading {
             robot,
             v_mps: command.v_mps as f32,
             omega_radps: command.omega_radps as f32,
-            power_w: self.measured.power_w as f32,
-            voltage_v: self.measured.voltage_v as f32,
-            current_a: self.measured.current_a as f32,
+            power_w: measured.power_w as f32,
+            voltage_v: measured.voltage_v as f32,
+            current_a: measured.current_a as f32,
             held,
-            measured_ns: self.measured_ns,
+            measured_ns: self.body.measured_ns,
         }
     }
 }

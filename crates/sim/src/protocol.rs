@@ -1,39 +1,45 @@
 //! The six motion protocols: one robot alone in the arena, 8,000 samples each.
 //!
-//! The published dataset names its trials (structured motion, goal navigation, acceleration,
-//! extremes, random walk, steady state) and the mean and deviation of its commands: v 0.0279 ±
-//! 0.0736 m/s, ω 0.0479 ± 1.0187 rad/s. The commands within each trial are not published in a form
-//! that could be read for this work; the protocols here are plausible implementations of those
-//! names, with speeds chosen to match that mean and deviation.
+//! What each trial drives is the paper's (arXiv 2603.13908): the eight phases of trial 1 in turn,
+//! goals with proportional control, ramps of several slopes, the greatest and least velocities with
+//! rapid reversals, uniform velocities reached smoothly, long segments at constant velocity; commands
+//! from −0.15 to 0.16 m/s and up to ±3.14 rad/s. The order and length of the segments within a trial
+//! are not published; they are chosen so that mean and deviation of all commands are about the
+//! published ones (v 0.0279 ± 0.0736 m/s, ω 0.0479 ± 1.0187 rad/s).
 
 mod drive;
 mod motion;
+mod plan;
+mod segment;
 
 use std::fmt;
 
-pub(crate) use drive::MADE;
+use crate::arena::STEP_S;
+pub(crate) use drive::{Driver, MADE};
 pub use drive::{trial, trials};
 
 /// Samples of a trial.
 pub const SAMPLES: usize = 8_000;
+/// Length of a trial, s.
+pub const TRIAL_S: f64 = SAMPLES as f64 * STEP_S;
 /// Id of the robot that drives all six trials; the scenario's seven have other ids.
 pub(crate) const TRIAL_ROBOT: u32 = 8;
 
 /// A motion protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Protocol {
-    /// Trial 1: straight lines there and back, turns on the spot, arcs, rests; each at several
-    /// speeds.
+    /// Trial 1, eight phases in turn: idle, forward and backward, lateral movement, circular arcs,
+    /// sinusoidal paths, velocity ramps, step changes, figures of eight.
     Structured,
-    /// Trial 2: from one random goal to the next, with a rest at each.
+    /// Trial 2: from one random goal to the next by proportional control, with a rest at each.
     GoalNavigation,
-    /// Trial 3: ramps of v and of ω with several slopes.
+    /// Trial 3: v and ω rise and fall at several rates.
     Acceleration,
-    /// Trial 4: maximum speeds and turns, with sudden reversals.
+    /// Trial 4: greatest and least velocities, with rapid reversals.
     Extremes,
-    /// Trial 5: random velocities held for random times.
+    /// Trial 5: velocities drawn uniformly, reached smoothly.
     RandomWalk,
-    /// Trial 6: constant velocities held long.
+    /// Trial 6: long segments at constant velocity.
     SteadyState,
 }
 

@@ -24,7 +24,8 @@ impl Recorder {
     /// Advances the body through step `step` (from 0) under a command, and records the result.
     pub(super) fn step(&mut self, body: &mut Body, step: usize, phase: u32, command: Command) {
         let start_ns = step as u64 * STEP_NS;
-        let measured = body.run(start_ns, start_ns + STEP_NS, command);
+        body.run(start_ns, start_ns + STEP_NS, command);
+        let measured = body.measured;
         let mut values = [f64::NAN; Column::ALL.len()];
         for (column, value) in [
             (Column::Phase, f64::from(phase)),

@@ -19,9 +19,7 @@ use joulebus_dataset::trial::Trial;
 use joulebus_statistics::noise::Noise;
 use std::f64::consts::PI;
 
-/// Seed of the published table: the first for which every figure is in its band.
-pub const SEED: u64 = 8;
-/// Steps of the scenario in the published table: as many as a trial's.
+/// Steps of the scenario in the table of `docs/plant.md`: as many as a trial's.
 pub const SCENARIO_STEPS: usize = SAMPLES;
 /// Robots of the scenario.
 pub const ROBOTS: usize = 7;

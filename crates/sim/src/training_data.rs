@@ -1,13 +1,19 @@
-//! Training data from the simulated plant.
+//! Training data from the simulated robots.
 
 use crate::plant::{Plant, SimReading};
+use crate::protocol::{Protocol, SAMPLES};
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_predictor::{LAGS, ReadingAge, features};
 use std::collections::VecDeque;
 
 const TICK_S: f64 = 1.0 / 30.0;
+/// Trials that train; the fifth validates and the sixth is held out, as in the paper.
+const TRAINING_TRIALS: usize = 4;
 
 /// Amount of simulated data to record, at 30 Hz.
+///
+/// Every robot is another one, and drives one trial: those for training trials 1 to 4 in turn, those
+/// for validation trial 5, the held-out ones trial 6.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SimulatedData {
     /// Seed of the plant.
@@ -23,20 +29,38 @@ pub struct SimulatedData {
 }
 
 impl SimulatedData {
-    /// The data of the shipped models: 60 robots for 40 s.
+    /// The data of the shipped models: 12 robots for training, 4 for validation, 8 held out, one
+    /// whole trial each.
+    #[must_use]
     pub fn shipped(seed: u64) -> SimulatedData {
         SimulatedData {
             seed,
-            training_robots: 60,
-            validation_robots: 15,
-            held_out_robots: 25,
-            ticks: 1_200,
+            training_robots: 12,
+            validation_robots: 4,
+            held_out_robots: 8,
+            ticks: SAMPLES,
         }
+    }
+
+    /// What each robot drives, in the order of the parts.
+    fn protocols(self) -> impl Iterator<Item = Protocol> {
+        let training = Protocol::ALL[..TRAINING_TRIALS].iter().copied().cycle();
+        training
+            .take(self.training_robots)
+            .chain(std::iter::repeat_n(
+                Protocol::RandomWalk,
+                self.validation_robots,
+            ))
+            .chain(std::iter::repeat_n(
+                Protocol::SteadyState,
+                self.held_out_robots,
+            ))
     }
 }
 
-/// Records a simulated fleet. A row pairs the command just issued and the readings so far with the
+/// Records simulated robots. A row pairs the command just issued and the readings so far with the
 /// reading of the next tick, as the live path does.
+#[must_use]
 pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
     let SimulatedData {
         seed,
@@ -45,9 +69,9 @@ pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
         held_out_robots,
         ticks,
     } = data;
-    let robots = training_robots + validation_robots + held_out_robots;
-    let mut plant = Plant::new(seed, robots);
-    let mut recorders = vec![Recorder::EMPTY; robots];
+    let mut plant = Plant::driving(seed, data.protocols());
+    let mut recorders =
+        vec![Recorder::EMPTY; training_robots + validation_robots + held_out_robots];
     for _ in 0..ticks {
         for (recorder, reading) in recorders.iter_mut().zip(plant.step(TICK_S)) {
             recorder.add(*reading);
@@ -60,8 +84,9 @@ pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
         validation: part(validation_robots),
         held_out: part(held_out_robots),
         description: format!(
-            "simulated GTernal robots, seed {seed}, 30 Hz, {ticks} ticks each; {training_robots} for \
-             training, {validation_robots} for validation, {held_out_robots} held out"
+            "simulated GTernal robots, seed {seed}, 30 Hz, {ticks} ticks each; trials 1 to 4 of \
+             {training_robots} for training, trial 5 of {validation_robots} others for validation, \
+             trial 6 of {held_out_robots} others held out"
         ),
     }
 }

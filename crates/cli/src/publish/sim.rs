@@ -28,14 +28,16 @@ const LONGEST_STEP_NS: u64 = 1_000_000_000;
     joulebus publish sim --robots 20 --seed 7\n  \
     joulebus publish sim --robots 5 --duration 60 --fault 3=load:1.5@20 --fault 4=stuck\n\n\
     Faults: load:WATT (additional power), noise:WATT (standard deviation), stuck \
-    (the monitor repeats its last value). The same seed gives the same robots.")]
+    (the monitor repeats its last value).\n\
+    Robots drive the paper's six trials in turn, the first robot from trial 1 on, the second from trial 2 \
+    on. The same seed gives the same robots.")]
 pub(crate) struct Args {
     #[command(flatten)]
     config: ConfigFile,
     /// Robots
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     robots: u32,
-    /// Seed of the robots and their missions
+    /// Seed of the robots and their motion
     #[arg(long, value_name = "N", default_value_t = 7)]
     seed: u64,
     /// End after this time, s [default: at a signal]

@@ -34,8 +34,10 @@ enum Verb {
     /// Train on simulated GTernal robots: the same seed gives the same bytes on every machine
     #[command(after_help = "Examples:\n  \
         joulebus train sim --seed 7 --out configs/models/gternal-sim.safetensors\n  \
-        joulebus train sim --seed 7 --features power --out configs/models/gternal-sim-power.safetensors\n\n\
-        The shipped models were made with these two commands. A model from simulation supports no \
+        joulebus train sim --seed 7 --features power --out configs/models/gternal-sim-power.safetensors\n  \
+        joulebus train sim --seed 7 --features freshness --out configs/models/gternal-sim-freshness.safetensors\n\n\
+        The shipped models were made with these three commands: 12 robots on trials 1 to 4 train, 4 on \
+        trial 5 validate, 8 on trial 6 are held out (docs/plant.md). A model from simulation supports no \
         claim about real robots; its file states this.")]
     Sim(Sim),
     /// Train on recorded trials (.npy, .csv, .csv.gz), one robot per file

@@ -1,7 +1,8 @@
-//! Commands of each protocol, step by step.
+//! Commands of each protocol, one control step after the other.
 
-use super::Protocol;
-use crate::arena::{Command, HALF_ARENA_M, Pose, STEP_S, V_MAX_MPS, Vector, direction, wrapped};
+use super::segment::{BACKWARD_MPS, FORWARD_MPS, Segment};
+use super::{Protocol, plan};
+use crate::arena::{Command, HALF_ARENA_M, Pose, Vector, direction, wrapped};
 use joulebus_statistics::noise::Noise;
 
 /// Distance from a wall at which a robot turns back, m.
@@ -12,69 +13,67 @@ const ARRIVED_M: f64 = 0.04;
 const GOAL_MARGIN_M: f64 = 0.25;
 const APPROACH_PER_S: f64 = 1.0;
 const TURN_PER_S: f64 = 2.5;
-/// Maximum linear velocity of goal navigation, m/s.
-const GOAL_MPS: f64 = 0.12;
 /// Maximum angular velocity of goal navigation, rad/s.
 const TURN_MOST_RADPS: f64 = 2.0;
-
-/// A segment of time with a linearly interpolated command.
-#[derive(Clone, Copy, Debug)]
-struct Segment {
-    phase: u32,
-    from: Command,
-    to: Command,
-    steps: u32,
-}
+/// Time at a goal before the next one, s.
+const AT_GOAL_S: (f64, f64) = (1.0, 6.0);
 
 /// State of a protocol.
 #[derive(Clone, Debug)]
 pub(super) struct Motion {
     protocol: Protocol,
-    /// Number of segments, or goals, begun so far.
-    begun: u32,
+    /// Number of segments begun so far.
+    begun: usize,
     segment: Segment,
-    step: u32,
+    /// Time of the segment that is over, s.
+    over_s: f64,
     turned_back: bool,
     goal_m: Option<Vector>,
 }
 
 impl Motion {
-    pub(super) fn new(protocol: Protocol) -> Self {
+    /// A protocol from a segment on, counted from 0.
+    pub(super) fn new(protocol: Protocol, segment: usize) -> Self {
         Self {
             protocol,
-            begun: 0,
-            segment: held(0, 0.0, 0.0, 1.0),
-            step: 0,
+            begun: segment,
+            segment: plan::rest(0, 0.0),
+            over_s: 0.0,
             turned_back: false,
             goal_m: None,
         }
     }
 
-    /// Phase and commanded velocities at a pose, one step after the last call.
-    pub(super) fn next(&mut self, pose: Pose, noise: &mut Noise) -> (u32, Command) {
+    /// Phase and commanded velocities at a pose, for the next `dt_s` seconds, above 0.
+    pub(super) fn next(&mut self, dt_s: f64, pose: Pose, noise: &mut Noise) -> (u32, Command) {
         if let Some(goal_m) = self.goal_m {
             if let Some(command) = towards(goal_m, pose) {
                 return (self.segment.phase, command);
             }
             self.goal_m = None;
-            self.begin(held(0, 0.0, 0.0, noise.between(1.0, 6.0)));
+            self.begin(plan::rest(0, noise.between(AT_GOAL_S.0, AT_GOAL_S.1)));
         }
-        if self.step >= self.segment.steps {
+        // Half a step: which of two steps ends a segment does not depend on rounding.
+        if self.over_s + 0.5 * dt_s >= self.segment.time_s {
             if self.protocol == Protocol::GoalNavigation {
                 self.set_goal(noise);
-                return self.next(pose, noise);
+                return self.next(dt_s, pose, noise);
             }
-            let segment = self.following(noise);
+            let segment = plan::segment(self.protocol, self.begun, self.segment.to, noise);
+            self.begun += 1;
+            // What the last step was too long or too short does not add up.
+            let rest_s = self.over_s - self.segment.time_s;
             self.begin(segment);
+            self.over_s = rest_s;
         }
-        let command = self.in_stretch();
-        self.step += 1;
+        self.over_s += dt_s;
+        let command = self.segment.command(self.over_s / self.segment.time_s);
         (self.segment.phase, self.kept_inside(command, pose))
     }
 
     fn begin(&mut self, segment: Segment) {
         self.segment = segment;
-        self.step = 0;
+        self.over_s = 0.0;
         self.turned_back = false;
     }
 
@@ -90,36 +89,10 @@ impl Motion {
         self.segment.phase = 1;
     }
 
-    fn following(&mut self, noise: &mut Noise) -> Segment {
-        let number = self.begun;
-        self.begun += 1;
-        match self.protocol {
-            // `next` sets its goals.
-            Protocol::GoalNavigation => self.segment,
-            Protocol::Structured => structured(number),
-            Protocol::Acceleration => acceleration(number),
-            Protocol::Extremes => extremes(number),
-            Protocol::RandomWalk => random_walk(noise),
-            Protocol::SteadyState => steady_state(number),
-        }
-    }
-
-    fn in_stretch(&self) -> Command {
-        let Segment {
-            from, to, steps, ..
-        } = self.segment;
-        let share = f64::from(self.step + 1) / f64::from(steps);
-        let between = |from: f64, to: f64| from + (to - from) * share;
-        Command {
-            v_mps: between(from.v_mps, to.v_mps),
-            omega_radps: between(from.omega_radps, to.omega_radps),
-        }
-    }
-
     /// The command, with v reversed for the rest of the segment once it leads out of the arena.
     fn kept_inside(&mut self, command: Command, pose: Pose) -> Command {
         let reversed = Command {
-            v_mps: -command.v_mps,
+            v_mps: (-command.v_mps).max(BACKWARD_MPS),
             ..command
         };
         let wanted = if self.turned_back { reversed } else { command };
@@ -137,22 +110,6 @@ impl Motion {
     }
 }
 
-/// A constant command for a time.
-fn held(phase: u32, v_mps: f64, omega_radps: f64, time_s: f64) -> Segment {
-    let command = Command { v_mps, omega_radps };
-    ramp(phase, command, command, time_s)
-}
-
-fn ramp(phase: u32, from: Command, to: Command, time_s: f64) -> Segment {
-    let steps = (libm::round(time_s / STEP_S) as u32).max(1);
-    Segment {
-        phase,
-        from,
-        to,
-        steps,
-    }
-}
-
 /// The command towards a goal, `None` once it is reached.
 fn towards(goal_m: Vector, pose: Pose) -> Option<Command> {
     let left_m = goal_m - pose.at_m;
@@ -161,95 +118,9 @@ fn towards(goal_m: Vector, pose: Pose) -> Option<Command> {
         return None;
     }
     let off_rad = wrapped(libm::atan2(left_m.y, left_m.x) - pose.theta_rad);
-    let speed_mps = (APPROACH_PER_S * distance_m).min(GOAL_MPS);
+    let speed_mps = (APPROACH_PER_S * distance_m).min(FORWARD_MPS);
     Some(Command {
         v_mps: speed_mps * libm::cos(off_rad).max(0.0),
         omega_radps: (TURN_PER_S * off_rad).clamp(-TURN_MOST_RADPS, TURN_MOST_RADPS),
     })
-}
-
-/// Phases: 0 rest, 1 forward, 2 backward, 3 left, 4 right, 5 arc left, 6 arc right.
-fn structured(number: u32) -> Segment {
-    const SPEEDS_MPS: [f64; 4] = [0.04, 0.08, 0.12, 0.2];
-    const TURNS_RADPS: [f64; 4] = [0.5, 1.0, 2.0, 3.0];
-    let level = (number / 10) as usize % 4;
-    let (v, omega) = (SPEEDS_MPS[level], TURNS_RADPS[level]);
-    match number % 10 {
-        0 => held(1, v, 0.0, 5.0),
-        2 => held(2, -v, 0.0, 3.0),
-        3 => held(3, 0.0, omega, 4.4),
-        5 => held(4, 0.0, -omega, 4.0),
-        6 => held(5, v, 0.5 * omega, 4.0),
-        8 => held(6, v, -0.5 * omega, 4.0),
-        _ => held(0, 0.0, 0.0, 2.0),
-    }
-}
-
-/// Phases: 0 rest, 1 v rises, 2 v holds, 3 v falls; 4 to 6 the same of ω.
-fn acceleration(number: u32) -> Segment {
-    const TIMES_S: [f64; 5] = [4.0, 2.0, 1.0, 0.5, 0.1];
-    let time_s = TIMES_S[(number / 16) as usize % 5];
-    let forward = number % 16 < 8;
-    let turning = number % 8 >= 4;
-    let top = Command {
-        v_mps: match (turning, forward) {
-            (true, _) => 0.0,
-            (false, true) => 0.7 * V_MAX_MPS,
-            (false, false) => -0.6 * V_MAX_MPS,
-        },
-        omega_radps: match (turning, forward) {
-            (false, _) => 0.0,
-            (true, true) => 3.0,
-            (true, false) => -3.0,
-        },
-    };
-    let still = Command::default();
-    let phase = if turning { 3 } else { 0 };
-    match number % 4 {
-        0 => ramp(phase + 1, still, top, time_s),
-        1 => ramp(phase + 2, top, top, 1.5),
-        2 => ramp(phase + 3, top, still, time_s),
-        _ => held(0, 0.0, 0.0, 2.0),
-    }
-}
-
-/// Phases: 0 rest, 1 full speed, 2 full turn, 3 both.
-fn extremes(number: u32) -> Segment {
-    match number % 14 {
-        0 => held(1, 0.2, 0.0, 4.0),
-        1 => held(1, -0.2, 0.0, 3.0),
-        3 => held(2, 0.0, 3.6, 2.2),
-        4 => held(2, 0.0, -3.6, 2.0),
-        6 => held(3, 0.1, 1.8, 3.0),
-        7 => held(3, -0.1, -1.8, 2.0),
-        9 => held(1, 0.2, 0.0, 1.0),
-        10 => held(1, -0.2, 0.0, 0.5),
-        11 => held(1, 0.2, 0.0, 1.0),
-        12 => held(3, 0.15, -0.9, 3.0),
-        _ => held(0, 0.0, 0.0, 6.0),
-    }
-}
-
-/// Phases: 0 rest, 1 walk.
-fn random_walk(noise: &mut Noise) -> Segment {
-    let time_s = noise.between(0.5, 4.0);
-    if noise.uniform() < 0.2 {
-        return held(0, 0.0, 0.0, time_s);
-    }
-    let v_mps = (0.04 + 0.08 * noise.normal()).clamp(-V_MAX_MPS, V_MAX_MPS);
-    held(1, v_mps, 0.15 + 1.2 * noise.normal(), time_s)
-}
-
-/// Phases number the segments of a cycle: rests, straights, circles, turns.
-fn steady_state(number: u32) -> Segment {
-    let place = number % 8;
-    let (v_mps, omega_radps) = match place {
-        1 => (0.1, 0.5),
-        2 => (0.15, -0.75),
-        4 => (0.0, 2.0),
-        5 => (0.12, 0.6),
-        7 => (0.06, -1.0),
-        _ => (0.0, 0.0),
-    };
-    held(place, v_mps, omega_radps, 12.0)
 }
