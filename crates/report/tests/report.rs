@@ -326,7 +326,7 @@ fn one_short_recording_is_enough_and_none_is_refused() {
         samples: 99,
         ..experiment()
     };
-    let refused = simulated(&short, &settings, |_| ()).unwrap_err();
+    let refused = simulated(&short, &settings, |_, _| ()).unwrap_err();
     assert!(refused.to_string().contains("99 samples"), "{refused}");
 }
 
