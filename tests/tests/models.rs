@@ -89,7 +89,7 @@ fn forged() -> Vec<Case> {
         (
             "a negative variance of residuals".to_owned(),
             with_header("residual_std_w\":\"0.", "residual_std_w\":\"-."),
-            vec!["residual_std_w", "-0.0"],
+            vec!["residual_std_w", "is -0."],
         ),
     ]
 }

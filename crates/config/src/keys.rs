@@ -92,9 +92,9 @@ pub const KEYS: &[Key] = &[
 
     key("alarms.bias_weight", num(bounds::ALARM_WEIGHT), "share", DefaultValue::Number(0.005),
         "Weight of the newest residual in the running bias."),
-    key("alarms.cusum_slack", num(bounds::CUSUM_SLACK), "standard deviations", DefaultValue::Number(1.0),
+    key("alarms.cusum_slack", num(bounds::CUSUM_SLACK), "standard deviations", DefaultValue::Number(0.8),
         "Slack of the CUSUM: shift of the residuals that it ignores."),
-    key("alarms.cusum_limit", num(bounds::CUSUM_LIMIT), "standard deviations", DefaultValue::Number(80.0),
+    key("alarms.cusum_limit", num(bounds::CUSUM_LIMIT), "standard deviations", DefaultValue::Number(110.0),
         "CUSUM value at which BiasHigh or BiasLow is raised; cleared below half of it."),
     key("alarms.noise_weight", num(bounds::ALARM_WEIGHT), "share", DefaultValue::Number(0.005),
         "Weight of the newest squared residual in the noise ratio."),

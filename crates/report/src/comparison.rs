@@ -350,7 +350,7 @@ fn network_numbers(numbers: &mut Vec<Number>, draw: &Draw) {
         let quantity = format!("R² of the network, {quantity} of the six trials");
         numbers.push(number(quantity, Cell::Number(papers, 2), value, 3));
     }
-    let sixth = trials.last().map(|trial| trial.tally.clone());
+    let sixth = trials.last().map(|trial| trial.tally);
     let (r2, mae_w) = sixth.map_or((f64::NAN, f64::NAN), |tally| (tally.r2(), tally.mae_w()));
     let papers = Cell::Number(paper::R2_TRIAL_6, 2);
     numbers.push(number("R² on trial 6", papers, r2, 3));

@@ -70,9 +70,9 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// A fleet at time 0, each robot at rest. Robot `i` begins with the protocol of trial `i` mod 6
-    /// + 1, at a random segment of it, and goes on to the next after each [`TRIAL_S`]. Robot `i` of a seed is the same whatever
-    /// the size of the fleet.
+    /// A fleet at time 0, each robot at rest. Robot `i` begins with the protocol of trial
+    /// `i % 6 + 1`, at a random segment of it, and goes on to the next after each [`TRIAL_S`]. Robot
+    /// `i` of a seed is the same whatever the size of the fleet.
     #[must_use]
     pub fn new(seed: u64, robots: usize) -> Self {
         let protocols = Protocol::ALL.into_iter().cycle().take(robots);

@@ -204,7 +204,7 @@ fn trials_drive_what_the_paper_says() {
     for protocol in Protocol::ALL {
         for (phase, v_mps, omega_radps) in commands(protocol) {
             let within =
-                (-0.15 - 1e-9..=0.16 + 1e-9).contains(&v_mps) && omega_radps.abs() <= 3.14 + 1e-9;
+                (-0.15 - 1e-9..=0.16 + 1e-9).contains(&v_mps) && omega_radps.abs() <= 3.140_001;
             assert!(
                 within,
                 "{protocol}, phase {phase}: {v_mps} m/s, {omega_radps} rad/s"

@@ -457,12 +457,10 @@ fn the_shipped_models_beat_persistence_on_held_out_robots() {
     for (name, _) in SHIPPED {
         let (scores, residual) = scored(&shipped(name), &rows);
         println!("{name}: {scores:?} {residual:?}");
-        // The first plant left more to gain (.018): here as in the paper, readings correlate by .95,
-        // and persistence alone reaches .90.
-        assert!(
-            scores.network_r2 > scores.persistence_r2 + 0.003,
-            "{scores:?}"
-        );
+        // 2ρ − 1 is what persistence reaches, ρ² the best forecast that knows the last reading alone (the
+        // paper's ceiling of such a process).
+        let ceiling = ((1.0 + scores.persistence_r2) / 2.0).powi(2);
+        assert!(scores.network_r2 > ceiling + 0.001, "{ceiling}: {scores:?}");
     }
 }
 
@@ -547,4 +545,4 @@ fn a_network_with_reading_age_learns_when_the_next_reading_comes() {
 
 /// Hashes of the tiny networks, from this trainer on x86-64.
 const FULL_HASH: u64 = 0x5a27_88a6_3e10_c9da;
-const POWER_ONLY_HASH: u64 = 0xa648_3e62_4a2f_0002;
+const POWER_ONLY_HASH: u64 = 0x037e_8ab4_983e_47ab;

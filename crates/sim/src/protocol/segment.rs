@@ -5,6 +5,7 @@ use crate::arena::Command;
 /// Greatest and least velocities that are commanded, m/s and rad/s: the paper's.
 pub(super) const FORWARD_MPS: f64 = 0.16;
 pub(super) const BACKWARD_MPS: f64 = -0.15;
+#[allow(clippy::approx_constant, reason = "the paper states 3.14, not π")]
 pub(super) const TURN_RADPS: f64 = 3.14;
 
 /// Course of a segment's command from its first to its last value.
