@@ -5,7 +5,8 @@
 //! - *Corrected*: each forecast is based on real readings, one tick ahead. Forecasts and intervals
 //!   are those of the live tick, to the bit ([`crate::evaluate`]).
 //! - *Open loop*: from an origin on, a forecaster is fed with its own forecasts and the true
-//!   commands, and is scored at given horizons ([`Horizon`]).
+//!   commands, and is scored at given horizons ([`Horizon`]). One tick ahead, on all rows, it equals
+//!   corrected mode.
 //!
 //! The baselines are persistence and linear models of the last readings and the velocities
 //! ([`joulebus_train::linear`]), fitted on rows that are not evaluated ([`Design`]).
@@ -32,7 +33,6 @@ mod text;
 pub use cell::{Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, Skill};
 pub use compare::{Comparison, Difference, Verdict, compare};
 pub use design::{Design, DesignReport, Fold, Part};
-pub use open_loop::origins;
 pub use options::{LONGEST_HORIZON, Options, ScoreError};
 pub use recording::{Recording, check_apart, read_recordings, recorded_platform};
 pub use report::{BaselineReport, ModelReport, ScoreReport};

@@ -17,8 +17,8 @@ pub(super) fn section(material: &Material<'_>) -> Option<Section> {
         title: "Longer horizons: open loop".to_owned(),
         parts: vec![
             Part::Words(format!(
-                "Starting at every {}th row, each forecaster is fed with its own forecasts and the true \
-                 commands. The paper evaluates one tick ahead; a planner needs the whole curve.",
+                "Starting every {} rows (at shorter horizons, every as many rows as the horizon has ticks), each \
+                 forecaster is fed with its own forecasts and the true commands. The paper evaluates one tick ahead; a planner needs the whole curve.",
                 material.scored.report.origins_every
             )),
             Part::Figure(figure(material, horizons)),

@@ -43,7 +43,7 @@ pub(crate) struct Selection {
     /// Horizons of the open loop, ticks from 1 to 300, or none
     #[arg(long, value_name = "TICKS", default_value = "1,3,10,30,100,300")]
     horizons: String,
-    /// Rows between the origins of rollouts
+    /// Rows between the origins of rollouts; a horizon of fewer ticks has one every so many rows
     #[arg(long, value_name = "ROWS", default_value_t = Options::default().origins_every)]
     origins_every: usize,
     /// Draws for confidence intervals; 0 disables them

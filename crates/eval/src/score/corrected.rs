@@ -48,7 +48,8 @@ pub(super) fn one(
     for residuals_w in &mut sums.residuals_w {
         residuals_w.sort_unstable_by(f32::total_cmp);
     }
-    sums.horizons = open_loop::sums(subject.models, recording, &parts, lines, options);
+    let before = subject.design.evaluated_before(at);
+    sums.horizons = open_loop::sums(subject.models, recording, (&parts, before), lines, options);
     Ok((sums, live))
 }
 

@@ -205,6 +205,13 @@ impl Design {
         })
     }
 
+    /// Evaluated rows of the recordings before one.
+    pub(super) fn evaluated_before(&self, recording: usize) -> usize {
+        let parts = self.folds.iter().flat_map(|fold| &fold.evaluated);
+        let before = parts.filter(|part| part.0 < recording);
+        before.map(|part| part.1.len()).sum()
+    }
+
     fn rows<'a>(&'a self, recordings: &'a [Recording], part: &Part) -> &'a [Row] {
         let recording = match part.0.checked_sub(recordings.len()) {
             None => &recordings[part.0],

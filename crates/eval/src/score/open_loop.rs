@@ -21,25 +21,41 @@ struct Origin {
     fold: usize,
 }
 
-/// Origins of rollouts: every `every`-th row of each gapless run of `rows`, with the end of the
-/// run.
-pub fn origins(
+/// Rows from one origin to the next at a horizon: `every`, or the horizon where that is less, so that
+/// one tick ahead every row is scored, as in corrected mode.
+fn stride(horizon: usize, every: usize) -> usize {
+    horizon.min(every)
+}
+
+/// Every `stride`-th of the evaluated rows, which are counted through all recordings (`before`: those
+/// of the recordings before): the beginning of a run or a recording is an origin as often as any other row.
+fn origins(
     recording: &Recording,
-    rows: Range<usize>,
-    every: usize,
-) -> impl Iterator<Item = (usize, usize)> {
+    parts: &[(usize, Range<usize>)],
+    before: usize,
+    stride: usize,
+) -> Vec<Origin> {
     let seqs = &recording.rows.sample_seq;
-    let mut runs = Vec::new();
-    let mut start = rows.start;
-    for at in rows.clone() {
-        let is_last = at + 1 == rows.end || seqs[at + 1] != seqs[at] + 1;
-        if is_last {
-            runs.push((start, at + 1));
-            start = at + 1;
+    let follows = |row: usize| seqs[row] == seqs[row - 1] + 1;
+    let mut number = before;
+    let mut origins = Vec::new();
+    for (fold, rows) in parts {
+        let mut end = rows.start;
+        for row in rows.clone() {
+            if row == end {
+                end = row + 1;
+                while end < rows.end && follows(end) {
+                    end += 1;
+                }
+            }
+            if number % stride == stride / 2 {
+                let fold = *fold;
+                origins.push(Origin { row, end, fold });
+            }
+            number += 1;
         }
     }
-    let each = runs.into_iter();
-    each.flat_map(move |(start, end)| (start..end).step_by(every).map(move |row| (row, end)))
+    origins
 }
 
 /// Forecasts of one forecaster at every horizon of every origin: power, W, and energy up to the
@@ -50,39 +66,37 @@ struct Trace {
     energy_j: Vec<f64>,
 }
 
-/// The sums at each horizon, over the evaluated parts of a recording.
+/// The sums at each horizon, over the evaluated parts of a recording. `before`: evaluated rows of the
+/// recordings before it.
 pub(super) fn sums(
     models: &[Model],
     recording: &Recording,
-    parts: &[(usize, Range<usize>)],
+    (parts, before): (&[(usize, Range<usize>)], usize),
     lines: &Lines,
     options: &Options,
 ) -> Vec<HorizonSums> {
-    let Some(&longest) = options.horizons.last() else {
-        return Vec::new();
+    let every = |horizon: &usize| stride(*horizon, options.origins_every);
+    let groups = options.horizons.chunk_by(|a, b| every(a) == every(b));
+    let of_group = |horizons: &[usize]| {
+        let (first, longest) = (horizons[0], horizons[horizons.len() - 1]);
+        let mut starts = origins(recording, parts, before, every(&first));
+        for start in &mut starts {
+            start.end = start.end.min(start.row + longest);
+        }
+        let rollout = Rollout {
+            rows: &recording.rows.rows,
+            step_s: &recording.step_s,
+            reading_ages: &recording.rows.reading_ages,
+            starts: &starts,
+            horizons,
+        };
+        let measured = rollout.alone(|_, row, _| row.target_w);
+        let traces = rollout.traces(models, lines);
+        let places = 0..horizons.len();
+        let sums = places.map(|place| rollout.sum(place, &measured, &traces, models.len()));
+        sums.collect::<Vec<_>>()
     };
-    let mut starts = Vec::new();
-    for (fold, rows) in parts {
-        let found = origins(recording, rows.clone(), options.origins_every);
-        starts.extend(found.map(|(row, end)| Origin {
-            row,
-            end: end.min(row + longest),
-            fold: *fold,
-        }));
-    }
-    let rollout = Rollout {
-        rows: &recording.rows.rows,
-        step_s: &recording.step_s,
-        reading_ages: &recording.rows.reading_ages,
-        starts: &starts,
-        horizons: &options.horizons,
-    };
-    let measured = rollout.alone(|_, row, _| row.target_w);
-    let traces = rollout.traces(models, lines);
-    let places = 0..options.horizons.len();
-    places
-        .map(|place| rollout.sum(place, &measured, &traces, models.len()))
-        .collect()
+    groups.flat_map(of_group).collect()
 }
 
 struct Rollout<'a> {

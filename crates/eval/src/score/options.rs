@@ -15,7 +15,8 @@ pub struct Options {
     /// Horizons of the open loop, ticks, ascending, each 1 to [`LONGEST_HORIZON`]; empty to disable
     /// it.
     pub horizons: Vec<usize>,
-    /// Rows from one origin of the open loop to the next; at least 1.
+    /// Rows from one origin of the open loop to the next, counted through all recordings; at least 1.
+    /// A horizon of fewer ticks has an origin every so many rows.
     pub origins_every: usize,
     /// Linear models as baselines in addition to persistence.
     pub baselines: Vec<Terms>,
@@ -24,7 +25,7 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// Horizons of 1 to 300 ticks in half decades, an origin every 10 rows, AR(5) and AR(5) +
+    /// Horizons of 1 to 300 ticks in half decades, an origin every 10 rows at most, AR(5) and AR(5) +
     /// velocities.
     fn default() -> Self {
         Self {

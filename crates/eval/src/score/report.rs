@@ -35,7 +35,7 @@ pub struct ScoreReport {
     pub robots: Vec<Cell>,
     /// By trial; empty if there is only one.
     pub trials: Vec<Cell>,
-    /// Rows from one origin of the open loop to the next.
+    /// Rows from one origin of the open loop to the next; at shorter horizons, as many as the horizon has ticks.
     pub origins_every: usize,
     /// Open loop, all recordings.
     pub open_loop: HorizonCell,

@@ -320,7 +320,8 @@ fn write_horizons(out: &mut Formatter<'_>, cell: &HorizonCell, every: usize) -> 
     };
     writeln!(
         out,
-        "\nOpen loop: fed with its own forecasts, commands known, a rollout from every {every}th row"
+        "\nOpen loop: fed with its own forecasts, commands known; a rollout every {every} rows, every h rows \
+         at h < {every} ticks"
     )?;
     write_headings(
         out,

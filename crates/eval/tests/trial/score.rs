@@ -14,6 +14,7 @@ use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_statistics::metrics::{ResidualQuantiles, sorted, tally};
 use joulebus_train::linear::{Linear, Terms};
+use proptest::prelude::*;
 use rayon::prelude::*;
 
 use crate::files::{Files, npy_f8};
@@ -49,8 +50,13 @@ fn driven(time_s: f64, v: f64, omega: f64, power_mw: f64) -> [f64; 11] {
 
 /// Two groups of synthetic recordings with drifts, gaps and missing readings.
 fn made_up(trials: u32, rows: u32) -> Vec<Recording> {
+    made_up_of(&vec![rows; trials as usize])
+}
+
+/// The same, of these numbers of rows.
+fn made_up_of(lengths: &[u32]) -> Vec<Recording> {
     let files = Files::new();
-    let recording = |trial: u32| {
+    let recording = |(trial, rows): (u32, u32)| {
         let mut table = Vec::new();
         let mut time_s = 0.0;
         for row in 0..rows {
@@ -77,7 +83,7 @@ fn made_up(trials: u32, rows: u32) -> Vec<Recording> {
         let name = format!("{group}_{trial:02}.npy");
         Recording::new(trial, files.read(&name, &npy_f8(&table)).unwrap())
     };
-    (0..trials).map(recording).collect()
+    (0..).zip(lengths.iter().copied()).map(recording).collect()
 }
 
 fn quick() -> Options {
@@ -353,15 +359,17 @@ fn the_open_loop_equals_rollouts_one_by_one() {
     for (place, &ticks) in options.horizons.iter().enumerate() {
         for (at, forecast) in forecasters {
             let (mut readings, mut forecasts, mut energies) = (Vec::new(), Vec::new(), Vec::new());
+            // Rows are counted through all recordings.
+            let mut number = 0;
             for recording in &recordings {
                 let (rows, seqs) = (&recording.rows.rows, &recording.rows.sample_seq);
                 let begins = |at: usize| at == 0 || seqs[at] != seqs[at - 1] + 1;
-                let mut since = 0;
                 for start in 0..rows.len() {
-                    since = if begins(start) { 0 } else { since + 1 };
                     let end = start + ticks;
                     let whole = end <= rows.len() && (start + 1..end).all(|row| !begins(row));
-                    if since % options.origins_every != 0 || !whole {
+                    let every = ticks.min(options.origins_every);
+                    number += 1;
+                    if (number - 1) % every != every / 2 || !whole {
                         continue;
                     }
                     let (last, all) = rolled(&rows[start..], ticks, forecast);
@@ -400,22 +408,58 @@ fn the_open_loop_equals_rollouts_one_by_one() {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn one_tick_open_loop_equals_corrected_for_recordings_of_any_lengths(
+        lengths in prop::collection::vec(8u32..150, 1..6),
+        every in 1usize..20,
+    ) {
+        let recordings = made_up_of(&lengths);
+        prop_assume!(recordings.iter().any(|one| !one.rows.rows.is_empty()));
+        let models = [network(5, FeatureSet::Full, 30.0), persistence()];
+        let options = Options { horizons: vec![1, 2, 30], origins_every: every, ..quick() };
+        let report = run_network(&recordings, &models, &Design::folds(&recordings), &options).report;
+        let mut pairs = vec![(&report.open_loop, &report.all)];
+        pairs.extend(report.open_loop_trials.iter().zip(&report.trials));
+        for (open, corrected) in pairs {
+            let ahead = &open.horizons[0];
+            prop_assert_eq!(ahead.origins, corrected.rows);
+            // Rollouts round the linear baselines' forecasts to f32.
+            let close = |a: f64, b: f64| {
+                (a.is_nan() && b.is_nan()) || (a - b).abs() <= 1e-5 * (1.0 + b.abs())
+            };
+            for (one, corrected) in ahead.forecasters.iter().zip(&corrected.forecasters) {
+                prop_assert!(close(one.mae_w.value, corrected.mae_w.value), "{}", one.name);
+                prop_assert!(close(one.r2.value, corrected.r2.value), "{}", one.name);
+            }
+        }
+    }
+}
+
 #[test]
-fn one_tick_open_loop_is_the_networks_corrected_forecast() {
-    let recordings = made_up(3, 300);
-    let models = [network(5, FeatureSet::Full, 30.0), persistence()];
+fn no_part_of_a_recording_is_the_start_of_a_rollout_more_often_than_another() {
+    // Short runs: without the count through all of them, every first row would be an origin.
+    let recordings = made_up_of(&[38; 60]);
     let options = Options {
-        horizons: vec![1],
-        origins_every: 1,
+        horizons: vec![10],
+        origins_every: 10,
         ..quick()
     };
-    let report = run_network(&recordings, &models, &Design::folds(&recordings), &options).report;
-    let ahead = &report.open_loop.horizons[0];
-    assert_eq!(ahead.origins, report.all.rows);
-    for (one, corrected) in ahead.forecasters.iter().zip(&report.all.forecasters) {
-        assert!(near(one.mae_w.value, corrected.mae_w.value), "{}", one.name);
-        assert!(near(one.r2.value, corrected.r2.value), "{}", one.name);
-    }
+    let report = run(
+        &recordings,
+        &[persistence()],
+        &Design::folds(&recordings),
+        &options,
+    )
+    .report;
+    let rows: usize = recordings.iter().map(|one| one.rows.rows.len()).sum();
+    // Of 33 rows of a run, the first 24 reach the horizon.
+    assert_eq!(rows, 60 * 33);
+    let found = report.open_loop.horizons[0].origins as f64;
+    let expected = 60.0 * 2.4;
+    assert!((found - expected).abs() <= 3.0, "{found}, not {expected}");
 }
 
 /// Bits of all inputs and targets of rows.
