@@ -3,12 +3,14 @@
 mod report;
 
 use std::collections::HashSet;
+use std::fmt;
 use std::path::PathBuf;
 
 use joulebus_fleet::{Fleet, Learned, Ledger, Scores};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, Platform, SettingsError};
 use joulebus_wire::{DropCounts, Quality, SCHEMA_VERSION, Sample, SampleHeader, diagnostic_flag};
+use serde::Serialize;
 
 pub use report::{EvaluationReport, PlatformReport, RobotReport, ScoreReport};
 
@@ -45,6 +47,41 @@ pub enum EvaluateError {
     Settings(#[from] SettingsError),
 }
 
+/// Whose forecasts are published, and so scored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Forecast {
+    /// What is learned online for each robot from its last reading, the network and the model's
+    /// autoregression.
+    Online,
+    /// The network's own.
+    Network,
+    /// The last reading.
+    Persistence,
+}
+
+impl Forecast {
+    /// What a model's platform publishes. `online`: it learns online ([`Platform::online`]).
+    #[must_use]
+    pub const fn of(model: &Model, online: bool) -> Self {
+        match (model, online) {
+            (Model::Persistence(_), _) => Self::Persistence,
+            (Model::Network(_), true) => Self::Online,
+            (Model::Network(_), false) => Self::Network,
+        }
+    }
+}
+
+impl fmt::Display for Forecast {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.pad(match self {
+            Self::Online => "online",
+            Self::Network => "network",
+            Self::Persistence => "persistence",
+        })
+    }
+}
+
 /// Results of the trials, in their order.
 #[derive(Debug, Clone)]
 pub struct Evaluation {
@@ -65,6 +102,8 @@ pub struct RobotEvaluation {
     pub platform: String,
     /// Name of the model.
     pub model: String,
+    /// Whose forecasts these are.
+    pub forecast: Forecast,
     /// One entry per sample, in order.
     pub steps: Vec<Step>,
     /// Scores of the forecasts.
@@ -181,6 +220,7 @@ pub fn evaluate_trial(
         notes: trial.notes().clone(),
         platform: settings.platforms[kind].name.clone(),
         model: models[kind].name().to_owned(),
+        forecast: Forecast::of(&models[kind], settings.platforms[kind].online),
         steps,
         scores: fleet.scores(robot).unwrap_or_default(),
         coverage: coverage.unwrap_or(f32::NAN),

@@ -8,6 +8,9 @@
 //!   commands, and is scored at given horizons ([`Horizon`]). One tick ahead, on all rows, it equals
 //!   corrected mode.
 //!
+//! Scored is what would be published ([`Forecast`](crate::evaluate::Forecast)); the members of an online
+//! forecast are scored beside it. Open loop is the network's alone.
+//!
 //! The baselines are persistence and linear models of the last readings and the velocities
 //! ([`joulebus_train::linear`]), fitted on rows that are not evaluated ([`Design`]).
 //!
@@ -22,6 +25,7 @@ mod cell;
 mod compare;
 mod corrected;
 mod design;
+mod members;
 mod open_loop;
 mod options;
 mod recording;
@@ -30,8 +34,8 @@ mod run;
 mod subject;
 mod text;
 
-pub use cell::{Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, Skill};
-pub use compare::{Comparison, Difference, Verdict, compare};
+pub use cell::{Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, Role, Skill};
+pub use compare::{Comparison, Difference, MemberScore, Verdict, compare};
 pub use design::{Design, DesignReport, Fold, Part};
 pub use options::{LONGEST_HORIZON, Options, ScoreError};
 pub use recording::{Recording, check_apart, read_recordings, recorded_platform};

@@ -2,7 +2,7 @@
 
 use crate::figure::{Colour, Figure, Interval};
 use joulebus_eval::evaluate::RobotEvaluation;
-use joulebus_eval::score::{ForecasterScore, Recording, Scored};
+use joulebus_eval::score::{ForecasterScore, Recording, Role, Scored};
 use joulebus_train::linear::Terms;
 
 use super::series::Series;
@@ -46,6 +46,15 @@ impl<'a> Material<'a> {
             .filter(|(at, score)| *at <= self.models() || score.name == line)
             .map(|(at, score)| (at, score.name.clone()))
             .collect()
+    }
+
+    /// The forecasters in tables: those compared, and the members of the models' online forecasts.
+    pub(super) fn listed(&self) -> Vec<usize> {
+        let forecasters = &self.scored.report.all.forecasters;
+        let members = forecasters.iter().enumerate();
+        let members = members.filter(|(_, score)| score.role == Role::Member);
+        let compared = self.compared().into_iter().map(|(at, _)| at);
+        compared.chain(members.map(|(at, _)| at)).collect()
     }
 
     /// The colour of a forecaster, the same in every figure.

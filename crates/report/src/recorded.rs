@@ -176,6 +176,14 @@ fn inputs(material: &Material<'_>) -> Section {
             "model",
             format!("{} ({}), trained on: {data}", model.name, model.hash),
         );
+        let members = match model.members.as_slice() {
+            [] => String::new(),
+            members => format!(
+                ", learned for each robot from {}; open loop is the network's alone",
+                members.join(", ")
+            ),
+        };
+        row("forecast scored", format!("{}{members}", model.forecast));
     }
     row("platform", report.platform.clone());
     row("recordings", report.design.trials.to_string());

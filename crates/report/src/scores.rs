@@ -21,8 +21,8 @@ pub(super) fn table(material: &Material<'_>, id: &str, caption: &str, sets: &[&S
         Column::new("coverage_percent", "inside interval (%)"),
     ];
     let rows = sets.iter().flat_map(|set| {
-        let compared = material.compared().into_iter();
-        compared.filter_map(|(at, _)| Some(row(material, set, set.forecasters.get(at)?)))
+        let listed = material.listed().into_iter();
+        listed.filter_map(|at| Some(row(material, set, set.forecasters.get(at)?)))
     });
     Table {
         id: id.to_owned(),

@@ -7,7 +7,7 @@ use joulebus_fleet::{Learned, Scores};
 use joulebus_wire::Quality;
 use serde::Serialize;
 
-use super::{Evaluation, RobotEvaluation};
+use super::{Evaluation, Forecast, RobotEvaluation};
 
 /// An evaluation without its steps. `Display` is a table; unknown numbers are null in JSON.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -42,6 +42,8 @@ pub struct PlatformReport {
     pub platform: String,
     /// Name of the model.
     pub model: String,
+    /// Whose forecasts were scored; `None` without a trial.
+    pub forecast: Option<Forecast>,
     /// Trials.
     pub trials: usize,
     /// Samples accepted.
@@ -64,6 +66,8 @@ pub struct RobotReport {
     pub platform: String,
     /// Name of the model.
     pub model: String,
+    /// Whose forecasts were scored.
+    pub forecast: Forecast,
     /// Quality notes, in one line.
     pub notes: String,
     /// Samples accepted.
@@ -116,6 +120,7 @@ fn platform_report(robots: &[&RobotEvaluation]) -> PlatformReport {
     PlatformReport {
         platform: name(|robot| &robot.platform).unwrap_or_default(),
         model: name(|robot| &robot.model).unwrap_or_default(),
+        forecast: robots.first().map(|robot| robot.forecast),
         trials: robots.len(),
         accepted: robots.iter().map(|robot| robot.accepted).sum(),
         dropped: robots.iter().map(|robot| robot.drops.total()).sum(),
@@ -134,6 +139,7 @@ fn robot_report(robot: &RobotEvaluation) -> RobotReport {
         file: robot.path.display().to_string(),
         platform: robot.platform.clone(),
         model: robot.model.clone(),
+        forecast: robot.forecast,
         notes: robot.notes.to_string(),
         accepted: robot.accepted,
         dropped: robot
@@ -179,8 +185,8 @@ impl fmt::Display for EvaluationReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             out,
-            "{:>8}  {:<16} {:<20} {SCORE_TITLE}  energy     file",
-            "robot", "platform", "model"
+            "{:>8}  {:<16} {:<20} {:<11} {SCORE_TITLE}  energy     file",
+            "robot", "platform", "model", "forecast"
         )?;
         for robot in &self.robots {
             let scores = ScoreColumns(&robot.scores);
@@ -189,12 +195,13 @@ impl fmt::Display for EvaluationReport {
                 file,
                 platform,
                 model,
+                forecast,
                 drawn_j,
                 ..
             } = robot;
             writeln!(
                 out,
-                "{robot:>8}  {platform:<16} {model:<20} {scores}  {drawn_j:>8.1} J {file}"
+                "{robot:>8}  {platform:<16} {model:<20} {forecast:<11} {scores}  {drawn_j:>8.1} J {file}"
             )?;
         }
         for robot in &self.robots {
@@ -219,12 +226,15 @@ impl fmt::Display for EvaluationReport {
             let PlatformReport {
                 platform,
                 model,
+                forecast,
                 trials,
                 ..
             } = platform;
+            let forecast = forecast.map(|forecast| forecast.to_string());
+            let forecast = forecast.unwrap_or_default();
             writeln!(
                 out,
-                "{:>8}  {platform:<16} {model:<20} {scores}  {trials} trials",
+                "{:>8}  {platform:<16} {model:<20} {forecast:<11} {scores}  {trials} trials",
                 "all"
             )?;
         }

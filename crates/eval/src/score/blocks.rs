@@ -20,7 +20,7 @@ pub(crate) struct Sums {
 /// A block of consecutive rows.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Block {
-    /// One entry per forecaster: the models, persistence, the linear baselines.
+    /// One entry per forecaster: the models, persistence, the linear baselines, the models' members.
     pub(crate) forecasters: Vec<Tally>,
     /// One entry per model.
     pub(crate) intervals: Vec<CoverageTally>,

@@ -25,7 +25,7 @@ pub struct Cell {
     pub reading_std_w: f64,
     /// Resampled blocks of the confidence intervals.
     pub blocks: Blocks,
-    /// The models, persistence, the linear baselines.
+    /// The models, persistence, the linear baselines, the members of the models' online forecasts.
     pub forecasters: Vec<ForecasterScore>,
 }
 
@@ -44,6 +44,8 @@ pub struct Blocks {
 pub struct ForecasterScore {
     /// Its name.
     pub name: String,
+    /// What it is in this evaluation.
+    pub role: Role,
     /// Rows scored: those of the cell, or fewer where a linear baseline lacks a feature.
     pub count: u64,
     /// Coefficient of determination.
@@ -64,6 +66,18 @@ pub struct ForecasterScore {
     pub skill: Vec<Skill>,
     /// The intervals of the live path; models only.
     pub interval: Option<IntervalScore>,
+}
+
+/// What a forecaster is in an evaluation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    /// What a model's platform publishes.
+    Published,
+    /// Persistence, or a linear model fitted on the recordings.
+    Baseline,
+    /// A member of a published forecast that learns online.
+    Member,
 }
 
 /// 1 − mean squared error over that of a baseline: above 0 is better.
@@ -136,19 +150,32 @@ pub struct HorizonScore {
     pub skill: Vec<Skill>,
 }
 
-/// Names of the forecasters, and which of them are models.
+/// Names of the forecasters, and which of them are models and which baselines; the others are members.
 #[derive(Debug, Clone)]
 pub(crate) struct Names {
     pub(crate) forecasters: Vec<String>,
+    /// In open loop, where each model is its network alone and there are no members.
+    pub(crate) open_loop: Vec<String>,
     pub(crate) models: usize,
+    pub(crate) baselines: usize,
     /// Nominal coverage of the live intervals.
     pub(crate) nominal: f64,
 }
 
 impl Names {
-    /// Forecasters used as references: all except the models.
+    /// Forecasters used as references: the baselines.
     fn references(&self) -> std::ops::Range<usize> {
-        self.models..self.forecasters.len()
+        self.models..self.models + self.baselines
+    }
+
+    fn role(&self, forecaster: usize) -> Role {
+        if forecaster < self.models {
+            Role::Published
+        } else if self.references().contains(&forecaster) {
+            Role::Baseline
+        } else {
+            Role::Member
+        }
     }
 
     fn skills(&self, of: usize, estimates: &mut impl Iterator<Item = Estimate>) -> Vec<Skill> {
@@ -206,6 +233,7 @@ pub(crate) fn cell(tallied: &Tallied, set: &Set, names: &Names, options: &Option
         });
         ForecasterScore {
             name: names.forecasters[at].clone(),
+            role: names.role(at),
             count: tally.count(),
             r2,
             rmse_w,
@@ -293,7 +321,7 @@ fn horizon(
     let forecasters = pairs.map(|(at, (power, energy))| {
         let [r2, rmse_w, mae_w, energy_error] = std::array::from_fn(|_| next());
         HorizonScore {
-            name: names.forecasters[at].clone(),
+            name: names.open_loop[at].clone(),
             r2,
             rmse_w,
             mae_w,

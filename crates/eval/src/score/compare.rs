@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::blocks::{Block, Draws, HorizonSums, Set, Tallied};
+use super::cell::Role;
 use super::design::DesignReport;
 use super::report::ModelReport;
 use super::run::{Scored, score};
@@ -31,6 +32,8 @@ pub struct Comparison {
     pub bootstrap: Bootstrap,
     /// All recordings.
     pub all: Difference,
+    /// Persistence, and the members of both models' online forecasts, on the rows of `all`.
+    pub members: Vec<MemberScore>,
     /// By group; empty if there is only one.
     pub groups: Vec<Difference>,
     /// By robot; empty if there is only one.
@@ -39,6 +42,17 @@ pub struct Comparison {
     pub trials: Vec<Difference>,
     /// Open loop, all recordings.
     pub open_loop: Vec<HorizonDifference>,
+}
+
+/// A member of a published forecast, on all recordings.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MemberScore {
+    /// Its name.
+    pub name: String,
+    /// Coefficient of determination.
+    pub r2: f64,
+    /// Mean absolute residual, W.
+    pub mae_w: f64,
 }
 
 /// The two models on some recordings, corrected mode.
@@ -169,7 +183,16 @@ pub fn compare(subject: Subject<'_>, options: &Options) -> Result<Comparison, Sc
     };
     // Two models were scored, so there are two reports.
     let [old, new] = [OLD, NEW].map(|at| report.models[at].clone());
+    let beside = report.all.forecasters.iter();
+    let beside = beside.filter(|one| one.role != Role::Published);
     Ok(Comparison {
+        members: beside
+            .map(|one| MemberScore {
+                name: one.name.clone(),
+                r2: one.r2.value,
+                mae_w: one.mae_w.value,
+            })
+            .collect(),
         platform: report.platform,
         old,
         new,

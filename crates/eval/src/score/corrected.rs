@@ -7,6 +7,7 @@ use joulebus_settings::FleetSettings;
 
 use super::blocks::{Block, Sums};
 use super::design::Lines;
+use super::members::Member;
 use super::{Options, Recording, ScoreError, Subject, open_loop, recorded_platform};
 use crate::evaluate::{RobotEvaluation, evaluate_trial};
 use joulebus_statistics::metrics::{CoverageTally, Tally};
@@ -34,12 +35,16 @@ pub(super) fn one(
     }
     let live = live(subject, recording)?;
     let columns: Vec<Column> = live.iter().map(|live| column(recording, live)).collect();
+    let members = Member::of(subject).into_iter();
+    let members: Vec<Vec<f32>> = members
+        .map(|(_, member)| member.forecasts_w(recording))
+        .collect();
     let mut sums = Sums::default();
     for (fold, rows) in &parts {
         add_rows(
             &mut sums,
             recording,
-            &columns,
+            (&columns, &members),
             &lines[*fold],
             rows.clone(),
             options,
@@ -95,12 +100,12 @@ fn column(recording: &Recording, live: &RobotEvaluation) -> Column {
 fn add_rows(
     sums: &mut Sums,
     recording: &Recording,
-    columns: &[Column],
+    (columns, members): (&[Column], &[Vec<f32>]),
     lines: &[Option<Linear>],
     rows: Range<usize>,
     options: &Options,
 ) {
-    let forecasters = columns.len() + 1 + lines.len();
+    let forecasters = columns.len() + 1 + lines.len() + members.len();
     sums.residuals_w.resize(forecasters, Vec::new());
     let mut forecasts_w = Vec::with_capacity(forecasters);
     for block_rows in row_blocks(rows, options.bootstrap.block_rows) {
@@ -119,6 +124,7 @@ fn add_rows(
             let predict =
                 |line: &Option<Linear>| line.as_ref().map(|line| line.predict(&row.features));
             forecasts_w.extend(lines.iter().map(|line| predict(line).unwrap_or(f64::NAN)));
+            forecasts_w.extend(members.iter().map(|member_w| f64::from(member_w[at])));
             // A row without a forecast of each model is scored for no forecaster.
             let reading_w = if all_known {
                 f64::from(row.target_w)

@@ -7,7 +7,9 @@ use serde::Serialize;
 use super::blocks::{Set, Tallied};
 use super::cell::{Cell, HorizonCell, Names, cell, horizon_cell};
 use super::design::{DesignReport, Lines};
+use super::members::Member;
 use super::{Options, Subject};
+use crate::evaluate::Forecast;
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_train::linear::LinearReport;
 
@@ -54,6 +56,10 @@ pub struct ModelReport {
     pub name: String,
     /// Its hash, hexadecimal.
     pub hash: String,
+    /// Whose forecast was scored one tick ahead; open loop is the network's alone.
+    pub forecast: Forecast,
+    /// Names in the tables of what the forecast is combined from; empty if it is one forecaster's.
+    pub members: Vec<String>,
     /// Its training data as stated in its file; `None` for persistence.
     pub training_data: Option<String>,
     /// Whether it was trained with the same split, so that the evaluated rows were held out. `None`
@@ -97,10 +103,8 @@ pub(super) fn report(
         platform: subject
             .platform
             .map_or_else(|| "recorded".to_owned(), |platform| platform.name.clone()),
-        models: subject
-            .models
-            .iter()
-            .map(|model| of_model(model, subject))
+        models: (0..subject.models.len())
+            .map(|at| of_model(at, subject, &names))
             .collect(),
         design: subject.design.report(),
         baselines: baselines(options, lines),
@@ -121,30 +125,43 @@ pub(super) fn report(
 /// Names of the forecasters; models of the same name are distinguished by their hashes.
 pub(super) fn names(subject: Subject<'_>, options: &Options) -> Names {
     let models = subject.models;
-    let mut forecasters: Vec<String> = Vec::new();
-    for model in models {
+    let base = |model: &Model| {
         let is_twice = models
             .iter()
             .filter(|other| other.name() == model.name())
             .count()
             > 1;
-        let is_persistence = matches!(model, Model::Persistence(_));
-        forecasters.push(match (is_persistence, is_twice) {
-            (true, _) => "persistence (model)".to_owned(),
-            (false, true) => format!("{} {:08x}", model.name(), model.hash() >> 32),
-            (false, false) => model.name().to_owned(),
+        match is_twice {
+            true => format!("{} {:08x}", model.name(), model.hash() >> 32),
+            false => model.name().to_owned(),
+        }
+    };
+    let of = |forecast: &dyn Fn(&Model) -> Forecast| -> Vec<String> {
+        let named = models.iter().map(|model| match forecast(model) {
+            Forecast::Persistence => "persistence (model)".to_owned(),
+            forecast => format!("{} ({forecast})", base(model)),
         });
-    }
-    forecasters.push("persistence".to_owned());
-    forecasters.extend(options.baselines.iter().map(ToString::to_string));
+        let baselines = options.baselines.iter().map(ToString::to_string);
+        named
+            .chain(["persistence".to_owned()])
+            .chain(baselines)
+            .collect()
+    };
+    let mut forecasters = of(&|model| subject.forecast(model));
+    let members = Member::of(subject).into_iter();
+    forecasters
+        .extend(members.map(|(at, member)| format!("{} ({})", base(&models[at]), member.name())));
     Names {
         forecasters,
+        open_loop: of(&|model| Forecast::of(model, false)),
         models: models.len(),
+        baselines: 1 + options.baselines.len(),
         nominal: f64::from(subject.settings.interval.coverage),
     }
 }
 
-fn of_model(model: &Model, subject: Subject<'_>) -> ModelReport {
+fn of_model(at: usize, subject: Subject<'_>, names: &Names) -> ModelReport {
+    let model = &subject.models[at];
     let card = match model {
         Model::Network(network) => Some(network.card()),
         Model::Persistence(_) => None,
@@ -153,10 +170,26 @@ fn of_model(model: &Model, subject: Subject<'_>) -> ModelReport {
     ModelReport {
         name: model.name().to_owned(),
         hash: format!("{:016x}", model.hash()),
+        forecast: subject.forecast(model),
+        members: members(at, subject, names),
         training_data: card.map(|card| card.training_data.clone()),
         split_is_its_own: card
             .zip(split)
             .map(|(card, split)| card.training_data_sha256 == split),
+    }
+}
+
+/// Names of what a model's forecast is combined from.
+fn members(at: usize, subject: Subject<'_>, names: &Names) -> Vec<String> {
+    let first = names.models + names.baselines;
+    let all = Member::of(subject)
+        .into_iter()
+        .zip(&names.forecasters[first..]);
+    let own = all.filter(|((model, _), _)| *model == at);
+    let own: Vec<String> = own.map(|(_, name)| name.clone()).collect();
+    match own.is_empty() {
+        true => own,
+        false => [vec![names.forecasters[names.models].clone()], own].concat(),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Formatter};
 
-use super::cell::{Cell, HorizonCell, Skill};
+use super::cell::{Cell, ForecasterScore, HorizonCell, Role, Skill};
 use super::compare::{Comparison, Difference};
 use super::design::DesignReport;
 use super::report::{ModelReport, ScoreReport};
@@ -64,6 +64,15 @@ impl ScoreReport {
 
 fn write_model(out: &mut Formatter<'_>, what: &str, model: &ModelReport) -> fmt::Result {
     writeln!(out, "{what} {} ({})", model.name, model.hash)?;
+    write!(out, "  scored: its {} forecast", model.forecast)?;
+    match model.members.as_slice() {
+        [] => writeln!(out)?,
+        members => writeln!(
+            out,
+            ", learned for each robot from {}; open loop: the network alone",
+            members.join(", ")
+        )?,
+    }
     let Some(training_data) = &model.training_data else {
         return Ok(());
     };
@@ -218,7 +227,13 @@ fn write_blocks(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> 
     )
 }
 
-/// One line per cell: R² and MAE of every forecaster, the models' skill and coverage.
+/// The forecasters of tables with a column each: the models and the baselines.
+fn compared(cell: &Cell) -> impl Iterator<Item = &ForecasterScore> + Clone {
+    let all = cell.forecasters.iter();
+    all.filter(|one| one.role != Role::Member)
+}
+
+/// One line per cell: R² and MAE of models and baselines, the models' skill and coverage.
 fn write_cells(out: &mut Formatter<'_>, what: &str, cells: &[Cell]) -> fmt::Result {
     let Some(first) = cells.first() else {
         return Ok(());
@@ -233,7 +248,7 @@ fn write_cells(out: &mut Formatter<'_>, what: &str, cells: &[Cell]) -> fmt::Resu
             "trials",
             "rows"
         ),
-        first.forecasters.iter().map(|one| one.name.as_str()),
+        compared(first).map(|one| one.name.as_str()),
         "skill vs persistence        inside %",
     )?;
     for cell in cells {
@@ -279,7 +294,7 @@ fn write_skill(out: &mut Formatter<'_>, skills: &[Skill]) -> fmt::Result {
 fn write_line(out: &mut Formatter<'_>, cell: &Cell, width: usize) -> fmt::Result {
     let name = short(&cell.name);
     write!(out, "{name:width$} {:>6} {:>7}", cell.trials, cell.rows)?;
-    for one in &cell.forecasters {
+    for one in compared(cell) {
         write_accuracy(out, one.r2, one.mae_w)?;
     }
     for one in cell.forecasters.iter().filter(|one| one.interval.is_some()) {
@@ -363,6 +378,10 @@ impl fmt::Display for Comparison {
         write_model(out, "new: model", &self.new)?;
         write_design(out, &self.design, &self.platform)?;
         write_sides(out, &self.all)?;
+        for member in &self.members {
+            let (r2, mae_w) = (Number(member.r2, 0, 4), Number(member.mae_w, 0, 4));
+            writeln!(out, "beside them: {}, R² {r2}, MAE {mae_w} W", member.name)?;
+        }
         for (what, differences) in [
             ("group", &self.groups),
             ("robot", &self.robots),
@@ -530,6 +549,13 @@ fn cut(name: &str, most: usize) -> String {
     if name.chars().count() <= most {
         return name.to_owned();
     }
-    let kept: String = name.chars().take(most - 1).collect();
-    format!("{kept}…")
+    // What is in parentheses at the end, such as the forecast, is kept.
+    let (base, end) = name.split_at(name.rfind(" (").unwrap_or(name.len()));
+    let (base, end) = match end.chars().count() + 1 < most {
+        true => (base, end),
+        false => (name, ""),
+    };
+    let kept = most - 1 - end.chars().count();
+    let kept: String = base.chars().take(kept).collect();
+    format!("{kept}…{end}")
 }

@@ -1,0 +1,63 @@
+//! The forecasts that are scored, and what they are combined from.
+
+use joulebus_predictor::{FeatureSet, Features, Linear, Model, Network};
+
+use super::{Recording, Subject};
+use crate::evaluate::Forecast;
+
+/// What an online forecast combines, beside the last reading, which is persistence.
+#[derive(Clone, Copy)]
+pub(super) enum Member<'a> {
+    /// The network alone.
+    Network(&'a Network),
+    /// The autoregression of its file.
+    Autoregression(&'a Linear),
+}
+
+impl<'a> Member<'a> {
+    /// The members of each model that is scored by what it learns online, with its index.
+    pub(super) fn of(subject: Subject<'a>) -> Vec<(usize, Self)> {
+        let mut members = Vec::new();
+        for (at, model) in subject.models.iter().enumerate() {
+            let (Model::Network(network), Forecast::Online) = (model, subject.forecast(model))
+            else {
+                continue;
+            };
+            members.push((at, Self::Network(network)));
+            let powers = |linear: &&Linear| linear.feature_set == FeatureSet::PowerOnly;
+            let linear = model.linear().filter(powers);
+            members.extend(linear.map(|linear| (at, Self::Autoregression(linear))));
+        }
+        members
+    }
+
+    pub(super) const fn name(&self) -> &'static str {
+        match self {
+            Self::Network(_) => "network",
+            Self::Autoregression(_) => "autoregression",
+        }
+    }
+
+    /// Its forecast of each row, W; NaN where a feature is missing.
+    pub(super) fn forecasts_w(&self, recording: &Recording) -> Vec<f32> {
+        let rows = recording.rows.rows.iter().map(|row| row.features);
+        let rows: Vec<Features> = rows.collect();
+        match self {
+            Self::Network(network) => {
+                let mut forecasts_w = vec![0.0; rows.len()];
+                network.predict(&rows, &mut forecasts_w);
+                forecasts_w
+            }
+            Self::Autoregression(linear) => rows.iter().map(|row| linear.predict(row)).collect(),
+        }
+    }
+}
+
+impl Subject<'_> {
+    /// Whose forecast is scored.
+    pub(super) fn forecast(&self, model: &Model) -> Forecast {
+        // A platform taken from a recording learns online.
+        let online = self.platform.is_none_or(|platform| platform.online);
+        Forecast::of(model, online)
+    }
+}
