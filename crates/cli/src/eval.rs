@@ -34,7 +34,8 @@ const LISTED: usize = 24;
     intervals by block bootstrap. All forecasters are scored on the same rows: those with five \
     gapless readings before them.\n\n\
     With --model and no config, period and limits are those of each recording; else those of the \
-    config's platforms. --split evaluates what `joulebus train trials` with the same recordings, \
+    config's platforms. Rows that a model was trained on, as its file states, are recognised by their \
+    readings and scored apart; the tables are of the others. --split evaluates what `joulebus train trials` with the same recordings, \
     split and seed holds out.")]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -58,10 +59,12 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut refused = None;
     for section in &sections {
         let model = &models[section.place];
-        let design = args.asked.design(section)?;
-        let subject = section.subject(std::slice::from_ref(model), &design);
+        let models = std::slice::from_ref(model);
+        let design = args.asked.design(section, models)?;
+        let subject = section.subject(models, &design);
         match score(subject, &options).map_err(usage) {
             Ok(scored) => {
+                warn(&scored.report.warnings);
                 report.evaluations.push(scored.report);
                 let robots = scored.live.into_iter().flat_map(|live| live.robots);
                 live.robots.extend(robots);
@@ -80,6 +83,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     report.live = Some(live.report());
     output.report(&report)?;
     Ok(Outcome::Done)
+}
+
+/// Prints warnings on stderr.
+pub(crate) fn warn(warnings: &[String]) {
+    for warning in warnings {
+        say(&format!("warning: {warning}"));
+    }
 }
 
 fn is_without_rows(error: &anyhow::Error) -> bool {
@@ -112,7 +122,7 @@ impl fmt::Display for EvalReport {
         };
         writeln!(
             out,
-            "\nLive path: all scored readings, those after gaps included"
+            "\nLive path: the readings of these rows, and those after gaps"
         )?;
         if live.robots.len() <= LISTED {
             return write!(out, "{live}");

@@ -5,4 +5,5 @@ pub mod inspect;
 pub mod npy;
 pub mod rows;
 pub mod split;
+pub mod trained_rows;
 pub mod trial;

@@ -12,6 +12,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::ops::Range;
+use std::str::FromStr;
 
 use joulebus_predictor::LAGS;
 use serde::{Deserialize, Serialize};
@@ -46,6 +47,17 @@ impl fmt::Display for By {
             Self::Group => "group",
             Self::Time => "time",
         })
+    }
+}
+
+impl FromStr for By {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let all = [Self::Trial, Self::Robot, Self::Group, Self::Time];
+        let found = all.into_iter().find(|by| by.to_string() == text);
+        found
+            .ok_or_else(|| format!("a split by {text:?}: allowed are trial, robot, group and time"))
     }
 }
 

@@ -274,6 +274,13 @@ fn scored(fleet: &Fleet, robot: u32) -> u64 {
 }
 
 impl RobotEvaluation {
+    /// Sums the scores of the steps that are marked as scored.
+    pub(crate) fn score_again(&mut self) {
+        let mut scores = Scores::default();
+        self.pool_into(&mut scores);
+        self.scores = scores;
+    }
+
     /// Adds this robot's scored readings to `pooled`, in order.
     fn pool_into(&self, pooled: &mut Scores) {
         let mut previous_w = None;

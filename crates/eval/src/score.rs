@@ -14,6 +14,8 @@
 //! The baselines are persistence and linear models of the last readings and the velocities
 //! ([`joulebus_train::linear`]), fitted on rows that are not evaluated ([`Design`]).
 //!
+//! A model's file identifies the rows it was trained on: those are scored apart ([`Design::hold_apart`]).
+//!
 //! A row is scored if five gapless readings precede it, a reading follows it, and every model has a
 //! forecast for it, so all forecasters are scored on the same rows. The other rows are counted.
 //!
@@ -33,6 +35,7 @@ mod report;
 mod run;
 mod subject;
 mod text;
+mod trained_on;
 
 pub use cell::{Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, Role, Skill};
 pub use compare::{Comparison, Difference, MemberScore, Verdict, compare};
@@ -42,3 +45,4 @@ pub use recording::{Recording, check_apart, read_recordings, recorded_platform};
 pub use report::{BaselineReport, ModelReport, ScoreReport};
 pub use run::{Scored, score};
 pub use subject::Subject;
+pub use trained_on::{ScoredRows, TrainedOn};

@@ -100,6 +100,25 @@ pub struct Scores {
     pub persistence_mae_w: f32,
 }
 
+/// What identifies the rows that a network was trained on: hashes of blocks of consecutive readings,
+/// computed and compared by `joulebus_dataset::trained_rows`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TrainedRows {
+    /// Rows that weights were fitted to or that chose among them, in early stopping.
+    pub rows: u64,
+    /// Blocks of equal numbers of rows.
+    pub blocks: Vec<TrainedBlocks>,
+}
+
+/// Hashes of blocks of the same number of rows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TrainedBlocks {
+    /// Rows of each, at least 1.
+    pub rows: u32,
+    /// One hash for each, ascending.
+    pub hashes: Vec<u64>,
+}
+
 /// Origin and scores of a network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelCard {
@@ -111,6 +130,8 @@ pub struct ModelCard {
     pub training_data: String,
     /// SHA-256 of the training rows, hexadecimal.
     pub training_data_sha256: String,
+    /// The training rows, to be recognised; `None` if unknown: imported models and older files.
+    pub trained_rows: Option<TrainedRows>,
     /// Seed of initial weights, batches and dropout.
     pub seed: u64,
     /// Training range of the features.
@@ -132,6 +153,7 @@ impl ModelCard {
             source: String::new(),
             training_data: String::new(),
             training_data_sha256: String::new(),
+            trained_rows: None,
             seed: 0,
             training_range,
             residual: ResidualStats::default(),

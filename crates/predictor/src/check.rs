@@ -1,6 +1,6 @@
 //! Checks of a network's parameters and card.
 
-use crate::card::{ModelCard, Scores, TrainingRange};
+use crate::card::{ModelCard, Scores, TrainedBlocks, TrainingRange};
 use crate::error::ModelError;
 use crate::features::{FEATURE_NAMES, FeatureSet};
 use crate::file;
@@ -127,6 +127,14 @@ pub(crate) fn check_card(card: &ModelCard, feature_set: FeatureSet) -> Result<()
         }
     }
     check_linear(card.linear.as_ref(), feature_set)?;
+    let blocks = card.trained_rows.iter().flat_map(|trained| &trained.blocks);
+    for TrainedBlocks { rows, hashes } in blocks {
+        if *rows == 0 || !hashes.is_sorted() {
+            let found = format!("{} hashes of {rows} rows", hashes.len());
+            let allowed = "hashes in ascending order of 1 row or more";
+            return Err(ModelError::field("trained_blocks", &found, allowed));
+        }
+    }
     let Scores {
         network_r2,
         network_mae_w,

@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};
 use std::str::FromStr;
 
-use crate::card::{ModelCard, ResidualStats, Scores, TrainingRange};
+use crate::card::{ModelCard, ResidualStats, Scores, TrainedBlocks, TrainedRows, TrainingRange};
 use crate::error::ModelError;
 use crate::features::{FEATURE_NAMES, FeatureSet, Features, INPUTS};
 use crate::gelu::Activation;
@@ -139,6 +139,7 @@ fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<ModelCa
         source: metadata.text("source")?.to_owned(),
         training_data: metadata.text("training_data")?.to_owned(),
         training_data_sha256: metadata.text("training_data_sha256")?.to_owned(),
+        trained_rows: read_trained_rows(metadata)?,
         seed: metadata.number("seed")?,
         training_range: TrainingRange {
             feature_set,
@@ -159,6 +160,49 @@ fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<ModelCa
         },
         linear: read_linear(metadata, feature_set)?,
     })
+}
+
+/// Older files and imported models do not state them.
+fn read_trained_rows(metadata: &Metadata<'_>) -> Result<Option<TrainedRows>, ModelError> {
+    let fields = ["trained_rows", "trained_blocks"];
+    if !fields.iter().any(|field| metadata.0.contains_key(*field)) {
+        return Ok(None);
+    }
+    let text = metadata.text("trained_blocks")?;
+    let groups = text.split(';').filter(|group| !group.is_empty());
+    let blocks: Option<Vec<TrainedBlocks>> = groups.map(read_blocks).collect();
+    let allowed = "groups `rows:hashes` with `;` between them, a hash in 16 hexadecimal digits";
+    Ok(Some(TrainedRows {
+        rows: metadata.number("trained_rows")?,
+        blocks: blocks.ok_or_else(|| {
+            let start: String = text.chars().take(40).collect();
+            ModelError::field("trained_blocks", &start, allowed)
+        })?,
+    }))
+}
+
+fn read_blocks(group: &str) -> Option<TrainedBlocks> {
+    let (rows, hashes) = group.split_once(':')?;
+    let (hashes, rest) = hashes.as_bytes().as_chunks::<16>();
+    let hash = |digits: &[u8; 16]| {
+        let is_hex = digits.iter().all(u8::is_ascii_hexdigit);
+        let text = std::str::from_utf8(digits).ok().filter(|_| is_hex)?;
+        u64::from_str_radix(text, 16).ok()
+    };
+    Some(TrainedBlocks {
+        rows: rows.parse().ok().filter(|rows| *rows > 0)?,
+        hashes: hashes.iter().map(hash).collect::<Option<_>>()?,
+    })
+    .filter(|_| rest.is_empty())
+}
+
+fn trained_blocks(blocks: &[TrainedBlocks]) -> String {
+    let group = |group: &TrainedBlocks| {
+        let hashes = group.hashes.iter().map(|hash| format!("{hash:016x}"));
+        format!("{}:{}", group.rows, hashes.collect::<String>())
+    };
+    let groups: Vec<String> = blocks.iter().map(group).collect();
+    groups.join(";")
 }
 
 /// Older files have no linear baseline, or one that reads velocities too.
@@ -225,6 +269,10 @@ fn fields(parameters: &Parameters, card: &ModelCard) -> Fields {
             card.scores.persistence_mae_w.to_string(),
         ),
     ]);
+    if let Some(TrainedRows { rows, blocks }) = &card.trained_rows {
+        fields.insert("trained_rows", rows.to_string());
+        fields.insert("trained_blocks", trained_blocks(blocks));
+    }
     if let Some(linear) = &card.linear {
         fields.insert("linear_bias_w", linear.bias_w.to_string());
         fields.insert(

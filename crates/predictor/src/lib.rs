@@ -34,7 +34,7 @@ mod persistence;
 mod reading_age;
 mod rollout;
 
-pub use card::{ModelCard, ResidualStats, Scores, TrainingRange};
+pub use card::{ModelCard, ResidualStats, Scores, TrainedBlocks, TrainedRows, TrainingRange};
 pub use error::{ModelError, RolloutError};
 pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, features};
 pub use file::MAX_MODEL_BYTES;

@@ -102,6 +102,21 @@ fn a_rewritten_file_with_valid_contents_is_accepted() {
 }
 
 #[test]
+fn a_file_that_does_not_state_the_rows_it_was_trained_on_is_read_as_unknown() {
+    let (mut metadata, tensors) = contents();
+    assert_eq!(
+        metadata["trained_blocks"],
+        "64:0000000000000003ffffffffffffffff;17:0000000000000000"
+    );
+    for field in ["trained_rows", "trained_blocks"] {
+        metadata.remove(field);
+    }
+    let read = Network::from_safetensors(&forged(&metadata, &tensors)).expect("an older file");
+    assert_eq!(read.card().trained_rows, None);
+    assert_ne!(read.hash(), network(1, FeatureSet::Full).hash());
+}
+
+#[test]
 fn the_activation_is_stored_and_changes_hash_and_forecast() {
     let row = [0.3; INPUTS];
     let mut parameters = parameters(&mut Noise(31), FeatureSet::Full);
@@ -152,6 +167,14 @@ fn wrong_metadata_is_refused_by_name() {
         ("score_network_r2", "NaN"),
         ("score_rows", "-1"),
         ("seed", "seven"),
+        ("trained_rows", "many"),
+        ("trained_blocks", "64"),
+        ("trained_blocks", "0:0000000000000001"),
+        ("trained_blocks", "64:000000000000001"),
+        ("trained_blocks", "64:+00000000000001"),
+        ("trained_blocks", "64:000000000000000g"),
+        ("trained_blocks", "64:00000000000000020000000000000001"),
+        ("trained_blocks", "-1:0000000000000001"),
     ] {
         let (mut metadata, tensors) = contents();
         metadata.insert(field.to_owned(), value.to_owned());

@@ -8,8 +8,8 @@ use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, label};
 use super::series::Series;
 use crate::figure::{Axis, Colour, Direction, Figure, Interval, Layer, Mark, Panel};
-use joulebus_eval::evaluate::{EvaluateError, evaluate_trial};
-use joulebus_eval::score::{Cell as Scores, Recording, recorded_platform};
+use joulebus_eval::evaluate::{EvaluateError, RobotEvaluation, evaluate_trial};
+use joulebus_eval::score::{Cell as Scores, Design, Recording, recorded_platform};
 use joulebus_statistics::metrics::CoverageTally;
 
 /// Nominal coverages.
@@ -30,7 +30,8 @@ pub(super) struct Level {
     fixed: CoverageTally,
 }
 
-/// Runs the live path with intervals of every level on every recording.
+/// Runs the live path with intervals of every level on every recording; `design` names the rows that are
+/// evaluated, else all are.
 ///
 /// # Errors
 /// The settings are refused.
@@ -39,12 +40,17 @@ pub(super) fn levels(
     platform: Option<&Platform>,
     model: &Model,
     recordings: &[Recording],
+    design: Option<&Design>,
 ) -> Result<Vec<Level>, EvaluateError> {
     let std_w = f64::from(model.residual().std_w);
     let level = |coverage: f32| {
         let reach_w = std_w * normal_reach(coverage.into());
-        let each = recordings.par_iter().map(|recording| {
-            let series = live(settings, platform, model, recording, coverage)?;
+        let each = recordings.par_iter().enumerate().map(|(at, recording)| {
+            let mut robot = live(settings, platform, model, recording, coverage)?;
+            if let Some(design) = design {
+                design.restrict(at, recording, &mut robot);
+            }
+            let series = Series::of(&robot);
             let (mut live, mut fixed) = (CoverageTally::default(), CoverageTally::default());
             for at in 0..series.len() {
                 let (reading_w, forecast_w) = (series.reading_w[at], series.forecast_w[at]);
@@ -73,7 +79,7 @@ fn live(
     model: &Model,
     recording: &Recording,
     coverage: f32,
-) -> Result<Series, EvaluateError> {
+) -> Result<RobotEvaluation, EvaluateError> {
     let mut settings = settings.clone();
     settings.interval.coverage = coverage;
     let platform = platform.cloned();
@@ -82,8 +88,7 @@ fn live(
     *leave_after_ns = platform.stale_after_ns.max(*leave_after_ns);
     settings.platforms = vec![platform];
     let models = std::slice::from_ref(model);
-    let robot = evaluate_trial(&settings, models, recording.id, &recording.trial)?;
-    Ok(Series::of(&robot))
+    evaluate_trial(&settings, models, recording.id, &recording.trial)
 }
 
 /// Quantile of the normal distribution for a central share, by bisection.

@@ -8,8 +8,9 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use joulebus_dataset::inspect::find;
+use joulebus_dataset::split::Split;
 use joulebus_dataset::trial::{ColumnMap, MappedColumn};
-use joulebus_eval::score::{Recording, check_apart, read_recordings};
+use joulebus_eval::score::{Design, Recording, check_apart, read_recordings};
 use joulebus_predictor::Model;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
@@ -20,6 +21,9 @@ use joulebus_program::{model_source, verb};
 use joulebus_report::{Document, Recorded, Simulated, SimulatedReport, files, recorded, simulated};
 use joulebus_settings::Platform;
 use joulebus_train::Epoch;
+
+/// The first seed of simulated experiments.
+const SIMULATED_SEED: u64 = 1;
 
 fn main() -> ExitCode {
     verb::main("report", run)
@@ -48,7 +52,7 @@ fn run(args: &ReportArguments, output: Output) -> anyhow::Result<Outcome> {
 }
 
 fn simulate(args: &ReportArguments) -> anyhow::Result<Document> {
-    let mut experiment = Simulated::new(args.seed);
+    let mut experiment = Simulated::new(args.seed.unwrap_or(SIMULATED_SEED));
     (experiment.samples, experiment.robot_steps) = (args.samples, args.samples);
     experiment.draws = args.draws;
     experiment.recipe.max_epochs = args.max_epochs;
@@ -89,19 +93,53 @@ fn evaluate(args: &ReportArguments) -> anyhow::Result<Document> {
     let columns = args.map.iter().map(|column| column.parse::<MappedColumn>());
     let columns = columns.collect::<Result<Vec<_>, _>>();
     let map = ColumnMap::from(columns.map_err(|error| UsageError(error.to_string()))?);
-    let evaluated = read(&args.paths, first, &map)?;
-    let learned_from = read(&args.train, first, &map)?;
-    check_apart(&evaluated, (&learned_from, "in --train"))
-        .map_err(|error| UsageError(error.to_string()))?;
-    say(&format!("evaluating {} recordings", evaluated.len()));
-    Ok(recorded(&Recorded {
+    let recordings = read(&args.paths, first, &map)?;
+    let design = design(args, &recordings, || read(&args.train, first, &map))?;
+    say(&format!(
+        "evaluating {} of {} recordings",
+        design.report().trials,
+        recordings.len()
+    ));
+    let document = recorded(&Recorded {
         settings,
         platform: kind,
         models: &models,
-        recordings: &evaluated,
-        learned_from,
+        recordings: &recordings,
+        design: &design,
         published: args.published,
-    })?)
+    })?;
+    if let Some(warning) = &document.warning {
+        say(&format!("warning: {warning}"));
+    }
+    Ok(document)
+}
+
+/// Which rows are evaluated.
+fn design(
+    args: &ReportArguments,
+    recordings: &[Recording],
+    training: impl FnOnce() -> anyhow::Result<Vec<Recording>>,
+) -> anyhow::Result<Design> {
+    let usage = |error: String| anyhow::Error::from(UsageError(error));
+    if let Some(by) = &args.split {
+        let wanted = Split {
+            by: by.parse().map_err(usage)?,
+            held_out: args.held_out,
+            seed: args.seed.unwrap_or_default(),
+            ..Split::default()
+        };
+        let design = match args.leave_out.as_slice() {
+            [] => Design::held_out(recordings, wanted),
+            names => Design::leaving_out(recordings, wanted, names),
+        };
+        return design.map_err(|error| usage(error.to_string()));
+    }
+    if args.train.is_empty() {
+        return Ok(Design::folds(recordings));
+    }
+    let training = training()?;
+    check_apart(recordings, (&training, "in --train")).map_err(|error| usage(error.to_string()))?;
+    Ok(Design::fitted_on(recordings, training))
 }
 
 fn model(path: &Path) -> anyhow::Result<Model> {

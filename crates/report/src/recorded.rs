@@ -8,7 +8,7 @@ use super::material::{BASELINES, Material};
 use super::robots::Grouping;
 use super::unit::Unit;
 use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
-use joulebus_eval::score::{Design, Options, Recording, Scored, Subject, score};
+use joulebus_eval::score::{Design, Options, Recording, Scored, ScoredRows, Subject, score};
 
 /// Inputs of a report on recordings.
 #[derive(Debug, Clone)]
@@ -21,8 +21,9 @@ pub struct Recorded<'a> {
     pub models: &'a [Model],
     /// The evaluated recordings.
     pub recordings: &'a [Recording],
-    /// Recordings that the baselines are fitted on; empty: cross-fitted on the evaluated ones.
-    pub learned_from: Vec<Recording>,
+    /// Which of their rows are evaluated, and which the baselines are fitted on. Those that a model was
+    /// trained on are scored apart.
+    pub design: &'a Design,
     /// Whether these are the paper's published recordings, so that its numbers are shown.
     pub published: bool,
 }
@@ -40,11 +41,7 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
         published,
         ..
     } = *what;
-    let design = if what.learned_from.is_empty() {
-        Design::folds(recordings)
-    } else {
-        Design::fitted_on(recordings, what.learned_from.clone())
-    };
+    let design = what.design.clone().hold_apart(recordings, models);
     let subject = Subject {
         settings,
         platform,
@@ -54,10 +51,22 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
     };
     let scored = score(subject, &options())?;
     let levels = match models.first() {
-        Some(model) => calibration::levels(settings, platform, model, recordings)?,
+        Some(model) => calibration::levels(settings, platform, model, recordings, Some(&design))?,
         None => Vec::new(),
     };
-    let note = simulation(models);
+    let indexed = recordings.iter().enumerate();
+    let evaluated =
+        indexed.filter(|(at, _)| design.evaluated(*at).any(|(_, rows)| !rows.is_empty()));
+    let evaluated: Vec<Recording> = evaluated.map(|(_, recording)| recording.clone()).collect();
+    let recordings = evaluated.as_slice();
+    let warnings = scored.report.warnings.iter().cloned();
+    let warnings: Vec<String> = simulation(models).into_iter().chain(warnings).collect();
+    let seen = match scored.report.scored_rows {
+        ScoredRows::TrainedOn | ScoredRows::Mixed => Some("trained on these rows".to_owned()),
+        ScoredRows::NotTrainedOn | ScoredRows::Unknown => None,
+    };
+    let notes: Vec<String> = simulation(models).into_iter().chain(seen).collect();
+    let note = (!notes.is_empty()).then(|| notes.join("; "));
     let material = Material {
         recordings,
         scored: &scored,
@@ -84,7 +93,7 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
             "Power forecasts of {}, on {trials} recordings",
             material.model()
         ),
-        warning: note,
+        warning: (!warnings.is_empty()).then(|| warnings.join("; ")),
         summary: vec![verdict(&scored)],
         sections,
     })
@@ -154,8 +163,14 @@ pub(super) fn verdict(scored: &Scored) -> String {
             )
         })
         .collect();
+    let whose = match scored.report.scored_rows {
+        ScoredRows::NotTrainedOn => " that no model was trained on",
+        ScoredRows::TrainedOn => " that a model was trained on",
+        ScoredRows::Mixed => ", on some of which a model was trained",
+        ScoredRows::Unknown => "",
+    };
     format!(
-        "On {} rows of {} trials, one tick ahead, {} reaches R² {:.3} and is {}.",
+        "On {} rows of {} trials{whose}, one tick ahead, {} reaches R² {:.3} and is {}.",
         all.rows,
         all.trials,
         first.name,
@@ -183,11 +198,25 @@ fn inputs(material: &Material<'_>) -> Section {
                 members.join(", ")
             ),
         };
+        let trained_on = match &model.trained_on {
+            Some(found) => format!(
+                "{} of {} rows here ({:.1} %)",
+                found.rows,
+                found.of,
+                100.0 * found.share
+            ),
+            None => "unknown: its file does not state its rows".to_owned(),
+        };
+        row("of which trained on", trained_on);
         row("forecast scored", format!("{}{members}", model.forecast));
     }
     row("platform", report.platform.clone());
     row("recordings", report.design.trials.to_string());
-    row("rows to evaluate", report.design.rows.to_string());
+    row("rows evaluated", report.design.rows.to_string());
+    row(
+        "rows scored apart",
+        report.design.trained_on_rows.to_string(),
+    );
     row("baselines", report.design.description.clone());
     row("period", format!("{:.1} ms", 1e3 * report.period_s));
     let bootstrap = report.bootstrap;
@@ -220,6 +249,14 @@ pub(super) fn all_scores(material: &Material<'_>, shown: Option<Grouping>) -> Se
         "All recordings together, one tick ahead.",
         &[&report.all],
     ))];
+    if let Some(apart) = &report.trained_on {
+        parts.push(Part::Table(scores::table(
+            material,
+            "table-trained-on",
+            "Rows that a model was trained on, one tick ahead: no measure of other recordings.",
+            &[apart],
+        )));
+    }
     let sets = [
         (Grouping::Groups, "group", &report.groups),
         (Grouping::Robots, "robot", &report.robots),

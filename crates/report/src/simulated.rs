@@ -67,7 +67,7 @@ pub fn simulated(
     let Recordings { trials, robots, .. } = &draw.recordings;
     let everything: Vec<Recording> = trials.iter().skip(5).chain(robots).cloned().collect();
     let model = Model::Network(trained.network.clone());
-    let levels = calibration::levels(settings, None, &model, &everything)?;
+    let levels = calibration::levels(settings, None, &model, &everything, None)?;
     Ok(SimulatedReport {
         document: document(experiment, &draws, &draw, &trained, &levels),
         network: trained.network,

@@ -26,6 +26,51 @@ fn recording(folder: &Path, name: &str, rows: u32) -> PathBuf {
 }
 
 #[test]
+fn a_split_reports_on_what_was_held_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    fs::create_dir(&data).unwrap();
+    for trial in 0..6 {
+        recording(&data, &format!("t_{trial}.csv"), 300 + 10 * trial);
+    }
+    let report = |more: &[&str]| {
+        let out = folder.path().join("report");
+        let (data, out) = (data.to_str().unwrap(), out.to_str().unwrap());
+        let arguments = [data, "--model", "builtin:gternal-sim", "-o", out];
+        let made = output([&arguments[..], more].concat());
+        assert_eq!(made.exit_code(), 0, "{}", made.errors());
+        fs::read_to_string(Path::new(out).join("report.txt")).unwrap()
+    };
+    let text = report(&["--split", "trial", "--held-out", "0.3", "--seed", "3"]);
+    assert!(text.contains("split by trial"), "{text}");
+    assert!(
+        text.contains("seed 3") && text.contains("30 % held out"),
+        "{text}"
+    );
+    assert!(text.contains(", on 2 recordings"), "{text}");
+    let text = report(&[
+        "--split",
+        "trial",
+        "--leave-out",
+        data.join("t_4.csv").to_str().unwrap(),
+    ]);
+    assert!(
+        text.contains(", on 1 recordings") && text.contains("t_4.csv held out"),
+        "{text}"
+    );
+    let refused = output([
+        data.to_str().unwrap(),
+        "--model",
+        "builtin:gternal-sim",
+        "--split",
+        "row",
+        "-o",
+        "x",
+    ]);
+    assert_eq!(refused.exit_code(), 2, "{}", refused.errors());
+}
+
+#[test]
 fn one_command_runs_the_simulated_experiments() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("report");

@@ -8,7 +8,7 @@ mod live;
 use std::collections::HashSet;
 use std::sync::OnceLock;
 
-use joulebus_eval::score::Recording;
+use joulebus_eval::score::{Design, Recording};
 use joulebus_predictor::Model;
 use joulebus_report::figure::{Axis, Colour, Figure, Layer, Mark, Panel};
 use joulebus_report::{
@@ -277,13 +277,14 @@ fn on<'a>(
     settings: &'a FleetSettings,
     models: &'a [Model],
     recordings: &'a [Recording],
+    design: &'a Design,
 ) -> Recorded<'a> {
     Recorded {
         settings,
         platform: None,
         models,
         recordings,
-        learned_from: Vec::new(),
+        design,
         published: false,
     }
 }
@@ -292,7 +293,8 @@ fn on<'a>(
 fn recordings_are_compared_with_the_baselines_and_without_the_papers_numbers() {
     let (settings, models) = (settings(), [Model::Network(made().network.clone())]);
     let recordings = recordings(3);
-    let document = recorded(&on(&settings, &models, &recordings)).unwrap();
+    let design = Design::folds(&recordings);
+    let document = recorded(&on(&settings, &models, &recordings, &design)).unwrap();
     let text = document.to_string();
     for name in [
         "network",
@@ -308,7 +310,7 @@ fn recordings_are_compared_with_the_baselines_and_without_the_papers_numbers() {
 
     let published = Recorded {
         published: true,
-        ..on(&settings, &models, &recordings)
+        ..on(&settings, &models, &recordings, &design)
     };
     let document = recorded(&published).unwrap();
     assert!(document.to_string().contains("paper, trial 6"));
@@ -318,9 +320,9 @@ fn recordings_are_compared_with_the_baselines_and_without_the_papers_numbers() {
 fn one_short_recording_is_enough_and_none_is_refused() {
     let (settings, models) = (settings(), [Model::Network(made().network.clone())]);
     let one = recordings(1);
-    let document = recorded(&on(&settings, &models, &one)).unwrap();
+    let document = recorded(&on(&settings, &models, &one, &Design::folds(&one))).unwrap();
     html(&document).unwrap();
-    let refused = recorded(&on(&settings, &models, &[])).unwrap_err();
+    let refused = recorded(&on(&settings, &models, &[], &Design::folds(&[]))).unwrap_err();
     assert!(matches!(refused, ReportError::Score(_)), "{refused}");
     let short = Simulated {
         samples: 99,

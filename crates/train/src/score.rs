@@ -2,7 +2,7 @@
 
 use joulebus_predictor::{
     Activation, FeatureSet, Features, INPUTS, Linear, ModelCard, Network, Normalisation,
-    Parameters, ResidualStats, Scores, TrainingRange,
+    Parameters, ResidualStats, Scores, TrainedRows, TrainingRange,
 };
 
 use super::prepare::mean_and_std;
@@ -15,6 +15,7 @@ use joulebus_statistics::metrics::Tally;
 pub(super) fn finished(
     dataset: &Dataset,
     settings: &TrainSettings,
+    trained_rows: Option<TrainedRows>,
     normalisation: Normalisation,
     weights: &Weights,
 ) -> Result<Network, TrainError> {
@@ -31,6 +32,7 @@ pub(super) fn finished(
         source: settings.source.clone(),
         training_data: dataset.description.clone(),
         training_data_sha256: dataset.sha256(feature_set),
+        trained_rows,
         seed: settings.seed,
         linear: linear(dataset),
         ..ModelCard::new(TrainingRange::of(feature_set, rows))

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use fearless_simd::{Level, dispatch};
-use joulebus_predictor::{Network, Normalisation};
+use joulebus_predictor::{Network, Normalisation, TrainedRows};
 use rayon::iter::{IndexedParallelIterator as _, ParallelIterator as _};
 use rayon::slice::{ParallelSlice as _, ParallelSliceMut as _};
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -16,6 +16,7 @@ use super::score::finished;
 use super::weights::Weights;
 use super::{TrainError, TrainSettings};
 use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_dataset::trained_rows::trained_rows;
 use joulebus_statistics::noise::Noise;
 
 /// Minimum number of rows for training and for scoring.
@@ -53,6 +54,7 @@ pub struct Trained {
 /// number of threads, and whether or not the run was saved and resumed.
 pub struct Training {
     pub(super) dataset: Dataset,
+    trained_rows: Option<TrainedRows>,
     pub(super) settings: TrainSettings,
     findings: Findings,
     normalisation: Normalisation,
@@ -92,6 +94,8 @@ impl Training {
         threads: usize,
     ) -> Result<Self, TrainError> {
         settings.check()?;
+        // Of all rows: an unusable one would cut the run of readings around it.
+        let trained_rows = trained_rows(dataset);
         let (dataset, unusable_rows) = usable(dataset, settings.feature_set);
         check_rows(&dataset, unusable_rows)?;
         let normalisation = normalisation(&dataset.training, settings.feature_set)?;
@@ -128,6 +132,7 @@ impl Training {
             level: Level::new(),
             settings: settings.clone(),
             dataset,
+            trained_rows,
             normalisation,
             training,
             validation,
@@ -204,6 +209,7 @@ impl Training {
         let network = finished(
             &self.dataset,
             &self.settings,
+            self.trained_rows,
             self.normalisation,
             &self.best,
         )?;

@@ -2,7 +2,9 @@
 //! origin.
 
 use joulebus_dataset::rows::{Dataset, Row, sample_rows};
-use joulebus_predictor::{FEATURES, FeatureSet, Features, Kernel, Network, ResidualStats, Scores};
+use joulebus_predictor::{
+    FEATURES, FeatureSet, Features, Kernel, ModelCard, Network, ResidualStats, Scores,
+};
 use joulebus_sim::protocol::SAMPLES;
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
 use joulebus_train::{
@@ -212,7 +214,13 @@ fn unusable_rows_are_left_out_counted_and_change_nothing_else() {
     );
     assert_eq!(found.findings.unusable_rows, [2, 0, 1]);
     assert_eq!(found.findings.training_rows, clean.training.len());
-    assert_eq!(found.network.hash(), expected.network.hash());
+    assert_eq!(found.network.parameters(), expected.network.parameters());
+    // The file identifies recordings, whose unusable rows belong to them.
+    let card = |trained: &Trained| ModelCard {
+        trained_rows: None,
+        ..trained.network.card().clone()
+    };
+    assert_eq!(card(&found), card(&expected));
 }
 
 #[test]
@@ -544,5 +552,5 @@ fn a_network_with_reading_age_learns_when_the_next_reading_comes() {
 }
 
 /// Hashes of the tiny networks, from this trainer on x86-64.
-const FULL_HASH: u64 = 0x5a27_88a6_3e10_c9da;
-const POWER_ONLY_HASH: u64 = 0x037e_8ab4_983e_47ab;
+const FULL_HASH: u64 = 0x55bc_1c77_6f24_b5f0;
+const POWER_ONLY_HASH: u64 = 0x227c_d2f4_e0c3_1132;

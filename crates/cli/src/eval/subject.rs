@@ -147,8 +147,13 @@ impl Selection {
         }
     }
 
-    /// The evaluated rows.
-    pub(crate) fn design(&self, section: &Section) -> anyhow::Result<Design> {
+    /// The evaluated rows; those that a model was trained on are apart.
+    pub(crate) fn design(&self, section: &Section, models: &[Model]) -> anyhow::Result<Design> {
+        let design = self.wanted_design(section)?;
+        Ok(design.hold_apart(&section.recordings, models))
+    }
+
+    fn wanted_design(&self, section: &Section) -> anyhow::Result<Design> {
         let recordings = &section.recordings;
         if let Some(together) = self.split {
             let wanted = Split {

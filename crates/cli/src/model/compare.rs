@@ -8,14 +8,14 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::eval::{Selection, load, usage};
+use crate::eval::{Selection, load, usage, warn};
 
 /// Compare two models on the same recordings: by group, robot and trial, with paired intervals
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus model compare old.safetensors new.safetensors recordings/\n  \
     joulebus model compare old.safetensors new.safetensors recordings/ --split trial --fail-worse\n\n\
-    Both are scored on the rows for which both have a forecast. Differences are new less old; skill is \
+    Both are scored on the rows for which both have a forecast and that neither was trained on. Differences are new less old; skill is \
     1 - squared error of the new over that of the old. Better or worse means that the whole \
     confidence interval of the skill lies on one side of 0; of twenty robots, one will do so by chance \
     at 95 %.\n\n\
@@ -47,9 +47,11 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let options = args.asked.options()?;
     let mut comparisons = Vec::new();
     for section in args.asked.sections(config.settings(), true)? {
-        let design = args.asked.design(&section)?;
+        let design = args.asked.design(&section, &models)?;
         let subject = section.subject(&models, &design);
-        comparisons.push(compare(subject, &options).map_err(usage)?);
+        let comparison = compare(subject, &options).map_err(usage)?;
+        warn(&comparison.warnings);
+        comparisons.push(comparison);
     }
     let worse = comparisons
         .iter()

@@ -60,6 +60,8 @@ struct OwnReport {
     source: String,
     training_data: String,
     training_data_sha256: String,
+    /// Rows that it was trained on and that are recognised; none if its file does not state them.
+    trained_rows: Option<u64>,
     seed: u64,
     feature_set: &'static str,
     activation: &'static str,
@@ -163,6 +165,7 @@ impl OwnReport {
             source: card.source.clone(),
             training_data: card.training_data.clone(),
             training_data_sha256: card.training_data_sha256.clone(),
+            trained_rows: card.trained_rows.as_ref().map(|trained| trained.rows),
             seed: card.seed,
             feature_set: set.name(),
             activation: parameters.activation.name(),
@@ -190,6 +193,10 @@ impl fmt::Display for OwnReport {
         writeln!(out, "hash          {}", self.model_hash)?;
         writeln!(out, "source        {}", self.source)?;
         writeln!(out, "training data {}", self.training_data)?;
+        match self.trained_rows {
+            Some(rows) => writeln!(out, "trained rows  {rows}, recognised by eval and report")?,
+            None => writeln!(out, "trained rows  unknown: the file does not state them")?,
+        }
         let first = self.layers.first().map_or(0, |layer| layer.inputs);
         let widths: Vec<String> = std::iter::once(first)
             .chain(self.layers.iter().map(|layer| layer.outputs))

@@ -23,6 +23,8 @@ use run::RunArguments;
 #[command(after_help = "Examples:\n  \
     joulebus train sim --seed 7 --out gternal-sim.safetensors\n  \
     joulebus train trials recordings/ --split group --out husky.safetensors\n\n\
+    The model file identifies the rows it was trained on, so that `eval` and `report` can score them \
+    apart.\n\
     Ctrl-C saves a checkpoint beside the model; --resume continues from it, to the same bytes.")]
 pub(crate) struct Args {
     #[command(subcommand)]

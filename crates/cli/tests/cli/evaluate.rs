@@ -180,7 +180,8 @@ fn split_holds_out_the_trials_that_training_held_out() {
         json(&done)["evaluations"][0].clone()
     };
     let own = eval("3", "trial");
-    assert_eq!(own["models"][0]["split_is_its_own"], true, "{own}");
+    assert_eq!(own["models"][0]["trained_on"]["rows"], 0, "{own}");
+    assert_eq!(own["scored_rows"], "not_trained_on", "{own}");
     assert_eq!(
         (
             own["design"]["trials"].as_u64(),
@@ -195,7 +196,7 @@ fn split_holds_out_the_trials_that_training_held_out() {
     }
     assert!(own["open_loop"]["horizons"].as_array().unwrap().is_empty());
     let other = eval("4", "trial");
-    assert_eq!(other["models"][0]["split_is_its_own"], false);
+    assert_ne!(other["models"][0]["trained_on"]["rows"], 0, "{other}");
     let in_time = eval("3", "time");
     assert_eq!(in_time["design"]["trials"], 10);
     let told = output([
@@ -209,10 +210,73 @@ fn split_holds_out_the_trials_that_training_held_out() {
         "3",
     ]);
     assert!(
-        stdout(&told).contains("the evaluated rows were held out"),
+        stdout(&told).contains("on none of the 150 rows evaluated here"),
         "{}",
         stdout(&told)
     );
+}
+
+#[test]
+fn rows_trained_on_are_recognised_under_other_names_and_in_captures_and_scored_apart() {
+    let fleet = Fleet::new();
+    let folder = tempfile::tempdir().unwrap();
+    let data = recordings(folder.path(), 10, 80);
+    let model = folder.path().join("own.safetensors");
+    let recipe = folder.path().join("recipe.toml");
+    fs::write(&recipe, "[training]\nmax_epochs = 1\n").unwrap();
+    let (recipe, model) = (text(&recipe), text(&model));
+    let arguments = [
+        "train",
+        "trials",
+        text(&data),
+        "--recipe",
+        recipe,
+        "--out",
+        model,
+    ];
+    let trained = output([&arguments[..], &["--format", "json"]].concat());
+    assert_eq!(code(&trained), 0, "{}", stderr(&trained));
+    let split = json(&trained)["split"].clone();
+    let of = |part: &str| PathBuf::from(split[part][0].as_str().unwrap());
+    let eval = |path: &Path| {
+        let arguments = ["eval", "--model", model, text(path), "--resamples", "0"];
+        let done = output([&arguments[..], &["--horizons", "none", "--format", "json"]].concat());
+        assert_eq!(code(&done), 0, "{}", stderr(&done));
+        (json(&done)["evaluations"][0].clone(), stderr(&done))
+    };
+
+    // 8 of 10 trials of 75 rows were trained on or chose the epoch: the other two are the headline.
+    let (whole, told) = eval(&data);
+    assert_eq!(whole["models"][0]["trained_on"]["rows"], 8 * 75, "{whole}");
+    assert_eq!(whole["all"]["rows"], 2 * 75);
+    assert_eq!(whole["trained_on"]["rows"], 8 * 75);
+    assert_eq!(whole["scored_rows"], "not_trained_on");
+    assert!(
+        told.contains("warning") && told.contains("80.0 %"),
+        "{told}"
+    );
+
+    let renamed = folder.path().join("new name.csv");
+    fs::copy(of("training"), &renamed).unwrap();
+    let capture = fleet.path("played.mcap");
+    let mut import = fleet.joulebus("import");
+    import.arg(of("training")).arg("-o").arg(&capture);
+    let imported = import.output().unwrap();
+    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
+    for path in [renamed, capture, of("validation")] {
+        let (found, told) = eval(&path);
+        assert_eq!(
+            found["models"][0]["trained_on"]["share"],
+            1.0,
+            "{}",
+            path.display()
+        );
+        assert_eq!(found["scored_rows"], "trained_on");
+        assert!(told.contains("100.0 %"), "{told}");
+    }
+    let (found, told) = eval(&of("held_out"));
+    assert_eq!(found["models"][0]["trained_on"]["rows"], 0);
+    assert!(!told.contains("warning"), "{told}");
 }
 
 #[test]

@@ -10,6 +10,7 @@ use super::cell::Role;
 use super::design::DesignReport;
 use super::report::ModelReport;
 use super::run::{Scored, score};
+use super::trained_on::ScoredRows;
 use super::{Options, ScoreError, Subject};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
 
@@ -26,6 +27,10 @@ pub struct Comparison {
     pub old: ModelReport,
     /// The new model.
     pub new: ModelReport,
+    /// What the compared rows are to the models.
+    pub scored_rows: ScoredRows,
+    /// What must be known before the scores are read.
+    pub warnings: Vec<String>,
     /// Which rows were compared.
     pub design: DesignReport,
     /// Configuration of the confidence intervals; both models share the draws.
@@ -196,6 +201,8 @@ pub fn compare(subject: Subject<'_>, options: &Options) -> Result<Comparison, Sc
         platform: report.platform,
         old,
         new,
+        scored_rows: report.scored_rows,
+        warnings: report.warnings,
         design: report.design,
         bootstrap: options.bootstrap,
         all: difference(&blocks, &blocks.all(), &options.bootstrap),

@@ -21,41 +21,64 @@ struct Column {
     hi_w: Vec<f32>,
 }
 
-/// Sums of one recording, and the live path of each model. Both are empty without rows to evaluate.
+/// Results of one recording; empty without rows to evaluate.
+#[derive(Default)]
+pub(super) struct Found {
+    /// Of the evaluated rows.
+    pub(super) sums: Sums,
+    /// Of the rows that a model was trained on, without open loop.
+    pub(super) trained_on: Sums,
+    /// The live path of each model.
+    pub(super) live: Vec<RobotEvaluation>,
+}
+
+/// Sums of one recording, and the live path of each model.
 pub(super) fn one(
     subject: Subject<'_>,
     options: &Options,
     lines: &Lines,
     at: usize,
-) -> Result<(Sums, Vec<RobotEvaluation>), ScoreError> {
+) -> Result<Found, ScoreError> {
     let recording = &subject.recordings[at];
     let parts: Vec<_> = subject.design.evaluated(at).collect();
-    if parts.iter().all(|(_, rows)| rows.is_empty()) {
-        return Ok((Sums::default(), Vec::new()));
+    let apart: Vec<_> = subject.design.apart(at).collect();
+    if parts.iter().chain(&apart).all(|(_, rows)| rows.is_empty()) {
+        return Ok(Found::default());
     }
-    let live = live(subject, recording)?;
+    let mut live = live(subject, recording)?;
     let columns: Vec<Column> = live.iter().map(|live| column(recording, live)).collect();
     let members = Member::of(subject).into_iter();
     let members: Vec<Vec<f32>> = members
         .map(|(_, member)| member.forecasts_w(recording))
         .collect();
-    let mut sums = Sums::default();
-    for (fold, rows) in &parts {
-        add_rows(
-            &mut sums,
-            recording,
-            (&columns, &members),
-            &lines[*fold],
-            rows.clone(),
-            options,
-        );
-    }
-    for residuals_w in &mut sums.residuals_w {
-        residuals_w.sort_unstable_by(f32::total_cmp);
-    }
+    let sums_of = |parts: &[(usize, Range<usize>)]| {
+        let mut sums = Sums::default();
+        for (fold, rows) in parts.iter().filter(|(_, rows)| !rows.is_empty()) {
+            add_rows(
+                &mut sums,
+                recording,
+                (&columns, &members),
+                &lines[*fold],
+                rows.clone(),
+                options,
+            );
+        }
+        for residuals_w in &mut sums.residuals_w {
+            residuals_w.sort_unstable_by(f32::total_cmp);
+        }
+        sums
+    };
+    let mut sums = sums_of(&parts);
     let before = subject.design.evaluated_before(at);
     sums.horizons = open_loop::sums(subject.models, recording, (&parts, before), lines, options);
-    Ok((sums, live))
+    for live in &mut live {
+        subject.design.restrict(at, recording, live);
+    }
+    Ok(Found {
+        sums,
+        trained_on: sums_of(&apart),
+        live: if parts.is_empty() { Vec::new() } else { live },
+    })
 }
 
 fn live(subject: Subject<'_>, recording: &Recording) -> Result<Vec<RobotEvaluation>, ScoreError> {

@@ -3,7 +3,6 @@
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
-use joulebus_predictor::FeatureSet;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -32,9 +31,6 @@ pub struct Design {
     pub folds: Vec<Fold>,
     /// Names of the evaluated units; for a split in time, and without a split, the trials.
     pub units: Vec<String>,
-    /// SHA-256 of the split's three parts for each feature set, for comparison with a model's
-    /// training data.
-    data_sha256: Vec<(FeatureSet, String)>,
     /// Recordings used only for fitting.
     others: Vec<Recording>,
 }
@@ -47,6 +43,9 @@ pub struct Fold {
     /// Indices of recordings with the rows that the baselines are fitted on. Indices beyond the
     /// evaluated recordings are of those used only for fitting.
     pub fitted: Vec<Part>,
+    /// Rows that a model was trained on, with these baselines: scored apart
+    /// ([`Design::hold_apart`]).
+    pub trained_on: Vec<Part>,
 }
 
 impl PartialEq for Recording {
@@ -66,7 +65,7 @@ impl Design {
     /// [`ScoreError::Split`].
     pub fn held_out(recordings: &[Recording], wanted: Split) -> Result<Self, ScoreError> {
         let sources = sources(recordings);
-        Ok(Self::assigned(&sources, assign(&sources, wanted)?, wanted))
+        Ok(Self::assigned(assign(&sources, wanted)?, wanted))
     }
 
     /// The same with the held-out units given by name: surfaces or robots unknown to the model.
@@ -80,10 +79,10 @@ impl Design {
     ) -> Result<Self, ScoreError> {
         let sources = sources(recordings);
         let assignment = assign_leaving_out(&sources, wanted, names)?;
-        Ok(Self::assigned(&sources, assignment, wanted))
+        Ok(Self::assigned(assignment, wanted))
     }
 
-    fn assigned(sources: &[Source], assignment: Assignment, wanted: Split) -> Self {
+    fn assigned(assignment: Assignment, wanted: Split) -> Self {
         let mut fold = Fold::default();
         for (at, [training, validation, held_out]) in assignment.ranges.iter().cloned().enumerate()
         {
@@ -93,10 +92,6 @@ impl Design {
         for parts in [&mut fold.fitted, &mut fold.evaluated] {
             parts.retain(|part| !part.1.is_empty());
         }
-        let dataset = assignment.dataset(sources, String::new());
-        let hash = |set: FeatureSet| (set, dataset.sha256(set));
-        // Feature sets that read the same reading-age columns have the same hash.
-        let hashes = [FeatureSet::Full, FeatureSet::Freshness].map(hash);
         Self {
             description: format!("split {}", assignment.summary.name),
             split: Some(wanted),
@@ -105,20 +100,8 @@ impl Design {
                 By::Time => assignment.summary.training,
                 _ => assignment.summary.held_out,
             },
-            data_sha256: hashes.into(),
             others: Vec::new(),
         }
-    }
-
-    /// SHA-256 of the split's three parts as a model with these features would have been trained on
-    /// them, hexadecimal; `None` without a split.
-    #[must_use]
-    pub fn data_sha256(&self, set: FeatureSet) -> Option<&str> {
-        let same = |other: &FeatureSet| other.needs_freshness() == set.needs_freshness();
-        let mut hashes = self.data_sha256.iter();
-        hashes
-            .find(|hash| same(&hash.0))
-            .map(|hash| hash.1.as_str())
     }
 
     /// Evaluates every row. The recordings are assigned in turn to up to ten folds, and the
@@ -144,7 +127,6 @@ impl Design {
             split: None,
             folds,
             units: names(recordings),
-            data_sha256: Vec::new(),
             others: Vec::new(),
         }
     }
@@ -156,6 +138,7 @@ impl Design {
         let fold = Fold {
             evaluated: recordings.iter().enumerate().map(whole).collect(),
             fitted: (recordings.len()..).zip(&others).map(whole).collect(),
+            trained_on: Vec::new(),
         };
         Self {
             description: format!(
@@ -165,7 +148,6 @@ impl Design {
             split: None,
             folds: vec![fold],
             units: names(recordings),
-            data_sha256: Vec::new(),
             others,
         }
     }
@@ -180,7 +162,8 @@ impl Design {
         let parts = self
             .folds
             .iter()
-            .flat_map(|fold| fold.evaluated.iter().chain(&fold.fitted));
+            .flat_map(|fold| [&fold.evaluated, &fold.fitted, &fold.trained_on])
+            .flatten();
         for (recording, rows) in parts {
             let allowed = all.get(*recording).copied().unwrap_or(0);
             if rows.end > allowed {
@@ -196,11 +179,24 @@ impl Design {
 
     /// Row ranges of a recording that are evaluated, each with the index of its fold.
     pub fn evaluated(&self, recording: usize) -> impl Iterator<Item = (usize, Range<usize>)> + '_ {
+        self.ranges(recording, |fold| &fold.evaluated)
+    }
+
+    /// Row ranges of a recording that are scored apart, each with the index of its fold.
+    pub(super) fn apart(
+        &self,
+        recording: usize,
+    ) -> impl Iterator<Item = (usize, Range<usize>)> + '_ {
+        self.ranges(recording, |fold| &fold.trained_on)
+    }
+
+    fn ranges(
+        &self,
+        recording: usize,
+        of: fn(&Fold) -> &Vec<Part>,
+    ) -> impl Iterator<Item = (usize, Range<usize>)> + '_ {
         self.folds.iter().enumerate().flat_map(move |(fold, rows)| {
-            let own = rows
-                .evaluated
-                .iter()
-                .filter(move |part| part.0 == recording);
+            let own = of(rows).iter().filter(move |part| part.0 == recording);
             own.map(move |part| (fold, part.1.clone()))
         })
     }
@@ -239,6 +235,7 @@ impl Design {
             folds: self.folds.len(),
             trials: evaluated.len(),
             rows: rows(|fold| &fold.evaluated),
+            trained_on_rows: rows(|fold| &fold.trained_on),
             fitted_rows: rows(|fold| &fold.fitted),
             units: self.units.clone(),
         }
@@ -258,6 +255,8 @@ pub struct DesignReport {
     pub trials: usize,
     /// Evaluated rows.
     pub rows: usize,
+    /// Rows that a model was trained on, scored apart.
+    pub trained_on_rows: usize,
     /// Rows that baselines are fitted on, summed over the folds.
     pub fitted_rows: usize,
     /// Names of the evaluated units.
@@ -302,6 +301,7 @@ fn in_halves(rows: usize) -> Vec<Fold> {
     let fold = |evaluated: Range<usize>, fitted: Range<usize>| Fold {
         evaluated: vec![(0, evaluated)],
         fitted: vec![(0, fitted)],
+        trained_on: Vec::new(),
     };
     vec![fold(first, from..rows), fold(second, 0..until)]
 }

@@ -8,6 +8,7 @@ use super::blocks::{Set, Tallied};
 use super::cell::{Cell, HorizonCell, Names, cell, horizon_cell};
 use super::design::{DesignReport, Lines};
 use super::members::Member;
+use super::trained_on::{ScoredRows, TrainedOn, warnings};
 use super::{Options, Subject};
 use crate::evaluate::Forecast;
 use joulebus_statistics::bootstrap::Bootstrap;
@@ -21,6 +22,10 @@ pub struct ScoreReport {
     pub platform: String,
     /// The models, in order.
     pub models: Vec<ModelReport>,
+    /// What the rows of all tables but `trained_on` are to the models.
+    pub scored_rows: ScoredRows,
+    /// What must be known before the scores are read.
+    pub warnings: Vec<String>,
     /// Which rows were evaluated.
     pub design: DesignReport,
     /// The linear baselines, in order.
@@ -31,6 +36,8 @@ pub struct ScoreReport {
     pub period_s: f64,
     /// Corrected mode, all recordings.
     pub all: Cell,
+    /// Corrected mode, rows that a model was trained on, where they are scored apart.
+    pub trained_on: Option<Cell>,
     /// By group; empty if there is only one.
     pub groups: Vec<Cell>,
     /// By robot; empty if there is only one.
@@ -62,9 +69,9 @@ pub struct ModelReport {
     pub members: Vec<String>,
     /// Its training data as stated in its file; `None` for persistence.
     pub training_data: Option<String>,
-    /// Whether it was trained with the same split, so that the evaluated rows were held out. `None`
-    /// if unknown.
-    pub split_is_its_own: Option<bool>,
+    /// The rows that it was trained on, among those that were to be evaluated. `None` if its file does not state
+    /// them.
+    pub trained_on: Option<TrainedOn>,
 }
 
 /// A linear baseline.
@@ -82,7 +89,7 @@ pub(super) fn report(
     subject: Subject<'_>,
     options: &Options,
     lines: &Lines,
-    tallied: &Tallied,
+    [tallied, apart]: [&Tallied; 2],
 ) -> ScoreReport {
     let names = names(subject, options);
     let tables = |sets: Vec<Set>| -> (Vec<Cell>, Vec<HorizonCell>) {
@@ -95,6 +102,12 @@ pub(super) fn report(
         };
         sets.par_iter().map(of).unzip()
     };
+    let models = 0..subject.models.len();
+    let models: Vec<ModelReport> = models.map(|at| of_model(at, subject, &names)).collect();
+    let design = subject.design;
+    let scored_rows = design.scored_rows(subject.recordings, subject.models);
+    let stated = models.iter();
+    let stated = stated.map(|model| (model.name.as_str(), model.trained_on));
     let all = tallied.all();
     let (groups, open_loop_groups) = tables(tallied.groups());
     let (robots, open_loop_robots) = tables(tallied.robots());
@@ -103,14 +116,15 @@ pub(super) fn report(
         platform: subject
             .platform
             .map_or_else(|| "recorded".to_owned(), |platform| platform.name.clone()),
-        models: (0..subject.models.len())
-            .map(|at| of_model(at, subject, &names))
-            .collect(),
-        design: subject.design.report(),
+        scored_rows,
+        warnings: warnings(stated, scored_rows),
+        models,
+        design: design.report(),
         baselines: baselines(options, lines),
         bootstrap: options.bootstrap,
         period_s: tallied.period_s(),
         all: cell(tallied, &all, &names, options),
+        trained_on: (apart.rows() > 0).then(|| cell(apart, &apart.all(), &names, options)),
         groups,
         robots,
         trials,
@@ -166,16 +180,13 @@ fn of_model(at: usize, subject: Subject<'_>, names: &Names) -> ModelReport {
         Model::Network(network) => Some(network.card()),
         Model::Persistence(_) => None,
     };
-    let split = subject.design.data_sha256(model.feature_set());
     ModelReport {
         name: model.name().to_owned(),
         hash: format!("{:016x}", model.hash()),
         forecast: subject.forecast(model),
         members: members(at, subject, names),
         training_data: card.map(|card| card.training_data.clone()),
-        split_is_its_own: card
-            .zip(split)
-            .map(|(card, split)| card.training_data_sha256 == split),
+        trained_on: subject.design.trained_on(subject.recordings, model),
     }
 }
 

@@ -13,7 +13,7 @@ use crate::evaluate::{Evaluation, RobotEvaluation};
 pub struct Scored {
     /// All scores.
     pub report: ScoreReport,
-    /// The live path of each model, step by step.
+    /// The live path of each model, step by step; readings of rows that are not evaluated are not scored.
     pub live: Vec<Evaluation>,
     pub(crate) blocks: Tallied,
 }
@@ -65,8 +65,15 @@ pub fn score(subject: Subject<'_>, options: &Options) -> Result<Scored, ScoreErr
         .into_par_iter()
         .map(|at| corrected::one(subject, options, &lines, at))
         .collect::<Result<Vec<_>, _>>()?;
-    let (tallied, by_recording): (Vec<_>, Vec<Vec<RobotEvaluation>>) = all.into_iter().unzip();
-    let blocks = Tallied::new(recordings, tallied);
+    let (mut evaluated, mut apart) = (Vec::new(), Vec::new());
+    let mut by_recording: Vec<Vec<RobotEvaluation>> = Vec::new();
+    for found in all {
+        evaluated.push(found.sums);
+        apart.push(found.trained_on);
+        by_recording.push(found.live);
+    }
+    let blocks = Tallied::new(recordings, evaluated);
+    let apart = Tallied::new(recordings, apart);
     if blocks.rows() == 0 {
         let rows = recordings.iter().map(|recording| recording.trial.rows());
         return Err(ScoreError::NoRows {
@@ -80,7 +87,7 @@ pub fn score(subject: Subject<'_>, options: &Options) -> Result<Scored, ScoreErr
             evaluation.robots.push(robot);
         }
     }
-    let report = report(subject, options, &lines, &blocks);
+    let report = report(subject, options, &lines, [&blocks, &apart]);
     Ok(Scored {
         report,
         live,

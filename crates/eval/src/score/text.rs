@@ -6,6 +6,7 @@ use super::cell::{Cell, ForecasterScore, HorizonCell, Role, Skill};
 use super::compare::{Comparison, Difference};
 use super::design::DesignReport;
 use super::report::{ModelReport, ScoreReport};
+use super::trained_on::{ScoredRows, TrainedOn};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate, LEAST_BLOCKS};
 
 /// Maximum number of trials listed individually; of more, only the worst.
@@ -21,10 +22,18 @@ impl fmt::Display for ScoreReport {
         self.write_data(out)?;
         writeln!(
             out,
-            "\nCorrected: from real readings, one tick ahead ({:.1} ms)",
-            1e3 * self.period_s
+            "\nCorrected: from real readings, one tick ahead ({:.1} ms){}",
+            1e3 * self.period_s,
+            whose(self.scored_rows)
         )?;
         write_cell(out, &self.all, &self.bootstrap)?;
+        if let Some(apart) = &self.trained_on {
+            writeln!(
+                out,
+                "\nThe same on rows that a model was trained on: no measure of other recordings"
+            )?;
+            write_cell(out, apart, &self.bootstrap)?;
+        }
         write_cells(out, "group", &self.groups)?;
         write_cells(out, "robot", &self.robots)?;
         write_trials(out, &self.trials)?;
@@ -77,17 +86,18 @@ fn write_model(out: &mut Formatter<'_>, what: &str, model: &ModelReport) -> fmt:
         return Ok(());
     };
     writeln!(out, "  trained on: {training_data}")?;
-    match model.split_is_its_own {
-        Some(true) => writeln!(
+    match model.trained_on {
+        Some(TrainedOn { rows: 0, of, .. }) => {
+            writeln!(out, "  on none of the {of} rows evaluated here")
+        }
+        Some(TrainedOn { rows, of, share }) => {
+            let percent = 100.0 * share;
+            writeln!(out, "  on {rows} of the {of} rows here ({percent:.1} %)")
+        }
+        None => writeln!(
             out,
-            "  with the same split of the same recordings: the evaluated rows were held out"
+            "  its file does not state its rows: whether it was trained on these is unknown"
         ),
-        Some(false) => writeln!(
-            out,
-            "  with other recordings or another split: its file does not \
-             state whether it has seen these rows"
-        ),
-        None => Ok(()),
     }
 }
 
@@ -111,12 +121,17 @@ fn write_design(out: &mut Formatter<'_>, design: &DesignReport, platform: &str) 
     let DesignReport {
         trials,
         rows,
+        trained_on_rows,
         description,
         ..
     } = design;
+    let apart = match trained_on_rows {
+        0 => String::new(),
+        rows => format!(", besides {rows} that a model was trained on"),
+    };
     writeln!(
         out,
-        "data: {trials} trials, {rows} rows of platform {platform}; {description}"
+        "data: {trials} trials, {rows} rows{apart} of platform {platform}; {description}"
     )
 }
 
@@ -132,6 +147,16 @@ fn between(estimate: &Estimate, scale: f64, digits: usize) -> String {
 fn name_width<'a>(names: impl Iterator<Item = &'a str>, least: usize) -> usize {
     let longest = names.map(|name| name.chars().count()).max();
     longest.unwrap_or(0).max(least)
+}
+
+/// What the rows of a table are to the models.
+const fn whose(rows: ScoredRows) -> &'static str {
+    match rows {
+        ScoredRows::NotTrainedOn => ", rows that no model was trained on",
+        ScoredRows::TrainedOn => ", ROWS THAT A MODEL WAS TRAINED ON",
+        ScoredRows::Mixed => ", ROWS OF WHICH A MODEL WAS TRAINED ON SOME",
+        ScoredRows::Unknown => "",
+    }
 }
 
 /// The forecasters one per line, with confidence intervals.
@@ -377,6 +402,11 @@ impl fmt::Display for Comparison {
         write_model(out, "old: model", &self.old)?;
         write_model(out, "new: model", &self.new)?;
         write_design(out, &self.design, &self.platform)?;
+        writeln!(
+            out,
+            "\nCorrected: from real readings, one tick ahead{}",
+            whose(self.scored_rows)
+        )?;
         write_sides(out, &self.all)?;
         for member in &self.members {
             let (r2, mae_w) = (Number(member.r2, 0, 4), Number(member.mae_w, 0, 4));

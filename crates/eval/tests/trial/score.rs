@@ -2,14 +2,16 @@
 
 use std::collections::HashSet;
 
-use joulebus_dataset::rows::Row;
+use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_dataset::split::{By, Split, split};
+use joulebus_dataset::trained_rows::trained_rows;
 use joulebus_dataset::trial::Trial;
+use joulebus_eval::evaluate;
 use joulebus_eval::score::{
-    Comparison, Design, Options, Recording, ScoreError, Scored, Subject, Verdict, compare,
-    recorded_platform, score,
+    Comparison, Design, Options, Recording, Role, ScoreError, ScoreReport, Scored, ScoredRows,
+    Subject, Verdict, compare, recorded_platform, score,
 };
-use joulebus_predictor::{FeatureSet, LAGS, Model};
+use joulebus_predictor::{FeatureSet, LAGS, Model, ModelCard, Network};
 use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_statistics::metrics::{ResidualQuantiles, sorted, tally};
@@ -583,10 +585,6 @@ fn scoring_and_training_hold_out_the_same_rows() {
         found.sort_unstable();
         held_out.sort_unstable();
         assert_eq!(found, held_out, "{by}");
-        for set in FeatureSet::ALL {
-            let hash = dataset.sha256(set);
-            assert_eq!(design.data_sha256(set), Some(hash.as_str()), "{by}");
-        }
         assert!(
             design.description.contains(&format!("by {by}")),
             "{}",
@@ -679,6 +677,194 @@ fn rows_without_a_forecast_are_left_out_for_all_and_counted() {
     assert!(report.open_loop.horizons[1].unscored > 0);
     let text = report.to_string();
     assert!(text.contains("rows left out"), "{text}");
+}
+
+/// A network whose file states that it was trained on these recordings, or that it is unknown.
+fn trained_on(recordings: Option<&[Recording]>) -> Model {
+    let Model::Network(network) = network(5, FeatureSet::Full, 30.0) else {
+        panic!("a network");
+    };
+    let rows = recordings.map(|recordings| {
+        let rows = recordings.iter().flat_map(|one| &one.rows.rows);
+        let dataset = Dataset {
+            training: rows.copied().collect(),
+            validation: Vec::new(),
+            held_out: Vec::new(),
+            description: String::new(),
+        };
+        trained_rows(&dataset).unwrap()
+    });
+    let card = ModelCard {
+        trained_rows: rows,
+        ..network.card().clone()
+    };
+    Model::Network(Network::new(network.parameters().clone(), card).unwrap())
+}
+
+fn rows_of(recordings: &[Recording]) -> usize {
+    recordings.iter().map(|one| one.rows.rows.len()).sum()
+}
+
+fn apart(recordings: &[Recording], models: &[Model]) -> Scored {
+    let design = Design::folds(recordings).hold_apart(recordings, models);
+    run(recordings, models, &design, &quick())
+}
+
+#[test]
+fn rows_that_a_model_was_trained_on_are_scored_apart_in_every_table() {
+    let recordings = made_up(5, 300);
+    let (seen, others) = recordings.split_at(3);
+    let models = [trained_on(Some(seen))];
+    let Scored { report, live, .. } = apart(&recordings, &models);
+    let stated = report.models[0].trained_on.unwrap();
+    assert_eq!(stated.rows, rows_of(seen));
+    assert_eq!(stated.of, rows_of(&recordings));
+    assert_eq!(report.scored_rows, ScoredRows::NotTrainedOn);
+    assert_eq!(report.all.rows, rows_of(others) as u64);
+    assert_eq!(report.trials.len(), 2, "{report}");
+    let cell = report.trained_on.as_ref().unwrap();
+    assert_eq!(cell.rows, rows_of(seen) as u64);
+    let ahead = &report.open_loop.horizons[0];
+    assert_eq!(ahead.origins, report.all.rows);
+    assert_eq!(live[0].robots.len(), 2);
+    // What is scored apart changes no other score: those of the others alone, by formula.
+    for (cell, recordings) in [(&report.all, others), (cell, seen)] {
+        let rows = || recordings.iter().flat_map(|one| &one.rows.rows);
+        let readings: Vec<f64> = rows().map(|row| row.target_w.into()).collect();
+        let last: Vec<f64> = rows().map(|row| row.features[NEWEST].into()).collect();
+        let found = &cell.forecasters[1];
+        assert!(near(found.r2.value, tally(&readings, &last, 1.0).r2()));
+    }
+    let [warning] = report.warnings.as_slice() else {
+        panic!("{:?}", report.warnings);
+    };
+    assert!(warning.contains("scored apart"), "{warning}");
+    let text = report.to_string();
+    for said in [
+        "rows that no model was trained on",
+        "on rows that a model was trained on",
+    ] {
+        assert!(text.contains(said), "{said}: {text}");
+    }
+}
+
+#[test]
+fn parts_of_a_recording_that_were_trained_on_are_scored_apart() {
+    let recordings = made_up(3, 600);
+    let wanted = Split {
+        by: By::Time,
+        held_out: 0.3,
+        ..Split::default()
+    };
+    let sources: Vec<_> = recordings.iter().map(Recording::source).collect();
+    let (dataset, _) = split(&sources, wanted, "").unwrap();
+    let Model::Network(network) = trained_on(None) else {
+        panic!("a network");
+    };
+    let card = ModelCard {
+        trained_rows: trained_rows(&dataset),
+        ..network.card().clone()
+    };
+    let network = Network::new(network.parameters().clone(), card).unwrap();
+    let models = [Model::Network(network)];
+    // Its own split: nothing of it.
+    let design = Design::held_out(&recordings, wanted).unwrap();
+    let own = design.clone().hold_apart(&recordings, &models);
+    assert_eq!(own, design);
+    let report = run(&recordings, &models, &own, &quick()).report;
+    assert_eq!(report.models[0].trained_on.unwrap().rows, 0);
+    assert!(report.warnings.is_empty());
+    // All rows: what was held out is the headline, and the live scores are those of the same rows.
+    let Scored { report, live, .. } = apart(&recordings, &models);
+    assert!(report.all.rows >= dataset.held_out.len() as u64);
+    assert!(report.all.rows < dataset.held_out.len() as u64 + 3 * 16);
+    let scored: u64 = live[0].robots.iter().map(|robot| robot.scores.count).sum();
+    let after_gaps: u64 = 3 * 600 - rows_of(&recordings) as u64;
+    assert!(scored <= report.all.rows + after_gaps);
+    assert_eq!(report.all.trials, 3);
+}
+
+#[test]
+fn a_model_trained_on_all_rows_or_on_unknown_ones_is_scored_with_a_warning() {
+    let recordings = made_up(3, 300);
+    for (model, scored_rows, says) in [
+        (
+            trained_on(Some(&recordings)),
+            ScoredRows::TrainedOn,
+            "100.0 %",
+        ),
+        (trained_on(None), ScoredRows::Unknown, "unknown"),
+        (persistence(), ScoredRows::NotTrainedOn, ""),
+    ] {
+        let report = apart(&recordings, &[model]).report;
+        assert_eq!(report.scored_rows, scored_rows);
+        assert_eq!(report.all.rows, rows_of(&recordings) as u64);
+        assert!(report.trained_on.is_none());
+        assert_eq!(report.warnings.is_empty(), says.is_empty());
+        let warnings = report.warnings.join("\n");
+        assert!(warnings.contains(says), "{warnings}");
+    }
+}
+
+#[test]
+fn a_comparison_is_on_rows_that_neither_model_was_trained_on() {
+    let recordings = made_up(6, 300);
+    let models = [
+        trained_on(Some(&recordings[..2])),
+        trained_on(Some(&recordings[1..4])),
+    ];
+    let design = Design::folds(&recordings).hold_apart(&recordings, &models);
+    let subject = Subject {
+        settings: &settings(),
+        platform: None,
+        models: &models,
+        recordings: &recordings,
+        design: &design,
+    };
+    let found = compare(subject, &quick()).unwrap();
+    assert_eq!(found.all.rows, rows_of(&recordings[4..]) as u64);
+    assert_eq!(found.scored_rows, ScoredRows::NotTrainedOn);
+    assert_eq!(found.warnings.len(), 2, "{:?}", found.warnings);
+    let names: Vec<&str> = found.members.iter().map(|one| one.name.as_str()).collect();
+    assert_eq!(names.len(), 3, "persistence and two networks: {names:?}");
+}
+
+#[test]
+fn the_forecast_that_is_scored_is_named_and_its_members_are_beside_it() {
+    let recordings = made_up(3, 400);
+    let models = [network(5, FeatureSet::Full, 30.0)];
+    let design = Design::folds(&recordings);
+    let online = run(&recordings, &models, &design, &quick()).report;
+    let plain = run_network(&recordings, &models, &design, &quick()).report;
+    assert_eq!(online.models[0].forecast, evaluate::Forecast::Online);
+    assert_eq!(plain.models[0].forecast, evaluate::Forecast::Network);
+    assert!(plain.models[0].members.is_empty());
+    let names = |report: &ScoreReport| -> Vec<String> {
+        let all = report.all.forecasters.iter();
+        all.map(|one| one.name.clone()).collect()
+    };
+    assert_eq!(names(&online)[0], "random 5 (online)");
+    assert_eq!(names(&plain)[0], "random 5 (network)");
+    assert_eq!(
+        online.models[0].members,
+        ["persistence", "random 5 (network)"]
+    );
+    for member in &online.models[0].members {
+        assert!(names(&online).contains(member), "{member}");
+    }
+    // The member is the network to the bit.
+    let (member, network) = (
+        online.all.forecasters.last().unwrap(),
+        &plain.all.forecasters[0],
+    );
+    assert_eq!((member.role, network.role), (Role::Member, Role::Published));
+    assert_eq!(member.r2.value.to_bits(), network.r2.value.to_bits());
+    assert_ne!(member.r2.value, online.all.forecasters[0].r2.value);
+    let ahead = &online.open_loop.horizons[0].forecasters;
+    assert_eq!(ahead[0].name, "random 5 (network)");
+    assert!(near(ahead[0].r2.value, network.r2.value));
+    let text = online.to_string();
+    assert!(text.contains("scored: its online forecast"), "{text}");
 }
 
 fn compared(recordings: &[Recording], models: &[Model]) -> Comparison {

@@ -2,7 +2,7 @@
 
 use joulebus_predictor::{
     Activation, FeatureSet, Features, HIDDEN, INPUTS, Layer, Linear, ModelCard, Network,
-    Normalisation, Parameters, ResidualStats, Scores, TrainingRange,
+    Normalisation, Parameters, ResidualStats, Scores, TrainedBlocks, TrainedRows, TrainingRange,
 };
 
 pub(crate) struct Noise(pub(crate) u64);
@@ -68,6 +68,19 @@ pub(crate) fn card(feature_set: FeatureSet) -> ModelCard {
         source: "random weights".to_owned(),
         training_data: "none, \"quoted\" and ünïcode".to_owned(),
         training_data_sha256: "00".repeat(32),
+        trained_rows: Some(TrainedRows {
+            rows: 1_000,
+            blocks: vec![
+                TrainedBlocks {
+                    rows: 64,
+                    hashes: vec![3, u64::MAX],
+                },
+                TrainedBlocks {
+                    rows: 17,
+                    hashes: vec![0],
+                },
+            ],
+        }),
         seed: u64::MAX,
         training_range: TrainingRange {
             feature_set,

@@ -10,11 +10,15 @@ use crate::config_file::ConfigFile;
     joulebus report --simulated -o report/\n  \
     joulebus report recordings/ --model my.safetensors -o report/\n  \
     joulebus report test/ --train training/ --model new.safetensors --model old.safetensors -o report/\n  \
+    joulebus report recordings/ --split trial --model my.safetensors -o report/\n  \
     joulebus report energy_data_trial*.npy --published --model gternal.safetensors -o report/\n\n\
     DIR/report.html is a self-contained file; DIR also gets report.json, report.txt and \
     figures/*.svg, *.png. --simulated runs the paper's experiments on simulated robots, ten times: six \
     trials, training on 1 to 4, evaluation on all six and on seven robots; mean and deviation stand \
     beside the paper's figures, and everything says that it is simulated.\n\
+    Rows that a model was trained on, as its file states, are scored apart from the others; the page warns \
+    of them, and of models whose files do not state theirs. --split evaluates what `joulebus train trials` \
+    with the same recordings, split and seed holds out.\n\
     Every model is compared with persistence and AR(5) + velocities, on the same rows, with 95 % \
     intervals.")]
 pub struct ReportArguments {
@@ -44,9 +48,21 @@ pub struct ReportArguments {
     /// Simulate the paper's trials and robots, train on them and report; needs no data
     #[arg(long, conflicts_with_all = ["paths", "model"])]
     pub simulated: bool,
-    /// With --simulated: seed of robots and training of the first draw; each draw has the next
-    #[arg(long, value_name = "N", default_value_t = 1, requires = "simulated")]
-    pub seed: u64,
+    /// Evaluate the held-out part of a split, with baselines fitted on the rest, as in `train` and `eval`:
+    /// unit of the split
+    #[arg(long, value_name = "BY", value_parser = ["trial", "robot", "group", "time"],
+          conflicts_with_all = ["train", "simulated"])]
+    pub split: Option<String>,
+    /// Share that the split holds out, as in training
+    #[arg(long, value_name = "SHARE", default_value_t = 0.15, requires = "split")]
+    pub held_out: f64,
+    /// Trials, robots or groups to hold out by name, instead of a share
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "split")]
+    pub leave_out: Vec<String>,
+    /// Seed of the split, as in training [default: 0]. With --simulated: of robots and training of the first
+    /// draw, each draw has the next [default: 1]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
     /// With --simulated: draws over which mean and deviation are taken, 2 to 1000
     #[arg(long, value_name = "N", default_value_t = 10, requires = "simulated",
           value_parser = clap::value_parser!(u32).range(2..=1000))]
