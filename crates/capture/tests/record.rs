@@ -477,7 +477,8 @@ fn a_full_disk_ends_the_capture_with_an_error_and_the_file_is_readable() {
     let disk = Disk {
         bytes: Arc::clone(&bytes),
         held_up: Arc::default(),
-        room: 60_000,
+        // Model and config take more than half of it.
+        room: 120_000,
     };
     let recorder = stage.record(Target::Stream(Box::new(disk)), &Options::default());
     let give_up = Instant::now() + PATIENCE;
