@@ -226,7 +226,7 @@ impl Summary {
             let percent = 100.0 * better;
             writeln!(
                 out,
-                "  {percent:.0} % of the robots are forecast better than by persistence"
+                "  {percent:.0} % of the robots have a smaller squared error than by persistence"
             )?;
         }
         writeln!(

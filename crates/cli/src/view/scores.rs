@@ -54,7 +54,7 @@ pub(crate) struct Scores {
     pub(crate) mae_w: Option<f64>,
     /// Mean absolute error of persistence (forecast = last reading), W.
     pub(crate) persistence_mae_w: Option<f64>,
-    /// Fraction of the robots whose mean absolute error is below that of persistence.
+    /// Fraction of the robots whose squared error is below that of persistence.
     pub(crate) better_than_persistence: Option<f64>,
     /// Coefficient of determination over all readings received by this planner.
     pub(crate) r2: Option<f64>,
@@ -94,7 +94,7 @@ impl Scores {
         };
         let better = scored
             .iter()
-            .filter(|diagnostic| diagnostic.mae_w < diagnostic.persistence_mae_w);
+            .filter(|diagnostic| diagnostic.r2 > diagnostic.persistence_r2);
         let explained = |error: f64| known(1.0 - error / pooled.scatter_w2);
         Self {
             scored: count,
@@ -176,8 +176,8 @@ mod tests {
             },
             scored,
             mae_w,
-            persistence_mae_w: 2.0,
             r2,
+            persistence_r2: 0.6,
             ..Diagnostic::default()
         };
         let fleet = [
