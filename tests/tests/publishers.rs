@@ -1,5 +1,8 @@
 //! Row 1: publishers are killed at any point.
 
+#[path = "../on_drop.rs"]
+mod on_drop;
+
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -9,6 +12,7 @@ use joulebus_tests::{
     sample,
 };
 use joulebus_wire::{InvalidReason, Quality, Sample};
+use on_drop::OnDrop;
 
 /// Robots of the killed controller.
 const KILLED: u32 = 0;
@@ -120,7 +124,7 @@ fn row_1_killed_publishers_do_not_affect_others_and_every_restart_works() {
             )
         });
         // The other source must stop even if this thread panics.
-        let _stopped = Stop(&stop);
+        let _stopped = OnDrop(&stop);
         let (mut controller, ..) = start(&arena, &mut planner);
         for round in 0..rounds {
             let goes_stale = round % 4 == 3;
@@ -215,13 +219,4 @@ fn row_1_killed_publishers_do_not_affect_others_and_every_restart_works() {
         "row 1, other robots",
         format_args!("{compared} answers, 0 differ by a bit"),
     );
-}
-
-/// Sets the flag when dropped.
-struct Stop<'a>(&'a AtomicBool);
-
-impl Drop for Stop<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
 }

@@ -3,8 +3,11 @@
 //! fleet of some ten seconds; for hours, `JOULEBUS_RANDOM_FLEETS=1000 cargo test -p joulebus-tests
 //! --test random_faults -- --nocapture`.
 
+#[path = "../on_drop.rs"]
+mod on_drop;
+
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use joulebus_capture::Reader;
@@ -12,6 +15,7 @@ use joulebus_tests::{
     Arena, Child, Dice, Ended, Planner, ReaderLine, Setup, alone, figure, sample,
 };
 use joulebus_wire::{Quality, Sample};
+use on_drop::OnDrop;
 use rustix::process::{Pid, Resource, Rlimit, Signal, getrlimit, prlimit};
 
 /// Faults of one fleet.
@@ -288,7 +292,7 @@ fn assert_ended(ended: &Ended, codes: &[i32]) {
 
 /// Sends a frame, waits until a reader beside it has it, and so on, until stopped: no fault of others may
 /// cost a frame. Returns their number.
-fn undisturbed(arena: &Arena, setup: &Setup, stop: &AtomicBool, sent: &AtomicU64) -> u64 {
+fn undisturbed(arena: &Arena, setup: &Setup, stop: &AtomicBool) -> u64 {
     let mut reader = arena.recorder();
     let mut source = arena.source("undisturbed");
     let pid = source.child.pid();
@@ -309,7 +313,6 @@ fn undisturbed(arena: &Arena, setup: &Setup, stop: &AtomicBool, sent: &AtomicU64
             _ => None,
         });
         frames += 1;
-        sent.store(frames, Ordering::Relaxed);
         std::thread::sleep(PACE);
     }
     source.leave();
@@ -376,12 +379,12 @@ fn assert_readable(arena: &Arena, captures: &[(PathBuf, bool)]) -> u64 {
 fn run_fleet(dice: &mut Dice) -> (u64, u64) {
     let setup = setup();
     let arena = Arena::new(&setup);
-    let (stop, sent) = (AtomicBool::new(false), AtomicU64::new(0));
+    let stop = AtomicBool::new(false);
     let mut witness = arena.consumer();
     let (fleet, frames) = std::thread::scope(|scope| {
-        let source = scope.spawn(|| undisturbed(&arena, &setup, &stop, &sent));
+        let source = scope.spawn(|| undisturbed(&arena, &setup, &stop));
         // The source must stop even if this thread panics.
-        let stopped = Stop(&stop);
+        let stopped = OnDrop(&stop);
         let mut fleet = Fleet::start(&arena);
         for _ in 0..FAULTS {
             fleet.fault(dice);
@@ -425,14 +428,5 @@ fn random_faults_cost_an_undisturbed_source_no_frame_and_leave_nothing_behind() 
                 fleet * FAULTS
             ),
         );
-    }
-}
-
-/// Sets the flag when dropped.
-struct Stop<'a>(&'a AtomicBool);
-
-impl Drop for Stop<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
     }
 }

@@ -90,17 +90,25 @@ pub fn check_capacity(limits: &Limits, ports: Ports) -> Result<CapacityReport, C
 /// The state of this host and process, with nothing required.
 pub(crate) fn measure() -> Result<CapacityReport, CapacityError> {
     let (free_bytes, total_bytes) = shared_memory()?;
-    let limit = getrlimit(Resource::Nofile).current;
-    let used = std::fs::read_dir("/proc/self/fd").map_err(CapacityError::Measure)?;
     Ok(CapacityReport {
         needed_bytes: 0,
         free_bytes,
         total_bytes,
         descriptors_needed: 0,
-        descriptors_limit: limit.unwrap_or(u64::MAX),
-        // Includes the directory being read.
-        descriptors_used: used.count().saturating_sub(1) as u64,
+        descriptors_limit: descriptors_limit(),
+        descriptors_used: descriptors_used().map_err(CapacityError::Measure)?,
     })
+}
+
+fn descriptors_limit() -> u64 {
+    getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
+}
+
+/// Fails if none is left.
+fn descriptors_used() -> io::Result<u64> {
+    let used = std::fs::read_dir("/proc/self/fd")?.count();
+    // Includes the directory being read.
+    Ok(used.saturating_sub(1) as u64)
 }
 
 /// Free bytes and total bytes of `/dev/shm`.
@@ -116,11 +124,8 @@ pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
 /// errors of iceoryx2 do not state that one of them is lacking.
 pub(crate) fn check_left(needed: usize) -> Result<(), CapacityError> {
     check_free(needed)?;
-    let limit = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
-    let used = match std::fs::read_dir("/proc/self/fd") {
-        Ok(used) => used.count().saturating_sub(1) as u64,
-        Err(_) => limit,
-    };
+    let limit = descriptors_limit();
+    let used = descriptors_used().unwrap_or(limit);
     let needed = used.saturating_add(PORT_DESCRIPTORS);
     if needed > limit {
         return Err(CapacityError::Descriptors {
