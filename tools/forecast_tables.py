@@ -53,7 +53,8 @@ def demo(programs, seconds):
     healthy = sum(summary["robots"] for summary in summaries) - faulty
     return [
         f"demo, {seconds} s, {len(SEEDS)} × {ROBOTS} robots",
-        f"MAE {score('mae_w'):.4f} W (persistence {score('persistence_mae_w'):.4f}), R² {score('r2'):.3f} "
+        f"RMSE {score('rmse_w'):.3f} W (persistence {score('persistence_rmse_w'):.3f}), "
+        f"MAE {score('mae_w'):.4f} W ({score('persistence_mae_w'):.4f}), R² {score('r2'):.3f} "
         f"({score('persistence_r2'):.3f}), {100 * score('better_than_persistence'):.0f} % of the robots with a smaller "
         f"squared error, {len(alarmed)} of {healthy} robots without a fault raised an alarm",
     ]

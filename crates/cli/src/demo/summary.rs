@@ -211,14 +211,10 @@ impl Summary {
         let line = "persistence";
         writeln!(out, "  {:<18}{:>9} {line:>12}", "", "forecast")?;
         for (name, ours, theirs) in [
-            ("MAE, W", scores.mae_w, scores.persistence_mae_w),
-            (
-                "MAE, W, median",
-                scores.median_mae_w,
-                scores.median_persistence_mae_w,
-            ),
+            ("RMSE, W", scores.rmse_w, scores.persistence_rmse_w),
             ("R²", scores.r2, scores.persistence_r2),
             ("R², median", scores.median_r2, scores.median_persistence_r2),
+            ("MAE, W", scores.mae_w, scores.persistence_mae_w),
         ] {
             writeln!(out, "  {name:<18}{}    {}", number(ours), number(theirs))?;
         }
@@ -231,8 +227,9 @@ impl Summary {
         }
         writeln!(
             out,
-            "  Two of three readings repeat the one before (a 10 Hz monitor, 30 ticks a second): \
-             there\n  persistence is exact."
+            "  A forecast is the mean of what may come, whose sum is energy. The last reading is \
+             nearer to the\n  median: two of three readings repeat (a 10 Hz monitor, 30 ticks a \
+             second), and steps are rare."
         )?;
         if let Some(coverage) = scores.coverage {
             writeln!(

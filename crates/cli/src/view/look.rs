@@ -161,7 +161,7 @@ fn screen_shows_counters_latencies_and_events() {
         "1\u{202f}234\u{202f}567",
         "p50 110 µs",
         "take 40  wait 1  compute 20  wake 48 µs",
-        "0.062  persistence 0.090",
+        "1.700  persistence 0.100",
         "inside the interval 88 %",
         "last 5 % network 10 % stack 85 %, gain +0.93, level -0.25 W",
         "12.5 s  robot 9: StuckSensor",

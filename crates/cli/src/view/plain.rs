@@ -23,8 +23,8 @@ pub(crate) fn line(board: &Board, now_ns: u64) -> String {
         board.link.name(),
     );
     let scores = board.scores();
-    if let (Some(ours), Some(theirs)) = (scores.mae_w, scores.persistence_mae_w) {
-        let _ = write!(text, "  MAE {ours:.3} W (persistence {theirs:.3})");
+    if let (Some(ours), Some(theirs)) = (scores.rmse_w, scores.persistence_rmse_w) {
+        let _ = write!(text, "  RMSE {ours:.3} W (persistence {theirs:.3})");
     }
     let standing_out: Vec<(&u32, &Row)> = board
         .rows

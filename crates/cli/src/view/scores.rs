@@ -50,9 +50,13 @@ fn residual(before: &Forecast, after: &Forecast) -> Option<(f64, f64)> {
 pub(crate) struct Scores {
     /// Readings scored by the worker, all robots.
     pub(crate) scored: u64,
+    /// Root mean squared error of the forecasts over all readings received by this planner, W.
+    pub(crate) rmse_w: Option<f64>,
+    /// That of persistence (forecast = last reading), W.
+    pub(crate) persistence_rmse_w: Option<f64>,
     /// Mean absolute error of the forecasts over all readings, W.
     pub(crate) mae_w: Option<f64>,
-    /// Mean absolute error of persistence (forecast = last reading), W.
+    /// That of persistence, W.
     pub(crate) persistence_mae_w: Option<f64>,
     /// Fraction of the robots whose squared error is below that of persistence.
     pub(crate) better_than_persistence: Option<f64>,
@@ -95,9 +99,12 @@ impl Scores {
         let better = scored
             .iter()
             .filter(|diagnostic| diagnostic.r2 > diagnostic.persistence_r2);
+        let root = |error: f64| known((error / pooled.count as f64).sqrt());
         let explained = |error: f64| known(1.0 - error / pooled.scatter_w2);
         Self {
             scored: count,
+            rmse_w: root(pooled.sum_sq_w2),
+            persistence_rmse_w: root(pooled.persistence_sum_sq_w2),
             mae_w: mean(|diagnostic| diagnostic.mae_w),
             persistence_mae_w: mean(|diagnostic| diagnostic.persistence_mae_w),
             better_than_persistence: known(better.count() as f64 / scored.len() as f64),
@@ -162,6 +169,8 @@ mod tests {
         assert_eq!(pooled.count, 3);
         assert!((scores.r2.unwrap() - (1.0 - 4.25 / scatter)).abs() < 1e-12);
         assert!((scores.persistence_r2.unwrap() - (1.0 - 6.0 / scatter)).abs() < 1e-12);
+        assert!((scores.rmse_w.unwrap() - (4.25f64 / 3.0).sqrt()).abs() < 1e-12);
+        assert!((scores.persistence_rmse_w.unwrap() - 2f64.sqrt()).abs() < 1e-12);
         assert_eq!(scores.mae_w, None);
         assert_eq!(scores.better_than_persistence, None);
     }
@@ -192,6 +201,6 @@ mod tests {
         assert_eq!(scores.median_mae_w, Some(2.0));
         assert_eq!(scores.better_than_persistence, Some(1.0 / 3.0));
         assert_eq!(scores.median_r2, Some(0.6));
-        assert_eq!(scores.r2, None);
+        assert_eq!((scores.r2, scores.rmse_w), (None, None));
     }
 }

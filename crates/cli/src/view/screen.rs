@@ -385,7 +385,7 @@ fn draw_scores(frame: &mut Frame, area: Rect, board: &Board) {
     };
     let coverage = scores.coverage.map_or_else(unknown, percent);
     let lines = vec![
-        line("MAE W", scores.mae_w, scores.persistence_mae_w),
+        line("RMSE W", scores.rmse_w, scores.persistence_rmse_w),
         line("R²", scores.r2, scores.persistence_r2),
         Line::from(vec![
             Span::styled(inside, QUIET),
