@@ -13,7 +13,7 @@ use crate::layout::lanes::{self, Block as _, LANES};
 use crate::state::columns::ColumnsMut;
 use crate::tick::batch::Batch;
 use crate::tick::context::TickContext;
-use crate::tick::platform_context::PlatformContext;
+use crate::tick::platform_context::{PlatformContext, PossiblePower};
 
 /// Infers the collected rows.
 pub(crate) fn infer(context: &PlatformContext, columns: &mut ColumnsMut<'_>, batch: &mut Batch) {
@@ -21,11 +21,11 @@ pub(crate) fn infer(context: &PlatformContext, columns: &mut ColumnsMut<'_>, bat
         return;
     }
     batch.infer(&context.model);
-    for (slot, forecast_w) in batch.forecasts() {
-        if forecast_w.is_finite() {
-            columns.windows[slot / LANES].forecast(slot % LANES, forecast_w);
+    for (slot, network_w) in batch.forecasts() {
+        if network_w.is_finite() {
+            columns.windows[slot / LANES].forecast(slot % LANES, network_w);
             if context.members.is_some() {
-                columns.online[slot / LANES].network_w[slot % LANES] = forecast_w;
+                columns.online[slot / LANES].network_w[slot % LANES] = network_w;
             }
         } else {
             let mut last = lanes::get(columns.lasts, slot);
@@ -37,6 +37,7 @@ pub(crate) fn infer(context: &PlatformContext, columns: &mut ColumnsMut<'_>, bat
     if let Some(members) = &context.members {
         context.model.simd_level().run(Combine {
             members,
+            possible: context.possible(),
             columns,
             forecast_lanes: batch.forecast_lanes(),
         });
@@ -56,6 +57,7 @@ pub(crate) fn infer_open(
         return false;
     }
     batch.infer(&context.model);
+    let possible = context.possible();
     for (slot, network_w) in batch.forecasts() {
         let mut forecast_w = network_w;
         if let (Some(members), true) = (&context.members, network_w.is_finite()) {
@@ -64,7 +66,7 @@ pub(crate) fn infer_open(
             let lag_w = window.open_lags_w();
             forecast_w = online.forecast(members, &lag_w, network_w, window.shown_due());
         }
-        columns.windows[slot / LANES].opened(slot % LANES, forecast_w);
+        columns.windows[slot / LANES].opened(slot % LANES, possible.nearest(forecast_w));
     }
     true
 }
@@ -72,6 +74,7 @@ pub(crate) fn infer_open(
 /// Replaces the network's forecasts in the windows by the robots' own, a block at a time.
 struct Combine<'a, 'b> {
     members: &'a Members,
+    possible: PossiblePower,
     columns: &'a mut ColumnsMut<'b>,
     forecast_lanes: &'a [u16],
 }
@@ -82,23 +85,29 @@ impl SimdTask for Combine<'_, '_> {
         let ColumnsMut {
             windows, online, ..
         } = self.columns;
-        let members = *self.members;
+        let (members, possible) = (*self.members, self.possible);
         for (block, bits) in self.forecast_lanes.iter().enumerate() {
             if *bits != 0 {
                 let online = &online[block];
-                combine_block(&members, *bits, &mut windows[block], online);
+                combine_block((&members, possible), *bits, &mut windows[block], online);
             }
         }
     }
 }
 
 #[inline(always)]
-fn combine_block(members: &Members, bits: u16, windows: &mut WindowLanes, online: &OnlineLanes) {
+fn combine_block(
+    (members, possible): (&Members, PossiblePower),
+    bits: u16,
+    windows: &mut WindowLanes,
+    online: &OnlineLanes,
+) {
     let mut forecast_w = [0.0; LANES];
     for lane in 0..LANES {
         let (window, robot) = (windows.closed.get(lane), online.get(lane));
         let (lag_w, due) = (window.lags_w(), window.due());
-        forecast_w[lane] = robot.forecast(members, &lag_w, robot.network_w, due);
+        let combined_w = robot.forecast(members, &lag_w, robot.network_w, due);
+        forecast_w[lane] = possible.nearest(combined_w);
     }
     for lane in 0..LANES {
         windows.replace_forecast(lane, bits >> lane & 1 == 1, forecast_w[lane]);

@@ -65,6 +65,39 @@ impl PlatformContext {
             model,
         }
     }
+
+    /// What a platform can draw, W.
+    pub(crate) const fn possible(&self) -> PossiblePower {
+        PossiblePower {
+            min_w: self.platform.power_min_w,
+            max_w: self.platform.power_max_w,
+        }
+    }
+}
+
+/// What a platform can draw: readings outside are refused, so a forecast outside is further from the next reading
+/// than the limit is. In open loop, where a network's error may feed itself, forecasts stay bounded.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PossiblePower {
+    min_w: f32,
+    max_w: f32,
+}
+
+impl PossiblePower {
+    /// The nearest possible forecast, W; NaN stays NaN, and −0 stays −0 on every CPU.
+    #[inline(always)]
+    pub(crate) fn nearest(self, forecast_w: f32) -> f32 {
+        let below = if forecast_w < self.min_w {
+            self.min_w
+        } else {
+            forecast_w
+        };
+        if below > self.max_w {
+            self.max_w
+        } else {
+            below
+        }
+    }
 }
 
 impl Trained {

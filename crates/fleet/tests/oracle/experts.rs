@@ -51,6 +51,11 @@ struct Weights {
     experts: f32,
 }
 
+/// Nothing else can be published, but for a network that is published as it is.
+pub(crate) fn possible(platform: &Platform, forecast_w: f32) -> f32 {
+    forecast_w.clamp(platform.power_min_w, platform.power_max_w)
+}
+
 impl Experts {
     /// `said` is given where the forecast is scored.
     pub(crate) fn learn(
@@ -80,7 +85,7 @@ impl Experts {
         let known = Knowledge::of(platform, model, &self.lessons);
         let forecast_w = known.map_or(network_w, |known| {
             let (members_w, _) = known.members(model, &lag_w, network_w, due);
-            dot(known.shares(due), members_w)
+            possible(platform, dot(known.shares(due), members_w))
         });
         Said {
             forecast_w,

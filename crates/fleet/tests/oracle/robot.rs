@@ -5,7 +5,7 @@ use joulebus_predictor::{Features, Model};
 use joulebus_settings::Platform;
 use joulebus_wire::{Freshness, InvalidReason, Quality, Sample, sample_flag};
 
-use super::experts::{Experts, Said};
+use super::experts::{Experts, Said, possible};
 use super::world::random::Noise;
 
 /// Every sample period of a membership: whether a measurement was made, and whether by a sample or
@@ -95,7 +95,8 @@ impl Run {
         self.unread += 1;
         self.history.pass();
         let said = self.predict(by, self.command, 0.0, 0.0);
-        (self.forecast_w, self.said) = (said.map(|said| said.forecast_w), None);
+        let forecast_w = said.map(|said| possible(by.platform, said.forecast_w));
+        (self.forecast_w, self.said) = (forecast_w, None);
         self.forecast_w.is_some()
     }
 
