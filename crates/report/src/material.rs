@@ -96,16 +96,22 @@ impl<'a> Material<'a> {
     }
 }
 
-/// The file name of a trial without folder and extension; in the published layout robots are
-/// numbers.
+/// The file name of a trial without folder and extension, and the robot's number where the file has several; in
+/// the published layout robots are numbers.
 pub(super) fn label(name: &str) -> String {
-    if name.parse::<u32>().is_ok() {
+    let is_number = |text: &str| text.parse::<u32>().is_ok();
+    if is_number(name) {
         return format!("robot {name}");
     }
+    let (name, robot) = match name.rsplit_once(' ') {
+        Some((name, robot)) if is_number(robot) => (name, Some(robot)),
+        _ => (name, None),
+    };
     let file = name.rsplit('/').next().unwrap_or(name);
     let stem = file.split('.').next().unwrap_or(file);
     let stem = stem.strip_prefix("energy_data_").unwrap_or(stem);
-    if stem.is_empty() { name } else { stem }.replace('_', " ")
+    let stem = if stem.is_empty() { name } else { stem }.replace('_', " ");
+    robot.map_or_else(|| stem.clone(), |robot| format!("{stem} robot {robot}"))
 }
 
 pub(super) fn interval(estimate: Estimate) -> Interval {

@@ -293,6 +293,7 @@ mod tests {
             ("recordings/ICE_03.csv.gz", "ICE 03"),
             ("all", "all"),
             ("7", "robot 7"),
+            ("captures/run.mcap 25", "run robot 25"),
             ("", ""),
         ] {
             assert_eq!(label(name), called);

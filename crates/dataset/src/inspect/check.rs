@@ -312,8 +312,9 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
         let range = limits.range(column);
         for (row, value) in values.iter().enumerate() {
             if value.is_nan() {
-                // Missing power has its own kind.
-                let counts = usize::from(column != Column::Power);
+                // Missing power has its own kind, and no capture has the command of its first reading.
+                let is_first = row == 0 && matches!(column, Column::V | Column::Omega);
+                let counts = usize::from(column != Column::Power && !is_first);
                 found.add(FindingKind::MissingValue, counts, || {
                     at(trial, row, Some(column), "not recorded".to_owned())
                 });

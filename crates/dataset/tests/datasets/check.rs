@@ -211,6 +211,15 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
     }
 }
 
+/// No capture has the command of its first reading.
+#[test]
+fn a_first_row_without_a_command_is_sound() {
+    let mut table = sound(260);
+    (table[0][3], table[0][4]) = (f64::NAN, f64::NAN);
+    let found = check("captured.csv", csv(&table).as_bytes());
+    assert!(found.is_sound(), "{found:?}");
+}
+
 #[test]
 fn a_file_that_is_not_a_recording_is_a_finding_beside_the_others() {
     let files = Files::new();
