@@ -5,6 +5,7 @@
 //! robot from its lane and stores it back, and the compiler vectorises the whole. Rare cases are
 //! handled robot by robot, with the same functions.
 
+use std::hint::select_unpredictable;
 use std::slice;
 
 use joulebus_predictor::prefetch;
@@ -63,7 +64,9 @@ pub(crate) use block;
 /// Stores the value where the mask is set, by a select instead of a branch.
 #[inline(always)]
 pub(crate) fn put<T: Copy>(place: &mut T, mask: bool, value: T) {
-    *place = if mask { value } else { *place };
+    // The value is loaded in either case, so that no branch takes its place.
+    let kept = *place;
+    *place = select_unpredictable(mask, value, kept);
 }
 
 /// Loads the robot in a slot.
