@@ -41,7 +41,7 @@ fn the_core_uses_no_clock_file_thread_or_shared_memory() {
         "tracing",
         "joulebus_bus",
     ];
-    for pure in ["settings", "fleet", "predictor"] {
+    for pure in ["settings", "fleet", "energy", "predictor"] {
         assert_eq!(
             places(&crates().join(pure).join("src"), &words, &[]),
             Vec::<String>::new()

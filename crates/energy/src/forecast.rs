@@ -1,0 +1,171 @@
+//! The energy of a plan.
+
+use crate::command::Motion;
+use crate::levels::Level;
+use crate::model::EnergyModel;
+use crate::quantiles::{self, KNOTS};
+use crate::state::EnergyState;
+
+/// Commands that a robot will follow, one for each step. The shorter of the two slices gives the
+/// number of steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Commands<'a> {
+    /// Time that each command is in force, s, positive and finite.
+    pub period_s: f32,
+    /// Linear velocities, m/s.
+    pub v_mps: &'a [f32],
+    /// Angular velocities, rad/s.
+    pub omega_radps: &'a [f32],
+}
+
+impl Commands<'_> {
+    /// Number of steps.
+    #[must_use]
+    pub fn steps(&self) -> usize {
+        self.v_mps.len().min(self.omega_radps.len())
+    }
+
+    /// Time from the first step to the end of the last, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f32 {
+        self.steps() as f32 * self.period_s
+    }
+
+    fn get(&self, step: usize) -> (f32, f32) {
+        (self.v_mps[step], self.omega_radps[step])
+    }
+
+    /// The motion of each step; `before` is the command before the first.
+    fn motions(&self, before: (f32, f32)) -> impl Iterator<Item = Motion> {
+        (0..self.steps()).map(move |step| {
+            let previous = match step.checked_sub(1) {
+                Some(previous) => self.get(previous),
+                None => before,
+            };
+            Motion::new(self.get(step), previous, self.period_s)
+        })
+    }
+}
+
+/// Energy of a plan, with the distribution of its error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EnergyForecast {
+    /// Expected energy, J. NaN if a command that matters is not finite.
+    pub energy_j: f32,
+    /// Duration of the plan, s.
+    pub duration_s: f32,
+    /// Whether a command lies outside the training data: the interval then does not cover what it
+    /// states.
+    pub outside_training: bool,
+    /// Quantiles of measured minus forecast energy, J.
+    errors_j: Option<[f32; KNOTS]>,
+}
+
+impl EnergyForecast {
+    /// The energy below which the robot stays with probability `p`, J. `None` unless 0 < p < 1,
+    /// and where errors are unknown: for a model without an energy model, for a plan longer than
+    /// [`EnergyModel::longest_s`], and for commands that are not finite. For the interval of a
+    /// coverage c ask for (1 − c)/2 and (1 + c)/2.
+    #[must_use]
+    pub fn quantile_j(&self, p: f32) -> Option<f32> {
+        let error_j = quantiles::quantile(self.errors_j.as_ref()?, p)?;
+        Some(self.energy_j + error_j)
+    }
+
+    /// Probability that the energy is below `energy_j`, 0 to 1. `None` where
+    /// [`EnergyForecast::quantile_j`] is, and for a NaN.
+    #[must_use]
+    pub fn probability_below(&self, energy_j: f32) -> Option<f32> {
+        let probability = quantiles::probability(self.errors_j.as_ref()?, energy_j - self.energy_j);
+        (!probability.is_nan()).then_some(probability)
+    }
+}
+
+impl EnergyModel {
+    /// The energy of a plan that begins now. Reads `plan` once and allocates nothing.
+    #[must_use]
+    pub fn forecast(&self, state: &EnergyState, plan: Commands<'_>) -> EnergyForecast {
+        let (duration_s, level) = (plan.duration_s(), self.level(state, &plan));
+        let mut sum_w = 0.0f64;
+        let mut outside_training = false;
+        let reads_commands = self.command.reads_commands();
+        for motion in plan.motions(state.command()) {
+            sum_w += f64::from(self.command.power_w(&motion, reads_commands));
+            outside_training |= reads_commands & self.is_outside(&motion);
+        }
+        let command_j = sum_w * f64::from(plan.period_s);
+        let energy_j =
+            f64::from(level.factor) * command_j + f64::from(level.added_w) * f64::from(duration_s);
+        let energy_j = energy_j as f32;
+        let known = energy_j.is_finite() && duration_s <= self.longest_s();
+        EnergyForecast {
+            energy_j: if energy_j.is_finite() {
+                energy_j
+            } else {
+                f32::NAN
+            },
+            duration_s,
+            outside_training,
+            errors_j: known.then(|| {
+                let scale_j = self.scale_j(energy_j, duration_s) * state.error_factor(duration_s);
+                self.errors_at(duration_s).map(|error| error * scale_j)
+            }),
+        }
+    }
+
+    /// The power of each step of a plan, W, whose sum times the period is the energy of
+    /// [`EnergyModel::forecast`] up to rounding. Steps beyond the shorter of plan and `power_w` are
+    /// not written.
+    pub fn power_w(&self, state: &EnergyState, plan: Commands<'_>, power_w: &mut [f32]) {
+        let level = self.level(state, &plan);
+        let reads_commands = self.command.reads_commands();
+        let motions = plan.motions(state.command());
+        for (power_w, motion) in power_w.iter_mut().zip(motions) {
+            let command_w = self.command.power_w(&motion, reads_commands);
+            *power_w = level.factor * command_w + level.added_w;
+        }
+    }
+
+    /// Derivatives of the energy with respect to each command of a plan: J per m/s into `by_v`, and
+    /// J per rad/s into `by_omega`. Steps beyond the shorter of plan and slices are not written.
+    pub fn gradient(
+        &self,
+        state: &EnergyState,
+        plan: Commands<'_>,
+        by_v: &mut [f32],
+        by_omega: &mut [f32],
+    ) {
+        let level = self.level(state, &plan);
+        let scale = if self.command.reads_commands() {
+            level.factor * plan.period_s
+        } else {
+            0.0
+        };
+        let steps = by_v.len().min(by_omega.len());
+        for (step, motion) in plan.motions(state.command()).enumerate() {
+            let [v, omega, dv, domega] = self.command.slopes(&motion);
+            let changed = |slope: f32| slope / plan.period_s;
+            // A command is also what the next one changes from.
+            if let Some(before) = step.checked_sub(1).filter(|before| *before < steps) {
+                by_v[before] -= scale * changed(dv);
+                by_omega[before] -= scale * changed(domega);
+            }
+            if step < steps {
+                // Without a command before the first step there is no change.
+                let known = step > 0 || state.command().0.is_finite();
+                let (dv, domega) = if known { (dv, domega) } else { (0.0, 0.0) };
+                by_v[step] = scale * (v + changed(dv));
+                by_omega[step] = scale * (omega + changed(domega));
+            }
+        }
+    }
+
+    fn level(&self, state: &EnergyState, plan: &Commands<'_>) -> Level {
+        state.level(self, plan.duration_s())
+    }
+
+    fn is_outside(&self, motion: &Motion) -> bool {
+        let inside = |[lowest, highest]: [f32; 2], value: f32| lowest <= value && value <= highest;
+        !(inside(self.v_mps, motion.v_mps) && inside(self.omega_radps, motion.omega_radps))
+    }
+}

@@ -1,0 +1,31 @@
+//! The energy of a robot over a sequence of commands, from one second to five minutes.
+//!
+//! Pure: no clock, file, thread or shared memory; nothing allocates except reading and writing a
+//! model's text. The same inputs give the same bits on every machine.
+//!
+//! - [`EnergyState`] is what is known of a robot: a few means of its power, advanced by
+//!   [`EnergyState::observe`] with every sample.
+//! - [`EnergyModel`] is what is known of a platform: the power of a command, how far to trust which
+//!   mean at which horizon, and how large the errors were on held-out recordings.
+//! - [`EnergyModel::forecast`] gives the energy of [`Commands`] as an [`EnergyForecast`].
+//!
+//! **The forecast.** A robot's *level* is its power over the last seconds relative to what the
+//! command model says of the commands in that time. The energy of the plan is what the command
+//! model says of it, scaled by the level. Levels over several time constants and the platform's own
+//! are weighted; weights depend on the horizon. So a network's rollout, which forgets the robot's
+//! level within seconds, is not needed.
+#![forbid(unsafe_code)]
+
+mod command;
+mod forecast;
+mod levels;
+mod model;
+mod quantiles;
+mod state;
+
+pub use command::{CommandModel, TERMS};
+pub use forecast::{Commands, EnergyForecast};
+pub use levels::{LEVELS, LEVELS_S};
+pub use model::{EnergyModel, EnergyModelError, HORIZONS_S};
+pub use quantiles::{KNOTS, QUANTILES};
+pub use state::{EnergySample, EnergyState, SHADOWS, SHADOWS_S};

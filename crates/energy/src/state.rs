@@ -1,0 +1,316 @@
+//! What is known of a robot.
+
+// Several arrays are indexed alike, level by level.
+#![allow(clippy::needless_range_loop)]
+
+use serde::{Deserialize, Serialize};
+
+use crate::command::Motion;
+use crate::levels::{LEVELS, LEVELS_S, Level};
+use crate::model::EnergyModel;
+
+/// Number of horizons at which a robot's own errors are watched.
+pub const SHADOWS: usize = 3;
+
+/// Horizons at which a robot's own errors are watched, s, ascending.
+pub const SHADOWS_S: [f32; SHADOWS] = [1.0, 10.0, 100.0];
+
+/// Time before the first shadow forecast, s: a first reading says little.
+const SETTLE_S: f32 = 1.0;
+/// A shadow forecast with a negative time waits to be made, and is due from here on.
+const DUE_S: f32 = -1.0;
+/// Share of errors outside the interval that the factor of a robot's errors aims at.
+const MISSES: f32 = 0.1;
+/// Limits of that factor.
+const FACTOR: [f32; 2] = [0.5, 8.0];
+
+/// One sample of a robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EnergySample {
+    /// Power read with it, W; NaN if there was no reading.
+    pub power_w: f32,
+    /// Time since the robot's sample before, s; 0 or NaN if there was none, or if the time between
+    /// the two is not to be counted.
+    pub elapsed_s: f32,
+    /// Commanded linear velocity from now on, m/s; NaN if unknown.
+    pub v_mps: f32,
+    /// Commanded angular velocity from now on, rad/s; NaN if unknown.
+    pub omega_radps: f32,
+}
+
+/// What is known of a robot: plain numbers without padding, so that it can be kept in columns, in
+/// files and in shared memory.
+///
+/// Discounted sums over the readings so far give its levels. *Shadow forecasts*, one at a time for
+/// each of [`SHADOWS_S`], are made as if for a planner that knew the commands in advance, and are
+/// compared with the measured energy when their time is over: a factor of the robot's errors follows
+/// from them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[repr(C)]
+pub struct EnergyState {
+    /// Discounted energy of each level, J.
+    pub energy_j: [f32; LEVELS],
+    /// What the command model says of the same time, J.
+    pub command_j: [f32; LEVELS],
+    /// Discounted time, s.
+    pub time_s: [f32; LEVELS],
+    /// The command in force, m/s; NaN if unknown.
+    pub v_mps: f32,
+    /// The command in force, rad/s; NaN if unknown.
+    pub omega_radps: f32,
+    /// Power of the command in force, W.
+    pub command_w: f32,
+    /// Factor of the command model's energy in each shadow forecast.
+    pub shadow_factor: [f32; SHADOWS],
+    /// Added power in each shadow forecast, W.
+    pub shadow_added_w: [f32; SHADOWS],
+    /// Energy measured since each shadow forecast was made, J.
+    pub shadow_energy_j: [f32; SHADOWS],
+    /// What the command model says of the commands since then, J.
+    pub shadow_command_j: [f32; SHADOWS],
+    /// Time since then, s; negative while the next one waits to be made.
+    pub shadow_s: [f32; SHADOWS],
+    /// Factor of the errors at these horizons.
+    pub error_factor: [f32; SHADOWS],
+}
+
+impl EnergyState {
+    /// Number of f32 in it.
+    pub const FLOATS: usize = 3 * LEVELS + 3 + 6 * SHADOWS;
+
+    /// Before the first sample. `phase` spreads the shadow forecasts of robots that start together
+    /// over time, for instance the robot's place.
+    #[must_use]
+    pub fn new(phase: u32) -> Self {
+        let waits_s = SETTLE_S + (phase % 32) as f32 / 32.0;
+        Self {
+            energy_j: [0.0; LEVELS],
+            command_j: [0.0; LEVELS],
+            time_s: [0.0; LEVELS],
+            v_mps: f32::NAN,
+            omega_radps: f32::NAN,
+            command_w: f32::NAN,
+            shadow_factor: [0.0; SHADOWS],
+            shadow_added_w: [0.0; SHADOWS],
+            shadow_energy_j: [0.0; SHADOWS],
+            shadow_command_j: [0.0; SHADOWS],
+            shadow_s: [DUE_S - waits_s; SHADOWS],
+            error_factor: [1.0; SHADOWS],
+        }
+    }
+
+    /// The command in force: m/s and rad/s, NaN if unknown.
+    #[must_use]
+    pub fn command(&self) -> (f32, f32) {
+        (self.v_mps, self.omega_radps)
+    }
+
+    /// Takes a sample.
+    pub fn observe(&mut self, model: &EnergyModel, sample: &EnergySample) {
+        self.advance(model, sample);
+        if self.has_ended() {
+            self.compare(model);
+        }
+    }
+
+    /// [`EnergyState::observe`] without the shadow forecasts' ends: [`EnergyState::compare`] follows
+    /// if one [has ended](EnergyState::has_ended). Without branches.
+    #[inline(always)]
+    pub fn advance(&mut self, model: &EnergyModel, sample: &EnergySample) {
+        let elapsed_s = sample.elapsed_s;
+        let counted = (elapsed_s > 0.0) & elapsed_s.is_finite();
+        let elapsed_s = if counted { elapsed_s } else { 0.0 };
+        let known = counted & sample.power_w.is_finite() & self.command_w.is_finite();
+        let added_j = if known {
+            sample.power_w * elapsed_s
+        } else {
+            0.0
+        };
+        let command_j = if known {
+            self.command_w * elapsed_s
+        } else {
+            0.0
+        };
+        let added_s = if known { elapsed_s } else { 0.0 };
+        for level in 0..LEVELS {
+            let keeps = LEVELS_S[level] / (LEVELS_S[level] + elapsed_s);
+            self.energy_j[level] = keeps * (self.energy_j[level] + added_j);
+            self.command_j[level] = keeps * (self.command_j[level] + command_j);
+            self.time_s[level] = keeps * (self.time_s[level] + added_s);
+        }
+        for shadow in 0..SHADOWS {
+            let runs = self.shadow_s[shadow] >= 0.0;
+            let next_s = self.shadow_s[shadow] + added_s;
+            // One that waits stays negative; one with time missing cannot be compared.
+            let waiting_s = next_s.min(0.5 * DUE_S);
+            let waiting_s = if runs { DUE_S - SETTLE_S } else { waiting_s };
+            self.shadow_s[shadow] = if runs & known { next_s } else { waiting_s };
+            self.shadow_energy_j[shadow] += added_j;
+            self.shadow_command_j[shadow] += command_j;
+        }
+        self.command_to(model, sample);
+    }
+
+    /// The sample's command is in force from now on.
+    #[inline(always)]
+    fn command_to(&mut self, model: &EnergyModel, sample: &EnergySample) {
+        let command = (sample.v_mps, sample.omega_radps);
+        let motion = Motion::new(command, self.command(), sample.elapsed_s);
+        let command_w = model
+            .command
+            .power_w(&motion, model.command.reads_commands());
+        // A robot whose command is unknown is assumed to follow the platform's mean.
+        self.command_w = if command_w.is_finite() {
+            command_w
+        } else {
+            model.mean_w
+        };
+        (self.v_mps, self.omega_radps) = command;
+    }
+
+    /// Whether a shadow forecast has ended, or the first is to be made.
+    #[inline(always)]
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        let mut ended = false;
+        for shadow in 0..SHADOWS {
+            ended |= self.is_over(shadow);
+        }
+        ended
+    }
+
+    #[inline(always)]
+    fn is_over(&self, shadow: usize) -> bool {
+        let shadow_s = self.shadow_s[shadow];
+        let due = (DUE_S..0.0).contains(&shadow_s);
+        due | (shadow_s >= SHADOWS_S[shadow])
+    }
+
+    /// Compares the shadow forecasts that have ended with the measured energy, and makes the next.
+    pub fn compare(&mut self, model: &EnergyModel) {
+        for shadow in 0..SHADOWS {
+            if !self.is_over(shadow) {
+                continue;
+            }
+            if self.shadow_s[shadow] >= SHADOWS_S[shadow] {
+                self.learn(model, shadow);
+            }
+            let Level { factor, added_w } = self.level(model, SHADOWS_S[shadow]);
+            self.shadow_factor[shadow] = factor;
+            self.shadow_added_w[shadow] = added_w;
+            self.shadow_energy_j[shadow] = 0.0;
+            self.shadow_command_j[shadow] = 0.0;
+            self.shadow_s[shadow] = 0.0;
+        }
+    }
+
+    /// Adapts the factor of the errors so that nine of ten lie inside the 90 % interval.
+    fn learn(&mut self, model: &EnergyModel, shadow: usize) {
+        /// Change of the factor per error.
+        const STEP: f32 = 0.2;
+        let duration_s = self.shadow_s[shadow];
+        let forecast_j = self.shadow_factor[shadow] * self.shadow_command_j[shadow]
+            + self.shadow_added_w[shadow] * duration_s;
+        let scale_j = model.scale_j(forecast_j, duration_s) * self.error_factor[shadow];
+        let error_j = self.shadow_energy_j[shadow] - forecast_j;
+        let errors = model.errors_at(SHADOWS_S[shadow]);
+        let inside = errors[1] * scale_j <= error_j && error_j <= errors[7] * scale_j;
+        let change = if inside {
+            -STEP * MISSES
+        } else {
+            STEP * (1.0 - MISSES)
+        };
+        let factor = self.error_factor[shadow] * (1.0 + change);
+        self.error_factor[shadow] = factor.clamp(FACTOR[0], FACTOR[1]);
+    }
+
+    /// Factor of the errors at a horizon, linear between the watched ones.
+    pub(crate) fn error_factor(&self, horizon_s: f32) -> f32 {
+        let last = SHADOWS - 2;
+        let segment = (0..last)
+            .find(|index| horizon_s < SHADOWS_S[index + 1])
+            .unwrap_or(last);
+        let (from_s, to_s) = (SHADOWS_S[segment], SHADOWS_S[segment + 1]);
+        let share = ((horizon_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
+        let (from, to) = (self.error_factor[segment], self.error_factor[segment + 1]);
+        from + share * (to - from)
+    }
+
+    /// The robot's level over a horizon: its levels and the platform's, weighted.
+    #[inline(always)]
+    pub(crate) fn level(&self, model: &EnergyModel, horizon_s: f32) -> Level {
+        let weights = model.weights_at(horizon_s);
+        let (mut factor, mut added_w) = (weights[LEVELS], 0.0);
+        for level in 0..LEVELS {
+            let time_s = self.time_s[level];
+            // Shrunk to the platform's: what little has been read says little.
+            let shrunk = time_s / (time_s + model.prior_s);
+            let read = (time_s > 0.0) & (self.command_j[level] > 0.0);
+            let (command_j, time_s) = if read {
+                (self.command_j[level], time_s)
+            } else {
+                (1.0, 1.0)
+            };
+            let above_j = if read {
+                self.energy_j[level] - command_j
+            } else {
+                0.0
+            };
+            let shrunk = if read { shrunk } else { 0.0 };
+            let (ratio, above_w) = (above_j / command_j, above_j / time_s);
+            let scaled = 1.0 + (1.0 - model.added_share) * shrunk * ratio;
+            factor += weights[level] * scaled;
+            added_w += weights[level] * (model.added_share * shrunk * above_w);
+        }
+        Level { factor, added_w }
+    }
+
+    /// All numbers, in the order of the fields.
+    #[inline(always)]
+    #[must_use]
+    pub fn to_array(&self) -> [f32; Self::FLOATS] {
+        let mut numbers = [0.0; Self::FLOATS];
+        let mut at = 0;
+        let mut put = |values: &[f32]| {
+            for value in values {
+                numbers[at] = *value;
+                at += 1;
+            }
+        };
+        put(&self.energy_j);
+        put(&self.command_j);
+        put(&self.time_s);
+        put(&[self.v_mps, self.omega_radps, self.command_w]);
+        put(&self.shadow_factor);
+        put(&self.shadow_added_w);
+        put(&self.shadow_energy_j);
+        put(&self.shadow_command_j);
+        put(&self.shadow_s);
+        put(&self.error_factor);
+        numbers
+    }
+
+    /// From [`EnergyState::to_array`].
+    #[inline(always)]
+    #[must_use]
+    pub fn from_array(numbers: &[f32; Self::FLOATS]) -> Self {
+        let levels = |at: usize| std::array::from_fn(|level| numbers[at + level]);
+        let shadows = |group: usize| {
+            std::array::from_fn(|place| numbers[3 * LEVELS + 3 + group * SHADOWS + place])
+        };
+        Self {
+            energy_j: levels(0),
+            command_j: levels(LEVELS),
+            time_s: levels(2 * LEVELS),
+            v_mps: numbers[3 * LEVELS],
+            omega_radps: numbers[3 * LEVELS + 1],
+            command_w: numbers[3 * LEVELS + 2],
+            shadow_factor: shadows(0),
+            shadow_added_w: shadows(1),
+            shadow_energy_j: shadows(2),
+            shadow_command_j: shadows(3),
+            shadow_s: shadows(4),
+            error_factor: shadows(5),
+        }
+    }
+}

@@ -1,0 +1,486 @@
+//! Forecasts against a slow reference that keeps every reading, and their promises.
+
+use joulebus_energy::{
+    CommandModel, Commands, EnergyModel, EnergySample, EnergyState, HORIZONS_S, KNOTS, LEVELS,
+    LEVELS_S, SHADOWS_S, TERMS,
+};
+use proptest::prelude::*;
+
+/// A model with every term, drawn from `seed`.
+fn model(numbers: &[f32], added_share: f32) -> EnergyModel {
+    let mut weights = [0.0; TERMS];
+    for (weight, number) in weights.iter_mut().zip(numbers) {
+        *weight = number.abs();
+    }
+    weights[0] += 1.0;
+    let row = |horizon: usize| {
+        let mut row = [0.0; LEVELS + 1];
+        row[horizon % (LEVELS + 1)] += 0.75;
+        row[(horizon + 2) % (LEVELS + 1)] += 0.25;
+        row
+    };
+    let errors: [f32; KNOTS] = [-0.5, -0.3, -0.2, -0.1, 0.01, 0.1, 0.25, 0.3, 0.8];
+    EnergyModel {
+        command: CommandModel {
+            weights,
+            half_v_mps: 0.1,
+            half_omega_radps: 0.5,
+        },
+        prior_s: 0.1,
+        added_share,
+        weights: std::array::from_fn(row),
+        calibrated: HORIZONS_S.len(),
+        errors: std::array::from_fn(|place| errors.map(|error| error * (1.0 + place as f32))),
+        mean_share: 0.3,
+        mean_w: 5.0,
+        v_mps: [-1.0, 1.0],
+        omega_radps: [-2.0, 2.0],
+    }
+}
+
+/// Keeps every sample, and computes everything from the beginning in double precision.
+struct Reference<'a> {
+    model: &'a EnergyModel,
+    /// Power, elapsed time, and the command from then on.
+    samples: Vec<EnergySample>,
+}
+
+impl Reference<'_> {
+    fn command_w(&self, command: (f64, f64), before: Option<(f64, f64)>, dt_s: f64) -> f64 {
+        let (v, omega) = command;
+        let (dv, domega) = match before {
+            Some(before) if dt_s > 0.0 && before.0.is_finite() && before.1.is_finite() => {
+                ((v - before.0) / dt_s, (omega - before.1) / dt_s)
+            }
+            _ => (0.0, 0.0),
+        };
+        let CommandModel {
+            weights,
+            half_v_mps,
+            half_omega_radps,
+        } = &self.model.command;
+        let terms = [
+            1.0,
+            v.abs(),
+            v.powi(2),
+            v.abs() / (v.abs() + f64::from(*half_v_mps)),
+            omega.abs(),
+            omega.powi(2),
+            omega.abs() / (omega.abs() + f64::from(*half_omega_radps)),
+            (v * omega).abs(),
+            if v * dv > 0.0 { v * dv } else { 0.0 },
+            if omega * domega > 0.0 {
+                omega * domega
+            } else {
+                0.0
+            },
+            dv.abs(),
+            domega.abs(),
+        ];
+        let weighted = weights.iter().zip(terms);
+        weighted
+            .map(|(weight, term)| f64::from(*weight) * term)
+            .sum()
+    }
+
+    /// Power of the command of sample `place`, W.
+    fn in_force_w(&self, place: usize) -> f64 {
+        let command =
+            |sample: &EnergySample| (f64::from(sample.v_mps), f64::from(sample.omega_radps));
+        let sample = &self.samples[place];
+        if !(sample.v_mps.is_finite() && sample.omega_radps.is_finite()) {
+            return self.model.mean_w.into();
+        }
+        let before = place
+            .checked_sub(1)
+            .map(|before| command(&self.samples[before]));
+        self.command_w(command(sample), before, sample.elapsed_s.into())
+    }
+
+    /// Discounted energy, that of the commands, and time.
+    fn sums(&self, level_s: f64) -> [f64; 3] {
+        let mut sums = [0.0; 3];
+        for place in 0..self.samples.len() {
+            let EnergySample {
+                power_w, elapsed_s, ..
+            } = self.samples[place];
+            if place == 0 || elapsed_s <= 0.0 || !power_w.is_finite() {
+                continue;
+            }
+            let later = &self.samples[place..];
+            let counted = later
+                .iter()
+                .map(|sample| f64::from(sample.elapsed_s).max(0.0));
+            let kept: f64 = counted
+                .map(|elapsed_s| level_s / (level_s + elapsed_s))
+                .product();
+            let elapsed_s = f64::from(elapsed_s);
+            sums[0] += kept * f64::from(power_w) * elapsed_s;
+            sums[1] += kept * self.in_force_w(place - 1) * elapsed_s;
+            sums[2] += kept * elapsed_s;
+        }
+        sums
+    }
+
+    fn energy_j(&self, plan: &[(f32, f32)], period_s: f64) -> f64 {
+        let duration_s = plan.len() as f64 * period_s;
+        let newest = self.samples.last();
+        let mut before =
+            newest.map(|sample| (f64::from(sample.v_mps), f64::from(sample.omega_radps)));
+        let mut command_j = 0.0;
+        for (v, omega) in plan {
+            let command = (f64::from(*v), f64::from(*omega));
+            command_j += self.command_w(command, before, period_s) * period_s;
+            before = Some(command);
+        }
+        let after = HORIZONS_S
+            .iter()
+            .position(|known| f64::from(*known) > duration_s);
+        let weight = |index: usize| -> f64 {
+            let at = |place: usize| f64::from(self.model.weights[place][index]);
+            match after {
+                Some(0) => at(0),
+                None => at(HORIZONS_S.len() - 1),
+                Some(after) => {
+                    let (from, to): (f64, f64) =
+                        (HORIZONS_S[after - 1].into(), HORIZONS_S[after].into());
+                    let share: f64 = (duration_s - from) / (to - from);
+                    at(after - 1) * (1.0 - share) + at(after) * share
+                }
+            }
+        };
+        let mut energy_j = weight(LEVELS) * command_j;
+        let added = f64::from(self.model.added_share);
+        for (index, level_s) in LEVELS_S.into_iter().enumerate() {
+            let [read_j, expected_j, time_s] = self.sums(level_s.into());
+            let shrunk = time_s / (time_s + f64::from(self.model.prior_s));
+            let (ratio, above_w) = match time_s > 0.0 {
+                true => (read_j / expected_j, (read_j - expected_j) / time_s),
+                false => (1.0, 0.0),
+            };
+            let scaled = command_j * (1.0 + shrunk * (ratio - 1.0));
+            let raised = command_j + shrunk * above_w * duration_s;
+            energy_j += weight(index) * ((1.0 - added) * scaled + added * raised);
+        }
+        energy_j
+    }
+}
+
+fn samples() -> impl Strategy<Value = Vec<EnergySample>> {
+    let sample = (
+        0.0f32..30.0,
+        0.01f32..0.3,
+        -0.5f32..0.5,
+        -2.0f32..2.0,
+        0u8..40,
+    );
+    let sample = sample.prop_map(
+        |(power_w, elapsed_s, v_mps, omega_radps, kind)| EnergySample {
+            power_w: if kind == 0 { f32::NAN } else { power_w },
+            elapsed_s: if kind == 1 { 0.0 } else { elapsed_s },
+            v_mps: if kind == 2 { f32::NAN } else { v_mps },
+            omega_radps,
+        },
+    );
+    prop::collection::vec(sample, 1..80)
+}
+
+fn plan() -> impl Strategy<Value = Vec<(f32, f32)>> {
+    prop::collection::vec((-0.5f32..0.5, -2.0f32..2.0), 1..60)
+}
+
+fn split(plan: &[(f32, f32)]) -> (Vec<f32>, Vec<f32>) {
+    plan.iter().copied().unzip()
+}
+
+fn observed(model: &EnergyModel, samples: &[EnergySample]) -> EnergyState {
+    let mut state = EnergyState::new(3);
+    for sample in samples {
+        state.observe(model, sample);
+    }
+    state
+}
+
+proptest! {
+    #[test]
+    fn a_forecast_is_the_slow_references(
+        weights in prop::collection::vec(0.0f32..3.0, TERMS),
+        added_share in 0.0f32..=1.0,
+        samples in samples(),
+        plan in plan(),
+        period_s in 0.01f32..2.0,
+    ) {
+        let model = model(&weights, added_share);
+        let state = observed(&model, &samples);
+        let reference = Reference { model: &model, samples };
+        let (v_mps, omega_radps) = split(&plan);
+        let commands = Commands { period_s, v_mps: &v_mps, omega_radps: &omega_radps };
+        let expected_j = reference.energy_j(&plan, period_s.into());
+        let found_j = f64::from(model.forecast(&state, commands).energy_j);
+        prop_assert!((found_j - expected_j).abs() <= 2e-4 * expected_j.abs().max(1.0), "{found_j} {expected_j}");
+    }
+
+    #[test]
+    fn the_power_of_the_steps_adds_up_to_the_energy(
+        samples in samples(), plan in plan(), added_share in 0.0f32..=1.0,
+    ) {
+        let model = model(&[0.5; TERMS], added_share);
+        let state = observed(&model, &samples);
+        let (v_mps, omega_radps) = split(&plan);
+        let commands = Commands { period_s: 0.1, v_mps: &v_mps, omega_radps: &omega_radps };
+        let mut power_w = vec![f32::NAN; plan.len()];
+        model.power_w(&state, commands, &mut power_w);
+        let sum_j: f64 = power_w.iter().map(|power_w| f64::from(*power_w) * 0.1).sum();
+        let energy_j = f64::from(model.forecast(&state, commands).energy_j);
+        prop_assert!((sum_j - energy_j).abs() <= 1e-5 * energy_j.abs().max(1.0));
+    }
+
+    /// The gradient is that of differences, away from the corners at rest and at equal commands.
+    #[test]
+    fn the_gradient_is_that_of_differences(
+        samples in samples(),
+        plan in prop::collection::vec((0.05f32..0.5, -2.0f32..-0.1), 1..12),
+        step in 0usize..12,
+    ) {
+        let model = model(&[0.7, 0.3, 2.0, 1.0, 0.4, 0.2, 0.6, 0.9, 0.05, 0.02, 0.03, 0.01], 0.4);
+        let state = observed(&model, &samples);
+        let step = step % plan.len();
+        let (v_mps, omega_radps) = split(&plan);
+        let (mut by_v, mut by_omega) = (vec![f32::NAN; plan.len()], vec![f32::NAN; plan.len()]);
+        let commands = Commands { period_s: 0.1, v_mps: &v_mps, omega_radps: &omega_radps };
+        model.gradient(&state, commands, &mut by_v, &mut by_omega);
+        let near = |one: f32, other: f32| (one - other).abs() < 4e-3;
+        let clear = |columns: &[f32], before: f32| {
+            let earlier = step.checked_sub(1).map_or(before, |at| columns[at]);
+            !near(columns[step], earlier)
+                && columns.get(step + 1).is_none_or(|next| !near(*next, columns[step]))
+        };
+        let (before_v, before_omega) = state.command();
+        for (slope, column, before) in [(by_v[step], 0, before_v), (by_omega[step], 1, before_omega)] {
+            let moved = |by: f32| {
+                let (mut v_mps, mut omega_radps) = (v_mps.clone(), omega_radps.clone());
+                [&mut v_mps, &mut omega_radps][column][step] += by;
+                let commands = Commands { period_s: 0.1, v_mps: &v_mps, omega_radps: &omega_radps };
+                f64::from(model.forecast(&state, commands).energy_j)
+            };
+            if clear([&v_mps, &omega_radps][column], before) {
+                let expected = (moved(1e-3) - moved(-1e-3)) / 2e-3;
+                let energy_j = moved(0.0).abs();
+                let rounding = 1e-6 * energy_j / 1e-3 + 0.02 * expected.abs() + 1e-3;
+                prop_assert!((f64::from(slope) - expected).abs() <= rounding, "{slope} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn quantiles_ascend_and_probabilities_are_their_inverse(
+        samples in samples(), plan in plan(), p in 0.001f32..0.999, more in 0.0f32..1.0,
+    ) {
+        let model = model(&[0.5; TERMS], 0.0);
+        let state = observed(&model, &samples);
+        let (v_mps, omega_radps) = split(&plan);
+        let commands = Commands { period_s: 0.5, v_mps: &v_mps, omega_radps: &omega_radps };
+        let forecast = model.forecast(&state, commands);
+        let (lower, upper) = (forecast.quantile_j(p).unwrap(), forecast.quantile_j(p + more * (0.999 - p)).unwrap());
+        prop_assert!(lower <= upper);
+        // An error is small beside the energy that it is added to.
+        let back = forecast.probability_below(lower).unwrap();
+        prop_assert!((back - p).abs() < 2e-2, "{p} {back}");
+    }
+
+    #[test]
+    fn samples_that_say_nothing_leave_numbers_finite(
+        kinds in prop::collection::vec(0usize..6, 1..200),
+    ) {
+        let model = model(&[0.5; TERMS], 0.5);
+        let mut state = EnergyState::new(0);
+        for kind in kinds {
+            let odd = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -1.0, 0.0, 1e30][kind];
+            for sample in [
+                EnergySample { power_w: odd, elapsed_s: 0.03, v_mps: 0.1, omega_radps: 0.0 },
+                EnergySample { power_w: 3.0, elapsed_s: odd.min(10.0), v_mps: 0.1, omega_radps: 0.0 },
+                EnergySample { power_w: 3.0, elapsed_s: 0.03, v_mps: odd.min(10.0), omega_radps: odd.min(10.0) },
+            ] {
+                state.observe(&model, &sample);
+            }
+            state.observe(&model, &EnergySample { power_w: 3.0, elapsed_s: 0.1, v_mps: 0.1, omega_radps: 0.0 });
+            let plan = Commands { period_s: 0.1, v_mps: &[0.1; 20], omega_radps: &[0.0; 20] };
+            prop_assert!(model.forecast(&state, plan).energy_j.is_finite(), "{state:?}");
+        }
+    }
+
+    #[test]
+    fn a_state_is_its_array(samples in samples()) {
+        let state = observed(&model(&[0.5; TERMS], 0.0), &samples);
+        let numbers = state.to_array();
+        let again = EnergyState::from_array(&numbers).to_array();
+        prop_assert_eq!(numbers.map(f32::to_bits), again.map(f32::to_bits));
+    }
+
+    #[test]
+    fn a_model_is_its_text(weights in prop::collection::vec(0.0f32..3.0, TERMS), share in 0.0f32..=1.0) {
+        let model = model(&weights, share);
+        prop_assert_eq!(EnergyModel::from_text(&model.to_text()), Ok(model));
+    }
+}
+
+#[test]
+fn a_state_is_small_and_has_no_padding() {
+    assert_eq!(size_of::<EnergyState>(), 4 * EnergyState::FLOATS);
+    assert!(
+        size_of::<EnergyState>() <= 200,
+        "{}",
+        size_of::<EnergyState>()
+    );
+}
+
+#[test]
+fn a_new_robot_draws_what_its_platform_does() {
+    let model = model(&[0.5; TERMS], 0.0);
+    let plan = Commands {
+        period_s: 0.5,
+        v_mps: &[0.0; 4],
+        omega_radps: &[0.0; 4],
+    };
+    let forecast = model.forecast(&EnergyState::new(0), plan);
+    assert!((forecast.energy_j - 2.0 * model.command.weights[0]).abs() < 1e-4);
+    assert!(forecast.quantile_j(0.95) > forecast.quantile_j(0.05));
+}
+
+#[test]
+fn what_is_not_known_has_no_interval() {
+    let trained = model(&[0.5; TERMS], 0.0);
+    let state = observed(&trained, &[]);
+    let plan = |period_s: f32| Commands {
+        period_s,
+        v_mps: &[0.0; 4],
+        omega_radps: &[0.0; 4],
+    };
+    assert!(
+        trained
+            .forecast(&state, plan(1.0))
+            .quantile_j(0.5)
+            .is_some()
+    );
+    // Beyond the longest horizon.
+    assert!(
+        trained
+            .forecast(&state, plan(80.0))
+            .quantile_j(0.5)
+            .is_none()
+    );
+    // Without training.
+    let untrained = EnergyModel::untrained(4.0);
+    assert_eq!(untrained.check(), Ok(()));
+    assert!(
+        untrained
+            .forecast(&state, plan(1.0))
+            .quantile_j(0.5)
+            .is_none()
+    );
+    assert!(
+        untrained
+            .forecast(&state, plan(1.0))
+            .probability_below(9.0)
+            .is_none()
+    );
+    // A command that is not a number.
+    let unknown = Commands {
+        period_s: 1.0,
+        v_mps: &[0.0, f32::NAN],
+        omega_radps: &[0.0; 2],
+    };
+    let forecast = trained.forecast(&state, unknown);
+    assert!(forecast.energy_j.is_nan() && forecast.quantile_j(0.5).is_none());
+    // Probabilities that are none.
+    for p in [0.0, 1.0, -1.0, f32::NAN] {
+        assert_eq!(trained.forecast(&state, plan(1.0)).quantile_j(p), None);
+    }
+}
+
+#[test]
+fn commands_outside_the_training_data_are_named() {
+    let model = model(&[0.5; TERMS], 0.0);
+    let state = EnergyState::new(0);
+    for (v_mps, outside) in [(0.9, false), (1.1, true), (-1.1, true)] {
+        let plan = Commands {
+            period_s: 0.1,
+            v_mps: &[0.0, v_mps],
+            omega_radps: &[0.0; 2],
+        };
+        assert_eq!(model.forecast(&state, plan).outside_training, outside);
+    }
+}
+
+/// A robot whose power is redrawn every second: its errors are far above or far below the model's.
+#[test]
+fn intervals_widen_and_narrow_with_the_robots_own_errors() {
+    let model = model(&[0.0; TERMS], 0.0);
+    let plan = Commands {
+        period_s: 0.1,
+        v_mps: &[0.0; 10],
+        omega_radps: &[0.0; 10],
+    };
+    let width = |state: &EnergyState| {
+        let forecast = model.forecast(state, plan);
+        (forecast.quantile_j(0.95).unwrap() - forecast.quantile_j(0.05).unwrap())
+            / forecast.energy_j
+    };
+    let drive = |power_w: fn(usize) -> f32| {
+        let mut state = EnergyState::new(0);
+        for second in 0..300 {
+            for _ in 0..10 {
+                let power_w = power_w(second);
+                state.observe(
+                    &model,
+                    &EnergySample {
+                        power_w,
+                        elapsed_s: 0.1,
+                        v_mps: 0.0,
+                        omega_radps: 0.0,
+                    },
+                );
+            }
+        }
+        state
+    };
+    let steady = drive(|_| 5.0);
+    let erratic = drive(|second| if second * 7 % 5 < 2 { 2.0 } else { 12.0 });
+    assert!(
+        width(&erratic) > 1.3 * width(&steady),
+        "{} {}",
+        width(&erratic),
+        width(&steady)
+    );
+    for state in [steady, erratic] {
+        let times = state.shadow_s.iter().zip(SHADOWS_S);
+        assert!(
+            times
+                .into_iter()
+                .all(|(since_s, horizon_s)| *since_s < horizon_s)
+        );
+    }
+}
+
+#[test]
+fn a_model_out_of_range_is_refused_by_name() {
+    let good = model(&[0.5; TERMS], 0.0);
+    let spoil: [fn(&mut EnergyModel); 8] = [
+        |model| model.command.weights[3] = f32::NAN,
+        |model| model.command.weights[0] = 0.0,
+        |model| model.command.half_v_mps = 0.0,
+        |model| model.mean_w = -1.0,
+        |model| model.weights[2][0] += 0.1,
+        |model| model.calibrated = 7,
+        |model| model.errors[5][3] = f32::INFINITY,
+        |model| model.v_mps = [1.0, f32::NAN],
+    ];
+    for spoil in spoil {
+        let mut model = good.clone();
+        spoil(&mut model);
+        let message = model.check().unwrap_err().to_string();
+        assert!(message.contains("allowed is"), "{message}");
+        assert!(EnergyModel::from_text(&model.to_text()).is_err());
+    }
+    assert!(EnergyModel::from_text("{}").is_err());
+}
