@@ -5,6 +5,7 @@ use std::io::{self, BufWriter, Write as _};
 use std::path::PathBuf;
 
 use anyhow::Context as _;
+use joulebus_capture::scan::ScanError;
 use joulebus_capture::values::{Line, values};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::StdoutClosed;
@@ -45,7 +46,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let named = || args.file.display().to_string();
     let file = joulebus_files::open(&args.file).with_context(named)?;
     let mut out = Out::new(output.asked());
-    let passed = values(file, wanted, |line| out.take(&line))?;
+    let passed = values(file, wanted, |line| out.take(&line)).map_err(|error: anyhow::Error| {
+        if error.is::<ScanError>() {
+            error.context(named())
+        } else {
+            error
+        }
+    })?;
     out.out.flush().map_err(closed)?;
     for damage in &passed.damage {
         say(&format!("{}: {damage}", named()));

@@ -53,7 +53,7 @@ pub(crate) struct Args {
     files: Vec<PathBuf>,
     /// A capture (.mcap), a dataset (.csv, .csv.gz) or a directory
     #[arg(short, long, value_name = "PATH")]
-    output: PathBuf,
+    out: PathBuf,
     #[command(flatten)]
     options: ImportArguments,
     #[command(flatten)]
@@ -235,10 +235,10 @@ fn read_trials(
 }
 
 fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>> {
-    let name = args.output.to_string_lossy();
+    let name = args.out.to_string_lossy();
     if name.ends_with(".mcap") {
         let config = args.config.load()?;
-        let written = capture::write(&args.output, &config, args.first_robot, recordings)?;
+        let written = capture::write(&args.out, &config, args.first_robot, recordings)?;
         return Ok(vec![written]);
     }
     let is_dataset = name.ends_with(".csv") || name.ends_with(".csv.gz");
@@ -250,11 +250,11 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
         return Err(UsageError(format!("{what}; name a directory or a capture (.mcap)")).into());
     }
     if !is_dataset {
-        fs::create_dir_all(&args.output).with_context(|| name.clone().into_owned())?;
+        fs::create_dir_all(&args.out).with_context(|| name.clone().into_owned())?;
     }
     let place = |recording: &Recording| {
         if is_dataset {
-            return args.output.clone();
+            return args.out.clone();
         }
         // A robot's name may have any characters; a file's name may not.
         let file: String = recording
@@ -268,7 +268,7 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
                 }
             })
             .collect();
-        args.output.join(format!("{file}.csv.gz"))
+        args.out.join(format!("{file}.csv.gz"))
     };
     let mut written = Vec::new();
     for recording in &recordings {

@@ -8,7 +8,7 @@ use std::time::Instant;
 use anyhow::{Context as _, bail};
 use joulebus_capture::inspect::inspect;
 use joulebus_capture::recover::{Recovery, recover};
-use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
@@ -27,7 +27,7 @@ pub(crate) struct Args {
     input: PathBuf,
     /// The result; must not exist
     #[arg(short, long, value_name = "OUT")]
-    output: PathBuf,
+    out: PathBuf,
 }
 
 #[derive(Debug, Serialize)]
@@ -47,27 +47,27 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let input =
         joulebus_files::open(&args.input).with_context(|| args.input.display().to_string())?;
     let input_bytes = input.metadata()?.len();
-    if args.output.exists() {
-        let name = args.output.display();
-        return Err(UsageError(format!("{name} exists; give a path that does not exist")).into());
+    if args.out.exists() {
+        let name = args.out.display();
+        bail!("{name} exists and is not overwritten; name another file");
     }
     let started = Instant::now();
-    let recovery = match write(input, &args.output) {
+    let recovery = match write(input, &args.out) {
         Ok(recovery) => recovery,
         Err(error) => {
             // A partial result is useless; failing to remove it does not matter.
-            let _ = fs::remove_file(&args.output);
+            let _ = fs::remove_file(&args.out);
             return Err(error).with_context(|| args.input.display().to_string());
         }
     };
     let duration_s = started.elapsed().as_secs_f64();
-    check(&args.output, &recovery)?;
+    check(&args.out, &recovery)?;
     let is_whole = recovery.is_lossless();
     output.report(&RecoverReport {
         input: args.input.display().to_string(),
-        output: args.output.display().to_string(),
+        output: args.out.display().to_string(),
         input_bytes,
-        output_bytes: fs::metadata(&args.output)?.len(),
+        output_bytes: fs::metadata(&args.out)?.len(),
         duration_s,
         rate_mb_s: input_bytes as f64 / 1e6 / duration_s.max(1e-9),
         recovery,

@@ -326,7 +326,7 @@ fn task(name: &'static str, place: &Place, verb: &[&str]) -> Task {
 /// The recorder; after a crash it continues in another file.
 fn recorder(place: &Place, capture: &Path) -> Task {
     let mut task = task(RECORDER, place, &["record", "--resume"]);
-    let arguments = ["--output".into(), capture.as_os_str().to_owned()];
+    let arguments = ["--out".into(), capture.as_os_str().to_owned()];
     task.arguments.extend(arguments);
     task
 }

@@ -27,7 +27,7 @@ pub(crate) struct Args {
     #[arg(value_name = "MODEL")]
     model: PathBuf,
     /// The output file; a directory for npy
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
     /// Format of the file [default: by the extension of --out]
     #[arg(long, value_enum, value_name = "KIND")]

@@ -38,7 +38,7 @@ pub(crate) struct Args {
     #[arg(value_name = "FILE")]
     file: PathBuf,
     /// The model file to write
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
     /// Recordings with power, and with commands if the network reads them (.npy, .csv,
     /// .csv.gz, .mcap), or directories of them

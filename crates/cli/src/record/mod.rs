@@ -55,7 +55,7 @@ pub(crate) struct Args {
     config: Vec<PathBuf>,
     /// The file; further parts are run_1.mcap, run_2.mcap …; - for stdout
     #[arg(short, long, value_name = "FILE")]
-    output: PathBuf,
+    out: PathBuf,
     /// Start with the next part instead of refusing when the file exists
     #[arg(long)]
     resume: bool,
@@ -119,7 +119,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let clock = Clock::now();
     let attachments = Attachments::of(&configs, clock)?;
     let began_ns = clock::monotonic_ns();
-    let mut others = Others::start(&args.config, &args.output)?;
+    let mut others = Others::start(&args.config, &args.out)?;
     let recorder = Recorder::start(
         &configs[0],
         others.streams(),
@@ -129,7 +129,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         &args.options()?,
     )?;
     let names: Vec<&str> = configs.iter().map(Config::fleet).collect();
-    let file = args.output.display();
+    let file = args.out.display();
     say(&format!("recording {} into {file}", names.join(", ")));
     let end_ns = args
         .duration
@@ -227,16 +227,16 @@ impl Args {
     }
 
     fn target(&self) -> Target {
-        if self.output == Path::new(STDOUT) {
+        if self.out == Path::new(STDOUT) {
             Target::Stream(Box::new(std::io::stdout()))
         } else {
-            Target::File(self.output.clone())
+            Target::File(self.out.clone())
         }
     }
 
     /// Writes the report to stdout, unless the capture goes there.
     fn report(&self, report: &RecordReport, output: Output) -> anyhow::Result<()> {
-        if self.output != Path::new(STDOUT) {
+        if self.out != Path::new(STDOUT) {
             return output.report(report);
         }
         match output.format() {

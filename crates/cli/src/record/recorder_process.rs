@@ -30,7 +30,7 @@ impl RecorderProcess {
         let program =
             std::env::current_exe().context("cannot find the executable of this program")?;
         let mut command = Command::new(program);
-        command.args(["record", "--exit-with-stdin", "--output"]);
+        command.args(["record", "--exit-with-stdin", "--out"]);
         command.arg(file);
         if let Some(config) = &config.config {
             command.arg("--config").arg(config);

@@ -1,11 +1,10 @@
 //! The files of a recording, read as one stream.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, anyhow};
 use joulebus_capture::{Attachments, Entry, ReadError, Reader};
 use joulebus_config::Config;
 use joulebus_program::exit::UsageError;
@@ -46,7 +45,8 @@ impl Files {
         let mut fleets: Vec<String> = attachments.fleets().map(str::to_owned).collect();
         if fleets.is_empty() {
             // Not from this recorder: the fleets are taken from the messages.
-            fleets.extend(first_fleet(reader));
+            let found = first_fleet(reader).with_context(|| first.display().to_string())?;
+            fleets.push(found);
         }
         let fleet = choose(&fleets, fleet)
             .map_err(|what| UsageError(format!("{}: {what}", first.display())))?;
@@ -148,10 +148,20 @@ impl Iterator for Messages {
     }
 }
 
-fn first_fleet(reader: Reader<std::fs::File>) -> Option<String> {
-    let fleets = reader.filter_map(Result::ok).map(|entry| entry.fleet);
-    let mut ours = fleets.filter(|fleet: &Arc<str>| !fleet.is_empty());
-    ours.next().map(|fleet| fleet.to_string())
+/// The fleet of the first message that has one; without any, the first damage.
+fn first_fleet(reader: Reader<std::fs::File>) -> anyhow::Result<String> {
+    let mut damage = None;
+    for entry in reader {
+        match entry {
+            Ok(entry) if !entry.fleet.is_empty() => return Ok(entry.fleet.to_string()),
+            Ok(_) => {}
+            Err(error) => drop(damage.get_or_insert(error)),
+        }
+    }
+    Err(damage.map_or_else(
+        || anyhow!("contains no fleet; is it a capture of joulebus?"),
+        Into::into,
+    ))
 }
 
 fn choose(fleets: &[String], wanted: Option<&str>) -> Result<String, String> {
@@ -160,7 +170,6 @@ fn choose(fleets: &[String], wanted: Option<&str>) -> Result<String, String> {
         (Some(wanted), _) if fleets.iter().any(|fleet| fleet == wanted) => Ok(wanted.to_owned()),
         (Some(wanted), _) => Err(format!("contains no fleet {wanted:?}; its fleets: {there}")),
         (None, [only]) => Ok(only.clone()),
-        (None, []) => Err("contains no fleet; is it a capture of joulebus?".to_owned()),
         (None, _) => Err(format!(
             "contains several fleets: choose with --fleet: {there}"
         )),
@@ -184,7 +193,6 @@ mod tests {
         for (there, wanted, said) in [
             (fleets(&["lab", "yard"]), None, "lab, yard"),
             (fleets(&["lab"]), Some("yard"), "lab"),
-            (fleets(&[]), None, "contains no fleet"),
         ] {
             let error = choose(&there, wanted).unwrap_err();
             assert!(error.contains(said), "{error}");

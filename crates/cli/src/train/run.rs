@@ -25,7 +25,7 @@ const MOST_SAVED_BYTES: u64 = 64 << 20;
 #[derive(Debug, clap::Args)]
 pub(super) struct RunArguments {
     /// The model file to write
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     pub out: PathBuf,
     /// Continue the interrupted run from its checkpoint, FILE.training beside the model
     #[arg(long)]

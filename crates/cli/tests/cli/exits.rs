@@ -1,0 +1,202 @@
+//! Exit codes of every subcommand: 0 done, 1 failed, 2 wrong usage or config, 3 finished with losses or differences.
+//! What runs until it is stopped is in [`crate::signals`] too.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::captures::capture;
+use crate::fleet::{Fleet, code, joulebus, output, stderr, stdout};
+
+/// Arguments of a subcommand, and the exit code. Words in capitals are files: see [`file`].
+const CASES: &[(i32, &str)] = &[
+    (2, "demo --robots 0"),
+    (2, "run --config /nowhere.toml"),
+    (2, "run --config JUNK"),
+    (0, "publish sim --config FLEET --robots 1 --duration 0.1"),
+    (2, "publish sim --config FLEET --robots 99"),
+    (
+        0,
+        "publish trial TRIAL --config FLEET --no-wait --first-robot 0 --rate max",
+    ),
+    (
+        1,
+        "publish trial JUNK --config FLEET --no-wait --first-robot 0",
+    ),
+    (2, "publish trial TRIAL --config FLEET --no-wait --rate 0"),
+    (1, "record --config FLEET -o THERE"),
+    (2, "record --config FLEET"),
+    (3, "replay CAPTURE --config FLEET --no-wait --rate max"),
+    (1, "replay JUNK --config FLEET --no-wait"),
+    (1, "replay --verify JUNK"),
+    (1, "replay --verify /nowhere.mcap"),
+    (2, "replay CAPTURE --config FLEET --fleet other"),
+    (3, "replay CUT --config FLEET --no-wait --rate max"),
+    (1, "watch --once --config FLEET"),
+    (2, "watch --once --config JUNK"),
+    (0, "info CAPTURE"),
+    (1, "info JUNK"),
+    (1, "info /nowhere.mcap"),
+    (2, "info"),
+    (3, "info CUT"),
+    (0, "cat CAPTURE"),
+    (1, "cat JUNK"),
+    (1, "cat /nowhere.mcap"),
+    (2, "cat CAPTURE -e ("),
+    (3, "cat CUT"),
+    (0, "recover CAPTURE -o NEW"),
+    (1, "recover JUNK -o NEW"),
+    (1, "recover CAPTURE -o THERE"),
+    (2, "recover CAPTURE"),
+    (3, "recover CUT -o NEW"),
+    (2, "serve"),
+    (0, "import CAPTURE -o NEW"),
+    (1, "import JUNK -o NEW"),
+    (1, "import CUT -o NEW"),
+    (2, "import CAPTURE"),
+    (0, "data info TRIAL"),
+    (1, "data info JUNK"),
+    (2, "data info"),
+    (0, "data check TRIAL"),
+    (2, "data check"),
+    (3, "data check JUNK"),
+    (0, "data convert TRIAL --to npy -o NEW"),
+    (1, "data convert TRIAL -o TRIAL"),
+    (1, "data convert JUNK --to npy -o NEW"),
+    (2, "data convert TRIAL"),
+    (0, "data simulate NEW"),
+    (2, "data simulate"),
+    (0, "doctor CAPTURE"),
+    (1, "doctor JUNK"),
+    (2, "doctor --config JUNK"),
+    (3, "doctor CUT"),
+    (0, "config init --from TRIAL -o NEW"),
+    (1, "config init --from JUNK -o NEW"),
+    (2, "config init"),
+    (0, "config check FLEET"),
+    (2, "config check JUNK"),
+    (0, "config show FLEET"),
+    (2, "config show JUNK"),
+    (0, "config explain tick.rate_hz"),
+    (2, "config explain tick.rate"),
+    (1, "train trials JUNK -o NEW"),
+    (2, "train trials TRIAL"),
+    (2, "train sim"),
+    (0, "analyze TRIAL --native --split time"),
+    (1, "analyze JUNK --native"),
+    (2, "analyze"),
+    (0, "eval TRIAL --model MODEL"),
+    (1, "eval JUNK --model MODEL"),
+    (1, "eval TRIAL --model JUNK"),
+    (2, "eval"),
+    (2, "report TRIAL"),
+    (2, "bench nothing"),
+    (0, "model info MODEL"),
+    (1, "model info JUNK"),
+    (2, "model info"),
+    (0, "model import EXPORTED -o NEW"),
+    (1, "model import JUNK -o NEW"),
+    (2, "model import EXPORTED"),
+    (0, "model export MODEL --to npz -o NEW"),
+    (1, "model export JUNK --to npz -o NEW"),
+    (2, "model export MODEL"),
+    (0, "model compare MODEL MODEL TRIAL"),
+    (1, "model compare MODEL JUNK TRIAL"),
+    (2, "model compare MODEL MODEL"),
+    (0, "completions bash"),
+    (2, "completions cmd"),
+];
+
+const MODEL: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../../configs/models/gternal-sim.safetensors"
+);
+
+/// Writes a file of text, a capture, one that is cut short, and a model of another format.
+fn prepare(fleet: &Fleet) {
+    fs::write(fleet.path("junk"), "hello\n").unwrap();
+    fleet.recording("trial.csv", 300);
+    let (whole, _) = capture(fleet, 300);
+    let bytes = fs::read(whole).unwrap();
+    fs::write(fleet.path("cut.mcap"), &bytes[..bytes.len() * 2 / 3]).unwrap();
+    let exported = fleet.path("exported.npz");
+    let export = ["model", "export", MODEL, "--to", "npz", "-o"].map(PathBuf::from);
+    assert_eq!(code(&output(export.iter().chain([&exported]))), 0);
+}
+
+/// The file that a word names; `new` for NEW.
+fn file(fleet: &Fleet, word: &str, new: &Path) -> PathBuf {
+    match word {
+        "MODEL" => MODEL.into(),
+        "TRIAL" => fleet.path("trial.csv"),
+        "CAPTURE" => fleet.path("trials.mcap"),
+        "CUT" => fleet.path("cut.mcap"),
+        "JUNK" | "THERE" => fleet.path("junk"),
+        "EXPORTED" => fleet.path("exported.npz"),
+        "FLEET" => fleet.config(),
+        "NEW" => new.to_owned(),
+        word => word.into(),
+    }
+}
+
+#[test]
+fn every_subcommand_ends_with_the_code_that_its_help_states() {
+    let fleet = Fleet::new();
+    prepare(&fleet);
+    let mut wrong = Vec::new();
+    for (place, (expected, words)) in CASES.iter().enumerate() {
+        let new = fleet.path(&format!("new-{place}"));
+        let arguments = words.split(' ').map(|word| file(&fleet, word, &new));
+        let ended = joulebus(arguments).output().unwrap();
+        let said = stderr(&ended);
+        let fails = matches!(expected, 1 | 2);
+        // What failed has no result, says why, and leaves no part of a file.
+        let is_silent = stdout(&ended).is_empty() && !said.is_empty() && !new.exists();
+        if code(&ended) != *expected || fails && !is_silent {
+            wrong.push(format!("{expected}, {words}: {ended:?}"));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert_eq!(fs::read_to_string(fleet.path("junk")).unwrap(), "hello\n");
+    assert!(fleet.stale_files().is_empty());
+}
+
+/// The subcommands of one, from its help: the names in its list, but `help`.
+pub(crate) fn below(words: &[String]) -> Vec<String> {
+    let help = output(words.iter().map(String::as_str).chain(["--help"]));
+    let text = stdout(&help);
+    let (_, list) = text.split_once("Commands:\n").unwrap_or_default();
+    let lines = list.lines().take_while(|line| !line.is_empty());
+    let names = lines.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    let names = names.filter_map(|line| line.split_whitespace().next());
+    names
+        .filter(|name| *name != "help")
+        .map(str::to_owned)
+        .collect()
+}
+
+/// All subcommands and theirs, as the words of a call.
+pub(crate) fn subcommands() -> Vec<Vec<String>> {
+    let mut found = vec![Vec::new()];
+    let mut looked_at = 0;
+    while let Some(words) = found.get(looked_at).cloned() {
+        found.extend(below(&words).into_iter().map(|name| {
+            let mut longer = words.clone();
+            longer.push(name);
+            longer
+        }));
+        looked_at += 1;
+    }
+    found.split_off(1)
+}
+
+#[test]
+fn the_table_has_every_subcommand() {
+    let all = subcommands();
+    let leaves = all.iter().filter(|words| below(words).is_empty());
+    let leaves: Vec<String> = leaves.map(|words| words.join(" ")).collect();
+    assert!(leaves.len() > 25, "{leaves:?}");
+    for verb in leaves {
+        let is_of = |case: &str| case == verb || case.starts_with(&format!("{verb} "));
+        assert!(CASES.iter().any(|(_, case)| is_of(case)), "{verb}");
+    }
+}
