@@ -19,6 +19,8 @@ pub struct CommandModel {
     pub half_v_mps: f32,
     /// ω₀, rad/s, above 0.
     pub half_omega_radps: f32,
+    /// Mean power in the training data, and of an unknown command, W, above 0.
+    pub mean_w: f32,
 }
 
 /// A command and the change that led to it.
@@ -47,6 +49,14 @@ impl Motion {
     }
 }
 
+impl Motion {
+    /// Whether the command is finite.
+    #[inline(always)]
+    pub(crate) fn is_known(&self) -> bool {
+        self.v_mps.is_finite() & self.omega_radps.is_finite()
+    }
+}
+
 impl CommandModel {
     /// The same power under every command.
     #[must_use]
@@ -57,6 +67,7 @@ impl CommandModel {
             weights,
             half_v_mps: 1.0,
             half_omega_radps: 1.0,
+            mean_w: power_w,
         }
     }
 
@@ -87,9 +98,9 @@ impl CommandModel {
         ]
     }
 
-    /// Power in W. NaN for a command that is not finite, unless commands make no difference.
+    /// Power in W; that without a command for one that is not finite.
     #[inline(always)]
-    pub(crate) fn power_w(&self, motion: &Motion, reads_commands: bool) -> f32 {
+    pub(crate) fn power_w(&self, motion: &Motion) -> f32 {
         let terms = self.terms([
             motion.v_mps,
             motion.omega_radps,
@@ -100,13 +111,10 @@ impl CommandModel {
         for (weight, term) in self.weights.iter().zip(terms) {
             power_w += weight * term;
         }
-        // `max` drops a NaN.
-        let known = motion.v_mps.is_finite() & motion.omega_radps.is_finite();
-        let power_w = if known { power_w } else { f32::NAN };
-        if reads_commands {
+        if power_w.is_finite() & motion.is_known() {
             power_w
         } else {
-            self.weights[0]
+            self.mean_w
         }
     }
 

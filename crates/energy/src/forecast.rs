@@ -86,24 +86,20 @@ impl EnergyModel {
     #[must_use]
     pub fn forecast(&self, state: &EnergyState, plan: Commands<'_>) -> EnergyForecast {
         let (duration_s, level) = (plan.duration_s(), self.level(state, &plan));
-        let mut sum_w = 0.0f64;
-        let mut outside_training = false;
         let reads_commands = self.command.reads_commands();
+        let (mut sum_w, mut known, mut outside_training) = (0.0f64, true, false);
         for motion in plan.motions(state.command()) {
-            sum_w += f64::from(self.command.power_w(&motion, reads_commands));
+            sum_w += f64::from(self.command.power_w(&motion));
+            known &= motion.is_known() | !reads_commands;
             outside_training |= reads_commands & self.is_outside(&motion);
         }
         let command_j = sum_w * f64::from(plan.period_s);
         let energy_j =
             f64::from(level.factor) * command_j + f64::from(level.added_w) * f64::from(duration_s);
-        let energy_j = energy_j as f32;
+        let energy_j = if known { energy_j as f32 } else { f32::NAN };
         let known = energy_j.is_finite() && duration_s <= self.longest_s();
         EnergyForecast {
-            energy_j: if energy_j.is_finite() {
-                energy_j
-            } else {
-                f32::NAN
-            },
+            energy_j,
             duration_s,
             outside_training,
             errors_j: known.then(|| {
@@ -115,13 +111,12 @@ impl EnergyModel {
 
     /// The power of each step of a plan, W, whose sum times the period is the energy of
     /// [`EnergyModel::forecast`] up to rounding. Steps beyond the shorter of plan and `power_w` are
-    /// not written.
+    /// not written; an unknown command draws the platform's mean.
     pub fn power_w(&self, state: &EnergyState, plan: Commands<'_>, power_w: &mut [f32]) {
         let level = self.level(state, &plan);
-        let reads_commands = self.command.reads_commands();
         let motions = plan.motions(state.command());
         for (power_w, motion) in power_w.iter_mut().zip(motions) {
-            let command_w = self.command.power_w(&motion, reads_commands);
+            let command_w = self.command.power_w(&motion);
             *power_w = level.factor * command_w + level.added_w;
         }
     }

@@ -35,8 +35,6 @@ pub struct EnergyModel {
     /// Share by which the scale of an error is the platform's mean power, 0 to 1; the rest is the
     /// forecast's.
     pub mean_share: f32,
-    /// Mean power in the training data, W, above 0.
-    pub mean_w: f32,
     /// Lowest and highest velocity in the training data, m/s.
     pub v_mps: [f32; 2],
     /// Lowest and highest angular velocity in the training data, rad/s.
@@ -89,9 +87,8 @@ impl EnergyModel {
             calibrated: 0,
             errors: [[0.0; KNOTS]; HORIZONS],
             mean_share: 0.0,
-            mean_w,
-            v_mps: [f32::NEG_INFINITY, f32::INFINITY],
-            omega_radps: [f32::NEG_INFINITY, f32::INFINITY],
+            v_mps: [f32::MIN, f32::MAX],
+            omega_radps: [f32::MIN, f32::MAX],
         }
     }
 
@@ -159,7 +156,13 @@ impl EnergyModel {
             f32::MAX,
             POSITIVE,
         )?;
-        within("the mean power", self.mean_w, least, f32::MAX, POSITIVE)?;
+        within(
+            "the mean power",
+            self.command.mean_w,
+            least,
+            f32::MAX,
+            POSITIVE,
+        )?;
         within(
             "the prior's seconds",
             self.prior_s,
@@ -221,7 +224,7 @@ impl EnergyModel {
     /// What errors are relative to, J.
     #[inline(always)]
     pub(crate) fn scale_j(&self, energy_j: f32, duration_s: f32) -> f32 {
-        let mean_j = self.mean_w * duration_s;
+        let mean_j = self.command.mean_w * duration_s;
         energy_j.abs() + self.mean_share * (mean_j - energy_j.abs())
     }
 

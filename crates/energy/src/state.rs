@@ -156,15 +156,7 @@ impl EnergyState {
     fn command_to(&mut self, model: &EnergyModel, sample: &EnergySample) {
         let command = (sample.v_mps, sample.omega_radps);
         let motion = Motion::new(command, self.command(), sample.elapsed_s);
-        let command_w = model
-            .command
-            .power_w(&motion, model.command.reads_commands());
-        // A robot whose command is unknown is assumed to follow the platform's mean.
-        self.command_w = if command_w.is_finite() {
-            command_w
-        } else {
-            model.mean_w
-        };
+        self.command_w = model.command.power_w(&motion);
         (self.v_mps, self.omega_radps) = command;
     }
 

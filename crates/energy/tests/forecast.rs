@@ -25,6 +25,7 @@ fn model(numbers: &[f32], added_share: f32) -> EnergyModel {
             weights,
             half_v_mps: 0.1,
             half_omega_radps: 0.5,
+            mean_w: 5.0,
         },
         prior_s: 0.1,
         added_share,
@@ -32,7 +33,6 @@ fn model(numbers: &[f32], added_share: f32) -> EnergyModel {
         calibrated: HORIZONS_S.len(),
         errors: std::array::from_fn(|place| errors.map(|error| error * (1.0 + place as f32))),
         mean_share: 0.3,
-        mean_w: 5.0,
         v_mps: [-1.0, 1.0],
         omega_radps: [-2.0, 2.0],
     }
@@ -58,6 +58,7 @@ impl Reference<'_> {
             weights,
             half_v_mps,
             half_omega_radps,
+            ..
         } = &self.model.command;
         let terms = [
             1.0,
@@ -89,7 +90,7 @@ impl Reference<'_> {
             |sample: &EnergySample| (f64::from(sample.v_mps), f64::from(sample.omega_radps));
         let sample = &self.samples[place];
         if !(sample.v_mps.is_finite() && sample.omega_radps.is_finite()) {
-            return self.model.mean_w.into();
+            return self.model.command.mean_w.into();
         }
         let before = place
             .checked_sub(1)
@@ -469,7 +470,7 @@ fn a_model_out_of_range_is_refused_by_name() {
         |model| model.command.weights[3] = f32::NAN,
         |model| model.command.weights[0] = 0.0,
         |model| model.command.half_v_mps = 0.0,
-        |model| model.mean_w = -1.0,
+        |model| model.command.mean_w = -1.0,
         |model| model.weights[2][0] += 0.1,
         |model| model.calibrated = 7,
         |model| model.errors[5][3] = f32::INFINITY,

@@ -1,5 +1,7 @@
 //! Model card: origin and scores of a network.
 
+use joulebus_energy::EnergyModel;
+
 use crate::error::ModelError;
 use crate::features::{FeatureSet, Features};
 use crate::linear::Linear;
@@ -142,6 +144,9 @@ pub struct ModelCard {
     pub scores: Scores,
     /// The linear baseline fitted to the same rows, if there is one.
     pub linear: Option<Linear>,
+    /// The energy of longer plans, fitted to the same recordings; `None` for imported models and
+    /// older files.
+    pub energy: Option<EnergyModel>,
 }
 
 impl ModelCard {
@@ -159,6 +164,7 @@ impl ModelCard {
             residual: ResidualStats::default(),
             scores: Scores::default(),
             linear: None,
+            energy: None,
         }
     }
 }

@@ -102,6 +102,9 @@ fn check_linear(linear: Option<&Linear>, feature_set: FeatureSet) -> Result<(), 
 
 pub(crate) fn check_card(card: &ModelCard, feature_set: FeatureSet) -> Result<(), ModelError> {
     card.residual.check()?;
+    if let Some(energy) = &card.energy {
+        energy.check()?;
+    }
     let TrainingRange {
         feature_set: range_set,
         min,

@@ -1,5 +1,6 @@
 //! Errors of models and rollouts.
 
+use joulebus_energy::EnergyModelError;
 use safetensors::SafeTensorError;
 use thiserror::Error;
 
@@ -81,6 +82,9 @@ pub enum ModelError {
         /// Digest stated in the metadata.
         stated: String,
     },
+    /// The energy model cannot be read, or a value of it is out of range.
+    #[error("`energy`: {0}")]
+    Energy(#[from] EnergyModelError),
 }
 
 impl ModelError {

@@ -3,6 +3,7 @@
 //! The header is written here instead of by the `safetensors` crate, whose order of metadata varies
 //! from run to run: the same model must give the same bytes.
 
+use joulebus_energy::EnergyModel;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};
@@ -159,6 +160,7 @@ fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<ModelCa
             persistence_mae_w: metadata.number("score_persistence_mae_w")?,
         },
         linear: read_linear(metadata, feature_set)?,
+        energy: read_energy(metadata)?,
     })
 }
 
@@ -227,6 +229,14 @@ fn read_linear(
     }))
 }
 
+/// Older files and imported models have none.
+fn read_energy(metadata: &Metadata<'_>) -> Result<Option<EnergyModel>, ModelError> {
+    let Some(text) = metadata.0.get("energy") else {
+        return Ok(None);
+    };
+    Ok(Some(EnergyModel::from_text(text)?))
+}
+
 fn fields(parameters: &Parameters, card: &ModelCard) -> Fields {
     let set = parameters.feature_set;
     let normalisation = &parameters.normalisation;
@@ -280,6 +290,9 @@ fn fields(parameters: &Parameters, card: &ModelCard) -> Fields {
             list_of(linear.feature_set, &linear.weights),
         );
         fields.insert("linear_r2", linear.r2.to_string());
+    }
+    if let Some(energy) = &card.energy {
+        fields.insert("energy", energy.to_text());
     }
     fields
 }

@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use joulebus_energy::EnergyModel;
+
 use crate::card::{ResidualStats, TrainingRange};
 use crate::error::RolloutError;
 use crate::features::{FEATURE_NAMES, FeatureSet, Features, INPUTS};
@@ -125,6 +127,15 @@ impl Model {
     pub fn linear(&self) -> Option<&Linear> {
         match self {
             Model::Network(network) => network.card().linear.as_ref(),
+            Model::Persistence(_) => None,
+        }
+    }
+
+    /// The energy of longer plans; `None` for a model without training, an imported one, and a file of
+    /// an older version.
+    pub fn energy(&self) -> Option<&EnergyModel> {
+        match self {
+            Model::Network(network) => network.card().energy.as_ref(),
             Model::Persistence(_) => None,
         }
     }

@@ -117,6 +117,29 @@ fn a_file_that_does_not_state_the_rows_it_was_trained_on_is_read_as_unknown() {
 }
 
 #[test]
+fn a_file_without_an_energy_model_is_read_and_one_with_a_wrong_one_is_refused() {
+    let (metadata, tensors) = contents();
+    let mut older = metadata.clone();
+    older.remove("energy");
+    let read = Network::from_safetensors(&forged(&older, &tensors)).expect("an older file");
+    assert_eq!(read.card().energy, None);
+    for wrong in ["", "{}", "null", "[1,2]"] {
+        let mut metadata = metadata.clone();
+        metadata.insert("energy".to_owned(), wrong.to_owned());
+        let error = Network::from_safetensors(&forged(&metadata, &tensors)).err();
+        assert!(
+            matches!(error, Some(ModelError::Energy(_))),
+            "{wrong}: {error:?}"
+        );
+    }
+    let mut metadata = metadata.clone();
+    let negative = metadata["energy"].replacen("\"mean_w\":", "\"mean_w\":-", 1);
+    metadata.insert("energy".to_owned(), negative);
+    let error = Network::from_safetensors(&forged(&metadata, &tensors)).err();
+    assert!(matches!(error, Some(ModelError::Energy(_))), "{error:?}");
+}
+
+#[test]
 fn the_activation_is_stored_and_changes_hash_and_forecast() {
     let row = [0.3; INPUTS];
     let mut parameters = parameters(&mut Noise(31), FeatureSet::Full);
@@ -187,7 +210,7 @@ fn wrong_metadata_is_refused_by_name() {
         );
     }
     let (metadata, tensors) = contents();
-    for field in metadata.keys() {
+    for field in metadata.keys().filter(|field| *field != "energy") {
         let mut metadata = metadata.clone();
         metadata.remove(field);
         let error = Network::from_safetensors(&forged(&metadata, &tensors)).err();

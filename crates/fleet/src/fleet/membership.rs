@@ -1,5 +1,6 @@
 //! Membership: robots join with their first sample and leave after a long silence.
 
+use joulebus_energy::EnergyState;
 use joulebus_wire::SampleHeader;
 
 use crate::alarms::detector::Detector;
@@ -76,6 +77,7 @@ impl Fleet {
         lanes::set(&mut columns.intervals, slot, interval);
         lanes::set(&mut columns.scores, slot, Scores::default());
         lanes::set(&mut columns.detectors, slot, Detector::new());
+        lanes::set(&mut columns.energy, slot, EnergyState::new(id));
     }
 
     pub(super) fn platform_of(&self, robot: u32) -> Option<u16> {

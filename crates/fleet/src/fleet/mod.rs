@@ -6,6 +6,7 @@ mod snapshot;
 
 use std::sync::atomic::AtomicU64;
 
+use joulebus_energy::{EnergyModel, EnergyState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{Budget, Diagnostic, DropCounts, Forecast, Refusal, combine_hashes};
@@ -230,6 +231,20 @@ impl Fleet {
         let online = lanes::get(&self.columns.online, slot);
         let weights = online.weights(members.is_unlike(online.mean_w));
         Some(online.learned(weights))
+    }
+
+    /// What is known of a robot for the energy of its plans, if it is in the fleet.
+    #[must_use]
+    pub fn energy(&self, robot: u32) -> Option<EnergyState> {
+        let slot = self.find(robot)?;
+        Some(lanes::get(&self.columns.energy, slot))
+    }
+
+    /// The energy model of the platform at `index` of the settings; one
+    /// [without training](EnergyModel::untrained) where its model has none.
+    #[must_use]
+    pub fn energy_model(&self, index: usize) -> Option<&EnergyModel> {
+        Some(&self.tick.platforms.get(index)?.energy)
     }
 
     /// Account of a robot, in the fleet or departed.

@@ -41,6 +41,7 @@ impl Fleet {
         copy(&mut to.ledgers, &from.ledgers[..blocks]);
         copy(&mut to.scores, &from.scores[..blocks]);
         copy(&mut to.detectors, &from.detectors[..blocks]);
+        copy(&mut to.energy, &from.energy[..blocks]);
         copy(
             &mut to.online,
             &from.online[..blocks.min(from.online.len())],
@@ -71,6 +72,7 @@ impl Fleet {
         to.ledgers[..blocks].copy_from_slice(&from.ledgers);
         to.scores[..blocks].copy_from_slice(&from.scores);
         to.detectors[..blocks].copy_from_slice(&from.detectors);
+        to.energy[..blocks].copy_from_slice(&from.energy);
         to.online[..from.online.len()].copy_from_slice(&from.online);
         to.slots
             .replace(used, state.present().map(|(slot, _)| slot));
@@ -135,6 +137,7 @@ impl Fleet {
             ("blocks of ledgers", columns.ledgers.len()),
             ("blocks of scores", columns.scores.len()),
             ("blocks of detectors", columns.detectors.len()),
+            ("blocks of energy states", columns.energy.len()),
         ] {
             exactly(what, length, blocks)?;
         }

@@ -1,6 +1,7 @@
 //! The state of all robots, in columns indexed by slot.
 
 use crate::alarms::detector::DetectorLanes;
+use crate::estimate::energy::EnergyLanes;
 use crate::estimate::interval::IntervalLanes;
 use crate::estimate::online::OnlineLanes;
 use crate::estimate::scores::ScoreLanes;
@@ -22,13 +23,14 @@ const COLUMNS: usize = size_of::<AdmissionState>()
         + size_of::<IntervalLanes>()
         + size_of::<LedgerLanes>()
         + size_of::<ScoreLanes>()
-        + size_of::<DetectorLanes>())
+        + size_of::<DetectorLanes>()
+        + size_of::<EnergyLanes>())
     .div_ceil(LANES);
 
-/// A robot takes at most 512 bytes, its account after departure included: the columns, that
+/// A robot takes at most 648 bytes, its account after departure included: the columns, that
 /// account, its bit in the slot map, and one and a half entries in each of the two id tables.
 const _: () =
-    assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 512);
+    assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 648);
 
 /// The state of a block of robots.
 #[derive(Debug, Clone, Copy)]
@@ -55,6 +57,7 @@ pub(crate) struct Columns {
     pub ledgers: Vec<LedgerLanes>,
     pub scores: Vec<ScoreLanes>,
     pub detectors: Vec<DetectorLanes>,
+    pub energy: Vec<EnergyLanes>,
     /// Empty unless a platform learns online.
     pub online: Vec<OnlineLanes>,
     pub slots: Slots,
@@ -74,6 +77,7 @@ impl Columns {
             ledgers: vec![LedgerLanes::default(); blocks],
             scores: vec![ScoreLanes::default(); blocks],
             detectors: vec![DetectorLanes::default(); blocks],
+            energy: vec![EnergyLanes::default(); blocks],
             online: vec![OnlineLanes::default(); if learning { blocks } else { 0 }],
             slots: Slots::new(capacity, platforms),
         }
@@ -103,6 +107,7 @@ impl Columns {
             ledgers: &mut self.ledgers,
             scores: &mut self.scores,
             detectors: &mut self.detectors,
+            energy: &mut self.energy,
             online: &mut self.online,
             words: self.slots.words(),
         }
@@ -121,6 +126,7 @@ pub(crate) struct ColumnsMut<'a> {
     pub ledgers: &'a mut [LedgerLanes],
     pub scores: &'a mut [ScoreLanes],
     pub detectors: &'a mut [DetectorLanes],
+    pub energy: &'a mut [EnergyLanes],
     /// Empty unless a platform learns online.
     pub online: &'a mut [OnlineLanes],
     pub words: &'a [u64],
@@ -140,6 +146,7 @@ impl<'a> ColumnsMut<'a> {
         let ledgers = self.ledgers.split_at_mut(block);
         let scores = self.scores.split_at_mut(block);
         let detectors = self.detectors.split_at_mut(block);
+        let energy = self.energy.split_at_mut(block);
         let online = self.online.split_at_mut(block.min(self.online.len()));
         let words = self.words.split_at(words);
         (
@@ -152,6 +159,7 @@ impl<'a> ColumnsMut<'a> {
                 ledgers: ledgers.0,
                 scores: scores.0,
                 detectors: detectors.0,
+                energy: energy.0,
                 online: online.0,
                 words: words.0,
             },
@@ -164,6 +172,7 @@ impl<'a> ColumnsMut<'a> {
                 ledgers: ledgers.1,
                 scores: scores.1,
                 detectors: detectors.1,
+                energy: energy.1,
                 online: online.1,
                 words: words.1,
             },
@@ -181,6 +190,7 @@ impl<'a> ColumnsMut<'a> {
             ledgers: self.ledgers,
             scores: self.scores,
             detectors: self.detectors,
+            energy: self.energy,
             online: self.online,
             words: self.words,
         }

@@ -4,6 +4,7 @@ use joulebus_settings::FleetSettings;
 use serde::{Deserialize, Serialize};
 
 use crate::alarms::detector::DetectorLanes;
+use crate::estimate::energy::EnergyLanes;
 use crate::estimate::interval::IntervalLanes;
 use crate::estimate::online::OnlineLanes;
 use crate::estimate::scores::ScoreLanes;
@@ -22,10 +23,10 @@ use crate::ledger::energy::LedgerLanes;
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x07";
+const MAGIC: [u8; 8] = *b"jbstate\x08";
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
-/// windows, ledgers, intervals, scores, detectors, online learning, accounts of departed robots,
+/// windows, ledgers, intervals, scores, detectors, energy states, online learning, accounts of departed robots,
 /// sources, refusals and drops.
 ///
 /// A fleet into which it is [restored](crate::Fleet::restore_state) continues exactly like the one
@@ -66,6 +67,7 @@ pub(crate) struct SavedColumns {
     pub ledgers: Vec<LedgerLanes>,
     pub scores: Vec<ScoreLanes>,
     pub detectors: Vec<DetectorLanes>,
+    pub energy: Vec<EnergyLanes>,
     /// Empty unless a platform learns online.
     pub online: Vec<OnlineLanes>,
 }
@@ -165,6 +167,7 @@ impl FleetState {
                 ledgers: with_capacity(blocks, LedgerLanes::default()),
                 scores: with_capacity(blocks, ScoreLanes::default()),
                 detectors: with_capacity(blocks, DetectorLanes::default()),
+                energy: with_capacity(blocks, EnergyLanes::default()),
                 online: with_capacity(if learning { blocks } else { 0 }, OnlineLanes::default()),
             },
             departed: with_capacity(
@@ -181,7 +184,7 @@ impl FleetState {
     }
 
     /// Encodes the state: eight bytes of magic, then [postcard](https://postcard.jamesmunns.com).
-    /// About 350 bytes per robot. Replaces the contents of `bytes`.
+    /// About 480 bytes per robot. Replaces the contents of `bytes`.
     pub fn encode_into(&self, bytes: &mut Vec<u8>) {
         bytes.clear();
         bytes.extend_from_slice(&MAGIC);

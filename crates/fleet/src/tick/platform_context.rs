@@ -1,5 +1,6 @@
 //! Settings of one platform, prepared for the tick.
 
+use joulebus_energy::EnergyModel;
 use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
 use joulebus_settings::{FleetSettings, Platform};
 
@@ -27,6 +28,8 @@ pub(crate) struct PlatformContext {
     pub quantile_step: QuantileStep,
     /// What the robots' forecasts combine, where they learn online.
     pub members: Option<Members>,
+    /// The energy of longer plans.
+    pub energy: EnergyModel,
 }
 
 /// The allowed range of features.
@@ -52,7 +55,11 @@ impl PlatformContext {
         let sigma_w = model.residual().std_w.max(platform.power_resolution_w);
         let members =
             (platform.online).then(|| Members::new(&model, sigma_w, platform.power_resolution_w));
+        // Without training, a robot that has not been read is assumed to draw the most.
+        let untrained = || EnergyModel::untrained(platform.power_max_w.max(f32::MIN_POSITIVE));
+        let energy = model.energy().cloned().unwrap_or_else(untrained);
         Self {
+            energy,
             members: members.flatten(),
             quantile_step: QuantileStep::new(&settings.interval),
             sigma_w,

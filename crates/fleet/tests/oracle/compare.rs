@@ -25,6 +25,7 @@ pub(crate) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(),
         compare_forecast(fleet, oracle, *id, member, now_ns)?;
         compare_scores(fleet, *id, member)?;
         compare_learned(fleet, *id, member, &oracle.models[member.context])?;
+        compare_energy(fleet, *id, member)?;
         compare_account(fleet, *id, &member.robot.account)?;
         one_nan(fleet, *id)?;
     }
@@ -153,6 +154,27 @@ fn compare_learned(
     prop_assert_eq!(
         shown.map(f32::to_bits),
         expected.map(f32::to_bits),
+        "robot {}: {:?}, expected {:?}",
+        id,
+        found,
+        expected
+    );
+    Ok(())
+}
+
+/// Robot by robot from the first sample on, the energy states have the bits of the blocks'.
+fn compare_energy(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCaseError> {
+    let robot = &member.robot;
+    // Now and then, as it is recomputed.
+    if !robot.told.len().is_multiple_of(4) {
+        return Ok(());
+    }
+    let model = fleet.energy_model(member.context).expect("a platform");
+    let expected = robot.energy(id, model);
+    let found = fleet.energy(id).expect("it is in the fleet");
+    prop_assert_eq!(
+        found.to_array().map(f32::to_bits),
+        expected.to_array().map(f32::to_bits),
         "robot {}: {:?}, expected {:?}",
         id,
         found,

@@ -1,6 +1,7 @@
 //! Reference of one robot, as simple as possible: every step and every score is kept, and sums are
 //! recomputed.
 
+use joulebus_energy::{EnergyModel, EnergySample, EnergyState};
 use joulebus_predictor::{Features, Model};
 use joulebus_settings::Platform;
 use joulebus_wire::{Freshness, InvalidReason, Quality, Sample, sample_flag};
@@ -234,6 +235,8 @@ pub(crate) struct Robot {
     pub run: Run,
     pub account: Account,
     pub scored: Vec<Scored>,
+    /// What the energy state has been told.
+    pub told: Vec<EnergySample>,
     pub last: Option<Sample>,
     pub residual_w: Option<f32>,
     pub quality: Quality,
@@ -247,6 +250,7 @@ impl Robot {
             run: Run::default(),
             account,
             scored: Vec::new(),
+            told: Vec::new(),
             last: None,
             residual_w: None,
             quality: Quality::Warmup { have: 0 },
@@ -301,7 +305,41 @@ impl Robot {
         }
         self.read(sample);
         self.forecast(sample, model);
+        self.tell(sample);
         self.last = Some(*sample);
+    }
+
+    /// A reading says something of the power since the last sample if that is no gap.
+    fn tell(&mut self, sample: &Sample) {
+        let last_ns = self.last.map_or(0, |last| last.stamp_ns);
+        let elapsed_ns = sample.stamp_ns.saturating_sub(last_ns);
+        let counted =
+            sample.has(sample_flag::POWER) && missing(elapsed_ns, self.platform.period_ns) == 0;
+        let known = sample.has(sample_flag::V) && sample.has(sample_flag::OMEGA);
+        let (v_mps, omega_radps) = match known {
+            true => (sample.v_mps, sample.omega_radps),
+            false => (f32::NAN, f32::NAN),
+        };
+        let broken = sample.has(sample_flag::DISCONTINUITY);
+        self.told.push(EnergySample {
+            power_w: if counted { sample.power_w } else { f32::NAN },
+            elapsed_s: if broken {
+                0.0
+            } else {
+                (elapsed_ns as f64 * 1e-9) as f32
+            },
+            v_mps,
+            omega_radps,
+        });
+    }
+
+    /// The energy state, from the beginning.
+    pub(crate) fn energy(&self, id: u32, model: &EnergyModel) -> EnergyState {
+        let mut state = EnergyState::new(id);
+        for sample in &self.told {
+            state.observe(model, sample);
+        }
+        state
     }
 
     /// Fills the periods between the last sample and this one. Returns whether there were any.

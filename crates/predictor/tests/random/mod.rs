@@ -1,5 +1,6 @@
 //! Random networks with both forms of GELU, and random rows.
 
+use joulebus_energy::EnergyModel;
 use joulebus_predictor::{
     Activation, FeatureSet, Features, HIDDEN, INPUTS, Layer, Linear, ModelCard, Network,
     Normalisation, Parameters, ResidualStats, Scores, TrainedBlocks, TrainedRows, TrainingRange,
@@ -102,7 +103,20 @@ pub(crate) fn card(feature_set: FeatureSet) -> ModelCard {
             persistence_mae_w: 0.06,
         },
         linear: Some(linear(feature_set)),
+        energy: Some(energy()),
     }
+}
+
+/// An energy model that reads commands.
+fn energy() -> EnergyModel {
+    let mut energy = EnergyModel::untrained(3.7);
+    for (place, weight) in energy.command.weights.iter_mut().enumerate().skip(1) {
+        *weight = 0.01 * place as f32;
+    }
+    energy.added_share = 0.3;
+    energy.calibrated = 6;
+    energy.errors = [[-0.2, -0.1, -0.05, -0.02, 0.0, 0.02, 0.05, 0.1, 0.2]; 6];
+    energy
 }
 
 /// Mostly the last reading, plus small weights of all other features read.

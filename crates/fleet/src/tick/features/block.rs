@@ -6,6 +6,7 @@
 
 use joulebus_predictor::INPUTS;
 
+use crate::estimate::energy::{EnergyLanes, EnergySamples};
 use crate::estimate::interval::IntervalLanes;
 use crate::estimate::online::{LessonLanes, Members, OnlineLanes};
 use crate::estimate::window::{ClosedLanes, Gap, RequiredInputs, WindowLanes};
@@ -66,6 +67,13 @@ pub(crate) fn step_block(
     qualify(context.required, lasts, pending, mask, windows, &steps);
     store_expected(pending, mask, &steps);
     adapt_intervals(context, intervals, pending, &steps);
+    observe_energy(
+        context,
+        &mut columns.energy[block],
+        pending,
+        mask,
+        &elapsed_s,
+    );
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
         columns.admissions[first + lane].accept(&pending.samples.get(lane));
     }
@@ -104,6 +112,35 @@ fn learn(
         copy.set(lane, mask[lane], robot);
     }
     *online = copy;
+}
+
+/// Advances the energy states of a block.
+#[inline(always)]
+fn observe_energy(
+    context: &PlatformContext,
+    energy: &mut EnergyLanes,
+    pending: &PendingBlock,
+    mask: &Lanes<bool>,
+    elapsed_s: &Lanes<f32>,
+) {
+    let (mut v_mps, mut omega_radps) = ([f32::NAN; LANES], [f32::NAN; LANES]);
+    for lane in 0..LANES {
+        let sample = pending.samples.get(lane);
+        let command = sample.command();
+        put(&mut v_mps[lane], command.is_some(), sample.v_mps);
+        put(
+            &mut omega_radps[lane],
+            command.is_some(),
+            sample.omega_radps,
+        );
+    }
+    let samples = EnergySamples {
+        power_w: &pending.samples.power_w,
+        elapsed_s,
+        v_mps: &v_mps,
+        omega_radps: &omega_radps,
+    };
+    energy.observe(&context.energy, mask, &samples);
 }
 
 /// Replaces the last samples of a block by the next.

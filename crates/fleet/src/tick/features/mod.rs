@@ -71,6 +71,7 @@ impl SimdTask for BuildRows<'_, '_> {
             lanes::prefetch_ahead(self.columns.windows, block);
             lanes::prefetch_ahead(self.columns.lasts, block);
             lanes::prefetch_ahead(self.columns.intervals, block);
+            lanes::prefetch_ahead(self.columns.energy, block);
             let Some(waiting) = self.collect_waiting(context, block, lanes) else {
                 continue;
             };

@@ -1,5 +1,6 @@
 //! One sample of one robot.
 
+use joulebus_energy::EnergySample;
 use joulebus_predictor::{Features, LAGS};
 use joulebus_wire::{InvalidReason, Quality, sample_flag};
 
@@ -65,6 +66,10 @@ pub(crate) fn step(
         (last.quality, last.quality_detail) = quality;
         step
     };
+    let on_time = elapsed_ns <= context.overdue_after_ns;
+    let mut energy = columns.energy[block].get(lane);
+    energy.observe(&context.energy, &energy_sample(pending, elapsed_s, on_time));
+    columns.energy[block].set(lane, true, energy);
     admission.accept(pending);
     columns.windows[block].set(lane, true, window);
     columns.lasts[block].set(lane, true, last);
@@ -93,6 +98,21 @@ pub(crate) fn step(
     }
     if step.ready {
         batch.push(slot, &step.row);
+    }
+}
+
+/// The reading after a gap says nothing of the power during it.
+fn energy_sample(pending: &Pending, elapsed_s: f32, on_time: bool) -> EnergySample {
+    let (v_mps, omega_radps) = pending.command().unwrap_or((f32::NAN, f32::NAN));
+    EnergySample {
+        power_w: if pending.read() & on_time {
+            pending.power_w
+        } else {
+            f32::NAN
+        },
+        elapsed_s: if pending.broken { 0.0 } else { elapsed_s },
+        v_mps,
+        omega_radps,
     }
 }
 
