@@ -18,6 +18,7 @@ mod import;
 mod info;
 mod keys;
 mod model;
+mod next_command;
 mod publish;
 mod record;
 mod recordings;

@@ -15,6 +15,7 @@ use joulebus_program::output::{Output, say};
 use serde::Serialize;
 
 use super::model_range;
+use crate::next_command::{recordings, word};
 use crate::recordings::{ColumnArguments, find_recordings};
 use crate::train::train_recordings;
 
@@ -105,26 +106,17 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     for warning in &warnings {
         say(&format!("warning: {warning}"));
     }
-    let file = places.fleet.display();
-    let from: Vec<String> = args
-        .from
-        .iter()
-        .map(|path| path.display().to_string())
-        .collect();
+    let (file, from) = (word(&places.fleet), recordings(&args.from));
     let mut next = Vec::new();
     if model.is_none() {
         next.push(format!(
-            "joulebus train trials {} --out {}",
-            from.join(" "),
-            places.model.display()
+            "joulebus train trials {from} --out {}",
+            word(&places.model)
         ));
     }
     next.push(format!("joulebus config check {file}"));
     next.push(format!("joulebus run --config {file}"));
-    next.push(format!(
-        "joulebus publish trial {} --config {file}",
-        from.join(" ")
-    ));
+    next.push(format!("joulebus publish trial {from} --config {file}"));
     output.report(&InitReport {
         fleet: places.fleet,
         platform: places.platform,

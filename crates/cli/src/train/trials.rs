@@ -18,6 +18,7 @@ use serde::Deserialize;
 use super::FeatureChoice;
 use super::report::TrainReport;
 use super::run::RunArguments;
+use crate::next_command::{recordings, word};
 use crate::recordings::{ColumnArguments, find_recordings};
 use crate::split_unit::SplitUnit;
 
@@ -125,9 +126,7 @@ impl Args {
 
     /// Commands for the trained model.
     fn next(&self) -> Vec<String> {
-        let path = |path: &PathBuf| path.display().to_string();
-        let recordings: Vec<String> = self.paths.iter().map(path).collect();
-        let (recordings, model) = (recordings.join(" "), path(&self.run.out));
+        let (recordings, model) = (recordings(&self.paths), word(&self.run.out));
         vec![
             format!("joulebus eval {recordings} --model {model}"),
             format!("joulebus config init --from {recordings} --model {model} --out lab/"),
