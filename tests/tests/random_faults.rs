@@ -1,5 +1,5 @@
 //! Random faults on a running fleet: its processes are killed, ended, paused, killed while they start,
-//! flooded, and left without file descriptors, in random order, beside a source and a reader that must not notice. One seed is one
+//! flooded, sent false frames, and left without file descriptors, in random order, beside a source and a reader that must not notice. One seed is one
 //! fleet of some ten seconds; for hours, `JOULEBUS_RANDOM_FLEETS=1000 cargo test -p joulebus-tests
 //! --test random_faults -- --nocapture`.
 
@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use joulebus_capture::Reader;
 use joulebus_tests::{
-    Arena, Child, Dice, Ended, Planner, ReaderLine, Setup, alone, figure, sample,
+    Arena, Child, Dice, Ended, Forge, Planner, ReaderLine, Setup, alone, figure, sample,
 };
 use joulebus_wire::{Quality, Sample};
 use on_drop::OnDrop;
@@ -258,14 +258,44 @@ impl<'a> Fleet<'a> {
         }
     }
 
+    /// Frames in the name of a controller, with headers and samples that are partly impossible, from a process that is
+    /// then killed.
+    fn forge(&mut self, dice: &mut Dice) {
+        let first = CONTROLLERS[dice.below(CONTROLLERS.len() as u64) as usize];
+        let mut impostor = self.arena.source(&format!("controller-{first}"));
+        for _ in 0..20 {
+            let number = |dice: &mut Dice| (dice.below(4) * (u64::MAX / 3)) ^ dice.below(100);
+            let forge = Forge {
+                schema: dice.chance(0.3).then(|| number(dice) as u32),
+                samples_before: dice.chance(0.5).then(|| number(dice)),
+                source_epoch: dice.chance(0.3).then(|| number(dice)),
+            };
+            let samples: Vec<Sample> = (0..ROBOTS)
+                .map(|robot| {
+                    let mut false_sample = sample(first + robot, 0, 1_000_000);
+                    false_sample.seq = number(dice);
+                    if dice.chance(0.5) {
+                        false_sample.power_w = f32::from_bits(number(dice) as u32);
+                        false_sample.stamp_ns = number(dice);
+                    }
+                    false_sample
+                })
+                .collect();
+            impostor.send_forged(&samples, forge);
+        }
+        impostor.child.kill();
+        self.kills += 1;
+    }
+
     fn fault(&mut self, dice: &mut Dice) {
         let at = dice.below(ROLES.len() as u64) as usize;
-        match dice.below(7) {
+        match dice.below(8) {
             0 | 1 => self.kill(at),
             2 => self.end(at),
             3 => self.pause(at, dice),
             4 => self.kill_while_starting(at, dice),
             5 => self.take_descriptors(at, dice),
+            6 => self.forge(dice),
             _ => self.flood(dice),
         }
         std::thread::sleep(dice.time_below(CALM));
