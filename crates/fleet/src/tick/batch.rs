@@ -19,8 +19,6 @@ pub struct Batch {
     /// Whether the reading-age columns are filled too.
     freshness: bool,
     forecasts_w: Vec<f32>,
-    /// By block: lanes that the network has a forecast for, a bit each.
-    forecast_lanes: Vec<u16>,
     outside: Vec<bool>,
     /// Slots whose waiting sample follows a gap.
     pub(crate) gaps: Vec<u32>,
@@ -47,7 +45,6 @@ impl Batch {
             columns: std::array::from_fn(|_| vec![0.0; slots]),
             freshness: false,
             forecasts_w: vec![0.0; slots],
-            forecast_lanes: vec![0; slots / LANES],
             outside: vec![false; slots],
             gaps: Vec::with_capacity(slots),
             overdue: Vec::with_capacity(slots),
@@ -116,16 +113,6 @@ impl Batch {
         model.predict_columns(columns, &mut self.forecasts_w[..rows]);
     }
 
-    /// By block, the lanes with a forecast that is finite, after [`Batch::infer`].
-    pub(crate) fn forecast_lanes(&mut self) -> &[u16] {
-        self.forecast_lanes.fill(0);
-        for (slot, forecast_w) in self.slots.iter().zip(&self.forecasts_w) {
-            let (block, lane) = (*slot as usize / LANES, *slot as usize % LANES);
-            self.forecast_lanes[block] |= u16::from(forecast_w.is_finite()) << lane;
-        }
-        &self.forecast_lanes
-    }
-
     /// Marks the rows that have a feature outside the training range, or NaN.
     pub(crate) fn mark_outside(&mut self, context: &PlatformContext) {
         let outside = &mut self.outside[..self.slots.len()];
@@ -135,12 +122,42 @@ impl Batch {
         }
     }
 
-    /// Each slot with its mark, after [`Batch::mark_outside`].
-    pub(crate) fn outside(&self) -> impl Iterator<Item = (usize, bool)> + '_ {
-        self.slots
-            .iter()
-            .map(|slot| *slot as usize)
-            .zip(self.outside.iter().copied())
+    /// The rows from `row` on that are of one block, after [`Batch::infer`] and [`Batch::mark_outside`];
+    /// and the row behind them.
+    #[inline(always)]
+    pub(crate) fn of_block(&self, row: usize) -> Option<(Inferred, usize)> {
+        let slots = self.slots.get(row..)?;
+        let first = *slots.first()? as usize;
+        let (block, whole) = (first / LANES, row..row + LANES);
+        if is_block(slots) {
+            let mut inferred = Inferred::of_none(block);
+            inferred.rows = [true; LANES];
+            inferred
+                .forecast_w
+                .copy_from_slice(&self.forecasts_w[whole.clone()]);
+            inferred
+                .outside
+                .copy_from_slice(&self.outside[whole.clone()]);
+            return Some((inferred, whole.end));
+        }
+        Some(self.of_part(block, row))
+    }
+
+    #[inline(never)]
+    fn of_part(&self, block: usize, row: usize) -> (Inferred, usize) {
+        let mut inferred = Inferred::of_none(block);
+        let mut next = row;
+        for slot in self.slots[row..].iter().map(|slot| *slot as usize) {
+            if slot / LANES != block {
+                break;
+            }
+            let lane = slot % LANES;
+            inferred.rows[lane] = true;
+            inferred.forecast_w[lane] = self.forecasts_w[next];
+            inferred.outside[lane] = self.outside[next];
+            next += 1;
+        }
+        (inferred, next)
     }
 
     /// Each slot with its forecast, W, after [`Batch::infer`].
@@ -150,4 +167,39 @@ impl Batch {
             .map(|slot| *slot as usize)
             .zip(self.forecasts_w.iter().copied())
     }
+}
+
+/// What was inferred for the robots of a block.
+pub(crate) struct Inferred {
+    pub block: usize,
+    /// Lanes with a row.
+    pub rows: Lanes<bool>,
+    pub forecast_w: Lanes<f32>,
+    /// Whether the row is outside the training range.
+    pub outside: Lanes<bool>,
+}
+
+impl Inferred {
+    const fn of_none(block: usize) -> Self {
+        Self {
+            block,
+            rows: [false; LANES],
+            forecast_w: [f32::NAN; LANES],
+            outside: [false; LANES],
+        }
+    }
+}
+
+/// Whether the first slots are those of a whole block, in their order.
+#[inline(always)]
+fn is_block(slots: &[u32]) -> bool {
+    let Some(slots) = slots.first_chunk::<LANES>() else {
+        return false;
+    };
+    let first = slots[0];
+    let mut apart = first % LANES as u32;
+    for (lane, slot) in slots.iter().enumerate() {
+        apart |= slot ^ (first + lane as u32);
+    }
+    apart == 0
 }

@@ -9,9 +9,9 @@ use joulebus_wire::{InvalidReason, Quality};
 
 use crate::estimate::online::{Members, OnlineLanes};
 use crate::estimate::window::{WindowLanes, missing_steps};
-use crate::layout::lanes::{self, Block as _, LANES};
+use crate::layout::lanes::{self, Block as _, LANES, Lanes, put};
 use crate::state::columns::ColumnsMut;
-use crate::tick::batch::Batch;
+use crate::tick::batch::{Batch, Inferred};
 use crate::tick::context::TickContext;
 use crate::tick::platform_context::{PlatformContext, PossiblePower};
 
@@ -21,31 +21,13 @@ pub(crate) fn infer(context: &PlatformContext, columns: &mut ColumnsMut<'_>, bat
         return;
     }
     batch.infer(&context.model);
-    for (slot, network_w) in batch.forecasts() {
-        if network_w.is_finite() {
-            columns.windows[slot / LANES].forecast(slot % LANES, network_w);
-            if context.members.is_some() {
-                columns.online[slot / LANES].network_w[slot % LANES] = network_w;
-            }
-        } else {
-            let mut last = lanes::get(columns.lasts, slot);
-            let invalid = Quality::Invalid(InvalidReason::ModelOutput);
-            (last.quality, last.quality_detail) = invalid.encode();
-            lanes::set(columns.lasts, slot, last);
-        }
-    }
-    if let Some(members) = &context.members {
-        context.model.simd_level().run(Combine {
-            members,
-            possible: context.possible(),
-            columns,
-            forecast_lanes: batch.forecast_lanes(),
-        });
-    }
     batch.mark_outside(context);
-    for (slot, outside) in batch.outside() {
-        columns.admissions[slot].outside_training = outside;
-    }
+    context.model.simd_level().run(Store {
+        members: context.members,
+        possible: context.possible(),
+        columns,
+        batch,
+    });
 }
 
 pub(crate) fn infer_open(
@@ -71,47 +53,91 @@ pub(crate) fn infer_open(
     true
 }
 
-/// Replaces the network's forecasts in the windows by the robots' own, a block at a time.
-struct Combine<'a, 'b> {
-    members: &'a Members,
+/// Stores what was inferred, a block at a time.
+struct Store<'a, 'b> {
+    members: Option<Members>,
     possible: PossiblePower,
     columns: &'a mut ColumnsMut<'b>,
-    forecast_lanes: &'a [u16],
+    batch: &'a Batch,
 }
 
-impl SimdTask for Combine<'_, '_> {
+impl SimdTask for Store<'_, '_> {
     #[inline(always)]
     fn run(self) {
-        let ColumnsMut {
-            windows, online, ..
-        } = self.columns;
-        let (members, possible) = (*self.members, self.possible);
-        for (block, bits) in self.forecast_lanes.iter().enumerate() {
-            if *bits != 0 {
-                let online = &online[block];
-                combine_block((&members, possible), *bits, &mut windows[block], online);
-            }
+        let (columns, mut row) = (self.columns, 0);
+        let members = self
+            .members
+            .as_ref()
+            .map(|members| (members, self.possible));
+        while let Some((inferred, next)) = self.batch.of_block(row) {
+            row = next;
+            store_block(members, columns, &inferred);
         }
     }
 }
 
 #[inline(always)]
-fn combine_block(
-    (members, possible): (&Members, PossiblePower),
-    bits: u16,
-    windows: &mut WindowLanes,
-    online: &OnlineLanes,
+fn store_block(
+    members: Option<(&Members, PossiblePower)>,
+    columns: &mut ColumnsMut<'_>,
+    inferred: &Inferred,
 ) {
-    let mut forecast_w = [0.0; LANES];
+    let windows = &mut columns.windows[inferred.block];
+    let (mut finite, mut invalid) = ([false; LANES], [false; LANES]);
+    for lane in 0..LANES {
+        let is_finite = inferred.forecast_w[lane].is_finite();
+        finite[lane] = inferred.rows[lane] & is_finite;
+        invalid[lane] = inferred.rows[lane] & !is_finite;
+    }
+    let mut forecast_w = inferred.forecast_w;
+    if let Some(members) = members {
+        let online = &mut columns.online[inferred.block];
+        for lane in 0..LANES {
+            put(&mut online.network_w[lane], finite[lane], forecast_w[lane]);
+        }
+        combine(members, windows, online, &mut forecast_w);
+    }
+    for lane in 0..LANES {
+        windows.forecast(lane, finite[lane], forecast_w[lane]);
+    }
+    let first = inferred.block * LANES;
+    if lanes::any(&invalid) {
+        for lane in (0..LANES).filter(|lane| invalid[*lane]) {
+            refuse(columns, first + lane);
+        }
+    }
+    if lanes::any(&inferred.outside) {
+        for lane in (0..LANES).filter(|lane| inferred.outside[*lane]) {
+            columns.admissions[first + lane].outside_training = true;
+        }
+    }
+}
+
+/// Replaces the network's forecasts of a block by the robots' own.
+#[inline(always)]
+fn combine(
+    (members, possible): (&Members, PossiblePower),
+    windows: &WindowLanes,
+    online: &OnlineLanes,
+    forecast_w: &mut Lanes<f32>,
+) {
+    let members = *members;
     for lane in 0..LANES {
         let (window, robot) = (windows.closed.get(lane), online.get(lane));
         let (lag_w, due) = (window.lags_w(), window.due());
-        let combined_w = robot.forecast(members, &lag_w, robot.network_w, due);
+        let combined_w = robot.forecast(&members, &lag_w, robot.network_w, due);
         forecast_w[lane] = possible.nearest(combined_w);
     }
-    for lane in 0..LANES {
-        windows.replace_forecast(lane, bits >> lane & 1 == 1, forecast_w[lane]);
-    }
+}
+
+/// The network has no number for this robot.
+#[cold]
+#[inline(never)]
+fn refuse(columns: &mut ColumnsMut<'_>, slot: usize) {
+    let mut last = lanes::get(columns.lasts, slot);
+    let invalid = Quality::Invalid(InvalidReason::ModelOutput);
+    (last.quality, last.quality_detail) = invalid.encode();
+    lanes::set(columns.lasts, slot, last);
 }
 
 /// Forecasts robots whose sample is overdue open loop: provisional, and discarded where the sample says

@@ -119,15 +119,9 @@ impl Block for WindowLanes {
 }
 
 impl WindowLanes {
-    /// Stores the forecast for the row that [`Window::next_row`] returned, W; NaN for none.
+    /// Stores the forecast for the row that [`Window::next_row`] returned, W, where the mask is set.
     #[inline(always)]
-    pub(crate) fn forecast(&mut self, lane: usize, forecast_w: f32) {
-        self.closed.closed.forecast_w[lane] = forecast_w;
-    }
-
-    /// The forecast in place of the one that [`WindowLanes::forecast`] stored, where the mask is set.
-    #[inline(always)]
-    pub(crate) fn replace_forecast(&mut self, lane: usize, mask: bool, forecast_w: f32) {
+    pub(crate) fn forecast(&mut self, lane: usize, mask: bool, forecast_w: f32) {
         put(&mut self.closed.closed.forecast_w[lane], mask, forecast_w);
     }
 
