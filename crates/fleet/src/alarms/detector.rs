@@ -90,19 +90,19 @@ impl Detector {
         }
     }
 
-    /// Records a residual and the change of the reading, W, both finite; `sigma_w` > 0 is the
-    /// residual standard deviation in training.
+    /// Records a residual and the change of the reading, W, both finite; `per_sigma` is 1
+    /// over the residual standard deviation in training, 1/W, above 0.
     #[inline(always)]
     pub(crate) fn observe(
         &mut self,
         residual_w: f32,
         change_w: f32,
-        sigma_w: f32,
+        per_sigma: f32,
         settings: &AlarmSettings,
     ) {
         let residual_w = residual_w.clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
         self.bias_w += settings.bias_weight * (residual_w - self.bias_w);
-        let z = (residual_w / sigma_w).clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
+        let z = (residual_w * per_sigma).clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
         let white = self.whiten(z, settings.bias_weight);
         let ceiling = CUSUM_MAX * settings.cusum_limit;
         self.cusum_up = (self.cusum_up + white - settings.cusum_slack).clamp(0.0, ceiling);
@@ -111,7 +111,7 @@ impl Detector {
         self.noise_ratio += settings.noise_weight * (square - self.noise_ratio);
         let weight = settings.noise_weight / MISMATCH_MEMORY;
         let bounded = |z: f32| z.clamp(-MISMATCH_ERROR_MAX, MISMATCH_ERROR_MAX);
-        let (error, step) = (bounded(z), bounded(change_w / sigma_w));
+        let (error, step) = (bounded(z), bounded(change_w * per_sigma));
         self.error_square += weight * (error * error - self.error_square);
         self.persistence_square += weight * (step * step - self.persistence_square);
     }
@@ -340,7 +340,7 @@ mod tests {
     fn one_absurd_residual_does_not_disable_the_detector() {
         for absurd in [f32::MAX, -f32::MAX] {
             let (mut detector, mut state) = (Detector::new(), 1);
-            detector.observe(absurd, 1.0, 1e-6, &SETTINGS);
+            detector.observe(absurd, 1.0, 1e6, &SETTINGS);
             assert!(detector.error_square.is_finite(), "{detector:?}");
             run(&mut detector, 10_000, |unit| unit, &mut state);
             assert_eq!(detector.raised, AlarmSet::default(), "{detector:?}");

@@ -30,6 +30,9 @@
 
 use std::f32::consts::{LN_2, LOG2_E};
 
+/// ln 3.
+const LN_3: f32 = 1.098_612_3;
+
 /// Members: the last reading, the network, the stack.
 pub(crate) const MEMBERS: usize = 3;
 
@@ -46,24 +49,25 @@ pub(crate) struct Hedge {
     pub above: [f32; 2],
     /// Δ; 0 before the first error.
     pub cost: f32,
-    /// ln K.
-    pub log: f32,
+    /// Whether all three members take part, or the last reading and the stack.
+    pub of_three: bool,
 }
 
 impl Hedge {
-    /// All three members.
-    pub(crate) const LOG_3: f32 = 1.098_612_3;
-    /// The last reading and the stack.
-    pub(crate) const LOG_2: f32 = LN_2;
+    /// ln K.
+    #[inline(always)]
+    pub(crate) fn log(&self) -> f32 {
+        if self.of_three { LN_3 } else { LN_2 }
+    }
 
     /// Not negative, 1 in all.
     #[inline(always)]
     pub(crate) fn weights(&self) -> [f32; MEMBERS] {
-        let rate = self.log / self.cost;
+        let rate = self.log() / self.cost;
         let raw = self.losses().map(|loss| exp(-rate * loss));
         // The best has a loss of 0 and a raw weight of 1.
-        let sum = (raw[0] + raw[1]) + raw[2];
-        raw.map(|raw| raw / sum)
+        let share = 1.0 / ((raw[0] + raw[1]) + raw[2]);
+        raw.map(|raw| raw * share)
     }
 
     /// Learns each member's error, W; of one that does not take part it must only be finite. `floor`: Δ is
@@ -93,19 +97,27 @@ impl Hedge {
     /// yet decide.
     #[inline(always)]
     fn mix_loss(&self, loss: &[f32; MEMBERS]) -> f32 {
-        let rate = self.log / self.cost;
+        const BACK: f32 = 1.0 / MEMORY;
+        let rate = self.log() / self.cost;
+        // 1/η: divisions take longer than anything else here.
+        let per_log = if self.of_three {
+            1.0 / LN_3
+        } else {
+            1.0 / LN_2
+        };
         let before = self.losses();
         let after = [
-            before[0] + loss[0] / MEMORY,
-            before[1] + loss[1] / MEMORY,
-            before[2] + loss[2] / MEMORY,
+            before[0] + loss[0] * BACK,
+            before[1] + loss[1] * BACK,
+            before[2] + loss[2] * BACK,
         ];
         let least = after[0].min(after[1]).min(after[2]);
         let sum = |losses: [f32; MEMBERS], least: f32| {
             let raw = losses.map(|loss| exp(-rate * (loss - least)));
-            ln((raw[0] + raw[1]) + raw[2])
+            (raw[0] + raw[1]) + raw[2]
         };
-        MEMORY * (least - (sum(after, least) - sum(before, 0.0)) / rate)
+        let shrunk = ln_ratio(sum(after, least), sum(before, 0.0));
+        MEMORY * (least - shrunk * (self.cost * per_log))
     }
 }
 
@@ -136,10 +148,10 @@ fn exp(x: f32) -> f32 {
     series * f32::from_bits(power)
 }
 
-/// The natural logarithm of 1 to 3, within 4e-7: 2 artanh((y − 1) / (y + 1)).
+/// The natural logarithm of a / b, both from 1 to 3, within 4e-7: 2 artanh((a − b) / (a + b)).
 #[inline(always)]
-fn ln(y: f32) -> f32 {
-    let s = (y - 1.0) / (y + 1.0);
+fn ln_ratio(a: f32, b: f32) -> f32 {
+    let s = (a - b) / (a + b);
     let q = s * s;
     let small = 1.0 / 13.0 + q * (1.0 / 15.0 + q * (1.0 / 17.0 + q * (1.0 / 19.0)));
     let series = 1.0
@@ -197,7 +209,7 @@ mod tests {
                     );
                 }
             }
-            let most = 2.0 * self.largest * f64::from(hedge.log) / f64::from(MEMORY);
+            let most = 2.0 * self.largest * f64::from(hedge.log()) / f64::from(MEMORY);
             prop_assert!(
                 cost <= most.max(self.floor) + self.largest + rounding,
                 "{hedge:?}"
@@ -210,7 +222,7 @@ mod tests {
         Hedge {
             above: [start[0], if of_three { start[1] } else { f32::INFINITY }],
             cost: 2.0,
-            log: if of_three { Hedge::LOG_3 } else { Hedge::LOG_2 },
+            of_three,
         }
     }
 
@@ -259,10 +271,11 @@ mod tests {
         }
 
         #[test]
-        fn exp_and_ln_are_as_exact_as_they_say(x in -80.0f32..0.0, y in 1.0f32..3.0) {
+        fn exp_and_ln_are_as_exact_as_they_say(x in -80.0f32..0.0, a in 1.0f32..3.0, b in 1.0f32..3.0) {
             let exact = f64::from(x).exp();
             prop_assert!((f64::from(exp(x)) / exact - 1.0).abs() < 3e-7 * (1.0 + f64::from(-x)));
-            prop_assert!((f64::from(ln(y)) - f64::from(y).ln()).abs() < 4e-7);
+            let exact = (f64::from(a) / f64::from(b)).ln();
+            prop_assert!((f64::from(ln_ratio(a, b)) - exact).abs() < 4e-7);
         }
     }
 
@@ -274,7 +287,7 @@ mod tests {
         }
         let [last, network, stack] = hedge.weights();
         assert!(last < 1e-6 && network < 1e-30 && stack > 0.999, "{hedge:?}");
-        assert_eq!((exp(0.0), ln(1.0)), (1.0, 0.0));
+        assert_eq!((exp(0.0), ln_ratio(1.0, 1.0)), (1.0, 0.0));
         assert!(exp(f32::NEG_INFINITY) < 1e-34);
     }
 

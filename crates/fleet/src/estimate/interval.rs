@@ -159,12 +159,14 @@ impl ConformalInterval {
         )
     }
 
-    /// Share of the `observed` readings inside, over all and recently; NaN before the first.
+    /// Share of the readings inside, over all and recently; NaN before the first. `share`: that of one reading,
+    /// infinite before the first.
     #[inline(always)]
-    pub(crate) fn coverage(&self, observed: u64) -> (f32, f32) {
-        let over_all = (self.covered as f64 / observed as f64) as f32;
-        let recent = if observed > 0 { self.recent } else { f32::NAN };
-        (if observed > 0 { over_all } else { f32::NAN }, recent)
+    pub(crate) fn coverage(&self, share: f64) -> (f32, f32) {
+        let over_all = (self.covered as f64 * share) as f32;
+        let observed = share <= 1.0;
+        let recent = if observed { self.recent } else { f32::NAN };
+        (if observed { over_all } else { f32::NAN }, recent)
     }
 
     /// The interval around `forecast_w`, `open_steps` sample periods after the last reading: it
@@ -220,7 +222,7 @@ mod tests {
                 let drift = if step > 2_000 { shift } else { 0.0 };
                 interval.observe(scale * (uniform + drift), true, 0.0, quantile_step);
             }
-            let (all, recent) = interval.coverage(4_000);
+            let (all, recent) = interval.coverage(1.0 / 4_000.0);
             prop_assert!((0.885..=0.915).contains(&all), "{all}");
             prop_assert!((0.8..=0.98).contains(&recent), "{recent}");
         }
@@ -300,7 +302,7 @@ mod tests {
             hi_w - lo_w
         };
         assert!(width_w(true) > 30.0 * width_w(false), "{interval:?}");
-        let (all, _) = interval.coverage(3_000);
+        let (all, _) = interval.coverage(1.0 / 3_000.0);
         assert!((0.89..=0.92).contains(&all), "{all}");
     }
 }

@@ -452,7 +452,7 @@ impl Online {
                 if due { network } else { f32::INFINITY },
             ],
             cost: if started { cost } else { COST * square },
-            log: if due { Hedge::LOG_3 } else { Hedge::LOG_2 },
+            of_three: due,
         }
     }
 
@@ -738,7 +738,7 @@ mod tests {
             } else {
                 online.held_cost
             };
-            phase.check(cost, hedge.log)?;
+            phase.check(cost, hedge.log())?;
             online.read(&MEMBERS, lag_w[0], due, reading_w);
             lag_w.rotate_right(1);
             lag_w[0] = reading_w;

@@ -34,11 +34,18 @@ impl Scores {
         self.scatter_w2 += from_mean * (reading - self.mean_w);
     }
 
+    /// Share of one reading; infinite before the first. A division takes as long as all else that is done with it,
+    /// here and below.
+    #[inline(always)]
+    pub(crate) fn share(&self) -> f64 {
+        1.0 / self.count as f64
+    }
+
     /// Mean absolute residual, W; NaN before the first.
     #[must_use]
     #[inline(always)]
     pub fn mae_w(&self) -> f64 {
-        canonical_f64(self.sum_abs_w / self.count as f64)
+        canonical_f64(self.sum_abs_w * self.share())
     }
 
     /// Coefficient of determination of the forecasts; NaN for constant readings.
@@ -52,7 +59,7 @@ impl Scores {
     #[must_use]
     #[inline(always)]
     pub fn persistence_mae_w(&self) -> f64 {
-        canonical_f64(self.persistence_sum_abs_w / self.count as f64)
+        canonical_f64(self.persistence_sum_abs_w * self.share())
     }
 
     /// Coefficient of determination of persistence; NaN for constant readings.
@@ -72,7 +79,7 @@ impl Scores {
 
 #[inline(always)]
 fn explained(error: f64, of: f64) -> f64 {
-    let explained = 1.0 - error / of;
+    let explained = 1.0 - error * (1.0 / of);
     // Infinite sums have no ratio.
     canonical_f64(if of > 0.0 { explained } else { f64::NAN })
 }

@@ -42,14 +42,17 @@ impl Remaining {
         // Regeneration cannot fill a battery beyond full.
         let (left_j, left_lo_j) = (left_j.min(capacity_j), left_lo_j.min(capacity_j));
         let reserve_j = capacity_j * battery.reserve;
-        let soc = |joules: f64| (joules / capacity_j).clamp(0.0, 1.0) as f32;
+        // The same for all robots of the platform.
+        let per_capacity = 1.0 / capacity_j;
+        let soc = |joules: f64| (joules * per_capacity).clamp(0.0, 1.0) as f32;
         let usable_j = (left_j - reserve_j).max(0.0);
         let usable_lo_j = (left_lo_j - reserve_j).max(0.0);
         // Under persistent bias the interval may exclude the forecast; the bounds stay conservative.
         let lo_w = f64::from(ends_w.0).min(mean_w);
         let hi_w = f64::from(ends_w.1).max(mean_w);
         let lasts_s = |joules: f64, watts: f64, positive: bool, otherwise: f32| {
-            let seconds = (joules / watts) as f32;
+            // Twice as many divisions a vector as in double precision, and nothing is subtracted.
+            let seconds = joules as f32 / watts as f32;
             if positive { seconds } else { otherwise }
         };
         let draws = mean_w > 0.0;

@@ -15,8 +15,8 @@ pub(crate) struct PlatformContext {
     pub model: Model,
     /// Inputs that the model requires in addition to the lags.
     pub required: RequiredInputs,
-    /// Residual standard deviation in training, at least the monitor's resolution, W.
-    pub sigma_w: f32,
+    /// 1 over the residual standard deviation in training, at least the monitor's resolution, 1/W.
+    pub per_sigma: f32,
     /// Maximum number of open-loop sample periods.
     pub longest_steps: u16,
     /// Silence after which the next sample is overdue, and maximum time between two consecutive
@@ -62,7 +62,7 @@ impl PlatformContext {
             energy,
             members: members.flatten(),
             quantile_step: QuantileStep::new(&settings.interval),
-            sigma_w,
+            per_sigma: 1.0 / sigma_w,
             // `FleetSettings::check` limits the quotient to 1000.
             longest_steps: (platform.stale_after_ns / platform.period_ns) as u16,
             overdue_after_ns: platform.period_ns + platform.period_ns / 2,

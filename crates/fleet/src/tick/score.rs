@@ -236,13 +236,13 @@ fn detect(
     scored: &Lanes<bool>,
     detectors: &mut DetectorLanes,
 ) {
-    let (alarms, sigma_w) = (tick.settings.alarms, context.sigma_w);
+    let (alarms, per_sigma) = (tick.settings.alarms, context.per_sigma);
     for lane in 0..LANES {
         let mut detector = detectors.get(lane);
         let reading_w = absorbed.reading_w[lane];
         let residual_w = absorbed.residual_w[lane];
         let change_w = reading_w - absorbed.previous_w[lane];
-        detector.observe(residual_w, change_w, sigma_w, &alarms);
+        detector.observe(residual_w, change_w, per_sigma, &alarms);
         detectors.set_observed(lane, scored[lane], &detector);
     }
 }

@@ -201,22 +201,25 @@ fn compare_scores(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCas
         prop_assert!(found.mae_w.is_nan());
         return Ok(());
     }
-    let n = scored.len() as f64;
+    let share = 1.0 / scored.len() as f64;
     let step = |s: &Scored| f64::from(s.reading_w) - f64::from(s.previous_w);
     let sum = |term: &dyn Fn(&Scored) -> f64| scored.iter().fold(0.0, |sum, s| sum + term(s));
     let error = sum(&|s| f64::from(s.residual_w) * f64::from(s.residual_w));
     let steps = sum(&|s| step(s) * step(s));
-    let mae_w = sum(&|s| f64::from(s.residual_w).abs()) / n;
-    let persistence_mae_w = sum(&|s| step(s).abs()) / n;
+    let mae_w = sum(&|s| f64::from(s.residual_w).abs()) * share;
+    let persistence_mae_w = sum(&|s| step(s).abs()) * share;
     prop_assert_eq!(found.mae_w.to_bits(), mae_w.to_bits(), "robot {}", id);
     prop_assert_eq!(
         found.persistence_mae_w.to_bits(),
         persistence_mae_w.to_bits()
     );
     if steps > 0.0 {
-        prop_assert_eq!(found.skill.to_bits(), (1.0 - error / steps).to_bits());
+        prop_assert_eq!(
+            found.skill.to_bits(),
+            (1.0 - error * (1.0 / steps)).to_bits()
+        );
     }
-    let mean = sum(&|s| f64::from(s.reading_w)) / n;
+    let mean = sum(&|s| f64::from(s.reading_w)) * share;
     let scatter = sum(&|s| (f64::from(s.reading_w) - mean).powi(2));
     if scatter > 1e-6 {
         let r2 = 1.0 - error / scatter;

@@ -197,13 +197,14 @@ impl Knowledge {
         let rate = log(experts) / cost;
         let least = |losses: [f32; 3]| losses.into_iter().fold(f32::INFINITY, f32::min);
         let before = before.map(|loss| loss - least(before));
-        let after = [0, 1, 2].map(|i| before[i] + loss[i] / 0.997);
+        let after = [0, 1, 2].map(|i| before[i] + loss[i] * (1.0 / 0.997));
         let lowest = least(after);
         let sum = |losses: [f32; 3], least: f32| {
             let [a, b, c] = losses.map(|loss| exp(-rate * (loss - least)));
-            ln((a + b) + c)
+            (a + b) + c
         };
-        let mix_loss = 0.997 * (lowest - (sum(after, lowest) - sum(before, 0.0)) / rate);
+        let shrunk = ln_ratio(sum(after, lowest), sum(before, 0.0));
+        let mix_loss = 0.997 * (lowest - shrunk * (cost * (1.0 / log(experts))));
         let mixed = dot(shares, error);
         let cost = (0.997 * cost + (mixed * mixed - mix_loss).max(0.0)).max(2.0 * square);
         let (old, _) = self.losses(lesson.due);
@@ -267,7 +268,7 @@ impl Knowledge {
         let least = losses.into_iter().fold(f32::INFINITY, f32::min);
         let raw = losses.map(|loss| exp(-rate * (loss - least)));
         let sum = (raw[0] + raw[1]) + raw[2];
-        raw.map(|raw| raw / sum)
+        raw.map(|raw| raw * (1.0 / sum))
     }
 }
 
@@ -290,8 +291,8 @@ fn exp(x: f32) -> f32 {
     series * f32::from_bits(((whole as i32 + 127) as u32) << 23)
 }
 
-fn ln(y: f32) -> f32 {
-    let s = (y - 1.0) / (y + 1.0);
+fn ln_ratio(a: f32, b: f32) -> f32 {
+    let s = (a - b) / (a + b);
     let factors = [17.0f32, 15.0, 13.0, 11.0, 9.0, 7.0, 5.0, 3.0, 1.0];
     let series = factors
         .iter()

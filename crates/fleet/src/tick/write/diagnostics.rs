@@ -51,10 +51,7 @@ impl<'a> Diagnostics<'a> {
             diagnostics.persistence_mae_w[lane] = scores.persistence_mae_w();
             diagnostics.persistence_r2[lane] = scores.persistence_r2();
             diagnostics.skill[lane] = scores.skill();
-        }
-        for lane in 0..LANES {
-            let observed = block.scores.count[lane];
-            let coverage = block.intervals.get(lane).coverage(observed);
+            let coverage = block.intervals.get(lane).coverage(scores.share());
             (
                 diagnostics.coverage[lane],
                 diagnostics.coverage_recent[lane],
@@ -131,7 +128,7 @@ impl<'a> Diagnostics<'a> {
             alarm: first,
             alarms: alarms.0,
             residual_w: canonical(last.residual_w),
-            residual_z: canonical(last.residual_w / context.sigma_w),
+            residual_z: canonical(last.residual_w * context.per_sigma),
             bias_w: canonical(detectors.bias_w[lane]),
             cusum_up: canonical(detectors.cusum_up[lane]),
             cusum_down: canonical(detectors.cusum_down[lane]),
