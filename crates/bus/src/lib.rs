@@ -67,8 +67,10 @@ pub use liveness::peer_watch::PeerWatch;
 pub use liveness::presence::FilesRemoved;
 pub use liveness::worker_lock::{WorkerLock, WorkerLockError, WorkerOwner};
 pub use membership::JoinError;
+pub use os::background::{Background, Panicked, Steps};
 pub use os::clock;
 pub use os::memory::touch_own_memory;
+pub use os::process::process_id;
 pub use os::scheduling::{Rights, Scheduling, SchedulingError, page_faults, set_timer_slack};
 pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,

@@ -2,8 +2,10 @@
 //!
 //! Opening a pipe blocks, reading a device never ends, and opening some devices has side effects.
 //! So only regular files are opened, also through symbolic links, and whole files are read into
-//! memory only up to a limit set by the reader.
+//! memory only up to a limit set by the reader. [`disk`] has what writes.
 #![forbid(unsafe_code)]
+
+pub mod disk;
 
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read as _};

@@ -2,12 +2,12 @@
 //! that the tick must not do: it writes the ledger's checkpoints and logs refusals.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::thread::JoinHandle;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use joulebus_bus::{
-    BudgetReader, Bus, DiagnosticReader, Domain, ForecastReader, JoinError, OpenError, clock,
+    Background, BudgetReader, Bus, DiagnosticReader, Domain, ForecastReader, JoinError, OpenError,
+    Steps, clock,
 };
 use joulebus_config::Config;
 use joulebus_wire::{DropCounts, DropReason};
@@ -39,9 +39,6 @@ pub enum CheckpointerError {
     /// The thread could not be started, or the boot id is unknown.
     #[error("the worker's checkpointer cannot start: {0}")]
     Start(#[from] std::io::Error),
-    /// The thread died before it was ready.
-    #[error("the worker's checkpointer died at start")]
-    Died,
 }
 
 /// Failures of the worker's loop, counted there and logged by the checkpointer.
@@ -53,67 +50,23 @@ pub(crate) struct Failures {
     pub shed: AtomicU64,
 }
 
-/// The running thread; stopped when dropped.
-#[derive(Debug)]
-pub(crate) struct Checkpointer {
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+/// Starts the checkpointer and waits until it reads. `before`: the ledger of an earlier run and its
+/// location. Its last step writes the last checkpoint.
+pub(crate) fn start(
+    domain: &Domain,
+    config: &Config,
+    before: SavedLedger,
+    failures: Arc<Failures>,
+    orders: KeyframeOrders,
+) -> Result<Background, CheckpointerError> {
+    let (domain, config) = (domain.clone(), config.clone());
+    Background::start("joulebus-checkpointer", move || {
+        Checkpointer::open(&domain, &config, before, failures, orders)
+    })
 }
 
-impl Checkpointer {
-    /// Starts the thread and waits until it reads. `before`: the ledger of an earlier run and its
-    /// location.
-    pub(crate) fn start(
-        domain: &Domain,
-        config: &Config,
-        before: SavedLedger,
-        failures: Arc<Failures>,
-        orders: KeyframeOrders,
-    ) -> Result<Self, CheckpointerError> {
-        let stop = Arc::new(AtomicBool::new(false));
-        let (stopped, domain, config) = (Arc::clone(&stop), domain.clone(), config.clone());
-        let (ready, started) = std::sync::mpsc::sync_channel(1);
-        let thread = std::thread::Builder::new()
-            .name("joulebus-checkpointer".to_owned())
-            .spawn(move || {
-                match CheckpointerLoop::open(&domain, &config, before, failures, orders) {
-                    Ok(checkpointer) => {
-                        // The worker waits for the message.
-                        let _ = ready.send(Ok(()));
-                        checkpointer.run(&stopped);
-                    }
-                    Err(error) => {
-                        let _ = ready.send(Err(error));
-                    }
-                }
-            })?;
-        started.recv().map_err(|_| CheckpointerError::Died)??;
-        Ok(Self {
-            stop,
-            thread: Some(thread),
-        })
-    }
-
-    /// Writes the last checkpoint and stops the thread.
-    pub(crate) fn finish(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            thread.thread().unpark();
-            if thread.join().is_err() {
-                tracing::error!("the worker's checkpointer panicked");
-            }
-        }
-    }
-}
-
-impl Drop for Checkpointer {
-    fn drop(&mut self) {
-        self.finish();
-    }
-}
-
-/// State of the checkpointer's thread.
-struct CheckpointerLoop {
+/// The checkpointer.
+struct Checkpointer {
     // Before the bus, because ports must be dropped first.
     budgets: BudgetReader,
     diagnostics: DiagnosticReader,
@@ -131,9 +84,11 @@ struct CheckpointerLoop {
     failed: (u64, u64),
     shed: u64,
     sheds: bool,
+    /// When the next lines are logged, monotonic ns.
+    log_ns: u64,
 }
 
-impl CheckpointerLoop {
+impl Checkpointer {
     fn open(
         domain: &Domain,
         config: &Config,
@@ -161,37 +116,8 @@ impl CheckpointerLoop {
             failed: (0, 0),
             shed: 0,
             sheds: false,
+            log_ns: 0,
         })
-    }
-
-    fn run(mut self, stop: &AtomicBool) {
-        let mut log_ns = 0;
-        loop {
-            let last = stop.load(Ordering::Relaxed);
-            self.read_budgets();
-            let now_ns = clock::monotonic_ns();
-            if last || now_ns >= self.schedule.next_ns() {
-                self.save();
-            }
-            if last || now_ns >= log_ns {
-                log_ns = now_ns.saturating_add(LOG_EVERY_NS);
-                self.log();
-            }
-            if last {
-                return;
-            }
-            self.keyframes.poll();
-            let sleep_ns = if self.keyframes.is_busy() {
-                POLL_EVERY_NS
-            } else {
-                PERIOD_NS
-            };
-            let due_ns = self
-                .schedule
-                .next_ns()
-                .saturating_sub(clock::monotonic_ns());
-            std::thread::park_timeout(Duration::from_nanos(sleep_ns.min(due_ns)));
-        }
     }
 
     fn read_budgets(&mut self) {
@@ -307,6 +233,32 @@ impl CheckpointerLoop {
         if !named.is_empty() {
             tracing::warn!("recently refused: {named}");
         }
+    }
+}
+
+impl Steps for Checkpointer {
+    fn step(&mut self, last: bool) -> Option<Duration> {
+        self.read_budgets();
+        let now_ns = clock::monotonic_ns();
+        if last || now_ns >= self.schedule.next_ns() {
+            self.save();
+        }
+        if last || now_ns >= self.log_ns {
+            self.log_ns = now_ns.saturating_add(LOG_EVERY_NS);
+            self.log();
+        }
+        if last {
+            return None;
+        }
+        self.keyframes.poll();
+        let pause_ns = if self.keyframes.is_busy() {
+            POLL_EVERY_NS
+        } else {
+            PERIOD_NS
+        };
+        let due_ns = self.schedule.next_ns();
+        let due_ns = due_ns.saturating_sub(clock::monotonic_ns());
+        Some(Duration::from_nanos(pause_ns.min(due_ns)))
     }
 }
 

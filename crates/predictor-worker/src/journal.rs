@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_bus::{Bus, IncomingFrame, Limits, OpenError, TickWriter, clock};
+use joulebus_bus::{Bus, IncomingFrame, Limits, OpenError, TickWriter, clock, process_id};
 use joulebus_wire::{SCHEMA_VERSION, TakenFrame, TickHeader, tick_flag};
 
 /// Collects the frames that ingest takes, and sends the list after each tick.
@@ -53,7 +53,7 @@ impl Journal {
     ) {
         let header = TickHeader {
             schema: SCHEMA_VERSION,
-            pid: std::process::id(),
+            pid: process_id(),
             worker_epoch,
             tick,
             start_ns,

@@ -6,7 +6,7 @@
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
-use joulebus_bus::{Bus, Limits, OpenError, StateWriter, clock};
+use joulebus_bus::{Bus, Limits, OpenError, StateWriter, clock, process_id};
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{SCHEMA_VERSION, StateHeader};
@@ -207,7 +207,7 @@ impl KeyframeSender {
         }
         let header = StateHeader {
             schema: SCHEMA_VERSION,
-            pid: std::process::id(),
+            pid: process_id(),
             worker_epoch: keyframe.worker_epoch,
             tick: keyframe.tick,
             total_bytes: self.bytes.len() as u64,

@@ -4,10 +4,10 @@
 //! `ledger.json` is the newest, `ledger.json.older` the previous one. A new one is written to a
 //! temporary file and renamed, so that a kill or power failure at any point leaves two intact ones.
 
-use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+use joulebus_files::disk::{self, File};
 use joulebus_wire::fnv1a;
 use serde::{Deserialize, Serialize};
 
@@ -171,18 +171,18 @@ impl LedgerFiles {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
             _ => Path::new("."),
         };
-        fs::create_dir_all(folder)?;
+        disk::create_dir_all(folder)?;
         let mut file = File::create(self.unfinished())?;
         file.write_all(&encode(self.generation, ledger)?)?;
         file.sync_all()?;
         drop(file);
-        match fs::rename(&self.newest, self.older()) {
+        match disk::rename(&self.newest, self.older()) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => {}
         }
-        fs::rename(self.unfinished(), &self.newest)?;
+        disk::rename(self.unfinished(), &self.newest)?;
         // Also syncs the directory, otherwise a power failure could revert the renames.
-        File::open(folder)?.sync_all()
+        disk::sync_directory(folder)
     }
 
     fn older(&self) -> PathBuf {
@@ -203,11 +203,9 @@ fn with(path: &Path, ending: &str) -> PathBuf {
 
 fn set_aside(path: &Path) -> io::Result<PathBuf> {
     let mut names = (1..=MOST_DAMAGED).map(|number| with(path, &format!("damaged-{number}")));
-    let free = names
-        .clone()
-        .find(|name| fs::symlink_metadata(name).is_err());
+    let free = names.clone().find(|name| !disk::exists(name));
     let aside = free.or_else(|| names.next_back()).unwrap_or_default();
-    fs::rename(path, &aside)?;
+    disk::rename(path, &aside)?;
     Ok(aside)
 }
 
@@ -268,6 +266,8 @@ fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::checkpoint::tests::checkpoint;
 

@@ -5,16 +5,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use hdrhistogram::Histogram;
 use joulebus_bus::{
-    Bus, CapacityError, DomainError, FilesRemoved, JoinError, Ports, SampleReader, SchedulingError,
-    WaitError, Waiter, WorkerLock, WorkerLockError, check_capacity, clock, set_timer_slack,
-    touch_own_memory,
+    Background, Bus, CapacityError, DomainError, FilesRemoved, JoinError, Ports, SampleReader,
+    SchedulingError, WaitError, Waiter, WorkerLock, WorkerLockError, check_capacity, clock,
+    process_id, set_timer_slack, touch_own_memory,
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
 use joulebus_settings::SettingsError;
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
-use crate::checkpointer::{Checkpointer, CheckpointerError, Failures, read_ledger};
+use crate::checkpointer::{self, CheckpointerError, Failures, read_ledger};
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::ledger_files::LedgerFileError;
@@ -42,7 +42,7 @@ pub struct Worker {
     keyframes: Keyframes,
     waiter: Waiter,
     pool: TickPool,
-    checkpointer: Checkpointer,
+    checkpointer: Background,
     bus: Bus,
     _lock: WorkerLock,
     /// Buffer into which samples are copied before they are checked.
@@ -156,7 +156,7 @@ impl Worker {
         let failures = Arc::new(Failures::default());
         let (keyframes, orders) = keyframes();
         let checkpointer =
-            Checkpointer::start(&domain, config, before, Arc::clone(&failures), orders)?;
+            checkpointer::start(&domain, config, before, Arc::clone(&failures), orders)?;
         // After the threads that must not have it are started, because threads inherit it.
         for refused in config.scheduling().apply()? {
             tracing::warn!("{refused}");
@@ -168,7 +168,7 @@ impl Worker {
         let samples = bus.sample_reader(&limits)?;
         let header = ForecastHeader {
             schema: SCHEMA_VERSION,
-            pid: std::process::id(),
+            pid: process_id(),
             worker_epoch: clock::monotonic_ns(),
             period_ns: config.tick_period_ns(),
             model_hash: fleet.model_hash(),
@@ -252,7 +252,9 @@ impl Worker {
     #[must_use]
     pub fn finish(mut self) -> Report {
         self.outbox.end();
-        self.checkpointer.finish();
+        if let Err(error) = self.checkpointer.finish() {
+            tracing::error!("{error}");
+        }
         self.report()
     }
 

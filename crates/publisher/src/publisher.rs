@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::Path;
 
-use joulebus_bus::{Bus, SampleWriter, SendError, clock};
+use joulebus_bus::{Bus, SampleWriter, SendError, clock, process_id};
 use joulebus_config::{Config, ConnectError};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a};
 
@@ -64,7 +64,7 @@ impl Publisher {
         let writer = bus.sample_writer(&limits, limits.capacity)?;
         let header = SampleHeader {
             schema: SCHEMA_VERSION,
-            pid: std::process::id(),
+            pid: process_id(),
             source_id: fnv1a(source_name.bytes()),
             source_epoch: clock::monotonic_ns(),
             ..SampleHeader::default()

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use joulebus_bus::{
     BudgetReader, Bus, DiagnosticReader, ForecastReader, JoinError, OpenError, Reader,
-    ReceiveError, SampleTap, StateReader, TickReader, clock,
+    ReceiveError, SampleTap, StateReader, Steps, TickReader, clock,
 };
 use joulebus_config::Config;
 use joulebus_wire::Payload;
@@ -44,6 +44,7 @@ pub(crate) struct Drain {
     ticks: Option<TickReader>,
     state: Option<StateReader>,
     bus: Bus,
+    shared: Arc<Shared>,
     fleet: Arc<str>,
     clock: Clock,
     look_every: Duration,
@@ -57,6 +58,7 @@ impl Drain {
     pub(crate) fn open(
         config: &Config,
         clock: Clock,
+        shared: Arc<Shared>,
         wanted: impl Fn(MessageKind) -> bool,
     ) -> Result<Self, DrainError> {
         let bus = Bus::join(&config.domain()?, "recorder")?;
@@ -84,6 +86,7 @@ impl Drain {
                 .then(|| bus.state_reader(&limits))
                 .transpose()?,
             bus,
+            shared,
             fleet: Arc::from(config.fleet()),
             clock,
             look_every: LOOK_EVERY.min(Duration::from_nanos(most_ns)),
@@ -93,20 +96,7 @@ impl Drain {
         })
     }
 
-    /// Passes on frames until stopped, or until its files in shared memory are removed. It does not
-    /// listen to events, because each listener costs the worker time in every tick.
-    pub(crate) fn work(mut self, shared: &Shared) {
-        while !shared.is_stopping() {
-            self.look(shared);
-            if let Err(error) = self.bus.check() {
-                return shared.fail(error.to_string());
-            }
-            std::thread::sleep(self.look_every);
-        }
-        self.look(shared);
-    }
-
-    fn look(&mut self, shared: &Shared) {
+    fn look(&mut self) {
         if let Err(error) = self.take_all() {
             self.complain(&error);
         }
@@ -121,7 +111,7 @@ impl Drain {
                 log_ns: self.log_ns,
                 publish_ns,
             };
-            shared.hand_on(Item {
+            self.shared.hand_on(Item {
                 fleet: Arc::clone(&self.fleet),
                 times,
                 message,
@@ -153,6 +143,19 @@ impl Drain {
             self.say_from_ns = now_ns.saturating_add(SAY_EVERY_NS);
             tracing::warn!(%error, "the recorder cannot receive");
         }
+    }
+}
+
+impl Steps for Drain {
+    /// Passes on what waits, until its files in shared memory are removed. It does not listen to
+    /// events, because each listener costs the worker time in every tick.
+    fn step(&mut self, last: bool) -> Option<Duration> {
+        self.look();
+        if let Err(error) = self.bus.check() {
+            self.shared.fail(error.to_string());
+            return None;
+        }
+        (!last).then_some(self.look_every)
     }
 }
 

@@ -7,6 +7,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use joulebus_files::disk;
+
 use super::item::Item;
 use super::options::{Options, Snapshot};
 use crate::{
@@ -216,7 +218,7 @@ impl Files {
     fn open(&mut self) -> Result<(), WriteError> {
         let settings = self.options.settings;
         if let (Target::File(path), true) = (&self.target, self.options.resume) {
-            while part(path, self.parts).exists() {
+            while disk::exists(&part(path, self.parts)) {
                 self.parts += 1;
             }
         }
@@ -238,7 +240,7 @@ impl Files {
             Writer::resume(out, settings, &self.attachments, sequences).inspect_err(|_| {
                 // Just created and empty; failing to remove it does not matter.
                 if is_file {
-                    let _ = std::fs::remove_file(&path);
+                    let _ = disk::remove_file(&path);
                 }
             })?;
         self.parts += 1;

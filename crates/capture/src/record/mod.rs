@@ -19,18 +19,16 @@ mod shared;
 use std::io::Read;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::mpsc::sync_channel;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use joulebus_bus::clock;
+use joulebus_bus::{Background, Steps, clock};
 use joulebus_config::Config;
 
 use crate::{Attachments, Clock, MessageKind, Reader, Times, WriteError};
 use drain::Drain;
 use files::Files;
 use item::Item;
-use queue::Popped;
 use shared::Shared;
 
 pub use drain::DrainError;
@@ -38,8 +36,8 @@ pub use files::{Kept, Target};
 pub use options::{Options, Snapshot};
 pub use shared::{Lost, Summary};
 
-/// Interval at which the writing thread checks whether a chunk is due.
-const PATIENCE: Duration = Duration::from_millis(10);
+/// Interval at which the writing thread looks for messages, and whether a chunk is due.
+const WRITE_EVERY: Duration = Duration::from_millis(10);
 /// Interval at which a running recording updates its summary, ns.
 const NOTE_EVERY_NS: u64 = 500_000_000;
 
@@ -77,8 +75,9 @@ pub enum StartError {
 #[derive(Debug)]
 pub struct Recorder {
     shared: Arc<Shared>,
-    feeds: Vec<JoinHandle<()>>,
-    writer: Option<JoinHandle<()>>,
+    drain: Option<Background>,
+    streams: Vec<JoinHandle<()>>,
+    writer: Option<Background>,
 }
 
 impl Recorder {
@@ -100,7 +99,8 @@ impl Recorder {
         let shared = Arc::new(Shared::new(options));
         let mut recorder = Self {
             shared,
-            feeds: Vec::new(),
+            drain: None,
+            streams: Vec::new(),
             writer: None,
         };
         recorder.start_drain(config, clock, options)?;
@@ -108,8 +108,13 @@ impl Recorder {
             recorder.start_stream(stream, clock)?;
         }
         let shared = Arc::clone(&recorder.shared);
-        recorder.writer = Some(spawn("joulebus-write", move || {
-            write(files, &shared, clock);
+        recorder.writer = Some(Background::start("joulebus-write", move || {
+            Ok::<_, StartError>(FileWriter {
+                files,
+                shared,
+                clock,
+                note_from_ns: 0,
+            })
         })?);
         Ok(recorder)
     }
@@ -146,24 +151,11 @@ impl Recorder {
     ) -> Result<(), StartError> {
         let (shared, config) = (Arc::clone(&self.shared), config.clone());
         let options = options.clone();
-        let (ready, started) = sync_channel(1);
-        let drain = spawn("joulebus-drain", move || {
-            match Drain::open(&config, clock, |kind| options.wants(kind, config.fleet())) {
-                Ok(drain) => {
-                    // The caller waits for the message.
-                    let _ = ready.send(Ok(()));
-                    drain.work(&shared);
-                }
-                Err(error) => {
-                    let _ = ready.send(Err(error));
-                }
-            }
-        })?;
-        self.feeds.push(drain);
-        let opened = started
-            .recv()
-            .map_err(|_| std::io::Error::other("the thread that drains shared memory died"))?;
-        Ok(opened?)
+        self.drain = Some(Background::start("joulebus-drain", move || {
+            let wanted = |kind| options.wants(kind, config.fleet());
+            Ok::<_, StartError>(Drain::open(&config, clock, shared, wanted)?)
+        })?);
+        Ok(())
     }
 
     fn start_stream(
@@ -172,28 +164,27 @@ impl Recorder {
         clock: Clock,
     ) -> Result<(), StartError> {
         let shared = Arc::clone(&self.shared);
-        let feed = spawn("joulebus-stream", move || {
+        let builder = std::thread::Builder::new().name("joulebus-stream".to_owned());
+        let stream = builder.spawn(move || {
             if let Err(error) = pass_on(stream, clock, &shared) {
                 shared.note_failure(format!("another fleet's capture broke off: {error}"));
             }
         })?;
-        self.feeds.push(feed);
+        self.streams.push(stream);
         Ok(())
     }
 
     fn stop(&mut self) {
-        self.shared.stop.store(true, Ordering::Relaxed);
-        for feed in self.feeds.drain(..) {
-            if feed.join().is_err() {
+        if let Some(Err(error)) = self.drain.as_mut().map(Background::finish) {
+            tracing::error!("{error}");
+        }
+        for stream in self.streams.drain(..) {
+            if stream.join().is_err() {
                 tracing::error!("a thread of the recorder panicked");
             }
         }
-        self.shared.queue.close();
-        if let Some(writer) = self.writer.take()
-            && writer.join().is_err()
-        {
-            self.shared
-                .fail("the thread that writes panicked".to_owned());
+        if let Some(Err(error)) = self.writer.as_mut().map(Background::finish) {
+            self.shared.fail(error.to_string());
         }
     }
 }
@@ -220,42 +211,57 @@ fn check_channels(config: &Config, options: &Options) -> Result<(), StartError> 
     Ok(())
 }
 
-fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<JoinHandle<()>> {
-    let builder = std::thread::Builder::new().name(name.to_owned());
-    builder.spawn(work)
+/// Writes what the queue contains, until stopped or until the file cannot be written.
+struct FileWriter {
+    files: Files,
+    shared: Arc<Shared>,
+    clock: Clock,
+    note_from_ns: u64,
 }
 
-/// The writing thread: until the queue is closed and empty, or the file cannot be written.
-fn write(mut files: Files, shared: &Shared, clock: Clock) {
-    let worked = work(&mut files, shared, clock);
-    let ended = files.end();
-    if let Err(error) = worked.and(ended) {
-        shared.fail(error.to_string());
-        while let Popped::Item(item) = shared.queue.pop(Duration::ZERO) {
-            files.lose(&item);
+impl FileWriter {
+    fn work(&mut self) -> Result<(), WriteError> {
+        loop {
+            let popped = self.shared.queue.pop();
+            if self.shared.write_down.swap(false, Ordering::Relaxed) {
+                self.files.write_down()?;
+            }
+            let is_empty = popped.is_none();
+            if let Some(item) = popped {
+                self.files.take(item)?;
+            }
+            let now_ns = clock::monotonic_ns();
+            self.files.look(self.clock.unix_ns(now_ns))?;
+            if now_ns >= self.note_from_ns {
+                self.note_from_ns = now_ns.saturating_add(NOTE_EVERY_NS);
+                self.shared.note_files(&self.files);
+            }
+            if is_empty {
+                return Ok(());
+            }
         }
     }
-    shared.end_files(&files);
+
+    fn end(&mut self, worked: Result<(), WriteError>) {
+        let ended = self.files.end();
+        if let Err(error) = worked.and(ended) {
+            self.shared.fail(error.to_string());
+            while let Some(item) = self.shared.queue.pop() {
+                self.files.lose(&item);
+            }
+        }
+        self.shared.end_files(&self.files);
+    }
 }
 
-fn work(files: &mut Files, shared: &Shared, clock: Clock) -> Result<(), WriteError> {
-    let mut note_from_ns = 0;
-    loop {
-        let popped = shared.queue.pop(PATIENCE);
-        if shared.write_down.swap(false, Ordering::Relaxed) {
-            files.write_down()?;
+impl Steps for FileWriter {
+    fn step(&mut self, last: bool) -> Option<Duration> {
+        let worked = self.work();
+        if last || worked.is_err() {
+            self.end(worked);
+            return None;
         }
-        match popped {
-            Popped::Item(item) => files.take(item)?,
-            Popped::Nothing => {}
-            Popped::Closed => return Ok(()),
-        }
-        let now_ns = clock::monotonic_ns();
-        files.look(clock.unix_ns(now_ns))?;
-        if now_ns >= note_from_ns {
-            note_from_ns = now_ns.saturating_add(NOTE_EVERY_NS);
-            shared.note_files(files);
-        }
+        Some(WRITE_EVERY)
     }
 }
 

@@ -2,8 +2,7 @@
 //! message loss, without effect on other processes.
 
 use std::collections::VecDeque;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::item::Item;
 
@@ -11,7 +10,6 @@ use super::item::Item;
 #[derive(Debug)]
 pub(crate) struct Queue {
     state: Mutex<State>,
-    changed: Condvar,
     max_bytes: usize,
 }
 
@@ -22,26 +20,10 @@ struct State {
     closed: bool,
 }
 
-/// Result of waiting for an item.
-#[derive(Debug)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "it is destructured where it is created"
-)]
-pub(crate) enum Popped {
-    /// The oldest item.
-    Item(Item),
-    /// Timeout.
-    Nothing,
-    /// The queue is closed and empty.
-    Closed,
-}
-
 impl Queue {
     pub(crate) fn new(max_bytes: usize) -> Self {
         Self {
             state: Mutex::default(),
-            changed: Condvar::new(),
             max_bytes,
         }
     }
@@ -59,31 +41,20 @@ impl Queue {
         }
         state.bytes += bytes;
         state.items.push_back(item);
-        drop(state);
-        self.changed.notify_one();
         true
     }
 
-    /// Removes the oldest item, waiting up to `patience` for one.
-    pub(crate) fn pop(&self, patience: Duration) -> Popped {
-        let state = self.lock();
-        let is_idle = |state: &mut State| state.items.is_empty() && !state.closed;
-        let waited = self.changed.wait_timeout_while(state, patience, is_idle);
-        let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
-        match state.items.pop_front() {
-            Some(item) => {
-                state.bytes -= item.bytes();
-                Popped::Item(item)
-            }
-            None if state.closed => Popped::Closed,
-            None => Popped::Nothing,
-        }
+    /// Removes the oldest item; `None` if there is none now.
+    pub(crate) fn pop(&self) -> Option<Item> {
+        let mut state = self.lock();
+        let item = state.items.pop_front()?;
+        state.bytes -= item.bytes();
+        Some(item)
     }
 
-    /// Closes the queue.
+    /// Closes the queue: what is pushed from now on is dropped.
     pub(crate) fn close(&self) {
         self.lock().closed = true;
-        self.changed.notify_all();
     }
 
     /// No panic occurs while the lock is held, and the items would still be valid.

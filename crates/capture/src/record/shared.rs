@@ -61,7 +61,6 @@ impl Summary {
 /// State shared by the threads.
 #[derive(Debug)]
 pub(crate) struct Shared {
-    pub(super) stop: AtomicBool,
     pub(super) write_down: AtomicBool,
     pub(super) over: AtomicBool,
     pub(super) queue: Queue,
@@ -73,7 +72,6 @@ pub(crate) struct Shared {
 impl Shared {
     pub(super) fn new(options: &Options) -> Self {
         Self {
-            stop: AtomicBool::new(false),
             write_down: AtomicBool::new(false),
             over: AtomicBool::new(false),
             queue: Queue::new(options.queue_bytes),
@@ -81,11 +79,6 @@ impl Shared {
             summary: Mutex::default(),
             options: options.clone(),
         }
-    }
-
-    /// After a failure, losses are counted until the recording is stopped.
-    pub(crate) fn is_stopping(&self) -> bool {
-        self.stop.load(Ordering::Relaxed)
     }
 
     /// Puts the item into the queue; counts the messages missing before it, and itself if it is
@@ -155,7 +148,7 @@ impl Shared {
         summary.failure.get_or_insert(reason);
     }
 
-    /// Stops the recording: all further messages are counted as lost.
+    /// Stops writing: all further messages are counted as lost.
     pub(super) fn fail(&self, reason: String) {
         self.note_failure(reason);
         self.over.store(true, Ordering::Relaxed);

@@ -1,8 +1,9 @@
 //! The file of a capture on a disk that may be full or fail.
 
-use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+
+use joulebus_files::disk::File;
 
 use super::error::WriteError;
 
