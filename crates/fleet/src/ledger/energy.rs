@@ -81,7 +81,8 @@ impl Ledger {
     /// Records a sample: its stamp, the reading in W if there is one, and its forecast. Time counts
     /// as metered between two readings at most `longest_ns` apart.
     ///
-    /// A stamp before the last one (after a reboot) adds no time.
+    /// A stamp before the last one (after a reboot, or of another source) adds no time, and what follows
+    /// adds none up to the last one: each moment is counted once.
     pub fn meter(
         &mut self,
         stamp_ns: u64,
@@ -110,7 +111,7 @@ impl Ledger {
             }
             _ => self.unmetered_ns = self.unmetered_ns.saturating_add(elapsed_ns),
         }
-        (self.stamp_ns, self.begun) = (stamp_ns, true);
+        (self.stamp_ns, self.begun) = (self.stamp_ns.max(stamp_ns), true);
         self.last_power = power_w.unwrap_or(f32::NAN).to_bits();
     }
 }
@@ -167,7 +168,7 @@ impl Ledger {
         let unmetered_ns = self.unmetered_ns.saturating_add(elapsed_ns);
         put(&mut self.metered_ns, metered, metered_ns);
         put(&mut self.unmetered_ns, !metered, unmetered_ns);
-        (self.stamp_ns, self.begun) = (stamp_ns, true);
+        (self.stamp_ns, self.begun) = (self.stamp_ns.max(stamp_ns), true);
         self.last_power = power_w.to_bits();
         narrow | !metered
     }
@@ -270,6 +271,21 @@ mod tests {
     use super::*;
 
     const LONGEST_NS: u64 = 50_000_000;
+
+    #[test]
+    fn time_between_an_earlier_stamp_and_the_last_one_is_not_counted_again() {
+        let (mut wide, mut narrow) = (Ledger::default(), Ledger::default());
+        let stamps_ms = [1_000, 1_020, 1_005, 1_015, 1_040, 1_040, 1_060];
+        for stamp_ns in stamps_ms.map(|ms: u64| 1_000_000 * ms) {
+            wide.meter(stamp_ns, Some(3.0), None, LONGEST_NS);
+            assert!(narrow.meter_narrow(stamp_ns, 3.0, f32::NAN, LONGEST_NS));
+        }
+        for ledger in [wide, narrow] {
+            assert_eq!(ledger.stamp_ns(), Some(1_060_000_000));
+            assert_eq!((ledger.metered_ns, ledger.unmetered_ns), (60_000_000, 0));
+            assert_eq!(ledger.drawn_uj, 180_000);
+        }
+    }
 
     proptest! {
         /// Against one exact rational sum over all samples.
