@@ -90,13 +90,17 @@ impl Checkpoint {
             return self;
         }
         let away_ns = now_unix_ns.saturating_sub(self.written_unix_ns);
-        for account in self.robots.values_mut() {
-            let before_ns = self.written_ns.saturating_sub(account.stamp_ns);
-            account.unmetered_ns = account
-                .unmetered_ns
-                .saturating_add(away_ns)
-                .saturating_add(before_ns);
-            account.stamp_ns = now_ns;
+        let mut newest_first: Vec<(u64, u32)> = self.by_age().collect();
+        newest_first.sort_unstable_by(|one, other| other.cmp(one));
+        for (later, (stamp_ns, robot)) in (0..).zip(newest_first) {
+            if let Some(account) = self.robots.get_mut(&robot) {
+                account.unmetered_ns = account
+                    .unmetered_ns
+                    .saturating_add(away_ns)
+                    .saturating_add(self.written_ns.saturating_sub(stamp_ns));
+                // Apart by one ns each: those that were silent longest are still given up first.
+                account.stamp_ns = now_ns.saturating_sub(later);
+            }
         }
         boot_id.clone_into(&mut self.boot_id);
         self
@@ -178,5 +182,27 @@ pub(crate) mod tests {
         let account = &other.robots[&3];
         assert_eq!(account.unmetered_ns, 20 + 10_000 + 100);
         assert_eq!(account.stamp_ns, 5);
+    }
+
+    #[test]
+    fn after_a_reboot_the_accounts_of_robots_that_were_silent_longest_still_come_first() {
+        let mut ledger = Checkpoint::new("lab", "boot-a");
+        let of = |(robot, stamp_ns)| Budget {
+            robot,
+            flags: budget_flag::LEDGER,
+            stamp_ns,
+            ..Budget::default()
+        };
+        assert_eq!(
+            ledger.take(&[(7, 300), (1, 900), (5, 100), (9, 300)].map(of), 9),
+            0
+        );
+        let carried = ledger.carried_over("boot-b", 5_000, 0);
+        let order: Vec<u32> = carried
+            .ledgers()
+            .into_iter()
+            .map(|(robot, ..)| robot)
+            .collect();
+        assert_eq!(order, [5, 7, 9, 1]);
     }
 }
