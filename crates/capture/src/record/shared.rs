@@ -54,7 +54,9 @@ impl Summary {
     #[must_use]
     pub fn messages_lost(&self) -> u64 {
         let lost = self.lost.values();
-        lost.map(|lost| lost.overwritten + lost.unwritten).sum()
+        // False frames state any numbers.
+        lost.map(|lost| lost.overwritten.saturating_add(lost.unwritten))
+            .fold(0, u64::saturating_add)
     }
 }
 
@@ -108,11 +110,11 @@ impl Shared {
     }
 
     pub(super) fn count(&self, topic: String, overwritten: u64, unwritten: u64) {
-        if overwritten + unwritten > 0 {
+        if overwritten > 0 || unwritten > 0 {
             let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
             let lost = gaps.1.entry(topic).or_default();
-            lost.overwritten += overwritten;
-            lost.unwritten += unwritten;
+            lost.overwritten = lost.overwritten.saturating_add(overwritten);
+            lost.unwritten = lost.unwritten.saturating_add(unwritten);
         }
     }
 
