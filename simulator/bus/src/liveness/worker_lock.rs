@@ -1,0 +1,80 @@
+//! One worker per fleet: the lock, and the file that names its holder.
+
+use std::cell::Cell;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use joulebus_simulated_host as host;
+
+use crate::{Domain, WorkerLockError, clock};
+
+/// What the holder of the lock has written into its file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Owner {
+    pub(crate) pid: u32,
+    pub(crate) since_unix_ns: u64,
+    pub(crate) port_pid: u32,
+}
+
+thread_local! {
+    /// Whom the file names, and whether the lock is held.
+    static FILE: Cell<Option<(Owner, bool)>> = const { Cell::new(None) };
+}
+
+pub(crate) fn begin() {
+    FILE.set(None);
+}
+
+/// The exclusive right to be the fleet's worker.
+#[derive(Debug)]
+pub struct WorkerLock {
+    owner: Owner,
+    path: PathBuf,
+}
+
+impl WorkerLock {
+    /// Takes the lock.
+    ///
+    /// # Errors
+    /// Another process holds it, or shared memory is full.
+    pub fn acquire(domain: &Domain) -> Result<Self, WorkerLockError> {
+        host::operation();
+        crate::bus::check_left()?;
+        let path = domain.worker_file();
+        if let Some((owner, true)) = FILE.get() {
+            let source = io::Error::other(format!("process {} holds it", owner.pid));
+            return Err(WorkerLockError::Io { path, source });
+        }
+        let pid = crate::process_id();
+        let owner = Owner {
+            pid,
+            since_unix_ns: clock::unix_ns(),
+            port_pid: pid,
+        };
+        FILE.set(Some((owner, true)));
+        Ok(Self { owner, path })
+    }
+
+    /// Whom the lock's file names, held or not.
+    pub(crate) fn named_owner(_path: &Path) -> Option<Owner> {
+        host::operation();
+        FILE.get().map(|(owner, _)| owner)
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for WorkerLock {
+    fn drop(&mut self) {
+        match FILE.get() {
+            // The kernel releases the lock of a killed process; its file remains.
+            Some((owner, _)) if owner == self.owner && host::is_dead() => {
+                FILE.set(Some((owner, false)));
+            }
+            Some((owner, _)) if owner == self.owner => FILE.set(None),
+            _ => {}
+        }
+    }
+}

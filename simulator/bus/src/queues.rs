@@ -1,0 +1,111 @@
+//! What lies in shared memory: the queues of readers, and who waits.
+
+use std::any::Any;
+use std::cell::{Cell, RefCell};
+use std::collections::VecDeque;
+use std::rc::Rc;
+
+use joulebus_simulated_host as host;
+use joulebus_wire::Service;
+
+use crate::Woken;
+
+/// A frame that was sent.
+#[derive(Debug)]
+pub(crate) struct Sent<H, T> {
+    pub(crate) header: H,
+    pub(crate) payload: Vec<T>,
+    pub(crate) port: u128,
+}
+
+/// Frames of one writer that a reader has not taken.
+#[derive(Debug)]
+pub(crate) struct Connection<H, T> {
+    pub(crate) port: u128,
+    pub(crate) frames: VecDeque<Rc<Sent<H, T>>>,
+}
+
+/// The queue of a reader.
+#[derive(Debug)]
+pub(crate) struct Queue<H, T> {
+    pub(crate) connections: Vec<Connection<H, T>>,
+    pub(crate) buffer: usize,
+    pub(crate) failed: u64,
+}
+
+/// A reader that is open.
+pub(crate) struct Listed {
+    pub(crate) number: u64,
+    pub(crate) pid: u32,
+    pub(crate) queue: Rc<dyn Any>,
+}
+
+/// Somebody who waits for an event.
+#[derive(Debug)]
+pub(crate) struct Waiting {
+    pub(crate) number: u64,
+    pub(crate) pid: u32,
+    pub(crate) woken: Cell<Woken>,
+}
+
+/// A service.
+#[derive(Default)]
+pub(crate) struct State {
+    pub(crate) readers: Vec<Listed>,
+    pub(crate) writers: Vec<(u128, u32)>,
+    pub(crate) waiting: Vec<Rc<Waiting>>,
+}
+
+const SERVICES: usize = Service::ALL.len();
+
+thread_local! {
+    static STATES: RefCell<[State; SERVICES]> = RefCell::default();
+}
+
+pub(crate) fn with<T>(service: Service, work: impl FnOnce(&mut State) -> T) -> T {
+    STATES.with_borrow_mut(|states| work(&mut states[service as usize]))
+}
+
+/// Begins with empty shared memory, after a start of the machine.
+pub fn begin() {
+    STATES.with_borrow_mut(|states| *states = Default::default());
+    crate::liveness::worker_lock::begin();
+}
+
+/// Removes the ports of a process that was killed, as the cleanup does.
+pub fn remove_process(pid: u32) {
+    let removed = STATES.with_borrow_mut(|states| {
+        let mut removed = Vec::new();
+        for state in states {
+            state.writers.retain(|(_, of)| *of != pid);
+            state.waiting.retain(|waiting| waiting.pid != pid);
+            let (gone, left) = std::mem::take(&mut state.readers)
+                .into_iter()
+                .partition::<Vec<_>, _>(|reader| reader.pid == pid);
+            state.readers = left;
+            removed.extend(gone);
+        }
+        removed
+    });
+    drop(removed);
+}
+
+/// Number of open ports of all services.
+#[must_use]
+pub fn size() -> usize {
+    STATES.with_borrow(|states| {
+        let ports = |state: &State| state.readers.len() + state.writers.len() + state.waiting.len();
+        states.iter().map(ports).sum()
+    })
+}
+
+/// A port id as iceoryx2's: words of 32 bits, the third is the process.
+pub(crate) fn port_id(pid: u32) -> u128 {
+    let number = host::number();
+    let words = [(number >> 32) as u32, number as u32, pid, 0];
+    let mut bytes = [0; 16];
+    for (place, word) in bytes.chunks_exact_mut(4).zip(words) {
+        place.copy_from_slice(&word.to_ne_bytes());
+    }
+    u128::from_ne_bytes(bytes)
+}

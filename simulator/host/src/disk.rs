@@ -1,0 +1,396 @@
+//! The disk: files and names, what of them would survive a power failure, and faults.
+//!
+//! Bytes are durable when their file was synced, names when their directory was. What is not durable
+//! when the power fails survives in part, in any order.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::io::{self, ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use crate::{below, current, has_descriptors, is_dead, once_in, operation};
+
+/// What fails.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fault {
+    /// Nothing.
+    None,
+    /// Every third access fails.
+    Failing,
+    /// There is no space left.
+    Full,
+    /// Only a part of what is to be written is.
+    Short,
+}
+
+#[derive(Debug, Default)]
+struct Content {
+    bytes: Vec<u8>,
+    durable: Vec<u8>,
+    is_synced: bool,
+}
+
+/// A change of names that is not durable yet.
+#[derive(Debug, Clone)]
+enum Change {
+    Created(PathBuf, u64),
+    Renamed(PathBuf, PathBuf, u64),
+    Removed(PathBuf),
+}
+
+#[derive(Debug)]
+struct Disk {
+    contents: BTreeMap<u64, Content>,
+    names: BTreeMap<PathBuf, u64>,
+    durable_names: BTreeMap<PathBuf, u64>,
+    changes: Vec<Change>,
+    fault: Fault,
+    next: u64,
+}
+
+thread_local! {
+    static DISK: RefCell<Disk> = const {
+        RefCell::new(Disk {
+            contents: BTreeMap::new(),
+            names: BTreeMap::new(),
+            durable_names: BTreeMap::new(),
+            changes: Vec::new(),
+            fault: Fault::None,
+            next: 0,
+        })
+    };
+}
+
+fn with<T>(work: impl FnOnce(&mut Disk) -> T) -> T {
+    DISK.with_borrow_mut(work)
+}
+
+pub(crate) fn begin() {
+    with(|disk| {
+        disk.contents.clear();
+        disk.names.clear();
+        disk.durable_names.clear();
+        disk.changes.clear();
+        disk.fault = Fault::None;
+        disk.next = 0;
+    });
+}
+
+/// Sets what fails.
+pub fn fail(fault: Fault) {
+    with(|disk| disk.fault = fault);
+}
+
+fn not_found() -> io::Error {
+    io::Error::from(ErrorKind::NotFound)
+}
+
+/// An access by a process, which may fail.
+fn access(opens: bool) -> io::Result<Fault> {
+    operation();
+    if is_dead() {
+        return Err(io::Error::other("the process is dead"));
+    }
+    if opens && !has_descriptors(current()) {
+        return Err(io::Error::other("too many open files"));
+    }
+    let fault = with(|disk| disk.fault);
+    if fault == Fault::Failing && once_in(3) {
+        return Err(io::Error::other("input/output error"));
+    }
+    Ok(fault)
+}
+
+impl Disk {
+    fn create(&mut self, path: &Path) -> u64 {
+        self.next += 1;
+        self.contents.insert(self.next, Content::default());
+        self.names.insert(path.to_owned(), self.next);
+        self.changes
+            .push(Change::Created(path.to_owned(), self.next));
+        self.next
+    }
+
+    /// Forgets contents without a name.
+    fn collect(&mut self) {
+        if self.contents.len() > 4 * self.names.len() + 16 {
+            let (names, durable, changes) = (&self.names, &self.durable_names, &self.changes);
+            let changed = |number: u64| {
+                changes.iter().any(|change| match change {
+                    Change::Created(_, of) | Change::Renamed(_, _, of) => *of == number,
+                    Change::Removed(_) => false,
+                })
+            };
+            self.contents.retain(|number, _| {
+                names
+                    .values()
+                    .chain(durable.values())
+                    .any(|of| of == number)
+                    || changed(*number)
+            });
+        }
+    }
+}
+
+/// An open file.
+#[derive(Debug)]
+pub struct File {
+    number: u64,
+}
+
+impl File {
+    /// Creates the file, or makes it empty.
+    ///
+    /// # Errors
+    /// The disk fails or is full.
+    pub fn create(path: impl AsRef<Path>) -> io::Result<Self> {
+        if access(true)? == Fault::Full {
+            return Err(ErrorKind::StorageFull.into());
+        }
+        with(|disk| {
+            if let Some(number) = disk.names.get(path.as_ref()).copied() {
+                let content = disk.contents.entry(number).or_default();
+                (content.bytes, content.is_synced) = (Vec::new(), false);
+                return Ok(Self { number });
+            }
+            Ok(Self {
+                number: disk.create(path.as_ref()),
+            })
+        })
+    }
+
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// There is one; the disk fails or is full.
+    pub fn create_new(path: impl AsRef<Path>) -> io::Result<Self> {
+        if exists(path.as_ref()) {
+            return Err(ErrorKind::AlreadyExists.into());
+        }
+        Self::create(path)
+    }
+
+    /// Sets the length.
+    ///
+    /// # Errors
+    /// The disk fails.
+    pub fn set_len(&self, len: u64) -> io::Result<()> {
+        access(false)?;
+        with(|disk| {
+            let content = disk.contents.get_mut(&self.number).ok_or_else(not_found)?;
+            content.bytes.resize(len as usize, 0);
+            content.is_synced = false;
+            Ok(())
+        })
+    }
+
+    /// Makes all bytes durable.
+    ///
+    /// # Errors
+    /// The disk fails.
+    pub fn sync_all(&self) -> io::Result<()> {
+        access(false)?;
+        with(|disk| {
+            let content = disk.contents.get_mut(&self.number).ok_or_else(not_found)?;
+            content.durable.clone_from(&content.bytes);
+            content.is_synced = true;
+            Ok(())
+        })
+    }
+}
+
+impl Write for File {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let fault = access(false)?;
+        if fault == Fault::Full {
+            return Err(ErrorKind::StorageFull.into());
+        }
+        let count = match fault {
+            Fault::Short if bytes.len() > 1 => 1 + below(bytes.len() - 1),
+            _ => bytes.len(),
+        };
+        with(|disk| {
+            let content = disk.contents.get_mut(&self.number).ok_or_else(not_found)?;
+            content.bytes.extend_from_slice(&bytes[..count]);
+            content.is_synced = false;
+            Ok(count)
+        })
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Renames a file, replacing another.
+///
+/// # Errors
+/// There is no such file, or the disk fails.
+pub fn rename(from: impl AsRef<Path>, to: impl AsRef<Path>) -> io::Result<()> {
+    access(false)?;
+    let (from, to) = (from.as_ref().to_owned(), to.as_ref().to_owned());
+    with(|disk| {
+        let number = disk.names.remove(&from).ok_or_else(not_found)?;
+        disk.names.insert(to.clone(), number);
+        disk.changes.push(Change::Renamed(from, to, number));
+        disk.collect();
+        Ok(())
+    })
+}
+
+/// Removes a file.
+///
+/// # Errors
+/// There is no such file, or the disk fails.
+pub fn remove_file(path: impl AsRef<Path>) -> io::Result<()> {
+    access(false)?;
+    with(|disk| {
+        disk.names.remove(path.as_ref()).ok_or_else(not_found)?;
+        disk.changes.push(Change::Removed(path.as_ref().to_owned()));
+        Ok(())
+    })
+}
+
+/// Directories need not be created.
+///
+/// # Errors
+/// The disk fails.
+pub fn create_dir_all(_path: impl AsRef<Path>) -> io::Result<()> {
+    access(false)?;
+    Ok(())
+}
+
+/// Whether there is something of that name.
+#[must_use]
+pub fn exists(path: &Path) -> bool {
+    operation();
+    with(|disk| disk.names.contains_key(path))
+}
+
+/// Makes the names in a directory durable.
+///
+/// # Errors
+/// The disk fails.
+pub fn sync_directory(path: &Path) -> io::Result<()> {
+    access(true)?;
+    with(|disk| {
+        let (names, durable) = (&disk.names, &mut disk.durable_names);
+        durable.retain(|name, _| name.parent() != Some(path));
+        let inside = names.iter().filter(|(name, _)| name.parent() == Some(path));
+        durable.extend(inside.map(|(name, number)| (name.clone(), *number)));
+        disk.changes.retain(|change| match change {
+            Change::Created(name, _) | Change::Renamed(_, name, _) | Change::Removed(name) => {
+                name.parent() != Some(path)
+            }
+        });
+    });
+    Ok(())
+}
+
+/// All bytes of a file.
+///
+/// # Errors
+/// There is no such file, or the disk fails.
+pub fn read(path: &Path) -> io::Result<Vec<u8>> {
+    access(true)?;
+    peek(path).ok_or_else(not_found)
+}
+
+/// All bytes of a file, for the simulator.
+#[must_use]
+pub fn peek(path: &Path) -> Option<Vec<u8>> {
+    with(|disk| {
+        let number = disk.names.get(path)?;
+        Some(disk.contents.get(number)?.bytes.clone())
+    })
+}
+
+/// Puts a durable file, or changes it, for the simulator.
+pub fn put(path: &Path, bytes: Vec<u8>) {
+    with(|disk| {
+        let number = match disk.names.get(path) {
+            Some(number) => *number,
+            None => disk.create(path),
+        };
+        disk.durable_names.insert(path.to_owned(), number);
+        let content = disk.contents.entry(number).or_default();
+        content.durable.clone_from(&bytes);
+        (content.bytes, content.is_synced) = (bytes, true);
+    });
+}
+
+/// Removes a file, for the simulator.
+pub fn take_away(path: &Path) {
+    with(|disk| {
+        disk.names.remove(path);
+        disk.durable_names.remove(path);
+        disk.changes.retain(|change| match change {
+            Change::Created(name, _) | Change::Renamed(_, name, _) | Change::Removed(name) => {
+                name != path
+            }
+        });
+    });
+}
+
+/// Names of all files.
+#[must_use]
+pub fn names() -> Vec<PathBuf> {
+    with(|disk| disk.names.keys().cloned().collect())
+}
+
+/// The power fails: of what is not durable, parts survive.
+pub fn lose_power() {
+    with(|disk| {
+        let mut names = disk.durable_names.clone();
+        for change in std::mem::take(&mut disk.changes) {
+            if once_in(2) {
+                continue;
+            }
+            match change {
+                Change::Created(name, number) => {
+                    names.entry(name).or_insert(number);
+                }
+                Change::Renamed(from, to, number) => {
+                    names.remove(&from);
+                    names.insert(to, number);
+                }
+                Change::Removed(name) => {
+                    names.remove(&name);
+                }
+            }
+        }
+        for content in disk
+            .contents
+            .values_mut()
+            .filter(|content| !content.is_synced)
+        {
+            let written = std::mem::take(&mut content.bytes);
+            content.bytes = torn(&content.durable, written);
+            content.durable.clone_from(&content.bytes);
+            content.is_synced = true;
+        }
+        disk.durable_names.clone_from(&names);
+        disk.names = names;
+        disk.collect();
+    });
+}
+
+/// Sectors of what was written and of what is durable, in any mixture.
+fn torn(durable: &[u8], mut written: Vec<u8>) -> Vec<u8> {
+    const SECTOR: usize = 512;
+    match below(4) {
+        0 => return durable.to_vec(),
+        1 => return written,
+        _ => {}
+    }
+    written.truncate(below(written.len() + 1));
+    for (place, sector) in written.chunks_mut(SECTOR).enumerate() {
+        if once_in(2) {
+            let from = place * SECTOR;
+            for (offset, byte) in sector.iter_mut().enumerate() {
+                *byte = durable.get(from + offset).copied().unwrap_or(0);
+            }
+        }
+    }
+    written
+}

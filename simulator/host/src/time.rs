@@ -1,0 +1,119 @@
+//! The clocks.
+//!
+//! All times within the simulator are simulated ns since its beginning. The monotonic clock begins
+//! anew with each boot and may run slightly too fast or slow, as a clock that is being adjusted; the wall
+//! clock may be set.
+
+use std::cell::Cell;
+
+/// Simulated beginning by the wall clock: 1 January 2030.
+const BEGIN_UNIX_NS: u64 = 1_893_456_000_000_000_000;
+
+#[derive(Clone, Copy)]
+struct Clocks {
+    now_ns: u64,
+    /// The monotonic clock showed `of_ns` at `at_ns`, and runs `ppm` too fast.
+    at_ns: u64,
+    of_ns: u64,
+    ppm: i64,
+    wall_offset_ns: i64,
+    boots: u64,
+}
+
+thread_local! {
+    static CLOCKS: Cell<Clocks> = const {
+        Cell::new(Clocks { now_ns: 0, at_ns: 0, of_ns: 0, ppm: 0, wall_offset_ns: 0, boots: 0 })
+    };
+}
+
+pub(crate) fn begin(uptime_ns: u64) {
+    CLOCKS.set(Clocks {
+        now_ns: 0,
+        at_ns: 0,
+        of_ns: uptime_ns,
+        ppm: 0,
+        wall_offset_ns: 0,
+        boots: 1,
+    });
+}
+
+fn change(of: impl FnOnce(&mut Clocks)) {
+    let mut clocks = CLOCKS.get();
+    of(&mut clocks);
+    CLOCKS.set(clocks);
+}
+
+/// Simulated time, ns.
+#[must_use]
+pub fn now_ns() -> u64 {
+    CLOCKS.get().now_ns
+}
+
+/// Lets `ns` pass.
+pub fn pass(ns: u64) {
+    change(|clocks| clocks.now_ns += ns);
+}
+
+/// Lets time pass until `ns`, unless it is past.
+pub fn pass_until(ns: u64) {
+    change(|clocks| clocks.now_ns = clocks.now_ns.max(ns));
+}
+
+impl Clocks {
+    fn monotonic_ns(&self) -> u64 {
+        let elapsed = i128::from(self.now_ns - self.at_ns);
+        let shown = elapsed + elapsed * i128::from(self.ppm) / 1_000_000;
+        self.of_ns + u64::try_from(shown).unwrap_or(0)
+    }
+}
+
+/// What the monotonic clock shows, ns.
+#[must_use]
+pub fn monotonic_ns() -> u64 {
+    CLOCKS.get().monotonic_ns()
+}
+
+/// Simulated time at which the monotonic clock will show `monotonic_ns`, give or take its drift.
+#[must_use]
+pub fn simulated_ns(monotonic_ns: u64) -> u64 {
+    let clocks = CLOCKS.get();
+    clocks
+        .now_ns
+        .saturating_add(monotonic_ns.saturating_sub(clocks.monotonic_ns()))
+}
+
+/// What the wall clock shows, Unix ns.
+#[must_use]
+pub fn unix_ns() -> u64 {
+    let clocks = CLOCKS.get();
+    (BEGIN_UNIX_NS + clocks.now_ns).saturating_add_signed(clocks.wall_offset_ns)
+}
+
+/// Sets the wall clock forward or back by `step_ns`.
+pub fn set_wall_clock(step_ns: i64) {
+    change(|clocks| clocks.wall_offset_ns = clocks.wall_offset_ns.saturating_add(step_ns));
+}
+
+/// From now on the monotonic clock runs `ppm` millionths too fast.
+pub fn drift(ppm: i64) {
+    change(|clocks| {
+        clocks.of_ns = clocks.monotonic_ns();
+        clocks.at_ns = clocks.now_ns;
+        clocks.ppm = ppm;
+    });
+}
+
+/// The machine starts again: the monotonic clock begins at zero.
+pub fn boot() {
+    change(|clocks| {
+        clocks.of_ns = 0;
+        clocks.at_ns = clocks.now_ns;
+        clocks.boots += 1;
+    });
+}
+
+/// Number of the boot, from 1.
+#[must_use]
+pub fn boots() -> u64 {
+    CLOCKS.get().boots
+}

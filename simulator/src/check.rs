@@ -1,0 +1,557 @@
+//! What must always hold.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::path::Path;
+
+use joulebus_predictor::Model;
+use joulebus_wire::{
+    Budget, BudgetHeader, Forecast, ForecastHeader, SampleHeader, budget_flag, forecast_flag,
+};
+use simulated_bus::{self as bus, BudgetReader, Bus, ForecastReader};
+use simulated_capture::Reader;
+use simulated_capture::record::Summary;
+use simulated_capture::verify::Verifier;
+use simulated_config::Config;
+use simulated_host::{self as host, disk, time};
+
+use crate::process::{FALSE_ROBOT, is_constant, power_w};
+use crate::scenario::Setup;
+
+/// Pid of the process that observes.
+const OBSERVER: u32 = 1;
+/// Robots of sources that are always there have lower ids.
+pub(crate) const REGULAR_BELOW: u32 = 100;
+/// µW·ns in one µJ, times 2, as in the ledger.
+const PER_MICROJOULE: i128 = 2_000_000_000;
+
+/// An invariant that does not hold.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct Failure {
+    /// Its name.
+    pub invariant: &'static str,
+    /// What was found.
+    pub found: String,
+    /// When, simulated ns.
+    pub at_ns: u64,
+}
+
+pub(crate) type Checked = Result<(), Failure>;
+
+pub(crate) fn failure(invariant: &'static str, found: String) -> Failure {
+    Failure {
+        invariant,
+        found,
+        at_ns: time::now_ns(),
+    }
+}
+
+fn ensure(holds: bool, invariant: &'static str, found: impl FnOnce() -> String) -> Checked {
+    if holds {
+        return Ok(());
+    }
+    Err(failure(invariant, found()))
+}
+
+/// The answer to a sample, and the ledger with it.
+pub(crate) type Answer = ((u16, u16), [u32; 4]);
+/// Energy and times of a robot at a stamp.
+pub(crate) type Entry = (i64, i64, u64, u64);
+
+/// First answers by robot and sample, ledgers by robot and stamp, of the robots of source 0.
+#[derive(Debug, Default)]
+pub(crate) struct Answers {
+    pub(crate) forecasts: BTreeMap<(u32, u64), Answer>,
+    pub(crate) ledgers: BTreeMap<(u32, u64), Entry>,
+}
+
+struct Ports {
+    forecasts: ForecastReader,
+    budgets: BudgetReader,
+}
+
+/// The run of a worker.
+struct Life {
+    pid: u32,
+    /// Run and tick of its newest frame.
+    place: Option<(u64, u64)>,
+    /// Samples that its frames had, and those that were lost before them.
+    taken: u64,
+    lost: u64,
+    /// Run of each source, and its samples accounted for.
+    sources: BTreeMap<u64, (u64, u64)>,
+    /// Every name belongs to one source, and every source has a place.
+    is_regular: bool,
+}
+
+/// A robot's account.
+struct Account {
+    born_ns: u64,
+    row: Budget,
+    /// Life of the worker that published it.
+    life: u64,
+    /// When that worker ended, simulated ns.
+    ended_ns: u64,
+    /// Metered time at earlier times (simulated ns).
+    history: VecDeque<(u64, u64)>,
+}
+
+/// Observes a fleet.
+pub(crate) struct Checker {
+    setup: Setup,
+    config: Config,
+    models: Vec<Model>,
+    ports: Option<Ports>,
+    life: Option<Life>,
+    lives: u64,
+    last_epoch: u64,
+    accounts: BTreeMap<u32, Account>,
+    /// Until then more of the ledger may be lost than promised.
+    excused_until_ns: u64,
+    /// Until then sources appear that are not always there.
+    irregular_until_ns: u64,
+    /// A start of the machine lies between the last worker and this one.
+    is_rebooted: bool,
+    /// Robots so far that are not always there.
+    pub(crate) strangers: u64,
+    pub(crate) newest: BTreeMap<u32, Forecast>,
+    pub(crate) answers: Option<Answers>,
+    pub(crate) ticks: u64,
+    pub(crate) captures: u64,
+    pub(crate) verified_ticks: u64,
+}
+
+impl Checker {
+    pub(crate) fn new(setup: &Setup, config: &Config, models: Vec<Model>) -> Self {
+        Self {
+            setup: setup.clone(),
+            config: config.clone(),
+            models,
+            ports: None,
+            life: None,
+            lives: 0,
+            last_epoch: 0,
+            accounts: BTreeMap::new(),
+            excused_until_ns: 0,
+            irregular_until_ns: 0,
+            is_rebooted: false,
+            strangers: 0,
+            newest: BTreeMap::new(),
+            answers: None,
+            ticks: 0,
+            captures: 0,
+            verified_ticks: 0,
+        }
+    }
+
+    /// Joins, also again after a start of the machine.
+    pub(crate) fn join(&mut self) {
+        host::enter(OBSERVER, 0);
+        let full = host::memory_is_full();
+        host::fill_memory(false);
+        self.ports = self.open();
+        host::fill_memory(full);
+        let _ = host::leave();
+    }
+
+    fn open(&self) -> Option<Ports> {
+        let bus = Bus::join(&self.config.domain().ok()?, "observer").ok()?;
+        let limits = self.config.limits();
+        Some(Ports {
+            forecasts: bus.forecast_reader(&limits).ok()?,
+            budgets: bus.budget_reader(&limits).ok()?,
+        })
+    }
+
+    pub(crate) fn worker_begins(&mut self, pid: u32) {
+        self.lives += 1;
+        let _ = bus::taken_frames();
+        self.life = Some(Life {
+            pid,
+            place: None,
+            taken: 0,
+            lost: 0,
+            sources: BTreeMap::new(),
+            is_regular: time::now_ns() > self.irregular_until_ns,
+        });
+    }
+
+    /// Returns the run of the worker that has ended, if it has sent a frame.
+    pub(crate) fn worker_ends(&mut self) -> Option<u64> {
+        let (run, _) = self.life.take()?.place?;
+        let lives = self.lives;
+        for account in self
+            .accounts
+            .values_mut()
+            .filter(|account| account.life == lives)
+        {
+            account.ended_ns = time::now_ns();
+        }
+        Some(run)
+    }
+
+    pub(crate) fn reboots(&mut self) {
+        (self.last_epoch, self.is_rebooted) = (0, true);
+    }
+
+    /// Until `until_ns` the disk or the worker is hindered: what a kill loses is not bounded.
+    pub(crate) fn excuse(&mut self, until_ns: u64) {
+        let until_ns = until_ns + 2 * self.setup.save_every_ns + self.slack_ns();
+        self.excused_until_ns = self.excused_until_ns.max(until_ns);
+    }
+
+    /// Until `until_ns` names are used by several, or there are more than places.
+    pub(crate) fn is_irregular(&mut self, until_ns: u64) {
+        self.irregular_until_ns = self.irregular_until_ns.max(until_ns);
+        if let Some(life) = &mut self.life {
+            life.is_regular = false;
+        }
+    }
+
+    /// A frame of budgets is at most so old when it is saved, ns; and what polling takes.
+    const fn slack_ns(&self) -> u64 {
+        2 * self.setup.period_ns + 400_000_000
+    }
+
+    /// Looks at what the worker has done in a step.
+    pub(crate) fn observe(&mut self) -> Checked {
+        if let Some(life) = &mut self.life {
+            for (header, samples) in bus::taken_frames() {
+                life.takes(&header, samples);
+            }
+        }
+        let Some(mut ports) = self.ports.take() else {
+            return Ok(());
+        };
+        host::enter(OBSERVER, 0);
+        let looked = self.look(&mut ports);
+        let _ = host::leave();
+        self.ports = Some(ports);
+        looked
+    }
+
+    fn look(&mut self, ports: &mut Ports) -> Checked {
+        let mut checked = Ok(());
+        let read = ports.forecasts.take_all(|header, rows| {
+            if checked.is_ok() {
+                checked = self.forecasts(header, rows);
+            }
+        });
+        if read.is_err() {
+            // Its files were removed with those of the others.
+            return Ok(());
+        }
+        checked?;
+        let mut checked = Ok(());
+        let _ = ports.budgets.take_all(|header, rows| {
+            if checked.is_ok() {
+                checked = self.budgets(header, rows);
+            }
+        });
+        checked
+    }
+
+    fn forecasts(&mut self, header: &ForecastHeader, rows: &[Forecast]) -> Checked {
+        self.ticks += 1;
+        let Some(life) = &mut self.life else {
+            return Err(failure(
+                "only the worker is believed",
+                format!("{header:?}"),
+            ));
+        };
+        ensure(
+            header.pid == life.pid,
+            "only the worker is believed",
+            || {
+                format!(
+                    "a frame of process {} while {} is the worker",
+                    header.pid, life.pid
+                )
+            },
+        )?;
+        let place = (header.worker_epoch, header.tick);
+        let is_next = match life.place {
+            Some((epoch, tick)) => epoch == place.0 && tick < place.1,
+            None => place.0 > self.last_epoch,
+        };
+        ensure(is_next, "runs and ticks only grow", || {
+            format!(
+                "{place:?} after {:?}, the run before was {}",
+                life.place, self.last_epoch
+            )
+        })?;
+        (life.place, self.last_epoch) = (Some(place), place.0);
+        let counted = header
+            .samples_accepted
+            .saturating_add(header.samples_dropped.total());
+        let sent = life.taken + life.lost;
+        let adds_up = if life.is_regular {
+            counted == sent
+        } else {
+            counted >= life.taken
+        };
+        ensure(adds_up, "sent = accepted + dropped", || {
+            format!(
+                "{counted} accepted or dropped; {} taken, {} lost before; regular: {}",
+                life.taken, life.lost, life.is_regular
+            )
+        })?;
+        let capacity = self.config.settings().capacity as usize;
+        ensure(rows.len() <= capacity, "memory is bounded", || {
+            format!("{} robots, capacity {capacity}", rows.len())
+        })?;
+        self.newest.clear();
+        for row in rows {
+            ensure(
+                row.robot != FALSE_ROBOT,
+                "only the worker is believed",
+                || format!("{row:?}"),
+            )?;
+            if let (Some(power_w), Some((lo_w, hi_w))) = (row.power_w(), row.interval_w()) {
+                ensure(
+                    lo_w <= power_w && power_w <= hi_w,
+                    "a forecast lies in its interval",
+                    || format!("{row:?}"),
+                )?;
+            }
+            self.newest.insert(row.robot, *row);
+            self.note(row);
+        }
+        Ok(())
+    }
+
+    /// Keeps the first answer to each sample of source 0.
+    fn note(&mut self, row: &Forecast) {
+        let robots = self.setup.robots as u32;
+        if let Some(answers) = &mut self.answers
+            && row.robot < robots
+            && row.flags & forecast_flag::SAMPLE != 0
+        {
+            let bits = [row.power_w, row.lo_w, row.hi_w, row.reading_w].map(f32::to_bits);
+            let answer = ((row.quality, row.quality_detail), bits);
+            answers
+                .forecasts
+                .entry((row.robot, row.sample_seq))
+                .or_insert(answer);
+        }
+    }
+
+    fn budgets(&mut self, header: &BudgetHeader, rows: &[Budget]) -> Checked {
+        ensure(
+            self.life
+                .as_ref()
+                .is_some_and(|life| life.pid == header.pid),
+            "only the worker is believed",
+            || format!("{header:?}"),
+        )?;
+        for row in rows {
+            ensure(
+                row.robot != FALSE_ROBOT,
+                "only the worker is believed",
+                || format!("{row:?}"),
+            )?;
+            if row.flags & budget_flag::LEDGER != 0 && row.robot < REGULAR_BELOW {
+                self.account(row)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn account(&mut self, row: &Budget) -> Checked {
+        let robot = row.robot;
+        if let Some(answers) = &mut self.answers
+            && robot < self.setup.robots as u32
+        {
+            let entry = (
+                row.drawn_uj,
+                row.drawn_remainder,
+                row.metered_ns,
+                row.unmetered_ns,
+            );
+            answers
+                .ledgers
+                .entry((robot, row.stamp_ns))
+                .or_insert(entry);
+        }
+        if is_constant(robot) {
+            let drawn = i128::from(row.drawn_uj) * PER_MICROJOULE + i128::from(row.drawn_remainder);
+            let power_uw = f64::from(power_w(robot, 0)) * 1e6;
+            let expected = 2 * power_uw as i128 * i128::from(row.metered_ns);
+            ensure(drawn == expected, "energy is exact", || {
+                format!("robot {robot}: {drawn} drawn, {expected} expected; {row:?}")
+            })?;
+        }
+        let times_ns = row.metered_ns + row.unmetered_ns;
+        let Some(born_ns) = row
+            .stamp_ns
+            .checked_sub(times_ns)
+            .or(self.is_rebooted.then_some(0))
+        else {
+            return Err(failure("metered + unmetered = elapsed", format!("{row:?}")));
+        };
+        let now_ns = time::now_ns();
+        let (lives, slack_ns) = (self.lives, self.slack_ns());
+        let Some(account) = self.accounts.get_mut(&robot) else {
+            let account = Account {
+                born_ns,
+                row: *row,
+                life: lives,
+                ended_ns: 0,
+                history: VecDeque::from([(now_ns, row.metered_ns)]),
+            };
+            self.accounts.insert(robot, account);
+            return Ok(());
+        };
+        let before = std::mem::replace(&mut account.row, *row);
+        let away_ns = row.stamp_ns.saturating_sub(before.stamp_ns);
+        if account.born_ns != born_ns
+            && self.strangers > u64::from(self.config.settings().capacity)
+            && away_ns > self.setup.leave_after_ns()
+        {
+            // It left, and so many others came that its account was given up.
+            (account.life, account.born_ns) = (lives, born_ns);
+            account.history = VecDeque::from([(now_ns, row.metered_ns)]);
+            return Ok(());
+        }
+        if account.life == lives {
+            ensure(
+                account.born_ns == born_ns,
+                "metered + unmetered = elapsed",
+                || format!("robot {robot}: {before:?}, then {row:?}"),
+            )?;
+            let only_grows = before.metered_ns <= row.metered_ns
+                && before.unmetered_ns <= row.unmetered_ns
+                && before.stamp_ns <= row.stamp_ns;
+            ensure(only_grows, "metered + unmetered = elapsed", || {
+                format!("robot {robot}: {before:?}, then {row:?}")
+            })?;
+        } else {
+            // Of the worker before: at most what was published in the last `every_s` is lost.
+            let ended_ns = account.ended_ns;
+            let promised_ns = ended_ns.saturating_sub(self.setup.save_every_ns + slack_ns);
+            let floor = account
+                .history
+                .iter()
+                .rev()
+                .find(|(at_ns, _)| *at_ns <= promised_ns);
+            if let Some((at_ns, metered_ns)) = floor
+                && ended_ns > self.excused_until_ns
+            {
+                ensure(row.metered_ns >= *metered_ns, "the ledger survives", || {
+                    format!(
+                        "robot {robot}: {metered_ns} ns were metered at {at_ns}, the worker ended at {}, \
+                         {} ns are metered now",
+                        ended_ns, row.metered_ns
+                    )
+                })?;
+                let is_same = self.is_rebooted || account.born_ns == born_ns;
+                ensure(is_same, "metered + unmetered = elapsed", || {
+                    format!("robot {robot} over a restart: {before:?}, then {row:?}")
+                })?;
+            }
+            account
+                .history
+                .retain(|(_, metered_ns)| *metered_ns <= row.metered_ns);
+            (account.life, account.born_ns) = (lives, born_ns);
+        }
+        let every_ns = self.setup.save_every_ns / 4;
+        if account
+            .history
+            .back()
+            .is_none_or(|(at_ns, _)| at_ns + every_ns <= now_ns)
+        {
+            account.history.push_back((now_ns, row.metered_ns));
+            if account.history.len() > 24 {
+                account.history.pop_front();
+            }
+        }
+        Ok(())
+    }
+
+    /// The robots of the sources that are always there all have a forecast made from a new reading.
+    pub(crate) fn all_answered(&self, also: u32) -> Checked {
+        let robots = (0..self.setup.sources as u32)
+            .flat_map(|source| (0..self.setup.robots as u32).map(move |robot| 10 * source + robot));
+        for robot in robots.chain([also]) {
+            let row = self.newest.get(&robot);
+            let is_fresh = row.is_some_and(|row| {
+                matches!(row.quality(), joulebus_wire::Quality::Fresh) && row.power_w().is_some()
+            });
+            ensure(is_fresh, "everything works again once faults stop", || {
+                format!("robot {robot}: {row:?}")
+            })?;
+        }
+        Ok(())
+    }
+
+    /// A capture, whose files begin with `path`, contains what its summary says, and computes to the bit.
+    pub(crate) fn capture(&mut self, path: &str, summary: Option<&Summary>) -> Checked {
+        let mut messages = 0;
+        let names = disk::names();
+        let parts = names
+            .iter()
+            .filter(|name| name.to_string_lossy().starts_with(path));
+        for part in parts {
+            messages += self.part(part)?;
+        }
+        let Some(summary) = summary else {
+            return Ok(());
+        };
+        ensure(
+            messages == summary.messages(),
+            "written messages can be read",
+            || format!("{messages} of {} can be read", summary.messages()),
+        )
+    }
+
+    /// Number of messages in a file of a capture.
+    fn part(&mut self, path: &Path) -> Result<u64, Failure> {
+        let bytes = disk::peek(path).unwrap_or_default();
+        disk::take_away(path);
+        let Ok(mut reader) = Reader::new(&bytes[..]) else {
+            return Ok(0);
+        };
+        let settings = self.config.settings().clone();
+        let Ok(mut verifier) = Verifier::new(settings, self.models.clone()) else {
+            return Err(failure(
+                "captures verify",
+                "the settings are refused".to_owned(),
+            ));
+        };
+        let mut messages = 0_u64;
+        // Of a killed recorder the file has no end.
+        while let Ok(Some(entry)) = reader.next_entry() {
+            messages += 1;
+            verifier.push(entry);
+        }
+        let verification = verifier.finish();
+        self.captures += 1;
+        self.verified_ticks += verification.ticks_verified;
+        ensure(verification.differences == 0, "captures verify", || {
+            format!("{:?}", verification.first)
+        })?;
+        Ok(messages)
+    }
+}
+
+impl Life {
+    /// The rule of accounting, as documented: what a frame has, and what is missing before it.
+    fn takes(&mut self, header: &SampleHeader, samples: u64) {
+        self.taken += samples;
+        if !self.is_regular {
+            return;
+        }
+        let run = self
+            .sources
+            .entry(header.source_id)
+            .or_insert((header.source_epoch, 0));
+        if header.source_epoch > run.0 {
+            *run = (header.source_epoch, 0);
+        }
+        if header.source_epoch < run.0 || header.samples_before < run.1 {
+            // A late frame of an older run, refused: what is missing before it is not known.
+            return;
+        }
+        self.lost += header.samples_before - run.1;
+        run.1 = header.samples_before + samples;
+    }
+}

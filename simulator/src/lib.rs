@@ -1,0 +1,18 @@
+//! Whole fleets in one process, on a simulated host, from one seed.
+//!
+//! Sources, worker with checkpointer, planners and recorder are the shells' own code, compiled
+//! against a simulated bus, clock, disk and threads (`simulator/host`, `bus`, `files`; the packages
+//! `simulator/predictor-worker` and so on have the sources of `crates/`). They run as state machines;
+//! between any two of their operations anything may happen to them ([`scenario::Fault`]), and what must hold
+//! is checked after each step ([`world::run`]).
+#![forbid(unsafe_code)]
+
+pub mod campaign;
+mod check;
+mod hostile;
+mod process;
+pub mod scenario;
+pub mod shrink;
+pub mod world;
+
+pub use check::Failure;

@@ -1,0 +1,259 @@
+//! The processes of a fleet: the shells' own code, called step by step.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use joulebus_wire::Sample;
+use simulated_capture::record::{Options, Recorder, Summary, Target};
+use simulated_capture::{Attachments, CaptureSettings, Clock, Preset};
+use simulated_config::Config;
+use simulated_consumer::{BudgetFeed, DiagnosticFeed, Event, Planner};
+use simulated_host::{self as host, time};
+use simulated_publisher::{Publisher, RobotState};
+use simulated_worker::Worker;
+
+use crate::scenario::Setup;
+
+/// A program that runs.
+pub(crate) enum Program {
+    Worker(Box<Worker>),
+    Source(Box<SourceProgram>),
+    Planner(Box<PlannerProgram>),
+    /// The paths of its files begin so.
+    Recorder(Recorder, String),
+}
+
+/// What a step of a program came to.
+pub(crate) enum Stepped {
+    /// It goes on, at the latest at this simulated time.
+    On(u64),
+    /// A planner that goes on: what it learned.
+    Learned(u64, Learned),
+    /// It has ended by itself, because of what it says.
+    Ended(String),
+}
+
+/// What a planner learned in a step.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Learned {
+    /// The worker of which it has the newest frame.
+    pub frame_of: Option<(u32, u64, u64)>,
+    /// The worker has ended, or is silent.
+    pub is_worse: bool,
+    /// A frame that the worker did not send.
+    pub is_false: bool,
+}
+
+/// Longest time between two looks of a planner, ns.
+pub(crate) const LOOK_EVERY_NS: u64 = 50_000_000;
+
+/// Marks a false frame: the worker never has such a robot.
+pub(crate) const FALSE_ROBOT: u32 = 0x00BA_DBAD;
+
+impl Program {
+    /// Does what the program's main loop does once.
+    pub(crate) fn step(&mut self) -> Stepped {
+        match self {
+            Self::Worker(worker) => match worker.turn() {
+                // If it has not ticked it sleeps; when, it has told the host.
+                Ok(_) => Stepped::On(time::now_ns()),
+                Err(error) => Stepped::Ended(error.to_string()),
+            },
+            Self::Source(source) => source.step(),
+            Self::Planner(planner) => planner.step(),
+            Self::Recorder(recorder, _) if recorder.is_over() => {
+                Stepped::Ended("the recording has failed".to_owned())
+            }
+            Self::Recorder(..) => Stepped::On(time::now_ns() + 1_000_000_000),
+        }
+    }
+
+    /// Ends the program in order; a recorder says what it has written.
+    pub(crate) fn finish(self) -> Option<Box<Summary>> {
+        match self {
+            Self::Recorder(recorder, _) => Some(Box::new(recorder.finish())),
+            Self::Worker(worker) => {
+                // Its report counts what the frames did.
+                let _ = worker.finish();
+                None
+            }
+            Self::Source(_) | Self::Planner(_) => None,
+        }
+    }
+}
+
+/// Power of a robot in W: of every second one constant, so that its energy is known exactly.
+pub(crate) fn power_w(robot: u32, seq: u64) -> f32 {
+    let base = 2.0 + 0.25 * (robot % 16) as f32;
+    if is_constant(robot) {
+        return base;
+    }
+    base + ((seq * 7 + u64::from(robot)) % 32) as f32 * 0.0625
+}
+
+/// Whether the power of a robot is constant.
+pub(crate) const fn is_constant(robot: u32) -> bool {
+    robot.is_multiple_of(2)
+}
+
+/// A source: its robots, one sample each in every period.
+pub(crate) struct SourceProgram {
+    publisher: Publisher,
+    robots: Vec<u32>,
+    samples: Vec<Sample>,
+    /// Time of the next frame, monotonic ns, on a fixed grid.
+    due_ns: u64,
+    period_ns: u64,
+    frames: u64,
+    /// Frames to be sent at once.
+    pub(crate) flood: u64,
+}
+
+impl SourceProgram {
+    pub(crate) fn open(
+        config: &Config,
+        name: &str,
+        robots: Vec<u32>,
+        setup: &Setup,
+    ) -> Option<Self> {
+        let publisher = Publisher::with_config(config, name).ok()?;
+        let period_ns = setup.period_ns;
+        Some(Self {
+            publisher,
+            robots,
+            samples: Vec::new(),
+            due_ns: (time::monotonic_ns() / period_ns + 1) * period_ns,
+            period_ns,
+            frames: 0,
+            flood: 0,
+        })
+    }
+
+    fn step(&mut self) -> Stepped {
+        if time::monotonic_ns() >= self.due_ns {
+            let count = 1 + std::mem::take(&mut self.flood);
+            for extra in 0..count {
+                // The frames of a flood lie between two of the grid.
+                if let Err(error) = self.send(self.due_ns + extra) {
+                    return Stepped::Ended(error);
+                }
+            }
+            let missed = (time::monotonic_ns() - self.due_ns) / self.period_ns;
+            self.due_ns += (missed + 1) * self.period_ns;
+        }
+        Stepped::On(time::simulated_ns(self.due_ns))
+    }
+
+    /// One half of the sources stamps its samples itself, the other leaves it to the library.
+    fn send(&mut self, stamp_ns: u64) -> Result<(), String> {
+        let seq = self.frames;
+        self.frames += 1;
+        let v_mps = 0.2;
+        let sent = if self.robots.first().is_some_and(|robot| robot % 20 < 10) {
+            self.samples.clear();
+            self.samples.extend(self.robots.iter().map(|robot| {
+                Sample::new(*robot, seq, stamp_ns)
+                    .command(v_mps, 0.0)
+                    .reading(power_w(*robot, seq), stamp_ns)
+            }));
+            self.publisher.publish_samples(stamp_ns, &self.samples)
+        } else {
+            self.publisher.publish(self.robots.iter().map(|robot| {
+                let state = RobotState::new(*robot).command(v_mps, 0.0);
+                state.reading(power_w(*robot, seq))
+            }))
+        };
+        match sent {
+            Err(simulated_publisher::PublishError::Send(error)) if error.is_final() => {
+                Err(error.to_string())
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A planner that reads forecasts, diagnostics and budgets.
+pub(crate) struct PlannerProgram {
+    planner: Planner,
+    diagnostics: DiagnosticFeed,
+    budgets: BudgetFeed,
+    every_ns: u64,
+}
+
+impl PlannerProgram {
+    pub(crate) fn open(config: &Config, setup: &Setup) -> Option<Self> {
+        let planner = Planner::with_config(config, "planner").ok()?;
+        Some(Self {
+            diagnostics: planner.diagnostics().ok()?,
+            budgets: planner.budgets().ok()?,
+            planner,
+            every_ns: LOOK_EVERY_NS.max(setup.period_ns / 2),
+        })
+    }
+
+    fn step(&mut self) -> Stepped {
+        let mut learned = Learned::default();
+        match self.planner.wait_next(Duration::ZERO) {
+            Ok(Event::Frame(frame)) => {
+                let header = frame.header();
+                learned.frame_of = Some((header.pid, header.worker_epoch, header.tick));
+                learned.is_false = frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
+            }
+            Ok(Event::Gone(_) | Event::Stale { .. }) => learned.is_worse = true,
+            Ok(_) => {}
+            Err(error) => return Stepped::Ended(error.to_string()),
+        }
+        if learned.frame_of.is_some() {
+            if let Ok(Some(frame)) = self.diagnostics.latest() {
+                learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
+            }
+            if let Ok(Some(frame)) = self.budgets.latest() {
+                learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
+            }
+        }
+        Stepped::Learned(time::now_ns() + self.every_ns, learned)
+    }
+
+    /// Age of the newest frame, ns.
+    pub(crate) fn age_ns(&self) -> Option<u64> {
+        let frame = self.planner.current()?;
+        Some(time::monotonic_ns().saturating_sub(frame.header().sent_ns))
+    }
+}
+
+/// Starts a recorder whose files begin with `path`.
+pub(crate) fn recorder(config: &Config, path: String) -> Option<Program> {
+    let options = Options {
+        settings: CaptureSettings::of(Preset::FastWrite),
+        ..Options::default()
+    };
+    let target = Target::File(PathBuf::from(format!("{path}.mcap")));
+    let attachments = Attachments::default();
+    let started = Recorder::start(
+        config,
+        Vec::new(),
+        Clock::now(),
+        attachments,
+        target,
+        &options,
+    );
+    Some(Program::Recorder(started.ok()?, path))
+}
+
+/// Starts a worker.
+pub(crate) fn worker(config: &Config) -> Result<Program, String> {
+    let opened = Worker::open(config);
+    opened
+        .map(|worker| Program::Worker(Box::new(worker)))
+        .map_err(|error| error.to_string())
+}
+
+/// Whether a process whose code has unwound was killed; otherwise the panic's message.
+pub(crate) fn cause(panic: Box<dyn std::any::Any + Send>) -> Result<host::Killed, String> {
+    let panic = match panic.downcast::<host::Killed>() {
+        Ok(killed) => return Ok(*killed),
+        Err(panic) => panic,
+    };
+    drop(panic);
+    Err(crate::campaign::last_panic())
+}

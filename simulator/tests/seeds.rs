@@ -1,0 +1,81 @@
+//! Fleets with faults, from fixed seeds, and from those that the environment names.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+use std::collections::BTreeSet;
+use std::sync::atomic::AtomicBool;
+
+use joulebus_simulator::campaign::{Campaign, keep_panics, play};
+use joulebus_simulator::scenario::Scenario;
+use joulebus_simulator::world::run;
+
+const MINUTES_NS: u64 = 60_000_000_000;
+
+fn variable(name: &str) -> Option<u64> {
+    std::env::var(name).ok()?.parse().ok()
+}
+
+fn hold(campaign: &Campaign) {
+    keep_panics();
+    let totals = play(campaign, &AtomicBool::new(false), |_| {});
+    println!("figure: {totals}");
+    assert!(totals.failed.is_empty(), "{totals}");
+    assert!(totals.ticks > 0 && totals.faults > 0, "{totals}");
+}
+
+/// Every invariant holds in every fleet, whatever happens to it.
+#[test]
+fn fixed_seeds() {
+    hold(&Campaign {
+        first: 1,
+        seeds: 24,
+        duration_ns: Some(4 * MINUTES_NS),
+        threads: 2,
+        shrinks: true,
+        ..Campaign::default()
+    });
+}
+
+/// The same, of the seed `JOULEBUS_SIM_SEED` and those after it, `JOULEBUS_SIM_SEEDS` in all.
+#[test]
+fn seeds_of_the_environment() {
+    let Some(first) = variable("JOULEBUS_SIM_SEED") else {
+        return println!("skipped: JOULEBUS_SIM_SEED is not set");
+    };
+    hold(&Campaign {
+        first,
+        seeds: variable("JOULEBUS_SIM_SEEDS").unwrap_or(1),
+        threads: 2,
+        shrinks: true,
+        ..Campaign::default()
+    });
+}
+
+/// A seed means one run, to the nanosecond, in any thread and after any other.
+#[test]
+fn a_seed_is_played_again_exactly() {
+    let scenarios = [1, 4, 11].map(|seed| Scenario::of(seed, Some(2 * MINUTES_NS)));
+    let one = scenarios.each_ref().map(run);
+    let again = std::thread::scope(|scope| {
+        scope
+            .spawn(|| scenarios.iter().rev().map(run).collect::<Vec<_>>())
+            .join()
+            .unwrap()
+    });
+    for (one, again) in one.iter().zip(again.iter().rev()) {
+        assert_eq!(one, again);
+        assert!(one.ticks > 0);
+    }
+}
+
+/// Seeds differ, and together they contain every fault.
+#[test]
+fn every_kind_of_fault_is_planned() {
+    let mut kinds = BTreeSet::new();
+    for seed in 1..=60 {
+        for (_, (_, fault)) in Scenario::of(seed, Some(10 * MINUTES_NS)).faults {
+            let text = format!("{fault:?}");
+            kinds.insert(text.split('(').next().unwrap_or_default().to_owned());
+        }
+    }
+    assert_eq!(kinds.len(), 17, "{kinds:?}");
+}

@@ -1,0 +1,126 @@
+#!/usr/bin/env python3
+"""Puts defects into the sources, one at a time, and prints the seed of the simulator that finds each.
+
+    tools/mutations.py [--seeds N] [--only NAME,...] [--json FILE]
+
+Each defect is a replacement of text; the file is restored afterwards, also after Ctrl-C. Needs a clean work tree
+below crates/. Exits with 1 if a defect was not found.
+"""
+import argparse
+import json
+import pathlib
+import subprocess
+import sys
+import time
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+
+# Name, file below crates/, text, replacement.
+MUTATIONS = [
+    # Found before, each put back.
+    ("worker runs by the wall clock", "predictor-worker/src/worker.rs",
+     "worker_epoch: clock::monotonic_ns()", "worker_epoch: clock::unix_ns()"),
+    ("source runs by the wall clock", "publisher/src/publisher.rs",
+     "source_epoch: clock::monotonic_ns()", "source_epoch: clock::unix_ns()"),
+    ("readers believe any process", "bus/src/liveness/worker_ports.rs",
+     "owner.port_pid == process_of(port)", "owner.port_pid == process_of(port) || true"),
+    ("silent sources keep their places", "fleet/src/ingest/sources.rs",
+     "> self.leave_after_ns).then_some(at)", "> u64::MAX - 1).then_some(at)"),
+    ("the ledger's checksum is not compared", "predictor-worker/src/ledger_files.rs",
+     "if content.fnv1a != expected {", "if content.fnv1a != expected && false {"),
+    ("the ledger has one generation", "predictor-worker/src/ledger_files.rs",
+     "disk::rename(&self.newest, self.older())", "disk::remove_file(&self.newest)"),
+    ("saves are planned too late", "predictor-worker/src/save_schedule.rs",
+     "(self.every_ns / 4 * 3)", "(self.every_ns * 4)"),
+    # Found by the simulator, each put back.
+    ("an earlier stamp counts time twice", "fleet/src/ledger/energy.rs",
+     "self.stamp_ns.max(stamp_ns)", "stamp_ns"),
+    ("accounts lose their order at a reboot", "predictor-worker/src/checkpoint.rs",
+     "now_ns.saturating_sub(later)", "now_ns.saturating_sub(later * 0)"),
+    ("the recorder's losses overflow", "capture/src/record/shared.rs",
+     "lost.overwritten.saturating_add(overwritten)", "lost.overwritten + overwritten"),
+    # Further ones.
+    ("the ledger's file is not synced", "predictor-worker/src/ledger_files.rs",
+     "        file.sync_all()?;\n", ""),
+    ("renames of the ledger are not synced", "predictor-worker/src/ledger_files.rs",
+     "disk::sync_directory(folder)", "Ok(())"),
+    ("the ledger is never saved", "predictor-worker/src/checkpointer.rs",
+     "                self.changed = true;\n", ""),
+    ("accounts forget unmetered time", "predictor-worker/src/checkpoint.rs",
+     "unmetered_ns: budget.unmetered_ns,", "unmetered_ns: 0,"),
+    ("overwritten samples are not counted", "fleet/src/ingest/sources.rs",
+     "        drops.add(reason, lost);\n", "        let _ = (&drops, reason);\n"),
+    ("refused samples are not counted", "fleet/src/fleet/intake.rs",
+     "        self.drops.add(reason, 1);\n", ""),
+    ("every source may send for a robot", "fleet/src/ingest/check.rs",
+     "return Err(DropReason::ForeignSource);", "let _ = DropReason::ForeignSource;"),
+    ("planners take older frames", "consumer/src/newest.rs",
+     "let newer = Some(place) > *at;", "let newer = Some(place) != *at;"),
+    ("planners do not notice ends nor silence", "consumer/src/tracker.rs",
+     "let changed = telling != self.told;", "let changed = telling != self.told && self.told != Told::Nothing;"),
+    ("a failed flush stays in the file", "capture/src/writer/file.rs",
+     "self.file.set_len(self.flushed_bytes)", "self.file.set_len(self.bytes)"),
+    ("the journal states other times", "predictor-worker/src/journal.rs",
+     "taken_ns: now_ns,", "taken_ns: now_ns / 2,"),
+    ("a false number panics", "fleet/src/ingest/sources.rs",
+     "header.samples_before.saturating_add(samples)", "(header.samples_before + samples)"),
+]
+
+
+def run(command):
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def find(seeds, profile):
+    """The first seed that fails, of batches, with its failure."""
+    program = ROOT / "target" / ("debug" if profile == "dev" else "release") / "joulebus-sim"
+    first, batch = 1, 20
+    while first <= seeds:
+        done = run([program, "--from", str(first), "--seeds", str(batch), "--no-shrink", "--format", "json"])
+        failed = json.loads(done.stdout)["failed"] if done.stdout else []
+        if failed:
+            return failed[0]
+        first += batch
+    return None
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=400, help="seeds tried for each defect")
+    parser.add_argument("--only", help="names, separated by commas, or parts of them")
+    parser.add_argument("--json", type=pathlib.Path, help="also write the results here")
+    parser.add_argument("--profile", choices=["dev", "release"], default="dev")
+    asked = parser.parse_args()
+    wanted = [part.strip() for part in (asked.only or "").split(",")]
+    build = ["cargo", "build", "-q", "-p", "joulebus-simulator", "--bin", "joulebus-sim", "--profile", asked.profile]
+    results, missed = [], 0
+    for name, file, old, new in MUTATIONS:
+        if not any(part in name for part in wanted):
+            continue
+        path = ROOT / "crates" / file
+        text = path.read_text()
+        if old not in text:
+            print(f"{name}: {file} does not contain the text that is to be replaced", file=sys.stderr)
+            missed += 1
+            continue
+        begin = time.time()
+        try:
+            path.write_text(text.replace(old, new))
+            built = run(build)
+            if built.returncode:
+                print(built.stderr, file=sys.stderr)
+            found = find(asked.seeds, asked.profile) if built.returncode == 0 else None
+        finally:
+            path.write_text(text)
+        missed += found is None
+        seed, invariant = (found["seed"], found["failure"]["invariant"]) if found else (None, None)
+        results.append({"defect": name, "file": file, "seed": seed, "invariant": invariant})
+        what = f"seed {seed}: {invariant}" if found else f"not found by {asked.seeds} seeds"
+        print(f"| {name} | `{file}` | {what} | {time.time() - begin:.0f} s", flush=True)
+    if asked.json:
+        asked.json.write_text(json.dumps(results, indent=1))
+    run(build)
+    sys.exit(1 if missed else 0)
+
+
+main()
