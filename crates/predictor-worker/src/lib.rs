@@ -16,7 +16,6 @@ mod checkpointer;
 mod journal;
 mod keyframes;
 mod ledger_files;
-mod models;
 mod outbox;
 mod report;
 mod save_schedule;
@@ -26,7 +25,7 @@ mod worker;
 
 pub use checkpointer::CheckpointerError;
 pub use ledger_files::LedgerFileError;
-pub use models::{ModelsError, load_models};
+pub use joulebus_models::{ModelsError, load_models};
 pub use report::{Parts, Report, Spread};
 pub use tick_pool::{TickPool, TickPoolError};
 pub use worker::{OpenError, RunError, Worker};

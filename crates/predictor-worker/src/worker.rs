@@ -11,6 +11,7 @@ use joulebus_bus::{
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
+use joulebus_models::{ModelsError, load_models};
 use joulebus_settings::SettingsError;
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
@@ -18,7 +19,6 @@ use crate::checkpointer::{self, CheckpointerError, Failures, read_ledger};
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::ledger_files::LedgerFileError;
-use crate::models::{ModelsError, load_models};
 use crate::outbox::Outbox;
 use crate::report::{Parts, Report, Spread, by_name};
 use crate::shedding::Shedding;

@@ -1,4 +1,5 @@
-//! Loads the models named in the config.
+//! Loads the models that the config of a fleet names.
+#![forbid(unsafe_code)]
 
 use std::path::PathBuf;
 
