@@ -8,13 +8,13 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use joulebus_bus::{Scheduling, clock};
 use joulebus_config::{Config, Demo};
-use joulebus_fleet::{Batch, Fleet, Outputs};
+use joulebus_fleet::{Accounts, Batch, Fleet, Outputs};
 use joulebus_predictor::{Features, Model, Network};
 use joulebus_predictor_worker::TickPool;
 use joulebus_program::verbs::bench::TickFleet;
 use joulebus_publisher::Pace;
 use joulebus_settings::{FleetSettings, Platform};
-use joulebus_wire::{Budget, Diagnostic, Forecast};
+use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState};
 
 use crate::world::World;
 use crate::{input, threads};
@@ -41,6 +41,8 @@ pub(crate) struct Round {
     pub(crate) run: f64,
     /// Its stages, over all threads: features, network, scoring, writing.
     pub(crate) stages: [f64; 4],
+    /// Another tick in one pass, ingest included, that also writes the plan states.
+    pub(crate) with_plan_states: f64,
     /// Ingest of the tick in two passes.
     pub(crate) take_in_two: f64,
     /// Its first pass.
@@ -77,6 +79,9 @@ pub(super) struct Bench {
     forecasts: Vec<Forecast>,
     diagnostics: Vec<Diagnostic>,
     budgets: Vec<Budget>,
+    plan_states: Vec<PlanState>,
+    /// Rounds so far.
+    rounds: u64,
     before_bytes: Option<f64>,
 }
 
@@ -95,6 +100,7 @@ impl Bench {
         let forecasts = vec![Forecast::default(); robots];
         let diagnostics = vec![Diagnostic::default(); robots];
         let budgets = vec![Budget::default(); robots];
+        let plan_states = vec![PlanState::default(); robots];
         let forecasts_w = vec![0.0; robots];
         let before_bytes = anonymous_bytes();
         Ok(Self {
@@ -108,6 +114,8 @@ impl Bench {
             forecasts,
             diagnostics,
             budgets,
+            plan_states,
+            rounds: 0,
             before_bytes,
         })
     }
@@ -121,16 +129,27 @@ impl Bench {
         Some(anonymous_bytes()? - self.before_bytes?)
     }
 
-    /// The kernel and both variants of the tick, one after the other.
+    /// The kernel and the variants of the tick, one after the other. Every other round, the tick that
+    /// writes plan states comes before the one that does not.
     pub(super) fn round(&mut self) -> Round {
         let kernel = self.kernel();
+        self.rounds += 1;
+        let plans_first = self.rounds.is_multiple_of(2);
+        let mut with_plan_states = 0.0;
+        if plans_first {
+            with_plan_states = self.tick_with_plan_states();
+        }
         let before = self.pool.spent_ns();
         let (take, run) = self.tick_in_one();
         let after = self.pool.spent_ns();
+        if !plans_first {
+            with_plan_states = self.tick_with_plan_states();
+        }
         let mut round = Round {
             kernel,
             take,
             run,
+            with_plan_states,
             stages: std::array::from_fn(|stage| (after[stage] - before[stage]) as f64),
             ..Round::default()
         };
@@ -157,6 +176,16 @@ impl Bench {
 
     /// ns of ingest, and of the rest.
     pub(super) fn tick_in_one(&mut self) -> (f64, f64) {
+        self.one_pass(false)
+    }
+
+    /// ns of the whole tick that also writes the plan states.
+    fn tick_with_plan_states(&mut self) -> f64 {
+        let (take_ns, run_ns) = self.one_pass(true);
+        take_ns + run_ns
+    }
+
+    fn one_pass(&mut self, plans: bool) -> (f64, f64) {
         let now_ns = self.world.now_ns();
         let start = Instant::now();
         let (header, samples) = self.world.frame();
@@ -166,12 +195,20 @@ impl Bench {
         self.fleet.begin(now_ns, false);
         let outputs = Outputs {
             forecasts: &mut self.forecasts,
-            diagnostics: &mut self.diagnostics,
-            budgets: &mut self.budgets,
+            accounts: Accounts {
+                diagnostics: &mut self.diagnostics,
+                budgets: &mut self.budgets,
+                plan_states: if plans {
+                    &mut self.plan_states
+                } else {
+                    &mut []
+                },
+            },
         };
         self.pool.run(self.fleet.shard(), outputs);
         let done = Instant::now();
         black_box((&self.forecasts, &self.diagnostics, &self.budgets));
+        black_box(&self.plan_states);
         self.world.advance();
         let ns = |from, to: Instant| to.duration_since(from).as_nanos() as f64;
         (ns(start, taken), ns(taken, done))
@@ -192,10 +229,12 @@ impl Bench {
             shard.forecast(batch, &mut self.forecasts, &mut |_| {});
         });
         around(Part::Account, &mut || {
-            let (diagnostics, budgets) = (&mut self.diagnostics, &mut self.budgets);
-            fleet
-                .shard()
-                .account(batch, diagnostics, budgets, &mut |_| {});
+            let accounts = Accounts {
+                diagnostics: &mut self.diagnostics,
+                budgets: &mut self.budgets,
+                plan_states: &mut [],
+            };
+            fleet.shard().account(batch, accounts, &mut |_| {});
         });
         black_box((&self.forecasts, &self.diagnostics, &self.budgets));
         self.world.advance();

@@ -10,6 +10,7 @@
 //! | [`ForecastWriter`] → [`ForecastReader`] | worker → planners | [`joulebus_wire::Forecast`] |
 //! | [`DiagnosticWriter`] → [`DiagnosticReader`] | worker → planners | [`joulebus_wire::Diagnostic`] |
 //! | [`BudgetWriter`] → [`BudgetReader`] | worker → planners | [`joulebus_wire::Budget`], history 1 |
+//! | [`PlanStateWriter`] → [`PlanStateReader`] | worker → planners | [`joulebus_wire::PlanState`], history 1, while somebody reads |
 //! | [`StateWriter`] → [`StateReader`] | worker → recorders | bytes of keyframes |
 //! | [`TickWriter`] → [`TickReader`] | worker → recorders | [`joulebus_wire::TakenFrame`] |
 //! | [`Waker`] → [`Waiter`] | sources → worker, worker → planners | events |
@@ -74,9 +75,9 @@ pub use os::process::process_id;
 pub use os::scheduling::{Rights, Scheduling, SchedulingError, page_faults, set_timer_slack};
 pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, FrameBuf, IncomingFrame, Loan, OpenError, Reader, ReceiveError, SampleReader, SampleTap,
-    SampleWriter, SendError, StateReader, StateWriter, TickReader, TickWriter, WaitError, Waiter,
-    Waker, Woken, Writer,
+    Frame, FrameBuf, IncomingFrame, Loan, OpenError, PlanStateReader, PlanStateWriter, Reader,
+    ReceiveError, SampleReader, SampleTap, SampleWriter, SendError, StateReader, StateWriter,
+    TickReader, TickWriter, WaitError, Waiter, Waker, Woken, Writer,
 };
 pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity};
 pub use private::{DomainWarning, RootError};

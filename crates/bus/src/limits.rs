@@ -135,6 +135,11 @@ impl Limits {
         }
     }
 
+    /// As budgets: planners need the newest at once, recorders read all.
+    pub(crate) const fn plan_states(&self) -> Shape {
+        self.budgets()
+    }
+
     /// Keyframes, in pieces: a reader empties the queue at every tick.
     pub(crate) const fn state(&self) -> Shape {
         Shape {

@@ -4,8 +4,8 @@
 use std::io;
 
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
-    SampleHeader, StateHeader, TakenFrame, TickHeader,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 use rustix::process::{Resource, getrlimit};
 
@@ -23,7 +23,7 @@ const CONNECTION_BYTES: usize = 16 * 1024;
 pub(crate) const PROCESS_BYTES: usize = 192 * 1024;
 /// A service's description and lists of ports, and the files of a port.
 pub(crate) const PORT_BYTES: usize = 64 * 1024;
-/// Descriptors of a process before it connects to anybody: node, locks, eight services.
+/// Descriptors of a process before it connects to anybody: node, locks, nine services.
 const BASE_DESCRIPTORS: u64 = 64;
 /// File descriptors that opening a node, service or port takes, upper bound.
 const PORT_DESCRIPTORS: u64 = 16;
@@ -158,16 +158,17 @@ fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
     let of_worker = segment_bytes::<ForecastHeader, Forecast>(limits.forecasts(), capacity)
         + segment_bytes::<DiagnosticHeader, Diagnostic>(limits.forecasts(), capacity)
         + segment_bytes::<BudgetHeader, Budget>(limits.budgets(), capacity)
+        + segment_bytes::<PlanStateHeader, PlanState>(limits.plan_states(), capacity)
         + segment_bytes::<StateHeader, u8>(limits.state(), limits.state_piece_bytes())
         + segment_bytes::<TickHeader, TakenFrame>(limits.ticks(), listed);
-    let connections = ports.workers * (ports.sources + 3 * ports.planners);
+    let connections = ports.workers * (ports.sources + 4 * ports.planners);
     let processes = ports.sources + ports.workers + ports.planners;
     let small = connections * CONNECTION_BYTES + processes * PROCESS_BYTES;
     ports.sources as u64 * samples + ports.workers as u64 * of_worker + small as u64
 }
 
 fn descriptors(limits: &Limits) -> u64 {
-    let connections = limits.samples().publishers + 4 * limits.forecasts().subscribers;
+    let connections = limits.samples().publishers + 5 * limits.forecasts().subscribers;
     BASE_DESCRIPTORS + CONNECTION_DESCRIPTORS * connections as u64
 }
 

@@ -13,8 +13,8 @@ use joulebus_capture::{
 };
 use joulebus_fleet::Fleet;
 use joulebus_wire::{
-    BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSION, Sample, StateHeader,
-    TakenFrame, TickHeader, sample_flag, tick_flag,
+    BudgetHeader, DiagnosticHeader, ForecastHeader, PlanStateHeader, SCHEMA_VERSION, Sample,
+    StateHeader, TakenFrame, TickHeader, sample_flag, tick_flag,
 };
 use proptest::prelude::*;
 use world::random::Noise;
@@ -170,11 +170,8 @@ impl Simulation {
             worker_epoch: self.worker_epoch,
             tick: self.tick,
             start_ns,
-            flags: if missed {
-                tick_flag::DEADLINE_MISSED
-            } else {
-                0
-            },
+            flags: u32::from(missed) * tick_flag::DEADLINE_MISSED
+                + u32::from(self.plans()) * tick_flag::PLAN_STATES,
             ..TickHeader::default()
         };
         self.sent.push(Message::Ticks(journal, taken));
@@ -187,9 +184,15 @@ impl Simulation {
         }
     }
 
+    /// Whether somebody reads what plans start from: for ten of every forty ticks nobody does.
+    fn plans(&self) -> bool {
+        self.tick % 40 < 30
+    }
+
     fn publish(&mut self, header: ForecastHeader) {
         let robots = 0..self.fleet.len();
         let (worker_epoch, tick) = (self.worker_epoch, self.tick);
+        let compute_start_ns = header.compute_start_ns;
         let forecasts = robots.clone().map(|place| self.fleet.forecast(place));
         self.sent
             .push(Message::Forecasts(header, forecasts.collect()));
@@ -209,8 +212,23 @@ impl Simulation {
             tick,
             ..BudgetHeader::default()
         };
-        let budgets = robots.map(|place| self.fleet.budget(place));
+        let budgets = robots.clone().map(|place| self.fleet.budget(place));
         self.sent.push(Message::Budgets(header, budgets.collect()));
+        if !self.plans() {
+            return;
+        }
+        let header = PlanStateHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch,
+            tick,
+            settings_hash: self.fleet.settings_hash(),
+            model_hash: self.fleet.model_hash(),
+            models: self.fleet.model_hashes(),
+            compute_start_ns,
+            ..PlanStateHeader::default()
+        };
+        let rows = robots.map(|place| self.fleet.plan_state(place));
+        self.sent.push(Message::PlanStates(header, rows.collect()));
     }
 }
 
@@ -256,6 +274,7 @@ fn tick_of(message: &Message) -> u64 {
         Message::Forecasts(header, _) => header.tick,
         Message::Diagnostics(header, _) => header.tick,
         Message::Budgets(header, _) => header.tick,
+        Message::PlanStates(header, _) => header.tick,
         Message::Ticks(header, _) => header.tick,
         _ => 0,
     }
@@ -410,13 +429,14 @@ fn a_lost_frame_of_samples_is_named_and_verification_resumes_at_the_next_keyfram
 fn a_flipped_bit_in_any_output_is_named() {
     let messages = recorded(4, 90);
     let place = |kind: MessageKind| {
-        let is_it = |message: &Message| message.kind() == Some(kind) && tick_of(message) == 77;
+        let is_it = |message: &Message| message.kind() == Some(kind) && tick_of(message) == 65;
         messages.iter().position(is_it).unwrap()
     };
-    let (forecasts, diagnostics, budgets) = (
+    let (forecasts, diagnostics, budgets, plan_states) = (
         place(MessageKind::Forecasts),
         place(MessageKind::Diagnostics),
         place(MessageKind::Budgets),
+        place(MessageKind::PlanStates),
     );
     let flip32 = |value: &mut f32| *value = f32::from_bits(value.to_bits() ^ 1);
     let flip64 = |value: &mut f64| *value = f64::from_bits(value.to_bits() ^ 1);
@@ -510,6 +530,21 @@ fn a_flipped_bit_in_any_output_is_named() {
     case!(Budgets, budgets, "budget.time_to_empty_hi_s", |row| flip32(
         &mut row.time_to_empty_hi_s
     ));
+    case!(PlanStates, plan_states, "plan_state.quality", |row| {
+        row.quality ^= 1;
+    });
+    case!(PlanStates, plan_states, "plan_state.open_steps", |row| {
+        row.open_steps ^= 1;
+    });
+    case!(PlanStates, plan_states, "plan_state.lag1_w", |row| flip32(
+        &mut row.lag1_w
+    ));
+    case!(PlanStates, plan_states, "plan_state.gain_mean", |row| {
+        flip32(&mut row.gain_mean);
+    });
+    case!(PlanStates, plan_states, "plan_state.above_held", |row| {
+        flip32(&mut row.above_held);
+    });
     for (name, spoil) in cases {
         let mut spoilt = messages.clone();
         spoil(&mut spoilt);
@@ -523,7 +558,7 @@ fn a_flipped_bit_in_any_output_is_named() {
             .unwrap_or_else(|| panic!("{name} was not found"));
         assert_eq!(
             (first.tick, first.robot, &*first.field),
-            (77, Some(rows[5].robot), name)
+            (65, Some(rows[5].robot), name)
         );
         assert_ne!(first.recorded, first.computed, "{name}");
         assert_eq!(
@@ -569,12 +604,8 @@ fn a_killed_worker_and_its_successor_are_both_verified() {
     simulation.run(100);
     // Killed after it had sent its forecasts.
     let mut sent = std::mem::take(&mut simulation.sent);
-    let half = sent.len() - 4;
-    assert!(
-        matches!(sent[half], Message::Forecasts(..)),
-        "{:?}",
-        sent[half].kind()
-    );
+    let is_forecasts = |message: &Message| matches!(message, Message::Forecasts(..));
+    let half = sent.iter().rposition(is_forecasts).unwrap();
     sent.truncate(half + 1);
     simulation.sent = sent;
     simulation.restart();

@@ -4,7 +4,9 @@ use std::cell::RefCell;
 use std::fmt;
 
 use joulebus_bus::Reader;
-use joulebus_wire::{Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Payload};
+use joulebus_wire::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Payload, PlanState, PlanStateHeader,
+};
 
 use crate::index::RobotIndex;
 use crate::newest::{ReadError, check_schema, newer};
@@ -27,6 +29,8 @@ pub struct Feed<H: Payload, T: Payload> {
 pub type DiagnosticFeed = Feed<DiagnosticHeader, Diagnostic>;
 /// Budgets, robot by robot.
 pub type BudgetFeed = Feed<BudgetHeader, Budget>;
+/// What plans start from, robot by robot.
+pub type PlanStateFeed = Feed<PlanStateHeader, PlanState>;
 
 impl<H: Payload, T: Payload> Feed<H, T> {
     pub(crate) fn new(

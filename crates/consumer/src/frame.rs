@@ -4,7 +4,10 @@ use std::cell::RefCell;
 use std::slice;
 
 use joulebus_bus::clock;
-use joulebus_wire::{Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader};
+use joulebus_wire::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader,
+};
 
 use crate::Arrival;
 use crate::index::RobotIndex;
@@ -26,6 +29,8 @@ pub type Forecasts<'a> = Frame<'a, ForecastHeader, Forecast>;
 pub type Diagnostics<'a> = Frame<'a, DiagnosticHeader, Diagnostic>;
 /// A frame of budgets.
 pub type Budgets<'a> = Frame<'a, BudgetHeader, Budget>;
+/// A frame of what plans start from.
+pub type PlanStates<'a> = Frame<'a, PlanStateHeader, PlanState>;
 
 impl<'a, H, T> Frame<'a, H, T> {
     pub(crate) const fn new(

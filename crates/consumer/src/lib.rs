@@ -37,7 +37,7 @@
 //! ([`Forecasts::arrival`], [`Counts`]). A slow or stopped planner does not affect the worker.
 //!
 //! **Lifetimes.** A frame lies in shared memory and is borrowed from the [`Planner`], or from the
-//! [`DiagnosticFeed`] or [`BudgetFeed`], each of which holds exactly one: it is unchanged until the
+//! [`DiagnosticFeed`], [`BudgetFeed`] or [`PlanStateFeed`], each of which holds exactly one: it is unchanged until the
 //! next call that takes a newer one. To keep more, copy: rows are `Copy`. [`Frame::robot`] takes
 //! constant time while no robots join or leave. Feeds are separate so that a frame of each may be
 //! borrowed at the same time.
@@ -57,8 +57,8 @@ mod newest;
 mod planner;
 mod tracker;
 
-pub use feed::{BudgetFeed, DiagnosticFeed, Feed};
-pub use frame::{Budgets, Diagnostics, Forecasts, Frame};
+pub use feed::{BudgetFeed, DiagnosticFeed, Feed, PlanStateFeed};
+pub use frame::{Budgets, Diagnostics, Forecasts, Frame, PlanStates};
 pub use joulebus_bus::{OpenError, clock};
 pub use joulebus_config::{Config, ConnectError, error};
 pub use joulebus_wire as wire;

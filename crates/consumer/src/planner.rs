@@ -7,13 +7,15 @@ use std::time::Duration;
 
 use joulebus_bus::{Bus, ForecastReader, Limits, OpenError, PeerWatch, Waiter, Woken, clock};
 use joulebus_config::{Config, ConnectError};
-use joulebus_wire::{BudgetHeader, DiagnosticHeader, Forecast};
+use joulebus_wire::{BudgetHeader, DiagnosticHeader, Forecast, PlanStateHeader};
 
 use crate::frame::Frame;
 use crate::index::RobotIndex;
 use crate::newest::{ReadError, check_schema, newer};
 use crate::tracker::{Tracker, place};
-use crate::{Arrival, BudgetFeed, Counts, DiagnosticFeed, End, Forecasts, WorkerState};
+use crate::{
+    Arrival, BudgetFeed, Counts, DiagnosticFeed, End, Forecasts, PlanStateFeed, WorkerState,
+};
 
 /// A reader of forecasts: a planner, a live view, a recorder.
 ///
@@ -171,6 +173,18 @@ impl Planner {
         let reader = self.bus.budget_reader(&self.limits)?;
         let of_header = |header: &BudgetHeader| (header.schema, header.worker_epoch, header.tick);
         Ok(BudgetFeed::new(reader, of_header, |row| row.robot))
+    }
+
+    /// Opens what plans start from. The worker sends it while somebody reads it: the first frame
+    /// comes with the next tick. `joulebus-plan` computes with it.
+    ///
+    /// # Errors
+    /// [`OpenError`] with the cause and the remedy.
+    pub fn plan_states(&self) -> Result<PlanStateFeed, OpenError> {
+        let reader = self.bus.plan_state_reader(&self.limits)?;
+        let of_header =
+            |header: &PlanStateHeader| (header.schema, header.worker_epoch, header.tick);
+        Ok(PlanStateFeed::new(reader, of_header, |row| row.robot))
     }
 
     /// Connections to workers that failed or broke: frames are missing.

@@ -13,11 +13,13 @@ use std::time::Duration;
 
 use harness::{Place, run_member, told};
 use joulebus_bus::{Bus, WorkerLock, clock};
-use joulebus_consumer::{BudgetFeed, Config, DiagnosticFeed, Event, Planner, WorkerState};
+use joulebus_consumer::{
+    BudgetFeed, Config, DiagnosticFeed, Event, PlanStateFeed, Planner, WorkerState,
+};
 use joulebus_test_processes::{Member, send_to_test};
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, SCHEMA_VERSION,
-    WakeEvent, forecast_flag,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader, SCHEMA_VERSION, WakeEvent, forecast_flag,
 };
 
 /// Long enough that nothing becomes stale during a test.
@@ -48,6 +50,7 @@ fn worker(config: &Path, is_worker: bool) {
     let mut forecasts = bus.forecast_writer(&limits).unwrap();
     let mut diagnostics = bus.diagnostic_writer(&limits).unwrap();
     let mut budgets = bus.budget_writer(&limits).unwrap();
+    let mut plan_states = bus.plan_state_writer(&limits).unwrap();
     let waker = bus.planner_waker(&limits).unwrap();
     let mut header = ForecastHeader {
         schema: SCHEMA_VERSION,
@@ -66,7 +69,10 @@ fn worker(config: &Path, is_worker: bool) {
             ("epoch", [epoch]) => header.worker_epoch = *epoch,
             ("pid", [pid]) => header.pid = u32::try_from(*pid).unwrap(),
             ("schema", [schema]) => header.schema = u32::try_from(*schema).unwrap(),
-            ("update", []) => budgets.update(),
+            ("update", []) => {
+                budgets.update();
+                plan_states.update();
+            }
             ("end", []) => {
                 waker.wake(WakeEvent::Ended).unwrap();
             }
@@ -101,6 +107,18 @@ fn worker(config: &Path, is_worker: bool) {
                         ..Budget::default()
                     };
                     budgets.send(of_tick, 64, row).unwrap();
+                    let of_tick = PlanStateHeader {
+                        schema: header.schema,
+                        worker_epoch: header.worker_epoch,
+                        tick,
+                        ..PlanStateHeader::default()
+                    };
+                    let row = |i| PlanState {
+                        robot: i as u32,
+                        stamp_ns: i as u64,
+                        ..PlanState::default()
+                    };
+                    plan_states.send(of_tick, 64, row).unwrap();
                     waker.wake(WakeEvent::Frame).unwrap();
                 }
             }
@@ -128,7 +146,7 @@ fn power_w(robot: u64, tick: u64) -> f32 {
 /// Commands: `next MS`, `latest`, `worker`, `counts`, `feeds`.
 fn plan(config: &Path) {
     let mut planner = Planner::connect(config).unwrap();
-    let mut feeds: Option<(DiagnosticFeed, BudgetFeed)> = None;
+    let mut feeds: Option<(DiagnosticFeed, BudgetFeed, PlanStateFeed)> = None;
     send_to_test("ready");
     while let Some(line) = told() {
         match line.split_once(' ').unwrap_or((&line, "")) {
@@ -156,12 +174,15 @@ fn plan(config: &Path) {
                 ));
             }
             ("feeds", _) => {
-                let (diagnostics, budgets) = feeds.get_or_insert_with(|| {
-                    (planner.diagnostics().unwrap(), planner.budgets().unwrap())
+                let (diagnostics, budgets, plan_states) = feeds.get_or_insert_with(|| {
+                    let (diagnostics, budgets) = (planner.diagnostics(), planner.budgets());
+                    let plan_states = planner.plan_states().unwrap();
+                    (diagnostics.unwrap(), budgets.unwrap(), plan_states)
                 });
                 let diagnostics = diagnostics.latest().unwrap();
                 let budgets = budgets.latest().unwrap();
-                // All three are borrowed at the same time.
+                let plan_states = plan_states.latest().unwrap();
+                // All four are borrowed at the same time.
                 let forecasts = planner.current().map(|frame| frame.header().tick);
                 let diagnosed = diagnostics.map(|frame| {
                     assert_eq!(frame.robot(63).unwrap().robot, 63);
@@ -171,7 +192,13 @@ fn plan(config: &Path) {
                     assert_eq!(frame.robot(63).unwrap().drawn_uj, 63);
                     frame.header().tick
                 });
-                send_to_test(format!("{forecasts:?} {diagnosed:?} {budgeted:?}"));
+                let planned = plan_states.map(|frame| {
+                    assert_eq!(frame.robot(63).unwrap().stamp_ns, 63);
+                    frame.header().tick
+                });
+                send_to_test(format!(
+                    "{forecasts:?} {diagnosed:?} {budgeted:?} {planned:?}"
+                ));
             }
             _ => panic!("no such command: {line}"),
         }
@@ -278,7 +305,7 @@ fn no_frame_of_another_process_blinds_a_planner_whatever_run_tick_and_pid_it_cla
     let mut worker = ready(&place, "worker");
     worker.ask("ticks 1 1");
     assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
-    assert_eq!(planner.ask("feeds"), "Some(1) None None");
+    assert_eq!(planner.ask("feeds"), "Some(1) None None None");
     impostor.ask(&format!("pid {}", worker.pid()));
     for (epoch, tick) in [(FAR, 1), (1, FAR), (FAR, FAR), (0, 2)] {
         impostor.ask(&format!("epoch {epoch}"));
@@ -291,7 +318,7 @@ fn no_frame_of_another_process_blinds_a_planner_whatever_run_tick_and_pid_it_cla
     }
     worker.ask("ticks 2 2");
     assert_eq!(planner.ask("next 60000"), "tick 2, missed 0");
-    assert_eq!(planner.ask("feeds"), "Some(2) Some(2) Some(2)");
+    assert_eq!(planner.ask("feeds"), "Some(2) Some(2) Some(2) Some(2)");
     assert_eq!(
         planner.ask("counts"),
         "2 frames, 0 gaps, 0 ticks, 1 workers"
@@ -318,14 +345,14 @@ fn row_6_a_restarted_worker_is_followed_at_once_however_the_clock_was_set_in_bet
         assert_eq!(planner.ask("next 60000"), expected, "life {life}");
         assert_eq!(
             planner.ask("feeds"),
-            "Some(1) Some(1) Some(1)",
+            "Some(1) Some(1) Some(1) Some(1)",
             "life {life}"
         );
         worker.ask("ticks 2 3");
         assert_eq!(planner.ask("next 60000"), "tick 3, missed 1", "life {life}");
         assert_eq!(
             planner.ask("feeds"),
-            "Some(3) Some(3) Some(3)",
+            "Some(3) Some(3) Some(3) Some(3)",
             "life {life}"
         );
         worker.kill();
@@ -442,7 +469,7 @@ fn the_frames_of_a_killed_planner_are_released() {
             );
             assert_eq!(
                 planner.ask("feeds"),
-                format!("Some({tick}) Some({tick}) Some({tick})"),
+                format!("Some({tick}) Some({tick}) Some({tick}) Some({tick})"),
                 "life {life}"
             );
         }
@@ -467,13 +494,13 @@ fn a_new_planner_gets_budgets_without_a_new_tick() {
     let mut worker = ready(&place, "worker");
     worker.ask("ticks 1 3");
     let mut planner = ready(&place, "planner");
-    assert_eq!(planner.ask("feeds"), "None None None");
+    assert_eq!(planner.ask("feeds"), "None None None None");
     worker.ask("update");
-    assert_eq!(planner.ask("feeds"), "None None Some(3)");
+    assert_eq!(planner.ask("feeds"), "None None Some(3) Some(3)");
     worker.ask("ticks 4 4");
-    assert_eq!(planner.ask("feeds"), "None Some(4) Some(4)");
+    assert_eq!(planner.ask("feeds"), "None Some(4) Some(4) Some(4)");
     assert_eq!(planner.ask("next 60000"), "tick 4, missed 0");
-    assert_eq!(planner.ask("feeds"), "Some(4) Some(4) Some(4)");
+    assert_eq!(planner.ask("feeds"), "Some(4) Some(4) Some(4) Some(4)");
     worker.finish();
     planner.finish();
     place.assert_nothing_left();

@@ -29,4 +29,4 @@ pub use ledger::energy::Ledger;
 pub use state::snapshot::{FleetState, StateError};
 pub use tick::batch::Batch;
 pub use tick::schedule::{Next, Schedule};
-pub use tick::shard::{Outputs, Shard, Stage};
+pub use tick::shard::{Accounts, Outputs, Shard, Stage};

@@ -5,7 +5,7 @@ mod counting;
 mod world;
 
 use joulebus_fleet::Fleet;
-use joulebus_wire::{Budget, Diagnostic, Forecast, Sample, sample_flag};
+use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState, Sample, sample_flag};
 use world::{MS, PERIOD_NS, SLOW_NS, Source, healthy, models, settings};
 
 const START_NS: u64 = 60_000 * MS;
@@ -46,6 +46,7 @@ fn taking_ticking_and_writing_out_allocate_nothing() {
     let mut forecasts = vec![Forecast::default(); ROBOTS as usize];
     let mut diagnostics = vec![Diagnostic::default(); ROBOTS as usize];
     let mut budgets = vec![Budget::default(); ROBOTS as usize];
+    let mut plan_states = vec![PlanState::default(); ROBOTS as usize];
     let mut least_and_most = (usize::MAX, 0);
     for step in 1..4_000u64 {
         let now_ns = START_NS + step * PERIOD_NS;
@@ -61,6 +62,7 @@ fn taking_ticking_and_writing_out_allocate_nothing() {
             forecasts[place] = fleet.forecast(place);
             diagnostics[place] = fleet.diagnostic(place);
             budgets[place] = fleet.budget(place);
+            plan_states[place] = fleet.plan_state(place);
         }
         assert_eq!(counting::calls() - before, 0, "allocations in tick {step}");
         if step > 1_000 {

@@ -2,20 +2,28 @@
 
 mod world;
 
-use joulebus_fleet::{Batch, Outputs};
-use joulebus_wire::{Budget, Diagnostic, Forecast, Sample};
+use joulebus_fleet::{Accounts, Batch, Outputs};
+use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState, Sample};
 use world::{MS, PERIOD_NS, Source, fleet, healthy};
 
 const ROBOTS: u32 = 100;
 const START_NS: u64 = 60_000 * MS;
 
-/// Budgets and forecasts of the last of several ticks, in two passes or one, with diagnostics or
-/// without.
-fn run(halves: bool, with_diagnostics: bool) -> (Vec<Forecast>, Vec<Budget>) {
+/// Which outputs are written besides forecasts and budgets.
+#[derive(Debug, Clone, Copy)]
+struct With {
+    diagnostics: bool,
+    plan_states: bool,
+}
+
+/// All outputs of the last of several ticks, in two passes or one; those that are left out stay as
+/// they were.
+fn run(halves: bool, with: With) -> (Vec<Forecast>, Vec<Budget>, Vec<Diagnostic>, Vec<PlanState>) {
     let (mut fleet, mut source) = (fleet(ROBOTS), Source::new(1, 1));
     let mut forecasts = vec![Forecast::default(); ROBOTS as usize];
     let mut budgets = vec![Budget::default(); ROBOTS as usize];
     let mut diagnostics = vec![Diagnostic::default(); ROBOTS as usize];
+    let mut plan_states = vec![PlanState::default(); ROBOTS as usize];
     for step in 0..12 {
         let now_ns = START_NS + step * PERIOD_NS;
         let sample = |robot| healthy(robot, step, now_ns, PERIOD_NS);
@@ -23,14 +31,22 @@ fn run(halves: bool, with_diagnostics: bool) -> (Vec<Forecast>, Vec<Budget>) {
         source.send(&mut fleet, &samples, now_ns);
         fleet.begin(now_ns, false);
         let (mut batch, mut shard) = (Batch::default(), fleet.shard());
-        let outputs = Outputs {
-            forecasts: &mut forecasts,
-            diagnostics: if with_diagnostics {
+        let accounts = Accounts {
+            diagnostics: if with.diagnostics {
                 &mut diagnostics
             } else {
                 &mut []
             },
             budgets: &mut budgets,
+            plan_states: if with.plan_states {
+                &mut plan_states
+            } else {
+                &mut []
+            },
+        };
+        let outputs = Outputs {
+            forecasts: &mut forecasts,
+            accounts,
         };
         if halves {
             let (mut first, mut second) = shard.split_at(ROBOTS as usize / 2);
@@ -39,24 +55,38 @@ fn run(halves: bool, with_diagnostics: bool) -> (Vec<Forecast>, Vec<Budget>) {
             second.run(&mut batch, to_second, &mut |_| {});
         } else {
             shard.forecast(&mut batch, outputs.forecasts, &mut |_| {});
-            shard.account(
-                &mut batch,
-                outputs.diagnostics,
-                outputs.budgets,
-                &mut |_| {},
-            );
+            shard.account(&mut batch, outputs.accounts, &mut |_| {});
         }
     }
-    (forecasts, budgets)
+    (forecasts, budgets, diagnostics, plan_states)
 }
 
 #[test]
-fn forecasts_and_budgets_are_the_same_where_diagnostics_are_left_out() {
+fn an_output_is_the_same_whatever_else_is_left_out() {
+    let with = |diagnostics, plan_states| With {
+        diagnostics,
+        plan_states,
+    };
     // As text, in which NaN equals NaN.
-    let whole = format!("{:?}", run(false, true));
-    assert!(whole.contains(&format!("robot: {}", ROBOTS - 1)), "{whole}");
-    for (halves, with_diagnostics) in [(false, false), (true, true), (true, false)] {
-        let found = format!("{:?}", run(halves, with_diagnostics));
-        assert_eq!(found, whole, "{halves} {with_diagnostics}");
+    let text = |rows: &dyn std::fmt::Debug| format!("{rows:?}");
+    let all = run(false, with(true, true));
+    for whole in [text(&all.0), text(&all.1), text(&all.2), text(&all.3)] {
+        assert!(whole.contains(&format!("robot: {}", ROBOTS - 1)), "{whole}");
+    }
+    for halves in [false, true] {
+        for (diagnostics, plan_states) in
+            [(false, false), (false, true), (true, false), (true, true)]
+        {
+            let with = with(diagnostics, plan_states);
+            let found = run(halves, with);
+            assert_eq!(text(&found.0), text(&all.0), "{halves} {with:?}");
+            assert_eq!(text(&found.1), text(&all.1), "{halves} {with:?}");
+            let untouched = text(&vec![Diagnostic::default(); ROBOTS as usize]);
+            let expected = if diagnostics { text(&all.2) } else { untouched };
+            assert_eq!(text(&found.2), expected, "{halves} {with:?}");
+            let untouched = text(&vec![PlanState::default(); ROBOTS as usize]);
+            let expected = if plan_states { text(&all.3) } else { untouched };
+            assert_eq!(text(&found.3), expected, "{halves} {with:?}");
+        }
     }
 }

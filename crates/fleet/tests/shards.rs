@@ -3,12 +3,15 @@
 
 mod world;
 
-use joulebus_fleet::{Batch, Fleet, Outputs, Shard};
+use joulebus_fleet::{Accounts, Batch, Fleet, Outputs, Shard};
 use joulebus_predictor::Kernel;
-use joulebus_wire::{Budget, Diagnostic, Forecast, Sample, sample_flag};
+use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState, Sample, sample_flag};
 use proptest::prelude::*;
 use world::random::Noise;
-use world::{MS, PERIOD_NS, SLOW_NS, Source, budget_bits, diagnostic_bits, forecast_bits, healthy};
+use world::{
+    MS, PERIOD_NS, SLOW_NS, Source, budget_bits, diagnostic_bits, forecast_bits, healthy,
+    plan_state_bits,
+};
 
 const START_NS: u64 = 60_000 * MS;
 const ROBOTS: u32 = 300;
@@ -71,7 +74,7 @@ fn tick(mut shard: Shard<'_>, outputs: Outputs<'_>, batch: &mut Batch, in_two: b
         return shard.run(batch, outputs, &mut |_| {});
     }
     shard.forecast(batch, outputs.forecasts, &mut |_| {});
-    shard.account(batch, outputs.diagnostics, outputs.budgets, &mut |_| {});
+    shard.account(batch, outputs.accounts, &mut |_| {});
 }
 
 proptest! {
@@ -89,6 +92,7 @@ proptest! {
         let mut forecasts = vec![Forecast::default(); ROBOTS as usize];
         let mut diagnostics = vec![Diagnostic::default(); ROBOTS as usize];
         let mut budgets = vec![Budget::default(); ROBOTS as usize];
+        let mut plan_states = vec![PlanState::default(); ROBOTS as usize];
         let mut lengths = (usize::MAX, 0);
         for step in 1..260 {
             let now_ns = START_NS + step * SLOW_NS;
@@ -104,8 +108,11 @@ proptest! {
             prop_assert_eq!(robots, whole.len());
             let outputs = Outputs {
                 forecasts: &mut forecasts[..robots],
-                diagnostics: &mut diagnostics[..robots],
-                budgets: &mut budgets[..robots],
+                accounts: Accounts {
+                    diagnostics: &mut diagnostics[..robots],
+                    budgets: &mut budgets[..robots],
+                    plan_states: &mut plan_states[..robots],
+                },
             };
             scatter(shared.shard(), outputs, noise.next_u64(), depth);
             for place in 0..robots {
@@ -116,6 +123,8 @@ proptest! {
                 prop_assert_eq!(diagnostic_bits(&diagnostics[place]), expected, "step {}", step);
                 let expected = budget_bits(&whole.budget(place));
                 prop_assert_eq!(budget_bits(&budgets[place]), expected, "step {}", step);
+                let expected = plan_state_bits(&whole.plan_state(place));
+                prop_assert_eq!(plan_state_bits(&plan_states[place]), expected, "step {}", step);
             }
             if step > 100 {
                 lengths = (lengths.0.min(robots), lengths.1.max(robots));

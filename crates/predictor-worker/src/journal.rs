@@ -5,6 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use joulebus_bus::{Bus, IncomingFrame, Limits, OpenError, TickWriter, clock, process_id};
 use joulebus_wire::{SCHEMA_VERSION, TakenFrame, TickHeader, tick_flag};
 
+use crate::outbox::LeftOut;
+
 /// Collects the frames that ingest takes, and sends the list after each tick.
 #[derive(Debug)]
 pub(crate) struct Journal {
@@ -43,12 +45,12 @@ impl Journal {
     }
 
     /// Sends the journal of tick `tick` of the worker's run `worker_epoch`, and begins the next
-    /// one; `sheds`: the tick computed no diagnostics. Failures are counted in `unsent`.
+    /// one; `left_out`: what the tick did not write. Failures are counted in `unsent`.
     pub(crate) fn send(
         &mut self,
         (worker_epoch, tick): (u64, u64),
         start_ns: u64,
-        (deadline_missed, sheds): (bool, bool),
+        (deadline_missed, left_out): (bool, LeftOut),
         unsent: &AtomicU64,
     ) {
         let header = TickHeader {
@@ -59,7 +61,8 @@ impl Journal {
             start_ns,
             sent_ns: clock::monotonic_ns(),
             flags: u32::from(deadline_missed) * tick_flag::DEADLINE_MISSED
-                + u32::from(sheds) * tick_flag::NO_DIAGNOSTICS,
+                + u32::from(left_out.diagnostics) * tick_flag::NO_DIAGNOSTICS
+                + u32::from(!left_out.plan_states) * tick_flag::PLAN_STATES,
             unlisted: self.unlisted,
         };
         let taken = &self.taken;

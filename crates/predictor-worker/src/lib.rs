@@ -5,7 +5,7 @@
 //! [`Worker::run`] then ticks until it is stopped. The tick's output is written directly into
 //! loaned shared memory. The network runs in the tick that [`TickPool`] distributes over threads
 //! (`joulebus-fleet`, `src/tick/infer.rs`). After warm-up the loop allocates nothing of its own
-//! (iceoryx2 0.10 allocates once for each of the four frames that a tick sends), takes no lock,
+//! (iceoryx2 0.10 allocates once for each of the four or five frames that a tick sends), takes no lock,
 //! logs nothing and blocks on nothing but samples and its schedule. Logging and the ledger's
 //! checkpoints are left to the checkpointer, a thread that reads the worker's frames like any
 //! planner.
@@ -24,8 +24,8 @@ mod tick_pool;
 mod worker;
 
 pub use checkpointer::CheckpointerError;
-pub use ledger_files::LedgerFileError;
 pub use joulebus_models::{ModelsError, load_models};
+pub use ledger_files::LedgerFileError;
 pub use report::{Parts, Report, Spread};
 pub use tick_pool::{TickPool, TickPoolError};
 pub use worker::{OpenError, RunError, Worker};

@@ -1,23 +1,24 @@
 //! Output of a tick, computed directly into loaned shared memory.
 
 use joulebus_bus::{
-    BudgetWriter, Bus, DiagnosticWriter, ForecastWriter, Limits, Loan, OpenError, SendError, Waker,
-    clock,
+    BudgetWriter, Bus, DiagnosticWriter, ForecastWriter, Limits, Loan, OpenError, PlanStateWriter,
+    SendError, Waker, clock,
 };
-use joulebus_fleet::{Fleet, Outputs};
+use joulebus_fleet::{Accounts, Fleet, Outputs};
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Payload,
+    BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, Payload, PlanStateHeader,
     SCHEMA_VERSION, WakeEvent,
 };
 
 use crate::tick_pool::TickPool;
 
-/// The three ports, and the event that wakes planners.
+/// The four ports, and the event that wakes planners.
 #[derive(Debug)]
 pub(crate) struct Outbox {
     forecasts: ForecastWriter,
     diagnostics: DiagnosticWriter,
     budgets: BudgetWriter,
+    plan_states: PlanStateWriter,
     planners: Waker,
 }
 
@@ -27,15 +28,21 @@ impl Outbox {
             forecasts: bus.forecast_writer(limits)?,
             diagnostics: bus.diagnostic_writer(limits)?,
             budgets: bus.budget_writer(limits)?,
+            plan_states: bus.plan_state_writer(limits)?,
             planners: bus.planner_waker(limits)?,
         })
     }
 
+    /// Whether anybody reads what plans start from: only then is it written.
+    pub(crate) fn plans(&self) -> bool {
+        self.plan_states.readers() > 0
+    }
+
     /// Ticks the robots of a fleet that has begun a tick, writes the output, and sends it. `header`
-    /// has everything known before; `sheds`: diagnostics are left out for lack of time. Returns the
-    /// number of frames that could not be sent.
+    /// has everything known before; `left_out`: what is not written. Returns the number of frames
+    /// that could not be sent.
     ///
-    /// Forecasts are sent first, and planners are woken for them. In a parallel tick all three are
+    /// Forecasts are sent first, and planners are woken for them. In a parallel tick all are
     /// written in one pass, because a second pass over so many robots would cost more memory
     /// bandwidth.
     pub(crate) fn tick(
@@ -43,64 +50,107 @@ impl Outbox {
         fleet: &mut Fleet,
         pool: &TickPool,
         header: ForecastHeader,
-        sheds: bool,
+        left_out: LeftOut,
     ) -> u64 {
         let robots = fleet.len();
-        let refused = fleet.refusals();
+        let headers = Headers::new(fleet, &header);
         let mut forecasts = self.forecasts.loan_to_fill(robots);
-        let mut diagnostics = (!sheds).then(|| self.diagnostics.loan_to_fill(robots));
-        let mut budgets = self.budgets.loan_to_fill(robots);
+        let diagnostics = !left_out.diagnostics;
+        let mut diagnostics = diagnostics.then(|| self.diagnostics.loan_to_fill(robots));
+        let mut budgets = Some(self.budgets.loan_to_fill(robots));
+        let plan_states = !left_out.plan_states;
+        let mut plan_states = plan_states.then(|| self.plan_states.loan_to_fill(robots));
+        let accounts = Accounts {
+            diagnostics: payload(diagnostics.as_mut()),
+            budgets: payload(budgets.as_mut()),
+            plan_states: payload(plan_states.as_mut()),
+        };
         let mut shard = fleet.shard();
         let unsent = if pool.shares(robots) {
             let outputs = Outputs {
                 forecasts: payload(Some(&mut forecasts)),
-                diagnostics: payload(diagnostics.as_mut()),
-                budgets: payload(Some(&mut budgets)),
+                accounts,
             };
             pool.run(shard, outputs);
             send_forecasts(forecasts, &self.planners, header)
         } else {
             pool.forecast(&mut shard, payload(Some(&mut forecasts)));
             let unsent = send_forecasts(forecasts, &self.planners, header);
-            pool.account(
-                &mut shard,
-                payload(diagnostics.as_mut()),
-                payload(Some(&mut budgets)),
-            );
+            pool.account(&mut shard, accounts);
             unsent
         };
-        let diagnostic_header = DiagnosticHeader {
-            schema: SCHEMA_VERSION,
-            pid: header.pid,
-            worker_epoch: header.worker_epoch,
-            tick: header.tick,
-            refused,
-        };
+        let (sent_ns, sent_unix_ns) = (clock::monotonic_ns(), clock::unix_ns());
         let budget_header = BudgetHeader {
-            schema: SCHEMA_VERSION,
-            pid: header.pid,
-            worker_epoch: header.worker_epoch,
-            tick: header.tick,
-            sent_ns: clock::monotonic_ns(),
-            sent_unix_ns: clock::unix_ns(),
+            sent_ns,
+            sent_unix_ns,
+            ..headers.budgets
         };
-        let diagnostics_sent = diagnostics.is_none_or(|loan| {
-            loan.is_ok_and(|mut loan: DiagnosticLoan<'_>| {
-                *loan.header_mut() = diagnostic_header;
-                loan.send().is_ok()
-            })
-        });
-        let budgets_sent = budgets.is_ok_and(|mut loan: BudgetLoan<'_>| {
-            *loan.header_mut() = budget_header;
-            loan.send().is_ok()
-        });
-        unsent + u64::from(!diagnostics_sent) + u64::from(!budgets_sent)
+        let plan_state_header = PlanStateHeader {
+            sent_ns,
+            sent_unix_ns,
+            ..headers.plan_states
+        };
+        unsent
+            + send(diagnostics, headers.diagnostics)
+            + send(budgets, budget_header)
+            + send(plan_states, plan_state_header)
     }
 
     /// Sends planners the end event.
     pub(crate) fn end(&self) {
         if let Err(error) = self.planners.wake(WakeEvent::Ended) {
             tracing::warn!(%error, "planners were not told of the end");
+        }
+    }
+}
+
+/// Outputs that a tick does not write.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LeftOut {
+    /// For lack of time.
+    pub(crate) diagnostics: bool,
+    /// Because nobody reads them.
+    pub(crate) plan_states: bool,
+}
+
+/// Headers of the accounts, without the times of sending.
+struct Headers {
+    diagnostics: DiagnosticHeader,
+    budgets: BudgetHeader,
+    plan_states: PlanStateHeader,
+}
+
+impl Headers {
+    fn new(fleet: &Fleet, forecasts: &ForecastHeader) -> Self {
+        let (schema, pid) = (SCHEMA_VERSION, forecasts.pid);
+        let (worker_epoch, tick) = (forecasts.worker_epoch, forecasts.tick);
+        Self {
+            diagnostics: DiagnosticHeader {
+                schema,
+                pid,
+                worker_epoch,
+                tick,
+                refused: fleet.refusals(),
+            },
+            budgets: BudgetHeader {
+                schema,
+                pid,
+                worker_epoch,
+                tick,
+                ..BudgetHeader::default()
+            },
+            plan_states: PlanStateHeader {
+                schema,
+                pid,
+                worker_epoch,
+                tick,
+                period_ns: forecasts.period_ns,
+                settings_hash: fleet.settings_hash(),
+                model_hash: forecasts.model_hash,
+                models: fleet.model_hashes(),
+                compute_start_ns: forecasts.compute_start_ns,
+                ..PlanStateHeader::default()
+            },
         }
     }
 }
@@ -130,6 +180,15 @@ fn send_forecasts(
     u64::from(!sent)
 }
 
+/// Sends a frame, unless it is left out. Returns the number of frames that could not be sent.
+fn send<H: Payload, T: Payload>(loan: Option<Result<Loan<'_, H, T>, SendError>>, header: H) -> u64 {
+    let sent = loan.is_none_or(|loan| {
+        loan.is_ok_and(|mut loan| {
+            *loan.header_mut() = header;
+            loan.send().is_ok()
+        })
+    });
+    u64::from(!sent)
+}
+
 type ForecastLoan<'a> = Loan<'a, ForecastHeader, Forecast>;
-type DiagnosticLoan<'a> = Loan<'a, DiagnosticHeader, Diagnostic>;
-type BudgetLoan<'a> = Loan<'a, BudgetHeader, Budget>;

@@ -50,7 +50,7 @@ pub struct Parts {
     pub network_us: f64,
     /// Ledgers, scores, residuals and alarms.
     pub bookkeeping_us: f64,
-    /// Forecasts, diagnostics and budgets written into shared memory.
+    /// Forecasts, diagnostics, budgets and plan states written into shared memory.
     pub writing_us: f64,
 }
 

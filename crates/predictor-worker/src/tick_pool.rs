@@ -8,8 +8,8 @@ use std::cell::Cell;
 use std::sync::Mutex;
 
 use joulebus_bus::{Scheduling, clock};
-use joulebus_fleet::{Batch, Outputs, Shard, Stage};
-use joulebus_wire::{Budget, Diagnostic, Forecast};
+use joulebus_fleet::{Accounts, Batch, Outputs, Shard, Stage};
+use joulebus_wire::Forecast;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
 /// Minimum number of robots per part: two tiles.
@@ -110,13 +110,8 @@ impl TickPool {
     }
 
     /// The second pass of a tick, on the calling thread.
-    pub(crate) fn account(
-        &self,
-        shard: &mut Shard<'_>,
-        diagnostics: &mut [Diagnostic],
-        budgets: &mut [Budget],
-    ) {
-        self.with_scratch(|batch, on| shard.account(batch, diagnostics, budgets, on));
+    pub(crate) fn account(&self, shard: &mut Shard<'_>, accounts: Accounts<'_>) {
+        self.with_scratch(|batch, on| shard.account(batch, accounts, on));
     }
 
     /// Time spent so far in each stage of [`Stage::ALL`], over all threads, ns.

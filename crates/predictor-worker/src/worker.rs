@@ -11,7 +11,6 @@ use joulebus_bus::{
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
-use joulebus_models::{ModelsError, load_models};
 use joulebus_settings::SettingsError;
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
@@ -19,10 +18,11 @@ use crate::checkpointer::{self, CheckpointerError, Failures, read_ledger};
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::ledger_files::LedgerFileError;
-use crate::outbox::Outbox;
+use crate::outbox::{LeftOut, Outbox};
 use crate::report::{Parts, Report, Spread, by_name};
 use crate::shedding::Shedding;
 use crate::tick_pool::{TickPool, TickPoolError};
+use joulebus_models::{ModelsError, load_models};
 
 /// Longest tick that the histogram resolves, ns.
 const LONGEST_TICK_NS: u64 = 60_000_000_000;
@@ -308,11 +308,17 @@ impl Worker {
         self.header.tick += 1;
         let header = self.header_of(intake, start_ns);
         let sheds = self.shedding.sheds;
-        let unsent = self.outbox.tick(&mut self.fleet, &self.pool, header, sheds);
+        let left_out = LeftOut {
+            diagnostics: sheds,
+            plan_states: !self.outbox.plans(),
+        };
+        let unsent = self
+            .outbox
+            .tick(&mut self.fleet, &self.pool, header, left_out);
         self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
         let place = (self.header.worker_epoch, self.header.tick);
         self.journal
-            .send(place, start_ns, (missed, sheds), &self.failures.unsent);
+            .send(place, start_ns, (missed, left_out), &self.failures.unsent);
         self.keyframes.offer(&self.fleet, place);
         let end_ns = clock::monotonic_ns();
         let frames = intake.frames > 0;

@@ -1,6 +1,6 @@
 //! The worker's loop, ingest and publishing included, allocates nothing of its own after warm-up,
-//! even while a recorder reads: only iceoryx2 0.10 does, once for each of the four frames of a
-//! tick.
+//! even while a planner and a recorder read: only iceoryx2 0.10 does, once for each of the five
+//! frames of a tick.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 #[path = "../../../tests/counting.rs"]
@@ -87,6 +87,18 @@ fn feed(domain: &Domain, config: &Config, robots: u32, sent: &AtomicU64, stop: &
     }
 }
 
+/// Reads what plans start from until `stop`, and counts the frames.
+fn plan(domain: &Domain, config: &Config, plan_states: &AtomicU64, stop: &AtomicBool) {
+    let bus = Bus::join(domain, "planner").unwrap();
+    let mut reader = bus.plan_state_reader(&config.limits()).unwrap();
+    while !stop.load(Ordering::Relaxed) {
+        let found = reader.take_latest().unwrap();
+        plan_states.fetch_add(u64::from(found.is_some()), Ordering::Relaxed);
+        drop(found);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
 /// Reads keyframes until `stop`, and counts the complete ones.
 fn record(domain: &Domain, config: &Config, keyframes: &AtomicU32, stop: &AtomicBool) {
     let bus = Bus::join(domain, "recorder").unwrap();
@@ -121,11 +133,13 @@ fn measure(case: Case) {
     let config = config(&root, case);
     let domain = config.domain().unwrap();
     let (sent, keyframes) = (AtomicU64::new(0), AtomicU32::new(0));
+    let plan_states = AtomicU64::new(0);
     let stop = AtomicBool::new(false);
     let mut worker = Worker::open(&config).unwrap();
     std::thread::scope(|scope| {
         let _end = OnDrop(&stop);
         scope.spawn(|| feed(&domain, &config, case.robots, &sent, &stop));
+        scope.spawn(|| plan(&domain, &config, &plan_states, &stop));
         // At least so many ticks, and until the other threads have done their part too: on a busy
         // machine ticks continue without them.
         let tick = |worker: &mut Worker, ticks: u64, frames: u64, wanted_keyframes: u32| {
@@ -133,6 +147,7 @@ fn measure(case: Case) {
             while done < ticks
                 || sent.load(Ordering::Relaxed) < frames
                 || keyframes.load(Ordering::Relaxed) < wanted_keyframes
+                || plan_states.load(Ordering::Relaxed) == 0
             {
                 done += u64::from(worker.turn().unwrap());
                 assert!(begin.elapsed() < PATIENCE, "no frame or no keyframe");
@@ -152,8 +167,8 @@ fn measure(case: Case) {
         let shed = worker.report().ticks_without_diagnostics - shed_before;
         assert_eq!(
             allocated,
-            4 * ticks - shed,
-            "{case:?}: four a tick are iceoryx2's, {shed} ticks without diagnostics"
+            5 * ticks - shed,
+            "{case:?}: five a tick are iceoryx2's, {shed} ticks without diagnostics"
         );
     });
     let report = worker.finish();

@@ -11,6 +11,8 @@ pub mod tick_flag {
     pub const DEADLINE_MISSED: u32 = 1 << 0;
     /// Ticks took longer than their period: this one computed no diagnostics.
     pub const NO_DIAGNOSTICS: u32 = 1 << 1;
+    /// Somebody reads [`crate::Service::PlanStates`]: this tick wrote them.
+    pub const PLAN_STATES: u32 = 1 << 2;
 }
 
 /// One frame of samples that a tick took. 40 bytes.

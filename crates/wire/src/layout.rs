@@ -10,8 +10,8 @@ pub(crate) use iceoryx2_bb_derive_macros::ZeroCopySend;
 pub(crate) use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
 use crate::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
-    SampleHeader, StateHeader, TakenFrame, TickHeader,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 
 /// A type that may lie in shared memory: every bit pattern is valid, it has no padding, and its
@@ -37,6 +37,8 @@ layout!(Diagnostic, 176);
 layout!(DiagnosticHeader, 280);
 layout!(Budget, 112);
 layout!(BudgetHeader, 40);
+layout!(PlanState, 192);
+layout!(PlanStateHeader, 200);
 layout!(StateHeader, 64);
 layout!(TakenFrame, 40);
 layout!(TickHeader, 48);

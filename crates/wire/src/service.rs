@@ -11,6 +11,9 @@ pub enum Service {
     Diagnostics,
     /// Publish-subscribe with history, slices of [`crate::Budget`], header [`crate::BudgetHeader`].
     Budgets,
+    /// Publish-subscribe with history, slices of [`crate::PlanState`], header
+    /// [`crate::PlanStateHeader`]: sent while somebody reads it.
+    PlanStates,
     /// Publish-subscribe, slices of [`crate::TakenFrame`], header [`crate::TickHeader`]: the
     /// worker's journal.
     Ticks,
@@ -24,11 +27,12 @@ pub enum Service {
 
 impl Service {
     /// All services.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Samples,
         Self::Forecasts,
         Self::Diagnostics,
         Self::Budgets,
+        Self::PlanStates,
         Self::Ticks,
         Self::State,
         Self::Arrivals,
@@ -43,6 +47,7 @@ impl Service {
             Self::Forecasts => "forecasts",
             Self::Diagnostics => "diagnostics",
             Self::Budgets => "budgets",
+            Self::PlanStates => "plan_states",
             Self::Ticks => "ticks",
             Self::State => "state",
             Self::Arrivals => "arrivals",

@@ -6,8 +6,9 @@ use std::rc::Rc;
 
 use joulebus_simulated_host as host;
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Payload, Sample,
-    SampleHeader, Service, StateHeader, TakenFrame, TickHeader, WakeEvent,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Payload,
+    PlanState, PlanStateHeader, Sample, SampleHeader, Service, StateHeader, TakenFrame, TickHeader,
+    WakeEvent,
 };
 
 use crate::limits::Shape;
@@ -24,6 +25,10 @@ pub type ForecastWriter = Writer<ForecastHeader, Forecast>;
 pub type DiagnosticWriter = Writer<DiagnosticHeader, Diagnostic>;
 /// The worker's port for budgets.
 pub type BudgetWriter = Writer<BudgetHeader, Budget>;
+/// The worker's port for what plans start from.
+pub type PlanStateWriter = Writer<PlanStateHeader, PlanState>;
+/// A planner's port for what plans start from.
+pub type PlanStateReader = Reader<PlanStateHeader, PlanState>;
 /// The worker's port for its journal.
 pub type TickWriter = Writer<TickHeader, TakenFrame>;
 /// The worker's port for keyframes.
@@ -577,6 +582,14 @@ opens! {
     /// The worker's port for budgets.
     budget_writer -> BudgetWriter: |bus, limits: &Limits| {
         Writer::open(bus, Service::Budgets, limits.budgets(), limits.capacity)
+    };
+    /// The worker's port for what plans start from.
+    plan_state_writer -> PlanStateWriter: |bus, limits: &Limits| {
+        Writer::open(bus, Service::PlanStates, limits.plan_states(), limits.capacity)
+    };
+    /// A planner's port for what plans start from.
+    plan_state_reader -> PlanStateReader: |bus, limits: &Limits| {
+        Reader::open(bus, Service::PlanStates, limits.plan_states())
     };
     /// A planner's port for budgets.
     budget_reader -> BudgetReader: |bus, limits: &Limits| {

@@ -9,8 +9,8 @@ mod wait;
 mod writer;
 
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
-    SampleHeader, Service, StateHeader, TakenFrame, TickHeader,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader, Sample, SampleHeader, Service, StateHeader, TakenFrame, TickHeader,
 };
 
 pub use self::reader::{Frame, Reader, ReceiveError};
@@ -34,6 +34,10 @@ pub type ForecastReader = Reader<ForecastHeader, Forecast>;
 pub type DiagnosticReader = Reader<DiagnosticHeader, Diagnostic>;
 /// A planner's port for budgets.
 pub type BudgetReader = Reader<BudgetHeader, Budget>;
+/// The worker's port for what plans start from.
+pub type PlanStateWriter = Writer<PlanStateHeader, PlanState>;
+/// A planner's port for what plans start from.
+pub type PlanStateReader = Reader<PlanStateHeader, PlanState>;
 /// The worker's port for keyframes.
 pub type StateWriter = Writer<StateHeader, u8>;
 /// A recorder's port for keyframes.
@@ -91,6 +95,15 @@ impl Bus {
         Writer::open(self, Service::Budgets, limits, shape, limits.capacity)
     }
 
+    /// The worker's port for what plans start from.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn plan_state_writer(&self, limits: &Limits) -> Result<PlanStateWriter, OpenError> {
+        let shape = limits.plan_states();
+        Writer::open(self, Service::PlanStates, limits, shape, limits.capacity)
+    }
+
     /// The worker's port for its journal; frames of up to [`Limits::listed_frames`].
     ///
     /// # Errors
@@ -138,6 +151,14 @@ impl Bus {
     /// [`OpenError`].
     pub fn budget_reader(&self, limits: &Limits) -> Result<BudgetReader, OpenError> {
         Reader::open(self, Service::Budgets, limits, limits.budgets())
+    }
+
+    /// A planner's port for what plans start from. While it is open, the worker sends it.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn plan_state_reader(&self, limits: &Limits) -> Result<PlanStateReader, OpenError> {
+        Reader::open(self, Service::PlanStates, limits, limits.plan_states())
     }
 
     /// The worker's port for keyframes; a piece holds [`Writer::max_len`]

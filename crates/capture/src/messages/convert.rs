@@ -127,6 +127,22 @@ convert! { Budget <=> Budget {
         charge_state;
 } }
 
+convert! { PlanState <=> PlanState {
+    same:
+        robot, flags, generation, stamp_ns;
+    float:
+        v_mps, omega_radps, lag1_w, lag2_w, lag3_w, lag4_w, lag5_w, network_w, mean_w, change_w,
+        weight_last, weight_network, weight_stack, held_weight_last, held_weight_stack, gain_last,
+        gain_network, gain_mean, level_w, size_due_w, below_due, above_due, size_held_w,
+        below_held, above_held;
+    narrow:
+        quality, quality_detail, platform, open_steps, age_steps, interval_steps;
+    with energy_j = energy_j by each, each_of;
+    with command_j = command_j by each, each_of;
+    with time_s = time_s by each, each_of;
+    with error_factor = error_factor by each, each_of;
+} }
+
 convert! { TakenFrame <=> TakenFrame {
     same:
         source_id, source_epoch, frame_seq, taken_ns, samples, truncated;
@@ -157,6 +173,14 @@ convert! { BudgetHeader <=> Budgets of budgets {
     same:
         schema, pid, worker_epoch, tick, sent_ns;
     with sent_at = sent_unix_ns by timestamp, |at| ns("Budgets.sent_at", at);
+} }
+
+convert! { PlanStateHeader <=> PlanStates of plan_states {
+    same:
+        schema, pid, worker_epoch, tick, period_ns, settings_hash, model_hash, compute_start_ns,
+        sent_ns;
+    with sent_at = sent_unix_ns by timestamp, |at| ns("PlanStates.sent_at", at);
+    with models = models by listed, listed_of;
 } }
 
 convert! { TickHeader <=> Ticks of frames {
@@ -241,6 +265,33 @@ fn counts_of(drops: &Option<proto::DropCounts>) -> Result<wire::DropCounts, OutO
         *count = *found;
     }
     Ok(counts)
+}
+
+fn each<const PLACES: usize>(values: [f32; PLACES]) -> Vec<f32> {
+    values.to_vec()
+}
+
+/// Values that another program has omitted are NaN.
+fn each_of<const PLACES: usize>(found: &[f32]) -> Result<[f32; PLACES], OutOfRange> {
+    let mut values = [f32::NAN; PLACES];
+    for (value, found) in values.iter_mut().zip(found) {
+        *value = *found;
+    }
+    Ok(values)
+}
+
+/// Trailing zeros are not written.
+fn listed<const PLACES: usize>(hashes: [u64; PLACES]) -> Vec<u64> {
+    let used = hashes.iter().rposition(|hash| *hash != 0);
+    hashes[..used.map_or(0, |last| last + 1)].to_vec()
+}
+
+fn listed_of<const PLACES: usize>(found: &[u64]) -> Result<[u64; PLACES], OutOfRange> {
+    let mut hashes = [0; PLACES];
+    for (hash, found) in hashes.iter_mut().zip(found) {
+        *hash = *found;
+    }
+    Ok(hashes)
 }
 
 /// Trailing empty entries are not written.

@@ -9,8 +9,8 @@ mod proto;
 use std::sync::Arc;
 
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
-    SampleHeader, StateHeader, TakenFrame, TickHeader,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 use prost::Message as _;
 
@@ -27,6 +27,8 @@ pub enum Message {
     Diagnostics(DiagnosticHeader, Vec<Diagnostic>),
     /// A tick's budgets.
     Budgets(BudgetHeader, Vec<Budget>),
+    /// What plans start from, as of a tick.
+    PlanStates(PlanStateHeader, Vec<PlanState>),
     /// A tick's journal.
     Ticks(TickHeader, Vec<TakenFrame>),
     /// A piece of a keyframe.
@@ -59,6 +61,8 @@ pub enum MessageKind {
     Diagnostics,
     /// [`Message::Budgets`].
     Budgets,
+    /// [`Message::PlanStates`].
+    PlanStates,
     /// [`Message::Ticks`].
     Ticks,
     /// [`Message::State`].
@@ -75,11 +79,12 @@ pub enum MessageKind {
 
 impl MessageKind {
     /// All kinds; first those with one channel for the whole fleet.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Samples,
         Self::Forecasts,
         Self::Diagnostics,
         Self::Budgets,
+        Self::PlanStates,
         Self::Ticks,
         Self::State,
         Self::RobotSample,
@@ -89,11 +94,12 @@ impl MessageKind {
     ];
 
     /// Kinds recorded with one channel per fleet.
-    pub const OF_FLEET: [Self; 6] = [
+    pub const OF_FLEET: [Self; 7] = [
         Self::Samples,
         Self::Forecasts,
         Self::Diagnostics,
         Self::Budgets,
+        Self::PlanStates,
         Self::Ticks,
         Self::State,
     ];
@@ -106,6 +112,7 @@ impl MessageKind {
             Self::Forecasts => "forecasts",
             Self::Diagnostics => "diagnostics",
             Self::Budgets => "budgets",
+            Self::PlanStates => "plan_states",
             Self::Ticks => "ticks",
             Self::State => "state",
             Self::RobotSample => "sample",
@@ -123,6 +130,7 @@ impl MessageKind {
             Self::Forecasts => "joulebus.Forecasts",
             Self::Diagnostics => "joulebus.Diagnostics",
             Self::Budgets => "joulebus.Budgets",
+            Self::PlanStates => "joulebus.PlanStates",
             Self::Ticks => "joulebus.Ticks",
             Self::State => "joulebus.State",
             Self::RobotSample => "joulebus.Sample",
@@ -166,6 +174,7 @@ impl Message {
             Self::Forecasts(..) => MessageKind::Forecasts,
             Self::Diagnostics(..) => MessageKind::Diagnostics,
             Self::Budgets(..) => MessageKind::Budgets,
+            Self::PlanStates(..) => MessageKind::PlanStates,
             Self::Ticks(..) => MessageKind::Ticks,
             Self::State(..) => MessageKind::State,
             Self::RobotSample(_) => MessageKind::RobotSample,
@@ -195,6 +204,7 @@ impl Message {
             Self::Samples(header, _) => Some(header.sent_ns),
             Self::Forecasts(header, _) => Some(header.sent_ns),
             Self::Budgets(header, _) => Some(header.sent_ns),
+            Self::PlanStates(header, _) => Some(header.sent_ns),
             Self::Ticks(header, _) => Some(header.sent_ns),
             Self::State(header, _) => Some(header.sent_ns),
             _ => None,
@@ -222,6 +232,11 @@ impl Message {
             .encode(out),
             Self::Budgets(header, rows) => proto::Budgets {
                 budgets: to_proto(rows),
+                ..header.into()
+            }
+            .encode(out),
+            Self::PlanStates(header, rows) => proto::PlanStates {
+                plan_states: to_proto(rows),
                 ..header.into()
             }
             .encode(out),
@@ -267,6 +282,10 @@ impl Message {
             MessageKind::Budgets => {
                 let read: proto::Budgets = parse(data)?;
                 Self::Budgets((&read).try_into()?, from_proto(&read.budgets)?)
+            }
+            MessageKind::PlanStates => {
+                let read: proto::PlanStates = parse(data)?;
+                Self::PlanStates((&read).try_into()?, from_proto(&read.plan_states)?)
             }
             MessageKind::Ticks => {
                 let read: proto::Ticks = parse(data)?;

@@ -631,6 +631,171 @@ impl Quality {
 }
 // Fields that end in _ns are nanoseconds. A value that is not present is NaN, and its flag is 0.
 
+/// What a plan of one robot starts from.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct PlanState {
+    /// Id of the robot.
+    #[prost(uint32, tag = "1")]
+    pub robot: u32,
+    /// Which values are known: bit 0 sample, 1 lags, 2 command, 3 reading age, 4 learned; bit 5: the
+    /// last row of the model lay outside its training range.
+    #[prost(uint32, tag = "2")]
+    pub flags: u32,
+    /// Quality of the robot's forecast of the same tick: 1 fresh, 2 held, 3 warm-up, 4 open loop,
+    /// 5 invalid.
+    #[prost(uint32, tag = "3")]
+    pub quality: u32,
+    /// Detail of the quality.
+    #[prost(uint32, tag = "4")]
+    pub quality_detail: u32,
+    /// Place of the robot's platform in the config.
+    #[prost(uint32, tag = "5")]
+    pub platform: u32,
+    /// Sample periods since the last reading.
+    #[prost(uint32, tag = "6")]
+    pub open_steps: u32,
+    /// Samples since the last measurement; 255: unknown.
+    #[prost(uint32, tag = "7")]
+    pub age_steps: u32,
+    /// Samples from one measurement to the next; 0: unknown.
+    #[prost(uint32, tag = "8")]
+    pub interval_steps: u32,
+    /// Number of times the robot's slot has been reassigned.
+    #[prost(uint32, tag = "9")]
+    pub generation: u32,
+    /// Stamp of the last accepted sample, monotonic ns.
+    #[prost(fixed64, tag = "10")]
+    pub stamp_ns: u64,
+    /// The command in force, m/s.
+    #[prost(float, optional, tag = "11")]
+    pub v_mps: ::core::option::Option<f32>,
+    /// The command in force, rad/s.
+    #[prost(float, optional, tag = "12")]
+    pub omega_radps: ::core::option::Option<f32>,
+    /// The last reading, W.
+    #[prost(float, optional, tag = "13")]
+    pub lag1_w: ::core::option::Option<f32>,
+    /// The one before it, W.
+    #[prost(float, optional, tag = "14")]
+    pub lag2_w: ::core::option::Option<f32>,
+    /// The third, W.
+    #[prost(float, optional, tag = "15")]
+    pub lag3_w: ::core::option::Option<f32>,
+    /// The fourth, W.
+    #[prost(float, optional, tag = "16")]
+    pub lag4_w: ::core::option::Option<f32>,
+    /// The fifth, W.
+    #[prost(float, optional, tag = "17")]
+    pub lag5_w: ::core::option::Option<f32>,
+    /// The network's own forecast of the next reading, W.
+    #[prost(float, optional, tag = "18")]
+    pub network_w: ::core::option::Option<f32>,
+    /// Mean of the readings, W.
+    #[prost(float, optional, tag = "19")]
+    pub mean_w: ::core::option::Option<f32>,
+    /// Mean size of the changes between new measurements, W.
+    #[prost(float, optional, tag = "20")]
+    pub change_w: ::core::option::Option<f32>,
+    /// Weight of the last reading where a new measurement is due.
+    #[prost(float, optional, tag = "21")]
+    pub weight_last: ::core::option::Option<f32>,
+    /// Weight of the network there.
+    #[prost(float, optional, tag = "22")]
+    pub weight_network: ::core::option::Option<f32>,
+    /// Weight of the stack there.
+    #[prost(float, optional, tag = "23")]
+    pub weight_stack: ::core::option::Option<f32>,
+    /// Weight of the last reading where it will be held.
+    #[prost(float, optional, tag = "24")]
+    pub held_weight_last: ::core::option::Option<f32>,
+    /// Weight of the stack there.
+    #[prost(float, optional, tag = "25")]
+    pub held_weight_stack: ::core::option::Option<f32>,
+    /// Gain of the last reading within the stack.
+    #[prost(float, optional, tag = "26")]
+    pub gain_last: ::core::option::Option<f32>,
+    /// Gain of the network within the stack.
+    #[prost(float, optional, tag = "27")]
+    pub gain_network: ::core::option::Option<f32>,
+    /// Gain of the mean of the readings within the stack.
+    #[prost(float, optional, tag = "28")]
+    pub gain_mean: ::core::option::Option<f32>,
+    /// Level that the stack adds, W.
+    #[prost(float, optional, tag = "29")]
+    pub level_w: ::core::option::Option<f32>,
+    /// Recent mean size of the residuals where a new measurement is due, W.
+    #[prost(float, optional, tag = "30")]
+    pub size_due_w: ::core::option::Option<f32>,
+    /// Distance of the interval's lower end from the forecast there, in sizes.
+    #[prost(float, optional, tag = "31")]
+    pub below_due: ::core::option::Option<f32>,
+    /// Distance of its upper end, in sizes.
+    #[prost(float, optional, tag = "32")]
+    pub above_due: ::core::option::Option<f32>,
+    /// Recent mean size of the residuals where a reading is held, W.
+    #[prost(float, optional, tag = "33")]
+    pub size_held_w: ::core::option::Option<f32>,
+    /// Distance of the interval's lower end there, in sizes.
+    #[prost(float, optional, tag = "34")]
+    pub below_held: ::core::option::Option<f32>,
+    /// Distance of its upper end, in sizes.
+    #[prost(float, optional, tag = "35")]
+    pub above_held: ::core::option::Option<f32>,
+    /// Discounted energy over 0.5, 2, 8 and 60 s, J.
+    #[prost(float, repeated, tag = "36")]
+    pub energy_j: ::prost::alloc::vec::Vec<f32>,
+    /// What the platform's command model says of the same time, J.
+    #[prost(float, repeated, tag = "37")]
+    pub command_j: ::prost::alloc::vec::Vec<f32>,
+    /// Discounted time, s.
+    #[prost(float, repeated, tag = "38")]
+    pub time_s: ::prost::alloc::vec::Vec<f32>,
+    /// Factors of the energy's errors at 1, 10 and 100 s.
+    #[prost(float, repeated, tag = "39")]
+    pub error_factor: ::prost::alloc::vec::Vec<f32>,
+}
+/// What plans start from, as of one tick.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct PlanStates {
+    /// Version of the payloads in shared memory.
+    #[prost(uint32, tag = "1")]
+    pub schema: u32,
+    /// Pid of the process that sent the frame.
+    #[prost(uint32, tag = "2")]
+    pub pid: u32,
+    /// Run of the worker: monotonic ns of its start; later runs have greater ones.
+    #[prost(fixed64, tag = "3")]
+    pub worker_epoch: u64,
+    /// Number of the tick within that run, from 1.
+    #[prost(uint64, tag = "4")]
+    pub tick: u64,
+    /// Period of the tick, ns.
+    #[prost(uint64, tag = "5")]
+    pub period_ns: u64,
+    /// Hash of the fleet's settings.
+    #[prost(fixed64, tag = "6")]
+    pub settings_hash: u64,
+    /// Hash of all models.
+    #[prost(fixed64, tag = "7")]
+    pub model_hash: u64,
+    /// Hash of each platform's model, without zeros at the end.
+    #[prost(fixed64, repeated, tag = "8")]
+    pub models: ::prost::alloc::vec::Vec<u64>,
+    /// When the tick began to compute, monotonic ns.
+    #[prost(fixed64, tag = "9")]
+    pub compute_start_ns: u64,
+    /// When the frame was sent, monotonic ns.
+    #[prost(fixed64, tag = "10")]
+    pub sent_ns: u64,
+    /// When the frame was sent, by the wall clock.
+    #[prost(message, optional, tag = "11")]
+    pub sent_at: ::core::option::Option<::prost_types::Timestamp>,
+    /// In no particular order.
+    #[prost(message, repeated, tag = "20")]
+    pub plan_states: ::prost::alloc::vec::Vec<PlanState>,
+}
+// Fields that end in _ns are nanoseconds. A value that is not present is NaN, and its flag is 0.
+
 /// One robot's command and latest reading in one control tick.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct Sample {

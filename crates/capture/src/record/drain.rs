@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use joulebus_bus::{
-    BudgetReader, Bus, DiagnosticReader, ForecastReader, JoinError, OpenError, Reader,
-    ReceiveError, SampleTap, StateReader, Steps, TickReader, clock,
+    BudgetReader, Bus, DiagnosticReader, ForecastReader, JoinError, OpenError, PlanStateReader,
+    Reader, ReceiveError, SampleTap, StateReader, Steps, TickReader, clock,
 };
 use joulebus_config::Config;
 use joulebus_wire::Payload;
@@ -41,6 +41,7 @@ pub(crate) struct Drain {
     forecasts: Option<ForecastReader>,
     diagnostics: Option<DiagnosticReader>,
     budgets: Option<BudgetReader>,
+    plan_states: Option<PlanStateReader>,
     ticks: Option<TickReader>,
     state: Option<StateReader>,
     bus: Bus,
@@ -78,6 +79,9 @@ impl Drain {
                 .transpose()?,
             budgets: wanted(MessageKind::Budgets)
                 .then(|| bus.budget_reader(&limits))
+                .transpose()?,
+            plan_states: wanted(MessageKind::PlanStates)
+                .then(|| bus.plan_state_reader(&limits))
                 .transpose()?,
             ticks: wanted(MessageKind::Ticks)
                 .then(|| bus.tick_reader(&limits))
@@ -125,12 +129,14 @@ impl Drain {
         let batch = &mut self.batch;
         let state = take_all(&mut self.state, batch, Message::State);
         let ticks = take_all(&mut self.ticks, batch, Message::Ticks);
+        let plan_states = take_all(&mut self.plan_states, batch, Message::PlanStates);
         let budgets = take_all(&mut self.budgets, batch, Message::Budgets);
         let diagnostics = take_all(&mut self.diagnostics, batch, Message::Diagnostics);
         let forecasts = take_all(&mut self.forecasts, batch, Message::Forecasts);
         let samples = take_all(&mut self.samples, batch, Message::Samples);
         state
             .and(ticks)
+            .and(plan_states)
             .and(budgets)
             .and(diagnostics)
             .and(forecasts)
@@ -180,7 +186,8 @@ fn place(message: &Message) -> (u8, u64, u64, u8) {
         Message::Forecasts(header, _) => (1, header.worker_epoch, header.tick, 1),
         Message::Diagnostics(header, _) => (1, header.worker_epoch, header.tick, 2),
         Message::Budgets(header, _) => (1, header.worker_epoch, header.tick, 3),
-        Message::State(header, _) => (1, header.worker_epoch, header.tick, 4),
+        Message::PlanStates(header, _) => (1, header.worker_epoch, header.tick, 4),
+        Message::State(header, _) => (1, header.worker_epoch, header.tick, 5),
         _ => (2, 0, 0, 0),
     }
 }

@@ -114,6 +114,13 @@ impl Gaps {
             Message::Budgets(header, _) => {
                 (MessageKind::Budgets, 0, header.worker_epoch, header.tick, 1)
             }
+            Message::PlanStates(header, _) => (
+                MessageKind::PlanStates,
+                0,
+                header.worker_epoch,
+                header.tick,
+                1,
+            ),
             Message::Ticks(header, _) => {
                 (MessageKind::Ticks, 0, header.worker_epoch, header.tick, 1)
             }

@@ -25,6 +25,7 @@ impl Item {
             Message::Forecasts(_, rows) => size_of_val(rows.as_slice()),
             Message::Diagnostics(_, rows) => size_of_val(rows.as_slice()),
             Message::Budgets(_, rows) => size_of_val(rows.as_slice()),
+            Message::PlanStates(_, rows) => size_of_val(rows.as_slice()),
             Message::Ticks(_, rows) => size_of_val(rows.as_slice()),
             Message::State(_, bytes) => bytes.len(),
             _ => 0,

@@ -4,8 +4,8 @@
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
-    SampleHeader, StateHeader, TakenFrame, TickHeader, tick_flag,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader, tick_flag,
 };
 
 use super::report::Loss;
@@ -36,6 +36,7 @@ pub(super) struct TickParts {
     pub(super) forecasts: Option<(ForecastHeader, Vec<Forecast>)>,
     pub(super) diagnostics: Option<(DiagnosticHeader, Vec<Diagnostic>)>,
     pub(super) budgets: Option<(BudgetHeader, Vec<Budget>)>,
+    pub(super) plan_states: Option<(PlanStateHeader, Vec<PlanState>)>,
 }
 
 /// An event in a worker's run.
@@ -116,6 +117,10 @@ impl Assembler {
             Message::Budgets(header, rows) => {
                 let place = (header.worker_epoch, header.tick);
                 self.parts(place, MessageKind::Budgets).budgets = Some((header, rows));
+            }
+            Message::PlanStates(header, rows) => {
+                let place = (header.worker_epoch, header.tick);
+                self.parts(place, MessageKind::PlanStates).plan_states = Some((header, rows));
             }
             Message::State(header, bytes) => self.add_piece(header, &bytes),
             _ => return,
@@ -278,10 +283,12 @@ impl TickParts {
             return false;
         };
         let sheds = header.flags & tick_flag::NO_DIAGNOSTICS != 0;
+        let plans = header.flags & tick_flag::PLAN_STATES != 0;
         self.wanted.as_ref().is_some_and(HashMap::is_empty)
             && self.forecasts.is_some()
             && (self.diagnostics.is_some() || sheds)
             && self.budgets.is_some()
+            && (self.plan_states.is_some() || !plans)
     }
 
     /// Position of a frame that the tick is waiting for.
@@ -312,6 +319,10 @@ impl TickParts {
                 .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
             + self
                 .budgets
+                .as_ref()
+                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
+            + self
+                .plan_states
                 .as_ref()
                 .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
     }

@@ -3,7 +3,9 @@
 use std::fmt;
 
 use bytemuck::bytes_of;
-use joulebus_wire::{Budget, Diagnostic, DropReason, Forecast, ForecastHeader};
+use joulebus_wire::{
+    Budget, Diagnostic, DropReason, Forecast, ForecastHeader, PlanState, PlanStateHeader,
+};
 
 /// Interpretation of a field's bits.
 #[derive(Debug, Clone, Copy)]
@@ -133,6 +135,55 @@ pub(super) fn budgets(
         unmetered_ns, stamp_ns, valid_until_ns, mean_power_w, left_j, usable_j, usable_lo_j, soc,
         soc_lo, time_to_empty_s, time_to_empty_lo_s, time_to_empty_hi_s, reserved2
     );
+}
+
+/// Fields in which two plan states differ.
+pub(super) fn plan_states(
+    recorded: &PlanState,
+    computed: &PlanState,
+    mut differs: impl FnMut(FieldDifference),
+) {
+    if bytes_of(recorded) == bytes_of(computed) {
+        return;
+    }
+    each_difference!(recorded, computed, differs:
+        robot, flags, quality, quality_detail, platform, open_steps, age_steps, interval_steps,
+        generation, stamp_ns, v_mps, omega_radps, lag1_w, lag2_w, lag3_w, lag4_w, lag5_w,
+        network_w, mean_w, change_w, weight_last, weight_network, weight_stack,
+        held_weight_last, held_weight_stack, gain_last, gain_network, gain_mean, level_w,
+        size_due_w, below_due, above_due, size_held_w, below_held, above_held
+    );
+    let mut each = |name, recorded: &[f32], computed: &[f32]| {
+        for (recorded, computed) in recorded.iter().zip(computed) {
+            if recorded.to_bits() != computed.to_bits() {
+                differs((name, (*recorded).into(), (*computed).into()));
+            }
+        }
+    };
+    each("energy_j", &recorded.energy_j, &computed.energy_j);
+    each("command_j", &recorded.command_j, &computed.command_j);
+    each("time_s", &recorded.time_s, &computed.time_s);
+    each(
+        "error_factor",
+        &recorded.error_factor,
+        &computed.error_factor,
+    );
+}
+
+/// Fields in which two headers of plan states differ; send times are not included.
+pub(super) fn plan_state_headers(
+    recorded: &PlanStateHeader,
+    computed: &PlanStateHeader,
+    mut differs: impl FnMut(FieldDifference),
+) {
+    each_difference!(recorded, computed, differs:
+        settings_hash, model_hash, compute_start_ns
+    );
+    for (recorded, computed) in recorded.models.iter().zip(computed.models) {
+        if *recorded != computed {
+            differs(("models", (*recorded).into(), computed.into()));
+        }
+    }
 }
 
 /// Fields in which two headers differ about the intake; send times are not included.

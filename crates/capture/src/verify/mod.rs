@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, VecDeque};
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
-use joulebus_wire::{ForecastHeader, TakenFrame, TickHeader, tick_flag};
+use joulebus_wire::{ForecastHeader, PlanStateHeader, TakenFrame, TickHeader, tick_flag};
 
 use crate::{Entry, MessageKind};
 use assemble::{Assembler, Event, SampleFrame, TickParts};
@@ -284,11 +284,13 @@ impl Verifier {
         };
         take(&mut self.fleet, taken, &parts.frames, &mut comparison);
         let sheds = header.flags & tick_flag::NO_DIAGNOSTICS != 0;
+        let plans = header.flags & tick_flag::PLAN_STATES != 0;
         let header = tick(&mut self.fleet, header);
         comparison.report.verified(self.fleet.len());
         comparison.forecasts(&self.fleet, &header, &parts);
         comparison.diagnostics(&self.fleet, &parts);
         comparison.budgets(&self.fleet, &parts);
+        comparison.plan_states(&self.fleet, &header, &parts);
         let assembler = &self.assembler;
         for (kind, is_there) in [
             (MessageKind::Forecasts, parts.forecasts.is_some()),
@@ -298,6 +300,11 @@ impl Verifier {
                 parts.diagnostics.is_some() || sheds,
             ),
             (MessageKind::Budgets, parts.budgets.is_some()),
+            // The worker writes them while somebody reads them, and reports so.
+            (
+                MessageKind::PlanStates,
+                parts.plan_states.is_some() || !plans,
+            ),
         ] {
             if !is_there {
                 let loss = assembler.lack(place, kind, Loss::Output);
@@ -409,6 +416,29 @@ impl TickComparison<'_> {
             let computed = fleet.budget(place);
             compare::budgets(recorded, &computed, |difference| {
                 self.differs("budget", Some(computed.robot), difference);
+            });
+        }
+    }
+
+    fn plan_states(&mut self, fleet: &Fleet, computed: &ForecastHeader, parts: &TickParts) {
+        let Some((header, rows)) = &parts.plan_states else {
+            return;
+        };
+        let computed = PlanStateHeader {
+            settings_hash: fleet.settings_hash(),
+            model_hash: computed.model_hash,
+            models: fleet.model_hashes(),
+            compute_start_ns: computed.compute_start_ns,
+            ..PlanStateHeader::default()
+        };
+        compare::plan_state_headers(header, &computed, |difference| {
+            self.differs("plan_states", None, difference);
+        });
+        self.length("plan_states", rows.len(), fleet);
+        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
+            let computed = fleet.plan_state(place);
+            compare::plan_states(recorded, &computed, |difference| {
+                self.differs("plan_state", Some(computed.robot), difference);
             });
         }
     }

@@ -27,7 +27,7 @@ pub struct Verification {
     pub ticks_verified: u64,
     /// Maximum number of robots in a tick.
     pub robots: usize,
-    /// Forecasts compared; diagnostics and budgets are not counted.
+    /// Forecasts compared; the other outputs are not counted.
     pub forecasts_compared: u64,
     /// Values that differ.
     pub differences: u64,
@@ -67,9 +67,9 @@ pub struct Verification {
     /// Whether the verification has begun.
     #[serde(skip)]
     pub(super) has_begun: bool,
-    /// Kinds of outputs recorded: forecasts, diagnostics, budgets.
+    /// Which of [`OUTPUTS`] are recorded.
     #[serde(skip)]
-    seen: [bool; 3],
+    seen: [bool; OUTPUTS.len()],
 }
 
 /// One value that differs.
@@ -217,8 +217,11 @@ impl Verification {
         self.recorded_s = last.saturating_sub(first) as f64 / 1e9;
         for (kind, seen) in OUTPUTS.into_iter().zip(self.seen) {
             if !seen {
-                self.outputs_missing.remove(kind.name());
-                self.not_recorded.push(kind.name());
+                let missing = self.outputs_missing.remove(kind.name());
+                // Plan states are sent only while somebody reads them.
+                if kind != MessageKind::PlanStates || missing.is_some() {
+                    self.not_recorded.push(kind.name());
+                }
             }
         }
         // Without any keyframe, nothing was verified: that is a loss.
@@ -228,10 +231,11 @@ impl Verification {
     }
 }
 
-const OUTPUTS: [MessageKind; 3] = [
+const OUTPUTS: [MessageKind; 4] = [
     MessageKind::Forecasts,
     MessageKind::Diagnostics,
     MessageKind::Budgets,
+    MessageKind::PlanStates,
 ];
 
 impl fmt::Display for Loss {

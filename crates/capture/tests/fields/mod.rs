@@ -5,7 +5,8 @@
 use joulebus_capture::Message;
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, DropCounts, Forecast, ForecastHeader,
-    Refusal, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
+    LISTED_MODELS, PlanState, PlanStateHeader, Refusal, Sample, SampleHeader, StateHeader,
+    TakenFrame, TickHeader,
 };
 
 /// Arbitrary bits, often special values: zeros, ones, -0, infinities, NaNs with and without sign.
@@ -238,6 +239,139 @@ payload!(
         sent_unix_ns: u64,
     }
 );
+pub(crate) fn plan_state(bits: &mut Bits) -> PlanState {
+    PlanState {
+        robot: bits.u32(),
+        flags: bits.u32(),
+        quality: bits.u16(),
+        quality_detail: bits.u16(),
+        platform: bits.u16(),
+        open_steps: bits.u16(),
+        age_steps: bits.u16(),
+        interval_steps: bits.u16(),
+        generation: bits.u32(),
+        stamp_ns: bits.u64(),
+        v_mps: bits.f32(),
+        omega_radps: bits.f32(),
+        lag1_w: bits.f32(),
+        lag2_w: bits.f32(),
+        lag3_w: bits.f32(),
+        lag4_w: bits.f32(),
+        lag5_w: bits.f32(),
+        network_w: bits.f32(),
+        mean_w: bits.f32(),
+        change_w: bits.f32(),
+        weight_last: bits.f32(),
+        weight_network: bits.f32(),
+        weight_stack: bits.f32(),
+        held_weight_last: bits.f32(),
+        held_weight_stack: bits.f32(),
+        gain_last: bits.f32(),
+        gain_network: bits.f32(),
+        gain_mean: bits.f32(),
+        level_w: bits.f32(),
+        size_due_w: bits.f32(),
+        below_due: bits.f32(),
+        above_due: bits.f32(),
+        size_held_w: bits.f32(),
+        below_held: bits.f32(),
+        above_held: bits.f32(),
+        energy_j: std::array::from_fn(|_| bits.f32()),
+        command_j: std::array::from_fn(|_| bits.f32()),
+        time_s: std::array::from_fn(|_| bits.f32()),
+        error_factor: std::array::from_fn(|_| bits.f32()),
+    }
+}
+
+pub(crate) fn plan_state_fields(row: &PlanState) -> Fields {
+    let PlanState {
+        robot,
+        flags,
+        quality,
+        quality_detail,
+        platform,
+        open_steps,
+        age_steps,
+        interval_steps,
+        generation,
+        stamp_ns,
+        v_mps,
+        omega_radps,
+        lag1_w,
+        lag2_w,
+        lag3_w,
+        lag4_w,
+        lag5_w,
+        network_w,
+        mean_w,
+        change_w,
+        weight_last,
+        weight_network,
+        weight_stack,
+        held_weight_last,
+        held_weight_stack,
+        gain_last,
+        gain_network,
+        gain_mean,
+        level_w,
+        size_due_w,
+        below_due,
+        above_due,
+        size_held_w,
+        below_held,
+        above_held,
+        energy_j,
+        command_j,
+        time_s,
+        error_factor,
+    } = row;
+    let mut fields = vec![
+        ("robot", robot.bits()),
+        ("flags", flags.bits()),
+        ("quality", quality.bits()),
+        ("quality_detail", quality_detail.bits()),
+        ("platform", platform.bits()),
+        ("open_steps", open_steps.bits()),
+        ("age_steps", age_steps.bits()),
+        ("interval_steps", interval_steps.bits()),
+        ("generation", generation.bits()),
+        ("stamp_ns", stamp_ns.bits()),
+        ("v_mps", v_mps.bits()),
+        ("omega_radps", omega_radps.bits()),
+        ("lag1_w", lag1_w.bits()),
+        ("lag2_w", lag2_w.bits()),
+        ("lag3_w", lag3_w.bits()),
+        ("lag4_w", lag4_w.bits()),
+        ("lag5_w", lag5_w.bits()),
+        ("network_w", network_w.bits()),
+        ("mean_w", mean_w.bits()),
+        ("change_w", change_w.bits()),
+        ("weight_last", weight_last.bits()),
+        ("weight_network", weight_network.bits()),
+        ("weight_stack", weight_stack.bits()),
+        ("held_weight_last", held_weight_last.bits()),
+        ("held_weight_stack", held_weight_stack.bits()),
+        ("gain_last", gain_last.bits()),
+        ("gain_network", gain_network.bits()),
+        ("gain_mean", gain_mean.bits()),
+        ("level_w", level_w.bits()),
+        ("size_due_w", size_due_w.bits()),
+        ("below_due", below_due.bits()),
+        ("above_due", above_due.bits()),
+        ("size_held_w", size_held_w.bits()),
+        ("below_held", below_held.bits()),
+        ("above_held", above_held.bits()),
+    ];
+    let mut each = |name, values: &[f32]| {
+        fields.extend(values.iter().map(|value| (name, value.bits())));
+    };
+    each("energy_j", energy_j);
+    each("command_j", command_j);
+    each("time_s", time_s);
+    each("error_factor", error_factor);
+    fields
+}
+
 payload!(
     taken_frame,
     taken_frame_fields,
@@ -335,6 +469,29 @@ pub(crate) fn diagnostic_header(bits: &mut Bits) -> DiagnosticHeader {
     }
 }
 
+pub(crate) fn plan_state_header(bits: &mut Bits) -> PlanStateHeader {
+    let mut models = [0; LISTED_MODELS];
+    for hash in models
+        .iter_mut()
+        .take(bits.u16() as usize % (LISTED_MODELS + 1))
+    {
+        *hash = bits.u64();
+    }
+    PlanStateHeader {
+        schema: bits.u32(),
+        pid: bits.u32(),
+        worker_epoch: bits.u64(),
+        tick: bits.u64(),
+        period_ns: bits.u64(),
+        settings_hash: bits.u64(),
+        model_hash: bits.u64(),
+        models,
+        compute_start_ns: bits.u64(),
+        sent_ns: bits.u64(),
+        sent_unix_ns: bits.u64(),
+    }
+}
+
 /// One message of each kind, with arbitrary bits.
 pub(crate) fn messages(bits: &mut Bits) -> Vec<Message> {
     vec![
@@ -342,6 +499,7 @@ pub(crate) fn messages(bits: &mut Bits) -> Vec<Message> {
         Message::Forecasts(forecast_header(bits), bits.rows(forecast)),
         Message::Diagnostics(diagnostic_header(bits), bits.rows(diagnostic)),
         Message::Budgets(budget_header(bits), bits.rows(budget)),
+        Message::PlanStates(plan_state_header(bits), bits.rows(plan_state)),
         Message::Ticks(tick_header(bits), bits.rows(taken_frame)),
         Message::State(state_header(bits), bits.rows(|bits| bits.u16() as u8)),
         Message::RobotSample(sample(bits)),
@@ -370,6 +528,11 @@ pub(crate) fn all_bits(message: &Message) -> Vec<u64> {
         Message::Budgets(header, rows) => (
             budget_header_fields(header),
             rows.iter().map(budget_fields).collect(),
+        ),
+        // Without floats: equality compares all bits.
+        Message::PlanStates(header, rows) => (
+            vec![("tick", header.tick)],
+            rows.iter().map(plan_state_fields).collect(),
         ),
         Message::Ticks(header, rows) => (
             tick_header_fields(header),
@@ -401,6 +564,9 @@ pub(crate) fn assert_same_bits(found: &Message, expected: &Message) {
             assert_eq!(found, expected);
         }
         (Message::Diagnostics(found, _), Message::Diagnostics(expected, _)) => {
+            assert_eq!(found, expected);
+        }
+        (Message::PlanStates(found, _), Message::PlanStates(expected, _)) => {
             assert_eq!(found, expected);
         }
         _ => {}

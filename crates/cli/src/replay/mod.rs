@@ -29,7 +29,7 @@ use crate::publish::{Passes, Rate, seconds};
     joulebus replay --verify run.mcap run_1.mcap\n  \
     joulebus replay --model new.safetensors run.mcap\n\n\
     Intervals between stamps stay as recorded at any rate, so a worker computes the same bits. Played \
-    forecasts, diagnostics and budgets come as from the recorded worker, and only while no other \
+    forecasts, diagnostics, budgets and plan states come as from the recorded worker, and only while no other \
     worker serves the fleet; planners first get the last ones before the offset. On a terminal \
     space pauses and continues, the right arrow or s plays a step, q quits; without one, --step and \
     --start-paused read a line of stdin for each.\n\
@@ -68,7 +68,7 @@ pub(crate) struct Args {
     /// Step by step: each key or line plays up to the next frame
     #[arg(long)]
     step: bool,
-    /// Services to play: samples, forecasts, diagnostics, budgets [default: samples]
+    /// Services to play: samples, forecasts, diagnostics, budgets, plan_states [default: samples]
     #[arg(long, value_name = "TOPIC", num_args = 1.., value_parser = service)]
     topics: Vec<MessageKind>,
     /// Play a fleet under another name
@@ -88,11 +88,12 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 }
 
 /// Services that can be played.
-const PLAYED: [MessageKind; 4] = [
+const PLAYED: [MessageKind; 5] = [
     MessageKind::Samples,
     MessageKind::Forecasts,
     MessageKind::Diagnostics,
     MessageKind::Budgets,
+    MessageKind::PlanStates,
 ];
 
 /// Parses the name of a service or its whole topic.

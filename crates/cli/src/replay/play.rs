@@ -62,15 +62,16 @@ struct Player {
 /// The newest frame of each service before the offset: the state that planners need first.
 #[derive(Default)]
 struct Before {
-    entries: [Option<Entry>; 3],
+    entries: [Option<Entry>; 4],
 }
 
 impl Before {
     fn keep(&mut self, entry: Entry) {
         let place = match entry.message.kind() {
             Some(MessageKind::Budgets) => 0,
-            Some(MessageKind::Diagnostics) => 1,
-            Some(MessageKind::Forecasts) => 2,
+            Some(MessageKind::PlanStates) => 1,
+            Some(MessageKind::Diagnostics) => 2,
+            Some(MessageKind::Forecasts) => 3,
             _ => return,
         };
         self.entries[place] = Some(entry);

@@ -2,8 +2,8 @@
 
 use anyhow::Context as _;
 use joulebus_bus::{
-    BudgetWriter, Bus, DiagnosticWriter, Domain, ForecastWriter, Limits, SampleWriter, SendError,
-    Waker, WorkerLock, clock,
+    BudgetWriter, Bus, DiagnosticWriter, Domain, ForecastWriter, Limits, PlanStateWriter,
+    SampleWriter, SendError, Waker, WorkerLock, clock,
 };
 use joulebus_capture::{Message, MessageKind};
 use joulebus_wire::{Sample, WakeEvent};
@@ -24,6 +24,7 @@ struct WorkerPorts {
     forecasts: ForecastWriter,
     diagnostics: DiagnosticWriter,
     budgets: BudgetWriter,
+    plan_states: PlanStateWriter,
     planners: Waker,
 }
 
@@ -66,6 +67,7 @@ impl Ports {
                     forecasts: bus.forecast_writer(limits)?,
                     diagnostics: bus.diagnostic_writer(limits)?,
                     budgets: bus.budget_writer(limits)?,
+                    plan_states: bus.plan_state_writer(limits)?,
                     planners: bus.planner_waker(limits)?,
                 })
             })
@@ -113,15 +115,22 @@ impl Ports {
                     .budgets
                     .send(header, rows.len(), |place| rows[place])?;
             }
+            (Message::PlanStates(header, mut rows), _, Some(ports)) => {
+                let header = rebase.plan_states(&header, &mut rows, now, slower);
+                ports
+                    .plan_states
+                    .send(header, rows.len(), |place| rows[place])?;
+            }
             _ => {}
         }
         Ok(Sent::Other)
     }
 
-    /// Sends the newest budgets to planners that have joined since.
+    /// Sends the newest budgets and plan states to planners that have joined since.
     pub(super) fn update(&mut self) {
         if let Some(ports) = &mut self.worker {
             ports.budgets.update();
+            ports.plan_states.update();
         }
     }
 

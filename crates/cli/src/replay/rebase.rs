@@ -3,8 +3,8 @@
 use std::collections::{HashMap, HashSet};
 
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Sample,
-    SampleHeader, sample_flag,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader, Sample, SampleHeader, sample_flag,
 };
 
 /// A point in time on both clocks, ns.
@@ -172,6 +172,28 @@ impl Rebase {
         DiagnosticHeader {
             pid: self.pid,
             worker_epoch: self.run(header.worker_epoch),
+            ..*header
+        }
+    }
+
+    /// Header of plan states sent at `now`; `slower` as in [`Rebase::forecasts`].
+    pub(super) fn plan_states(
+        &mut self,
+        header: &PlanStateHeader,
+        rows: &mut [PlanState],
+        now: Moment,
+        slower: f64,
+    ) -> PlanStateHeader {
+        for row in rows {
+            row.stamp_ns = self.ns(row.stamp_ns);
+        }
+        PlanStateHeader {
+            pid: self.pid,
+            worker_epoch: self.run(header.worker_epoch),
+            period_ns: (header.period_ns as f64 * slower) as u64,
+            compute_start_ns: self.ns(header.compute_start_ns),
+            sent_ns: now.monotonic_ns,
+            sent_unix_ns: now.unix_ns,
             ..*header
         }
     }

@@ -159,6 +159,23 @@ impl ConformalInterval {
         )
     }
 
+    /// Sizes and factors, where a new measurement is due and where none is.
+    #[inline(always)]
+    pub(crate) fn scale(&self) -> IntervalScale {
+        let of = |due| {
+            let (below, above, size_w) = self.phase(due);
+            EndScale {
+                below,
+                above,
+                size_w,
+            }
+        };
+        IntervalScale {
+            due: of(true),
+            held: of(false),
+        }
+    }
+
     /// Share of the readings inside, over all and recently; NaN before the first. `share`: that of one reading,
     /// infinite before the first.
     #[inline(always)]
@@ -178,6 +195,21 @@ impl ConformalInterval {
         let size_w = size_w * (1.0 + f32::from(open_steps)).sqrt();
         (forecast_w - size_w * below, forecast_w + size_w * above)
     }
+}
+
+/// What an interval is made from, where a new measurement is due and where none is.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct IntervalScale {
+    pub due: EndScale,
+    pub held: EndScale,
+}
+
+/// Size of the residuals, W, and distance of the ends from the forecast, in sizes.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct EndScale {
+    pub size_w: f32,
+    pub below: f32,
+    pub above: f32,
 }
 
 block! {

@@ -127,6 +127,32 @@ impl Window {
         )
     }
 
+    /// What a plan made now starts from.
+    #[inline(always)]
+    pub(crate) fn plan_start(&self) -> PlanStart {
+        let (power_w, steps) = self.shown();
+        let is_open = self.open_steps > 0;
+        let lag_w = if is_open {
+            self.open.lag_w
+        } else {
+            self.closed.lag_w
+        };
+        PlanStart {
+            lag_w,
+            power_w,
+            v_mps: self.v_mps,
+            omega_radps: self.omega_radps,
+            steps,
+            is_full: self.is_full(),
+            commanded: self.commanded,
+            reading_age: if is_open {
+                self.reading_age.after(self.open_steps.into())
+            } else {
+                self.reading_age
+            },
+        }
+    }
+
     /// The gap between the last sample and one stamped `elapsed_ns` later.
     pub(crate) fn gap_before(&self, elapsed_ns: u64, period_ns: u64, longest_steps: u16) -> Gap {
         let missing = missing_steps(elapsed_ns, period_ns);
@@ -272,6 +298,21 @@ impl Window {
     fn row(&self, lags: &Lags, previous: Option<(f32, f32, f32)>) -> Features {
         features(self.v_mps, self.omega_radps, previous, &lags.lag_w)
     }
+}
+
+/// What a plan made now starts from, open-loop steps included.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PlanStart {
+    pub lag_w: [f32; LAGS],
+    /// The forecast published now, W; NaN if there is none.
+    pub power_w: f32,
+    pub v_mps: f32,
+    pub omega_radps: f32,
+    /// Sample periods since the last reading.
+    pub steps: u16,
+    pub is_full: bool,
+    pub commanded: bool,
+    pub reading_age: ReadingAge,
 }
 
 /// Inputs that a model requires in addition to the lags.

@@ -9,7 +9,9 @@ use std::sync::atomic::AtomicU64;
 use joulebus_energy::{EnergyModel, EnergyState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
-use joulebus_wire::{Budget, Diagnostic, DropCounts, Forecast, Refusal, combine_hashes};
+use joulebus_wire::{
+    Budget, Diagnostic, DropCounts, Forecast, LISTED_MODELS, PlanState, Refusal, combine_hashes,
+};
 
 use crate::estimate::online::Learned;
 use crate::estimate::scores::Scores;
@@ -31,6 +33,8 @@ use crate::tick::shard::{Outputs, Shard};
 use crate::tick::write::budgets::Budgets;
 use crate::tick::write::diagnostics::Diagnostics;
 use crate::tick::write::forecasts::Forecasts;
+use crate::tick::write::learned::LearnedLanes;
+use crate::tick::write::plan_states::PlanStates;
 
 /// The state of all robots, in columns indexed by slot, and everything one tick needs.
 ///
@@ -120,13 +124,8 @@ impl Fleet {
     /// afterwards.
     pub fn tick(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
         let intake = self.begin(now_ns, deadline_missed);
-        let nothing = Outputs {
-            forecasts: &mut [],
-            diagnostics: &mut [],
-            budgets: &mut [],
-        };
         let (mut shard, batch) = self.shard_and_batch();
-        shard.run(batch, nothing, &mut |_| {});
+        shard.run(batch, Outputs::default(), &mut |_| {});
         intake
     }
 
@@ -214,6 +213,22 @@ impl Fleet {
         }
     }
 
+    /// Hashes of the platforms' models, in their order; 0 beyond the last.
+    #[must_use]
+    pub fn model_hashes(&self) -> [u64; LISTED_MODELS] {
+        let mut hashes = [0; LISTED_MODELS];
+        for (hash, context) in hashes.iter_mut().zip(&self.tick.platforms) {
+            *hash = context.model.hash();
+        }
+        hashes
+    }
+
+    /// Hash of the settings.
+    #[must_use]
+    pub const fn settings_hash(&self) -> u64 {
+        self.settings_hash
+    }
+
     /// Scores of a robot, if it is in the fleet.
     #[must_use]
     pub fn scores(&self, robot: u32) -> Option<Scores> {
@@ -267,7 +282,8 @@ impl Fleet {
     #[must_use]
     pub fn diagnostic(&self, place: usize) -> Diagnostic {
         let (block, lane) = self.block_of(place);
-        Diagnostics::of(&self.tick, block).get(&self.tick, lane)
+        let learned = LearnedLanes::of(&self.tick, &block);
+        Diagnostics::of(block, &learned).get(&self.tick, lane)
     }
 
     /// The budget of the robot at `place`, as of the last tick.
@@ -275,6 +291,14 @@ impl Fleet {
     pub fn budget(&self, place: usize) -> Budget {
         let (block, lane) = self.block_of(place);
         Budgets::of(&self.tick, block).get(&self.tick, lane)
+    }
+
+    /// What a plan of the robot at `place` starts from, as of the last tick.
+    #[must_use]
+    pub fn plan_state(&self, place: usize) -> PlanState {
+        let (block, lane) = self.block_of(place);
+        let learned = LearnedLanes::of(&self.tick, &block);
+        PlanStates::of(block, &learned).get(&self.tick, lane)
     }
 
     /// The block of the robot at a place, and its lane.

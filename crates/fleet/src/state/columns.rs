@@ -42,6 +42,7 @@ pub(crate) struct BlockRef<'a> {
     pub ledgers: &'a LedgerLanes,
     pub scores: &'a ScoreLanes,
     pub detectors: &'a DetectorLanes,
+    pub energy: &'a EnergyLanes,
     /// `None` unless a platform learns online.
     pub online: Option<&'a OnlineLanes>,
 }
@@ -93,6 +94,7 @@ impl Columns {
             ledgers: &self.ledgers[block],
             scores: &self.scores[block],
             detectors: &self.detectors[block],
+            energy: &self.energy[block],
             online: self.online.get(block),
         }
     }
@@ -207,6 +209,7 @@ impl<'a> ColumnsMut<'a> {
             ledgers: &self.ledgers[block],
             scores: &self.scores[block],
             detectors: &self.detectors[block],
+            energy: &self.energy[block],
             online: self.online.get(block),
         }
     }

@@ -3,7 +3,7 @@
 use std::slice;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_wire::{Budget, Diagnostic, Forecast};
+use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState};
 
 use crate::layout::slots::words_of;
 use crate::state::columns::ColumnsMut;
@@ -12,7 +12,7 @@ use crate::tick::context::TickContext;
 use crate::tick::features::build_rows;
 use crate::tick::infer::{infer, run_overdue};
 use crate::tick::score::Score;
-use crate::tick::write::{WriteAccounts, WriteForecasts};
+use crate::tick::write::{AccountPlaces, WriteAccounts, WriteForecasts};
 
 /// The stages of a tick, for time measurements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,7 +24,7 @@ pub enum Stage {
     Network,
     /// Ledgers, scores, residuals and alarms.
     Bookkeeping,
-    /// Forecasts, diagnostics and budgets written.
+    /// Forecasts, diagnostics, budgets and plan states written.
     Writing,
 }
 
@@ -52,15 +52,24 @@ pub struct Shard<'a> {
     pub(crate) oldest_ns: &'a AtomicU64,
 }
 
-/// Output of [`Shard::run`]: three slices of the shard's length.
-#[derive(Debug)]
+/// Output of [`Shard::run`]: slices of the shard's length, or empty where an output is left out.
+#[derive(Debug, Default)]
 pub struct Outputs<'a> {
     /// Forecasts.
     pub forecasts: &'a mut [Forecast],
+    /// The others.
+    pub accounts: Accounts<'a>,
+}
+
+/// Output of [`Shard::account`]: slices of the shard's length, or empty where an output is left out.
+#[derive(Debug, Default)]
+pub struct Accounts<'a> {
     /// Diagnostics.
     pub diagnostics: &'a mut [Diagnostic],
     /// Budgets.
     pub budgets: &'a mut [Budget],
+    /// What plans start from.
+    pub plan_states: &'a mut [PlanState],
 }
 
 impl<'a> Outputs<'a> {
@@ -68,26 +77,52 @@ impl<'a> Outputs<'a> {
     /// belongs to the first.
     #[must_use]
     pub fn split_at(self, robots: usize) -> (Self, Self) {
-        let forecasts = self
-            .forecasts
-            .split_at_mut(robots.min(self.forecasts.len()));
-        let diagnostics = self
-            .diagnostics
-            .split_at_mut(robots.min(self.diagnostics.len()));
-        let budgets = self.budgets.split_at_mut(robots.min(self.budgets.len()));
+        let (forecasts, more_forecasts) = split(self.forecasts, robots);
+        let (accounts, more_accounts) = self.accounts.split_at(robots);
         (
             Outputs {
-                forecasts: forecasts.0,
-                diagnostics: diagnostics.0,
-                budgets: budgets.0,
+                forecasts,
+                accounts,
             },
             Outputs {
-                forecasts: forecasts.1,
-                diagnostics: diagnostics.1,
-                budgets: budgets.1,
+                forecasts: more_forecasts,
+                accounts: more_accounts,
             },
         )
     }
+}
+
+impl<'a> Accounts<'a> {
+    fn places(self) -> AccountPlaces<'a> {
+        AccountPlaces {
+            diagnostics: self.diagnostics.iter_mut(),
+            budgets: self.budgets.iter_mut(),
+            plan_states: self.plan_states.iter_mut(),
+        }
+    }
+
+    fn split_at(self, robots: usize) -> (Self, Self) {
+        let (diagnostics, more_diagnostics) = split(self.diagnostics, robots);
+        let (budgets, more_budgets) = split(self.budgets, robots);
+        let (plan_states, more_plan_states) = split(self.plan_states, robots);
+        (
+            Self {
+                diagnostics,
+                budgets,
+                plan_states,
+            },
+            Self {
+                diagnostics: more_diagnostics,
+                budgets: more_budgets,
+                plan_states: more_plan_states,
+            },
+        )
+    }
+}
+
+fn split<T>(rows: &mut [T], robots: usize) -> (&mut [T], &mut [T]) {
+    let robots = robots.min(rows.len());
+    rows.split_at_mut(robots)
 }
 
 impl<'a> Shard<'a> {
@@ -128,39 +163,33 @@ impl<'a> Shard<'a> {
         });
     }
 
-    /// Scores what [`Shard::forecast`] absorbed, and writes the diagnostics and the budgets; an
-    /// empty slice is not written.
+    /// Scores what [`Shard::forecast`] absorbed, and writes the accounts; an empty slice is not
+    /// written.
     pub fn account(
         &mut self,
         batch: &mut Batch,
-        diagnostics: &mut [Diagnostic],
-        budgets: &mut [Budget],
+        accounts: Accounts<'_>,
         on: &mut dyn FnMut(Stage),
     ) {
-        let (mut diagnostics, mut budgets) = (diagnostics.iter_mut(), budgets.iter_mut());
+        let mut accounts = accounts.places();
         self.each_tile(batch.words, |tile| {
             tile.score();
             on(Stage::Bookkeeping);
-            tile.write_accounts(&mut diagnostics, &mut budgets);
+            tile.write_accounts(&mut accounts);
             on(Stage::Writing);
         });
     }
 
     /// [`Shard::forecast`] and [`Shard::account`] in one pass through memory.
     pub fn run(&mut self, batch: &mut Batch, outputs: Outputs<'_>, on: &mut dyn FnMut(Stage)) {
-        let Outputs {
-            forecasts,
-            diagnostics,
-            budgets,
-        } = outputs;
-        let mut forecasts = forecasts.iter_mut();
-        let (mut diagnostics, mut budgets) = (diagnostics.iter_mut(), budgets.iter_mut());
+        let mut forecasts = outputs.forecasts.iter_mut();
+        let mut accounts = outputs.accounts.places();
         self.each_tile(batch.words, |tile| {
             tile.infer(batch, on);
             tile.score();
             on(Stage::Bookkeeping);
             tile.write_forecasts(&mut forecasts);
-            tile.write_accounts(&mut diagnostics, &mut budgets);
+            tile.write_accounts(&mut accounts);
             on(Stage::Writing);
         });
     }
@@ -193,17 +222,12 @@ impl<'a> Shard<'a> {
         });
     }
 
-    /// Each slice separately: an omitted one must not suppress the other.
-    fn write_accounts(
-        &self,
-        diagnostics: &mut slice::IterMut<'_, Diagnostic>,
-        budgets: &mut slice::IterMut<'_, Budget>,
-    ) {
+    /// Each slice separately: an omitted one must not suppress the others.
+    fn write_accounts(&self, places: &mut AccountPlaces<'_>) {
         self.tick.simd_level.run(WriteAccounts {
             tick: self.tick,
             columns: &self.columns,
-            diagnostics,
-            budgets,
+            places,
         });
     }
 

@@ -2,7 +2,7 @@
 
 use joulebus_fleet::Fleet;
 use joulebus_predictor::Model;
-use joulebus_wire::{Quality, diagnostic_flag};
+use joulebus_wire::{Quality, diagnostic_flag, plan_state_flag};
 use proptest::prelude::*;
 
 use super::intake::{Member, Oracle};
@@ -27,6 +27,7 @@ pub(crate) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(),
         compare_learned(fleet, *id, member, &oracle.models[member.context])?;
         compare_energy(fleet, *id, member)?;
         compare_account(fleet, *id, &member.robot.account)?;
+        compare_plan_state(fleet, oracle, *id, member, now_ns)?;
         one_nan(fleet, *id)?;
     }
     for (id, account) in &oracle.departed {
@@ -39,6 +40,7 @@ pub(crate) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(),
 fn one_nan(fleet: &Fleet, id: u32) -> Result<(), TestCaseError> {
     let (forecast, diagnostic) = (world::forecast(fleet, id), world::diagnostic(fleet, id));
     let budget = world::budget(fleet, id);
+    let plan_state = world::plan_state(fleet, id);
     let singles = [
         forecast.reading_w,
         forecast.power_w,
@@ -63,6 +65,18 @@ fn one_nan(fleet: &Fleet, id: u32) -> Result<(), TestCaseError> {
         budget.time_to_empty_s,
         budget.time_to_empty_lo_s,
         budget.time_to_empty_hi_s,
+        plan_state.lag1_w,
+        plan_state.lag5_w,
+        plan_state.v_mps,
+        plan_state.omega_radps,
+        plan_state.network_w,
+        plan_state.level_w,
+        plan_state.size_due_w,
+        plan_state.above_held,
+        plan_state.energy_j[0],
+        plan_state.command_j[3],
+        plan_state.time_s[1],
+        plan_state.error_factor[2],
     ];
     for value in singles.into_iter().filter(|value| value.is_nan()) {
         prop_assert_eq!(value.to_bits(), f32::NAN.to_bits(), "robot {}", id);
@@ -180,6 +194,78 @@ fn compare_energy(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCas
         found,
         expected
     );
+    Ok(())
+}
+
+/// Window, command and reading age are the oracle's; quality and what was learned are those of the
+/// other outputs.
+fn compare_plan_state(
+    fleet: &Fleet,
+    oracle: &Oracle,
+    id: u32,
+    member: &Member,
+    now_ns: u64,
+) -> Result<(), TestCaseError> {
+    let found = world::plan_state(fleet, id);
+    let (forecast, diagnostic) = (world::forecast(fleet, id), world::diagnostic(fleet, id));
+    prop_assert_eq!(
+        (found.robot, found.quality(), found.stamp_ns),
+        (forecast.robot, forecast.quality(), forecast.stamp_ns)
+    );
+    prop_assert_eq!(usize::from(found.platform), member.context);
+    let learned = [
+        (found.network_w, diagnostic.network_w),
+        (found.mean_w, diagnostic.mean_w),
+        (found.change_w, diagnostic.change_w),
+        (found.weight_last, diagnostic.weight_last),
+        (found.weight_network, diagnostic.weight_network),
+        (found.weight_stack, diagnostic.weight_stack),
+        (found.held_weight_last, diagnostic.held_weight_last),
+        (found.held_weight_stack, diagnostic.held_weight_stack),
+        (found.gain_last, diagnostic.gain_last),
+        (found.gain_network, diagnostic.gain_network),
+        (found.gain_mean, diagnostic.gain_mean),
+        (found.level_w, diagnostic.level_w),
+    ];
+    for (found, expected) in learned {
+        prop_assert_eq!(found.to_bits(), expected.to_bits(), "robot {}", id);
+    }
+    let energy = fleet.energy(id).expect("it is in the fleet");
+    for (found, expected) in [
+        (found.energy_j, energy.energy_j),
+        (found.command_j, energy.command_j),
+        (found.time_s, energy.time_s),
+    ] {
+        prop_assert_eq!(found.map(f32::to_bits), expected.map(f32::to_bits));
+    }
+    let factors = energy.error_factor.map(f32::to_bits);
+    prop_assert_eq!(found.error_factor.map(f32::to_bits), factors);
+    let silent_ns = now_ns - member.heard_ns;
+    let model = &oracle.models[member.context];
+    let start = member.robot.plan_start(model, silent_ns);
+    let start = start.filter(|_| forecast.power_w().is_some());
+    let Some(run) = start else {
+        return Ok(());
+    };
+    let lags_w = found.lags_w().expect("a forecast has a full window");
+    let newest_first = run.powers_w.iter().rev().take(5);
+    prop_assert!(
+        newest_first
+            .zip(lags_w)
+            .all(|(a, b)| a.to_bits() == b.to_bits())
+    );
+    prop_assert_eq!(found.command(), run.command, "robot {}", id);
+    prop_assert_eq!(u64::from(found.open_steps), run.unread, "robot {}", id);
+    let (age, interval) = (run.history.known_age(), run.history.interval());
+    prop_assert_eq!(
+        u64::from(found.age_steps),
+        age.unwrap_or(255),
+        "robot {}",
+        id
+    );
+    prop_assert_eq!(u64::from(found.interval_steps), interval.unwrap_or(0));
+    let is_known = found.flags & plan_state_flag::READING_AGE != 0;
+    prop_assert_eq!(is_known, interval.is_some(), "robot {}", id);
     Ok(())
 }
 

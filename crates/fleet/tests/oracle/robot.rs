@@ -29,6 +29,12 @@ impl History {
         self.periods.push((due, false));
     }
 
+    /// Periods since the last measurement; `None` before the first.
+    pub(crate) fn known_age(&self) -> Option<u64> {
+        let any = self.periods.iter().any(|(new, _)| *new);
+        any.then(|| self.age())
+    }
+
     /// Periods since the last measurement; periods before the first do not count.
     fn age(&self) -> u64 {
         let since = self.periods.iter().rev().take_while(|(new, _)| !new);
@@ -36,7 +42,7 @@ impl History {
     }
 
     /// Recomputed from the beginning.
-    fn interval(&self) -> Option<u64> {
+    pub(crate) fn interval(&self) -> Option<u64> {
         let (mut before, mut interval) = (None::<usize>, None);
         for (at, (new, sampled)) in self.periods.iter().enumerate() {
             if let (Some(before), true) = (before, *new && *sampled) {
@@ -420,6 +426,15 @@ impl Robot {
             Freshness::Held => Quality::Held,
             Freshness::Fresh => Quality::Fresh,
         };
+    }
+
+    /// What a plan starts from after `silent_ns` without a sample by the worker's clock, where
+    /// there is a forecast.
+    pub(crate) fn plan_start(&self, model: &Model, silent_ns: u64) -> Option<Run> {
+        self.shown(model, silent_ns).1?;
+        let steps = missing(silent_ns, self.platform.period_ns)
+            .min(self.longest().saturating_sub(self.run.unread));
+        self.run.ahead(self.by(model), steps)
     }
 
     /// Output after `silent_ns` without a sample by the worker's clock.

@@ -9,7 +9,9 @@ use joulebus_predictor::{FeatureSet, Kernel, Model, Persistence, ResidualStats};
 use joulebus_settings::{
     AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Platform,
 };
-use joulebus_wire::{Budget, Diagnostic, Forecast, Quality, SCHEMA_VERSION, Sample, SampleHeader};
+use joulebus_wire::{
+    Budget, Diagnostic, Forecast, PlanState, Quality, SCHEMA_VERSION, Sample, SampleHeader,
+};
 
 pub(crate) const MS: u64 = 1_000_000;
 /// Sample period of robots 0 to 99, whose model needs velocities.
@@ -198,6 +200,7 @@ pub(crate) struct Bits {
     pub forecast: Vec<u64>,
     pub diagnostic: Vec<u64>,
     pub budget: Vec<u64>,
+    pub plan_state: Vec<u64>,
 }
 
 /// Outputs of a robot; `None` when it is not in the fleet. The slot's generation is omitted: it
@@ -208,6 +211,10 @@ pub(crate) fn bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
         forecast: forecast_bits(&fleet.forecast(place)),
         diagnostic: diagnostic_bits(&fleet.diagnostic(place)),
         budget: budget_bits(&fleet.budget(place)),
+        plan_state: plan_state_bits(&PlanState {
+            generation: 0,
+            ..fleet.plan_state(place)
+        }),
     })
 }
 
@@ -225,6 +232,10 @@ pub(crate) fn diagnostic(fleet: &Fleet, robot: u32) -> Diagnostic {
 
 pub(crate) fn budget(fleet: &Fleet, robot: u32) -> Budget {
     fleet.budget(place(fleet, robot).expect("the robot is in the fleet"))
+}
+
+pub(crate) fn plan_state(fleet: &Fleet, robot: u32) -> PlanState {
+    fleet.plan_state(place(fleet, robot).expect("the robot is in the fleet"))
 }
 
 pub(crate) fn quality(fleet: &Fleet, robot: u32) -> Quality {
@@ -279,6 +290,13 @@ pub(crate) fn diagnostic_bits(it: &Diagnostic) -> Vec<u64> {
         it.source_epoch,
         it.refused,
     ]
+}
+
+pub(crate) fn plan_state_bits(it: &PlanState) -> Vec<u64> {
+    bytemuck::bytes_of(it)
+        .chunks_exact(8)
+        .map(|word| u64::from_ne_bytes(word.try_into().expect("eight bytes")))
+        .collect()
 }
 
 pub(crate) fn budget_bits(it: &Budget) -> Vec<u64> {

@@ -6,14 +6,14 @@
 use joulebus_predictor::canonical;
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, Level, diagnostic_flag};
 
-use crate::estimate::online::Learned;
 use crate::layout::lanes::{Block as _, LANES, Lanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
 use crate::tick::write::flag::flag;
+use crate::tick::write::learned::LearnedLanes;
 
 /// The diagnostics of a block.
-pub(crate) struct Diagnostics<'a> {
+pub(crate) struct Diagnostics<'a, 'b> {
     block: BlockRef<'a>,
     mae_w: Lanes<f64>,
     r2: Lanes<f64>,
@@ -22,15 +22,12 @@ pub(crate) struct Diagnostics<'a> {
     skill: Lanes<f64>,
     coverage: Lanes<f32>,
     coverage_recent: Lanes<f32>,
-    /// Whether the robot's platform learns online.
-    learns: Lanes<bool>,
-    weights: [Lanes<f32>; 3],
-    held_weights: [Lanes<f32>; 2],
+    learned: &'b LearnedLanes,
 }
 
-impl<'a> Diagnostics<'a> {
+impl<'a, 'b> Diagnostics<'a, 'b> {
     #[inline(always)]
-    pub(crate) fn of(tick: &TickContext, block: BlockRef<'a>) -> Self {
+    pub(crate) fn of(block: BlockRef<'a>, learned: &'b LearnedLanes) -> Self {
         let mut diagnostics = Self {
             block,
             mae_w: [0.0; LANES],
@@ -40,9 +37,7 @@ impl<'a> Diagnostics<'a> {
             skill: [0.0; LANES],
             coverage: [0.0; LANES],
             coverage_recent: [0.0; LANES],
-            learns: [false; LANES],
-            weights: [[f32::NAN; LANES]; 3],
-            held_weights: [[f32::NAN; LANES]; 2],
+            learned,
         };
         for lane in 0..LANES {
             let scores = block.scores.get(lane);
@@ -57,48 +52,7 @@ impl<'a> Diagnostics<'a> {
                 diagnostics.coverage_recent[lane],
             ) = coverage;
         }
-        diagnostics.weigh(tick);
         diagnostics
-    }
-
-    /// The weights of the members.
-    #[inline(always)]
-    fn weigh(&mut self, tick: &TickContext) {
-        let Some(online) = self.block.online else {
-            return;
-        };
-        let mut unlike = [false; LANES];
-        for lane in 0..LANES {
-            let platform = usize::from(self.block.admissions[lane].platform);
-            let members = tick
-                .platforms
-                .get(platform)
-                .and_then(|context| context.members.as_ref());
-            self.learns[lane] = members.is_some();
-            unlike[lane] = members.is_some_and(|members| members.is_unlike(online.mean_w[lane]));
-        }
-        for lane in 0..LANES {
-            let (weights, held_weights) = online.get(lane).weights(unlike[lane]);
-            for (place, weight) in weights.into_iter().enumerate() {
-                self.weights[place][lane] = weight;
-            }
-            for (place, weight) in held_weights.into_iter().enumerate() {
-                self.held_weights[place][lane] = weight;
-            }
-        }
-    }
-
-    /// What the robot in a lane has learned.
-    #[inline(always)]
-    fn learned(&self, lane: usize) -> Learned {
-        let [last, network, stack] = &self.weights;
-        let [held_last, held_stack] = &self.held_weights;
-        let weights = (
-            [last[lane], network[lane], stack[lane]],
-            [held_last[lane], held_stack[lane]],
-        );
-        let robot = self.block.online.map(|online| online.get(lane));
-        robot.map_or(Learned::default(), |robot| robot.learned(weights))
     }
 
     /// The diagnostics of the robot in a lane.
@@ -114,7 +68,7 @@ impl<'a> Diagnostics<'a> {
             raised
         };
         let (level, first) = most_important(alarms);
-        let (learns, learned) = (self.learns[lane], self.learned(lane));
+        let (learns, learned) = self.learned.get(&self.block, lane);
         let known = |value: f32| canonical(if learns { value } else { f32::NAN });
         let ([weight_last, weight_network, weight_stack], [held_weight_last, held_weight_stack]) =
             (learned.weights, learned.held_weights);

@@ -47,8 +47,7 @@ impl<'a> Forecasts<'a> {
         let mut plain = [false; LANES];
         for lane in 0..LANES {
             let (code, _) = block.lasts.quality(lane);
-            let read = (code == FRESH) | (code == HELD);
-            plain[lane] = read & power_w[lane].is_finite() & (open_steps[lane] == 0);
+            plain[lane] = is_read(code) & power_w[lane].is_finite() & (open_steps[lane] == 0);
         }
         Self {
             block,
@@ -123,7 +122,14 @@ impl<'a> Forecasts<'a> {
 const FRESH: u16 = Quality::Fresh.encode().0;
 const HELD: u16 = Quality::Held.encode().0;
 
-fn quality_now(
+/// Whether the code is that of a forecast from a reading.
+#[inline(always)]
+pub(super) const fn is_read(code: u16) -> bool {
+    (code == FRESH) | (code == HELD)
+}
+
+/// The quality of the output at the time of the tick; `quality`: as of the robot's last sample.
+pub(super) fn quality_now(
     tick: &TickContext,
     admission: &AdmissionState,
     quality: Quality,

@@ -5,11 +5,13 @@ pub(crate) mod budgets;
 pub(crate) mod diagnostics;
 mod flag;
 pub(crate) mod forecasts;
+pub(crate) mod learned;
+pub(crate) mod plan_states;
 
 use std::slice;
 
 use joulebus_predictor::{SimdTask, prefetch};
-use joulebus_wire::{Budget, Diagnostic, Forecast};
+use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState};
 
 use crate::layout::lanes::{AHEAD, LANES};
 use crate::layout::slots;
@@ -18,6 +20,8 @@ use crate::tick::context::TickContext;
 use crate::tick::write::budgets::Budgets;
 use crate::tick::write::diagnostics::Diagnostics;
 use crate::tick::write::forecasts::Forecasts;
+use crate::tick::write::learned::LearnedLanes;
+use crate::tick::write::plan_states::PlanStates;
 
 /// Prefetches the places of the next robots.
 #[inline(always)]
@@ -49,32 +53,54 @@ impl SimdTask for WriteForecasts<'_, '_, '_> {
     }
 }
 
-/// Writes the diagnostics and the budgets of a tile.
-pub(crate) struct WriteAccounts<'a, 'b, 'c, 'd> {
+/// Writes the diagnostics, the budgets and the plan states of a tile.
+pub(crate) struct WriteAccounts<'a, 'b, 'c> {
     pub tick: &'a TickContext,
     pub columns: &'a ColumnsMut<'b>,
-    pub diagnostics: &'a mut slice::IterMut<'c, Diagnostic>,
-    pub budgets: &'a mut slice::IterMut<'d, Budget>,
+    pub places: &'a mut AccountPlaces<'c>,
 }
 
-impl SimdTask for WriteAccounts<'_, '_, '_, '_> {
+/// Places of the outputs of the second pass that are still to be written; none of an omitted one.
+pub(crate) struct AccountPlaces<'a> {
+    pub diagnostics: slice::IterMut<'a, Diagnostic>,
+    pub budgets: slice::IterMut<'a, Budget>,
+    pub plan_states: slice::IterMut<'a, PlanState>,
+}
+
+impl SimdTask for WriteAccounts<'_, '_, '_> {
     #[inline(always)]
     fn run(self) {
         let (tick, columns) = (self.tick, self.columns);
+        let AccountPlaces {
+            diagnostics,
+            budgets,
+            plan_states,
+        } = self.places;
         for (block, lanes) in slots::blocks(columns.words) {
-            prefetch_ahead(self.diagnostics.as_slice());
-            prefetch_ahead(self.budgets.as_slice());
+            prefetch_ahead(diagnostics.as_slice());
+            prefetch_ahead(budgets.as_slice());
+            prefetch_ahead(plan_states.as_slice());
             let block = columns.block(block);
-            if self.diagnostics.len() > 0 {
-                let diagnostics = Diagnostics::of(tick, block);
-                for (lane, place) in slots::bits(lanes).zip(self.diagnostics.by_ref()) {
-                    *place = diagnostics.get(tick, lane);
+            if budgets.len() > 0 {
+                let rows = Budgets::of(tick, block);
+                for (lane, place) in slots::bits(lanes).zip(budgets.by_ref()) {
+                    *place = rows.get(tick, lane);
                 }
             }
-            if self.budgets.len() > 0 {
-                let budgets = Budgets::of(tick, block);
-                for (lane, place) in slots::bits(lanes).zip(self.budgets.by_ref()) {
-                    *place = budgets.get(tick, lane);
+            if diagnostics.len() + plan_states.len() == 0 {
+                continue;
+            }
+            let learned = LearnedLanes::of(tick, &block);
+            if diagnostics.len() > 0 {
+                let rows = Diagnostics::of(block, &learned);
+                for (lane, place) in slots::bits(lanes).zip(diagnostics.by_ref()) {
+                    *place = rows.get(tick, lane);
+                }
+            }
+            if plan_states.len() > 0 {
+                let rows = PlanStates::of(block, &learned);
+                for (lane, place) in slots::bits(lanes).zip(plan_states.by_ref()) {
+                    *place = rows.get(tick, lane);
                 }
             }
         }
