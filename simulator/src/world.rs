@@ -761,7 +761,8 @@ impl<'a> World<'a> {
             }
             Fault::Hostile(frames) => {
                 self.checker.is_irregular(now_ns);
-                self.checker.strangers += 3;
+                // Those of its own, and any of the range of the fleet's.
+                self.checker.strangers += 3 + 10 * self.scenario.setup.regular() as u64;
                 hostile::attack(&self.config, frames, self.scenario.setup.regular());
                 self.deliver();
             }
