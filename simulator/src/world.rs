@@ -662,10 +662,10 @@ impl<'a> World<'a> {
         if slot.role.is_none() {
             slot.start_ns = u64::MAX;
         }
-        if slot.role == Some(Role::Worker) {
-            if let Some(run) = self.checker.worker_ends() {
-                self.planners_must_learn(run);
-            }
+        if slot.role == Some(Role::Worker)
+            && let Some(run) = self.checker.worker_ends()
+        {
+            self.planners_must_learn(run);
         }
     }
 

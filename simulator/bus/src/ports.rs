@@ -546,7 +546,6 @@ macro_rules! opens {
                 /// # Errors
                 /// [`OpenError`].
                 pub fn $name(&self, limits: &Limits) -> Result<$port, OpenError> {
-                    #[expect(clippy::redundant_closure_call, reason = "it is written in the table")]
                     ($open)(self, limits)
                 }
             )*

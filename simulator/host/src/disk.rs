@@ -199,6 +199,15 @@ impl File {
     }
 }
 
+impl Drop for File {
+    /// Closing a file is a call that reaches the host.
+    fn drop(&mut self) {
+        if !std::thread::panicking() {
+            operation();
+        }
+    }
+}
+
 impl Write for File {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let fault = access(false)?;
