@@ -62,7 +62,8 @@ impl PrivateFleet {
         let config = directory.path().join("fleet.toml");
         let fleet = "[fleet]\nname = \"example\"\ncapacity = 100\n";
         let domain = format!("[domain]\nroot = \"{}\"\n", root.display());
-        fs::write(&config, [fleet, &domain, platforms].concat())?;
+        let ledger = "[ledger]\ncheckpoint = \"ledger.json\"\n";
+        fs::write(&config, [fleet, &domain, ledger, platforms].concat())?;
         Ok(Self {
             config,
             stop: Arc::default(),

@@ -99,7 +99,7 @@ fn set_sample(sample: &mut Sample, field: u8, value: u64) {
     match field % 12 {
         0 => sample.robot = value as u32,
         1 => sample.flags = value as u32,
-        2 => sample.flags ^= 1 << (value % 8),
+        2 => sample.flags ^= 1 << (value % 12),
         3 => sample.seq = value,
         4 => sample.stamp_ns = value,
         5 => sample.stamp_ns = sample.stamp_ns.wrapping_add_signed(i64::from(value as i32)),
@@ -107,7 +107,10 @@ fn set_sample(sample: &mut Sample, field: u8, value: u64) {
         7 => sample.v_mps = number,
         8 => sample.omega_radps = number,
         9 => sample.power_w = number,
-        10 => (sample.voltage_v, sample.current_a) = (number, number),
+        10 => {
+            (sample.voltage_v, sample.current_a) = (number, number);
+            (sample.soc, sample.return_j) = (number, number);
+        }
         _ => sample.reserved = value as u32,
     }
 }

@@ -191,7 +191,17 @@ impl Arena {
     pub fn command(&self, arguments: &[&str]) -> Command {
         let mut command = Command::new(program("joulebus-under-test"));
         command.args(arguments).arg("--config").arg(self.config());
+        // Not into the user's own.
         command
+            .env("XDG_STATE_HOME", self.state())
+            .env_remove("STATE_DIRECTORY");
+        command
+    }
+
+    /// Where its programs save their state by default.
+    #[must_use]
+    pub fn state(&self) -> PathBuf {
+        self.files.join("state")
     }
 
     /// Runs the program under test until it exits.

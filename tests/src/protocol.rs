@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 /// A [`Sample`] as bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct SampleLine(u32, u32, u64, u64, u64, [u32; 5], u32);
+pub struct SampleLine(u32, u32, u64, u64, u64, [u32; 7], u32);
 
 impl From<Sample> for SampleLine {
     fn from(sample: Sample) -> Self {
@@ -20,6 +20,8 @@ impl From<Sample> for SampleLine {
             sample.power_w,
             sample.voltage_v,
             sample.current_a,
+            sample.soc,
+            sample.return_j,
         ];
         let (robot, flags, seq) = (sample.robot, sample.flags, sample.seq);
         let (stamp_ns, measured_ns) = (sample.stamp_ns, sample.measured_ns);
@@ -39,7 +41,15 @@ impl From<Sample> for SampleLine {
 impl From<SampleLine> for Sample {
     fn from(line: SampleLine) -> Self {
         let SampleLine(robot, flags, seq, stamp_ns, measured_ns, bits, reserved) = line;
-        let [v_mps, omega_radps, power_w, voltage_v, current_a] = bits.map(f32::from_bits);
+        let [
+            v_mps,
+            omega_radps,
+            power_w,
+            voltage_v,
+            current_a,
+            soc,
+            return_j,
+        ] = bits.map(f32::from_bits);
         Self {
             robot,
             flags,
@@ -51,6 +61,8 @@ impl From<SampleLine> for Sample {
             power_w,
             voltage_v,
             current_a,
+            soc,
+            return_j,
             reserved,
         }
     }

@@ -60,6 +60,8 @@ deadline_ms = 2.0
 [intake]
 leave_after_s = 600.0
 max_jump_s = 600.0
+[ledger]
+checkpoint = ""
 [[platform]]
 file = "builtin:robotino"
 robots = ["0-99"]

@@ -293,7 +293,7 @@ fn a_capture_brings_its_own_config_and_models() {
     let config = Config::load(unpacked).unwrap();
     assert_eq!(config.settings(), stage.config.settings());
     assert_eq!(config.policy(), stage.config.policy());
-    assert_eq!(config.checkpoint(), None);
+    assert_eq!(config.checkpoint(), &joulebus_config::Checkpoint::Off);
     let joulebus_config::ModelSource::File(model) = &config.models()[0] else {
         panic!("{:?}", config.models());
     };

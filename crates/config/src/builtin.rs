@@ -80,6 +80,7 @@ impl Demo {
             Some("capacity") => format!("capacity = {}\n", self.robots),
             Some("root") => format!("root = {}\n", quoted(&root)),
             Some("prefix") => format!("prefix = {}\n", quoted(&self.prefix)),
+            Some("checkpoint") => "checkpoint = \"\"\n".to_owned(),
             Some("file") => "file = \"builtin:gternal\"\n".to_owned(),
             Some("robots") => format!("robots = [\"0-{last}\"]\n"),
             _ => format!("{line}\n"),

@@ -5,16 +5,28 @@ use std::sync::Arc;
 
 use joulebus_bus::Scheduling;
 use joulebus_settings::{
-    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Platform, Policy,
+    AlarmSettings, Battery, ChargeReading, FleetSettings, Intake, IntervalSettings, OpenCircuit,
+    Platform, Policy,
 };
 
 use crate::consistency;
 use crate::document::{FleetFile, Source};
-use crate::key::ValueKind;
+use crate::key::{ValueKind, voltages};
 use crate::model_source::ModelSource;
 use crate::problem::{ConfigError, Problem};
 use crate::values::Values;
 use crate::{cpus, files, keys, show};
+
+/// Where the energy ledger and the batteries are saved.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Checkpoint {
+    /// Nowhere.
+    Off,
+    /// In the state directory, if a platform has a battery.
+    Auto,
+    /// In this file.
+    File(PathBuf),
+}
 
 /// The threads of the worker's tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,7 +59,7 @@ pub struct Config {
     models: Vec<ModelSource>,
     buffer_frames: usize,
     max_planners: usize,
-    checkpoint: Option<PathBuf>,
+    checkpoint: Checkpoint,
     checkpoint_every_ns: u64,
     scheduling: Scheduling,
     threads: Threads,
@@ -190,10 +202,10 @@ impl Config {
         self.max_planners
     }
 
-    /// File of the energy ledger, if it is saved.
+    /// Where the energy ledger and the batteries are saved.
     #[must_use]
-    pub fn checkpoint(&self) -> Option<&Path> {
-        self.checkpoint.as_deref()
+    pub const fn checkpoint(&self) -> &Checkpoint {
+        &self.checkpoint
     }
 
     /// Time between two checkpoints, ns.
@@ -249,7 +261,7 @@ impl Builder<'_> {
             .iter()
             .map(|listed| files::model(&listed.values))
             .collect();
-        let checkpoint = files::resolve(&read.values, "ledger.checkpoint")?;
+        let checkpoint = fleet.checkpoint()?;
         Some(Config {
             fleet: fleet.0.text("fleet.name")?,
             root: files::root(&fleet.0.text("domain.root")?),
@@ -260,7 +272,7 @@ impl Builder<'_> {
             models: models?,
             buffer_frames: fleet.0.integer("intake.buffer_frames")?,
             max_planners: fleet.0.integer("readers.max_planners")?,
-            checkpoint: (!checkpoint.as_os_str().is_empty()).then_some(checkpoint),
+            checkpoint,
             checkpoint_every_ns: ns(fleet.0.number("ledger.every_s")?),
             scheduling: fleet.scheduling()?,
             threads: fleet.threads()?,
@@ -343,6 +355,14 @@ impl Builder<'_> {
         Some(Threads { count, from })
     }
 
+    fn checkpoint(&self) -> Option<Checkpoint> {
+        Some(match self.0.text("ledger.checkpoint")?.as_str() {
+            "" => Checkpoint::Off,
+            "auto" => Checkpoint::Auto,
+            _ => Checkpoint::File(files::resolve(self.0, "ledger.checkpoint")?),
+        })
+    }
+
     fn platform(&self) -> Option<Platform> {
         let number = |path| self.single(path);
         let time_ns = |path| Some(ns(self.0.number(path)?));
@@ -369,11 +389,44 @@ impl Builder<'_> {
     }
 
     fn battery(&self) -> Option<Battery> {
+        let number = |name: &str| self.0.number(&format!("platform.battery.{name}"));
+        let known = |value: f64| (value > 0.0).then_some(value);
         Some(Battery {
-            capacity_j: self.0.number("platform.battery.capacity_wh")? * 3600.0,
-            reserve: self.0.number("platform.battery.reserve")?,
-            initial_soc: self.0.number("platform.battery.initial_soc")?,
-            initial_soc_lo: self.0.number("platform.battery.initial_soc_lo")?,
+            capacity_j: number("capacity_wh")? * 3600.0,
+            reserve: number("reserve")?,
+            initial_soc: number("initial_soc")?,
+            initial_soc_lo: number("initial_soc_lo")?,
+            counting_sd: number("counting_sd")?,
+            charge_reading: self.charge_reading()?,
+            charge_efficiency: number("charge_efficiency")?,
+            charge_power_w: known(number("charge_power_w")?),
+            on_full_soc: number("on_full_soc")?,
+            sensor_sd: number("sensor_sd")?,
+            sensor_step: number("sensor_step")?,
+            open_circuit: self.open_circuit()?,
+            low: number("low")?,
+            critical: number("critical")?,
+            level_band: number("level_band")?,
+            return_j: known(number("return_wh")? * 3600.0),
         })
+    }
+
+    fn charge_reading(&self) -> Option<ChargeReading> {
+        let word = self.0.text("platform.battery.charge_reading")?;
+        Some(match word.as_str() {
+            "battery" => ChargeReading::Battery,
+            "charger" => ChargeReading::Charger,
+            _ => ChargeReading::Load,
+        })
+    }
+
+    /// The table, `Some(None)` if there is none.
+    #[allow(clippy::option_option, reason = "the outer one is that of every key")]
+    fn open_circuit(&self) -> Option<Option<OpenCircuit>> {
+        let resistance_ohm = self.0.number("platform.battery.resistance_ohm")?;
+        let sd = self.0.number("platform.battery.open_circuit_sd")?;
+        let text = self.0.text("platform.battery.open_circuit_v")?;
+        let volts = voltages(&text).unwrap_or_default();
+        Some(OpenCircuit::new(&volts, resistance_ohm, sd))
     }
 }

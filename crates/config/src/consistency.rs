@@ -415,6 +415,27 @@ fn battery(values: &Values, problems: &mut Vec<Problem>) {
             "The conservative estimate must not exceed the best estimate: change one of them",
         ));
     }
+    for (below, above, why) in [
+        ("critical", "low", "A critical battery is low too"),
+        (
+            "return_wh",
+            "capacity_wh",
+            "No full battery would be enough",
+        ),
+    ] {
+        let [below, above] = [below, above].map(|name| format!("platform.battery.{name}"));
+        let shares = (values.number(&below), values.number(&above));
+        if let (Some(found), Some(allowed)) = shares
+            && found > allowed
+        {
+            let what = format!("{} is above {}", values.quote(&below), values.quote(&above));
+            problems.push(contradiction(
+                [(values, &below), (values, &above)],
+                &what,
+                &format!("{why}: change one of them"),
+            ));
+        }
+    }
     if reserve_share >= soc_share {
         let what = format!(
             "{} is not below {}",

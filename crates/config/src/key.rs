@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use joulebus_settings::{OpenCircuit, bounds};
 use serde::Serialize;
 
 use crate::cpus;
@@ -73,8 +74,10 @@ pub enum TextRule {
     Prefix,
     /// An absolute path of at most 60 bytes; `{uid}` is replaced by the uid.
     Root,
-    /// A path, relative to the file that contains it, or empty.
-    OptionalPath,
+    /// `auto`, a path, relative to the file that contains it, or empty.
+    StateFile,
+    /// Rising voltages, separated by commas, or empty.
+    Voltages,
     /// A platform file: a path, or `builtin:` and a name.
     PlatformFile,
     /// `persistence`, `builtin:` and a name, or the path of a model file.
@@ -157,6 +160,18 @@ impl Key {
     }
 }
 
+/// The voltages that a text lists, if they are a table of open-circuit voltages.
+pub(crate) fn voltages(text: &str) -> Option<Vec<f64>> {
+    let volts: Option<Vec<f64>> = text
+        .split(',')
+        .map(|volts| volts.trim().parse().ok())
+        .collect();
+    let inside = |volts: &Vec<f64>| volts.iter().all(|it| bounds::OPEN_CIRCUIT_V.contains(it));
+    let volts = volts.filter(inside)?;
+    // Resistance and deviation are checked as keys of their own.
+    OpenCircuit::new(&volts, 0.0, 0.1).map(|_| volts)
+}
+
 impl TextRule {
     /// The format as text.
     #[must_use]
@@ -165,7 +180,8 @@ impl TextRule {
             Self::Name => "1 to 32 letters, digits, - and _",
             Self::Prefix => "1 to 8 lower-case letters, digits and _",
             Self::Root => "absolute path of at most 60 bytes; {uid} is replaced by the user id",
-            Self::OptionalPath => "path, relative to this file, or empty",
+            Self::StateFile => "\"auto\", a path relative to this file, or empty",
+            Self::Voltages => "2 to 21 rising voltages like \"3.0, 3.6, 4.2\", or empty",
             Self::PlatformFile => "path, relative to this file, or \"builtin:<name>\"",
             Self::Cpus => "CPUs like \"1\" or \"2-3,6\", each once, or empty",
             Self::Model => "\"persistence\", \"builtin:<name>\", or a path relative to this file",
@@ -197,7 +213,8 @@ impl TextRule {
                         .chars()
                         .all(|letter| !matches!(letter, '{' | '}'))
             }
-            Self::OptionalPath => !text.contains('\0'),
+            Self::StateFile => !text.contains('\0'),
+            Self::Voltages => text.is_empty() || voltages(text).is_some(),
             Self::Cpus => cpus::parse(text).is_some(),
             Self::PlatformFile | Self::Model => !text.is_empty() && !text.contains('\0'),
         }

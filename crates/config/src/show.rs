@@ -58,7 +58,10 @@ fn line(text: &mut String, values: &Values, key: &Key) {
 fn resolved(values: &Values, key: &Key) -> Option<Value> {
     let path = match key.path {
         "domain.root" => files::root(&values.text(key.path)?),
-        "ledger.checkpoint" => files::resolve(values, key.path)?,
+        "ledger.checkpoint" => match values.text(key.path)?.as_str() {
+            "auto" => return values.get(key.path),
+            _ => files::resolve(values, key.path)?,
+        },
         "platform.model" => match files::model(values)? {
             ModelSource::File(path) => path,
             ModelSource::Builtin(..) | ModelSource::Persistence { .. } => {

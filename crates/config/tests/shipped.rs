@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use joulebus_config::{
-    Config, ConfigError, Demo, File, KEYS, ModelSource, builtin_model, builtin_models,
+    Checkpoint, Config, ConfigError, Demo, File, KEYS, ModelSource, builtin_model, builtin_models,
     builtin_platforms, explain, explanations,
 };
 use joulebus_predictor::{FeatureSet, Network};
@@ -85,7 +85,7 @@ fn defaults_in_the_table_equal_those_of_missing_keys() {
     assert_eq!(defaults.models(), shipped.models());
     assert_eq!(defaults.root(), shipped.root());
     assert_eq!(defaults.prefix(), shipped.prefix());
-    assert_eq!(defaults.checkpoint(), None);
+    assert_eq!(defaults.checkpoint(), &Checkpoint::Auto);
     assert_eq!(defaults.tick_period_ns(), 33_333_333);
     assert_eq!(
         defaults.policy(),
@@ -205,7 +205,7 @@ fn a_path_is_relative_to_the_file_that_names_it() {
     )
     .unwrap();
     let config = Config::load(at("own-fleet.toml")).unwrap_or_else(|error| panic!("{error}"));
-    assert_eq!(config.checkpoint(), Some(at("ledger.bin").as_path()));
+    assert_eq!(config.checkpoint(), &Checkpoint::File(at("ledger.bin")));
     assert_eq!(
         config.settings().platforms[0].name,
         "renamed",

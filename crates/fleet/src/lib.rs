@@ -25,6 +25,7 @@ pub use estimate::scores::Scores;
 pub use estimate::window::missing_steps;
 pub use fleet::Fleet;
 pub use ingest::frame::{FrameIntake, TickIntake};
+pub use ledger::battery::SavedBattery;
 pub use ledger::energy::Ledger;
 pub use state::snapshot::{FleetState, StateError};
 pub use tick::batch::Batch;

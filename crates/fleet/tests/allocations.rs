@@ -32,6 +32,8 @@ fn fill(frame: &mut Vec<Sample>, step: u64, now_ns: u64) {
                 earlier.measured_ns = earlier.measured_ns.min(earlier.stamp_ns);
                 frame.push(earlier);
             }
+            6 => sample = sample.soc(0.5).return_energy(100.0),
+            7 => sample = sample.with(sample_flag::CHARGING),
             _ => {}
         }
         frame.push(sample);
@@ -78,11 +80,37 @@ fn taking_ticking_and_writing_out_allocate_nothing() {
     assert!(fleet.drops().iter().count() >= 4, "{:?}", fleet.drops());
 }
 
+fn without_batteries(capacity: u32) -> joulebus_settings::FleetSettings {
+    let mut settings = settings(capacity);
+    for platform in &mut settings.platforms {
+        platform.battery = None;
+    }
+    settings
+}
+
+/// Additional memory where a platform has a battery, with that of the account of a departed robot, per robot of the
+/// capacity.
+#[test]
+fn batteries_take_at_most_380_bytes_a_robot_more() {
+    let bytes = |settings: joulebus_settings::FleetSettings| {
+        let models = models();
+        let before = counting::bytes();
+        let fleet = Fleet::new(settings, models).expect("the settings are valid");
+        let taken = counting::bytes() - before;
+        assert!(fleet.is_empty());
+        taken
+    };
+    let more = bytes(settings(10_000)) - bytes(without_batteries(10_000));
+    let each = more as f64 / 10_000.0;
+    println!("{each:.1} bytes a robot more");
+    assert!(each > 0.0 && each <= 380.0, "{each:.1} bytes a robot more");
+}
+
 /// A robot in the fleet, plus the account of a departed one, of which there may be as many.
 #[test]
 fn a_robot_takes_at_most_648_bytes_with_the_account_of_a_departed_one() {
     let bytes = |capacity: u32| {
-        let (settings, models) = (settings(capacity), models());
+        let (settings, models) = (without_batteries(capacity), models());
         let before = counting::bytes();
         let fleet = Fleet::new(settings, models).expect("the settings are valid");
         let taken = counting::bytes() - before;

@@ -39,7 +39,7 @@ type Case = (
 );
 
 /// Faults of one sample of a known robot.
-const SAMPLES: [Case; 21] = [
+const SAMPLES: [Case; 25] = [
     (
         "NaN power",
         |s| s.power_w = f32::NAN,
@@ -114,7 +114,7 @@ const SAMPLES: [Case; 21] = [
     ),
     (
         "unknown flag",
-        |s| s.flags |= 1 << 8,
+        |s| s.flags |= 1 << 12,
         DropReason::BadFlags,
         Some(InvalidReason::BadFlags),
     ),
@@ -123,6 +123,30 @@ const SAMPLES: [Case; 21] = [
         |s| s.reserved = 1,
         DropReason::BadFlags,
         Some(InvalidReason::BadFlags),
+    ),
+    (
+        "full, but not on the charger",
+        |s| s.flags |= sample_flag::FULL,
+        DropReason::BadFlags,
+        Some(InvalidReason::BadFlags),
+    ),
+    (
+        "NaN state of charge",
+        |s| *s = s.soc(f32::NAN),
+        DropReason::NotFinite,
+        Some(InvalidReason::NotFinite),
+    ),
+    (
+        "more than full",
+        |s| *s = s.soc(1.06),
+        DropReason::BatteryOutOfRange,
+        Some(InvalidReason::BatteryOutOfRange),
+    ),
+    (
+        "gains energy by returning",
+        |s| *s = s.return_energy(-1.0),
+        DropReason::BatteryOutOfRange,
+        Some(InvalidReason::BatteryOutOfRange),
     ),
     (
         "measured in the future",

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_fleet::Ledger;
+use joulebus_fleet::{Ledger, SavedBattery};
 use joulebus_wire::{Budget, budget_flag};
 use serde::{Deserialize, Serialize};
 
 /// All robots' accounts at one moment.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Checkpoint {
     /// Name of the fleet: another fleet's file is refused.
@@ -23,7 +23,7 @@ pub(crate) struct Checkpoint {
 }
 
 /// One robot's account; fields as in [`joulebus_wire::Budget`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Account {
     pub drawn_uj: i64,
@@ -34,6 +34,19 @@ pub(crate) struct Account {
     stamp_ns: u64,
     /// As [`budget_flag::CHARGED`].
     charged: bool,
+    /// `None` for a platform without one, and in files of version 2.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    battery: Option<SavedBattery>,
+}
+
+/// One robot's account as the fleet takes it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Restored {
+    pub robot: u32,
+    pub ledger: Ledger,
+    /// Whether it has been on its charger.
+    pub charged: bool,
+    pub battery: Option<SavedBattery>,
 }
 
 impl Checkpoint {
@@ -55,6 +68,10 @@ impl Checkpoint {
             .iter()
             .filter(|budget| budget.flags & budget_flag::LEDGER != 0)
         {
+            // While a robot is silent its budget falls; the account begins at its last sample, and counts the
+            // silence again.
+            let known = self.robots.get(&budget.robot);
+            let silent = known.filter(|known| known.stamp_ns == budget.stamp_ns);
             let account = Account {
                 drawn_uj: budget.drawn_uj,
                 drawn_remainder: budget.drawn_remainder,
@@ -63,6 +80,9 @@ impl Checkpoint {
                 unmetered_ns: budget.unmetered_ns,
                 stamp_ns: budget.stamp_ns,
                 charged: budget.flags & budget_flag::CHARGED != 0,
+                battery: silent
+                    .and_then(|known| known.battery)
+                    .or_else(|| SavedBattery::of(budget)),
             };
             self.robots.insert(budget.robot, account);
         }
@@ -75,6 +95,18 @@ impl Checkpoint {
             }
         }
         too_many
+    }
+
+    /// Robots of which a frame says that they have another battery since the last one taken.
+    pub(crate) fn exchanged<'a>(&'a self, budgets: &'a [Budget]) -> impl Iterator<Item = u32> + 'a {
+        let changed = |budget: &&Budget| {
+            let known = self
+                .robots
+                .get(&budget.robot)
+                .and_then(|known| known.battery);
+            known.is_some_and(|known| budget.battery_changes > known.changes())
+        };
+        budgets.iter().filter(changed).map(|budget| budget.robot)
     }
 
     fn by_age(&self) -> impl Iterator<Item = (u64, u32)> + '_ {
@@ -106,9 +138,8 @@ impl Checkpoint {
         self
     }
 
-    /// The accounts as ledgers, that of the robot that was silent longest first, each with its robot and
-    /// whether that has been on its charger.
-    pub(crate) fn ledgers(&self) -> Vec<(u32, Ledger, bool)> {
+    /// The accounts as ledgers, that of the robot that was silent longest first.
+    pub(crate) fn ledgers(&self) -> Vec<Restored> {
         let mut robots: Vec<(&u32, &Account)> = self.robots.iter().collect();
         robots.sort_by_key(|(_, account)| account.stamp_ns);
         let ledger = |(robot, account): (&u32, &Account)| {
@@ -121,7 +152,12 @@ impl Checkpoint {
                 unmetered_ns,
                 account.stamp_ns,
             );
-            (*robot, ledger, account.charged)
+            Restored {
+                robot: *robot,
+                ledger,
+                charged: account.charged,
+                battery: account.battery,
+            }
         };
         robots.into_iter().map(ledger).collect()
     }
@@ -171,7 +207,7 @@ pub(crate) mod tests {
         let newest: Vec<u32> = (100_000 - 49..100_000).chain([u32::MAX]).collect();
         assert_eq!(ledger.robots.keys().copied().collect::<Vec<_>>(), newest);
         let oldest_first = ledger.ledgers();
-        assert!(oldest_first.is_sorted_by_key(|(_, ledger, _)| ledger.stamp_ns()));
+        assert!(oldest_first.is_sorted_by_key(|restored| restored.ledger.stamp_ns()));
     }
 
     #[test]
@@ -201,7 +237,7 @@ pub(crate) mod tests {
         let order: Vec<u32> = carried
             .ledgers()
             .into_iter()
-            .map(|(robot, ..)| robot)
+            .map(|restored| restored.robot)
             .collect();
         assert_eq!(order, [5, 7, 9, 1]);
     }

@@ -16,6 +16,7 @@ use crate::checkpoint::Checkpoint;
 use crate::keyframes::{KeyframeOrders, KeyframeSender};
 use crate::ledger_files::{LedgerFileError, LedgerFiles};
 use crate::save_schedule::SaveSchedule;
+use crate::state_directory::checkpoint_path;
 
 /// Longest sleep of the checkpointer, ns.
 const PERIOD_NS: u64 = 200_000_000;
@@ -123,6 +124,9 @@ impl Checkpointer {
     fn read_budgets(&mut self) {
         match self.budgets.take_latest() {
             Ok(Some(frame)) => {
+                for robot in self.checkpoint.exchanged(frame.payload()) {
+                    tracing::info!(robot, "the robot has another battery");
+                }
                 let gone = self.checkpoint.take(frame.payload(), self.most_accounts);
                 self.checkpoint.written_ns = frame.header().sent_ns;
                 self.checkpoint.written_unix_ns = frame.header().sent_unix_ns;
@@ -276,7 +280,8 @@ pub(crate) fn read_ledger(config: &Config) -> Result<SavedLedger, LedgerFileErro
         source,
     };
     let boot_id = clock::boot_id().map_err(io)?;
-    let mut files = config.checkpoint().map(LedgerFiles::new);
+    let path = checkpoint_path(config);
+    let mut files = path.as_deref().map(LedgerFiles::new);
     let read = match &mut files {
         Some(files) => files.read(config.fleet())?,
         None => None,

@@ -14,7 +14,9 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::Checkpoint;
 
 /// Version of the files.
-const SCHEMA: u32 = 2;
+const SCHEMA: u32 = 3;
+/// The version before, without batteries: it is read, and written as the newest.
+const BEFORE: u32 = 2;
 /// Maximum size of a file: the accounts of two million robots take about half of it.
 const MOST_BYTES: u64 = 1 << 30;
 /// Maximum number of damaged files kept; the last name is reused.
@@ -27,7 +29,7 @@ struct Content<C> {
     schema: u32,
     /// One more than that of the previous file.
     generation: u64,
-    /// FNV-1a of generation and ledger as they are written, 16 hexadecimal digits.
+    /// FNV-1a of version (from 3 on), generation and ledger as they are written, 16 hexadecimal digits.
     fnv1a: String,
     ledger: C,
 }
@@ -209,8 +211,15 @@ fn set_aside(path: &Path) -> io::Result<PathBuf> {
     Ok(aside)
 }
 
-fn checksum(generation: u64, ledger: &Checkpoint) -> Result<String, serde_json::Error> {
-    let bytes = serde_json::to_vec(&(generation, ledger))?;
+fn checksum(
+    schema: u32,
+    generation: u64,
+    ledger: &Checkpoint,
+) -> Result<String, serde_json::Error> {
+    let bytes = match schema {
+        BEFORE => serde_json::to_vec(&(generation, ledger))?,
+        _ => serde_json::to_vec(&(schema, generation, ledger))?,
+    };
     Ok(format!("{:016x}", fnv1a(bytes)))
 }
 
@@ -218,7 +227,7 @@ fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::E
     serde_json::to_vec(&Content {
         schema: SCHEMA,
         generation,
-        fnv1a: checksum(generation, ledger)?,
+        fnv1a: checksum(SCHEMA, generation, ledger)?,
         ledger,
     })
 }
@@ -238,6 +247,7 @@ fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
     };
     if let Ok(Version { schema }) = serde_json::from_slice(&bytes)
         && schema != SCHEMA
+        && schema != BEFORE
     {
         return Err(Flaw::Fatal(LedgerFileError::Version {
             path: path.to_owned(),
@@ -246,7 +256,7 @@ fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
     }
     let content: Content<Checkpoint> =
         serde_json::from_slice(&bytes).map_err(|error| Flaw::Damaged(error.to_string()))?;
-    let expected = checksum(content.generation, &content.ledger)
+    let expected = checksum(content.schema, content.generation, &content.ledger)
         .map_err(|error| Flaw::Damaged(error.to_string()))?;
     if content.fnv1a != expected {
         let found = content.fnv1a;
@@ -330,7 +340,7 @@ mod tests {
                 .ok()
                 .map(|it: Version| it.schema);
             versions
-                .is_none_or(|schema| schema == SCHEMA)
+                .is_none_or(|schema| schema == SCHEMA || schema == BEFORE)
                 .then_some(flipped)
         });
         for damaged in [edited.into_bytes()]
@@ -350,6 +360,29 @@ mod tests {
             assert!(!path.exists(), "the damaged file stays in place");
             fs::remove_file(&aside).unwrap();
         }
+    }
+
+    #[test]
+    fn a_file_of_the_version_before_is_read_and_continued_in_this_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let ledger = drawn(77);
+        let before = serde_json::to_vec(&Content {
+            schema: BEFORE,
+            generation: 8,
+            fnv1a: checksum(BEFORE, 8, &ledger).unwrap(),
+            ledger: &ledger,
+        });
+        fs::write(&path, before.unwrap()).unwrap();
+        let mut files = LedgerFiles::new(&path);
+        assert_eq!(files.read("lab").unwrap(), Some(ledger));
+        files.write(&drawn(78)).unwrap();
+        assert_eq!(kept(&path), Some(78));
+        let text = fs::read_to_string(&path).unwrap();
+        assert!(
+            text.starts_with("{\"schema\":3,\"generation\":9,"),
+            "{text}"
+        );
     }
 
     #[test]
@@ -409,7 +442,7 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"{}", "it is left where it was");
         for (text, found) in [
             ("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1),
-            ("{\"schema\":3}", 3),
+            ("{\"schema\":4}", 4),
         ] {
             fs::write(&path, text).unwrap();
             let error = error("lab");

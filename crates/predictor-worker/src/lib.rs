@@ -20,6 +20,7 @@ mod outbox;
 mod report;
 mod save_schedule;
 mod shedding;
+mod state_directory;
 mod tick_pool;
 mod worker;
 

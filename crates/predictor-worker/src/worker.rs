@@ -125,7 +125,7 @@ impl Worker {
         let written = saved.len();
         let kept = saved
             .into_iter()
-            .filter(|(robot, ledger, charged)| fleet.restore(*robot, *ledger, *charged))
+            .filter(|it| fleet.restore(it.robot, it.ledger, it.charged, it.battery))
             .count();
         if kept < written {
             tracing::warn!(

@@ -26,8 +26,17 @@ pub struct RobotState {
     pub current_a: Option<f32>,
     /// The reading repeats the previous one: the monitor has not measured again.
     pub held: bool,
+    /// Measured state of charge, 0 to 1.
+    pub soc: Option<f32>,
+    /// Energy that the robot needs from here to return to its charger, J, as its planner says. It applies
+    /// to this frame; without it the platform's config applies.
+    pub return_j: Option<f32>,
     /// The robot is on its charger.
     pub charging: bool,
+    /// The charger says that the battery is full; only while charging.
+    pub full: bool,
+    /// The battery has been exchanged since the last frame.
+    pub swapped: bool,
 }
 
 impl RobotState {
@@ -77,9 +86,33 @@ impl RobotState {
         self
     }
 
+    /// With the measured state of charge, 0 to 1.
+    pub const fn soc(mut self, soc: f32) -> Self {
+        self.soc = Some(soc);
+        self
+    }
+
+    /// With the energy that the robot needs to return, J.
+    pub const fn return_energy(mut self, return_j: f32) -> Self {
+        self.return_j = Some(return_j);
+        self
+    }
+
     /// With the state of the charger.
     pub const fn charging(mut self, charging: bool) -> Self {
         self.charging = charging;
+        self
+    }
+
+    /// On the charger, which says that the battery is full.
+    pub const fn full(mut self) -> Self {
+        (self.charging, self.full) = (true, true);
+        self
+    }
+
+    /// With a battery that has been exchanged since the last frame.
+    pub const fn swapped(mut self) -> Self {
+        self.swapped = true;
         self
     }
 }
@@ -179,14 +212,22 @@ fn sample(state: &RobotState, seq: u64, stamp_ns: u64, measured_ns: u64) -> Samp
         ),
         (state.voltage_v, &mut sample.voltage_v, sample_flag::VOLTAGE),
         (state.current_a, &mut sample.current_a, sample_flag::CURRENT),
+        (state.soc, &mut sample.soc, sample_flag::SOC),
+        (state.return_j, &mut sample.return_j, sample_flag::RETURN),
     ] {
         if let Some(value) = value {
             *place = value;
             sample.flags |= flag;
         }
     }
-    if state.charging {
-        sample.flags |= sample_flag::CHARGING;
+    for (holds, flag) in [
+        (state.charging, sample_flag::CHARGING),
+        (state.full, sample_flag::FULL),
+        (state.swapped, sample_flag::SWAPPED),
+    ] {
+        if holds {
+            sample.flags |= flag;
+        }
     }
     sample
 }
@@ -268,7 +309,9 @@ mod tests {
 
     #[test]
     fn unknown_values_are_nan_and_not_flagged() {
-        use sample_flag::{CHARGING, CURRENT, HELD, OMEGA, POWER, V, VOLTAGE};
+        use sample_flag::{
+            CHARGING, CURRENT, FULL, HELD, OMEGA, POWER, RETURN, SOC, SWAPPED, V, VOLTAGE,
+        };
         let new = RobotState::new(1);
         let only_v = RobotState {
             v_mps: Some(0.0),
@@ -282,6 +325,10 @@ mod tests {
             (new.held_reading(0.0), POWER | HELD),
             (new.battery(0.0, 0.0), VOLTAGE | CURRENT),
             (new.charging(true), CHARGING),
+            (new.full(), CHARGING | FULL),
+            (new.swapped(), SWAPPED),
+            (new.soc(0.0), SOC),
+            (new.return_energy(0.0), RETURN),
             // Without a reading there is nothing to repeat.
             (RobotState { held: true, ..new }, 0),
         ] {
@@ -293,6 +340,8 @@ mod tests {
                 (sample.power_w, POWER),
                 (sample.voltage_v, VOLTAGE),
                 (sample.current_a, CURRENT),
+                (sample.soc, SOC),
+                (sample.return_j, RETURN),
             ] {
                 assert_eq!(value.is_nan(), !sample.has(flag), "{state:?}");
             }

@@ -56,6 +56,22 @@ pub const OMEGA_MAX_RADPS: RangeInclusive<f64> = 0.0..=1000.0;
 pub const BATTERY_CAPACITY_WH: RangeInclusive<f64> = 0.001..=1e6;
 /// Reserve and state of charge of a battery, as shares of its capacity.
 pub const SHARE: RangeInclusive<f64> = 0.0..=1.0;
+/// Standard deviation of counted energy, as a share of it.
+pub const COUNTING_SD: RangeInclusive<f64> = 0.0..=0.5;
+/// Share of the charged energy that a battery stores.
+pub const CHARGE_EFFICIENCY: RangeInclusive<f64> = 0.1..=1.0;
+/// Greatest power that a charger stores, W.
+pub const CHARGE_POWER_W: RangeInclusive<f64> = 0.001..=1e6;
+/// Standard deviation of a measured state of charge.
+pub const SOC_SD: RangeInclusive<f64> = 0.001..=0.5;
+/// Resolution of a measured state of charge.
+pub const SOC_STEP: RangeInclusive<f64> = 0.0..=0.2;
+/// Distance between raising and clearing a battery's level, as a share of the capacity.
+pub const LEVEL_BAND: RangeInclusive<f64> = 0.0..=0.5;
+/// Internal resistance of a battery, Ohm.
+pub const RESISTANCE_OHM: RangeInclusive<f64> = 0.0..=1000.0;
+/// Open-circuit voltage of a battery, V.
+pub const OPEN_CIRCUIT_V: RangeInclusive<f64> = 0.1..=2000.0;
 
 /// Refuses `found` outside `allowed`; NaN is outside.
 pub(crate) fn within<T: Copy + PartialOrd + Into<f64>>(

@@ -163,6 +163,14 @@ impl FleetSettings {
         fnv1a(postcard::to_allocvec(self).unwrap_or_default())
     }
 
+    /// Whether a platform has a battery.
+    #[must_use]
+    pub fn has_batteries(&self) -> bool {
+        self.platforms
+            .iter()
+            .any(|platform| platform.battery.is_some())
+    }
+
     fn check_robots_apart(&self) -> Result<(), SettingsError> {
         let mut ranges: Vec<(&RangeInclusive<u32>, &str)> = self
             .platforms
@@ -242,10 +250,9 @@ mod tests {
             omega_max_radps: 3.6,
             power_resolution_w: 0.01,
             battery: Some(crate::Battery {
-                capacity_j: 36_000.0,
-                reserve: 0.1,
                 initial_soc: 0.9,
                 initial_soc_lo: 0.8,
+                ..crate::Battery::new(36_000.0, 0.1)
             }),
             online: true,
         }

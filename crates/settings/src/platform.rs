@@ -49,8 +49,106 @@ pub struct Battery {
     pub reserve: f64,
     /// State of charge when the ledger starts, best estimate.
     pub initial_soc: f64,
-    /// Conservative lower bound of it; at most `initial_soc`.
+    /// Lower bound of it, two standard deviations below; at most `initial_soc`.
     pub initial_soc_lo: f64,
+    /// Standard deviation of the energy counted, as a share of it: error of the power monitor and of
+    /// the capacity.
+    pub counting_sd: f64,
+    /// What readings mean on the charger.
+    pub charge_reading: ChargeReading,
+    /// Share of the charged energy that is stored.
+    pub charge_efficiency: f64,
+    /// Greatest power that is stored while the charge is not metered, W; `None`: any.
+    pub charge_power_w: Option<f64>,
+    /// State of charge when the charger says that the battery is full.
+    pub on_full_soc: f64,
+    /// Standard deviation of a measured state of charge. It is taken for an error that lasts for
+    /// about an hour.
+    pub sensor_sd: f64,
+    /// Resolution of a measured state of charge.
+    pub sensor_step: f64,
+    /// State of charge from the open-circuit voltage, for robots that measure no state of charge.
+    pub open_circuit: Option<OpenCircuit>,
+    /// State of charge below which `BatteryLow` is raised.
+    pub low: f64,
+    /// State of charge below which `BatteryCritical` is raised; at most `low`.
+    pub critical: f64,
+    /// A level is cleared this far above the state of charge at which it is raised.
+    pub level_band: f64,
+    /// Energy that a robot needs to return from anywhere, J, where its samples do not say. `None`:
+    /// `CannotReturn` is raised for robots whose samples say it alone.
+    pub return_j: Option<f64>,
+}
+
+/// What a power reading means while the robot is on its charger.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub enum ChargeReading {
+    /// Power out of the battery: negative while it is charged.
+    Battery,
+    /// Power into the battery: positive while it is charged.
+    Charger,
+    /// What the robot consumes: the power that charges the battery is not metered.
+    Load,
+}
+
+/// Open-circuit voltages of a battery at equal distances of the state of charge, from empty to full.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct OpenCircuit {
+    voltages_v: [f64; Self::MOST],
+    points: usize,
+    /// Internal resistance, Ohm: what the load takes off the voltage.
+    pub resistance_ohm: f64,
+    /// Standard deviation of a state of charge that a voltage gives.
+    pub sd: f64,
+}
+
+impl OpenCircuit {
+    /// Most points of a table.
+    pub const MOST: usize = 21;
+    /// A voltage may lie outside the table by this share of its span; further ones tell nothing.
+    const MARGIN: f64 = 0.1;
+
+    /// A table of 2 to [`OpenCircuit::MOST`] rising voltages; `None` for any other.
+    #[must_use]
+    pub fn new(voltages_v: &[f64], resistance_ohm: f64, sd: f64) -> Option<Self> {
+        let rising = voltages_v.windows(2).all(|pair| pair[0] < pair[1]);
+        if !rising || !(2..=Self::MOST).contains(&voltages_v.len()) {
+            return None;
+        }
+        let mut table = Self {
+            voltages_v: [0.0; Self::MOST],
+            points: voltages_v.len(),
+            resistance_ohm,
+            sd,
+        };
+        table.voltages_v[..voltages_v.len()].copy_from_slice(voltages_v);
+        Some(table)
+    }
+
+    /// The voltages, from empty to full, V.
+    #[must_use]
+    pub fn voltages_v(&self) -> &[f64] {
+        &self.voltages_v[..self.points]
+    }
+
+    /// State of charge at a terminal voltage, V, while a current, A, is drawn; `None` where the voltage lies
+    /// outside the table.
+    #[must_use]
+    pub fn soc(&self, voltage_v: f64, current_a: f64) -> Option<f64> {
+        let table = self.voltages_v();
+        let (empty_v, full_v) = (table[0], table[table.len() - 1]);
+        let open_v = voltage_v + current_a * self.resistance_ohm;
+        let slack_v = Self::MARGIN * (full_v - empty_v);
+        if !(empty_v - slack_v <= open_v && open_v <= full_v + slack_v) {
+            return None;
+        }
+        let open_v = open_v.clamp(empty_v, full_v);
+        let above = table.partition_point(|voltage_v| *voltage_v <= open_v);
+        let above = above.clamp(1, table.len() - 1);
+        let (from_v, to_v) = (table[above - 1], table[above]);
+        let part = (open_v - from_v) / (to_v - from_v);
+        Some(((above - 1) as f64 + part) / (table.len() - 1) as f64)
+    }
 }
 
 impl Platform {
@@ -109,6 +207,82 @@ impl Platform {
             "battery initial_soc_lo beside initial_soc",
             battery.initial_soc_lo,
             *bounds::SHARE.start()..=battery.initial_soc,
-        )
+        )?;
+        battery.check(check)
+    }
+}
+
+impl Battery {
+    /// Checks charging, the measured state of charge and the levels.
+    fn check(
+        &self,
+        check: impl Fn(&str, f64, RangeInclusive<f64>) -> Result<(), SettingsError>,
+    ) -> Result<(), SettingsError> {
+        let least = *bounds::SHARE.start();
+        let (charge_w, table) = (self.charge_power_w, self.open_circuit);
+        let any_w = *bounds::CHARGE_POWER_W.end();
+        check("battery counting_sd", self.counting_sd, bounds::COUNTING_SD)?;
+        check(
+            "battery charge_efficiency",
+            self.charge_efficiency,
+            bounds::CHARGE_EFFICIENCY,
+        )?;
+        check(
+            "battery charge_power_w",
+            charge_w.unwrap_or(any_w),
+            bounds::CHARGE_POWER_W,
+        )?;
+        check("battery on_full_soc", self.on_full_soc, bounds::SHARE)?;
+        check("battery sensor_sd", self.sensor_sd, bounds::SOC_SD)?;
+        check("battery sensor_step", self.sensor_step, bounds::SOC_STEP)?;
+        check("battery low", self.low, bounds::SHARE)?;
+        check(
+            "battery critical beside low",
+            self.critical,
+            least..=self.low,
+        )?;
+        check("battery level_band", self.level_band, bounds::LEVEL_BAND)?;
+        let return_j = self.return_j.unwrap_or(least);
+        check(
+            "battery return energy beside the capacity",
+            return_j,
+            least..=self.capacity_j,
+        )?;
+        if let Some(table) = &table {
+            check("battery open_circuit_sd", table.sd, bounds::SOC_SD)?;
+            check(
+                "battery resistance_ohm",
+                table.resistance_ohm,
+                bounds::RESISTANCE_OHM,
+            )?;
+            for voltage_v in table.voltages_v() {
+                check("battery open_circuit_v", *voltage_v, bounds::OPEN_CIRCUIT_V)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// A battery of `capacity_j` with `reserve`, that is full and charged without being metered, with the
+    /// defaults of the config file otherwise.
+    #[must_use]
+    pub const fn new(capacity_j: f64, reserve: f64) -> Self {
+        Self {
+            capacity_j,
+            reserve,
+            initial_soc: 1.0,
+            initial_soc_lo: 1.0,
+            counting_sd: 0.03,
+            charge_reading: ChargeReading::Load,
+            charge_efficiency: 0.9,
+            charge_power_w: None,
+            on_full_soc: 1.0,
+            sensor_sd: 0.05,
+            sensor_step: 0.01,
+            open_circuit: None,
+            low: 0.2,
+            critical: 0.1,
+            level_band: 0.03,
+            return_j: None,
+        }
     }
 }

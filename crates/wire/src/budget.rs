@@ -6,25 +6,29 @@ use crate::layout::ZeroCopySend;
 
 /// Bits of [`Budget::flags`].
 pub mod budget_flag {
-    /// The platform's config describes a battery: energy left, usable and state of charge are known.
+    /// The platform's config describes a battery: energy left, usable and state of charge are known,
+    /// with their bounds.
     pub const BATTERY: u32 = 1 << 0;
     /// Time to empty is known.
     pub const TIME_TO_EMPTY: u32 = 1 << 1;
     /// The ledger holds at least one sample.
     pub const LEDGER: u32 = 1 << 2;
-    /// The robot has been on its charger since the ledger began: the energy in its battery is
-    /// unknown.
+    /// The robot has been on its charger since the ledger began.
     pub const CHARGED: u32 = 1 << 3;
+    /// The state of charge contains a measured one.
+    pub const MEASURED: u32 = 1 << 4;
 }
 
-/// One robot's budget. 112 bytes.
+/// One robot's budget. 128 bytes.
 ///
 /// The ledger part (`drawn_uj`, `drawn_remainder`, `metered_ns`, `unmetered_ns`, `stamp_ns`) is
 /// exact: `metered_ns + unmetered_ns` is the time from the first sample to `stamp_ns`. The
-/// remaining fields are derived from it, and their range widens with unmetered time.
+/// energy left is counted from it and fused with measured states of charge. The truth lies between
+/// the bounds (`_lo`, `_hi`) with 95 % where the errors are as the platform's config says; they
+/// widen with unmetered time by all that the robot could have drawn.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.Budget.v1")]
+#[type_name("joulebus.Budget.v2")]
 pub struct Budget {
     /// Id of the robot.
     pub robot: u32,
@@ -32,8 +36,9 @@ pub struct Budget {
     pub flags: u32,
     /// [`ChargeState`] code.
     pub charge_state: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// Times that another battery was noticed: a measured state of charge that contradicted the
+    /// counted one and lasted, or a sample that says so.
+    pub battery_changes: u32,
     /// Energy drawn over the metered time, µJ.
     pub drawn_uj: i64,
     /// Remainder of the integral below one µJ, in µW·ns · 2: carried, so that no energy is rounded
@@ -55,12 +60,11 @@ pub struct Budget {
     pub left_j: f32,
     /// Usable energy above the reserve, best estimate, J.
     pub usable_j: f32,
-    /// Conservative bound of `usable_j`: unmetered time is charged at the platform's maximum power,
-    /// J.
+    /// Lower bound of `usable_j`: unmetered time is charged at the platform's maximum power, J.
     pub usable_lo_j: f32,
     /// State of charge, 0 to 1.
     pub soc: f32,
-    /// State of charge, conservative bound.
+    /// State of charge, lower bound.
     pub soc_lo: f32,
     /// Time until the reserve is reached at the mean power, s.
     pub time_to_empty_s: f32,
@@ -68,8 +72,16 @@ pub struct Budget {
     pub time_to_empty_lo_s: f32,
     /// The same, at the lower end of the power, s.
     pub time_to_empty_hi_s: f32,
-    /// Zero.
-    pub reserved2: u32,
+    /// State of charge, upper bound.
+    pub soc_hi: f32,
+    /// Standard deviation of `soc`, without the range of unmetered time.
+    pub soc_sd: f32,
+    /// Estimated error of the measured state of charge: measured minus true.
+    pub sensor_bias: f32,
+    /// Standard deviation of `sensor_bias`.
+    pub sensor_bias_sd: f32,
+    /// Covariance of `soc` and `sensor_bias`.
+    pub sensor_covariance: f32,
 }
 
 impl Budget {

@@ -195,6 +195,15 @@ pub enum Alarm {
     DeadlineMissed,
     /// The robot's watchdog stopped it. Reserved: this version never raises it.
     WatchdogStop,
+    /// The energy that is certainly left is below what the robot needs to return.
+    CannotReturn,
+    /// The state of charge is below the platform's critical level.
+    BatteryCritical,
+    /// The state of charge is below the platform's low level.
+    BatteryLow,
+    /// The measured state of charge contradicts the energy drawn: it does not change, or jumps. It is
+    /// not used.
+    SocImplausible,
     /// No alarm.
     None,
     /// Written by something newer than this reader.
@@ -202,8 +211,9 @@ pub enum Alarm {
 }
 
 impl Alarm {
-    /// All alarms that can be raised, most important first.
-    pub const ALL: [Self; 12] = [
+    /// All alarms that can be raised, in the order of their codes. Of one level, the first is the most
+    /// important.
+    pub const ALL: [Self; 16] = [
         Self::NoData,
         Self::OutOfRange,
         Self::StuckSensor,
@@ -216,6 +226,10 @@ impl Alarm {
         Self::OfflineCharging,
         Self::DeadlineMissed,
         Self::WatchdogStop,
+        Self::CannotReturn,
+        Self::BatteryCritical,
+        Self::BatteryLow,
+        Self::SocImplausible,
     ];
 
     /// The code in shared memory: 0 is [`Alarm::None`].
@@ -256,6 +270,10 @@ impl Alarm {
             Self::OfflineCharging => "OfflineCharging",
             Self::DeadlineMissed => "DeadlineMissed",
             Self::WatchdogStop => "WatchdogStop",
+            Self::CannotReturn => "CannotReturn",
+            Self::BatteryCritical => "BatteryCritical",
+            Self::BatteryLow => "BatteryLow",
+            Self::SocImplausible => "SocImplausible",
             Self::None => "None",
             Self::Unknown => "Unknown",
         }
@@ -267,7 +285,11 @@ impl Alarm {
         match self {
             Self::None | Self::OfflineCharging => Level::Ok,
             Self::NoData => Level::Stale,
-            Self::OutOfRange | Self::StuckSensor | Self::Unknown => Level::Error,
+            Self::OutOfRange
+            | Self::StuckSensor
+            | Self::CannotReturn
+            | Self::BatteryCritical
+            | Self::Unknown => Level::Error,
             _ => Level::Warn,
         }
     }
@@ -296,10 +318,12 @@ impl AlarmSet {
         self.0 & Self::bit(alarm) != 0
     }
 
-    /// The most important alarm of the set.
+    /// The most important alarm of the set: the first of the worst level.
     #[must_use]
     pub fn first(self) -> Alarm {
-        self.iter().next().unwrap_or(Alarm::None)
+        let level = self.level();
+        let mut worst = self.iter().filter(|alarm| alarm.level() == level);
+        worst.next().unwrap_or(Alarm::None)
     }
 
     /// The worst level of the set.
@@ -308,9 +332,15 @@ impl AlarmSet {
         self.iter().map(Alarm::level).max().unwrap_or(Level::Ok)
     }
 
-    /// The alarms of the set, most important first.
+    /// The alarms of the set, in the order of their codes.
     pub fn iter(self) -> impl Iterator<Item = Alarm> {
         Alarm::ALL.into_iter().filter(move |alarm| self.has(*alarm))
+    }
+
+    /// All alarms of both sets.
+    #[must_use]
+    pub const fn and(self, other: Self) -> Self {
+        Self(self.0 | other.0)
     }
 
     const fn bit(alarm: Alarm) -> u32 {

@@ -29,13 +29,13 @@ macro_rules! layout {
     };
 }
 
-layout!(Sample, 56);
+layout!(Sample, 64);
 layout!(SampleHeader, 64);
 layout!(Forecast, 72);
 layout!(ForecastHeader, 320);
 layout!(Diagnostic, 176);
 layout!(DiagnosticHeader, 280);
-layout!(Budget, 112);
+layout!(Budget, 128);
 layout!(BudgetHeader, 40);
 layout!(PlanState, 192);
 layout!(PlanStateHeader, 200);

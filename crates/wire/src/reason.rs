@@ -27,7 +27,7 @@ pub enum DropReason {
     PowerOutOfRange,
     /// The command lies outside the platform's limits.
     CommandOutOfRange,
-    /// Unknown flag bits, or a non-zero reserved field.
+    /// Unknown flag bits, flags that contradict each other, or a non-zero reserved field.
     BadFlags,
     /// More samples of one robot in one tick than allowed.
     Backlog,
@@ -39,11 +39,13 @@ pub enum DropReason {
     BeforeJoin,
     /// More sources than the worker tracks.
     TooManySources,
+    /// The state of charge or the energy to return lies outside its limits.
+    BatteryOutOfRange,
 }
 
 impl DropReason {
     /// All reasons; the position is the index into [`DropCounts`].
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         Self::UnknownRobot,
         Self::OverCapacity,
         Self::ForeignSource,
@@ -60,6 +62,7 @@ impl DropReason {
         Self::Schema,
         Self::BeforeJoin,
         Self::TooManySources,
+        Self::BatteryOutOfRange,
     ];
 
     /// The name, as in the documentation and in JSON.
@@ -82,6 +85,7 @@ impl DropReason {
             Self::Schema => "Schema",
             Self::BeforeJoin => "BeforeJoin",
             Self::TooManySources => "TooManySources",
+            Self::BatteryOutOfRange => "BatteryOutOfRange",
         }
     }
 }
@@ -184,12 +188,14 @@ pub enum InvalidReason {
     ModelOutput,
     /// The model needs the age of readings, and two new measurements have not arrived yet.
     NoFreshness,
+    /// Its last sample was refused: state of charge or energy to return outside their limits.
+    BatteryOutOfRange,
     /// Written by a newer version than this reader.
     Unknown,
 }
 
 impl InvalidReason {
-    const ALL: [Self; 10] = [
+    const ALL: [Self; 11] = [
         Self::Stale,
         Self::NotFinite,
         Self::PowerOutOfRange,
@@ -200,6 +206,7 @@ impl InvalidReason {
         Self::NoReading,
         Self::ModelOutput,
         Self::NoFreshness,
+        Self::BatteryOutOfRange,
     ];
 
     /// The code in shared memory.
@@ -235,6 +242,7 @@ impl InvalidReason {
             Self::NoReading => "NoReading",
             Self::ModelOutput => "ModelOutput",
             Self::NoFreshness => "NoFreshness",
+            Self::BatteryOutOfRange => "BatteryOutOfRange",
             Self::Unknown => "Unknown",
         }
     }

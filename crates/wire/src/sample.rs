@@ -23,14 +23,23 @@ pub mod sample_flag {
     /// The sample does not continue the ones before it (a recorded trial starts again): the lag
     /// window starts empty.
     pub const DISCONTINUITY: u32 = 1 << 7;
+    /// `soc` is known.
+    pub const SOC: u32 = 1 << 8;
+    /// The charger or the battery's own electronics says that the battery is full. Only with
+    /// [`CHARGING`].
+    pub const FULL: u32 = 1 << 9;
+    /// The battery has been exchanged since the last sample.
+    pub const SWAPPED: u32 = 1 << 10;
+    /// `return_j` is known.
+    pub const RETURN: u32 = 1 << 11;
     /// All defined bits.
-    pub const ALL: u32 = (1 << 8) - 1;
+    pub const ALL: u32 = (1 << 12) - 1;
 }
 
-/// One robot's command and latest reading in one control tick. 56 bytes.
+/// One robot's command and latest reading in one control tick. 64 bytes.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.Sample.v1")]
+#[type_name("joulebus.Sample.v2")]
 pub struct Sample {
     /// Id of the robot, unique in the fleet.
     pub robot: u32,
@@ -52,6 +61,11 @@ pub struct Sample {
     pub voltage_v: f32,
     /// Battery current, A, positive while discharging.
     pub current_a: f32,
+    /// Measured state of charge, 0 to 1.
+    pub soc: f32,
+    /// Energy that the robot needs from here to return, J: what its planner says. It applies to
+    /// this sample only; without it the platform's config applies.
+    pub return_j: f32,
     /// Zero.
     pub reserved: u32,
 }
@@ -71,6 +85,8 @@ impl Sample {
             power_w: f32::NAN,
             voltage_v: f32::NAN,
             current_a: f32::NAN,
+            soc: f32::NAN,
+            return_j: f32::NAN,
             reserved: 0,
         }
     }
@@ -99,6 +115,22 @@ impl Sample {
         self.voltage_v = voltage_v;
         self.current_a = current_a;
         self.flags |= sample_flag::VOLTAGE | sample_flag::CURRENT;
+        self
+    }
+
+    /// With the measured state of charge, 0 to 1.
+    #[must_use]
+    pub const fn soc(mut self, soc: f32) -> Self {
+        self.soc = soc;
+        self.flags |= sample_flag::SOC;
+        self
+    }
+
+    /// With the energy that the robot needs to return, J.
+    #[must_use]
+    pub const fn return_energy(mut self, return_j: f32) -> Self {
+        self.return_j = return_j;
+        self.flags |= sample_flag::RETURN;
         self
     }
 

@@ -48,6 +48,9 @@ fn the_first_alarm_is_the_most_important_and_the_level_the_worst() {
         .with(Alarm::StuckSensor);
     assert_eq!(set.first(), Alarm::StuckSensor);
     assert_eq!(set.level(), Level::Error);
+    // Of a worse level, whatever its code.
+    let set = set.without(Alarm::StuckSensor).with(Alarm::CannotReturn);
+    assert_eq!(set.first(), Alarm::CannotReturn);
     assert_eq!(AlarmSet::default().first(), Alarm::None);
     assert_eq!(AlarmSet::default().with(Alarm::None), AlarmSet::default());
     assert_eq!(set.iter().count(), 2);
@@ -60,7 +63,7 @@ fn drops_are_counted_by_reason_and_in_total_without_wrapping() {
         counts.add(reason, index as u64);
         assert_eq!(counts.get(reason), index as u64);
     }
-    assert_eq!(counts.total(), (0..16).sum());
+    assert_eq!(counts.total(), (0..17).sum());
     counts.add(DropReason::Overflow, u64::MAX);
     assert_eq!(counts.total(), u64::MAX);
 }

@@ -92,7 +92,7 @@ convert! { Sample <=> Sample {
     same:
         robot, flags, seq, stamp_ns, measured_ns, reserved;
     float:
-        v_mps, omega_radps, power_w, voltage_v, current_a;
+        v_mps, omega_radps, power_w, voltage_v, current_a, soc, return_j;
 } }
 
 convert! { Forecast <=> Forecast {
@@ -118,11 +118,12 @@ convert! { Diagnostic <=> Diagnostic {
 
 convert! { Budget <=> Budget {
     same:
-        robot, flags, reserved, drawn_uj, drawn_remainder, forecast_uj, metered_ns, unmetered_ns,
-        stamp_ns, valid_until_ns, reserved2;
+        robot, flags, battery_changes, drawn_uj, drawn_remainder, forecast_uj, metered_ns, unmetered_ns,
+        stamp_ns, valid_until_ns;
     float:
         mean_power_w, left_j, usable_j, usable_lo_j, soc, soc_lo, time_to_empty_s,
-        time_to_empty_lo_s, time_to_empty_hi_s;
+        time_to_empty_lo_s, time_to_empty_hi_s, soc_hi, soc_sd, sensor_bias, sensor_bias_sd,
+        sensor_covariance;
     code:
         charge_state;
 } }
@@ -212,6 +213,7 @@ fn drop_counts(drops: wire::DropCounts) -> Option<proto::DropCounts> {
         schema,
         before_join,
         too_many_sources,
+        battery_out_of_range,
         later @ ..,
     ] = drops.counts;
     // Unnamed reasons are rare: trailing zeros are not written.
@@ -233,6 +235,7 @@ fn drop_counts(drops: wire::DropCounts) -> Option<proto::DropCounts> {
         schema,
         before_join,
         too_many_sources,
+        battery_out_of_range,
         later: later[..used.map_or(0, |last| last + 1)].to_vec(),
     })
 }
@@ -259,6 +262,7 @@ fn counts_of(drops: &Option<proto::DropCounts>) -> Result<wire::DropCounts, OutO
         drops.schema,
         drops.before_join,
         drops.too_many_sources,
+        drops.battery_out_of_range,
     ];
     let all = named.iter().chain(&drops.later);
     for (count, found) in counts.counts.iter_mut().zip(all) {

@@ -7,15 +7,15 @@ pub struct Budget {
     /// Id of the robot.
     #[prost(uint32, tag = "1")]
     pub robot: u32,
-    /// Which values are present: bit 0 battery, 1 time to empty, 2 ledger, 3 charged.
+    /// Which values are present: bit 0 battery, 1 time to empty, 2 ledger, 3 charged, 4 measured.
     #[prost(uint32, tag = "2")]
     pub flags: u32,
     /// Whether the battery charges.
     #[prost(enumeration = "ChargeState", tag = "3")]
     pub charge_state: i32,
-    /// Zero.
+    /// Times that another battery was noticed.
     #[prost(uint32, tag = "4")]
-    pub reserved: u32,
+    pub battery_changes: u32,
     /// Energy drawn over the metered time, microjoules.
     #[prost(int64, tag = "5")]
     pub drawn_uj: i64,
@@ -64,9 +64,21 @@ pub struct Budget {
     /// Upper bound of it, s.
     #[prost(float, optional, tag = "20")]
     pub time_to_empty_hi_s: ::core::option::Option<f32>,
-    /// Zero.
-    #[prost(uint32, tag = "21")]
-    pub reserved2: u32,
+    /// Upper bound of the state of charge.
+    #[prost(float, optional, tag = "22")]
+    pub soc_hi: ::core::option::Option<f32>,
+    /// Standard deviation of the state of charge, without the range of unmetered time.
+    #[prost(float, optional, tag = "23")]
+    pub soc_sd: ::core::option::Option<f32>,
+    /// Estimated error of the measured state of charge: measured minus true.
+    #[prost(float, optional, tag = "24")]
+    pub sensor_bias: ::core::option::Option<f32>,
+    /// Standard deviation of it.
+    #[prost(float, optional, tag = "25")]
+    pub sensor_bias_sd: ::core::option::Option<f32>,
+    /// Covariance of the two.
+    #[prost(float, optional, tag = "26")]
+    pub sensor_covariance: ::core::option::Option<f32>,
 }
 /// A tick's budgets.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -163,6 +175,8 @@ pub struct DropCounts {
     /// Counts of reasons that a later version added.
     #[prost(uint64, repeated, tag = "17")]
     pub later: ::prost::alloc::vec::Vec<u64>,
+    #[prost(uint64, tag = "18")]
+    pub battery_out_of_range: u64,
 }
 /// One robot's refusals for one reason.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
@@ -201,6 +215,7 @@ pub enum DropReason {
     Schema = 14,
     BeforeJoin = 15,
     TooManySources = 16,
+    BatteryOutOfRange = 17,
 }
 impl DropReason {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -226,6 +241,7 @@ impl DropReason {
             Self::Schema => "DROP_REASON_SCHEMA",
             Self::BeforeJoin => "DROP_REASON_BEFORE_JOIN",
             Self::TooManySources => "DROP_REASON_TOO_MANY_SOURCES",
+            Self::BatteryOutOfRange => "DROP_REASON_BATTERY_OUT_OF_RANGE",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -248,6 +264,7 @@ impl DropReason {
             "DROP_REASON_SCHEMA" => Some(Self::Schema),
             "DROP_REASON_BEFORE_JOIN" => Some(Self::BeforeJoin),
             "DROP_REASON_TOO_MANY_SOURCES" => Some(Self::TooManySources),
+            "DROP_REASON_BATTERY_OUT_OF_RANGE" => Some(Self::BatteryOutOfRange),
             _ => None,
         }
     }
@@ -418,7 +435,7 @@ impl Level {
         }
     }
 }
-/// Why a robot is not OK, most important first.
+/// Why a robot is not OK; of one level, the first is the most important.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, ::prost::Enumeration)]
 #[repr(i32)]
 pub enum Alarm {
@@ -435,6 +452,10 @@ pub enum Alarm {
     OfflineCharging = 10,
     DeadlineMissed = 11,
     WatchdogStop = 12,
+    CannotReturn = 13,
+    BatteryCritical = 14,
+    BatteryLow = 15,
+    SocImplausible = 16,
 }
 impl Alarm {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -456,6 +477,10 @@ impl Alarm {
             Self::OfflineCharging => "ALARM_OFFLINE_CHARGING",
             Self::DeadlineMissed => "ALARM_DEADLINE_MISSED",
             Self::WatchdogStop => "ALARM_WATCHDOG_STOP",
+            Self::CannotReturn => "ALARM_CANNOT_RETURN",
+            Self::BatteryCritical => "ALARM_BATTERY_CRITICAL",
+            Self::BatteryLow => "ALARM_BATTERY_LOW",
+            Self::SocImplausible => "ALARM_SOC_IMPLAUSIBLE",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -474,6 +499,10 @@ impl Alarm {
             "ALARM_OFFLINE_CHARGING" => Some(Self::OfflineCharging),
             "ALARM_DEADLINE_MISSED" => Some(Self::DeadlineMissed),
             "ALARM_WATCHDOG_STOP" => Some(Self::WatchdogStop),
+            "ALARM_CANNOT_RETURN" => Some(Self::CannotReturn),
+            "ALARM_BATTERY_CRITICAL" => Some(Self::BatteryCritical),
+            "ALARM_BATTERY_LOW" => Some(Self::BatteryLow),
+            "ALARM_SOC_IMPLAUSIBLE" => Some(Self::SocImplausible),
             _ => None,
         }
     }
@@ -802,7 +831,7 @@ pub struct Sample {
     /// Id of the robot, unique in the fleet.
     #[prost(uint32, tag = "1")]
     pub robot: u32,
-    /// Which values are present, and properties of the reading: bit 0 v, 1 omega, 2 power, 3 voltage, 4 current, 5 held, 6 charging, 7 discontinuity.
+    /// Which values are present, and properties of the reading: bit 0 v, 1 omega, 2 power, 3 voltage, 4 current, 5 held, 6 charging, 7 discontinuity, 8 soc, 9 full, 10 swapped, 11 return.
     #[prost(uint32, tag = "2")]
     pub flags: u32,
     /// Sequence number of this robot's sample within the source epoch.
@@ -832,6 +861,12 @@ pub struct Sample {
     /// Zero.
     #[prost(uint32, tag = "11")]
     pub reserved: u32,
+    /// Measured state of charge, 0 to 1.
+    #[prost(float, optional, tag = "12")]
+    pub soc: ::core::option::Option<f32>,
+    /// Energy that the robot needs to return, J.
+    #[prost(float, optional, tag = "13")]
+    pub return_j: ::core::option::Option<f32>,
 }
 /// A frame of samples, sent by one source at one time.
 #[derive(Clone, PartialEq, ::prost::Message)]

@@ -131,9 +131,10 @@ pub(super) fn budgets(
         return;
     }
     each_difference!(recorded, computed, differs:
-        robot, flags, charge_state, reserved, drawn_uj, drawn_remainder, forecast_uj, metered_ns,
+        robot, flags, charge_state, battery_changes, drawn_uj, drawn_remainder, forecast_uj, metered_ns,
         unmetered_ns, stamp_ns, valid_until_ns, mean_power_w, left_j, usable_j, usable_lo_j, soc,
-        soc_lo, time_to_empty_s, time_to_empty_lo_s, time_to_empty_hi_s, reserved2
+        soc_lo, time_to_empty_s, time_to_empty_lo_s, time_to_empty_hi_s, soc_hi, soc_sd,
+        sensor_bias, sensor_bias_sd, sensor_covariance
     );
 }
 

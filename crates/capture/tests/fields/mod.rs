@@ -121,6 +121,8 @@ payload!(
         power_w: f32,
         voltage_v: f32,
         current_a: f32,
+        soc: f32,
+        return_j: f32,
         reserved: u32,
     }
 );
@@ -207,7 +209,7 @@ payload!(
         robot: u32,
         flags: u32,
         charge_state: u32,
-        reserved: u32,
+        battery_changes: u32,
         drawn_uj: i64,
         drawn_remainder: i64,
         forecast_uj: i64,
@@ -224,7 +226,11 @@ payload!(
         time_to_empty_s: f32,
         time_to_empty_lo_s: f32,
         time_to_empty_hi_s: f32,
-        reserved2: u32,
+        soc_hi: f32,
+        soc_sd: f32,
+        sensor_bias: f32,
+        sensor_bias_sd: f32,
+        sensor_covariance: f32,
     }
 );
 payload!(

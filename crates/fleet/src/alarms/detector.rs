@@ -26,8 +26,8 @@ const MISMATCH_MEMORY: f32 = 10.0;
 const MISMATCH_ERROR_MAX: f32 = 20.0;
 const MISMATCH_SQUARE_MIN: f32 = 3.0;
 
-/// Number of alarms.
-const ALARMS: usize = Alarm::ALL.len();
+/// Alarms that are decided here; those of the battery follow.
+const ALARMS: usize = Alarm::WatchdogStop.code() as usize;
 
 /// Residual statistics of one robot.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -86,6 +86,11 @@ impl Fleet {
         check::values(sample, &context.platform)?;
         let max_jump_ns = self.tick.settings.intake.max_jump_ns;
         let broken = check::time(admission, sample.stamp_ns, max_jump_ns)?;
+        if let Some(battery) = &context.platform.battery {
+            let mut state = lanes::get(&self.columns.batteries, slot);
+            state.note(sample, battery);
+            lanes::set(&mut self.columns.batteries, slot, state);
+        }
         let admission = self.mark_reported(slot);
         admission.taken += 1;
         admission.renewed = false;

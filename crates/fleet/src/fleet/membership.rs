@@ -13,19 +13,27 @@ use crate::ingest::admission::AdmissionState;
 use crate::ingest::last_sample::Last;
 use crate::ingest::pending::PendingState;
 use crate::layout::lanes::{self, LANES};
+use crate::ledger::battery::{BatteryState, Known, SavedBattery};
 use crate::ledger::departed;
 use crate::ledger::energy::Ledger;
 
 impl Fleet {
     /// Continues with the account of a robot that an earlier run wrote down. Call before the robot's
-    /// first sample. `charged`: it has been on its charger since, so that what is in its battery is
-    /// not known. As many accounts as the capacity are kept, of robots that are not in the fleet: the
+    /// first sample. `charged`: it has been on its charger since. `battery`: what was known of its
+    /// battery; `None` if it was not written down. As many accounts as the capacity are kept, of robots that are not in the fleet: the
     /// oldest is given up for another. Returns whether none was.
-    pub fn restore(&mut self, robot: u32, ledger: Ledger, charged: bool) -> bool {
+    pub fn restore(
+        &mut self,
+        robot: u32,
+        ledger: Ledger,
+        charged: bool,
+        battery: Option<SavedBattery>,
+    ) -> bool {
         self.departed.keep(departed::Account {
             robot,
             charged,
             ledger,
+            battery: battery.map_or(Known::Nothing, Known::Saved),
         })
     }
 
@@ -67,6 +75,12 @@ impl Fleet {
         lanes::set(&mut columns.windows, slot, Window::EMPTY);
         lanes::set(&mut columns.lasts, slot, Last::NONE);
         let ledger = departed.map_or_else(Ledger::default, |departed| departed.ledger);
+        if let Some(battery) = &context.platform.battery {
+            let known = departed.map_or(Known::Nothing, |departed| departed.battery);
+            let charged = columns.admissions[slot].charged;
+            let joining = BatteryState::joining(battery, known, charged, &ledger);
+            lanes::set(&mut columns.batteries, slot, joining);
+        }
         let interval = ConformalInterval::new(
             residual.q05_w,
             residual.q95_w,
@@ -99,15 +113,20 @@ impl Fleet {
             let admission = &mut self.columns.admissions[slot];
             admission.present = false;
             admission.generation = admission.generation.wrapping_add(1);
-            let (robot, charged) = (admission.id, admission.charged);
+            let (robot, charged, platform) = (admission.id, admission.charged, admission.platform);
             let admissions = &self.columns.admissions;
             self.slot_of
                 .remove(robot, |slot| admissions[slot as usize].id);
             self.columns.slots.free(slot);
+            let platform = &self.tick.platforms[usize::from(platform)].platform;
+            let battery = platform.battery.map_or(Known::Nothing, |_| {
+                Known::Kept(lanes::get(&self.columns.batteries, slot))
+            });
             self.departed.keep(departed::Account {
                 robot,
                 charged,
                 ledger: lanes::get(&self.columns.ledgers, slot),
+                battery,
             });
         }
     }

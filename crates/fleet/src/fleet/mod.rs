@@ -76,13 +76,14 @@ impl Fleet {
         let tick = TickContext::new(settings, models)?;
         let settings = &tick.settings;
         let learning = tick.platforms.iter().any(|it| it.members.is_some());
+        let batteries = settings.has_batteries();
         let capacity = settings.capacity as usize;
         Ok(Self {
             settings_hash: settings.fingerprint(),
             ranges: tick.robot_ranges(),
-            columns: Columns::new(capacity, tick.platforms.len(), learning),
+            columns: Columns::new(capacity, tick.platforms.len(), (learning, batteries)),
             slot_of: Index::new(settings.capacity),
-            departed: Departed::new(settings.capacity),
+            departed: Departed::new(settings.capacity, batteries),
             likely_slot: 0,
             single: Batch::of_slots(WORD),
             batch: Batch::default(),

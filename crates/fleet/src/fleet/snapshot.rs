@@ -46,6 +46,10 @@ impl Fleet {
             &mut to.online,
             &from.online[..blocks.min(from.online.len())],
         );
+        copy(
+            &mut to.batteries,
+            &from.batteries[..blocks.min(from.batteries.len())],
+        );
         state.departed.clear();
         state.departed.extend(self.departed.accounts());
         copy(&mut state.sources, self.sources.all());
@@ -74,6 +78,7 @@ impl Fleet {
         to.detectors[..blocks].copy_from_slice(&from.detectors);
         to.energy[..blocks].copy_from_slice(&from.energy);
         to.online[..from.online.len()].copy_from_slice(&from.online);
+        to.batteries[..from.batteries.len()].copy_from_slice(&from.batteries);
         to.slots
             .replace(used, state.present().map(|(slot, _)| slot));
         self.slot_of.clear();
@@ -147,6 +152,8 @@ impl Fleet {
             columns.online.len(),
             online,
         )?;
+        let batteries = blocks.min(self.columns.batteries.len());
+        exactly("blocks of batteries", columns.batteries.len(), batteries)?;
         at_most("accounts", state.departed.len(), state.capacity as usize)?;
         let most = self.tick.settings.intake.max_sources;
         at_most("sources", state.sources.len(), most.into())?;

@@ -1,9 +1,16 @@
 //! Checks of a sample of a known robot, in the order of their execution.
 
+use std::ops::RangeInclusive;
+
 use joulebus_settings::Platform;
 use joulebus_wire::{DropReason, InvalidReason, Sample, SampleHeader, sample_flag};
 
 use crate::ingest::admission::AdmissionState;
+
+/// Measured states of charge: batteries report a little more than full, or less than empty.
+const SOC: RangeInclusive<f32> = -0.05..=1.05;
+/// Energy to return, J: up to the largest battery.
+const RETURN_J: RangeInclusive<f32> = 0.0..=3.6e9;
 
 /// Who may speak for the robot, and once: refuses other sources, and numbers that do not rise. The frame
 /// is of the run that its source has now: another one than the robot's has taken over.
@@ -42,7 +49,8 @@ pub(crate) fn backlog(admission: &AdmissionState, most: u16) -> Result<(), DropR
 ///
 /// A value whose flag is cleared is unknown and not checked.
 pub(crate) fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
-    if sample.flags & !sample_flag::ALL != 0 || sample.reserved != 0 {
+    let full_off_the_charger = sample.has(sample_flag::FULL) && !sample.has(sample_flag::CHARGING);
+    if sample.flags & !sample_flag::ALL != 0 || sample.reserved != 0 || full_off_the_charger {
         return Err(DropReason::BadFlags);
     }
     let known = [
@@ -51,6 +59,8 @@ pub(crate) fn values(sample: &Sample, platform: &Platform) -> Result<(), DropRea
         (sample_flag::POWER, sample.power_w),
         (sample_flag::VOLTAGE, sample.voltage_v),
         (sample_flag::CURRENT, sample.current_a),
+        (sample_flag::SOC, sample.soc),
+        (sample_flag::RETURN, sample.return_j),
     ];
     if known
         .iter()
@@ -67,6 +77,13 @@ pub(crate) fn values(sample: &Sample, platform: &Platform) -> Result<(), DropRea
     let omega_fine = sample.omega_radps.abs() <= platform.omega_max_radps;
     if (sample.has(sample_flag::V) && !v_fine) || (sample.has(sample_flag::OMEGA) && !omega_fine) {
         return Err(DropReason::CommandOutOfRange);
+    }
+    let soc_fine = SOC.contains(&sample.soc);
+    let return_fine = RETURN_J.contains(&sample.return_j);
+    if (sample.has(sample_flag::SOC) && !soc_fine)
+        || (sample.has(sample_flag::RETURN) && !return_fine)
+    {
+        return Err(DropReason::BatteryOutOfRange);
     }
     if sample.has(sample_flag::POWER) && sample.measured_ns > sample.stamp_ns {
         return Err(DropReason::BadTime);
@@ -96,6 +113,7 @@ pub(crate) fn invalid(reason: DropReason) -> Option<InvalidReason> {
         DropReason::PowerOutOfRange => Some(InvalidReason::PowerOutOfRange),
         DropReason::CommandOutOfRange => Some(InvalidReason::CommandOutOfRange),
         DropReason::BadFlags => Some(InvalidReason::BadFlags),
+        DropReason::BatteryOutOfRange => Some(InvalidReason::BatteryOutOfRange),
         DropReason::BadTime => Some(InvalidReason::BadTime),
         _ => None,
     }

@@ -19,8 +19,8 @@ pub(crate) struct Pending {
     pub broken: bool,
 }
 
-// All valid flags fit.
-const _: () = assert!(sample_flag::ALL <= u8::MAX as u32);
+// The flags that the tick looks at fit; what samples say of the battery is kept with the battery.
+const _: () = assert!(sample_flag::DISCONTINUITY <= u8::MAX as u32);
 
 impl Pending {
     /// From a sample whose flags are all known; `broken` adds to the sample's own flag.

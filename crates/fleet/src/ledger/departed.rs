@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::layout::index::Index;
+use crate::ledger::battery::Known;
 use crate::ledger::energy::Ledger;
 
 /// One robot's account.
@@ -12,6 +13,7 @@ pub(crate) struct Account {
     /// Whether it has ever been seen charging.
     pub charged: bool,
     pub ledger: Ledger,
+    pub battery: Known,
 }
 
 /// Ring buffer of accounts in columns, with a fixed capacity; the account dropped for another one
@@ -21,6 +23,8 @@ pub(crate) struct Departed {
     robots: Vec<u32>,
     charged: Vec<bool>,
     ledgers: Vec<Ledger>,
+    /// Empty unless a platform has a battery.
+    batteries: Vec<Known>,
     place_of: Index,
     /// Index of the oldest account, and the number of accounts.
     oldest: usize,
@@ -29,15 +33,17 @@ pub(crate) struct Departed {
 }
 
 impl Departed {
-    /// Bytes of an account in addition to its [`Ledger`].
+    /// Bytes of an account in addition to its [`Ledger`], where no platform has a battery.
     pub(crate) const BYTES: usize = size_of::<u32>() + size_of::<bool>();
 
-    pub(crate) fn new(most: u32) -> Self {
+    /// `batteries`: whether a platform has a battery.
+    pub(crate) fn new(most: u32, batteries: bool) -> Self {
         let places = most as usize;
         Self {
             robots: vec![0; places],
             charged: vec![false; places],
             ledgers: vec![Ledger::default(); places],
+            batteries: vec![Known::Nothing; if batteries { places } else { 0 }],
             place_of: Index::new(most),
             oldest: 0,
             len: 0,
@@ -63,6 +69,9 @@ impl Departed {
         self.robots[place] = account.robot;
         self.charged[place] = account.charged;
         self.ledgers[place] = account.ledger;
+        if let Some(battery) = self.batteries.get_mut(place) {
+            *battery = account.battery;
+        }
         room
     }
 
@@ -81,6 +90,9 @@ impl Departed {
         self.robots[place] = first;
         self.charged[place] = self.charged[oldest];
         self.ledgers[place] = self.ledgers[oldest];
+        if !self.batteries.is_empty() {
+            self.batteries[place] = self.batteries[oldest];
+        }
         self.oldest = self.after(1);
         self.len -= 1;
         Some(account)
@@ -124,6 +136,7 @@ impl Departed {
             robot: self.robots[place],
             charged: self.charged[place],
             ledger: self.ledgers[place],
+            battery: self.batteries.get(place).copied().unwrap_or_default(),
         }
     }
 
@@ -147,6 +160,7 @@ mod tests {
             robot,
             charged: stamp_ns.is_multiple_of(3),
             ledger: Ledger::restored((1, 2), 3, 4, 5, stamp_ns),
+            battery: Known::Nothing,
         }
     }
 
@@ -156,7 +170,7 @@ mod tests {
             most in 1u32..20,
             steps in prop::collection::vec((any::<bool>(), 0u32..40), 0..400),
         ) {
-            let (mut departed, mut queue) = (Departed::new(most), VecDeque::new());
+            let (mut departed, mut queue) = (Departed::new(most, false), VecDeque::new());
             let mut given_up = 0;
             for (at, (leaves, robot)) in steps.into_iter().enumerate() {
                 let known = queue.iter().position(|it: &Account| it.robot == robot);
@@ -191,7 +205,7 @@ mod tests {
             }
             prop_assert_eq!(departed.given_up(), given_up);
             let accounts: Vec<_> = departed.accounts().collect();
-            let mut again = Departed::new(most);
+            let mut again = Departed::new(most, false);
             again.replace(&accounts);
             prop_assert_eq!(again.accounts().count(), accounts.len());
         }

@@ -1,5 +1,9 @@
 //! Energy: the ledger, and the energy left in the battery.
 
+pub(crate) mod battery;
 pub(crate) mod departed;
 pub(crate) mod energy;
+mod fusion;
+pub(crate) mod levels;
+pub(crate) mod measured;
 pub(crate) mod remaining;

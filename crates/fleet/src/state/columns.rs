@@ -11,6 +11,7 @@ use crate::ingest::last_sample::LastLanes;
 use crate::ingest::pending::PendingBlock;
 use crate::layout::lanes::LANES;
 use crate::layout::slots::{self, BLOCKS, Slots};
+use crate::ledger::battery::BatteryLanes;
 use crate::ledger::departed::Departed;
 use crate::ledger::energy::Ledger;
 use crate::ledger::energy::LedgerLanes;
@@ -45,6 +46,8 @@ pub(crate) struct BlockRef<'a> {
     pub energy: &'a EnergyLanes,
     /// `None` unless a platform learns online.
     pub online: Option<&'a OnlineLanes>,
+    /// `None` unless a platform has a battery.
+    pub batteries: Option<&'a BatteryLanes>,
 }
 
 /// The columns, for the capacity rounded up to a whole block.
@@ -61,12 +64,18 @@ pub(crate) struct Columns {
     pub energy: Vec<EnergyLanes>,
     /// Empty unless a platform learns online.
     pub online: Vec<OnlineLanes>,
+    /// Empty unless a platform has a battery.
+    pub batteries: Vec<BatteryLanes>,
     pub slots: Slots,
 }
 
 impl Columns {
-    /// `learning`: whether a platform learns online.
-    pub(crate) fn new(capacity: usize, platforms: usize, learning: bool) -> Self {
+    /// `learning`: whether a platform learns online; `batteries`: whether one has a battery.
+    pub(crate) fn new(
+        capacity: usize,
+        platforms: usize,
+        (learning, batteries): (bool, bool),
+    ) -> Self {
         let blocks = capacity.div_ceil(LANES);
         let robots = blocks * LANES;
         Self {
@@ -80,6 +89,7 @@ impl Columns {
             detectors: vec![DetectorLanes::default(); blocks],
             energy: vec![EnergyLanes::default(); blocks],
             online: vec![OnlineLanes::default(); if learning { blocks } else { 0 }],
+            batteries: vec![BatteryLanes::default(); if batteries { blocks } else { 0 }],
             slots: Slots::new(capacity, platforms),
         }
     }
@@ -96,6 +106,7 @@ impl Columns {
             detectors: &self.detectors[block],
             energy: &self.energy[block],
             online: self.online.get(block),
+            batteries: self.batteries.get(block),
         }
     }
 
@@ -111,6 +122,7 @@ impl Columns {
             detectors: &mut self.detectors,
             energy: &mut self.energy,
             online: &mut self.online,
+            batteries: &mut self.batteries,
             words: self.slots.words(),
         }
     }
@@ -131,6 +143,8 @@ pub(crate) struct ColumnsMut<'a> {
     pub energy: &'a mut [EnergyLanes],
     /// Empty unless a platform learns online.
     pub online: &'a mut [OnlineLanes],
+    /// Empty unless a platform has a battery.
+    pub batteries: &'a mut [BatteryLanes],
     pub words: &'a [u64],
 }
 
@@ -150,6 +164,7 @@ impl<'a> ColumnsMut<'a> {
         let detectors = self.detectors.split_at_mut(block);
         let energy = self.energy.split_at_mut(block);
         let online = self.online.split_at_mut(block.min(self.online.len()));
+        let batteries = self.batteries.split_at_mut(block.min(self.batteries.len()));
         let words = self.words.split_at(words);
         (
             Self {
@@ -163,6 +178,7 @@ impl<'a> ColumnsMut<'a> {
                 detectors: detectors.0,
                 energy: energy.0,
                 online: online.0,
+                batteries: batteries.0,
                 words: words.0,
             },
             Self {
@@ -176,6 +192,7 @@ impl<'a> ColumnsMut<'a> {
                 detectors: detectors.1,
                 energy: energy.1,
                 online: online.1,
+                batteries: batteries.1,
                 words: words.1,
             },
         )
@@ -194,6 +211,7 @@ impl<'a> ColumnsMut<'a> {
             detectors: self.detectors,
             energy: self.energy,
             online: self.online,
+            batteries: self.batteries,
             words: self.words,
         }
     }
@@ -211,6 +229,7 @@ impl<'a> ColumnsMut<'a> {
             detectors: &self.detectors[block],
             energy: &self.energy[block],
             online: self.online.get(block),
+            batteries: self.batteries.get(block),
         }
     }
 

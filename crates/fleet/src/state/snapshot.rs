@@ -17,13 +17,14 @@ use crate::ingest::pending::PendingBlock;
 use crate::ingest::refused::Refused;
 use crate::ingest::sources::Source;
 use crate::layout::lanes::LANES;
+use crate::ledger::battery::{BatteryLanes, Known};
 use crate::ledger::departed::Account;
 use crate::ledger::energy::Ledger;
 use crate::ledger::energy::LedgerLanes;
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x08";
+const MAGIC: [u8; 8] = *b"jbstate\x09";
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
 /// windows, ledgers, intervals, scores, detectors, energy states, online learning, accounts of departed robots,
@@ -70,6 +71,8 @@ pub(crate) struct SavedColumns {
     pub energy: Vec<EnergyLanes>,
     /// Empty unless a platform learns online.
     pub online: Vec<OnlineLanes>,
+    /// Empty unless a platform has a battery.
+    pub batteries: Vec<BatteryLanes>,
 }
 
 /// Errors of restoring a state.
@@ -152,6 +155,7 @@ impl FleetState {
         let robots = settings.capacity as usize;
         let blocks = robots.div_ceil(LANES);
         let learning = settings.platforms.iter().any(|platform| platform.online);
+        let batteries = settings.has_batteries();
         Self {
             capacity: 0,
             platforms: 0,
@@ -169,6 +173,10 @@ impl FleetState {
                 detectors: with_capacity(blocks, DetectorLanes::default()),
                 energy: with_capacity(blocks, EnergyLanes::default()),
                 online: with_capacity(if learning { blocks } else { 0 }, OnlineLanes::default()),
+                batteries: with_capacity(
+                    if batteries { blocks } else { 0 },
+                    BatteryLanes::default(),
+                ),
             },
             departed: with_capacity(
                 robots,
@@ -176,6 +184,7 @@ impl FleetState {
                     robot: 0,
                     charged: false,
                     ledger: Ledger::default(),
+                    battery: Known::Nothing,
                 },
             ),
             sources: with_capacity(settings.intake.max_sources.into(), Source::default()),

@@ -14,7 +14,10 @@ use crate::ingest::last_sample::LastLanes;
 use crate::ingest::pending::{PendingBlock, PendingState};
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
 use crate::layout::slots;
+use crate::ledger::battery::{At, BatteryLanes, Charging, Counting};
 use crate::ledger::energy::LedgerLanes;
+use crate::ledger::levels;
+use crate::ledger::measured::Seen;
 use crate::state::columns::ColumnsMut;
 use crate::tick::context::TickContext;
 use crate::tick::platform_context::PlatformContext;
@@ -30,6 +33,7 @@ struct Absorbed {
     /// The reading minus the network's forecast of it, whatever was published.
     residual_w: Lanes<f32>,
     previous_w: Lanes<f32>,
+    mean_power_w: Lanes<f32>,
     alarms: AlarmInputLanes,
 }
 
@@ -51,6 +55,7 @@ impl Absorbed {
             expected_w: pending.expected_w,
             residual_w: lasts.residual_w,
             previous_w: [f32::NAN; LANES],
+            mean_power_w: lasts.mean_power_w,
             alarms: AlarmInputLanes {
                 stamp_ns: pending.samples.stamp_ns,
                 measured_ns: lasts.measured_ns,
@@ -112,6 +117,7 @@ impl SimdTask for Score<'_, '_> {
             ledgers,
             scores,
             detectors,
+            batteries,
             words,
             ..
         } = self.columns;
@@ -134,6 +140,7 @@ impl SimdTask for Score<'_, '_> {
                     ledgers: &mut ledgers[block],
                     scores: &mut scores[block],
                     detectors: &mut detectors[block],
+                    batteries: batteries.get_mut(block),
                 };
                 score_platform(self.tick, platform, &absorbed, &mut robots);
                 next = absorbed.platform_from(platform + 1);
@@ -147,6 +154,8 @@ struct Robots<'a> {
     ledgers: &'a mut LedgerLanes,
     scores: &'a mut ScoreLanes,
     detectors: &'a mut DetectorLanes,
+    /// `None` unless a platform has a battery.
+    batteries: Option<&'a mut BatteryLanes>,
 }
 
 /// Scores the robots of one platform.
@@ -160,6 +169,9 @@ fn score_platform(tick: &TickContext, platform: u16, absorbed: &Absorbed, robots
         scored[lane] = mask[lane] & known;
     }
     meter(robots.ledgers, absorbed, &mask, context.overdue_after_ns);
+    if let Some(batteries) = &mut robots.batteries {
+        follow(batteries, context, absorbed, &mask, robots.ledgers);
+    }
     score(robots.scores, absorbed, &scored);
     detect(tick, context, absorbed, &scored, robots.detectors);
     alarm(
@@ -215,6 +227,53 @@ fn meter_wide(ledgers: &mut LedgerLanes, absorbed: &Absorbed, lane: usize, longe
         longest_ns,
     );
     ledgers.set(lane, true, ledger);
+}
+
+/// Batteries, and their levels.
+#[inline(always)]
+fn follow(
+    batteries: &mut BatteryLanes,
+    context: &PlatformContext,
+    absorbed: &Absorbed,
+    mask: &Lanes<bool>,
+    ledgers: &LedgerLanes,
+) {
+    let platform = &context.platform;
+    let Some(battery) = &platform.battery else {
+        return;
+    };
+    let mut eventful = [false; LANES];
+    for lane in 0..LANES {
+        let charging = absorbed.alarms.charging[lane];
+        let (stamp_ns, broken) = (absorbed.alarms.stamp_ns[lane], absorbed.broken[lane]);
+        eventful[lane] = mask[lane] & batteries.get(lane).needs(stamp_ns, charging, broken);
+    }
+    if lanes::any(&eventful) {
+        for lane in (0..LANES).filter(|lane| eventful[*lane]) {
+            let seen = Seen {
+                stamp_ns: absorbed.alarms.stamp_ns[lane],
+                charging: absorbed.alarms.charging[lane],
+                broken: absorbed.broken[lane],
+            };
+            let mut robot = batteries.get(lane);
+            let at = At::of(&ledgers.get(lane));
+            robot.take((battery, platform), at, absorbed.mean_power_w[lane], seen);
+            batteries.set(lane, true, robot);
+        }
+    }
+    let counting = Counting::of(battery, platform);
+    // The anchors of robots on their chargers are at this sample.
+    let driving = Charging {
+        metered: false,
+        unmetered: false,
+    };
+    for lane in 0..LANES {
+        let robot = batteries.get(lane);
+        let (at, mean_w) = (At::of(&ledgers.get(lane)), absorbed.mean_power_w[lane]);
+        let estimate = robot.after(&counting, at, mean_w.into(), driving);
+        let raised = levels::judge(robot.raised, battery, &estimate, robot.return_j);
+        lanes::put(&mut batteries.raised[lane], mask[lane], raised);
+    }
 }
 
 #[inline(always)]

@@ -261,6 +261,7 @@ impl Oracle {
             DropReason::PowerOutOfRange => InvalidReason::PowerOutOfRange,
             DropReason::CommandOutOfRange => InvalidReason::CommandOutOfRange,
             DropReason::BadFlags => InvalidReason::BadFlags,
+            DropReason::BatteryOutOfRange => InvalidReason::BatteryOutOfRange,
             DropReason::BadTime => InvalidReason::BadTime,
             _ => return,
         };
@@ -294,7 +295,8 @@ impl Oracle {
 }
 
 fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
-    if sample.flags > 0xff || sample.reserved != 0 {
+    let full = sample.has(sample_flag::FULL) && !sample.has(sample_flag::CHARGING);
+    if sample.flags > 0xfff || sample.reserved != 0 || full {
         return Err(DropReason::BadFlags);
     }
     let known = |flag, value: f32| sample.has(flag).then_some(value);
@@ -303,7 +305,9 @@ fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
     let power = known(sample_flag::POWER, sample.power_w);
     let voltage = known(sample_flag::VOLTAGE, sample.voltage_v);
     let current = known(sample_flag::CURRENT, sample.current_a);
-    let all = [v, omega, power, voltage, current];
+    let soc = known(sample_flag::SOC, sample.soc);
+    let back = known(sample_flag::RETURN, sample.return_j);
+    let all = [v, omega, power, voltage, current, soc, back];
     if all.into_iter().flatten().any(|value| !value.is_finite()) {
         return Err(DropReason::NotFinite);
     }
@@ -314,6 +318,9 @@ fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
         || omega.is_some_and(|omega| omega.abs() > platform.omega_max_radps)
     {
         return Err(DropReason::CommandOutOfRange);
+    }
+    if soc.is_some_and(|soc| !(-0.05..=1.05).contains(&soc)) || back.is_some_and(|j| j < 0.0) {
+        return Err(DropReason::BatteryOutOfRange);
     }
     if power.is_some() && sample.measured_ns > sample.stamp_ns {
         return Err(DropReason::BadTime);

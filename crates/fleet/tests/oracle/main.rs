@@ -76,6 +76,7 @@ fn the_injector_produces_every_fault() {
         "Overflow",
         "Schema",
         "TooManySources",
+        "BatteryOutOfRange",
     ] {
         assert!(drops.contains(&name), "no {name} among {drops:?}");
     }

@@ -105,7 +105,7 @@ proptest! {
         let mut fleet = new();
         if restored_first {
             let ledger = joulebus_fleet::Ledger::restored((5, 6), 7, 8, 9, START_NS / 2);
-            fleet.restore(3, ledger, true);
+            fleet.restore(3, ledger, true, None);
         }
         for (tick, (now_ns, frames)) in traffic[..at].iter().enumerate() {
             take(&mut fleet, frames);

@@ -21,10 +21,10 @@ pub(crate) const SLOW_NS: u64 = 50 * MS;
 
 pub(crate) fn battery() -> Battery {
     Battery {
-        capacity_j: 10_000.0,
-        reserve: 0.1,
         initial_soc: 0.9,
         initial_soc_lo: 0.8,
+        counting_sd: 0.0,
+        ..Battery::new(10_000.0, 0.1)
     }
 }
 
@@ -320,5 +320,11 @@ pub(crate) fn budget_bits(it: &Budget) -> Vec<u64> {
         word(it.time_to_empty_s),
         word(it.time_to_empty_lo_s),
         word(it.time_to_empty_hi_s),
+        it.battery_changes.into(),
+        word(it.soc_hi),
+        word(it.soc_sd),
+        word(it.sensor_bias),
+        word(it.sensor_bias_sd),
+        word(it.sensor_covariance),
     ]
 }

@@ -5,6 +5,7 @@ use joulebus_settings::{Battery, Platform};
 use joulebus_wire::{Budget, ChargeState, budget_flag};
 
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
+use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging, Counting};
 use crate::ledger::remaining::{Remaining, RemainingLanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
@@ -36,6 +37,16 @@ impl<'a> Budgets<'a> {
         };
         let stamp_ns = ledger.stamp_ns();
         let remaining = self.remaining.get(lane);
+        let battery = (self.block.batteries)
+            .filter(|_| remaining.battery)
+            .map(|batteries| batteries.get(lane));
+        let of_battery = |value: fn(&BatteryState) -> f64| {
+            canonical(
+                battery
+                    .as_ref()
+                    .map_or(f32::NAN, |battery| value(battery) as f32),
+            )
+        };
         Budget {
             robot: admission.id,
             flags: flag(stamp_ns.is_some(), budget_flag::LEDGER)
@@ -44,9 +55,10 @@ impl<'a> Budgets<'a> {
                 | flag(
                     !remaining.time_to_empty_s.is_nan(),
                     budget_flag::TIME_TO_EMPTY,
-                ),
+                )
+                | flag(battery.is_some_and(|it| it.fused), budget_flag::MEASURED),
             charge_state: charge_state.code(),
-            reserved: 0,
+            battery_changes: battery.map_or(0, |battery| battery.changes),
             drawn_uj: ledger.drawn_uj,
             drawn_remainder: ledger.drawn_remainder.into(),
             forecast_uj: ledger.forecast_uj,
@@ -64,7 +76,11 @@ impl<'a> Budgets<'a> {
             time_to_empty_s: canonical(remaining.time_to_empty_s),
             time_to_empty_lo_s: canonical(remaining.time_to_empty_lo_s),
             time_to_empty_hi_s: canonical(remaining.time_to_empty_hi_s),
-            reserved2: 0,
+            soc_hi: canonical(remaining.soc_hi),
+            soc_sd: canonical(remaining.soc_sd),
+            sensor_bias: of_battery(|battery| battery.bias),
+            sensor_bias_sd: of_battery(|battery| battery.bias_var.sqrt()),
+            sensor_covariance: of_battery(|battery| battery.covariance),
         }
     }
 }
@@ -73,11 +89,13 @@ impl<'a> Budgets<'a> {
 #[inline(always)]
 fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
     let mut left = RemainingLanes::UNKNOWN;
+    let Some(batteries) = block.batteries else {
+        return left;
+    };
     let (mut known, mut platform) = ([false; LANES], [0; LANES]);
     let mut silent_ns = [0; LANES];
     for (lane, admission) in block.admissions.iter().enumerate() {
-        // Charged energy is unknown, so no value is published.
-        known[lane] = admission.accepted & !admission.charged;
+        known[lane] = admission.accepted;
         platform[lane] = admission.platform;
         silent_ns[lane] = tick.now_ns.saturating_sub(admission.taken_ns);
     }
@@ -91,7 +109,7 @@ fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
         }
         if lanes::any(&mask) {
             let platform = (&battery, &context.platform);
-            fill(&mut left, platform, block, &mask, &silent_ns);
+            fill(&mut left, platform, (block, batteries), &mask, &silent_ns);
         }
     }
     left
@@ -102,22 +120,25 @@ fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
 fn fill(
     left: &mut RemainingLanes,
     (battery, platform): (&Battery, &Platform),
-    block: &BlockRef<'_>,
+    (block, batteries): (&BlockRef<'_>, &BatteryLanes),
     mask: &Lanes<bool>,
     silent_ns: &Lanes<u64>,
 ) {
-    let (period_ns, most_w) = (platform.period_ns, platform.power_max_w);
+    let (period_ns, counting) = (platform.period_ns, Counting::of(battery, platform));
     let mean_w = &block.lasts.mean_power_w;
     for lane in 0..LANES {
         let ends_w = block.intervals.get(lane).around(mean_w[lane], 0, true);
-        let (drawn_uj, unmetered_ns) = (
-            block.ledgers.drawn_uj[lane],
-            block.ledgers.unmetered_ns[lane],
-        );
+        let robot = batteries.get(lane);
         let silent_ns = silent_ns[lane].saturating_sub(period_ns);
-        let unmetered_ns = unmetered_ns.saturating_add(silent_ns);
-        let drawn = (drawn_uj, unmetered_ns);
-        let remaining = Remaining::of(battery, most_w, drawn, mean_w[lane], ends_w);
+        let mut at = At::of(&block.ledgers.get(lane));
+        at.unmetered_ns = at.unmetered_ns.saturating_add(silent_ns);
+        // On a charger the anchor is at the last sample: what is not in it is silence.
+        let charging = Charging {
+            metered: false,
+            unmetered: robot.charging,
+        };
+        let estimate = robot.after(&counting, at, mean_w[lane].into(), charging);
+        let remaining = Remaining::of(battery, &estimate, mean_w[lane], ends_w, robot.charging);
         left.set(lane, mask[lane], remaining);
     }
 }

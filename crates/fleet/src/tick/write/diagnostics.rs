@@ -61,7 +61,10 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
         let (admission, last) = (&self.block.admissions[lane], self.block.lasts.get(lane));
         let (scored, detectors) = (self.block.scores.count[lane], self.block.detectors);
         let context = &tick.platforms[usize::from(admission.platform)];
-        let raised = detectors.raised(lane);
+        let of_battery = (self.block.batteries)
+            .filter(|_| context.platform.battery.is_some())
+            .map_or(0, |batteries| batteries.raised[lane]);
+        let raised = detectors.raised(lane).and(AlarmSet(of_battery));
         let alarms = if tick.is_stale(admission) {
             raised.with(Alarm::NoData)
         } else {
@@ -133,14 +136,14 @@ const WARN: u32 = of_level(Level::Warn);
 
 /// Codes of the worst level and of the most important alarm of a set, without iterating over it.
 fn most_important(alarms: AlarmSet) -> (u16, u16) {
-    let level = match alarms.0 {
-        bits if bits & STALE != 0 => Level::Stale,
-        bits if bits & ERROR != 0 => Level::Error,
-        bits if bits & WARN != 0 => Level::Warn,
-        _ => Level::Ok,
+    let (level, worst) = match alarms.0 {
+        bits if bits & STALE != 0 => (Level::Stale, bits & STALE),
+        bits if bits & ERROR != 0 => (Level::Error, bits & ERROR),
+        bits if bits & WARN != 0 => (Level::Warn, bits & WARN),
+        bits => (Level::Ok, bits),
     };
     // The first of a set is its lowest bit, and the code of an alarm is the bit's position plus 1.
-    let first = match alarms.0 {
+    let first = match worst {
         0 => Alarm::None.code(),
         bits => bits.trailing_zeros() as u16 + 1,
     };
