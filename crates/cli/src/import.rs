@@ -182,6 +182,7 @@ fn recording(path: &Path, robot: &RobotReport) -> anyhow::Result<Recording> {
             row.power_w,
             row.v_measured_mps,
             row.omega_measured_radps,
+            row.soc,
         ],
     });
     Ok(Recording {

@@ -1,6 +1,7 @@
 //! Joins one robot's messages by time.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 
 use mcap::records::MessageHeader;
 
@@ -31,6 +32,8 @@ pub struct Row {
     pub current_a: f64,
     /// Electrical power, W.
     pub power_w: f64,
+    /// Measured state of charge, 0 to 1; NaN if the battery does not measure it.
+    pub soc: f64,
     /// Measured linear velocity, m/s.
     pub v_measured_mps: f64,
     /// Measured angular velocity, rad/s.
@@ -45,10 +48,14 @@ struct Times {
     publish_ns: u64,
 }
 
+/// States of charge that the worker takes.
+const SOC: RangeInclusive<f64> = -0.05..=1.05;
+
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reading {
     voltage_v: f64,
     current_a: f64,
+    soc: f64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -128,6 +135,8 @@ pub(super) struct Track {
     without_stamp: u64,
     not_present: u64,
     charging: u64,
+    /// Readings whose state of charge is none.
+    odd_soc: u64,
 }
 
 /// A robot's rows, with notes.
@@ -154,6 +163,7 @@ impl Track {
             without_stamp: 0,
             not_present: 0,
             charging: 0,
+            odd_soc: 0,
         }
     }
 
@@ -229,11 +239,15 @@ impl Track {
         self.without_stamp += u64::from(times.header_ns.is_none());
         self.not_present += u64::from(!state.present);
         self.charging += u64::from(current_a < 0.0);
+        let soc = f64::from(state.percentage);
+        let known = !soc.is_finite() || SOC.contains(&soc);
+        self.odd_soc += u64::from(!known);
         self.battery.push(
             times,
             Reading {
                 voltage_v,
                 current_a,
+                soc: if known { soc } else { f64::NAN },
             },
         );
     }
@@ -288,13 +302,16 @@ impl Track {
         let taken = readings.len();
         let readings = last_of_bursts(&readings, self.burst_ns);
         let merged = (taken - readings.len()) as u64;
+        // Drivers that do not measure it leave it at zero instead of NaN.
+        let measures_soc = readings.iter().any(|(_, reading)| reading.soc != 0.0);
         let (mut command, mut motion) = (Follow::new(&commands), Follow::new(&motions));
         let rows = readings
             .iter()
             .map(|(time_ns, reading)| {
                 let command = command.at(*time_ns, u64::MAX);
                 let motion = motion.at(*time_ns, self.odometry_age_ns);
-                row(*time_ns, *reading, command, motion)
+                let soc = if measures_soc { reading.soc } else { f64::NAN };
+                row(*time_ns, Reading { soc, ..*reading }, command, motion)
             })
             .collect();
         Joined {
@@ -318,6 +335,12 @@ impl Track {
             notes.push(format!(
                 "{} of {all} readings report that there is no battery (`present` is false)",
                 self.not_present
+            ));
+        }
+        if self.odd_soc > 0 {
+            notes.push(format!(
+                "{} of {all} readings have a percentage outside 0 to 1: it is left out",
+                self.odd_soc
             ));
         }
         if all > 0 && self.charging * 10 > all * 9 {
@@ -387,6 +410,11 @@ fn row(time_ns: u64, reading: Reading, command: Option<Command>, motion: Option<
         voltage_v: reading.voltage_v,
         current_a: reading.current_a,
         power_w: reading.voltage_v * reading.current_a,
+        soc: if reading.soc.is_finite() {
+            reading.soc
+        } else {
+            unknown
+        },
         v_measured_mps: motion.map_or(unknown, |motion| motion.v_mps),
         omega_measured_radps: motion.map_or(unknown, |motion| motion.omega_radps),
     }

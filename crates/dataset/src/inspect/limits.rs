@@ -46,6 +46,8 @@ pub struct Limits {
     pub current_a: Range,
     /// Electrical power, W; negative while regenerating.
     pub power_w: Range,
+    /// Measured state of charge; batteries report a little more than full.
+    pub soc: Range,
     /// Allowed difference between power and voltage times current, as a share of the latter.
     pub power_share: f64,
     /// Allowed difference at least, W: a few steps of the power monitor.
@@ -69,6 +71,10 @@ impl Default for Limits {
             },
             current_a: Range::within(1_000.0),
             power_w: Range::within(100_000.0),
+            soc: Range {
+                least: -0.05,
+                greatest: 1.05,
+            },
             power_share: 0.05,
             power_step_w: 0.03,
             stuck_s: 10.0,
@@ -90,6 +96,7 @@ impl Limits {
             Column::Voltage => Some(self.voltage_v),
             Column::Current => Some(self.current_a),
             Column::Power => Some(self.power_w),
+            Column::Soc => Some(self.soc),
         }
     }
 }

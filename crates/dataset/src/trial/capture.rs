@@ -146,6 +146,7 @@ fn table(path: &Path, name: &str, samples: &[Sample]) -> Result<Table, TrialErro
                 Column::Power,
                 known(sample_flag::POWER, sample.power_w, own),
             ),
+            (Column::Soc, known(sample_flag::SOC, sample.soc, own)),
         ] {
             table.push(cell, column, column.recorded(value))?;
         }

@@ -41,7 +41,7 @@ const METRE: &[(&str, f64)] = &[("m", 1.0), ("", 1.0)];
 
 /// Every quantity; the units of voltage, current and power have to be in the name, except where
 /// the layout's names have none.
-const SPELLINGS: [Spelling; 13] = [
+const SPELLINGS: [Spelling; 14] = [
     Spelling {
         quantity: Quantity::Robot,
         name: "robot",
@@ -131,6 +131,13 @@ const SPELLINGS: [Spelling; 13] = [
         layout: &["omega_meas_radps", "omega_meas"],
         others: &["omega_measured", "measured_omega", "odom_omega"],
         units: RADPS,
+    },
+    Spelling {
+        quantity: of(Column::Soc),
+        name: "soc",
+        layout: &["soc"],
+        others: &["soc", "state_of_charge", "battery_soc"],
+        units: &[("percent", 0.01), ("pct", 0.01), ("", 1.0)],
     },
     Spelling {
         quantity: of(Column::X),

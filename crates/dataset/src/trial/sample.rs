@@ -50,6 +50,7 @@ impl Trial {
                     Column::Current,
                     row,
                 );
+                set(&mut sample.soc, sample_flag::SOC, Column::Soc, row);
                 set(&mut sample.v_mps, sample_flag::V, Column::V, row + 1);
                 set(
                     &mut sample.omega_radps,

@@ -31,11 +31,13 @@ pub enum Column {
     VMeasured,
     /// Measured angular velocity, rad/s; not in the array layout.
     OmegaMeasured,
+    /// Measured state of charge, 0 to 1; not in the array layout.
+    Soc,
 }
 
 impl Column {
     /// All columns; the first nine are the last nine of the array layout, in its order.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Phase,
         Self::V,
         Self::Omega,
@@ -47,6 +49,7 @@ impl Column {
         Self::Power,
         Self::VMeasured,
         Self::OmegaMeasured,
+        Self::Soc,
     ];
 
     /// Number of columns of the array layout: the first of [`Column::ALL`].
@@ -67,6 +70,7 @@ impl Column {
             Self::Power => "power_mW",
             Self::VMeasured => "v_meas_mps",
             Self::OmegaMeasured => "omega_meas_radps",
+            Self::Soc => "soc",
         }
     }
 

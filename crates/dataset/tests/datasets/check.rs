@@ -324,7 +324,10 @@ fn a_description_counts_energy_without_gaps_and_checks_the_units() {
     assert_eq!((told.gaps, told.group.as_str()), (1, "gap"));
     assert!((told.longest_gap_s.unwrap() - 2.1).abs() < 1e-6);
     assert!((told.power_check.unwrap().median_ratio - 1.0).abs() < 1e-9);
-    assert_eq!(told.missing_columns, ["v_meas_mps", "omega_meas_radps"]);
+    assert_eq!(
+        told.missing_columns,
+        ["v_meas_mps", "omega_meas_radps", "soc"]
+    );
     let power = told
         .columns
         .iter()
