@@ -1,6 +1,8 @@
 //! Data of a robot as text, the same in every view.
 
-use joulebus_wire::{Level, Quality, budget_flag, diagnostic_flag, forecast_flag};
+use joulebus_wire::{
+    Budget, ChargeState, Level, Quality, budget_flag, diagnostic_flag, forecast_flag,
+};
 
 use super::board::Row;
 
@@ -8,7 +10,7 @@ use super::board::Row;
 const UNKNOWN: &str = "–";
 
 /// Column heads, in the order of [`cells`], and the width of each column.
-pub(crate) const HEADS: [(&str, u16); 12] = [
+pub(crate) const HEADS: [(&str, u16); 13] = [
     ("robot", 5),
     ("quality", 12),
     ("read W", 7),
@@ -20,13 +22,15 @@ pub(crate) const HEADS: [(&str, u16); 12] = [
     ("inside", 6),
     ("drawn J", 8),
     ("charge", 6),
+    ("lasts", 8),
     ("state", 20),
 ];
 
 /// Columns that a narrow view omits, in this order.
-const DISPENSABLE: [&str; 7] = [
-    "charge",
+const DISPENSABLE: [&str; 8] = [
     "drawn J",
+    "charge",
+    "lasts",
     "inside",
     "skill",
     "interval W",
@@ -48,7 +52,7 @@ pub(crate) fn fitting(width: u16) -> Vec<usize> {
 }
 
 /// A robot's cells.
-pub(crate) fn cells(robot: u32, row: &Row) -> [String; 12] {
+pub(crate) fn cells(robot: u32, row: &Row) -> [String; 13] {
     let (forecast, diagnostic, budget) = (&row.forecast, &row.diagnostic, &row.budget);
     let read = forecast.flags & forecast_flag::READING != 0;
     let scored = diagnostic.filter(|diagnostic| diagnostic.flags & diagnostic_flag::SCORES != 0);
@@ -71,6 +75,7 @@ pub(crate) fn cells(robot: u32, row: &Row) -> [String; 12] {
         or_unknown(scored.map(|diagnostic| percent(diagnostic.coverage.into()))),
         or_unknown(metered.map(|budget| format!("{:.1}", budget.drawn_j()))),
         or_unknown(battery.map(|budget| percent(budget.soc.into()))),
+        or_unknown(battery.as_ref().map(lasts)),
         state(row),
     ]
 }
@@ -81,6 +86,25 @@ fn or_unknown(text: Option<String>) -> String {
 
 fn skill(skill: f64) -> Option<String> {
     skill.is_finite().then(|| format!("{skill:+.2}"))
+}
+
+/// Time to empty, at the mean power.
+fn lasts(budget: &Budget) -> String {
+    match budget.charge_state() {
+        ChargeState::Charging => "charging".to_owned(),
+        _ if budget.flags & budget_flag::TIME_TO_EMPTY == 0 => UNKNOWN.to_owned(),
+        _ => duration(budget.time_to_empty_s.into()),
+    }
+}
+
+fn duration(seconds: f64) -> String {
+    // Infinite for a robot that draws nothing.
+    let minutes = (seconds / 60.0).min(5_999_999.0) as u64;
+    match (minutes / 60, minutes % 60) {
+        (0, minutes) => format!("{minutes} min"),
+        (hours, _) if hours > 99 => "> 99 h".to_owned(),
+        (hours, minutes) => format!("{hours} h {minutes:02}"),
+    }
 }
 
 /// A fraction in percent.
@@ -155,13 +179,13 @@ mod tests {
     fn a_narrow_view_omits_columns_instead_of_truncating_them() {
         let heads =
             |width| -> Vec<&str> { fitting(width).iter().map(|place| HEADS[*place].0).collect() };
-        assert_eq!(heads(118).len(), HEADS.len());
+        assert_eq!(heads(127).len(), HEADS.len());
         assert_eq!(
-            heads(117),
+            heads(126),
             HEADS
                 .map(|(head, _)| head)
                 .into_iter()
-                .filter(|head| *head != "charge")
+                .filter(|head| *head != "drawn J")
                 .collect::<Vec<_>>()
         );
         assert_eq!(
@@ -177,6 +201,26 @@ mod tests {
             ]
         );
         assert_eq!(heads(0).len(), HEADS.len() - DISPENSABLE.len());
+    }
+
+    #[test]
+    fn time_to_empty_is_shown_in_hours_and_minutes_and_not_while_charging() {
+        let of = |time_to_empty_s: f32, charge_state: ChargeState| {
+            lasts(&Budget {
+                flags: budget_flag::BATTERY | budget_flag::TIME_TO_EMPTY,
+                charge_state: charge_state.code(),
+                time_to_empty_s,
+                ..Budget::default()
+            })
+        };
+        let driving = ChargeState::Discharging;
+        assert_eq!(of(59.0, driving), "0 min");
+        assert_eq!(of(3_599.0, driving), "59 min");
+        assert_eq!(of(3_661.0, driving), "1 h 01");
+        assert_eq!(of(360_000.0, driving), "> 99 h");
+        assert_eq!(of(f32::INFINITY, driving), "> 99 h");
+        assert_eq!(of(60.0, ChargeState::Charging), "charging");
+        assert_eq!(lasts(&Budget::default()), UNKNOWN);
     }
 
     #[test]

@@ -87,9 +87,10 @@ fn board() -> Board {
     );
     board.budgets(&[Budget {
         robot: 2,
-        flags: budget_flag::LEDGER,
+        flags: budget_flag::LEDGER | budget_flag::BATTERY | budget_flag::TIME_TO_EMPTY,
         drawn_uj: 63_400_000,
-        soc: f32::NAN,
+        soc: 0.426,
+        time_to_empty_s: 5_040.0,
         ..Budget::default()
     }]);
     board.set_link(Link::Live, 0);
@@ -124,7 +125,7 @@ fn color_of(buffer: &Buffer, text: &str) -> Color {
 
 #[test]
 fn a_robots_row_shows_all_columns_with_a_dash_for_unknown_values() {
-    let buffer = draw(&board(), &mut Screen::new("lab", None), 120, 40);
+    let buffer = draw(&board(), &mut Screen::new("lab", None), 130, 40);
     let words = |text| {
         let (_, line) = line_of(&buffer, text);
         let words = line.split_whitespace().map(ToOwned::to_owned);
@@ -135,9 +136,9 @@ fn a_robots_row_shows_all_columns_with_a_dash_for_unknown_values() {
     };
     // The last reading: 3.21 + 30 · 0.1. Its forecast was the 3.33 before; the diagnostics' residual is the
     // network's.
-    let fine = "2 held 6.21 3.33 3.05 – 3.75 +2.88 0.062 +0.31 88 % 63.4 – ok";
+    let fine = "2 held 6.21 3.33 3.05 – 3.75 +2.88 0.062 +0.31 88 % 63.4 43 % 1 h 24 ok";
     assert_eq!(words("2 held").trim_matches('│').trim(), fine);
-    let silent = "5 ✗ NoCommand – – – – – – – – – –";
+    let silent = "5 ✗ NoCommand – – – – – – – – – – –";
     assert_eq!(words("5 ✗").trim_matches('│').trim(), silent);
     assert!(words("9 open loop 12").contains("error StuckSensor +1"));
 }

@@ -56,7 +56,7 @@ pub(crate) fn table(board: &Board, only: Option<u32>) -> String {
     text
 }
 
-fn push_row(text: &mut String, cells: &[String; 12]) {
+fn push_row(text: &mut String, cells: &[String; 13]) {
     let columns = HEADS.iter().zip(cells).map(|((head, width), cell)| {
         let width = usize::from(*width);
         match *head {

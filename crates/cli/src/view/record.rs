@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use joulebus_wire::{Diagnostic, Quality, budget_flag, diagnostic_flag, forecast_flag};
+use joulebus_wire::{
+    ChargeState, Diagnostic, Quality, budget_flag, diagnostic_flag, forecast_flag,
+};
 use serde::Serialize;
 
 use super::board::{Board, Row};
@@ -64,9 +66,19 @@ struct RobotRecord {
     mean_power_w: Option<f64>,
     soc: Option<f64>,
     soc_lo: Option<f64>,
+    soc_hi: Option<f64>,
+    /// Whether measured states of charge are part of it.
+    soc_measured: Option<bool>,
+    /// Measured minus true state of charge, as far as it is known.
+    sensor_bias: Option<f64>,
+    /// Times that another battery was noticed.
+    battery_changes: Option<u32>,
+    charging: Option<bool>,
     usable_j: Option<f64>,
     usable_lo_j: Option<f64>,
     time_to_empty_s: Option<f64>,
+    time_to_empty_lo_s: Option<f64>,
+    time_to_empty_hi_s: Option<f64>,
 }
 
 /// What the robot's readings have taught; weights are of last reading, network and stack, gains within the stack.
@@ -184,9 +196,20 @@ impl RobotRecord {
             mean_power_w: ledger.and_then(|b| known(b.mean_power_w.into())),
             soc: battery.and_then(|b| known(b.soc.into())),
             soc_lo: battery.and_then(|b| known(b.soc_lo.into())),
+            soc_hi: battery.and_then(|b| known(b.soc_hi.into())),
+            soc_measured: battery.map(|b| b.flags & budget_flag::MEASURED != 0),
+            sensor_bias: battery.and_then(|b| known(b.sensor_bias.into())),
+            battery_changes: battery.map(|b| b.battery_changes),
+            charging: budget.and_then(|b| match b.charge_state() {
+                ChargeState::Charging => Some(true),
+                ChargeState::Discharging => Some(false),
+                ChargeState::Unknown => None,
+            }),
             usable_j: battery.and_then(|b| known(b.usable_j.into())),
             usable_lo_j: battery.and_then(|b| known(b.usable_lo_j.into())),
             time_to_empty_s: lasting.and_then(|b| known(b.time_to_empty_s.into())),
+            time_to_empty_lo_s: lasting.and_then(|b| known(b.time_to_empty_lo_s.into())),
+            time_to_empty_hi_s: lasting.and_then(|b| known(b.time_to_empty_hi_s.into())),
         }
     }
 }
