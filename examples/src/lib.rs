@@ -31,6 +31,7 @@ mod readme {
         Config = "../../crates/config/README.md",
         Publisher = "../../crates/publisher/README.md",
         Consumer = "../../crates/consumer/README.md",
+        Plan = "../../crates/plan/README.md",
         PredictorWorker = "../../crates/predictor-worker/README.md",
         Capture = "../../crates/capture/README.md",
         Dataset = "../../crates/dataset/README.md",

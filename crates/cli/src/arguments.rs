@@ -7,7 +7,7 @@ use joulebus_program::verbs::report::ReportArguments;
 use joulebus_program::verbs::serve::ServeArguments;
 
 use crate::{
-    analyze, cat, completions, config, data, demo, doctor, eval, import, info, model, publish,
+    analyze, ask, cat, completions, config, data, demo, doctor, eval, import, info, model, publish,
     record, recover, replay, run, train, watch,
 };
 
@@ -48,6 +48,7 @@ pub(crate) enum Command {
     Record(record::Args),
     Replay(replay::Args),
     Watch(watch::Args),
+    Ask(ask::Args),
     Info(info::Args),
     Cat(cat::Args),
     Recover(recover::Args),

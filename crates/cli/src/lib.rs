@@ -6,6 +6,7 @@
 
 mod analyze;
 mod arguments;
+mod ask;
 mod cat;
 mod completions;
 mod config;
@@ -73,6 +74,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Record(args) => record::run(args, output),
         Command::Replay(args) => replay::run(args, output),
         Command::Watch(args) => watch::run(args, output),
+        Command::Ask(args) => ask::run(args, output),
         Command::Info(args) => info::run(args, output),
         Command::Cat(args) => cat::run(args, output),
         Command::Recover(args) => recover::run(args, output),

@@ -91,6 +91,18 @@ fn locked_dependencies() -> BTreeMap<String, Vec<String>> {
     locked
 }
 
+/// What a package depends on, directly or not, itself included.
+fn reached(graph: &BTreeMap<String, Vec<String>>, package: &str) -> BTreeSet<String> {
+    let mut reached = BTreeSet::new();
+    let mut open = vec![package.to_owned()];
+    while let Some(name) = open.pop() {
+        if reached.insert(name.clone()) {
+            open.extend(graph[&name].iter().cloned());
+        }
+    }
+    reached
+}
+
 #[test]
 fn the_sdk_depends_on_no_kernel_no_tick_and_no_thread_pool() {
     let mut graph = locked_dependencies();
@@ -98,17 +110,22 @@ fn the_sdk_depends_on_no_kernel_no_tick_and_no_thread_pool() {
     // workspace.
     graph.extend(direct_dependencies());
     for sdk in ["joulebus-publisher", "joulebus-consumer"] {
-        let mut reached = BTreeSet::new();
-        let mut open = vec![sdk.to_owned()];
-        while let Some(name) = open.pop() {
-            if reached.insert(name.clone()) {
-                open.extend(graph[&name].iter().cloned());
-            }
-        }
+        let reached = reached(&graph, sdk);
         assert!(reached.contains("iceoryx2"), "{reached:?}");
         for heavy in ["joulebus-predictor", "joulebus-fleet", "rayon"] {
             assert!(!reached.contains(heavy), "{sdk} reaches {heavy}");
         }
+    }
+}
+
+#[test]
+fn planners_that_compute_reach_no_tick_and_no_thread_pool() {
+    let mut graph = locked_dependencies();
+    graph.extend(direct_dependencies());
+    let reached = reached(&graph, "joulebus-plan");
+    assert!(reached.contains("joulebus-energy"), "{reached:?}");
+    for heavy in ["joulebus-fleet", "joulebus-predictor-worker", "rayon"] {
+        assert!(!reached.contains(heavy), "plan reaches {heavy}");
     }
 }
 

@@ -1,0 +1,130 @@
+//! What `ask` prints.
+
+use std::fmt;
+
+use joulebus_plan::{Answer, Caveats, Left, Range, Robot, Verdict};
+use serde::Serialize;
+
+/// Answers about one question, as of one tick.
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    pub(super) fleet: String,
+    /// The tick that the answers are computed from.
+    pub(super) tick: u64,
+    /// Its age, s.
+    pub(super) age_s: f64,
+    /// Coverage of the intervals.
+    pub(super) coverage: f32,
+    /// The best first.
+    pub(super) answers: Vec<AnswerReport>,
+}
+
+/// One robot's answer.
+#[derive(Debug, Serialize)]
+pub(super) struct AnswerReport {
+    robot: u32,
+    platform: String,
+    verdict: &'static str,
+    /// Why it is unknown.
+    reason: Option<String>,
+    duration_s: f32,
+    energy: Option<Range>,
+    /// At the end, reserve included.
+    left: Option<Left>,
+    /// Of finishing above the reserve.
+    probability: Option<f32>,
+    margin_j: Option<f32>,
+    /// From 0.
+    limiting_leg: Option<usize>,
+    /// Until when it can turn back; null where it was not asked, or cannot be said.
+    pub(super) turn_back_s: Option<f32>,
+    #[serde(skip)]
+    pub(super) asked_to_return: bool,
+    caveats: Caveats,
+    /// Power of every step, W, if asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) power_w: Option<Vec<f32>>,
+}
+
+impl AnswerReport {
+    pub(super) fn new(robot: &Robot<'_>, answer: &Answer) -> Self {
+        let (verdict, reason) = match answer.verdict {
+            Verdict::Yes => ("yes", None),
+            Verdict::Tight => ("tight", None),
+            Verdict::No => ("no", None),
+            Verdict::Unknown(reason) => ("unknown", Some(reason.to_string())),
+            _ => ("unknown", None),
+        };
+        Self {
+            robot: robot.id(),
+            platform: robot.platform().settings.name.clone(),
+            verdict,
+            reason,
+            duration_s: answer.duration_s,
+            energy: answer.energy,
+            left: answer.left,
+            probability: answer.probability,
+            margin_j: answer.margin_j,
+            limiting_leg: answer.limiting_leg,
+            turn_back_s: None,
+            asked_to_return: false,
+            caveats: answer.caveats,
+            power_w: None,
+        }
+    }
+
+    fn lines(&self, coverage: f32) -> Vec<String> {
+        let mut lines = Vec::new();
+        let percent = 100.0 * coverage;
+        if let Some(energy) = self.energy {
+            lines.push(format!(
+                "energy  {:.1} J, {:.1} to {:.1} J at {percent} %, in {:.1} s",
+                energy.mean_j, energy.lo_j, energy.hi_j, self.duration_s
+            ));
+        }
+        if let (Some(left), Some(margin_j)) = (self.left, self.margin_j) {
+            lines.push(format!(
+                "left    {:.0} J, at least {:.0} J; {margin_j:.0} J to spare above the reserve",
+                left.mean_j, left.lo_j
+            ));
+        }
+        if let Some(probability) = self.probability {
+            lines.push(format!(
+                "above the reserve with probability {probability:.3}"
+            ));
+        }
+        if let Some(leg) = self.limiting_leg {
+            lines.push(format!("leg {leg} is the first that is not sure (from 0)"));
+        }
+        match (self.asked_to_return, self.turn_back_s) {
+            (true, Some(turn_back_s)) => {
+                lines.push(format!("must turn back within {turn_back_s:.1} s"));
+            }
+            (true, None) => lines.push("no time to turn back can be promised".to_owned()),
+            (false, _) => {}
+        }
+        if self.caveats.any() {
+            lines.push(format!("weakened: {}", self.caveats));
+        }
+        lines
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (place, answer) in self.answers.iter().enumerate() {
+            if place > 0 {
+                writeln!(out)?;
+            }
+            let (robot, platform) = (answer.robot, &answer.platform);
+            write!(out, "robot {robot} ({platform}): {}", answer.verdict)?;
+            if let Some(reason) = &answer.reason {
+                write!(out, ": {reason}")?;
+            }
+            for line in answer.lines(self.coverage) {
+                write!(out, "\n  {line}")?;
+            }
+        }
+        Ok(())
+    }
+}

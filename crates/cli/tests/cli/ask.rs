@@ -1,0 +1,138 @@
+//! Questions about plans, answered from a running worker's shared memory.
+
+use std::fs;
+
+use joulebus_test_processes::eventually;
+use rustix::process::Signal;
+use serde_json::Value;
+
+use crate::fleet::{Fleet, Program, code, json, stderr, stdout};
+
+/// A fleet whose first platform has a battery.
+fn fleet() -> Fleet {
+    let fleet = Fleet::new();
+    let text = fs::read_to_string(fleet.config()).unwrap();
+    let robots = "robots = [\"0-9\"]\n";
+    assert!(text.contains(robots), "{text}");
+    let battery = "[platform.battery]\ncapacity_wh = 5.0\ninitial_soc_lo = 0.95\n";
+    let text = text.replace(robots, &format!("{robots}{battery}"));
+    // Nothing is saved for the next test.
+    let text = text.replace("[intake]", "[ledger]\ncheckpoint = \"\"\n[intake]");
+    fs::write(fleet.config(), text).unwrap();
+    let path = "x_m,y_m,speed_mps\n0,0,\n1.5,0,0.15\n1.5,0.5,0.1\n";
+    fs::write(fleet.path("p.csv"), path).unwrap();
+    fleet
+}
+
+/// Asks until every robot's energy is known: a simulated fleet has just begun.
+fn ask(fleet: &Fleet, question: &str) -> Value {
+    let path = fleet.path("p.csv").display().to_string();
+    let question = format!("ask --format json {}", question.replace("FILE", &path));
+    let mut last = Value::Null;
+    eventually("answers", || {
+        let asked = fleet.output(&question);
+        if code(&asked) != 0 {
+            return false;
+        }
+        last = json(&asked);
+        let answers = last["answers"].as_array().unwrap();
+        answers.iter().all(|answer| answer["energy"].is_object())
+    });
+    last
+}
+
+#[test]
+fn a_running_fleet_answers_what_a_plan_costs_and_which_robot_does_it_for_the_least() {
+    let fleet = fleet();
+    let worker = fleet.worker();
+    let source = Program::start(fleet.joulebus("publish sim --robots 4"));
+
+    let asked = ask(&fleet, "--robot 1 --path FILE --return dock");
+    assert_eq!(asked["fleet"], "cli");
+    let answer = &asked["answers"][0];
+    assert_eq!(answer["robot"], 1);
+    assert_eq!(answer["platform"], "gternal");
+    let number = |value: &Value| value.as_f64().unwrap_or_else(|| panic!("{asked}"));
+    let energy = &answer["energy"];
+    let [lo_j, mean_j, hi_j] = ["lo_j", "mean_j", "hi_j"].map(|end| number(&energy[end]));
+    // Without a calibrated energy model the interval is what the platform can draw, from 0 W on.
+    assert!(-0.01 < lo_j && lo_j <= mean_j && mean_j <= hi_j, "{asked}");
+    // A robot that draws 2 to 6 W for the time of two metres and back.
+    let mean_w = mean_j / number(&answer["duration_s"]);
+    assert!((2.0..6.0).contains(&mean_w), "{asked}");
+    let left = &answer["left"];
+    let (left_j, left_lo_j) = (number(&left["mean_j"]), number(&left["lo_j"]));
+    assert!(
+        left_lo_j <= left_j && left_j < 5.0 * 3600.0 - lo_j,
+        "{asked}"
+    );
+    assert_ne!(answer["verdict"], "no", "{asked}");
+    assert_ne!(answer["verdict"], "unknown", "{asked}");
+
+    let power = ask(&fleet, "--robot 1 --path FILE --power");
+    let answer = &power["answers"][0];
+    let steps = answer["power_w"].as_array().unwrap();
+    let sum_j: f64 = steps.iter().map(|power_w| number(power_w) / 30.0).sum();
+    let mean_j = number(&answer["energy"]["mean_j"]);
+    assert!((sum_j - mean_j).abs() < 1e-3 * mean_j, "{sum_j} {mean_j}");
+
+    let ranked = ask(&fleet, "--rank 0,3,2 --path FILE");
+    let answers = ranked["answers"].as_array().unwrap();
+    let of = |name: &str| -> Vec<f64> {
+        let found = answers.iter().map(|answer| number(&answer[name]));
+        found.collect()
+    };
+    let mut robots = of("robot");
+    robots.sort_by(f64::total_cmp);
+    assert_eq!(robots, [0.0, 2.0, 3.0]);
+    let costs: Vec<f64> = answers
+        .iter()
+        .map(|answer| number(&answer["energy"]["mean_j"]))
+        .collect();
+    assert!(
+        costs.is_sorted(),
+        "one verdict, the cheapest first: {ranked}"
+    );
+
+    let told = fleet.output("ask --robot 2 --idle 30");
+    assert_eq!(code(&told), 0, "{}", stderr(&told));
+    assert!(stdout(&told).starts_with("robot 2 (gternal): "), "{told:?}");
+    // A robot that is not there, and a dock of words.
+    let absent = fleet.output("ask --robot 9 --idle 30");
+    assert_eq!(code(&absent), 1, "{absent:?}");
+    assert!(stderr(&absent).contains("robot 9"), "{absent:?}");
+    let nowhere = fleet.output("ask --robot 1 --path p.csv --return home");
+    assert_eq!(code(&nowhere), 2, "{nowhere:?}");
+
+    source.end(Signal::INT);
+    assert_eq!(code(&worker.end(Signal::INT)), 0);
+    assert!(fleet.stale_files().is_empty());
+}
+
+#[test]
+fn a_planner_with_another_model_or_other_limits_than_the_worker_is_refused() {
+    let fleet = fleet();
+    let worker = fleet.worker();
+    let source = Program::start(fleet.joulebus("publish sim --robots 2"));
+    ask(&fleet, "--robot 1 --idle 10");
+    let text = fs::read_to_string(fleet.config()).unwrap();
+    for (change, told) in [
+        ("capacity_wh = 6.0", "settings"),
+        ("capacity_wh = 5.0\ninitial_soc = 0.97", "settings"),
+    ] {
+        fs::write(fleet.config(), text.replace("capacity_wh = 5.0", change)).unwrap();
+        let asked = fleet.output("ask --robot 1 --idle 10");
+        assert_eq!(code(&asked), 1, "{asked:?}");
+        assert!(stderr(&asked).contains(told), "{asked:?}");
+        assert!(stdout(&asked).is_empty(), "{asked:?}");
+    }
+    let gternal = "file = \"builtin:gternal\"";
+    let other = format!("{gternal}\nmodel = \"builtin:gternal-sim-power\"");
+    fs::write(fleet.config(), text.replace(gternal, &other)).unwrap();
+    let asked = fleet.output("ask --robot 1 --idle 10");
+    assert_eq!(code(&asked), 1, "{asked:?}");
+    assert!(stderr(&asked).contains("model"), "{asked:?}");
+    fs::write(fleet.config(), text).unwrap();
+    source.end(Signal::INT);
+    assert_eq!(code(&worker.end(Signal::INT)), 0);
+}

@@ -1,0 +1,502 @@
+//! One robot's answers.
+
+use joulebus_energy::{Commands, EnergyForecast, EnergyModel, EnergyState, LEVELS, SHADOWS};
+use joulebus_wire::{
+    Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
+};
+
+use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
+use crate::candidates::Candidates;
+use crate::error::AskError;
+use crate::limits::{COVERAGE, MAX_STEPS};
+use crate::platform::{Frames, Platform};
+
+/// Ticks after which a frame is stale.
+const STALE_TICKS: u64 = 2;
+
+/// A robot as of one frame: a checked copy of its rows, for questions in any thread.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Robot<'a> {
+    platform: &'a Platform,
+    id: u32,
+    energy: EnergyState,
+    /// Why nothing can be said of its energy, if so.
+    unknown: Option<Unknown>,
+    no_reading: bool,
+    battery: Result<Battery, Unknown>,
+}
+
+/// What the battery holds, J.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Battery {
+    left_j: f32,
+    left_lo_j: f32,
+    /// Above the reserve.
+    usable_j: f32,
+    usable_lo_j: f32,
+}
+
+impl<'a> Robot<'a> {
+    pub(crate) fn new(platform: &'a Platform, frames: &Frames<'_>) -> Self {
+        let state = frames.state;
+        let energy = energy_state(state);
+        let unknown = unknown(frames.header, state, &energy, frames.now_ns);
+        Self {
+            platform,
+            id: state.robot,
+            energy,
+            unknown,
+            no_reading: state.open_steps > 0,
+            battery: battery(platform, frames),
+        }
+    }
+
+    /// Its id.
+    #[must_use]
+    pub const fn id(&self) -> u32 {
+        self.id
+    }
+
+    /// Its platform.
+    #[must_use]
+    pub const fn platform(&self) -> &'a Platform {
+        self.platform
+    }
+
+    /// Why nothing can be said of its energy, if so.
+    #[must_use]
+    pub const fn unknown(&self) -> Option<Unknown> {
+        self.unknown
+    }
+
+    /// What its energy is forecast from.
+    #[must_use]
+    pub const fn energy_state(&self) -> &EnergyState {
+        &self.energy
+    }
+
+    /// The energy of each candidate, and whether the robot makes it; `coverage`: of the intervals,
+    /// 0.5 to 0.999.
+    ///
+    /// # Errors
+    /// A command that is not finite or beyond the platform's limits, or another coverage.
+    pub fn what_if(
+        &self,
+        candidates: &Candidates<'_>,
+        coverage: f32,
+    ) -> Result<Vec<Answer>, AskError> {
+        self.check(candidates, coverage)?;
+        let answer = |commands| self.answer(commands, &[], coverage);
+        Ok(candidates.iter().map(answer).collect())
+    }
+
+    /// As [`Robot::what_if`], into memory of the caller. Allocates nothing.
+    ///
+    /// # Errors
+    /// As there, or `answers` has another length than there are candidates.
+    pub fn what_if_into(
+        &self,
+        candidates: &Candidates<'_>,
+        coverage: f32,
+        answers: &mut [Answer],
+    ) -> Result<(), AskError> {
+        self.check(candidates, coverage)?;
+        results(answers.len(), candidates.count())?;
+        for (answer, commands) in answers.iter_mut().zip(candidates.iter()) {
+            *answer = self.answer(commands, &[], coverage);
+        }
+        Ok(())
+    }
+
+    /// The power of every step, W, candidate by candidate: `power_w` has `count * steps` places.
+    /// Its sum times the period is the energy's mean, up to rounding. NaN where the robot's state
+    /// is unknown.
+    ///
+    /// # Errors
+    /// As [`Robot::what_if`], or `power_w` has another length.
+    pub fn power_w(
+        &self,
+        candidates: &Candidates<'_>,
+        power_w: &mut [f32],
+    ) -> Result<(), AskError> {
+        self.check(candidates, COVERAGE.0)?;
+        results(power_w.len(), candidates.count() * candidates.steps())?;
+        if self.unknown.is_some() {
+            power_w.fill(f32::NAN);
+            return Ok(());
+        }
+        let traces = power_w.chunks_exact_mut(candidates.steps());
+        for (trace, commands) in traces.zip(candidates.iter()) {
+            self.model().power_w(&self.energy, commands, trace);
+        }
+        Ok(())
+    }
+
+    /// Derivatives of each candidate's energy with respect to its commands: J per m/s and J per
+    /// rad/s, in the order of the commands. NaN where the robot's state is unknown.
+    ///
+    /// # Errors
+    /// As [`Robot::power_w`].
+    pub fn gradient(
+        &self,
+        candidates: &Candidates<'_>,
+        by_v: &mut [f32],
+        by_omega: &mut [f32],
+    ) -> Result<(), AskError> {
+        self.check(candidates, COVERAGE.0)?;
+        let (steps, places) = (candidates.steps(), candidates.count() * candidates.steps());
+        results(by_v.len(), places)?;
+        results(by_omega.len(), places)?;
+        if self.unknown.is_some() {
+            by_v.fill(f32::NAN);
+            by_omega.fill(f32::NAN);
+            return Ok(());
+        }
+        let slopes = by_v
+            .chunks_exact_mut(steps)
+            .zip(by_omega.chunks_exact_mut(steps));
+        for ((by_v, by_omega), commands) in slopes.zip(candidates.iter()) {
+            self.model()
+                .gradient(&self.energy, commands, by_v, by_omega);
+        }
+        Ok(())
+    }
+
+    /// The energy of standing still for a time, s.
+    ///
+    /// # Errors
+    /// A duration or coverage that is not allowed.
+    pub fn idle(&self, duration_s: f32, coverage: f32) -> Result<Answer, AskError> {
+        let period_s = self.period_s();
+        let allowed = period_s * MAX_STEPS as f32;
+        if !(duration_s > 0.0 && duration_s <= allowed) {
+            return Err(AskError::Duration {
+                found: duration_s,
+                allowed,
+            });
+        }
+        let steps = (duration_s / period_s).round().max(1.0) as usize;
+        let rest = vec![0.0; steps];
+        let candidates = Candidates::new(1, duration_s / steps as f32, &rest, &rest)?;
+        self.check(&candidates, coverage)?;
+        let commands = candidates.iter().next();
+        // There is one candidate.
+        Ok(commands.map_or(self.nothing(duration_s), |commands| {
+            self.answer(commands, &[], coverage)
+        }))
+    }
+
+    pub(crate) fn period_s(&self) -> f32 {
+        self.platform.settings.period_ns as f32 * 1e-9
+    }
+
+    fn model(&self) -> &'a EnergyModel {
+        &self.platform.energy
+    }
+
+    pub(crate) fn check(&self, candidates: &Candidates<'_>, coverage: f32) -> Result<(), AskError> {
+        if !(COVERAGE.0 <= coverage && coverage <= COVERAGE.1) {
+            return Err(AskError::Coverage { found: coverage });
+        }
+        let settings = &self.platform.settings;
+        candidates.check(
+            &settings.name,
+            (settings.v_max_mps, settings.omega_max_radps),
+        )
+    }
+
+    /// The answer to checked commands; `leg_ends`: the steps after which each leg ends.
+    pub(crate) fn answer(
+        &self,
+        commands: Commands<'_>,
+        leg_ends: &[usize],
+        coverage: f32,
+    ) -> Answer {
+        let duration_s = commands.duration_s();
+        let nothing = self.nothing(duration_s);
+        if self.unknown.is_some() {
+            return nothing;
+        }
+        let estimate = self.estimate(commands, coverage);
+        let Some(energy) = estimate.energy() else {
+            return Answer {
+                verdict: Verdict::Unknown(Unknown::NoLevel),
+                ..nothing
+            };
+        };
+        let answer = Answer {
+            energy: Some(energy),
+            caveats: estimate.caveats,
+            ..nothing
+        };
+        let battery = match self.battery {
+            Ok(battery) => battery,
+            Err(reason) => {
+                return Answer {
+                    verdict: Verdict::Unknown(reason),
+                    ..answer
+                };
+            }
+        };
+        let verdict = verdict(&battery, &energy, estimate.caveats);
+        Answer {
+            left: Some(Left {
+                mean_j: (battery.left_j - energy.mean_j).max(0.0),
+                lo_j: (battery.left_lo_j - energy.hi_j).max(0.0),
+            }),
+            probability: estimate.probability_below(battery.usable_lo_j),
+            margin_j: Some(battery.usable_lo_j - energy.hi_j),
+            verdict,
+            limiting_leg: (verdict != Verdict::Yes)
+                .then(|| self.limiting_leg(&battery, commands, leg_ends, coverage)),
+            ..answer
+        }
+    }
+
+    /// Whether the verdict on a plan is [`Verdict::Yes`].
+    pub(crate) fn makes(&self, commands: Commands<'_>, coverage: f32) -> bool {
+        let (None, Ok(battery)) = (self.unknown, self.battery) else {
+            return false;
+        };
+        let estimate = self.estimate(commands, coverage);
+        let energy = estimate.energy();
+        energy.is_some_and(|energy| verdict(&battery, &energy, estimate.caveats) == Verdict::Yes)
+    }
+
+    /// The first leg at whose end the verdict is not [`Verdict::Yes`]; the last, if all are.
+    fn limiting_leg(
+        &self,
+        battery: &Battery,
+        commands: Commands<'_>,
+        leg_ends: &[usize],
+        coverage: f32,
+    ) -> usize {
+        let (_, before_last) = leg_ends.split_last().unwrap_or((&0, &[]));
+        let fails = |end: &usize| {
+            let estimate = self.estimate(first(commands, *end), coverage);
+            let energy = estimate.energy();
+            energy.is_none_or(|energy| verdict(battery, &energy, estimate.caveats) != Verdict::Yes)
+        };
+        before_last
+            .iter()
+            .position(fails)
+            .unwrap_or(before_last.len())
+    }
+
+    fn nothing(&self, duration_s: f32) -> Answer {
+        Answer {
+            duration_s,
+            energy: None,
+            left: None,
+            probability: None,
+            margin_j: None,
+            verdict: Verdict::Unknown(self.unknown.unwrap_or(Unknown::NoLevel)),
+            limiting_leg: None,
+            caveats: Caveats {
+                no_reading: self.no_reading,
+                ..Caveats::default()
+            },
+        }
+    }
+
+    /// The energy of checked commands, widened where the model's errors do not cover it.
+    fn estimate(&self, commands: Commands<'_>, coverage: f32) -> Estimate {
+        let (model, settings) = (self.model(), &self.platform.settings);
+        let whole = model.forecast(&self.energy, commands);
+        let (steps, outside) = (commands.steps(), self.steps_outside(commands));
+        let longest_s = model.longest_s();
+        let beyond = whole.duration_s > longest_s;
+        // Steps whose errors are known.
+        let covered = if beyond {
+            steps.min((longest_s / commands.period_s) as usize)
+        } else {
+            steps
+        };
+        let known = match covered {
+            0 => None,
+            _ if beyond => Some(model.forecast(&self.energy, first(commands, covered))),
+            _ => Some(whole),
+        };
+        let widened_s = (steps - covered + outside).min(steps) as f32 * commands.period_s;
+        let mean_w = whole.energy_j / whole.duration_s;
+        let tail = 0.5 * (1.0 - coverage);
+        let offset_j = |p| {
+            let edge_j = known.and_then(|known| Some(known.quantile_j(p)? - known.energy_j));
+            edge_j.unwrap_or(0.0)
+        };
+        let down_w = (mean_w - settings.power_min_w).max(0.0);
+        let up_w = (settings.power_max_w - mean_w).max(0.0);
+        let known_j = known.map_or(0.0, |known| known.energy_j);
+        Estimate {
+            known,
+            mean_j: whole.energy_j,
+            lo_j: whole.energy_j + offset_j(tail) - widened_s * down_w,
+            hi_j: whole.energy_j + offset_j(1.0 - tail) + widened_s * up_w,
+            widened_j: (whole.energy_j - known_j) + widened_s * up_w,
+            caveats: Caveats {
+                steps_outside_training: outside,
+                beyond_horizon: beyond,
+                no_reading: self.no_reading,
+            },
+        }
+    }
+
+    fn steps_outside(&self, commands: Commands<'_>) -> usize {
+        let model = self.model();
+        if !model.command.reads_commands() {
+            return 0;
+        }
+        let within =
+            |[lowest, highest]: [f32; 2], value: f32| (lowest <= value) & (value <= highest);
+        let steps = commands.v_mps.iter().zip(commands.omega_radps);
+        let mut outside = 0;
+        for (v_mps, omega_radps) in steps {
+            let inside = within(model.v_mps, *v_mps) & within(model.omega_radps, *omega_radps);
+            outside += usize::from(!inside);
+        }
+        outside
+    }
+}
+
+/// The energy of a plan.
+struct Estimate {
+    /// Of the part whose errors are known.
+    known: Option<EnergyForecast>,
+    mean_j: f32,
+    lo_j: f32,
+    hi_j: f32,
+    /// Beyond the known part, at most, J.
+    widened_j: f32,
+    caveats: Caveats,
+}
+
+impl Estimate {
+    /// `None` if a value is not finite, or they contradict each other.
+    fn energy(&self) -> Option<Range> {
+        let Self {
+            mean_j, lo_j, hi_j, ..
+        } = *self;
+        // Quantiles of a skewed error may both lie on one side of the mean.
+        let (lo_j, hi_j) = (lo_j.min(mean_j), hi_j.max(mean_j));
+        let finite = lo_j.is_finite() && mean_j.is_finite() && hi_j.is_finite();
+        finite.then_some(Range { mean_j, lo_j, hi_j })
+    }
+
+    fn probability_below(&self, usable_j: f32) -> Option<f32> {
+        self.known?.probability_below(usable_j - self.widened_j)
+    }
+}
+
+fn verdict(battery: &Battery, energy: &Range, caveats: Caveats) -> Verdict {
+    if energy.hi_j <= battery.usable_lo_j && !caveats.any() {
+        Verdict::Yes
+    } else if energy.mean_j <= battery.usable_j {
+        Verdict::Tight
+    } else {
+        Verdict::No
+    }
+}
+
+/// The first steps of a plan.
+pub(crate) fn first(commands: Commands<'_>, steps: usize) -> Commands<'_> {
+    let steps = steps.min(commands.steps());
+    Commands {
+        v_mps: &commands.v_mps[..steps],
+        omega_radps: &commands.omega_radps[..steps],
+        ..commands
+    }
+}
+
+fn results(found: usize, allowed: usize) -> Result<(), AskError> {
+    if found == allowed {
+        Ok(())
+    } else {
+        Err(AskError::Results { found, allowed })
+    }
+}
+
+fn energy_state(state: &PlanState) -> EnergyState {
+    const _: () = assert!(LEVELS == 4 && SHADOWS == 3);
+    EnergyState {
+        energy_j: state.energy_j,
+        command_j: state.command_j,
+        time_s: state.time_s,
+        v_mps: state.v_mps,
+        omega_radps: state.omega_radps,
+        error_factor: state.error_factor,
+        ..EnergyState::new(0)
+    }
+}
+
+/// Why nothing can be said of a robot's energy, if so.
+fn unknown(
+    header: &PlanStateHeader,
+    state: &PlanState,
+    energy: &EnergyState,
+    now_ns: u64,
+) -> Option<Unknown> {
+    let age_ns = now_ns.saturating_sub(header.sent_ns);
+    if age_ns > header.period_ns.saturating_mul(STALE_TICKS) {
+        return Some(Unknown::Stale { age_ns });
+    }
+    match state.quality() {
+        Quality::Invalid(reason) => return Some(Unknown::invalid(reason)),
+        Quality::Warmup { have } => return Some(Unknown::Warmup { have }),
+        Quality::Fresh | Quality::Held | Quality::OpenLoop { .. } => {}
+        Quality::Unknown => return Some(Unknown::Unreadable),
+    }
+    let has_sample = state.flags & plan_state_flag::SAMPLE != 0;
+    let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());
+    let metered = energy.time_s.iter().all(|time_s| *time_s > 0.0);
+    let known = has_sample
+        && metered
+        && finite(&energy.energy_j)
+        && finite(&energy.command_j)
+        && finite(&energy.time_s)
+        && finite(&energy.error_factor);
+    (!known).then_some(Unknown::NoLevel)
+}
+
+/// What the battery holds by a budget that is as new as the robot's state.
+fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown> {
+    let Some(settings) = &platform.settings.battery else {
+        return Err(Unknown::NoBattery);
+    };
+    let (header, state) = (frames.header, frames.state);
+    let budget = frames
+        .budget
+        .filter(|(of, row)| is_current(header, state, of, row));
+    let (of, budget) = budget.ok_or(Unknown::NoBudget)?;
+    let age_ns = frames.now_ns.saturating_sub(of.sent_ns);
+    if age_ns > header.period_ns.saturating_mul(STALE_TICKS) {
+        return Err(Unknown::NoBudget);
+    }
+    let is_known = budget.flags & budget_flag::BATTERY != 0;
+    let battery = Battery {
+        left_j: budget.left_j,
+        left_lo_j: (f64::from(budget.soc_lo) * settings.capacity_j) as f32,
+        usable_j: budget.usable_j,
+        usable_lo_j: budget.usable_lo_j,
+    };
+    let all = [
+        battery.left_j,
+        battery.left_lo_j,
+        battery.usable_j,
+        battery.usable_lo_j,
+    ];
+    if is_known && all.iter().all(|joules| joules.is_finite()) {
+        Ok(battery)
+    } else {
+        Err(Unknown::BatteryUnknown)
+    }
+}
+
+/// Whether a budget is of the robot, and of the run of the worker that the state is of.
+fn is_current(
+    header: &PlanStateHeader,
+    state: &PlanState,
+    of: &BudgetHeader,
+    budget: &Budget,
+) -> bool {
+    budget.robot == state.robot && of.worker_epoch == header.worker_epoch
+}

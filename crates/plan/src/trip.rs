@@ -1,0 +1,195 @@
+//! Paths: what they cost, until when the robot must turn back, which robot does them for the least.
+
+use joulebus_energy::Commands;
+
+use crate::answer::{Answer, Verdict};
+use crate::candidates::Candidates;
+use crate::error::AskError;
+use crate::follower::{Followed, Follower, Path, Point};
+use crate::limits::MAX_STEPS;
+use crate::robot::{Robot, first};
+
+/// Times at which turning back is tried, at most.
+const TURNS: usize = 64;
+
+/// The answer to a path, and back if asked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trip {
+    /// The answer for all legs; the way back is the last one.
+    pub answer: Answer,
+    /// With a way back: the time until which the robot can follow the path and still return with
+    /// [`Verdict::Yes`], s. The path's duration if it can follow all of it; `None` if it cannot say
+    /// so even now, and without a way back. Tried at up to 64 times, evenly spaced: the last before the first that
+    /// fails.
+    pub turn_back_s: Option<f32>,
+    /// The commands of the whole trip.
+    pub commands: Followed,
+}
+
+/// A robot's answer to a task.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ranked {
+    /// The robot.
+    pub robot: u32,
+    /// Its answer.
+    pub trip: Trip,
+}
+
+impl Robot<'_> {
+    /// Whether the robot can follow a path and then return to a point, at the speed of the last leg.
+    ///
+    /// # Errors
+    /// A path that the platform cannot follow, or a coverage that is not allowed.
+    pub fn can_finish(
+        &self,
+        path: &Path,
+        back_to: Option<Point>,
+        coverage: f32,
+    ) -> Result<Trip, AskError> {
+        let follower = Follower::new(self.platform())?;
+        let there = follower.follow(path)?;
+        let speed_mps = path.speed_mps.last().copied().unwrap_or(0.0);
+        let back = back_to.map(|dock| Back {
+            follower: &follower,
+            dock,
+            speed_mps,
+        });
+        let Some(back) = back else {
+            return self.trip(there, None, coverage);
+        };
+        let all = back.from(&there, there.v_mps.len())?;
+        self.check_followed(&all, coverage)?;
+        let turn_back_s = self.turn_back_s(&there, &all, &back, coverage)?;
+        self.trip(all, turn_back_s, coverage)
+    }
+
+    fn trip(
+        &self,
+        commands: Followed,
+        turn_back_s: Option<f32>,
+        coverage: f32,
+    ) -> Result<Trip, AskError> {
+        self.check_followed(&commands, coverage)?;
+        let answer = self.answer(commands.commands(), &commands.leg_ends, coverage);
+        Ok(Trip {
+            answer,
+            turn_back_s,
+            commands,
+        })
+    }
+
+    fn check_followed(&self, followed: &Followed, coverage: f32) -> Result<(), AskError> {
+        let columns = (&followed.v_mps, &followed.omega_radps);
+        let candidates = Candidates::new(1, followed.period_s, columns.0, columns.1)?;
+        self.check(&candidates, coverage)
+    }
+
+    /// `all`: the whole path and the way back from its end.
+    fn turn_back_s(
+        &self,
+        there: &Followed,
+        all: &Followed,
+        back: &Back<'_>,
+        coverage: f32,
+    ) -> Result<Option<f32>, AskError> {
+        let steps = there.v_mps.len();
+        let stride = steps.div_ceil(TURNS).max(1);
+        let mut last_s = None;
+        for turn in (0..steps).step_by(stride) {
+            let plan = back.from(there, turn)?;
+            if !self.makes(plan.commands(), coverage) {
+                return Ok(last_s);
+            }
+            last_s = Some(turn as f32 * there.period_s);
+        }
+        if self.makes(all.commands(), coverage) {
+            last_s = Some(steps as f32 * there.period_s);
+        }
+        Ok(last_s)
+    }
+}
+
+/// The way back.
+struct Back<'a> {
+    follower: &'a Follower,
+    dock: Point,
+    speed_mps: f64,
+}
+
+impl Back<'_> {
+    /// The first steps of a path, and the way back from there as one more leg.
+    fn from(&self, there: &Followed, steps: usize) -> Result<Followed, AskError> {
+        let pose = there.poses[steps];
+        let home = Path {
+            points: vec![pose.at, self.dock],
+            speed_mps: vec![self.speed_mps; 2],
+            heading_rad: Some(pose.heading_rad),
+        };
+        let home = self.follower.follow(&home)?;
+        let found = steps + home.v_mps.len();
+        if found > MAX_STEPS {
+            return Err(AskError::Steps { found });
+        }
+        let ends = there.leg_ends.iter().copied();
+        let mut leg_ends: Vec<usize> = ends.filter(|end| *end <= steps).collect();
+        leg_ends.push(found);
+        Ok(Followed {
+            period_s: there.period_s,
+            v_mps: [&there.v_mps[..steps], &home.v_mps].concat(),
+            omega_radps: [&there.omega_radps[..steps], &home.omega_radps].concat(),
+            leg_ends,
+            poses: [&there.poses[..steps], &home.poses].concat(),
+        })
+    }
+}
+
+impl Followed {
+    /// As commands of a plan.
+    #[must_use]
+    pub fn commands(&self) -> Commands<'_> {
+        let commands = Commands {
+            period_s: self.period_s,
+            v_mps: &self.v_mps,
+            omega_radps: &self.omega_radps,
+        };
+        first(commands, self.v_mps.len())
+    }
+}
+
+/// The answers of several robots to one task, the best first: by verdict (yes, tight, no, unknown),
+/// then by the expected energy, then by id.
+///
+/// # Errors
+/// As [`Robot::can_finish`].
+pub fn rank(
+    robots: &[Robot<'_>],
+    path: &Path,
+    back_to: Option<Point>,
+    coverage: f32,
+) -> Result<Vec<Ranked>, AskError> {
+    let ranked = robots.iter().map(|robot| {
+        let trip = robot.can_finish(path, back_to, coverage)?;
+        Ok(Ranked {
+            robot: robot.id(),
+            trip,
+        })
+    });
+    let mut ranked = ranked.collect::<Result<Vec<Ranked>, AskError>>()?;
+    ranked.sort_by(|one, other| {
+        let class = |ranked: &Ranked| match ranked.trip.answer.verdict {
+            Verdict::Yes => 0,
+            Verdict::Tight => 1,
+            Verdict::No => 2,
+            Verdict::Unknown(_) => 3,
+        };
+        let mean_j = |ranked: &Ranked| {
+            let energy = ranked.trip.answer.energy;
+            energy.map_or(f32::INFINITY, |energy| energy.mean_j)
+        };
+        class(one)
+            .cmp(&class(other))
+            .then(mean_j(one).total_cmp(&mean_j(other)))
+            .then(one.robot.cmp(&other.robot))
+    });
+    Ok(ranked)
+}
