@@ -35,6 +35,7 @@ step cargo build --release --locked --manifest-path tools/peers/transport/Cargo.
 bench kernel
 bench tick --seconds "$long"
 bench rollout
+bench plan
 bench latency --seconds "$long"
 step "$peers/target/release/joulebus-transport-peers" --seconds "$long" --json "$results/transport.json"
 step python3 tools/peers/network.py --directory "$peers" --json "$results/peers.json" --picture docs/peers.svg "${quick[@]}"

@@ -208,7 +208,7 @@ def spreads(suite):
 
 RENDER = {
     "kernel": kernel, "tick": tick, "rollout": rollout, "peers": peers, "instructions": instructions,
-    "latency": spreads, "transport": spreads,
+    "plan": spreads, "latency": spreads, "transport": spreads,
 }
 
 

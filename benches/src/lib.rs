@@ -15,6 +15,7 @@ mod kernel;
 pub mod latency;
 mod machine;
 mod peak;
+mod plan;
 mod report;
 mod rollout;
 mod rounds;

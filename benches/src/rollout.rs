@@ -68,7 +68,7 @@ fn title((robots, candidates, steps): (usize, usize, usize)) -> String {
 }
 
 /// Candidates of a size, all or a part of them.
-struct Work {
+pub(crate) struct Work {
     model: Model,
     starts: Vec<RolloutStart>,
     candidates: usize,
@@ -80,7 +80,7 @@ struct Work {
 }
 
 impl Work {
-    fn new(
+    pub(crate) fn new(
         network: &Network,
         (robots, candidates, steps): (usize, usize, usize),
         seed: u64,
@@ -139,7 +139,7 @@ impl Work {
     }
 
     /// One repetition: ns.
-    fn run(&mut self) -> f64 {
+    pub(crate) fn run(&mut self) -> f64 {
         let start = Instant::now();
         self.call();
         start.elapsed().as_nanos() as f64

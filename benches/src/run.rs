@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use crate::counted::Count;
 use crate::latency::{self, Launcher, Role};
-use crate::{Comparison, Report, Suite, kernel, rollout, tick, wait};
+use crate::{Comparison, Report, Suite, kernel, plan, rollout, tick, wait};
 
 /// First argument of the latency benchmark's child processes.
 const ROLE: &str = "role";
@@ -100,6 +100,7 @@ fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<R
         Benchmark::Kernel => vec![kernel::measure(options)?],
         Benchmark::Tick => vec![tick::measure(options)?],
         Benchmark::Rollout => vec![rollout::measure(options)?],
+        Benchmark::Plan => vec![plan::measure(options)?],
         Benchmark::Latency => vec![latency::measure(options, &Launcher::this(&[ROLE])?)?],
         Benchmark::Wait => vec![wait::measure(options)?],
         Benchmark::All => {
@@ -107,6 +108,7 @@ fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<R
                 Benchmark::Kernel,
                 Benchmark::Tick,
                 Benchmark::Rollout,
+                Benchmark::Plan,
                 Benchmark::Latency,
                 Benchmark::Wait,
             ];

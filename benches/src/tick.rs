@@ -8,6 +8,7 @@ use anyhow::{Context as _, anyhow};
 use clap::ValueEnum as _;
 use joulebus_predictor::Network;
 use joulebus_program::verbs::bench::{BenchOptions, TickFleet};
+use joulebus_settings::FleetSettings;
 
 use crate::callgrind::collected;
 use crate::figure::robots;
@@ -76,6 +77,11 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     .map(str::to_owned)
     .to_vec();
     Ok(report)
+}
+
+/// Settings of a fleet of one platform.
+pub(crate) fn uniform_settings(robots: usize) -> anyhow::Result<FleetSettings> {
+    bench::settings(TickFleet::Uniform, robots)
 }
 
 fn figures(network: &Network, size: usize, options: &BenchOptions) -> anyhow::Result<Vec<Figure>> {

@@ -272,7 +272,7 @@ fn pool(threads: usize) -> anyhow::Result<TickPool> {
 }
 
 /// Settings of the demo: GTernal robots with a battery.
-fn settings(kind: TickFleet, robots: usize) -> anyhow::Result<FleetSettings> {
+pub(super) fn settings(kind: TickFleet, robots: usize) -> anyhow::Result<FleetSettings> {
     let demo = Demo {
         fleet: "bench".to_owned(),
         root: "/dev/shm/joulebus-bench".into(),

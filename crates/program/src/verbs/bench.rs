@@ -12,6 +12,8 @@ pub enum Benchmark {
     Tick,
     /// Many candidate command sequences, many steps ahead, in one call
     Rollout,
+    /// Questions of a planner in its own process, beside the network's rollout
+    Plan,
     /// From sample due to forecast readable, between separate processes
     Latency,
     /// Overshoot of a wait for a deadline, by system call
