@@ -364,8 +364,8 @@ proptest! {
     #[test]
     fn arbitrary_rows_never_panic_and_never_say_yes_without_a_reason(
         state in prop::array::uniform32(any::<u8>()),
-        more in prop::collection::vec(any::<u8>(), 160),
-        budget in prop::collection::vec(any::<u8>(), 112),
+        more in prop::collection::vec(any::<u8>(), size_of::<PlanState>() - 32),
+        budget in prop::collection::vec(any::<u8>(), size_of::<Budget>()),
         keep in any::<u64>(),
     ) {
         let fleet = fleet();
