@@ -319,7 +319,9 @@ fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
     {
         return Err(DropReason::CommandOutOfRange);
     }
-    if soc.is_some_and(|soc| !(-0.05..=1.05).contains(&soc)) || back.is_some_and(|j| j < 0.0) {
+    if soc.is_some_and(|soc| !(-0.05..=1.05).contains(&soc))
+        || back.is_some_and(|j| !(0.0..=3.6e9).contains(&j))
+    {
         return Err(DropReason::BatteryOutOfRange);
     }
     if power.is_some() && sample.measured_ns > sample.stamp_ns {
