@@ -34,6 +34,8 @@ pub struct Dataset {
     pub held_out: Vec<Row>,
     /// Origin of the rows, for the model file.
     pub description: String,
+    /// Time from a row to the next, s; 0 if unknown.
+    pub period_s: f32,
 }
 
 impl Dataset {
@@ -75,6 +77,8 @@ pub struct TrialRows {
     /// Samples without a row because their window of five readings is not full: at the start, and
     /// after a gap, a missing reading, or a time that does not advance.
     pub without_window: usize,
+    /// Period of the samples, s.
+    pub period_s: f32,
 }
 
 /// The rows of a trial: to the bit the features that the live tick passes to the model.
@@ -96,7 +100,10 @@ pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
         let elapsed_ns = after.stamp_ns.saturating_sub(before.stamp_ns);
         elapsed_ns > 0 && elapsed_ns <= longest_ns && after.has(sample_flag::POWER)
     };
-    let mut found = TrialRows::default();
+    let mut found = TrialRows {
+        period_s: (period_ns as f64 * 1e-9) as f32,
+        ..TrialRows::default()
+    };
     let mut have = 0;
     let mut age = Age::default();
     for (at, sample) in samples.iter().enumerate() {

@@ -383,8 +383,17 @@ impl Assignment {
             validation: rows(1),
             held_out: rows(2),
             description,
+            period_s: median_period_s(sources),
         }
     }
+}
+
+/// The median period of some recordings, s; 0 without any.
+#[must_use]
+pub fn median_period_s(sources: &[Source]) -> f32 {
+    let mut periods_s: Vec<f32> = sources.iter().map(|source| source.rows.period_s).collect();
+    periods_s.sort_by(f32::total_cmp);
+    periods_s.get(periods_s.len() / 2).copied().unwrap_or(0.0)
 }
 
 fn check(split: Split) -> Result<(), SplitError> {

@@ -66,6 +66,7 @@ fn dataset(training: &[TrialRows]) -> Dataset {
         validation: Vec::new(),
         held_out: Vec::new(),
         description: String::new(),
+        period_s: 0.0,
     }
 }
 

@@ -11,9 +11,8 @@
 //!
 //! **The forecast.** A robot's *level* is its power over the last seconds relative to what the
 //! command model says of the commands in that time. The energy of the plan is what the command
-//! model says of it, scaled by the level. Levels over several time constants and the platform's own
-//! are weighted; weights depend on the horizon. So a network's rollout, which forgets the robot's
-//! level within seconds, is not needed.
+//! model says of it, scaled by the level. Levels over several time constants, shrunk to the
+//! platform's while little was read, are weighted; weights depend on the horizon.
 #![forbid(unsafe_code)]
 
 mod command;

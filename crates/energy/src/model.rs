@@ -19,14 +19,13 @@ pub const HORIZONS_S: [f32; HORIZONS] = [1.0, 3.0, 10.0, 30.0, 100.0, 300.0];
 pub struct EnergyModel {
     /// Power of a command.
     pub command: CommandModel,
-    /// Seconds of readings that weigh as much as the platform's own level, 0 or more.
-    pub prior_s: f32,
-    /// Share by which a level that differs from the platform's is a constant additional power, 0 to
-    /// 1; the rest is a factor of the command's power.
-    pub added_share: f32,
-    /// Weights of the levels ([`crate::LEVELS_S`]) and of the platform's own at each horizon, not
-    /// negative, 1 in all.
-    pub weights: [[f32; LEVELS + 1]; HORIZONS],
+    /// Seconds of readings that weigh as much as the platform's own level, for each level, 0 or more.
+    pub prior_s: [f32; LEVELS],
+    /// Share by which a level that differs from the platform's is a constant additional power at each
+    /// horizon, 0 to 1; the rest is a factor of the command's power.
+    pub added_shares: [f32; HORIZONS],
+    /// Weights of the levels ([`crate::LEVELS_S`]) at each horizon, not negative, 1 in all.
+    pub weights: [[f32; LEVELS]; HORIZONS],
     /// Number of horizons, from the shortest, whose errors are known; 0 for a model without.
     pub calibrated: usize,
     /// Quantiles ([`crate::QUANTILES`]) of the error at each horizon: measured minus forecast energy, relative to
@@ -70,19 +69,19 @@ impl EnergyModel {
     /// commands, beginning with `mean_w` (W, above 0). Its forecasts have no intervals.
     #[must_use]
     pub fn untrained(mean_w: f32) -> Self {
-        // Halves of two neighbouring means; the longer, the longer the horizon.
+        // Neighbouring means; the longer, the longer the horizon.
         let weights = [
-            [0.5, 0.5, 0.0, 0.0, 0.0],
-            [0.3, 0.5, 0.2, 0.0, 0.0],
-            [0.0, 0.5, 0.5, 0.0, 0.0],
-            [0.0, 0.3, 0.4, 0.3, 0.0],
-            [0.0, 0.0, 0.5, 0.5, 0.0],
-            [0.0, 0.0, 0.3, 0.7, 0.0],
+            [0.5, 0.5, 0.0, 0.0],
+            [0.3, 0.5, 0.2, 0.0],
+            [0.0, 0.5, 0.4, 0.1],
+            [0.0, 0.2, 0.5, 0.3],
+            [0.0, 0.0, 0.5, 0.5],
+            [0.0, 0.0, 0.2, 0.8],
         ];
         Self {
             command: CommandModel::constant(mean_w),
-            prior_s: 0.03,
-            added_share: 0.0,
+            prior_s: [0.03; LEVELS],
+            added_shares: [0.0; HORIZONS],
             weights,
             calibrated: 0,
             errors: [[0.0; KNOTS]; HORIZONS],
@@ -163,14 +162,12 @@ impl EnergyModel {
             f32::MAX,
             POSITIVE,
         )?;
-        within(
-            "the prior's seconds",
-            self.prior_s,
-            0.0,
-            f32::MAX,
-            AT_LEAST_0,
-        )?;
-        share("the added share", self.added_share)?;
+        for prior_s in self.prior_s {
+            within("a prior's seconds", prior_s, 0.0, f32::MAX, AT_LEAST_0)?;
+        }
+        for added_share in self.added_shares {
+            share("an added share", added_share)?;
+        }
         share("the mean's share of the scale", self.mean_share)?;
         for weights in &self.weights {
             for weight in weights {
@@ -228,10 +225,11 @@ impl EnergyModel {
         energy_j.abs() + self.mean_share * (mean_j - energy_j.abs())
     }
 
-    /// Weights at a horizon, linear between the known ones.
+    /// Weights and added share at a horizon, linear between the known ones.
     #[inline(always)]
-    pub(crate) fn weights_at(&self, horizon_s: f32) -> [f32; LEVELS + 1] {
-        between(&self.weights, horizon_s)
+    pub(crate) fn weights_at(&self, horizon_s: f32) -> ([f32; LEVELS], f32) {
+        let [added_share] = between(&self.added_shares.map(|share| [share]), horizon_s);
+        (between(&self.weights, horizon_s), added_share)
     }
 
     /// Quantiles of the error at a horizon, linear between the known ones.

@@ -216,7 +216,7 @@ impl EnergyState {
         self.error_factor[shadow] = factor.clamp(FACTOR[0], FACTOR[1]);
     }
 
-    /// Factor of the errors at a horizon, linear between the watched ones.
+    /// Factor of the errors at a horizon, linear between the watched ones and constant beyond.
     pub(crate) fn error_factor(&self, horizon_s: f32) -> f32 {
         let last = SHADOWS - 2;
         let segment = (0..last)
@@ -228,31 +228,21 @@ impl EnergyState {
         from + share * (to - from)
     }
 
-    /// The robot's level over a horizon: its levels and the platform's, weighted.
-    #[inline(always)]
+    /// The robot's level over a horizon: its levels, weighted.
     pub(crate) fn level(&self, model: &EnergyModel, horizon_s: f32) -> Level {
-        let weights = model.weights_at(horizon_s);
-        let (mut factor, mut added_w) = (weights[LEVELS], 0.0);
+        let (weights, added_share) = model.weights_at(horizon_s);
+        let (mut factor, mut added_w) = (0.0, 0.0);
         for level in 0..LEVELS {
-            let time_s = self.time_s[level];
+            let (time_s, command_j) = (self.time_s[level], self.command_j[level]);
+            if !((time_s > 0.0) & (command_j > 0.0)) {
+                factor += weights[level];
+                continue;
+            }
             // Shrunk to the platform's: what little has been read says little.
-            let shrunk = time_s / (time_s + model.prior_s);
-            let read = (time_s > 0.0) & (self.command_j[level] > 0.0);
-            let (command_j, time_s) = if read {
-                (self.command_j[level], time_s)
-            } else {
-                (1.0, 1.0)
-            };
-            let above_j = if read {
-                self.energy_j[level] - command_j
-            } else {
-                0.0
-            };
-            let shrunk = if read { shrunk } else { 0.0 };
-            let (ratio, above_w) = (above_j / command_j, above_j / time_s);
-            let scaled = 1.0 + (1.0 - model.added_share) * shrunk * ratio;
-            factor += weights[level] * scaled;
-            added_w += weights[level] * (model.added_share * shrunk * above_w);
+            let shrunk = time_s / (time_s + model.prior_s[level]);
+            let above_j = shrunk * (self.energy_j[level] - command_j);
+            factor += weights[level] * (1.0 + (1.0 - added_share) * above_j / command_j);
+            added_w += weights[level] * (added_share * above_j / time_s);
         }
         Level { factor, added_w }
     }

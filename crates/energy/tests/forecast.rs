@@ -14,9 +14,9 @@ fn model(numbers: &[f32], added_share: f32) -> EnergyModel {
     }
     weights[0] += 1.0;
     let row = |horizon: usize| {
-        let mut row = [0.0; LEVELS + 1];
-        row[horizon % (LEVELS + 1)] += 0.75;
-        row[(horizon + 2) % (LEVELS + 1)] += 0.25;
+        let mut row = [0.0; LEVELS];
+        row[horizon % LEVELS] += 0.75;
+        row[(horizon + 2) % LEVELS] += 0.25;
         row
     };
     let errors: [f32; KNOTS] = [-0.5, -0.3, -0.2, -0.1, 0.01, 0.1, 0.25, 0.3, 0.8];
@@ -27,8 +27,8 @@ fn model(numbers: &[f32], added_share: f32) -> EnergyModel {
             half_omega_radps: 0.5,
             mean_w: 5.0,
         },
-        prior_s: 0.1,
-        added_share,
+        prior_s: [0.1, 0.2, 0.3, 5.0],
+        added_shares: [added_share; HORIZONS_S.len()],
         weights: std::array::from_fn(row),
         calibrated: HORIZONS_S.len(),
         errors: std::array::from_fn(|place| errors.map(|error| error * (1.0 + place as f32))),
@@ -150,11 +150,11 @@ impl Reference<'_> {
                 }
             }
         };
-        let mut energy_j = weight(LEVELS) * command_j;
-        let added = f64::from(self.model.added_share);
+        let mut energy_j = 0.0;
+        let added = f64::from(self.model.added_shares[0]);
         for (index, level_s) in LEVELS_S.into_iter().enumerate() {
             let [read_j, expected_j, time_s] = self.sums(level_s.into());
-            let shrunk = time_s / (time_s + f64::from(self.model.prior_s));
+            let shrunk = time_s / (time_s + f64::from(self.model.prior_s[index]));
             let (ratio, above_w) = match time_s > 0.0 {
                 true => (read_j / expected_j, (read_j - expected_j) / time_s),
                 false => (1.0, 0.0),

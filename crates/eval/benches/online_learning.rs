@@ -298,6 +298,7 @@ fn simulated() {
             validation: rows(4..5),
             held_out: rows(5..6),
             description: name.to_owned(),
+            period_s: 0.0,
         };
         let network = learned.network(&dataset);
         let sixth = learned.sources[5].trial.clone();

@@ -166,6 +166,7 @@ fn simulated(name: &str, shown: Shown) -> Case {
             validation: rows(&trials[4..5]),
             held_out,
             description: name.to_owned(),
+            period_s: 0.0,
         },
     }
 }

@@ -42,6 +42,7 @@ fn judged(terrain: &str) -> Option<Judged> {
         held_out: validation.clone(),
         validation,
         description: "asphalt and flooring".to_owned(),
+        period_s: 0.0,
     };
     let recipe = TrainSettings {
         max_epochs: 15,

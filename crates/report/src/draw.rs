@@ -58,6 +58,7 @@ impl Recordings {
                 "simulated GTernal robot, seed {seed}, trials 1 to 4 of {samples} samples; 5 for \
                  validation, 6 held out"
             ),
+            period_s: 1.0 / 30.0,
         };
         let recipe = TrainSettings {
             seed,

@@ -83,6 +83,7 @@ pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
         training: part(training_robots),
         validation: part(validation_robots),
         held_out: part(held_out_robots),
+        period_s: TICK_S as f32,
         description: format!(
             "simulated GTernal robots, seed {seed}, 30 Hz, {ticks} ticks each; trials 1 to 4 of \
              {training_robots} for training, trial 5 of {validation_robots} others for validation, \

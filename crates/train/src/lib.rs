@@ -8,6 +8,7 @@
 
 mod adam;
 mod chunk;
+mod energy;
 mod error;
 mod kernels;
 pub mod linear;
@@ -20,6 +21,7 @@ mod settings;
 mod training;
 mod weights;
 
+pub use energy::energy_model;
 pub use error::TrainError;
 pub use prepare::Findings;
 pub use saved::ResumeError;

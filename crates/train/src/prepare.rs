@@ -33,6 +33,7 @@ pub(super) fn usable(dataset: &Dataset, feature_set: FeatureSet) -> (Dataset, [u
         validation: keep(&dataset.validation),
         held_out: keep(&dataset.held_out),
         description: dataset.description.clone(),
+        period_s: dataset.period_s,
     };
     let unusable = [
         dataset.training.len() - kept.training.len(),

@@ -8,6 +8,7 @@ use joulebus_predictor::{
 use super::prepare::mean_and_std;
 use super::weights::Weights;
 use super::{TrainError, TrainSettings};
+use crate::energy::energy_model;
 use crate::linear::Terms;
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_statistics::metrics::Tally;
@@ -35,6 +36,7 @@ pub(super) fn finished(
         trained_rows,
         seed: settings.seed,
         linear: linear(dataset),
+        energy: energy_model(dataset, feature_set),
         ..ModelCard::new(TrainingRange::of(feature_set, rows))
     };
     // The final arithmetic gives the scores, so the network is first built without them.

@@ -770,7 +770,7 @@ pub struct PlanState {
     /// Distance of its upper end, in sizes.
     #[prost(float, optional, tag = "35")]
     pub above_held: ::core::option::Option<f32>,
-    /// Discounted energy over 0.5, 2, 8 and 60 s, J.
+    /// Discounted energy over 0.5, 2, 12 and 600 s, J.
     #[prost(float, repeated, tag = "36")]
     pub energy_j: ::prost::alloc::vec::Vec<f32>,
     /// What the platform's command model says of the same time, J.

@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_dataset::rows::{trial_rows, write_rows};
 use joulebus_dataset::split::{
-    By, PARTS, Placed, Source, Split, SplitSummary, check_copies, group_of, split,
+    By, PARTS, Placed, Source, Split, SplitSummary, check_copies, group_of, median_period_s, split,
 };
 use joulebus_dataset::trial::{ColumnMap, Trial};
 use joulebus_program::exit::{Outcome, UsageError};
@@ -204,6 +204,7 @@ impl Args {
             validation,
             held_out,
             description: format!("{description}; parts given individually"),
+            period_s: median_period_s(&sources),
         };
         Ok((dataset, summary))
     }

@@ -217,6 +217,7 @@ pub(crate) fn papers_split(rows: &[Vec<Row>], description: &str) -> Dataset {
         validation: part(4..5),
         held_out: part(5..6),
         description: description.to_owned(),
+        period_s: 0.0,
     }
 }
 

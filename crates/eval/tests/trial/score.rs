@@ -691,6 +691,7 @@ fn trained_on(recordings: Option<&[Recording]>) -> Model {
             validation: Vec::new(),
             held_out: Vec::new(),
             description: String::new(),
+            period_s: 0.0,
         };
         trained_rows(&dataset).unwrap()
     });

@@ -113,7 +113,7 @@ fn energy() -> EnergyModel {
     for (place, weight) in energy.command.weights.iter_mut().enumerate().skip(1) {
         *weight = 0.01 * place as f32;
     }
-    energy.added_share = 0.3;
+    energy.added_shares = [0.3; 6];
     energy.calibrated = 6;
     energy.errors = [[-0.2, -0.1, -0.05, -0.02, 0.0, 0.02, 0.05, 0.1, 0.2]; 6];
     energy
