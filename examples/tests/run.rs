@@ -53,6 +53,17 @@ fn assert_starts(lines: &[String], starts: &[&str]) {
     }
 }
 
+/// The verdict depends on how punctual the machine is: late frames are stale.
+#[test]
+fn ask_answers_for_every_robot() {
+    let said = run("ask");
+    for robot in 0..3 {
+        let start = format!("robot {robot}: ");
+        let answers = said.iter().filter(|line| line.starts_with(&start)).count();
+        assert_eq!(answers, 1, "{said:#?}");
+    }
+}
+
 #[test]
 fn every_example_has_a_test() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
