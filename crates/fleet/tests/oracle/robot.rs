@@ -229,7 +229,8 @@ impl Account {
                 _ => self.unmetered_ns = self.unmetered_ns.saturating_add(elapsed_ns),
             }
         }
-        self.last = Some((stamp_ns, power_w));
+        let last_ns = self.last.map_or(stamp_ns, |(last_ns, _)| last_ns.max(stamp_ns));
+        self.last = Some((last_ns, power_w));
     }
 }
 
@@ -367,6 +368,8 @@ impl Robot {
             self.run = run;
             return true;
         }
+        // The last sample may be older than the account: of an earlier stamp, of another source.
+        self.account.forget_reading();
         (0..steps).for_each(|_| self.run.history.pass());
         if self.run.powers_w.is_empty() {
             return false;
