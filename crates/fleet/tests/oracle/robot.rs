@@ -229,7 +229,9 @@ impl Account {
                 _ => self.unmetered_ns = self.unmetered_ns.saturating_add(elapsed_ns),
             }
         }
-        let last_ns = self.last.map_or(stamp_ns, |(last_ns, _)| last_ns.max(stamp_ns));
+        let last_ns = self
+            .last
+            .map_or(stamp_ns, |(last_ns, _)| last_ns.max(stamp_ns));
         self.last = Some((last_ns, power_w));
     }
 }
