@@ -75,13 +75,14 @@ pub(super) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
         snapshot: None,
         queue_bytes: QUEUE_BYTES,
     };
-    let target = Target::Stream(Box::new(writer));
-    let recorder = Recorder::start(&config, Vec::new(), clock, attachments, target, &options)?;
+    // Reads from the beginning: a recorder starts with the models, which may be more than a pipe holds.
     let sent = Arc::new(AtomicU64::new(0));
     let counted = Arc::clone(&sent);
     let forward = std::thread::Builder::new()
         .name("joulebus-serve".to_owned())
         .spawn(move || forward(reader, &context, &counted))?;
+    let target = Target::Stream(Box::new(writer));
+    let recorder = Recorder::start(&config, Vec::new(), clock, attachments, target, &options)?;
     let inside = SocketAddr::new(hidden, server.port());
     let mut guard = Guard::start(listener, inside, args.allow_origin.clone())?;
     say(&format!("serving fleet {} at {address}", config.fleet()));
