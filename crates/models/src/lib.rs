@@ -36,7 +36,7 @@ pub enum ModelsError {
     },
 }
 
-/// The models of all platforms, in the order of [`joulebus_settings::FleetSettings::platforms`].
+/// The models of all platforms, in the order of the settings.
 ///
 /// # Errors
 /// The first model that cannot be read or is refused.
