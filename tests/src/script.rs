@@ -2,6 +2,8 @@
 
 use joulebus_wire::Sample;
 
+use crate::SampleLine;
+
 /// Power of `robot` in [`steady`], µW: exact in `f32` as watts, and within the limits of a GTernal
 /// up to robot 130.
 #[must_use]
@@ -55,7 +57,9 @@ pub fn steady(robot: u32, seq: u64, stamp_ns: u64) -> Sample {
 /// True if every byte of a sample is as [`steady`] made it.
 #[must_use]
 pub fn is_whole(sample: &Sample) -> bool {
-    *sample == steady(sample.robot, sample.seq, sample.stamp_ns)
+    let expected = steady(sample.robot, sample.seq, sample.stamp_ns);
+    // As bits: what a sample does not state is NaN.
+    SampleLine::from(*sample) == SampleLine::from(expected)
 }
 
 /// SplitMix64 of the two numbers.

@@ -59,15 +59,17 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
 }
 
 #[test]
-fn only_tests_and_examples_are_unpublished() {
+fn only_tests_examples_and_the_simulator_are_unpublished() {
     let metadata = metadata(false);
     let mut kept: Vec<&str> = packages(&metadata)
         .filter(|package| package["publish"] == serde_json::json!([]))
         .map(name)
+        .filter(|name| !name.starts_with("joulebus-simulated-"))
         .collect();
     kept.sort_unstable();
     let expected = [
         "joulebus-examples",
+        "joulebus-simulator",
         "joulebus-test-processes",
         "joulebus-tests",
     ];

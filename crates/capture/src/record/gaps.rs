@@ -38,6 +38,9 @@ struct Run {
     unsent: VecDeque<u64>,
     /// Message count at its last frame.
     looked: u64,
+    /// Whether the next gap says nothing: plan states are sent only while somebody reads them, so the first one may be
+    /// of a reader before, and the second of a later tick.
+    unknown_gap: bool,
 }
 
 /// Loss as shown by a message.
@@ -130,11 +133,13 @@ impl Gaps {
         let key = (Arc::clone(fleet), kind, source, epoch);
         if !self.runs.contains_key(&key) {
             self.forget_silent();
-            let heard_from_the_start = epoch > self.known_since_ns;
+            let is_on_demand = kind == MessageKind::PlanStates;
+            let heard_from_the_start = epoch > self.known_since_ns && !is_on_demand;
             let next = if heard_from_the_start { first } else { number };
             let run = Run {
                 next,
                 last: next,
+                unknown_gap: is_on_demand,
                 ..Run::default()
             };
             self.runs.insert(key.clone(), run);
@@ -143,7 +148,13 @@ impl Gaps {
             return 0;
         };
         run.looked = self.looked;
-        run.missing_before(number)
+        let is_later = number > run.last;
+        let missing = run.missing_before(number);
+        if run.unknown_gap && is_later {
+            run.unknown_gap = false;
+            return 0;
+        }
+        missing
     }
 
     /// Frees space for other runs: drops the half that was silent longest.
@@ -206,6 +217,22 @@ mod tests {
             ..ForecastHeader::default()
         };
         Message::Forecasts(header, Vec::new())
+    }
+
+    #[test]
+    fn plan_states_count_from_the_second_on() {
+        let fleet: Arc<str> = "lab".into();
+        let mut gaps = Gaps::new(0);
+        let mut missing = |tick| {
+            let header = joulebus_wire::PlanStateHeader {
+                worker_epoch: 5,
+                tick,
+                ..Default::default()
+            };
+            let message = Message::PlanStates(header, Vec::new());
+            gaps.look(&fleet, &message).missing
+        };
+        assert_eq!([7, 28, 29, 32, 33].map(&mut missing), [0, 0, 0, 2, 0]);
     }
 
     #[test]
