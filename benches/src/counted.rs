@@ -3,7 +3,6 @@
 
 use std::hint::black_box;
 
-use anyhow::Context as _;
 use clap::ValueEnum;
 use joulebus_predictor::Network;
 
@@ -46,9 +45,7 @@ impl Count {
     /// The kernel is not supported here.
     pub(crate) fn run(&self) -> anyhow::Result<(String, usize)> {
         let (_, network) = input::network(None)?;
-        let kernel = *kernel::kernels(self.kernel.as_deref())?
-            .last()
-            .context("no kernel")?;
+        let kernel = kernel::fastest(self.kernel.as_deref())?;
         let network = kernel::on(&network, kernel)?;
         let size = self.size as usize;
         let forecasts = match self.what {

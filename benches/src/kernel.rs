@@ -81,6 +81,12 @@ pub(crate) fn name(kernel: Kernel) -> String {
     format!("{kernel:?}").to_lowercase()
 }
 
+/// A kernel by name, or the fastest that this processor supports.
+pub(crate) fn fastest(name_wanted: Option<&str>) -> anyhow::Result<Kernel> {
+    let kernels = kernels(name_wanted)?;
+    kernels.last().copied().context("no kernel")
+}
+
 /// The network on a kernel.
 pub(crate) fn on(network: &Network, kernel: Kernel) -> anyhow::Result<Network> {
     let on = network.clone().with_kernel(kernel);

@@ -30,9 +30,7 @@ const COVERAGE: f32 = 0.9;
 /// The model cannot be read, or a requested kernel is not supported here.
 pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let (name, network) = input::network(options.model.as_deref())?;
-    let kernel = *kernel::kernels(options.kernel.as_deref())?
-        .last()
-        .context("no kernel")?;
+    let kernel = kernel::fastest(options.kernel.as_deref())?;
     let network = kernel::on(&network, kernel)?;
     let mut report = Report::new("plan")
         .with_input("model", name)

@@ -4,7 +4,6 @@ use std::hint::black_box;
 use std::ops::Range;
 use std::time::Instant;
 
-use anyhow::Context as _;
 use joulebus_predictor::{
     FEATURE_NAMES, FeatureSet, Features, Model, Network, ReadingAge, RolloutStart, Rollouts,
 };
@@ -34,9 +33,7 @@ const KERNEL_ROWS: usize = 1_024;
 /// The model cannot be read, or a requested kernel is not supported here.
 pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let (name, network) = input::network(options.model.as_deref())?;
-    let kernel = *kernel::kernels(options.kernel.as_deref())?
-        .last()
-        .context("no kernel")?;
+    let kernel = kernel::fastest(options.kernel.as_deref())?;
     let network = kernel::on(&network, kernel)?;
     let mut report = Report::new("rollout")
         .with_input("model", name)

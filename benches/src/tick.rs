@@ -35,9 +35,7 @@ const LEAST_WEIGHED: usize = 10_000;
 /// The model cannot be read, or a requested kernel is not supported here.
 pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let (name, network) = input::network(options.model.as_deref())?;
-    let kernel = *kernel::kernels(options.kernel.as_deref())?
-        .last()
-        .context("no kernel")?;
+    let kernel = kernel::fastest(options.kernel.as_deref())?;
     let network = kernel::on(&network, kernel)?;
     let fleet = options.fleet.to_possible_value();
     let fleet = fleet.context("no such fleet")?;

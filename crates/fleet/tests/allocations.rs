@@ -88,19 +88,22 @@ fn without_batteries(capacity: u32) -> joulebus_settings::FleetSettings {
     settings
 }
 
+/// Bytes that an empty fleet takes.
+fn taken(settings: joulebus_settings::FleetSettings) -> u64 {
+    let (models, capacity) = (models(), settings.capacity);
+    let before = counting::bytes();
+    let fleet = Fleet::new(settings, models).expect("the settings are valid");
+    let taken = counting::bytes() - before;
+    assert!(fleet.is_empty());
+    assert_eq!(fleet.capacity(), capacity);
+    taken
+}
+
 /// Additional memory where a platform has a battery, with that of the account of a departed robot, per robot of the
 /// capacity.
 #[test]
 fn batteries_take_at_most_380_bytes_a_robot_more() {
-    let bytes = |settings: joulebus_settings::FleetSettings| {
-        let models = models();
-        let before = counting::bytes();
-        let fleet = Fleet::new(settings, models).expect("the settings are valid");
-        let taken = counting::bytes() - before;
-        assert!(fleet.is_empty());
-        taken
-    };
-    let more = bytes(settings(10_000)) - bytes(without_batteries(10_000));
+    let more = taken(settings(10_000)) - taken(without_batteries(10_000));
     let each = more as f64 / 10_000.0;
     println!("{each:.1} bytes a robot more");
     assert!(each > 0.0 && each <= 380.0, "{each:.1} bytes a robot more");
@@ -109,14 +112,7 @@ fn batteries_take_at_most_380_bytes_a_robot_more() {
 /// A robot in the fleet, plus the account of a departed one, of which there may be as many.
 #[test]
 fn a_robot_takes_at_most_648_bytes_with_the_account_of_a_departed_one() {
-    let bytes = |capacity: u32| {
-        let (settings, models) = (without_batteries(capacity), models());
-        let before = counting::bytes();
-        let fleet = Fleet::new(settings, models).expect("the settings are valid");
-        let taken = counting::bytes() - before;
-        assert_eq!(fleet.capacity(), capacity);
-        taken
-    };
+    let bytes = |capacity: u32| taken(without_batteries(capacity));
     // Memory independent of the fleet's size: the batch of one tile, the platforms.
     let fixed = 2 * bytes(16_384) - bytes(32_768);
     for capacity in [5_000u32, 10_000, 14_337, 16_384, 57_345, 100_000] {
@@ -134,15 +130,7 @@ fn a_robot_takes_at_most_648_bytes_with_the_account_of_a_departed_one() {
 /// Additional memory of a platform that learns online, per robot of the capacity.
 #[test]
 fn learning_online_takes_at_most_90_bytes_a_robot_more() {
-    let bytes = |settings: joulebus_settings::FleetSettings| {
-        let models = models();
-        let before = counting::bytes();
-        let fleet = Fleet::new(settings, models).expect("the settings are valid");
-        let taken = counting::bytes() - before;
-        assert!(fleet.is_empty());
-        taken
-    };
-    let more = bytes(world::learning(10_000)) - bytes(settings(10_000));
+    let more = taken(world::learning(10_000)) - taken(settings(10_000));
     let each = more as f64 / 10_000.0;
     println!("{each:.1} bytes a robot more");
     assert!(each > 0.0 && each <= 90.0, "{each:.1} bytes a robot more");

@@ -1,8 +1,7 @@
 //! A fleet as a planner knows it: settings and models, without shared memory.
 
-use joulebus_energy::EnergyModel;
 use joulebus_predictor::Model;
-use joulebus_settings::{FleetSettings, Platform as PlatformSettings};
+use joulebus_settings::FleetSettings;
 use joulebus_wire::{LISTED_MODELS, PlanStateHeader, combine_hashes};
 
 use crate::error::Differs;
@@ -31,7 +30,7 @@ impl Fleet {
     pub fn new(settings: &FleetSettings, models: &[Model]) -> Self {
         let platforms = settings.platforms.iter().zip(models);
         let platforms = platforms.map(|(settings, model)| {
-            let energy = energy_model(settings, model);
+            let energy = model.energy_or_untrained(settings.power_max_w);
             Platform::new(settings.clone(), energy, model.hash())
         });
         Self::of(platforms.collect(), settings.fingerprint())
@@ -77,11 +76,7 @@ impl Fleet {
 
     /// As the worker's ([`joulebus_wire::ForecastHeader::model_hash`]).
     fn model_hash(&self) -> u64 {
-        let hashes = self.platforms.iter().map(|platform| platform.model_hash);
-        match hashes.clone().next() {
-            Some(first) if hashes.clone().all(|hash| hash == first) => first,
-            _ => combine_hashes(hashes),
-        }
+        combine_hashes(self.platforms.iter().map(|platform| platform.model_hash))
     }
 
     /// A robot, from a copy of its rows. `None` if its platform is none of this fleet's, which the
@@ -93,11 +88,4 @@ impl Fleet {
         let is_its = ranges.iter().any(|ids| ids.contains(&frames.state.robot));
         is_its.then(|| Robot::new(platform, frames))
     }
-}
-
-/// The energy model of a model file; without one the worker's (`PlatformContext` in `joulebus-fleet`): the
-/// mean of the last seconds, without intervals.
-fn energy_model(settings: &PlatformSettings, model: &Model) -> EnergyModel {
-    let untrained = || EnergyModel::untrained(settings.power_max_w.max(f32::MIN_POSITIVE));
-    model.energy().cloned().unwrap_or_else(untrained)
 }

@@ -140,6 +140,13 @@ impl Model {
         }
     }
 
+    /// [`Model::energy`], and without one the mean of the last seconds without intervals; a robot that has not been
+    /// read is then assumed to draw `power_max_w`, the most that its platform can, W.
+    pub fn energy_or_untrained(&self, power_max_w: f32) -> EnergyModel {
+        let untrained = || EnergyModel::untrained(power_max_w.max(f32::MIN_POSITIVE));
+        self.energy().cloned().unwrap_or_else(untrained)
+    }
+
     /// Rolls out the candidates of `lanes` and writes the energy of each in joule, and optionally
     /// its forecast of every step in watt (step by step: `power_w[t * lanes.len() + l]`).
     ///

@@ -207,11 +207,7 @@ impl Fleet {
     #[must_use]
     pub fn model_hash(&self) -> u64 {
         let platforms = self.tick.platforms.iter();
-        let hashes = platforms.map(|context| context.model.hash());
-        match hashes.clone().next() {
-            Some(first) if hashes.clone().all(|hash| hash == first) => first,
-            _ => combine_hashes(hashes),
-        }
+        combine_hashes(platforms.map(|context| context.model.hash()))
     }
 
     /// Hashes of the platforms' models, in their order; 0 beyond the last.

@@ -55,11 +55,8 @@ impl PlatformContext {
         let sigma_w = model.residual().std_w.max(platform.power_resolution_w);
         let members =
             (platform.online).then(|| Members::new(&model, sigma_w, platform.power_resolution_w));
-        // Without training, a robot that has not been read is assumed to draw the most.
-        let untrained = || EnergyModel::untrained(platform.power_max_w.max(f32::MIN_POSITIVE));
-        let energy = model.energy().cloned().unwrap_or_else(untrained);
         Self {
-            energy,
+            energy: model.energy_or_untrained(platform.power_max_w),
             members: members.flatten(),
             quantile_step: QuantileStep::new(&settings.interval),
             per_sigma: 1.0 / sigma_w,
