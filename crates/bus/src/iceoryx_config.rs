@@ -11,6 +11,7 @@ use iceoryx2::prelude::{FileName, FilePath, Path as BusPath, SemanticString};
 use rustix::fs::OFlags;
 
 use crate::Domain;
+use crate::os::files::draft_number;
 
 /// Timeout of iceoryx2 for another process that is creating a service; after it, cleanup and retry.
 const CREATION_TIMEOUT_MS: u64 = 300;
@@ -87,13 +88,15 @@ pub(crate) fn is_config(domain: &Domain, path: &Path) -> bool {
     let Some(rest) = name.strip_prefix(&*config.to_string_lossy()) else {
         return false;
     };
-    let pid = rest.strip_prefix('.').unwrap_or(rest);
-    pid.bytes().all(|byte| byte.is_ascii_digit())
+    let mut digits = rest.bytes().filter(|byte| *byte != b'.');
+    (rest.is_empty() || rest.starts_with('.')) && digits.all(|byte| byte.is_ascii_digit())
 }
 
 /// Written to a draft and renamed: members that read it meanwhile see a complete file or none.
+/// Threads of one process may join at the same time, so each draft has a name of its own.
 fn write(path: &Path, text: &str) -> io::Result<()> {
-    let draft = path.with_extension(format!("toml.{}", std::process::id()));
+    let (pid, draft) = (std::process::id(), draft_number());
+    let draft = path.with_extension(format!("toml.{pid}.{draft}"));
     let mut file = fs::OpenOptions::new()
         .write(true)
         .create(true)
@@ -149,4 +152,46 @@ pub enum IceoryxConfigError {
         /// The root in use.
         found_root: String,
     },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn threads_that_write_the_file_at_the_same_time_do_not_disturb_each_other() {
+        let place = format!("joulebus-iceoryx-config-{}", std::process::id());
+        let directory = std::env::temp_dir().join(place);
+        fs::create_dir_all(&directory).unwrap();
+        let path = directory.join("iceoryx2.toml");
+        let text = "key = 1\n".repeat(1_000);
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    for _ in 0..200 {
+                        write(&path, &text).unwrap();
+                        assert_eq!(fs::read_to_string(&path).unwrap(), text);
+                    }
+                });
+            }
+        });
+        let left: Vec<_> = fs::read_dir(&directory).unwrap().collect();
+        assert_eq!(left.len(), 1, "{left:?}");
+        fs::remove_dir_all(&directory).unwrap();
+    }
+
+    #[test]
+    fn only_the_file_and_its_drafts_are_identified_as_such() {
+        let domain = Domain::new("fleet", Path::new("/dev/shm/somewhere"), "t_").unwrap();
+        let name = |ending: &str| {
+            let path = domain.config_file();
+            is_config(&domain, Path::new(&format!("{}{ending}", path.display())))
+        };
+        for ending in ["", ".7", ".71.0", ".71.12"] {
+            assert!(name(ending), "{ending:?}");
+        }
+        for ending in ["7", ".bak", ".71.x", "~", ".7 1"] {
+            assert!(!name(ending), "{ending:?}");
+        }
+    }
 }

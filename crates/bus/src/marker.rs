@@ -5,13 +5,13 @@ use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use rustix::fs::{CWD, Mode, OFlags, RenameFlags, fchmod, openat, renameat_with};
 use rustix::io::Errno;
 
 use crate::domain::FLEET_MARKER;
-use crate::os::files::{effective_uid, is_same};
+use crate::os::files::{draft_number, effective_uid, is_same};
 use crate::os::process::is_alive;
 use crate::private::{check_own, check_private};
 use crate::{Domain, RootError, clock};
@@ -24,7 +24,9 @@ const LONGEST: u64 = 512;
 /// Name prefixes of directories being created and being removed.
 const ASIDE: [&str; 2] = ["new", "gone"];
 
-static DRAFTS: AtomicU32 = AtomicU32::new(0);
+/// Held while a directory is created or removed: the temporary directories with our process id are
+/// then not those of another thread.
+static IN_PROGRESS: Mutex<()> = Mutex::new(());
 
 /// A directory of joulebus, existing or not.
 #[derive(Debug)]
@@ -58,6 +60,7 @@ impl Marked {
     /// Creates the directory, unless its path exists. It appears there with its marker atomically:
     /// a process killed in the meantime leaves a temporary directory under another name.
     pub(crate) fn create(&self) -> Result<(), RootError> {
+        let _guard = IN_PROGRESS.lock().unwrap_or_else(PoisonError::into_inner);
         self.remove_drafts();
         let draft = self.aside(ASIDE[0]);
         let made = fs::DirBuilder::new()
@@ -104,6 +107,7 @@ impl Marked {
     /// Removes the directory if it is ours and contains only its marker. The caller knows that no
     /// process uses it. Atomic for other processes.
     pub(crate) fn remove(&self) {
+        let _guard = IN_PROGRESS.lock().unwrap_or_else(PoisonError::into_inner);
         self.remove_drafts();
         if self.check().is_err() || !self.holds_nothing(&self.path) {
             return;
@@ -190,7 +194,7 @@ impl Marked {
 
     /// A name beside the directory, unique to this process.
     fn aside(&self, kind: &str) -> PathBuf {
-        let number = DRAFTS.fetch_add(1, Ordering::Relaxed);
+        let number = draft_number();
         let (name, pid) = (self.name(), std::process::id());
         self.path
             .with_file_name(format!(".{name}.{kind}-{pid}-{number}"))

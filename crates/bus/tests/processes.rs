@@ -151,6 +151,23 @@ fn many_start_and_leave_at_once() {
 }
 
 #[test]
+fn threads_of_one_process_and_of_several_join_and_leave_at_once() {
+    let place = Place::new();
+    must(&mut place.member(), "threads 60");
+    place.assert_nothing_left();
+    let mut members = [place.member(), place.member(), place.member()];
+    for member in &mut members {
+        member.send_line("threads 40");
+    }
+    for mut member in members {
+        let answer = member.next_line();
+        assert!(answer.starts_with("ok"), "{answer}");
+        member.finish();
+    }
+    place.assert_nothing_left();
+}
+
+#[test]
 fn a_late_reader_gets_the_newest_budgets() {
     let place = Place::new();
     let mut worker = place.joined("worker");

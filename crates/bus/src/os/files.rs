@@ -4,12 +4,20 @@ use std::fs::{self, File};
 use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 const TMPFS: u64 = 0x0102_1994;
 const RAMFS: u64 = 0x8584_58f6;
 
 pub(crate) fn effective_uid() -> u32 {
     rustix::process::geteuid().as_raw()
+}
+
+/// A number for the name of a temporary file, different at every call: threads of one process may
+/// write the same file at the same time.
+pub(crate) fn draft_number() -> u32 {
+    static DRAFTS: AtomicU32 = AtomicU32::new(0);
+    DRAFTS.fetch_add(1, Ordering::Relaxed)
 }
 
 /// True if `path` still refers to `file`.

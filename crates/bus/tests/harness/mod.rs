@@ -128,6 +128,16 @@ fn limit_files(more: u64) -> Answer {
     Ok(String::new())
 }
 
+/// Joins and leaves `times` times in each of six threads at the same time.
+fn join_in_threads(domain: &Domain, times: u64) -> Answer {
+    let joins = || (0..times).try_for_each(|_| Bus::join(domain, "test").map(drop));
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..6).map(|_| scope.spawn(joins)).collect();
+        threads.into_iter().try_for_each(|it| it.join().unwrap())
+    })?;
+    Ok(String::new())
+}
+
 /// Executes the parent's commands if this process was started as a member.
 pub fn run_member() {
     let Some(root) = std::env::var_os(CHILD) else {
@@ -208,6 +218,7 @@ impl Ports {
                 self.bus = Some(bus);
                 Ok(answer)
             }
+            "threads" => join_in_threads(&self.domain, number),
             "capacity" => {
                 self.limits.capacity = number as usize;
                 Ok(String::new())
