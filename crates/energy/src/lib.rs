@@ -27,4 +27,4 @@ pub use forecast::{Commands, EnergyForecast};
 pub use levels::{LEVELS, LEVELS_S};
 pub use model::{EnergyModel, EnergyModelError, HORIZONS_S};
 pub use quantiles::{KNOTS, QUANTILES};
-pub use state::{EnergySample, EnergyState, SHADOWS, SHADOWS_S};
+pub use state::{EnergySample, EnergyState, Learned, Metered, SHADOWS, SHADOWS_S};

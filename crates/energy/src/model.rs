@@ -232,6 +232,14 @@ impl EnergyModel {
         (between(&self.weights, horizon_s), added_share)
     }
 
+    /// Standard deviation of the relative error at a horizon, above 0: that of a normal distribution
+    /// with the same 90 % interval.
+    pub(crate) fn spread_at(&self, horizon_s: f32) -> f32 {
+        const LEAST: f32 = 1e-3;
+        let errors = self.errors_at(horizon_s);
+        ((errors[7] - errors[1]) / 3.29).max(LEAST)
+    }
+
     /// Quantiles of the error at a horizon, linear between the known ones.
     pub(crate) fn errors_at(&self, horizon_s: f32) -> [f32; KNOTS] {
         between(&self.errors, horizon_s)

@@ -2,7 +2,7 @@
 
 use joulebus_energy::{
     CommandModel, Commands, EnergyModel, EnergySample, EnergyState, HORIZONS_S, KNOTS, LEVELS,
-    LEVELS_S, SHADOWS_S, TERMS,
+    LEVELS_S, Learned, Metered, SHADOWS_S, TERMS,
 };
 use proptest::prelude::*;
 
@@ -123,7 +123,7 @@ impl Reference<'_> {
         sums
     }
 
-    fn energy_j(&self, plan: &[(f32, f32)], period_s: f64) -> f64 {
+    fn energy_j(&self, plan: &[(f32, f32)], period_s: f64, trust: f32) -> f64 {
         let duration_s = plan.len() as f64 * period_s;
         let newest = self.samples.last();
         let mut before =
@@ -150,18 +150,43 @@ impl Reference<'_> {
                 }
             }
         };
+        let spread = |place: usize| {
+            let errors = self.model.errors[place];
+            f64::from(errors[7] - errors[1]) / 3.29
+        };
+        let spread = match after {
+            Some(0) => spread(0),
+            None => spread(HORIZONS_S.len() - 1),
+            Some(after) => {
+                let (from, to): (f64, f64) =
+                    (HORIZONS_S[after - 1].into(), HORIZONS_S[after].into());
+                let share = (duration_s - from) / (to - from);
+                spread(after - 1) * (1.0 - share) + spread(after) * share
+            }
+        };
         let mut energy_j = 0.0;
-        let added = f64::from(self.model.added_shares[0]);
+        let (added, trust) = (f64::from(self.model.added_shares[0]), f64::from(trust));
+        let mean_w = f64::from(self.model.command.mean_w);
         for (index, level_s) in LEVELS_S.into_iter().enumerate() {
             let [read_j, expected_j, time_s] = self.sums(level_s.into());
-            let shrunk = time_s / (time_s + f64::from(self.model.prior_s[index]));
-            let (ratio, above_w) = match time_s > 0.0 {
-                true => (read_j / expected_j, (read_j - expected_j) / time_s),
-                false => (1.0, 0.0),
+            let (ratio, above_w, read_w) = match time_s > 0.0 {
+                true => (
+                    read_j / expected_j,
+                    (read_j - expected_j) / time_s,
+                    read_j / time_s,
+                ),
+                false => (1.0, 0.0, mean_w),
             };
+            let prior_s = f64::from(self.model.prior_s[index]);
+            let deviation = (ratio - 1.0) / spread;
+            let since_start = time_s / (time_s + 3.0);
+            let square = deviation.powi(2) * time_s / (time_s + prior_s) * since_start.powi(2);
+            let shrunk = time_s / (time_s + prior_s / (1.0 + square));
             let scaled = command_j * (1.0 + shrunk * (ratio - 1.0));
             let raised = command_j + shrunk * above_w * duration_s;
-            energy_j += weight(index) * ((1.0 - added) * scaled + added * raised);
+            let with_commands = (1.0 - added) * scaled + added * raised;
+            let without = (mean_w + shrunk * (read_w - mean_w)) * duration_s;
+            energy_j += weight(index) * (trust * with_commands + (1.0 - trust) * without);
         }
         energy_j
     }
@@ -216,7 +241,7 @@ proptest! {
         let reference = Reference { model: &model, samples };
         let (v_mps, omega_radps) = split(&plan);
         let commands = Commands { period_s, v_mps: &v_mps, omega_radps: &omega_radps };
-        let expected_j = reference.energy_j(&plan, period_s.into());
+        let expected_j = reference.energy_j(&plan, period_s.into(), state.learned.command_trust);
         let found_j = f64::from(model.forecast(&state, commands).energy_j);
         prop_assert!((found_j - expected_j).abs() <= 2e-4 * expected_j.abs().max(1.0), "{found_j} {expected_j}");
     }
@@ -313,8 +338,11 @@ proptest! {
     #[test]
     fn a_state_is_its_array(samples in samples()) {
         let state = observed(&model(&[0.5; TERMS], 0.0), &samples);
-        let numbers = state.to_array();
-        let again = EnergyState::from_array(&numbers).to_array();
+        let numbers = state.metered.to_array();
+        let again = Metered::from_array(&numbers).to_array();
+        prop_assert_eq!(numbers.map(f32::to_bits), again.map(f32::to_bits));
+        let numbers = state.learned.to_array();
+        let again = Learned::from_array(&numbers).to_array();
         prop_assert_eq!(numbers.map(f32::to_bits), again.map(f32::to_bits));
     }
 
@@ -327,7 +355,8 @@ proptest! {
 
 #[test]
 fn a_state_is_small_and_has_no_padding() {
-    assert_eq!(size_of::<EnergyState>(), 4 * EnergyState::FLOATS);
+    let floats = Metered::FLOATS + Learned::FLOATS;
+    assert_eq!(size_of::<EnergyState>(), 4 * floats);
     assert!(
         size_of::<EnergyState>() <= 200,
         "{}",
@@ -454,7 +483,7 @@ fn intervals_widen_and_narrow_with_the_robots_own_errors() {
         width(&steady)
     );
     for state in [steady, erratic] {
-        let times = state.shadow_s.iter().zip(SHADOWS_S);
+        let times = state.metered.shadow_s.iter().zip(SHADOWS_S);
         assert!(
             times
                 .into_iter()
@@ -484,4 +513,98 @@ fn a_model_out_of_range_is_refused_by_name() {
         assert!(EnergyModel::from_text(&model.to_text()).is_err());
     }
     assert!(EnergyModel::from_text("{}").is_err());
+}
+
+/// Drives 2 s, rests 2 s, and so on, 30 times a second; `power_w` of the command's speed.
+fn driven(model: &EnergyModel, duration_s: f32, power_w: impl Fn(f32) -> f32) -> EnergyState {
+    let mut state = EnergyState::new(0);
+    for sample in 0..(duration_s * 30.0) as u32 {
+        let v_mps = if sample % 120 < 60 { 0.4 } else { 0.0 };
+        let before = sample.saturating_sub(1);
+        let v_before = if before % 120 < 60 { 0.4 } else { 0.0 };
+        let sample = EnergySample {
+            power_w: power_w(v_before),
+            elapsed_s: 1.0 / 30.0,
+            v_mps,
+            omega_radps: 0.0,
+        };
+        state.observe(model, &sample);
+    }
+    state
+}
+
+/// Power of driving: 1 W at rest, 9 W at 0.4 m/s.
+fn driving_model() -> EnergyModel {
+    let mut weights = [0.0; TERMS];
+    weights[1] = 20.0;
+    let mut model = model(&weights, 0.0);
+    model.prior_s = [0.05, 0.05, 0.05, 10.0];
+    model
+}
+
+fn at_rest_j(model: &EnergyModel, state: &EnergyState) -> f32 {
+    let plan = Commands {
+        period_s: 0.5,
+        v_mps: &[0.0; 20],
+        omega_radps: &[0.0; 20],
+    };
+    model.forecast(state, plan).energy_j
+}
+
+#[test]
+fn commands_are_trusted_as_far_as_they_explain_the_robots_power() {
+    let model = driving_model();
+    // Twice the platform's power, under every command.
+    let follows = driven(&model, 60.0, |v_mps| 2.0 * (1.0 + 20.0 * v_mps));
+    assert!(follows.learned.command_trust > 0.95, "{follows:?}");
+    let rest_j = at_rest_j(&model, &follows);
+    assert!((10.0..40.0).contains(&rest_j), "20 J are right: {rest_j}");
+    // Wheels that spin, or a robot that is pushed: its power says nothing of its commands.
+    let ignores = driven(&model, 60.0, |_| 7.0);
+    assert!(ignores.learned.command_trust < 0.1, "{ignores:?}");
+    let rest_j = at_rest_j(&model, &ignores);
+    assert!((60.0..80.0).contains(&rest_j), "70 J are right: {rest_j}");
+}
+
+#[test]
+fn trust_in_commands_returns() {
+    let model = driving_model();
+    let mut state = driven(&model, 120.0, |_| 7.0);
+    let later = driven(&model, 180.0, |v_mps| 1.0 + 20.0 * v_mps);
+    assert!(state.learned.command_trust < 0.1, "{state:?}");
+    for sample in 0..30 * 180 {
+        let v_mps = |sample: u32| if sample % 120 < 60 { 0.4 } else { 0.0 };
+        let read = EnergySample {
+            power_w: 1.0 + 20.0 * v_mps(sample + 119),
+            elapsed_s: 1.0 / 30.0,
+            v_mps: v_mps(sample),
+            omega_radps: 0.0,
+        };
+        state.observe(&model, &read);
+    }
+    assert!(state.learned.command_trust > 0.8, "{state:?}");
+    assert!(later.learned.command_trust > 0.95, "{later:?}");
+}
+
+/// A robot of another kind than the platform's is not held to the platform's level; one that is only
+/// a little different is.
+#[test]
+fn a_level_far_from_the_platforms_is_believed_sooner() {
+    let mut model = model(&[0.0; TERMS], 0.0);
+    model.prior_s = [0.05, 0.05, 10.0, 10.0];
+    model.command.mean_w = model.command.weights[0];
+    let error_after_s = |times: f32| {
+        let drawn_w = times * model.command.weights[0];
+        let state = driven(&model, 8.0, |_| drawn_w);
+        let plan = Commands {
+            period_s: 0.5,
+            v_mps: &[0.0; 20],
+            omega_radps: &[0.0; 20],
+        };
+        let drawn_j = 10.0 * drawn_w;
+        let held_j = 10.0 * model.command.weights[0];
+        (model.forecast(&state, plan).energy_j - drawn_j) / (held_j - drawn_j)
+    };
+    assert!(error_after_s(1.05) > 0.4, "{}", error_after_s(1.05));
+    assert!(error_after_s(5.0) < 0.2, "{}", error_after_s(5.0));
 }

@@ -1,6 +1,8 @@
 //! One robot's answers.
 
-use joulebus_energy::{Commands, EnergyForecast, EnergyModel, EnergyState, LEVELS, SHADOWS};
+use joulebus_energy::{
+    Commands, EnergyForecast, EnergyModel, EnergyState, LEVELS, Learned, Metered, SHADOWS,
+};
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
 };
@@ -418,13 +420,19 @@ fn results(found: usize, allowed: usize) -> Result<(), AskError> {
 fn energy_state(state: &PlanState) -> EnergyState {
     const _: () = assert!(LEVELS == 4 && SHADOWS == 3);
     EnergyState {
-        energy_j: state.energy_j,
-        command_j: state.command_j,
-        time_s: state.time_s,
-        v_mps: state.v_mps,
-        omega_radps: state.omega_radps,
-        error_factor: state.error_factor,
-        ..EnergyState::new(0)
+        metered: Metered {
+            energy_j: state.energy_j,
+            command_j: state.command_j,
+            time_s: state.time_s,
+            v_mps: state.v_mps,
+            omega_radps: state.omega_radps,
+            ..EnergyState::new(0).metered
+        },
+        learned: Learned {
+            error_factor: state.error_factor,
+            command_trust: state.command_trust,
+            ..Learned::new()
+        },
     }
 }
 
@@ -447,13 +455,14 @@ fn unknown(
     }
     let has_sample = state.flags & plan_state_flag::SAMPLE != 0;
     let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());
-    let metered = energy.time_s.iter().all(|time_s| *time_s > 0.0);
+    let (metered, learned) = (&energy.metered, &energy.learned);
     let known = has_sample
-        && metered
-        && finite(&energy.energy_j)
-        && finite(&energy.command_j)
-        && finite(&energy.time_s)
-        && finite(&energy.error_factor);
+        && metered.time_s.iter().all(|time_s| *time_s > 0.0)
+        && finite(&metered.energy_j)
+        && finite(&metered.command_j)
+        && finite(&metered.time_s)
+        && finite(&learned.error_factor)
+        && (0.0..=1.0).contains(&learned.command_trust);
     (!known).then_some(Unknown::NoLevel)
 }
 

@@ -38,4 +38,4 @@ pub use service::{Service, WakeEvent, service_name};
 pub use state::StateHeader;
 
 /// Version of every payload in this crate. A frame with another version is refused and counted.
-pub const SCHEMA_VERSION: u32 = 3;
+pub const SCHEMA_VERSION: u32 = 4;

@@ -75,9 +75,7 @@ pub struct PlanState {
     pub weight_network: f32,
     /// Weight of the stack there.
     pub weight_stack: f32,
-    /// Weight of the last reading where it will be held.
-    pub held_weight_last: f32,
-    /// Weight of the stack there.
+    /// Weight of the stack where it will be held; the rest is that of the last reading.
     pub held_weight_stack: f32,
     /// Gain of the last reading within the stack.
     pub gain_last: f32,
@@ -107,6 +105,8 @@ pub struct PlanState {
     pub time_s: [f32; 4],
     /// Factors of the energy's errors at the horizons of `joulebus_energy::SHADOWS_S`.
     pub error_factor: [f32; 3],
+    /// How far the commands explain this robot's power, 0 to 1: 1 as far as the platform's.
+    pub command_trust: f32,
 }
 
 impl PlanState {

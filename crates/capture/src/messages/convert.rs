@@ -133,9 +133,9 @@ convert! { PlanState <=> PlanState {
         robot, flags, generation, stamp_ns;
     float:
         v_mps, omega_radps, lag1_w, lag2_w, lag3_w, lag4_w, lag5_w, network_w, mean_w, change_w,
-        weight_last, weight_network, weight_stack, held_weight_last, held_weight_stack, gain_last,
+        weight_last, weight_network, weight_stack, held_weight_stack, gain_last,
         gain_network, gain_mean, level_w, size_due_w, below_due, above_due, size_held_w,
-        below_held, above_held;
+        below_held, above_held, command_trust;
     narrow:
         quality, quality_detail, platform, open_steps, age_steps, interval_steps;
     with energy_j = energy_j by each, each_of;

@@ -734,10 +734,7 @@ pub struct PlanState {
     /// Weight of the stack there.
     #[prost(float, optional, tag = "23")]
     pub weight_stack: ::core::option::Option<f32>,
-    /// Weight of the last reading where it will be held.
-    #[prost(float, optional, tag = "24")]
-    pub held_weight_last: ::core::option::Option<f32>,
-    /// Weight of the stack there.
+    /// Weight of the stack where it will be held; the rest is that of the last reading.
     #[prost(float, optional, tag = "25")]
     pub held_weight_stack: ::core::option::Option<f32>,
     /// Gain of the last reading within the stack.
@@ -782,6 +779,9 @@ pub struct PlanState {
     /// Factors of the energy's errors at 1, 10 and 100 s.
     #[prost(float, repeated, tag = "39")]
     pub error_factor: ::prost::alloc::vec::Vec<f32>,
+    /// How far the commands explain this robot's power, 0 to 1: 1 as far as the platform's.
+    #[prost(float, optional, tag = "40")]
+    pub command_trust: ::core::option::Option<f32>,
 }
 /// What plans start from, as of one tick.
 #[derive(Clone, PartialEq, ::prost::Message)]

@@ -151,8 +151,8 @@ pub(super) fn plan_states(
         robot, flags, quality, quality_detail, platform, open_steps, age_steps, interval_steps,
         generation, stamp_ns, v_mps, omega_radps, lag1_w, lag2_w, lag3_w, lag4_w, lag5_w,
         network_w, mean_w, change_w, weight_last, weight_network, weight_stack,
-        held_weight_last, held_weight_stack, gain_last, gain_network, gain_mean, level_w,
-        size_due_w, below_due, above_due, size_held_w, below_held, above_held
+        held_weight_stack, gain_last, gain_network, gain_mean, level_w, size_due_w, below_due,
+        above_due, size_held_w, below_held, above_held, command_trust
     );
     let mut each = |name, recorded: &[f32], computed: &[f32]| {
         for (recorded, computed) in recorded.iter().zip(computed) {

@@ -270,7 +270,6 @@ pub(crate) fn plan_state(bits: &mut Bits) -> PlanState {
         weight_last: bits.f32(),
         weight_network: bits.f32(),
         weight_stack: bits.f32(),
-        held_weight_last: bits.f32(),
         held_weight_stack: bits.f32(),
         gain_last: bits.f32(),
         gain_network: bits.f32(),
@@ -286,6 +285,7 @@ pub(crate) fn plan_state(bits: &mut Bits) -> PlanState {
         command_j: std::array::from_fn(|_| bits.f32()),
         time_s: std::array::from_fn(|_| bits.f32()),
         error_factor: std::array::from_fn(|_| bits.f32()),
+        command_trust: bits.f32(),
     }
 }
 
@@ -314,7 +314,6 @@ pub(crate) fn plan_state_fields(row: &PlanState) -> Fields {
         weight_last,
         weight_network,
         weight_stack,
-        held_weight_last,
         held_weight_stack,
         gain_last,
         gain_network,
@@ -330,6 +329,7 @@ pub(crate) fn plan_state_fields(row: &PlanState) -> Fields {
         command_j,
         time_s,
         error_factor,
+        command_trust,
     } = row;
     let mut fields = vec![
         ("robot", robot.bits()),
@@ -355,7 +355,6 @@ pub(crate) fn plan_state_fields(row: &PlanState) -> Fields {
         ("weight_last", weight_last.bits()),
         ("weight_network", weight_network.bits()),
         ("weight_stack", weight_stack.bits()),
-        ("held_weight_last", held_weight_last.bits()),
         ("held_weight_stack", held_weight_stack.bits()),
         ("gain_last", gain_last.bits()),
         ("gain_network", gain_network.bits()),
@@ -375,6 +374,7 @@ pub(crate) fn plan_state_fields(row: &PlanState) -> Fields {
     each("command_j", command_j);
     each("time_s", time_s);
     each("error_factor", error_factor);
+    fields.push(("command_trust", command_trust.bits()));
     fields
 }
 

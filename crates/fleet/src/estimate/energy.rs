@@ -3,23 +3,36 @@
 // Indexed by lane, so that the compiler vectorises the loop.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_energy::{EnergyModel, EnergySample, EnergyState, LEVELS, SHADOWS};
+use joulebus_energy::{EnergyModel, EnergySample, EnergyState, Learned, Metered};
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{self, Block, LANES, Lanes, put};
-
-/// Numbers of a robot's levels, command and shadow forecasts: parts of its state that `serde` knows
-/// arrays of the length of.
-const PARTS: [usize; 3] = [3 * LEVELS, 3, 6 * SHADOWS];
-const _: () = assert!(PARTS[0] + PARTS[1] + PARTS[2] == EnergyState::FLOATS);
 
 /// The energy states of a block.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(64))]
 pub(crate) struct EnergyLanes {
-    levels: [Lanes<f32>; PARTS[0]],
-    command: [Lanes<f32>; PARTS[1]],
-    shadows: [Lanes<f32>; PARTS[2]],
+    metered: MeteredLanes,
+    learned: [Lanes<f32>; Learned::FLOATS],
+}
+
+/// What changes with every sample.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+struct MeteredLanes([Lanes<f32>; Metered::FLOATS]);
+
+impl MeteredLanes {
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Metered {
+        Metered::from_array(&std::array::from_fn(|place| self.0[place][lane]))
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, mask: bool, metered: &Metered) {
+        let numbers = metered.to_array();
+        for place in 0..Metered::FLOATS {
+            put(&mut self.0[place][lane], mask, numbers[place]);
+        }
+    }
 }
 
 impl Block for EnergyLanes {
@@ -27,35 +40,18 @@ impl Block for EnergyLanes {
 
     #[inline(always)]
     fn get(&self, lane: usize) -> EnergyState {
-        let mut numbers = [0.0; EnergyState::FLOATS];
-        for place in 0..PARTS[0] {
-            numbers[place] = self.levels[place][lane];
+        EnergyState {
+            metered: self.metered.get(lane),
+            learned: Learned::from_array(&std::array::from_fn(|place| self.learned[place][lane])),
         }
-        for place in 0..PARTS[1] {
-            numbers[PARTS[0] + place] = self.command[place][lane];
-        }
-        for place in 0..PARTS[2] {
-            numbers[PARTS[0] + PARTS[1] + place] = self.shadows[place][lane];
-        }
-        EnergyState::from_array(&numbers)
     }
 
     #[inline(always)]
     fn set(&mut self, lane: usize, mask: bool, robot: EnergyState) {
-        let numbers = robot.to_array();
-        for place in 0..PARTS[0] {
-            put(&mut self.levels[place][lane], mask, numbers[place]);
-        }
-        for place in 0..PARTS[1] {
-            put(
-                &mut self.command[place][lane],
-                mask,
-                numbers[PARTS[0] + place],
-            );
-        }
-        for place in 0..PARTS[2] {
-            let number = numbers[PARTS[0] + PARTS[1] + place];
-            put(&mut self.shadows[place][lane], mask, number);
+        self.metered.set(lane, mask, &robot.metered);
+        let numbers = robot.learned.to_array();
+        for place in 0..Learned::FLOATS {
+            put(&mut self.learned[place][lane], mask, numbers[place]);
         }
     }
 }
@@ -92,15 +88,15 @@ impl EnergyLanes {
         samples: &EnergySamples<'_>,
     ) {
         // A copy, so that the compiler knows that it is not aliased.
-        let mut copy = *self;
+        let mut copy = self.metered;
         let mut ended = [false; LANES];
         for lane in 0..LANES {
-            let mut robot = copy.get(lane);
-            robot.advance(model, &samples.get(lane));
-            ended[lane] = mask[lane] & robot.has_ended();
-            copy.set(lane, mask[lane], robot);
+            let mut metered = copy.get(lane);
+            metered.advance(model, &samples.get(lane));
+            ended[lane] = mask[lane] & metered.has_ended();
+            copy.set(lane, mask[lane], &metered);
         }
-        *self = copy;
+        self.metered = copy;
         if lanes::any(&ended) {
             self.compare(model, &ended);
         }

@@ -28,10 +28,10 @@ const COLUMNS: usize = size_of::<AdmissionState>()
         + size_of::<EnergyLanes>())
     .div_ceil(LANES);
 
-/// A robot takes at most 648 bytes, its account after departure included: the columns, that
+/// A robot takes at most 672 bytes, its account after departure included: the columns, that
 /// account, its bit in the slot map, and one and a half entries in each of the two id tables.
 const _: () =
-    assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 648);
+    assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 672);
 
 /// The state of a block of robots.
 #[derive(Debug, Clone, Copy)]

@@ -24,7 +24,7 @@ use crate::ledger::energy::LedgerLanes;
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x09";
+const MAGIC: [u8; 8] = *b"jbstate\x0a";
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
 /// windows, ledgers, intervals, scores, detectors, energy states, online learning, accounts of departed robots,

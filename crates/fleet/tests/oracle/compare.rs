@@ -1,5 +1,6 @@
 //! Compares the fleet with the oracle, bit for bit.
 
+use joulebus_energy::EnergyState;
 use joulebus_fleet::Fleet;
 use joulebus_predictor::Model;
 use joulebus_wire::{Quality, diagnostic_flag, plan_state_flag};
@@ -77,6 +78,7 @@ fn one_nan(fleet: &Fleet, id: u32) -> Result<(), TestCaseError> {
         plan_state.command_j[3],
         plan_state.time_s[1],
         plan_state.error_factor[2],
+        plan_state.command_trust,
     ];
     for value in singles.into_iter().filter(|value| value.is_nan()) {
         prop_assert_eq!(value.to_bits(), f32::NAN.to_bits(), "robot {}", id);
@@ -186,9 +188,13 @@ fn compare_energy(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCas
     let model = fleet.energy_model(member.context).expect("a platform");
     let expected = robot.energy(id, model);
     let found = fleet.energy(id).expect("it is in the fleet");
+    let bits = |state: EnergyState| {
+        let (metered, learned) = (state.metered.to_array(), state.learned.to_array());
+        (metered.map(f32::to_bits), learned.map(f32::to_bits))
+    };
     prop_assert_eq!(
-        found.to_array().map(f32::to_bits),
-        expected.to_array().map(f32::to_bits),
+        bits(found),
+        bits(expected),
         "robot {}: {:?}, expected {:?}",
         id,
         found,
@@ -220,7 +226,6 @@ fn compare_plan_state(
         (found.weight_last, diagnostic.weight_last),
         (found.weight_network, diagnostic.weight_network),
         (found.weight_stack, diagnostic.weight_stack),
-        (found.held_weight_last, diagnostic.held_weight_last),
         (found.held_weight_stack, diagnostic.held_weight_stack),
         (found.gain_last, diagnostic.gain_last),
         (found.gain_network, diagnostic.gain_network),
@@ -232,13 +237,15 @@ fn compare_plan_state(
     }
     let energy = fleet.energy(id).expect("it is in the fleet");
     for (found, expected) in [
-        (found.energy_j, energy.energy_j),
-        (found.command_j, energy.command_j),
-        (found.time_s, energy.time_s),
+        (found.energy_j, energy.metered.energy_j),
+        (found.command_j, energy.metered.command_j),
+        (found.time_s, energy.metered.time_s),
     ] {
         prop_assert_eq!(found.map(f32::to_bits), expected.map(f32::to_bits));
     }
-    let factors = energy.error_factor.map(f32::to_bits);
+    let trust = energy.learned.command_trust;
+    prop_assert_eq!(found.command_trust.to_bits(), trust.to_bits());
+    let factors = energy.learned.error_factor.map(f32::to_bits);
     prop_assert_eq!(found.error_factor.map(f32::to_bits), factors);
     let silent_ns = now_ns - member.heard_ns;
     let model = &oracle.models[member.context];

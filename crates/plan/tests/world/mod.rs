@@ -94,10 +94,11 @@ impl Rows {
                 quality_detail,
                 v_mps: 0.0,
                 omega_radps: 0.0,
-                energy_j: energy.energy_j,
-                command_j: energy.command_j,
-                time_s: energy.time_s,
-                error_factor: energy.error_factor,
+                energy_j: energy.metered.energy_j,
+                command_j: energy.metered.command_j,
+                time_s: energy.metered.time_s,
+                error_factor: energy.learned.error_factor,
+                command_trust: energy.learned.command_trust,
                 ..PlanState::default()
             },
             budget_header: BudgetHeader {

@@ -42,8 +42,8 @@ impl<'a, 'b> PlanStates<'a, 'b> {
         };
         let (learns, learned) = self.learned.get(&self.block, lane);
         let known = |value: f32| canonical(if learns { value } else { f32::NAN });
-        let ([weight_last, weight_network, weight_stack], [held_weight_last, held_weight_stack]) =
-            (learned.weights, learned.held_weights);
+        let [weight_last, weight_network, weight_stack] = learned.weights;
+        let [_, held_weight_stack] = learned.held_weights;
         let [gain_last, gain_network, gain_mean] = learned.gains;
         let [lag1_w, lag2_w, lag3_w, lag4_w, lag5_w] = start.lag_w;
         let [age_steps, interval_steps] = start.reading_age.to_bytes().map(u16::from);
@@ -77,7 +77,6 @@ impl<'a, 'b> PlanStates<'a, 'b> {
             weight_last: known(weight_last),
             weight_network: known(weight_network),
             weight_stack: known(weight_stack),
-            held_weight_last: known(held_weight_last),
             held_weight_stack: known(held_weight_stack),
             gain_last: known(gain_last),
             gain_network: known(gain_network),
@@ -89,10 +88,11 @@ impl<'a, 'b> PlanStates<'a, 'b> {
             size_held_w: interval.held.size_w,
             below_held: interval.held.below,
             above_held: interval.held.above,
-            energy_j: energy.energy_j,
-            command_j: energy.command_j,
-            time_s: energy.time_s,
-            error_factor: energy.error_factor,
+            energy_j: energy.metered.energy_j,
+            command_j: energy.metered.command_j,
+            time_s: energy.metered.time_s,
+            error_factor: energy.learned.error_factor,
+            command_trust: energy.learned.command_trust,
         }
     }
 
