@@ -27,7 +27,8 @@ const LISTED: usize = 24;
     joulebus eval --model my.safetensors recordings/ --split trial\n  \
     joulebus eval --model my.safetensors husky/ --split group --leave-out ICE\n  \
     joulebus eval --model my.safetensors t6.npy --fit t1.npy t2.npy t3.npy t4.npy\n  \
-    joulebus eval --config configs/mixed.toml robotino/@robotino husky/@husky\n\n\
+    joulebus eval --config configs/mixed.toml robotino/@robotino husky/@husky\n  \
+    joulebus eval --model my.safetensors recordings/ --split trial --energy\n\n\
     Corrected: each forecast is based on real readings, one tick ahead. Open loop: a forecaster is fed \
     with its own forecasts and the true commands. MAE in W; skill is 1 - squared error over \
     that of persistence: above 0 is better than repeating the last reading. [lo, hi] are confidence \

@@ -85,7 +85,7 @@ fn evaluate(
     };
     let model = Model::Network(train(&dataset, settings, |_| ())?.network);
     for (_, trial) in all().filter(|(place, trial)| scored(*place, trial)) {
-        scores.add(&model, trial);
+        scores.add(&model, trial, &vec![true; trial.rows()]);
     }
     Ok(())
 }

@@ -9,7 +9,7 @@ use joulebus_predictor::{
     Features, INPUTS, LAGS, Linear, Model, ReadingAge, RolloutStart, Rollouts,
 };
 use joulebus_wire::{Sample, sample_flag};
-use serde::Serialize;
+use serde::ser::{Serialize, SerializeMap as _, Serializer};
 
 /// Readings before the first forecast.
 const FIRST: usize = LAGS;
@@ -30,7 +30,7 @@ pub const FORECASTS: [&str; 7] = [
 ];
 
 /// Errors at one horizon.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct HorizonErrors {
     /// Horizon, s.
     pub horizon_s: f32,
@@ -38,6 +38,7 @@ pub struct HorizonErrors {
     pub origins: usize,
     /// Sum of the absolute errors through the sum of the energies, of each of [`FORECASTS`]; NaN for
     /// one that the model does not have.
+    #[serde(serialize_with = "by_name")]
     pub errors: [f64; FORECASTS.len()],
     /// Share of measured energies inside the energy model's 90 % interval; NaN without intervals.
     pub coverage: f64,
@@ -48,8 +49,16 @@ pub struct HorizonErrors {
     pub narrowest: f64,
 }
 
+fn by_name<S: Serializer>(errors: &[f64; FORECASTS.len()], to: S) -> Result<S::Ok, S::Error> {
+    let mut map = to.serialize_map(Some(FORECASTS.len()))?;
+    for (name, error) in FORECASTS.iter().zip(errors) {
+        map.serialize_entry(name, error)?;
+    }
+    map.end()
+}
+
 /// Errors at each horizon that the recordings are long enough for.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct EnergyErrors {
     /// In ascending order.
     pub horizons: Vec<HorizonErrors>,
@@ -72,10 +81,11 @@ pub struct EnergyScores {
 
 impl EnergyScores {
     /// Adds the forecasts of a recording, every ten rows, by `model` and its energy model. Robots start
-    /// as new ones.
-    pub fn add(&mut self, model: &Model, trial: &Trial) {
+    /// as new ones. Only readings with `true` in `scored` are forecast; those beyond its end are not.
+    pub fn add(&mut self, model: &Model, trial: &Trial, scored: &[bool]) {
         let untrained = EnergyModel::untrained(1.0);
-        let recorded = Recorded::new(model, model.energy().unwrap_or(&untrained), trial);
+        let mut recorded = Recorded::new(model, model.energy().unwrap_or(&untrained), trial);
+        recorded.leave_out(scored);
         for (scored, horizon_s) in self.scored.iter_mut().zip(HORIZONS_S) {
             let (mut state, mut age) = (EnergyState::new(0), ReadingAge::UNKNOWN);
             for row in 0..recorded.samples.len() {
@@ -89,6 +99,13 @@ impl EnergyScores {
                     scored.extend(found);
                 }
             }
+        }
+    }
+
+    /// Adds the forecasts of another.
+    pub fn append(&mut self, other: Self) {
+        for (own, other) in self.scored.iter_mut().zip(other.scored) {
+            own.extend(other);
         }
     }
 
@@ -142,6 +159,8 @@ struct Recorded<'a> {
     energy: &'a EnergyModel,
     samples: Vec<Sample>,
     told: Vec<EnergySample>,
+    /// Number of readings up to each row that are not to be forecast, that row's included.
+    left_out: Vec<usize>,
     /// Energy and time up to each row.
     sums: Vec<[f64; 2]>,
     period_s: f64,
@@ -178,10 +197,19 @@ impl<'a> Recorded<'a> {
             model,
             energy,
             samples,
+            left_out: vec![0; told.len()],
             told,
             sums,
             period_s,
             longest_s,
+        }
+    }
+
+    fn leave_out(&mut self, scored: &[bool]) {
+        let mut count = 0;
+        for (row, left_out) in self.left_out.iter_mut().enumerate() {
+            count += usize::from(!scored.get(row).is_some_and(|scored| *scored));
+            *left_out = count;
         }
     }
 
@@ -197,7 +225,7 @@ impl<'a> Recorded<'a> {
         let (first, last) = (row + 1 - FIRST, row + steps);
         let all = self.told.get(first..=last)?;
         let sound = |told: &EnergySample| told.power_w.is_finite() && told.elapsed_s > 0.0;
-        if !all[1..].iter().all(sound) {
+        if !all[1..].iter().all(sound) || self.left_out[last] > self.left_out[row] {
             return None;
         }
         let duration_s = self.sums[last][1] - self.sums[row][1];
@@ -304,6 +332,7 @@ fn autoregression(linear: &Linear, mut lag_w: [f32; LAGS], steps: usize) -> f64 
 }
 
 impl fmt::Display for EnergyErrors {
+    /// A table in Markdown.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "| horizon s | forecasts |")?;
         for name in FORECASTS {
@@ -312,14 +341,14 @@ impl fmt::Display for EnergyErrors {
         writeln!(out, " coverage % | width | narrowest |")?;
         writeln!(out, "|{}", "---|".repeat(FORECASTS.len() + 5))?;
         for row in &self.horizons {
-            write!(out, "| {} | {} |", row.horizon_s, row.origins)?;
-            for error in row.errors {
-                write!(out, " {} |", share(error, 3))?;
+            write!(out, "| {:>9} | {:>9} |", row.horizon_s, row.origins)?;
+            for (name, error) in FORECASTS.iter().zip(row.errors) {
+                write!(out, " {:>width$} |", share(error, 3), width = name.len())?;
             }
             let (width, narrowest) = (share(row.width, 2), share(row.narrowest, 2));
             writeln!(
                 out,
-                " {} | {width} | {narrowest} |",
+                " {:>10} | {width:>5} | {narrowest:>9} |",
                 share(100.0 * row.coverage, 1)
             )?;
         }

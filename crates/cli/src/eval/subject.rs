@@ -46,6 +46,9 @@ pub(crate) struct Selection {
     /// Rows between the origins of rollouts; a horizon of fewer ticks has one every so many rows
     #[arg(long, value_name = "ROWS", default_value_t = Options::default().origins_every)]
     origins_every: usize,
+    /// Also score the energy of the next 1 to 300 s, as far as the recordings reach
+    #[arg(long)]
+    energy: bool,
     /// Draws for confidence intervals; 0 disables them
     #[arg(long, value_name = "N", default_value_t = Bootstrap::default().resamples)]
     resamples: u32,
@@ -97,6 +100,7 @@ impl Selection {
         Ok(Options {
             horizons,
             origins_every: self.origins_every,
+            energy: self.energy,
             bootstrap: Bootstrap {
                 resamples: self.resamples,
                 confidence: self.confidence,

@@ -18,6 +18,8 @@ pub struct Options {
     /// Rows from one origin of the open loop to the next, counted through all recordings; at least 1.
     /// A horizon of fewer ticks has an origin every so many rows.
     pub origins_every: usize,
+    /// Whether the energy of the next 1 to 300 s is scored too: rollouts of that length take a while.
+    pub energy: bool,
     /// Linear models as baselines in addition to persistence.
     pub baselines: Vec<Terms>,
     /// The confidence intervals.
@@ -31,6 +33,7 @@ impl Default for Options {
         Self {
             horizons: vec![1, 3, 10, 30, 100, 300],
             origins_every: 10,
+            energy: false,
             baselines: vec![Terms::AR5, Terms::AR5_AND_VELOCITIES],
             bootstrap: Bootstrap::default(),
         }

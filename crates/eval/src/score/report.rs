@@ -9,7 +9,8 @@ use super::cell::{Cell, HorizonCell, Names, cell, horizon_cell};
 use super::design::{DesignReport, Lines};
 use super::members::Member;
 use super::trained_on::{ScoredRows, TrainedOn, warnings};
-use super::{Options, Subject};
+use super::{Options, Recording, Subject};
+use crate::energy::{EnergyErrors, EnergyScores};
 use crate::evaluate::Forecast;
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_train::linear::LinearReport;
@@ -72,6 +73,9 @@ pub struct ModelReport {
     /// The rows that it was trained on, among those that were to be evaluated. `None` if its file does not state
     /// them.
     pub trained_on: Option<TrainedOn>,
+    /// Errors of its energy forecasts of recordings that it was not trained on; `None` if not
+    /// [asked for](Options::energy).
+    pub energy: Option<EnergyErrors>,
 }
 
 /// A linear baseline.
@@ -103,7 +107,9 @@ pub(super) fn report(
         sets.par_iter().map(of).unzip()
     };
     let models = 0..subject.models.len();
-    let models: Vec<ModelReport> = models.map(|at| of_model(at, subject, &names)).collect();
+    let models: Vec<ModelReport> = models
+        .map(|at| of_model(at, subject, &names, options))
+        .collect();
     let design = subject.design;
     let scored_rows = design.scored_rows(subject.recordings, subject.models);
     let stated = models.iter();
@@ -174,7 +180,7 @@ pub(super) fn names(subject: Subject<'_>, options: &Options) -> Names {
     }
 }
 
-fn of_model(at: usize, subject: Subject<'_>, names: &Names) -> ModelReport {
+fn of_model(at: usize, subject: Subject<'_>, names: &Names, options: &Options) -> ModelReport {
     let model = &subject.models[at];
     let card = match model {
         Model::Network(network) => Some(network.card()),
@@ -187,7 +193,33 @@ fn of_model(at: usize, subject: Subject<'_>, names: &Names) -> ModelReport {
         members: members(at, subject, names),
         training_data: card.map(|card| card.training_data.clone()),
         trained_on: subject.design.trained_on(subject.recordings, model),
+        energy: options.energy.then(|| energy(model, subject)),
     }
+}
+
+/// The energy of the rows that are evaluated.
+fn energy(model: &Model, subject: Subject<'_>) -> EnergyErrors {
+    let of = |(at, recording): (usize, &Recording)| {
+        let mut scored = vec![false; recording.trial.rows()];
+        let parts = subject.design.evaluated(at).map(|(_, part)| part);
+        for row in parts.flatten() {
+            // The target of a row is the reading of the sample after its own.
+            let target = recording.rows.sample_seq[row] as usize + 1;
+            if let Some(scored) = scored.get_mut(target) {
+                *scored = true;
+            }
+        }
+        let mut scores = EnergyScores::default();
+        scores.add(model, &recording.trial, &scored);
+        scores
+    };
+    let each = subject.recordings.par_iter().enumerate().map(of);
+    // In the recordings' order, so that sums are the same on any number of threads.
+    let mut all = EnergyScores::default();
+    for scores in each.collect::<Vec<_>>() {
+        all.append(scores);
+    }
+    all.errors()
 }
 
 /// Names of what a model's forecast is combined from.

@@ -37,7 +37,11 @@ impl fmt::Display for ScoreReport {
         write_cells(out, "group", &self.groups)?;
         write_cells(out, "robot", &self.robots)?;
         write_trials(out, &self.trials)?;
-        write_horizons(out, &self.open_loop, self.origins_every)
+        write_horizons(out, &self.open_loop, self.origins_every)?;
+        for model in &self.models {
+            write_energy(out, model)?;
+        }
+        Ok(())
     }
 }
 
@@ -395,6 +399,23 @@ fn write_horizons(out: &mut Formatter<'_>, cell: &HorizonCell, every: usize) -> 
         out,
         "energy %: mean over the rollouts of |forecast − measured| / measured energy up to there"
     )
+}
+
+fn write_energy(out: &mut Formatter<'_>, model: &ModelReport) -> fmt::Result {
+    let Some(energy) = &model.energy else {
+        return Ok(());
+    };
+    writeln!(
+        out,
+        "\nEnergy of the next seconds by {}, with the commands that were driven: sum of |forecast − measured| over \
+         that of the measured energy; coverage and mean width of the 90 % interval, and the narrowest that would have \
+         covered as much",
+        model.name
+    )?;
+    if energy.horizons.is_empty() {
+        return writeln!(out, "no stretch of evaluated rows is as long as 1 s");
+    }
+    write!(out, "{energy}")
 }
 
 impl fmt::Display for Comparison {

@@ -6,6 +6,7 @@ use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_dataset::split::{By, Split, split};
 use joulebus_dataset::trained_rows::trained_rows;
 use joulebus_dataset::trial::Trial;
+use joulebus_eval::energy::EnergyScores;
 use joulebus_eval::evaluate;
 use joulebus_eval::score::{
     Comparison, Design, Options, Recording, Role, ScoreError, ScoreReport, Scored, ScoredRows,
@@ -639,6 +640,51 @@ fn the_number_of_threads_changes_nothing() {
         serde_json::to_string(&scored.report).unwrap()
     };
     assert_eq!(on(1), on(3));
+}
+
+#[test]
+fn energy_is_scored_on_the_evaluated_rows_only() {
+    let recordings = made_up(4, 240);
+    let models = [network(5, FeatureSet::Full, 30.0), persistence()];
+    let options = Options {
+        energy: true,
+        ..quick()
+    };
+    let whole = Design::folds(&recordings);
+    let mut half = whole.clone();
+    for fold in &mut half.folds {
+        // The later rows of each recording.
+        for (_, part) in &mut fold.evaluated {
+            part.start = part.end.min(60);
+        }
+    }
+    let of = |design: &Design, options: &Options| {
+        let scored = run_network(&recordings, &models, design, options);
+        scored.report.models.into_iter().map(|one| one.energy)
+    };
+    assert!(of(&whole, &quick()).all(|energy| energy.is_none()));
+    for (at, (whole, half)) in of(&whole, &options).zip(of(&half, &options)).enumerate() {
+        let (whole, half) = (whole.unwrap().horizons, half.unwrap().horizons);
+        let mut expected = EnergyScores::default();
+        for recording in &recordings {
+            let rows = recording.trial.rows();
+            expected.add(&models[at], &recording.trial, &vec![true; rows]);
+        }
+        let expected = expected.errors().horizons;
+        assert_eq!(whole.len(), expected.len());
+        for (found, expected) in whole.iter().zip(expected) {
+            // But for those that begin right after a gap, which are no rows of the evaluation.
+            let least = 0.8 * expected.origins as f64;
+            assert!(found.origins as f64 >= least && found.origins <= expected.origins);
+            for (found, expected) in found.errors.iter().zip(expected.errors) {
+                assert_eq!(found.is_finite(), expected.is_finite());
+            }
+        }
+        assert!(!half.is_empty(), "model {at}");
+        for (half, whole) in half.iter().zip(&whole) {
+            assert!(half.origins < whole.origins, "{half:?} of {whole:?}");
+        }
+    }
 }
 
 #[test]
