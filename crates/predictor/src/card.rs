@@ -56,6 +56,22 @@ pub struct TrainingRange {
 }
 
 impl TrainingRange {
+    /// What a rollout feeds back of a forecast, W: the nearest power that the training data had as
+    /// newest reading. A network knows nothing of others, and its errors there would feed
+    /// themselves. NaN stays NaN.
+    #[inline(always)]
+    #[must_use]
+    pub fn fed_back_w(&self, forecast_w: f32) -> f32 {
+        const NEWEST: usize = FeatureSet::PowerOnly.first();
+        let (min_w, max_w) = (self.min[NEWEST], self.max[NEWEST]);
+        let above = if forecast_w < min_w {
+            min_w
+        } else {
+            forecast_w
+        };
+        if above > max_w { max_w } else { above }
+    }
+
     /// The range of the features read, over some rows.
     #[must_use]
     pub fn of<'a>(feature_set: FeatureSet, rows: impl Iterator<Item = &'a Features>) -> Self {

@@ -151,8 +151,8 @@ impl Model {
     /// its forecast of every step in watt (step by step: `power_w[t * lanes.len() + l]`).
     ///
     /// At each step the features are the command of that step, the derivatives over `step_s`, and
-    /// as lag window the model's own forecasts, preceded by the robot's readings. The bits are
-    /// those of [`Model::predict`] called step by step with rows of
+    /// as lag window the model's own forecasts as [fed back](TrainingRange::fed_back_w), preceded by the
+    /// robot's readings. The bits are those of [`Model::predict`] called step by step with rows of
     /// [`features`](crate::features()); the energy is `step_s` times the sum of the forecasts in
     /// step order, both in double precision, rounded once. A lane with a command or reading that is
     /// not finite gives results that are not finite from that step on, and changes no other lane.

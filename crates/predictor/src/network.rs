@@ -122,8 +122,13 @@ impl Network {
         energy_j: &mut [f32],
         power_w: Option<&mut [f32]>,
     ) {
-        self.engine
-            .rollout(&self.packed, rollouts, first, energy_j, power_w);
+        self.engine.rollout(
+            (&self.packed, &self.card.training_range),
+            rollouts,
+            first,
+            energy_j,
+            power_w,
+        );
     }
 
     /// One forecast in watt by plain loops: the definition of the network's bits. Allocates.

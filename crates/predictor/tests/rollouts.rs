@@ -157,7 +157,9 @@ fn by_hand(model: &Model, scene: &Scene) -> (Vec<f32>, Vec<f32>) {
             model.predict(&[row], &mut forecast_w);
             power_w[step * lanes + lane] = forecast_w[0];
             total += f64::from(forecast_w[0]);
-            window_w.insert(0, forecast_w[0]);
+            let range = model.training_range();
+            let fed_back_w = range.map_or(forecast_w[0], |range| range.fed_back_w(forecast_w[0]));
+            window_w.insert(0, fed_back_w);
             before = Some((v, omega));
             reading_age.pass(1);
         }
@@ -187,6 +189,28 @@ fn run(model: &Model, scene: &Scene) -> (Vec<f32>, Vec<f32>) {
         )
         .expect("the shapes match");
     (energy_j, power_w)
+}
+
+#[test]
+fn a_network_that_amplifies_its_own_forecasts_stays_bounded() {
+    for set in SETS {
+        let random = network(31, set);
+        let mut parameters = random.parameters().clone();
+        for weight in &mut parameters.layers[3].weights {
+            *weight *= 100.0;
+        }
+        let amplifies = Network::new(parameters, random.card().clone()).expect("finite weights");
+        let scene = Scene::random(&mut Noise(32), 2, 20, 1_000);
+        for model in on_every_kernel(&amplifies) {
+            let (energy_j, power_w) = run(&model, &scene);
+            assert!(energy_j.iter().all(|energy_j| energy_j.is_finite()));
+            let largest = power_w
+                .iter()
+                .fold(0.0f32, |largest, power_w| largest.max(power_w.abs()));
+            // Fed with its own forecasts as they are, it leaves the numbers within some ten steps.
+            assert!((10.0..1e5).contains(&largest), "{set:?}: {largest} W");
+        }
+    }
 }
 
 #[test]

@@ -184,8 +184,10 @@ impl Rollout<'_> {
             let out_w = &mut out_w[..lanes.len()];
             model.predict(&inputs, out_w);
             let at_horizon = self.horizons.get(place) == Some(&(step + 1));
+            let range = model.training_range();
             for (&lane, &power_w) in lanes.iter().zip(out_w.iter()) {
-                push(&mut lag_w[lane], power_w);
+                let fed_back_w = range.map_or(power_w, |range| range.fed_back_w(power_w));
+                push(&mut lag_w[lane], fed_back_w);
                 energy_j[lane] += f64::from(power_w) * self.step_s[self.starts[lane].row + step];
                 if at_horizon {
                     trace.power_w[place * count + lane] = power_w.into();

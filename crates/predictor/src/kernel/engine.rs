@@ -11,6 +11,7 @@ use super::neon::Neon;
 use super::packed::Packed;
 use super::rollout::Roll;
 use super::scalar::Scalar;
+use crate::card::TrainingRange;
 use crate::features::{Features, INPUTS};
 use crate::rollout::Rollouts;
 
@@ -130,13 +131,13 @@ impl Engine {
     /// Lanes of checked rollouts from `first`, as many as `energy_j` has elements.
     pub(crate) fn rollout(
         self,
-        packed: &Packed,
+        network: (&Packed, &TrainingRange),
         rollouts: &Rollouts<'_>,
         first: usize,
         energy_j: &mut [f32],
         power_w: Option<&mut [f32]>,
     ) {
-        let request = (packed, rollouts, first);
+        let request = (network, rollouts, first);
         match self {
             Engine::Scalar(lanes) => roll::<_, 4, 2>(lanes, request, energy_j, power_w),
             #[cfg(target_arch = "aarch64")]
@@ -151,12 +152,13 @@ impl Engine {
 
 fn roll<L: Lanes, const R: usize, const C: usize>(
     lanes: L,
-    (packed, rollouts, first): (&Packed, &Rollouts<'_>, usize),
+    ((packed, range), rollouts, first): ((&Packed, &TrainingRange), &Rollouts<'_>, usize),
     energy_j: &mut [f32],
     power_w: Option<&mut [f32]>,
 ) {
     lanes.run(Roll::<R, C> {
         packed,
+        range,
         rollouts,
         first,
         energy_j,

@@ -10,6 +10,7 @@ use super::batch::whole;
 use super::forward::{BatchMajor, OutputMajor};
 use super::lanes::{Job, Lanes};
 use super::packed::Packed;
+use crate::card::TrainingRange;
 use crate::features::{FEATURES, FeatureSet, Features, INPUTS, LAGS, features};
 use crate::nan::canonical;
 use crate::rollout::{RolloutStart, Rollouts};
@@ -22,6 +23,7 @@ const NEWEST: usize = FeatureSet::PowerOnly.first();
 /// Lanes `first..first + energy_j.len()` of checked rollouts; `R` and `C` as in [`BatchMajor`].
 pub(crate) struct Roll<'a, const R: usize, const C: usize> {
     pub(crate) packed: &'a Packed,
+    pub(crate) range: &'a TrainingRange,
     pub(crate) rollouts: &'a Rollouts<'a>,
     pub(crate) first: usize,
     pub(crate) energy_j: &'a mut [f32],
@@ -34,6 +36,7 @@ impl<L: Lanes, const R: usize, const C: usize> Job<L> for Roll<'_, R, C> {
     fn run(self, lanes: L) {
         let mut tiles = Tiles {
             packed: self.packed,
+            range: self.range,
             rollouts: self.rollouts,
             first: self.first,
             count: self.energy_j.len(),
@@ -62,6 +65,7 @@ impl<L: Lanes, const R: usize, const C: usize> Job<L> for Roll<'_, R, C> {
 
 struct Tiles<'a> {
     packed: &'a Packed,
+    range: &'a TrainingRange,
     rollouts: &'a Rollouts<'a>,
     first: usize,
     /// Lanes of the call, and how many of them are done.
@@ -107,15 +111,19 @@ impl Tiles<'_> {
         }
     }
 
-    /// Adds the forecasts of a step to the sums, and to the trace.
+    /// Adds the forecasts of a step to the sums, and to the trace. What the next step is fed with
+    /// remains.
     #[inline(always)]
-    fn note(&mut self, step: usize, forecasts_w: &[f32], sums_w: &mut [f64]) {
-        for (sum_w, forecast_w) in sums_w.iter_mut().zip(forecasts_w) {
+    fn note(&mut self, step: usize, forecasts_w: &mut [f32], sums_w: &mut [f64]) {
+        for (sum_w, forecast_w) in sums_w.iter_mut().zip(&*forecasts_w) {
             *sum_w += f64::from(*forecast_w);
         }
         if let Some(power_w) = self.power_w.as_deref_mut() {
             let place = step * self.count + self.done;
             power_w[place..][..forecasts_w.len()].copy_from_slice(forecasts_w);
+        }
+        for forecast_w in forecasts_w {
+            *forecast_w = self.range.fed_back_w(*forecast_w);
         }
     }
 
@@ -149,7 +157,7 @@ impl Tiles<'_> {
                 inputs: &inputs,
                 out_w: &mut forecasts_w[..count],
             });
-            self.note(step, &forecasts_w[..count], &mut sums_w[..count]);
+            self.note(step, &mut forecasts_w[..count], &mut sums_w[..count]);
         }
         self.finish(&sums_w[..count], energy_j);
     }
@@ -243,7 +251,7 @@ impl Tiles<'_> {
                 rows: &rows,
                 out_w: &mut forecasts_w,
             });
-            self.note(step, &forecasts_w, &mut sums_w);
+            self.note(step, &mut forecasts_w, &mut sums_w);
         }
         self.finish(&sums_w, energy_j);
     }
