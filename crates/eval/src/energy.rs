@@ -9,7 +9,8 @@ use joulebus_predictor::{
     Features, INPUTS, LAGS, Linear, Model, ReadingAge, RolloutStart, Rollouts,
 };
 use joulebus_wire::{Sample, sample_flag};
-use serde::ser::{Serialize, SerializeMap as _, Serializer};
+use serde::Serialize;
+use serde::ser::{SerializeMap as _, Serializer};
 
 /// Readings before the first forecast.
 const FIRST: usize = LAGS;
@@ -30,7 +31,7 @@ pub const FORECASTS: [&str; 7] = [
 ];
 
 /// Errors at one horizon.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HorizonErrors {
     /// Horizon, s.
     pub horizon_s: f32,
@@ -58,7 +59,7 @@ fn by_name<S: Serializer>(errors: &[f64; FORECASTS.len()], to: S) -> Result<S::O
 }
 
 /// Errors at each horizon that the recordings are long enough for.
-#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct EnergyErrors {
     /// In ascending order.
     pub horizons: Vec<HorizonErrors>,
