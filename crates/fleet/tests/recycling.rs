@@ -62,6 +62,43 @@ fn a_hundred_thousand_successive_sources_and_robots_do_not_affect_a_live_robot()
 }
 
 #[test]
+fn impossible_samples_of_any_number_of_robots_cost_no_departed_robot_its_account() {
+    let mut fleet = fleet(4);
+    let mut real = Source::new(1, 1);
+    let mut now_ns = 60_000 * MS;
+    for step in 0..20 {
+        now_ns += PERIOD_NS;
+        let sample = healthy(LIVING, step, now_ns, PERIOD_NS);
+        real.send(&mut fleet, &[sample], now_ns);
+        fleet.tick(now_ns, false);
+    }
+    let account = fleet.ledger(LIVING).unwrap();
+    assert_eq!(account.metered_ns, 19 * PERIOD_NS);
+    // It leaves, and so do many others of which no sample is accepted.
+    let mut liar = Source::new(2, 1);
+    for step in 0..200 {
+        now_ns += LEAVE_AFTER_NS + PERIOD_NS;
+        let wrong = [f32::NAN, f32::INFINITY, 1e30][step as usize % 3];
+        let impossible: Vec<_> = (0..3)
+            .map(|place| {
+                healthy(
+                    10 + (3 * step + place) as u32 % 280,
+                    step,
+                    now_ns,
+                    PERIOD_NS,
+                )
+            })
+            .map(|sample| sample.reading(wrong, now_ns))
+            .collect();
+        liar.send(&mut fleet, &impossible, now_ns);
+        fleet.tick(now_ns, false);
+        let kept = fleet.ledger(LIVING);
+        assert_eq!(kept, Some(account), "step {step}");
+    }
+    assert_eq!((fleet.accepted(), fleet.accounts_given_up()), (20, 0));
+}
+
+#[test]
 fn a_forged_frame_blocks_the_robots_of_a_source_for_one_stale_period_only() {
     let far = u64::MAX;
     let settings = world::settings(2);

@@ -100,7 +100,7 @@ impl Fleet {
         (robot <= *end).then_some(*platform)
     }
 
-    /// Frees the slots of robots that have been silent for too long; their accounts are kept.
+    /// Frees the slots of robots that have been silent for too long; accounts that have begun are kept.
     pub(super) fn release_departed(&mut self) {
         let leave_after_ns = self.tick.settings.intake.leave_after_ns;
         for slot in 0..self.columns.admissions.len() {
@@ -118,6 +118,11 @@ impl Fleet {
             self.slot_of
                 .remove(robot, |slot| admissions[slot as usize].id);
             self.columns.slots.free(slot);
+            let ledger = lanes::get(&self.columns.ledgers, slot);
+            if ledger.stamp_ns().is_none() {
+                // No sample of it was ever accepted: there is no account to keep in place of another's.
+                continue;
+            }
             let platform = &self.tick.platforms[usize::from(platform)].platform;
             let battery = platform.battery.map_or(Known::Nothing, |_| {
                 Known::Kept(lanes::get(&self.columns.batteries, slot))
@@ -125,7 +130,7 @@ impl Fleet {
             self.departed.keep(departed::Account {
                 robot,
                 charged,
-                ledger: lanes::get(&self.columns.ledgers, slot),
+                ledger,
                 battery,
             });
         }

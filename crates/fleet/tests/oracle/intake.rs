@@ -282,7 +282,11 @@ impl Oracle {
         gone.sort_by_key(|id| self.members[id].slot);
         for id in gone {
             let member = self.members.remove(&id).expect("it was just found");
-            // At most as many accounts are kept as the capacity.
+            // Of a robot of which nothing was ever accepted there is none; at most as many are kept as the
+            // capacity.
+            if member.robot.account.last.is_none() {
+                continue;
+            }
             if self.departed.len() == self.settings.capacity as usize {
                 self.departed.pop_front();
             }
