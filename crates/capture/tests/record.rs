@@ -350,6 +350,43 @@ fn split_files_are_each_complete_and_continue_each_other() {
 }
 
 #[test]
+fn times_that_a_false_frame_states_neither_end_a_file_nor_leave_the_time_of_the_recording() {
+    let mut stage = Stage::new();
+    let path = stage.path("times.mcap");
+    let began_ns = clock::unix_ns();
+    let recorder = stage.record(Target::File(path.clone()), &Options::default());
+    let false_times = [0, 1, u64::MAX, u64::MAX / 2];
+    for (number, sent_ns) in false_times.into_iter().enumerate() {
+        let header = SampleHeader {
+            schema: SCHEMA_VERSION,
+            source_id: 9,
+            source_epoch: stage.source_epoch,
+            frame_seq: number as u64,
+            sent_ns,
+            ..SampleHeader::default()
+        };
+        let sample = |robot: usize| Sample::new(robot as u32, 0, 0);
+        stage.samples.send(header, 1, sample).unwrap();
+        stage.play(3);
+    }
+    let summary = recorder.finish();
+    assert_eq!(summary.files.len(), 1, "{summary:?}");
+    let ended_ns = clock::unix_ns();
+    let found = entries(&path);
+    assert!(found.len() > false_times.len());
+    // The clocks' offset is read once, some moments after the wall clock here.
+    let slack_ns = 1_000_000_000;
+    for entry in &found {
+        let log_ns = entry.log_time_ns;
+        assert!(
+            log_ns + slack_ns >= began_ns && log_ns <= ended_ns + slack_ns,
+            "{log_ns}"
+        );
+    }
+    assert!(found.is_sorted_by_key(|entry| entry.log_time_ns));
+}
+
+#[test]
 fn existing_files_are_not_changed() {
     let stage = Stage::new();
     let path = stage.path("run.mcap");

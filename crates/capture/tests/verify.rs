@@ -424,6 +424,67 @@ fn a_lost_frame_of_samples_is_named_and_verification_resumes_at_the_next_keyfram
     assert_eq!((report.differences, report.is_clean()), (0, false));
 }
 
+#[test]
+fn frames_that_repeat_the_number_of_another_one_are_named_and_never_reported_as_differences() {
+    let all = entries(recorded(3, 200));
+    let at = all
+        .iter()
+        .position(|entry| matches!(&entry.message, Message::Samples(header, _) if header.source_id == 2 && header.frame_seq == 50));
+    let at = at.unwrap();
+    let Message::Samples(header, samples) = &all[at].message else {
+        panic!("a frame of samples");
+    };
+    let with = |change: &dyn Fn(&mut Entry), place: usize| {
+        let mut entries = all.clone();
+        let mut copy = all[at].clone();
+        change(&mut copy);
+        entries.insert(place, copy);
+        verify(entries)
+    };
+    let number = Loss::Ambiguous {
+        source_id: 2,
+        frame_seq: 50,
+    };
+    let other_power = |entry: &mut Entry| {
+        let mut samples = samples.clone();
+        samples[0].power_w = f32::from_bits(samples[0].power_w.to_bits() ^ 1);
+        entry.message = Message::Samples(*header, samples);
+    };
+    let other_header = |entry: &mut Entry| {
+        let mut header = *header;
+        header.sent_ns ^= 1;
+        entry.message = Message::Samples(header, samples.clone());
+    };
+    let longer = |entry: &mut Entry| {
+        entry.message = Message::Samples(*header, [&samples[..], samples].concat());
+    };
+    let changes: [&dyn Fn(&mut Entry); 3] = [&other_power, &other_header, &longer];
+    for (number_of_change, change) in changes.into_iter().enumerate() {
+        for place in [at, at + 1] {
+            let report = with(change, place);
+            let what = format!("change {number_of_change} at {place}: {report}");
+            assert_eq!(report.differences, 0, "{what}");
+            assert!(
+                report.losses.iter().any(|(_, loss)| *loss == number),
+                "{what}"
+            );
+            assert!(!report.is_clean() && report.ticks_verified > 100, "{what}");
+        }
+    }
+    // Only the false one was recorded.
+    let mut entries = all.clone();
+    longer(&mut entries[at]);
+    let report = verify(entries);
+    assert_eq!(
+        (report.differences, report.losses[0].1),
+        (0, number),
+        "{report}"
+    );
+    // The same bits twice: whichever it took.
+    let same = with(&|_| {}, at);
+    assert_eq!((same.differences, same.ticks_unverified), (0, 0), "{same}");
+}
+
 /// Each field of each payload, one at a time: found with its tick, robot and name.
 #[test]
 fn a_flipped_bit_in_any_output_is_named() {

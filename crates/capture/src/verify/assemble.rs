@@ -33,6 +33,8 @@ pub(super) struct TickParts {
     pub(super) frames: Vec<Option<SampleFrame>>,
     /// Missing frames and their positions; none until the tick is the next one of its run.
     wanted: Option<HashMap<FrameKey, VecDeque<usize>>>,
+    /// A frame of the journal of which the capture has several that differ.
+    pub(super) ambiguous: Option<FrameKey>,
     pub(super) forecasts: Option<(ForecastHeader, Vec<Forecast>)>,
     pub(super) diagnostics: Option<(DiagnosticHeader, Vec<Diagnostic>)>,
     pub(super) budgets: Option<(BudgetHeader, Vec<Budget>)>,
@@ -93,7 +95,8 @@ struct FrameStore {
     untaken: u64,
 }
 
-type FrameKey = (u64, u64, u64);
+/// Source, its run, and the number of a frame in it.
+pub(super) type FrameKey = (u64, u64, u64);
 
 impl Assembler {
     /// Takes a message; other kinds are ignored.
@@ -203,7 +206,7 @@ impl Assembler {
         let seq = header.frame_seq;
         let range = self.frame_range.entry(key).or_insert((seq, seq));
         *range = (seq.min(range.0), seq.max(range.1));
-        let key = (header.source_id, header.source_epoch, seq);
+        let key = key_of(&header);
         let mut next = self
             .runs
             .values_mut()
@@ -264,7 +267,8 @@ impl Assembler {
                 if !parts.is_complete() && !over && run.newest < tick + WINDOW {
                     break;
                 }
-                let parts = Box::new(head.remove());
+                let mut parts = Box::new(head.remove());
+                parts.ambiguous = self.frames.ambiguous(&parts.frames);
                 self.events.push_back(Event::Tick {
                     worker_epoch: *worker_epoch,
                     tick,
@@ -328,9 +332,22 @@ impl TickParts {
     }
 }
 
+const fn key_of(header: &SampleHeader) -> FrameKey {
+    (header.source_id, header.source_epoch, header.frame_seq)
+}
+
+fn bytes_of(samples: &[Sample]) -> &[u8] {
+    bytemuck::cast_slice(samples)
+}
+
+/// Whether two frames have the same bits: NaN does not equal itself.
+fn is_same(one: &SampleFrame, other: &SampleFrame) -> bool {
+    one.0 == other.0 && bytes_of(&one.1) == bytes_of(&other.1)
+}
+
 impl FrameStore {
     fn put(&mut self, header: SampleHeader, samples: Vec<Sample>) {
-        let key = (header.source_id, header.source_epoch, header.frame_seq);
+        let key = key_of(&header);
         self.held += 1;
         self.samples += samples.len();
         self.order.push_back((self.next, key));
@@ -369,6 +386,27 @@ impl FrameStore {
         self.held -= 1;
         self.samples -= frame.1.len();
         Some(frame)
+    }
+
+    /// The first of a tick's `frames` with the source, run and number of another frame that differs: one
+    /// of them is false, and nothing tells which of them the worker took. The others are not taken any more.
+    fn ambiguous(&mut self, frames: &[Option<SampleFrame>]) -> Option<FrameKey> {
+        let mut first = None;
+        let mut seen: HashMap<FrameKey, &SampleFrame> = HashMap::new();
+        for frame in frames.iter().flatten() {
+            let key = key_of(&frame.0);
+            let waiting = self.frames.get(&key).into_iter().flatten();
+            let mut others = waiting
+                .map(|(_, other)| other)
+                .chain(seen.insert(key, frame));
+            if others.any(|other| !is_same(frame, other)) {
+                first.get_or_insert(key);
+                while self.get(key).is_some() {
+                    self.untaken += 1;
+                }
+            }
+        }
+        first
     }
 
     /// Adds the available frames in a tick's journal, once; frames that arrive later are added one

@@ -261,11 +261,24 @@ impl Verifier {
         if header.unlisted > 0 {
             return Some(Loss::Unlisted);
         }
-        let missing = taken
-            .iter()
-            .zip(&next.parts.frames)
-            .find(|(_, frame)| frame.is_none());
-        missing.map(|(taken, _)| self.assembler.lack_of_frame(place, taken))
+        if let Some((source_id, _, frame_seq)) = next.parts.ambiguous {
+            return Some(Loss::Ambiguous {
+                source_id,
+                frame_seq,
+            });
+        }
+        let mut frames = taken.iter().zip(&next.parts.frames);
+        frames.find_map(|(taken, frame)| match frame {
+            None => Some(self.assembler.lack_of_frame(place, taken)),
+            Some((_, samples)) => {
+                let sent = u64::from(taken.samples) + u64::from(taken.truncated);
+                // The recorder missed the one that the worker took.
+                (samples.len() as u64 != sent).then_some(Loss::Ambiguous {
+                    source_id: taken.source_id,
+                    frame_seq: taken.frame_seq,
+                })
+            }
+        })
     }
 
     fn compute(&mut self, next: Waiting) {
@@ -282,7 +295,7 @@ impl Verifier {
             report: &mut self.report,
             place,
         };
-        take(&mut self.fleet, taken, &parts.frames, &mut comparison);
+        take(&mut self.fleet, taken, &parts.frames);
         let sheds = header.flags & tick_flag::NO_DIAGNOSTICS != 0;
         let plans = header.flags & tick_flag::PLAN_STATES != 0;
         let header = tick(&mut self.fleet, header);
@@ -315,25 +328,11 @@ impl Verifier {
 }
 
 /// Takes the frames like the worker.
-fn take(
-    fleet: &mut Fleet,
-    taken: &[TakenFrame],
-    frames: &[Option<SampleFrame>],
-    comparison: &mut TickComparison<'_>,
-) {
+fn take(fleet: &mut Fleet, taken: &[TakenFrame], frames: &[Option<SampleFrame>]) {
     for (taken, frame) in taken.iter().zip(frames) {
         let Some((header, samples)) = frame else {
             continue;
         };
-        let sent = u64::from(taken.samples) + u64::from(taken.truncated);
-        if samples.len() as u64 != sent {
-            let recorded = Value::from(samples.len() as u64);
-            comparison.differs(
-                "samples",
-                None,
-                ("samples in a frame", recorded, Value::from(sent)),
-            );
-        }
         let looked_at = samples.len().min(taken.samples as usize);
         fleet.take(header, &samples[..looked_at], taken.taken_ns);
     }

@@ -101,6 +101,14 @@ pub enum Loss {
         /// Its number.
         frame_seq: u64,
     },
+    /// It took a frame of which the capture has several that differ, or one of another length: a process sends in
+    /// the source's name, and nothing tells which frame the worker took.
+    Ambiguous {
+        /// Its source.
+        source_id: u64,
+        /// Its number.
+        frame_seq: u64,
+    },
     /// It took more frames than a journal lists.
     Unlisted,
     /// One of its outputs was not recorded.
@@ -248,6 +256,13 @@ impl fmt::Display for Loss {
             } => write!(
                 out,
                 "frame {frame_seq} of source {source_id:016x} was not recorded"
+            ),
+            Self::Ambiguous {
+                source_id,
+                frame_seq,
+            } => write!(
+                out,
+                "other frames claim to be frame {frame_seq} of source {source_id:016x}: another process sends in its name"
             ),
             Self::Unlisted => write!(out, "it took more frames than a journal lists"),
             Self::Output => write!(out, "its output was not recorded"),
