@@ -143,7 +143,7 @@ pub(crate) fn last_panic() -> String {
     PANIC.take()
 }
 
-/// Runs a campaign; `progress` is told the number of seeds that are done, `stop` asked before each.
+/// Runs a campaign; `progress` is told the number of seeds that are done, once `stop` is set, a seed that runs is given up.
 #[must_use]
 pub fn play(campaign: &Campaign, stop: &AtomicBool, progress: impl Fn(u64) + Sync) -> Totals {
     let next = AtomicU64::new(campaign.first);
@@ -155,6 +155,9 @@ pub fn play(campaign: &Campaign, stop: &AtomicBool, progress: impl Fn(u64) + Syn
                 return;
             }
             let (outcome, failed) = one(campaign, seed, stop);
+            if outcome.is_stopped {
+                return;
+            }
             let mut totals = totals.lock().unwrap_or_else(PoisonError::into_inner);
             totals.add(&outcome);
             totals.failed.extend(failed);
@@ -184,6 +187,7 @@ fn one(campaign: &Campaign, seed: u64, stop: &AtomicBool) -> (Outcome, Option<Fa
         Some(numbers) => whole.only(numbers),
         None => whole,
     };
+    let run = |scenario: &Scenario| run(scenario, stop);
     let outcome = run(&scenario);
     if outcome.failure.is_none() {
         return (outcome, None);

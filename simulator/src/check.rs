@@ -1,15 +1,15 @@
 //! What must always hold.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
 use joulebus_predictor::Model;
 use joulebus_wire::{
-    Budget, BudgetHeader, Forecast, ForecastHeader, SampleHeader, budget_flag, forecast_flag,
+    Budget, BudgetHeader, Forecast, ForecastHeader, SampleHeader, budget_flag, fnv1a, forecast_flag,
 };
 use simulated_bus::{self as bus, BudgetReader, Bus, ForecastReader};
 use simulated_capture::Reader;
-use simulated_capture::record::Summary;
+use simulated_capture::record::{Options, Summary};
 use simulated_capture::verify::Verifier;
 use simulated_config::Config;
 use simulated_host::{self as host, disk, time};
@@ -87,6 +87,8 @@ struct Life {
 struct Account {
     born_ns: u64,
     row: Budget,
+    /// Number of the frame of budgets with it.
+    frame: u64,
     /// Life of the worker that published it.
     life: u64,
     /// When that worker ended, simulated ns.
@@ -105,14 +107,18 @@ pub(crate) struct Checker {
     lives: u64,
     last_epoch: u64,
     accounts: BTreeMap<u32, Account>,
+    /// Frames of budgets so far.
+    frames: u64,
     /// Until then more of the ledger may be lost than promised.
     excused_until_ns: u64,
     /// Until then sources appear that are not always there.
     irregular_until_ns: u64,
     /// A start of the machine lies between the last worker and this one.
     is_rebooted: bool,
-    /// Robots so far that are not always there.
-    pub(crate) strangers: u64,
+    /// Robots of which samples were taken, and which are not always there.
+    pub(crate) strangers: BTreeSet<u32>,
+    /// The newest frame of each source that was taken.
+    newest_of: BTreeMap<u64, SampleHeader>,
     pub(crate) newest: BTreeMap<u32, Forecast>,
     pub(crate) answers: Option<Answers>,
     pub(crate) ticks: u64,
@@ -131,10 +137,12 @@ impl Checker {
             lives: 0,
             last_epoch: 0,
             accounts: BTreeMap::new(),
+            frames: 0,
             excused_until_ns: 0,
             irregular_until_ns: 0,
             is_rebooted: false,
-            strangers: 0,
+            strangers: BTreeSet::new(),
+            newest_of: BTreeMap::new(),
             newest: BTreeMap::new(),
             answers: None,
             ticks: 0,
@@ -189,6 +197,11 @@ impl Checker {
         Some(run)
     }
 
+    /// The newest frame of the source `name` that was taken.
+    pub(crate) fn newest_of(&self, name: &str) -> Option<SampleHeader> {
+        self.newest_of.get(&fnv1a(name.bytes())).copied()
+    }
+
     pub(crate) fn reboots(&mut self) {
         (self.last_epoch, self.is_rebooted) = (0, true);
     }
@@ -217,6 +230,7 @@ impl Checker {
         if let Some(life) = &mut self.life {
             for (header, samples) in bus::taken_frames() {
                 life.takes(&header, samples);
+                self.newest_of.insert(header.source_id, header);
             }
         }
         let Some(mut ports) = self.ports.take() else {
@@ -343,6 +357,7 @@ impl Checker {
             "only the worker is believed",
             || format!("{header:?}"),
         )?;
+        self.frames += 1;
         for row in rows {
             ensure(
                 row.robot != FALSE_ROBOT,
@@ -394,6 +409,7 @@ impl Checker {
             let account = Account {
                 born_ns,
                 row: *row,
+                frame: self.frames,
                 life: lives,
                 ended_ns: 0,
                 history: VecDeque::from([(now_ns, row.metered_ns)]),
@@ -402,10 +418,11 @@ impl Checker {
             return Ok(());
         };
         let before = std::mem::replace(&mut account.row, *row);
-        let away_ns = row.stamp_ns.saturating_sub(before.stamp_ns);
+        let has_left = std::mem::replace(&mut account.frame, self.frames) + 1 < self.frames;
+        let accounts = self.setup.regular() + self.strangers.len();
         if account.born_ns != born_ns
-            && self.strangers > u64::from(self.config.settings().capacity)
-            && away_ns > self.setup.leave_after_ns()
+            && accounts > self.config.settings().capacity as usize
+            && has_left
         {
             // It left, and so many others came that its account was given up.
             (account.life, account.born_ns) = (lives, born_ns);
@@ -490,9 +507,15 @@ impl Checker {
         let parts = names
             .iter()
             .filter(|name| name.to_string_lossy().starts_with(path));
+        let mut count = 0;
         for part in parts {
             messages += self.part(part)?;
+            count += 1;
         }
+        let is_short = time::now_ns() < Options::default().max_file_ns;
+        ensure(count <= 1 || !is_short, "a file ends after an hour", || {
+            format!("{count} files")
+        })?;
         let Some(summary) = summary else {
             return Ok(());
         };

@@ -1,8 +1,9 @@
 //! A process of the user that sends false frames on every service.
 
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, SCHEMA_VERSION,
-    Sample, SampleHeader, StateHeader, TickHeader, WakeEvent, budget_flag, sample_flag,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TickHeader, WakeEvent,
+    budget_flag, sample_flag,
 };
 use simulated_bus::Bus;
 use simulated_config::Config;
@@ -12,6 +13,8 @@ use crate::process::FALSE_ROBOT;
 
 /// Its pid: no other process ever has it.
 const PID: u32 = 77_777;
+/// Robots of which samples of it are taken.
+pub(crate) const OWN_ROBOTS: [usize; 3] = [800_000, 800_001, 800_002];
 
 /// A number as a liar chooses it: of now, far ahead, behind, or anything.
 fn any(near: u64) -> u64 {
@@ -35,10 +38,43 @@ fn schema() -> u32 {
 
 /// Sends `frames` false frames on each service, and leaves.
 pub(crate) fn attack(config: &Config, frames: u64, regular: usize) {
+    // It may fail where the fleet's processes do: shared memory is full, or all ports are taken.
+    live(|| send(config, frames, regular));
+}
+
+/// Sends `frames` frames with the source, run and numbers of frames around that of `header`, and leaves. Their
+/// samples, of the source's robots, are impossible, and more than in a frame of the source: one of the same length
+/// that the worker takes and the recorder misses is a known limitation.
+pub(crate) fn forge(config: &Config, frames: u64, header: &SampleHeader, robots: &[u32]) {
+    live(|| {
+        let bus = Bus::join(&config.domain().ok()?, "hostile").ok()?;
+        let most = 2 * robots.len();
+        let mut writer = bus.sample_writer(&config.limits(), most).ok()?;
+        for _ in 0..frames {
+            let ahead = host::below(4) as u64;
+            let len = robots.len() as u64;
+            let header = SampleHeader {
+                frame_seq: header.frame_seq.saturating_add(ahead),
+                samples_before: header.samples_before.saturating_add(ahead * len),
+                sent_ns: any(time::monotonic_ns()),
+                ..*header
+            };
+            let seq = any(header.frame_seq);
+            let count = most - host::below(robots.len());
+            let _ = writer.send(header, count, |place| {
+                Sample::new(robots[place % robots.len()], seq, any(header.sent_ns))
+                    .reading(f32::NAN, 0)
+            });
+        }
+        Some(())
+    });
+}
+
+/// A process that does `work`.
+fn live(work: impl FnOnce() -> Option<()>) {
     host::begin_life(PID);
     host::enter(PID, host::USUAL_COST_NS);
-    // It may fail where the fleet's processes do: shared memory is full, or all ports are taken.
-    let _ = send(config, frames, regular);
+    let _ = work();
     let _ = host::leave();
     simulated_bus::remove_process(PID);
     host::end_life(PID);
@@ -50,6 +86,7 @@ fn send(config: &Config, frames: u64, regular: usize) -> Option<()> {
     let mut forecasts = bus.forecast_writer(&limits).ok()?;
     let mut diagnostics = bus.diagnostic_writer(&limits).ok()?;
     let mut budgets = bus.budget_writer(&limits).ok()?;
+    let mut plan_states = bus.plan_state_writer(&limits).ok()?;
     let mut ticks = bus.tick_writer(&limits).ok()?;
     let mut state = bus.state_writer(&limits).ok()?;
     let waker = bus.planner_waker(&limits).ok()?;
@@ -98,6 +135,19 @@ fn send(config: &Config, frames: u64, regular: usize) -> Option<()> {
             ..Budget::default()
         };
         let _ = budgets.send(header, 1, |_| row);
+        let header = PlanStateHeader {
+            schema,
+            pid,
+            worker_epoch,
+            tick,
+            sent_ns: any(now_ns),
+            ..Default::default()
+        };
+        let row = PlanState {
+            robot: FALSE_ROBOT,
+            ..PlanState::default()
+        };
+        let _ = plan_states.send(header, 1, |_| row);
         let header = TickHeader {
             schema,
             pid,
@@ -130,7 +180,7 @@ fn samples(bus: &Bus, config: &Config, frames: u64, regular: usize) -> Option<()
             pid: PID,
             source_id: 900_000 + number % 3,
             source_epoch: any(now_ns),
-            frame_seq: host::number(),
+            frame_seq: any(host::number()),
             samples_before: any(number),
             sent_ns: any(now_ns),
             ..SampleHeader::default()
@@ -138,7 +188,7 @@ fn samples(bus: &Bus, config: &Config, frames: u64, regular: usize) -> Option<()
         let _ = writer.send(header, 1 + host::below(4), |_| {
             let own = host::once_in(2);
             let robot = if own {
-                800_000 + host::below(3)
+                OWN_ROBOTS[host::below(3)]
             } else {
                 host::below(10 * regular)
             };

@@ -7,7 +7,7 @@ use joulebus_wire::Sample;
 use simulated_capture::record::{Options, Recorder, Summary, Target};
 use simulated_capture::{Attachments, CaptureSettings, Clock, Preset};
 use simulated_config::Config;
-use simulated_consumer::{BudgetFeed, DiagnosticFeed, Event, Planner};
+use simulated_consumer::{BudgetFeed, DiagnosticFeed, Event, PlanStateFeed, Planner};
 use simulated_host::{self as host, time};
 use simulated_publisher::{Publisher, RobotState};
 use simulated_worker::Worker;
@@ -172,11 +172,12 @@ impl SourceProgram {
     }
 }
 
-/// A planner that reads forecasts, diagnostics and budgets.
+/// A planner that reads forecasts, diagnostics, budgets and what plans start from.
 pub(crate) struct PlannerProgram {
     planner: Planner,
     diagnostics: DiagnosticFeed,
     budgets: BudgetFeed,
+    plan_states: PlanStateFeed,
     every_ns: u64,
 }
 
@@ -186,6 +187,7 @@ impl PlannerProgram {
         Some(Self {
             diagnostics: planner.diagnostics().ok()?,
             budgets: planner.budgets().ok()?,
+            plan_states: planner.plan_states().ok()?,
             planner,
             every_ns: LOOK_EVERY_NS.max(setup.period_ns / 2),
         })
@@ -208,6 +210,9 @@ impl PlannerProgram {
                 learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
             }
             if let Ok(Some(frame)) = self.budgets.latest() {
+                learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
+            }
+            if let Ok(Some(frame)) = self.plan_states.latest() {
                 learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
             }
         }

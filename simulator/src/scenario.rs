@@ -56,6 +56,8 @@ pub enum Fault {
     Rival(usize, u64),
     /// Another process sends under the name of a source.
     Namesake(usize, u64),
+    /// A process sends frames with the run and the numbers of those of a source.
+    Forged(usize, u64),
 }
 
 /// A fault and its time, simulated ns.
@@ -210,7 +212,10 @@ impl Scenario {
         let drawn_ns = (1 + noise.below(30)) as u64 * LONGEST_NS / 30;
         let duration_ns = asked_ns.unwrap_or(drawn_ns);
         let setup = Setup::draw(&mut noise, duration_ns >= LONG_NS);
-        let faults = plan(&mut noise, &setup, duration_ns);
+        let mut faults = plan(&mut noise, &setup, duration_ns);
+        // Of numbers of their own: what seeds meant before, they still mean.
+        faults.extend(forgeries(&mut Noise::new(seed, 2), &setup, duration_ns));
+        faults.sort_by_key(|(at_ns, _)| *at_ns);
         Self {
             seed,
             faults: faults.into_iter().enumerate().collect(),
@@ -265,6 +270,27 @@ fn plan(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
         let kind = allowed[noise.below(allowed.len())];
         if let Some(fault) = draw(noise, setup, kind) {
             faults.push((at_ns, fault));
+        }
+    }
+}
+
+/// In one seed of four, frames with run and numbers of a source at random times.
+fn forgeries(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
+    let duration_s = duration_ns as f64 * 1e-9;
+    let mean_s = f64::max(200.0 * setup.period_ns as f64 * 1e-9, duration_s / 100.0);
+    let mut faults = Vec::new();
+    let mut at_s = 0.0;
+    if noise.below(4) > 0 {
+        return faults;
+    }
+    loop {
+        at_s += noise.waiting_s(mean_s);
+        if at_s >= duration_s {
+            return faults;
+        }
+        if let Some(source) = source(noise, setup) {
+            let frames = 1 + noise.below(6) as u64;
+            faults.push(((at_s * 1e9) as u64, Fault::Forged(source, frames)));
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use joulebus_predictor::Model;
 use simulated_bus as bus;
@@ -48,6 +49,8 @@ pub struct Outcome {
     pub answers: u64,
     /// The first invariant that did not hold.
     pub failure: Option<Failure>,
+    /// It was stopped before its end: it says nothing.
+    pub is_stopped: bool,
 }
 
 /// A place for a process.
@@ -58,6 +61,8 @@ struct Slot {
     robots: Vec<u32>,
     program: Option<Program>,
     pid: u32,
+    /// Pid of the process before.
+    last_pid: u32,
     wake_ns: u64,
     /// When it is started again, if it does not run.
     start_ns: u64,
@@ -78,6 +83,7 @@ struct Slot {
 
 struct World<'a> {
     scenario: &'a Scenario,
+    stop: &'a AtomicBool,
     config: Config,
     slots: Vec<Slot>,
     checker: Checker,
@@ -89,15 +95,19 @@ struct World<'a> {
     outcome: Outcome,
 }
 
-/// Runs a scenario, and that without faults where their answers must be equal.
+/// Runs a scenario, and that without faults where their answers must be equal; ends soon after `stop` is set.
 #[must_use]
-pub fn run(scenario: &Scenario) -> Outcome {
-    let (mut outcome, answers) = run_once(scenario);
-    if outcome.failure.is_some() || scenario.setup.everything {
+pub fn run(scenario: &Scenario, stop: &AtomicBool) -> Outcome {
+    let (mut outcome, answers) = run_once(scenario, stop);
+    if outcome.failure.is_some() || outcome.is_stopped || scenario.setup.everything {
         return outcome;
     }
-    let (undisturbed, expected) = run_once(&scenario.undisturbed());
+    let (undisturbed, expected) = run_once(&scenario.undisturbed(), stop);
     outcome.simulated_ns += undisturbed.simulated_ns;
+    if undisturbed.is_stopped {
+        outcome.is_stopped = true;
+        return outcome;
+    }
     outcome.answers = (answers.forecasts.len() + answers.ledgers.len()) as u64;
     outcome.failure = undisturbed.failure.or_else(|| compare(&answers, &expected));
     outcome
@@ -132,7 +142,7 @@ fn compare(answers: &Answers, expected: &Answers) -> Option<Failure> {
         .then(|| failure(NAME, format!("{found} samples answered, expected {wanted}")))
 }
 
-fn run_once(scenario: &Scenario) -> (Outcome, Answers) {
+fn run_once(scenario: &Scenario, stop: &AtomicBool) -> (Outcome, Answers) {
     host::begin(scenario.seed, scenario.setup.uptime_ns);
     bus::begin();
     let text = scenario.setup.toml(LEDGER);
@@ -160,8 +170,10 @@ fn run_once(scenario: &Scenario) -> (Outcome, Answers) {
     for path in FOREIGN {
         disk::put(Path::new(path), path.as_bytes().to_vec());
     }
-    let mut world = World::new(scenario, config, models);
-    if let Err(failure) = world.play() {
+    let mut world = World::new(scenario, stop, config, models);
+    if let Err(failure) = world.play()
+        && !world.outcome.is_stopped
+    {
         world.outcome.failure = Some(failure);
     }
     world.outcome.simulated_ns = time::now_ns();
@@ -175,13 +187,19 @@ fn run_once(scenario: &Scenario) -> (Outcome, Answers) {
 }
 
 impl<'a> World<'a> {
-    fn new(scenario: &'a Scenario, config: Config, models: Vec<Model>) -> Self {
+    fn new(
+        scenario: &'a Scenario,
+        stop: &'a AtomicBool,
+        config: Config,
+        models: Vec<Model>,
+    ) -> Self {
         let setup = &scenario.setup;
         let mut checker = Checker::new(setup, &config, models);
         checker.answers = (!setup.everything).then(Answers::default);
         checker.join();
         let mut world = Self {
             scenario,
+            stop,
             config,
             slots: Vec::new(),
             checker,
@@ -230,6 +248,7 @@ impl<'a> World<'a> {
             robots,
             program: None,
             pid: 0,
+            last_pid: 0,
             wake_ns: u64::MAX,
             start_ns,
             paused_until_ns: 0,
@@ -372,6 +391,10 @@ impl<'a> World<'a> {
     /// Lets the fleet run until `until_ns` (simulated).
     fn run_until(&mut self, until_ns: u64) -> Checked {
         loop {
+            if self.stop.load(Ordering::Relaxed) {
+                self.outcome.is_stopped = true;
+                return Err(failure("it runs to its end", "it was stopped".to_owned()));
+            }
             let due = (0..self.slots.len())
                 .map(|slot| (self.due_ns(slot), slot))
                 .min();
@@ -500,7 +523,11 @@ impl<'a> World<'a> {
         }
         let slot = &mut self.slots[place];
         if let Some(frame) = learned.frame_of {
-            slot.follows = Some(frame);
+            let before = slot.follows.replace(frame);
+            if before.is_some_and(|(_, run, tick)| (frame.1, frame.2) <= (run, tick)) {
+                let found = format!("a planner has frame {frame:?} after {before:?}");
+                return Err(failure("planners see runs and ticks in order", found));
+            }
         }
         if learned.is_worse || learned.frame_of.is_some() {
             slot.learn_until_ns = u64::MAX;
@@ -516,11 +543,11 @@ impl<'a> World<'a> {
     }
 
     fn start(&mut self, place: usize) -> Checked {
-        let pid = self.pid();
+        let pid = self.pid(self.slots[place].last_pid);
         let config = &self.config;
         let setup = &self.scenario.setup;
         let slot = &mut self.slots[place];
-        slot.pid = pid;
+        (slot.pid, slot.last_pid) = (pid, pid);
         slot.cost_ns = host::USUAL_COST_NS;
         (slot.follows, slot.learn_until_ns, slot.is_warned) = (None, u64::MAX, false);
         host::begin_life(pid);
@@ -569,7 +596,11 @@ impl<'a> World<'a> {
         Ok(())
     }
 
-    fn pid(&mut self) -> u32 {
+    /// A free pid. In a container a process often has the pid of the one before: `last`.
+    fn pid(&mut self, last: u32) -> u32 {
+        if host::once_in(3) && last != 0 && host::life(last).is_none() {
+            return last;
+        }
         loop {
             let pid = self.next_pid;
             self.next_pid = if pid + 1 == PIDS.end {
@@ -761,17 +792,26 @@ impl<'a> World<'a> {
             }
             Fault::Hostile(frames) => {
                 self.checker.is_irregular(now_ns);
-                // Those of its own, and any of the range of the fleet's.
-                self.checker.strangers += 3 + 10 * self.scenario.setup.regular() as u64;
+                let robots = hostile::OWN_ROBOTS.map(|robot| robot as u32);
+                self.checker.strangers.extend(robots);
                 hostile::attack(&self.config, frames, self.scenario.setup.regular());
                 self.deliver();
             }
+            Fault::Forged(source, frames) => {
+                let slot = &self.slots[self.slot(Role::Source(source))];
+                let (name, robots) = (slot.name.clone(), slot.robots.clone());
+                if let Some(header) = self.checker.newest_of(&name) {
+                    self.checker.is_irregular(now_ns);
+                    hostile::forge(&self.config, frames, &header, &robots);
+                    self.deliver();
+                }
+            }
             Fault::Newcomers(count) => {
                 self.checker.is_irregular(now_ns + (count + 8) * period_ns);
-                self.checker.strangers += count;
                 for number in 0..count {
                     self.names += 1;
                     let robot = 1_000 + (self.names % 100_000) as u32;
+                    self.checker.strangers.insert(robot);
                     let start_ns = now_ns + number * period_ns / 2;
                     let name = format!("newcomer-{}", self.names);
                     self.visitor(name, vec![robot], start_ns, start_ns + 4 * period_ns);
@@ -851,14 +891,24 @@ impl<'a> World<'a> {
 /// Changes a bit of the newest ledger.
 fn damage(bits: u64) {
     let path = Path::new(LEDGER);
-    // Of the only generation an operator has to be asked.
-    let older = PathBuf::from(format!("{LEDGER}.older"));
     if let Some(mut bytes) = disk::peek(path)
         && !bytes.is_empty()
-        && disk::peek(&older).is_some()
+        && has_another_generation(&bytes)
     {
         let place = bits as usize % bytes.len();
         bytes[place] ^= 1 << (bits >> 61);
         disk::put(path, bytes);
     }
+}
+
+/// Whether the newest ledger is not the only one: of the only one an operator has to be asked. There is one
+/// before it, unless that was damaged too.
+fn has_another_generation(newest: &[u8]) -> bool {
+    let content = serde_json::from_slice::<serde_json::Value>(newest).unwrap_or_default();
+    let is_first = content["generation"]
+        .as_u64()
+        .is_none_or(|number| number < 2);
+    let is_aside = |path: &PathBuf| path.to_string_lossy().contains(".damaged-");
+    let older = PathBuf::from(format!("{LEDGER}.older"));
+    disk::peek(&older).is_some() || !(is_first || disk::names().iter().any(is_aside))
 }

@@ -17,7 +17,7 @@ pub enum Fault {
     None,
     /// Every third access fails.
     Failing,
-    /// There is no space left.
+    /// There is space for a few bytes more, and then none.
     Full,
     /// Only a part of what is to be written is.
     Short,
@@ -45,6 +45,8 @@ struct Disk {
     durable_names: BTreeMap<PathBuf, u64>,
     changes: Vec<Change>,
     fault: Fault,
+    /// Space left while the disk is full, bytes.
+    room: usize,
     next: u64,
 }
 
@@ -56,6 +58,7 @@ thread_local! {
             durable_names: BTreeMap::new(),
             changes: Vec::new(),
             fault: Fault::None,
+            room: 0,
             next: 0,
         })
     };
@@ -76,9 +79,17 @@ pub(crate) fn begin() {
     });
 }
 
+/// Most space that a full disk has left when it begins to be full, bytes.
+const MOST_ROOM: usize = 20_000;
+
 /// Sets what fails.
 pub fn fail(fault: Fault) {
-    with(|disk| disk.fault = fault);
+    let room = if fault == Fault::Full {
+        below(MOST_ROOM)
+    } else {
+        0
+    };
+    with(|disk| (disk.fault, disk.room) = (fault, room));
 }
 
 fn not_found() -> io::Error {
@@ -211,14 +222,18 @@ impl Drop for File {
 impl Write for File {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let fault = access(false)?;
-        if fault == Fault::Full {
+        let room = with(|disk| disk.room);
+        if fault == Fault::Full && room == 0 {
             return Err(ErrorKind::StorageFull.into());
         }
         let count = match fault {
             Fault::Short if bytes.len() > 1 => 1 + below(bytes.len() - 1),
+            // The write that meets the end of the space is a short one.
+            Fault::Full => bytes.len().min(room),
             _ => bytes.len(),
         };
         with(|disk| {
+            disk.room = disk.room.saturating_sub(count);
             let content = disk.contents.get_mut(&self.number).ok_or_else(not_found)?;
             content.bytes.extend_from_slice(&bytes[..count]);
             content.is_synced = false;
