@@ -1,13 +1,18 @@
-//! Random faults on a running fleet: its processes are killed, ended, paused, killed while they start,
-//! flooded, sent false frames, and left without file descriptors, in random order, beside a source and a reader that must not notice. One seed is one
-//! fleet of some ten seconds; for hours, `JOULEBUS_RANDOM_FLEETS=1000 cargo test -p joulebus-tests
-//! --test random_faults -- --nocapture`.
+//! Random faults on a running fleet: its processes are killed, ended, paused one by one and all at once, killed while
+//! they start, flooded, sent false frames, left without file descriptors, disk or memory, in random order, beside a source
+//! and a reader that must not notice; at last all its files are removed. One seed is one fleet of some ten seconds; for
+//! hours, `JOULEBUS_RANDOM_FLEETS=1000 cargo test -p joulebus-tests --test random_faults -- --nocapture`. With
+//! `JOULEBUS_WITNESS=1` every capture is also read by `tools/read_capture.py`, which uses nothing of joulebus.
 
-#[path = "../on_drop.rs"]
+#[path = "../../on_drop.rs"]
 mod on_drop;
 
+mod shortages;
+
+use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::process::Command;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
 
 use joulebus_capture::Reader;
@@ -16,7 +21,8 @@ use joulebus_tests::{
 };
 use joulebus_wire::{Quality, Sample};
 use on_drop::OnDrop;
-use rustix::process::{Pid, Resource, Rlimit, Signal, getrlimit, prlimit};
+use rustix::process::{Pid, Resource, Signal, kill_process};
+use shortages::{LittleMemory, SmallDisk, limited};
 
 /// Faults of one fleet.
 const FAULTS: u64 = 40;
@@ -34,9 +40,14 @@ const PACE: Duration = Duration::from_millis(5);
 const START: Duration = Duration::from_millis(40);
 const PAUSE: Duration = Duration::from_millis(300);
 const CALM: Duration = Duration::from_millis(150);
-/// Exit codes of a process without file descriptors: its own, and the dynamic loader's, which opens the
-/// libraries before the program begins.
-const OUT_OF_DESCRIPTORS: [i32; 2] = [1, 127];
+/// Longest time for which all processes are stopped, as on a suspended machine, and in which one starts with little memory.
+const SUSPENDED: Duration = Duration::from_millis(1_500);
+const START_SHORT: Duration = Duration::from_millis(200);
+/// Exit codes of a process without file descriptors, disk or memory: its own, and the dynamic loader's, which opens
+/// the libraries before the program begins.
+const SHORT_OF_RESOURCES: [i32; 2] = [1, 127];
+/// Processes beside the fleet that must not notice: the undisturbed source, its reader, and a planner.
+type Beside = [AtomicU32; 3];
 
 fn setup() -> Setup {
     Setup {
@@ -73,9 +84,11 @@ struct Fleet<'a> {
     members: [Option<Child>; ROLES.len()],
     /// Captures, and whether their recorder was killed.
     captures: Vec<(PathBuf, bool)>,
-    /// Whether a process had no file descriptors left: it may end with an error.
+    /// Whether a process had no file descriptors or no disk left: it may end with an error.
     starved: [bool; ROLES.len()],
-    kills: u64,
+    /// A disk of which little is left, where such can be mounted.
+    small_disk: Option<SmallDisk>,
+    kills: [u64; ROLES.len()],
 }
 
 impl<'a> Fleet<'a> {
@@ -85,7 +98,8 @@ impl<'a> Fleet<'a> {
             members: Default::default(),
             captures: Vec::new(),
             starved: Default::default(),
-            kills: 0,
+            small_disk: SmallDisk::mount(&arena.files().join("small")),
+            kills: Default::default(),
         };
         fleet.complete();
         fleet
@@ -93,22 +107,28 @@ impl<'a> Fleet<'a> {
 
     /// Starts a process without waiting for it.
     fn spawn(&mut self, role: Role) -> Child {
+        let folder = self.arena.files().to_owned();
+        let command = self.command(role, &folder);
+        Child::spawn(&format!("{role:?}"), command)
+    }
+
+    /// The command of a process; a recorder writes into `folder`.
+    fn command(&mut self, role: Role, folder: &Path) -> Command {
         match role {
-            Role::Worker => self.arena.spawn_worker(),
+            Role::Worker => self.arena.worker_command(),
             Role::Controller(first) => {
                 let name = format!("controller-{first}");
-                self.arena.controller(&name, first, ROBOTS, RATE_HZ)
+                let numbers = [first.to_string(), ROBOTS.to_string(), RATE_HZ.to_string()];
+                let arguments = ["controller", &name, &numbers[0], &numbers[1], &numbers[2]];
+                self.arena.probe(&arguments)
             }
-            Role::Planner => Child::spawn("planner", self.arena.probe(&["consumer"])),
+            Role::Planner => self.arena.probe(&["consumer"]),
             Role::Recorder => {
-                let file = self
-                    .arena
-                    .files()
-                    .join(format!("{}.mcap", self.captures.len()));
+                let file = folder.join(format!("{}.mcap", self.captures.len()));
                 let arguments = ["record", "--format", "json", "-o", name(&file)];
-                let recorder = Child::spawn("recorder", self.arena.command(&arguments));
+                let command = self.arena.command(&arguments);
                 self.captures.push((file, false));
-                recorder
+                command
             }
         }
     }
@@ -146,7 +166,7 @@ impl<'a> Fleet<'a> {
             return false;
         }
         if let Some(mut child) = self.members[at].take() {
-            assert_ended(&child.wait(), &OUT_OF_DESCRIPTORS);
+            assert_ended(&child.wait(), &SHORT_OF_RESOURCES);
             // Its file may be missing, as after a kill.
             self.note_unfinished(ROLES[at]);
         }
@@ -156,7 +176,7 @@ impl<'a> Fleet<'a> {
     fn kill(&mut self, at: usize) {
         if let Some(mut child) = self.take(at) {
             assert_eq!(child.kill().signal(), Some(9));
-            self.kills += 1;
+            self.kills[at] += 1;
             self.note_unfinished(ROLES[at]);
         }
     }
@@ -187,23 +207,48 @@ impl<'a> Fleet<'a> {
             Role::Recorder => &[0, 3],
             _ => &[0],
         };
-        if self.starved[at] && OUT_OF_DESCRIPTORS.contains(&ended.exit_code()) {
+        if self.starved[at] && SHORT_OF_RESOURCES.contains(&ended.exit_code()) {
             return self.note_unfinished(ROLES[at]);
         }
         assert_ended(&ended, regular);
     }
 
     fn kill_while_starting(&mut self, at: usize, dice: &mut Dice) {
-        let role = ROLES[at];
-        if role == Role::Worker && self.members[at].is_some() {
-            // The second of two that start at the same time remains, and the first one ends.
-            return;
+        if self.may_start_another(at) {
+            let child = self.spawn(ROLES[at]);
+            self.kill_started(at, child, dice.time_below(START));
         }
-        let mut child = self.spawn(role);
-        std::thread::sleep(dice.time_below(START));
-        child.kill();
-        self.kills += 1;
-        if role == Role::Recorder {
+    }
+
+    /// As [`Self::kill_while_starting`], with so little memory that the kernel kills it first, or not.
+    fn start_with_little_memory(&mut self, at: usize, dice: &mut Dice) {
+        let most = (2 + dice.below(40)) << 20;
+        let Some(group) = LittleMemory::create(most) else {
+            return self.kill_while_starting(at, dice);
+        };
+        if self.may_start_another(at) {
+            let folder = self.arena.files().to_owned();
+            let command = group.within(&self.command(ROLES[at], &folder));
+            let child = Child::spawn(&format!("{:?} in little memory", ROLES[at]), command);
+            self.kill_started(at, child, dice.time_below(START_SHORT));
+        }
+    }
+
+    /// The second of two workers that start at the same time remains, and the first one ends.
+    fn may_start_another(&self, at: usize) -> bool {
+        ROLES[at] != Role::Worker || self.members[at].is_none()
+    }
+
+    /// Kills a process that was started `after` that time, if nothing else has ended it.
+    fn kill_started(&mut self, at: usize, mut child: Child, after: Duration) {
+        std::thread::sleep(after);
+        let ended = child.kill();
+        let is_refused = ended
+            .code()
+            .is_some_and(|code| SHORT_OF_RESOURCES.contains(&code));
+        assert!(ended.signal() == Some(9) || is_refused, "{ended:?}");
+        self.kills[at] += 1;
+        if ROLES[at] == Role::Recorder {
             self.captures.last_mut().expect("just spawned").1 = true;
             // A recorder that still runs has an earlier file.
             if self.members[at].is_some() {
@@ -228,20 +273,93 @@ impl<'a> Fleet<'a> {
         };
         let pid = child.pid();
         let opened = std::fs::read_dir(format!("/proc/{pid}/fd")).map_or(0, Iterator::count);
-        let limit = |files| {
-            let before = getrlimit(Resource::Nofile);
-            let limit = Rlimit {
-                current: files,
-                ..before
-            };
-            // It may have ended.
-            let _ = prlimit(Pid::from_raw(pid.cast_signed()), Resource::Nofile, limit);
-            before.current
-        };
         self.starved[at] = true;
-        let before = limit(Some(opened as u64));
-        std::thread::sleep(dice.time_below(PAUSE));
-        limit(before);
+        limited(pid, Resource::Nofile, opened as u64, dice.time_below(PAUSE));
+    }
+
+    /// No longer files for a while than some bytes more than the longest one: the ledger and new objects in shared
+    /// memory fail, and a capture ends. Of programs of the project: one that uses a library of it decides for itself
+    /// what it does at the signal.
+    fn limit_files(&mut self, at: usize, dice: &mut Dice) {
+        let Some(child) = &self.members[at] else {
+            return;
+        };
+        let longest = match ROLES[at] {
+            Role::Worker => self.arena.ledger(),
+            Role::Recorder => self
+                .captures
+                .last()
+                .map(|(file, _)| file.clone())
+                .unwrap_or_default(),
+            Role::Controller(_) | Role::Planner => return,
+        };
+        let bytes = longest.metadata().map_or(0, |file| file.len()) + dice.below(20_000);
+        self.starved[at] = true;
+        limited(child.pid(), Resource::Fsize, bytes, dice.time_below(PAUSE));
+    }
+
+    /// A recorder on a disk that is full soon.
+    fn fill_disk(&mut self, dice: &mut Dice) {
+        let at = ROLES.len() - 1;
+        let Some(disk) = &self.small_disk else {
+            return self.limit_files(at, dice);
+        };
+        let folder = disk.folder().to_owned();
+        disk.leave(dice.below(400_000));
+        self.end(at);
+        let command = self.command(Role::Recorder, &folder);
+        self.starved[at] = true;
+        self.members[at] = Some(Child::spawn("recorder on a small disk", command));
+    }
+
+    /// All processes are stopped at once for a while, those too that must not notice anything else.
+    fn suspend(&mut self, beside: &Beside, dice: &mut Dice) {
+        let members = self.members.iter().flatten().map(Child::pid);
+        let beside = beside.iter().map(|pid| pid.load(Ordering::Relaxed));
+        let pids: Vec<u32> = members.chain(beside).collect();
+        let all = |signal| {
+            for pid in pids
+                .iter()
+                .filter_map(|pid| Pid::from_raw(pid.cast_signed()))
+            {
+                // It may have ended, and is waited for later.
+                let _ = kill_process(pid, signal);
+            }
+        };
+        all(Signal::STOP);
+        std::thread::sleep(dice.time_below(SUSPENDED));
+        all(Signal::CONT);
+    }
+
+    /// All files of the fleet are removed, as systemd-logind does: its processes end with the reason, and others start.
+    fn remove_files(&mut self) {
+        // A process that has not joined yet would make new ones.
+        if let Some(recorder) = self.members.last_mut().and_then(Option::as_mut) {
+            recorder.wait_for_line("recording t into");
+        }
+        for path in self.arena.stale_files() {
+            // Processes that notice remove theirs at the same time.
+            let _ = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(&path));
+        }
+        for (role, member) in ROLES.into_iter().zip(&mut self.members) {
+            let Some(mut child) = member.take() else {
+                continue;
+            };
+            match role {
+                Role::Worker | Role::Recorder => assert_ended(&child.wait(), &[1]),
+                // What these print at the end is up to whoever uses the library.
+                Role::Controller(_) | Role::Planner => {
+                    let ended = child.end();
+                    let is_ended =
+                        matches!(ended.code(), Some(0 | 1)) || ended.signal() == Some(15);
+                    assert!(is_ended, "{ended:?}");
+                }
+            }
+        }
+        if let Some((_, unfinished)) = self.captures.last_mut() {
+            *unfinished = true;
+        }
+        self.complete();
     }
 
     /// Frames without a pause from a source that then leaves or is killed.
@@ -252,7 +370,6 @@ impl<'a> Fleet<'a> {
         }
         if dice.chance(0.5) {
             source.child.kill();
-            self.kills += 1;
         } else {
             source.leave();
         }
@@ -284,18 +401,21 @@ impl<'a> Fleet<'a> {
             impostor.send_forged(&samples, forge);
         }
         impostor.child.kill();
-        self.kills += 1;
     }
 
-    fn fault(&mut self, dice: &mut Dice) {
+    fn fault(&mut self, beside: &Beside, dice: &mut Dice) {
         let at = dice.below(ROLES.len() as u64) as usize;
-        match dice.below(8) {
+        match dice.below(12) {
             0 | 1 => self.kill(at),
             2 => self.end(at),
             3 => self.pause(at, dice),
             4 => self.kill_while_starting(at, dice),
             5 => self.take_descriptors(at, dice),
             6 => self.forge(dice),
+            7 => self.limit_files(at, dice),
+            8 => self.fill_disk(dice),
+            9 => self.start_with_little_memory(at, dice),
+            10 => self.suspend(beside, dice),
             _ => self.flood(dice),
         }
         std::thread::sleep(dice.time_below(CALM));
@@ -304,12 +424,11 @@ impl<'a> Fleet<'a> {
         }
     }
 
-    /// Ends all processes, sources first; returns the captures.
-    fn finish(mut self) -> Vec<(PathBuf, bool)> {
+    /// Ends all processes, sources first.
+    fn end_all(&mut self) {
         for at in (0..ROLES.len()).rev() {
             self.end(at);
         }
-        self.captures
     }
 }
 
@@ -323,10 +442,12 @@ fn assert_ended(ended: &Ended, codes: &[i32]) {
 
 /// Sends a frame, waits until a reader beside it has it, and so on, until stopped: no fault of others may
 /// cost a frame. Returns their number.
-fn undisturbed(arena: &Arena, setup: &Setup, stop: &AtomicBool) -> u64 {
+fn undisturbed(arena: &Arena, setup: &Setup, beside: &Beside, stop: &AtomicBool) -> u64 {
     let mut reader = arena.recorder();
     let mut source = arena.source("undisturbed");
     let pid = source.child.pid();
+    beside[1].store(pid, Ordering::Relaxed);
+    beside[2].store(reader.child.pid(), Ordering::Relaxed);
     let mut frames = 0;
     while !stop.load(Ordering::Relaxed) {
         let frame: Vec<Sample> = UNDISTURBED
@@ -384,7 +505,10 @@ fn assert_in_order(planner: &mut Planner) -> u64 {
 }
 
 fn assert_readable(arena: &Arena, captures: &[(PathBuf, bool)]) -> u64 {
-    let mut read = 0;
+    let (mut read, witness) = (0, std::env::var_os("JOULEBUS_WITNESS").is_some());
+    if !witness {
+        println!("skipped: tools/read_capture.py, because JOULEBUS_WITNESS is not set");
+    }
     for (file, killed) in captures {
         let mut file = file.clone();
         if *killed {
@@ -402,23 +526,40 @@ fn assert_readable(arena: &Arena, captures: &[(PathBuf, bool)]) -> u64 {
             entry.unwrap_or_else(|error| panic!("{file:?}: {error}"));
             read += 1;
         }
+        if witness {
+            assert_read_by_others(&file);
+        }
     }
     read
 }
 
-/// One fleet; returns the kills, and the frames of the undisturbed source.
-fn run_fleet(dice: &mut Dice) -> (u64, u64) {
+/// The packages of PyPI read what the project reads.
+fn assert_read_by_others(file: &Path) {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tools/read_capture.py");
+    let mut command = Command::new("python3");
+    command
+        .arg(script)
+        .args([name(file), "--faults", "--show", "0", "--joulebus"]);
+    command.arg(joulebus_tests::program("joulebus-under-test"));
+    let ended = Child::spawn("read_capture.py", command).wait();
+    assert_eq!(ended.code(), Some(0), "{ended:?}");
+}
+
+/// One fleet; returns the kills of each role, and the frames of the undisturbed source.
+fn run_fleet(dice: &mut Dice) -> ([u64; ROLES.len()], u64) {
     let setup = setup();
     let arena = Arena::new(&setup);
     let stop = AtomicBool::new(false);
     let mut witness = arena.consumer();
-    let (fleet, frames) = std::thread::scope(|scope| {
-        let source = scope.spawn(|| undisturbed(&arena, &setup, &stop));
+    let beside = Beside::default();
+    beside[0].store(witness.child.pid(), Ordering::Relaxed);
+    let (mut fleet, frames) = std::thread::scope(|scope| {
+        let source = scope.spawn(|| undisturbed(&arena, &setup, &beside, &stop));
         // The source must stop even if this thread panics.
         let stopped = OnDrop(&stop);
         let mut fleet = Fleet::start(&arena);
         for _ in 0..FAULTS {
-            fleet.fault(dice);
+            fleet.fault(&beside, dice);
         }
         // Without faults all goes on.
         for at in 0..ROLES.len() {
@@ -427,36 +568,55 @@ fn run_fleet(dice: &mut Dice) -> (u64, u64) {
             }
         }
         fleet.complete();
-        let mut planner = arena.planner();
-        for robot in CONTROLLERS.into_iter().chain(UNDISTURBED) {
-            planner.quality("it is forecast", robot, |quality| quality == Quality::Fresh);
-        }
-        planner.leave();
+        let all: Vec<u32> = CONTROLLERS.into_iter().chain(UNDISTURBED).collect();
+        assert_forecast(&arena, &all);
         drop(stopped);
         (fleet, source.join().expect("it was not disturbed"))
     });
-    let kills = fleet.kills;
-    let captures = fleet.finish();
     assert!(assert_in_order(&mut witness) > 0);
     witness.leave();
-    assert!(assert_readable(&arena, &captures) > 0);
+    if dice.chance(0.5) {
+        fleet.remove_files();
+        assert_forecast(&arena, &CONTROLLERS);
+    }
+    fleet.end_all();
+    assert!(assert_readable(&arena, &fleet.captures) > 0);
+    let kills = fleet.kills;
+    // The disk is unmounted before its folder is removed.
+    drop(fleet);
     arena.close();
     (kills, frames)
+}
+
+/// A planner that joins now gets forecasts of all these robots.
+fn assert_forecast(arena: &Arena, robots: &[u32]) {
+    let mut planner = arena.planner();
+    for robot in robots {
+        planner.quality("it is forecast", *robot, |quality| {
+            quality == Quality::Fresh
+        });
+    }
+    planner.leave();
 }
 
 #[test]
 fn random_faults_cost_an_undisturbed_source_no_frame_and_leave_nothing_behind() {
     let mut dice = Dice::roll();
     let fleets = Dice::rounds("JOULEBUS_RANDOM_FLEETS", 2);
-    let (mut kills, mut frames) = (0, 0);
+    let (mut kills, mut frames) = ([0; ROLES.len()], 0);
     for fleet in 1..=fleets {
         let (more_kills, more_frames) = run_fleet(&mut dice);
-        (kills, frames) = (kills + more_kills, frames + more_frames);
+        frames += more_frames;
+        for (kills, more) in kills.iter_mut().zip(more_kills) {
+            *kills += more;
+        }
+        let [worker, one, other, planner, recorder] = kills;
+        let (faults, sources) = (fleet * FAULTS, one + other);
         figure(
             "random faults",
             format_args!(
-                "{fleet} fleets, {} faults, {kills} kills, 0 of {frames} frames lost",
-                fleet * FAULTS
+                "{fleet} fleets, {faults} faults; killed: {worker} workers, {sources} sources, {planner} planners, \
+                 {recorder} recorders; 0 of {frames} frames lost"
             ),
         );
     }
