@@ -20,6 +20,12 @@ pub enum ExportError {
     /// The archive could not be written.
     #[error("the archive cannot be written: {0}")]
     Archive(#[from] zip::result::ZipError),
+    /// The Python file's interface has no place for the age of readings.
+    #[error(
+        "the network reads the age of readings, which `step(v_cmd, w_cmd)` does not tell: export it as .onnx or .npz, \
+         or train one without: `joulebus train … --features full`"
+    )]
+    ReadingAge,
 }
 
 /// The model as plain NumPy arrays: name without `.npy`, and the bytes of its file. All numbers are

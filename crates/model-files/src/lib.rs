@@ -9,7 +9,7 @@
 //! - [`Found::choose`] identifies the network's feature convention by its statistics and by
 //!   evaluating what remains on recordings, and [`Choice::network`] converts it to a model for the
 //!   worker.
-//! - [`to_npz`], [`to_arrays`] and [`to_onnx`] write a model for other programs.
+//! - [`to_npz`], [`to_arrays`], [`to_onnx`] and [`to_python`] write a model for other programs.
 //!
 //! All functions map bytes to bytes; file access is left to the caller.
 #![forbid(unsafe_code)]
@@ -32,6 +32,7 @@ mod onnx;
 mod own;
 mod padding;
 mod pickle;
+mod python;
 mod state_dict;
 mod tensor;
 mod torch;
@@ -47,4 +48,5 @@ pub use export::{CHECK_ROWS, ExportError, to_arrays, to_npz, to_onnx};
 pub use find::{ActivationFrom, Found, FoundLayer};
 pub use normalisation::{FoundNormalisation, Statistics, StatisticsFrom};
 pub use pickle::PickleError;
+pub use python::to_python;
 pub use tensor::Tensor;

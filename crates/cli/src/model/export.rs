@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::ValueEnum;
-use joulebus_model_files::{to_arrays, to_npz, to_onnx};
+use joulebus_model_files::{to_arrays, to_npz, to_onnx, to_python};
 use joulebus_predictor::Network;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
@@ -13,15 +13,18 @@ use serde::Serialize;
 
 use joulebus_program::file::write;
 
-/// Export a model for NumPy, PyTorch or any ONNX runtime
+/// Export a model for Python, NumPy, PyTorch or any ONNX runtime
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus model export my.safetensors --out my.onnx\n  \
     joulebus model export my.safetensors --out my.npz\n  \
-    joulebus model export my.safetensors --to npy --out my/\n\n\
+    joulebus model export my.safetensors --to npy --out my/\n  \
+    joulebus model export my.safetensors --out predictor.py\n\n\
     ONNX: opset 17, input `features` (n, 11) in SI units as `model info` lists them, output `power_w` \
     (n, 1); the normalisation is part of the graph. Arrays carry `check_features` and `check_power_w`, \
-    rows with their forecasts, for testing a reimplementation of the network.")]
+    rows with their forecasts, for testing a reimplementation of the network. Python: one file that needs \
+    NumPy only, with the model inside and the paper's `EnergyPredictor`: `reset`, `step(v_cmd, w_cmd)`, \
+    `step_with_correction(v_cmd, w_cmd, measured_power)`, in mW.")]
 pub(crate) struct Args {
     /// A joulebus model: .safetensors, or exported arrays
     #[arg(value_name = "MODEL")]
@@ -45,6 +48,8 @@ enum ExportFormat {
     Npy,
     /// An ONNX graph
     Onnx,
+    /// A Python module that needs NumPy only
+    Python,
 }
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
@@ -75,9 +80,10 @@ fn by_ending(out: &Path) -> Result<ExportFormat, UsageError> {
         Some("safetensors") => Ok(ExportFormat::Safetensors),
         Some("npz") => Ok(ExportFormat::Npz),
         Some("onnx") => Ok(ExportFormat::Onnx),
+        Some("py") => Ok(ExportFormat::Python),
         _ => {
             let out = out.display();
-            let what = format!("{out} does not end in .onnx, .npz or .safetensors");
+            let what = format!("{out} does not end in .onnx, .npz, .py or .safetensors");
             Err(UsageError(format!("{what}; name the format: --to FORMAT")))
         }
     }
@@ -89,6 +95,7 @@ fn export(network: &Network, kind: ExportFormat, out: &Path) -> anyhow::Result<u
         ExportFormat::Safetensors => network.to_safetensors()?,
         ExportFormat::Npz => to_npz(network)?,
         ExportFormat::Onnx => to_onnx(network)?,
+        ExportFormat::Python => to_python(network)?.into_bytes(),
         ExportFormat::Npy => return export_arrays(network, out),
     };
     write(out, &bytes)?;
