@@ -85,8 +85,9 @@ fn assert_goes_stale(planner: &mut Planner) -> bool {
                 steps.push(step);
                 None
             }
-            // Samples sent before the kill are still answered.
-            Quality::Fresh | Quality::Held => {
+            // Samples sent before the kill are still answered; after a pause of a source that waited for a CPU
+            // they fill the window anew.
+            Quality::Fresh | Quality::Held | Quality::Warmup { .. } => {
                 steps.clear();
                 None
             }
