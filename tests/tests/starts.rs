@@ -182,3 +182,42 @@ fn row_24_too_little_shared_memory_is_refused_at_the_start_with_needed_and_free_
     );
     arena.close();
 }
+
+#[test]
+fn without_the_right_to_lock_memory_the_worker_names_limit_and_remedy_and_works() {
+    let arena = Arena::new(&Setup {
+        more: "[worker]\nmemory = \"locked\"\n".to_owned(),
+        ..Setup::default()
+    });
+    let command = arena.worker_command();
+    let mut limited = Command::new("setpriv");
+    // A user's process has the capability no more than one of root here.
+    limited.args(["--inh-caps=-ipc_lock", "--bounding-set=-ipc_lock"]);
+    limited.args(["prlimit", "--memlock=65536:65536"]);
+    if Command::new("setpriv").arg("--dump").output().is_err() {
+        return println!("skipped: setpriv is not installed");
+    }
+    limited.arg(command.get_program()).args(command.get_args());
+    limited
+        .env("XDG_STATE_HOME", arena.state())
+        .env_remove("STATE_DIRECTORY");
+    let mut worker = Child::spawn("worker", limited);
+    let line = worker.wait_for_line("memory was not locked");
+    for part in [
+        "RLIMIT_MEMLOCK is 64 kB",
+        "LimitMEMLOCK=infinity",
+        "worker.memory",
+    ] {
+        assert!(line.contains(part), "no {part:?} in {line}");
+    }
+    worker.wait_for_line("ready:");
+    let mut source = arena.source("fleet");
+    let mut planner = arena.planner();
+    let frame = [joulebus_tests::sample(3, 0, 1_000_000)];
+    source.send(&frame);
+    planner.answered(&frame);
+    source.leave();
+    planner.leave();
+    worker.stop();
+    arena.close();
+}
