@@ -171,22 +171,33 @@ fn invalid_requests_are_refused_before_measuring() {
 #[test]
 fn a_signal_ends_a_measurement_between_processes_and_leaves_no_files() {
     for signal in [Signal::TERM, Signal::HUP] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-bench"));
-        command.args(["latency", "--robots", "1", "--seconds", "3600"]);
-        let mut bench = Child::spawn("bench", command);
-        bench.wait_for_line("latency: 1 robots");
-        bench.signal(signal);
-        let ended = bench.wait();
-        assert_eq!(ended.exit_code(), 1, "{ended:?}");
-        assert!(ended.errors().contains("interrupted"), "{ended:?}");
-        let pid = format!("-{}", bench.pid());
-        for folder in [Path::new("/dev/shm"), &std::env::temp_dir()] {
-            let names = fs::read_dir(folder).unwrap().flatten();
-            let left = names.map(|entry| entry.file_name().into_string().unwrap_or_default());
-            let left: Vec<String> = left
-                .filter(|name| name.starts_with("joulebus-bench") && name.contains(&pid))
-                .collect();
-            assert_eq!(left, Vec::<String>::new(), "{signal:?}");
+        // Three at the same time: none removes the others' files.
+        let mut benches: Vec<Child> = (0..3)
+            .map(|_| {
+                let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-bench"));
+                command.args(["latency", "--robots", "1", "--seconds", "3600"]);
+                Child::spawn("bench", command)
+            })
+            .collect();
+        for bench in &mut benches {
+            bench.wait_for_line("latency: 1 robots");
+            bench.signal(signal);
+        }
+        for bench in &mut benches {
+            let ended = bench.wait();
+            assert_eq!(ended.exit_code(), 1, "{ended:?}");
+            assert!(ended.errors().contains("interrupted"), "{ended:?}");
+            let pid = bench.pid().to_string();
+            for folder in [Path::new("/dev/shm"), &std::env::temp_dir()] {
+                let names = fs::read_dir(folder).unwrap().flatten();
+                let left = names.map(|entry| entry.file_name().into_string().unwrap_or_default());
+                let own = [format!("-{pid}"), format!("jbraw_{pid}_")];
+                let left: Vec<String> = left
+                    .filter(|name| name.starts_with("joulebus-bench") || name.starts_with("jbraw_"))
+                    .filter(|name| own.iter().any(|own| name.contains(own)))
+                    .collect();
+                assert_eq!(left, Vec::<String>::new(), "{signal:?}");
+            }
         }
     }
 }

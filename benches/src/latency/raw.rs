@@ -51,7 +51,6 @@ impl RawHops {
     ///
     /// # Errors
     /// A process could not be started, or a port not be opened.
-    /// A process or a port could not be had.
     pub fn open(
         launcher: &Launcher,
         robots: usize,
@@ -114,16 +113,24 @@ impl RawHops {
         self.relay.wait()?;
         drop((self.publisher, self.notifier, self._node));
         std::fs::remove_dir_all(&self.root)?;
-        remove_segments()?;
+        remove_segments(&self.root)?;
         Ok(spread)
     }
 }
 
+/// Prefix of the segments of the measurement in `root`: those of others running at the same time have another.
+fn prefix(root: &Path) -> String {
+    let name = root.to_string_lossy();
+    let pid = name.rsplit('-').next().unwrap_or_default();
+    format!("jbraw_{pid}_")
+}
+
 /// Removes the segment that iceoryx2 leaves behind.
-fn remove_segments() -> anyhow::Result<()> {
+fn remove_segments(root: &Path) -> anyhow::Result<()> {
+    let prefix = prefix(root);
     for entry in std::fs::read_dir("/dev/shm")? {
         let entry = entry?;
-        if entry.file_name().to_string_lossy().starts_with("jbraw_") {
+        if entry.file_name().to_string_lossy().starts_with(&prefix) {
             std::fs::remove_file(entry.path())?;
         }
     }
@@ -200,7 +207,7 @@ pub fn sink(root: &Path, robots: usize, period_ns: u64, acknowledge: bool) -> an
 
 fn node(root: &Path) -> anyhow::Result<Node<ipc::Service>> {
     let mut config = Config::default();
-    config.global.prefix = FileName::new(b"jbraw_")?;
+    config.global.prefix = FileName::new(prefix(root).as_bytes())?;
     config
         .global
         .set_root_path(&IoxPath::new(root.as_os_str().as_encoded_bytes())?);
