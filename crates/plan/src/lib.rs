@@ -61,4 +61,4 @@ pub use limits::MAX_STEPS;
 pub use planner::{OpenPlannerError, Planner, View, ViewError};
 pub use platform::{Frames, Platform};
 pub use robot::Robot;
-pub use trip::{Ranked, Trip, rank};
+pub use trip::{Ranked, Trip, rank, rank_each};

@@ -63,6 +63,32 @@ impl Robot<'_> {
         self.trip(all, turn_back_s, coverage)
     }
 
+    /// As [`Robot::can_finish`], without the time to turn back, whose search costs up to 64 times as
+    /// much as the answer: for choosing among many plans.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn finish(
+        &self,
+        path: &Path,
+        back_to: Option<Point>,
+        coverage: f32,
+    ) -> Result<Trip, AskError> {
+        let follower = Follower::new(self.platform())?;
+        let there = follower.follow(path)?;
+        let speed_mps = path.speed_mps.last().copied().unwrap_or(0.0);
+        let back = back_to.map(|dock| Back {
+            follower: &follower,
+            dock,
+            speed_mps,
+        });
+        let commands = match back {
+            Some(back) => back.from(&there, there.v_mps.len())?,
+            None => there,
+        };
+        self.trip(commands, None, coverage)
+    }
+
     fn trip(
         &self,
         commands: Followed,
@@ -175,6 +201,34 @@ pub fn rank(
         })
     });
     let mut ranked = ranked.collect::<Result<Vec<Ranked>, AskError>>()?;
+    sort(&mut ranked);
+    Ok(ranked)
+}
+
+/// As [`rank`], each robot by a path of its own, which begins where the robot is; without times to turn
+/// back ([`Robot::finish`]).
+///
+/// # Errors
+/// As [`Robot::can_finish`].
+pub fn rank_each(
+    robots: &[(Robot<'_>, Path)],
+    back_to: Option<Point>,
+    coverage: f32,
+) -> Result<Vec<Ranked>, AskError> {
+    let ranked = robots.iter().map(|(robot, path)| {
+        let trip = robot.finish(path, back_to, coverage)?;
+        Ok(Ranked {
+            robot: robot.id(),
+            trip,
+        })
+    });
+    let mut ranked = ranked.collect::<Result<Vec<Ranked>, AskError>>()?;
+    sort(&mut ranked);
+    Ok(ranked)
+}
+
+/// The best first.
+fn sort(ranked: &mut [Ranked]) {
     ranked.sort_by(|one, other| {
         let class = |ranked: &Ranked| match ranked.trip.answer.verdict {
             Verdict::Yes => 0,
@@ -191,5 +245,4 @@ pub fn rank(
             .then(mean_j(one).total_cmp(&mean_j(other)))
             .then(one.robot.cmp(&other.robot))
     });
-    Ok(ranked)
 }

@@ -5,7 +5,7 @@ mod world;
 use joulebus_energy::Commands;
 use joulebus_plan::{
     Answer, AskError, Candidates, Differs, Fleet, Frames, Path, Platform, Point, Robot, Unknown,
-    Verdict, rank,
+    Verdict, rank, rank_each,
 };
 use joulebus_wire::{Budget, InvalidReason, PlanState, Quality, budget_flag};
 use proptest::prelude::*;
@@ -494,6 +494,39 @@ fn robots_are_ranked_by_verdict_then_energy() {
     let order: Vec<u32> = ranked.iter().map(|ranked| ranked.robot).collect();
     assert_eq!(order, [3, 5, 2, 1, 4]);
     assert!(rank(&[], &path, None, 0.9).expect("allowed").is_empty());
+}
+
+#[test]
+fn robots_in_different_places_are_ranked_by_their_own_ways_with_the_answers_of_can_finish() {
+    let fleet = fleet();
+    let robot = |id: u32, usable_j: f64| {
+        let mut rows = Rows::with_usable(usable_j);
+        (rows.state.robot, rows.budget.robot) = (id, id);
+        rows
+    };
+    let (goal, dock) = (Point::new(1.0, 0.0), Point::new(1.0, 1.0));
+    let rows = [robot(1, 10_000.0), robot(2, 10_000.0), robot(3, 5.0)];
+    // The first is far, the second near, the third next to the goal without energy.
+    let asked: Vec<(Robot<'_>, Path)> = rows
+        .iter()
+        .zip([-3.0, 0.5, 0.9])
+        .map(|(rows, x_m)| {
+            (
+                rows.robot(&fleet),
+                Path::new(&[Point::new(x_m, 0.0), goal], 0.1),
+            )
+        })
+        .collect();
+    let ranked = rank_each(&asked, Some(dock), 0.9).expect("allowed");
+    let order: Vec<u32> = ranked.iter().map(|ranked| ranked.robot).collect();
+    assert_eq!(order, [2, 1, 3]);
+    for ranked in &ranked {
+        let (robot, path) = &asked[ranked.robot as usize - 1];
+        let whole = robot.can_finish(path, Some(dock), 0.9).expect("allowed");
+        assert_eq!(ranked.trip.answer, whole.answer);
+        assert_eq!(ranked.trip.commands, whole.commands);
+        assert_eq!(ranked.trip.turn_back_s, None);
+    }
 }
 
 #[test]
