@@ -59,6 +59,11 @@ impl Body {
         self.faults.push((fault, from_s));
     }
 
+    /// Energy drawn from the battery, J.
+    pub(super) const fn drawn_j(&self) -> f64 {
+        self.battery.drawn_j()
+    }
+
     /// Simulates from `now_ns` to `end_ns` under a command.
     pub(super) fn run(&mut self, now_ns: u64, end_ns: u64, command: Command) {
         self.loads.command(command, &mut self.noise);

@@ -4,6 +4,7 @@
 pub mod arena;
 pub mod barrier;
 mod body;
+pub mod driven;
 mod fault;
 mod loads;
 mod monitor;

@@ -38,6 +38,11 @@ impl Battery {
         Self { drawn_j }
     }
 
+    /// Energy drawn from it, J.
+    pub(super) const fn drawn_j(&self) -> f64 {
+        self.drawn_j
+    }
+
     /// Draws `power_w` for one poll period, and returns the monitor's reading of `shown_w`.
     pub(super) fn measure(&mut self, power_w: f64, shown_w: f64) -> Measurement {
         self.drawn_j += power_w * POLL_S;

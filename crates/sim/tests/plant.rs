@@ -3,6 +3,8 @@
 use joulebus_dataset::trial::{Column, Trial};
 use joulebus_sim::arena::{Command, HALF_ARENA_M, STEP_S, saturated, wheels_mps};
 use joulebus_sim::arena::{OMEGA_MAX_RADPS, V_MAX_MPS};
+use joulebus_sim::driven::Driven;
+use joulebus_sim::parts::Parts;
 use joulebus_sim::plant::Fault;
 use joulebus_sim::plant::{Plant, PlantError, SimReading};
 use joulebus_sim::protocol::{Protocol, SAMPLES, TRIAL_S, UnknownTrial, trial};
@@ -427,4 +429,42 @@ fn trials_are_written_in_the_published_layout_and_can_be_read() {
             }
         }
     }
+}
+
+/// What a robot that is driven from outside has drawn is what its monitor shows, up to the monitor's noise; a
+/// fault adds to both.
+#[test]
+fn a_driven_robot_draws_what_its_monitor_shows() {
+    let step_ns = 33_333_333;
+    let shown = |fault_w: f64| {
+        let pose = joulebus_sim::arena::Pose::default();
+        let robot = Driven::new(Parts::default(), 0.5, pose, (3, 40));
+        let mut robot = robot.with_fault(Fault::ExtraLoad { power_w: fault_w }, 30.0);
+        let (mut shown_j, mut moved) = (0.0, 0.0);
+        for step in 0..1_800 {
+            let omega_radps = if step % 200 < 100 { 1.0 } else { -1.0 };
+            let command = Command {
+                v_mps: 0.1,
+                omega_radps,
+            };
+            let before = robot.pose().at_m;
+            assert_eq!(robot.drive(command, step_ns), command, "no wheel saturates");
+            moved += (robot.pose().at_m - before).norm();
+            if robot.is_fresh() {
+                shown_j += 0.1 * robot.power_w();
+            }
+        }
+        assert!((moved - 6.0).abs() < 0.05, "{moved}");
+        assert!(
+            (shown_j / robot.drawn_j() - 1.0).abs() < 0.002,
+            "{shown_j} {}",
+            robot.drawn_j()
+        );
+        robot.drawn_j()
+    };
+    let (sound_j, faulty_j) = (shown(0.0), shown(2.0));
+    assert!(
+        (faulty_j - sound_j - 60.0).abs() < 1.0,
+        "{sound_j} {faulty_j}"
+    );
 }
