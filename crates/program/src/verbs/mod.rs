@@ -2,5 +2,6 @@
 //! help and completions, and the verb's own.
 
 pub mod bench;
+pub mod mission;
 pub mod report;
 pub mod serve;

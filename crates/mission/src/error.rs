@@ -1,0 +1,40 @@
+//! Errors of missions.
+
+use joulebus_config::ConfigError;
+use joulebus_models::ModelsError;
+use joulebus_plan::{AskError, Differs, PathError};
+
+/// Why a mission could not be run.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MissionError {
+    /// The fleet's config.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Its models.
+    #[error(transparent)]
+    Models(#[from] ModelsError),
+    /// Its settings.
+    #[error(transparent)]
+    Settings(#[from] joulebus_settings::SettingsError),
+    /// The planner's settings or models are not the fleet's.
+    #[error(transparent)]
+    Differs(#[from] Differs),
+    /// A path.
+    #[error(transparent)]
+    Path(#[from] PathError),
+    /// A question.
+    #[error(transparent)]
+    Ask(#[from] AskError),
+    /// A rollout of the network.
+    #[error(transparent)]
+    Rollout(#[from] joulebus_predictor::RolloutError),
+    /// The fleet refused samples, which it never should.
+    #[error("seed {seed}: the fleet refused {refused} samples of simulated robots")]
+    Refused {
+        /// The seed.
+        seed: u64,
+        /// Number of samples.
+        refused: u64,
+    },
+}

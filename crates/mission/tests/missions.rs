@@ -1,0 +1,146 @@
+//! Missions: what all policies share holds, and the comparison is fair.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+use joulebus_mission::{CHOSEN, Missions, Outcome, Policy, Runs, Scenario, Summary, mission};
+use joulebus_test_processes::run;
+
+/// Eight minutes, in which every robot is charged at least once.
+fn short() -> Scenario {
+    Scenario {
+        duration_s: 480.0,
+        ..Scenario::default()
+    }
+}
+
+#[test]
+fn no_charger_takes_two_robots_and_every_joule_is_accounted_for() {
+    let missions = Missions::new(short()).unwrap();
+    for policy in CHOSEN {
+        let outcome = mission(&missions, policy, 2001).unwrap();
+        let name = policy.name();
+        assert!(outcome.tasks > 50, "{name}: {outcome:?}");
+        assert!(outcome.charges >= 20, "{name}: {outcome:?}");
+        assert_eq!(outcome.shared_chargers, 0, "{name}");
+        assert!(outcome.unaccounted_j < 1e-6, "{name}: {outcome:?}");
+        // What the fleet metered is what the monitors showed.
+        assert!(outcome.metered_error < 0.01, "{name}: {outcome:?}");
+        let shares = [outcome.at_work, outcome.in_line, outcome.charger_use];
+        assert!(
+            shares.iter().all(|share| (0.0..1.0).contains(share)),
+            "{name}: {outcome:?}"
+        );
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_mission_in_any_thread_and_another_seed_another() {
+    let missions = Missions::new(short()).unwrap();
+    let policy = CHOSEN[3];
+    let here = mission(&missions, policy, 2002).unwrap();
+    let there = std::thread::scope(|scope| {
+        let thread = scope.spawn(|| mission(&missions, policy, 2002).unwrap());
+        thread.join().unwrap()
+    });
+    assert_eq!(here, there);
+    let bits = |outcome: &Outcome| [outcome.at_work, outcome.soc_before].map(f64::to_bits);
+    assert_eq!(bits(&here), bits(&there));
+    let other = mission(&missions, policy, 2003).unwrap();
+    assert_ne!(here.at_work, other.at_work);
+}
+
+#[test]
+fn robots_of_a_policy_that_believes_in_half_their_power_strand_and_are_counted() {
+    let missions = Missions::new(short()).unwrap();
+    let blind = mission(&missions, Policy::Distance { power_w: 2.0 }, 2001).unwrap();
+    let careful = mission(&missions, CHOSEN[3], 2001).unwrap();
+    assert!(blind.stranded >= 3, "{blind:?}");
+    assert!(careful.stranded < blind.stranded, "{careful:?}");
+    // A stranded robot does nothing any more, and what it had not done is done by others.
+    assert!(blind.unaccounted_j < 1e-6, "{blind:?}");
+}
+
+#[test]
+fn a_fleet_with_large_batteries_and_sound_robots_strands_under_no_policy() {
+    let missions = Missions::new(Scenario {
+        capacity_j: 3600.0,
+        dragging_share: 0.0,
+        ..short()
+    });
+    let missions = missions.unwrap();
+    for policy in CHOSEN {
+        assert_eq!(
+            mission(&missions, policy, 2004).unwrap().stranded,
+            0,
+            "{policy:?}"
+        );
+    }
+}
+
+#[test]
+fn the_best_baseline_is_the_one_with_most_tasks_that_strands_at_most_as_many() {
+    let outcome = |tasks: u64, stranded: u64| Outcome {
+        tasks,
+        stranded,
+        ..mission(
+            &Missions::new(Scenario {
+                duration_s: 2.0,
+                ..short()
+            })
+            .unwrap(),
+            CHOSEN[0],
+            1,
+        )
+        .unwrap()
+    };
+    let runs = |policy: Policy, tasks: u64, stranded: u64| Runs {
+        policy,
+        outcomes: vec![outcome(tasks, stranded); 10],
+    };
+    let all = [
+        runs(CHOSEN[0], 90, 0),
+        runs(CHOSEN[1], 100, 0),
+        runs(CHOSEN[2], 120, 1),
+        runs(CHOSEN[3], 110, 0),
+    ];
+    let verdict = Summary::of(short(), 1, &all).verdict.unwrap();
+    assert_eq!(verdict.baseline, Some("distance"));
+    let more = verdict.more.unwrap();
+    assert!(
+        (more.value - 0.1).abs() < 1e-12 && more.lo <= more.value,
+        "{more:?}"
+    );
+    let all = [runs(CHOSEN[2], 120, 1), runs(CHOSEN[3], 110, 0)];
+    assert_eq!(
+        Summary::of(short(), 1, &all).verdict.unwrap().baseline,
+        None
+    );
+}
+
+#[test]
+fn the_program_reports_as_json_and_draws_a_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.svg");
+    let picture = file.to_str().unwrap();
+    let program = env!("CARGO_BIN_EXE_joulebus-mission");
+    let arguments = [
+        "--seeds",
+        "2",
+        "--hours",
+        "0.05",
+        "--format",
+        "json",
+        "--picture",
+        picture,
+    ];
+    let made = run(program, arguments);
+    assert_eq!(made.exit_code(), 0, "{}", made.errors());
+    let report = made.json();
+    let policies = report["policies"].as_array().unwrap();
+    assert_eq!(policies.len(), 4);
+    assert_eq!(policies[3]["name"], "joulebus");
+    assert_eq!(policies[0]["outcomes"].as_array().unwrap().len(), 2);
+    // Two seeds give no interval: null, not a number.
+    assert!(policies[0]["tasks_per_h"]["lo"].is_null(), "{report}");
+    assert!(std::fs::read_to_string(&file).unwrap().starts_with("<svg"));
+    assert_eq!(run(program, ["--hours", "NaN"]).exit_code(), 2);
+}
