@@ -35,6 +35,8 @@ gzip -dc "$data/one_surface_type_gray_surface_exp05.csv.gz" | head -n 201 > "$wo
 python3 tools/first_panel.py "$work/forecast/figures/figure-4-time.svg" > docs/forecast.svg
 "$joulebus" report "$data/*gray_surface_exp*[13579].csv.gz" --model "$work/robotino.safetensors" -o "$work/report" > /dev/null
 
+"$joulebus" mission --seeds 1 --hours 0.45 --picture docs/mission.svg > /dev/null
+
 screenshot() { # page, width, height, file
     chromium --headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking \
         --disable-component-update --disable-sync --user-data-dir="$work/chromium" --hide-scrollbars \

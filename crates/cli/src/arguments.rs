@@ -3,6 +3,7 @@
 use clap::{Parser, Subcommand};
 use joulebus_program::options::GlobalOptions;
 use joulebus_program::verbs::bench::BenchArguments;
+use joulebus_program::verbs::mission::MissionArguments;
 use joulebus_program::verbs::report::ReportArguments;
 use joulebus_program::verbs::serve::ServeArguments;
 
@@ -63,6 +64,7 @@ pub(crate) enum Command {
     Report(ReportArguments),
     Model(model::Args),
     Bench(BenchArguments),
+    Mission(MissionArguments),
     Completions(completions::Args),
 }
 

@@ -89,6 +89,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Report(_) => external::run("report"),
         Command::Model(args) => model::run(args, output),
         Command::Bench(_) => external::run("bench"),
+        Command::Mission(_) => external::run("mission"),
         Command::Completions(args) => completions::run(args, Cli::command()),
     }
 }

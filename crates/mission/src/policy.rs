@@ -156,7 +156,7 @@ impl Policy {
 fn recent_w(robot: &Robot<'_>) -> f32 {
     /// Place of the level of 12 s.
     const LEVEL: usize = 2;
-    let state = robot.energy_state();
+    let state = &robot.energy_state().metered;
     state.energy_j[LEVEL] / state.time_s[LEVEL]
 }
 

@@ -96,6 +96,7 @@ const CASES: &[(i32, &str)] = &[
     (2, "eval"),
     (2, "report TRIAL"),
     (2, "bench nothing"),
+    (2, "mission --hours 0"),
     (0, "model info MODEL"),
     (1, "model info JUNK"),
     (2, "model info"),

@@ -91,6 +91,7 @@ fn help_and_usage_errors_need_no_executable() {
     for (words, exit, says) in [
         ("help serve", 0, "--foxglove"),
         ("bench --help", 0, "--fail-above"),
+        ("mission --help", 0, "--battery-wh"),
         ("serve", 2, "--foxglove"),
         ("bench abacus", 2, "kernel"),
         ("serve --foxglove --format csv", 2, "--format json"),
