@@ -448,7 +448,9 @@ fn a_driven_robot_draws_what_its_monitor_shows() {
                 omega_radps,
             };
             let before = robot.pose().at_m;
-            assert_eq!(robot.drive(command, step_ns), command, "no wheel saturates");
+            let driven = robot.drive(command, step_ns);
+            let off = (driven.v_mps - 0.1).abs() + (driven.omega_radps - omega_radps).abs();
+            assert!(off < 1e-9, "no wheel saturates: {driven:?}");
             moved += (robot.pose().at_m - before).norm();
             if robot.is_fresh() {
                 shown_j += 0.1 * robot.power_w();

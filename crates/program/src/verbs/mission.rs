@@ -8,13 +8,13 @@ use std::path::PathBuf;
     joulebus mission                                   100 seeds, an hour each; some minutes on two cores\n  \
     joulebus mission --seeds 8 --hours 0.25            a quick look\n  \
     joulebus mission --dragging 0 --battery-wh 0.25    no faults, larger batteries\n  \
-    joulebus mission --tune --seeds 12                 what the policies' settings were chosen from\n  \
+    joulebus mission --tune --seeds 4 --hours 0.25     what the policies' settings were chosen from\n  \
     joulebus mission --seeds 1 --picture run.svg       a picture of one mission\n\n\
     Twenty simulated robots with small batteries and varied parts do tasks that arrive; three chargers take \
     one robot each. Every policy gets the same tasks, robots, dispatcher and account of its batteries, and \
     faces the same seeds; settings were chosen on seeds from 1001 on (--tune). Intervals are at 95 %, by \
-    bootstrap over seeds, paired where policies are compared. Same seed, same bits. docs/mission.md has a \
-    run of 100 seeds.")]
+    bootstrap over seeds, paired where policies are compared. Same seed, same bits. docs/mission.md has \
+    results.")]
 pub struct MissionArguments {
     /// Number of missions of each policy
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=100_000))]
