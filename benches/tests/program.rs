@@ -5,8 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use joulebus_test_processes::{Child, Ended, run};
-use rustix::process::Signal;
+use joulebus_test_processes::{Child, Ended, end_signals, run};
 use serde_json::Value;
 
 fn output<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Ended {
@@ -170,7 +169,7 @@ fn invalid_requests_are_refused_before_measuring() {
 
 #[test]
 fn a_signal_ends_a_measurement_between_processes_and_leaves_no_files() {
-    for signal in [Signal::TERM, Signal::HUP] {
+    for signal in end_signals() {
         // Three at the same time: none removes the others' files.
         let mut benches: Vec<Child> = (0..3)
             .map(|_| {
