@@ -87,9 +87,7 @@ impl Fleet {
         let max_jump_ns = self.tick.settings.intake.max_jump_ns;
         let broken = check::time(admission, sample.stamp_ns, max_jump_ns)?;
         if let Some(battery) = &context.platform.battery {
-            let mut state = lanes::get(&self.columns.batteries, slot);
-            state.note(sample, battery);
-            lanes::set(&mut self.columns.batteries, slot, state);
+            self.columns.batteries[slot / LANES].note(slot % LANES, sample, battery);
         }
         let admission = self.mark_reported(slot);
         admission.taken += 1;

@@ -182,6 +182,35 @@ block! {
     }
 }
 
+impl BatteryLanes {
+    /// Keeps what a sample says of the battery of the robot in a lane until the tick. Writes only
+    /// these columns: samples come in any order, and each column is another line of the cache.
+    #[inline(always)]
+    pub(crate) fn note(&mut self, lane: usize, sample: &Sample, battery: &Battery) {
+        self.return_j[lane] = if sample.has(sample_flag::RETURN) {
+            sample.return_j.into()
+        } else {
+            f64::NAN
+        };
+        let by_voltage_only = !sample.has(sample_flag::SOC);
+        self.input_by_voltage[lane] = by_voltage_only;
+        self.input[lane] = if by_voltage_only {
+            by_voltage(sample, battery).unwrap_or(f64::NAN)
+        } else {
+            f64::from(sample.soc).clamp(0.0, 1.0)
+        };
+        self.events[lane] = if sample.has(sample_flag::FULL) {
+            FULL
+        } else {
+            0
+        } | if sample.has(sample_flag::SWAPPED) {
+            SWAPPED
+        } else {
+            0
+        };
+    }
+}
+
 impl BatteryState {
     /// A battery as the config describes it when the ledger begins.
     pub(crate) fn new(battery: &Battery) -> Self {
@@ -232,30 +261,6 @@ impl BatteryState {
     fn anchor(&mut self, at: At) {
         (self.drawn_uj, self.metered_ns, self.unmetered_ns) =
             (at.drawn_uj, at.metered_ns, at.unmetered_ns);
-    }
-
-    /// Keeps what a sample says of the battery until the tick.
-    pub(crate) fn note(&mut self, sample: &Sample, battery: &Battery) {
-        self.return_j = if sample.has(sample_flag::RETURN) {
-            sample.return_j.into()
-        } else {
-            f64::NAN
-        };
-        self.input_by_voltage = !sample.has(sample_flag::SOC);
-        self.input = if self.input_by_voltage {
-            by_voltage(sample, battery).unwrap_or(f64::NAN)
-        } else {
-            f64::from(sample.soc).clamp(0.0, 1.0)
-        };
-        self.events = if sample.has(sample_flag::FULL) {
-            FULL
-        } else {
-            0
-        } | if sample.has(sample_flag::SWAPPED) {
-            SWAPPED
-        } else {
-            0
-        };
     }
 
     /// The estimate at `at`, whose unmetered time may include the present silence. `mean_w`: what the robot
