@@ -46,17 +46,12 @@ impl Robot<'_> {
         back_to: Option<Point>,
         coverage: f32,
     ) -> Result<Trip, AskError> {
+        let Some(dock) = back_to else {
+            return self.finish(path, None, coverage);
+        };
         let follower = Follower::new(self.platform())?;
         let there = follower.follow(path)?;
-        let speed_mps = path.speed_mps.last().copied().unwrap_or(0.0);
-        let back = back_to.map(|dock| Back {
-            follower: &follower,
-            dock,
-            speed_mps,
-        });
-        let Some(back) = back else {
-            return self.trip(there, None, coverage);
-        };
+        let back = Back::after(path, &follower, dock);
         let all = back.from(&there, there.v_mps.len())?;
         self.check_followed(&all, coverage)?;
         let turn_back_s = self.turn_back_s(&there, &all, &back, coverage)?;
@@ -76,14 +71,8 @@ impl Robot<'_> {
     ) -> Result<Trip, AskError> {
         let follower = Follower::new(self.platform())?;
         let there = follower.follow(path)?;
-        let speed_mps = path.speed_mps.last().copied().unwrap_or(0.0);
-        let back = back_to.map(|dock| Back {
-            follower: &follower,
-            dock,
-            speed_mps,
-        });
-        let commands = match back {
-            Some(back) => back.from(&there, there.v_mps.len())?,
+        let commands = match back_to {
+            Some(dock) => Back::after(path, &follower, dock).from(&there, there.v_mps.len())?,
             None => there,
         };
         self.trip(commands, None, coverage)
@@ -142,7 +131,16 @@ struct Back<'a> {
     speed_mps: f64,
 }
 
-impl Back<'_> {
+impl<'a> Back<'a> {
+    /// At the speed of the path's last leg.
+    fn after(path: &Path, follower: &'a Follower, dock: Point) -> Self {
+        Self {
+            follower,
+            dock,
+            speed_mps: path.speed_mps.last().copied().unwrap_or(0.0),
+        }
+    }
+
     /// The first steps of a path, and the way back from there as one more leg.
     fn from(&self, there: &Followed, steps: usize) -> Result<Followed, AskError> {
         let pose = there.poses[steps];
