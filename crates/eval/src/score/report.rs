@@ -73,7 +73,7 @@ pub struct ModelReport {
     /// The rows that it was trained on, among those that were to be evaluated. `None` if its file does not state
     /// them.
     pub trained_on: Option<TrainedOn>,
-    /// Errors of its energy forecasts of recordings that it was not trained on; `None` if not
+    /// Errors of its energy forecasts of the evaluated rows; `None` if not
     /// [asked for](Options::energy).
     pub energy: Option<EnergyErrors>,
 }
