@@ -507,8 +507,15 @@ impl Checker {
         let parts = names
             .iter()
             .filter(|name| name.to_string_lossy().starts_with(path));
+        let is_closed = summary.is_some_and(|summary| summary.failure.is_none());
         let mut count = 0;
         for part in parts {
+            let is_durable = !is_closed || disk::is_durable(part);
+            ensure(
+                is_durable,
+                "a closed capture survives a power failure",
+                || format!("{} is not on the disk", part.display()),
+            )?;
             messages += self.part(part)?;
             count += 1;
         }

@@ -1,5 +1,6 @@
 //! Exit codes of every joulebus program.
 
+use std::io::{self, Write as _};
 use std::process::ExitCode;
 
 use joulebus_config::{ConfigError, UnknownKey};
@@ -72,9 +73,11 @@ pub fn refused(arguments: &clap::Error) -> ExitCode {
     if arguments.use_stderr() {
         // The message quotes the arguments, which may contain escape sequences.
         output::say(arguments.render().to_string().trim_end());
-    } else {
-        // A closed pipe while printing help is ignored.
-        let _ = arguments.print();
+    } else if let Err(error) = arguments.print().and_then(|()| io::stdout().flush())
+        && error.kind() != io::ErrorKind::BrokenPipe
+    {
+        output::say(&format!("error: cannot write to stdout: {error}"));
+        return FAILED.into();
     }
     u8::try_from(arguments.exit_code()).unwrap_or(USAGE).into()
 }

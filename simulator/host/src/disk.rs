@@ -356,6 +356,16 @@ pub fn take_away(path: &Path) {
     });
 }
 
+/// Whether a file would survive a power failure with all its bytes.
+#[must_use]
+pub fn is_durable(path: &Path) -> bool {
+    with(|disk| {
+        let number = disk.durable_names.get(path);
+        let content = number.and_then(|number| disk.contents.get(number));
+        number == disk.names.get(path) && content.is_some_and(|content| content.is_synced)
+    })
+}
+
 /// Names of all files.
 #[must_use]
 pub fn names() -> Vec<PathBuf> {

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use joulebus_files::disk::File;
+use joulebus_files::disk::{self, File};
 
 use super::error::WriteError;
 
@@ -41,9 +41,12 @@ impl CaptureFile {
         })
     }
 
-    /// Syncs the file to the disk: write errors of the disk may be reported only then.
+    /// Syncs the file and its folder to the disk: write errors of the disk may be reported only then, and
+    /// without the folder a power failure may take the file's name.
     pub(crate) fn sync(self) -> io::Result<()> {
-        self.file.sync_all()
+        self.file.sync_all()?;
+        let folder = self.path.parent().filter(|path| *path != Path::new(""));
+        disk::sync_directory(folder.unwrap_or(Path::new(".")))
     }
 }
 

@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Output;
 
 use crate::captures::capture;
 use crate::fleet::{Fleet, code, joulebus, output, stderr, stdout};
@@ -206,4 +207,42 @@ fn the_table_has_every_subcommand() {
         let is_of = |case: &str| case == verb || case.starts_with(&format!("{verb} "));
         assert!(CASES.iter().any(|(_, case)| is_of(case)), "{verb}");
     }
+}
+
+/// The same call, whose results a full disk refuses.
+fn refused(arguments: impl IntoIterator<Item = PathBuf>) -> Output {
+    let full = fs::File::options().write(true).open("/dev/full").unwrap();
+    joulebus(arguments).stdout(full).output().unwrap()
+}
+
+#[test]
+fn results_that_cannot_be_written_are_a_failure() {
+    let fleet = Fleet::new();
+    prepare(&fleet);
+    let new = fleet.path("new");
+    let mut calls: Vec<Vec<PathBuf>> = vec![vec!["--help".into()], vec!["--version".into()]];
+    for mut words in subcommands() {
+        words.push("--help".to_owned());
+        calls.push(words.iter().map(PathBuf::from).collect());
+    }
+    let good = CASES.iter().filter(|(code, _)| *code == 0);
+    calls.extend(good.map(|(_, words)| {
+        words
+            .split(' ')
+            .map(|word| file(&fleet, word, &new))
+            .collect()
+    }));
+    let mut wrong = Vec::new();
+    for call in &calls {
+        let ended = refused(call.clone());
+        let said = stderr(&ended).contains("cannot write to stdout");
+        let _ = (fs::remove_dir_all(&new), fs::remove_file(&new));
+        // Publishers, and verbs whose result is a file, print nothing to stdout.
+        let has_results = !output(call).stdout.is_empty();
+        let _ = (fs::remove_dir_all(&new), fs::remove_file(&new));
+        if code(&ended) != i32::from(has_results) || said != has_results {
+            wrong.push(format!("{call:?}: {ended:?}"));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
