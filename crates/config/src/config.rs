@@ -385,6 +385,7 @@ impl Builder<'_> {
             power_resolution_w: number("platform.power_resolution_w")?,
             battery,
             online: self.0.text("platform.forecast")? == "online",
+            energy_online: self.0.text("platform.energy")? == "online",
         })
     }
 

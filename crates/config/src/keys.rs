@@ -143,6 +143,8 @@ pub const KEYS: &[Key] = &[
         "Forecast model: a model file, a built-in model, or persistence (the last reading again).")),
     of_platform(key("platform.forecast", ValueKind::Choice(&["online", "network"]), "", DefaultValue::Text("online"),
         "online: last reading, autoregression and network, combined per robot by its own readings.")),
+    of_platform(key("platform.energy", ValueKind::Choice(&["online", "model"]), "", DefaultValue::Text("online"),
+        "online: energy of plans weighed per robot by how far off its own earlier ones were; model: as trained.")),
     of_platform(key("platform.residual_std_w", num(1e-6..=1e6), "W", DefaultValue::Unset,
         "With model = \"persistence\": standard deviation of the difference of consecutive readings.")),
     of_platform(key("platform.rate_hz", num(RATE_HZ), "Hz", DefaultValue::Required,

@@ -255,6 +255,7 @@ mod tests {
                 ..crate::Battery::new(36_000.0, 0.1)
             }),
             online: true,
+            energy_online: true,
         }
     }
 
@@ -310,6 +311,9 @@ mod tests {
         assert_eq!(settings().fingerprint(), fingerprint);
         let mut changed = settings();
         changed.platforms[1].online = false;
+        assert_ne!(changed.fingerprint(), fingerprint);
+        let mut changed = settings();
+        changed.platforms[1].energy_online = false;
         assert_ne!(changed.fingerprint(), fingerprint);
     }
 }

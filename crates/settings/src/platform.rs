@@ -38,6 +38,9 @@ pub struct Platform {
     /// Whether forecasts combine persistence, the model's autoregression and its network with weights that each
     /// robot's own readings teach; otherwise they are the network's. Without a network nothing is learned.
     pub online: bool,
+    /// Whether the energy of plans adapts to what each robot's own forecasts of energy were off; otherwise it is as
+    /// trained, from the robot's own level.
+    pub energy_online: bool,
 }
 
 /// A battery.

@@ -117,6 +117,7 @@ pub fn recorded_platform(robot: u32, trial: &Trial) -> Platform {
         power_resolution_w: 1e-3,
         battery: None,
         online: true,
+        energy_online: true,
     }
 }
 

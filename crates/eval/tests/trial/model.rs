@@ -28,6 +28,7 @@ pub(crate) fn settings() -> FleetSettings {
         power_resolution_w: 0.01,
         battery: None,
         online: false,
+        energy_online: true,
     };
     FleetSettings {
         capacity: 1_000,

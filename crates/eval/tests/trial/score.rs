@@ -122,6 +122,7 @@ fn run_network(
     let platform = Platform {
         robots: vec![0..=u32::MAX],
         online: false,
+        energy_online: true,
         ..recorded_platform(0, &recordings[0].trial)
     };
     let subject = Subject {

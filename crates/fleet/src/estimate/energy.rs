@@ -79,11 +79,12 @@ impl EnergySamples<'_> {
 }
 
 impl EnergyLanes {
-    /// Takes the samples of the robots in the mask.
+    /// Takes the samples of the robots in the mask. Unless they learn, no shadow forecasts are made.
     #[inline(always)]
     pub(crate) fn observe(
         &mut self,
         model: &EnergyModel,
+        learns: bool,
         mask: &Lanes<bool>,
         samples: &EnergySamples<'_>,
     ) {
@@ -93,7 +94,7 @@ impl EnergyLanes {
         for lane in 0..LANES {
             let mut metered = copy.get(lane);
             metered.advance(model, &samples.get(lane));
-            ended[lane] = mask[lane] & metered.has_ended();
+            ended[lane] = learns & mask[lane] & metered.has_ended();
             copy.set(lane, mask[lane], &metered);
         }
         self.metered = copy;

@@ -346,7 +346,10 @@ impl Robot {
     pub(crate) fn energy(&self, id: u32, model: &EnergyModel) -> EnergyState {
         let mut state = EnergyState::new(id);
         for sample in &self.told {
-            state.observe(model, sample);
+            match self.platform.energy_online {
+                true => state.observe(model, sample),
+                false => state.metered.advance(model, sample),
+            }
         }
         state
     }

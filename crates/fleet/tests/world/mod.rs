@@ -43,11 +43,12 @@ fn platform(name: &str, first: u32, period_ns: u64) -> Platform {
         power_resolution_w: 0.01,
         battery: None,
         online: false,
+        energy_online: first < 200,
     }
 }
 
 /// Robots 0 to 99 need velocities and have a battery, 100 to 199 need none and regenerate, 200 to
-/// 299 use persistence.
+/// 299 use persistence, and their energy is as trained.
 pub(crate) fn settings(capacity: u32) -> FleetSettings {
     FleetSettings {
         capacity,

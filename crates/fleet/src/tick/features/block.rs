@@ -140,7 +140,8 @@ fn observe_energy(
         v_mps: &v_mps,
         omega_radps: &omega_radps,
     };
-    energy.observe(&context.energy, mask, &samples);
+    let learns = context.platform.energy_online;
+    energy.observe(&context.energy, learns, mask, &samples);
 }
 
 /// Replaces the last samples of a block by the next.

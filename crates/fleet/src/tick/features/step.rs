@@ -68,7 +68,11 @@ pub(crate) fn step(
     };
     let on_time = elapsed_ns <= context.overdue_after_ns;
     let mut energy = columns.energy[block].get(lane);
-    energy.observe(&context.energy, &energy_sample(pending, elapsed_s, on_time));
+    let sample = energy_sample(pending, elapsed_s, on_time);
+    energy.metered.advance(&context.energy, &sample);
+    if context.platform.energy_online && energy.metered.has_ended() {
+        energy.compare(&context.energy);
+    }
     columns.energy[block].set(lane, true, energy);
     admission.accept(pending);
     columns.windows[block].set(lane, true, window);
