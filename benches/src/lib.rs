@@ -16,6 +16,7 @@ pub mod latency;
 mod machine;
 mod peak;
 mod plan;
+mod questions;
 mod report;
 mod rollout;
 mod rounds;

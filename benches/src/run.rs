@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use crate::counted::Count;
 use crate::latency::{self, Launcher, Role};
-use crate::{Comparison, Report, Suite, kernel, plan, rollout, tick, wait};
+use crate::{Comparison, Report, Suite, kernel, plan, questions, rollout, tick, wait};
 
 /// First argument of the latency benchmark's child processes.
 const ROLE: &str = "role";
@@ -101,6 +101,7 @@ fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<R
         Benchmark::Tick => vec![tick::measure(options)?],
         Benchmark::Rollout => vec![rollout::measure(options)?],
         Benchmark::Plan => vec![plan::measure(options)?],
+        Benchmark::Questions => vec![questions::measure(options)?],
         Benchmark::Latency => vec![latency::measure(options, &Launcher::this(&[ROLE])?)?],
         Benchmark::Wait => vec![wait::measure(options)?],
         Benchmark::All => {
@@ -109,6 +110,7 @@ fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<R
                 Benchmark::Tick,
                 Benchmark::Rollout,
                 Benchmark::Plan,
+                Benchmark::Questions,
                 Benchmark::Latency,
                 Benchmark::Wait,
             ];

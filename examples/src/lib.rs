@@ -32,6 +32,8 @@ mod readme {
         Publisher = "../../crates/publisher/README.md",
         Consumer = "../../crates/consumer/README.md",
         Plan = "../../crates/plan/README.md",
+        PlanServer = "../../crates/plan-server/README.md",
+        Queries = "../../docs/queries.md",
         PredictorWorker = "../../crates/predictor-worker/README.md",
         Capture = "../../crates/capture/README.md",
         Dataset = "../../crates/dataset/README.md",
@@ -93,11 +95,12 @@ impl PrivateFleet {
         let (ready, started) = mpsc::channel();
         // A worker must stay on the thread that opened it.
         self.worker = Some(thread::spawn(move || match Worker::open(&config) {
-            Ok(worker) => {
+            Ok(mut worker) => {
                 let _ = ready.send(Ok(()));
                 if let Err(error) = worker.run(&stop) {
                     eprintln!("the worker has ended: {error}");
                 }
+                let _ = worker.finish();
             }
             Err(error) => {
                 let _ = ready.send(Err(error.to_string()));

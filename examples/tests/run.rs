@@ -65,6 +65,15 @@ fn ask_answers_for_every_robot() {
 }
 
 #[test]
+fn ask_worker_is_answered_and_refused() {
+    let said = run("ask_worker");
+    assert_eq!(said.len(), 5, "{said:#?}");
+    assert_eq!(said[2].split(':').next(), Some("robot 1"), "{said:#?}");
+    assert_eq!(said[3].split(':').next(), Some("refused (UnknownRobot)"));
+    assert_eq!(said[4], "2 questions answered");
+}
+
+#[test]
 fn every_example_has_a_test() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let tests = fs::read_to_string(here.join("tests/run.rs")).unwrap();

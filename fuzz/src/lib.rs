@@ -15,6 +15,7 @@ mod keyframes;
 mod model;
 #[allow(dead_code)] // Its tests use more of it.
 mod oracle;
+mod questions;
 pub mod seeds;
 mod trials;
 
@@ -40,7 +41,7 @@ const fn of(name: &'static str, most_mib: u64, run: fn(&[u8]) -> bool) -> Target
 }
 
 /// All targets. A scan buffers a record of at most 64 MiB, an archive at most 32 MiB.
-pub const TARGETS: [Target; 12] = [
+pub const TARGETS: [Target; 13] = [
     of("archive", 96, checkpoints::archive),
     of("checkpoint", 96, checkpoints::whole),
     of("config", 16, config::run),
@@ -49,6 +50,7 @@ pub const TARGETS: [Target; 12] = [
     of("keyframes", 16, keyframes::run),
     of("model", 16, model::run),
     of("pickle", 96, checkpoints::pickle),
+    of("questions", 16, questions::run),
     Target {
         seeds: "mcap",
         ..of("recover", 24, capture::recover)

@@ -13,7 +13,7 @@ use joulebus_dataset::trial::{Column, Row, Trial};
 use joulebus_fleet::Fleet;
 use joulebus_model_files::{to_arrays, to_npz};
 use joulebus_predictor::FeatureSet;
-use joulebus_wire::SampleHeader;
+use joulebus_wire::{AnswerHeader, AnswerRow, QueryRecord, SampleHeader, answer_flag, push_record};
 use mcap::WriteOptions;
 
 use super::capture::damaged;
@@ -43,6 +43,7 @@ pub fn seeds() -> Vec<(&'static str, String, Vec<u8>)> {
     add("mcap", captures());
     add("model", models());
     add("pickle", pickles());
+    add("questions", questions());
     add("trial_csv", tables());
     add("trial_npy", arrays());
     all
@@ -251,6 +252,58 @@ fn keyframes() -> Vec<(String, Vec<u8>)> {
         named("paper", of(0)),
         named("freshness-and-learning", of(3)),
     ]
+}
+
+fn questions() -> Vec<(String, Vec<u8>)> {
+    let steps = |field: u8, value: u64| [&[1, field][..], &value.to_le_bytes(), &[0; 3]].concat();
+    let row = AnswerRow {
+        robot: 1,
+        flags: answer_flag::ENERGY,
+        verdict: 1,
+        ..AnswerRow::default()
+    };
+    let mut words: Vec<u64> = bytemuck::cast_slice(&[row]).to_vec();
+    let mut records = Vec::new();
+    let answer = AnswerHeader {
+        rows: 1,
+        ..AnswerHeader::default()
+    };
+    let record = QueryRecord {
+        answer,
+        ..QueryRecord::default()
+    };
+    assert!(
+        push_record(&mut records, record, &[1.0, 2.0], &words),
+        "it fits"
+    );
+    words.extend(records);
+    let lengths = [[1_u32, 2, 0], [0, 0, 4]].map(|of| of.map(u32::to_le_bytes).concat());
+    let bytes: &[u8] = bytemuck::cast_slice(&words);
+    let mut all: Vec<_> = ["what-if", "idle", "follow", "rank"]
+        .into_iter()
+        .zip(0..)
+        .map(|(name, choice)| named(name, [choice, 0, 0, 0, 0]))
+        .collect();
+    all.extend([
+        named(
+            "nan-coverage",
+            [&[0][..], &steps(9, f32::NAN.to_bits().into())].concat(),
+        ),
+        named(
+            "far-return",
+            [&[3][..], &steps(13, 1e6_f64.to_bits())].concat(),
+        ),
+        named(
+            "answer-and-records",
+            [&[4, 0][..], &lengths[0], bytes].concat(),
+        ),
+        named("records", [&[4, 0][..], &[0; 12], &bytes[64..]].concat()),
+        named(
+            "refusal",
+            [&[4, 7][..], &lengths[1], b"why \0\0\0\0"].concat(),
+        ),
+    ]);
+    all
 }
 
 fn models() -> Vec<(String, Vec<u8>)> {

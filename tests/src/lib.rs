@@ -12,14 +12,16 @@ mod planner;
 mod protocol;
 mod script;
 mod source;
+mod spoilt;
 
 pub use arena::{Arena, Setup, alone, program, without_loss};
 pub use figure::{Dice, Spread, figure};
 pub use joulebus_test_processes::{Child, Ended, PATIENCE, eventually};
 pub use planner::{Answers, Planner};
 pub use protocol::{
-    BudgetFrame, BudgetLine, DiagnosticFrame, DiagnosticLine, ForecastFrame, ForecastLine, Forge,
-    FrameLine, ReaderLine, RefusalLine, SampleLine, SourceLine,
+    AskerLine, BudgetFrame, BudgetLine, DiagnosticFrame, DiagnosticLine, ForecastFrame,
+    ForecastLine, Forge, FrameLine, ReaderLine, RefusalLine, SampleLine, SourceLine,
 };
 pub use script::{is_whole, sample, script, steady, steady_uw};
 pub use source::Source;
+pub use spoilt::spoilt;

@@ -433,3 +433,29 @@ fn by_name(drops: &DropCounts) -> BTreeMap<String, u64> {
         .map(|(reason, count)| (reason.name().to_owned(), count))
         .collect()
 }
+
+/// A line of a client that asks about plans.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum AskerLine {
+    /// The first answer has arrived, or the first after a failure.
+    Asking,
+    /// A question was not answered.
+    Failed {
+        /// Name of the error, or of the reason.
+        name: String,
+        /// From asking to the error, ns.
+        after_ns: u64,
+    },
+    /// A question that must be refused.
+    Refused {
+        /// Why it must be.
+        expected: String,
+        /// Why it was.
+        found: String,
+    },
+    /// It ends.
+    Done {
+        /// Questions answered.
+        answered: u64,
+    },
+}

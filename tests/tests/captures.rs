@@ -60,6 +60,7 @@ fn name(entry: &Entry) -> (String, u64, u64) {
         Message::PlanStates(header, _) => (header.worker_epoch, header.tick),
         Message::Ticks(header, _) => (header.worker_epoch, header.tick),
         Message::State(header, _) => (header.tick, header.offset),
+        Message::Query(query) => (query.record.begun_ns, query.record.number),
         other => panic!("{other:?}"),
     };
     (entry.topic.to_string(), run, number)

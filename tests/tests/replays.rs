@@ -10,10 +10,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use joulebus_capture::{CaptureSettings, Entry, Message, Reader, Writer};
+use joulebus_capture::{Entry, Message, Reader};
 use joulebus_predictor::{FeatureSet, Network};
 use joulebus_tests::{
-    Arena, Child, Ended, ReaderLine, Setup, alone, eventually, program, script, without_loss,
+    Arena, Child, Ended, ReaderLine, Setup, alone, eventually, program, script, spoilt,
+    without_loss,
 };
 use joulebus_wire::{Diagnostic, Forecast, Quality, Sample, sample_flag};
 use serde_json::Value;
@@ -131,25 +132,6 @@ fn record(arena: &Arena, name: &str, frames: u64) -> PathBuf {
         (file, ended)
     });
     file
-}
-
-/// Writes a copy of the capture with one value changed, as the recorder would have written it.
-fn spoilt(file: &Path, to: &Path, spoil: impl Fn(&mut Message) -> bool) {
-    let reader = Reader::open(file).unwrap();
-    let attachments = reader.attachments().clone();
-    let mut writer = Writer::create(to, CaptureSettings::default(), &attachments).unwrap();
-    let mut done = false;
-    for entry in reader {
-        let mut entry = entry.unwrap();
-        done = done || spoil(&mut entry.message);
-        let times = joulebus_capture::Times {
-            log_ns: entry.log_time_ns,
-            publish_ns: entry.publish_time_ns,
-        };
-        writer.write(&entry.fleet, times, &entry.message).unwrap();
-    }
-    assert!(done, "nothing was spoilt");
-    writer.finish().unwrap();
 }
 
 /// Checks that every tick since the first keyframe was recomputed, except those split by the end of

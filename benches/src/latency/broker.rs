@@ -170,7 +170,7 @@ fn with_scheduling(toml: String, scheduling: &Scheduling) -> String {
 /// It fails to start or to run.
 pub fn worker(path: &Path) -> anyhow::Result<()> {
     let config = Config::load(path)?;
-    let worker = Worker::open(&config)?;
+    let mut worker = Worker::open(&config)?;
     println!("ready");
     let stop = Arc::new(AtomicBool::new(false));
     let told = Arc::clone(&stop);
@@ -183,7 +183,8 @@ pub fn worker(path: &Path) -> anyhow::Result<()> {
         told.store(true, Ordering::Relaxed);
         own_bytes
     });
-    let report = worker.run(&stop)?;
+    worker.run(&stop)?;
+    let report = worker.finish();
     let tick_us = report.tick;
     let own_bytes = measuring
         .join()

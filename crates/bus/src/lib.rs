@@ -12,6 +12,8 @@
 //! | [`BudgetWriter`] → [`BudgetReader`] | worker → planners | [`joulebus_wire::Budget`], history 1 |
 //! | [`PlanStateWriter`] → [`PlanStateReader`] | worker → planners | [`joulebus_wire::PlanState`], history 1, while somebody reads |
 //! | [`StateWriter`] → [`StateReader`] | worker → recorders | bytes of keyframes |
+//! | [`QueriesWriter`] → [`QueriesReader`] | worker → recorders | [`joulebus_wire::QueryRecord`]s, history 1 |
+//! | [`QueryClient`] ⇄ [`QueryServer`] | planners ⇄ worker | [`joulebus_wire::QueryHeader`] and values, [`joulebus_wire::AnswerHeader`] and words |
 //! | [`TickWriter`] → [`TickReader`] | worker → recorders | [`joulebus_wire::TakenFrame`] |
 //! | [`Waker`] → [`Waiter`] | sources → worker, worker → planners | events |
 //!
@@ -72,12 +74,15 @@ pub use os::background::{Background, Panicked, Steps};
 pub use os::clock;
 pub use os::memory::touch_own_memory;
 pub use os::process::process_id;
-pub use os::scheduling::{Rights, Scheduling, SchedulingError, page_faults, set_timer_slack};
+pub use os::scheduling::{
+    Rights, Scheduling, SchedulingError, lower_priority, page_faults, set_timer_slack,
+};
 pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, FrameBuf, IncomingFrame, Loan, OpenError, PlanStateReader, PlanStateWriter, Reader,
-    ReceiveError, SampleReader, SampleTap, SampleWriter, SendError, StateReader, StateWriter,
-    TickReader, TickWriter, WaitError, Waiter, Waker, Woken, Writer,
+    Frame, FrameBuf, IncomingFrame, Loan, OpenError, OpenQuery, PlanStateReader, PlanStateWriter,
+    QueriesReader, QueriesWriter, QueryClient, QueryError, QueryServer, Reader, ReceiveError,
+    SampleReader, SampleTap, SampleWriter, SendError, StateReader, StateWriter, TickReader,
+    TickWriter, WaitError, Waiter, Waker, Woken, Writer,
 };
 pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity};
 pub use private::{DomainWarning, RootError};

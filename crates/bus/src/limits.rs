@@ -35,6 +35,14 @@ impl Default for Limits {
 /// Spare ports of a service: a killed process holds its ports until the cleanup, and its successor
 /// may start earlier.
 const SPARE: usize = 2;
+/// Questions of a client that can be in transfer.
+pub(crate) const ACTIVE_QUERIES: usize = 1;
+/// Most clients that ask the worker.
+const MOST_QUERY_CLIENTS: usize = 16;
+/// Frames of records of questions queued for a recorder.
+const QUERY_FRAMES: usize = 6;
+/// The thread that answers questions reads as a planner does.
+const ANSWERING: usize = 1;
 /// Recorders that a fleet can have at once.
 const RECORDERS: usize = 2;
 /// Journals queued for a recorder: a second at 30 Hz.
@@ -119,7 +127,7 @@ impl Limits {
     pub(crate) const fn forecasts(&self) -> Shape {
         Shape {
             publishers: 1 + SPARE,
-            subscribers: self.max_planners + SPARE,
+            subscribers: self.max_planners + ANSWERING + SPARE,
             buffer: self.forecast_frames,
             // The newest is received while the previous one is held.
             borrowed: 2,
@@ -161,6 +169,39 @@ impl Limits {
         }
     }
 
+    /// Records of questions: a reader that comes later needs the newest counts.
+    pub(crate) const fn queries(&self) -> Shape {
+        Shape {
+            publishers: 1 + SPARE,
+            subscribers: RECORDERS + SPARE,
+            buffer: QUERY_FRAMES,
+            borrowed: 1,
+            history: 1,
+        }
+    }
+
+    /// Clients that can ask the worker at once.
+    pub(crate) const fn query_clients(&self) -> usize {
+        let wanted = self.max_planners + SPARE;
+        if wanted < MOST_QUERY_CLIENTS {
+            wanted
+        } else {
+            MOST_QUERY_CLIENTS
+        }
+    }
+
+    /// Questions that can be in transfer at once.
+    #[must_use]
+    pub const fn queries_in_transfer(&self) -> usize {
+        self.query_clients() * ACTIVE_QUERIES
+    }
+
+    /// Listeners and notifiers of the event that wakes clients; of that which wakes the worker the other
+    /// way round.
+    pub(crate) const fn query_events(&self) -> (usize, usize) {
+        (self.query_clients(), 1 + SPARE)
+    }
+
     pub(crate) fn state_piece_bytes(&self) -> usize {
         let (least, most) = STATE_PIECE_BYTES;
         self.capacity
@@ -175,7 +216,7 @@ impl Limits {
 
     /// Listeners and notifiers of the worker's event.
     pub(crate) const fn wake(&self) -> (usize, usize) {
-        (self.max_planners + SPARE, 1 + SPARE)
+        (self.max_planners + ANSWERING + SPARE, 1 + SPARE)
     }
 }
 

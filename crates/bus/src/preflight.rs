@@ -4,13 +4,14 @@
 use std::io;
 
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
+    ANSWER_WORDS, AnswerHeader, Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast,
+    ForecastHeader, PlanState, PlanStateHeader, QUERY_VALUES, QueriesHeader, QueryHeader,
+    RECORD_WORDS, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 use rustix::process::{Resource, getrlimit};
 
 use crate::Limits;
-use crate::limits::Shape;
+use crate::limits::{ACTIVE_QUERIES, Shape};
 use crate::os::memory::SHM_DIR;
 
 /// Header and padding of a frame in iceoryx2, upper bound.
@@ -23,8 +24,8 @@ const CONNECTION_BYTES: usize = 16 * 1024;
 pub(crate) const PROCESS_BYTES: usize = 192 * 1024;
 /// A service's description and lists of ports, and the files of a port.
 pub(crate) const PORT_BYTES: usize = 64 * 1024;
-/// Descriptors of a process before it connects to anybody: node, locks, nine services.
-const BASE_DESCRIPTORS: u64 = 64;
+/// Descriptors of a process before it connects to anybody: node, locks, thirteen services.
+const BASE_DESCRIPTORS: u64 = 96;
 /// File descriptors that opening a node, service or port takes, upper bound.
 const PORT_DESCRIPTORS: u64 = 16;
 /// File descriptors of one connection, data and bookkeeping.
@@ -152,6 +153,19 @@ pub(crate) const fn segment_bytes<H, T>(shape: Shape, max_len: usize) -> u64 {
     (shape.frames() * frame + SEGMENT_OVERHEAD) as u64
 }
 
+/// Bytes of the memory that the port for answers writes to, as iceoryx2 counts them: for each question that
+/// can be in transfer, in both its queue and its client's hands, one response buffered, borrowed and loaned.
+pub(crate) const fn server_bytes(clients: usize) -> u64 {
+    let frame = FRAME_OVERHEAD + size_of::<AnswerHeader>() + 8 * ANSWER_WORDS;
+    (clients * 2 * ACTIVE_QUERIES * 3 * frame + SEGMENT_OVERHEAD) as u64
+}
+
+/// Bytes of the memory that a client writes its questions to.
+pub(crate) const fn client_bytes() -> u64 {
+    let frame = FRAME_OVERHEAD + size_of::<QueryHeader>() + 8 * QUERY_VALUES;
+    ((2 * ACTIVE_QUERIES + 1) * frame + SEGMENT_OVERHEAD) as u64
+}
+
 fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
     let (capacity, listed) = (limits.capacity, limits.listed_frames());
     let samples = segment_bytes::<SampleHeader, Sample>(limits.samples(), capacity);
@@ -160,7 +174,9 @@ fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
         + segment_bytes::<BudgetHeader, Budget>(limits.budgets(), capacity)
         + segment_bytes::<PlanStateHeader, PlanState>(limits.plan_states(), capacity)
         + segment_bytes::<StateHeader, u8>(limits.state(), limits.state_piece_bytes())
-        + segment_bytes::<TickHeader, TakenFrame>(limits.ticks(), listed);
+        + segment_bytes::<TickHeader, TakenFrame>(limits.ticks(), listed)
+        + segment_bytes::<QueriesHeader, u64>(limits.queries(), RECORD_WORDS)
+        + server_bytes(limits.query_clients());
     let connections = ports.workers * (ports.sources + 4 * ports.planners);
     let processes = ports.sources + ports.workers + ports.planners;
     let small = connections * CONNECTION_BYTES + processes * PROCESS_BYTES;

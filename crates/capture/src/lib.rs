@@ -40,7 +40,7 @@ mod writer;
 pub use attachments::{AttachError, Attached, Attachments};
 pub use clock::Clock;
 pub use inspect::values;
-pub use messages::{DecodeError, Entry, Message, MessageKind, OutOfRange};
+pub use messages::{DecodeError, Entry, Message, MessageKind, OutOfRange, Query};
 pub use reader::{ReadError, Reader};
 pub use writer::{
     CaptureFile, CaptureSettings, Preset, Sequences, Times, WriteError, Writer, Written,

@@ -9,12 +9,14 @@ use std::sync::Arc;
 
 use joulebus_capture::verify::{Loss, Verification, Verifier};
 use joulebus_capture::{
-    Attachments, CaptureSettings, Entry, Message, MessageKind, Reader, Times, Writer,
+    Attachments, CaptureSettings, Entry, Message, MessageKind, Query, Reader, Times, Writer,
 };
 use joulebus_fleet::Fleet;
+use joulebus_plan::{Fleet as PlanFleet, Plan, Question, Refused, RobotRows};
 use joulebus_wire::{
-    BudgetHeader, DiagnosticHeader, ForecastHeader, PlanStateHeader, SCHEMA_VERSION, Sample,
-    StateHeader, TakenFrame, TickHeader, sample_flag, tick_flag,
+    AnswerHeader, BudgetHeader, DiagnosticHeader, ForecastHeader, PlanStateHeader, QUERY_STEPS,
+    QueryRecord, QueryRefusal, SCHEMA_VERSION, Sample, StateHeader, TakenFrame, TickHeader, fnv1a,
+    sample_flag, tick_flag,
 };
 use proptest::prelude::*;
 use world::random::Noise;
@@ -755,4 +757,160 @@ fn split_files_are_verified_as_one_and_each_from_its_keyframe() {
         let report = verify(read(bytes));
         assert!(report.is_clean() && report.ticks_verified > 20, "{report}");
     }
+}
+
+/// A question about robot 2, and what the worker answers as of a tick.
+fn asked(messages: &[Message], tick: u64, number: u64, v_mps: f32) -> Query {
+    let of = |kind| {
+        let is_it = |message: &&Message| message.kind() == Some(kind) && tick_of(message) == tick;
+        messages.iter().find(is_it).unwrap()
+    };
+    let Message::PlanStates(_, states) = of(MessageKind::PlanStates) else {
+        panic!("another kind")
+    };
+    let Message::Budgets(_, budgets) = of(MessageKind::Budgets) else {
+        panic!("another kind")
+    };
+    let question = Question {
+        plan: Plan::WhatIf {
+            robot: 2,
+            candidates: 3,
+            period_s: 1.0 / 30.0,
+            v_mps: vec![v_mps; 30],
+            omega_radps: vec![0.1; 30],
+        },
+        coverage: 0.9,
+        power: true,
+    };
+    let fleet = fnv1a("lab".bytes());
+    let (query, values) = question.encode(fleet).unwrap();
+    let mut answer = AnswerHeader {
+        schema: SCHEMA_VERSION,
+        worker_epoch: EPOCH,
+        tick,
+        period_ns: PERIOD_NS,
+        sent_state_ns: 70,
+        budget_epoch: EPOCH,
+        budget_tick: tick,
+        sent_budget_ns: 60,
+        now_ns: 90,
+        ..AnswerHeader::default()
+    };
+    let find = |robot| {
+        let state = states.iter().find(|row| row.robot == robot)?;
+        let budget = budgets.iter().find(|row| row.robot == robot);
+        Some(RobotRows::recorded(&answer, *state, budget.copied()))
+    };
+    let plans = PlanFleet::new(&world::settings(CAPACITY), &world::models());
+    let reply = question.answer(&plans, find, QUERY_STEPS);
+    let mut words = Vec::new();
+    match &reply {
+        Ok(reply) => reply.encode(&mut answer, &mut words),
+        Err(error) => Refused::from(error).encode(&mut answer, &mut words),
+    }
+    let record = QueryRecord {
+        begun_ns: 1,
+        number,
+        query,
+        answer,
+        ..QueryRecord::default()
+    };
+    Query::of_record((record, &values, &words))
+}
+
+#[test]
+fn answers_about_plans_are_computed_again_wherever_they_lie_and_a_flipped_bit_is_named() {
+    let messages = recorded(4, 90);
+    let queries = [asked(&messages, 65, 1, 0.1), asked(&messages, 66, 2, 0.1)];
+    let refused = asked(&messages, 66, 3, 99.0);
+    assert!(
+        queries
+            .iter()
+            .all(|query| query.rows.len() == 3 && query.power_w.len() == 30)
+    );
+    assert!(
+        refused.rows.is_empty() && refused.text.contains("99"),
+        "{refused:?}"
+    );
+    let with = |queries: &[Query], place: usize| {
+        let mut messages = messages.clone();
+        let queries = queries.iter().cloned().map(Message::Query);
+        messages.splice(place..place, queries);
+        verify(entries(messages))
+    };
+    let all = [queries[0].clone(), queries[1].clone(), refused.clone()];
+    // Before, beside and long after their ticks.
+    let beside = messages
+        .iter()
+        .position(|message| tick_of(message) == 66)
+        .unwrap();
+    for place in [0, beside, messages.len()] {
+        let report = with(&all, place);
+        assert!(report.is_clean(), "{place}: {report}");
+        assert_eq!((report.queries, report.queries_verified), (3, 3), "{place}");
+    }
+    type Spoil = fn(&mut Query);
+    let flips: [(&str, Spoil); 6] = [
+        ("query.mean_j", |query| {
+            let value = &mut query.rows[1].mean_j;
+            *value = f32::from_bits(value.to_bits() ^ 1);
+        }),
+        ("query.verdict", |query| query.rows[0].verdict ^= 1),
+        ("query.flags", |query| query.rows[2].flags ^= 1),
+        ("query.power_w", |query| query.power_w[7] += 1.0),
+        ("query.rows", |query| {
+            query.rows.pop();
+            *query = query.clone().counted();
+        }),
+        ("query.refusal", |query| {
+            query.record.answer.refusal = QueryRefusal::Question.code();
+            *query = query.clone().counted();
+        }),
+    ];
+    for (name, spoil) in flips {
+        let mut spoilt = queries[0].clone();
+        spoil(&mut spoilt);
+        let report = with(&[spoilt], beside);
+        let first = report
+            .first
+            .clone()
+            .unwrap_or_else(|| panic!("{name} was not found"));
+        assert_eq!((first.tick, &*first.field), (65, name), "{report}");
+    }
+    let mut changed = refused;
+    changed.text = changed.text.replace("99", "98");
+    assert_eq!(
+        &*with(&[changed], beside).first.unwrap().field,
+        "query.text"
+    );
+}
+
+#[test]
+fn answers_about_ticks_that_could_not_be_computed_are_counted() {
+    let messages = recorded(4, 90);
+    let query = asked(&messages, 65, 1, 0.1);
+    let with = |change: &dyn Fn(&mut Query)| {
+        let mut changed = query.clone();
+        change(&mut changed);
+        let all = messages.iter().cloned().chain([Message::Query(changed)]);
+        verify(entries(all.collect()))
+    };
+    // In tick 35 nobody read plan states, and tick 1,000 is not in the recording.
+    let lost = with(&|query| query.record.answer.tick = 35);
+    assert_eq!(
+        (lost.queries_unverified, lost.is_clean()),
+        (1, false),
+        "{lost}"
+    );
+    let outside = with(&|query| query.record.answer.tick = 1_000);
+    assert_eq!(
+        (outside.queries_outside, outside.is_clean()),
+        (1, true),
+        "{outside}"
+    );
+    let late = with(&|query| {
+        query.record.answer.refusal = QueryRefusal::Deadline.code();
+        *query = query.clone().counted();
+    });
+    assert_eq!((late.queries_by_time, late.is_clean()), (1, true), "{late}");
 }

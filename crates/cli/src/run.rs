@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::PathBuf;
 
 use joulebus_config::{Config, ModelSource};
+use joulebus_plan_server::{PlanServer, QueryReport};
 use joulebus_predictor_worker::{Report, Worker};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
@@ -37,11 +38,17 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         Some(file) => Some(RecorderProcess::start(&args.config, file)?),
         None => None,
     };
-    let worker = Worker::open(&config)?;
+    let questions = PlanServer::start(&config)?;
+    let mut worker = Worker::open(&config)?;
+    questions.serve();
     say(&ready(&config));
-    let report = worker.run(stop.flag())?;
+    let ran = worker.run(stop.flag());
+    // While this process holds the fleet's lock: clients take refusals, too, from no other.
+    let queries = questions.finish();
+    ran?;
+    let worker = worker.finish();
     let whole = recorder.is_none_or(RecorderProcess::finish);
-    output.report(&RunReport(report))?;
+    output.report(&RunReport { worker, queries })?;
     Ok(Outcome::unless_lost(!whole))
 }
 
@@ -65,12 +72,16 @@ fn model_name(model: &ModelSource) -> String {
 
 /// The worker's report as text.
 #[derive(Debug, Serialize)]
-#[serde(transparent)]
-struct RunReport(Report);
+struct RunReport {
+    #[serde(flatten)]
+    worker: Report,
+    /// Questions about plans.
+    queries: QueryReport,
+}
 
 impl fmt::Display for RunReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let report = &self.0;
+        let report = &self.worker;
         let (done, skipped, late) = (report.ticks, report.ticks_skipped, report.ticks_late);
         writeln!(out, "fleet {}: {} robots", report.fleet, report.robots)?;
         writeln!(out, "ticks: {done} done, {skipped} skipped, {late} late")?;
@@ -102,6 +113,15 @@ impl fmt::Display for RunReport {
             report.samples_accepted
         )?;
         for (reason, count) in &report.samples_dropped {
+            writeln!(out, "  {reason}: {count}")?;
+        }
+        let queries = &self.queries;
+        let refused: u64 = queries.refused.values().sum();
+        if queries.answered + refused > 0 {
+            let answered = queries.answered;
+            writeln!(out, "questions: {answered} answered, {refused} refused")?;
+        }
+        for (reason, count) in &queries.refused {
             writeln!(out, "  {reason}: {count}")?;
         }
         if report.frames_unsent > 0 || report.receive_errors > 0 {

@@ -37,6 +37,15 @@ pub struct Threads {
     pub from: usize,
 }
 
+/// The thread that answers questions about plans.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Queries {
+    /// Whether it runs.
+    pub answer: bool,
+    /// Its nice value, 0 to 19.
+    pub nice: u8,
+}
+
 impl Threads {
     /// Maximum number of threads chosen automatically: beyond it, memory bandwidth is the limit.
     const MOST_UNASKED: usize = 8;
@@ -63,6 +72,7 @@ pub struct Config {
     checkpoint_every_ns: u64,
     scheduling: Scheduling,
     threads: Threads,
+    queries: Queries,
     shown: String,
     warnings: Vec<Problem>,
 }
@@ -226,6 +236,12 @@ impl Config {
         self.threads
     }
 
+    /// The thread that answers questions about plans.
+    #[must_use]
+    pub const fn queries(&self) -> Queries {
+        self.queries
+    }
+
     /// Values that are allowed but doubtful.
     #[must_use]
     pub fn warnings(&self) -> &[Problem] {
@@ -276,6 +292,10 @@ impl Builder<'_> {
             checkpoint_every_ns: ns(fleet.0.number("ledger.every_s")?),
             scheduling: fleet.scheduling()?,
             threads: fleet.threads()?,
+            queries: Queries {
+                answer: fleet.0.text("queries.answer")? == "on",
+                nice: fleet.0.integer("queries.nice")?,
+            },
             shown: show::toml(read),
             warnings: Vec::new(),
         })

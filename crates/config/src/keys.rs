@@ -132,6 +132,11 @@ pub const KEYS: &[Key] = &[
     key("readers.max_planners", int(bounds::MAX_PLANNERS), "readers", DefaultValue::Integer(16),
         "Planners, watchers and recorders that can be connected at the same time."),
 
+    key("queries.answer", ValueKind::Choice(&["on", "off"]), "", DefaultValue::Text("on"),
+        "Whether a thread of the worker answers questions about plans, for processes that do not compute for themselves."),
+    key("queries.nice", int(bounds::NICE), "", DefaultValue::Integer(10),
+        "Nice value of that thread: above 0 the tick and other processes go first."),
+
     key("platform.file", ValueKind::Text(TextRule::PlatformFile), "", DefaultValue::Unset,
         "The platform's file. Keys given here override the file's."),
     key("platform.robots", ValueKind::Robots, "ids", DefaultValue::Required,

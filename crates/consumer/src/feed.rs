@@ -6,6 +6,7 @@ use std::fmt;
 use joulebus_bus::Reader;
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Payload, PlanState, PlanStateHeader,
+    QueriesHeader,
 };
 
 use crate::index::RobotIndex;
@@ -31,6 +32,9 @@ pub type DiagnosticFeed = Feed<DiagnosticHeader, Diagnostic>;
 pub type BudgetFeed = Feed<BudgetHeader, Budget>;
 /// What plans start from, robot by robot.
 pub type PlanStateFeed = Feed<PlanStateHeader, PlanState>;
+
+/// Questions about plans and their answers: words of 8 bytes ([`joulebus_wire::records`]), and counts.
+pub type QueryFeed = Feed<QueriesHeader, u64>;
 
 impl<H: Payload, T: Payload> Feed<H, T> {
     pub(crate) fn new(

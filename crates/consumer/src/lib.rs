@@ -57,7 +57,7 @@ mod newest;
 mod planner;
 mod tracker;
 
-pub use feed::{BudgetFeed, DiagnosticFeed, Feed, PlanStateFeed};
+pub use feed::{BudgetFeed, DiagnosticFeed, Feed, PlanStateFeed, QueryFeed};
 pub use frame::{Budgets, Diagnostics, Forecasts, Frame, PlanStates};
 pub use joulebus_bus::{OpenError, clock};
 pub use joulebus_config::{Config, ConnectError, error};

@@ -7,14 +7,15 @@ use std::time::Duration;
 
 use joulebus_bus::{Bus, ForecastReader, Limits, OpenError, PeerWatch, Waiter, Woken, clock};
 use joulebus_config::{Config, ConnectError};
-use joulebus_wire::{BudgetHeader, DiagnosticHeader, Forecast, PlanStateHeader};
+use joulebus_wire::{BudgetHeader, DiagnosticHeader, Forecast, PlanStateHeader, QueriesHeader};
 
 use crate::frame::Frame;
 use crate::index::RobotIndex;
 use crate::newest::{ReadError, check_schema, newer};
 use crate::tracker::{Tracker, place};
 use crate::{
-    Arrival, BudgetFeed, Counts, DiagnosticFeed, End, Forecasts, PlanStateFeed, WorkerState,
+    Arrival, BudgetFeed, Counts, DiagnosticFeed, End, Forecasts, PlanStateFeed, QueryFeed,
+    WorkerState,
 };
 
 /// A reader of forecasts: a planner, a live view, a recorder.
@@ -185,6 +186,18 @@ impl Planner {
         let of_header =
             |header: &PlanStateHeader| (header.schema, header.worker_epoch, header.tick);
         Ok(PlanStateFeed::new(reader, of_header, |row| row.robot))
+    }
+
+    /// Opens the records of questions that the worker was asked, whose header counts those answered and
+    /// refused. Few readers are allowed at once: recorders come first.
+    ///
+    /// # Errors
+    /// [`OpenError`] with the cause and the remedy.
+    pub fn queries(&self) -> Result<QueryFeed, OpenError> {
+        let reader = self.bus.queries_reader(&self.limits)?;
+        let of_header = |header: &QueriesHeader| (header.schema, header.begun_ns, header.sent_ns);
+        // Words have no robot.
+        Ok(QueryFeed::new(reader, of_header, |_| 0))
     }
 
     /// Connections to workers that failed or broke: frames are missing.

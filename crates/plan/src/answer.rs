@@ -74,10 +74,11 @@ pub enum Unknown {
         /// Its age, ns.
         age_ns: u64,
     },
-    /// The robot has no forecast, with the reason's name.
+    /// The robot has no forecast.
     Invalid {
-        /// Name of the [`InvalidReason`].
-        reason: &'static str,
+        /// Why, as JSON by its name.
+        #[serde(serialize_with = "name")]
+        reason: InvalidReason,
     },
     /// The robot's lag window is not full yet.
     Warmup {
@@ -96,12 +97,8 @@ pub enum Unknown {
     NoBudget,
 }
 
-impl Unknown {
-    pub(crate) fn invalid(reason: InvalidReason) -> Self {
-        Self::Invalid {
-            reason: reason.name(),
-        }
-    }
+fn name<S: serde::Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(reason.name())
 }
 
 /// What weakens an answer: it then is [`Verdict::Tight`] at best, and the interval includes what the
@@ -143,7 +140,9 @@ impl fmt::Display for Unknown {
                 "the worker's newest frame is {:.2} s old; does it run?",
                 *age_ns as f64 * 1e-9
             ),
-            Self::Invalid { reason } => write!(out, "the robot has no forecast ({reason})"),
+            Self::Invalid { reason } => {
+                write!(out, "the robot has no forecast ({})", reason.name())
+            }
             Self::Warmup { have } => write!(out, "{have} of 5 readings so far"),
             Self::Unreadable => {
                 write!(out, "the robot's state does not fit this version or config")

@@ -46,7 +46,10 @@ impl<'a> Candidates<'a> {
             }
         }
         if steps > MAX_STEPS {
-            return Err(AskError::Steps { found: steps });
+            return Err(AskError::Steps {
+                found: steps,
+                allowed: MAX_STEPS,
+            });
         }
         if !(period_s > 0.0 && period_s <= LONGEST_PERIOD_S) {
             return Err(AskError::Period {

@@ -1,6 +1,6 @@
 //! Errors of asking.
 
-use crate::limits::MAX_STEPS;
+use joulebus_wire::QueryRefusal;
 
 /// Errors of a question.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -30,10 +30,14 @@ pub enum AskError {
         steps: usize,
     },
     /// Too many steps.
-    #[error("{found} steps: allowed are {MAX_STEPS} a candidate; use a longer period")]
+    #[error(
+        "{found} steps: allowed are {allowed} a candidate or path; use a longer period, or a shorter path"
+    )]
     Steps {
         /// Steps of a candidate.
         found: usize,
+        /// The greatest number.
+        allowed: usize,
     },
     /// The period of the commands.
     #[error("a period of {found} s: allowed is more than 0 and at most {allowed} s")]
@@ -87,6 +91,42 @@ pub enum AskError {
     /// The path.
     #[error(transparent)]
     Path(#[from] PathError),
+}
+
+/// Errors of answering a [`crate::Question`].
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum QuestionError {
+    /// A robot that is not in the fleet.
+    #[error(
+        "robot {robot} is not in the fleet: its source must publish samples of it (`joulebus watch --once` \
+         lists the robots)"
+    )]
+    UnknownRobot {
+        /// Its id.
+        robot: u32,
+    },
+    /// What is asked of a robot.
+    #[error(transparent)]
+    Ask(#[from] AskError),
+}
+
+/// A question that was not answered, and why.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("refused ({}): {text}", reason.name())]
+pub struct Refused {
+    /// The reason.
+    pub reason: QueryRefusal,
+    /// What was found, what is allowed, what to do.
+    pub text: String,
+}
+
+impl Refused {
+    /// With its text.
+    #[must_use]
+    pub const fn new(reason: QueryRefusal, text: String) -> Self {
+        Self { reason, text }
+    }
 }
 
 /// Errors of turning a path into commands.

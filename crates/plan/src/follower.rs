@@ -157,6 +157,7 @@ pub struct Follower {
     period_s: f64,
     v_max_mps: f32,
     omega_max_radps: f32,
+    most_steps: usize,
 }
 
 impl Follower {
@@ -179,7 +180,19 @@ impl Follower {
             period_s: settings.period_ns as f64 * 1e-9,
             v_max_mps,
             omega_max_radps,
+            most_steps: MAX_STEPS,
         })
+    }
+
+    /// With at most this many steps a path, itself at most [`MAX_STEPS`].
+    #[must_use]
+    pub fn within(mut self, most_steps: usize) -> Self {
+        self.most_steps = most_steps.min(MAX_STEPS);
+        self
+    }
+
+    pub(crate) const fn most_steps(&self) -> usize {
+        self.most_steps
     }
 
     /// The platform's name.
@@ -221,14 +234,14 @@ impl Follower {
         let first_m = distance_m(to.poses[to.poses.len() - 1].at, goal);
         let turn_s = PI / f64::from(self.omega_max_radps).min(TURN_GAIN);
         let patience_s = PATIENCE * (first_m / speed_mps + turn_s + 10.0 / GAIN);
-        let most = (patience_s / self.period_s).min(MAX_STEPS as f64) as usize;
+        let most = (patience_s / self.period_s).min(self.most_steps as f64) as usize;
         loop {
             let pose = to.poses[to.poses.len() - 1];
             let away_m = distance_m(pose.at, goal);
             if away_m <= REACH_M {
                 return Ok(());
             }
-            if to.v_mps.len() - begun >= most || to.v_mps.len() >= MAX_STEPS {
+            if to.v_mps.len() - begun >= most || to.v_mps.len() >= self.most_steps {
                 return Err(PathError::NotReached {
                     point,
                     distance_m: away_m,

@@ -34,24 +34,31 @@
 //!
 //! **Units**: W, J, s, m, rad.
 //!
+//! A process that cannot compute asks a thread of the worker instead: [`PlanClient`]. A [`Question`] is the
+//! same value for both.
+//!
 //! The modules below [`Planner`] are pure: a [`Fleet`] with models and settings, and a [`Robot`] made
 //! from rows of any origin.
 #![forbid(unsafe_code)]
 
 mod answer;
 mod candidates;
+mod client;
 mod error;
 mod fleet;
 mod follower;
 mod limits;
+mod payload;
 mod planner;
 mod platform;
+mod question;
 mod robot;
 mod trip;
 
 pub use answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
 pub use candidates::Candidates;
-pub use error::{AskError, Differs, PathError};
+pub use client::{Answered, ClientError, OpenClientError, PlanClient, QueryError};
+pub use error::{AskError, Differs, PathError, QuestionError, Refused};
 pub use fleet::Fleet;
 pub use follower::{Followed, Follower, Path, Point, Pose};
 pub use joulebus_config::{Config, ConnectError};
@@ -59,6 +66,7 @@ pub use joulebus_consumer::{OpenError, ReadError, WorkerState};
 pub use joulebus_models::ModelsError;
 pub use limits::MAX_STEPS;
 pub use planner::{OpenPlannerError, Planner, View, ViewError};
-pub use platform::{Frames, Platform};
+pub use platform::{Frames, Platform, RobotRows};
+pub use question::{Plan, Question, Reply, Row, Work};
 pub use robot::Robot;
 pub use trip::{Ranked, Trip, rank, rank_each};

@@ -9,10 +9,11 @@ use joulebus_consumer::{
     BudgetFeed, Budgets, Event, OpenError, PlanStateFeed, PlanStates, ReadError, clock,
 };
 use joulebus_models::{ModelsError, load_models};
+use joulebus_wire::AnswerHeader;
 
 use crate::error::Differs;
 use crate::fleet::Fleet;
-use crate::platform::Frames;
+use crate::platform::RobotRows;
 use crate::robot::Robot;
 
 /// Reads what plans start from, and answers questions about them. Belongs to one thread, as every
@@ -81,6 +82,14 @@ impl Planner {
     /// [`OpenPlannerError`].
     pub fn with_config(config: &Config, name: &str) -> Result<Self, OpenPlannerError> {
         let fleet = Fleet::new(config.settings(), &load_models(config)?);
+        Self::with_fleet(config, name, fleet)
+    }
+
+    /// As [`Planner::with_config`], with models that are loaded already.
+    ///
+    /// # Errors
+    /// [`OpenPlannerError`].
+    pub fn with_fleet(config: &Config, name: &str, fleet: Fleet) -> Result<Self, OpenPlannerError> {
         let planner = joulebus_consumer::Planner::with_config(config, name)?;
         Ok(Self {
             states: planner.plan_states()?,
@@ -180,23 +189,44 @@ impl<'a> View<'a> {
     /// A robot, if it is in the fleet.
     #[must_use]
     pub fn robot(&self, robot: u32) -> Option<Robot<'a>> {
+        self.fleet.robot(&self.rows(robot)?.frames())
+    }
+
+    /// A copy of a robot's rows, if it is in the fleet.
+    #[must_use]
+    pub fn rows(&self, robot: u32) -> Option<RobotRows> {
         // Copied before it is looked at.
         let state = *self.states.robot(robot)?;
-        let header = *self.states.header();
         let budget = self.budgets.as_ref().and_then(|budgets| {
             let row = *budgets.robot(robot)?;
             Some((*budgets.header(), row))
         });
-        self.fleet.robot(&Frames {
-            header: &header,
-            state: &state,
-            budget: budget.as_ref().map(|(header, row)| (header, row)),
+        Some(RobotRows {
+            header: *self.states.header(),
+            state,
+            budget,
             now_ns: self.now_ns,
         })
     }
 
+    /// States in an answer's header which frames it is computed from, and when.
+    pub fn state_in(&self, answer: &mut AnswerHeader) {
+        let states = self.states.header();
+        answer.worker_epoch = states.worker_epoch;
+        answer.tick = states.tick;
+        answer.period_ns = states.period_ns;
+        answer.sent_state_ns = states.sent_ns;
+        answer.now_ns = self.now_ns;
+        if let Some(budgets) = self.budgets.as_ref().map(Budgets::header) {
+            answer.budget_epoch = budgets.worker_epoch;
+            answer.budget_tick = budgets.tick;
+            answer.sent_budget_ns = budgets.sent_ns;
+        }
+    }
+
     /// Whether both frames are of one run of the worker, and neither is stale.
-    fn is_current(&self) -> bool {
+    #[must_use]
+    pub fn is_current(&self) -> bool {
         let header = self.states.header();
         let fresh = |sent_ns: u64| {
             self.now_ns.saturating_sub(sent_ns) <= header.period_ns.saturating_mul(2)

@@ -448,7 +448,7 @@ fn unknown(
         return Some(Unknown::Stale { age_ns });
     }
     match state.quality() {
-        Quality::Invalid(reason) => return Some(Unknown::invalid(reason)),
+        Quality::Invalid(reason) => return Some(Unknown::Invalid { reason }),
         Quality::Warmup { have } => return Some(Unknown::Warmup { have }),
         Quality::Fresh | Quality::Held | Quality::OpenLoop { .. } => {}
         Quality::Unknown => return Some(Unknown::Unreadable),

@@ -2,11 +2,12 @@
 
 use joulebus_energy::Commands;
 
-use crate::answer::{Answer, Verdict};
+use crate::answer::Answer;
 use crate::candidates::Candidates;
 use crate::error::AskError;
 use crate::follower::{Followed, Follower, Path, Point};
 use crate::limits::MAX_STEPS;
+use crate::question::{Row, best_first};
 use crate::robot::{Robot, first};
 
 /// Times at which turning back is tried, at most.
@@ -18,7 +19,7 @@ pub struct Trip {
     /// The answer for all legs; the way back is the last one.
     pub answer: Answer,
     /// With a way back: the time until which the robot can follow the path and still return with
-    /// [`Verdict::Yes`], s. The path's duration if it can follow all of it; `None` if it cannot say
+    /// [`crate::Verdict::Yes`], s. The path's duration if it can follow all of it; `None` if it cannot say
     /// so even now, and without a way back. Tried at up to 64 times, evenly spaced: the last before the first that
     /// fails.
     pub turn_back_s: Option<f32>,
@@ -46,10 +47,25 @@ impl Robot<'_> {
         back_to: Option<Point>,
         coverage: f32,
     ) -> Result<Trip, AskError> {
+        self.can_finish_within(path, back_to, coverage, MAX_STEPS)
+    }
+
+    /// As [`Robot::can_finish`], where path and way back have at most `most_steps` steps in all: what bounds
+    /// the time that it takes.
+    ///
+    /// # Errors
+    /// As there, or more steps.
+    pub fn can_finish_within(
+        &self,
+        path: &Path,
+        back_to: Option<Point>,
+        coverage: f32,
+        most_steps: usize,
+    ) -> Result<Trip, AskError> {
+        let follower = Follower::new(self.platform())?.within(most_steps);
         let Some(dock) = back_to else {
-            return self.finish(path, None, coverage);
+            return self.trip(follower.follow(path)?, None, coverage);
         };
-        let follower = Follower::new(self.platform())?;
         let there = follower.follow(path)?;
         let back = Back::after(path, &follower, dock);
         let all = back.from(&there, there.v_mps.len())?;
@@ -151,8 +167,9 @@ impl<'a> Back<'a> {
         };
         let home = self.follower.follow(&home)?;
         let found = steps + home.v_mps.len();
-        if found > MAX_STEPS {
-            return Err(AskError::Steps { found });
+        let allowed = self.follower.most_steps();
+        if found > allowed {
+            return Err(AskError::Steps { found, allowed });
         }
         let ends = there.leg_ends.iter().copied();
         let mut leg_ends: Vec<usize> = ends.filter(|end| *end <= steps).collect();
@@ -227,20 +244,10 @@ pub fn rank_each(
 
 /// The best first.
 fn sort(ranked: &mut [Ranked]) {
-    ranked.sort_by(|one, other| {
-        let class = |ranked: &Ranked| match ranked.trip.answer.verdict {
-            Verdict::Yes => 0,
-            Verdict::Tight => 1,
-            Verdict::No => 2,
-            Verdict::Unknown(_) => 3,
-        };
-        let mean_j = |ranked: &Ranked| {
-            let energy = ranked.trip.answer.energy;
-            energy.map_or(f32::INFINITY, |energy| energy.mean_j)
-        };
-        class(one)
-            .cmp(&class(other))
-            .then(mean_j(one).total_cmp(&mean_j(other)))
-            .then(one.robot.cmp(&other.robot))
-    });
+    let row = |ranked: &Ranked| Row {
+        robot: ranked.robot,
+        answer: ranked.trip.answer,
+        turn_back_s: ranked.trip.turn_back_s,
+    };
+    ranked.sort_by(|one, other| best_first(&row(one), &row(other)));
 }

@@ -80,7 +80,7 @@ fn whatever_is_unknown_is_said_and_never_yes() {
                 (rows.state.quality, rows.state.quality_detail) = code;
             },
             Unknown::Invalid {
-                reason: InvalidReason::Stale.name(),
+                reason: InvalidReason::Stale,
             },
         ),
         (

@@ -205,11 +205,11 @@ impl Worker {
     }
 
     /// Ticks until `stop` is set, which is noticed within 100 ms, or at once when a signal sets it.
-    /// Then sends planners the end event and saves the ledger.
+    /// The fleet is this process's until [`Worker::finish`].
     ///
     /// # Errors
     /// [`RunError`]: waiting failed.
-    pub fn run(mut self, stop: &AtomicBool) -> Result<Report, RunError> {
+    pub fn run(&mut self, stop: &AtomicBool) -> Result<(), RunError> {
         if let Err(error) = set_timer_slack() {
             tracing::warn!(%error, "ticks may start 50 µs late");
         }
@@ -220,7 +220,7 @@ impl Worker {
                 return Err(error);
             }
         }
-        Ok(self.finish())
+        Ok(())
     }
 
     /// Receives frames, and ticks if a tick is due; otherwise waits for a frame, for the next tick,

@@ -17,6 +17,8 @@ pub const MAX_SOURCES: RangeInclusive<u32> = 1..=1024;
 pub const BUFFER_FRAMES: RangeInclusive<u32> = 2..=256;
 /// Planners, live views and recorders that can be connected at once.
 pub const MAX_PLANNERS: RangeInclusive<u32> = 1..=256;
+/// Nice value of the thread that answers questions.
+pub const NICE: RangeInclusive<u32> = 0..=19;
 /// Share of readings inside their intervals.
 pub const COVERAGE: RangeInclusive<f64> = 0.5..=0.99;
 /// Step of an interval's end, as a share of its distance.

@@ -10,8 +10,9 @@ pub(crate) use iceoryx2_bb_derive_macros::ZeroCopySend;
 pub(crate) use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
 use crate::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
+    AnswerHeader, AnswerRow, Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast,
+    ForecastHeader, PlanState, PlanStateHeader, QueriesHeader, QueryHeader, QueryRecord, Sample,
+    SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 
 /// A type that may lie in shared memory: every bit pattern is valid, it has no padding, and its
@@ -42,3 +43,8 @@ layout!(PlanStateHeader, 200);
 layout!(StateHeader, 64);
 layout!(TakenFrame, 40);
 layout!(TickHeader, 48);
+layout!(QueryHeader, 112);
+layout!(AnswerHeader, 112);
+layout!(AnswerRow, 64);
+layout!(QueriesHeader, 184);
+layout!(QueryRecord, 256);

@@ -20,6 +20,7 @@ mod hash;
 mod journal;
 mod layout;
 mod plan_state;
+mod query;
 mod reason;
 mod sample;
 mod service;
@@ -32,6 +33,11 @@ pub use hash::{combine_hashes, fnv1a};
 pub use journal::{TakenFrame, TickHeader, tick_flag};
 pub use layout::Payload;
 pub use plan_state::{LISTED_MODELS, PlanState, PlanStateHeader, plan_state_flag};
+pub use query::{
+    ANSWER_WORDS, AnswerHeader, AnswerRow, QUERY_CANDIDATES, QUERY_ROBOTS, QUERY_STEPS,
+    QUERY_VALUES, QueriesHeader, QueryCounts, QueryHeader, QueryKind, QueryRecord, QueryRefusal,
+    RECORD_WORDS, ROW_WORDS, Record, answer_flag, answer_parts, push_record, query_flag, records,
+};
 pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
 pub use sample::{Freshness, Sample, SampleHeader, sample_flag};
 pub use service::{Service, WakeEvent, service_name};

@@ -19,6 +19,16 @@ pub enum Service {
     Ticks,
     /// Publish-subscribe, slices of bytes, header [`crate::StateHeader`]: keyframes.
     State,
+    /// Publish-subscribe with history, words of 8 bytes, header [`crate::QueriesHeader`]: records of
+    /// questions and answers.
+    Queries,
+    /// Request-response, slices of `f64` with header [`crate::QueryHeader`], words of 8 bytes with
+    /// header [`crate::AnswerHeader`]: questions about plans.
+    Ask,
+    /// Event: clients wake the thread that answers.
+    Asked,
+    /// Event: the thread that answers wakes a client.
+    Answered,
     /// Event: sources wake the worker.
     Arrivals,
     /// Event: the worker wakes planners.
@@ -27,7 +37,7 @@ pub enum Service {
 
 impl Service {
     /// All services.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 13] = [
         Self::Samples,
         Self::Forecasts,
         Self::Diagnostics,
@@ -35,6 +45,10 @@ impl Service {
         Self::PlanStates,
         Self::Ticks,
         Self::State,
+        Self::Queries,
+        Self::Ask,
+        Self::Asked,
+        Self::Answered,
         Self::Arrivals,
         Self::Wake,
     ];
@@ -50,6 +64,10 @@ impl Service {
             Self::PlanStates => "plan_states",
             Self::Ticks => "ticks",
             Self::State => "state",
+            Self::Queries => "queries",
+            Self::Ask => "ask",
+            Self::Asked => "asked",
+            Self::Answered => "answered",
             Self::Arrivals => "arrivals",
             Self::Wake => "wake",
         }

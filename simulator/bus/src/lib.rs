@@ -26,8 +26,9 @@ pub use liveness::peer_watch::PeerWatch;
 pub use liveness::worker_lock::WorkerLock;
 pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, IncomingFrame, Loan, PlanStateReader, PlanStateWriter, Reader, SampleReader, SampleTap,
-    SampleWriter, StateReader, StateWriter, Taken, TickReader, TickWriter, Writer, taken_frames,
+    Frame, IncomingFrame, Loan, PlanStateReader, PlanStateWriter, QueriesReader, Reader,
+    SampleReader, SampleTap, SampleWriter, StateReader, StateWriter, Taken, TickReader, TickWriter,
+    Writer, taken_frames,
 };
 pub use queues::{begin, remove_process, size};
 pub use wait::{Waiter, Waker};

@@ -7,8 +7,8 @@ use std::rc::Rc;
 use joulebus_simulated_host as host;
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Payload,
-    PlanState, PlanStateHeader, Sample, SampleHeader, Service, StateHeader, TakenFrame, TickHeader,
-    WakeEvent,
+    PlanState, PlanStateHeader, QueriesHeader, Sample, SampleHeader, Service, StateHeader,
+    TakenFrame, TickHeader, WakeEvent,
 };
 
 use crate::limits::Shape;
@@ -41,6 +41,8 @@ pub type DiagnosticReader = Reader<DiagnosticHeader, Diagnostic>;
 pub type BudgetReader = Reader<BudgetHeader, Budget>;
 /// A recorder's port for keyframes.
 pub type StateReader = Reader<StateHeader, u8>;
+/// A recorder's port for records of questions.
+pub type QueriesReader = Reader<QueriesHeader, u64>;
 /// A recorder's port for samples.
 pub type SampleTap = Reader<SampleHeader, Sample>;
 /// A recorder's port for the worker's journal.
@@ -609,6 +611,10 @@ opens! {
     /// A recorder's port for keyframes.
     state_reader -> StateReader: |bus, limits: &Limits| {
         Reader::open(bus, Service::State, limits.state())
+    };
+    /// A recorder's port for records of questions.
+    queries_reader -> QueriesReader: |bus, limits: &Limits| {
+        Reader::open(bus, Service::Queries, limits.queries())
     };
     /// Waits for samples.
     arrivals_waiter -> Waiter: |bus, _: &Limits| Waiter::open(bus, Service::Arrivals);

@@ -94,7 +94,7 @@ impl WorkerPorts {
 
 /// Process that created a port: a port id of iceoryx2 contains seconds, nanoseconds, pid and a
 /// counter of 32 bits each.
-fn process_of(port: u128) -> u32 {
+pub(crate) fn process_of(port: u128) -> u32 {
     let bytes = port.to_ne_bytes();
     u32::from_ne_bytes([bytes[8], bytes[9], bytes[10], bytes[11]])
 }

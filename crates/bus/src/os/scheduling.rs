@@ -7,7 +7,7 @@ use std::io;
 use std::num::NonZeroU64;
 
 use rustix::mm::{MlockAllFlags, mlockall};
-use rustix::process::{Resource, getrlimit};
+use rustix::process::{Resource, getrlimit, setpriority_process};
 use rustix::thread::{CapabilitySet, CpuSet, capabilities, sched_getaffinity, sched_setaffinity};
 
 /// Requested scheduling of the tick's threads. The default requests nothing.
@@ -274,6 +274,15 @@ fn lock_memory() -> Result<(), SchedulingError> {
 /// The system refuses; the timer slack is unchanged.
 pub fn set_timer_slack() -> io::Result<()> {
     rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).map_err(Into::into)
+}
+
+/// Sets the calling thread's nice value, 0 to 19: above 0 it yields the processor to others.
+///
+/// # Errors
+/// The system refuses; the value is unchanged.
+pub fn lower_priority(nice: u8) -> io::Result<()> {
+    // On Linux this is a property of threads: of the calling one.
+    setpriority_process(None, nice.into()).map_err(Into::into)
 }
 
 fn allowed_cpus() -> Vec<usize> {

@@ -1,6 +1,7 @@
 //! Ports: the payload of each service, and how a member opens it.
 
 mod degradation;
+mod query;
 mod reader;
 mod repair;
 mod samples;
@@ -10,9 +11,11 @@ mod writer;
 
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, Sample, SampleHeader, Service, StateHeader, TakenFrame, TickHeader,
+    PlanStateHeader, QueriesHeader, RECORD_WORDS, Sample, SampleHeader, Service, StateHeader,
+    TakenFrame, TickHeader,
 };
 
+pub use self::query::{OpenQuery, QueryClient, QueryError, QueryServer};
 pub use self::reader::{Frame, Reader, ReceiveError};
 pub use self::samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
 pub use self::service::OpenError;
@@ -42,6 +45,10 @@ pub type PlanStateReader = Reader<PlanStateHeader, PlanState>;
 pub type StateWriter = Writer<StateHeader, u8>;
 /// A recorder's port for keyframes.
 pub type StateReader = Reader<StateHeader, u8>;
+/// The worker's port for records of questions.
+pub type QueriesWriter = Writer<QueriesHeader, u64>;
+/// A recorder's port for records of questions.
+pub type QueriesReader = Reader<QueriesHeader, u64>;
 /// A recorder's port for samples: reads the same frames as the worker.
 pub type SampleTap = Reader<SampleHeader, Sample>;
 /// A recorder's port for the worker's journal.
@@ -178,6 +185,39 @@ impl Bus {
     /// [`OpenError`].
     pub fn state_reader(&self, limits: &Limits) -> Result<StateReader, OpenError> {
         Reader::open(self, Service::State, limits, limits.state())
+    }
+
+    /// The worker's port for records of questions; a frame holds [`RECORD_WORDS`] words.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn queries_writer(&self, limits: &Limits) -> Result<QueriesWriter, OpenError> {
+        let shape = limits.queries();
+        Writer::open(self, Service::Queries, limits, shape, RECORD_WORDS)
+    }
+
+    /// A recorder's port for records of questions; the newest frame is delivered at once.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn queries_reader(&self, limits: &Limits) -> Result<QueriesReader, OpenError> {
+        Reader::open(self, Service::Queries, limits, limits.queries())
+    }
+
+    /// The worker's port for questions.
+    ///
+    /// # Errors
+    /// [`OpenError`]: among others, there is one already.
+    pub fn query_server(&self, limits: &Limits) -> Result<QueryServer, OpenError> {
+        QueryServer::open(self, limits)
+    }
+
+    /// A client's port for questions.
+    ///
+    /// # Errors
+    /// [`OpenError`]: among others, there are as many as planners are allowed, or 16.
+    pub fn query_client(&self, limits: &Limits) -> Result<QueryClient, OpenError> {
+        QueryClient::open(self, limits)
     }
 
     /// Waits for samples: the worker.

@@ -10,16 +10,20 @@ use iceoryx2::service::builder::event::{EventCreateError, EventOpenError, EventO
 use iceoryx2::service::builder::publish_subscribe::{
     PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
 };
+use iceoryx2::service::builder::request_response::{
+    RequestResponseCreateError, RequestResponseOpenError, RequestResponseOpenOrCreateError,
+};
 use iceoryx2::service::port_factory::PortFactory as PortFactoryOfAny;
 use iceoryx2::service::port_factory::event::PortFactory as EventFactory;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use joulebus_wire::{Payload, Service, WakeEvent, service_name};
+use iceoryx2::service::port_factory::request_response::PortFactory as RequestResponseFactory;
+use joulebus_wire::{AnswerHeader, Payload, QueryHeader, Service, WakeEvent, service_name};
 
 use crate::cleanup::dead_nodes::remove_dead_nodes;
 use crate::cleanup::incomplete::{remove_abandoned_service, remove_incomplete};
 use crate::cleanup::objects::named;
 use crate::ipc::Ipc;
-use crate::limits::Shape;
+use crate::limits::{ACTIVE_QUERIES, Shape};
 use crate::liveness::presence::Need;
 use crate::preflight::{PORT_BYTES, check_left};
 use crate::reserved::take_shortage;
@@ -98,6 +102,44 @@ pub(super) fn open_event(
     })
 }
 
+/// The service of questions.
+pub(super) type QueryFactory = RequestResponseFactory<Ipc, [f64], QueryHeader, [u64], AnswerHeader>;
+
+pub(super) fn open_queries(bus: &Bus, limits: &Limits) -> Result<QueryFactory, OpenError> {
+    bus.member.presence.look()?;
+    // Of an earlier attempt.
+    let _ = take_shortage();
+    let name = name(bus, Service::Ask)?;
+    let open = || {
+        bus.node
+            .service_builder(&name)
+            .request_response::<[f64], [u64]>()
+            .request_user_header::<QueryHeader>()
+            .response_user_header::<AnswerHeader>()
+            .max_servers(1)
+            .max_clients(limits.query_clients())
+            .max_nodes(limits.nodes())
+            .max_active_requests_per_client(ACTIVE_QUERIES)
+            .max_loaned_requests(1)
+            .max_response_buffer_size(1)
+            .max_borrowed_responses_per_pending_response(1)
+            .enable_safe_overflow_for_requests(false)
+            .enable_safe_overflow_for_responses(false)
+            .enable_fire_and_forget_requests(false)
+            .open_or_create_with_attributes(&verifier(limits))
+    };
+    retry(bus, &name, open, is_transient_query).map_err(|reason| {
+        let differs = matches!(
+            reason,
+            RequestResponseOpenOrCreateError::RequestResponseOpenError(
+                RequestResponseOpenError::IncompatibleAttributes
+            )
+        );
+        let pattern = MessagingPattern::RequestResponse;
+        refused(bus, Service::Ask, limits, pattern, differs, reason)
+    })
+}
+
 /// Opens a service. Errors caused by a process killed while it created or left the service are
 /// transient: cleaning up and retrying resolves them.
 fn retry<S, E: Debug>(
@@ -172,6 +214,31 @@ const fn is_transient_event(error: &EventOpenOrCreateError) -> bool {
             )
             | Error::EventCreateError(
                 Create::IsBeingCreatedByAnotherInstance
+                    | Create::AlreadyExists
+                    | Create::ServiceInCorruptedState
+                    | Create::Interrupt
+            )
+    )
+}
+
+const fn is_transient_query(error: &RequestResponseOpenOrCreateError) -> bool {
+    use RequestResponseCreateError as Create;
+    use RequestResponseOpenError as Open;
+    use RequestResponseOpenOrCreateError as Error;
+    matches!(
+        error,
+        Error::SystemInFlux
+            | Error::RequestResponseOpenError(
+                Open::HangsInCreation
+                    | Open::IsMarkedForDestruction
+                    | Open::DoesNotExist
+                    | Open::ServiceInCorruptedState
+                    | Open::ExceedsMaxNumberOfNodes
+                    | Open::Interrupt
+            )
+            | Error::RequestResponseCreateError(
+                Create::HangsInCreation
+                    | Create::IsBeingCreatedByAnotherInstance
                     | Create::AlreadyExists
                     | Create::ServiceInCorruptedState
                     | Create::Interrupt

@@ -8,7 +8,7 @@ use std::rc::Rc;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::prelude::{EventId, FileDescriptorBased};
+use iceoryx2::prelude::{CallbackProgression, EventId, FileDescriptorBased};
 use joulebus_wire::{Service, WakeEvent};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
@@ -62,6 +62,24 @@ impl Waker {
             .map_err(|reason| WaitError::Notify {
                 reason: reason.to_string(),
             })
+    }
+
+    /// Wakes the waiter of this id ([`Waiter::id`]), if there is one.
+    ///
+    /// # Errors
+    /// [`WaitError::Notify`].
+    pub(super) fn wake_one(&self, waiter: u128, event: WakeEvent) -> Result<(), WaitError> {
+        let mut woken = Ok(());
+        self.notifier.for_each_listener(|one, listener| {
+            if listener.listener_id.value() != waiter {
+                return CallbackProgression::Continue;
+            }
+            woken = one.notify_with_custom_event_id(EventId::new(event.id()));
+            CallbackProgression::Stop
+        });
+        woken.map_err(|reason| WaitError::Notify {
+            reason: reason.to_string(),
+        })
     }
 }
 
@@ -160,6 +178,11 @@ impl Waiter {
             interrupted,
             ..self.drain()?
         })
+    }
+
+    /// Id by which a [`Waker`] finds it.
+    pub(super) fn id(&self) -> u128 {
+        self.listener.id().value()
     }
 
     /// Reads all pending events, so that the descriptor is no longer readable.

@@ -266,13 +266,13 @@ impl SendError {
         matches!(self, Self::Removed(_) | Self::Wake(WaitError::Removed(_)))
     }
 
-    fn loan(reason: LoanError) -> Self {
+    pub(super) fn loan(reason: LoanError) -> Self {
         Self::Loan {
             reason: reason.to_string(),
         }
     }
 
-    fn send(reason: iceoryx2::port::SendError) -> Self {
+    pub(super) fn send(reason: iceoryx2::port::SendError) -> Self {
         Self::Send {
             reason: reason.to_string(),
         }

@@ -44,6 +44,14 @@ fn ns(field: &'static str, time: &Option<Timestamp>) -> Result<u64, OutOfRange> 
     })
 }
 
+pub(super) fn to_proto<'a, W: 'a, P: From<&'a W>>(rows: &'a [W]) -> Vec<P> {
+    rows.iter().map(Into::into).collect()
+}
+
+pub(super) fn from_proto<'a, P: 'a, W: TryFrom<&'a P>>(rows: &'a [P]) -> Result<Vec<W>, W::Error> {
+    rows.iter().map(TryInto::try_into).collect()
+}
+
 /// Both directions between a payload or header in shared memory and its message, field by field:
 /// `same` type on both sides; `float`, which another program may have omitted; `narrow`, 16 bits in
 /// shared memory; `code`, an enumeration; and one `with` conversion functions. The message of a
@@ -142,6 +150,23 @@ convert! { PlanState <=> PlanState {
     with command_j = command_j by each, each_of;
     with time_s = time_s by each, each_of;
     with error_factor = error_factor by each, each_of;
+} }
+
+convert! { QueryHeader <=> Question of values {
+    same:
+        schema, kind, fleet, number, asked_ns, deadline_ns, listener_lo, listener_hi, flags, robots,
+        candidates, steps, reserved;
+    float:
+        coverage, period_s, duration_s, return_x_m, return_y_m, heading_rad;
+} }
+
+convert! { AnswerRow <=> AnswerRow {
+    same:
+        robot, limiting_leg, age_ns, outside_training;
+    float:
+        duration_s, mean_j, lo_j, hi_j, left_j, left_lo_j, probability, margin_j, turn_back_s;
+    narrow:
+        flags, verdict, unknown, unknown_detail;
 } }
 
 convert! { TakenFrame <=> TakenFrame {

@@ -2,6 +2,7 @@
 
 mod convert;
 mod descriptors;
+mod query;
 #[rustfmt::skip]
 #[allow(dead_code, unreachable_pub, clippy::all, reason = "generated")]
 mod proto;
@@ -15,6 +16,8 @@ use joulebus_wire::{
 use prost::Message as _;
 
 pub use convert::OutOfRange;
+use convert::{from_proto, to_proto};
+pub use query::Query;
 
 /// Contents of a message.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,6 +36,8 @@ pub enum Message {
     Ticks(TickHeader, Vec<TakenFrame>),
     /// A piece of a keyframe.
     State(StateHeader, Vec<u8>),
+    /// A question about plans, and its answer.
+    Query(Query),
     /// One robot's sample, repeated for plots.
     RobotSample(Sample),
     /// One robot's forecast, repeated for plots.
@@ -67,6 +72,8 @@ pub enum MessageKind {
     Ticks,
     /// [`Message::State`].
     State,
+    /// [`Message::Query`].
+    Queries,
     /// [`Message::RobotSample`].
     RobotSample,
     /// [`Message::RobotForecast`].
@@ -79,7 +86,7 @@ pub enum MessageKind {
 
 impl MessageKind {
     /// All kinds; first those with one channel for the whole fleet.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Samples,
         Self::Forecasts,
         Self::Diagnostics,
@@ -87,6 +94,7 @@ impl MessageKind {
         Self::PlanStates,
         Self::Ticks,
         Self::State,
+        Self::Queries,
         Self::RobotSample,
         Self::RobotForecast,
         Self::RobotDiagnostic,
@@ -94,7 +102,7 @@ impl MessageKind {
     ];
 
     /// Kinds recorded with one channel per fleet.
-    pub const OF_FLEET: [Self; 7] = [
+    pub const OF_FLEET: [Self; 8] = [
         Self::Samples,
         Self::Forecasts,
         Self::Diagnostics,
@@ -102,6 +110,7 @@ impl MessageKind {
         Self::PlanStates,
         Self::Ticks,
         Self::State,
+        Self::Queries,
     ];
 
     /// The last component of the topic.
@@ -115,6 +124,7 @@ impl MessageKind {
             Self::PlanStates => "plan_states",
             Self::Ticks => "ticks",
             Self::State => "state",
+            Self::Queries => "queries",
             Self::RobotSample => "sample",
             Self::RobotForecast => "forecast",
             Self::RobotDiagnostic => "diagnostic",
@@ -133,6 +143,7 @@ impl MessageKind {
             Self::PlanStates => "joulebus.PlanStates",
             Self::Ticks => "joulebus.Ticks",
             Self::State => "joulebus.State",
+            Self::Queries => "joulebus.Query",
             Self::RobotSample => "joulebus.Sample",
             Self::RobotForecast => "joulebus.Forecast",
             Self::RobotDiagnostic => "joulebus.Diagnostic",
@@ -177,6 +188,7 @@ impl Message {
             Self::PlanStates(..) => MessageKind::PlanStates,
             Self::Ticks(..) => MessageKind::Ticks,
             Self::State(..) => MessageKind::State,
+            Self::Query(_) => MessageKind::Queries,
             Self::RobotSample(_) => MessageKind::RobotSample,
             Self::RobotForecast(_) => MessageKind::RobotForecast,
             Self::RobotDiagnostic(_) => MessageKind::RobotDiagnostic,
@@ -207,6 +219,7 @@ impl Message {
             Self::PlanStates(header, _) => Some(header.sent_ns),
             Self::Ticks(header, _) => Some(header.sent_ns),
             Self::State(header, _) => Some(header.sent_ns),
+            Self::Query(query) => Some(query.record.answer.sent_ns),
             _ => None,
         }
     }
@@ -250,6 +263,7 @@ impl Message {
                 ..header.into()
             }
             .encode(out),
+            Self::Query(query) => query.to_proto().encode(out),
             Self::RobotSample(row) => proto::Sample::from(row).encode(out),
             Self::RobotForecast(row) => proto::Forecast::from(row).encode(out),
             Self::RobotDiagnostic(row) => proto::Diagnostic::from(row).encode(out),
@@ -295,6 +309,7 @@ impl Message {
                 let read: proto::State = parse(data)?;
                 Self::State((&read).try_into()?, read.bytes)
             }
+            MessageKind::Queries => Self::Query(Query::of_proto(parse(data)?)?),
             MessageKind::RobotSample => {
                 Self::RobotSample((&parse::<proto::Sample>(data)?).try_into()?)
             }
@@ -315,14 +330,6 @@ fn parse<P: prost::Message + Default>(data: &[u8]) -> Result<P, DecodeError> {
     P::decode(data).map_err(|error| DecodeError::Protobuf {
         reason: error.to_string(),
     })
-}
-
-fn to_proto<'a, W: 'a, P: From<&'a W>>(rows: &'a [W]) -> Vec<P> {
-    rows.iter().map(Into::into).collect()
-}
-
-fn from_proto<'a, P: 'a, W: TryFrom<&'a P>>(rows: &'a [P]) -> Result<Vec<W>, W::Error> {
-    rows.iter().map(TryInto::try_into).collect()
 }
 
 /// Errors of decoding a message.

@@ -825,6 +825,203 @@ pub struct PlanStates {
 }
 // Fields that end in _ns are nanoseconds. A value that is not present is NaN, and its flag is 0.
 
+/// A question about plans that the worker was asked, and its answer.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct Query {
+    /// When the worker began to answer, monotonic ns: the run that the number counts in.
+    #[prost(fixed64, tag = "1")]
+    pub begun_ns: u64,
+    /// Number of the question, from 1, in the order of the answers.
+    #[prost(uint64, tag = "2")]
+    pub number: u64,
+    /// Pid of the process that asked.
+    #[prost(uint32, tag = "3")]
+    pub client: u32,
+    /// What was asked.
+    #[prost(message, optional, tag = "4")]
+    pub question: ::core::option::Option<Question>,
+    /// What was answered.
+    #[prost(message, optional, tag = "5")]
+    pub answer: ::core::option::Option<Answer>,
+}
+/// What was asked.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct Question {
+    /// Version of the payloads in shared memory.
+    #[prost(uint32, tag = "1")]
+    pub schema: u32,
+    /// 1 sequences of commands, 2 a time at rest, 3 a path.
+    #[prost(uint32, tag = "2")]
+    pub kind: u32,
+    /// FNV-1a hash of the fleet's name.
+    #[prost(fixed64, tag = "3")]
+    pub fleet: u64,
+    /// The client's number.
+    #[prost(uint64, tag = "4")]
+    pub number: u64,
+    /// When it was asked, monotonic ns.
+    #[prost(fixed64, tag = "5")]
+    pub asked_ns: u64,
+    /// When the client stops waiting, monotonic ns.
+    #[prost(fixed64, tag = "6")]
+    pub deadline_ns: u64,
+    /// Lower half of the id of the client's listener.
+    #[prost(fixed64, tag = "7")]
+    pub listener_lo: u64,
+    /// Upper half.
+    #[prost(fixed64, tag = "8")]
+    pub listener_hi: u64,
+    /// Bits: 1 return, 2 heading stated, 4 power wanted.
+    #[prost(uint32, tag = "9")]
+    pub flags: u32,
+    /// Number of robots.
+    #[prost(uint32, tag = "10")]
+    pub robots: u32,
+    /// Number of candidates.
+    #[prost(uint32, tag = "11")]
+    pub candidates: u32,
+    /// Steps of each candidate, or points of the path.
+    #[prost(uint32, tag = "12")]
+    pub steps: u32,
+    /// Coverage of the intervals.
+    #[prost(float, optional, tag = "13")]
+    pub coverage: ::core::option::Option<f32>,
+    /// Time that each command is in force, s.
+    #[prost(float, optional, tag = "14")]
+    pub period_s: ::core::option::Option<f32>,
+    /// Time at rest, s.
+    #[prost(float, optional, tag = "15")]
+    pub duration_s: ::core::option::Option<f32>,
+    /// 0.
+    #[prost(uint32, tag = "16")]
+    pub reserved: u32,
+    /// Where to return to, m.
+    #[prost(double, optional, tag = "17")]
+    pub return_x_m: ::core::option::Option<f64>,
+    /// Where to return to, m.
+    #[prost(double, optional, tag = "18")]
+    pub return_y_m: ::core::option::Option<f64>,
+    /// Heading at the first point, rad.
+    #[prost(double, optional, tag = "19")]
+    pub heading_rad: ::core::option::Option<f64>,
+    /// Ids of the robots, then the commands (v, omega) or points (x, y, speed).
+    #[prost(double, repeated, tag = "20")]
+    pub values: ::prost::alloc::vec::Vec<f64>,
+}
+/// What was answered.
+#[derive(Clone, PartialEq, ::prost::Message)]
+pub struct Answer {
+    /// Version of the payloads in shared memory.
+    #[prost(uint32, tag = "1")]
+    pub schema: u32,
+    /// Pid of the worker.
+    #[prost(uint32, tag = "2")]
+    pub pid: u32,
+    /// The client's number.
+    #[prost(uint64, tag = "3")]
+    pub number: u64,
+    /// Run of the worker that the plan states are of.
+    #[prost(fixed64, tag = "4")]
+    pub worker_epoch: u64,
+    /// Tick of the plan states that the answer is computed from; 0 if it was refused before.
+    #[prost(uint64, tag = "5")]
+    pub tick: u64,
+    /// Period of the tick, ns.
+    #[prost(uint64, tag = "6")]
+    pub period_ns: u64,
+    /// When that frame was sent, monotonic ns.
+    #[prost(fixed64, tag = "7")]
+    pub sent_state_ns: u64,
+    /// Run of the worker that the budgets are of.
+    #[prost(fixed64, tag = "8")]
+    pub budget_epoch: u64,
+    /// Tick of the budgets; 0 without any.
+    #[prost(uint64, tag = "9")]
+    pub budget_tick: u64,
+    /// When that frame was sent, monotonic ns.
+    #[prost(fixed64, tag = "10")]
+    pub sent_budget_ns: u64,
+    /// The time that the answer is as of, monotonic ns.
+    #[prost(fixed64, tag = "11")]
+    pub now_ns: u64,
+    /// When the worker took the question, monotonic ns.
+    #[prost(fixed64, tag = "12")]
+    pub taken_ns: u64,
+    /// When the answer was sent, monotonic ns.
+    #[prost(fixed64, tag = "13")]
+    pub sent_ns: u64,
+    /// Why it was refused: 1 Schema, 2 Fleet, 3 Kind, 4 TooLarge, 5 Length, 6 UnknownRobot, 7 Question,
+    /// 8 Deadline, 9 NoFrame, 10 Busy, 11 Ending, 12 ClientGone, 13 Unsent; 0 if it was answered.
+    #[prost(uint32, tag = "14")]
+    pub refusal: u32,
+    /// Why, in words.
+    #[prost(string, tag = "15")]
+    pub text: ::prost::alloc::string::String,
+    /// Of each candidate or robot.
+    #[prost(message, repeated, tag = "16")]
+    pub rows: ::prost::alloc::vec::Vec<AnswerRow>,
+    /// Power of every step, W, if it was asked for.
+    #[prost(float, repeated, tag = "17")]
+    pub power_w: ::prost::alloc::vec::Vec<f32>,
+}
+/// The answer to one candidate, or of one robot.
+#[derive(Clone, Copy, PartialEq, ::prost::Message)]
+pub struct AnswerRow {
+    /// Id of the robot.
+    #[prost(uint32, tag = "1")]
+    pub robot: u32,
+    /// Which of the values are known, and what weakens the answer: bits of joulebus_wire::answer_flag.
+    #[prost(uint32, tag = "2")]
+    pub flags: u32,
+    /// 1 yes, 2 tight, 3 no, 4 unknown.
+    #[prost(uint32, tag = "3")]
+    pub verdict: u32,
+    /// Why it is unknown: 1 stale, 2 invalid, 3 warm-up, 4 unreadable, 5 no level, 6 no battery,
+    /// 7 battery unknown, 8 no budget.
+    #[prost(uint32, tag = "4")]
+    pub unknown: u32,
+    /// Reason of an invalid robot, or readings so far in the warm-up.
+    #[prost(uint32, tag = "5")]
+    pub unknown_detail: u32,
+    /// The first leg at whose end a yes does not hold, from 0.
+    #[prost(uint32, tag = "6")]
+    pub limiting_leg: u32,
+    /// Age of the frame where it is stale, ns.
+    #[prost(uint64, tag = "7")]
+    pub age_ns: u64,
+    /// From the first command to the end of the last, s.
+    #[prost(float, optional, tag = "8")]
+    pub duration_s: ::core::option::Option<f32>,
+    /// Energy of the plan, expected, J.
+    #[prost(float, optional, tag = "9")]
+    pub mean_j: ::core::option::Option<f32>,
+    /// Lower end at the asked coverage, J.
+    #[prost(float, optional, tag = "10")]
+    pub lo_j: ::core::option::Option<f32>,
+    /// Upper end, J.
+    #[prost(float, optional, tag = "11")]
+    pub hi_j: ::core::option::Option<f32>,
+    /// Energy left in the battery at the end, best estimate, J.
+    #[prost(float, optional, tag = "12")]
+    pub left_j: ::core::option::Option<f32>,
+    /// Conservative, J.
+    #[prost(float, optional, tag = "13")]
+    pub left_lo_j: ::core::option::Option<f32>,
+    /// Probability of finishing above the reserve.
+    #[prost(float, optional, tag = "14")]
+    pub probability: ::core::option::Option<f32>,
+    /// What the battery can spare at least, less the upper end of the energy, J.
+    #[prost(float, optional, tag = "15")]
+    pub margin_j: ::core::option::Option<f32>,
+    /// Until when the robot can turn back, s.
+    #[prost(float, optional, tag = "16")]
+    pub turn_back_s: ::core::option::Option<f32>,
+    /// Steps whose commands lie outside the training data.
+    #[prost(uint32, tag = "17")]
+    pub outside_training: u32,
+}
+// Fields that end in _ns are nanoseconds. A value that is not present is NaN, and its flag is 0.
+
 /// One robot's command and latest reading in one control tick.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct Sample {

@@ -5,14 +5,14 @@ use std::time::Duration;
 
 use joulebus_bus::{
     BudgetReader, Bus, DiagnosticReader, ForecastReader, JoinError, OpenError, PlanStateReader,
-    Reader, ReceiveError, SampleTap, StateReader, Steps, TickReader, clock,
+    QueriesReader, Reader, ReceiveError, SampleTap, StateReader, Steps, TickReader, clock,
 };
 use joulebus_config::Config;
-use joulebus_wire::Payload;
+use joulebus_wire::{Payload, records};
 
 use super::item::Item;
 use super::shared::Shared;
-use crate::{Clock, Message, MessageKind, Times};
+use crate::{Clock, Message, MessageKind, Query, Times};
 
 /// Maximum interval between two drains.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
@@ -44,6 +44,7 @@ pub(crate) struct Drain {
     plan_states: Option<PlanStateReader>,
     ticks: Option<TickReader>,
     state: Option<StateReader>,
+    queries: Option<QueriesReader>,
     bus: Bus,
     shared: Arc<Shared>,
     fleet: Arc<str>,
@@ -89,6 +90,9 @@ impl Drain {
             state: wanted(MessageKind::State)
                 .then(|| bus.state_reader(&limits))
                 .transpose()?,
+            queries: wanted(MessageKind::Queries)
+                .then(|| bus.queries_reader(&limits))
+                .transpose()?,
             bus,
             shared,
             fleet: Arc::from(config.fleet()),
@@ -128,6 +132,7 @@ impl Drain {
     /// that it took are received as well. A failing service does not block the others.
     fn take_all(&mut self) -> Result<(), ReceiveError> {
         let batch = &mut self.batch;
+        let queries = take_queries(&mut self.queries, batch);
         let state = take_all(&mut self.state, batch, Message::State);
         let ticks = take_all(&mut self.ticks, batch, Message::Ticks);
         let plan_states = take_all(&mut self.plan_states, batch, Message::PlanStates);
@@ -135,7 +140,8 @@ impl Drain {
         let diagnostics = take_all(&mut self.diagnostics, batch, Message::Diagnostics);
         let forecasts = take_all(&mut self.forecasts, batch, Message::Forecasts);
         let samples = take_all(&mut self.samples, batch, Message::Samples);
-        state
+        queries
+            .and(state)
             .and(ticks)
             .and(plan_states)
             .and(budgets)
@@ -176,6 +182,19 @@ fn take_all<H: Payload, T: Payload>(
         return Ok(());
     };
     reader.take_all(|header, rows| batch.push(message(*header, rows.to_vec())))
+}
+
+/// Receives the records of all waiting frames, if there is a reader.
+fn take_queries(
+    reader: &mut Option<QueriesReader>,
+    batch: &mut Vec<Message>,
+) -> Result<(), ReceiveError> {
+    let Some(reader) = reader else {
+        return Ok(());
+    };
+    reader.take_all(|_, words| {
+        batch.extend(records(words).map(|record| Message::Query(Query::of_record(record))));
+    })
 }
 
 /// Causes are sorted before effects: samples first, then tick by tick. Otherwise messages stay in

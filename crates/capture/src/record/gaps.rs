@@ -127,6 +127,10 @@ impl Gaps {
             Message::Ticks(header, _) => {
                 (MessageKind::Ticks, 0, header.worker_epoch, header.tick, 1)
             }
+            Message::Query(query) => {
+                let record = &query.record;
+                (MessageKind::Queries, 0, record.begun_ns, record.number, 1)
+            }
             // Pieces of a keyframe state their completeness themselves.
             _ => return 0,
         };

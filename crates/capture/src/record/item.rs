@@ -28,6 +28,12 @@ impl Item {
             Message::PlanStates(_, rows) => size_of_val(rows.as_slice()),
             Message::Ticks(_, rows) => size_of_val(rows.as_slice()),
             Message::State(_, bytes) => bytes.len(),
+            Message::Query(query) => {
+                size_of_val(query.values.as_slice())
+                    + size_of_val(query.rows.as_slice())
+                    + size_of_val(query.power_w.as_slice())
+                    + query.text.len()
+            }
             _ => 0,
         };
         size_of::<Self>() + rows

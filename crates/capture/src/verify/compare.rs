@@ -4,7 +4,8 @@ use std::fmt;
 
 use bytemuck::bytes_of;
 use joulebus_wire::{
-    Budget, Diagnostic, DropReason, Forecast, ForecastHeader, PlanState, PlanStateHeader,
+    AnswerHeader, AnswerRow, Budget, Diagnostic, DropReason, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader,
 };
 
 /// Interpretation of a field's bits.
@@ -168,6 +169,30 @@ pub(super) fn plan_states(
         "error_factor",
         &recorded.error_factor,
         &computed.error_factor,
+    );
+}
+
+/// Fields in which two headers of answers differ that follow from the question.
+pub(super) fn answers(
+    recorded: &AnswerHeader,
+    computed: &AnswerHeader,
+    mut differs: impl FnMut(FieldDifference),
+) {
+    each_difference!(recorded, computed, differs: refusal, rows, powers);
+}
+
+/// Fields in which two rows of answers differ.
+pub(super) fn answer_rows(
+    recorded: &AnswerRow,
+    computed: &AnswerRow,
+    mut differs: impl FnMut(FieldDifference),
+) {
+    if bytes_of(recorded) == bytes_of(computed) {
+        return;
+    }
+    each_difference!(recorded, computed, differs:
+        robot, flags, verdict, unknown, unknown_detail, limiting_leg, age_ns, duration_s, mean_j,
+        lo_j, hi_j, left_j, left_lo_j, probability, margin_j, turn_back_s, outside_training
     );
 }
 

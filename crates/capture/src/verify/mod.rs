@@ -7,6 +7,7 @@
 
 mod assemble;
 mod compare;
+mod queries;
 mod report;
 mod what_if;
 
@@ -17,9 +18,10 @@ use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{ForecastHeader, PlanStateHeader, TakenFrame, TickHeader, tick_flag};
 
-use crate::{Entry, MessageKind};
+use crate::{Entry, Message, MessageKind};
 use assemble::{Assembler, Event, SampleFrame, TickParts};
 use compare::FieldDifference;
+use queries::Queries;
 
 pub use compare::Value;
 pub use report::{Difference, Loss, Verification};
@@ -43,6 +45,7 @@ pub struct Verifier {
     waiting_bytes: usize,
     keyframes: BTreeMap<(u64, u64), Vec<u8>>,
     sequences: BTreeMap<String, u32>,
+    queries: Queries,
     report: Verification,
 }
 
@@ -59,7 +62,9 @@ impl Verifier {
     /// # Errors
     /// As [`Fleet::new`].
     pub fn new(settings: FleetSettings, models: Vec<Model>) -> Result<Self, SettingsError> {
+        let queries = Queries::new(&settings, &models);
         Ok(Self {
+            queries,
             fleet: Fleet::new(settings, models)?,
             at: None,
             assembler: Assembler::default(),
@@ -74,7 +79,10 @@ impl Verifier {
     /// Takes the next message of the fleet's channels; of split files in their order.
     pub fn push(&mut self, entry: Entry) {
         self.count(&entry);
-        self.assembler.push(entry.message);
+        match entry.message {
+            Message::Query(query) => self.queries.take(query, &entry.fleet, &mut self.report),
+            message => self.assembler.push(message),
+        }
         self.work();
     }
 
@@ -84,6 +92,7 @@ impl Verifier {
         self.assembler.finish();
         self.work();
         self.give_up_waiting();
+        self.queries.finish(&mut self.report);
         self.report.broken_keyframes = self.assembler.broken_keyframes;
         self.report.untaken_frames = self.assembler.untaken_frames();
         self.report.close();
@@ -304,6 +313,8 @@ impl Verifier {
         comparison.diagnostics(&self.fleet, &parts);
         comparison.budgets(&self.fleet, &parts);
         comparison.plan_states(&self.fleet, &header, &parts);
+        self.queries
+            .ticked(place, &self.fleet, plans, &mut self.report);
         let assembler = &self.assembler;
         for (kind, is_there) in [
             (MessageKind::Forecasts, parts.forecasts.is_some()),

@@ -50,6 +50,16 @@ pub struct Verification {
     pub not_recorded: Vec<&'static str>,
     /// Messages lost by the recorder, by gaps in their sequence numbers.
     pub messages_lost: u64,
+    /// Questions recorded.
+    pub queries: u64,
+    /// Questions whose answer was computed again.
+    pub queries_verified: u64,
+    /// Questions refused for reasons of time: a deadline, a client that ended, a worker that ended.
+    pub queries_by_time: u64,
+    /// Questions about ticks before the first or after the last that was computed.
+    pub queries_outside: u64,
+    /// Questions about a tick that could not be computed.
+    pub queries_unverified: u64,
     /// Keyframes found.
     pub keyframes: u64,
     /// Keyframes with a missing piece.
@@ -129,6 +139,7 @@ impl Verification {
         self.differences == 0
             && self.ticks_verified > 0
             && self.ticks_unverified == 0
+            && self.queries_unverified == 0
             && self.outputs_missing.is_empty()
             && self.messages_lost == 0
     }
@@ -294,6 +305,13 @@ impl fmt::Display for Verification {
             "{} ticks, {} robots, {} differences",
             self.ticks_verified, self.robots, self.differences
         )?;
+        if self.queries > 0 {
+            let (verified, all) = (self.queries_verified, self.queries);
+            writeln!(
+                out,
+                "{verified} of {all} answers about plans computed again"
+            )?;
+        }
         if let Some(first) = &self.first {
             writeln!(out, "first: {first}")?;
             for (field, count) in &self.differences_by_field {
@@ -303,6 +321,14 @@ impl fmt::Display for Verification {
         let unverified = self.ticks_unverified;
         for (count, what) in [
             (unverified, "ticks could not be verified"),
+            (
+                self.queries_unverified,
+                "answers about plans could not be verified: their ticks could not",
+            ),
+            (
+                self.queries_outside,
+                "answers about plans are of ticks outside the verified ones",
+            ),
             (self.messages_lost, "messages were lost by the recorder"),
             (self.broken_keyframes, "keyframes are incomplete"),
             (self.refused_keyframes, "keyframes were refused"),

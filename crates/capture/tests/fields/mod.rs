@@ -2,11 +2,11 @@
 //! causes a compile error here.
 #![allow(dead_code, reason = "each test uses a part")]
 
-use joulebus_capture::Message;
+use joulebus_capture::{Message, Query};
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, DropCounts, Forecast, ForecastHeader,
-    LISTED_MODELS, PlanState, PlanStateHeader, Refusal, Sample, SampleHeader, StateHeader,
-    TakenFrame, TickHeader,
+    AnswerHeader, AnswerRow, Budget, BudgetHeader, Diagnostic, DiagnosticHeader, DropCounts,
+    Forecast, ForecastHeader, LISTED_MODELS, PlanState, PlanStateHeader, QueryHeader, QueryRecord,
+    Refusal, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 
 /// Arbitrary bits, often special values: zeros, ones, -0, infinities, NaNs with and without sign.
@@ -498,6 +498,92 @@ pub(crate) fn plan_state_header(bits: &mut Bits) -> PlanStateHeader {
     }
 }
 
+fn query(bits: &mut Bits) -> Query {
+    let record = QueryRecord {
+        begun_ns: bits.u64(),
+        number: bits.u64(),
+        client: bits.u32(),
+        values: 0,
+        words: 0,
+        reserved: 0,
+        query: QueryHeader {
+            schema: bits.u32(),
+            kind: bits.u32(),
+            fleet: bits.u64(),
+            number: bits.u64(),
+            asked_ns: bits.u64(),
+            deadline_ns: bits.u64(),
+            listener_lo: bits.u64(),
+            listener_hi: bits.u64(),
+            flags: bits.u32(),
+            robots: bits.u32(),
+            candidates: bits.u32(),
+            steps: bits.u32(),
+            coverage: bits.f32(),
+            period_s: bits.f32(),
+            duration_s: bits.f32(),
+            reserved: bits.u32(),
+            return_x_m: bits.f64(),
+            return_y_m: bits.f64(),
+            heading_rad: bits.f64(),
+        },
+        answer: AnswerHeader {
+            schema: bits.u32(),
+            pid: bits.u32(),
+            number: bits.u64(),
+            worker_epoch: bits.u64(),
+            tick: bits.u64(),
+            period_ns: bits.u64(),
+            sent_state_ns: bits.u64(),
+            budget_epoch: bits.u64(),
+            budget_tick: bits.u64(),
+            sent_budget_ns: bits.u64(),
+            now_ns: bits.u64(),
+            taken_ns: bits.u64(),
+            sent_ns: bits.u64(),
+            refusal: bits.u32(),
+            rows: 0,
+            powers: 0,
+            text_bytes: 0,
+        },
+    };
+    let row = |bits: &mut Bits| AnswerRow {
+        robot: bits.u32(),
+        flags: bits.u16(),
+        verdict: bits.u16(),
+        unknown: bits.u16(),
+        unknown_detail: bits.u16(),
+        limiting_leg: bits.u32(),
+        age_ns: bits.u64(),
+        duration_s: bits.f32(),
+        mean_j: bits.f32(),
+        lo_j: bits.f32(),
+        hi_j: bits.f32(),
+        left_j: bits.f32(),
+        left_lo_j: bits.f32(),
+        probability: bits.f32(),
+        margin_j: bits.f32(),
+        turn_back_s: bits.f32(),
+        outside_training: bits.u32(),
+    };
+    let query = Query {
+        record,
+        values: bits.rows(Bits::f64),
+        rows: bits.rows(row),
+        power_w: bits.rows(Bits::f32),
+        text: "ω ".repeat(bits.u16() as usize % 5),
+    };
+    query.counted()
+}
+
+/// All words of plain payloads.
+fn words(bytes: &[u8]) -> Fields {
+    bytes
+        .iter()
+        .map(|byte| ("byte", u64::from(*byte)))
+        .collect()
+}
+
 /// One message of each kind, with arbitrary bits.
 pub(crate) fn messages(bits: &mut Bits) -> Vec<Message> {
     vec![
@@ -508,6 +594,7 @@ pub(crate) fn messages(bits: &mut Bits) -> Vec<Message> {
         Message::PlanStates(plan_state_header(bits), bits.rows(plan_state)),
         Message::Ticks(tick_header(bits), bits.rows(taken_frame)),
         Message::State(state_header(bits), bits.rows(|bits| bits.u16() as u8)),
+        Message::Query(query(bits)),
         Message::RobotSample(sample(bits)),
         Message::RobotForecast(forecast(bits)),
         Message::RobotDiagnostic(diagnostic(bits)),
@@ -551,6 +638,15 @@ pub(crate) fn all_bits(message: &Message) -> Vec<u64> {
                     .iter()
                     .map(|byte| ("byte", u64::from(*byte)))
                     .collect(),
+            ],
+        ),
+        Message::Query(query) => (
+            words(bytemuck::bytes_of(&query.record)),
+            vec![
+                words(bytemuck::cast_slice(&query.values)),
+                words(bytemuck::cast_slice(&query.rows)),
+                words(bytemuck::cast_slice(&query.power_w)),
+                words(query.text.as_bytes()),
             ],
         ),
         Message::RobotSample(row) => (Vec::new(), vec![sample_fields(row)]),

@@ -1,4 +1,4 @@
-//! `joulebus ask`: what a plan costs, computed here from shared memory.
+//! `joulebus ask`: what a plan costs, computed here from shared memory, or by the worker.
 
 mod path_file;
 mod place;
@@ -7,17 +7,20 @@ mod report;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::Context as _;
 use clap::ArgGroup;
-use joulebus_plan::{Candidates, Planner, Ranked, Robot, Trip, View, rank};
+use joulebus_config::Config;
+use joulebus_plan::{
+    ClientError, MAX_STEPS, Plan, PlanClient, Planner, Question, QuestionError, Reply,
+};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
+use joulebus_wire::QueryRefusal;
 
 use place::{Place, ReturnTo};
 use report::{AnswerReport, Report};
 
-/// Timeout for a frame of the worker.
+/// Timeout for a frame of the worker, or its answer.
 const PATIENCE: Duration = Duration::from_secs(3);
 
 /// Ask what a plan of a robot costs, whether the robot makes it, and which robot does it for the least
@@ -30,16 +33,19 @@ const PATIENCE: Duration = Duration::from_secs(3);
     joulebus ask --robot 7 --path p.csv --return dock       and back to where the path begins\n  \
     joulebus ask --robot 7 --path p.csv --return 1.5,-0.2 --format json\n  \
     joulebus ask --rank 7,9,12 --path p.csv                 the cheapest first\n  \
-    joulebus ask --robot 7 --idle 60                        a minute at rest\n\n\
+    joulebus ask --robot 7 --idle 60                        a minute at rest\n  \
+    joulebus ask --robot 7 --path p.csv --through worker    computed by the worker\n\n\
     A path file is CSV with the columns x_m,y_m and, if wanted, speed_mps towards each point; the robot \
     is at the first point and looks at the second:\n\n    \
     x_m,y_m,speed_mps\n    0,0,\n    2,0,0.2\n    2,1.5,0.1\n\n\
     Verdicts: yes, the upper end of the energy at the asked coverage fits into the lower bound of what the \
     battery can spare above its reserve, on every leg; tight, the expected energy fits, but not so surely, \
     or something weakens the answer (it is listed); no, it does not fit; unknown, with the reason. \
-    Computed in this process from the worker's state in shared memory and the models of the config, \
-    which must be the worker's.\n\
-    Exit codes: 0 answered, whatever the verdict; 1 no worker, no such robot, or another config or model \
+    Computed in this process, unless --through worker says otherwise, from the worker's state in shared \
+    memory and the models of the config, which must be the worker's: no queue, no load on the worker, and \
+    paths of any length. --through worker needs no models here, and asks what programs in other languages \
+    ask: the answer is recorded, paths take at most five minutes at 30 Hz, and the bits are the same.\n\
+    Exit codes: 0 answered, whatever the verdict; 1 no worker, no answer in time, no such robot, or another config or model \
     than the worker's; 2 a wrong question."
 )]
 pub(crate) struct Args {
@@ -79,88 +85,116 @@ pub(crate) struct Args {
     /// Coverage of the intervals, 0.5 to 0.999
     #[arg(long, value_name = "SHARE", default_value_t = 0.9)]
     coverage: f32,
-    /// With --format json: the power of every step
+    /// With --format json: the power of every step, of one robot
     #[arg(long)]
     power: bool,
+    /// Who computes: this process, from shared memory, or a thread of the worker
+    #[arg(long, value_enum, default_value_t = Through::Memory)]
+    through: Through,
+}
+
+/// Who computes an answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Through {
+    /// This process, with the models that its config names.
+    Memory,
+    /// The thread of `joulebus run` that answers questions.
+    Worker,
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let config = args.config.load()?;
     let path = args.path.as_deref().map(path_file::read).transpose()?;
-    let mut planner = Planner::with_config(&config, "ask")?;
-    let view = planner.wait(PATIENCE)?;
-    let answers = match &path {
-        Some(rows) => args.follow(&view, rows)?,
-        None => args.rest(&view, args.idle.unwrap_or_default())?,
+    let question = args.question(path.as_ref());
+    let report = match args.through {
+        Through::Memory => args.compute(&config, question)?,
+        Through::Worker => args.send(&config, &question)?,
     };
-    output.report(&Report {
-        fleet: config.fleet().to_owned(),
-        tick: view.tick(),
-        age_s: view.age_ns() as f64 * 1e-9,
-        coverage: args.coverage,
-        answers,
-    })?;
+    output.report(&report)?;
     Ok(Outcome::Done)
 }
 
 impl Args {
-    /// The answers to a path, the best first.
-    fn follow(&self, view: &View<'_>, rows: &path_file::Rows) -> anyhow::Result<Vec<AnswerReport>> {
-        let robots = self.robots(view)?;
-        let path = rows.path(self.speed);
-        let begin = path.points[0];
-        let back_to = self.return_to.map(|to| match to {
-            ReturnTo::Dock => self.dock.map_or(begin, |dock| dock.0),
-            ReturnTo::At(place) => place.0,
-        });
-        let ranked = rank(&robots, &path, back_to, self.coverage)
-            .map_err(|error| UsageError(error.to_string()))?;
-        let report = |ranked: &Ranked| {
-            let robot = robots.iter().find(|robot| robot.id() == ranked.robot);
-            // Each was asked about itself.
-            robot.map(|robot| self.report_trip(robot, &ranked.trip))
+    fn question(&self, rows: Option<&path_file::Rows>) -> Question {
+        let robots = self.robot.iter().chain(&self.rank).copied().collect();
+        let plan = match rows {
+            Some(rows) => {
+                let path = rows.path(self.speed);
+                let begin = path.points[0];
+                let back_to = self.return_to.map(|to| match to {
+                    ReturnTo::Dock => self.dock.map_or(begin, |dock| dock.0),
+                    ReturnTo::At(place) => place.0,
+                });
+                Plan::Follow {
+                    robots,
+                    path,
+                    back_to,
+                }
+            }
+            None => Plan::Idle {
+                robots,
+                duration_s: self.idle.unwrap_or_default(),
+            },
         };
-        ranked.iter().filter_map(report).collect()
-    }
-
-    /// The answers to a time at rest.
-    fn rest(&self, view: &View<'_>, duration_s: f32) -> anyhow::Result<Vec<AnswerReport>> {
-        let answer = |robot: &Robot<'_>| {
-            let answer = robot
-                .idle(duration_s, self.coverage)
-                .map_err(|error| UsageError(error.to_string()))?;
-            Ok(AnswerReport::new(robot, &answer))
-        };
-        self.robots(view)?.iter().map(answer).collect()
-    }
-
-    fn report_trip(&self, robot: &Robot<'_>, trip: &Trip) -> anyhow::Result<AnswerReport> {
-        let mut report = AnswerReport::new(robot, &trip.answer);
-        report.turn_back_s = trip.turn_back_s;
-        report.asked_to_return = self.return_to.is_some();
-        if self.power {
-            let followed = &trip.commands;
-            let (v_mps, omega_radps) = (&followed.v_mps, &followed.omega_radps);
-            let plan = Candidates::new(1, followed.period_s, v_mps, omega_radps)?;
-            let mut power_w = vec![f32::NAN; plan.steps()];
-            robot.power_w(&plan, &mut power_w)?;
-            report.power_w = Some(power_w);
+        Question {
+            plan,
+            coverage: self.coverage,
+            power: self.power,
         }
-        Ok(report)
     }
 
-    /// The robots asked about.
-    fn robots<'a>(&self, view: &View<'a>) -> anyhow::Result<Vec<Robot<'a>>> {
-        let asked = self.robot.iter().chain(&self.rank);
-        let robots = asked.map(|id| {
-            view.robot(*id).with_context(|| {
-                let here = view.ids().count();
-                format!(
-                    "robot {id} is not among the {here} in the fleet: its source must publish samples \
-                     of it (`joulebus watch --once` lists the robots)"
-                )
-            })
-        });
-        robots.collect()
+    /// Answers here, from shared memory.
+    fn compute(&self, config: &Config, question: Question) -> anyhow::Result<Report> {
+        let mut planner = Planner::with_config(config, "ask")?;
+        let fleet = planner.fleet().clone();
+        let view = planner.wait(PATIENCE)?;
+        let answered = question.answer(&fleet, |robot| view.rows(robot), MAX_STEPS);
+        let reply = answered.map_err(|error| match error {
+            QuestionError::Ask(error) => UsageError(error.to_string()).into(),
+            error => anyhow::Error::from(error),
+        })?;
+        Ok(self.report(config, (view.tick(), view.age_ns()), &reply))
     }
+
+    /// Lets the worker answer.
+    fn send(&self, config: &Config, question: &Question) -> anyhow::Result<Report> {
+        let mut client = PlanClient::with_config(config, "ask")?;
+        let answered = client
+            .ask(question, PATIENCE)
+            .map_err(|error| match error {
+                ClientError::Refused(refused) if refused.reason == QueryRefusal::Question => {
+                    UsageError(refused.text).into()
+                }
+                error => anyhow::Error::from(error),
+            })?;
+        let of = (answered.tick, answered.age_ns);
+        Ok(self.report(config, of, &answered.reply))
+    }
+
+    fn report(&self, config: &Config, (tick, age_ns): (u64, u64), reply: &Reply) -> Report {
+        let answers = reply.rows.iter().map(|row| {
+            let mut answer = AnswerReport::new(platform_of(config, row.robot), row);
+            answer.asked_to_return = self.return_to.is_some();
+            if self.power && self.robot.is_some() && self.path.is_some() {
+                answer.power_w = Some(reply.power_w.clone());
+            }
+            answer
+        });
+        Report {
+            fleet: config.fleet().to_owned(),
+            tick,
+            age_s: age_ns as f64 * 1e-9,
+            coverage: self.coverage,
+            answers: answers.collect(),
+        }
+    }
+}
+
+/// Name of the platform that a robot is of.
+fn platform_of(config: &Config, robot: u32) -> String {
+    let platforms = &config.settings().platforms;
+    let its = platforms
+        .iter()
+        .find(|platform| platform.robots.iter().any(|ids| ids.contains(&robot)));
+    its.map_or_else(String::new, |platform| platform.name.clone())
 }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use joulebus_plan::{Answer, Caveats, Left, Range, Robot, Verdict};
+use joulebus_plan::{Caveats, Left, Range, Row, Verdict};
 use serde::Serialize;
 
 /// Answers about one question, as of one tick.
@@ -37,7 +37,7 @@ pub(super) struct AnswerReport {
     /// From 0.
     limiting_leg: Option<usize>,
     /// Until when it can turn back; null where it was not asked, or cannot be said.
-    pub(super) turn_back_s: Option<f32>,
+    turn_back_s: Option<f32>,
     #[serde(skip)]
     pub(super) asked_to_return: bool,
     caveats: Caveats,
@@ -47,7 +47,8 @@ pub(super) struct AnswerReport {
 }
 
 impl AnswerReport {
-    pub(super) fn new(robot: &Robot<'_>, answer: &Answer) -> Self {
+    pub(super) fn new(platform: String, row: &Row) -> Self {
+        let answer = &row.answer;
         let (verdict, reason) = match answer.verdict {
             Verdict::Yes => ("yes", None),
             Verdict::Tight => ("tight", None),
@@ -56,8 +57,8 @@ impl AnswerReport {
             _ => ("unknown", None),
         };
         Self {
-            robot: robot.id(),
-            platform: robot.platform().settings.name.clone(),
+            robot: row.robot,
+            platform,
             verdict,
             reason,
             duration_s: answer.duration_s,
@@ -66,7 +67,7 @@ impl AnswerReport {
             probability: answer.probability,
             margin_j: answer.margin_j,
             limiting_leg: answer.limiting_leg,
-            turn_back_s: None,
+            turn_back_s: row.turn_back_s,
             asked_to_return: false,
             caveats: answer.caveats,
             power_w: None,

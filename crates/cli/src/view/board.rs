@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use joulebus_wire::{
-    Alarm, Budget, Diagnostic, DropCounts, Forecast, ForecastHeader, Level, forecast_flag,
+    Alarm, Budget, Diagnostic, DropCounts, Forecast, ForecastHeader, Level, QueryCounts,
+    forecast_flag,
 };
 
 use super::scores::{Pooled, Scores};
@@ -142,6 +143,8 @@ pub(crate) struct Board {
     pub(crate) frames: u64,
     /// Frames overwritten before this planner read them.
     pub(crate) frames_missed: u64,
+    /// Questions about plans, if the worker says.
+    pub(crate) queries: Option<QueryCounts>,
     /// Event log: time since the start, s, and text; oldest first.
     pub(crate) notes: VecDeque<(f64, String)>,
     pooled: Pooled,
@@ -165,6 +168,7 @@ impl Board {
             sent: BTreeMap::new(),
             frames: 0,
             frames_missed: 0,
+            queries: None,
             notes: VecDeque::new(),
             pooled: Pooled::default(),
         })
@@ -387,6 +391,18 @@ impl Board {
                 sum.2 + header.ticks_late,
             )
         })
+    }
+
+    /// Questions about plans, answered and refused by reason, once there were any.
+    pub(crate) fn questions(&self) -> Option<String> {
+        let counts = self.queries?;
+        let (answered, refused) = (counts.answered, counts.total_refused());
+        let reasons = counts
+            .iter()
+            .map(|(reason, count)| format!(", {} {count}", reason.name()));
+        let reasons: String = reasons.collect();
+        (answered + refused > 0)
+            .then(|| format!("questions {answered} ({refused} refused{reasons})"))
     }
 
     /// Number of robots at each level: ok, warn, error, stale.

@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use joulebus_bus::{Bus, FrameBuf, SampleReader, clock};
 use joulebus_config::Config;
-use joulebus_consumer::{BudgetFeed, DiagnosticFeed, End, Event, Planner, WorkerState};
+use joulebus_consumer::{BudgetFeed, DiagnosticFeed, End, Event, Planner, QueryFeed, WorkerState};
 
 use super::board::{Board, Link};
 
@@ -23,6 +23,8 @@ const FOLLOW_EVERY: Duration = Duration::from_micros(200);
 pub(crate) struct Reading {
     diagnostics: DiagnosticFeed,
     budgets: BudgetFeed,
+    /// None if there are too many readers.
+    queries: Option<QueryFeed>,
     tap: Option<Tap>,
     planner: Planner,
 }
@@ -38,6 +40,7 @@ impl Reading {
         Ok(Self {
             diagnostics: planner.diagnostics()?,
             budgets: planner.budgets()?,
+            queries: planner.queries().ok(),
             tap: if taps { Some(Tap::open(config)?) } else { None },
             planner,
         })
@@ -71,6 +74,9 @@ impl Reading {
         board.set_link(link(self.planner.worker()), readable_ns);
         if let Some(tap) = &mut self.tap {
             tap.read(&mut board);
+        }
+        if let Some(Ok(Some(frame))) = self.queries.as_mut().map(QueryFeed::latest) {
+            board.queries = Some(frame.header().counts);
         }
         drop(board);
         if let Some(tick) = tick {

@@ -22,6 +22,9 @@ pub(crate) fn line(board: &Board, now_ns: u64) -> String {
         board.seconds(now_ns),
         board.link.name(),
     );
+    if let Some(questions) = board.questions() {
+        let _ = write!(text, "  {questions}");
+    }
     let scores = board.scores();
     if let (Some(ours), Some(theirs)) = (scores.rmse_w, scores.persistence_rmse_w) {
         let _ = write!(text, "  RMSE {ours:.3} W (persistence {theirs:.3})");

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use joulebus_wire::{
-    ChargeState, Diagnostic, Quality, budget_flag, diagnostic_flag, forecast_flag,
+    ChargeState, Diagnostic, Quality, QueryCounts, budget_flag, diagnostic_flag, forecast_flag,
 };
 use serde::Serialize;
 
@@ -26,6 +26,9 @@ pub(crate) struct FrameRecord {
     ticks_late: u64,
     samples_accepted: u64,
     samples_dropped: BTreeMap<&'static str, u64>,
+    /// Questions about plans that the worker answered; null if it has not said so.
+    questions_answered: Option<u64>,
+    questions_refused: BTreeMap<&'static str, u64>,
     /// Frames overwritten before this planner read them, since its start.
     frames_missed: u64,
     robots: Vec<RobotRecord>,
@@ -138,6 +141,13 @@ impl FrameRecord {
             samples_dropped: header
                 .samples_dropped
                 .iter()
+                .map(|(reason, count)| (reason.name(), count))
+                .collect(),
+            questions_answered: board.queries.map(|counts| counts.answered),
+            questions_refused: board
+                .queries
+                .iter()
+                .flat_map(QueryCounts::iter)
                 .map(|(reason, count)| (reason.name(), count))
                 .collect(),
             frames_missed: board.frames_missed,

@@ -410,7 +410,10 @@ fn draw_notes(frame: &mut Frame, area: Rect, board: &Board) {
             ])
         })
         .collect();
-    let block = boxed(Line::from(" events "));
+    let questions = board
+        .questions()
+        .map_or_else(String::new, |questions| format!(" {questions} "));
+    let block = boxed(Line::from(" events ")).title_bottom(Line::styled(questions, QUIET));
     frame.render_widget(Paragraph::new(lines).block(block), area);
 }
 

@@ -17,6 +17,8 @@ use crate::view::{Board, Feed, FrameRecord, Link, Reading, Row, Screen, line, sh
 
 pub(crate) use summary::PlannerReport;
 
+/// A worker that answers questions sends their counts to a new reader within 100 ms, ns.
+const COUNTS_WITHIN_NS: u64 = 500_000_000;
 /// Timeout of `--once` for a worker, ns.
 const PATIENCE_NS: u64 = 3_000_000_000;
 /// Interval between plain lines, ns.
@@ -79,6 +81,7 @@ impl Args {
         let board = RefCell::new(Board::new(clock::monotonic_ns())?);
         let mut reading = Reading::open(config, "watch", false)?;
         let give_up_ns = clock::monotonic_ns() + PATIENCE_NS;
+        let mut counts_by_ns = give_up_ns;
         while !stop.is_asked() && clock::monotonic_ns() < give_up_ns {
             // The first frames may be empty: no robot has sent samples yet.
             reading.turn(|| board.borrow_mut())?;
@@ -89,6 +92,11 @@ impl Args {
                     .robot
                     .is_none_or(|robot| board.rows.contains_key(&robot))
             {
+                let now_ns = clock::monotonic_ns();
+                counts_by_ns = counts_by_ns.min(now_ns + COUNTS_WITHIN_NS);
+                if board.queries.is_none() && now_ns < counts_by_ns {
+                    continue;
+                }
                 break;
             }
         }

@@ -136,3 +136,69 @@ fn a_planner_with_another_model_or_other_limits_than_the_worker_is_refused() {
     source.end(Signal::INT);
     assert_eq!(code(&worker.end(Signal::INT)), 0);
 }
+
+#[test]
+fn the_worker_answers_the_same_questions_with_the_same_exit_codes() {
+    let fleet = fleet();
+    let none = fleet.output("ask --robot 1 --idle 10 --through worker");
+    assert_eq!(code(&none), 1, "{none:?}");
+    assert!(stderr(&none).contains("joulebus run"), "{none:?}");
+    let worker = fleet.worker();
+    let source = Program::start(fleet.joulebus("publish sim --robots 4"));
+    for question in [
+        "--robot 1 --idle 10",
+        "--robot 1 --path FILE --return dock --power",
+        "--rank 0,3,2 --path FILE",
+    ] {
+        let here = ask(&fleet, question);
+        let there = ask(&fleet, &format!("{question} --through worker"));
+        // Ticks later: the same fields, robots and lengths.
+        let shape = |asked: &Value| -> Vec<String> {
+            let answers = asked["answers"].as_array().unwrap();
+            let mut shapes: Vec<String> = answers
+                .iter()
+                .map(|answer| {
+                    let fields = answer.as_object().unwrap().keys();
+                    let steps = answer["power_w"].as_array().map_or(0, Vec::len);
+                    let (robot, platform) = (&answer["robot"], &answer["platform"]);
+                    format!(
+                        "{robot} {platform} {steps} {:?}",
+                        fields.collect::<Vec<_>>()
+                    )
+                })
+                .collect();
+            shapes.sort();
+            shapes
+        };
+        assert_eq!(shape(&here), shape(&there), "{here}\n{there}");
+    }
+    let absent = fleet.output("ask --robot 9 --idle 30 --through worker");
+    assert_eq!(code(&absent), 1, "{absent:?}");
+    assert!(stderr(&absent).contains("robot 9"), "{absent:?}");
+    let wrong = fleet.output("ask --robot 1 --idle 3 --coverage 0.2 --through worker");
+    assert_eq!(code(&wrong), 2, "{wrong:?}");
+    let seen = json(&fleet.output("watch --once --format json"));
+    assert!(seen["questions_answered"].as_u64() >= Some(3), "{seen}");
+    for reason in ["UnknownRobot", "Question"] {
+        let refused = &seen["questions_refused"][reason];
+        assert!(refused.as_u64() >= Some(1), "{seen}");
+    }
+    let report = json(&worker.end(Signal::INT));
+    let queries = &report["queries"];
+    assert!(queries["answered"].as_u64() >= Some(3), "{report}");
+    assert!(
+        queries["refused"]["UnknownRobot"].as_u64() >= Some(1),
+        "{report}"
+    );
+
+    let text = fs::read_to_string(fleet.config()).unwrap();
+    let off = format!("{text}\n[queries]\nanswer = \"off\"\n");
+    fs::write(fleet.config(), off).unwrap();
+    let worker = fleet.worker();
+    let silent = fleet.output("ask --robot 1 --idle 10 --through worker");
+    assert_eq!(code(&silent), 1, "{silent:?}");
+    assert!(stderr(&silent).contains("--through memory"), "{silent:?}");
+    source.end(Signal::INT);
+    assert_eq!(code(&worker.end(Signal::INT)), 0);
+    assert!(fleet.stale_files().is_empty());
+}

@@ -14,6 +14,8 @@ pub enum Benchmark {
     Rollout,
     /// Questions of a planner in its own process, beside the network's rollout
     Plan,
+    /// Questions that the worker answers, and its ticks while clients ask as fast as they can
+    Questions,
     /// From sample due to forecast readable, between separate processes
     Latency,
     /// Overshoot of a wait for a deadline, by system call

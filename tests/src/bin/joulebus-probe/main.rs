@@ -2,6 +2,7 @@
 //! and reports in JSON lines.
 #![forbid(unsafe_code)]
 
+mod asker;
 mod consumer;
 mod controller;
 mod intruder;
@@ -46,6 +47,12 @@ fn run(arguments: &[&str]) -> Done {
         ["consumer", config] => consumer::run(&Config::load(config)?),
         ["holder", config] => reader::plan(&Config::load(config)?, true),
         ["recorder", config] => reader::record(&Config::load(config)?),
+        ["asker", "flood", config] => asker::flood(&Config::load(config)?, false),
+        ["asker", "heavy", config] => asker::flood(&Config::load(config)?, true),
+        ["asker", "calm", count, config] => asker::calm(&Config::load(config)?, count.parse()?),
+        ["asker", "late", config] => asker::late(&Config::load(config)?),
+        ["asker", "bits", count, config] => asker::bits(&Config::load(config)?, count.parse()?),
+        ["asker", "hostile", config] => asker::hostile(&Config::load(config)?),
         ["intruder", config] => intruder::run(&Config::load(config)?),
         _ => Err(format!("unknown arguments: {arguments:?}").into()),
     }

@@ -1,0 +1,524 @@
+//! Questions and answers: iceoryx2's request-response, and an event for each direction.
+//!
+//! A client has one question in transfer at a time. Full queues refuse instead of blocking, and
+//! memory is fixed when a port is opened. Whose answers a client takes, and that the worker has
+//! ended, it learns from the worker's lock, not from iceoryx2.
+//!
+//! iceoryx2 0.10 never gives back the connection of a client that has left while a question of it
+//! was unread (`Server::receive` finds no port for the answer, and does not release the request): two
+//! descriptors and the client's memory, and with 128 such connections it panics. The server's port is therefore
+//! opened again before that ([`QueryServer::is_worn`]), and clients send an unanswered question again.
+
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Duration;
+
+use iceoryx2::active_request::ActiveRequest;
+use iceoryx2::pending_response::PendingResponse;
+use iceoryx2::port::DegradationAction;
+use iceoryx2::port::client::Client;
+use iceoryx2::port::server::Server;
+use iceoryx2::prelude::{AllocationStrategy, BackpressureStrategy, CallbackProgression};
+use iceoryx2::service::port_factory::PortFactory as _;
+use joulebus_wire::{ANSWER_WORDS, AnswerHeader, QUERY_VALUES, QueryHeader, Service, WakeEvent};
+
+use super::degradation::Failures;
+use super::repair::Repair;
+use super::service::{self, OpenError, QueryFactory};
+use super::wait::{WaitError, Waiter, Waker};
+use super::{ReceiveError, SendError};
+use crate::ipc::Ipc;
+use crate::liveness::kept::Kept;
+use crate::liveness::worker_lock::WorkerLock;
+use crate::liveness::worker_ports::{WorkerPorts, process_of};
+use crate::membership::Membership;
+use crate::os::memory;
+use crate::preflight::{check_free, client_bytes, server_bytes};
+use crate::{Bus, Domain, FilesRemoved, Limits, PeerWatch, clock};
+
+type ServerPort = (
+    Server<Ipc, [f64], QueryHeader, [u64], AnswerHeader>,
+    QueryFactory,
+);
+type ClientPort = (
+    Client<Ipc, [f64], QueryHeader, [u64], AnswerHeader>,
+    QueryFactory,
+);
+
+type Pending = PendingResponse<Ipc, [f64], QueryHeader, [u64], AnswerHeader>;
+
+/// Clients that may have left before the server's port is worn: far below the 128 that iceoryx2 allows.
+const MOST_LEFT: usize = 16;
+/// Time after a client has left until the port is worn, ns.
+const WORN_AFTER_NS: u64 = 1_000_000_000;
+/// A worker may take this long to open its port, ns.
+const OPENS_WITHIN_NS: u64 = 1_000_000_000;
+/// Pause before a question is sent again.
+const SEND_AGAIN_AFTER: Duration = Duration::from_millis(1);
+
+/// The worker's port for questions. A fleet has one.
+#[derive(Debug)]
+pub struct QueryServer {
+    // Dropped in this order: port, factory, membership.
+    port: Kept<ServerPort>,
+    asked: Waiter,
+    answered: Waker,
+    failures: Arc<Failures>,
+    repair: Repair,
+    /// Ports of the clients at the last look.
+    clients: Vec<u128>,
+    /// Clients that have left since the port was opened.
+    left: usize,
+    /// When the last one did, monotonic ns.
+    left_ns: u64,
+    member: Rc<Membership>,
+}
+
+/// A question that was received. It lies in memory that its client could still change: copy it before
+/// it is checked.
+#[derive(Debug)]
+pub struct OpenQuery {
+    request: ActiveRequest<Ipc, [f64], QueryHeader, [u64], AnswerHeader>,
+    // Dropped after the request.
+    _member: Rc<Membership>,
+}
+
+impl QueryServer {
+    pub(super) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
+        let needed = server_bytes(limits.query_clients());
+        check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
+        let events = limits.query_events();
+        // The waiter first: a question that arrives in between is found without an event.
+        let asked = Waiter::open(bus, Service::Asked, limits, (events.1, events.0))?;
+        let answered = Waker::open(bus, Service::Answered, limits, events)?;
+        let factory = service::open_queries(bus, limits)?;
+        let failures = Failures::new();
+        let server = factory
+            .server_builder()
+            .initial_max_slice_len(ANSWER_WORDS)
+            .allocation_strategy(AllocationStrategy::Static)
+            .max_loaned_responses_per_request(1)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .set_request_degradation_handler(failures.handler(|info| info.sender_port_id))
+            .set_response_degradation_handler(|_, _| DegradationAction::Ignore)
+            .create()
+            .map_err(|reason| OpenError::port(Service::Ask, reason))?;
+        service::check_shortage()?;
+        let id = server.id().value();
+        memory::populate(&id.to_string());
+        let need = service::need(bus, &factory, Some(id));
+        // Clients whose question the port before this one took send it again; those that are not woken, later.
+        let _ = answered.wake(WakeEvent::Frame);
+        Ok(Self {
+            port: Kept::new((server, factory), need),
+            asked,
+            answered,
+            failures,
+            repair: Repair::default(),
+            clients: Vec::new(),
+            left: 0,
+            left_ns: 0,
+            member: Rc::clone(&bus.member),
+        })
+    }
+
+    /// The next waiting question. No order among clients is promised: receive as many as the clients
+    /// can have in transfer, and choose. Questions whose client has stopped waiting are skipped.
+    ///
+    /// # Errors
+    /// [`ReceiveError::Degraded`]: open the port again. After other errors the next call may succeed.
+    pub fn receive(&mut self) -> Result<Option<OpenQuery>, ReceiveError> {
+        self.member.presence.check()?;
+        let (server, factory) = &*self.port;
+        let failed = self.failures.count();
+        let is_listed = || {
+            self.failures.are_listed(|each| {
+                factory.dynamic_config().list_clients(|client| {
+                    each(client.client_id.value());
+                    CallbackProgression::Continue
+                });
+            })
+        };
+        if self.repair.is_due(failed, clock::monotonic_ns, is_listed) {
+            self.repair.retried(failed, false);
+            return Err(ReceiveError::Degraded {
+                connections: failed,
+            });
+        }
+        let received = match server.receive() {
+            // All that wait are of clients with an earlier question that is still held.
+            Err(iceoryx2::port::ReceiveError::ExceedsMaxBorrows) => None,
+            received => received.map_err(|reason| ReceiveError::Receive {
+                reason: reason.to_string(),
+            })?,
+        };
+        Ok(received.map(|request| OpenQuery {
+            request,
+            _member: Rc::clone(&self.member),
+        }))
+    }
+
+    /// Answers a question and wakes its client. The words beyond [`ANSWER_WORDS`] are not sent.
+    ///
+    /// # Errors
+    /// [`SendError`]; nothing was sent, or the client was not woken and finds the answer within 100 ms.
+    pub fn answer(
+        &self,
+        query: &OpenQuery,
+        header: AnswerHeader,
+        listener: u128,
+        words: &[u64],
+    ) -> Result<(), SendError> {
+        self.member.presence.check()?;
+        let words = &words[..words.len().min(ANSWER_WORDS)];
+        let loan = query.request.loan_slice_uninit(words.len());
+        let mut response = loan.map_err(SendError::loan)?.write_from_slice(words);
+        *response.user_header_mut() = header;
+        response.send().map_err(SendError::send)?;
+        let woken = self.answered.wake_one(listener, WakeEvent::Frame);
+        woken.map_err(SendError::Wake)
+    }
+
+    /// Waits for questions, at most until `deadline_ns` (monotonic), and at most 100 ms.
+    ///
+    /// # Errors
+    /// As [`Waiter::wait_until`].
+    pub fn wait_until(&mut self, deadline_ns: u64) -> Result<(), WaitError> {
+        self.asked.wait_until(Some(deadline_ns), None).map(|_| ())
+    }
+
+    /// Number of clients; a killed one counts until the cleanup. To be asked before each round of
+    /// [`QueryServer::receive`], because it notices who has left.
+    pub fn clients(&mut self) -> usize {
+        let mut now = Vec::with_capacity(self.clients.len());
+        self.port.1.dynamic_config().list_clients(|client| {
+            now.push(client.client_id.value());
+            CallbackProgression::Continue
+        });
+        let before = std::mem::replace(&mut self.clients, now);
+        let left = before.iter().filter(|port| !self.clients.contains(port));
+        let left = left.count();
+        if left > 0 {
+            self.left += left;
+            self.left_ns = clock::monotonic_ns();
+        }
+        self.clients.len()
+    }
+
+    /// Whether connections of clients that have left may be kept for nothing: drop all questions and the port,
+    /// and open it again. `is_idle`: no question waits.
+    #[must_use]
+    pub fn is_worn(&self, is_idle: bool) -> bool {
+        let is_quiet = || clock::monotonic_ns().saturating_sub(self.left_ns) >= WORN_AFTER_NS;
+        self.left >= MOST_LEFT || (self.left > 0 && is_idle && is_quiet())
+    }
+}
+
+impl OpenQuery {
+    /// Its header.
+    #[must_use]
+    pub fn header(&self) -> &QueryHeader {
+        self.request.user_header()
+    }
+
+    /// Its values.
+    #[must_use]
+    pub fn values(&self) -> &[f64] {
+        self.request.payload()
+    }
+
+    /// The process that asked.
+    #[must_use]
+    pub fn client(&self) -> u32 {
+        process_of(self.request.origin().value())
+    }
+
+    /// False once its client has stopped waiting; true of a killed one until the cleanup.
+    #[must_use]
+    pub fn is_connected(&self) -> bool {
+        self.request.is_connected()
+    }
+}
+
+/// A client's port for questions.
+#[derive(Debug)]
+pub struct QueryClient {
+    // Dropped in this order: question in transfer, port, factory, membership.
+    pending: Option<Pending>,
+    port: Kept<ClientPort>,
+    answered: Waiter,
+    asked: Waker,
+    workers: WorkerPorts,
+    domain: Domain,
+    worker: Option<(u32, PeerWatch)>,
+    /// The worker that answered last.
+    answered_by: Option<u32>,
+    number: u64,
+    member: Rc<Membership>,
+}
+
+impl QueryClient {
+    pub(super) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
+        let needed = client_bytes();
+        check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
+        let events = limits.query_events();
+        let answered = Waiter::open(bus, Service::Answered, limits, events)?;
+        let asked = Waker::open(bus, Service::Asked, limits, (events.1, events.0))?;
+        let factory = service::open_queries(bus, limits)?;
+        let client = factory
+            .client_builder()
+            .initial_max_slice_len(QUERY_VALUES)
+            .allocation_strategy(AllocationStrategy::Static)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .set_request_degradation_handler(|_, _| DegradationAction::Ignore)
+            .set_response_degradation_handler(|_, _| DegradationAction::Ignore)
+            .create()
+            .map_err(|reason| OpenError::port(Service::Ask, reason))?;
+        service::check_shortage()?;
+        let id = client.id().value();
+        memory::populate(&id.to_string());
+        let need = service::need(bus, &factory, Some(id));
+        Ok(Self {
+            pending: None,
+            port: Kept::new((client, factory), need),
+            answered,
+            asked,
+            workers: WorkerPorts::new(bus.domain()),
+            domain: bus.domain().clone(),
+            worker: None,
+            answered_by: None,
+            number: 0,
+            member: Rc::clone(&bus.member),
+        })
+    }
+
+    /// Asks, and waits for the answer until `header.deadline_ns`, at most. Sets number, time and
+    /// listener of the header. Returns the answer's header and words; of a refused question too. A
+    /// worker that has just opened its port, or opens it again, is asked once more.
+    ///
+    /// # Errors
+    /// [`QueryError`]: no worker, or it has ended since: at once. [`QueryError::NotServed`] after a second
+    /// if this worker has not answered so far.
+    pub fn ask(
+        &mut self,
+        header: QueryHeader,
+        values: &[f64],
+    ) -> Result<(AnswerHeader, Vec<u64>), QueryError> {
+        let opens_ns = clock::monotonic_ns().saturating_add(OPENS_WITHIN_NS);
+        loop {
+            let sent = self.send(header, values);
+            let asked = sent.and_then(|()| self.wait(header.deadline_ns));
+            let worker = self.worker.as_ref().map(|(pid, _)| *pid);
+            match &asked {
+                Ok(_) => self.answered_by = worker,
+                Err(QueryError::NotServed) => {
+                    let has_answered = worker.is_some() && self.answered_by == worker;
+                    let until_ns = if has_answered { u64::MAX } else { opens_ns };
+                    if clock::monotonic_ns() < header.deadline_ns.min(until_ns) {
+                        std::thread::sleep(SEND_AGAIN_AFTER);
+                        continue;
+                    }
+                }
+                Err(_) => {}
+            }
+            return asked;
+        }
+    }
+
+    /// As [`QueryClient::ask`], without waiting; gives up an earlier question.
+    ///
+    /// # Errors
+    /// [`QueryError`].
+    pub fn send(&mut self, header: QueryHeader, values: &[f64]) -> Result<(), QueryError> {
+        self.pending = None;
+        self.member.presence.check()?;
+        if values.len() > QUERY_VALUES {
+            return Err(QueryError::TooLong {
+                found: values.len(),
+                allowed: QUERY_VALUES,
+            });
+        }
+        self.watch()?;
+        self.number += 1;
+        let listener = self.answered.id();
+        let loan = self.port.0.loan_slice_uninit(values.len());
+        let mut request = loan
+            .map_err(|reason| QueryError::Send {
+                reason: reason.to_string(),
+            })?
+            .write_from_slice(values);
+        *request.user_header_mut() = QueryHeader {
+            number: self.number,
+            asked_ns: clock::monotonic_ns(),
+            listener_lo: listener as u64,
+            listener_hi: (listener >> 64) as u64,
+            ..header
+        };
+        let pending = request.send().map_err(|reason| QueryError::Send {
+            reason: reason.to_string(),
+        })?;
+        if pending.number_of_server_connections() == 0 {
+            return Err(self.not_taken());
+        }
+        self.pending = Some(pending);
+        self.asked.wake(WakeEvent::Frame)?;
+        Ok(())
+    }
+
+    /// Waits for the answer to the question sent last.
+    ///
+    /// # Errors
+    /// [`QueryError`]; the question is given up.
+    pub fn wait(&mut self, deadline_ns: u64) -> Result<(AnswerHeader, Vec<u64>), QueryError> {
+        let begun_ns = clock::monotonic_ns();
+        let waited = self.receive_until(deadline_ns);
+        self.pending = None;
+        waited?.ok_or_else(|| QueryError::TimedOut {
+            waited_ns: clock::monotonic_ns().saturating_sub(begun_ns),
+        })
+    }
+
+    fn receive_until(
+        &mut self,
+        deadline_ns: u64,
+    ) -> Result<Option<(AnswerHeader, Vec<u64>)>, QueryError> {
+        loop {
+            let answer = self.receive()?;
+            if answer.is_some() || clock::monotonic_ns() >= deadline_ns {
+                return Ok(answer);
+            }
+            if self
+                .pending
+                .as_ref()
+                .is_some_and(|pending| !pending.is_connected())
+            {
+                // The worker has closed its port, and does not answer any more.
+                return self.receive()?.map(Some).ok_or(QueryError::NotServed);
+            }
+            let peer = self.worker.as_ref().map(|(_, watch)| watch);
+            let woken = self.answered.wait_until(Some(deadline_ns), peer)?;
+            if woken.peer_gone {
+                // It may have answered before it ended.
+                let answer = self.receive()?;
+                self.worker = None;
+                return answer.map(Some).ok_or(QueryError::WorkerGone);
+            }
+        }
+    }
+
+    /// The answer, if it has arrived from the worker.
+    fn receive(&mut self) -> Result<Option<(AnswerHeader, Vec<u64>)>, QueryError> {
+        let Some(pending) = &self.pending else {
+            return Ok(None);
+        };
+        loop {
+            let received = pending.receive().map_err(|reason| QueryError::Send {
+                reason: reason.to_string(),
+            })?;
+            let Some(response) = received else {
+                return Ok(None);
+            };
+            let header = *response.user_header();
+            if self.workers.admits(response.origin().value()) && header.number == self.number {
+                return Ok(Some((header, response.payload().to_vec())));
+            }
+        }
+    }
+
+    /// Watches the process that holds the worker's lock.
+    fn watch(&mut self) -> Result<(), QueryError> {
+        let file = self.domain.worker_file();
+        let named = || WorkerLock::named_owner(&file);
+        let owner = named().ok_or(QueryError::NoWorker)?;
+        let is_watched = |(of, watch): &(u32, PeerWatch)| *of == owner.pid && !watch.is_gone();
+        if !self.worker.as_ref().is_some_and(is_watched) {
+            self.worker = PeerWatch::open(owner.pid).map(|watch| (owner.pid, watch));
+            let is_alive = match &self.worker {
+                // The pid may have been reused since the file was read.
+                Some((_, watch)) => !watch.is_gone() && named() == Some(owner),
+                // Ended, or a process of another container.
+                None => matches!(WorkerLock::owner(&self.domain), Ok(Some(_))),
+            };
+            if !is_alive {
+                self.worker = None;
+                return Err(QueryError::NoWorker);
+            }
+        }
+        if self.is_served_by(owner.port_pid) {
+            Ok(())
+        } else {
+            Err(QueryError::NotServed)
+        }
+    }
+
+    /// Whether the port for questions is that of this process. iceoryx2 takes the port of a killed worker for
+    /// connected until it is cleaned up: a question sent there would never be answered.
+    fn is_served_by(&self, process: u32) -> bool {
+        let mut is_its = false;
+        self.port.1.dynamic_config().list_servers(|server| {
+            is_its |= process_of(server.server_id.value()) == process;
+            CallbackProgression::Continue
+        });
+        is_its
+    }
+
+    fn not_taken(&self) -> QueryError {
+        if self.port.1.dynamic_config().number_of_servers() == 0 {
+            QueryError::NotServed
+        } else {
+            QueryError::Full
+        }
+    }
+}
+
+/// Reason that a question has no answer.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum QueryError {
+    /// Files of this process were removed.
+    #[error(transparent)]
+    Removed(#[from] FilesRemoved),
+    /// There is no worker.
+    #[error("the fleet has no worker: start it (`joulebus run --config …`)")]
+    NoWorker,
+    /// The worker has ended while it was asked.
+    #[error("the worker ended before it answered: ask again when it has been started again")]
+    WorkerGone,
+    /// The worker does not answer questions.
+    #[error(
+        "the worker does not answer questions: it is just starting, or its config says `queries.answer = \
+         \"off\"`; ask in this process instead (`joulebus_plan::Planner`, `joulebus ask --through memory`)"
+    )]
+    NotServed,
+    /// The worker has not taken an earlier question that was given up.
+    #[error(
+        "the worker has not taken the question before yet, which was given up: it is overloaded, or stopped"
+    )]
+    Full,
+    /// No answer before the deadline.
+    #[error(
+        "no answer within {:.3} s: the worker is busy with other questions, or overloaded",
+        *waited_ns as f64 * 1e-9
+    )]
+    TimedOut {
+        /// Time waited, ns.
+        waited_ns: u64,
+    },
+    /// Too many values.
+    #[error("a question of {found} values: allowed are {allowed}; ask in this process instead")]
+    TooLong {
+        /// Values.
+        found: usize,
+        /// The greatest number.
+        allowed: usize,
+    },
+    /// iceoryx2 refused.
+    #[error("cannot ask the worker: {reason}; join again")]
+    Send {
+        /// The error of iceoryx2.
+        reason: String,
+    },
+    /// Waiting or waking failed.
+    #[error(transparent)]
+    Wait(#[from] WaitError),
+}

@@ -1,0 +1,246 @@
+//! Questions as values: the same in the planner's process, in the worker, and in a recording.
+
+use crate::answer::{Answer, Verdict};
+use crate::candidates::Candidates;
+use crate::error::QuestionError;
+use crate::fleet::Fleet;
+use crate::follower::{Path, Point};
+use crate::platform::RobotRows;
+use crate::robot::Robot;
+
+/// A question about one robot or several.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Question {
+    /// What the robots would do.
+    pub plan: Plan,
+    /// Coverage of the intervals, 0.5 to 0.999.
+    pub coverage: f32,
+    /// Whether the power of every step is wanted: of candidates, or of one robot that follows a path.
+    pub power: bool,
+}
+
+/// What robots would do.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Plan {
+    /// One robot: each of several sequences of commands ([`Candidates`]).
+    WhatIf {
+        /// Id of the robot.
+        robot: u32,
+        /// Number of candidates.
+        candidates: usize,
+        /// Time that each command is in force, s.
+        period_s: f32,
+        /// Linear velocities, m/s.
+        v_mps: Vec<f32>,
+        /// Angular velocities, rad/s.
+        omega_radps: Vec<f32>,
+    },
+    /// Stand still.
+    Idle {
+        /// Ids of the robots, which are answered in this order.
+        robots: Vec<u32>,
+        /// For this time, s.
+        duration_s: f32,
+    },
+    /// Follow a path, and return. Several robots are answered the best first, as by [`crate::rank`].
+    Follow {
+        /// Ids of the robots.
+        robots: Vec<u32>,
+        /// The path.
+        path: Path,
+        /// Where to return to.
+        back_to: Option<Point>,
+    },
+}
+
+impl Default for Question {
+    /// About no robot.
+    fn default() -> Self {
+        Self {
+            plan: Plan::Idle {
+                robots: Vec::new(),
+                duration_s: 0.0,
+            },
+            coverage: 0.9,
+            power: false,
+        }
+    }
+}
+
+impl Plan {
+    /// Ids of the robots asked about.
+    #[must_use]
+    pub fn robots(&self) -> &[u32] {
+        match self {
+            Self::WhatIf { robot, .. } => std::slice::from_ref(robot),
+            Self::Idle { robots, .. } | Self::Follow { robots, .. } => robots,
+        }
+    }
+}
+
+/// The answer to a [`Question`].
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Reply {
+    /// Of each candidate, or of each robot.
+    pub rows: Vec<Row>,
+    /// Power of every step, W, candidate by candidate, if asked for; NaN where the robot's state is unknown.
+    pub power_w: Vec<f32>,
+}
+
+/// The answer to one candidate, or of one robot.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Row {
+    /// Id of the robot.
+    pub robot: u32,
+    /// The answer.
+    pub answer: Answer,
+    /// As in [`crate::Trip::turn_back_s`].
+    pub turn_back_s: Option<f32>,
+}
+
+impl Question {
+    /// The answer; `find` gives the robots' rows. Each path has at most `most_steps` steps, the way back
+    /// included: [`crate::MAX_STEPS`] unless time is short.
+    ///
+    /// # Errors
+    /// [`QuestionError`].
+    pub fn answer(
+        self,
+        fleet: &Fleet,
+        find: impl Fn(u32) -> Option<RobotRows>,
+        most_steps: usize,
+    ) -> Result<Reply, QuestionError> {
+        let mut work = Work::begin(self, find, most_steps)?;
+        while !work.step(fleet)? {}
+        Ok(work.finish())
+    }
+}
+
+/// The answering of a question, robot by robot, so that it can be interrupted.
+#[derive(Debug, Clone, Default)]
+pub struct Work {
+    question: Question,
+    robots: Vec<RobotRows>,
+    most_steps: usize,
+    done: usize,
+    reply: Reply,
+}
+
+impl Work {
+    /// Begins, with the robots as they are now. Arguments and errors as of [`Question::answer`].
+    ///
+    /// # Errors
+    /// [`QuestionError::UnknownRobot`].
+    pub fn begin(
+        question: Question,
+        find: impl Fn(u32) -> Option<RobotRows>,
+        most_steps: usize,
+    ) -> Result<Self, QuestionError> {
+        let ids = question.plan.robots().iter();
+        let rows =
+            ids.map(|robot| find(*robot).ok_or(QuestionError::UnknownRobot { robot: *robot }));
+        Ok(Self {
+            robots: rows.collect::<Result<_, _>>()?,
+            question,
+            most_steps,
+            done: 0,
+            reply: Reply::default(),
+        })
+    }
+
+    /// Answers about the next robot; returns whether it was the last.
+    ///
+    /// # Errors
+    /// [`QuestionError`].
+    pub fn step(&mut self, fleet: &Fleet) -> Result<bool, QuestionError> {
+        if let Some(rows) = self.robots.get(self.done) {
+            let id = rows.state.robot;
+            let robot = fleet.robot(&rows.frames());
+            self.one(&robot.ok_or(QuestionError::UnknownRobot { robot: id })?)?;
+            self.done += 1;
+        }
+        Ok(self.done >= self.robots.len())
+    }
+
+    /// The reply, after the last step.
+    #[must_use]
+    pub fn finish(self) -> Reply {
+        let mut reply = self.reply;
+        if matches!(self.question.plan, Plan::Follow { .. }) {
+            reply.rows.sort_by(best_first);
+        }
+        reply
+    }
+
+    fn one(&mut self, robot: &Robot<'_>) -> Result<(), QuestionError> {
+        let Question {
+            plan,
+            coverage,
+            power,
+        } = &self.question;
+        let row = |answer, turn_back_s| Row {
+            robot: robot.id(),
+            answer,
+            turn_back_s,
+        };
+        match plan {
+            Plan::WhatIf {
+                candidates,
+                period_s,
+                v_mps,
+                omega_radps,
+                ..
+            } => {
+                let plans = Candidates::new(*candidates, *period_s, v_mps, omega_radps)?;
+                let answers = robot.what_if(&plans, *coverage)?;
+                self.reply.rows = answers
+                    .into_iter()
+                    .map(|answer| row(answer, None))
+                    .collect();
+                if *power {
+                    self.reply.power_w = powers(robot, &plans)?;
+                }
+            }
+            Plan::Idle { duration_s, .. } => {
+                let answer = robot.idle(*duration_s, *coverage)?;
+                self.reply.rows.push(row(answer, None));
+            }
+            Plan::Follow { path, back_to, .. } => {
+                let trip = robot.can_finish_within(path, *back_to, *coverage, self.most_steps)?;
+                self.reply.rows.push(row(trip.answer, trip.turn_back_s));
+                if *power && self.robots.len() == 1 {
+                    let followed = &trip.commands;
+                    let columns = (&followed.v_mps, &followed.omega_radps);
+                    let plan = Candidates::new(1, followed.period_s, columns.0, columns.1)?;
+                    self.reply.power_w = powers(robot, &plan)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn powers(robot: &Robot<'_>, plans: &Candidates<'_>) -> Result<Vec<f32>, QuestionError> {
+    let mut power_w = vec![f32::NAN; plans.count() * plans.steps()];
+    robot.power_w(plans, &mut power_w)?;
+    Ok(power_w)
+}
+
+/// By verdict (yes, tight, no, unknown), then by the expected energy, then by id.
+pub(crate) fn best_first(one: &Row, other: &Row) -> std::cmp::Ordering {
+    let class = |row: &Row| match row.answer.verdict {
+        Verdict::Yes => 0,
+        Verdict::Tight => 1,
+        Verdict::No => 2,
+        Verdict::Unknown(_) => 3,
+    };
+    let mean_j = |row: &Row| {
+        row.answer
+            .energy
+            .map_or(f32::INFINITY, |energy| energy.mean_j)
+    };
+    class(one)
+        .cmp(&class(other))
+        .then(mean_j(one).total_cmp(&mean_j(other)))
+        .then(one.robot.cmp(&other.robot))
+}

@@ -1,0 +1,163 @@
+//! Questions and replies survive their payloads, and what is false is refused.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+mod world;
+
+use joulebus_plan::{Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, rank};
+use joulebus_wire::{AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION};
+use proptest::prelude::*;
+use world::{Rows, fleet};
+
+const FLEET: u64 = 5;
+
+fn rows(rows: &Rows, robot: u32) -> RobotRows {
+    let mut state = rows.state;
+    state.robot = robot;
+    let mut budget = rows.budget;
+    budget.robot = robot;
+    RobotRows {
+        header: rows.header,
+        state,
+        budget: rows.has_budget.then_some((rows.budget_header, budget)),
+        now_ns: rows.now_ns,
+    }
+}
+
+fn path() -> Path {
+    Path::new(
+        &[
+            Point::new(0.0, 0.0),
+            Point::new(1.0, 0.0),
+            Point::new(1.0, -0.5),
+        ],
+        0.15,
+    )
+}
+
+fn questions() -> Vec<Question> {
+    let commands = Plan::WhatIf {
+        robot: 7,
+        candidates: 3,
+        period_s: 0.1,
+        v_mps: (0..30).map(|at| at as f32 * 0.005).collect(),
+        omega_radps: (0..30).map(|at| at as f32 * -0.01).collect(),
+    };
+    let idle = Plan::Idle {
+        robots: vec![7, 3],
+        duration_s: 20.0,
+    };
+    let follow = |robots: &[u32], heading_rad, back_to| Plan::Follow {
+        robots: robots.to_vec(),
+        path: Path {
+            heading_rad,
+            ..path()
+        },
+        back_to,
+    };
+    let plans = [
+        commands,
+        idle,
+        follow(&[7], Some(0.5), None),
+        follow(&[9, 7, 3], None, Some(Point::new(0.1, -0.0))),
+    ];
+    let question = |plan| Question {
+        plan,
+        coverage: 0.9,
+        power: true,
+    };
+    plans.into_iter().map(question).collect()
+}
+
+#[test]
+fn questions_and_replies_survive_their_payloads() {
+    let (fleet, robots) = (fleet(), Rows::with_usable(5_000.0));
+    for question in questions() {
+        let (header, values) = question.encode(FLEET).unwrap();
+        assert_eq!(
+            Question::decode(&header, &values, FLEET).as_ref(),
+            Ok(&question)
+        );
+        let find = |robot| Some(rows(&robots, robot));
+        let reply = question.clone().answer(&fleet, find, QUERY_STEPS).unwrap();
+        assert!(!reply.rows.is_empty());
+        let (mut header, mut words) = (AnswerHeader::default(), Vec::new());
+        header.schema = SCHEMA_VERSION;
+        reply.encode(&mut header, &mut words);
+        assert_eq!(Reply::decode(&header, &words), Ok(reply), "{question:?}");
+    }
+}
+
+#[test]
+fn several_robots_are_answered_as_rank_answers() {
+    let (fleet, poor) = (fleet(), Rows::with_usable(20.0));
+    let rich = Rows::with_usable(20_000.0);
+    let of = |robot| rows(if robot == 3 { &rich } else { &poor }, robot);
+    let question = questions().pop().unwrap();
+    let reply = question
+        .answer(&fleet, |robot| Some(of(robot)), QUERY_STEPS)
+        .unwrap();
+    let all = [9, 7, 3].map(of);
+    let robots: Vec<_> = all
+        .iter()
+        .map(|rows| fleet.robot(&rows.frames()).unwrap())
+        .collect();
+    let ranked = rank(&robots, &path(), Some(Point::new(0.1, -0.0)), 0.9).unwrap();
+    assert_eq!(reply.rows[0].robot, 3);
+    for (row, ranked) in reply.rows.iter().zip(&ranked) {
+        assert_eq!((row.robot, row.answer), (ranked.robot, ranked.trip.answer));
+        assert_eq!(row.turn_back_s, ranked.trip.turn_back_s);
+    }
+}
+
+#[test]
+fn robots_that_are_not_there_and_paths_that_take_too_long_are_refused() {
+    let (fleet, robots) = (fleet(), Rows::with_usable(5_000.0));
+    let question = questions().pop().unwrap();
+    let nobody = question.clone().answer(&fleet, |_| None, QUERY_STEPS);
+    assert_eq!(nobody, Err(QuestionError::UnknownRobot { robot: 9 }));
+    let short = question.answer(&fleet, |robot| Some(rows(&robots, robot)), 20);
+    let refused = Refused::from(&short.unwrap_err());
+    assert_eq!(refused.reason, QueryRefusal::Question);
+    let (mut header, mut words) = (AnswerHeader::default(), Vec::new());
+    header.schema = SCHEMA_VERSION;
+    refused.encode(&mut header, &mut words);
+    assert_eq!(Reply::decode(&header, &words), Err(refused));
+}
+
+proptest! {
+    #[test]
+    fn headers_and_values_with_arbitrary_bits_never_panic(
+        header: [u8; size_of::<QueryHeader>()],
+        values: Vec<f64>,
+        known: bool,
+    ) {
+        let mut header: QueryHeader = bytemuck::pod_read_unaligned(&header);
+        if known {
+            (header.schema, header.fleet) = (SCHEMA_VERSION, FLEET);
+            header.kind = 1 + header.kind % 3;
+            header.flags &= 7;
+            header.reserved = 0;
+            header.robots %= 3;
+            header.candidates %= 3;
+            header.steps %= 4;
+        }
+        let decoded = Question::decode(&header, &values, FLEET);
+        if let Ok(question) = decoded {
+            let (fleet, robots) = (fleet(), Rows::with_usable(5_000.0));
+            let _ = question.answer(&fleet, |robot| Some(rows(&robots, robot)), 50);
+        }
+    }
+
+    #[test]
+    fn answers_with_arbitrary_bits_never_panic(
+        header: [u8; size_of::<AnswerHeader>()],
+        words: Vec<u64>,
+    ) {
+        let mut header: AnswerHeader = bytemuck::pod_read_unaligned(&header);
+        header.schema = SCHEMA_VERSION;
+        for refusal in [header.refusal, 0] {
+            header.refusal = refusal;
+            let _ = Reply::decode(&header, &words);
+        }
+    }
+}

@@ -1,0 +1,30 @@
+//! Captures with a change.
+
+use std::path::Path;
+
+use joulebus_capture::{CaptureSettings, Message, Reader, Times, Writer};
+
+/// Writes a copy of the capture with one message changed, as the recorder would have written it.
+///
+/// # Panics
+/// `spoil` returned `true` for no message, or the files cannot be read and written.
+pub fn spoilt(file: &Path, to: &Path, spoil: impl Fn(&mut Message) -> bool) {
+    let reader = Reader::open(file).expect("a capture");
+    let attachments = reader.attachments().clone();
+    let mut writer =
+        Writer::create(to, CaptureSettings::default(), &attachments).expect("a capture");
+    let mut done = false;
+    for entry in reader {
+        let mut entry = entry.expect("a capture");
+        done = done || spoil(&mut entry.message);
+        let times = Times {
+            log_ns: entry.log_time_ns,
+            publish_ns: entry.publish_time_ns,
+        };
+        writer
+            .write(&entry.fleet, times, &entry.message)
+            .expect("a capture");
+    }
+    assert!(done, "nothing was spoilt");
+    writer.finish().expect("a capture");
+}
