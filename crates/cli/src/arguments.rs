@@ -8,8 +8,8 @@ use joulebus_program::verbs::report::ReportArguments;
 use joulebus_program::verbs::serve::ServeArguments;
 
 use crate::{
-    analyze, ask, cat, completions, config, data, demo, doctor, eval, import, info, model, publish,
-    record, recover, replay, run, train, watch,
+    analyze, ask, calibrate, cat, completions, config, data, demo, doctor, eval, import, info,
+    model, publish, record, recover, replay, run, train, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -61,6 +61,7 @@ pub(crate) enum Command {
     Train(train::Args),
     Analyze(analyze::Args),
     Eval(eval::Args),
+    Calibrate(calibrate::Args),
     Report(ReportArguments),
     Model(model::Args),
     Bench(BenchArguments),

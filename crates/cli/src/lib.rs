@@ -7,6 +7,7 @@
 mod analyze;
 mod arguments;
 mod ask;
+mod calibrate;
 mod cat;
 mod completions;
 mod config;
@@ -86,6 +87,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Train(args) => train::run(args, output),
         Command::Analyze(args) => analyze::run(args, output),
         Command::Eval(args) => eval::run(args, output),
+        Command::Calibrate(args) => calibrate::run(args, output),
         Command::Report(_) => external::run("report"),
         Command::Model(args) => model::run(args, output),
         Command::Bench(_) => external::run("bench"),

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use joulebus_bus::Scheduling;
 use joulebus_settings::{
-    AlarmSettings, Battery, ChargeReading, FleetSettings, Intake, IntervalSettings, OpenCircuit,
-    Platform, Policy,
+    AlarmLimits, AlarmSettings, Battery, ChargeReading, FleetSettings, Intake, IntervalSettings,
+    OpenCircuit, Platform, Policy,
 };
 
 use crate::consistency;
@@ -14,6 +14,7 @@ use crate::document::{FleetFile, Source};
 use crate::key::{ValueKind, voltages};
 use crate::model_source::ModelSource;
 use crate::problem::{ConfigError, Problem};
+use crate::template::Assignment;
 use crate::values::Values;
 use crate::{cpus, files, keys, show};
 
@@ -74,6 +75,7 @@ pub struct Config {
     threads: Threads,
     queries: Queries,
     shown: String,
+    platform_keys: Vec<Vec<Assignment>>,
     warnings: Vec<Problem>,
 }
 
@@ -200,6 +202,13 @@ impl Config {
         &self.models
     }
 
+    /// What a platform of [`Config::settings`] sets, each value with its origin, for
+    /// [`platform_file`](crate::platform_file); empty if there is no such platform.
+    #[must_use]
+    pub fn platform_keys(&self, platform: usize) -> &[Assignment] {
+        self.platform_keys.get(platform).map_or(&[], Vec::as_slice)
+    }
+
     /// Frames of each source buffered in shared memory.
     #[must_use]
     pub const fn buffer_frames(&self) -> usize {
@@ -270,7 +279,7 @@ impl Builder<'_> {
         let platforms: Option<Vec<Platform>> = read
             .platforms
             .iter()
-            .map(|listed| Builder(&listed.values).platform())
+            .map(|listed| Builder(&listed.values).platform(&fleet))
             .collect();
         let models: Option<Vec<ModelSource>> = read
             .platforms
@@ -283,6 +292,7 @@ impl Builder<'_> {
             root: files::root(&fleet.0.text("domain.root")?),
             prefix: fleet.0.text("domain.prefix")?,
             settings: fleet.settings(platforms?)?,
+            platform_keys: read.platforms.iter().map(show::platform).collect(),
             policy: fleet.policy()?,
             tick_period_ns: ns(1.0 / fleet.0.number("tick.rate_hz")?),
             models: models?,
@@ -383,11 +393,16 @@ impl Builder<'_> {
         })
     }
 
-    fn platform(&self) -> Option<Platform> {
+    fn platform(&self, fleet: &Self) -> Option<Platform> {
         let number = |path| self.single(path);
         let time_ns = |path| Some(ns(self.0.number(path)?));
         let battery = if self.0.names_any("platform.battery.") {
             Some(self.battery()?)
+        } else {
+            None
+        };
+        let alarms = if self.0.names_any("platform.alarms.") {
+            Some(self.limits(fleet)?)
         } else {
             None
         };
@@ -404,8 +419,22 @@ impl Builder<'_> {
             omega_max_radps: number("platform.omega_max_radps")?,
             power_resolution_w: number("platform.power_resolution_w")?,
             battery,
+            alarms,
             online: self.0.text("platform.forecast")? == "online",
             energy_online: self.0.text("platform.energy")? == "online",
+        })
+    }
+
+    /// The platform's limits; of those that it does not set, the fleet's.
+    fn limits(&self, fleet: &Self) -> Option<AlarmLimits> {
+        let limit = |name: &str| {
+            let own = self.single(&format!("platform.alarms.{name}"));
+            own.or_else(|| fleet.single(&format!("alarms.{name}")))
+        };
+        Some(AlarmLimits {
+            cusum_limit: limit("cusum_limit")?,
+            noise_limit: limit("noise_limit")?,
+            mismatch_limit: limit("mismatch_limit")?,
         })
     }
 

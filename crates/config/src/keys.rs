@@ -171,6 +171,13 @@ pub const KEYS: &[Key] = &[
     of_platform(key("platform.omega_max_radps", num(bounds::OMEGA_MAX_RADPS), "rad/s", DefaultValue::Required,
         "Largest |omega| that can be commanded; 0 for robots that report no velocity.")),
 
+    of_platform(key("platform.alarms.cusum_limit", num(bounds::CUSUM_LIMIT), "standard deviations", DefaultValue::Unset,
+        "Replaces the fleet's alarms.cusum_limit for this platform; joulebus calibrate writes it.")),
+    of_platform(key("platform.alarms.noise_limit", num(bounds::NOISE_LIMIT), "ratio", DefaultValue::Unset,
+        "Replaces the fleet's alarms.noise_limit for this platform; joulebus calibrate writes it.")),
+    of_platform(key("platform.alarms.mismatch_limit", num(bounds::MISMATCH_LIMIT), "ratio", DefaultValue::Unset,
+        "Replaces the fleet's alarms.mismatch_limit for this platform; joulebus calibrate writes it.")),
+
     of_platform(key("platform.battery.capacity_wh", num(bounds::BATTERY_CAPACITY_WH), "Wh", DefaultValue::Required,
         "Energy of the battery from full to empty. Omit [battery] if it is unknown.")),
     of_platform(key("platform.battery.reserve", num(bounds::SHARE), "share", DefaultValue::Number(0.1),

@@ -2,11 +2,12 @@
 
 use std::fmt::Write as _;
 
-use crate::document::FleetFile;
+use crate::document::{FleetFile, Listed};
 use crate::files;
-use crate::key::Key;
+use crate::key::{File, Key};
 use crate::keys::KEYS;
 use crate::model_source::ModelSource;
+use crate::template::Assignment;
 use crate::values::{Place, Value, Values};
 
 /// Every key with its value and origin, as a valid config file.
@@ -25,17 +26,43 @@ pub(crate) fn toml(read: &FleetFile) -> String {
     }
     for values in read.platforms.iter().map(|listed| &listed.values) {
         text += "\n[[platform]]\n";
-        let (battery, plain): (Vec<&Key>, Vec<&Key>) = KEYS
-            .iter()
-            .filter(|key| key.path.starts_with("platform.") && key.path != "platform.file")
-            .partition(|key| key.path.starts_with("platform.battery."));
-        plain.iter().for_each(|key| line(&mut text, values, key));
-        if values.names_any("platform.battery.") {
-            text += "\n[platform.battery]\n";
-            battery.iter().for_each(|key| line(&mut text, values, key));
+        let mut section = "platform.";
+        for key in keys_of(values).filter(|key| key.path != "platform.file") {
+            let of_key = key.path.trim_end_matches(key.name());
+            if of_key != section {
+                section = of_key;
+                let _ = writeln!(text, "\n[{}]", section.trim_end_matches('.'));
+            }
+            line(&mut text, values, key);
         }
     }
     text
+}
+
+/// The keys of a platform, without those of sections that it does not have.
+fn keys_of(values: &Values) -> impl Iterator<Item = &'static Key> {
+    let given = |section: &str| values.names_any(section);
+    let (battery, alarms) = (given("platform.battery."), given("platform.alarms."));
+    KEYS.iter().filter(move |key| match key.path {
+        path if path.starts_with("platform.battery.") => battery,
+        path if path.starts_with("platform.alarms.") => alarms,
+        path => path.starts_with("platform."),
+    })
+}
+
+/// What a platform sets, each value with its origin, as in a platform's file.
+pub(crate) fn platform(listed: &Listed) -> Vec<Assignment> {
+    let values = &listed.values;
+    let set = keys_of(values).filter(|key| key.file == File::Platform);
+    set.filter_map(|key| {
+        let place = values.place(key.path)?;
+        Some(Assignment {
+            key: key.path_in_file(),
+            value: resolved(values, key)?.to_string(),
+            note: format!("From {place}."),
+        })
+    })
+    .collect()
 }
 
 fn section_of(key: &Key) -> &'static str {

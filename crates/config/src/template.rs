@@ -134,6 +134,9 @@ mod tests {
                 Assignment::number("power_resolution_w", 0.01, ""),
                 Assignment::number("v_max_mps", 1.0, ""),
                 Assignment::number("omega_max_radps", 2.0, ""),
+                Assignment::number("alarms.cusum_limit", 90.0, ""),
+                Assignment::number("alarms.noise_limit", 9.0, ""),
+                Assignment::number("alarms.mismatch_limit", 3.0, ""),
                 Assignment::number("battery.capacity_wh", 100.0, ""),
                 Assignment::number("battery.initial_soc_lo", 0.9, ""),
             ],
@@ -154,7 +157,15 @@ mod tests {
         let path = folder.path().join("fleet.toml");
         std::fs::write(&path, &fleet).expect("writable");
         let config = Config::load(&path).unwrap_or_else(|error| panic!("{error}\n{platform}"));
-        assert_eq!(config.settings().platforms[0].power_max_w, 60.0);
+        let robot = &config.settings().platforms[0];
+        assert_eq!(robot.power_max_w, 60.0);
+        assert_eq!(robot.alarms.map(|limits| limits.noise_limit), Some(9.0));
+        // Written again from what it sets, it is the same platform.
+        let again = platform_file("The same.", config.platform_keys(0));
+        std::fs::write(folder.path().join("robot.toml"), &again).expect("writable");
+        let same = Config::load(&path).unwrap_or_else(|error| panic!("{error}\n{again}"));
+        assert_eq!(same.settings(), config.settings());
+        assert_eq!(same.models(), config.models());
         assert!(config.warnings().is_empty(), "{:?}", config.warnings());
         for key in KEYS {
             let text = if key.file == File::Fleet {

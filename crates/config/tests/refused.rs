@@ -43,6 +43,8 @@ power_max_w = 20.0
 power_resolution_w = 0.01
 v_max_mps = 0.2
 omega_max_radps = 3.6
+[platform.alarms]
+noise_limit = 9.0
 [platform.battery]
 capacity_wh = 10.0
 reserve = 0.1

@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod analyze;
+pub mod calibrate;
 pub mod energy;
 pub mod evaluate;
 pub mod online_learning;

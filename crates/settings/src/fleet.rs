@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::bounds::{self, within};
 use crate::error::SettingsError;
-use crate::platform::Platform;
+use crate::platform::{AlarmLimits, Platform};
 
 /// Everything the tick is configured with except the models. [`bounds`] states the range of each
 /// number.
@@ -84,6 +84,34 @@ pub enum Policy {
     },
     /// On a grid on the monotonic clock.
     Timer,
+}
+
+impl AlarmSettings {
+    /// The limits that a platform may replace.
+    #[must_use]
+    pub const fn limits(&self) -> AlarmLimits {
+        AlarmLimits {
+            cusum_limit: self.cusum_limit,
+            noise_limit: self.noise_limit,
+            mismatch_limit: self.mismatch_limit,
+        }
+    }
+
+    /// The settings of a platform: with its own limits, if it has any.
+    #[must_use]
+    pub fn of(&self, platform: &Platform) -> Self {
+        let AlarmLimits {
+            cusum_limit,
+            noise_limit,
+            mismatch_limit,
+        } = platform.alarms.unwrap_or(self.limits());
+        Self {
+            cusum_limit,
+            noise_limit,
+            mismatch_limit,
+            ..*self
+        }
+    }
 }
 
 impl FleetSettings {
@@ -254,6 +282,7 @@ mod tests {
                 initial_soc_lo: 0.8,
                 ..crate::Battery::new(36_000.0, 0.1)
             }),
+            alarms: None,
             online: true,
             energy_online: true,
         }
@@ -294,6 +323,15 @@ mod tests {
                 "battery initial_soc_lo beside initial_soc of platform one is 1, allowed is 0 to 0.9",
             ),
             (
+                |s| {
+                    s.platforms[0].alarms = Some(AlarmLimits {
+                        noise_limit: f32::NAN,
+                        ..s.alarms.limits()
+                    });
+                },
+                "alarms noise_limit of platform one is NaN, allowed is 1.5 to 100",
+            ),
+            (
                 |s| s.platforms[1].robots.push(9..=9),
                 "robot 9 belongs to platform one and to platform two: take it out of one of them",
             ),
@@ -315,5 +353,8 @@ mod tests {
         let mut changed = settings();
         changed.platforms[1].energy_online = false;
         assert_ne!(changed.fingerprint(), fingerprint);
+        let mut limited = settings();
+        limited.platforms[1].alarms = Some(limited.alarms.limits());
+        assert_ne!(limited.fingerprint(), fingerprint);
     }
 }

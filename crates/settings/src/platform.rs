@@ -35,12 +35,26 @@ pub struct Platform {
     pub power_resolution_w: f32,
     /// The battery, if configured.
     pub battery: Option<Battery>,
+    /// Limits of its residual alarms, in place of the fleet's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub alarms: Option<AlarmLimits>,
     /// Whether forecasts combine persistence, the model's autoregression and its network with weights that each
     /// robot's own readings teach; otherwise they are the network's. Without a network nothing is learned.
     pub online: bool,
     /// Whether the energy of plans adapts to what each robot's own forecasts of energy were off; otherwise it is as
     /// trained, from the robot's own level.
     pub energy_online: bool,
+}
+
+/// Limits of the residual alarms, as in [`AlarmSettings`](crate::AlarmSettings).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct AlarmLimits {
+    /// Cumulative sum at which a bias alarm is raised, standard deviations.
+    pub cusum_limit: f32,
+    /// Noise ratio at which `NoiseHigh` is raised.
+    pub noise_limit: f32,
+    /// Squared error over the expected one at which `ModelMismatch` is raised.
+    pub mismatch_limit: f32,
 }
 
 /// A battery.
@@ -196,6 +210,9 @@ impl Platform {
             self.omega_max_radps.into(),
             bounds::OMEGA_MAX_RADPS,
         )?;
+        if let Some(limits) = &self.alarms {
+            limits.check(check)?;
+        }
         let Some(battery) = &self.battery else {
             return Ok(());
         };
@@ -212,6 +229,22 @@ impl Platform {
             *bounds::SHARE.start()..=battery.initial_soc,
         )?;
         battery.check(check)
+    }
+}
+
+impl AlarmLimits {
+    fn check(
+        &self,
+        check: impl Fn(&str, f64, RangeInclusive<f64>) -> Result<(), SettingsError>,
+    ) -> Result<(), SettingsError> {
+        let [bias, noise, mismatch] = [self.cusum_limit, self.noise_limit, self.mismatch_limit];
+        check("alarms cusum_limit", bias.into(), bounds::CUSUM_LIMIT)?;
+        check("alarms noise_limit", noise.into(), bounds::NOISE_LIMIT)?;
+        check(
+            "alarms mismatch_limit",
+            mismatch.into(),
+            bounds::MISMATCH_LIMIT,
+        )
     }
 }
 

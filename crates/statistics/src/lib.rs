@@ -1,7 +1,8 @@
-//! Statistics shared by the offline crates: error sums and quantiles, bootstrap intervals, and
-//! random numbers that are the same on every machine.
+//! Statistics shared by the offline crates: error sums and quantiles, bootstrap intervals, bounds
+//! of rates, and random numbers that are the same on every machine.
 #![forbid(unsafe_code)]
 
 pub mod bootstrap;
 pub mod metrics;
 pub mod noise;
+pub mod poisson;

@@ -95,6 +95,18 @@ const CASES: &[(i32, &str)] = &[
     (1, "eval JUNK --model MODEL"),
     (1, "eval TRIAL --model JUNK"),
     (2, "eval"),
+    (2, "calibrate TRIAL --false-alarms 1/day"),
+    (2, "calibrate TRIAL --false-alarms 1/year"),
+    (2, "calibrate CAPTURE --false-alarms 1/day -o THERE"),
+    (1, "calibrate JUNK --false-alarms 1/day"),
+    (
+        1,
+        "calibrate CAPTURE --false-alarms 1/day --robots 20 -o NEW",
+    ),
+    (
+        0,
+        "calibrate CAPTURE --false-alarms 1000000/hour --robots 1 -o NEW",
+    ),
     (2, "report TRIAL"),
     (2, "bench nothing"),
     (2, "mission --hours 0"),

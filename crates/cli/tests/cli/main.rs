@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod ask;
+mod calibrate;
 mod captures;
 mod data;
 mod evaluate;

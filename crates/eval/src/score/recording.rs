@@ -116,6 +116,7 @@ pub fn recorded_platform(robot: u32, trial: &Trial) -> Platform {
         omega_max_radps: 1e3,
         power_resolution_w: 1e-3,
         battery: None,
+        alarms: None,
         online: true,
         energy_online: true,
     }

@@ -27,6 +27,7 @@ pub(crate) fn settings() -> FleetSettings {
         omega_max_radps: 10.0,
         power_resolution_w: 0.01,
         battery: None,
+        alarms: None,
         online: false,
         energy_online: true,
     };

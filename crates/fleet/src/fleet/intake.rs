@@ -117,7 +117,7 @@ impl Fleet {
         let scored = lanes::get(&self.columns.scores, slot).count;
         let mut detector = lanes::get(&self.columns.detectors, slot);
         let inputs = AlarmInputs::of(admission, &last);
-        let (alarms, missed) = (&self.tick.settings.alarms, self.tick.deadline_missed);
+        let (alarms, missed) = (&context.alarms, self.tick.deadline_missed);
         let platform = &context.platform;
         let conditions = judge(alarms, platform, &inputs, scored, &detector, missed);
         detector.decide(conditions, alarms);

@@ -2,7 +2,7 @@
 
 use joulebus_energy::EnergyModel;
 use joulebus_predictor::{FeatureSet, Features, INPUTS, Model};
-use joulebus_settings::{FleetSettings, Platform};
+use joulebus_settings::{AlarmSettings, FleetSettings, Platform};
 
 use crate::estimate::interval::QuantileStep;
 use crate::estimate::online::Members;
@@ -13,6 +13,8 @@ use crate::estimate::window::RequiredInputs;
 pub(crate) struct PlatformContext {
     pub platform: Platform,
     pub model: Model,
+    /// When its residuals raise an alarm.
+    pub alarms: AlarmSettings,
     /// Inputs that the model requires in addition to the lags.
     pub required: RequiredInputs,
     /// 1 over the residual standard deviation in training, at least the monitor's resolution, 1/W.
@@ -56,6 +58,7 @@ impl PlatformContext {
         let members =
             (platform.online).then(|| Members::new(&model, sigma_w, platform.power_resolution_w));
         Self {
+            alarms: settings.alarms.of(&platform),
             energy: model.energy_or_untrained(platform.power_max_w),
             members: members.flatten(),
             quantile_step: QuantileStep::new(&settings.interval),

@@ -173,7 +173,7 @@ fn score_platform(tick: &TickContext, platform: u16, absorbed: &Absorbed, robots
         follow(batteries, context, absorbed, &mask, robots.ledgers);
     }
     score(robots.scores, absorbed, &scored);
-    detect(tick, context, absorbed, &scored, robots.detectors);
+    detect(context, absorbed, &scored, robots.detectors);
     alarm(
         tick,
         context,
@@ -289,13 +289,12 @@ fn score(scores: &mut ScoreLanes, absorbed: &Absorbed, scored: &Lanes<bool>) {
 
 #[inline(always)]
 fn detect(
-    tick: &TickContext,
     context: &PlatformContext,
     absorbed: &Absorbed,
     scored: &Lanes<bool>,
     detectors: &mut DetectorLanes,
 ) {
-    let (alarms, per_sigma) = (tick.settings.alarms, context.per_sigma);
+    let (alarms, per_sigma) = (context.alarms, context.per_sigma);
     for lane in 0..LANES {
         let mut detector = detectors.get(lane);
         let reading_w = absorbed.reading_w[lane];
@@ -316,7 +315,7 @@ fn alarm(
     scores: &ScoreLanes,
     detectors: &mut DetectorLanes,
 ) {
-    let (alarms, platform) = (&tick.settings.alarms, &context.platform);
+    let (alarms, platform) = (&context.alarms, &context.platform);
     let missed = tick.deadline_missed;
     let mut moved = [false; LANES];
     for lane in 0..LANES {

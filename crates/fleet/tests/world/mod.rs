@@ -42,6 +42,7 @@ fn platform(name: &str, first: u32, period_ns: u64) -> Platform {
         omega_max_radps: 3.0,
         power_resolution_w: 0.01,
         battery: None,
+        alarms: None,
         online: false,
         energy_online: first < 200,
     }

@@ -1,0 +1,133 @@
+//! `joulebus calibrate` on simulated recordings and on captures of them.
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::Output;
+
+use joulebus_config::Config;
+
+use crate::fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
+
+/// Seven simulated robots of the platform gternal, 100 s each.
+fn recordings(fleet: &Fleet) -> Vec<PathBuf> {
+    let directory = fleet.path("simulated");
+    let simulated = joulebus(["data", "simulate", "--steps", "3000"])
+        .arg(&directory)
+        .output()
+        .unwrap();
+    assert_eq!(code(&simulated), 0, "{}", stderr(&simulated));
+    let robots = (1..=7).map(|robot| format!("energy_data_seven_robots_robot{robot}.npy"));
+    robots.map(|name| directory.join(name)).collect()
+}
+
+fn calibrate(fleet: &Fleet, recordings: &[PathBuf], words: &str) -> Output {
+    let mut command = joulebus(["calibrate", "--platform", "gternal"]);
+    command.args(recordings).args(words.split_whitespace());
+    command
+        .arg("--config")
+        .arg(fleet.config())
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn the_written_platform_has_the_limits_their_evidence_and_everything_else_as_before() {
+    let fleet = Fleet::new();
+    let recordings = recordings(&fleet);
+    let file = fleet.path("robot-alarms.toml");
+    let words = format!(
+        "--false-alarms 500/hour --robots 5 --format json -o {}",
+        file.display()
+    );
+    let found = calibrate(&fleet, &recordings, &words);
+    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    let found = json(&found);
+    assert_eq!(found["wanted_per_robot_h"], 100.0);
+    assert_eq!(found["robots"], 5);
+    assert_eq!(found["delays"].as_array().unwrap().len(), 12, "{found}");
+    assert_eq!(found["extrapolated"], false);
+
+    let before = Config::load(fleet.config()).unwrap();
+    let text = fs::read_to_string(fleet.config()).unwrap();
+    let named = text.replace("builtin:gternal", "robot-alarms.toml");
+    let renamed = fleet.path("calibrated.toml");
+    fs::write(&renamed, named).unwrap();
+    let after = Config::load(&renamed).unwrap_or_else(|error| panic!("{error}"));
+    assert!(after.warnings().is_empty(), "{:?}", after.warnings());
+    let [old, new] = [&before, &after].map(|it| it.settings().platforms[0].clone());
+    let limits = new.alarms.unwrap();
+    let values = [
+        limits.cusum_limit,
+        limits.noise_limit,
+        limits.mismatch_limit,
+    ];
+    for (place, value) in values.into_iter().enumerate() {
+        let stated = found["limits"][place]["value"].as_f64().unwrap();
+        assert_eq!(value, stated as f32, "{found}");
+    }
+    assert_eq!(
+        joulebus_settings::Platform {
+            alarms: None,
+            ..new
+        },
+        old
+    );
+    assert_eq!(before.models(), after.models());
+    let written = fs::read_to_string(&file).unwrap().replace("\n# ", " ");
+    for evidence in [
+        "robot-hours",
+        "at 95 %",
+        "rows",
+        found["digest"].as_str().unwrap(),
+        env!("CARGO_PKG_VERSION"),
+    ] {
+        assert!(written.contains(evidence), "{evidence}: {written}");
+    }
+
+    let again = calibrate(&fleet, &recordings, &words);
+    assert_eq!(code(&again), 2, "nothing is overwritten");
+    assert!(stderr(&again).contains("exists"), "{}", stderr(&again));
+}
+
+#[test]
+fn a_capture_gives_what_its_recordings_give_and_the_number_of_robots() {
+    let fleet = Fleet::new();
+    let recordings = recordings(&fleet);
+    let capture = fleet.path("fleet.mcap");
+    let mut import = fleet.joulebus("import --format json");
+    let imported = import.arg("-o").arg(&capture).args(&recordings).output();
+    let imported = imported.unwrap();
+    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
+    let found = calibrate(&fleet, &[capture], "--false-alarms 700/hour --format json");
+    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    assert_eq!(json(&found)["robots"], 7);
+    let trials = "--false-alarms 700/hour --robots 7 --format json";
+    let same = calibrate(&fleet, &recordings, trials);
+    let [found, same] = [json(&found), json(&same)];
+    assert_eq!(found["limits"], same["limits"]);
+}
+
+#[test]
+fn too_little_evidence_fails_with_what_would_be_needed() {
+    let fleet = Fleet::new();
+    let recordings = recordings(&fleet);
+    let refused = calibrate(&fleet, &recordings, "--false-alarms 1/day --robots 20");
+    assert_eq!(code(&refused), 1);
+    assert!(stdout(&refused).is_empty());
+    let said = stderr(&refused);
+    for part in ["2875.9 robot-hours", "a day of 20 robots", "--extrapolate"] {
+        assert!(said.contains(part), "{said}");
+    }
+    let several = output(
+        ["calibrate", "--false-alarms", "1/day", "--config"]
+            .map(PathBuf::from)
+            .iter()
+            .chain([&fleet.config(), &recordings[0], &recordings[1]]),
+    );
+    assert_eq!(code(&several), 2, "{}", stderr(&several));
+    assert!(
+        stderr(&several).contains("--platform"),
+        "{}",
+        stderr(&several)
+    );
+}
