@@ -8,8 +8,8 @@ use joulebus_program::verbs::report::ReportArguments;
 use joulebus_program::verbs::serve::ServeArguments;
 
 use crate::{
-    analyze, ask, calibrate, cat, completions, config, data, demo, doctor, eval, import, info,
-    model, publish, record, recover, replay, run, train, watch,
+    alarms, analyze, ask, calibrate, cat, completions, config, data, demo, doctor, eval, import,
+    info, model, publish, record, recover, replay, run, train, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -49,6 +49,7 @@ pub(crate) enum Command {
     Record(record::Args),
     Replay(replay::Args),
     Watch(watch::Args),
+    Alarms(alarms::Args),
     Ask(ask::Args),
     Info(info::Args),
     Cat(cat::Args),

@@ -4,6 +4,7 @@
 //! has the code shared by all programs.
 #![forbid(unsafe_code)]
 
+mod alarms;
 mod analyze;
 mod arguments;
 mod ask;
@@ -75,6 +76,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Record(args) => record::run(args, output),
         Command::Replay(args) => replay::run(args, output),
         Command::Watch(args) => watch::run(args, output),
+        Command::Alarms(args) => alarms::run(args, output),
         Command::Ask(args) => ask::run(args, output),
         Command::Info(args) => info::run(args, output),
         Command::Cat(args) => cat::run(args, output),

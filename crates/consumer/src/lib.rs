@@ -33,6 +33,8 @@
 //! silent is detected when its newest frame is older than two tick periods ([`Event::Stale`]).
 //! After either, the next frame ends the outage.
 //!
+//! **Alarms.** [`Planner::diagnostics`] states what is raised; [`AlarmFeed`] tells each raise and each end.
+//!
 //! **Gaps.** A planner always gets the newest frame. Skipped frames are counted
 //! ([`Forecasts::arrival`], [`Counts`]). A slow or stopped planner does not affect the worker.
 //!
@@ -50,6 +52,7 @@
 //! do all planners of one process to one fleet.
 #![forbid(unsafe_code)]
 
+mod alarms;
 mod feed;
 mod frame;
 mod index;
@@ -57,6 +60,7 @@ mod newest;
 mod planner;
 mod tracker;
 
+pub use alarms::{AlarmChange, AlarmFeed, AlarmHistory, Change};
 pub use feed::{BudgetFeed, DiagnosticFeed, Feed, PlanStateFeed, QueryFeed};
 pub use frame::{Budgets, Diagnostics, Forecasts, Frame, PlanStates};
 pub use joulebus_bus::{OpenError, clock};

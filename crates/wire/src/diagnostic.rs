@@ -156,6 +156,17 @@ impl Level {
         self as u16
     }
 
+    /// The name, as in reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Ok => "ok",
+            Self::Warn => "warn",
+            Self::Error => "error",
+            Self::Stale => "stale",
+        }
+    }
+
     /// From shared memory; an unknown code decodes to [`Level::Error`].
     #[must_use]
     pub const fn decode(code: u16) -> Self {

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::account::Account;
 use super::capture::Captured;
 use super::place::LeftBehind;
-use crate::view::{Board, Raised, Scores, count, level};
+use crate::view::{Board, Raised, Scores, count};
 use crate::watch::PlannerReport;
 
 /// A fault injected into a robot of the demo.
@@ -287,7 +287,7 @@ fn stands_out(board: &Board, robot: u32, raised: &[Raised], planted: &[Planted])
     let bias_w = diagnostic.map(|diagnostic| f64::from(diagnostic.bias_w));
     StandsOut {
         robot,
-        level: row.map_or("gone", |row| level(row.level())),
+        level: row.map_or("gone", |row| row.level().name()),
         reasons: raised
             .iter()
             .map(|raised| Reason {

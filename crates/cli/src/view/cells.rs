@@ -1,8 +1,6 @@
 //! Data of a robot as text, the same in every view.
 
-use joulebus_wire::{
-    Budget, ChargeState, Level, Quality, budget_flag, diagnostic_flag, forecast_flag,
-};
+use joulebus_wire::{Budget, ChargeState, Quality, budget_flag, diagnostic_flag, forecast_flag};
 
 use super::board::Row;
 
@@ -124,23 +122,13 @@ pub(crate) fn quality(quality: Quality) -> String {
     }
 }
 
-/// Text of a level.
-pub(crate) const fn level(level: Level) -> &'static str {
-    match level {
-        Level::Ok => "ok",
-        Level::Warn => "warn",
-        Level::Error => "error",
-        Level::Stale => "stale",
-    }
-}
-
 /// Level and most important alarm, with the number of further alarms.
 fn state(row: &Row) -> String {
     let Some(diagnostic) = &row.diagnostic else {
         return UNKNOWN.to_owned();
     };
     let alarms = diagnostic.alarms();
-    let word = level(diagnostic.level());
+    let word = diagnostic.level().name();
     match alarms.iter().count() {
         0 => word.to_owned(),
         1 => format!("{word} {}", alarms.first().name()),

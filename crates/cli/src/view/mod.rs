@@ -14,7 +14,7 @@ mod stages;
 mod terminal;
 
 pub(crate) use board::{Board, Link, Raised, Row};
-pub(crate) use cells::{count, level};
+pub(crate) use cells::count;
 pub(crate) use feed::{Feed, Reading};
 pub(crate) use plain::{line, table};
 pub(crate) use record::FrameRecord;

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use joulebus_wire::Level;
 
 use super::board::{Board, Row};
-use super::cells::{HEADS, cells, level, micros};
+use super::cells::{HEADS, cells, micros};
 
 /// Maximum number of robots named in a line.
 const NAMED: usize = 4;
@@ -38,7 +38,7 @@ pub(crate) fn line(board: &Board, now_ns: u64) -> String {
         let alarm = row
             .diagnostic
             .map_or("", |diagnostic| diagnostic.alarm().name());
-        let _ = write!(text, "  [{robot} {} {alarm}]", level(row.level()));
+        let _ = write!(text, "  [{robot} {} {alarm}]", row.level().name());
     }
     if standing_out.len() > NAMED {
         let _ = write!(text, "  and {} more", standing_out.len() - NAMED);

@@ -9,7 +9,6 @@ use joulebus_wire::{
 use serde::Serialize;
 
 use super::board::{Board, Row};
-use super::cells::level;
 use super::scores::known;
 
 /// A frame of forecasts with the data of its tick.
@@ -196,7 +195,7 @@ impl RobotRecord {
             persistence_r2: score(|d| d.persistence_r2),
             skill: score(|d| d.skill),
             coverage: score(|d| d.coverage.into()),
-            level: diagnostic.map(|d| level(d.level())),
+            level: diagnostic.map(|d| d.level().name()),
             alarms: diagnostic.map_or_else(Vec::new, |d| {
                 d.alarms().iter().map(joulebus_wire::Alarm::name).collect()
             }),

@@ -1,6 +1,7 @@
 //! Tests of the executable: real processes, exit codes, stdout and stderr.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
+mod alarms;
 mod ask;
 mod calibrate;
 mod captures;

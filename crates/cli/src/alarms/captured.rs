@@ -1,0 +1,197 @@
+//! The history of a capture.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::Context as _;
+use joulebus_capture::{Entry, Message, ReadError, Reader};
+use joulebus_consumer::{AlarmChange, AlarmHistory, Change};
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::{Output, say};
+use serde::Serialize;
+
+use super::{Lasted, change_name, s_between};
+
+/// An alarm from its raise to its end.
+#[derive(Debug, Serialize)]
+struct Episode {
+    fleet: String,
+    robot: u32,
+    alarm: &'static str,
+    level: &'static str,
+    /// Unix time, ns.
+    raised_ns: u64,
+    /// Null where it was raised at the end of the recording.
+    lasted_s: Option<f64>,
+    /// `cleared`, `left`, or `raised` at the end of the recording.
+    end: &'static str,
+}
+
+#[derive(Debug, Serialize)]
+struct AlarmsReport {
+    alarms: Vec<Episode>,
+    /// Ticks whose diagnostics were read.
+    ticks: u64,
+    /// Ticks between them without diagnostics.
+    ticks_missed: u64,
+    /// Errors of the files.
+    damage: Vec<String>,
+    /// Unix time of the first diagnostics, ns.
+    from_ns: Option<u64>,
+    /// Of the last.
+    to_ns: Option<u64>,
+}
+
+pub(super) fn run(files: &[PathBuf], output: Output) -> anyhow::Result<Outcome> {
+    let mut found = Found::default();
+    for file in files {
+        found.read(file)?;
+    }
+    let report = found.report();
+    for damage in &report.damage {
+        say(damage);
+    }
+    output.report(&report)?;
+    let is_whole = report.damage.is_empty() && report.ticks_missed == 0;
+    Ok(Outcome::unless_lost(!is_whole))
+}
+
+#[derive(Default)]
+struct Found {
+    fleets: BTreeMap<Arc<str>, AlarmHistory>,
+    episodes: Vec<Episode>,
+    damage: Vec<String>,
+    span_ns: Option<(u64, u64)>,
+}
+
+impl Found {
+    fn read(&mut self, path: &Path) -> anyhow::Result<()> {
+        let named = || path.display().to_string();
+        let source = joulebus_files::open(path).with_context(named)?;
+        let mut reader = Reader::new(source).with_context(named)?;
+        let (mut read, mut others) = (0_u64, 0_u64);
+        loop {
+            match reader.next_entry() {
+                Ok(Some(entry)) => {
+                    read += 1;
+                    self.take(&entry);
+                }
+                Ok(None) => break,
+                Err(ReadError::Message { .. }) => others += 1,
+                Err(error) if read == 0 => return Err(error).with_context(named),
+                Err(error) => {
+                    self.damage.push(format!("{}: {error}", named()));
+                    break;
+                }
+            }
+        }
+        if others > 0 {
+            let name = named();
+            self.damage
+                .push(format!("{name}: {others} messages cannot be read"));
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, entry: &Entry) {
+        let Message::Diagnostics(header, robots) = &entry.message else {
+            return;
+        };
+        let at_ns = entry.publish_time_ns;
+        let (from_ns, to_ns) = self.span_ns.unwrap_or((at_ns, at_ns));
+        self.span_ns = Some((from_ns.min(at_ns), to_ns.max(at_ns)));
+        let history = self.fleets.entry(Arc::clone(&entry.fleet)).or_default();
+        let episodes = &mut self.episodes;
+        history.take(header, robots, at_ns, |change| {
+            if change.change != Change::Raised {
+                episodes.push(Episode::new(&entry.fleet, &change));
+            }
+        });
+    }
+
+    fn report(mut self) -> AlarmsReport {
+        let (mut ticks, mut ticks_missed) = (0, 0);
+        for (fleet, history) in &self.fleets {
+            ticks += history.ticks();
+            ticks_missed += history.ticks_missed();
+            for (robot, alarm, raised_ns) in history.raised() {
+                self.episodes.push(Episode {
+                    fleet: fleet.to_string(),
+                    robot,
+                    alarm: alarm.name(),
+                    level: alarm.level().name(),
+                    raised_ns,
+                    lasted_s: None,
+                    end: change_name(Change::Raised),
+                });
+            }
+        }
+        self.episodes
+            .sort_by_key(|episode| (episode.raised_ns, episode.robot));
+        AlarmsReport {
+            alarms: self.episodes,
+            ticks,
+            ticks_missed,
+            damage: self.damage,
+            from_ns: self.span_ns.map(|(from_ns, _)| from_ns),
+            to_ns: self.span_ns.map(|(_, to_ns)| to_ns),
+        }
+    }
+}
+
+impl Episode {
+    fn new(fleet: &str, change: &AlarmChange) -> Self {
+        Self {
+            fleet: fleet.to_owned(),
+            robot: change.robot,
+            alarm: change.alarm.name(),
+            level: change.alarm.level().name(),
+            raised_ns: change.raised_ns,
+            lasted_s: Some(s_between(change.raised_ns, change.at_ns)),
+            end: change_name(change.change),
+        }
+    }
+}
+
+impl fmt::Display for AlarmsReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let from_ns = self.from_ns.unwrap_or_default();
+        let lasted = Lasted(s_between(from_ns, self.to_ns.unwrap_or_default()));
+        if self.from_ns.is_none() {
+            return writeln!(out, "no diagnostics: record the topic `diagnostics`");
+        }
+        let count = self.alarms.len();
+        writeln!(out, "{count} alarms in {lasted} of {} ticks", self.ticks)?;
+        if self.ticks_missed > 0 {
+            writeln!(out, "{} ticks without diagnostics", self.ticks_missed)?;
+        }
+        if !self.alarms.is_empty() {
+            let titles = ["after s", "robot", "alarm", "level", "lasted", "end"];
+            let [after, robot, alarm, level, lasted, end] = titles;
+            writeln!(
+                out,
+                "{after:>10} {robot:>10}  {alarm:<16} {level:<6} {lasted:>10}  {end}"
+            )?;
+        }
+        for episode in &self.alarms {
+            let after_s = s_between(from_ns, episode.raised_ns);
+            let lasted = episode
+                .lasted_s
+                .map_or(String::new(), |s| Lasted(s).to_string());
+            let Episode {
+                robot,
+                alarm,
+                level,
+                end,
+                ..
+            } = episode;
+            writeln!(
+                out,
+                "{after_s:>10.2} {robot:>10}  {alarm:<16} {level:<6} {lasted:>10}  {end}"
+            )?;
+        }
+        Ok(())
+    }
+}

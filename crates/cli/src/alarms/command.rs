@@ -1,0 +1,218 @@
+//! The command of `--on-alarm`.
+
+use std::os::unix::process::CommandExt as _;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use joulebus_program::output::say;
+use rustix::process::{Pid, Signal, kill_process_group};
+
+use super::Line;
+
+/// Changes that wait for the command.
+const MOST_WAITING: usize = 256;
+/// Time that a command may take.
+const MOST: Duration = Duration::from_secs(10);
+/// Interval between two looks at a running command.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// Runs a command for each change, in a thread of its own: whoever tells the changes never waits.
+pub(super) struct OnAlarm {
+    lines: Option<SyncSender<Line>>,
+    thread: Option<JoinHandle<u64>>,
+    ending: Arc<AtomicBool>,
+    untold: u64,
+}
+
+impl OnAlarm {
+    pub(super) fn start(command: String) -> anyhow::Result<Self> {
+        let (lines, waiting) = sync_channel(MOST_WAITING);
+        let ending = Arc::new(AtomicBool::new(false));
+        let ends = Arc::clone(&ending);
+        let thread = std::thread::Builder::new()
+            .name("joulebus-on-alarm".to_owned())
+            .spawn(move || run_all(&command, &waiting, &ends))
+            .context("cannot start a thread for --on-alarm")?;
+        Ok(Self {
+            lines: Some(lines),
+            thread: Some(thread),
+            ending,
+            untold: 0,
+        })
+    }
+
+    /// Hands a change to the command, unless too many are waiting.
+    pub(super) fn tell(&mut self, line: &Line) {
+        let Some(lines) = &self.lines else { return };
+        if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
+            lines.try_send(line.clone())
+        {
+            self.untold += 1;
+            if self.untold.is_power_of_two() {
+                let untold = self.untold;
+                say(&format!(
+                    "--on-alarm is too slow: {untold} changes were not told so far"
+                ));
+            }
+        }
+    }
+
+    /// Tells what waits, as far as the time of one command reaches. Returns how many changes were not told, or told
+    /// to a command that failed.
+    pub(super) fn finish(mut self) -> u64 {
+        self.ending.store(true, Ordering::Relaxed);
+        drop(self.lines.take());
+        let failed = self.thread.take().map_or(Ok(0), JoinHandle::join);
+        self.untold + failed.unwrap_or(1)
+    }
+}
+
+/// Runs the command for every change until the sender is dropped. Returns how many changes it did not take.
+fn run_all(command: &str, waiting: &Receiver<Line>, ending: &AtomicBool) -> u64 {
+    let mut failed = 0;
+    let (mut last_failure, mut end_by) = (None, None);
+    for line in waiting {
+        if ending.load(Ordering::Relaxed) {
+            let by = *end_by.get_or_insert_with(|| Instant::now() + MOST);
+            if Instant::now() > by {
+                failed += 1;
+                continue;
+            }
+        }
+        match run_once(command, &line, MOST) {
+            Ok(()) => last_failure = None,
+            Err(why) => {
+                failed += 1;
+                // A command that cannot be run would say so for every change.
+                if last_failure.as_ref() != Some(&why) {
+                    say(&format!("--on-alarm: {why}"));
+                }
+                last_failure = Some(why);
+            }
+        }
+    }
+    failed
+}
+
+fn run_once(command: &str, line: &Line, most: Duration) -> Result<(), String> {
+    let shown = |value: Option<String>| value.unwrap_or_default();
+    let mut child = Command::new("sh")
+        .args(["-c", command])
+        .env("JOULEBUS_FLEET", &line.fleet)
+        .env(
+            "JOULEBUS_ROBOT",
+            shown(line.robot.map(|robot| robot.to_string())),
+        )
+        .env("JOULEBUS_ALARM", line.alarm)
+        .env("JOULEBUS_LEVEL", line.level)
+        .env("JOULEBUS_CHANGE", line.change)
+        .env("JOULEBUS_STAMP_NS", line.stamp_ns.to_string())
+        .env(
+            "JOULEBUS_LASTED_S",
+            shown(line.lasted_s.map(|s| s.to_string())),
+        )
+        .stdin(Stdio::null())
+        // Results of the verb stay alone on stdout.
+        .stdout(Stdio::null())
+        .process_group(0)
+        .spawn()
+        .map_err(|error| format!("cannot run sh: {error}"))?;
+    let until = Instant::now() + most;
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) => return taken(status),
+            Ok(None) if Instant::now() < until => std::thread::sleep(LOOK_EVERY),
+            Ok(None) => {
+                kill(&mut child);
+                return Err(format!("killed after {} s", most.as_secs_f64()));
+            }
+            Err(error) => return Err(format!("cannot wait for it: {error}")),
+        }
+    }
+}
+
+fn taken(status: ExitStatus) -> Result<(), String> {
+    match status.success() {
+        true => Ok(()),
+        false => Err(status.to_string()),
+    }
+}
+
+/// Kills the command and what it has started.
+fn kill(child: &mut Child) {
+    if let Some(group) = Pid::from_raw(child.id().cast_signed()) {
+        let _ = kill_process_group(group, Signal::KILL);
+    }
+    let _ = child.wait();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line() -> Line {
+        Line {
+            fleet: "lab".to_owned(),
+            stamp_ns: 1_700_000_000_123_000_000,
+            robot: Some(7),
+            alarm: "BiasHigh",
+            level: "warn",
+            change: "cleared",
+            lasted_s: Some(2.5),
+        }
+    }
+
+    #[test]
+    fn a_command_has_the_change_in_its_environment_and_its_failure_is_told() {
+        let long = Duration::from_secs(60);
+        let all = "$JOULEBUS_FLEET $JOULEBUS_ROBOT $JOULEBUS_ALARM $JOULEBUS_LEVEL $JOULEBUS_CHANGE \
+                   $JOULEBUS_STAMP_NS $JOULEBUS_LASTED_S";
+        let expected = "lab 7 BiasHigh warn cleared 1700000000123000000 2.5";
+        let compare = format!("test \"{all}\" = '{expected}'");
+        assert_eq!(run_once(&compare, &line(), long), Ok(()));
+        let of_worker = Line {
+            robot: None,
+            lasted_s: None,
+            ..line()
+        };
+        let empty = "test \"$JOULEBUS_ROBOT.$JOULEBUS_LASTED_S\" = .";
+        assert_eq!(run_once(empty, &of_worker, long), Ok(()));
+        let failed = run_once("exit 3", &line(), long).unwrap_err();
+        assert!(failed.contains('3'), "{failed}");
+    }
+
+    #[test]
+    fn a_command_that_does_not_end_is_killed_with_what_it_started() {
+        let folder = tempfile::tempdir().unwrap();
+        let pid = folder.path().join("pid");
+        let command = format!("sleep 1000 & echo $! > {}; wait", pid.display());
+        let killed = run_once(&command, &line(), Duration::from_secs(2)).unwrap_err();
+        assert_eq!(killed, "killed after 2 s");
+        let pid = std::fs::read_to_string(pid).unwrap();
+        let status = std::path::Path::new("/proc").join(pid.trim()).join("stat");
+        let ended = || match std::fs::read_to_string(&status) {
+            Ok(text) => text.contains(") Z "),
+            Err(_) => true,
+        };
+        while !ended() {
+            std::thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    #[test]
+    fn of_more_changes_than_may_wait_the_others_are_counted() {
+        let mut command = OnAlarm::start("sleep 11".to_owned()).unwrap();
+        // One is taken by the command at some time, the others wait.
+        for _ in 0..MOST_WAITING + 11 {
+            command.tell(&line());
+        }
+        assert!((10..=11).contains(&command.untold), "{}", command.untold);
+        command.lines = None;
+        command.ending.store(true, Ordering::Relaxed);
+    }
+}

@@ -1,0 +1,121 @@
+//! `joulebus alarms`: each raise and each end of an alarm, live or in a capture.
+
+mod captured;
+mod command;
+mod live;
+
+use std::fmt;
+use std::path::PathBuf;
+
+use joulebus_consumer::Change;
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
+use serde::Serialize;
+
+/// Show each raise and each end of an alarm, with its duration: of a running fleet, or of captures
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus alarms                                   of the running fleet, until Ctrl-C\n  \
+    joulebus alarms --format json | jq .alarm\n  \
+    joulebus alarms run.mcap                          history of a capture\n  \
+    joulebus alarms --on-alarm 'logger \"$JOULEBUS_ALARM of robot $JOULEBUS_ROBOT $JOULEBUS_CHANGE\"'\n\n\
+    Live, one line for each change, with --format json one object; WorkerGone and WorkerStale are of \
+    the worker itself. What is raised at the start is shown as raised then.\n\
+    --on-alarm runs its command with `sh -c` for each change, one after the other, each for at most \
+    10 s: JOULEBUS_FLEET, JOULEBUS_ROBOT (empty for the worker), JOULEBUS_ALARM, JOULEBUS_LEVEL (ok, \
+    warn, error, stale), JOULEBUS_CHANGE (raised, cleared, left), JOULEBUS_STAMP_NS (Unix time), \
+    JOULEBUS_LASTED_S (empty when raised). Of more than 256 waiting changes further ones are not told, \
+    and counted.\n\
+    Exit codes: 1 if nothing of a file can be read; 3 if ticks were missed, a file is damaged, or a \
+    command was not run or failed.")]
+pub(crate) struct Args {
+    /// Captures; without any, the running fleet
+    #[arg(value_name = "FILE", conflicts_with_all = ["config", "on_alarm", "duration"])]
+    files: Vec<PathBuf>,
+    #[command(flatten)]
+    config: ConfigFile,
+    /// Run this command for each change
+    #[arg(long, value_name = "COMMAND")]
+    on_alarm: Option<String>,
+    /// End after this time, s
+    #[arg(long, value_name = "S", value_parser = crate::alarms::seconds)]
+    duration: Option<f64>,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    if args.files.is_empty() {
+        live::run(args, output)
+    } else {
+        captured::run(&args.files, output)
+    }
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(seconds) if 0.0 < seconds && seconds <= 1e9 => Ok(seconds),
+        _ => Err(format!("{text} is not a time; allowed is 0 to 1e9 s")),
+    }
+}
+
+const fn change_name(change: Change) -> &'static str {
+    match change {
+        Change::Raised => "raised",
+        Change::Cleared => "cleared",
+        Change::Left => "left",
+    }
+}
+
+/// A duration, readable.
+struct Lasted(f64);
+
+impl fmt::Display for Lasted {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            short if short < 120.0 => write!(out, "{short:.1} s"),
+            long if long < 7_200.0 => write!(out, "{:.1} min", long / 60.0),
+            long => write!(out, "{:.1} h", long / 3_600.0),
+        }
+    }
+}
+
+/// Time in s of a difference in ns.
+fn s_between(from_ns: u64, to_ns: u64) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 * 1e-9
+}
+
+/// One change, for stdout and for the command.
+#[derive(Debug, Clone, Serialize)]
+struct Line {
+    fleet: String,
+    /// Unix time, ns.
+    stamp_ns: u64,
+    /// Null for the worker.
+    robot: Option<u32>,
+    alarm: &'static str,
+    level: &'static str,
+    change: &'static str,
+    /// From the raise to the end, s; null for a raise.
+    lasted_s: Option<f64>,
+}
+
+impl fmt::Display for Line {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let of_day_s = self.stamp_ns / 1_000_000_000 % 86_400;
+        let (hours, minutes) = (of_day_s / 3_600, of_day_s / 60 % 60);
+        let (seconds, millis) = (of_day_s % 60, self.stamp_ns / 1_000_000 % 1_000);
+        write!(out, "{hours:02}:{minutes:02}:{seconds:02}.{millis:03}Z ")?;
+        match self.robot {
+            Some(robot) => write!(out, "robot {robot}: ")?,
+            None => write!(out, "worker: ")?,
+        }
+        write!(out, "{} {}", self.alarm, self.change)?;
+        if self.lasted_s.is_none() {
+            write!(out, " ({})", self.level)?;
+        }
+        match self.lasted_s {
+            Some(lasted_s) => write!(out, " after {}", Lasted(lasted_s)),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! Raises and ends of alarms: live, told to a command, and in a capture.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+use joulebus_test_processes::eventually;
+use rustix::process::Signal;
+use serde_json::Value;
+
+use crate::fleet::{Fleet, Program, code, json, output, stderr, stdout};
+
+const ROBOTS: usize = 3;
+
+/// Lines that the command has written: robot, alarm and change.
+fn told(path: &Path) -> Vec<String> {
+    let text = fs::read_to_string(path).unwrap_or_default();
+    text.lines().map(str::to_owned).collect()
+}
+
+fn count(path: &Path, what: &str) -> usize {
+    told(path)
+        .iter()
+        .filter(|line| line.ends_with(what))
+        .count()
+}
+
+/// Waits until all robots are silent: the last that was told of them.
+fn wait_for_silence(path: &Path) {
+    eventually("all robots are silent", || {
+        let lines = told(path);
+        let is_silent = |robot: usize| {
+            let of_robot = format!("{robot} NoData ");
+            let last = lines.iter().rfind(|line| line.starts_with(&of_robot));
+            last.is_some_and(|line| line.ends_with("raised"))
+        };
+        (0..ROBOTS).all(is_silent)
+    });
+}
+
+fn publish(fleet: &Fleet) {
+    let sent = fleet.output("publish sim --robots 3 --duration 1");
+    assert_eq!(code(&sent), 0, "{}", stderr(&sent));
+}
+
+#[test]
+fn every_change_is_shown_told_to_the_command_and_found_in_the_capture() {
+    let fleet = Fleet::new();
+    let (hook, capture) = (fleet.path("told"), fleet.path("run.mcap"));
+    let mut worker = fleet.worker();
+    let mut record = fleet.joulebus("record --format json");
+    let mut recorder = Program::start({
+        record.arg("-o").arg(&capture);
+        record
+    });
+    recorder.wait_for_stderr("recording");
+    let mut watch = fleet.joulebus("alarms --format json");
+    let command = format!(
+        "echo \"$JOULEBUS_ROBOT $JOULEBUS_ALARM $JOULEBUS_CHANGE\" >> {}",
+        hook.display()
+    );
+    let mut watcher = Program::start({
+        watch.arg("--on-alarm").arg(command);
+        watch
+    });
+    watcher.wait_for_stderr("alarms of fleet cli");
+    // They fall silent, send again, and fall silent.
+    publish(&fleet);
+    wait_for_silence(&hook);
+    publish(&fleet);
+    eventually("they sent again", || {
+        count(&hook, "NoData cleared") >= ROBOTS
+    });
+    wait_for_silence(&hook);
+    let cleared = count(&hook, "NoData cleared");
+    let recorded = recorder.end(Signal::TERM);
+    assert_eq!(code(&recorded), 0, "{}", stderr(&recorded));
+    worker.signal(Signal::KILL);
+    eventually("its end is told", || count(&hook, "WorkerGone raised") == 1);
+    drop(worker);
+    let worker = fleet.worker();
+    publish(&fleet);
+    eventually("the next one is told", || {
+        count(&hook, "WorkerGone cleared") == 1
+    });
+    let watched = watcher.end(Signal::TERM);
+    // A process that gets no processor for two seconds misses ticks, and says so.
+    let missed = stderr(&watched).contains("ticks without diagnostics");
+    assert_eq!(
+        code(&watched),
+        if missed { 3 } else { 0 },
+        "{}",
+        stderr(&watched)
+    );
+    assert_eq!(code(&worker.end(Signal::TERM)), 0);
+
+    let lines: Vec<Value> = stdout(&watched)
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let shown = lines.iter().map(|line| {
+        let robot = line["robot"]
+            .as_u64()
+            .map_or(String::new(), |it| it.to_string());
+        let word = |name: &str| line[name].as_str().unwrap().to_owned();
+        format!("{robot} {} {}", word("alarm"), word("change"))
+    });
+    assert_eq!(shown.collect::<Vec<_>>(), told(&hook));
+    for line in &lines {
+        assert_eq!(
+            line["lasted_s"].is_null(),
+            line["change"] == "raised",
+            "{line}"
+        );
+    }
+
+    let history = output(["alarms", "--format", "json", capture.to_str().unwrap()]);
+    let history = json(&history);
+    let episodes = history["alarms"].as_array().unwrap();
+    let silent: Vec<&Value> = episodes
+        .iter()
+        .filter(|it| it["alarm"] == "NoData")
+        .collect();
+    let robots: BTreeSet<u64> = silent
+        .iter()
+        .filter_map(|it| it["robot"].as_u64())
+        .collect();
+    assert_eq!(robots.len(), ROBOTS, "{history}");
+    let ended = |end: &str| silent.iter().filter(|it| it["end"] == end).count();
+    assert_eq!(
+        (ended("cleared"), ended("raised")),
+        (cleared, ROBOTS),
+        "{history}"
+    );
+    assert!(fleet.stale_files().is_empty());
+}
+
+#[test]
+fn a_command_that_fails_is_counted_and_the_changes_are_shown() {
+    let fleet = Fleet::new();
+    let worker = fleet.worker();
+    let mut watch = fleet.joulebus("alarms");
+    let mut watcher = Program::start({
+        watch.args(["--on-alarm", "exit 7"]);
+        watch
+    });
+    watcher.wait_for_stderr("alarms of fleet cli");
+    publish(&fleet);
+    watcher.wait_for_stderr("--on-alarm: exit status: 7");
+    let watched = watcher.end(Signal::INT);
+    assert_eq!(code(&watched), 3, "{watched:?}");
+    assert!(stderr(&watched).contains("were not taken by --on-alarm"));
+    assert!(
+        stdout(&watched).contains("NoData raised (stale)"),
+        "{watched:?}"
+    );
+    assert_eq!(code(&worker.end(Signal::TERM)), 0);
+}

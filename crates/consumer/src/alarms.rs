@@ -1,0 +1,358 @@
+//! Changes of the robots' alarms, from one frame of diagnostics to the next.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::time::Duration;
+
+use joulebus_bus::{Bus, DiagnosticReader, clock};
+use joulebus_config::{Config, ConnectError};
+use joulebus_wire::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, SCHEMA_VERSION};
+
+use crate::newest::{ReadError, check_schema};
+
+/// Longest pause between two calls of [`AlarmFeed::changes`].
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// What has become of an alarm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Change {
+    /// It is raised.
+    Raised,
+    /// It is no longer raised.
+    Cleared,
+    /// The robot has left the fleet while it was raised.
+    Left,
+}
+
+/// A change of an alarm of a robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct AlarmChange {
+    /// The robot.
+    pub robot: u32,
+    /// Its alarm.
+    pub alarm: Alarm,
+    /// What has become of it.
+    pub change: Change,
+    /// When, as the caller of [`AlarmHistory::take`] counts time, ns.
+    pub at_ns: u64,
+    /// When it was raised, ns; later than that if it already was in the first frame.
+    pub raised_ns: u64,
+}
+
+/// The alarms that are raised, and since when.
+#[derive(Debug, Clone, Default)]
+pub struct AlarmHistory {
+    /// Robots with alarms.
+    robots: HashMap<u32, Raised>,
+    /// Run of the worker, and tick, of the newest frame.
+    place: Option<(u64, u64)>,
+    ticks: u64,
+    ticks_missed: u64,
+}
+
+/// The alarms of a robot.
+#[derive(Debug, Clone, Copy)]
+struct Raised {
+    alarms: AlarmSet,
+    since_ns: [u64; Alarm::ALL.len()],
+    /// Number of the frame that had them.
+    seen: u64,
+}
+
+impl AlarmHistory {
+    /// Takes the diagnostics of a tick, sent or received at `at_ns`, and calls `each` for every change: robots in
+    /// the order of the frame, then those that have left, by id. Frames of an earlier tick are passed over.
+    pub fn take(
+        &mut self,
+        header: &DiagnosticHeader,
+        robots: &[Diagnostic],
+        at_ns: u64,
+        mut each: impl FnMut(AlarmChange),
+    ) {
+        let place = (header.worker_epoch, header.tick);
+        if self.place >= Some(place) {
+            return;
+        }
+        // Of another run nothing is known to be missing.
+        let before = self.place.filter(|(epoch, _)| *epoch == place.0);
+        let missed = before.map_or(0, |(_, tick)| place.1 - tick - 1);
+        self.ticks_missed = self.ticks_missed.saturating_add(missed);
+        self.place = Some(place);
+        self.ticks += 1;
+        let mut waiting = self.robots.len();
+        for robot in robots {
+            let had_alarms = waiting > 0 && self.robots.contains_key(&robot.robot);
+            if robot.alarms != 0 || had_alarms {
+                waiting -= usize::from(had_alarms);
+                self.update(robot.robot, AlarmSet(robot.alarms), at_ns, &mut each);
+            }
+        }
+        if waiting > 0 {
+            self.remove_others(at_ns, &mut each);
+        }
+    }
+
+    fn update(
+        &mut self,
+        robot: u32,
+        alarms: AlarmSet,
+        at_ns: u64,
+        each: &mut impl FnMut(AlarmChange),
+    ) {
+        let raised = self.robots.entry(robot).or_insert(Raised {
+            alarms: AlarmSet::default(),
+            since_ns: [0; Alarm::ALL.len()],
+            seen: 0,
+        });
+        raised.seen = self.ticks;
+        let changed = AlarmSet(raised.alarms.0 ^ alarms.0);
+        for alarm in changed.iter() {
+            let since_ns = &mut raised.since_ns[usize::from(alarm.code()) - 1];
+            let change = if alarms.has(alarm) {
+                *since_ns = at_ns;
+                Change::Raised
+            } else {
+                Change::Cleared
+            };
+            each(AlarmChange {
+                robot,
+                alarm,
+                change,
+                at_ns,
+                raised_ns: *since_ns,
+            });
+        }
+        raised.alarms = alarms;
+        if alarms.0 == 0 {
+            self.robots.remove(&robot);
+        }
+    }
+
+    /// Ends the alarms of the robots that were not in the newest frame.
+    fn remove_others(&mut self, at_ns: u64, each: &mut impl FnMut(AlarmChange)) {
+        let newest = self.ticks;
+        let left = self
+            .robots
+            .iter()
+            .filter(|(_, raised)| raised.seen != newest);
+        let mut left: Vec<u32> = left.map(|(robot, _)| *robot).collect();
+        left.sort_unstable();
+        for robot in left {
+            let ended = self.of(robot).map(|(alarm, raised_ns)| AlarmChange {
+                robot,
+                alarm,
+                change: Change::Left,
+                at_ns,
+                raised_ns,
+            });
+            ended.for_each(&mut *each);
+            self.robots.remove(&robot);
+        }
+    }
+
+    fn of(&self, robot: u32) -> impl Iterator<Item = (Alarm, u64)> {
+        let raised = self.robots.get(&robot).copied();
+        raised.into_iter().flat_map(|raised| {
+            let since_ns = move |alarm: Alarm| raised.since_ns[usize::from(alarm.code()) - 1];
+            raised
+                .alarms
+                .iter()
+                .map(move |alarm| (alarm, since_ns(alarm)))
+        })
+    }
+
+    /// The alarms that are raised: robot, alarm, and when it was raised, ns; by robot and alarm.
+    pub fn raised(&self) -> impl Iterator<Item = (u32, Alarm, u64)> {
+        let mut robots: Vec<u32> = self.robots.keys().copied().collect();
+        robots.sort_unstable();
+        let alarms = robots.into_iter().map(|robot| (robot, self.of(robot)));
+        alarms.flat_map(|(robot, alarms)| alarms.map(move |(alarm, since)| (robot, alarm, since)))
+    }
+
+    /// Ticks whose diagnostics were taken.
+    #[must_use]
+    pub const fn ticks(&self) -> u64 {
+        self.ticks
+    }
+
+    /// Ticks between them without diagnostics: overwritten before they were read, or not sent by a worker that
+    /// lacked the time. Alarms that were raised and cleared within them are not known.
+    #[must_use]
+    pub const fn ticks_missed(&self) -> u64 {
+        self.ticks_missed
+    }
+}
+
+/// All diagnostics of a fleet from now on, as changes of alarms. Belongs to the thread that connected it.
+pub struct AlarmFeed {
+    reader: DiagnosticReader,
+    history: AlarmHistory,
+    look_every: Duration,
+    // After the port, which must be dropped before the process leaves the domain.
+    _bus: Bus,
+}
+
+impl AlarmFeed {
+    /// Joins the fleet of `config` as `name`. The worker need not run.
+    ///
+    /// # Errors
+    /// [`ConnectError`] with the cause and the remedy.
+    pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
+        let limits = config.limits();
+        let bus = config.join(name)?;
+        let reader = bus.diagnostic_reader(&limits)?;
+        // At most a quarter of what is buffered arrives between two looks.
+        let buffered_ns = config
+            .tick_period_ns()
+            .saturating_mul(limits.forecast_frames as u64);
+        Ok(Self {
+            reader,
+            history: AlarmHistory::default(),
+            look_every: LOOK_EVERY.min(Duration::from_nanos(buffered_ns / 4)),
+            _bus: bus,
+        })
+    }
+
+    /// The pause after which [`AlarmFeed::changes`] is to be called again, so that nothing is overwritten.
+    #[must_use]
+    pub const fn look_every(&self) -> Duration {
+        self.look_every
+    }
+
+    /// Takes everything that the worker has sent since the last call, and calls `each` for every change, with
+    /// monotonic times. It does not wait, and does not listen to events: a listener costs the worker time in every
+    /// tick.
+    ///
+    /// # Errors
+    /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.
+    pub fn changes(&mut self, mut each: impl FnMut(AlarmChange)) -> Result<(), ReadError> {
+        let (now_ns, history) = (clock::monotonic_ns(), &mut self.history);
+        let (mut foreign, mut found) = (None, false);
+        self.reader.take_all(|header, robots| {
+            if header.schema == SCHEMA_VERSION {
+                found = true;
+                history.take(header, robots, now_ns, &mut each);
+            } else {
+                foreign = Some(header.schema);
+            }
+        })?;
+        check_schema(found, foreign)
+    }
+
+    /// What is raised.
+    #[must_use]
+    pub const fn history(&self) -> &AlarmHistory {
+        &self.history
+    }
+}
+
+impl fmt::Debug for AlarmFeed {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("AlarmFeed")
+            .field("history", &self.history)
+            .finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::{BTreeMap, BTreeSet};
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn header(worker_epoch: u64, tick: u64) -> DiagnosticHeader {
+        DiagnosticHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch,
+            tick,
+            ..Default::default()
+        }
+    }
+
+    fn row((robot, alarms): (&u32, &u32)) -> Diagnostic {
+        Diagnostic {
+            robot: *robot,
+            alarms: *alarms,
+            ..Default::default()
+        }
+    }
+
+    /// What changes from one frame to the next, each alarm of each robot for itself.
+    fn expected(
+        before: &BTreeMap<u32, u32>,
+        after: &BTreeMap<u32, u32>,
+    ) -> BTreeSet<(u32, u16, u8)> {
+        let ids: BTreeSet<u32> = before.keys().chain(after.keys()).copied().collect();
+        let mut changes = BTreeSet::new();
+        for id in ids {
+            for alarm in Alarm::ALL {
+                let had = before.get(&id).is_some_and(|set| AlarmSet(*set).has(alarm));
+                let has = after.get(&id).map(|set| AlarmSet(*set).has(alarm));
+                let change = match (had, has) {
+                    (false, Some(true)) => 0,
+                    (true, Some(false)) => 1,
+                    (true, None) => 2,
+                    _ => continue,
+                };
+                changes.insert((id, alarm.code(), change));
+            }
+        }
+        changes
+    }
+
+    proptest! {
+        #[test]
+        fn every_change_is_told_once_with_its_times(
+            frames in prop::collection::vec(
+                prop::collection::btree_map(0u32..6, prop_oneof![Just(0), any::<u32>()], 0..6),
+                1..20,
+            ),
+        ) {
+            let all = (1 << Alarm::ALL.len()) - 1;
+            let mut history = AlarmHistory::default();
+            let (mut before, mut raised) = (BTreeMap::new(), BTreeMap::new());
+            for (tick, frame) in frames.into_iter().enumerate() {
+                let frame: BTreeMap<u32, u32> =
+                    frame.into_iter().map(|(robot, alarms)| (robot, alarms & all)).collect();
+                let rows: Vec<Diagnostic> = frame.iter().map(row).collect();
+                let at_ns = 100 * tick as u64 + 7;
+                let mut found = Vec::new();
+                history.take(&header(1, tick as u64), &rows, at_ns, |change| found.push(change));
+                for change in &found {
+                    let place = (change.robot, change.alarm);
+                    match change.change {
+                        Change::Raised => prop_assert_eq!(raised.insert(place, at_ns), None),
+                        _ => prop_assert_eq!(raised.remove(&place), Some(change.raised_ns)),
+                    }
+                    prop_assert_eq!(change.at_ns, at_ns);
+                }
+                let told: Vec<_> = found
+                    .iter()
+                    .map(|change| (change.robot, change.alarm.code(), change.change as u8))
+                    .collect();
+                let expected = expected(&before, &frame);
+                prop_assert_eq!(told.len(), expected.len());
+                prop_assert_eq!(told.into_iter().collect::<BTreeSet<_>>(), expected);
+                let now: BTreeMap<_, _> =
+                    history.raised().map(|(robot, alarm, since)| ((robot, alarm), since)).collect();
+                prop_assert_eq!(&now, &raised);
+                before = frame;
+            }
+            prop_assert_eq!(history.ticks_missed(), 0);
+        }
+    }
+
+    #[test]
+    fn missed_ticks_are_counted_within_a_run_and_earlier_frames_passed_over() {
+        let mut history = AlarmHistory::default();
+        let rows = [row((&3, &1))];
+        let mut changes = 0;
+        for (epoch, tick) in [(5, 10), (5, 11), (5, 15), (5, 12), (4, 99), (6, 0), (6, 2)] {
+            history.take(&header(epoch, tick), &rows, tick, |_| changes += 1);
+        }
+        assert_eq!((history.ticks(), history.ticks_missed()), (5, 4));
+        assert_eq!(changes, 1);
+    }
+}
