@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use joulebus_config::{Assignment, Config, platform_file};
 use joulebus_dataset::trial::{Trial, is_capture};
@@ -190,7 +189,7 @@ impl Args {
             "Platform {}, limits of its alarms by joulebus calibrate {} on {}, model {}. {}",
             config.settings().platforms[place].name,
             env!("CARGO_PKG_VERSION"),
-            today()?,
+            today(),
             model.name(),
             found.evidence().join(" ")
         );
@@ -208,9 +207,8 @@ fn left_out(file: &Path, robots: usize) {
 }
 
 /// The date, in UTC.
-fn today() -> anyhow::Result<String> {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH)?;
-    Ok(date(since.as_secs() / 86_400))
+fn today() -> String {
+    date(joulebus_bus::clock::unix_ns() / 86_400_000_000_000)
 }
 
 /// The date so many days after 1 January 1970.

@@ -1,8 +1,9 @@
 //! Limits for a rate, from the alarms at the steps of the grid.
 
-use super::grid::{Curves, KEYS, KINDS, STEPS, limit};
+use super::grid::{Curves, KEYS, STEPS, limit};
+use super::play::KINDS;
+use super::request::{CalibrateError, Request};
 use super::tail::Tail;
-use super::{CalibrateError, Request};
 use joulebus_statistics::poisson::{at_most, upper_mean};
 
 /// Where a limit comes from.

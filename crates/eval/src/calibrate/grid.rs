@@ -5,10 +5,8 @@ use joulebus_statistics::poisson::upper_rate;
 use joulebus_wire::Sample;
 use rayon::prelude::*;
 
-use super::play::Robot;
+use super::play::{KINDS, Robot};
 
-/// Limits: of bias, noise and mismatch.
-pub(super) const KINDS: usize = 3;
 /// Their keys.
 pub(super) const KEYS: [&str; KINDS] = ["cusum_limit", "noise_limit", "mismatch_limit"];
 /// Steps of the grid: a fifth more each for the cumulative sum, about an eighth for the others.

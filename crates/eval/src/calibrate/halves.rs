@@ -4,8 +4,8 @@ use joulebus_dataset::trial::Trial;
 use joulebus_statistics::noise::Noise;
 use joulebus_wire::Sample;
 
-use super::CalibrateError;
 use super::play::ROBOT;
+use super::request::CalibrateError;
 
 /// Time of the first sample of every recording. Stamps of 0 are none.
 pub(super) const BASE_NS: u64 = 1_000_000_000;

@@ -5,7 +5,8 @@ use joulebus_predictor::Model;
 use joulebus_settings::{AlarmLimits, AlarmSettings, FleetSettings, SettingsError, bounds};
 use joulebus_wire::{Alarm, AlarmSet, SCHEMA_VERSION, Sample, SampleHeader};
 
-use super::grid::KINDS;
+/// Limits: of bias, noise and mismatch.
+pub(super) const KINDS: usize = 3;
 
 /// Id of the robot that is played.
 pub(super) const ROBOT: u32 = 0;

@@ -6,8 +6,7 @@ use serde::Serialize;
 
 use super::choose::Basis;
 use super::delay::{Delay, Delays, Thresholds};
-use super::grid::KINDS;
-use super::play::OTHERS;
+use super::play::{KINDS, OTHERS};
 
 /// Limits with their evidence. `Display` is a table; unknown numbers are null in JSON.
 #[derive(Debug, Clone, PartialEq, Serialize)]
