@@ -31,7 +31,7 @@ pub fn dispersion(counts: &[u64], exposures: &[f64]) -> f64 {
     let total = counts.iter().sum::<u64>() as f64;
     let exposed: f64 = exposures.iter().sum();
     let number = counts.len() as f64;
-    if counts.len() < 2 || total == 0.0 || !(exposed > 0.0) {
+    if counts.len() < 2 || total == 0.0 || exposed.is_nan() || exposed <= 0.0 {
         return 1.0;
     }
     let squares = counts.iter().zip(exposures).map(|(count, exposure)| {
@@ -47,7 +47,7 @@ pub fn dispersion(counts: &[u64], exposures: &[f64]) -> f64 {
 #[must_use]
 pub fn upper_rate(counts: &[u64], exposures: &[f64], confidence: f64) -> f64 {
     let exposed: f64 = exposures.iter().sum();
-    if !(exposed > 0.0) {
+    if exposed.is_nan() || exposed <= 0.0 {
         return f64::INFINITY;
     }
     let each = dispersion(counts, exposures);
