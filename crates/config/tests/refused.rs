@@ -513,7 +513,7 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
             "robots = [\"30-39\"]",
             "robots = [\"5-39\"]",
             "platform.robots",
-            &["\"0-9\" (<config>:24)", "\"5-39\" (<config>:44)", "robot 5"],
+            &["\"0-9\" (<config>:24)", "\"5-39\" (<config>:46)", "robot 5"],
         ),
         (
             "[\"0-9\", 20]",
