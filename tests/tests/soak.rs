@@ -97,7 +97,7 @@ fn a_fleet_that_runs_for_long_holds_what_it_held_at_the_beginning() {
     let mut worker = arena.worker();
     let capture = arena.files().join("soak.mcap");
     let mut recorder = arena.recording(&capture, &["--max-bag-duration", SPLIT_S]);
-    let mut view = Child::spawn("watch", arena.command(&["watch", "--format", "json"]));
+    let mut view = Child::spawn_unread("watch", arena.command(&["watch", "--format", "json"]));
     let simulation = ["publish", "sim", "--seed", "7", "--robots", ROBOTS];
     let mut source = Child::spawn("simulation", arena.command(&simulation));
     let mut planner = arena.consumer();

@@ -111,11 +111,21 @@ impl Ended {
 impl Child {
     /// Starts a program; `name` is used in messages.
     #[must_use]
-    pub fn spawn(name: &str, mut command: Command) -> Self {
+    pub fn spawn(name: &str, command: Command) -> Self {
+        Self::spawn_to(name, command, Stdio::piped())
+    }
+
+    /// As [`Child::spawn`], of a program whose stdout would fill the memory of the test in hours.
+    #[must_use]
+    pub fn spawn_unread(name: &str, command: Command) -> Self {
+        Self::spawn_to(name, command, Stdio::null())
+    }
+
+    fn spawn_to(name: &str, mut command: Command, stdout: Stdio) -> Self {
         let started = Instant::now();
         let mut process = command
             .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
+            .stdout(stdout)
             .stderr(Stdio::piped())
             .spawn()
             .unwrap_or_else(|error| panic!("cannot start {command:?}: {error}"));
