@@ -177,12 +177,13 @@ fn the_worker_answers_the_same_questions_with_the_same_exit_codes() {
     assert!(stderr(&absent).contains("robot 9"), "{absent:?}");
     let wrong = fleet.output("ask --robot 1 --idle 3 --coverage 0.2 --through worker");
     assert_eq!(code(&wrong), 2, "{wrong:?}");
-    let seen = json(&fleet.output("watch --once --format json"));
-    assert!(seen["questions_answered"].as_u64() >= Some(3), "{seen}");
-    for reason in ["UnknownRobot", "Question"] {
-        let refused = &seen["questions_refused"][reason];
-        assert!(refused.as_u64() >= Some(1), "{seen}");
-    }
+    // The worker states its counts within half a second.
+    eventually("the counts are shown", || {
+        let seen = json(&fleet.output("watch --once --format json"));
+        let refused = |reason: &str| seen["questions_refused"][reason].as_u64() >= Some(1);
+        let answered = seen["questions_answered"].as_u64() >= Some(3);
+        answered && refused("UnknownRobot") && refused("Question")
+    });
     let report = json(&worker.end(Signal::INT));
     let queries = &report["queries"];
     assert!(queries["answered"].as_u64() >= Some(3), "{report}");
