@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use joulebus_bus::{Background, Steps, clock, lower_priority};
 use joulebus_config::Config;
@@ -30,6 +30,9 @@ use server::Server;
 
 /// Pause before the ports are opened, and before a failed opening is tried again.
 const OPEN_EVERY: Duration = Duration::from_millis(20);
+/// Longest time that a worker waits for its first opening, and how often it looks.
+const OPEN_WITHIN: Duration = Duration::from_secs(2);
+const LOOK_EVERY: Duration = Duration::from_millis(1);
 /// Failed openings in a row after which one is logged.
 const SAY_AFTER: u32 = 50;
 
@@ -44,6 +47,8 @@ pub struct PlanServer {
 #[derive(Debug, Default)]
 struct Shared {
     serves: AtomicBool,
+    /// Whether the ports have been opened, or could not be.
+    tried: AtomicBool,
     counts: Mutex<QueryCounts>,
 }
 
@@ -89,9 +94,16 @@ impl PlanServer {
     }
 
     /// From now on questions are answered: to be called by the process that holds the fleet's worker
-    /// lock, since clients take answers from no other.
+    /// lock, since clients take answers from no other. Returns when the ports are open, so that a worker that is
+    /// ready has all its memory, or could not be opened, or after two seconds.
     pub fn serve(&self) {
         self.shared.serves.store(true, Ordering::Release);
+        let Some(thread) = &self.thread else { return };
+        let give_up = Instant::now() + OPEN_WITHIN;
+        while !self.shared.tried.load(Ordering::Acquire) && Instant::now() < give_up {
+            thread.wake();
+            std::thread::sleep(LOOK_EVERY);
+        }
     }
 
     /// Refuses the questions that wait, and ends the thread, within 100 ms.
@@ -167,6 +179,7 @@ impl Steps for Answering {
     fn step(&mut self, last: bool) -> Option<Duration> {
         if self.server.is_none() && self.shared.serves.load(Ordering::Acquire) && !last {
             self.open();
+            self.shared.tried.store(true, Ordering::Release);
         }
         let Some(server) = &mut self.server else {
             return (!last).then_some(OPEN_EVERY);

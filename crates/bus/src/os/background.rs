@@ -62,6 +62,13 @@ impl Background {
         })
     }
 
+    /// Ends the pause of the thread: its next step is due.
+    pub fn wake(&self) {
+        if let Some(thread) = &self.thread {
+            thread.thread().unpark();
+        }
+    }
+
     /// Lets the thread do its last step, and waits for it.
     ///
     /// # Errors
