@@ -1,32 +1,28 @@
 //! Questions that the worker answers: how long they take beside the same answer computed in the
-//! client's process and a question that is sent back unanswered; and the ticks while clients ask as fast as
-//! they can, beside those of the same run while they do not.
+//! client's process; and the ticks while clients ask as fast as they can, beside those of the same run while they do not.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use joulebus_bus::{Bus, Domain, QueryServer, WorkerLock, clock};
 use joulebus_config::Config;
 use joulebus_plan::{Plan, PlanClient, Planner, Question};
 use joulebus_plan_server::PlanServer;
 use joulebus_predictor_worker::Worker;
 use joulebus_program::verbs::bench::BenchOptions;
 use joulebus_publisher::{Pace, Publisher, RobotState};
-use joulebus_wire::{AnswerHeader, QUERY_STEPS, SCHEMA_VERSION, fnv1a};
+use joulebus_wire::QUERY_STEPS;
 
 use crate::{Distribution, Figure, Report};
 
 /// Candidates of one robot, and steps of each.
 const CANDIDATES: usize = 16;
 const STEPS: usize = 50;
-/// Words of an answer to them.
-const ANSWER: usize = CANDIDATES * joulebus_wire::ROW_WORDS;
 /// Clients that ask as fast as they can.
 const CLIENTS: usize = 4;
 /// Ticks a second while ticks are measured.
-const TICK_HZ: u64 = 250;
+const TICK_HZ: u64 = 200;
 /// Length of a phase with or without questions.
 const PHASE: Duration = Duration::from_millis(500);
 /// Timeout of an answer.
@@ -46,8 +42,8 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     answers(&mut report, options)?;
     ticks(&mut report, options, robots)?;
     report.notes.push(
-        "Interleaved in one client: the answer of the worker's thread, the same answer computed by the client \
-         from shared memory, and a question of the same size that is sent back at once. Ticks: phases of half \
+        "Interleaved in one client: the answer of the worker's thread, and the same answer computed by the \
+         client from shared memory. Ticks: phases of half \
          a second with and without questions alternate, plan states are written in both."
             .to_owned(),
     );
@@ -154,26 +150,22 @@ fn question(robot: u32) -> Question {
 struct Times {
     through_us: Vec<f64>,
     here_us: Vec<f64>,
-    echo_us: Vec<f64>,
 }
 
 fn answers(report: &mut Report, options: &BenchOptions) -> anyhow::Result<()> {
     let fleet = Fleet::new(20, 30)?;
-    let echoes = Domain::new("echo", &fleet.root, "jbb_")?;
     let rounds = options.repetitions_or(5_000);
     let is_done = AtomicBool::new(false);
     let times = fleet.run(20, 30, |turn, stop| {
         std::thread::scope(|scope| {
-            let echo = scope.spawn(|| send_back(&echoes, &fleet.config, &is_done));
             let client = scope.spawn(|| {
-                let asked = ask(&fleet.config, &echoes, rounds);
+                let asked = ask(&fleet.config, rounds);
                 is_done.store(true, Ordering::Relaxed);
                 asked
             });
             while !is_done.load(Ordering::Relaxed) && !stop.load(Ordering::Relaxed) {
                 turn()?;
             }
-            echo.join().ok().context("the echo panicked")??;
             client.join().ok().context("the client panicked")?
         })
     })?;
@@ -181,50 +173,17 @@ fn answers(report: &mut Report, options: &BenchOptions) -> anyhow::Result<()> {
     for (name, us) in [
         ("through_worker_us", &times.through_us),
         ("in_process_us", &times.here_us),
-        ("round_trip_us", &times.echo_us),
     ] {
         report.push(Figure::less, name, &case, "µs", us);
     }
-    let median = |us: &[f64]| Distribution::of(us).map(|of| of.p50);
-    if let (Some(here), Some(echo)) = (median(&times.here_us), median(&times.echo_us)) {
-        let bound_us = here + 1.5 * echo;
-        let over: Vec<f64> = times.through_us.iter().map(|us| us / bound_us).collect();
-        report.push(Figure::less, "through_worker_over_bound", &case, "1", &over);
-    }
     Ok(())
 }
 
-/// Sends questions back with an answer of the length of the real one.
-fn send_back(domain: &Domain, config: &Config, stop: &AtomicBool) -> anyhow::Result<()> {
-    let _lock = WorkerLock::acquire(domain)?;
-    let bus = Bus::join(domain, "echo")?;
-    let mut server: QueryServer = bus.query_server(&config.limits())?;
-    let words = [0; ANSWER];
-    while !stop.load(Ordering::Relaxed) {
-        while let Some(query) = server.receive()? {
-            let header = *query.header();
-            let copied = query.values().to_vec();
-            let answer = AnswerHeader {
-                schema: SCHEMA_VERSION,
-                number: header.number,
-                tick: copied.len() as u64,
-                ..AnswerHeader::default()
-            };
-            let listener = (u128::from(header.listener_hi) << 64) | u128::from(header.listener_lo);
-            server.answer(&query, answer, listener, &words)?;
-        }
-        server.wait_until(u64::MAX)?;
-    }
-    Ok(())
-}
-
-fn ask(config: &Config, echoes: &Domain, rounds: usize) -> anyhow::Result<Times> {
+fn ask(config: &Config, rounds: usize) -> anyhow::Result<Times> {
     let question = question(3);
     let mut planner = Planner::with_config(config, "planner")?;
     let fleet = planner.fleet().clone();
     let mut client = PlanClient::with_config(config, "client")?;
-    let bus = Bus::join(echoes, "echo-client")?;
-    let mut echo = bus.query_client(&config.limits())?;
     let mut times = Times::default();
     let timed = |us: &mut Vec<f64>, work: &mut dyn FnMut() -> anyhow::Result<()>| {
         let begun = Instant::now();
@@ -232,20 +191,11 @@ fn ask(config: &Config, echoes: &Domain, rounds: usize) -> anyhow::Result<Times>
         us.push(begun.elapsed().as_secs_f64() * 1e6);
         anyhow::Ok(())
     };
-    // The robots, and the echo, begin when they begin.
+    // The robots begin when they begin.
     let begun = Instant::now();
     loop {
         let is_known = client.ask(&question, PATIENCE);
-        let (header, values) = question.encode(fnv1a("bench".bytes()))?;
-        let deadline_ns = clock::monotonic_ns() + 1_000_000_000;
-        let echoed = echo.ask(
-            joulebus_wire::QueryHeader {
-                deadline_ns,
-                ..header
-            },
-            &values,
-        );
-        if let (Ok(answered), Ok(_)) = (&is_known, &echoed)
+        if let Ok(answered) = &is_known
             && answered
                 .reply
                 .rows
@@ -256,7 +206,6 @@ fn ask(config: &Config, echoes: &Domain, rounds: usize) -> anyhow::Result<Times>
         }
         if begun.elapsed() > PATIENCE {
             is_known?;
-            echoed?;
         }
         std::thread::sleep(Duration::from_millis(10));
     }
@@ -269,18 +218,6 @@ fn ask(config: &Config, echoes: &Domain, rounds: usize) -> anyhow::Result<Times>
             let view = planner.view()?.context("a frame")?;
             let find = |robot| view.rows(robot);
             question.clone().answer(&fleet, find, QUERY_STEPS)?;
-            Ok(())
-        })?;
-        timed(&mut times.echo_us, &mut || {
-            let (header, values) = question.encode(fnv1a("echo".bytes()))?;
-            let deadline_ns = clock::monotonic_ns() + PATIENCE.as_nanos() as u64;
-            echo.ask(
-                joulebus_wire::QueryHeader {
-                    deadline_ns,
-                    ..header
-                },
-                &values,
-            )?;
             Ok(())
         })?;
     }
