@@ -32,6 +32,7 @@ mod split_unit;
 mod supervisor;
 mod train;
 mod trials;
+mod utc;
 mod view;
 mod watch;
 

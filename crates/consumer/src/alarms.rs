@@ -24,6 +24,18 @@ pub enum Change {
     Left,
 }
 
+impl Change {
+    /// The name, as in reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Raised => "raised",
+            Self::Cleared => "cleared",
+            Self::Left => "left",
+        }
+    }
+}
+
 /// A change of an alarm of a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct AlarmChange {

@@ -99,9 +99,9 @@ impl PlanServer {
     pub fn serve(&self) {
         self.shared.serves.store(true, Ordering::Release);
         let Some(thread) = &self.thread else { return };
+        thread.wake();
         let give_up = Instant::now() + OPEN_WITHIN;
         while !self.shared.tried.load(Ordering::Acquire) && Instant::now() < give_up {
-            thread.wake();
             std::thread::sleep(LOOK_EVERY);
         }
     }

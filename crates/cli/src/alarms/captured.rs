@@ -12,7 +12,7 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use serde::Serialize;
 
-use super::{Lasted, change_name, s_between};
+use super::{Lasted, s_between};
 
 /// An alarm from its raise to its end.
 #[derive(Debug, Serialize)]
@@ -124,7 +124,7 @@ impl Found {
                     level: alarm.level().name(),
                     raised_ns,
                     lasted_s: None,
-                    end: change_name(Change::Raised),
+                    end: Change::Raised.name(),
                 });
             }
         }
@@ -150,7 +150,7 @@ impl Episode {
             level: change.alarm.level().name(),
             raised_ns: change.raised_ns,
             lasted_s: Some(s_between(change.raised_ns, change.at_ns)),
-            end: change_name(change.change),
+            end: change.change.name(),
         }
     }
 }

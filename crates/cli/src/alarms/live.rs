@@ -9,7 +9,7 @@ use joulebus_program::stop::Stop;
 use joulebus_wire::Level;
 
 use super::command::OnAlarm;
-use super::{Args, Line, change_name, s_between};
+use super::{Args, Line, s_between};
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
@@ -82,11 +82,13 @@ impl Watcher {
         }
         let at_ns = clock::monotonic_ns();
         if let Some((alarm, level, raised_ns)) = self.worker.take() {
-            let lasted_s = s_between(raised_ns, at_ns);
-            self.sink.worker(alarm, level, at_ns, Some(lasted_s))?;
+            let times_ns = (raised_ns, at_ns);
+            self.sink
+                .tell(None, (alarm, level), Change::Cleared, times_ns)?;
         }
         if let Some((alarm, level)) = now {
-            self.sink.worker(alarm, level, at_ns, None)?;
+            self.sink
+                .tell(None, (alarm, level), Change::Raised, (at_ns, at_ns))?;
             self.worker = Some((alarm, level, at_ns));
         }
         Ok(())
@@ -103,45 +105,32 @@ struct Sink {
 
 impl Sink {
     fn change(&mut self, change: &AlarmChange) -> anyhow::Result<()> {
-        let ended = change.change != Change::Raised;
-        self.tell(&Line {
-            fleet: self.fleet.clone(),
-            stamp_ns: self.clock.unix_ns(change.at_ns),
-            robot: Some(change.robot),
-            alarm: change.alarm.name(),
-            level: change.alarm.level().name(),
-            change: change_name(change.change),
-            lasted_s: ended.then(|| s_between(change.raised_ns, change.at_ns)),
-        })
-    }
-
-    fn worker(
-        &mut self,
-        alarm: &'static str,
-        level: Level,
-        at_ns: u64,
-        lasted_s: Option<f64>,
-    ) -> anyhow::Result<()> {
-        let change = match lasted_s {
-            None => Change::Raised,
-            Some(_) => Change::Cleared,
-        };
-        self.tell(&Line {
-            fleet: self.fleet.clone(),
-            stamp_ns: self.clock.unix_ns(at_ns),
-            robot: None,
-            alarm,
-            level: level.name(),
-            change: change_name(change),
-            lasted_s,
-        })
+        let alarm = (change.alarm.name(), change.alarm.level());
+        let times_ns = (change.raised_ns, change.at_ns);
+        self.tell(Some(change.robot), alarm, change.change, times_ns)
     }
 
     /// The command first: a full disk of stdout does not keep it from being run.
-    fn tell(&mut self, line: &Line) -> anyhow::Result<()> {
+    fn tell(
+        &mut self,
+        robot: Option<u32>,
+        (alarm, level): (&'static str, Level),
+        change: Change,
+        (raised_ns, at_ns): (u64, u64),
+    ) -> anyhow::Result<()> {
+        let ended = change != Change::Raised;
+        let line = Line {
+            fleet: self.fleet.clone(),
+            stamp_ns: self.clock.unix_ns(at_ns),
+            robot,
+            alarm,
+            level: level.name(),
+            change: change.name(),
+            lasted_s: ended.then(|| s_between(raised_ns, at_ns)),
+        };
         if let Some(command) = &mut self.command {
-            command.tell(line);
+            command.tell(&line);
         }
-        self.output.line(line)
+        self.output.line(&line)
     }
 }

@@ -7,11 +7,12 @@ mod live;
 use std::fmt;
 use std::path::PathBuf;
 
-use joulebus_consumer::Change;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
+
+use crate::utc::Utc;
 
 /// Show each raise and each end of an alarm, with its duration: of a running fleet, or of captures
 #[derive(Debug, clap::Args)]
@@ -58,14 +59,6 @@ fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-const fn change_name(change: Change) -> &'static str {
-    match change {
-        Change::Raised => "raised",
-        Change::Cleared => "cleared",
-        Change::Left => "left",
-    }
-}
-
 /// A duration, readable.
 struct Lasted(f64);
 
@@ -101,10 +94,14 @@ struct Line {
 
 impl fmt::Display for Line {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let of_day_s = self.stamp_ns / 1_000_000_000 % 86_400;
-        let (hours, minutes) = (of_day_s / 3_600, of_day_s / 60 % 60);
-        let (seconds, millis) = (of_day_s % 60, self.stamp_ns / 1_000_000 % 1_000);
-        write!(out, "{hours:02}:{minutes:02}:{seconds:02}.{millis:03}Z ")?;
+        let Utc {
+            hour,
+            minute,
+            second,
+            millisecond,
+            ..
+        } = Utc::of(self.stamp_ns);
+        write!(out, "{hour:02}:{minute:02}:{second:02}.{millisecond:03}Z ")?;
         match self.robot {
             Some(robot) => write!(out, "robot {robot}: ")?,
             None => write!(out, "worker: ")?,
