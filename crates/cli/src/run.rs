@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use anyhow::Context as _;
 use joulebus_config::{Config, ModelSource};
 use joulebus_plan_server::{PlanServer, QueryReport};
 use joulebus_predictor_worker::{Report, Worker};
@@ -12,6 +13,7 @@ use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
 use serde::Serialize;
 
+use crate::alarms::{AlarmLog, AlarmReport};
 use crate::record::RecorderProcess;
 
 /// Run the predictor-worker of a fleet until SIGINT, SIGTERM or SIGHUP, then report
@@ -20,8 +22,9 @@ use crate::record::RecorderProcess;
     joulebus run --config configs/fleet.toml\n  \
     joulebus run --format json > report.json &\n  \
     joulebus run --record run.mcap\n\n\
-    A fleet has one worker; a second one exits and reports the pid of the first. Times in the report are \
-    in µs. Exit code 3 if a recording lost messages or stopped.")]
+    A fleet has one worker; a second one exits and reports the pid of the first. Each raise and each end \
+    of a robot's alarm is one line of the log on stderr; --log-format json makes each an object. Times in \
+    the report are in µs. Exit code 3 if a recording lost messages or stopped.")]
 pub(crate) struct Args {
     #[command(flatten)]
     config: ConfigFile,
@@ -39,16 +42,22 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         None => None,
     };
     let questions = PlanServer::start(&config)?;
+    let alarms = AlarmLog::start(&config).context("alarms cannot be logged")?;
     let mut worker = Worker::open(&config)?;
     questions.serve();
     say(&ready(&config));
     let ran = worker.run(stop.flag());
     // While this process holds the fleet's lock: clients take refusals, too, from no other.
     let queries = questions.finish();
+    let alarms = alarms.finish();
     ran?;
     let worker = worker.finish();
     let whole = recorder.is_none_or(RecorderProcess::finish);
-    output.report(&RunReport { worker, queries })?;
+    output.report(&RunReport {
+        worker,
+        queries,
+        alarms,
+    })?;
     Ok(Outcome::unless_lost(!whole))
 }
 
@@ -77,6 +86,8 @@ struct RunReport {
     worker: Report,
     /// Questions about plans.
     queries: QueryReport,
+    /// Alarms of robots.
+    alarms: AlarmReport,
 }
 
 impl fmt::Display for RunReport {
@@ -123,6 +134,15 @@ impl fmt::Display for RunReport {
         }
         for (reason, count) in &queries.refused {
             writeln!(out, "  {reason}: {count}")?;
+        }
+        let alarms = &self.alarms;
+        if alarms.raised > 0 {
+            let (raised, ended) = (alarms.raised, alarms.ended);
+            writeln!(out, "alarms: {raised} raised, {ended} ended")?;
+        }
+        if alarms.ticks_missed > 0 {
+            let missed = alarms.ticks_missed;
+            writeln!(out, "ticks whose alarms were not logged: {missed}")?;
         }
         if report.frames_unsent > 0 || report.receive_errors > 0 {
             let (unsent, receive) = (report.frames_unsent, report.receive_errors);

@@ -2,6 +2,7 @@
 
 use clap::error::ErrorKind;
 
+use crate::logging::LogFormat;
 use crate::output::{Output, OutputFormat};
 use crate::{exit_with_parent, logging, stop};
 
@@ -14,6 +15,9 @@ pub struct GlobalOptions {
     /// Log more to stderr: once for events, twice for details, three times for everything
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
+    /// Format of the log on stderr
+    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
+    log_format: LogFormat,
     /// Exit when stdin closes: set by a supervisor, so that no process outlives it
     #[arg(long, global = true, hide = true)]
     exit_with_stdin: bool,
@@ -26,7 +30,7 @@ impl GlobalOptions {
     /// # Errors
     /// A format that the verb does not support, or a thread that cannot be started.
     pub fn start(self, has_rows: bool) -> Result<Output, clap::Error> {
-        logging::start(self.verbose);
+        logging::start(self.verbose, self.log_format);
         let failed = |error: anyhow::Error| clap::Error::raw(ErrorKind::Io, format!("{error:#}\n"));
         stop::survive_file_limit().map_err(failed)?;
         if self.exit_with_stdin {

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::fmt::{Display, Write as _};
 use std::io::{self, Write as _};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context as _;
 use serde::Serialize;
@@ -103,9 +104,24 @@ pub fn text(text: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Writes a line to stderr; errors are ignored, because it is not a result.
+/// Target of what a program says, in a log whose lines are objects.
+pub(crate) const SAID: &str = "joulebus::program";
+/// Whether what is said goes to the log, whose lines are objects.
+static TO_LOG: AtomicBool = AtomicBool::new(false);
+
+/// Lets [`say`] write to the log from now on.
+pub(crate) fn say_in_log() {
+    TO_LOG.store(true, Ordering::Relaxed);
+}
+
+/// Writes a line to stderr, or to the log if its lines are objects; errors are ignored, because it is not a result.
 pub fn say(line: &str) {
-    let _ = writeln!(io::stderr(), "{}", printable(line));
+    let line = printable(line);
+    if TO_LOG.load(Ordering::Relaxed) {
+        tracing::info!(target: SAID, "{line}");
+    } else {
+        let _ = writeln!(io::stderr(), "{line}");
+    }
 }
 
 /// The text with control characters escaped, except tabs and line breaks, and with Unicode's

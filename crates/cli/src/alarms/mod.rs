@@ -3,6 +3,7 @@
 mod captured;
 mod command;
 mod live;
+mod log;
 
 use std::fmt;
 use std::path::PathBuf;
@@ -13,6 +14,8 @@ use joulebus_program::output::Output;
 use serde::Serialize;
 
 use crate::utc::Utc;
+
+pub(crate) use log::{AlarmLog, AlarmReport};
 
 /// Show each raise and each end of an alarm, with its duration: of a running fleet, or of captures
 #[derive(Debug, clap::Args)]

@@ -156,3 +156,45 @@ fn a_command_that_fails_is_counted_and_the_changes_are_shown() {
     );
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
 }
+
+#[test]
+fn the_worker_logs_each_raise_and_each_end_and_its_report_counts_them() {
+    let fleet = Fleet::new();
+    let mut worker = Program::start(fleet.joulebus("run --format json --log-format json"));
+    worker.wait_for_stderr("ready: fleet cli");
+    publish(&fleet);
+    worker.wait_for_stderr("\"alarm\":\"NoData\"");
+    publish(&fleet);
+    worker.wait_for_stderr("alarm ended");
+    let ended = worker.end(Signal::TERM);
+    assert_eq!(code(&ended), 0, "{}", stderr(&ended));
+
+    let lines: Vec<Value> = stderr(&ended)
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}")))
+        .collect();
+    assert!(
+        lines
+            .iter()
+            .any(|line| line["target"] == "joulebus::program")
+    );
+    let alarms = lines
+        .iter()
+        .filter(|line| line["target"] == "joulebus::alarms");
+    let (raised, over): (Vec<&Value>, Vec<&Value>) =
+        alarms.partition(|line| line["change"] == "raised");
+    let silent = |robot: usize| {
+        let is_it = |line: &&&Value| line["robot"] == robot && line["alarm"] == "NoData";
+        raised.iter().filter(is_it).count()
+    };
+    for robot in 0..ROBOTS {
+        assert!(silent(robot) >= 1, "robot {robot}: {lines:?}");
+    }
+    for line in &over {
+        assert!(line["lasted_s"].as_f64().is_some_and(|s| s > 0.0), "{line}");
+    }
+    let report = json(&ended);
+    assert_eq!(report["alarms"]["raised"], raised.len(), "{report}");
+    assert_eq!(report["alarms"]["ended"], over.len(), "{report}");
+    assert!(fleet.stale_files().is_empty());
+}

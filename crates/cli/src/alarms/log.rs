@@ -1,0 +1,142 @@
+//! The alarms of the robots in the worker's log: a line for each raise and each end.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use joulebus_bus::{Background, Steps};
+use joulebus_config::{Config, ConnectError};
+use joulebus_consumer::{AlarmChange, AlarmFeed, Change};
+use joulebus_program::logging::ALARMS;
+use joulebus_wire::Level;
+use serde::Serialize;
+
+use super::{Lasted, s_between};
+
+/// Pause before the diagnostics are opened again.
+const OPEN_EVERY: Duration = Duration::from_secs(1);
+
+/// What was logged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub(crate) struct AlarmReport {
+    /// Alarms that were raised.
+    pub(crate) raised: u64,
+    /// Alarms that ended, those of robots that left included.
+    pub(crate) ended: u64,
+    /// Ticks without diagnostics: alarms that were raised and cleared within them are not known.
+    pub(crate) ticks_missed: u64,
+}
+
+/// A thread that logs alarms. It reads as a planner does, so the tick knows nothing of it. Stopped when dropped.
+pub(crate) struct AlarmLog {
+    thread: Background,
+    report: Arc<Mutex<AlarmReport>>,
+}
+
+impl AlarmLog {
+    /// Starts the thread. To be called before the worker is opened, whose CPUs and priority it would inherit.
+    ///
+    /// # Errors
+    /// The system refuses the thread.
+    pub(crate) fn start(config: &Config) -> std::io::Result<Self> {
+        let report = Arc::<Mutex<AlarmReport>>::default();
+        let (config, shared) = (config.clone(), Arc::clone(&report));
+        let thread = Background::start("joulebus-alarms", move || {
+            Ok::<_, std::io::Error>(Logging {
+                config,
+                feed: None,
+                before: AlarmReport::default(),
+                report: shared,
+                failed: false,
+            })
+        })?;
+        Ok(Self { thread, report })
+    }
+
+    /// Logs what the worker has sent so far, and ends the thread.
+    pub(crate) fn finish(mut self) -> AlarmReport {
+        if let Err(error) = self.thread.finish() {
+            tracing::error!("{error}");
+        }
+        *self.report.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+struct Logging {
+    config: Config,
+    feed: Option<AlarmFeed>,
+    /// Of feeds before this one.
+    before: AlarmReport,
+    report: Arc<Mutex<AlarmReport>>,
+    failed: bool,
+}
+
+impl Logging {
+    /// The feed, which is opened if there is none. A failure is logged once, until there is none again.
+    fn feed(&mut self) -> Option<&mut AlarmFeed> {
+        if self.feed.is_none() {
+            match AlarmFeed::with_config(&self.config, "alarms") {
+                Ok(feed) => {
+                    self.feed = Some(feed);
+                    self.failed = false;
+                }
+                Err(error) => self.fails(&error),
+            }
+        }
+        self.feed.as_mut()
+    }
+
+    fn fails(&mut self, error: &ConnectError) {
+        if !std::mem::replace(&mut self.failed, true) {
+            tracing::warn!(%error, "alarms are not logged at present");
+        }
+    }
+}
+
+impl Steps for Logging {
+    fn step(&mut self, last: bool) -> Option<Duration> {
+        let mut report = *self.report.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(feed) = self.feed() else {
+            return (!last).then_some(OPEN_EVERY);
+        };
+        let read = feed.changes(|change| {
+            log(&change);
+            match change.change {
+                Change::Raised => report.raised += 1,
+                Change::Cleared | Change::Left => report.ended += 1,
+            }
+        });
+        let (missed, pause) = (feed.history().ticks_missed(), feed.look_every());
+        report.ticks_missed = self.before.ticks_missed.saturating_add(missed);
+        *self.report.lock().unwrap_or_else(PoisonError::into_inner) = report;
+        if last {
+            return None;
+        }
+        if let Err(error) = read {
+            // Another version's diagnostics, or files that were removed: the worker notices that too.
+            tracing::warn!(%error, "alarms cannot be read: they are opened again");
+            self.before = report;
+            self.feed = None;
+            return Some(OPEN_EVERY);
+        }
+        Some(pause)
+    }
+}
+
+/// One line, at the level of the alarm; ends at that of information, which the default shows.
+fn log(change: &AlarmChange) {
+    let (robot, alarm, level) = (change.robot, change.alarm.name(), change.alarm.level());
+    let (level_name, what) = (level.name(), change.change.name());
+    match (change.change, level) {
+        (Change::Raised, Level::Error) => {
+            tracing::error!(target: ALARMS, robot, alarm, level = level_name, change = what, "alarm raised");
+        }
+        (Change::Raised, _) => {
+            tracing::warn!(target: ALARMS, robot, alarm, level = level_name, change = what, "alarm raised");
+        }
+        (Change::Cleared | Change::Left, _) => {
+            let lasted_s = s_between(change.raised_ns, change.at_ns);
+            let lasted = Lasted(lasted_s);
+            tracing::info!(target: ALARMS, robot, alarm, level = level_name, change = what, lasted_s, "alarm ended after {lasted}");
+        }
+    }
+}
