@@ -3,8 +3,12 @@
 
 use std::fs;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use joulebus_tests::{Arena, Setup, figure};
+use rustix::fs::{FlockOperation, flock};
 
 /// The pids that a message suggests to kill.
 fn to_kill(message: &str) -> Vec<i64> {
@@ -106,5 +110,33 @@ fn an_invisible_holder_is_not_named() {
     holder.kill().unwrap();
     holder.wait().unwrap();
     fs::remove_dir_all(arena.domain().root()).unwrap();
+    arena.close();
+}
+
+#[test]
+fn looking_whether_there_is_a_worker_keeps_none_from_starting() {
+    let arena = Arena::new(&Setup::default());
+    let lock = arena.domain().root().join("worker-t.lock");
+    arena.worker().kill();
+    let stop = Arc::new(AtomicBool::new(false));
+    // A planner or a client that looks has the lock, shared, for some microseconds.
+    let looking = std::thread::spawn({
+        let stop = Arc::clone(&stop);
+        move || {
+            while !stop.load(Ordering::Relaxed) {
+                if let Ok(file) = fs::File::open(&lock) {
+                    let _ = flock(&file, FlockOperation::NonBlockingLockShared);
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
+    });
+    for _ in 0..6 {
+        arena.worker().kill();
+    }
+    arena.worker().stop();
+    stop.store(true, Ordering::Relaxed);
+    looking.join().unwrap();
     arena.close();
 }

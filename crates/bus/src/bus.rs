@@ -72,7 +72,7 @@ impl Bus {
         let (member, mut joined) = Membership::join(domain)?;
         let config = Config::global_config();
         joined.incomplete += remove_incomplete(domain)?;
-        remove_dead_nodes(config, &mut joined);
+        remove_dead_nodes(domain, config, &mut joined);
         // Memory held by dead processes has been freed.
         check_free(PROCESS_BYTES)?;
         let node = create_node(domain, &node_name)?;

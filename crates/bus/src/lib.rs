@@ -31,6 +31,8 @@
 //!   ever, or a node that counts as starting and is never removed; an incomplete tag keeps a dead node
 //!   from being removed. A process that creates or uses an object has its file open, so what is
 //!   incomplete, old, and open in no process is removed.
+//! - Dead nodes are locked one by one, not the services that they share: two processes that remove two of them can remove
+//!   a service that a third has just created anew. Processes of a domain take turns.
 //! - A connection that could not be established is not retried until the list of ports changes. If
 //!   its port is still listed three seconds later, a reader recreates its own port, and a writer lets
 //!   a reader join for a moment, which changes the list.

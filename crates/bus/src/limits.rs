@@ -41,8 +41,11 @@ pub(crate) const ACTIVE_QUERIES: usize = 1;
 const MOST_QUERY_CLIENTS: usize = 16;
 /// Frames of records of questions queued for a recorder.
 const QUERY_FRAMES: usize = 6;
-/// The thread that answers questions reads as a planner does.
+/// The thread that answers questions waits as a planner does.
 const ANSWERING: usize = 1;
+/// Readers in the worker's own process: the checkpointer, and the thread that answers questions or, of diagnostics, the one
+/// that logs alarms.
+const OF_WORKER: usize = 2;
 /// Recorders that a fleet can have at once.
 const RECORDERS: usize = 2;
 /// Journals queued for a recorder: a second at 30 Hz.
@@ -127,7 +130,7 @@ impl Limits {
     pub(crate) const fn forecasts(&self) -> Shape {
         Shape {
             publishers: 1 + SPARE,
-            subscribers: self.max_planners + ANSWERING + SPARE,
+            subscribers: self.max_planners + OF_WORKER + SPARE,
             buffer: self.forecast_frames,
             // The newest is received while the previous one is held.
             borrowed: 2,

@@ -11,14 +11,17 @@ use std::path::{Path, PathBuf};
 use super::objects::{
     Identity, OWNER_READ, Object, is_of, is_of_node, list_own, named, objects, open_files,
 };
+use super::turn::Turn;
 use crate::directory::{NODES, SERVICES};
-use crate::{Domain, RootError};
+use crate::{Domain, RootError, clock};
 
 /// A static description (of a service, a node, a port of a node) loses this permission once it is
 /// complete.
 const OWNER_WRITE: u32 = 0o200;
 /// The files of a node's monitor: `<prefix><id>.node_monitor<suffix>`.
 const MONITOR: &str = ".node_monitor";
+/// Time for which a service must have looked abandoned, ns.
+const ABANDONED_AFTER_NS: u64 = 250_000_000;
 const CONTEXT: &str = "_context";
 const OWNER_LOCK: &str = "_owner_lock";
 
@@ -64,20 +67,46 @@ pub(crate) fn remove_incomplete(domain: &Domain) -> Result<u64, RootError> {
     Ok(removed)
 }
 
-/// Removes the description of service `name` if no process uses it: its creator was killed before
-/// its shared memory existed, or its last user before removing the description. One whose shared
-/// memory was removed is removed even if a process has it open: no other process can use it.
-pub(crate) fn remove_abandoned_service(domain: &Domain, name: &str) -> u64 {
-    let mut services = services(domain);
-    services.retain(|service| {
-        let text = fs::read_to_string(&service.path).unwrap_or_default();
-        service.is_old() && text.contains(name)
-    });
-    let (empty, others): (Vec<_>, Vec<_>) = services.into_iter().partition(|service| {
-        let text = fs::read_to_string(&service.path).unwrap_or_default();
-        service.mode & OWNER_WRITE == 0 && !has_ports(domain, &text)
-    });
-    remove_unless_open(others, &open_files()) + remove_unless_open(empty, &HashSet::new())
+/// Descriptions of services that looked abandoned, and since when, monotonic ns.
+#[derive(Debug, Default)]
+pub(crate) struct Abandoned {
+    seen: Vec<(Identity, u64)>,
+}
+
+impl Abandoned {
+    /// Removes the description of service `name` if no process uses it, and none has for a quarter of a second: its
+    /// creator was killed before its shared memory existed, or its last user before removing the description; one that
+    /// is just removing both, memory first, needs a moment. One whose shared memory was removed is removed even if a
+    /// process has it open: no other process can use it. To be called again and again; returns the number removed.
+    pub(crate) fn remove(&mut self, domain: &Domain, name: &str) -> u64 {
+        let mut services = services(domain);
+        services.retain(|service| {
+            let text = fs::read_to_string(&service.path).unwrap_or_default();
+            service.is_old() && text.contains(name)
+        });
+        let open = open_files();
+        services.retain(|service| {
+            let text = fs::read_to_string(&service.path).unwrap_or_default();
+            let is_empty = service.mode & OWNER_WRITE == 0 && !has_ports(domain, &text);
+            is_empty || !open.contains(&service.identity)
+        });
+        let now_ns = clock::monotonic_ns();
+        self.seen
+            .retain(|(identity, _)| services.iter().any(|it| it.identity == *identity));
+        services.retain(|service| {
+            let since = self.seen.iter().find(|(it, _)| *it == service.identity);
+            let since_ns = since.map(|(_, since_ns)| *since_ns);
+            if since_ns.is_none() {
+                self.seen.push((service.identity, now_ns));
+            }
+            since_ns.is_some_and(|since_ns| now_ns - since_ns >= ABANDONED_AFTER_NS)
+        });
+        if services.is_empty() {
+            return 0;
+        }
+        let _turn = Turn::take(domain);
+        remove_unless_open(services, &HashSet::new())
+    }
 }
 
 /// True if the list of ports of a service with this description exists, as far as the description

@@ -7,3 +7,4 @@ pub(crate) mod removed;
 pub(crate) mod report;
 pub(crate) mod sweep;
 pub(crate) mod thread;
+pub(crate) mod turn;

@@ -48,7 +48,7 @@ fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
     } else {
         let config = iceoryx_config::load(domain)?;
         report.incomplete = remove_incomplete(domain)?;
-        remove_dead_nodes(config, &mut report);
+        remove_dead_nodes(domain, config, &mut report);
     }
     Ok(report)
 }
@@ -63,7 +63,7 @@ pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<()
     let config = iceoryx_config::wanted(domain)?;
     report.incomplete += remove_incomplete(domain)?;
     if is_any_node_alive(&config) {
-        remove_dead_nodes(iceoryx_config::load(domain)?, report);
+        remove_dead_nodes(domain, iceoryx_config::load(domain)?, report);
         return Ok(());
     }
     report.cold = true;

@@ -113,15 +113,15 @@ impl Shared {
                 }
             }
             if round % DEAD_NODES_EVERY == 0 {
-                self.remove_dead_nodes(config);
+                self.remove_dead_nodes(domain, config);
             }
         }
         None
     }
 
-    fn remove_dead_nodes(&self, config: &Config) {
+    fn remove_dead_nodes(&self, domain: &Domain, config: &Config) {
         let mut report = SweepReport::default();
-        remove_dead_nodes(config, &mut report);
+        remove_dead_nodes(domain, config, &mut report);
         self.dead_nodes
             .fetch_add(report.dead_nodes, Ordering::Relaxed);
         self.failed_nodes

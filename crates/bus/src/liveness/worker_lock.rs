@@ -112,21 +112,26 @@ impl WorkerLock {
             Err(error) if is_symlink(&error) => return Err(WorkerLockError::NotALock { path }),
             Err(error) => return Err(failed(error)),
         };
-        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => {}
-            Err(Errno::INTR) => return Ok(None),
-            Err(Errno::WOULDBLOCK) => {
-                let owner = WorkerOwner::read(&mut file).map_err(failed)?;
-                if !is_same(&file, &path).map_err(failed)? {
-                    return Ok(None);
-                }
+        for look in 1_u32.. {
+            match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+                Ok(()) => break,
+                Err(Errno::INTR) => return Ok(None),
+                Err(Errno::WOULDBLOCK) => {}
+                Err(error) => return Err(failed(error.into())),
+            }
+            let (owner, is_named) = WorkerOwner::look(&mut file).map_err(failed)?;
+            if !is_same(&file, &path).map_err(failed)? {
+                return Ok(None);
+            }
+            // Processes that look whether a killed worker's lock is held have it for a moment.
+            if is_named || look == LOOKS {
                 return Err(WorkerLockError::AlreadyRunning {
                     fleet: domain.fleet().to_owned(),
                     owner,
                     path,
                 });
             }
-            Err(error) => return Err(failed(error.into())),
+            std::thread::sleep(LOOK_EVERY);
         }
         if !is_same(&file, &path).map_err(failed)? {
             return Ok(None);
@@ -161,6 +166,9 @@ impl Drop for WorkerLock {
     }
 }
 
+/// Looks at a lock whose holder the file does not name, and the pause between two.
+const LOOKS: u32 = 50;
+const LOOK_EVERY: Duration = Duration::from_millis(2);
 /// A file that is longer than this is not a lock's, bytes.
 const LONGEST_BYTES: u64 = 64;
 
@@ -254,29 +262,36 @@ pub struct WorkerOwner {
 }
 
 impl WorkerOwner {
-    /// The kernel knows the process; the contents of the file are used only if they agree. The
-    /// owner writes right after locking: this waits briefly.
+    /// The owner writes right after locking: this waits briefly.
     fn read(file: &mut File) -> io::Result<Self> {
-        let mut owner = Self {
-            pid: None,
-            since_unix_ns: None,
-        };
-        for _ in 0..50 {
-            let text = String::from_utf8_lossy(&first_bytes(file)?).into_owned();
-            let mut words = text.split_ascii_whitespace();
-            let written = words.next().and_then(|word| word.parse().ok());
-            let since = words.next().and_then(|word| word.parse().ok());
-            let holders = lock_holders(file, written)?;
-            owner.pid = holders.first().copied();
-            if let Some(pid) = written.filter(|pid| holders.contains(pid)) {
-                return Ok(Self {
-                    pid: Some(pid),
-                    since_unix_ns: since,
-                });
+        for _ in 1..LOOKS {
+            let (owner, is_named) = Self::look(file)?;
+            if is_named {
+                return Ok(owner);
             }
-            std::thread::sleep(Duration::from_millis(2));
+            std::thread::sleep(LOOK_EVERY);
         }
-        Ok(owner)
+        Ok(Self::look(file)?.0)
+    }
+
+    /// The holder, and whether the file names it. The kernel knows the process; the contents of the file are used
+    /// only if they agree.
+    fn look(file: &mut File) -> io::Result<(Self, bool)> {
+        let text = String::from_utf8_lossy(&first_bytes(file)?).into_owned();
+        let mut words = text.split_ascii_whitespace();
+        let written = words.next().and_then(|word| word.parse().ok());
+        let since_unix_ns = words.next().and_then(|word| word.parse().ok());
+        let holders = lock_holders(file, written)?;
+        Ok(match written.filter(|pid| holders.contains(pid)) {
+            Some(pid) => {
+                let pid = Some(pid);
+                (Self { pid, since_unix_ns }, true)
+            }
+            None => {
+                let (pid, since_unix_ns) = (holders.first().copied(), None);
+                (Self { pid, since_unix_ns }, false)
+            }
+        })
     }
 }
 

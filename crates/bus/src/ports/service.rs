@@ -20,7 +20,7 @@ use iceoryx2::service::port_factory::request_response::PortFactory as RequestRes
 use joulebus_wire::{AnswerHeader, Payload, QueryHeader, Service, WakeEvent, service_name};
 
 use crate::cleanup::dead_nodes::remove_dead_nodes;
-use crate::cleanup::incomplete::{remove_abandoned_service, remove_incomplete};
+use crate::cleanup::incomplete::{Abandoned, remove_incomplete};
 use crate::cleanup::objects::named;
 use crate::ipc::Ipc;
 use crate::limits::{ACTIVE_QUERIES, Shape};
@@ -149,6 +149,7 @@ fn retry<S, E: Debug>(
     is_transient: impl Fn(&E) -> bool,
 ) -> Result<S, E> {
     let limit_ns = clock::monotonic_ns() + OPEN_LIMIT_NS;
+    let mut abandoned = Abandoned::default();
     loop {
         let error = match open() {
             Err(error) if is_transient(&error) => error,
@@ -159,9 +160,9 @@ fn retry<S, E: Debug>(
             return Err(error);
         }
         let mut report = SweepReport::default();
-        remove_dead_nodes(bus.node.config(), &mut report);
+        remove_dead_nodes(bus.domain(), bus.node.config(), &mut report);
         report.incomplete = remove_incomplete(bus.domain()).unwrap_or(0)
-            + remove_abandoned_service(bus.domain(), name.as_str());
+            + abandoned.remove(bus.domain(), name.as_str());
         tracing::info!(
             service = name.as_str(),
             ?error,
