@@ -24,6 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     // In `joulebus run` this thread runs beside the tick.
     let server = PlanServer::start(&Config::load(fleet.config())?)?;
     server.serve();
+    server.wait_until_open();
     let mut publisher = Publisher::connect(fleet.config(), "controller")?;
     let mut client = PlanClient::connect(fleet.config())?;
     let mut pace = Pace::every(Duration::from_nanos(33_333_333));

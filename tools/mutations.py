@@ -72,6 +72,13 @@ MUTATIONS = [
      "log_ns: clock.unix_ns(clock::monotonic_ns()),", "log_ns: 0,"),
     ("a false number panics", "fleet/src/ingest/sources.rs",
      "header.samples_before.saturating_add(samples)", "(header.samples_before + samples)"),
+    # Of questions.
+    ("connections of clients that left are kept", "bus/src/ports/worn.rs",
+     "self.left >= MOST_LEFT || (self.left > 0", "self.left >= usize::MAX || (self.left == usize::MAX"),
+    ("answers state another tick", "plan/src/planner.rs",
+     "answer.tick = states.tick;", "answer.tick = states.tick + 1_000;"),
+    ("answers are not counted", "plan-server/src/server.rs",
+     "        self.counts.answered += 1;\n", ""),
 ]
 
 

@@ -87,6 +87,7 @@ impl Fleet {
         let server = PlanServer::start(&self.config)?;
         let mut worker = Worker::open(&self.config)?;
         server.serve();
+        server.wait_until_open();
         let done = std::thread::scope(|scope| {
             let source = scope.spawn(|| publish(&self.config, robots, rate_hz, &stop));
             let mut turn = || -> anyhow::Result<Option<f64>> {

@@ -51,6 +51,8 @@ pub struct Totals {
     pub captures: u64,
     /// Ticks computed again.
     pub verified_ticks: u64,
+    /// Questions about plans that clients were answered.
+    pub questions: u64,
     /// Answers and ledgers compared with undisturbed runs.
     pub answers: u64,
     /// Seeds that failed.
@@ -81,6 +83,7 @@ impl Totals {
         self.processes += outcome.processes;
         self.captures += outcome.captures;
         self.verified_ticks += outcome.verified_ticks;
+        self.questions += outcome.questions;
         self.answers += outcome.answers;
     }
 }
@@ -94,8 +97,9 @@ impl fmt::Display for Totals {
         )?;
         writeln!(
             out,
-            "{} captures with {} ticks computed again, {} answers compared with undisturbed runs",
-            self.captures, self.verified_ticks, self.answers
+            "{} captures with {} ticks computed again, {} answers compared with undisturbed runs, {} questions \
+             answered",
+            self.captures, self.verified_ticks, self.answers, self.questions
         )?;
         for failed in &self.failed {
             writeln!(out, "{failed}")?;

@@ -14,7 +14,9 @@ use simulated_capture::verify::Verifier;
 use simulated_config::Config;
 use simulated_host::{self as host, disk, time};
 
-use crate::process::{FALSE_ROBOT, is_constant, power_w};
+use simulated_plan::Answered;
+
+use crate::process::{FALSE_ROBOT, is_constant, is_possible, power_w};
 use crate::scenario::Setup;
 
 /// Pid of the process that observes.
@@ -168,6 +170,25 @@ impl Checker {
             forecasts: bus.forecast_reader(&limits).ok()?,
             budgets: bus.budget_reader(&limits).ok()?,
         })
+    }
+
+    /// What a client was answered is computed from frames that the worker has sent.
+    pub(crate) fn answered(&self, answered: &Answered) -> Checked {
+        let of_life = self.life.as_ref().and_then(|life| life.place);
+        let is_sent = answered.worker_epoch <= self.last_epoch
+            && of_life
+                .is_none_or(|(epoch, tick)| answered.worker_epoch < epoch || answered.tick <= tick);
+        ensure(is_sent, "answers are of the worker's frames", || {
+            format!(
+                "{answered:?}; the newest frame is {of_life:?}, the last run {}",
+                self.last_epoch
+            )
+        })?;
+        ensure(
+            is_possible(&answered.reply),
+            "an energy lies in its interval",
+            || format!("{answered:?}"),
+        )
     }
 
     pub(crate) fn worker_begins(&mut self, pid: u32) {

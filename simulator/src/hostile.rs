@@ -2,8 +2,8 @@
 
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TickHeader, WakeEvent,
-    budget_flag, sample_flag,
+    PlanStateHeader, QueryHeader, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TickHeader,
+    WakeEvent, budget_flag, sample_flag,
 };
 use simulated_bus::Bus;
 use simulated_config::Config;
@@ -65,6 +65,31 @@ pub(crate) fn forge(config: &Config, frames: u64, header: &SampleHeader, robots:
                 Sample::new(robots[place % robots.len()], seq, any(header.sent_ns))
                     .reading(f32::NAN, 0)
             });
+        }
+        Some(())
+    });
+}
+
+/// Asks `count` questions that mean nothing, mostly without waiting for an answer, and leaves.
+pub(crate) fn ask(config: &Config, count: u64) {
+    live(|| {
+        let bus = Bus::join(&config.domain().ok()?, "hostile").ok()?;
+        for _ in 0..count {
+            let mut client = bus.query_client(&config.limits()).ok()?;
+            let values = [f64::NAN, f64::INFINITY, 0.0, 1e300, any(7) as f64];
+            let len = host::below(200);
+            let header = QueryHeader {
+                schema: schema(),
+                fleet: any(7),
+                deadline_ns: any(time::monotonic_ns()),
+                robots: any(1) as u32,
+                kind: any(1) as u32,
+                steps: any(20) as u32,
+                candidates: any(2) as u32,
+                ..QueryHeader::default()
+            };
+            let values: Vec<f64> = (0..len).map(|_| values[host::below(5)]).collect();
+            let _ = client.send(header, &values);
         }
         Some(())
     });

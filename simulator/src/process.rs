@@ -9,6 +9,8 @@ use simulated_capture::{Attachments, CaptureSettings, Clock, Preset};
 use simulated_config::Config;
 use simulated_consumer::{BudgetFeed, DiagnosticFeed, Event, PlanStateFeed, Planner};
 use simulated_host::{self as host, time};
+use simulated_plan::{Answered, ClientError, Plan, PlanClient, QueryError, Question, Reply};
+use simulated_plan_server::{PlanServer, QueryReport};
 use simulated_publisher::{Publisher, RobotState};
 use simulated_worker::Worker;
 
@@ -16,7 +18,8 @@ use crate::scenario::Setup;
 
 /// A program that runs.
 pub(crate) enum Program {
-    Worker(Box<Worker>),
+    Worker(Box<Worker>, Box<PlanServer>),
+    Client(Box<ClientProgram>),
     Source(Box<SourceProgram>),
     Planner(Box<PlannerProgram>),
     /// The paths of its files begin so.
@@ -29,8 +32,18 @@ pub(crate) enum Stepped {
     On(u64),
     /// A planner that goes on: what it learned.
     Learned(u64, Learned),
+    /// A client that goes on, and what it heard.
+    Asked(u64, Heard),
     /// It has ended by itself, because of what it says.
     Ended(String),
+}
+
+/// What a client heard in a step.
+pub(crate) enum Heard {
+    Nothing,
+    Answer(Box<Answered>),
+    /// No answer in time to what it asked then, simulated ns.
+    TimedOut(u64),
 }
 
 /// What a planner learned in a step.
@@ -54,7 +67,8 @@ impl Program {
     /// Does what the program's main loop does once.
     pub(crate) fn step(&mut self) -> Stepped {
         match self {
-            Self::Worker(worker) => match worker.turn() {
+            Self::Client(client) => client.step(),
+            Self::Worker(worker, _) => match worker.turn() {
                 // If it has not ticked it sleeps; when, it has told the host.
                 Ok(_) => Stepped::On(time::now_ns()),
                 Err(error) => Stepped::Ended(error.to_string()),
@@ -68,18 +82,28 @@ impl Program {
         }
     }
 
-    /// Ends the program in order; a recorder says what it has written.
-    pub(crate) fn finish(self) -> Option<Box<Summary>> {
+    /// Ends the program in order.
+    pub(crate) fn finish(self) -> Finished {
         match self {
-            Self::Recorder(recorder, _) => Some(Box::new(recorder.finish())),
-            Self::Worker(worker) => {
+            Self::Recorder(recorder, _) => Finished::Recorded(Box::new(recorder.finish())),
+            Self::Worker(worker, questions) => {
+                let report = questions.finish();
                 // Its report counts what the frames did.
                 let _ = worker.finish();
-                None
+                Finished::Answered(report)
             }
-            Self::Source(_) | Self::Planner(_) => None,
+            Self::Source(_) | Self::Planner(_) | Self::Client(_) => Finished::Nothing,
         }
     }
+}
+
+/// What a program says at its end.
+pub(crate) enum Finished {
+    Nothing,
+    /// What a recorder has written.
+    Recorded(Box<Summary>),
+    /// Questions that a worker has answered.
+    Answered(QueryReport),
 }
 
 /// Power of a robot in W: of every second one constant, so that its energy is known exactly.
@@ -226,6 +250,124 @@ impl PlannerProgram {
     }
 }
 
+/// A client that asks about robots of the first source, one question after the other.
+pub(crate) struct ClientProgram {
+    client: PlanClient,
+    robots: Vec<u32>,
+    period_ns: u64,
+    /// When it asks again, simulated ns.
+    next_ns: u64,
+    is_asking: bool,
+    /// When it asked last, simulated ns.
+    asked_ns: u64,
+    /// When it was answered last, simulated ns.
+    pub(crate) answered_ns: u64,
+    /// Why it was not answered the last time.
+    pub(crate) last: String,
+}
+
+impl ClientProgram {
+    pub(crate) fn open(config: &Config, setup: &Setup) -> Option<Self> {
+        Some(Self {
+            client: PlanClient::with_config(config, "client").ok()?,
+            robots: (0..setup.robots as u32).collect(),
+            period_ns: setup.period_ns,
+            next_ns: time::now_ns(),
+            is_asking: false,
+            asked_ns: 0,
+            answered_ns: 0,
+            last: String::new(),
+        })
+    }
+
+    /// Time after which it gives a question up.
+    pub(crate) const fn patience(period_ns: u64) -> Duration {
+        Duration::from_nanos(6 * period_ns + 3_000_000_000)
+    }
+
+    fn step(&mut self) -> Stepped {
+        if self.is_asking {
+            return match self.client.poll() {
+                // It sleeps; until when, it has told the host.
+                Ok(None) => Stepped::Asked(time::now_ns(), Heard::Nothing),
+                Ok(Some(answered)) => {
+                    self.answered_ns = time::now_ns();
+                    self.pauses(Heard::Answer(Box::new(answered)))
+                }
+                Err(error) => self.fails(&error),
+            };
+        }
+        if time::now_ns() < self.next_ns {
+            return Stepped::Asked(self.next_ns, Heard::Nothing);
+        }
+        self.asked_ns = time::now_ns();
+        let sent = self
+            .client
+            .send(&self.question(), Self::patience(self.period_ns));
+        match sent {
+            Ok(()) => {
+                self.is_asking = true;
+                Stepped::Asked(time::now_ns(), Heard::Nothing)
+            }
+            Err(error) => self.fails(&error),
+        }
+    }
+
+    fn question(&self) -> Question {
+        let robot = self.robots[host::below(self.robots.len())];
+        let plan = match host::below(3) {
+            0 => Plan::Idle {
+                robots: self.robots.clone(),
+                duration_s: 10.0,
+            },
+            1 => Plan::Idle {
+                robots: vec![robot, 999_999],
+                duration_s: 1.0,
+            },
+            _ => Plan::WhatIf {
+                robot,
+                candidates: 2,
+                period_s: 0.1,
+                v_mps: vec![0.1; 20],
+                omega_radps: vec![0.0; 20],
+            },
+        };
+        Question {
+            plan,
+            ..Question::default()
+        }
+    }
+
+    fn fails(&mut self, error: &ClientError) -> Stepped {
+        self.last = error.to_string();
+        let is_removed = matches!(
+            error,
+            ClientError::Unanswered(QueryError::Removed(_) | QueryError::Wait(_))
+        );
+        if is_removed {
+            return Stepped::Ended(self.last.clone());
+        }
+        self.pauses(match error {
+            ClientError::Unanswered(QueryError::TimedOut { .. }) => Heard::TimedOut(self.asked_ns),
+            _ => Heard::Nothing,
+        })
+    }
+
+    fn pauses(&mut self, heard: Heard) -> Stepped {
+        self.is_asking = false;
+        let most = 1 + 4 * self.period_ns as usize / 1_000_000;
+        self.next_ns = time::now_ns() + 1_000_000 * (1 + host::below(most)) as u64;
+        Stepped::Asked(self.next_ns, heard)
+    }
+}
+
+/// Whether what an answer says can be: its ranges are in order.
+pub(crate) fn is_possible(reply: &Reply) -> bool {
+    let energies = reply.rows.iter().filter_map(|row| row.answer.energy);
+    let mut ranges = energies.map(|energy| (energy.lo_j, energy.mean_j, energy.hi_j));
+    ranges.all(|(lo_j, mean_j, hi_j)| lo_j <= mean_j && mean_j <= hi_j)
+}
+
 /// Starts a recorder whose files begin with `path`.
 pub(crate) fn recorder(config: &Config, path: String) -> Option<Program> {
     let options = Options {
@@ -247,10 +389,10 @@ pub(crate) fn recorder(config: &Config, path: String) -> Option<Program> {
 
 /// Starts a worker.
 pub(crate) fn worker(config: &Config) -> Result<Program, String> {
-    let opened = Worker::open(config);
-    opened
-        .map(|worker| Program::Worker(Box::new(worker)))
-        .map_err(|error| error.to_string())
+    let questions = PlanServer::start(config).map_err(|error| error.to_string())?;
+    let opened = Worker::open(config).map_err(|error| error.to_string())?;
+    questions.serve();
+    Ok(Program::Worker(Box::new(opened), Box::new(questions)))
 }
 
 /// Whether a process whose code has unwound was killed; otherwise the panic's message.

@@ -15,6 +15,8 @@ pub enum Role {
     Source(usize),
     /// A planner.
     Planner(usize),
+    /// A client that asks the worker about plans.
+    Client(usize),
     /// The recorder.
     Recorder,
 }
@@ -56,6 +58,8 @@ pub enum Fault {
     Rival(usize, u64),
     /// Another process sends under the name of a source.
     Namesake(usize, u64),
+    /// A process asks so many questions that mean nothing, gives most of them up, and leaves.
+    Questions(u64),
     /// A process sends frames with the run and the numbers of those of a source.
     Forged(usize, u64),
 }
@@ -72,6 +76,8 @@ pub struct Setup {
     pub sources: usize,
     /// Planners.
     pub planners: usize,
+    /// Clients that ask the worker about plans.
+    pub clients: usize,
     /// Whether there is a recorder.
     pub records: bool,
     /// Period of the samples and of the tick, ns.
@@ -153,6 +159,7 @@ impl Setup {
             robots: if is_long { 1 } else { 1 + noise.below(3) },
             sources: if is_long { 2 } else { 1 + noise.below(3) },
             planners: 1 + noise.below(2),
+            clients: 0,
             records: !is_long && noise.below(3) == 0,
             period_ns,
             by_timer: noise.below(4) == 0,
@@ -189,7 +196,8 @@ impl Setup {
              [readers]\nmax_planners = 6\n[worker]\nthreads = 1\n\
              [ledger]\ncheckpoint = \"{ledger}\"\nevery_s = {:?}\n\
              [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-999999\"]\n\
-             rate_hz = {hz:?}\nstale_after_s = {:?}\nhold_max_s = {:?}\nstuck_after_s = {:?}\n{model}",
+             rate_hz = {hz:?}\nstale_after_s = {:?}\nhold_max_s = {:?}\nstuck_after_s = {:?}\n{model}\
+             [queries]\nanswer = \"{}\"\n",
             2 * self.regular() + 4,
             seconds(self.period_ns) * 300.0,
             self.max_sources,
@@ -200,6 +208,8 @@ impl Setup {
             seconds(self.stale_after_ns()),
             seconds(self.stale_after_ns()),
             seconds(4 * self.stale_after_ns()),
+            // Years would be spent waiting for questions.
+            if self.clients > 0 { "on" } else { "off" },
         )
     }
 }
@@ -211,10 +221,21 @@ impl Scenario {
         let mut noise = Noise::new(seed, 0);
         let drawn_ns = (1 + noise.below(30)) as u64 * LONGEST_NS / 30;
         let duration_ns = asked_ns.unwrap_or(drawn_ns);
-        let setup = Setup::draw(&mut noise, duration_ns >= LONG_NS);
+        let is_long = duration_ns >= LONG_NS;
+        let mut setup = Setup::draw(&mut noise, is_long);
         let mut faults = plan(&mut noise, &setup, duration_ns);
         // Of numbers of their own: what seeds meant before, they still mean.
         faults.extend(forgeries(&mut Noise::new(seed, 2), &setup, duration_ns));
+        let mut asking = Noise::new(seed, 3);
+        setup.clients = if is_long { 0 } else { asking.below(4) };
+        faults.extend(faults_of_clients(&mut asking, &setup, duration_ns));
+        // Whoever comes first owns a robot, and starts while there is memory: source 0, if nothing is to happen to it.
+        let begin_ns = if setup.everything {
+            0
+        } else {
+            SECOND + 3 * setup.period_ns
+        };
+        faults.retain(|(at_ns, _)| *at_ns >= begin_ns);
         faults.sort_by_key(|(at_ns, _)| *at_ns);
         Self {
             seed,
@@ -246,7 +267,7 @@ impl Scenario {
     pub fn undisturbed(&self) -> Self {
         let mut same = self.clone();
         same.faults.clear();
-        (same.setup.sources, same.setup.planners) = (1, 0);
+        (same.setup.sources, same.setup.planners, same.setup.clients) = (1, 0, 0);
         same.setup.records = false;
         same
     }
@@ -292,6 +313,32 @@ fn forgeries(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned>
             let frames = 1 + noise.below(6) as u64;
             faults.push(((at_s * 1e9) as u64, Fault::Forged(source, frames)));
         }
+    }
+}
+
+/// Faults of clients, and questions of strangers, at random times.
+fn faults_of_clients(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
+    let duration_s = duration_ns as f64 * 1e-9;
+    let mean_s = f64::max(60.0 * setup.period_ns as f64 * 1e-9, duration_s / 200.0);
+    let mut faults = Vec::new();
+    let mut at_s = 0.0;
+    if setup.clients == 0 {
+        return faults;
+    }
+    loop {
+        at_s += noise.waiting_s(mean_s);
+        if at_s >= duration_s {
+            return faults;
+        }
+        let role = Role::Client(noise.below(setup.clients));
+        let long = (1 + noise.below(100)) as u64 * setup.period_ns;
+        let fault = match noise.below(5) {
+            0 | 1 => Fault::Kill(role, 1 + noise.below(60) as u64),
+            2 => Fault::End(role),
+            3 => Fault::Pause(role, long),
+            _ => Fault::Questions(1 + noise.below(20) as u64),
+        };
+        faults.push(((at_s * 1e9) as u64, fault));
     }
 }
 

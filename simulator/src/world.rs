@@ -12,7 +12,8 @@ use simulated_host::{self as host, disk, time};
 use crate::check::{Answers, Checked, Checker, Failure, failure};
 use crate::hostile;
 use crate::process::{
-    self, LOOK_EVERY_NS, Learned, PlannerProgram, Program, SourceProgram, Stepped,
+    self, ClientProgram, Finished, Heard, LOOK_EVERY_NS, Learned, PlannerProgram, Program,
+    SourceProgram, Stepped,
 };
 use crate::scenario::{Fault, Role, Scenario};
 
@@ -45,6 +46,8 @@ pub struct Outcome {
     pub captures: u64,
     /// Ticks computed again.
     pub verified_ticks: u64,
+    /// Questions that clients were answered.
+    pub questions: u64,
     /// Answers compared with those of an undisturbed run.
     pub answers: u64,
     /// The first invariant that did not hold.
@@ -92,6 +95,10 @@ struct World<'a> {
     woken: Vec<u32>,
     disk_until_ns: u64,
     memory_until_ns: u64,
+    /// When a worker has ended last, simulated ns.
+    worker_ended_ns: u64,
+    /// Questions that clients were answered in the life of this worker.
+    answered: u64,
     outcome: Outcome,
 }
 
@@ -208,6 +215,8 @@ impl<'a> World<'a> {
             woken: Vec::new(),
             disk_until_ns: 0,
             memory_until_ns: 0,
+            worker_ended_ns: 0,
+            answered: 0,
             outcome: Outcome::default(),
         };
         world.place(Some(Role::Worker), "worker".to_owned(), Vec::new(), 0);
@@ -228,6 +237,14 @@ impl<'a> World<'a> {
                 "planner".to_owned(),
                 Vec::new(),
                 0,
+            );
+        }
+        for client in 0..setup.clients {
+            world.place(
+                Some(Role::Client(client)),
+                format!("client-{client}"),
+                Vec::new(),
+                SECOND / 5,
             );
         }
         if setup.records {
@@ -306,12 +323,14 @@ impl<'a> World<'a> {
         self.run_until(time::now_ns() + 30 * period_ns + 2 * SECOND)?;
         self.all_answered()?;
         self.planners_are_fresh()?;
+        self.clients_are_answered()?;
         if self.scenario.setup.everything {
             let worker = self.slot(Role::Worker);
             self.dies(worker)?;
             self.run_until(time::now_ns() + 30 * period_ns + 5 * SECOND)?;
             self.all_answered()?;
             self.planners_are_fresh()?;
+            self.clients_are_answered()?;
         }
         for slot in 0..self.slots.len() {
             self.ends(slot)?;
@@ -347,6 +366,28 @@ impl<'a> World<'a> {
                 let found = format!("the newest frame of a planner is {age_ns:?} ns old");
                 return Err(failure("everything works again once faults stop", found));
             }
+        }
+        Ok(())
+    }
+
+    /// Each client was answered lately: it has asked all the time.
+    fn clients_are_answered(&self) -> Checked {
+        let period_ns = self.scenario.setup.period_ns;
+        let most_ns = 20 * period_ns + 4 * SECOND;
+        for slot in &self.slots {
+            let is_client = matches!(slot.role, Some(Role::Client(_)));
+            let found = match &slot.program {
+                Some(Program::Client(client)) if time::now_ns() <= client.answered_ns + most_ns => {
+                    continue;
+                }
+                Some(Program::Client(client)) => format!(
+                    "{} was answered at {} ns last: {}",
+                    slot.name, client.answered_ns, client.last
+                ),
+                _ if is_client => format!("{} does not run: {}", slot.name, slot.last),
+                _ => continue,
+            };
+            return Err(failure("everything works again once faults stop", found));
         }
         Ok(())
     }
@@ -486,6 +527,10 @@ impl<'a> World<'a> {
                 slot.wake_ns = wake_ns;
                 self.learns(place, learned)?;
             }
+            Ok(Some(Stepped::Asked(wake_ns, heard))) => {
+                slot.wake_ns = deadline_ns.map_or(wake_ns, time::simulated_ns);
+                self.hears(&heard)?;
+            }
             Ok(Some(Stepped::Ended(reason))) => {
                 slot.last = reason;
                 return self.ends(place);
@@ -514,6 +559,22 @@ impl<'a> World<'a> {
         }
         self.woken = woken;
         self.woken.clear();
+    }
+
+    fn hears(&mut self, heard: &Heard) -> Checked {
+        match heard {
+            Heard::Nothing => Ok(()),
+            Heard::Answer(answered) => {
+                self.answered += 1;
+                self.outcome.questions += 1;
+                self.checker.answered(answered)
+            }
+            Heard::TimedOut(asked_ns) if *asked_ns < self.worker_ended_ns => {
+                let found = format!("asked at {asked_ns} ns, the worker ended later");
+                Err(failure("clients learn of every end", found))
+            }
+            Heard::TimedOut(_) => Ok(()),
+        }
     }
 
     fn learns(&mut self, place: usize, learned: Learned) -> Checked {
@@ -556,6 +617,7 @@ impl<'a> World<'a> {
         }
         if slot.role == Some(Role::Worker) {
             self.checker.worker_begins(pid);
+            self.answered = 0;
         }
         self.outcome.processes += 1;
         self.names += 1;
@@ -567,6 +629,9 @@ impl<'a> World<'a> {
                 .ok(),
             Some(Role::Planner(_)) => PlannerProgram::open(config, setup)
                 .map(|planner| Program::Planner(Box::new(planner))),
+            Some(Role::Client(_)) => {
+                ClientProgram::open(config, setup).map(|client| Program::Client(Box::new(client)))
+            }
             Some(Role::Recorder) => process::recorder(config, format!("/sim/captures/{number}-")),
             Some(Role::Source(_)) | None => {
                 SourceProgram::open(config, &slot.name, slot.robots.clone(), setup)
@@ -665,7 +730,7 @@ impl<'a> World<'a> {
                 host::bury(pid);
                 host::remove_threads(pid);
                 let _ = host::leave();
-                None
+                Finished::Nothing
             }
             Err(Err(text)) => return Err(failure("nothing panics", text)),
         };
@@ -674,8 +739,19 @@ impl<'a> World<'a> {
         }
         self.deliver();
         self.gone(place);
+        let recorded = match finished {
+            Finished::Answered(report) if report.answered < self.answered => {
+                let found = format!(
+                    "{} were answered, {} counted",
+                    self.answered, report.answered
+                );
+                return Err(failure("answers are counted", found));
+            }
+            Finished::Recorded(summary) => Some(summary),
+            _ => None,
+        };
         match capture {
-            Some(path) => self.checker.capture(&path, finished.as_deref()),
+            Some(path) => self.checker.capture(&path, recorded.as_deref()),
             None => Ok(()),
         }
     }
@@ -692,6 +768,9 @@ impl<'a> World<'a> {
         slot.start_ns = now_ns + SECOND / 10 + host::below(2_000) as u64 * 1_000_000;
         if slot.role.is_none() {
             slot.start_ns = u64::MAX;
+        }
+        if slot.role == Some(Role::Worker) {
+            self.worker_ended_ns = now_ns;
         }
         if slot.role == Some(Role::Worker)
             && let Some(run) = self.checker.worker_ends()
@@ -806,6 +885,7 @@ impl<'a> World<'a> {
                     self.deliver();
                 }
             }
+            Fault::Questions(count) => hostile::ask(&self.config, count),
             Fault::Newcomers(count) => {
                 self.checker.is_irregular(now_ns + (count + 8) * period_ns);
                 for number in 0..count {

@@ -45,6 +45,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let alarms = AlarmLog::start(&config).context("alarms cannot be logged")?;
     let mut worker = Worker::open(&config)?;
     questions.serve();
+    questions.wait_until_open();
     say(&ready(&config));
     let ran = worker.run(stop.flag());
     // While this process holds the fleet's lock: clients take refusals, too, from no other.

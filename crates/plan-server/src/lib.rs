@@ -94,12 +94,20 @@ impl PlanServer {
     }
 
     /// From now on questions are answered: to be called by the process that holds the fleet's worker
-    /// lock, since clients take answers from no other. Returns when the ports are open, so that a worker that is
-    /// ready has all its memory, or could not be opened, or after two seconds.
+    /// lock, since clients take answers from no other.
     pub fn serve(&self) {
         self.shared.serves.store(true, Ordering::Release);
-        let Some(thread) = &self.thread else { return };
-        thread.wake();
+        if let Some(thread) = &self.thread {
+            thread.wake();
+        }
+    }
+
+    /// Waits until the ports are open, so that a worker that is ready has all its memory, or could not be
+    /// opened, at most two seconds. To be called after [`PlanServer::serve`].
+    pub fn wait_until_open(&self) {
+        if self.thread.is_none() {
+            return;
+        }
         let give_up = Instant::now() + OPEN_WITHIN;
         while !self.shared.tried.load(Ordering::Acquire) && Instant::now() < give_up {
             std::thread::sleep(LOOK_EVERY);

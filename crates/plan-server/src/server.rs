@@ -10,8 +10,6 @@ use joulebus_wire::{
     AnswerHeader, QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal, SCHEMA_VERSION, fnv1a,
 };
 
-use rustix::time::{ClockId, clock_gettime};
-
 use crate::fair::Fair;
 use crate::job::{Job, State};
 use crate::records::Records;
@@ -228,11 +226,12 @@ impl Server {
 
     /// Works on a question: up to one robot of it.
     fn advance(&mut self, place: usize) -> Result<(), ServerError> {
-        let begun_ns = thread_cpu_ns();
+        // What other threads take from this one is not charged to a client.
+        let begun_ns = clock::thread_cpu_ns();
         let mut job = self.jobs.remove(place);
         let client = job.client;
         let worked = self.work(&mut job);
-        let took_ns = thread_cpu_ns().saturating_sub(begun_ns);
+        let took_ns = clock::thread_cpu_ns().saturating_sub(begun_ns);
         self.fair.served(client, took_ns);
         match worked {
             // In the order in which they were taken.
@@ -329,10 +328,4 @@ impl Server {
             .add(record, (&job.values, words), self.counts)?;
         Ok(())
     }
-}
-
-/// Processor time of this thread: what others take from it is not charged to a client.
-fn thread_cpu_ns() -> u64 {
-    let time = clock_gettime(ClockId::ThreadCPUTime);
-    time.tv_sec.cast_unsigned() * 1_000_000_000 + time.tv_nsec.cast_unsigned()
 }

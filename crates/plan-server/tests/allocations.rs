@@ -91,6 +91,7 @@ fn while_questions_are_answered_the_tick_allocates_nothing_of_its_own() {
     let server = PlanServer::start(&config).unwrap();
     let mut worker = Worker::open(&config).unwrap();
     server.serve();
+    server.wait_until_open();
     let (answered, stop) = (AtomicU64::new(0), AtomicBool::new(false));
     std::thread::scope(|scope| {
         let _end = OnDrop(&stop);

@@ -8,7 +8,7 @@ pub use joulebus_bus::QueryError;
 use joulebus_bus::{Bus, QueryClient, clock};
 use joulebus_config::{Config, ConnectError};
 use joulebus_consumer::OpenError;
-use joulebus_wire::fnv1a;
+use joulebus_wire::{AnswerHeader, QueryHeader, fnv1a};
 
 use crate::error::Refused;
 use crate::question::{Question, Reply};
@@ -18,6 +18,8 @@ use crate::question::{Question, Reply};
 pub struct PlanClient {
     client: QueryClient,
     fleet: u64,
+    /// Times of the question that waits for an answer.
+    asked: Option<Asked>,
     // After the port, which must be dropped before the process leaves the domain.
     _bus: Bus,
 }
@@ -82,6 +84,7 @@ impl PlanClient {
         Ok(Self {
             client: bus.query_client(&config.limits())?,
             fleet: fnv1a(config.fleet().bytes()),
+            asked: None,
             _bus: bus,
         })
     }
@@ -92,18 +95,80 @@ impl PlanClient {
     /// [`ClientError`]. After `timeout` the question is given up, and the worker does not answer it
     /// any more.
     pub fn ask(&mut self, question: &Question, timeout: Duration) -> Result<Answered, ClientError> {
-        let (mut header, values) = question.encode(self.fleet)?;
+        let (header, values) = question.encode(self.fleet)?;
+        let asked = Asked::now(timeout);
+        let header = QueryHeader {
+            deadline_ns: asked.deadline_ns,
+            ..header
+        };
+        // An earlier question is given up.
+        self.asked = None;
+        let (answer, words) = self.client.ask(header, &values)?;
+        asked.answered(&answer, &words)
+    }
+
+    /// As [`PlanClient::ask`], without waiting: [`PlanClient::poll`] returns the answer. An earlier question is given
+    /// up.
+    ///
+    /// # Errors
+    /// [`ClientError`]; [`QueryError::NotServed`] also of a worker that is just starting: ask again.
+    pub fn send(&mut self, question: &Question, timeout: Duration) -> Result<(), ClientError> {
+        let (header, values) = question.encode(self.fleet)?;
+        let asked = Asked::now(timeout);
+        let header = QueryHeader {
+            deadline_ns: asked.deadline_ns,
+            ..header
+        };
+        self.asked = None;
+        self.client.send(header, &values)?;
+        self.asked = Some(asked);
+        Ok(())
+    }
+
+    /// The answer to the question sent last, if it has arrived; `None` as long as it has not, and when no question is
+    /// waiting for one. Does not wait.
+    ///
+    /// # Errors
+    /// [`ClientError`]; the question is given up. At the end of its time [`QueryError::TimedOut`].
+    pub fn poll(&mut self) -> Result<Option<Answered>, ClientError> {
+        let Some(asked) = self.asked.take() else {
+            return Ok(None);
+        };
+        match self.client.poll(asked.deadline_ns)? {
+            Some((answer, words)) => asked.answered(&answer, &words).map(Some),
+            None => {
+                self.asked = Some(asked);
+                Ok(None)
+            }
+        }
+    }
+}
+
+/// When a question was asked, and until when an answer is of use, monotonic ns.
+#[derive(Debug, Clone, Copy)]
+struct Asked {
+    begun_ns: u64,
+    deadline_ns: u64,
+}
+
+impl Asked {
+    fn now(timeout: Duration) -> Self {
         let begun_ns = clock::monotonic_ns();
         let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
-        header.deadline_ns = begun_ns.saturating_add(timeout_ns);
-        let (answer, words) = self.client.ask(header, &values)?;
+        Self {
+            begun_ns,
+            deadline_ns: begun_ns.saturating_add(timeout_ns),
+        }
+    }
+
+    fn answered(self, answer: &AnswerHeader, words: &[u64]) -> Result<Answered, ClientError> {
         Ok(Answered {
-            reply: Reply::decode(&answer, &words)?,
+            reply: Reply::decode(answer, words)?,
             worker_epoch: answer.worker_epoch,
             tick: answer.tick,
             budget_tick: answer.budget_tick,
             age_ns: answer.now_ns.saturating_sub(answer.sent_state_ns),
-            took_ns: clock::monotonic_ns().saturating_sub(begun_ns),
+            took_ns: clock::monotonic_ns().saturating_sub(self.begun_ns),
         })
     }
 }

@@ -34,6 +34,11 @@ impl Background {
         Ok(Self { number })
     }
 
+    /// Ends the pause of the thread.
+    pub fn wake(&self) {
+        host::wake_thread(self.number);
+    }
+
     /// Lets the thread do its last step.
     ///
     /// # Errors

@@ -11,6 +11,7 @@ mod bus;
 mod limits;
 mod liveness;
 mod ports;
+mod query;
 mod queues;
 mod wait;
 
@@ -18,18 +19,19 @@ pub use background::{Background, Steps};
 pub use bus::{Bus, Domain, remove_files};
 pub use joulebus_bus::{
     CapacityError, DomainError, FilesRemoved, IceoryxConfigError, JoinError, OpenError, Panicked,
-    ReceiveError, RootError, Scheduling, SchedulingError, SendError, SweepError, WaitError, Woken,
-    WorkerLockError,
+    QueryError, ReceiveError, RootError, Scheduling, SchedulingError, SendError, SweepError,
+    WaitError, Woken, WorkerLockError,
 };
 pub use limits::{Limits, LimitsError};
 pub use liveness::peer_watch::PeerWatch;
 pub use liveness::worker_lock::WorkerLock;
 pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, IncomingFrame, Loan, PlanStateReader, PlanStateWriter, QueriesReader, Reader,
-    SampleReader, SampleTap, SampleWriter, StateReader, StateWriter, Taken, TickReader, TickWriter,
-    Writer, taken_frames,
+    Frame, IncomingFrame, Loan, PlanStateReader, PlanStateWriter, QueriesReader, QueriesWriter,
+    Reader, SampleReader, SampleTap, SampleWriter, StateReader, StateWriter, Taken, TickReader,
+    TickWriter, Writer, taken_frames,
 };
+pub use query::{OpenQuery, QueryClient, QueryServer};
 pub use queues::{begin, remove_process, size};
 pub use wait::{Waiter, Waker};
 
@@ -51,6 +53,12 @@ pub mod clock {
         time::unix_ns()
     }
 
+    /// Processor time: all time is.
+    #[must_use]
+    pub fn thread_cpu_ns() -> u64 {
+        monotonic_ns()
+    }
+
     /// The id of this boot.
     ///
     /// # Errors
@@ -68,6 +76,14 @@ pub fn process_id() -> u32 {
 
 /// Memory needs no touching.
 pub const fn touch_own_memory() {}
+
+/// There is one processor, and no nice value.
+///
+/// # Errors
+/// None.
+pub const fn lower_priority(_nice: u8) -> std::io::Result<()> {
+    Ok(())
+}
 
 /// Timers are exact.
 ///

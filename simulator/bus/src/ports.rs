@@ -13,6 +13,7 @@ use joulebus_wire::{
 
 use crate::limits::Shape;
 use crate::liveness::worker_ports::WorkerPorts;
+use crate::query::{QueryClient, QueryServer};
 use crate::queues::{Connection, Listed, Queue, Sent, port_id, with};
 use crate::{Bus, Limits, OpenError, ReceiveError, SendError, Waiter, Waker};
 
@@ -41,6 +42,8 @@ pub type DiagnosticReader = Reader<DiagnosticHeader, Diagnostic>;
 pub type BudgetReader = Reader<BudgetHeader, Budget>;
 /// A recorder's port for keyframes.
 pub type StateReader = Reader<StateHeader, u8>;
+/// The worker's port for records of questions.
+pub type QueriesWriter = Writer<QueriesHeader, u64>;
 /// A recorder's port for records of questions.
 pub type QueriesReader = Reader<QueriesHeader, u64>;
 /// A recorder's port for samples.
@@ -116,6 +119,33 @@ impl<H: Payload, T: Payload> Writer<H, T> {
             payload: vec![T::default(); len],
             writer: self,
         })
+    }
+
+    /// Gives readers that have joined the last frame.
+    pub fn update(&mut self) {
+        host::operation();
+        let Some(frame) = self.history.clone().filter(|_| !host::is_dead()) else {
+            return;
+        };
+        let queues = with(self.service, |state| {
+            let readers = state.readers.iter();
+            readers
+                .map(|reader| (reader.pid, Rc::clone(&reader.queue)))
+                .collect::<Vec<_>>()
+        });
+        for (pid, queue) in queues {
+            if let Ok(queue) = queue.downcast::<RefCell<Queue<H, T>>>() {
+                let mut queue = queue.borrow_mut();
+                let mut connections = queue.connections.iter();
+                let is_new = !connections.any(|connection| connection.port == self.port);
+                if is_new && host::has_descriptors(pid) && !host::memory_is_full() {
+                    queue.connections.push(Connection {
+                        port: self.port,
+                        frames: [Rc::clone(&frame)].into(),
+                    });
+                }
+            }
+        }
     }
 
     /// Number of readers.
@@ -612,6 +642,14 @@ opens! {
     state_reader -> StateReader: |bus, limits: &Limits| {
         Reader::open(bus, Service::State, limits.state())
     };
+    /// The worker's port for records of questions.
+    queries_writer -> QueriesWriter: |bus, limits: &Limits| {
+        Writer::open(bus, Service::Queries, limits.queries(), joulebus_wire::RECORD_WORDS)
+    };
+    /// The worker's port for questions.
+    query_server -> QueryServer: |bus, limits: &Limits| QueryServer::open(bus, limits);
+    /// A client's port for questions.
+    query_client -> QueryClient: |bus, limits: &Limits| QueryClient::open(bus, limits);
     /// A recorder's port for records of questions.
     queries_reader -> QueriesReader: |bus, limits: &Limits| {
         Reader::open(bus, Service::Queries, limits.queries())

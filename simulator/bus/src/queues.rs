@@ -45,6 +45,8 @@ pub(crate) struct Listed {
 pub(crate) struct Waiting {
     pub(crate) number: u64,
     pub(crate) pid: u32,
+    /// Thread of the process, as of the host.
+    pub(crate) thread: u64,
     pub(crate) woken: Cell<Woken>,
 }
 
@@ -70,10 +72,12 @@ pub(crate) fn with<T>(service: Service, work: impl FnOnce(&mut State) -> T) -> T
 pub fn begin() {
     STATES.with_borrow_mut(|states| *states = Default::default());
     crate::liveness::worker_lock::begin();
+    crate::query::begin();
 }
 
 /// Removes the ports of a process that was killed, as the cleanup does.
 pub fn remove_process(pid: u32) {
+    crate::query::remove_process(pid);
     let removed = STATES.with_borrow_mut(|states| {
         let mut removed = Vec::new();
         for state in states {
@@ -95,7 +99,8 @@ pub fn remove_process(pid: u32) {
 pub fn size() -> usize {
     STATES.with_borrow(|states| {
         let ports = |state: &State| state.readers.len() + state.writers.len() + state.waiting.len();
-        states.iter().map(ports).sum()
+        let ports: usize = states.iter().map(ports).sum();
+        ports + crate::query::size()
     })
 }
 

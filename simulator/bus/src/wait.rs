@@ -40,17 +40,41 @@ impl Waker {
         }
         Ok(with(self.service, |state| {
             for waiting in &state.waiting {
-                let mut woken = waiting.woken.get();
-                match event {
-                    WakeEvent::Frame => woken.frame = true,
-                    WakeEvent::Died => woken.died = true,
-                    WakeEvent::Ended => woken.ended = true,
-                }
-                waiting.woken.set(woken);
-                host::wake(waiting.pid);
+                waiting.wake(event);
             }
             state.waiting.len()
         }))
+    }
+
+    /// Wakes the waiter of this id, if there is one.
+    ///
+    /// # Errors
+    /// The files of this process were removed.
+    pub(crate) fn wake_one(&self, waiter: u128, event: WakeEvent) -> Result<(), WaitError> {
+        host::operation();
+        self.bus.check()?;
+        if !host::is_dead() {
+            with(self.service, |state| {
+                let of_id = |it: &&Rc<Waiting>| u128::from(it.number) == waiter;
+                if let Some(waiting) = state.waiting.iter().find(of_id) {
+                    waiting.wake(event);
+                }
+            });
+        }
+        Ok(())
+    }
+}
+
+impl Waiting {
+    fn wake(&self, event: WakeEvent) {
+        let mut woken = self.woken.get();
+        match event {
+            WakeEvent::Frame => woken.frame = true,
+            WakeEvent::Died => woken.died = true,
+            WakeEvent::Ended => woken.ended = true,
+        }
+        self.woken.set(woken);
+        host::wake(self.pid, self.thread);
     }
 }
 
@@ -70,6 +94,7 @@ impl Waiter {
         let waiting = Rc::new(Waiting {
             number: host::number(),
             pid: bus.pid,
+            thread: host::thread(),
             woken: Cell::default(),
         });
         with(service, |state| state.waiting.push(Rc::clone(&waiting)));
@@ -78,6 +103,11 @@ impl Waiter {
             service,
             bus: bus.clone(),
         })
+    }
+
+    /// The id by which it can be woken alone.
+    pub(crate) fn id(&self) -> u128 {
+        u128::from(self.waiting.number)
     }
 
     /// Returns what has happened. If nothing has, the process sleeps from its next pause on until

@@ -29,6 +29,8 @@ struct Thread {
     pid: u32,
     number: u64,
     due_ns: u64,
+    /// Woken since its last step began.
+    is_woken: bool,
     work: Option<Work>,
 }
 
@@ -47,6 +49,8 @@ thread_local! {
     static MEMORY_IS_FULL: Cell<bool> = const { Cell::new(false) };
     /// Processes that live: their pid, and a number that no other process has.
     static LIVES: RefCell<Vec<(u32, u64)>> = const { RefCell::new(Vec::new()) };
+    /// The thread that runs, 0: the main one of its process.
+    static THREAD: Cell<u64> = const { Cell::new(0) };
     /// Processes that an event has woken.
     static WOKEN: RefCell<Vec<u32>> = const { RefCell::new(Vec::new()) };
 }
@@ -105,6 +109,7 @@ pub fn is_dead() -> bool {
 /// From here on process `pid` runs; its operations take `cost_ns` each.
 pub fn enter(pid: u32, cost_ns: u64) {
     CURRENT.set(pid);
+    THREAD.set(0);
     COST_NS.set(cost_ns);
     DEADLINE_NS.set(None);
     IS_DEAD.set(false);
@@ -120,6 +125,7 @@ pub fn bury(pid: u32) {
 pub fn leave() -> Option<u64> {
     CURRENT.set(0);
     IS_DEAD.set(false);
+    THREAD.set(0);
     COST_NS.set(USUAL_COST_NS);
     DEADLINE_NS.take()
 }
@@ -153,9 +159,30 @@ pub fn life(pid: u32) -> Option<u64> {
     })
 }
 
-/// An event wakes process `pid`.
-pub fn wake(pid: u32) {
-    WOKEN.with_borrow_mut(|woken| woken.push(pid));
+/// The thread that runs: 0, the main one of its process, or that of [`start_thread`].
+#[must_use]
+pub fn thread() -> u64 {
+    THREAD.get()
+}
+
+/// An event wakes process `pid`, or one of its threads.
+pub fn wake(pid: u32, thread: u64) {
+    if thread == 0 {
+        WOKEN.with_borrow_mut(|woken| woken.push(pid));
+    } else {
+        wake_thread(thread);
+    }
+}
+
+/// Ends the pause of a thread.
+pub fn wake_thread(number: u64) {
+    let now_ns = time::now_ns();
+    THREADS.with_borrow_mut(|threads| {
+        for thread in threads.iter_mut().filter(|it| it.number == number) {
+            thread.due_ns = thread.due_ns.min(now_ns);
+            thread.is_woken = true;
+        }
+    });
 }
 
 /// Takes the processes that events have woken since the last call.
@@ -220,6 +247,7 @@ pub fn start_thread(work: Work) -> u64 {
         pid: current(),
         number,
         due_ns: time::now_ns(),
+        is_woken: false,
         work: Some(work),
     };
     THREADS.with_borrow_mut(|threads| threads.push(thread));
@@ -250,12 +278,16 @@ pub fn run_thread(number: u64) {
     let place = |threads: &[Thread]| threads.iter().position(|thread| thread.number == number);
     let work = THREADS.with_borrow_mut(|threads| {
         let at = place(threads)?;
+        threads[at].is_woken = false;
         threads[at].work.take()
     });
     let Some(mut work) = work else {
         return;
     };
+    THREAD.set(number);
     let pause = work(false);
+    THREAD.set(0);
+    let until_ns = DEADLINE_NS.take().map_or(0, time::simulated_ns);
     THREADS.with_borrow_mut(|threads| {
         let Some(at) = place(threads) else {
             return;
@@ -263,7 +295,11 @@ pub fn run_thread(number: u64) {
         match pause {
             Some(pause) => {
                 let pause_ns = u64::try_from(pause.as_nanos()).unwrap_or(u64::MAX);
-                threads[at].due_ns = time::now_ns().saturating_add(pause_ns);
+                let paused_ns = time::now_ns().saturating_add(pause_ns);
+                threads[at].due_ns = match threads[at].is_woken {
+                    true => time::now_ns(),
+                    false => paused_ns.max(until_ns),
+                };
                 threads[at].work = Some(work);
             }
             None => {

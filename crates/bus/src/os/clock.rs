@@ -25,6 +25,12 @@ pub fn boot_id() -> std::io::Result<String> {
         .to_owned())
 }
 
+/// Processor time that this thread has used, ns.
+#[must_use]
+pub fn thread_cpu_ns() -> u64 {
+    nanoseconds(clock_gettime(ClockId::ThreadCPUTime))
+}
+
 fn nanoseconds(time: Timespec) -> u64 {
     u64::try_from(time.tv_sec)
         .unwrap_or(0)

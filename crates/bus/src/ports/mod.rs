@@ -7,6 +7,7 @@ mod repair;
 mod samples;
 mod service;
 mod wait;
+mod worn;
 mod writer;
 
 use joulebus_wire::{

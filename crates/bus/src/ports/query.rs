@@ -26,6 +26,7 @@ use super::degradation::Failures;
 use super::repair::Repair;
 use super::service::{self, OpenError, QueryFactory};
 use super::wait::{WaitError, Waiter, Waker};
+use super::worn::Wear;
 use super::{ReceiveError, SendError};
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
@@ -47,10 +48,6 @@ type ClientPort = (
 
 type Pending = PendingResponse<Ipc, [f64], QueryHeader, [u64], AnswerHeader>;
 
-/// Clients that may have left before the server's port is worn: far below the 128 that iceoryx2 allows.
-const MOST_LEFT: usize = 16;
-/// Time after a client has left until the port is worn, ns.
-const WORN_AFTER_NS: u64 = 1_000_000_000;
 /// A worker may take this long to open its port, ns.
 const OPENS_WITHIN_NS: u64 = 1_000_000_000;
 /// Pause before a question is sent again.
@@ -65,12 +62,7 @@ pub struct QueryServer {
     answered: Waker,
     failures: Arc<Failures>,
     repair: Repair,
-    /// Ports of the clients at the last look.
-    clients: Vec<u128>,
-    /// Clients that have left since the port was opened.
-    left: usize,
-    /// When the last one did, monotonic ns.
-    left_ns: u64,
+    wear: Wear,
     member: Rc<Membership>,
 }
 
@@ -115,9 +107,7 @@ impl QueryServer {
             answered,
             failures,
             repair: Repair::default(),
-            clients: Vec::new(),
-            left: 0,
-            left_ns: 0,
+            wear: Wear::default(),
             member: Rc::clone(&bus.member),
         })
     }
@@ -190,27 +180,19 @@ impl QueryServer {
     /// Number of clients; a killed one counts until the cleanup. To be asked before each round of
     /// [`QueryServer::receive`], because it notices who has left.
     pub fn clients(&mut self) -> usize {
-        let mut now = Vec::with_capacity(self.clients.len());
+        let mut now = Vec::new();
         self.port.1.dynamic_config().list_clients(|client| {
             now.push(client.client_id.value());
             CallbackProgression::Continue
         });
-        let before = std::mem::replace(&mut self.clients, now);
-        let left = before.iter().filter(|port| !self.clients.contains(port));
-        let left = left.count();
-        if left > 0 {
-            self.left += left;
-            self.left_ns = clock::monotonic_ns();
-        }
-        self.clients.len()
+        self.wear.look(now, clock::monotonic_ns())
     }
 
     /// Whether connections of clients that have left may be kept for nothing: drop all questions and the port,
     /// and open it again. `is_idle`: no question waits.
     #[must_use]
     pub fn is_worn(&self, is_idle: bool) -> bool {
-        let is_quiet = || clock::monotonic_ns().saturating_sub(self.left_ns) >= WORN_AFTER_NS;
-        self.left >= MOST_LEFT || (self.left > 0 && is_idle && is_quiet())
+        self.wear.is_worn(is_idle, clock::monotonic_ns())
     }
 }
 
@@ -254,6 +236,8 @@ pub struct QueryClient {
     /// The worker that answered last.
     answered_by: Option<u32>,
     number: u64,
+    /// When the question in transfer was sent, monotonic ns.
+    sent_ns: u64,
     member: Rc<Membership>,
 }
 
@@ -288,6 +272,7 @@ impl QueryClient {
             worker: None,
             answered_by: None,
             number: 0,
+            sent_ns: 0,
             member: Rc::clone(&bus.member),
         })
     }
@@ -340,6 +325,7 @@ impl QueryClient {
         }
         self.watch()?;
         self.number += 1;
+        self.sent_ns = clock::monotonic_ns();
         let listener = self.answered.id();
         let loan = self.port.0.loan_slice_uninit(values.len());
         let mut request = loan
@@ -349,7 +335,7 @@ impl QueryClient {
             .write_from_slice(values);
         *request.user_header_mut() = QueryHeader {
             number: self.number,
-            asked_ns: clock::monotonic_ns(),
+            asked_ns: self.sent_ns,
             listener_lo: listener as u64,
             listener_hi: (listener >> 64) as u64,
             ..header
@@ -368,42 +354,48 @@ impl QueryClient {
     /// Waits for the answer to the question sent last.
     ///
     /// # Errors
-    /// [`QueryError`]; the question is given up.
+    /// As of [`QueryClient::poll`].
     pub fn wait(&mut self, deadline_ns: u64) -> Result<(AnswerHeader, Vec<u64>), QueryError> {
-        let begun_ns = clock::monotonic_ns();
-        let waited = self.receive_until(deadline_ns);
-        self.pending = None;
-        waited?.ok_or_else(|| QueryError::TimedOut {
-            waited_ns: clock::monotonic_ns().saturating_sub(begun_ns),
-        })
+        loop {
+            if let Some(answer) = self.poll(deadline_ns)? {
+                return Ok(answer);
+            }
+            let peer = self.worker.as_ref().map(|(_, watch)| watch);
+            self.answered.wait_until(Some(deadline_ns), peer)?;
+        }
     }
 
-    fn receive_until(
+    /// The answer to the question sent last, if it has arrived; without waiting.
+    ///
+    /// # Errors
+    /// [`QueryError`]; the question is given up. [`QueryError::TimedOut`] from `deadline_ns` (monotonic) on.
+    pub fn poll(
         &mut self,
         deadline_ns: u64,
     ) -> Result<Option<(AnswerHeader, Vec<u64>)>, QueryError> {
-        loop {
-            let answer = self.receive()?;
-            if answer.is_some() || clock::monotonic_ns() >= deadline_ns {
-                return Ok(answer);
-            }
-            if self
-                .pending
-                .as_ref()
-                .is_some_and(|pending| !pending.is_connected())
-            {
-                // The worker has closed its port, and does not answer any more.
-                return self.receive()?.map(Some).ok_or(QueryError::NotServed);
-            }
-            let peer = self.worker.as_ref().map(|(_, watch)| watch);
-            let woken = self.answered.wait_until(Some(deadline_ns), peer)?;
-            if woken.peer_gone {
-                // It may have answered before it ended.
-                let answer = self.receive()?;
+        self.member.presence.check()?;
+        let worker = self.worker.as_ref();
+        let is_gone = worker.is_some_and(|(_, watch)| watch.is_gone());
+        let connected = |pending: &Pending| pending.is_connected();
+        let is_closed = !self.pending.as_ref().is_some_and(connected);
+        let now_ns = clock::monotonic_ns();
+        // After the looks: it may have answered before it ended.
+        let polled = match self.receive() {
+            Ok(None) if is_gone => {
                 self.worker = None;
-                return answer.map(Some).ok_or(QueryError::WorkerGone);
+                Err(QueryError::WorkerGone)
             }
+            // The worker has closed its port, and does not answer any more.
+            Ok(None) if is_closed => Err(QueryError::NotServed),
+            Ok(None) if now_ns >= deadline_ns => Err(QueryError::TimedOut {
+                waited_ns: now_ns.saturating_sub(self.sent_ns),
+            }),
+            received => received,
+        };
+        if !matches!(polled, Ok(None)) {
+            self.pending = None;
         }
+        polled
     }
 
     /// The answer, if it has arrived from the worker.

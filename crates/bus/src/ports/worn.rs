@@ -1,0 +1,37 @@
+//! When the worker's port for questions has to be opened again.
+
+/// Clients that may have left before the port is worn: far below the 128 that iceoryx2 allows.
+const MOST_LEFT: usize = 16;
+/// Time after a client has left until the port is worn, ns.
+const WORN_AFTER_NS: u64 = 1_000_000_000;
+
+/// The clients of a port.
+#[derive(Debug, Default)]
+pub(crate) struct Wear {
+    /// Ports of the clients at the last look.
+    clients: Vec<u128>,
+    /// Clients that have left since the port was opened.
+    left: usize,
+    /// When the last one did, monotonic ns.
+    left_ns: u64,
+}
+
+impl Wear {
+    /// Takes the ports of all clients, at `now_ns`. Returns their number.
+    pub(crate) fn look(&mut self, now: Vec<u128>, now_ns: u64) -> usize {
+        let before = std::mem::replace(&mut self.clients, now);
+        let left = before.iter().filter(|port| !self.clients.contains(port));
+        let left = left.count();
+        if left > 0 {
+            self.left += left;
+            self.left_ns = now_ns;
+        }
+        self.clients.len()
+    }
+
+    /// Whether connections of clients that have left may be kept for nothing. `is_idle`: no question waits.
+    pub(crate) fn is_worn(&self, is_idle: bool, now_ns: u64) -> bool {
+        let is_quiet = now_ns.saturating_sub(self.left_ns) >= WORN_AFTER_NS;
+        self.left >= MOST_LEFT || (self.left > 0 && is_idle && is_quiet)
+    }
+}
