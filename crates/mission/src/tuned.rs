@@ -2,16 +2,16 @@
 
 use crate::policy::Policy;
 
-/// The settings that are compared, chosen on seeds 1001 to 1004 (`joulebus mission --tune --seeds 4 --hours 0.25`): of
+/// The settings that are compared, chosen on seeds 1001 to 1012 (`joulebus mission --tune --seeds 12`): of
 /// those with the fewest stranded robots the one with the most tasks.
 pub const CHOSEN: [Policy; 4] = [
     Policy::Threshold {
-        begin: 0.55,
+        begin: 0.6,
         go: 0.3,
     },
-    Policy::Distance { power_w: 6.0 },
-    Policy::Network { margin: 1.4 },
-    Policy::Joulebus { coverage: 0.9 },
+    Policy::Distance { power_w: 6.5 },
+    Policy::Network { margin: 1.6 },
+    Policy::Joulebus { coverage: 0.98 },
 ];
 
 /// The settings that `--tune` tries.

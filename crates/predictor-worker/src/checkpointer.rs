@@ -122,26 +122,29 @@ impl Checkpointer {
     }
 
     fn read_budgets(&mut self) {
-        match self.budgets.take_latest() {
-            Ok(Some(frame)) => {
-                for robot in self.checkpoint.exchanged(frame.payload()) {
-                    tracing::info!(robot, "the robot has another battery");
-                }
-                let gone = self.checkpoint.take(frame.payload(), self.most_accounts);
-                self.checkpoint.written_ns = frame.header().sent_ns;
-                self.checkpoint.written_unix_ns = frame.header().sent_unix_ns;
-                self.changed = true;
-                if gone > 0 {
-                    let allowed = self.most_accounts;
-                    tracing::warn!(
-                        gone,
-                        allowed,
-                        "more robots than accounts: those of robots that left long ago are given up"
-                    );
-                }
+        let (checkpoint, most) = (&mut self.checkpoint, self.most_accounts);
+        let (mut gone, mut changed) = (0, false);
+        // Not the newest alone: of a worker that was stopped for long, robots that have left are in the one before.
+        let read = self.budgets.take_all(|header, budgets| {
+            for robot in checkpoint.exchanged(budgets) {
+                tracing::info!(robot, "the robot has another battery");
             }
-            Ok(None) => {}
-            Err(error) => tracing::warn!(%error, "the checkpointer cannot read budgets"),
+            gone += checkpoint.take(budgets, most);
+            checkpoint.written_ns = header.sent_ns;
+            checkpoint.written_unix_ns = header.sent_unix_ns;
+            changed = true;
+        });
+        self.changed |= changed;
+        if gone > 0 {
+            let allowed = self.most_accounts;
+            tracing::warn!(
+                gone,
+                allowed,
+                "more robots than accounts: those of robots that left long ago are given up"
+            );
+        }
+        if let Err(error) = read {
+            tracing::warn!(%error, "the checkpointer cannot read budgets");
         }
     }
 
