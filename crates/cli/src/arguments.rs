@@ -9,7 +9,7 @@ use joulebus_program::verbs::serve::ServeArguments;
 
 use crate::{
     alarms, analyze, ask, calibrate, cat, completions, config, data, demo, doctor, eval, import,
-    info, model, publish, record, recover, replay, run, train, watch,
+    info, man, model, publish, record, recover, replay, run, train, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -68,6 +68,7 @@ pub(crate) enum Command {
     Bench(BenchArguments),
     Mission(MissionArguments),
     Completions(completions::Args),
+    Man(man::Args),
 }
 
 #[cfg(test)]

@@ -20,6 +20,7 @@ mod external;
 mod import;
 mod info;
 mod keys;
+mod man;
 mod model;
 mod next_command;
 mod publish;
@@ -28,6 +29,7 @@ mod recordings;
 mod recover;
 mod replay;
 mod run;
+mod service_manager;
 mod split_unit;
 mod supervisor;
 mod train;
@@ -96,5 +98,6 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Bench(_) => external::run("bench"),
         Command::Mission(_) => external::run("mission"),
         Command::Completions(args) => completions::run(args, Cli::command()),
+        Command::Man(args) => man::run(args, Cli::command()),
     }
 }

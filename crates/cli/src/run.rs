@@ -2,6 +2,8 @@
 
 use std::fmt;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 
 use anyhow::Context as _;
 use joulebus_config::{Config, ModelSource};
@@ -15,6 +17,7 @@ use serde::Serialize;
 
 use crate::alarms::{AlarmLog, AlarmReport};
 use crate::record::RecorderProcess;
+use crate::service_manager::ServiceManager;
 
 /// Run the predictor-worker of a fleet until SIGINT, SIGTERM or SIGHUP, then report
 #[derive(Debug, clap::Args)]
@@ -23,8 +26,9 @@ use crate::record::RecorderProcess;
     joulebus run --format json > report.json &\n  \
     joulebus run --record run.mcap\n\n\
     A fleet has one worker; a second one exits and reports the pid of the first. Each raise and each end \
-    of a robot's alarm is one line of the log on stderr; --log-format json makes each an object. Times in \
-    the report are in µs. Exit code 3 if a recording lost messages or stopped.")]
+    of a robot's alarm is one line of the log on stderr; --log-format json makes each an object. Under \
+    systemd (Type=notify) it says when it is ready, and with WatchdogSec= that it works. Times in the \
+    report are in µs. Exit code 3 if a recording lost messages or stopped.")]
 pub(crate) struct Args {
     #[command(flatten)]
     config: ConfigFile,
@@ -42,12 +46,17 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         None => None,
     };
     let questions = PlanServer::start(&config)?;
+    let turns = Arc::new(AtomicU64::new(0));
+    let service = ServiceManager::start(Arc::clone(&turns))?;
     let alarms = AlarmLog::start(&config).context("alarms cannot be logged")?;
     let mut worker = Worker::open(&config)?;
     questions.serve();
     questions.wait_until_open();
+    worker.count_turns_in(turns);
+    service.ready(&ready(&config));
     say(&ready(&config));
     let ran = worker.run(stop.flag());
+    service.stopping();
     // While this process holds the fleet's lock: clients take refusals, too, from no other.
     let queries = questions.finish();
     let alarms = alarms.finish();

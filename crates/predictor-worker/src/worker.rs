@@ -1,7 +1,7 @@
 //! The worker and its loop.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use hdrhistogram::Histogram;
 use joulebus_bus::{
@@ -53,6 +53,7 @@ pub struct Worker {
     shedding: Shedding,
     ticks_ns: Histogram<u64>,
     intake_ns: u64,
+    turns: Arc<AtomicU64>,
     name: String,
 }
 
@@ -187,6 +188,7 @@ impl Worker {
             name: config.fleet().to_owned(),
             missed: false,
             intake_ns: 0,
+            turns: Arc::default(),
             shedding: Shedding::default(),
             fleet,
             schedule,
@@ -202,6 +204,12 @@ impl Worker {
             failures,
             header,
         })
+    }
+
+    /// Counts its turns there from now on, at least ten a second: a watchdog in another thread sees whether the worker
+    /// works.
+    pub fn count_turns_in(&mut self, turns: Arc<AtomicU64>) {
+        self.turns = turns;
     }
 
     /// Ticks until `stop` is set, which is noticed within 100 ms, or at once when a signal sets it.
@@ -229,6 +237,7 @@ impl Worker {
     /// # Errors
     /// As [`Worker::run`].
     pub fn turn(&mut self) -> Result<bool, RunError> {
+        self.turns.fetch_add(1, Ordering::Relaxed);
         self.bus.check()?;
         self.drain();
         let now_ns = clock::monotonic_ns();

@@ -128,6 +128,9 @@ const CASES: &[(i32, &str)] = &[
     (0, "model compare MODEL MODEL TRIAL"),
     (1, "model compare MODEL JUNK TRIAL"),
     (2, "model compare MODEL MODEL"),
+    (0, "man NEW"),
+    (1, "man JUNK"),
+    (2, "man"),
     (0, "completions bash"),
     (2, "completions cmd"),
 ];

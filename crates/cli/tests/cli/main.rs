@@ -16,6 +16,7 @@ mod model;
 mod printable;
 #[path = "../../../../tests/recordings.rs"]
 mod recordings;
+mod service;
 mod signals;
 mod special_files;
 mod train;

@@ -1,0 +1,76 @@
+//! What a service manager is told (systemd's `Type=notify`): ready, ending, and that the worker works.
+//!
+//! Without `$NOTIFY_SOCKET` nothing is sent.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use joulebus_bus::{Background, Steps};
+use sd_notify::NotifyState;
+
+/// The service manager that started this process, if one did.
+pub(crate) struct ServiceManager {
+    watchdog: Option<Background>,
+}
+
+impl ServiceManager {
+    /// Starts the thread that reports as long as `turns` grows, if the service has a watchdog (`WatchdogSec=`). To be
+    /// called before the worker is opened, whose CPUs and priority a thread would inherit.
+    ///
+    /// # Errors
+    /// The system refuses the thread.
+    pub(crate) fn start(turns: Arc<AtomicU64>) -> io::Result<Self> {
+        let watchdog = sd_notify::watchdog_enabled().map(|within| {
+            Background::start("joulebus-watchdog", move || {
+                Ok::<_, io::Error>(Watchdog {
+                    every: within / 3,
+                    seen: turns.load(Ordering::Relaxed),
+                    turns,
+                })
+            })
+        });
+        Ok(Self {
+            watchdog: watchdog.transpose()?,
+        })
+    }
+
+    /// The service is ready; `status` is one line for operators.
+    pub(crate) fn ready(&self, status: &str) {
+        tell(&[NotifyState::Ready, NotifyState::Status(status)]);
+    }
+
+    /// The service ends.
+    pub(crate) fn stopping(mut self) {
+        if let Some(Err(error)) = self.watchdog.as_mut().map(Background::finish) {
+            tracing::error!("{error}");
+        }
+        tell(&[NotifyState::Stopping]);
+    }
+}
+
+/// Tells the service manager whenever the worker has done something since the last time. A worker that
+/// is not opened yet does nothing: starting has a limit of its own.
+struct Watchdog {
+    every: Duration,
+    turns: Arc<AtomicU64>,
+    seen: u64,
+}
+
+impl Steps for Watchdog {
+    fn step(&mut self, last: bool) -> Option<Duration> {
+        let turns = self.turns.load(Ordering::Relaxed);
+        if turns != self.seen {
+            self.seen = turns;
+            tell(&[NotifyState::Watchdog]);
+        }
+        (!last).then_some(self.every)
+    }
+}
+
+fn tell(what: &[NotifyState]) {
+    if let Err(error) = sd_notify::notify(what) {
+        tracing::warn!(%error, "the service manager cannot be told");
+    }
+}
