@@ -9,13 +9,13 @@ mod summary;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use joulebus_board::{Board, Feed};
 use joulebus_bus::clock;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Format, Output, say};
 use joulebus_program::stop::Stop;
 
 use crate::supervisor::{Event, Supervisor, Task};
-use crate::view::{Board, Feed};
 use crate::watch::PlannerReport;
 
 use account::{Account, SourceRun, WorkerAccount};

@@ -2,13 +2,14 @@
 
 use std::io::IsTerminal as _;
 
+use joulebus_board::Feed;
 use joulebus_bus::clock;
 use joulebus_program::output::{say, text};
 use joulebus_program::stop::Stop;
 
 use super::{Demo, LOOK_EVERY};
 use crate::supervisor::Event;
-use crate::view::{Feed, Screen, line, show};
+use crate::view::{Screen, line, show};
 
 const LINE_EVERY_NS: u64 = 1_000_000_000;
 

@@ -2,13 +2,14 @@
 
 use std::fmt;
 
+use joulebus_board::{Board, Raised, Scores};
 use joulebus_wire::Level;
 use serde::Serialize;
 
 use super::account::Account;
 use super::capture::Captured;
 use super::place::LeftBehind;
-use crate::view::{Board, Raised, Scores, count};
+use crate::view::count;
 use crate::watch::PlannerReport;
 
 /// A fault injected into a robot of the demo.

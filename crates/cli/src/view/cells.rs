@@ -1,8 +1,7 @@
 //! Data of a robot as text, the same in every view.
 
+use joulebus_board::Row;
 use joulebus_wire::{Budget, ChargeState, Quality, budget_flag, diagnostic_flag, forecast_flag};
-
-use super::board::Row;
 
 /// Text of an unknown value.
 const UNKNOWN: &str = "–";

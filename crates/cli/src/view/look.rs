@@ -1,5 +1,6 @@
 //! Tests of the live view's screen.
 
+use joulebus_board::{Board, Link};
 use joulebus_wire::{
     Alarm, AlarmSet, Budget, Diagnostic, Forecast, ForecastHeader, InvalidReason, Quality,
     budget_flag, diagnostic_flag, forecast_flag,
@@ -9,7 +10,6 @@ use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 use ratatui::style::Color;
 
-use super::board::{Board, Link};
 use super::screen::Screen;
 
 fn forecast(robot: u32, seq: u64, quality: Quality) -> Forecast {
@@ -55,7 +55,7 @@ fn diagnostic(robot: u32, alarms: AlarmSet) -> Diagnostic {
 
 /// Robot 2 is ok, 5 is invalid without data, 9 has a stuck sensor.
 fn board() -> Board {
-    let mut board = Board::new(0).unwrap();
+    let mut board = Board::new(0);
     for tick in 1..=30 {
         let mut silent = forecast(5, tick, Quality::Invalid(InvalidReason::NoCommand));
         silent.flags = 0;
@@ -174,7 +174,7 @@ fn screen_shows_counters_latencies_and_events() {
 
 #[test]
 fn screen_without_a_worker_or_robots_shows_a_hint() {
-    let mut empty = Board::new(0).unwrap();
+    let mut empty = Board::new(0);
     line_of(
         &draw(&empty, &mut Screen::new("lab", None), 100, 30),
         "`joulebus run`",
@@ -207,7 +207,7 @@ fn keys_select_robots_within_the_fleet_and_find_the_next_that_stands_out() {
 
 #[test]
 fn screen_fits_every_terminal_size() {
-    let (full, empty) = (board(), Board::new(0).unwrap());
+    let (full, empty) = (board(), Board::new(0));
     for width in (1..=140).step_by(7) {
         for height in 1..=45 {
             draw(&full, &mut Screen::new("lab", Some(9)), width, height);
@@ -218,7 +218,7 @@ fn screen_fits_every_terminal_size() {
 
 #[test]
 fn selected_robot_is_visible_in_a_large_fleet() {
-    let mut board = Board::new(0).unwrap();
+    let mut board = Board::new(0);
     let robots: Vec<Forecast> = (0..5_000)
         .map(|id| forecast(id, 1, Quality::Fresh))
         .collect();

@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
+use joulebus_board::{Board, Row};
 use joulebus_wire::Level;
 
-use super::board::{Board, Row};
 use super::cells::{HEADS, cells, micros};
 
 /// Maximum number of robots named in a line.

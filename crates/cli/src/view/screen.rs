@@ -1,5 +1,6 @@
 //! The live view: draws a board.
 
+use joulebus_board::{Board, Link, Point, Row};
 use joulebus_predictor_worker::Spread;
 use joulebus_wire::{Diagnostic, Level, diagnostic_flag};
 use ratatui::Frame;
@@ -12,7 +13,6 @@ use ratatui::widgets::{
     Sparkline, Table, TableState,
 };
 
-use super::board::{Board, Link, Point, Row};
 use super::cells::{HEADS, cells, count, fitting, micros, percent};
 
 const ACCENT: Color = Color::Cyan;

@@ -5,12 +5,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use crossterm::event::{self, Event, KeyCode};
+use joulebus_board::{Board, Feed};
 use joulebus_program::stop::Stop;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-use super::board::Board;
-use super::feed::Feed;
 use super::screen::Screen;
 use crate::keys::{asks_for_the_end, pressed};
 

@@ -6,6 +6,7 @@ use std::cell::RefCell;
 use std::io::IsTerminal as _;
 use std::time::Duration;
 
+use joulebus_board::{Board, Feed, FrameRecord, Link, Reading, Row};
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_program::config_file::ConfigFile;
@@ -13,7 +14,7 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Format, Output, say, text};
 use joulebus_program::stop::Stop;
 
-use crate::view::{Board, Feed, FrameRecord, Link, Reading, Row, Screen, line, show, table};
+use crate::view::{Screen, line, show, table};
 
 pub(crate) use summary::PlannerReport;
 
@@ -78,7 +79,7 @@ impl Args {
 
     /// The newest frame.
     fn once(&self, config: &Config, output: Output, stop: &Stop) -> anyhow::Result<Outcome> {
-        let board = RefCell::new(Board::new(clock::monotonic_ns())?);
+        let board = RefCell::new(Board::new(clock::monotonic_ns()));
         let mut reading = Reading::open(config, "watch", false)?;
         let give_up_ns = clock::monotonic_ns() + PATIENCE_NS;
         let mut counts_by_ns = give_up_ns;
@@ -135,7 +136,7 @@ impl Args {
         stop: &Stop,
         end_ns: u64,
     ) -> anyhow::Result<Outcome> {
-        let board = RefCell::new(Board::new(clock::monotonic_ns())?);
+        let board = RefCell::new(Board::new(clock::monotonic_ns()));
         let mut reading = Reading::open(config, "watch", false)?;
         let mut reporter = LinkReporter::default();
         while !stop.is_asked() && clock::monotonic_ns() < end_ns {

@@ -3,14 +3,13 @@
 use std::cell::RefCell;
 use std::fmt;
 
+use joulebus_board::{Board, Latency, Reading};
 use joulebus_bus::{clock, set_timer_slack};
 use joulebus_config::Config;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use joulebus_program::stop::Stop;
 use serde::{Deserialize, Serialize};
-
-use crate::view::{Board, Latency, Reading};
 
 /// Summary of a planner.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -35,7 +34,7 @@ pub(super) fn run(
     if let Err(error) = set_timer_slack() {
         tracing::warn!(%error, "waking may take 50 µs longer");
     }
-    let board = RefCell::new(Board::new(clock::monotonic_ns())?);
+    let board = RefCell::new(Board::new(clock::monotonic_ns()));
     let mut reading = Reading::open(config, "planner", false)?;
     while !stop.is_asked() && clock::monotonic_ns() < end_ns {
         reading.turn(|| board.borrow_mut())?;

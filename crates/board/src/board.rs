@@ -7,8 +7,8 @@ use joulebus_wire::{
     forecast_flag,
 };
 
-use super::scores::{Pooled, Scores};
-use super::stages::Stages;
+use crate::scores::{Pooled, Scores};
+use crate::stages::Stages;
 
 /// Length of a robot's track and of the latency history, ticks: eight seconds at 30 Hz.
 const TRACK_TICKS: usize = 240;
@@ -23,7 +23,7 @@ const RAISED_ROBOTS: usize = 16_384;
 
 /// State of the worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Link {
+pub enum Link {
     /// No frame received yet.
     Waiting,
     /// Frames arrive.
@@ -38,7 +38,8 @@ pub(crate) enum Link {
 
 impl Link {
     /// Its name.
-    pub(crate) const fn name(self) -> &'static str {
+    #[must_use]
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Waiting => "waiting",
             Self::Live => "live",
@@ -51,11 +52,11 @@ impl Link {
 
 /// One run of a worker, from the headers of its frames.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct WorkerRun {
+pub struct WorkerRun {
     /// The newest header.
-    pub(crate) header: ForecastHeader,
+    pub header: ForecastHeader,
     /// Run of the source of its first samples; none before the first sample.
-    pub(crate) first_source_epoch: Option<u64>,
+    pub first_source_epoch: Option<u64>,
 }
 
 impl WorkerRun {
@@ -77,93 +78,105 @@ impl WorkerRun {
     }
 
     /// Samples of this run that were dropped.
-    pub(crate) const fn dropped(&self) -> DropCounts {
+    #[must_use]
+    pub const fn dropped(&self) -> DropCounts {
         self.header.samples_dropped
     }
 }
 
 /// A reading and the forecast made for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Point {
+pub struct Point {
     /// The reading, W; NaN if there was none.
-    pub(crate) reading_w: f32,
+    pub reading_w: f32,
     /// The forecast for it, W; NaN if there was none.
-    pub(crate) forecast_w: f32,
+    pub forecast_w: f32,
     /// The interval of that forecast, W; NaN if there was none.
-    pub(crate) interval_w: (f32, f32),
+    pub interval_w: (f32, f32),
 }
 
 /// An alarm of a robot and when it was first seen, s since the start.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Raised {
+pub struct Raised {
     /// The alarm.
-    pub(crate) alarm: Alarm,
+    pub alarm: Alarm,
     /// When it was first seen.
-    pub(crate) at_s: f64,
+    pub at_s: f64,
+}
+
+/// The newest rows of one robot, as the worker sent them.
+#[derive(Debug, Clone, Copy)]
+pub struct Newest {
+    /// Forecast.
+    pub forecast: Forecast,
+    /// Diagnostics.
+    pub diagnostic: Option<Diagnostic>,
+    /// Budget.
+    pub budget: Option<Budget>,
 }
 
 /// What is known of one robot.
 #[derive(Debug, Clone)]
-pub(crate) struct Row {
+pub struct Row {
     /// The newest forecast.
-    pub(crate) forecast: Forecast,
+    pub forecast: Forecast,
     /// The newest diagnostics.
-    pub(crate) diagnostic: Option<Diagnostic>,
+    pub diagnostic: Option<Diagnostic>,
     /// The newest budget.
-    pub(crate) budget: Option<Budget>,
-    /// Readings and their forecasts, oldest first.
-    pub(crate) track: VecDeque<Point>,
+    pub budget: Option<Budget>,
+    /// The newest reading and the forecast made for it.
+    pub point: Option<Point>,
+    /// Such points of the last eight seconds, oldest first; empty in large fleets.
+    pub track: VecDeque<Point>,
     /// The newest reading minus the forecast published for it, W.
-    pub(crate) residual_w: Option<f64>,
+    pub residual_w: Option<f64>,
     /// Number of the frame of forecasts that it is from.
     frame: u64,
 }
 
 /// All data of the views. Pure: time is an argument.
 #[derive(Debug, Clone)]
-pub(crate) struct Board {
+pub struct Board {
     began_ns: u64,
     /// State of the worker.
-    pub(crate) link: Link,
+    pub link: Link,
     /// Robots by id.
-    pub(crate) rows: BTreeMap<u32, Row>,
+    pub rows: BTreeMap<u32, Row>,
     /// Alarms of each robot in the order in which they were first seen, including cleared ones.
-    pub(crate) raised: BTreeMap<u32, Vec<Raised>>,
+    pub raised: BTreeMap<u32, Vec<Raised>>,
     /// Runs of workers, oldest first.
-    pub(crate) runs: Vec<WorkerRun>,
+    pub runs: Vec<WorkerRun>,
     /// Runs merged into the one after them.
     merged_runs: usize,
     /// Latencies of all frames.
-    pub(crate) stages: Stages,
+    pub stages: Stages,
     /// Latencies of the newest frames, µs, oldest first.
-    pub(crate) recent_us: VecDeque<u64>,
+    pub recent_us: VecDeque<u64>,
     /// Samples that each run of a source has sent, by its epoch; empty without a tap.
-    pub(crate) sent: BTreeMap<u64, u64>,
+    pub sent: BTreeMap<u64, u64>,
     /// Frames seen.
-    pub(crate) frames: u64,
+    pub frames: u64,
     /// Frames overwritten before this planner read them.
-    pub(crate) frames_missed: u64,
+    pub frames_missed: u64,
     /// Questions about plans, if the worker says.
-    pub(crate) queries: Option<QueryCounts>,
+    pub queries: Option<QueryCounts>,
     /// Event log: time since the start, s, and text; oldest first.
-    pub(crate) notes: VecDeque<(f64, String)>,
+    pub notes: VecDeque<(f64, String)>,
     pooled: Pooled,
 }
 
 impl Board {
     /// An empty board; times are relative to `now_ns` (monotonic).
-    ///
-    /// # Errors
-    /// Never: the histograms' bounds are fixed.
-    pub(crate) fn new(now_ns: u64) -> Result<Self, hdrhistogram::CreationError> {
-        Ok(Self {
+    #[must_use]
+    pub fn new(now_ns: u64) -> Self {
+        Self {
             began_ns: now_ns,
             link: Link::Waiting,
             rows: BTreeMap::new(),
             raised: BTreeMap::new(),
             runs: Vec::new(),
             merged_runs: 0,
-            stages: Stages::new()?,
+            stages: Stages::new(),
             recent_us: VecDeque::new(),
             sent: BTreeMap::new(),
             frames: 0,
@@ -171,16 +184,17 @@ impl Board {
             queries: None,
             notes: VecDeque::new(),
             pooled: Pooled::default(),
-        })
+        }
     }
 
     /// Seconds since the start.
-    pub(crate) fn seconds(&self, now_ns: u64) -> f64 {
+    #[must_use]
+    pub fn seconds(&self, now_ns: u64) -> f64 {
         now_ns.saturating_sub(self.began_ns) as f64 * 1e-9
     }
 
     /// Restarts the time; earlier events are at 0.
-    pub(crate) fn begin(&mut self, now_ns: u64) {
+    pub fn begin(&mut self, now_ns: u64) {
         self.began_ns = now_ns;
         for (at_s, _) in &mut self.notes {
             *at_s = 0.0;
@@ -188,12 +202,13 @@ impl Board {
     }
 
     /// The newest header.
-    pub(crate) fn header(&self) -> Option<&ForecastHeader> {
+    #[must_use]
+    pub fn header(&self) -> Option<&ForecastHeader> {
         self.runs.last().map(|run| &run.header)
     }
 
     /// Adds an event to the log.
-    pub(crate) fn note(&mut self, text: String, now_ns: u64) {
+    pub fn note(&mut self, text: String, now_ns: u64) {
         let at_s = self.seconds(now_ns);
         self.notes.push_back((at_s, text));
         if self.notes.len() > NOTES {
@@ -202,7 +217,7 @@ impl Board {
     }
 
     /// Sets the state of the worker; a change is logged.
-    pub(crate) fn set_link(&mut self, link: Link, now_ns: u64) {
+    pub fn set_link(&mut self, link: Link, now_ns: u64) {
         if self.link == link {
             return;
         }
@@ -222,12 +237,7 @@ impl Board {
     }
 
     /// Adds a frame of forecasts that became readable at `readable_ns`.
-    pub(crate) fn forecasts(
-        &mut self,
-        header: &ForecastHeader,
-        forecasts: &[Forecast],
-        readable_ns: u64,
-    ) {
+    pub fn forecasts(&mut self, header: &ForecastHeader, forecasts: &[Forecast], readable_ns: u64) {
         let in_a_row = self.run(header, readable_ns);
         self.frames += 1;
         if let Some(total_ns) = self.stages.observe(header, readable_ns) {
@@ -286,26 +296,27 @@ impl Board {
             row.residual_w = residual_w.flatten();
         }
         let (lo_w, hi_w) = before.interval_w().unwrap_or((f32::NAN, f32::NAN));
-        if tracked && (forecast.sample_seq != before.sample_seq || !in_a_row) {
-            keep(
-                &mut row.track,
-                Point {
-                    reading_w: forecast.reading_w,
-                    forecast_w: before.power_w().filter(|_| in_a_row).unwrap_or(f32::NAN),
-                    interval_w: if in_a_row {
-                        (lo_w, hi_w)
-                    } else {
-                        (f32::NAN, f32::NAN)
-                    },
+        if forecast.sample_seq != before.sample_seq || !in_a_row {
+            let point = Point {
+                reading_w: forecast.reading_w,
+                forecast_w: before.power_w().filter(|_| in_a_row).unwrap_or(f32::NAN),
+                interval_w: if in_a_row {
+                    (lo_w, hi_w)
+                } else {
+                    (f32::NAN, f32::NAN)
                 },
-            );
+            };
+            row.point = Some(point);
+            if tracked {
+                keep(&mut row.track, point);
+            }
         }
         row.forecast = *forecast;
         row.frame = frame;
     }
 
     /// Adds a frame of diagnostics.
-    pub(crate) fn diagnostics(&mut self, diagnostics: &[Diagnostic], now_ns: u64) {
+    pub fn diagnostics(&mut self, diagnostics: &[Diagnostic], now_ns: u64) {
         let at_s = self.seconds(now_ns);
         for diagnostic in diagnostics {
             let Some(row) = self.rows.get_mut(&diagnostic.robot) else {
@@ -331,7 +342,7 @@ impl Board {
     }
 
     /// Adds a frame of budgets.
-    pub(crate) fn budgets(&mut self, budgets: &[Budget]) {
+    pub fn budgets(&mut self, budgets: &[Budget]) {
         for budget in budgets {
             if let Some(row) = self.rows.get_mut(&budget.robot) {
                 row.budget = Some(*budget);
@@ -340,18 +351,20 @@ impl Board {
     }
 
     /// Scores of the forecasts.
-    pub(crate) fn scores(&self) -> Scores {
+    #[must_use]
+    pub fn scores(&self) -> Scores {
         let diagnostics = self.rows.values().filter_map(|row| row.diagnostic.as_ref());
         Scores::of(diagnostics, &self.pooled)
     }
 
     /// Number of worker runs seen.
-    pub(crate) fn workers(&self) -> usize {
+    #[must_use]
+    pub fn workers(&self) -> usize {
         self.runs.len() + self.merged_runs
     }
 
     /// Run `epoch` of a source has sent `samples`.
-    pub(crate) fn source_sent(&mut self, epoch: u64, samples: u64) {
+    pub fn source_sent(&mut self, epoch: u64, samples: u64) {
         let sent = self.sent.entry(epoch).or_default();
         *sent = samples.max(*sent);
         if self.sent.len() > RUNS
@@ -363,7 +376,8 @@ impl Board {
     }
 
     /// Samples accepted by all workers.
-    pub(crate) fn accepted(&self) -> u64 {
+    #[must_use]
+    pub fn accepted(&self) -> u64 {
         self.runs
             .iter()
             .map(|run| run.header.samples_accepted)
@@ -371,7 +385,8 @@ impl Board {
     }
 
     /// Samples dropped by all workers, by reason.
-    pub(crate) fn dropped(&self) -> DropCounts {
+    #[must_use]
+    pub fn dropped(&self) -> DropCounts {
         let mut sum = DropCounts::default();
         for run in &self.runs {
             for (reason, count) in run.dropped().iter() {
@@ -382,7 +397,8 @@ impl Board {
     }
 
     /// Ticks done, skipped and late, all workers.
-    pub(crate) fn ticks(&self) -> (u64, u64, u64) {
+    #[must_use]
+    pub fn ticks(&self) -> (u64, u64, u64) {
         self.runs.iter().fold((0, 0, 0), |sum, run| {
             let header = &run.header;
             (
@@ -394,7 +410,8 @@ impl Board {
     }
 
     /// Questions about plans, answered and refused by reason, once there were any.
-    pub(crate) fn questions(&self) -> Option<String> {
+    #[must_use]
+    pub fn questions(&self) -> Option<String> {
         let counts = self.queries?;
         let (answered, refused) = (counts.answered, counts.total_refused());
         let reasons = counts
@@ -406,12 +423,22 @@ impl Board {
     }
 
     /// Number of robots at each level: ok, warn, error, stale.
-    pub(crate) fn levels(&self) -> [usize; 4] {
+    #[must_use]
+    pub fn levels(&self) -> [usize; 4] {
         let mut counts = [0; 4];
         for row in self.rows.values() {
             counts[usize::from(row.level().code())] += 1;
         }
         counts
+    }
+}
+
+impl Newest {
+    /// The level; stale for a robot without diagnostics.
+    #[must_use]
+    pub fn level(&self) -> Level {
+        self.diagnostic
+            .map_or(Level::Stale, |diagnostic| diagnostic.level())
     }
 }
 
@@ -421,16 +448,27 @@ impl Row {
             forecast,
             diagnostic: None,
             budget: None,
+            point: None,
             track: VecDeque::new(),
             residual_w: None,
             frame,
         }
     }
 
+    /// The newest rows.
+    #[must_use]
+    pub const fn newest(&self) -> Newest {
+        Newest {
+            forecast: self.forecast,
+            diagnostic: self.diagnostic,
+            budget: self.budget,
+        }
+    }
+
     /// The level; stale for a robot without diagnostics.
-    pub(crate) fn level(&self) -> Level {
-        self.diagnostic
-            .map_or(Level::Stale, |diagnostic| diagnostic.level())
+    #[must_use]
+    pub fn level(&self) -> Level {
+        self.newest().level()
     }
 }
 
@@ -470,7 +508,7 @@ mod tests {
 
     #[test]
     fn missed_frames_are_counted_within_a_run_and_runs_are_kept_apart() {
-        let mut board = Board::new(0).unwrap();
+        let mut board = Board::new(0);
         for (epoch, tick) in [(1, 1), (1, 2), (1, 5), (2, 1), (2, 4)] {
             let mut header = header(epoch, tick);
             header.samples_accepted = tick;
@@ -486,7 +524,7 @@ mod tests {
 
     #[test]
     fn a_point_pairs_a_reading_with_the_forecast_made_for_it() {
-        let mut board = Board::new(0).unwrap();
+        let mut board = Board::new(0);
         board.forecasts(&header(1, 1), &[output(4, 0, 3.0, 3.5)], 0);
         board.forecasts(&header(1, 2), &[output(4, 0, 3.0, 3.5)], 0);
         board.forecasts(&header(1, 3), &[output(4, 1, 4.0, 4.5)], 0);
@@ -501,7 +539,7 @@ mod tests {
 
     #[test]
     fn a_hundred_thousand_workers_sources_and_robots_take_bounded_memory() {
-        let mut board = Board::new(0).unwrap();
+        let mut board = Board::new(0);
         for name in 1..=100_000_u32 {
             let epoch = u64::from(name);
             let mut header = header(epoch, 2);
@@ -526,7 +564,7 @@ mod tests {
 
     #[test]
     fn departed_robots_are_removed_and_alarms_logged_once() {
-        let mut board = Board::new(0).unwrap();
+        let mut board = Board::new(0);
         board.forecasts(
             &header(1, 1),
             &[output(4, 0, 3.0, 3.5), output(5, 0, 3.0, 3.0)],

@@ -47,33 +47,33 @@ fn residual(before: &Forecast, after: &Forecast) -> Option<(f64, f64)> {
 
 /// Scores of a fleet; unknown values are none.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub(crate) struct Scores {
+pub struct Scores {
     /// Readings scored by the worker, all robots.
-    pub(crate) scored: u64,
+    pub scored: u64,
     /// Root mean squared error of the forecasts over all readings received by this planner, W.
-    pub(crate) rmse_w: Option<f64>,
+    pub rmse_w: Option<f64>,
     /// That of persistence (forecast = last reading), W.
-    pub(crate) persistence_rmse_w: Option<f64>,
+    pub persistence_rmse_w: Option<f64>,
     /// Mean absolute error of the forecasts over all readings, W.
-    pub(crate) mae_w: Option<f64>,
+    pub mae_w: Option<f64>,
     /// That of persistence, W.
-    pub(crate) persistence_mae_w: Option<f64>,
+    pub persistence_mae_w: Option<f64>,
     /// Fraction of the robots whose squared error is below that of persistence.
-    pub(crate) better_than_persistence: Option<f64>,
+    pub better_than_persistence: Option<f64>,
     /// Coefficient of determination over all readings received by this planner.
-    pub(crate) r2: Option<f64>,
+    pub r2: Option<f64>,
     /// That of persistence.
-    pub(crate) persistence_r2: Option<f64>,
+    pub persistence_r2: Option<f64>,
     /// Median over the robots of their mean absolute errors, W.
-    pub(crate) median_mae_w: Option<f64>,
+    pub median_mae_w: Option<f64>,
     /// That of persistence, W.
-    pub(crate) median_persistence_mae_w: Option<f64>,
+    pub median_persistence_mae_w: Option<f64>,
     /// Median over the robots of their coefficients of determination.
-    pub(crate) median_r2: Option<f64>,
+    pub median_r2: Option<f64>,
     /// That of persistence.
-    pub(crate) median_persistence_r2: Option<f64>,
+    pub median_persistence_r2: Option<f64>,
     /// Fraction of readings inside the interval of their forecast.
-    pub(crate) coverage: Option<f64>,
+    pub coverage: Option<f64>,
 }
 
 impl Scores {

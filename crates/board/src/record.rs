@@ -8,12 +8,12 @@ use joulebus_wire::{
 };
 use serde::Serialize;
 
-use super::board::{Board, Row};
-use super::scores::known;
+use crate::board::{Board, Newest};
+use crate::scores::known;
 
 /// A frame of forecasts with the data of its tick.
 #[derive(Debug, Serialize)]
-pub(crate) struct FrameRecord {
+pub struct FrameRecord {
     worker_epoch: u64,
     worker_pid: u32,
     tick: u64,
@@ -35,7 +35,7 @@ pub(crate) struct FrameRecord {
 
 /// One robot. The names contain the units.
 #[derive(Debug, Serialize)]
-struct RobotRecord {
+pub struct RobotRecord {
     robot: u32,
     quality: &'static str,
     /// Number of readings in the window, number of open-loop steps, or the reason.
@@ -85,47 +85,48 @@ struct RobotRecord {
 
 /// What the robot's readings have taught; weights are of last reading, network and stack, gains within the stack.
 #[derive(Debug, Serialize)]
-struct LearnedRecord {
-    weight_last: f32,
-    weight_network: f32,
-    weight_stack: f32,
-    held_weight_last: f32,
-    held_weight_stack: f32,
-    gain_last: f32,
-    gain_network: f32,
-    gain_mean: f32,
-    level_w: f32,
-    mean_w: f32,
-    change_w: f32,
+pub struct LearnedRecord {
+    weight_last: f64,
+    weight_network: f64,
+    weight_stack: f64,
+    held_weight_last: f64,
+    held_weight_stack: f64,
+    gain_last: f64,
+    gain_network: f64,
+    gain_mean: f64,
+    level_w: f64,
+    mean_w: f64,
+    change_w: f64,
 }
 
 impl LearnedRecord {
     fn of(diagnostic: &Diagnostic) -> Self {
         Self {
-            weight_last: diagnostic.weight_last,
-            weight_network: diagnostic.weight_network,
-            weight_stack: diagnostic.weight_stack,
-            held_weight_last: diagnostic.held_weight_last,
-            held_weight_stack: diagnostic.held_weight_stack,
-            gain_last: diagnostic.gain_last,
-            gain_network: diagnostic.gain_network,
-            gain_mean: diagnostic.gain_mean,
-            level_w: diagnostic.level_w,
-            mean_w: diagnostic.mean_w,
-            change_w: diagnostic.change_w,
+            weight_last: diagnostic.weight_last.into(),
+            weight_network: diagnostic.weight_network.into(),
+            weight_stack: diagnostic.weight_stack.into(),
+            held_weight_last: diagnostic.held_weight_last.into(),
+            held_weight_stack: diagnostic.held_weight_stack.into(),
+            gain_last: diagnostic.gain_last.into(),
+            gain_network: diagnostic.gain_network.into(),
+            gain_mean: diagnostic.gain_mean.into(),
+            level_w: diagnostic.level_w.into(),
+            mean_w: diagnostic.mean_w.into(),
+            change_w: diagnostic.change_w.into(),
         }
     }
 }
 
 impl FrameRecord {
     /// The newest frame on the board, if any, with all robots or one.
-    pub(crate) fn newest(board: &Board, only: Option<u32>) -> Option<Self> {
+    #[must_use]
+    pub fn newest(board: &Board, only: Option<u32>) -> Option<Self> {
         let header = board.header()?;
         let robots = board
             .rows
             .iter()
             .filter(|(robot, _)| only.is_none_or(|only| only == **robot))
-            .map(|(robot, row)| RobotRecord::of(*robot, row))
+            .map(|(robot, row)| RobotRecord::of(*robot, &row.newest()))
             .collect();
         Some(Self {
             worker_epoch: header.worker_epoch,
@@ -156,26 +157,28 @@ impl FrameRecord {
 }
 
 impl RobotRecord {
-    fn of(robot: u32, row: &Row) -> Self {
-        let forecast = &row.forecast;
-        let (quality, quality_detail) = quality(forecast.quality());
+    /// The rows of `robot`.
+    #[must_use]
+    pub fn of(robot: u32, newest: &Newest) -> Self {
+        let forecast = &newest.forecast;
+        let quality = forecast.quality();
         let heard = forecast.flags & forecast_flag::SAMPLE != 0;
         let read = forecast.flags & forecast_flag::READING != 0;
         let interval_w = forecast.interval_w();
-        let diagnostic = row.diagnostic.as_ref();
+        let diagnostic = newest.diagnostic.as_ref();
         let residual = diagnostic.filter(|d| d.flags & diagnostic_flag::RESIDUAL != 0);
         let scores = diagnostic.filter(|d| d.flags & diagnostic_flag::SCORES != 0);
         let learned = diagnostic.filter(|d| d.flags & diagnostic_flag::LEARNED != 0);
         let score = |value: fn(&Diagnostic) -> f64| scores.and_then(|d| known(value(d)));
-        let budget = row.budget.as_ref();
+        let budget = newest.budget.as_ref();
         let ledger = budget.filter(|b| b.flags & budget_flag::LEDGER != 0);
         let battery = budget.filter(|b| b.flags & budget_flag::BATTERY != 0);
         let lasting = budget.filter(|b| b.flags & budget_flag::TIME_TO_EMPTY != 0);
         let seconds = |ns: u64| ns as f64 * 1e-9;
         Self {
             robot,
-            quality,
-            quality_detail,
+            quality: quality_name(quality),
+            quality_detail: quality_detail(quality),
             sample_seq: heard.then_some(forecast.sample_seq),
             stamp_ns: heard.then_some(forecast.stamp_ns),
             target_ns: heard.then_some(forecast.target_ns),
@@ -223,14 +226,25 @@ impl RobotRecord {
     }
 }
 
-fn quality(quality: Quality) -> (&'static str, Option<String>) {
+/// The name of a quality, without its detail.
+#[must_use]
+pub const fn quality_name(quality: Quality) -> &'static str {
     match quality {
-        Quality::Fresh => ("Fresh", None),
-        Quality::Held => ("Held", None),
-        Quality::Warmup { have } => ("Warmup", Some(have.to_string())),
-        Quality::OpenLoop { steps } => ("OpenLoop", Some(steps.to_string())),
-        Quality::Invalid(reason) => ("Invalid", Some(reason.name().to_owned())),
-        Quality::Unknown => ("Unknown", None),
+        Quality::Fresh => "Fresh",
+        Quality::Held => "Held",
+        Quality::Warmup { .. } => "Warmup",
+        Quality::OpenLoop { .. } => "OpenLoop",
+        Quality::Invalid(_) => "Invalid",
+        Quality::Unknown => "Unknown",
+    }
+}
+
+fn quality_detail(quality: Quality) -> Option<String> {
+    match quality {
+        Quality::Warmup { have } => Some(have.to_string()),
+        Quality::OpenLoop { steps } => Some(steps.to_string()),
+        Quality::Invalid(reason) => Some(reason.name().to_owned()),
+        Quality::Fresh | Quality::Held | Quality::Unknown => None,
     }
 }
 

@@ -1,17 +1,19 @@
 //! Feeds a board from a fleet's shared memory, as a planner.
 
+use std::fmt;
 use std::ops::DerefMut;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use anyhow::Context as _;
 use joulebus_bus::{Bus, FrameBuf, SampleReader, clock};
-use joulebus_config::Config;
-use joulebus_consumer::{BudgetFeed, DiagnosticFeed, End, Event, Planner, QueryFeed, WorkerState};
+use joulebus_config::{Config, ConnectError};
+use joulebus_consumer::{
+    BudgetFeed, DiagnosticFeed, End, Event, Planner, QueryFeed, ReadError, WorkerState,
+};
 
-use super::board::{Board, Link};
+use crate::board::{Board, Link};
 
 /// Timeout of one wait.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -19,8 +21,39 @@ const PATIENCE: Duration = Duration::from_millis(100);
 const FOLLOW_NS: u64 = 5_000_000;
 const FOLLOW_EVERY: Duration = Duration::from_micros(200);
 
+/// Why a planner cannot read a fleet.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The domain cannot be joined.
+    #[error(transparent)]
+    Connect(#[from] ConnectError),
+    /// A port cannot be opened.
+    #[error(transparent)]
+    Port(#[from] joulebus_bus::OpenError),
+}
+
+/// Why the thread of a [`Feed`] does not read, or no longer.
+#[derive(Debug, thiserror::Error)]
+pub enum FeedError {
+    /// It cannot join the fleet.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// Reading fails permanently.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// There is no thread for it.
+    #[error("cannot start a thread: {0}")]
+    Thread(std::io::Error),
+    /// It ended before it had joined.
+    #[error("the planner ended before it joined the fleet")]
+    Ended,
+    /// A defect.
+    #[error("the planner's thread panicked")]
+    Panicked,
+}
+
 /// A planner with all its readers. Belongs to the thread that opened it.
-pub(crate) struct Reading {
+pub struct Reading {
     diagnostics: DiagnosticFeed,
     budgets: BudgetFeed,
     /// None if there are too many readers.
@@ -35,7 +68,7 @@ impl Reading {
     ///
     /// # Errors
     /// The domain cannot be joined.
-    pub(crate) fn open(config: &Config, name: &str, taps: bool) -> anyhow::Result<Self> {
+    pub fn open(config: &Config, name: &str, taps: bool) -> Result<Self, OpenError> {
         let planner = Planner::with_config(config, name)?;
         Ok(Self {
             diagnostics: planner.diagnostics()?,
@@ -51,7 +84,7 @@ impl Reading {
     ///
     /// # Errors
     /// Reading fails permanently.
-    pub(crate) fn turn<B>(&mut self, mut borrow: impl FnMut() -> B) -> anyhow::Result<bool>
+    pub fn turn<B>(&mut self, mut borrow: impl FnMut() -> B) -> Result<bool, ReadError>
     where
         B: DerefMut<Target = Board>,
     {
@@ -66,10 +99,10 @@ impl Reading {
                 tick = Some((frame.header().worker_epoch, frame.header().tick));
             }
             Ok(_) => {}
-            Err(joulebus_consumer::ReadError::Receive(error)) => {
+            Err(ReadError::Receive(error)) => {
                 board.note(format!("forecasts: {error}"), readable_ns);
             }
-            Err(error) => return Err(error.into()),
+            Err(error) => return Err(error),
         }
         board.set_link(link(self.planner.worker()), readable_ns);
         if let Some(tap) = &mut self.tap {
@@ -85,8 +118,18 @@ impl Reading {
         Ok(tick.is_some())
     }
 
+    /// The planner, for further feeds of the same fleet.
+    #[must_use]
+    pub const fn planner(&self) -> &Planner {
+        &self.planner
+    }
+
     /// Reads the diagnostics and budgets of `tick`, or the available ones if these do not arrive.
-    fn follow<B>(&mut self, tick: (u64, u64), borrow: &mut impl FnMut() -> B) -> anyhow::Result<()>
+    fn follow<B>(
+        &mut self,
+        tick: (u64, u64),
+        borrow: &mut impl FnMut() -> B,
+    ) -> Result<(), ReadError>
     where
         B: DerefMut<Target = Board>,
     {
@@ -116,6 +159,14 @@ impl Reading {
     }
 }
 
+impl fmt::Debug for Reading {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Reading")
+            .field("planner", &self.planner)
+            .finish_non_exhaustive()
+    }
+}
+
 const fn link(worker: WorkerState) -> Link {
     match worker {
         WorkerState::Waiting => Link::Waiting,
@@ -136,9 +187,9 @@ struct Tap {
 }
 
 impl Tap {
-    fn open(config: &Config) -> anyhow::Result<Self> {
+    fn open(config: &Config) -> Result<Self, OpenError> {
         let limits = config.limits();
-        let bus = Bus::join(&config.domain()?, "tap")?;
+        let bus = config.join("tap")?;
         Ok(Self {
             reader: bus.sample_reader(&limits)?,
             frame: FrameBuf::new(limits.capacity),
@@ -158,10 +209,11 @@ impl Tap {
 }
 
 /// A thread that keeps a board up to date.
-pub(crate) struct Feed {
+#[derive(Debug)]
+pub struct Feed {
     board: Arc<Mutex<Board>>,
     stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<anyhow::Result<()>>>,
+    thread: Option<JoinHandle<Result<(), FeedError>>>,
 }
 
 impl Feed {
@@ -169,8 +221,8 @@ impl Feed {
     ///
     /// # Errors
     /// It cannot join.
-    pub(crate) fn start(config: &Config, name: &'static str, taps: bool) -> anyhow::Result<Self> {
-        let board = Arc::new(Mutex::new(Board::new(clock::monotonic_ns())?));
+    pub fn start(config: &Config, name: &'static str, taps: bool) -> Result<Self, FeedError> {
+        let board = Arc::new(Mutex::new(Board::new(clock::monotonic_ns())));
         let stop = Arc::new(AtomicBool::new(false));
         let (ready, started) = std::sync::mpsc::sync_channel(1);
         let (shared, stopped, config) = (Arc::clone(&board), Arc::clone(&stop), config.clone());
@@ -185,7 +237,7 @@ impl Feed {
                 }
                 Ok(())
             })
-            .context("cannot start a thread")?;
+            .map_err(FeedError::Thread)?;
         let mut feed = Self {
             board,
             stop,
@@ -195,18 +247,20 @@ impl Feed {
             Ok(()) => Ok(feed),
             Err(_) => {
                 feed.join()?;
-                anyhow::bail!("the planner ended before it joined the fleet")
+                Err(FeedError::Ended)
             }
         }
     }
 
     /// The current board.
-    pub(crate) fn board(&self) -> MutexGuard<'_, Board> {
+    #[must_use]
+    pub fn board(&self) -> MutexGuard<'_, Board> {
         lock(&self.board)
     }
 
     /// True if the thread still reads.
-    pub(crate) fn is_reading(&self) -> bool {
+    #[must_use]
+    pub fn is_reading(&self) -> bool {
         self.thread
             .as_ref()
             .is_some_and(|thread| !thread.is_finished())
@@ -216,17 +270,17 @@ impl Feed {
     ///
     /// # Errors
     /// The error that ended the thread.
-    pub(crate) fn finish(mut self) -> anyhow::Result<Board> {
+    pub fn finish(mut self) -> Result<Board, FeedError> {
         self.join()?;
         Ok(self.board().clone())
     }
 
-    fn join(&mut self) -> anyhow::Result<()> {
+    fn join(&mut self) -> Result<(), FeedError> {
         self.stop.store(true, Ordering::Relaxed);
         match self.thread.take().map(JoinHandle::join) {
             None => Ok(()),
             Some(Ok(result)) => result,
-            Some(Err(_)) => anyhow::bail!("the planner's thread panicked"),
+            Some(Err(_)) => Err(FeedError::Panicked),
         }
     }
 }

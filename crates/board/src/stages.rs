@@ -10,29 +10,68 @@ use serde::{Deserialize, Serialize};
 /// Upper bound of the histograms, ns.
 const LONGEST_NS: u64 = 60_000_000_000;
 
+/// Upper bounds of [`Counted::counts`], s; the last count is of longer times.
+pub const UPPER_S: [f64; 16] = [
+    0.000_025, 0.000_05, 0.000_1, 0.000_2, 0.000_5, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1,
+    0.2, 0.5, 1.0, 10.0,
+];
+
+/// Times in few classes, which may be added up over runs and hosts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counted {
+    /// Number of times up to each of [`UPPER_S`] and above the one before it, and of those above all.
+    pub counts: [u64; UPPER_S.len() + 1],
+    /// Their sum, ns.
+    pub sum_ns: u64,
+}
+
+impl Counted {
+    fn add(&mut self, time_ns: u64) {
+        let time_s = time_ns as f64 * 1e-9;
+        self.counts[UPPER_S.partition_point(|upper_s| *upper_s < time_s)] += 1;
+        self.sum_ns = self.sum_ns.saturating_add(time_ns);
+    }
+}
+
 /// Distributions of the stages, one value per frame that answers samples.
 #[derive(Debug, Clone)]
-pub(crate) struct Stages {
+pub struct Stages {
     total: Histogram<u64>,
     parts: [Histogram<u64>; 5],
+    /// From a sample sent to its forecast readable.
+    pub total_counted: Counted,
+    /// Computation of the tick.
+    pub compute_counted: Counted,
+}
+
+impl Default for Stages {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 impl Stages {
     /// Empty distributions.
-    ///
-    /// # Errors
-    /// Never: the bounds are fixed.
-    pub(crate) fn new() -> Result<Self, hdrhistogram::CreationError> {
-        let empty = Histogram::new_with_bounds(1, LONGEST_NS, 3)?;
-        Ok(Self {
+    #[must_use]
+    #[allow(
+        clippy::expect_used,
+        clippy::missing_panics_doc,
+        reason = "the bounds are constants"
+    )]
+    pub fn new() -> Self {
+        let empty = Histogram::new_with_bounds(1, LONGEST_NS, 3);
+        let empty = empty.expect("1 ns to a minute with three digits is a valid range");
+        Self {
             total: empty.clone(),
             parts: std::array::from_fn(|_| empty.clone()),
-        })
+            total_counted: Counted::default(),
+            compute_counted: Counted::default(),
+        }
     }
 
     /// Adds a frame that became readable at `readable_ns` (monotonic). Returns the total latency
     /// from the first sample sent, ns; none if the frame answers no sample.
-    pub(crate) fn observe(&mut self, header: &ForecastHeader, readable_ns: u64) -> Option<u64> {
+    pub fn observe(&mut self, header: &ForecastHeader, readable_ns: u64) -> Option<u64> {
         if header.first_sent_ns == 0 {
             return None;
         }
@@ -49,11 +88,17 @@ impl Stages {
         }
         let total_ns = readable_ns.saturating_sub(header.first_sent_ns);
         self.total.saturating_record(total_ns);
+        self.total_counted.add(total_ns);
+        let compute_ns = header
+            .compute_end_ns
+            .saturating_sub(header.compute_start_ns);
+        self.compute_counted.add(compute_ns);
         Some(total_ns)
     }
 
     /// The distributions.
-    pub(crate) fn latency(&self) -> Latency {
+    #[must_use]
+    pub fn latency(&self) -> Latency {
         let [
             sent_to_taken,
             taken_to_compute,
@@ -74,24 +119,25 @@ impl Stages {
 
 /// Latency from a sample sent to its forecast readable by a planner, and its stages.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Latency {
+pub struct Latency {
     /// The total.
-    pub(crate) total: Spread,
+    pub total: Spread,
     /// First sample of the tick sent → received by the worker.
-    pub(crate) sent_to_taken: Spread,
+    pub sent_to_taken: Spread,
     /// Received → tick starts computing: waiting for the rest of the fleet.
-    pub(crate) taken_to_compute: Spread,
+    pub taken_to_compute: Spread,
     /// Computation of the tick.
-    pub(crate) compute: Spread,
+    pub compute: Spread,
     /// Computed → sent by the worker.
-    pub(crate) compute_to_sent: Spread,
+    pub compute_to_sent: Spread,
     /// Sent by the worker → readable: wake-up of the planner.
-    pub(crate) sent_to_readable: Spread,
+    pub sent_to_readable: Spread,
 }
 
 impl Latency {
     /// The stages in order, with their labels.
-    pub(crate) const fn stages(&self) -> [(&'static str, Spread); 6] {
+    #[must_use]
+    pub const fn stages(&self) -> [(&'static str, Spread); 6] {
         [
             ("sent → taken", self.sent_to_taken),
             ("taken → compute", self.taken_to_compute),
@@ -125,8 +171,21 @@ mod tests {
     use super::*;
 
     #[test]
+    fn every_time_is_in_the_class_below_whose_bound_it_lies() {
+        let mut counted = Counted::default();
+        for time_ns in [0, 25_000, 25_001, 10_000_000_000, 10_000_000_001, u64::MAX] {
+            counted.add(time_ns);
+        }
+        assert_eq!((counted.counts[0], counted.counts[1]), (2, 1));
+        assert_eq!((counted.counts[15], counted.counts[16]), (1, 2));
+        assert_eq!(counted.counts.iter().sum::<u64>(), 6);
+        assert_eq!(counted.sum_ns, u64::MAX);
+        assert!(UPPER_S.is_sorted());
+    }
+
+    #[test]
     fn stages_add_up_to_the_total_and_frames_without_samples_are_excluded() {
-        let mut stages = Stages::new().unwrap();
+        let mut stages = Stages::new();
         let header = ForecastHeader {
             first_sent_ns: 1_000,
             first_taken_ns: 9_000,

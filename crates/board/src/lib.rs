@@ -1,0 +1,17 @@
+//! What a planner has read of a fleet, joined by robot: the source of every view.
+//!
+//! [`Reading`] is a planner like any other: it adds what it reads to a [`Board`]. [`Feed`] does so in a thread.
+//! [`FrameRecord`] and [`RobotRecord`] are a board as JSON.
+#![forbid(unsafe_code)]
+
+mod board;
+mod feed;
+mod record;
+mod scores;
+mod stages;
+
+pub use board::{Board, Link, Newest, Point, Raised, Row, WorkerRun};
+pub use feed::{Feed, FeedError, OpenError, Reading};
+pub use record::{FrameRecord, LearnedRecord, RobotRecord, quality_name};
+pub use scores::Scores;
+pub use stages::{Counted, Latency, Stages, UPPER_S};
