@@ -52,6 +52,7 @@ mod payload;
 mod planner;
 mod platform;
 mod question;
+mod report;
 mod robot;
 mod trip;
 
@@ -68,5 +69,6 @@ pub use limits::MAX_STEPS;
 pub use planner::{OpenPlannerError, Planner, View, ViewError};
 pub use platform::{Frames, Platform, RobotRows};
 pub use question::{Plan, Question, Reply, Row, Work};
+pub use report::{AnswerReport, AnswersReport};
 pub use robot::Robot;
 pub use trip::{Ranked, Trip, rank, rank_each};

@@ -2,7 +2,6 @@
 
 mod path_file;
 mod place;
-mod report;
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -10,7 +9,8 @@ use std::time::Duration;
 use clap::ArgGroup;
 use joulebus_config::Config;
 use joulebus_plan::{
-    ClientError, MAX_STEPS, Plan, PlanClient, Planner, Question, QuestionError, Reply,
+    AnswerReport, AnswersReport, ClientError, MAX_STEPS, Plan, PlanClient, Planner, Question,
+    QuestionError, Reply,
 };
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
@@ -18,7 +18,6 @@ use joulebus_program::output::Output;
 use joulebus_wire::QueryRefusal;
 
 use place::{Place, ReturnTo};
-use report::{AnswerReport, Report};
 
 /// Timeout for a frame of the worker, or its answer.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -144,7 +143,7 @@ impl Args {
     }
 
     /// Answers here, from shared memory.
-    fn compute(&self, config: &Config, question: Question) -> anyhow::Result<Report> {
+    fn compute(&self, config: &Config, question: Question) -> anyhow::Result<AnswersReport> {
         let mut planner = Planner::with_config(config, "ask")?;
         let fleet = planner.fleet().clone();
         let view = planner.wait(PATIENCE)?;
@@ -157,7 +156,7 @@ impl Args {
     }
 
     /// Lets the worker answer.
-    fn send(&self, config: &Config, question: &Question) -> anyhow::Result<Report> {
+    fn send(&self, config: &Config, question: &Question) -> anyhow::Result<AnswersReport> {
         let mut client = PlanClient::with_config(config, "ask")?;
         let answered = client
             .ask(question, PATIENCE)
@@ -171,16 +170,16 @@ impl Args {
         Ok(self.report(config, of, &answered.reply))
     }
 
-    fn report(&self, config: &Config, (tick, age_ns): (u64, u64), reply: &Reply) -> Report {
+    fn report(&self, config: &Config, (tick, age_ns): (u64, u64), reply: &Reply) -> AnswersReport {
         let answers = reply.rows.iter().map(|row| {
-            let mut answer = AnswerReport::new(platform_of(config, row.robot), row);
+            let mut answer = AnswerReport::new(config.settings(), row);
             answer.asked_to_return = self.return_to.is_some();
             if self.power && self.robot.is_some() && self.path.is_some() {
                 answer.power_w = Some(reply.power_w.clone());
             }
             answer
         });
-        Report {
+        AnswersReport {
             fleet: config.fleet().to_owned(),
             tick,
             age_s: age_ns as f64 * 1e-9,
@@ -188,13 +187,4 @@ impl Args {
             answers: answers.collect(),
         }
     }
-}
-
-/// Name of the platform that a robot is of.
-fn platform_of(config: &Config, robot: u32) -> String {
-    let platforms = &config.settings().platforms;
-    let its = platforms
-        .iter()
-        .find(|platform| platform.robots.iter().any(|ids| ids.contains(&robot)));
-    its.map_or_else(String::new, |platform| platform.name.clone())
 }

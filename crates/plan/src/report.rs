@@ -1,27 +1,31 @@
-//! What `ask` prints.
+//! Answers as `joulebus ask` prints them and `joulebus serve` sends them.
 
 use std::fmt;
 
-use joulebus_plan::{Caveats, Left, Range, Row, Verdict};
+use joulebus_settings::FleetSettings;
 use serde::Serialize;
 
+use crate::answer::{Caveats, Left, Range, Verdict};
+use crate::question::Row;
+
 /// Answers about one question, as of one tick.
-#[derive(Debug, Serialize)]
-pub(super) struct Report {
-    pub(super) fleet: String,
+#[derive(Debug, Clone, Serialize)]
+pub struct AnswersReport {
+    /// Name of the fleet.
+    pub fleet: String,
     /// The tick that the answers are computed from.
-    pub(super) tick: u64,
+    pub tick: u64,
     /// Its age, s.
-    pub(super) age_s: f64,
+    pub age_s: f64,
     /// Coverage of the intervals.
-    pub(super) coverage: f32,
+    pub coverage: f32,
     /// The best first.
-    pub(super) answers: Vec<AnswerReport>,
+    pub answers: Vec<AnswerReport>,
 }
 
 /// One robot's answer.
-#[derive(Debug, Serialize)]
-pub(super) struct AnswerReport {
+#[derive(Debug, Clone, Serialize)]
+pub struct AnswerReport {
     robot: u32,
     platform: String,
     verdict: &'static str,
@@ -38,23 +42,30 @@ pub(super) struct AnswerReport {
     limiting_leg: Option<usize>,
     /// Until when it can turn back; null where it was not asked, or cannot be said.
     turn_back_s: Option<f32>,
+    /// Whether `turn_back_s` was asked for.
     #[serde(skip)]
-    pub(super) asked_to_return: bool,
+    pub asked_to_return: bool,
     caveats: Caveats,
     /// Power of every step, W, if asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) power_w: Option<Vec<f32>>,
+    pub power_w: Option<Vec<f32>>,
 }
 
 impl AnswerReport {
-    pub(super) fn new(platform: String, row: &Row) -> Self {
+    /// The answer of one robot of a fleet.
+    #[must_use]
+    pub fn new(settings: &FleetSettings, row: &Row) -> Self {
         let answer = &row.answer;
+        let platforms = &settings.platforms;
+        let its = platforms
+            .iter()
+            .find(|platform| platform.robots.iter().any(|ids| ids.contains(&row.robot)));
+        let platform = its.map_or_else(String::new, |platform| platform.name.clone());
         let (verdict, reason) = match answer.verdict {
             Verdict::Yes => ("yes", None),
             Verdict::Tight => ("tight", None),
             Verdict::No => ("no", None),
             Verdict::Unknown(reason) => ("unknown", Some(reason.to_string())),
-            _ => ("unknown", None),
         };
         Self {
             robot: row.robot,
@@ -111,7 +122,7 @@ impl AnswerReport {
     }
 }
 
-impl fmt::Display for Report {
+impl fmt::Display for AnswersReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (place, answer) in self.answers.iter().enumerate() {
             if place > 0 {
