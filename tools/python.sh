@@ -5,14 +5,14 @@
 #     JOULEBUS_PYTHON=$(tools/python.sh) cargo test --workspace
 set -euo pipefail
 cd "$(dirname "$0")/.."
-if python3 -c 'import numpy' 2>/dev/null; then
+if python3 -c 'import numpy, prometheus_client' 2>/dev/null; then
     command -v python3
     exit
 fi
 home=${CARGO_TARGET_DIR:-target}/python
-if ! "$home/bin/python" -c 'import numpy' 2>/dev/null; then
+if ! "$home/bin/python" -c 'import numpy, prometheus_client' 2>/dev/null; then
     echo "making $home" >&2
     python3 -m venv "$home"
-    "$home/bin/python" -m pip install --quiet --disable-pip-version-check numpy==2.3.4 >&2
+    "$home/bin/python" -m pip install --quiet --disable-pip-version-check numpy==2.3.4 prometheus-client==0.23.1 >&2
 fi
 realpath --no-symlinks "$home/bin/python"

@@ -5,104 +5,130 @@
 //! slow loses messages, without effect on the fleet.
 
 use std::collections::HashMap;
-use std::fmt;
 use std::io;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::channel;
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use ::foxglove::websocket::ShutdownHandle;
-use ::foxglove::{ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServer};
+use ::foxglove::{
+    ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServer,
+    WebSocketServerHandle,
+};
 use anyhow::Context as _;
 use joulebus_capture::record::{Options, Recorder, Target};
 use joulebus_capture::{Attachments, CaptureSettings, Clock, Entry, Preset, ReadError, Reader};
-use joulebus_program::exit::Outcome;
-use joulebus_program::output::{Output, say};
-use joulebus_program::stop::Stop;
+use joulebus_config::Config;
+use joulebus_program::output::say;
 use joulebus_program::verbs::serve::ServeArguments;
 use serde::Serialize;
 
 use crate::guard::{Guard, hidden_address};
 
-/// Interval of checking whether to stop.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// Timeout for clients to disconnect at the end.
 const LEAVE_LIMIT: Duration = Duration::from_secs(1);
 /// Bytes of messages queued for a slow reader.
 const QUEUE_BYTES: usize = 64 << 20;
 
+/// What was served.
 #[derive(Debug, Serialize)]
-struct ServeReport {
-    fleet: String,
-    address: String,
-    messages: u64,
+pub(crate) struct FoxgloveReport {
+    pub(crate) address: String,
+    pub(crate) messages: u64,
     /// Messages overwritten in shared memory or dropped because the queue was full.
-    lost: u64,
+    pub(crate) lost: u64,
 }
 
-pub(super) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outcome> {
-    let stop = Stop::on_signals()?;
-    let config = args.config.load()?;
-    if !args.host.is_loopback() {
-        say(&format!(
-            "warning: {} can be reached from other hosts, and there is no password",
-            args.host
-        ));
+/// The running server.
+pub(crate) struct Foxglove {
+    address: String,
+    guard: Guard,
+    server: WebSocketServerHandle,
+    recorder: Recorder,
+    forward: JoinHandle<anyhow::Result<()>>,
+    sent: Arc<AtomicU64>,
+}
+
+impl Foxglove {
+    /// Joins the fleet as a recorder and serves what it records.
+    pub(crate) fn start(args: &ServeArguments, config: &Config) -> anyhow::Result<Self> {
+        if !args.host.is_loopback() {
+            say(&format!(
+                "warning: {} can be reached from other hosts, and there is no password",
+                args.host
+            ));
+        }
+        let context = Context::new();
+        let failed = || format!("cannot listen at {} port {}", args.host, args.port);
+        let listener = TcpListener::bind((args.host, args.port)).with_context(failed)?;
+        let address = format!("ws://{}", listener.local_addr().with_context(failed)?);
+        let hidden = hidden_address();
+        let server = WebSocketServer::new()
+            .name(format!("joulebus {}", config.fleet()))
+            .bind(hidden.to_string(), 0)
+            .context(&context)
+            .start_blocking()
+            .with_context(|| format!("cannot listen at {hidden}"))?;
+        let clock = Clock::now();
+        let attachments = Attachments::of(std::slice::from_ref(config), clock)?;
+        let (reader, writer) = io::pipe().context("cannot make a pipe")?;
+        let options = Options {
+            settings: CaptureSettings::of(Preset::FastWrite),
+            per_robot: args.per_robot,
+            choose: Arc::new(|_| true),
+            max_file_bytes: u64::MAX,
+            max_file_ns: u64::MAX,
+            resume: false,
+            snapshot: None,
+            queue_bytes: QUEUE_BYTES,
+        };
+        // Reads from the beginning: a recorder starts with the models, which may be more than a pipe holds.
+        let sent = Arc::new(AtomicU64::new(0));
+        let counted = Arc::clone(&sent);
+        let forward = std::thread::Builder::new()
+            .name("joulebus-serve".to_owned())
+            .spawn(move || forward(reader, &context, &counted))?;
+        let target = Target::Stream(Box::new(writer));
+        let recorder = Recorder::start(config, Vec::new(), clock, attachments, target, &options)?;
+        let inside = SocketAddr::new(hidden, server.port());
+        let guard = Guard::start(listener, inside, args.allow_origin.clone())?;
+        Ok(Self {
+            address,
+            guard,
+            server,
+            recorder,
+            forward,
+            sent,
+        })
     }
-    let context = Context::new();
-    let failed = || format!("cannot listen at {} port {}", args.host, args.port);
-    let listener = TcpListener::bind((args.host, args.port)).with_context(failed)?;
-    let address = format!("ws://{}", listener.local_addr().with_context(failed)?);
-    let hidden = hidden_address();
-    let server = WebSocketServer::new()
-        .name(format!("joulebus {}", config.fleet()))
-        .bind(hidden.to_string(), 0)
-        .context(&context)
-        .start_blocking()
-        .with_context(|| format!("cannot listen at {hidden}"))?;
-    let clock = Clock::now();
-    let attachments = Attachments::of(std::slice::from_ref(&config), clock)?;
-    let (reader, writer) = io::pipe().context("cannot make a pipe")?;
-    let options = Options {
-        settings: CaptureSettings::of(Preset::FastWrite),
-        per_robot: args.per_robot,
-        choose: Arc::new(|_| true),
-        max_file_bytes: u64::MAX,
-        max_file_ns: u64::MAX,
-        resume: false,
-        snapshot: None,
-        queue_bytes: QUEUE_BYTES,
-    };
-    // Reads from the beginning: a recorder starts with the models, which may be more than a pipe holds.
-    let sent = Arc::new(AtomicU64::new(0));
-    let counted = Arc::clone(&sent);
-    let forward = std::thread::Builder::new()
-        .name("joulebus-serve".to_owned())
-        .spawn(move || forward(reader, &context, &counted))?;
-    let target = Target::Stream(Box::new(writer));
-    let recorder = Recorder::start(&config, Vec::new(), clock, attachments, target, &options)?;
-    let inside = SocketAddr::new(hidden, server.port());
-    let mut guard = Guard::start(listener, inside, args.allow_origin.clone())?;
-    say(&format!("serving fleet {} at {address}", config.fleet()));
-    while !stop.is_asked() && !recorder.is_over() && !forward.is_finished() {
-        std::thread::sleep(LOOK_EVERY);
+
+    /// Where it listens.
+    pub(crate) fn address(&self) -> &str {
+        &self.address
     }
-    let lost = recorder.finish().messages_lost();
-    // The recorder has closed the pipe, and the forwarding thread has ended.
-    forward
-        .join()
-        .map_err(|_| anyhow::anyhow!("the server's thread has panicked"))??;
-    guard.stop();
-    end(server.stop());
-    output.report(&ServeReport {
-        fleet: config.fleet().to_owned(),
-        address,
-        messages: sent.load(Ordering::Relaxed),
-        lost,
-    })?;
-    Ok(Outcome::unless_lost(lost > 0))
+
+    /// Whether it has ended by itself.
+    pub(crate) fn is_over(&self) -> bool {
+        self.recorder.is_over() || self.forward.is_finished()
+    }
+
+    /// Lets the clients go, and leaves the fleet.
+    pub(crate) fn finish(mut self) -> anyhow::Result<FoxgloveReport> {
+        let lost = self.recorder.finish().messages_lost();
+        // The recorder has closed the pipe, and the forwarding thread has ended.
+        let forward = self.forward.join();
+        forward.map_err(|_| anyhow::anyhow!("the server's thread has panicked"))??;
+        self.guard.stop();
+        end(self.server.stop());
+        Ok(FoxgloveReport {
+            address: self.address,
+            messages: self.sent.load(Ordering::Relaxed),
+            lost,
+        })
+    }
 }
 
 /// Waits for clients to disconnect, at most [`LEAVE_LIMIT`]: the exit of the process closes their
@@ -159,19 +185,4 @@ fn open(entry: &Entry, context: &Arc<Context>) -> anyhow::Result<Arc<RawChannel>
     builder
         .build_raw()
         .with_context(|| format!("cannot open a channel for {}", entry.topic))
-}
-
-impl fmt::Display for ServeReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            fleet,
-            address,
-            messages,
-            lost,
-        } = self;
-        writeln!(
-            out,
-            "served fleet {fleet} at {address}: {messages} messages, {lost} lost"
-        )
-    }
 }

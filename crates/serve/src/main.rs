@@ -1,11 +1,13 @@
-//! `joulebus serve` as a separate program: streams a fleet's messages to other programs.
+//! `joulebus serve` as a separate program: a fleet's page, API and metrics, and its messages in Foxglove.
 #![forbid(unsafe_code)]
 
 mod foxglove;
 mod guard;
+mod http;
+mod serve;
 
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    joulebus_program::verb::main("serve", foxglove::run)
+    joulebus_program::verb::main("serve", serve::run)
 }

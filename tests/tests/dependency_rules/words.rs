@@ -112,6 +112,8 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "capture/src/import/join.rs",
         // Time the machine was off, which no other clock gives.
         "predictor-worker/src/checkpointer.rs",
+        // What a page shows beside its values.
+        "serve/src/http/reader.rs",
         // Captures and their names contain their creation time.
         "capture/src/clock.rs",
         "capture/src/attachments.rs",

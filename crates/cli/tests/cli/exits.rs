@@ -62,6 +62,7 @@ const CASES: &[(i32, &str)] = &[
     (2, "recover CAPTURE"),
     (3, "recover CUT -o NEW"),
     (2, "serve"),
+    (2, "serve --token-file JUNK"),
     (0, "import CAPTURE -o NEW"),
     (1, "import JUNK -o NEW"),
     (1, "import CUT -o NEW"),

@@ -1,28 +1,54 @@
 //! `joulebus serve`.
 
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
+use std::path::PathBuf;
+
+use clap::ArgGroup;
 
 use crate::config_file::ConfigFile;
 
-/// Stream the data in a fleet's shared memory to Foxglove, live
+/// Show a fleet to people and programs: a page, a JSON API and metrics, or all messages in Foxglove, live
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  \
-    joulebus serve --foxglove\n  \
+#[command(
+    group = ArgGroup::new("what").required(true).multiple(true).args(["http", "foxglove"]),
+    after_help = "Examples:\n  \
+    joulebus serve --http                                  http://127.0.0.1:8630\n  \
+    joulebus serve --http 0.0.0.0:8630 --token-file token  for other hosts, who need the token\n  \
+    joulebus serve --http --foxglove\n  \
     joulebus serve --foxglove --per-robot --port 9000\n  \
     joulebus serve --foxglove --allow-origin https://lab.example\n\n\
-    In Foxglove: Open connection, Foxglove WebSocket, ws://127.0.0.1:8765; then import the layout \
+    --http: the page at /, the API at /api/v1/openapi.json, OpenMetrics at /metrics, /healthz and /readyz. \
+    An address that other hosts reach needs --token-file, a file of mode 0600 with one line of at least 16 \
+    characters; browsers open /?token=TOKEN once, programs send `Authorization: Bearer TOKEN`. There is no \
+    TLS: docs/operators.md shows a reverse proxy.\n\n\
+    --foxglove: in Foxglove, Open connection, Foxglove WebSocket, ws://127.0.0.1:8765; then import the layout \
     configs/foxglove/joulebus.json. The topics and schemas are those of a capture. Only this host \
     can connect unless --host names another address: there is no password, and whoever can connect \
     sees everything. Web pages from elsewhere are refused; a handshake may take 5 s, and 64 \
-    connections are taken at once.")]
+    connections are taken at once.\n\n\
+    Exit codes: 0 ended by a signal; 1 the address or the fleet cannot be used; 2 a wrong option, config or \
+    token file; 3 messages were lost on the way to Foxglove."
+)]
 pub struct ServeArguments {
+    /// Serve the page, API and metrics at this address [default: 127.0.0.1:8630]
+    #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8630")]
+    pub http: Option<SocketAddr>,
+    /// With --http: clients need the token in this file (mode 0600)
+    #[arg(long, value_name = "FILE", requires = "http")]
+    pub token_file: Option<PathBuf>,
+    /// With --http: a name that this server is reached by, such as that of a reverse proxy; may be repeated
+    #[arg(long, value_name = "NAME", requires = "http")]
+    pub allow_host: Vec<String>,
+    /// With --http: metrics of at most this many robots; 0: only of the fleet
+    #[arg(long, value_name = "N", requires = "http", default_value_t = 100)]
+    pub metrics_robots: usize,
     /// Serve the Foxglove WebSocket protocol
-    #[arg(long, required = true)]
+    #[arg(long)]
     pub foxglove: bool,
-    /// Address to listen on; 0.0.0.0 admits the whole network
+    /// With --foxglove: address to listen on; 0.0.0.0 admits the whole network
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     pub host: IpAddr,
-    /// Port to listen on; 0: any free port
+    /// With --foxglove: port to listen on; 0: any free port
     #[arg(long, default_value_t = 8765)]
     pub port: u16,
     #[allow(rustdoc::bare_urls, reason = "`--help` shows the text as it is")]

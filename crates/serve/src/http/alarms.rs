@@ -1,0 +1,87 @@
+//! Alarms that are raised, and their newest changes.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use joulebus_consumer::{AlarmChange, AlarmHistory};
+use serde::Serialize;
+
+/// Most changes kept.
+const MOST_CHANGES: usize = 200;
+
+/// A raised alarm.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(super) struct RaisedRecord {
+    robot: u32,
+    alarm: &'static str,
+    since_unix_ns: u64,
+}
+
+/// A raise or an end of an alarm.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(super) struct ChangeRecord {
+    robot: u32,
+    alarm: &'static str,
+    /// raised, cleared, or left: the robot is not in the fleet any more.
+    change: &'static str,
+    at_unix_ns: u64,
+    raised_unix_ns: u64,
+}
+
+/// Alarms as clients get them.
+#[derive(Debug, Clone, Default, Serialize)]
+pub(super) struct Alarms {
+    pub(super) raised: Vec<RaisedRecord>,
+    /// Newest first.
+    pub(super) changes: VecDeque<ChangeRecord>,
+    /// Number of changes so far, those no longer kept included.
+    #[serde(skip)]
+    pub(super) number: u64,
+}
+
+/// Keeps them up to date.
+#[derive(Debug, Default)]
+pub(super) struct AlarmLog {
+    newest: Arc<Alarms>,
+    untold: Vec<AlarmChange>,
+}
+
+impl AlarmLog {
+    /// Adds a change; [`AlarmLog::update`] shows it.
+    pub(super) fn add(&mut self, change: AlarmChange) {
+        self.untold.push(change);
+    }
+
+    /// Shows the changes added; `unix_of` turns monotonic times into those of the wall clock, ns.
+    pub(super) fn update(&mut self, history: &AlarmHistory, unix_of: impl Fn(u64) -> u64) {
+        if self.untold.is_empty() {
+            return;
+        }
+        let mut alarms = Alarms::clone(&self.newest);
+        for change in self.untold.drain(..) {
+            alarms.number += 1;
+            alarms.changes.push_front(ChangeRecord {
+                robot: change.robot,
+                alarm: change.alarm.name(),
+                change: change.change.name(),
+                at_unix_ns: unix_of(change.at_ns),
+                raised_unix_ns: unix_of(change.raised_ns),
+            });
+            alarms.changes.truncate(MOST_CHANGES);
+        }
+        let raised = history
+            .raised()
+            .map(|(robot, alarm, since_ns)| RaisedRecord {
+                robot,
+                alarm: alarm.name(),
+                since_unix_ns: unix_of(since_ns),
+            });
+        alarms.raised = raised.collect();
+        self.newest = Arc::new(alarms);
+    }
+
+    /// What clients get.
+    pub(super) fn newest(&self) -> Arc<Alarms> {
+        Arc::clone(&self.newest)
+    }
+}

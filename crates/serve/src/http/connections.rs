@@ -1,0 +1,235 @@
+//! Connections: how many, how long they may take, and which one gives way.
+//!
+//! A connection without a request is idle. When all places are taken, the one that has been idle longest is closed for
+//! a new one, so that idle connections keep nobody out; only streams and requests being answered keep their places.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use axum::body::{Body, Bytes, HttpBody};
+use hyper::body::{Frame, SizeHint};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::TcpStream;
+use tokio::sync::Notify;
+use tokio::time::{Sleep, sleep};
+
+/// Most connections.
+pub(super) const MOST_CONNECTIONS: usize = 256;
+/// A client that has accepted no bytes for this time is disconnected.
+const WRITE_LIMIT: Duration = Duration::from_secs(10);
+
+/// A connection.
+#[derive(Debug, Default)]
+pub(super) struct Connection {
+    /// Requests being answered, streams included.
+    busy: AtomicUsize,
+    close: Notify,
+}
+
+impl Connection {
+    /// Waits until it must give way.
+    pub(super) async fn closed(&self) {
+        self.close.notified().await;
+    }
+}
+
+/// All connections by their number, which rises.
+#[derive(Debug, Default)]
+pub(super) struct Connections {
+    open: Mutex<(u64, BTreeMap<u64, Arc<Connection>>)>,
+}
+
+/// A connection's place; given back when dropped.
+#[derive(Debug)]
+pub(super) struct Place {
+    connections: Arc<Connections>,
+    number: u64,
+    pub(super) connection: Arc<Connection>,
+}
+
+impl Connections {
+    /// A place for one more; none if all are taken by requests being answered.
+    pub(super) fn enter(self: &Arc<Self>) -> Option<Place> {
+        let mut open = self.lock();
+        let (number, connections) = &mut *open;
+        if connections.len() >= MOST_CONNECTIONS {
+            let is_idle = |connection: &Connection| connection.busy.load(Ordering::Relaxed) == 0;
+            let idle = connections
+                .iter()
+                .find(|(_, connection)| is_idle(connection));
+            let idle = *idle?.0;
+            // Its own place is given back later, to nobody.
+            if let Some(connection) = connections.remove(&idle) {
+                connection.close.notify_one();
+            }
+        }
+        *number += 1;
+        let connection = Arc::new(Connection::default());
+        connections.insert(*number, Arc::clone(&connection));
+        Some(Place {
+            connections: Arc::clone(self),
+            number: *number,
+            connection,
+        })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, (u64, BTreeMap<u64, Arc<Connection>>)> {
+        // Nothing panics while it is held.
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.connections.lock().1.remove(&self.number);
+    }
+}
+
+/// Marks a connection as busy for its lifetime.
+#[derive(Debug)]
+pub(super) struct Busy(Arc<Connection>);
+
+impl Busy {
+    pub(super) fn new(connection: &Arc<Connection>) -> Self {
+        connection.busy.fetch_add(1, Ordering::Relaxed);
+        Self(Arc::clone(connection))
+    }
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        self.0.busy.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// A response's body, whose connection is busy until it has been sent or dropped.
+#[derive(Debug)]
+pub(super) struct Marked {
+    body: Body,
+    _busy: Busy,
+}
+
+impl Marked {
+    pub(super) const fn new(body: Body, busy: Busy) -> Self {
+        Self { body, _busy: busy }
+    }
+}
+
+impl HttpBody for Marked {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(cx)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+/// A stream whose writes fail when the client accepts nothing for [`WRITE_LIMIT`].
+#[derive(Debug)]
+pub(super) struct Watched {
+    stream: TcpStream,
+    /// Runs while a write waits.
+    limit: Option<Pin<Box<Sleep>>>,
+}
+
+impl Watched {
+    pub(super) const fn new(stream: TcpStream) -> Self {
+        Self {
+            stream,
+            limit: None,
+        }
+    }
+
+    /// The result of a write, or an error if it has waited for too long.
+    fn watch<T>(
+        &mut self,
+        cx: &mut Context<'_>,
+        written: Poll<io::Result<T>>,
+    ) -> Poll<io::Result<T>> {
+        if written.is_ready() {
+            self.limit = None;
+            return written;
+        }
+        let limit = self
+            .limit
+            .get_or_insert_with(|| Box::pin(sleep(WRITE_LIMIT)));
+        match limit.as_mut().poll(cx) {
+            Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
+            Poll::Pending => Poll::Pending,
+        }
+    }
+}
+
+impl AsyncRead for Watched {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_read(cx, buffer)
+    }
+}
+
+impl AsyncWrite for Watched {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        let written = Pin::new(&mut self.stream).poll_write(cx, bytes);
+        self.watch(cx, written)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(cx)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_longest_idle_connection_gives_way_and_busy_ones_do_not() {
+        let connections = Arc::new(Connections::default());
+        let places: Vec<Place> = (0..MOST_CONNECTIONS)
+            .filter_map(|_| connections.enter())
+            .collect();
+        assert_eq!(places.len(), MOST_CONNECTIONS);
+        let busy: Vec<Busy> = places
+            .iter()
+            .skip(2)
+            .map(|place| Busy::new(&place.connection))
+            .collect();
+        let first = connections.enter().expect("the first is idle");
+        let second = connections.enter().expect("the second is idle");
+        let numbers: Vec<u64> = connections.lock().1.keys().copied().collect();
+        assert!(!numbers.contains(&places[0].number) && !numbers.contains(&places[1].number));
+        let _all = [&first, &second].map(|place| Busy::new(&place.connection));
+        assert!(connections.enter().is_none());
+        drop(busy);
+        // Closed connections give nobody's place back.
+        drop(places);
+        assert_eq!(connections.lock().1.len(), 2);
+    }
+}

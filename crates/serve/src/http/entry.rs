@@ -1,0 +1,30 @@
+//! One robot at one time.
+
+use std::sync::{Arc, OnceLock};
+
+use joulebus_board::Newest;
+use joulebus_wire::forecast_flag;
+use serde_json::{Map, Value};
+
+/// A JSON object.
+pub(super) type Object = Map<String, Value>;
+
+/// The newest rows of one robot.
+#[derive(Debug)]
+pub(super) struct Entry {
+    pub(super) robot: u32,
+    /// Place in the names of platforms.
+    pub(super) platform: Option<usize>,
+    pub(super) newest: Newest,
+    /// As JSON, once it is needed.
+    pub(super) record: OnceLock<Arc<Object>>,
+}
+
+impl Entry {
+    /// Time since the stamp of its newest sample, ns; none if it was never heard.
+    pub(super) fn sample_age_ns(&self, now_ns: u64) -> Option<u64> {
+        let forecast = &self.newest.forecast;
+        let heard = forecast.flags & forecast_flag::SAMPLE != 0;
+        heard.then(|| now_ns.saturating_sub(forecast.stamp_ns))
+    }
+}

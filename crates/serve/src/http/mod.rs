@@ -1,0 +1,358 @@
+//! `joulebus serve --http`: a page, an API and metrics of a fleet.
+//!
+//! One thread reads shared memory ([`reader`]), another answers all clients ([`connections`], [`api`]). The reading
+//! thread replaces one shared snapshot ten times a second and never waits for a client; a message is made of the newest
+//! snapshot when a client can take it, so that nothing is queued for slow ones.
+
+mod access;
+mod alarms;
+mod api;
+mod connections;
+mod entry;
+mod error;
+mod fleet;
+mod history;
+mod metrics;
+mod page;
+mod plan_rows;
+mod reader;
+mod snapshot;
+mod sort;
+mod stream;
+mod totals;
+mod view;
+mod what_if;
+
+use std::convert::Infallible;
+use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use axum::Router;
+use axum::body::Body;
+use axum::http::{HeaderValue, Request, StatusCode, header};
+use axum::response::{IntoResponse as _, Response};
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::{Service as _, service_fn};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use joulebus_bus::inspect;
+use joulebus_config::Config;
+use joulebus_program::exit::UsageError;
+use joulebus_program::output::say;
+use serde::Serialize;
+use tokio::net::TcpStream;
+use tokio::sync::{Notify, watch};
+
+use access::{Access, COOKIE, Rates, Token};
+use api::App;
+use connections::{Busy, Connection, Connections, Marked, Place, Watched};
+use error::ApiError;
+use fleet::Recorder;
+use reader::Reader;
+
+/// A request's head must have arrived within this time; so must the next one of an open connection begin.
+const HEAD_LIMIT: Duration = Duration::from_secs(5);
+/// Largest head of a request, bytes, and most of its fields.
+const MOST_HEAD_BYTES: usize = 16 << 10;
+const MOST_HEADERS: usize = 64;
+/// Bytes that the system keeps for a client that does not take them.
+const SEND_BUFFER_BYTES: usize = 64 << 10;
+/// Interval of looking for recorders.
+const INSPECT_EVERY: Duration = Duration::from_secs(5);
+/// Name of a recorder's node.
+const RECORDER: &str = "recorder";
+/// After a failed `accept`: no free descriptor, which passes.
+const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
+
+/// What is served, where and to whom.
+#[derive(Debug, Clone)]
+pub(crate) struct Options {
+    pub(crate) address: SocketAddr,
+    pub(crate) token_file: Option<PathBuf>,
+    pub(crate) allow_host: Vec<String>,
+    pub(crate) metrics_robots: usize,
+}
+
+/// What was served.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct HttpReport {
+    pub(crate) address: String,
+    /// Requests answered, refused ones included.
+    pub(crate) requests: u64,
+    /// Requests refused for their host, token or rate.
+    pub(crate) refused: u64,
+    /// Messages sent on streams.
+    pub(crate) messages: u64,
+}
+
+/// The running server.
+pub(crate) struct HttpServer {
+    address: SocketAddr,
+    reader: Reader,
+    shared: Arc<Shared>,
+    web: Option<JoinHandle<()>>,
+}
+
+/// What connections share.
+struct Shared {
+    app: Arc<App>,
+    router: Router,
+    access: Access,
+    rates: Mutex<Rates>,
+    connections: Arc<Connections>,
+    requests: AtomicU64,
+    refused: AtomicU64,
+    end: Notify,
+}
+
+impl HttpServer {
+    /// Joins the fleet and serves it.
+    ///
+    /// # Errors
+    /// An address that others reach without a token; a token file that cannot be used; the fleet cannot be joined, or
+    /// the address not be listened at.
+    pub(crate) fn start(config: &Config, options: &Options) -> anyhow::Result<Self> {
+        let address = options.address;
+        let token = options.token_file.as_deref().map(Token::read).transpose();
+        let token = token.map_err(|error| UsageError(error.to_string()))?;
+        if token.is_none() && !address.ip().is_loopback() {
+            let text = format!(
+                "{address} can be reached from other hosts: give --token-file FILE (mode 0600), or serve at \
+                 127.0.0.1 behind a proxy with TLS (docs/operators.md)"
+            );
+            return Err(UsageError(text).into());
+        }
+        let failed = || format!("cannot listen at {address}");
+        let listener = TcpListener::bind(address).with_context(failed)?;
+        listener.set_nonblocking(true).with_context(failed)?;
+        let address = listener.local_addr().with_context(failed)?;
+        let reader = Reader::start(config)?;
+        let app = Arc::new(App::new(
+            config.clone(),
+            reader.snapshots.clone(),
+            reader.asks.clone(),
+            options.metrics_robots,
+        ));
+        let shared = Arc::new(Shared {
+            router: api::router(Arc::clone(&app)),
+            app,
+            access: Access {
+                token,
+                hosts: options.allow_host.clone(),
+            },
+            rates: Mutex::default(),
+            connections: Arc::default(),
+            requests: AtomicU64::new(0),
+            refused: AtomicU64::new(0),
+            end: Notify::new(),
+        });
+        let inside = Arc::clone(&shared);
+        let (config, recorders) = (config.clone(), reader.recorders.clone());
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .thread_name("joulebus-compute")
+            .max_blocking_threads(1)
+            .build()
+            .context("cannot start the server's runtime")?;
+        let web = thread::Builder::new()
+            .name("joulebus-http".to_owned())
+            .spawn(move || {
+                runtime.block_on(async {
+                    tokio::select! {
+                        () = accept(listener, &inside) => {}
+                        () = look_for_recorders(config, recorders) => {}
+                        () = inside.end.notified() => {}
+                    }
+                });
+                // A question being computed is not waited for.
+                runtime.shutdown_background();
+            });
+        Ok(Self {
+            address,
+            reader,
+            shared,
+            web: Some(web.context("cannot start a thread")?),
+        })
+    }
+
+    /// Where it listens.
+    pub(crate) const fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Whether it has ended by itself; [`HttpServer::finish`] tells why.
+    pub(crate) fn is_over(&self) -> bool {
+        self.reader.is_over() || self.web.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
+    /// Closes all connections and leaves the fleet.
+    ///
+    /// # Errors
+    /// What ended it.
+    pub(crate) fn finish(mut self) -> anyhow::Result<HttpReport> {
+        self.shared.end.notify_one();
+        let web = self.web.take().map_or(Ok(()), JoinHandle::join);
+        self.reader.finish()?;
+        web.map_err(|_| anyhow::anyhow!("the server's thread panicked"))?;
+        Ok(HttpReport {
+            address: format!("http://{}", self.address),
+            requests: self.shared.requests.load(Ordering::Relaxed),
+            refused: self.shared.refused.load(Ordering::Relaxed),
+            messages: self.shared.app.messages.load(Ordering::Relaxed),
+        })
+    }
+}
+
+/// Accepts connections for ever.
+async fn accept(listener: TcpListener, shared: &Arc<Shared>) {
+    let listener = match tokio::net::TcpListener::from_std(listener) {
+        Ok(listener) => listener,
+        Err(error) => return say(&format!("error: the server cannot listen: {error}")),
+    };
+    loop {
+        match listener.accept().await {
+            Ok((stream, peer)) => match shared.connections.enter() {
+                Some(place) => drop(tokio::spawn(serve(
+                    stream,
+                    peer.ip(),
+                    place,
+                    Arc::clone(shared),
+                ))),
+                // All are busy: the client sees that it is closed.
+                None => drop(stream),
+            },
+            Err(error) => {
+                tracing::warn!(%error, "a connection was not accepted");
+                tokio::time::sleep(ACCEPT_AGAIN).await;
+            }
+        }
+    }
+}
+
+/// Serves a connection until it ends or gives way.
+async fn serve(stream: TcpStream, peer: IpAddr, place: Place, shared: Arc<Shared>) {
+    // Only how much a client may leave untaken, and how soon it is sent: the connection works without.
+    let _ = stream.set_nodelay(true);
+    let _ = rustix::net::sockopt::set_socket_send_buffer_size(&stream, SEND_BUFFER_BYTES);
+    let connection = Arc::clone(&place.connection);
+    let respond = service_fn(|request| {
+        let (shared, connection) = (Arc::clone(&shared), Arc::clone(&connection));
+        async move { Ok::<_, Infallible>(respond(request, peer, &shared, &connection).await) }
+    });
+    let served = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEAD_LIMIT)
+        .max_header_size(MOST_HEAD_BYTES)
+        .max_headers(MOST_HEADERS)
+        .serve_connection(TokioIo::new(Watched::new(stream)), respond);
+    tokio::select! {
+        result = served => {
+            if let Err(error) = result {
+                tracing::debug!(%error, "a connection ended");
+            }
+        }
+        () = place.connection.closed() => {}
+    }
+}
+
+/// Answers one request.
+async fn respond(
+    request: Request<Incoming>,
+    peer: IpAddr,
+    shared: &Arc<Shared>,
+    connection: &Arc<Connection>,
+) -> Response {
+    let busy = Busy::new(connection);
+    shared.requests.fetch_add(1, Ordering::Relaxed);
+    let is_page = request.uri().path() == "/";
+    let response = match shared.check(&request, peer) {
+        Err(refusal) => {
+            shared.refused.fetch_add(1, Ordering::Relaxed);
+            if is_page && refusal.status == StatusCode::UNAUTHORIZED {
+                page::closed()
+            } else {
+                refusal.into_response()
+            }
+        }
+        Ok(Some(entered)) => entered,
+        Ok(None) => {
+            let router = TowerToHyperService::new(shared.router.clone());
+            match router.call(request.map(Body::new)).await {
+                Ok(response) => response,
+                Err(never) => match never {},
+            }
+        }
+    };
+    finish(response, busy)
+}
+
+impl Shared {
+    /// Whether a request is answered; with a token in the address, by a cookie and the way to the page.
+    fn check(
+        &self,
+        request: &Request<Incoming>,
+        peer: IpAddr,
+    ) -> Result<Option<Response>, ApiError> {
+        let mut rates = self.rates.lock().unwrap_or_else(PoisonError::into_inner);
+        rates.take(peer, Instant::now())?;
+        drop(rates);
+        let (uri, headers) = (request.uri(), request.headers());
+        let Some(token) = self.access.token_of(uri) else {
+            return self.access.check(uri, headers).map(|()| None);
+        };
+        self.access.check_host(headers)?;
+        let cookie = format!("{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/");
+        let headers = [
+            (header::LOCATION, "/"),
+            (header::SET_COOKIE, cookie.as_str()),
+        ];
+        Ok(Some((StatusCode::SEE_OTHER, headers).into_response()))
+    }
+}
+
+/// What every response has, and the mark of its connection until its body has been sent.
+fn finish(response: Response, busy: Busy) -> Response {
+    let (mut parts, body) = response.into_parts();
+    for (name, value) in [
+        (
+            header::CONTENT_SECURITY_POLICY,
+            "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+        ),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+    ] {
+        parts.headers.insert(name, HeaderValue::from_static(value));
+    }
+    let cache = parts.headers.entry(header::CACHE_CONTROL);
+    cache.or_insert(HeaderValue::from_static("no-store"));
+    let body = Marked::new(body, busy);
+    Response::from_parts(parts, Body::new(body))
+}
+
+/// Looks for processes that record, for ever.
+async fn look_for_recorders(config: Config, found: watch::Sender<Option<Vec<Recorder>>>) {
+    loop {
+        let config = config.clone();
+        let looked = tokio::task::spawn_blocking(move || recorders(&config));
+        found.send_replace(looked.await.ok().flatten());
+        tokio::time::sleep(INSPECT_EVERY).await;
+    }
+}
+
+/// The processes that record; none if that cannot be found out.
+fn recorders(config: &Config) -> Option<Vec<Recorder>> {
+    let inspection = inspect(&config.domain().ok()?).ok()?;
+    let nodes = inspection.nodes.into_iter();
+    let recorders = nodes.filter(|node| node.alive != Some(false) && node.name == RECORDER);
+    let recorders = recorders.map(|node| Recorder {
+        name: node.name,
+        pid: node.pid,
+    });
+    Some(recorders.collect())
+}

@@ -1,0 +1,161 @@
+//! What clients are shown: a copy of the newest rows at one time, from which each window is cut.
+
+use std::ops::RangeInclusive;
+use std::sync::{Arc, OnceLock};
+
+use joulebus_board::{Board, RobotRecord};
+use joulebus_settings::FleetSettings;
+use joulebus_wire::fnv1a;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::alarms::Alarms;
+use super::entry::{Entry, Object};
+use super::fleet::FleetRecord;
+use super::sort::Sort;
+use super::totals::Accumulated;
+
+/// Names of platforms, and whose they are.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Platforms {
+    names: Vec<String>,
+    robots: Vec<(RangeInclusive<u32>, usize)>,
+}
+
+impl Platforms {
+    pub(super) fn of(settings: &FleetSettings) -> Self {
+        let mut platforms = Self::default();
+        for (place, platform) in settings.platforms.iter().enumerate() {
+            platforms.names.push(platform.name.clone());
+            let ranges = platform.robots.iter().map(|ids| (ids.clone(), place));
+            platforms.robots.extend(ranges);
+        }
+        platforms
+    }
+
+    fn of_robot(&self, robot: u32) -> Option<usize> {
+        let found = self.robots.iter().find(|(ids, _)| ids.contains(&robot));
+        found.map(|(_, place)| *place)
+    }
+}
+
+#[derive(Serialize)]
+struct ShownRecord<'a> {
+    #[serde(flatten)]
+    record: RobotRecord,
+    platform: Option<&'a str>,
+    /// Time since the stamp of its newest sample, s, in tenths.
+    sample_age_s: Option<f64>,
+}
+
+/// A fleet at one time. What is computed from it is computed once for all clients.
+#[derive(Debug)]
+pub(super) struct Snapshot {
+    pub(super) fleet: FleetRecord,
+    pub(super) alarms: Arc<Alarms>,
+    pub(super) accumulated: Accumulated,
+    /// Monotonic.
+    pub(super) at_ns: u64,
+    platforms: Arc<Platforms>,
+    /// By id.
+    entries: Vec<Entry>,
+    /// Of the robots' levels: an order by urgency may change with it.
+    levels_hash: u64,
+    orders: [[OnceLock<Vec<u32>>; 2]; Sort::ALL.len()],
+    fleet_object: OnceLock<Arc<Object>>,
+}
+
+impl Snapshot {
+    pub(super) fn new(
+        board: &Board,
+        fleet: FleetRecord,
+        alarms: Arc<Alarms>,
+        accumulated: Accumulated,
+        at_ns: u64,
+        platforms: Arc<Platforms>,
+    ) -> Self {
+        let rows = board.rows.iter().map(|(robot, row)| Entry {
+            robot: *robot,
+            platform: platforms.of_robot(*robot),
+            newest: row.newest(),
+            record: OnceLock::new(),
+        });
+        let levels = board.rows.iter().flat_map(|(robot, row)| {
+            let level = row.level().code().to_le_bytes();
+            robot.to_le_bytes().into_iter().chain(level)
+        });
+        Self {
+            entries: rows.collect(),
+            fleet,
+            alarms,
+            accumulated,
+            at_ns,
+            levels_hash: fnv1a(levels),
+            orders: Default::default(),
+            fleet_object: OnceLock::new(),
+            platforms,
+        }
+    }
+
+    pub(super) fn platforms(&self) -> &[String] {
+        &self.platforms.names
+    }
+
+    /// All robots, by id.
+    pub(super) fn entries(&self) -> &[Entry] {
+        &self.entries
+    }
+
+    pub(super) fn entry(&self, place: u32) -> &Entry {
+        &self.entries[place as usize]
+    }
+
+    pub(super) const fn levels_hash(&self) -> u64 {
+        self.levels_hash
+    }
+
+    /// Places of all robots in an order.
+    pub(super) fn order(&self, sort: Sort, descending: bool) -> &[u32] {
+        self.orders[sort as usize][usize::from(descending)].get_or_init(|| {
+            let mut places: Vec<u32> = (0..self.entries.len() as u32).collect();
+            places
+                .sort_unstable_by(|a, b| sort.compare(descending, self.entry(*a), self.entry(*b)));
+            places
+        })
+    }
+
+    /// A robot as in `watch --format json`, with its platform.
+    pub(super) fn robot(&self, robot: u32) -> Option<Arc<Object>> {
+        let place = self
+            .entries
+            .binary_search_by_key(&robot, |entry| entry.robot)
+            .ok()?;
+        let entry = &self.entries[place];
+        let record = entry.record.get_or_init(|| {
+            object(&ShownRecord {
+                record: RobotRecord::of(robot, &entry.newest),
+                sample_age_s: entry
+                    .sample_age_ns(self.at_ns)
+                    .map(|age_ns| (age_ns / 100_000_000) as f64 * 0.1),
+                platform: entry
+                    .platform
+                    .map(|place| self.platforms.names[place].as_str()),
+            })
+        });
+        Some(Arc::clone(record))
+    }
+
+    /// The fleet as an object.
+    pub(super) fn fleet_object(&self) -> &Arc<Object> {
+        self.fleet_object.get_or_init(|| object(&self.fleet))
+    }
+}
+
+/// A value as an object.
+pub(super) fn object(value: &impl Serialize) -> Arc<Object> {
+    match serde_json::to_value(value) {
+        Ok(Value::Object(object)) => Arc::new(object),
+        // Records have names, and only those.
+        _ => Arc::default(),
+    }
+}

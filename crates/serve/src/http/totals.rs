@@ -1,0 +1,135 @@
+//! Counters that never fall while this program runs, whatever workers are restarted and robots leave.
+
+use std::collections::HashMap;
+
+use joulebus_board::{Board, Counted};
+use joulebus_wire::{DropCounts, QueryCounts, budget_flag};
+
+/// Most robots whose ledger is remembered after they have left.
+const MOST_ROBOTS: usize = 65_536;
+
+/// Counters of a fleet.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Accumulated {
+    pub(super) ticks: u64,
+    pub(super) ticks_skipped: u64,
+    pub(super) ticks_late: u64,
+    pub(super) samples_accepted: u64,
+    pub(super) samples_dropped: DropCounts,
+    pub(super) queries: QueryCounts,
+    /// Energy that the robots have consumed, µJ.
+    pub(super) consumed_uj: u64,
+    pub(super) tick: Counted,
+    pub(super) latency: Counted,
+}
+
+/// A robot's ledger as it was last seen.
+#[derive(Debug, Clone, Copy, Default)]
+struct Ledger {
+    metered_ns: u64,
+    /// The most that it has counted, µJ: energy given back is no consumption.
+    most_uj: i64,
+}
+
+/// Adds up what ledgers count, which begin again at 0 with another ledger.
+#[derive(Debug, Default)]
+pub(super) struct Accumulator {
+    ledgers: HashMap<u32, Ledger>,
+    consumed_uj: u64,
+    queries: QueryCounts,
+    /// Of earlier runs of workers.
+    queries_before: QueryCounts,
+}
+
+impl Accumulator {
+    pub(super) fn add(&mut self, board: &Board) -> Accumulated {
+        for (robot, row) in &board.rows {
+            let ledger = row
+                .budget
+                .filter(|budget| budget.flags & budget_flag::LEDGER != 0);
+            if let Some(budget) = ledger {
+                self.drawn(*robot, budget.metered_ns, budget.drawn_uj);
+            }
+        }
+        if self.ledgers.len() > MOST_ROBOTS {
+            self.ledgers
+                .retain(|robot, _| board.rows.contains_key(robot));
+        }
+        let (ticks, ticks_skipped, ticks_late) = board.ticks();
+        Accumulated {
+            ticks,
+            ticks_skipped,
+            ticks_late,
+            samples_accepted: board.accepted(),
+            samples_dropped: board.dropped(),
+            queries: self.queried(board.queries.unwrap_or_default()),
+            consumed_uj: self.consumed_uj,
+            tick: board.stages.compute_counted,
+            latency: board.stages.total_counted,
+        }
+    }
+
+    fn drawn(&mut self, robot: u32, metered_ns: u64, drawn_uj: i64) {
+        let ledger = self.ledgers.entry(robot).or_default();
+        if metered_ns < ledger.metered_ns {
+            // Another ledger.
+            *ledger = Ledger::default();
+        }
+        let more_uj = drawn_uj.saturating_sub(ledger.most_uj).max(0);
+        ledger.metered_ns = metered_ns;
+        ledger.most_uj += more_uj;
+        self.consumed_uj = self.consumed_uj.saturating_add(more_uj.unsigned_abs());
+    }
+
+    fn queried(&mut self, newest: QueryCounts) -> QueryCounts {
+        if newest.answered < self.queries.answered {
+            self.queries_before = sum(self.queries_before, self.queries);
+        }
+        self.queries = newest;
+        sum(self.queries_before, newest)
+    }
+}
+
+fn sum(mut counts: QueryCounts, more: QueryCounts) -> QueryCounts {
+    counts.answered += more.answered;
+    for (sum, more) in counts.refused.iter_mut().zip(more.refused) {
+        *sum += more;
+    }
+    counts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ledger_that_begins_again_adds_what_it_counts() {
+        let mut accumulator = Accumulator::default();
+        for (robot, metered_ns, drawn_uj, total_uj) in [
+            (1, 100, 10, 10),
+            (2, 100, 5, 15),
+            (1, 200, 12, 17),
+            // Gives 2 µJ back, and takes 3.
+            (1, 300, 10, 17),
+            (1, 400, 13, 18),
+            (1, 50, 3, 21),
+            (2, 200, 6, 22),
+            (3, 10, -5, 22),
+        ] {
+            accumulator.drawn(robot, metered_ns, drawn_uj);
+            assert_eq!(accumulator.consumed_uj, total_uj);
+        }
+    }
+
+    #[test]
+    fn questions_of_another_worker_are_added() {
+        let mut accumulator = Accumulator::default();
+        for (answered, total) in [(3, 3), (7, 7), (1, 8), (2, 9), (0, 9)] {
+            let counts = QueryCounts {
+                answered,
+                ..QueryCounts::default()
+            };
+            assert_eq!(accumulator.queried(counts).answered, total);
+        }
+    }
+}

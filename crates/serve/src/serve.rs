@@ -1,0 +1,98 @@
+//! `joulebus serve`: one process, one or both of the ways to look into a fleet.
+
+use std::fmt;
+use std::time::Duration;
+
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::{Output, say};
+use joulebus_program::stop::Stop;
+use joulebus_program::verbs::serve::ServeArguments;
+use serde::Serialize;
+
+use crate::foxglove::{Foxglove, FoxgloveReport};
+use crate::http::{HttpReport, HttpServer, Options};
+
+/// Interval of checking whether to stop.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+#[derive(Debug, Serialize)]
+struct ServeReport {
+    fleet: String,
+    #[serde(flatten)]
+    foxglove: Option<FoxgloveReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    http: Option<HttpReport>,
+}
+
+pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outcome> {
+    let stop = Stop::on_signals()?;
+    let config = args.config.load()?;
+    let http = args.http.map(|address| {
+        let options = Options {
+            address,
+            token_file: args.token_file.clone(),
+            allow_host: args.allow_host.clone(),
+            metrics_robots: args.metrics_robots,
+        };
+        HttpServer::start(&config, &options)
+    });
+    let http = http.transpose()?;
+    let foxglove = args.foxglove.then(|| Foxglove::start(args, &config));
+    let foxglove = foxglove.transpose()?;
+    let fleet = config.fleet();
+    if let Some(http) = &http {
+        say(&format!(
+            "serving fleet {fleet} at http://{}",
+            http.address()
+        ));
+    }
+    if let Some(foxglove) = &foxglove {
+        say(&format!("serving fleet {fleet} at {}", foxglove.address()));
+    }
+    let is_over = || {
+        http.as_ref().is_some_and(HttpServer::is_over)
+            || foxglove.as_ref().is_some_and(Foxglove::is_over)
+    };
+    while !stop.is_asked() && !is_over() {
+        std::thread::sleep(LOOK_EVERY);
+    }
+    let foxglove = foxglove.map(Foxglove::finish).transpose()?;
+    let http = http.map(HttpServer::finish).transpose()?;
+    let lost = foxglove.as_ref().is_some_and(|foxglove| foxglove.lost > 0);
+    output.report(&ServeReport {
+        fleet: fleet.to_owned(),
+        foxglove,
+        http,
+    })?;
+    Ok(Outcome::unless_lost(lost))
+}
+
+impl fmt::Display for ServeReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let fleet = &self.fleet;
+        if let Some(foxglove) = &self.foxglove {
+            let FoxgloveReport {
+                address,
+                messages,
+                lost,
+            } = foxglove;
+            writeln!(
+                out,
+                "served fleet {fleet} at {address}: {messages} messages, {lost} lost"
+            )?;
+        }
+        if let Some(http) = &self.http {
+            let HttpReport {
+                address,
+                requests,
+                refused,
+                messages,
+            } = http;
+            writeln!(
+                out,
+                "served fleet {fleet} at {address}: {requests} requests, {refused} refused, {messages} messages"
+            )?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,115 @@
+//! A fleet of real processes.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use joulebus_config::Config;
+use joulebus_test_processes::Child;
+
+/// The `joulebus` program of the same build; built if only this package's tests were.
+fn joulebus() -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| {
+        let program = Path::new(env!("CARGO_BIN_EXE_joulebus-serve")).with_file_name("joulebus");
+        if !program.exists() {
+            let mut build = Command::new(env!("CARGO"));
+            build.args([
+                "build",
+                "--quiet",
+                "--locked",
+                "--package",
+                "joulebus",
+                "--bin",
+                "joulebus",
+            ]);
+            assert!(build.status().unwrap().success());
+        }
+        program
+    })
+}
+
+pub(crate) struct Fleet {
+    directory: tempfile::TempDir,
+    config: Config,
+}
+
+impl Fleet {
+    pub(crate) fn new() -> Self {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let root = format!("/dev/shm/jbhttp-{}-{number}", std::process::id());
+        let text = format!(
+            "[fleet]\nname = \"http\"\ncapacity = 40\n\
+             [domain]\nroot = \"{root}\"\nprefix = \"jbhttp_\"\n\
+             [intake]\nmax_sources = 4\n[readers]\nmax_planners = 8\n\
+             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-19\"]\n\
+             [[platform]]\nfile = \"builtin:rover\"\nrobots = [\"100-109\"]\n"
+        );
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("fleet.toml");
+        fs::write(&path, text).unwrap();
+        let config = Config::load(path).unwrap();
+        Self { directory, config }
+    }
+
+    pub(crate) fn path(&self) -> PathBuf {
+        self.directory.path().join("fleet.toml")
+    }
+
+    pub(crate) fn file(&self, name: &str) -> PathBuf {
+        self.directory.path().join(name)
+    }
+
+    /// Starts a verb of the program.
+    pub(crate) fn joulebus(&self, words: &str) -> Child {
+        let mut command = Command::new(joulebus());
+        command
+            .args(words.split(' '))
+            .arg("--config")
+            .arg(self.path());
+        command.env_remove("JOULEBUS_LOG");
+        Child::spawn(words, command)
+    }
+
+    /// Starts a worker.
+    pub(crate) fn worker(&self) -> Child {
+        let mut worker = self.joulebus("run");
+        worker.wait_for_line("ready:");
+        worker
+    }
+
+    /// Starts a server at a free port; returns it and its address.
+    pub(crate) fn serve(&self, more: &[&str]) -> (Child, String) {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
+        if !more.contains(&"--http") {
+            command.args(["--http", "127.0.0.1:0"]);
+        }
+        command
+            .args(["--format", "json", "--config"])
+            .arg(self.path());
+        command.args(more).env_remove("JOULEBUS_LOG");
+        let mut server = Child::spawn("serve", command);
+        let line = server.wait_for_line("serving fleet http at http://");
+        let address = line.rsplit('/').next().unwrap().to_owned();
+        (server, address)
+    }
+
+    /// Files left behind by the fleet.
+    pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
+        let prefix = self.config.domain().unwrap().shm_prefix().to_owned();
+        let shared = fs::read_dir("/dev/shm").unwrap().flatten();
+        let ours = shared.map(|entry| entry.path()).filter(|path| {
+            let name = path.file_name().unwrap().to_string_lossy();
+            name.starts_with(&prefix)
+        });
+        let root = self
+            .config
+            .root()
+            .exists()
+            .then(|| self.config.root().to_owned());
+        ours.chain(root).collect()
+    }
+}

@@ -1,0 +1,107 @@
+#!/usr/bin/env python3
+"""What a page with many browsers costs the worker: its tick times without and with them, in turn.
+
+    cargo build --release -p joulebus -p joulebus-serve
+    tools/page_load.py --browsers 50 --robots 100 --seconds 30 --rounds 3
+
+Each run has a worker and a source of its own; a browser is a stream of 50 rows and a robot at 5 Hz, as the page opens it.
+Prints p99 and p99.9 of the worker's ticks, µs, of each run, and their medians.
+"""
+
+import argparse
+import json
+import signal
+import socket
+import statistics
+import subprocess
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+CONFIG = """[fleet]
+name = "load"
+capacity = {capacity}
+[domain]
+root = "/dev/shm/jbload-{number}"
+prefix = "jbload_"
+[[platform]]
+file = "builtin:gternal"
+robots = ["0-{last}"]
+"""
+
+
+def browser(address, stop, counts, place):
+    """Reads a stream and counts its events."""
+    host, port = address.split(":")
+    with socket.create_connection((host, int(port))) as stream:
+        stream.settimeout(10)
+        request = f"GET /api/v1/stream?count=50&robot=1&hz=5 HTTP/1.1\r\nHost: {address}\r\n\r\n"
+        stream.sendall(request.encode())
+        while not stop.is_set():
+            received = stream.recv(1 << 16)
+            if not received:
+                return
+            counts[place] += received.count(b"event: ")
+
+
+def run(programs, config, browsers, args):
+    """The worker's report of one run, and the events that browsers received."""
+    named = ["--config", str(config)]
+    worker = subprocess.Popen(
+        [programs / "joulebus", "--format", "json", "run", *named],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while "ready:" not in worker.stderr.readline():
+        pass
+    source = subprocess.Popen(
+        [programs / "joulebus", "publish", "sim", "--robots", str(args.robots), *named],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    stop, counts, threads, server = threading.Event(), [0] * browsers, [], None
+    if browsers:
+        server = subprocess.Popen(
+            [programs / "joulebus-serve", "--http", "127.0.0.1:0", *named],
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        address = server.stderr.readline().strip().rsplit("/", 1)[1]
+        for place in range(browsers):
+            thread = threading.Thread(target=browser, args=(address, stop, counts, place))
+            thread.start()
+            threads.append(thread)
+    time.sleep(args.seconds)
+    stop.set()
+    for thread in threads:
+        thread.join()
+    for process in (server, source):
+        if process:
+            process.send_signal(signal.SIGTERM)
+            process.wait()
+    worker.send_signal(signal.SIGTERM)
+    report, _ = worker.communicate()
+    return json.loads(report), sum(counts)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--browsers", type=int, default=50)
+    parser.add_argument("--robots", type=int, default=100)
+    parser.add_argument("--seconds", type=float, default=30)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--programs", type=Path, default=Path(__file__).parent.parent / "target/release")
+    args = parser.parse_args()
+    found = {0: [], args.browsers: []}
+    with tempfile.TemporaryDirectory() as directory:
+        for number in range(args.rounds):
+            for browsers in found:
+                config = Path(directory) / "fleet.toml"
+                config.write_text(CONFIG.format(capacity=args.robots, last=args.robots - 1, number=number))
+                report, events = run(args.programs, config, browsers, args)
+                tick = report["tick"]
+                found[browsers].append((tick["p99_us"], tick["p999_us"]))
+                print(f"{browsers:>3} browsers: ticks {report['ticks']}, p99 {tick['p99_us']:.0f}, "
+                      f"p99.9 {tick['p999_us']:.0f} µs, skipped {report['ticks_skipped']}, events {events}", flush=True)
+    for place, name in enumerate(["p99", "p99.9"]):
+        without, beside = (statistics.median(run[place] for run in runs) for runs in found.values())
+        print(f"{name}: {without:.0f} µs without, {beside:.0f} µs with {args.browsers} browsers: {100 * (beside / without - 1):+.0f} %")
+
+
+if __name__ == "__main__":
+    main()
