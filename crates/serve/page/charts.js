@@ -34,7 +34,8 @@ function options(width, height, series, extra) {
 /** Decimals that tell neighbouring ticks apart. */
 function tickDecimals(splits) {
   const step = splits.length > 1 ? Math.abs(splits[1] - splits[0]) : 1;
-  return Math.min(4, Math.max(0, Math.ceil(-Math.log10(step) - 1e-9)));
+  const whole = (decimals) => Math.abs(step * 10 ** decimals - Math.round(step * 10 ** decimals)) < 1e-6;
+  return [0, 1, 2, 3].find(whole) ?? 4;
 }
 
 /** At least `least` of range, so that noise of a resting robot does not fill the chart. */

@@ -1,0 +1,105 @@
+// The page's parts that need no browser.
+
+import assert from "node:assert/strict";
+import test from "node:test";
+
+import * as address from "./page/address.js";
+import { emptyBoard, take } from "./page/board.js";
+import * as format from "./page/format.js";
+import { niceAbove } from "./page/list.js";
+import { parseEvent } from "./page/stream.js";
+import { question } from "./page/what_if.js";
+
+const plain = (text) => text.replaceAll("\u202f", " ").replaceAll("\u2212", "-");
+
+test("what is unknown is a dash, whatever its unit", () => {
+  const writers = [format.watts, format.wattDifference, format.energy, format.percent, format.duration, format.latency,
+    format.age, format.count, format.timeOfDay];
+  for (const write of writers) {
+    for (const unknown of [null, undefined, NaN, Infinity, "7"]) assert.equal(write(unknown), "–", write.name);
+  }
+  assert.equal(format.range(null, 3, format.watts), "");
+});
+
+test("numbers carry their unit and sensible digits", () => {
+  const cases = [
+    [format.watts(3.567), "3.57 W"], [format.watts(-0.001), "0.00 W"], [format.watts(312.4), "312 W"],
+    [format.watts(31.24), "31.2 W"], [format.watts(38_700), "38.7 kW"], [format.watts(3.5, 300), "4 W"],
+    [format.wattDifference(0.0123), "+0.012 W"], [format.wattDifference(-0.5), "-0.500 W"],
+    [format.energy(42.87), "42.9 J"], [format.energy(999), "999 J"], [format.energy(7200), "2.00 Wh"],
+    [format.percent(0.625, 1), "62.5 %"], [format.duration(59.4), "59 s"], [format.duration(150), "2.5 min"],
+    [format.duration(3600), "60 min"], [format.duration(36_001), "10.0 h"], [format.latency(0.00021), "210 µs"],
+    [format.latency(0.0334), "33.4 ms"], [format.age(0.0131), "13 ms"], [format.count(1234567), "1 234 567"],
+    [format.range(3.46, 3.72, format.watts), "3.46 – 3.72 W"], [format.range(900, 7200, format.energy), "900 J – 2.00 Wh"],
+  ];
+  for (const [found, expected] of cases) assert.equal(plain(found), expected);
+});
+
+test("the address holds the whole state and forgives nonsense", () => {
+  for (const search of ["?robot=7&sort=soc&descending=1&search=stuck&level=error,stale", "?view=worker", ""]) {
+    const state = address.read(search);
+    assert.deepEqual(address.read(address.write(state).slice(1)), state);
+  }
+  const state = address.read("?robot=-1&sort=__proto__&level=bad,warn&view=x&descending=yes&search=" + "x".repeat(500));
+  assert.deepEqual({ ...state, search: state.search.length },
+    { view: "robots", robot: null, sort: "urgency", descending: false, search: 100, levels: ["warn"] });
+});
+
+const view = () => ({
+  seq: 1,
+  fleet: { tick: 1, worker: { state: "alive" } },
+  robots: { total: 3, matched: 3, from: 0, robots: [{ robot: 5, power_w: 1, alarms: [] }, { robot: 2, power_w: 2, alarms: [] }] },
+  robot: null,
+  alarms: { raised: [], changes: [] },
+});
+
+test("deltas change what they name and nothing else", () => {
+  const board = emptyBoard();
+  assert.ok(take(board, "view", view()));
+  assert.ok(take(board, "delta", { seq: 2, fleet: { tick: 2 }, robots: { total: 3, matched: 3, from: 0, rows: { 5: { power_w: null } } } }));
+  assert.deepEqual(board.rows.get(5), { robot: 5, power_w: null, alarms: [] });
+  assert.deepEqual(board.rows.get(2), { robot: 2, power_w: 2, alarms: [] });
+  assert.deepEqual(board.fleet, { tick: 2, worker: { state: "alive" } });
+  const raised = [{ robot: 9, alarm: "NoData", since_unix_ns: 1 }];
+  const order = { order: [9, 5], rows: { 9: { robot: 9, power_w: 9, alarms: ["NoData"] } } };
+  assert.ok(take(board, "delta", { seq: 3, robots: order, alarms: { raised, changes: [{ robot: 9 }] } }));
+  assert.deepEqual([...board.rows.keys()].sort(), [5, 9]);
+  assert.deepEqual(board.order, [9, 5]);
+  assert.deepEqual(board.raised, raised);
+  assert.equal(board.matched, 3);
+});
+
+test("a delta that does not continue is refused, and a view starts anew", () => {
+  const board = emptyBoard();
+  assert.ok(!take(board, "delta", { seq: 1 }));
+  take(board, "view", view());
+  assert.ok(!take(board, "delta", { seq: 3 }));
+  assert.ok(take(board, "view", { ...view(), seq: 1 }));
+  assert.ok(take(board, "delta", { seq: 2 }));
+});
+
+test("history of alarms is bounded", () => {
+  const board = emptyBoard();
+  take(board, "view", view());
+  for (let seq = 2; seq < 400; seq += 1) take(board, "delta", { seq, alarms: { changes: [{ robot: seq }] } });
+  assert.equal(board.changes.length, 200);
+  assert.equal(board.changes[0].robot, 399);
+});
+
+test("events are read as the standard says; comments are none", () => {
+  assert.deepEqual(parseEvent('event: delta\ndata: {"seq":\ndata: 1}'), { kind: "delta", data: '{"seq":\n1}' });
+  assert.deepEqual(parseEvent("data:x"), { kind: "message", data: "x" });
+  assert.equal(parseEvent(": keep-alive"), null);
+});
+
+test("a scale of power ends at 1, 2 or 5 times a power of ten", () => {
+  for (const [most, end] of [[0.7, 1], [1, 1], [1.1, 2], [4.9, 5], [5.1, 10], [312, 500], [0, 1], [NaN, 1]]) {
+    assert.equal(niceAbove(most), end);
+  }
+});
+
+test("the form asks what it shows", () => {
+  assert.deepEqual(question(7, { plan: "idle", idle_s: "60" }), { robot: 7, idle_s: 60 });
+  assert.deepEqual(question(7, { plan: "drive", length_m: "2", speed_mps: "0.2", back: "on" }),
+    { robot: 7, path: [{ x_m: 0, y_m: 0 }, { x_m: 2, y_m: 0, speed_mps: 0.2 }], return: "dock" });
+});
