@@ -78,7 +78,7 @@ describe("a fleet of 20 robots", () => {
     worker = await fleet.worker();
     server = await fleet.serve();
     watch = fleet.watch();
-    fleet.publish("--robots", "20", "--fault", `${FAULTY}=stuck@15`);
+    fleet.publish("--robots", "20", "--fault", `${FAULTY}=stuck@8`);
   });
   after(() => fleet?.close());
 
@@ -348,7 +348,7 @@ for (const robots of [1_000, 10_000]) {
       for (const view of ["/", "/?robot=3"]) {
         await withPage(server.url + view, {}, async (page) => {
           await page.waitForFunction((count) => document.getElementById("grid").ariaRowCount === String(count + 1), robots);
-          const { thread, process: all } = await processorShare(page, 10);
+          const { thread, process: all } = await processorShare(page, 5);
           const share = (value) => `${(value * 100).toFixed(1)} %`;
           console.log(`${robots} robots, ${view}: main thread ${share(thread)}, browser process of the page ${share(all)} of a core`);
           assert.ok(thread > 0 && all > 0);

@@ -27,9 +27,9 @@ try {
   }
   await sleep(RECORDED_MS);
   const pictures = [
-    ["page.png", "/?robot=5", SHOWN, "light"], ["page-dark.png", "/?robot=5", SHOWN, "dark"],
-    ["page-fleet.png", "/", SHOWN, "light"],
-    ["page-phone.png", "/", PHONE, "dark"], ["page-phone-robot.png", "/?robot=5", PHONE, "light"],
+    ["page.png", "/?robot=5", SHOWN, "light"],
+    ["page-dark.png", "/?robot=5", SHOWN, "dark"],
+    ["page-phone.png", "/", PHONE, "dark"],
   ];
   for (const [file, view, viewport, colorScheme] of pictures) {
     const page = await openPage(browser, server.url + view, { viewport, colorScheme });
