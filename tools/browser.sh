@@ -32,7 +32,8 @@ if ! cmp -s "$folder/package-lock.json" "$folder/node_modules/.installed"; then
     cp "$folder/package-lock.json" "$folder/node_modules/.installed"
 fi
 if [ -z "${JOULEBUS_BIN:-}" ]; then
-    cargo build --locked --package joulebus --package joulebus-serve
+    # With the workspace's features, as the tests compile them: nothing is compiled twice.
+    cargo build --locked --workspace --bin joulebus --bin joulebus-serve
     JOULEBUS_BIN=$PWD/target/debug
 fi
 export CHROMIUM JOULEBUS_BIN JOULEBUS_ROOT=$PWD

@@ -3,7 +3,7 @@
 #
 #     tools/pictures.sh [SCREENSHOTS]     # default: target/pictures
 #
-# Needs Chromium, tmux, Python 3 and the recordings in ../shared/data (Robotino:
+# Needs Chromium, node, tmux, Python 3 and the recordings in ../shared/data (Robotino:
 # BrOleg5/research-wheel-slippage
 # at b4303b4c, Apache-2.0; 648 trials of a Festo Robotino v2 on four surfaces). docs/dataflow.svg is drawn by
 # hand; docs/peers.svg is written by tools/measure.sh.
@@ -47,5 +47,6 @@ for picture in docs/*.svg; do
     size=$(python3 -c 'import re,sys; t=open(sys.argv[1]).read(); print(*re.search(r"<svg[^>]*? width=\"(\d+)[^>]*? height=\"(\d+)", t).groups())' "$picture")
     screenshot "$PWD/$picture" ${size} "$PWD/$screenshots/$(basename "$picture" .svg).png"
 done
-cp docs/report-page.png "$screenshots"
+JOULEBUS_BIN=$PWD/target/release tools/browser.sh --pictures
+cp docs/*.png "$screenshots"
 echo "rendered into docs/; inspect the screenshots in $screenshots"
