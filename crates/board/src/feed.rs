@@ -253,7 +253,6 @@ impl Feed {
     }
 
     /// The current board.
-    #[must_use]
     pub fn board(&self) -> MutexGuard<'_, Board> {
         lock(&self.board)
     }

@@ -172,7 +172,7 @@ impl Metrics {
             encoder,
             "joulebus_fleet_power",
             "Sum of the robots' newest readings",
-            Some(watts()),
+            Some(&watts()),
             power_w,
         )?;
         let mut metric = encoder.encode_descriptor(
@@ -211,7 +211,7 @@ impl Metrics {
             encoder,
             "joulebus_power",
             "Newest reading, forecast of the next and its interval",
-            Some(watts()),
+            Some(&watts()),
             power,
         )?;
         let now_ns = self.snapshot.at_ns;
@@ -225,7 +225,7 @@ impl Metrics {
             encoder,
             "joulebus_residual",
             "Reading minus the network's forecast",
-            Some(watts()),
+            Some(&watts()),
             residual,
         )?;
         let soc = series(&|entry| {
@@ -235,7 +235,13 @@ impl Metrics {
                 |budget| budget.soc,
             )
         });
-        gauges(encoder, "joulebus_soc", "State of charge", Some(ratio), soc)?;
+        gauges(
+            encoder,
+            "joulebus_soc",
+            "State of charge",
+            Some(&ratio),
+            soc,
+        )?;
         let left = series(&|entry| {
             battery(
                 entry.newest.budget.as_ref()?,
@@ -247,7 +253,7 @@ impl Metrics {
             encoder,
             "joulebus_time_to_empty",
             "Expected time until the battery is empty",
-            Some(Unit::Seconds),
+            Some(&Unit::Seconds),
             left,
         )?;
         let age = series(&|entry| Some(entry.sample_age_ns(now_ns)? as f64 * 1e-9));
@@ -255,7 +261,7 @@ impl Metrics {
             encoder,
             "joulebus_sample_age",
             "Time since the newest sample's stamp",
-            Some(Unit::Seconds),
+            Some(&Unit::Seconds),
             age,
         )?;
         let health = series(&|entry| Some(entry.newest.level().code().into()));
@@ -332,10 +338,10 @@ fn gauges<S: EncodeLabelSet>(
     encoder: &mut DescriptorEncoder,
     name: &str,
     help: &str,
-    unit: Option<Unit>,
+    unit: Option<&Unit>,
     series: impl IntoIterator<Item = (S, f64)>,
 ) -> fmt::Result {
-    let mut metric = encoder.encode_descriptor(name, help, unit.as_ref(), MetricType::Gauge)?;
+    let mut metric = encoder.encode_descriptor(name, help, unit, MetricType::Gauge)?;
     for (labels, value) in series {
         metric.encode_family(&labels)?.encode_gauge(&value)?;
     }
