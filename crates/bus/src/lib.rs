@@ -81,7 +81,7 @@ pub use os::scheduling::{
 };
 pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, FrameBuf, IncomingFrame, Loan, OpenError, OpenQuery, PlanStateReader, PlanStateWriter,
+    Frame, FrameBuf, IncomingFrame, KeptFrame, Loan, OpenError, OpenQuery, PlanStateReader, PlanStateWriter,
     QueriesReader, QueriesWriter, QueryClient, QueryError, QueryServer, Reader, ReceiveError,
     SampleReader, SampleTap, SampleWriter, SendError, StateReader, StateWriter, TickReader,
     TickWriter, WaitError, Waiter, Waker, Woken, Writer,

@@ -46,6 +46,9 @@ const ANSWERING: usize = 1;
 /// Readers in the worker's own process: the checkpointer, and the thread that answers questions or, of diagnostics, the one
 /// that logs alarms.
 const OF_WORKER: usize = 2;
+/// Frames of forecasts that a planner can keep beside the newest: that of the loop's variable while the next is
+/// waited for, and one more.
+const KEPT: usize = 2;
 /// Recorders that a fleet can have at once.
 const RECORDERS: usize = 2;
 /// Journals queued for a recorder: a second at 30 Hz.
@@ -128,6 +131,14 @@ impl Limits {
     }
 
     pub(crate) const fn forecasts(&self) -> Shape {
+        let shape = self.diagnostics();
+        Shape {
+            borrowed: shape.borrowed + KEPT,
+            ..shape
+        }
+    }
+
+    pub(crate) const fn diagnostics(&self) -> Shape {
         Shape {
             publishers: 1 + SPARE,
             subscribers: self.max_planners + OF_WORKER + SPARE,
@@ -142,7 +153,7 @@ impl Limits {
         Shape {
             // Planners need the newest frame at once; recorders read all.
             history: 1,
-            ..self.forecasts()
+            ..self.diagnostics()
         }
     }
 

@@ -170,7 +170,7 @@ fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
     let (capacity, listed) = (limits.capacity, limits.listed_frames());
     let samples = segment_bytes::<SampleHeader, Sample>(limits.samples(), capacity);
     let of_worker = segment_bytes::<ForecastHeader, Forecast>(limits.forecasts(), capacity)
-        + segment_bytes::<DiagnosticHeader, Diagnostic>(limits.forecasts(), capacity)
+        + segment_bytes::<DiagnosticHeader, Diagnostic>(limits.diagnostics(), capacity)
         + segment_bytes::<BudgetHeader, Budget>(limits.budgets(), capacity)
         + segment_bytes::<PlanStateHeader, PlanState>(limits.plan_states(), capacity)
         + segment_bytes::<StateHeader, u8>(limits.state(), limits.state_piece_bytes())

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::slice;
 
-use joulebus_bus::clock;
+use joulebus_bus::{KeptFrame, clock};
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
     PlanStateHeader,
@@ -77,6 +77,25 @@ impl<'a, H, T> Frame<'a, H, T> {
         let mut index = self.index.borrow_mut();
         let position = index.position(robot, self.number, self.robots.len(), id)?;
         self.robots.get(position)
+    }
+}
+
+/// A frame of forecasts that is kept beyond the next call: [`crate::Planner::keep`]. Belongs to the planner's thread,
+/// and may outlive the planner.
+#[derive(Debug)]
+pub struct KeptForecasts(pub(crate) KeptFrame<ForecastHeader, Forecast>);
+
+impl KeptForecasts {
+    /// The frame's header.
+    #[must_use]
+    pub fn header(&self) -> &ForecastHeader {
+        self.0.header()
+    }
+
+    /// All robots of the frame, in no particular order.
+    #[must_use]
+    pub fn robots(&self) -> &[Forecast] {
+        self.0.payload()
     }
 }
 

@@ -40,7 +40,8 @@
 //!
 //! **Lifetimes.** A frame lies in shared memory and is borrowed from the [`Planner`], or from the
 //! [`DiagnosticFeed`], [`BudgetFeed`] or [`PlanStateFeed`], each of which holds exactly one: it is unchanged until the
-//! next call that takes a newer one. To keep more, copy: rows are `Copy`. [`Frame::robot`] takes
+//! next call that takes a newer one. To keep more, copy: rows are `Copy`; or keep up to two
+//! frames of forecasts where they lie ([`Planner::keep`]). [`Frame::robot`] takes
 //! constant time while no robots join or leave. Feeds are separate so that a frame of each may be
 //! borrowed at the same time.
 //!
@@ -62,7 +63,7 @@ mod tracker;
 
 pub use alarms::{AlarmChange, AlarmFeed, AlarmHistory, Change};
 pub use feed::{BudgetFeed, DiagnosticFeed, Feed, PlanStateFeed, QueryFeed};
-pub use frame::{Budgets, Diagnostics, Forecasts, Frame, PlanStates};
+pub use frame::{Budgets, Diagnostics, Forecasts, Frame, KeptForecasts, PlanStates};
 pub use joulebus_bus::{OpenError, clock};
 pub use joulebus_config::{Config, ConnectError, error};
 pub use joulebus_wire as wire;

@@ -9,7 +9,7 @@ use joulebus_bus::{Bus, ForecastReader, Limits, OpenError, PeerWatch, Waiter, Wo
 use joulebus_config::{Config, ConnectError};
 use joulebus_wire::{BudgetHeader, DiagnosticHeader, Forecast, PlanStateHeader, QueriesHeader};
 
-use crate::frame::Frame;
+use crate::frame::{Frame, KeptForecasts};
 use crate::index::RobotIndex;
 use crate::newest::{ReadError, check_schema, newer};
 use crate::tracker::{Tracker, place};
@@ -139,6 +139,13 @@ impl Planner {
         let number = self.tracker.counts().frames;
         let id = |row: &Forecast| row.robot;
         Some(Frame::new(held, number, id, &self.index, self.arrival))
+    }
+
+    /// The frame of [`Planner::current`], to keep beyond the next call, in shared memory; there is no current one
+    /// then until a newer frame arrives. Two may be kept: with more, reading is an error until one is dropped.
+    #[must_use]
+    pub fn keep(&mut self) -> Option<KeptForecasts> {
+        self.reader.take_held().map(KeptForecasts)
     }
 
     /// The state of the worker now, as seen by the last call to [`Planner::wait_next`] or

@@ -27,7 +27,7 @@ pub use liveness::peer_watch::PeerWatch;
 pub use liveness::worker_lock::WorkerLock;
 pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, IncomingFrame, Loan, PlanStateReader, PlanStateWriter, QueriesReader, QueriesWriter,
+    Frame, IncomingFrame, KeptFrame, Loan, PlanStateReader, PlanStateWriter, QueriesReader, QueriesWriter,
     Reader, SampleReader, SampleTap, SampleWriter, StateReader, StateWriter, Taken, TickReader,
     TickWriter, Writer, taken_frames,
 };

@@ -360,6 +360,13 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         Some((&held.header, &held.payload))
     }
 
+    /// Moves the frame of [`Reader::held`] out of the reader.
+    #[must_use]
+    pub fn take_held(&mut self) -> Option<KeptFrame<H, T>> {
+        let frame = self.held.take()?;
+        Some(KeptFrame { frame })
+    }
+
     /// Number of failed connections.
     #[must_use]
     pub fn degraded(&self) -> u64 {
@@ -421,6 +428,26 @@ impl<H: Payload, T: Payload> Drop for Reader<H, T> {
         with(self.service, |state| {
             state.readers.retain(|reader| reader.number != number);
         });
+    }
+}
+
+/// A frame that is kept while this value lives.
+#[derive(Debug)]
+pub struct KeptFrame<H: Payload, T: Payload> {
+    frame: Rc<Sent<H, T>>,
+}
+
+impl<H: Payload, T: Payload> KeptFrame<H, T> {
+    /// The frame's header.
+    #[must_use]
+    pub fn header(&self) -> &H {
+        &self.frame.header
+    }
+
+    /// The frame's slice.
+    #[must_use]
+    pub fn payload(&self) -> &[T] {
+        &self.frame.payload
     }
 }
 
@@ -604,11 +631,11 @@ opens! {
     };
     /// The worker's port for diagnostics.
     diagnostic_writer -> DiagnosticWriter: |bus, limits: &Limits| {
-        Writer::open(bus, Service::Diagnostics, limits.forecasts(), limits.capacity)
+        Writer::open(bus, Service::Diagnostics, limits.diagnostics(), limits.capacity)
     };
     /// A planner's port for diagnostics.
     diagnostic_reader -> DiagnosticReader: |bus, limits: &Limits| {
-        Reader::open(bus, Service::Diagnostics, limits.forecasts())
+        Reader::open(bus, Service::Diagnostics, limits.diagnostics())
     };
     /// The worker's port for budgets.
     budget_writer -> BudgetWriter: |bus, limits: &Limits| {

@@ -17,7 +17,7 @@ use joulebus_wire::{
 };
 
 pub use self::query::{OpenQuery, QueryClient, QueryError, QueryServer};
-pub use self::reader::{Frame, Reader, ReceiveError};
+pub use self::reader::{Frame, KeptFrame, Reader, ReceiveError};
 pub use self::samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
 pub use self::service::OpenError;
 pub use self::wait::{WaitError, Waiter, Waker, Woken};
@@ -90,7 +90,7 @@ impl Bus {
     /// # Errors
     /// [`OpenError`].
     pub fn diagnostic_writer(&self, limits: &Limits) -> Result<DiagnosticWriter, OpenError> {
-        let shape = limits.forecasts();
+        let shape = limits.diagnostics();
         Writer::open(self, Service::Diagnostics, limits, shape, limits.capacity)
     }
 
@@ -150,7 +150,7 @@ impl Bus {
     /// # Errors
     /// [`OpenError`].
     pub fn diagnostic_reader(&self, limits: &Limits) -> Result<DiagnosticReader, OpenError> {
-        Reader::open(self, Service::Diagnostics, limits, limits.forecasts())
+        Reader::open(self, Service::Diagnostics, limits, limits.diagnostics())
     }
 
     /// A planner's port for budgets; the newest frame is delivered at once.

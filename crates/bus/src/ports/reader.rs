@@ -134,6 +134,17 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         Some((held.user_header(), held.payload()))
     }
 
+    /// Moves the frame of [`Reader::held`] out of the reader, to keep it for longer. Of the forecasts, a
+    /// process can keep two beside the newest; with more, receiving is an error until one is dropped.
+    #[must_use]
+    pub fn take_held(&mut self) -> Option<KeptFrame<H, T>> {
+        let frame = self.held.take()?;
+        Some(KeptFrame {
+            frame,
+            _member: Rc::clone(&self.member),
+        })
+    }
+
     /// Number of failed or broken connections to writers.
     #[must_use]
     pub fn degraded(&self) -> u64 {
@@ -255,6 +266,29 @@ impl<H: Payload, T: Payload> Frame<'_, H, T> {
     #[must_use]
     pub fn payload(&self) -> &[T] {
         self.sample.payload()
+    }
+}
+
+/// A frame in shared memory that is kept while this value lives, whatever becomes of its reader. The process is a
+/// member of the domain as long. Belongs to the reader's thread.
+#[derive(Debug)]
+pub struct KeptFrame<H: Payload, T: Payload> {
+    // Dropped in this order.
+    frame: Borrowed<Ipc, [T], H>,
+    _member: Rc<Membership>,
+}
+
+impl<H: Payload, T: Payload> KeptFrame<H, T> {
+    /// The frame's header.
+    #[must_use]
+    pub fn header(&self) -> &H {
+        self.frame.user_header()
+    }
+
+    /// The frame's slice.
+    #[must_use]
+    pub fn payload(&self) -> &[T] {
+        self.frame.payload()
     }
 }
 

@@ -1,0 +1,331 @@
+"""A fleet live: forecasts read in shared memory, and samples sent to its worker."""
+from __future__ import annotations
+
+import atexit
+import os
+import time
+import weakref
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Iterator, Mapping
+
+import numpy as np
+
+from . import _native
+
+
+def _dtype(layout: tuple[list[tuple[str, str, int]], int]) -> np.dtype:
+    fields, size = layout
+    names, formats, offsets = (list(column) for column in zip(*fields))
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+#: NumPy's types of a row of forecasts, diagnostics and budgets: names and units as in `joulebus-wire`.
+FORECAST = _dtype(_native.FORECAST)
+DIAGNOSTIC = _dtype(_native.DIAGNOSTIC)
+BUDGET = _dtype(_native.BUDGET)
+
+# Bits of a forecast's flags.
+_POWER, _INTERVAL, _READING = 1, 2, 4
+
+
+@dataclass(frozen=True)
+class Gone:
+    """The worker has ended: ``how`` is ``ended``, ``exited`` or ``found dead``. Do not rely on forecasts."""
+
+    how: str
+
+
+@dataclass(frozen=True)
+class Stale:
+    """The newest frame is older than two tick periods. Do not rely on it."""
+
+    age_s: float
+
+
+class Forecast:
+    """One robot's forecast, in its frame. What is unknown is None."""
+
+    __slots__ = ("row",)
+
+    def __init__(self, row: np.void) -> None:
+        self.row = row
+
+    @property
+    def robot(self) -> int:
+        """Id of the robot."""
+        return int(self.row["robot"])
+
+    @property
+    def power_w(self) -> float | None:
+        """Power expected at ``target_ns``, W."""
+        return float(self.row["power_w"]) if self.row["flags"] & _POWER else None
+
+    @property
+    def interval_w(self) -> tuple[float, float] | None:
+        """Lower and upper end of the interval, W."""
+        row = self.row
+        return (float(row["lo_w"]), float(row["hi_w"])) if row["flags"] & _INTERVAL else None
+
+    @property
+    def reading_w(self) -> float | None:
+        """The last accepted reading, W."""
+        return float(self.row["reading_w"]) if self.row["flags"] & _READING else None
+
+    @property
+    def quality(self) -> str:
+        """``Fresh``, ``Held``, ``Warmup``, ``OpenLoop``, ``Invalid`` or ``Unknown``."""
+        return self._quality()[0]
+
+    @property
+    def quality_detail(self) -> int | str | None:
+        """Readings so far (Warmup), steps (OpenLoop) or the reason (Invalid)."""
+        return self._quality()[1]
+
+    @property
+    def target_ns(self) -> int:
+        """Stamp for which the reading is forecast, monotonic ns (``time.monotonic_ns``)."""
+        return int(self.row["target_ns"])
+
+    def _quality(self) -> tuple[str, Any]:
+        return _native.quality(int(self.row["quality"]), int(self.row["quality_detail"]))
+
+    def __repr__(self) -> str:
+        return f"Forecast(robot={self.robot}, power_w={self.power_w}, interval_w={self.interval_w}, quality={self.quality})"
+
+
+class Frame:
+    """Forecasts of all robots, as the worker wrote them into shared memory.
+
+    ``rows`` is a read-only array of `joulebus.FORECAST` on that memory, and ``power_w``, ``lo_w``, ``hi_w``, ``robot``
+    and every other field of it a view of a column; none copies. A frame, and each array made of it, keeps the memory
+    for as long as it exists: two frames beside the newest can be kept, further reading is then refused. ``rows.copy()``
+    is yours.
+
+    ``frame[7]`` is the forecast of robot 7.
+    """
+
+    def __init__(self, memory: _native.FrameMemory, positions: dict[int, int]) -> None:
+        self._memory = memory
+        self._positions = positions
+        self._header = memory.header
+        self.rows: np.ndarray = np.asarray(memory)
+
+    def __getattr__(self, name: str) -> Any:
+        # Only for names that are no attribute: columns, and fields of the header.
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if name in FORECAST.fields:
+            return self.rows[name]
+        if name in self._header:
+            return self._header[name]
+        raise AttributeError(f"a frame has no {name}; it has {', '.join([*FORECAST.names, *self._header])}")
+
+    @property
+    def age_s(self) -> float:
+        """Time since it was sent, s."""
+        return 1e-9 * (time.monotonic_ns() - self._header["sent_ns"])
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Forecast]:
+        return map(Forecast, self.rows)
+
+    def __contains__(self, robot: object) -> bool:
+        return isinstance(robot, (int, np.integer)) and self._position(int(robot)) is not None
+
+    def __getitem__(self, robot: int) -> Forecast:
+        position = self._position(int(robot))
+        if position is None:
+            raise KeyError(f"robot {robot} is not in the frame, which has {len(self)} robots")
+        return Forecast(self.rows[position])
+
+    def to_pandas(self) -> Any:
+        """A copy as a DataFrame, indexed by robot; unknown values are NaN. Needs pandas."""
+        return _data_frame(self.rows)
+
+    def _position(self, robot: int) -> int | None:
+        # Positions change only when robots join or leave.
+        found, ids = self._positions.get(robot), self.rows["robot"]
+        if found is not None and found < len(ids) and ids[found] == robot:
+            return found
+        self._positions.clear()
+        self._positions.update(zip(ids.tolist(), range(len(ids))))
+        return self._positions.get(robot)
+
+    def __repr__(self) -> str:
+        return f"Frame(tick={self._header['tick']}, robots={len(self)})"
+
+
+class Table:
+    """Diagnostics or budgets of all robots as of one tick: a copy. ``rows`` and columns as in a `Frame`."""
+
+    def __init__(self, tick: int, rows: np.ndarray) -> None:
+        self.tick = tick
+        self.rows = rows
+        self._positions: dict[int, int] | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "rows":
+            raise AttributeError(name)
+        if name in self.rows.dtype.fields:
+            return self.rows[name]
+        raise AttributeError(f"there is no {name}; there are tick, {', '.join(self.rows.dtype.names)}")
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, robot: int) -> np.void:
+        if self._positions is None:
+            self._positions = {int(robot): position for position, robot in enumerate(self.rows["robot"])}
+        if robot not in self._positions:
+            raise KeyError(f"robot {robot} is not in the table, which has {len(self)} robots")
+        return self.rows[self._positions[robot]]
+
+    def to_pandas(self) -> Any:
+        """A DataFrame, indexed by robot. Needs pandas."""
+        return _data_frame(self.rows)
+
+    def __repr__(self) -> str:
+        return f"Table(tick={self.tick}, robots={len(self)})"
+
+
+class _Connection:
+    """What planners and publishers share: closing, at the end of the interpreter at the latest."""
+
+    _ports: Any
+
+    def close(self) -> None:
+        """Leaves the fleet. Further use is refused; closing again does nothing."""
+        ports, _open = self._ports, _CONNECTIONS
+        _open.discard(self)
+        ports.close()
+
+    def __enter__(self) -> Any:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+_CONNECTIONS: weakref.WeakSet[_Connection] = weakref.WeakSet()
+
+
+@atexit.register
+def _close_all() -> None:
+    for connection in list(_CONNECTIONS):
+        # In a child made by `fork` they are the parent's.
+        if connection._pid == os.getpid():
+            connection.close()
+
+
+class Planner(_Connection):
+    """Reads a fleet's forecasts, diagnostics and budgets. The worker may start later, end and be restarted.
+
+        with joulebus.Planner("configs/fleet.toml") as planner:
+            for event in planner.events(timeout=5.0):
+                if isinstance(event, joulebus.Frame):
+                    print(event[7].interval_w, event.power_w.sum())
+
+    Several threads may use one planner; their calls follow one another. A process made by `fork` cannot use its
+    parent's: connect a new one there.
+    """
+
+    def __init__(self, config: str | os.PathLike[str], name: str = "planner") -> None:
+        self._ports = _native.PlannerPorts(config, name)
+        self._positions: dict[int, int] = {}
+        self._pid = os.getpid()
+        _CONNECTIONS.add(self)
+
+    def next(self, timeout: float | None = None) -> Frame | Gone | Stale | None:
+        """The next event; None if there is none within `timeout` seconds. Of several frames it is the newest."""
+        told = self._ports.wait(timeout)
+        if isinstance(told, _native.FrameMemory):
+            return Frame(told, self._positions)
+        if told is None:
+            return None
+        what, detail = told
+        return Gone(detail) if what == "gone" else Stale(detail)
+
+    def events(self, timeout: float | None = None) -> Iterator[Frame | Gone | Stale]:
+        """Events as they come: frames, the worker's end, stale frames. Ends when there was none for `timeout` seconds;
+        never without one."""
+        while True:
+            event = self.next(timeout)
+            if event is None:
+                return
+            yield event
+            # A frame is kept no longer than its user keeps it.
+            del event
+
+    def diagnostics(self, timeout: float | None = 1.0) -> Table | None:
+        """The newest diagnostics: residuals, alarms, coverage (`joulebus.DIAGNOSTIC`). The first call opens the
+        service, and waits for its next frame; None if there is none within `timeout` seconds."""
+        return _table(self._ports.diagnostics(timeout), DIAGNOSTIC)
+
+    def budgets(self, timeout: float | None = 1.0) -> Table | None:
+        """The newest budgets: energy drawn and left, state of charge (`joulebus.BUDGET`); None if there is none
+        within `timeout` seconds."""
+        return _table(self._ports.budgets(timeout), BUDGET)
+
+    @property
+    def status(self) -> Mapping[str, Any]:
+        """The worker (waiting, alive, stale, gone), and what was counted: frames, gaps, ticks missed, runs of the
+        worker, connections that failed, frames of others, frames in use."""
+        return self._ports.status()
+
+
+class Publisher(_Connection):
+    """Sends what a fleet controller commanded and measured, one frame for all robots per control tick.
+
+        with joulebus.Publisher("configs/fleet.toml", "fleet-controller") as publisher:
+            publisher.publish(ids, v=v_mps, omega=omega_radps, power=power_w)
+    """
+
+    def __init__(self, config: str | os.PathLike[str], name: str = "controller") -> None:
+        self._ports = _native.PublisherPort(config, name)
+        self._pid = os.getpid()
+        _CONNECTIONS.add(self)
+
+    def publish(self, ids: Any, *, intended_ns: int | None = None, **columns: Any) -> int:
+        """Sends one frame and returns the number of processes that read it: 0 means that no worker runs.
+
+        ids: ids of robots, each once. Columns have one element for each robot, or one number for all:
+        v (m/s) and omega (rad/s) as commanded, power (W), voltage (V), current (A, positive while discharging),
+        soc (0 to 1), return_j (energy needed to return, J); held (the reading repeats the one before), charging, full
+        and swapped are truth values. A NaN, or no column, means unknown. `intended_ns`: when the frame was due
+        (`time.monotonic_ns`).
+        """
+        readers, _, _ = self._ports.publish(ids, columns, intended_ns)
+        return readers
+
+    @property
+    def frames_sent(self) -> int:
+        """Frames sent in this run."""
+        return self._ports.counts()[0]
+
+    @property
+    def samples_sent(self) -> int:
+        """Samples sent in this run."""
+        return self._ports.counts()[1]
+
+    @property
+    def capacity(self) -> int:
+        """Most samples in a frame."""
+        return self._ports.counts()[2]
+
+
+def _table(found: tuple[int, bytes] | None, dtype: np.dtype) -> Table | None:
+    if found is None:
+        return None
+    tick, contents = found
+    return Table(tick, np.frombuffer(contents, dtype))
+
+
+def _data_frame(rows: np.ndarray) -> Any:
+    import pandas
+
+    return pandas.DataFrame({name: rows[name].copy() for name in rows.dtype.names}).set_index("robot")

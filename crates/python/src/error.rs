@@ -1,0 +1,49 @@
+//! Exceptions.
+
+use std::io;
+use std::path::Path;
+
+use pyo3::exceptions::{PyException, PyOSError};
+use pyo3::{PyErr, create_exception};
+
+create_exception!(
+    joulebus,
+    Error,
+    PyException,
+    "Base of the package's exceptions; the message says what was found, what is allowed and what to do."
+);
+create_exception!(
+    joulebus,
+    ModelError,
+    Error,
+    "A model file is refused, or does not fit the question."
+);
+create_exception!(
+    joulebus,
+    ConnectError,
+    Error,
+    "A config is refused, a fleet cannot be joined, or a service not be opened."
+);
+create_exception!(
+    joulebus,
+    ReadError,
+    Error,
+    "Frames could not be read; the next call may succeed."
+);
+create_exception!(
+    joulebus,
+    PublishError,
+    Error,
+    "A frame was refused, and not sent."
+);
+
+/// An error of the system on a file, as the exception that Python itself raises: `FileNotFoundError` and so on.
+pub(crate) fn of_file(path: &Path, error: &io::Error) -> PyErr {
+    let message = format!("cannot read {}: {error}", path.display());
+    let kind: PyErr = io::Error::new(error.kind(), message.clone()).into();
+    match error.kind() {
+        // `PyErr` knows a class for these kinds; its message is ours.
+        io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied => kind,
+        _ => PyOSError::new_err(message),
+    }
+}

@@ -1,0 +1,48 @@
+//! Opening a model: a file of joulebus in any of its formats, or a built-in one.
+
+use std::path::Path;
+
+use joulebus_config::{builtin_model, builtin_models};
+use joulebus_model_files::{Checkpoint, MAX_FILE_BYTES};
+use joulebus_predictor::Network;
+use pyo3::PyResult;
+
+use crate::error::{ModelError, of_file};
+
+/// What a name of a built-in model begins with, as in the config.
+const BUILTIN: &str = "builtin:";
+
+/// The network of a file, or of `builtin:NAME`.
+pub(crate) fn open(model: &Path) -> PyResult<Network> {
+    if let Some(name) = model.to_str().and_then(|name| name.strip_prefix(BUILTIN)) {
+        return builtin(name);
+    }
+    let bytes = joulebus_files::read(model, MAX_FILE_BYTES as u64)
+        .map_err(|error| of_file(model, &error))?;
+    let name = model.display();
+    let checkpoint = Checkpoint::read(&bytes)
+        .map_err(|error| ModelError::new_err(format!("{name}: {error}")))?;
+    checkpoint.network.ok_or_else(|| {
+        ModelError::new_err(format!(
+            "{name} ({}) is another program's model, which does not state how its features were computed; convert \
+             it once: joulebus model import {name} --data RECORDINGS --out my.safetensors",
+            checkpoint.container
+        ))
+    })
+}
+
+fn builtin(name: &str) -> PyResult<Network> {
+    let Some((_, bytes)) = builtin_model(name) else {
+        let allowed: Vec<&str> = builtin_models().collect();
+        return Err(ModelError::new_err(format!(
+            "there is no built-in model {name}; allowed are {}",
+            allowed.join(", ")
+        )));
+    };
+    of_bytes(bytes)
+}
+
+/// The network in the bytes of a model file.
+pub(crate) fn of_bytes(bytes: &[u8]) -> PyResult<Network> {
+    Network::from_safetensors(bytes).map_err(|error| ModelError::new_err(error.to_string()))
+}

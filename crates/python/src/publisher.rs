@@ -1,0 +1,164 @@
+//! A source of samples, from arrays.
+
+use std::path::PathBuf;
+
+use joulebus_publisher::{Config, Publisher as Port, RobotState, clock};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyFloat};
+
+use crate::array::{Ids, Numbers, shape_error};
+use crate::error::{ConnectError, PublishError};
+use crate::port_thread::PortThread;
+
+/// Frames sent, samples sent, capacity, connections that failed.
+type Counts = (u64, u64, usize, u64);
+
+#[pyclass(module = "joulebus._native", frozen)]
+#[derive(Debug)]
+pub(crate) struct PublisherPort {
+    /// Empty after closing.
+    thread: PortThread<Option<Port>>,
+}
+
+#[pymethods]
+impl PublisherPort {
+    #[new]
+    fn new(py: Python<'_>, config: PathBuf, name: String) -> PyResult<Self> {
+        let open = move || {
+            let config = Config::load(config).map_err(|error| error.to_string())?;
+            let port = Port::with_config(&config, &name).map_err(|error| error.to_string())?;
+            Ok::<_, String>(Some(port))
+        };
+        let thread = py.detach(|| PortThread::start(open))?;
+        let thread = thread.map_err(ConnectError::new_err)?;
+        Ok(Self { thread })
+    }
+
+    /// Sends one frame. `columns` are by the names of `RobotState`'s fields; NaN and absent columns are unknown.
+    /// Returns the number of readers, that of samples, and the frame's own.
+    fn publish(
+        &self,
+        py: Python<'_>,
+        ids: &Bound<'_, PyAny>,
+        columns: &Bound<'_, PyDict>,
+        intended_ns: Option<u64>,
+    ) -> PyResult<(usize, usize, u64)> {
+        self.thread.check_process()?;
+        let robots = robots(ids, columns)?;
+        let send = move |port: &mut Option<Port>| {
+            let port = port.as_mut().ok_or_else(closed)?;
+            let intended_ns = intended_ns.unwrap_or_else(clock::monotonic_ns);
+            port.publish_intended(intended_ns, robots)
+                .map_err(|error| PublishError::new_err(error.to_string()))
+        };
+        let sent = py.detach(|| self.thread.ask(send))??;
+        Ok((sent.readers, sent.samples, sent.frame_seq))
+    }
+
+    fn counts(&self, py: Python<'_>) -> PyResult<Counts> {
+        let counts = |port: &mut Option<Port>| {
+            let port = port.as_ref().ok_or_else(closed)?;
+            let sent = (port.frames_sent(), port.samples_sent());
+            Ok((sent.0, sent.1, port.capacity(), port.degraded()))
+        };
+        py.detach(|| self.thread.ask(counts))?
+    }
+
+    /// Leaves the fleet.
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        py.detach(|| self.thread.ask(|port| *port = None))
+    }
+}
+
+fn closed() -> PyErr {
+    pyo3::exceptions::PyRuntimeError::new_err("the publisher is closed; connect a new one")
+}
+
+/// The states of the robots with these ids.
+fn robots(ids: &Bound<'_, PyAny>, columns: &Bound<'_, PyDict>) -> PyResult<Vec<RobotState>> {
+    let ids = Ids::read("ids", ids)?.0;
+    let mut robots: Vec<RobotState> = ids.into_iter().map(RobotState::new).collect();
+    for (name, given) in columns {
+        let name: String = name.extract()?;
+        let Some(set) = setter(&name) else {
+            return Err(PyValueError::new_err(format!(
+                "there is no column {name}, allowed are v, omega, power, voltage, current, soc, return_j, held, \
+                 charging, full, swapped"
+            )));
+        };
+        match set {
+            Setter::Number(set) => {
+                let found = Numbers::read(&name, &given)?;
+                let values = spread(&name, &found.values, &found.shape, robots.len())?;
+                for (robot, value) in robots.iter_mut().zip(values) {
+                    set(robot, Some(value).filter(|value| !value.is_nan()));
+                }
+            }
+            Setter::Truth(set) => {
+                let (values, shape) = truths(&name, &given)?;
+                let values = spread(&name, &values, &shape, robots.len())?;
+                for (robot, value) in robots.iter_mut().zip(values) {
+                    set(robot, value);
+                }
+            }
+        }
+    }
+    Ok(robots)
+}
+
+enum Setter {
+    Number(fn(&mut RobotState, Option<f32>)),
+    Truth(fn(&mut RobotState, bool)),
+}
+
+fn setter(name: &str) -> Option<Setter> {
+    use Setter::{Number, Truth};
+    Some(match name {
+        "v" => Number(|robot, value| robot.v_mps = value),
+        "omega" => Number(|robot, value| robot.omega_radps = value),
+        "power" => Number(|robot, value| robot.power_w = value),
+        "voltage" => Number(|robot, value| robot.voltage_v = value),
+        "current" => Number(|robot, value| robot.current_a = value),
+        "soc" => Number(|robot, value| robot.soc = value),
+        "return_j" => Number(|robot, value| robot.return_j = value),
+        "held" => Truth(|robot, value| robot.held = value),
+        "charging" => Truth(|robot, value| robot.charging = value),
+        "full" => Truth(|robot, value| robot.full = value),
+        "swapped" => Truth(|robot, value| robot.swapped = value),
+        _ => return None,
+    })
+}
+
+/// One value for each robot: a single one is for all.
+fn spread<T: Copy>(name: &str, values: &[T], shape: &[usize], robots: usize) -> PyResult<Vec<T>> {
+    match *shape {
+        [] => Ok(vec![values[0]; robots]),
+        [count] if count == robots => Ok(values.to_vec()),
+        _ => {
+            let allowed = format!("() or ({robots},), as ids");
+            Err(shape_error(name, shape, &allowed))
+        }
+    }
+}
+
+/// Truth values: of NumPy, Python, or a list of them. Numbers are not.
+fn truths(name: &str, given: &Bound<'_, PyAny>) -> PyResult<(Vec<bool>, Vec<usize>)> {
+    use pyo3::exceptions::PyTypeError;
+    if given.is_instance_of::<PyFloat>() {
+        return Err(PyTypeError::new_err(format!(
+            "{name} is {given}, allowed are True, False and arrays of them"
+        )));
+    }
+    let py = given.py();
+    let array = py.import("numpy")?.call_method1("asarray", (given,))?;
+    let found = array.getattr("dtype")?;
+    if found.getattr("kind")?.extract::<String>()? != "b" {
+        return Err(PyTypeError::new_err(format!(
+            "{name} has dtype {found}, allowed is bool"
+        )));
+    }
+    let shape: Vec<usize> = array.getattr("shape")?.extract()?;
+    let values = array.call_method0("ravel")?.call_method0("tolist")?.extract()?;
+    Ok((values, shape))
+}
