@@ -59,7 +59,7 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
 }
 
 #[test]
-fn only_tests_examples_and_the_simulator_are_unpublished() {
+fn only_tests_examples_the_simulator_and_the_python_package_are_unpublished() {
     let metadata = metadata(false);
     let mut kept: Vec<&str> = packages(&metadata)
         .filter(|package| package["publish"] == serde_json::json!([]))
@@ -69,6 +69,7 @@ fn only_tests_examples_and_the_simulator_are_unpublished() {
     kept.sort_unstable();
     let expected = [
         "joulebus-examples",
+        "joulebus-python",
         "joulebus-simulator",
         "joulebus-test-processes",
         "joulebus-tests",

@@ -75,7 +75,10 @@ impl Ids {
             return Err(shape_error(name, &shape, "(robots,)"));
         };
         if count > 0 && !["i", "u"].contains(&kind.as_str()) {
-            let message = format!("{name} has dtype {found}, allowed are integers from 0 to {}", u32::MAX);
+            let message = format!(
+                "{name} has dtype {found}, allowed are integers from 0 to {}",
+                u32::MAX
+            );
             // Integers that fit no type of NumPy are objects.
             return Err(match kind.as_str() {
                 "O" => PyValueError::new_err(message),

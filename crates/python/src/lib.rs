@@ -28,9 +28,9 @@ mod _native {
     #[pymodule_export]
     use crate::planner::{FrameMemory, PlannerPorts, quality};
     #[pymodule_export]
-    use crate::publisher::PublisherPort;
-    #[pymodule_export]
     use crate::predictor::Predictor;
+    #[pymodule_export]
+    use crate::publisher::PublisherPort;
     #[pymodule_export]
     use crate::training::train_rows;
     use pyo3::prelude::{Bound, PyModule, PyModuleMethods as _, PyResult};

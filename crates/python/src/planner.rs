@@ -7,7 +7,8 @@ use std::time::{Duration, Instant};
 use bytemuck::cast_slice;
 use joulebus_consumer::wire::{ForecastHeader, Quality};
 use joulebus_consumer::{
-    Arrival, BudgetFeed, Config, DiagnosticFeed, End, Event, KeptForecasts, Planner as Ports, ReadError, WorkerState,
+    Arrival, BudgetFeed, Config, DiagnosticFeed, End, Event, KeptForecasts, Planner as Ports,
+    ReadError, WorkerState,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -185,7 +186,10 @@ impl PlannerPorts {
 impl State {
     fn open(&mut self) -> PyResult<(&mut Open, usize)> {
         let kept = self.frames.len();
-        self.ports.as_mut().map(|open| (open, kept)).ok_or_else(closed)
+        self.ports
+            .as_mut()
+            .map(|open| (open, kept))
+            .ok_or_else(closed)
     }
 
     fn wait(&mut self, slice: Duration) -> PyResult<Told> {
@@ -221,7 +225,8 @@ impl State {
         let (open, kept) = self.open()?;
         if open.diagnostics.is_none() {
             let feed = open.planner.diagnostics();
-            open.diagnostics = Some(feed.map_err(|error| ConnectError::new_err(error.to_string()))?);
+            open.diagnostics =
+                Some(feed.map_err(|error| ConnectError::new_err(error.to_string()))?);
         }
         let Some(feed) = &mut open.diagnostics else {
             return Ok(None);
@@ -265,7 +270,10 @@ impl FrameMemory {
         dict.set_item(intern!(py, "shape"), (self.memory.robots,))?;
         dict.set_item(intern!(py, "typestr"), format!("|V{size}"))?;
         // Without gaps: the payloads have no padding.
-        let descr: Vec<_> = fields.iter().map(|(name, code, _)| (*name, *code)).collect();
+        let descr: Vec<_> = fields
+            .iter()
+            .map(|(name, code, _)| (*name, *code))
+            .collect();
         dict.set_item(intern!(py, "descr"), descr)?;
         dict.set_item(intern!(py, "data"), (self.memory.address, true))?;
         Ok(dict)
@@ -306,13 +314,18 @@ impl FrameMemory {
 impl Drop for FrameMemory {
     fn drop(&mut self) {
         let number = self.memory.number;
-        self.thread.tell(move |state| drop(state.frames.remove(&number)));
+        self.thread
+            .tell(move |state| drop(state.frames.remove(&number)));
     }
 }
 
 /// Name and detail of a quality: readings so far, steps, or the name of the reason.
 #[pyfunction]
-pub(crate) fn quality(py: Python<'_>, code: u16, detail: u16) -> PyResult<(&'static str, Py<PyAny>)> {
+pub(crate) fn quality(
+    py: Python<'_>,
+    code: u16,
+    detail: u16,
+) -> PyResult<(&'static str, Py<PyAny>)> {
     let number = |detail: u16| detail.into_py_any(py);
     Ok(match Quality::decode(code, detail) {
         Quality::Fresh => ("Fresh", py.None()),

@@ -90,7 +90,10 @@ impl<S: 'static> PortThread<S> {
     }
 
     fn send(&self, call: Call<S>) -> PyResult<()> {
-        let sent = self.calls.as_ref().is_some_and(|calls| calls.send(call).is_ok());
+        let sent = self
+            .calls
+            .as_ref()
+            .is_some_and(|calls| calls.send(call).is_ok());
         sent.then_some(())
             .ok_or_else(|| PyRuntimeError::new_err("the thread of the ports has ended"))
     }
@@ -99,7 +102,9 @@ impl<S: 'static> PortThread<S> {
 impl<S> fmt::Debug for PortThread<S> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let pid = self.pid;
-        out.debug_struct("PortThread").field("pid", &pid).finish_non_exhaustive()
+        out.debug_struct("PortThread")
+            .field("pid", &pid)
+            .finish_non_exhaustive()
     }
 }
 

@@ -4,7 +4,9 @@ use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
 
-use joulebus_predictor::{FEATURES, Features, INPUTS, LAGS, Model, ReadingAge, RolloutStart, Rollouts};
+use joulebus_predictor::{
+    FEATURES, Features, INPUTS, LAGS, Model, ReadingAge, RolloutStart, Rollouts,
+};
 use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;

@@ -159,6 +159,9 @@ fn truths(name: &str, given: &Bound<'_, PyAny>) -> PyResult<(Vec<bool>, Vec<usiz
         )));
     }
     let shape: Vec<usize> = array.getattr("shape")?.extract()?;
-    let values = array.call_method0("ravel")?.call_method0("tolist")?.extract()?;
+    let values = array
+        .call_method0("ravel")?
+        .call_method0("tolist")?
+        .extract()?;
     Ok((values, shape))
 }
