@@ -10,7 +10,6 @@ import time
 from pathlib import Path
 
 _NUMBERS = itertools.count()
-_PREFIXES = itertools.count()
 #: Longest time that a test waits for a condition: for a machine with much other work.
 PATIENCE_S = 120.0
 
@@ -18,14 +17,14 @@ PATIENCE_S = 120.0
 class Fleet:
     def __init__(self, program: Path, folder: Path, robots: int = 16, planners: int = 4) -> None:
         name = f"joulebus-pytest-{os.getpid()}-{next(_NUMBERS)}"
-        # At most 8 letters: objects of this fleet alone begin with it.
-        self.prefix = f"p{os.getpid() % 0x1000000:06x}{next(_PREFIXES) % 16:x}"
-        self.program, self.root, self.folder = program, Path("/dev/shm", name), folder
+        # A process uses one domain: its tests share the names, one after the other. At most 8 letters.
+        self.prefix = f"p{os.getpid() % 0x1000000:06x}"
+        self.program, self.root, self.folder = program, Path("/dev/shm", f"{self.prefix}.d"), folder
         self.config = folder / f"{name}.toml"
         self.config.write_text(
             f"""
 [fleet]
-name = "{name}"
+name = "test"
 capacity = {max(robots, 16)}
 [domain]
 root = "{self.root}"
