@@ -1,24 +1,39 @@
 #!/usr/bin/env bash
-# Builds the Python package with maturin, installs the wheel into an environment of its own and runs its tests
-# against the program in target/debug. Arguments are passed on to pytest. Skips aloud where PyPI cannot be
-# reached; with CI=true that is a failure.
+# Tests the Python package in an environment of its own, against the program in target/debug. Skips aloud where
+# there is no Python or PyPI cannot be reached; with CI=true that is a failure.
+#
+#     tools/python_package.sh                      builds the wheel with maturin and installs it, as users get it
+#     tools/python_package.sh --workspace          takes the extension of the workspace's build, whose dependencies are
+#                                                  compiled already: what the gate does after `cargo test --workspace`
+#     tools/python_package.sh -k test_live -x      further arguments are pytest's
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 if ! python=$(tools/python.sh --locked); then
-    echo "python package: skipped: no environment of crates/python/requirements.lock; is PyPI reachable?" >&2
+    echo "python package: skipped: no environment of crates/python/requirements.lock; are Python and PyPI there?" >&2
     [ "${CI:-}" != true ]
     exit
 fi
 target=${CARGO_TARGET_DIR:-$PWD/target}
-wheels=$target/wheels
-rm -rf "$wheels"
-# The profile of the tests: their dependencies are compiled already.
-"$python" -m maturin build --quiet --locked --profile dev --manifest-path crates/python/Cargo.toml \
-    --interpreter "$python" --out "$wheels"
-cargo build --quiet --locked --package joulebus
-# The wheel is installed as users get it, not the sources: a file that it lacks is found missing.
-"$python" -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall "$wheels"/joulebus-*.whl
+if [ "${1:-}" = --workspace ]; then
+    shift
+    # All targets: so the dependencies have the features that `cargo test --workspace` compiled them with.
+    cargo build --quiet --locked --workspace --all-targets
+    package=$target/python-package
+    rm -rf "$package"
+    mkdir -p "$package"
+    cp -r crates/python/python/joulebus "$package"
+    cp "$target/debug/lib_native.so" "$package/joulebus/_native.abi3.so"
+    export PYTHONPATH=$package
+else
+    wheels=$target/wheels
+    rm -rf "$wheels"
+    "$python" -m maturin build --quiet --locked --profile dev --manifest-path crates/python/Cargo.toml \
+        --interpreter "$python" --out "$wheels"
+    [ -n "${JOULEBUS_PROGRAM:-}" ] || cargo build --quiet --locked --package joulebus
+    # The wheel, not the sources: a file that it lacks is found missing.
+    "$python" -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall "$wheels"/joulebus-*.whl
+fi
 # Nothing of the repository's folder is on the path of imports.
 JOULEBUS_PROGRAM=${JOULEBUS_PROGRAM:-$target/debug/joulebus} \
     "$python" -P -m pytest --quiet --config-file crates/python/pyproject.toml --rootdir crates/python \

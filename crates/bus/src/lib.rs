@@ -81,10 +81,10 @@ pub use os::scheduling::{
 };
 pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, FrameBuf, IncomingFrame, KeptFrame, Loan, OpenError, OpenQuery, PlanStateReader, PlanStateWriter,
-    QueriesReader, QueriesWriter, QueryClient, QueryError, QueryServer, Reader, ReceiveError,
-    SampleReader, SampleTap, SampleWriter, SendError, StateReader, StateWriter, TickReader,
-    TickWriter, WaitError, Waiter, Waker, Woken, Writer,
+    Frame, FrameBuf, IncomingFrame, KeptFrame, Loan, OpenError, OpenQuery, PlanStateReader,
+    PlanStateWriter, QueriesReader, QueriesWriter, QueryClient, QueryError, QueryServer, Reader,
+    ReceiveError, SampleReader, SampleTap, SampleWriter, SendError, StateReader, StateWriter,
+    TickReader, TickWriter, WaitError, Waiter, Waker, Woken, Writer,
 };
 pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity};
 pub use private::{DomainWarning, RootError};

@@ -55,8 +55,18 @@ class Source(threading.Thread):
         self.join()
 
 
+def next_event(planner: joulebus.Planner, kind: type):
+    """The next event of this kind; others are passed over."""
+
+    def found():
+        event = planner.next(1.0)
+        return event if isinstance(event, kind) else None
+
+    return until(f"an event {kind.__name__}", found)
+
+
 def next_frame(planner: joulebus.Planner) -> joulebus.Frame:
-    return until("a frame", lambda: (event := planner.next(1.0)) if isinstance(event, joulebus.Frame) else None)
+    return next_event(planner, joulebus.Frame)
 
 
 @pytest.fixture
@@ -91,7 +101,12 @@ def test_frames_are_read_only_views_on_shared_memory(running):
 
 
 def test_a_forecast_tells_what_is_known_of_its_robot(running):
-    frame = until("a whole frame", lambda: (found := next_frame(running)) if found[7].interval_w else None)
+
+    def whole():
+        found = next_frame(running)
+        return found if found[7].interval_w else None
+
+    frame = until("a whole frame", whole)
     forecast = frame[7]
     lo_w, hi_w = forecast.interval_w
     assert forecast.robot == 7 and lo_w <= hi_w and 3.0 < forecast.reading_w < 4.3
@@ -193,12 +208,7 @@ def test_a_killed_worker_is_an_event_at_once_and_its_successor_is_followed(fleet
         before = next_frame(planner).worker_pid
         assert before == fleet.process.pid
         fleet.kill()
-
-        def gone():
-            event = planner.next(1.0)
-            return event if isinstance(event, joulebus.Gone) else None
-
-        assert until("the worker's end", gone).how == "exited"
+        assert next_event(planner, joulebus.Gone).how == "exited"
         assert planner.status["worker"] == "gone"
         fleet.start()
         after = next_frame(planner)
@@ -212,9 +222,7 @@ def test_a_stopped_worker_is_stale(fleet):
         next_frame(planner)
         fleet.process.send_signal(signal.SIGSTOP)
         try:
-            stale = until(
-                "a stale event", lambda: (event := planner.next(1.0)) if isinstance(event, joulebus.Stale) else None
-            )
+            stale = next_event(planner, joulebus.Stale)
         finally:
             fleet.process.send_signal(signal.SIGCONT)
         assert stale.age_s > 0.0
@@ -315,7 +323,7 @@ def test_wrong_frames_are_refused_with_the_remedy_and_not_sent(fleet):
     with joulebus.Publisher(fleet.config) as publisher:
         for given, kind, said in WRONG:
             with pytest.raises(kind) as refused:
-                publisher.publish(given.pop("ids", [1, 2]) if "ids" not in given else given["ids"], **{k: v for k, v in given.items() if k != "ids"})
+                publisher.publish(**({"ids": [1, 2]} | given))
             assert said in str(refused.value), (given, str(refused.value))
         assert publisher.frames_sent == 0 and publisher.samples_sent == 0
         assert publisher.publish([1, 2], v=0.1, omega=[0.0, 0.1], power=[3.5, np.nan], soc=0.5, held=[False, True]) == 0
