@@ -27,9 +27,9 @@ pub use liveness::peer_watch::PeerWatch;
 pub use liveness::worker_lock::WorkerLock;
 pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, IncomingFrame, KeptFrame, Loan, PlanStateReader, PlanStateWriter, QueriesReader, QueriesWriter,
-    Reader, SampleReader, SampleTap, SampleWriter, StateReader, StateWriter, Taken, TickReader,
-    TickWriter, Writer, taken_frames,
+    Frame, IncomingFrame, KeptFrame, Loan, PlanStateReader, PlanStateWriter, QueriesReader,
+    QueriesWriter, Reader, SampleReader, SampleTap, SampleWriter, StateReader, StateWriter, Taken,
+    TickReader, TickWriter, Writer, taken_frames,
 };
 pub use query::{OpenQuery, QueryClient, QueryServer};
 pub use queues::{begin, remove_process, size};
