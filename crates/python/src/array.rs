@@ -1,12 +1,16 @@
 //! Numbers from Python, and arrays to Python.
 
 use numpy::{
-    Element, IxDyn, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _,
+    Element, IxDyn, PyArray1, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn,
+    PyUntypedArrayMethods as _,
 };
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyFloat, PyInt};
+
+/// Most values that a new array gets as a copy.
+const COPIED: usize = 256;
 
 /// The numbers of an array-like, in row-major order: a copy.
 #[derive(Debug)]
@@ -18,14 +22,16 @@ pub(crate) struct Numbers {
 impl Numbers {
     /// Numbers of any real type, rounded to single precision. `name` is for messages.
     pub(crate) fn read(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Self> {
-        if let Some(found) = copy(given, |value: f32| value) {
-            return Ok(found);
-        }
-        if let Some(found) = copy(given, |value: f64| value as f32) {
-            return Ok(found);
-        }
-        let array = converted(name, given, "float32")?;
-        copy(&array, |value: f32| value).ok_or_else(|| unreadable(name, given))
+        let found =
+            copy(given, |value: f32| value).or_else(|| copy(given, |value: f64| value as f32));
+        let (values, shape) = match found {
+            Some(found) => found,
+            None => {
+                let array = converted(name, given, "float32")?;
+                copy(&array, |value: f32| value).ok_or_else(|| unreadable(name, given))?
+            }
+        };
+        Ok(Self { values, shape })
     }
 
     pub(crate) fn shape_text(&self) -> String {
@@ -47,15 +53,13 @@ impl Doubles {
             let (values, shape) = (vec![given.extract()?], Vec::new());
             return Ok(Self { values, shape });
         }
+        if let Some((values, shape)) = copy(given, |value: f64| value) {
+            return Ok(Self { values, shape });
+        }
         let array = converted(name, given, "float64")?;
-        let found: PyReadonlyArrayDyn<'_, f64> =
-            array.extract().map_err(|_| unreadable(name, given))?;
-        let shape = found.shape().to_vec();
-        let values = found.as_slice().map_err(|_| unreadable(name, given))?;
-        Ok(Self {
-            values: values.to_vec(),
-            shape,
-        })
+        let (values, shape) =
+            copy(&array, |value: f64| value).ok_or_else(|| unreadable(name, given))?;
+        Ok(Self { values, shape })
     }
 }
 
@@ -110,8 +114,11 @@ impl Ids {
     }
 }
 
-/// A copy of an array that already has type `T` and lies in row-major order.
-fn copy<T: Element + Copy>(given: &Bound<'_, PyAny>, each: impl Fn(T) -> f32) -> Option<Numbers> {
+/// Values and shape of an array that already has type `T` and lies in row-major order.
+fn copy<T: Element + Copy, U>(
+    given: &Bound<'_, PyAny>,
+    each: impl Fn(T) -> U,
+) -> Option<(Vec<U>, Vec<usize>)> {
     let array = given.cast::<PyArrayDyn<T>>().ok()?;
     // A contiguous array may also lie column by column.
     if !array.is_c_contiguous() {
@@ -119,10 +126,10 @@ fn copy<T: Element + Copy>(given: &Bound<'_, PyAny>, each: impl Fn(T) -> f32) ->
     }
     let array = array.try_readonly().ok()?;
     let values = array.as_slice().ok()?;
-    Some(Numbers {
-        values: values.iter().map(|value| each(*value)).collect(),
-        shape: array.shape().to_vec(),
-    })
+    Some((
+        values.iter().map(|value| each(*value)).collect(),
+        array.shape().to_vec(),
+    ))
 }
 
 /// The array-like as an array of `dtype` in row-major order. Only real numbers are converted: text, objects,
@@ -154,13 +161,21 @@ fn unreadable(name: &str, given: &Bound<'_, PyAny>) -> PyErr {
 }
 
 /// A new array of these values.
-pub(crate) fn array<'py, T: Element>(
+pub(crate) fn array<'py, T: Element + Copy>(
     py: Python<'py>,
     values: Vec<T>,
     shape: &[usize],
 ) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
-    let flat = numpy::PyArray1::from_vec(py, values);
-    flat.reshape(IxDyn(shape))
+    // To lend a vector to NumPy costs more than to copy a short one.
+    let flat = if values.len() <= COPIED {
+        PyArray1::from_slice(py, &values)
+    } else {
+        PyArray1::from_vec(py, values)
+    };
+    match shape {
+        [_] => Ok(flat.to_dyn().clone()),
+        _ => flat.reshape(IxDyn(shape)),
+    }
 }
 
 /// As in NumPy's messages: `(1000, 11)`.

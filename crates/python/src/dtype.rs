@@ -2,7 +2,7 @@
 
 use std::mem::offset_of;
 
-use joulebus_wire::{Budget, Diagnostic, Forecast};
+use joulebus_wire::{Budget, Diagnostic, Forecast, Sample};
 
 /// Name, type and offset of each field, and the size of the whole.
 pub(crate) type Layout = (Vec<(&'static str, &'static str, usize)>, usize);
@@ -33,6 +33,11 @@ macro_rules! layout {
         )),*];
         (fields, size_of::<$payload>())
     }};
+}
+
+pub(crate) fn sample() -> Layout {
+    layout!(Sample: robot, flags, seq, stamp_ns, measured_ns, v_mps, omega_radps, power_w, voltage_v, current_a, soc,
+        return_j, reserved)
 }
 
 pub(crate) fn forecast() -> Layout {

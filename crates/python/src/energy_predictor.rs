@@ -38,21 +38,7 @@ impl EnergyPredictor {
     #[new]
     #[pyo3(signature = (path = PathBuf::from("builtin:gternal-sim"), period_s = 0.033))]
     fn new(path: PathBuf, period_s: f64) -> PyResult<Self> {
-        if !(period_s > 0.0 && period_s.is_finite()) {
-            return Err(PyValueError::new_err(format!(
-                "period_s is {period_s}, allowed is a finite time above 0 s"
-            )));
-        }
-        let network = model::open(&path)?;
-        if network.feature_set().needs_freshness() {
-            return Err(ModelError::new_err(ExportError::ReadingAge.to_string()));
-        }
-        let mut predictor = Self {
-            network,
-            period_s: period_s as f32,
-            robots: Vec::new(),
-            shape: Vec::new(),
-        };
+        let mut predictor = Self::open(path, period_s, 1)?;
         predictor.begin(&[3_500.0], Vec::new());
         Ok(predictor)
     }
@@ -105,6 +91,27 @@ impl EnergyPredictor {
 }
 
 impl EnergyPredictor {
+    /// Of several robots at rest.
+    pub(crate) fn open(path: PathBuf, period_s: f64, robots: usize) -> PyResult<Self> {
+        if !(period_s > 0.0 && period_s.is_finite()) {
+            return Err(PyValueError::new_err(format!(
+                "period_s is {period_s}, allowed is a finite time above 0 s"
+            )));
+        }
+        let network = model::open(&path)?;
+        if network.feature_set().needs_freshness() {
+            return Err(ModelError::new_err(ExportError::ReadingAge.to_string()));
+        }
+        let mut predictor = Self {
+            network,
+            period_s: period_s as f32,
+            robots: Vec::new(),
+            shape: Vec::new(),
+        };
+        predictor.begin(&vec![3_500.0; robots], vec![robots]);
+        Ok(predictor)
+    }
+
     fn begin(&mut self, power_mw: &[f64], shape: Vec<usize>) {
         self.robots.clear();
         self.robots.extend(power_mw.iter().map(|power| Robot {
@@ -184,7 +191,13 @@ impl EnergyPredictor {
         Ok(())
     }
 
-    fn compute(&mut self, v: &Doubles, omega: &Doubles, measured: Option<&Doubles>) -> Vec<f64> {
+    /// The next forecasts, mW, of commands that `spread` or the caller has checked.
+    pub(crate) fn compute(
+        &mut self,
+        v: &Doubles,
+        omega: &Doubles,
+        measured: Option<&Doubles>,
+    ) -> Vec<f64> {
         let (network, period_s) = (&self.network, self.period_s);
         let command = |at: usize| (of(v, at) as f32, of(omega, at) as f32);
         let row = |(at, robot): (usize, &Robot)| {

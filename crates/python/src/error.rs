@@ -37,6 +37,13 @@ create_exception!(
     "A frame was refused, and not sent."
 );
 
+create_exception!(
+    joulebus,
+    RecordingError,
+    Error,
+    "A capture or a trial is refused."
+);
+
 /// An error of the system on a file, as the exception that Python itself raises: `FileNotFoundError` and so on.
 pub(crate) fn of_file(path: &Path, error: &io::Error) -> PyErr {
     let message = format!("cannot read {}: {error}", path.display());

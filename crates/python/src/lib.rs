@@ -3,10 +3,15 @@
 //!
 //! Array arguments are copied before the interpreter is released, so that another Python thread that writes
 //! into them changes no computation. No `unsafe` is written here: arrays over shared memory are made by NumPy
-//! itself, from `__array_interface__` (`frame.rs`).
+//! itself, from `__array_interface__` (`planner.rs`).
 #![forbid(unsafe_code)]
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "what Python passes arrives as owned values"
+)]
 
 mod array;
+mod batteries;
 mod dtype;
 mod energy_predictor;
 mod error;
@@ -15,6 +20,8 @@ mod planner;
 mod port_thread;
 mod predictor;
 mod publisher;
+mod questions;
+mod recordings;
 mod training;
 
 use pyo3::prelude::pymodule;
@@ -22,15 +29,21 @@ use pyo3::prelude::pymodule;
 #[pymodule]
 mod _native {
     #[pymodule_export]
+    use crate::batteries::Batteries;
+    #[pymodule_export]
     use crate::energy_predictor::EnergyPredictor;
     #[pymodule_export]
-    use crate::error::{ConnectError, Error, ModelError, PublishError, ReadError};
+    use crate::error::{ConnectError, Error, ModelError, PublishError, ReadError, RecordingError};
     #[pymodule_export]
     use crate::planner::{FrameMemory, PlannerPorts, quality};
     #[pymodule_export]
     use crate::predictor::Predictor;
     #[pymodule_export]
     use crate::publisher::PublisherPort;
+    #[pymodule_export]
+    use crate::questions::QuestionPorts;
+    #[pymodule_export]
+    use crate::recordings::{read_capture, read_trials, trial_rows, write_trial};
     #[pymodule_export]
     use crate::training::train_rows;
     use pyo3::prelude::{Bound, PyModule, PyModuleMethods as _, PyResult};
@@ -39,6 +52,7 @@ mod _native {
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         module.add("FEATURE_NAMES", joulebus_predictor::FEATURE_NAMES)?;
+        module.add("SAMPLE", crate::dtype::sample())?;
         module.add("FORECAST", crate::dtype::forecast())?;
         module.add("DIAGNOSTIC", crate::dtype::diagnostic())?;
         module.add("BUDGET", crate::dtype::budget())

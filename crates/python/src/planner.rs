@@ -20,9 +20,12 @@ use crate::error::{ConnectError, ReadError as ReadFailed};
 use crate::port_thread::PortThread;
 
 /// Longest wait without a look at Python's signals: Ctrl-C works within twice this.
-const SLICE: Duration = Duration::from_millis(40);
+pub(crate) const SLICE: Duration = Duration::from_millis(40);
 /// Longest time-out; longer ones are the same as none.
 const LONGEST: Duration = Duration::from_secs(1 << 32);
+
+/// Tick and rows of the newest frame, if one arrived.
+type Rows = PyResult<Option<(u64, Vec<u8>)>>;
 
 /// What the thread has.
 pub(crate) struct State {
@@ -39,6 +42,7 @@ struct Open {
 }
 
 /// What happened, as the thread tells it.
+#[allow(clippy::large_enum_variant, reason = "there is one at a time")]
 enum Told {
     Frame(Memory),
     Gone(End),
@@ -141,6 +145,11 @@ impl PlannerPorts {
         Ok(dict)
     }
 
+    /// Refuses a closed planner, and one of another process.
+    fn check(&self, py: Python<'_>) -> PyResult<()> {
+        py.detach(|| self.thread.ask(|state| state.open().map(|_| ())))?
+    }
+
     /// Leaves the fleet. Frames that are still in use keep their memory.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
         py.detach(|| self.thread.ask(|state| state.ports = None))
@@ -165,7 +174,7 @@ impl PlannerPorts {
         &self,
         py: Python<'py>,
         timeout_s: Option<f64>,
-        read: fn(&mut State) -> PyResult<Option<(u64, Vec<u8>)>>,
+        read: fn(&mut State) -> Rows,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         const PAUSE: Duration = Duration::from_millis(2);
         let deadline = deadline(timeout_s)?;
@@ -221,7 +230,7 @@ impl State {
         Ok(Told::Frame(memory))
     }
 
-    fn diagnostics(&mut self) -> PyResult<Option<(u64, Vec<u8>)>> {
+    fn diagnostics(&mut self) -> Rows {
         let (open, kept) = self.open()?;
         if open.diagnostics.is_none() {
             let feed = open.planner.diagnostics();
@@ -235,7 +244,7 @@ impl State {
         Ok(frame.map(|frame| (frame.header().tick, cast_slice(frame.robots()).to_vec())))
     }
 
-    fn budgets(&mut self) -> PyResult<Option<(u64, Vec<u8>)>> {
+    fn budgets(&mut self) -> Rows {
         let (open, kept) = self.open()?;
         if open.budgets.is_none() {
             let feed = open.planner.budgets();
@@ -367,11 +376,11 @@ const fn end_name(end: End) -> &'static str {
     }
 }
 
-fn deadline(timeout_s: Option<f64>) -> PyResult<Option<Instant>> {
+pub(crate) fn deadline(timeout_s: Option<f64>) -> PyResult<Option<Instant>> {
     let Some(timeout_s) = timeout_s else {
         return Ok(None);
     };
-    if !(timeout_s >= 0.0) {
+    if timeout_s.is_nan() || timeout_s < 0.0 {
         return Err(PyValueError::new_err(format!(
             "timeout is {timeout_s}, allowed are 0 s and more, and None for ever"
         )));

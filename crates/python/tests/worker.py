@@ -9,13 +9,15 @@ import subprocess
 import time
 from pathlib import Path
 
+import numpy as np
+
 _NUMBERS = itertools.count()
 #: Longest time that a test waits for a condition: for a machine with much other work.
 PATIENCE_S = 120.0
 
 
 class Fleet:
-    def __init__(self, program: Path, folder: Path, robots: int = 16, planners: int = 4) -> None:
+    def __init__(self, program: Path, folder: Path, robots: int = 16, planners: int = 4, battery: str = "") -> None:
         name = f"joulebus-pytest-{os.getpid()}-{next(_NUMBERS)}"
         # A process uses one domain: its tests share the names, one after the other. At most 8 letters.
         self.prefix = f"p{os.getpid() % 0x1000000:06x}"
@@ -34,7 +36,7 @@ max_planners = {planners}
 [[platform]]
 file = "builtin:gternal"
 robots = ["0-{robots - 1}"]
-"""
+{battery}"""
         )
         self.process: subprocess.Popen[bytes] | None = None
 
@@ -65,11 +67,11 @@ robots = ["0-{robots - 1}"]
 
 
 def until(what: str, condition, fleet: Fleet | None = None):
-    """Waits until `condition()` is neither None nor false, and returns it."""
+    """Waits until `condition()` is neither None nor false, and returns it. A number is a result, also 0."""
     end = time.monotonic() + PATIENCE_S
     while time.monotonic() < end:
         found = condition()
-        if found is not None and found is not False:
+        if found is not None and not (isinstance(found, (bool, np.bool_)) and not found):
             return found
         time.sleep(0.01)
     raise AssertionError(f"waited {PATIENCE_S} s in vain for {what}\n{fleet.log() if fleet else ''}")

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import threading
 import time
 import weakref
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from typing import Any, Iterator, Mapping
 import numpy as np
 
 from . import _native
+from .questions import Answers
 
 
 def _dtype(layout: tuple[list[tuple[str, str, int]], int]) -> np.dtype:
@@ -237,6 +239,10 @@ class Planner(_Connection):
     def __init__(self, config: str | os.PathLike[str], name: str = "planner") -> None:
         self._ports = _native.PlannerPorts(config, name)
         self._positions: dict[int, int] = {}
+        self._asking: _native.QuestionPorts | None = None
+        self._lock = threading.Lock()
+        # A later change of the working directory must not change the file.
+        self._joined = (os.path.abspath(config), name)
         self._pid = os.getpid()
         _CONNECTIONS.add(self)
 
@@ -270,6 +276,71 @@ class Planner(_Connection):
         """The newest budgets: energy drawn and left, state of charge (`joulebus.BUDGET`); None if there is none
         within `timeout` seconds."""
         return _table(self._ports.budgets(timeout), BUDGET)
+
+    def what_if(
+        self,
+        robot: int,
+        v: Any,
+        omega: Any,
+        *,
+        period_s: float | None = None,
+        coverage: float = 0.9,
+        power: bool = False,
+        timeout: float = 1.0,
+    ) -> Answers:
+        """What command sequences would cost a robot: `v` in m/s and `omega` in rad/s, ``(steps,)`` or ``(candidates,
+        steps)``, each command in force for `period_s` (the fleet's tick by default).
+
+        Computed in this process from the newest tick, with other Python threads running; `coverage` is that of the
+        intervals, 0.5 to 0.999; `power` asks for the power of every step too. If nothing current arrives within
+        `timeout` seconds, the answers are unknown and say so; `ReadError` if nothing has arrived at all. The first
+        question joins the fleet once more, as a planner that the worker writes plan states for.
+        """
+        return Answers(self._asked().what_if([robot], v, omega, period_s, coverage, power, timeout))
+
+    def ask(
+        self,
+        robots: Any,
+        path: Any = None,
+        *,
+        idle_s: float | None = None,
+        speed: Any = float("inf"),
+        heading: float | None = None,
+        back_to: tuple[float, float] | None = None,
+        coverage: float = 0.9,
+        power: bool = False,
+        timeout: float = 1.0,
+    ) -> Answers:
+        """What a path, or `idle_s` seconds at rest, cost one robot or several, and whether they make it.
+
+        `path` are points ``(points, 2)`` in m, first where the robot is; `speed` (m/s) one for all, or towards each
+        point, at most the platform's; `heading` (rad) at the first point. With `back_to` the way back counts, and
+        ``turn_back_s`` says until when the robot can return for sure. The best robot is first; `power` is of one robot.
+        """
+        if (path is None) == (idle_s is None):
+            raise ValueError("ask takes either a path or idle_s")
+        ids, asked = np.atleast_1d(np.asarray(robots)), self._asked()
+        if path is None:
+            if power or back_to is not None or heading is not None:
+                raise ValueError("power, back_to and heading are of a path")
+            return Answers(asked.idle(ids, idle_s, coverage, timeout))
+        return Answers(asked.follow(ids, path, speed, heading, back_to, coverage, power, timeout))
+
+    def close(self) -> None:
+        """Leaves the fleet. Further use is refused; closing again does nothing."""
+        super().close()
+        asking = self._asking
+        if asking is not None:
+            asking.close()
+
+    def _asked(self) -> _native.QuestionPorts:
+        # The ports know whether the planner is open, and this process its own.
+        self._ports.check()
+        with self._lock:
+            if self._asking is None:
+                config, name = self._joined
+                self._asking = _native.QuestionPorts(config, name)
+            return self._asking
 
     @property
     def status(self) -> Mapping[str, Any]:

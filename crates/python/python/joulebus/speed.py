@@ -47,11 +47,39 @@ def one_step(rounds: int) -> float:
     return 1e6 * statistics.median(times)
 
 
+def robotarium_steps(robots: int, rounds: int) -> tuple[float, float]:
+    """Median times of a step of `rps.robotarium.Robotarium` and of `EnergyRobotarium`, without a figure, µs."""
+    from rps.robotarium import Robotarium
+
+    from .robotarium import EnergyRobotarium
+
+    poses = np.vstack([np.linspace(-1.5, 1.5, robots), np.zeros((2, robots))])
+    arguments = dict(
+        number_of_robots=robots, initial_conditions=poses, sim_in_real_time=False, skip_initialization=True
+    )
+    pair = (Robotarium(**arguments), EnergyRobotarium(chargers=[[0.0], [0.0]], **arguments))
+    times: tuple[list[float], list[float]] = ([], [])
+    for _ in range(10 * rounds):
+        for robotarium, found in zip(pair, times):
+            robotarium.get_poses()
+            robotarium.set_velocities(np.arange(robots), np.full((2, robots), 0.1))
+            begin = time.perf_counter()
+            robotarium.step()
+            found.append(time.perf_counter() - begin)
+    return 1e6 * statistics.median(times[0]), 1e6 * statistics.median(times[1])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m joulebus.speed", description=__doc__)
     parser.add_argument("--rounds", type=int, default=101, help="paired measurements [default: 101]")
     parser.add_argument("--format", choices=["text", "json"], default="text")
+    parser.add_argument("--robotarium", action="store_true", help="a step of EnergyRobotarium beside that of rps instead")
     asked = parser.parse_args()
+    if asked.robotarium:
+        for robots in (1, 5, 10, 15):
+            plain_us, energy_us = robotarium_steps(robots, asked.rounds)
+            print(f"step, {robots:2} robots: {energy_us:.1f} µs, rps {plain_us:.1f} µs, ratio {energy_us / plain_us:.3f}")
+        return
     predictor = Predictor()
     found = [compared(predictor, robots, asked.rounds) for robots in (1, 100, FLEET)]
     step_us = one_step(asked.rounds)

@@ -1,0 +1,93 @@
+"""Answers to questions about plans: what they cost, and whether the robot makes them."""
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Iterator
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer to one candidate, or of one robot. What is unknown is None.
+
+    ``verdict``: ``yes`` only if the upper end of the energy fits into what the battery can spare at least, on every
+    leg, and nothing weakens that; ``tight``, ``no``, or ``unknown`` with its ``reason``. ``energy_lo_j`` and
+    ``energy_hi_j`` are the interval at the asked coverage; ``left_lo_j`` is the energy left at least; ``margin_j`` what
+    the battery can spare at least, less ``energy_hi_j``; ``probability`` that of finishing above the reserve;
+    ``limiting_leg`` the first that is not sure, from 0; ``turn_back_s`` until when the robot can still return for sure;
+    ``caveats`` what weakens the answer.
+    """
+
+    robot: int
+    verdict: str
+    reason: str | None
+    duration_s: float
+    energy_j: float | None
+    energy_lo_j: float | None
+    energy_hi_j: float | None
+    left_j: float | None
+    left_lo_j: float | None
+    margin_j: float | None
+    probability: float | None
+    limiting_leg: int | None
+    turn_back_s: float | None
+    caveats: str | None
+
+
+#: Columns of answers.
+_COLUMNS = tuple(field.name for field in fields(Answer))
+_TEXTS = ("verdict", "reason", "caveats")
+
+
+class Answers:
+    """Answers to one question, as of one tick (``tick``, ``age_s`` old when it was answered).
+
+    Each field of `Answer` is an array here, NaN where unknown (−1 as ``limiting_leg``, None as a text): one element
+    for each candidate, in the order of the candidates, or for each robot; the best first where robots follow a path.
+    ``power_w``, if it was asked for, is the power of every step, W: ``(candidates, steps)``.
+    """
+
+    def __init__(self, told: dict[str, Any]) -> None:
+        self.tick: int = told["tick"]
+        self.age_s: float = told["age_s"]
+        self.power_w: np.ndarray | None = told.get("power_w")
+        for name in _COLUMNS:
+            column = told[name]
+            setattr(self, name, np.array(column, object if name != "verdict" else "U7") if name in _TEXTS else column)
+
+    def __len__(self) -> int:
+        return len(self.robot)
+
+    def __getitem__(self, at: int) -> Answer:
+        """The answer to candidate `at`, or of the robot at this place."""
+        found = {name: _known(name, getattr(self, name)[at]) for name in _COLUMNS}
+        return Answer(**found)
+
+    def __iter__(self) -> Iterator[Answer]:
+        return (self[at] for at in range(len(self)))
+
+    @property
+    def best(self) -> int:
+        """Place of the best answer: by verdict (yes, tight, no, unknown), then by the expected energy."""
+        ranks = {"yes": 0, "tight": 1, "no": 2, "unknown": 3}
+        rank = np.array([ranks[verdict] for verdict in self.verdict])
+        return int(np.lexsort((np.nan_to_num(self.energy_j, nan=np.inf), rank))[0])
+
+    def to_pandas(self) -> Any:
+        """A DataFrame with one row for each answer. Needs pandas."""
+        import pandas
+
+        return pandas.DataFrame({name: getattr(self, name) for name in _COLUMNS})
+
+    def __repr__(self) -> str:
+        counts = {verdict: int(np.sum(self.verdict == verdict)) for verdict in ("yes", "tight", "no", "unknown")}
+        return f"Answers({len(self)}, {', '.join(f'{verdict}: {count}' for verdict, count in counts.items() if count)})"
+
+
+def _known(name: str, value: Any) -> Any:
+    """A number of Python; None for what is unknown."""
+    if name in _TEXTS:
+        return None if value is None else str(value)
+    value = value.item()
+    return None if value != value or (name == "limiting_leg" and value < 0) else value

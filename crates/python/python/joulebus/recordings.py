@@ -1,0 +1,88 @@
+"""Captures and recorded trials, as arrays and data frames."""
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from . import _native
+from .live import BUDGET, DIAGNOSTIC, FORECAST, _dtype
+
+#: NumPy's type of a sample: names and units as in `joulebus-wire`.
+SAMPLE = _dtype(_native.SAMPLE)
+
+_ROWS = {"samples": SAMPLE, "forecasts": FORECAST, "diagnostics": DIAGNOSTIC, "budgets": BUDGET}
+
+
+class RecordingDamaged(UserWarning):
+    """A capture is not whole: what can be read of it was returned."""
+
+
+def read_arrays(
+    path: str | os.PathLike[str], topic: str, *, fleet: str | None = None, robots: Any = None
+) -> dict[str, np.ndarray]:
+    """What a capture (`joulebus record`, MCAP) holds of ``samples``, ``forecasts``, ``diagnostics`` or ``budgets``.
+
+    One element for each robot and message, in the order of the file: the fields of `joulebus.SAMPLE`, `FORECAST`,
+    `DIAGNOSTIC` or `BUDGET`, to the bit, and of its message ``tick`` (number of the source's frame, of samples),
+    ``log_ns`` (received by the recorder, Unix ns) and ``sent_ns``. `robots` selects by id; `fleet` is needed where the
+    capture has several. Of a damaged file, what is before the damage is returned with a warning `RecordingDamaged`.
+    """
+    told = _native.read_capture(path, topic, fleet, robots)
+    if told["damage"] is not None:
+        warnings.warn(f"{os.fspath(path)}: {told['damage']}", RecordingDamaged, stacklevel=2)
+    rows = told["bytes"].view(_ROWS[topic])
+    found = {name: np.repeat(told[name], told["rows"]) for name in ("tick", "log_ns", "sent_ns")}
+    return found | {name: rows[name] for name in rows.dtype.names}
+
+
+def read(path: str | os.PathLike[str], topic: str, *, fleet: str | None = None, robots: Any = None) -> Any:
+    """As `read_arrays`, as a DataFrame. Needs pandas."""
+    import pandas
+
+    return pandas.DataFrame(read_arrays(path, topic, fleet=fleet, robots=robots))
+
+
+@dataclass
+class Trial:
+    """What one robot recorded in one run, in SI units.
+
+    ``columns`` has ``timestamp_s`` and, as far as recorded, ``v_mps`` and ``omega_radps`` (commands), ``power_w``,
+    ``voltage_v``, ``current_a``, ``x_m``, ``y_m``, ``theta_rad``, ``v_measured_mps``, ``omega_measured_radps``, ``soc``
+    and ``phase``: float64, NaN where nothing was recorded.
+    """
+
+    columns: dict[str, np.ndarray]
+    robot: str | None = field(default=None)
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Writes .csv, .csv.gz or .npy, as all of joulebus reads them (mV, mA, mW)."""
+        _native.write_trial(path, self.robot or "", self.columns)
+
+    def rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Features ``(rows, 13)`` and the readings that followed, W: what `Predictor.fit`, `predict` and `score` take.
+
+        One row for each reading with five gapless readings before it; the features are those that the worker would have
+        computed, to the bit.
+        """
+        return _native.trial_rows(self.columns)
+
+    def to_pandas(self) -> Any:
+        """A copy as a DataFrame. Needs pandas."""
+        import pandas
+
+        return pandas.DataFrame(self.columns)
+
+    def __len__(self) -> int:
+        return len(self.columns["timestamp_s"])
+
+    def __repr__(self) -> str:
+        return f"Trial(robot={self.robot!r}, rows={len(self)}, columns=[{', '.join(self.columns)}])"
+
+
+def read_trials(path: str | os.PathLike[str]) -> list[Trial]:
+    """The trials of a file (.npy, .csv, .csv.gz, or a capture): one for each robot."""
+    return [Trial(columns, robot) for robot, columns in _native.read_trials(path)]

@@ -1,0 +1,353 @@
+//! Questions about plans: what command sequences, a path or a time at rest cost, computed here from what the
+//! worker writes into shared memory.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use joulebus_plan::{
+    Config, Fleet, MAX_STEPS, Path, Plan, Planner, Point, Question, QuestionError, RobotRows, Row,
+    Verdict, ViewError, Work,
+};
+use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::array::{Doubles, Ids, Numbers, array, shape_error};
+use crate::error::{ConnectError, ReadError};
+use crate::planner::{SLICE, deadline};
+use crate::port_thread::PortThread;
+
+/// The connection of a planner that asks. The worker writes what plans start from while there is one.
+#[pyclass(module = "joulebus._native", frozen)]
+#[derive(Debug)]
+pub(crate) struct QuestionPorts {
+    /// Empty after closing.
+    thread: PortThread<Option<Planner>>,
+    fleet: Fleet,
+}
+
+/// The robots asked about, as of one tick.
+struct Seen {
+    tick: u64,
+    age_ns: u64,
+    is_current: bool,
+    robots: Vec<Option<RobotRows>>,
+}
+
+#[pymethods]
+impl QuestionPorts {
+    #[new]
+    fn new(py: Python<'_>, config: PathBuf, name: String) -> PyResult<Self> {
+        let open = move || {
+            let config = Config::load(config).map_err(|error| error.to_string())?;
+            let planner =
+                Planner::with_config(&config, &name).map_err(|error| error.to_string())?;
+            Ok::<_, String>(Some(planner))
+        };
+        let thread = py.detach(|| PortThread::start(open))?;
+        let thread = thread.map_err(ConnectError::new_err)?;
+        let fleet =
+            |planner: &mut Option<Planner>| planner.as_ref().map(|planner| planner.fleet().clone());
+        let fleet = py.detach(|| thread.ask(fleet))?.ok_or_else(closed)?;
+        Ok(Self { thread, fleet })
+    }
+
+    /// One robot, each of several sequences of commands `(steps,)` or `(candidates, steps)`.
+    #[allow(clippy::too_many_arguments, reason = "arguments of one call in Python")]
+    fn what_if<'py>(
+        &self,
+        py: Python<'py>,
+        robot: &Bound<'py, PyAny>,
+        v: &Bound<'py, PyAny>,
+        omega: &Bound<'py, PyAny>,
+        period_s: Option<f32>,
+        coverage: f32,
+        power: bool,
+        timeout_s: f64,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let robots = Ids::read("robot", robot)?.0;
+        let [robot] = *robots else {
+            return Err(PyValueError::new_err(format!(
+                "{} robots, allowed is one",
+                robots.len()
+            )));
+        };
+        let (v, omega) = (Numbers::read("v", v)?, Numbers::read("omega", omega)?);
+        let candidates = match *v.shape {
+            [_] => 1,
+            [candidates, _] => candidates,
+            _ => {
+                return Err(shape_error(
+                    "v",
+                    &v.shape,
+                    "(steps,) or (candidates, steps)",
+                ));
+            }
+        };
+        if v.shape != omega.shape {
+            let allowed = format!("{}, that of v", v.shape_text());
+            return Err(shape_error("omega", &omega.shape, &allowed));
+        }
+        let plan = Plan::WhatIf {
+            robot,
+            candidates,
+            period_s: period_s.unwrap_or_else(|| self.period_s(robot)),
+            v_mps: v.values,
+            omega_radps: omega.values,
+        };
+        self.answer(
+            py,
+            Question {
+                plan,
+                coverage,
+                power,
+            },
+            timeout_s,
+        )
+    }
+
+    /// Robots that stand still for a time, s.
+    fn idle<'py>(
+        &self,
+        py: Python<'py>,
+        robots: &Bound<'py, PyAny>,
+        duration_s: f32,
+        coverage: f32,
+        timeout_s: f64,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let robots = Ids::read("robots", robots)?.0;
+        let plan = Plan::Idle { robots, duration_s };
+        let question = Question {
+            plan,
+            coverage,
+            power: false,
+        };
+        self.answer(py, question, timeout_s)
+    }
+
+    /// Robots that follow a path: points `(points, 2)` in m, and the speed towards each.
+    #[allow(clippy::too_many_arguments, reason = "arguments of one call in Python")]
+    fn follow<'py>(
+        &self,
+        py: Python<'py>,
+        robots: &Bound<'py, PyAny>,
+        points: &Bound<'py, PyAny>,
+        speed: &Bound<'py, PyAny>,
+        heading_rad: Option<f64>,
+        back_to: Option<(f64, f64)>,
+        coverage: f32,
+        power: bool,
+        timeout_s: f64,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let robots = Ids::read("robots", robots)?.0;
+        let plan = Plan::Follow {
+            robots,
+            path: path(points, speed, heading_rad)?,
+            back_to: back_to.map(|(x_m, y_m)| Point::new(x_m, y_m)),
+        };
+        self.answer(
+            py,
+            Question {
+                plan,
+                coverage,
+                power,
+            },
+            timeout_s,
+        )
+    }
+
+    /// Leaves the fleet.
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        py.detach(|| self.thread.ask(|planner| *planner = None))
+    }
+}
+
+impl QuestionPorts {
+    /// The tick period of a robot's platform; that of the first where it is unknown.
+    fn period_s(&self, robot: u32) -> f32 {
+        let platforms = self.fleet.platforms();
+        let its = platforms.iter().find(|platform| {
+            platform
+                .settings
+                .robots
+                .iter()
+                .any(|ids| ids.contains(&robot))
+        });
+        let period_ns = its
+            .or(platforms.first())
+            .map_or(0, |platform| platform.settings.period_ns);
+        period_ns as f32 * 1e-9
+    }
+
+    fn answer<'py>(
+        &self,
+        py: Python<'py>,
+        question: Question,
+        timeout_s: f64,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let robots = question.plan.robots().to_vec();
+        let seen = self.look(py, &robots, timeout_s)?;
+        let find = |robot: u32| {
+            let at = robots.iter().position(|id| *id == robot)?;
+            seen.robots[at]
+        };
+        let mut work = Work::begin(question, find, MAX_STEPS).map_err(refused)?;
+        while !py.detach(|| work.step(&self.fleet)).map_err(refused)? {
+            py.check_signals()?;
+        }
+        let reply = work.finish();
+        let found = columns(py, &reply.rows)?;
+        found.set_item("tick", seen.tick)?;
+        found.set_item("age_s", seen.age_ns as f64 * 1e-9)?;
+        if !reply.power_w.is_empty() {
+            // Of one robot: as many steps for each of its candidates.
+            let rows = reply.rows.len().max(1);
+            let steps = reply.power_w.len() / rows;
+            found.set_item("power_w", array(py, reply.power_w, &[rows, steps])?)?;
+        }
+        Ok(found)
+    }
+
+    /// The robots as of a current frame; after the time of what there is.
+    fn look(&self, py: Python<'_>, robots: &[u32], timeout_s: f64) -> PyResult<Seen> {
+        let deadline = deadline(Some(timeout_s))?.unwrap_or_else(Instant::now);
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            let (slice, ids) = (left.min(SLICE), robots.to_vec());
+            let ask = move |planner: &mut Option<Planner>| {
+                let planner = planner.as_mut().ok_or_else(closed)?;
+                seen(planner, slice, &ids)
+            };
+            let seen = py.detach(|| self.thread.ask(ask))??;
+            py.check_signals()?;
+            match seen {
+                Ok(seen) if seen.is_current || left.is_zero() => return Ok(seen),
+                Err(nothing) if left.is_zero() => return Err(nothing.into_error(timeout_s)),
+                _ => {}
+            }
+        }
+    }
+}
+
+/// No frame has arrived.
+struct Nothing;
+
+impl Nothing {
+    fn into_error(self, waited_s: f64) -> PyErr {
+        ReadError::new_err(ViewError::Nothing { waited_s }.to_string())
+    }
+}
+
+fn seen(planner: &mut Planner, slice: Duration, robots: &[u32]) -> PyResult<Result<Seen, Nothing>> {
+    let view = match planner.wait(slice) {
+        Ok(view) => view,
+        // Of an interruption, the caller learns by its signal.
+        Err(ViewError::Nothing { .. } | ViewError::Interrupted) => return Ok(Err(Nothing)),
+        Err(error) => return Err(ReadError::new_err(error.to_string())),
+    };
+    Ok(Ok(Seen {
+        tick: view.tick(),
+        age_ns: view.age_ns(),
+        is_current: view.is_current(),
+        robots: robots.iter().map(|robot| view.rows(*robot)).collect(),
+    }))
+}
+
+fn path(
+    points: &Bound<'_, PyAny>,
+    speed: &Bound<'_, PyAny>,
+    heading_rad: Option<f64>,
+) -> PyResult<Path> {
+    let (points, speed) = (
+        Doubles::read("path", points)?,
+        Doubles::read("speed", speed)?,
+    );
+    let [count, 2] = *points.shape else {
+        return Err(shape_error(
+            "path",
+            &points.shape,
+            "(points, 2): x and y in m, first where the robot is",
+        ));
+    };
+    let speed_mps = match *speed.shape {
+        [] => vec![speed.values[0]; count],
+        [found] if found == count => speed.values,
+        _ => {
+            let allowed = format!("() or ({count},), towards each point; the first is not used");
+            return Err(shape_error("speed", &speed.shape, &allowed));
+        }
+    };
+    let point = |at: &[f64]| Point::new(at[0], at[1]);
+    Ok(Path {
+        points: points.values.chunks_exact(2).map(point).collect(),
+        speed_mps,
+        heading_rad,
+    })
+}
+
+/// The answers by columns; what is unknown is NaN, and −1 as a leg.
+fn columns<'py>(py: Python<'py>, rows: &[Row]) -> PyResult<Bound<'py, PyDict>> {
+    let dict = PyDict::new(py);
+    let count = [rows.len()];
+    let robots: Vec<u32> = rows.iter().map(|row| row.robot).collect();
+    dict.set_item("robot", array(py, robots, &count)?)?;
+    let number = |name: &str, of: fn(&Row) -> Option<f32>| {
+        let values: Vec<f32> = rows.iter().map(|row| of(row).unwrap_or(f32::NAN)).collect();
+        dict.set_item(name, array(py, values, &count)?)
+    };
+    number("duration_s", |row| Some(row.answer.duration_s))?;
+    number("energy_j", |row| {
+        row.answer.energy.map(|energy| energy.mean_j)
+    })?;
+    number("energy_lo_j", |row| {
+        row.answer.energy.map(|energy| energy.lo_j)
+    })?;
+    number("energy_hi_j", |row| {
+        row.answer.energy.map(|energy| energy.hi_j)
+    })?;
+    number("left_j", |row| row.answer.left.map(|left| left.mean_j))?;
+    number("left_lo_j", |row| row.answer.left.map(|left| left.lo_j))?;
+    number("margin_j", |row| row.answer.margin_j)?;
+    number("probability", |row| row.answer.probability)?;
+    number("turn_back_s", |row| row.turn_back_s)?;
+    let leg = |row: &Row| row.answer.limiting_leg.map_or(-1, |leg| leg as i64);
+    dict.set_item(
+        "limiting_leg",
+        array(py, rows.iter().map(leg).collect(), &count)?,
+    )?;
+    let texts: Vec<(&str, Option<String>)> =
+        rows.iter().map(|row| verdict(row.answer.verdict)).collect();
+    let (verdicts, reasons): (Vec<_>, Vec<_>) = texts.into_iter().unzip();
+    dict.set_item("verdict", verdicts)?;
+    dict.set_item("reason", reasons)?;
+    let caveats = |row: &Row| {
+        row.answer
+            .caveats
+            .any()
+            .then(|| row.answer.caveats.to_string())
+    };
+    dict.set_item("caveats", rows.iter().map(caveats).collect::<Vec<_>>())?;
+    Ok(dict)
+}
+
+/// Its name, and why it is unknown.
+fn verdict(verdict: Verdict) -> (&'static str, Option<String>) {
+    match verdict {
+        Verdict::Yes => ("yes", None),
+        Verdict::Tight => ("tight", None),
+        Verdict::No => ("no", None),
+        Verdict::Unknown(reason) => ("unknown", Some(reason.to_string())),
+        _ => ("unknown", None),
+    }
+}
+
+fn refused(error: QuestionError) -> PyErr {
+    match error {
+        QuestionError::UnknownRobot { .. } => PyKeyError::new_err(error.to_string()),
+        error => PyValueError::new_err(error.to_string()),
+    }
+}
+
+fn closed() -> PyErr {
+    PyRuntimeError::new_err("the planner is closed; connect a new one")
+}

@@ -1,0 +1,345 @@
+//! Captures and recorded trials as columns.
+
+use std::collections::{BTreeSet, HashSet};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use bytemuck::{NoUninit, cast_slice};
+use joulebus_capture::{Message, MessageKind, ReadError, Reader};
+use joulebus_dataset::rows::trial_rows as rows_of;
+use joulebus_dataset::trial::{Column, Row, Trial, TrialError};
+use joulebus_predictor::INPUTS;
+use joulebus_wire::{Budget, Diagnostic, Forecast, Sample};
+use numpy::PyArrayDyn;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::array::{Doubles, Ids, array, shape_error};
+use crate::error::{RecordingError, of_file};
+
+type Floats<'py> = Bound<'py, PyArrayDyn<f32>>;
+
+/// What can be read of a capture.
+const KINDS: [MessageKind; 4] = [
+    MessageKind::Samples,
+    MessageKind::Forecasts,
+    MessageKind::Diagnostics,
+    MessageKind::Budgets,
+];
+/// Messages between two looks at Python's signals.
+const AT_ONCE: usize = 64;
+
+/// The rows of one kind of messages: their bytes, and of each message its number of rows, tick (a source's frame,
+/// of samples), and times. Damage of the file, after which nothing more was read, is told.
+#[pyfunction]
+#[pyo3(signature = (path, kind, fleet = None, robots = None))]
+pub(crate) fn read_capture<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+    kind: &str,
+    fleet: Option<String>,
+    robots: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let Some(kind) = KINDS.into_iter().find(|known| known.name() == kind) else {
+        let allowed = KINDS.map(MessageKind::name).join(", ");
+        return Err(PyValueError::new_err(format!(
+            "there is no topic {kind}, allowed are {allowed}"
+        )));
+    };
+    let robots = robots.map(|ids| Ids::read("robots", ids)).transpose()?;
+    let mut found = Found {
+        kind,
+        fleet,
+        robots: robots.map(|ids| ids.0.into_iter().collect()),
+        ..Found::default()
+    };
+    let mut reader = py
+        .detach(|| Reader::open(&path))
+        .map_err(|error| refused(&path, &error))?;
+    while !py.detach(|| found.take(&mut reader)) {
+        py.check_signals()?;
+    }
+    found.check(&path)?;
+    found.columns(py)
+}
+
+struct Found {
+    kind: MessageKind,
+    fleet: Option<String>,
+    /// All, if `None`.
+    robots: Option<HashSet<u32>>,
+    bytes: Vec<u8>,
+    rows: Vec<i64>,
+    tick: Vec<u64>,
+    log_ns: Vec<u64>,
+    sent_ns: Vec<u64>,
+    fleets: BTreeSet<String>,
+    kinds: BTreeSet<&'static str>,
+    damage: Option<String>,
+}
+
+impl Default for Found {
+    fn default() -> Self {
+        Self {
+            kind: MessageKind::Samples,
+            fleet: None,
+            robots: None,
+            bytes: Vec::new(),
+            rows: Vec::new(),
+            tick: Vec::new(),
+            log_ns: Vec::new(),
+            sent_ns: Vec::new(),
+            fleets: BTreeSet::new(),
+            kinds: BTreeSet::new(),
+            damage: None,
+        }
+    }
+}
+
+impl Found {
+    /// Takes the next messages; returns whether there are no more.
+    fn take(&mut self, reader: &mut Reader<File>) -> bool {
+        for _ in 0..AT_ONCE {
+            let entry = match reader.next_entry() {
+                Ok(Some(entry)) => entry,
+                Ok(None) => return true,
+                // The next one can be read.
+                Err(error @ ReadError::Message { .. }) => {
+                    self.damage.get_or_insert(error.to_string());
+                    continue;
+                }
+                Err(error) => {
+                    self.damage = Some(error.to_string());
+                    return true;
+                }
+            };
+            let Some(kind) = entry.message.kind() else {
+                continue;
+            };
+            self.kinds.insert(kind.name());
+            if kind != self.kind {
+                continue;
+            }
+            self.fleets.insert(entry.fleet.to_string());
+            if self
+                .fleet
+                .as_deref()
+                .is_some_and(|wanted| wanted != &*entry.fleet)
+            {
+                continue;
+            }
+            let (tick, rows) = match &entry.message {
+                Message::Samples(header, rows) => {
+                    (header.frame_seq, self.add(rows, |row: &Sample| row.robot))
+                }
+                Message::Forecasts(header, rows) => {
+                    (header.tick, self.add(rows, |row: &Forecast| row.robot))
+                }
+                Message::Diagnostics(header, rows) => {
+                    (header.tick, self.add(rows, |row: &Diagnostic| row.robot))
+                }
+                Message::Budgets(header, rows) => {
+                    (header.tick, self.add(rows, |row: &Budget| row.robot))
+                }
+                _ => continue,
+            };
+            self.rows.push(rows as i64);
+            self.tick.push(tick);
+            self.log_ns.push(entry.log_time_ns);
+            self.sent_ns.push(entry.publish_time_ns);
+        }
+        false
+    }
+
+    /// Adds the wanted rows and returns their number.
+    fn add<T: NoUninit>(&mut self, rows: &[T], robot: fn(&T) -> u32) -> usize {
+        let Some(wanted) = &self.robots else {
+            self.bytes.extend_from_slice(cast_slice(rows));
+            return rows.len();
+        };
+        let mut added = 0;
+        for row in rows.iter().filter(|row| wanted.contains(&robot(row))) {
+            self.bytes.extend_from_slice(bytemuck::bytes_of(row));
+            added += 1;
+        }
+        added
+    }
+
+    /// Whether it was recorded, and of one fleet.
+    fn check(&self, path: &Path) -> PyResult<()> {
+        let (path, name) = (path.display(), self.kind.name());
+        let fleets: Vec<&str> = self.fleets.iter().map(String::as_str).collect();
+        if let Some(wanted) = self
+            .fleet
+            .as_deref()
+            .filter(|wanted| !fleets.contains(wanted))
+        {
+            let found = fleets.join(", ");
+            return Err(RecordingError::new_err(format!(
+                "{path} has no {name} of fleet {wanted}, but of: {found}"
+            )));
+        }
+        if fleets.is_empty() {
+            let found: Vec<&str> = self.kinds.iter().copied().collect();
+            let found = match (found.is_empty(), &self.damage) {
+                (false, _) => format!("; it has: {}", found.join(", ")),
+                (true, None) => ", nor any other message of joulebus".to_owned(),
+                (true, Some(damage)) => format!(": {damage}"),
+            };
+            return Err(RecordingError::new_err(format!(
+                "{path} has no {name}{found}"
+            )));
+        }
+        if self.fleet.is_none() && fleets.len() > 1 {
+            return Err(RecordingError::new_err(format!(
+                "{path} has {name} of {} fleets; name one of: {}",
+                fleets.len(),
+                fleets.join(", ")
+            )));
+        }
+        Ok(())
+    }
+
+    fn columns(self, py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
+        let (bytes, messages) = ([self.bytes.len()], [self.rows.len()]);
+        let dict = PyDict::new(py);
+        dict.set_item("bytes", array(py, self.bytes, &bytes)?)?;
+        dict.set_item("rows", array(py, self.rows, &messages)?)?;
+        dict.set_item("tick", array(py, self.tick, &messages)?)?;
+        dict.set_item("log_ns", array(py, self.log_ns, &messages)?)?;
+        dict.set_item("sent_ns", array(py, self.sent_ns, &messages)?)?;
+        dict.set_item("damage", self.damage)?;
+        Ok(dict)
+    }
+}
+
+fn refused(path: &Path, error: &ReadError) -> PyErr {
+    match error {
+        ReadError::Io(error) => of_file(path, error),
+        error => RecordingError::new_err(format!("{}: {error}", path.display())),
+    }
+}
+
+/// Name of a column in SI units.
+const fn name(column: Column) -> &'static str {
+    match column {
+        Column::Phase => "phase",
+        Column::V => "v_mps",
+        Column::Omega => "omega_radps",
+        Column::X => "x_m",
+        Column::Y => "y_m",
+        Column::Theta => "theta_rad",
+        Column::Voltage => "voltage_v",
+        Column::Current => "current_a",
+        Column::Power => "power_w",
+        Column::VMeasured => "v_measured_mps",
+        Column::OmegaMeasured => "omega_measured_radps",
+        Column::Soc => "soc",
+    }
+}
+
+/// The trials of a file in SI units: name of the robot, and its columns.
+#[pyfunction]
+pub(crate) fn read_trials<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+) -> PyResult<Vec<(Option<String>, Bound<'py, PyDict>)>> {
+    let trials = py
+        .detach(|| Trial::read_robots(&path))
+        .map_err(|error| refused_trial(&path, &error))?;
+    let columns = |trial: &Trial| {
+        let (dict, rows) = (PyDict::new(py), [trial.rows()]);
+        dict.set_item(
+            "timestamp_s",
+            array(py, trial.timestamp_s().to_vec(), &rows)?,
+        )?;
+        for column in Column::ALL {
+            if let Some(values) = trial.column(column) {
+                dict.set_item(name(column), array(py, values.to_vec(), &rows)?)?;
+            }
+        }
+        Ok((trial.robot_name().map(str::to_owned), dict))
+    };
+    trials.iter().map(columns).collect()
+}
+
+/// Writes a trial of one robot, in SI units.
+#[pyfunction]
+pub(crate) fn write_trial(
+    py: Python<'_>,
+    path: PathBuf,
+    robot: &str,
+    columns: &Bound<'_, PyDict>,
+) -> PyResult<()> {
+    let trial = trial(&path, robot, columns)?;
+    py.detach(|| trial.to_table().write(&path))
+        .map_err(|error| RecordingError::new_err(error.to_string()))
+}
+
+/// Rows of features of a trial and the readings that followed, W: those on which a network is trained.
+#[pyfunction]
+pub(crate) fn trial_rows<'py>(
+    py: Python<'py>,
+    columns: &Bound<'py, PyDict>,
+) -> PyResult<(Floats<'py>, Floats<'py>)> {
+    let trial = trial(Path::new("the trial"), "", columns)?;
+    let found = py.detach(|| rows_of(&trial)).rows;
+    let features: Vec<f32> = found.iter().flat_map(|row| row.features).collect();
+    let targets_w: Vec<f32> = found.iter().map(|row| row.target_w).collect();
+    let rows = found.len();
+    Ok((
+        array(py, features, &[rows, INPUTS])?,
+        array(py, targets_w, &[rows])?,
+    ))
+}
+
+fn trial(path: &Path, robot: &str, columns: &Bound<'_, PyDict>) -> PyResult<Trial> {
+    let mut times_s = None;
+    let mut values: [Option<Vec<f64>>; Column::ALL.len()] = Default::default();
+    for (key, given) in columns {
+        let key: String = key.extract()?;
+        let found = Doubles::read(&key, &given)?;
+        let [_] = *found.shape else {
+            return Err(shape_error(&key, &found.shape, "(rows,)"));
+        };
+        if key == "timestamp_s" {
+            times_s = Some(found.values);
+        } else if let Some(column) = Column::ALL.into_iter().find(|column| name(*column) == key) {
+            values[column as usize] = Some(found.values);
+        } else {
+            let allowed = Column::ALL.map(name).join(", ");
+            return Err(PyValueError::new_err(format!(
+                "there is no column {key}, allowed are timestamp_s, {allowed}"
+            )));
+        }
+    }
+    let times_s = times_s
+        .ok_or_else(|| PyValueError::new_err("timestamp_s is missing: the time of each row, s"))?;
+    for (column, values) in Column::ALL.into_iter().zip(&values) {
+        if let Some(values) = values
+            .as_ref()
+            .filter(|values| values.len() != times_s.len())
+        {
+            let allowed = format!("({},), that of timestamp_s", times_s.len());
+            return Err(shape_error(name(column), &[values.len()], &allowed));
+        }
+    }
+    let row = |(at, timestamp_s): (usize, &f64)| Row {
+        timestamp_s: *timestamp_s,
+        values: std::array::from_fn(|column| {
+            values[column]
+                .as_ref()
+                .map_or(f64::NAN, |values| values[at])
+        }),
+    };
+    let rows = times_s.iter().enumerate().map(row);
+    Trial::from_rows(path, robot, rows).map_err(|error| refused_trial(path, &error))
+}
+
+fn refused_trial(path: &Path, error: &TrialError) -> PyErr {
+    match error {
+        TrialError::Io { source, .. } => of_file(path, source),
+        error => RecordingError::new_err(error.to_string()),
+    }
+}

@@ -1,0 +1,193 @@
+"""Captures and trials, from files that the program writes."""
+from __future__ import annotations
+
+import csv
+import io
+import json
+import subprocess
+import warnings
+
+import joulebus
+import numpy as np
+import pytest
+from conftest import bits
+from test_live import ROBOTS, Source, next_frame
+from worker import PATIENCE_S, Fleet, until
+
+TOPICS = {
+    "samples": joulebus.SAMPLE,
+    "forecasts": joulebus.FORECAST,
+    "diagnostics": joulebus.DIAGNOSTIC,
+    "budgets": joulebus.BUDGET,
+}
+
+
+@pytest.fixture(scope="module")
+def capture(program, tmp_path_factory):
+    """A fleet's first seconds, recorded; and the frames that a planner saw meanwhile."""
+    folder = tmp_path_factory.mktemp("capture")
+    fleet, path, seen = Fleet(program, folder, ROBOTS), folder / "run.mcap", {}
+    try:
+        fleet.start()
+        recorder = subprocess.Popen([program, "record", "--config", fleet.config, "-o", path], stderr=subprocess.PIPE)
+        with joulebus.Planner(fleet.config) as planner, Source(fleet):
+            until("a recorder", lambda: path.exists() and path.stat().st_size > 4096, fleet)
+            for _ in range(30):
+                frame = next_frame(planner)
+                seen[int(frame.tick)] = frame.rows.copy()
+        recorder.terminate()
+        assert recorder.wait(PATIENCE_S) == 0, recorder.stderr.read()
+    finally:
+        fleet.close()
+    return path, seen
+
+
+def test_a_capture_is_read_with_the_bits_that_a_planner_saw(capture):
+    path, seen = capture
+    found = joulebus.read_arrays(path, "forecasts")
+    assert set(found) == {"tick", "log_ns", "sent_ns", *joulebus.FORECAST.names}
+    both = sorted(set(seen) & set(found["tick"].tolist()))
+    assert len(both) > 10
+    for tick in both:
+        rows = found["tick"] == tick
+        for name in joulebus.FORECAST.names:
+            assert found[name][rows].tobytes() == seen[tick][name].tobytes(), (tick, name)
+
+
+def test_every_topic_has_the_rows_that_the_program_counts(capture, run):
+    path, _ = capture
+    for topic, dtype in TOPICS.items():
+        found = joulebus.read_arrays(path, topic)
+        lines = [json.loads(line) for line in run("cat", path, "--topics", f"joulebus/test/{topic}", "--format", "json").splitlines()]
+        assert len(np.unique(found["log_ns"])) > 10
+        assert {name: found[name].dtype for name in dtype.names} == {name: dtype[name] for name in dtype.names}
+        assert len(set(map(len, found.values()))) == 1
+        assert (np.diff(found["log_ns"].astype(np.int64)) >= 0).all()
+        assert sorted(set(found["log_ns"].tolist())) == sorted({line["log_time_ns"] for line in lines})
+        one = joulebus.read_arrays(path, topic, robots=[7])
+        assert (one["robot"] == 7).all() and np.array_equal(one["stamp_ns"], found["stamp_ns"][found["robot"] == 7])
+        assert len(joulebus.read_arrays(path, topic, robots=[])["robot"]) == 0
+        assert len(joulebus.read_arrays(path, topic, robots=[4_000_000_000])["robot"]) == 0
+
+
+def test_a_capture_is_a_data_frame(capture):
+    pandas = pytest.importorskip("pandas")
+    found = joulebus.read(capture[0], "forecasts", robots=[1, 2], fleet="test")
+    assert isinstance(found, pandas.DataFrame) and set(found["robot"]) == {1, 2}
+    assert set(found.groupby("tick").size()) <= {1, 2}
+
+
+def test_wrong_captures_are_refused_and_damaged_ones_read_up_to_the_damage(capture, tmp_path):
+    path, _ = capture
+    whole = joulebus.read_arrays(path, "forecasts")
+    with pytest.raises(ValueError, match="there is no topic forecast, allowed are samples, forecasts"):
+        joulebus.read_arrays(path, "forecast")
+    with pytest.raises(joulebus.RecordingError, match="no forecasts of fleet other, but of: test"):
+        joulebus.read_arrays(path, "forecasts", fleet="other")
+    with pytest.raises(FileNotFoundError, match="missing.mcap"):
+        joulebus.read_arrays(tmp_path / "missing.mcap", "forecasts")
+    with pytest.raises(ValueError, match="robots has -1"):
+        joulebus.read_arrays(path, "forecasts", robots=[-1])
+    contents = path.read_bytes()
+    broken = tmp_path / "broken.mcap"
+    for wrong in (b"", b"no capture", contents[100:], bytes(1 << 16)):
+        broken.write_bytes(wrong)
+        with pytest.raises(joulebus.RecordingError, match="broken.mcap"):
+            joulebus.read_arrays(broken, "forecasts")
+    # A recorder that was killed, and noise in the middle.
+    rng, told = np.random.default_rng(3), 0
+    for at in rng.integers(len(contents) // 10, len(contents) * 9 // 10, 12).tolist():
+        for wrong in (contents[:at], contents[:at] + rng.bytes(64) + contents[at + 64 :]):
+            broken.write_bytes(wrong)
+            with warnings.catch_warnings(record=True) as warned:
+                warnings.simplefilter("always")
+                try:
+                    found = joulebus.read_arrays(broken, "forecasts")
+                except joulebus.RecordingError as error:
+                    # Damaged before the first forecast.
+                    assert "broken.mcap" in str(error)
+                    continue
+            assert [each.category for each in warned] == [joulebus.RecordingDamaged], at
+            assert "broken.mcap" in str(warned[0].message)
+            told += 1
+            rows = len(found["tick"])
+            assert rows <= len(whole["tick"])
+            if len(wrong) == at:
+                assert np.array_equal(found["tick"], whole["tick"][:rows])
+    assert told > 0
+
+
+COLUMNS = {
+    "timestamp_s": np.arange(200) * 0.033,
+    "v_mps": np.tile([0.0, 0.1], 100),
+    "omega_radps": np.full(200, 0.25),
+    "power_w": 3.5 + 0.25 * np.sin(np.arange(200)),
+}
+
+
+@pytest.mark.parametrize("name", ["trial.csv", "trial.csv.gz", "trial.npy"])
+def test_trials_are_written_and_read_back(name, tmp_path, run):
+    path = tmp_path / name
+    joulebus.Trial(dict(COLUMNS), "7").write(path)
+    [found] = joulebus.read_trials(path)
+    assert len(found) == 200 and float(found.robot) == 7.0
+    for column, values in COLUMNS.items():
+        # Through mW, where the last bit may change.
+        assert np.allclose(found.columns[column], values, rtol=1e-15, atol=0.0), column
+    told = json.loads(run("data", "info", path, "--format", "json"))
+    assert "200" in json.dumps(told)
+
+
+def test_several_robots_share_a_file(tmp_path):
+    rows = io.StringIO()
+    writer = csv.writer(rows)
+    writer.writerow(["robot_id", "timestamp_s", "power_mW"])
+    writer.writerows([robot, 0.033 * at, 3500 + robot] for at in range(10) for robot in (1, 2))
+    path = tmp_path / "both.csv"
+    path.write_text(rows.getvalue())
+    found = joulebus.read_trials(path)
+    assert [trial.robot for trial in found] == ["1", "2"]
+    assert [trial.columns["power_w"][0] for trial in found] == [3.501, 3.502]
+    assert "v_mps" not in found[0].columns and "rows=10" in repr(found[0])
+
+
+def test_a_trials_rows_are_the_features_of_the_paper(tmp_path):
+    features, power_w = joulebus.Trial(dict(COLUMNS)).rows()
+    assert features.shape == (len(power_w), 13) and features.dtype == power_w.dtype == np.float32
+    readings = COLUMNS["power_w"].astype(np.float32)
+    # Five readings before, newest first, and the one after.
+    at = 10
+    row = int(np.flatnonzero(bits(features[:, 6]) == bits(readings[at : at + 1])[0])[0])
+    assert np.array_equal(bits(features[row, 6:11]), bits(readings[at - 4 : at + 1][::-1]))
+    assert bits(power_w[row : row + 1])[0] == bits(readings[at + 1 : at + 2])[0]
+    assert np.array_equal(features[:, 4], np.abs(features[:, 0]))
+    model = joulebus.Predictor()
+    assert model.predict(features).shape == power_w.shape and model.score(features, power_w) < 1.0
+    fitted = joulebus.Predictor(seed=1, max_epochs=2).fit(features, power_w)
+    assert np.isfinite(fitted.predict(features)).all()
+
+
+def test_wrong_trials_are_refused_with_what_is_allowed(tmp_path):
+    def write(name="a.csv", **columns):
+        joulebus.Trial(COLUMNS | columns, "7").write(tmp_path / name)
+
+    for said, columns in [
+        ("there is no column power, allowed are timestamp_s", dict(power=COLUMNS["power_w"])),
+        ("power_w has shape (3,), allowed: (200,)", dict(power_w=[1.0, 2.0, 3.0])),
+        ("power_w has shape ()", dict(power_w=1.0)),
+    ]:
+        with pytest.raises(ValueError) as refused:
+            write(**columns)
+        assert said in str(refused.value)
+    with pytest.raises(ValueError, match="timestamp_s is missing"):
+        joulebus.Trial({"power_w": [1.0, 2.0]}).write(tmp_path / "a.csv")
+    for columns in [dict(timestamp_s=np.full(200, np.nan)), dict(power_w=np.full(200, 1e300)), dict(timestamp_s=np.zeros(200))]:
+        with pytest.raises(joulebus.RecordingError):
+            write(**columns)
+    with pytest.raises(joulebus.RecordingError, match="txt"):
+        write(name="a.txt")
+    with pytest.raises(FileNotFoundError):
+        joulebus.read_trials(tmp_path / "missing.csv")
+    (tmp_path / "b.csv").write_text("nothing\n")
+    with pytest.raises(joulebus.RecordingError, match="b.csv"):
+        joulebus.read_trials(tmp_path / "b.csv")
