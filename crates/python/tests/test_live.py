@@ -75,7 +75,13 @@ def running(fleet):
     fleet.start()
     with joulebus.Planner(fleet.config) as planner, Source(fleet) as source:
         planner.source = source
-        until("forecasts", lambda: next_frame(planner)[0].power_w, fleet)
+
+        def known():
+            # The first frames of a worker may have no robots.
+            frame = next_frame(planner)
+            return frame[0].power_w if len(frame) == ROBOTS else None
+
+        until("forecasts", known, fleet)
         yield planner
 
 
