@@ -412,8 +412,8 @@ def test_ctrl_c_ends_a_wait_without_end(fleet):
         fleet,
         """
 planner = joulebus.Planner(config)
-print("waiting", flush=True)
 try:
+    print("waiting", flush=True)
     planner.next(None)
 except KeyboardInterrupt:
     print("interrupted", time.monotonic(), flush=True)
