@@ -54,7 +54,7 @@ use api::App;
 use connections::{Busy, Connection, Connections, Marked, Place, Watched};
 use error::ApiError;
 use fleet::Recorder;
-use reader::Reader;
+use reader::{Reader, yield_to_the_worker};
 
 /// A request's head must have arrived within this time; so must the next one of an open connection begin.
 const HEAD_LIMIT: Duration = Duration::from_secs(5);
@@ -63,6 +63,8 @@ const MOST_HEAD_BYTES: usize = 16 << 10;
 const MOST_HEADERS: usize = 64;
 /// Bytes that the system keeps for a client that does not take them.
 const SEND_BUFFER_BYTES: usize = 64 << 10;
+/// Nice value of the thread that answers clients, and of those that compute for them.
+const NICE: u8 = 10;
 /// Interval of looking for recorders.
 const INSPECT_EVERY: Duration = Duration::from_secs(5);
 /// Name of a recorder's node.
@@ -163,6 +165,7 @@ impl HttpServer {
         let web = thread::Builder::new()
             .name("joulebus-http".to_owned())
             .spawn(move || {
+                yield_to_the_worker(NICE);
                 runtime.block_on(async {
                     tokio::select! {
                         () = accept(listener, &inside) => {}

@@ -8,7 +8,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 
 use joulebus_board::{Board, OpenError, Reading};
-use joulebus_bus::clock;
+use joulebus_bus::{clock, lower_priority};
 use joulebus_config::{Config, ConnectError};
 use joulebus_consumer::{AlarmFeed, ReadError};
 use joulebus_plan::RobotRows;
@@ -25,6 +25,8 @@ use super::totals::Accumulator;
 const SHOW_EVERY_NS: u64 = 100_000_000;
 /// Interval between distributions, ns.
 const DISTRIBUTE_EVERY_NS: u64 = 500_000_000;
+/// Nice value of the thread: it runs before those of clients, and after what robots wait for.
+const NICE: u8 = 5;
 /// Questions to this thread that may wait.
 const MOST_ASKED: usize = 64;
 
@@ -71,6 +73,7 @@ impl Reader {
         let thread = thread::Builder::new()
             .name("joulebus-reader".to_owned())
             .spawn(move || {
+                yield_to_the_worker(NICE);
                 let (mut work, snapshots) = Work::open(&config, asked, found)?;
                 // The receiver waits for it.
                 let _ = ready.send(snapshots);
@@ -107,6 +110,14 @@ impl Drop for Reader {
     fn drop(&mut self) {
         // `finish` returns the error.
         let _ = self.finish();
+    }
+}
+
+/// Lets the worker and its controllers run first where all want the same processor. Threads started by the calling one
+/// do as it does.
+pub(super) fn yield_to_the_worker(nice: u8) {
+    if let Err(error) = lower_priority(nice) {
+        tracing::warn!(%error, "this thread competes with the worker for processors");
     }
 }
 

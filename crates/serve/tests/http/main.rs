@@ -31,6 +31,8 @@ fn a_stopped_workers_values_equal_those_of_watch() {
     // A worker stopped between two of a tick's frames may be seen by one and not by the other: then once more.
     let mut lines = 0;
     eventually("the same tick with the same values", || {
+        worker.signal(Signal::CONT);
+        assert!(!watch.lines(lines, PATIENCE).is_empty(), "no frame");
         worker.signal(Signal::STOP);
         eventually("a stale worker", || {
             get_json(&address, "/api/v1/fleet")["worker"]["state"] == "stale"
@@ -38,10 +40,9 @@ fn a_stopped_workers_values_equal_those_of_watch() {
         let seen = watch.lines(lines, PATIENCE);
         lines += seen.len();
         let shown: Value = serde_json::from_str(seen.last().unwrap()).unwrap();
-        let equal = is_same(&address, &shown);
-        worker.signal(Signal::CONT);
-        equal
+        is_same(&address, &shown)
     });
+    worker.signal(Signal::CONT);
     watch.end();
     source.end();
     server.stop();
