@@ -4,12 +4,14 @@
 //! [`FrameRecord`] and [`RobotRecord`] are a board as JSON.
 #![forbid(unsafe_code)]
 
+mod alarm;
 mod board;
 mod feed;
 mod record;
 mod scores;
 mod stages;
 
+pub use alarm::AlarmRecord;
 pub use board::{Board, Link, Newest, Point, Raised, Row, WorkerRun};
 pub use feed::{Feed, FeedError, OpenError, Reading};
 pub use record::{FrameRecord, LearnedRecord, RobotRecord, quality_name};

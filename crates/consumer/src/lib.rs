@@ -55,6 +55,7 @@
 
 mod alarms;
 mod feed;
+mod fleet_alarms;
 mod frame;
 mod index;
 mod newest;
@@ -63,6 +64,7 @@ mod tracker;
 
 pub use alarms::{AlarmChange, AlarmFeed, AlarmHistory, Change};
 pub use feed::{BudgetFeed, DiagnosticFeed, Feed, PlanStateFeed, QueryFeed};
+pub use fleet_alarms::{FleetAlarm, FleetAlarms};
 pub use frame::{Budgets, Diagnostics, Forecasts, Frame, KeptForecasts, PlanStates};
 pub use joulebus_bus::{OpenError, clock};
 pub use joulebus_config::{Config, ConnectError, error};

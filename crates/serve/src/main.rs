@@ -5,6 +5,7 @@ mod foxglove;
 mod guard;
 mod http;
 mod serve;
+mod webhook;
 
 use std::process::ExitCode;
 

@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use crate::foxglove::{Foxglove, FoxgloveReport};
 use crate::http::{HttpReport, HttpServer, Options};
+use crate::webhook::{Webhook, WebhookReport};
 
 /// Interval of checking whether to stop.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -22,6 +23,8 @@ struct ServeReport {
     foxglove: Option<FoxgloveReport>,
     #[serde(skip_serializing_if = "Option::is_none")]
     http: Option<HttpReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    webhook: Option<WebhookReport>,
 }
 
 pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outcome> {
@@ -39,6 +42,11 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     let http = http.transpose()?;
     let foxglove = args.foxglove.then(|| Foxglove::start(args, &config));
     let foxglove = foxglove.transpose()?;
+    let webhook = args
+        .webhook
+        .as_deref()
+        .map(|to| Webhook::start(&config, to));
+    let webhook = webhook.transpose()?;
     let fleet = config.fleet();
     if let Some(http) = &http {
         say(&format!(
@@ -49,8 +57,15 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     if let Some(foxglove) = &foxglove {
         say(&format!("serving fleet {fleet} at {}", foxglove.address()));
     }
+    if let Some(webhook) = &webhook {
+        say(&format!(
+            "telling {} of alarms of fleet {fleet}",
+            webhook.host()
+        ));
+    }
     let is_over = || {
-        http.as_ref().is_some_and(HttpServer::is_over)
+        webhook.as_ref().is_some_and(Webhook::is_over)
+            || http.as_ref().is_some_and(HttpServer::is_over)
             || foxglove.as_ref().is_some_and(Foxglove::is_over)
     };
     while !stop.is_asked() && !is_over() {
@@ -58,11 +73,14 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     }
     let foxglove = foxglove.map(Foxglove::finish).transpose()?;
     let http = http.map(HttpServer::finish).transpose()?;
-    let lost = foxglove.as_ref().is_some_and(|foxglove| foxglove.lost > 0);
+    let webhook = webhook.map(Webhook::finish).transpose()?;
+    let lost = foxglove.as_ref().is_some_and(|foxglove| foxglove.lost > 0)
+        || webhook.as_ref().is_some_and(|webhook| webhook.lost > 0);
     output.report(&ServeReport {
         fleet: fleet.to_owned(),
         foxglove,
         http,
+        webhook,
     })?;
     Ok(Outcome::unless_lost(lost))
 }
@@ -91,6 +109,18 @@ impl fmt::Display for ServeReport {
             writeln!(
                 out,
                 "served fleet {fleet} at {address}: {requests} requests, {refused} refused, {messages} messages"
+            )?;
+        }
+        if let Some(webhook) = &self.webhook {
+            let WebhookReport {
+                host,
+                told,
+                failed,
+                lost,
+            } = webhook;
+            writeln!(
+                out,
+                "told {host} of alarms of fleet {fleet}: {told} changes, {lost} lost, {failed} requests failed"
             )?;
         }
         Ok(())

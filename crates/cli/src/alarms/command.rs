@@ -103,18 +103,18 @@ fn run_once(command: &str, line: &Line, most: Duration) -> Result<(), String> {
     let shown = |value: Option<String>| value.unwrap_or_default();
     let mut child = Command::new("sh")
         .args(["-c", command])
-        .env("JOULEBUS_FLEET", &line.fleet)
+        .env("JOULEBUS_FLEET", &line.0.fleet)
         .env(
             "JOULEBUS_ROBOT",
-            shown(line.robot.map(|robot| robot.to_string())),
+            shown(line.0.robot.map(|robot| robot.to_string())),
         )
-        .env("JOULEBUS_ALARM", line.alarm)
-        .env("JOULEBUS_LEVEL", line.level)
-        .env("JOULEBUS_CHANGE", line.change)
-        .env("JOULEBUS_STAMP_NS", line.stamp_ns.to_string())
+        .env("JOULEBUS_ALARM", line.0.alarm)
+        .env("JOULEBUS_LEVEL", line.0.level)
+        .env("JOULEBUS_CHANGE", line.0.change)
+        .env("JOULEBUS_STAMP_NS", line.0.stamp_ns.to_string())
         .env(
             "JOULEBUS_LASTED_S",
-            shown(line.lasted_s.map(|s| s.to_string())),
+            shown(line.0.lasted_s.map(|s| s.to_string())),
         )
         .stdin(Stdio::null())
         // Results of the verb stay alone on stdout.
@@ -153,10 +153,12 @@ fn kill(child: &mut Child) {
 
 #[cfg(test)]
 mod tests {
+    use joulebus_board::AlarmRecord;
+
     use super::*;
 
     fn line() -> Line {
-        Line {
+        Line(AlarmRecord {
             fleet: "lab".to_owned(),
             stamp_ns: 1_700_000_000_123_000_000,
             robot: Some(7),
@@ -164,7 +166,7 @@ mod tests {
             level: "warn",
             change: "cleared",
             lasted_s: Some(2.5),
-        }
+        })
     }
 
     #[test]
@@ -175,11 +177,8 @@ mod tests {
         let expected = "lab 7 BiasHigh warn cleared 1700000000123000000 2.5";
         let compare = format!("test \"{all}\" = '{expected}'");
         assert_eq!(run_once(&compare, &line(), long), Ok(()));
-        let of_worker = Line {
-            robot: None,
-            lasted_s: None,
-            ..line()
-        };
+        let mut of_worker = line();
+        (of_worker.0.robot, of_worker.0.lasted_s) = (None, None);
         let empty = "test \"$JOULEBUS_ROBOT.$JOULEBUS_LASTED_S\" = .";
         assert_eq!(run_once(empty, &of_worker, long), Ok(()));
         let failed = run_once("exit 3", &line(), long).unwrap_err();

@@ -8,6 +8,7 @@ mod log;
 use std::fmt;
 use std::path::PathBuf;
 
+use joulebus_board::AlarmRecord;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
@@ -82,18 +83,8 @@ fn s_between(from_ns: u64, to_ns: u64) -> f64 {
 
 /// One change, for stdout and for the command.
 #[derive(Debug, Clone, Serialize)]
-struct Line {
-    fleet: String,
-    /// Unix time, ns.
-    stamp_ns: u64,
-    /// Null for the worker.
-    robot: Option<u32>,
-    alarm: &'static str,
-    level: &'static str,
-    change: &'static str,
-    /// From the raise to the end, s; null for a raise.
-    lasted_s: Option<f64>,
-}
+#[serde(transparent)]
+struct Line(AlarmRecord);
 
 impl fmt::Display for Line {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -103,17 +94,17 @@ impl fmt::Display for Line {
             second,
             millisecond,
             ..
-        } = Utc::of(self.stamp_ns);
+        } = Utc::of(self.0.stamp_ns);
         write!(out, "{hour:02}:{minute:02}:{second:02}.{millisecond:03}Z ")?;
-        match self.robot {
+        match self.0.robot {
             Some(robot) => write!(out, "robot {robot}: ")?,
             None => write!(out, "worker: ")?,
         }
-        write!(out, "{} {}", self.alarm, self.change)?;
-        if self.lasted_s.is_none() {
-            write!(out, " ({})", self.level)?;
+        write!(out, "{} {}", self.0.alarm, self.0.change)?;
+        if self.0.lasted_s.is_none() {
+            write!(out, " ({})", self.0.level)?;
         }
-        match self.lasted_s {
+        match self.0.lasted_s {
             Some(lasted_s) => write!(out, " after {}", Lasted(lasted_s)),
             None => Ok(()),
         }

@@ -10,24 +10,28 @@ use crate::config_file::ConfigFile;
 /// Show a fleet to people and programs: a page, a JSON API and metrics, or all messages in Foxglove, live
 #[derive(Debug, clap::Args)]
 #[command(
-    group = ArgGroup::new("what").required(true).multiple(true).args(["http", "foxglove"]),
+    group = ArgGroup::new("what").required(true).multiple(true).args(["http", "foxglove", "webhook"]),
     after_help = "Examples:\n  \
     joulebus serve --http                                  http://127.0.0.1:8630\n  \
     joulebus serve --http 0.0.0.0:8630 --token-file token  for other hosts, who need the token\n  \
     joulebus serve --http --foxglove\n  \
+    joulebus serve --webhook https://hooks.example/fleet   each raise and end of an alarm\n  \
     joulebus serve --foxglove --per-robot --port 9000\n  \
     joulebus serve --foxglove --allow-origin https://lab.example\n\n\
     --http: the page at /, the API at /api/v1/openapi.json, OpenMetrics at /metrics, /healthz and /readyz. \
     An address that other hosts reach needs --token-file, a file of mode 0600 with one line of at least 16 \
     characters; browsers open /?token=TOKEN once, programs send `Authorization: Bearer TOKEN`. There is no \
     TLS: docs/operators.md shows a reverse proxy.\n\n\
+    --webhook: a POST with JSON, {\"fleet\", \"changes\": [what `joulebus alarms --format json` prints, …]}, up to \
+    100 changes each. What the receiver does not take (no answer within 10 s, 5xx, 408, 425, 429) is sent \
+    again after 1 s, 2 s … 60 s; up to 10,000 changes wait. Other answers refuse them.\n\n\
     --foxglove: in Foxglove, Open connection, Foxglove WebSocket, ws://127.0.0.1:8765; then import the layout \
     configs/foxglove/joulebus.json. The topics and schemas are those of a capture. Only this host \
     can connect unless --host names another address: there is no password, and whoever can connect \
     sees everything. Web pages from elsewhere are refused; a handshake may take 5 s, and 64 \
     connections are taken at once.\n\n\
     Exit codes: 0 ended by a signal; 1 the address or the fleet cannot be used; 2 a wrong option, config or \
-    token file; 3 messages were lost on the way to Foxglove."
+    token file; 3 messages to Foxglove, or changes of alarms, were lost."
 )]
 pub struct ServeArguments {
     /// Serve the page, API and metrics at this address [default: 127.0.0.1:8630]
@@ -42,6 +46,9 @@ pub struct ServeArguments {
     /// With --http: metrics of at most this many robots; 0: only of the fleet
     #[arg(long, value_name = "N", requires = "http", default_value_t = 100)]
     pub metrics_robots: usize,
+    /// Tell this address of alarms; @FILE: the address in this file (mode 0600)
+    #[arg(long, value_name = "ADDRESS")]
+    pub webhook: Option<String>,
     /// Serve the Foxglove WebSocket protocol
     #[arg(long)]
     pub foxglove: bool,

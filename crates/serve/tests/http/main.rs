@@ -6,6 +6,7 @@ mod fleet;
 mod hostile;
 mod metrics;
 mod openapi;
+mod webhook;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;

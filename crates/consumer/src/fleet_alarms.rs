@@ -1,0 +1,134 @@
+//! Changes of all alarms of a fleet: those of its robots, and those of its worker.
+
+use std::fmt;
+
+use joulebus_bus::clock;
+use joulebus_config::{Config, ConnectError};
+use joulebus_wire::Level;
+
+use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, Planner, ReadError};
+
+/// A raise or an end of an alarm, of a robot or of the worker.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FleetAlarm {
+    /// The robot; `None` for the worker.
+    pub robot: Option<u32>,
+    /// The alarm's name: of a robot that of [`joulebus_wire::Alarm`]; of the worker `WorkerGone` or `WorkerStale`.
+    pub alarm: &'static str,
+    /// Its level.
+    pub level: Level,
+    /// What has become of it.
+    pub change: Change,
+    /// When, monotonic ns.
+    pub at_ns: u64,
+    /// When it was raised, monotonic ns; later than that if it was when the program began.
+    pub raised_ns: u64,
+}
+
+impl FleetAlarm {
+    /// From the raise to the end, s; `None` for a raise.
+    #[must_use]
+    pub fn lasted_s(&self) -> Option<f64> {
+        let lasted_ns = self.at_ns.saturating_sub(self.raised_ns);
+        (self.change != Change::Raised).then_some(lasted_ns as f64 * 1e-9)
+    }
+}
+
+impl From<AlarmChange> for FleetAlarm {
+    fn from(change: AlarmChange) -> Self {
+        Self {
+            robot: Some(change.robot),
+            alarm: change.alarm.name(),
+            level: change.alarm.level(),
+            change: change.change,
+            at_ns: change.at_ns,
+            raised_ns: change.raised_ns,
+        }
+    }
+}
+
+/// An alarm of the worker itself, and since when, monotonic ns.
+type OfWorker = (&'static str, Level, u64);
+
+/// All alarms of a running fleet. Belongs to the thread that connected it.
+pub struct FleetAlarms {
+    planner: Planner,
+    feed: AlarmFeed,
+    worker: Option<OfWorker>,
+}
+
+impl FleetAlarms {
+    /// Joins the fleet of `config` as `name`. The worker need not run.
+    ///
+    /// # Errors
+    /// [`ConnectError`] with the cause and the remedy.
+    pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
+        Ok(Self {
+            planner: Planner::with_config(config, name)?,
+            feed: AlarmFeed::with_config(config, name)?,
+            worker: None,
+        })
+    }
+
+    /// Waits a tenth of a second at most, and calls `each` for every change. To be called again at once, so that
+    /// nothing is overwritten.
+    ///
+    /// # Errors
+    /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.
+    pub fn wait(&mut self, mut each: impl FnMut(FleetAlarm)) -> Result<(), ReadError> {
+        let now = match self.planner.wait_next(self.feed.look_every())? {
+            Event::Frame(_) => Some(None),
+            Event::Gone(_) => Some(Some(("WorkerGone", Level::Error))),
+            Event::Stale { .. } => Some(Some(("WorkerStale", Level::Stale))),
+            _ => None,
+        };
+        if let Some(now) = now {
+            self.set_worker(now, &mut each);
+        }
+        self.feed.changes(|change| each(change.into()))
+    }
+
+    fn set_worker(
+        &mut self,
+        now: Option<(&'static str, Level)>,
+        each: &mut impl FnMut(FleetAlarm),
+    ) {
+        if self.worker.map(|(alarm, level, _)| (alarm, level)) == now {
+            return;
+        }
+        let at_ns = clock::monotonic_ns();
+        let mut tell = |(alarm, level, raised_ns), change| {
+            each(FleetAlarm {
+                robot: None,
+                alarm,
+                level,
+                change,
+                at_ns,
+                raised_ns,
+            });
+        };
+        if let Some(ended) = self.worker.take() {
+            tell(ended, Change::Cleared);
+        }
+        self.worker = now.map(|(alarm, level)| (alarm, level, at_ns));
+        if let Some(begun) = self.worker {
+            tell(begun, Change::Raised);
+        }
+    }
+
+    /// The robots' alarms that are raised, and the ticks that were missed.
+    #[must_use]
+    pub const fn history(&self) -> &AlarmHistory {
+        self.feed.history()
+    }
+}
+
+impl fmt::Debug for FleetAlarms {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("FleetAlarms")
+            .field("planner", &self.planner)
+            .field("feed", &self.feed)
+            .field("worker", &self.worker)
+            .finish()
+    }
+}

@@ -1,0 +1,354 @@
+//! `joulebus serve --webhook`: tells a web address of every raise and every end of an alarm.
+//!
+//! One thread reads, another sends; between them lies a bounded queue, so that a receiver that does not answer
+//! costs neither the reader nor the fleet anything. What waits is sent in one request.
+
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, anyhow};
+use joulebus_board::AlarmRecord;
+use joulebus_capture::Clock;
+use joulebus_config::Config;
+use joulebus_consumer::FleetAlarms;
+use joulebus_program::exit::UsageError;
+use serde::Serialize;
+use ureq::Agent;
+use ureq::http::Uri;
+
+/// Changes that wait; further ones are lost.
+const MOST_WAITING: usize = 10_000;
+/// Changes of one request.
+const MOST_TOLD: usize = 100;
+/// Time that a request may take.
+const REQUEST_LIMIT: Duration = Duration::from_secs(10);
+/// Pause before a request is sent again: doubled each time, up to the second.
+const AGAIN: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
+/// Time for what waits when the program ends.
+const END_LIMIT: Duration = Duration::from_secs(5);
+/// Interval of checking whether to end.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Longest file with an address, bytes.
+const MOST_BYTES: u64 = 4_096;
+
+/// What was told.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct WebhookReport {
+    /// Host of the address; the rest may be secret.
+    pub(crate) host: String,
+    /// Changes that the receiver took.
+    pub(crate) told: u64,
+    /// Requests that failed and were sent again, or given up.
+    pub(crate) failed: u64,
+    /// Changes that it did not take, or that could not wait; ticks without diagnostics.
+    pub(crate) lost: u64,
+}
+
+/// The running threads.
+pub(crate) struct Webhook {
+    host: String,
+    stop: Arc<AtomicBool>,
+    lost: Arc<AtomicU64>,
+    reading: JoinHandle<anyhow::Result<()>>,
+    sending: JoinHandle<Sent>,
+}
+
+/// What the sending thread did.
+#[derive(Debug, Default)]
+struct Sent {
+    told: u64,
+    failed: u64,
+    lost: u64,
+}
+
+impl Webhook {
+    /// Joins the fleet, and tells `to` from now on: an address, or `@FILE` with one (mode 0600).
+    ///
+    /// # Errors
+    /// A wrong address or file; the fleet cannot be joined.
+    pub(crate) fn start(config: &Config, to: &str) -> anyhow::Result<Self> {
+        let address = address(to).map_err(|error| UsageError(format!("{error:#}")))?;
+        let host = address.host().unwrap_or_default().to_owned();
+        let (records, waiting) = sync_channel(MOST_WAITING);
+        let (stop, lost) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
+        let (ready, opened) = sync_channel(1);
+        let reading = {
+            let (config, stop, lost) = (config.clone(), Arc::clone(&stop), Arc::clone(&lost));
+            let thread = thread::Builder::new().name("joulebus-alarms".to_owned());
+            thread.spawn(move || {
+                let alarms = FleetAlarms::with_config(&config, "webhook")?;
+                // The caller waits for it.
+                let _ = ready.send(());
+                read(alarms, config.fleet(), &records, &stop, &lost)
+            })?
+        };
+        if opened.recv().is_err() {
+            let ended = reading
+                .join()
+                .map_err(|_| anyhow!("the thread of --webhook panicked"))?;
+            return Err(ended
+                .err()
+                .unwrap_or_else(|| anyhow!("--webhook ended at its start")));
+        }
+        let (fleet, ends) = (config.fleet().to_owned(), Arc::clone(&stop));
+        let thread = thread::Builder::new().name("joulebus-webhook".to_owned());
+        let sending = thread.spawn(move || Sending::new(fleet, address, ends).run(&waiting))?;
+        Ok(Self {
+            host,
+            stop,
+            lost,
+            reading,
+            sending,
+        })
+    }
+
+    /// Host that is told.
+    pub(crate) fn host(&self) -> &str {
+        &self.host
+    }
+
+    /// Whether it has ended by itself; [`Webhook::finish`] tells why.
+    pub(crate) fn is_over(&self) -> bool {
+        self.reading.is_finished()
+    }
+
+    /// Tells what waits, within five seconds, and leaves the fleet.
+    ///
+    /// # Errors
+    /// What ended it.
+    pub(crate) fn finish(self) -> anyhow::Result<WebhookReport> {
+        self.stop.store(true, Ordering::Relaxed);
+        let panicked = || anyhow!("a thread of --webhook panicked");
+        let read = self.reading.join().map_err(|_| panicked())?;
+        let sent = self.sending.join().map_err(|_| panicked())?;
+        read?;
+        Ok(WebhookReport {
+            host: self.host,
+            told: sent.told,
+            failed: sent.failed,
+            lost: sent.lost + self.lost.load(Ordering::Relaxed),
+        })
+    }
+}
+
+/// The address that `--webhook` means.
+fn address(to: &str) -> anyhow::Result<Uri> {
+    let text = match to.strip_prefix('@') {
+        Some(path) => secret(path).with_context(|| format!("--webhook {to}"))?,
+        None => to.to_owned(),
+    };
+    let refused =
+        "--webhook: expected an address such as https://host.example/path, or @FILE with one";
+    let address = Uri::from_str(text.trim()).context(refused)?;
+    let is_http = matches!(address.scheme_str(), Some("http" | "https"));
+    if is_http && address.host().is_some_and(|host| !host.is_empty()) {
+        return Ok(address);
+    }
+    Err(anyhow!(refused))
+}
+
+/// The first line of a file that nobody else can read.
+fn secret(path: &str) -> anyhow::Result<String> {
+    let path = Path::new(path);
+    let mode = joulebus_files::look(path)?.permissions().mode() & 0o777;
+    if mode & 0o077 != 0 {
+        return Err(anyhow!("others may read it (mode {mode:03o}): chmod 600"));
+    }
+    let text = joulebus_files::read_to_string(path, MOST_BYTES)?;
+    Ok(text.lines().next().unwrap_or_default().to_owned())
+}
+
+/// Queues every change until asked to stop.
+fn read(
+    mut alarms: FleetAlarms,
+    fleet: &str,
+    records: &SyncSender<AlarmRecord>,
+    stop: &AtomicBool,
+    lost: &AtomicU64,
+) -> anyhow::Result<()> {
+    let clock = Clock::now();
+    while !stop.load(Ordering::Relaxed) {
+        alarms.wait(|change| {
+            let record = AlarmRecord::new(fleet, &change, clock.unix_ns(change.at_ns));
+            if let Err(TrySendError::Full(_)) = records.try_send(record) {
+                lost.fetch_add(1, Ordering::Relaxed);
+            }
+        })?;
+    }
+    lost.fetch_add(alarms.history().ticks_missed(), Ordering::Relaxed);
+    Ok(())
+}
+
+/// The body of a request.
+#[derive(Serialize)]
+struct Body<'a> {
+    fleet: &'a str,
+    changes: &'a [AlarmRecord],
+}
+
+/// What became of a request.
+enum Answer {
+    Taken,
+    /// Sending it again may help.
+    Later(String),
+    /// It does not.
+    Refused(String),
+}
+
+struct Sending {
+    fleet: String,
+    address: Uri,
+    agent: Agent,
+    stop: Arc<AtomicBool>,
+    /// When what waits is given up, once it has to end.
+    end_by: Option<Instant>,
+    sent: Sent,
+}
+
+impl Sending {
+    fn new(fleet: String, address: Uri, stop: Arc<AtomicBool>) -> Self {
+        let config = Agent::config_builder()
+            .timeout_global(Some(REQUEST_LIMIT))
+            // To another host the address would be told.
+            .max_redirects(0)
+            .max_redirects_will_error(false)
+            .http_status_as_error(false)
+            .user_agent(concat!("joulebus/", env!("CARGO_PKG_VERSION")))
+            .build();
+        Self {
+            fleet,
+            address,
+            agent: config.into(),
+            stop,
+            end_by: None,
+            sent: Sent::default(),
+        }
+    }
+
+    /// Sends until the reader has ended and nothing waits.
+    fn run(mut self, waiting: &Receiver<AlarmRecord>) -> Sent {
+        let mut changes = Vec::new();
+        loop {
+            match waiting.recv_timeout(LOOK_EVERY) {
+                Ok(change) => changes.push(change),
+                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Disconnected) => return self.sent,
+            }
+            while changes.len() < MOST_TOLD
+                && let Ok(change) = waiting.try_recv()
+            {
+                changes.push(change);
+            }
+            self.tell(&changes);
+            changes.clear();
+        }
+    }
+
+    /// Sends changes until the receiver has taken or refused them, or the time is over.
+    fn tell(&mut self, changes: &[AlarmRecord]) {
+        let count = changes.len() as u64;
+        let mut pause = AGAIN.0;
+        loop {
+            let why = match self.send(changes) {
+                Answer::Taken => {
+                    self.sent.told += count;
+                    return;
+                }
+                Answer::Refused(why) => {
+                    self.sent.failed += 1;
+                    self.sent.lost += count;
+                    tracing::warn!(
+                        changes = count,
+                        "--webhook: refused, and not sent again: {why}"
+                    );
+                    return;
+                }
+                Answer::Later(why) => why,
+            };
+            self.sent.failed += 1;
+            let pause_s = pause.as_secs_f64();
+            tracing::warn!(
+                changes = count,
+                pause_s,
+                "--webhook: sent again after a pause: {why}"
+            );
+            if !self.pauses(pause) {
+                self.sent.lost += count;
+                return;
+            }
+            pause = (pause * 2).min(AGAIN.1);
+        }
+    }
+
+    fn send(&self, changes: &[AlarmRecord]) -> Answer {
+        let body = Body {
+            fleet: &self.fleet,
+            changes,
+        };
+        let bytes = match serde_json::to_vec(&body) {
+            Ok(bytes) => bytes,
+            Err(error) => return Answer::Refused(error.to_string()),
+        };
+        let request = self.agent.post(&self.address);
+        let sent = request.content_type("application/json").send(&bytes[..]);
+        match sent.map(|response| response.status()) {
+            Ok(status) if status.is_success() => Answer::Taken,
+            Ok(status)
+                if status.is_server_error() || [408, 425, 429].contains(&status.as_u16()) =>
+            {
+                Answer::Later(status.to_string())
+            }
+            Ok(status) => Answer::Refused(status.to_string()),
+            Err(error) => Answer::Later(error.to_string()),
+        }
+    }
+
+    /// Waits before the next attempt. False if there is no time for one.
+    fn pauses(&mut self, pause: Duration) -> bool {
+        let until = Instant::now() + pause;
+        loop {
+            let now = Instant::now();
+            if self.stop.load(Ordering::Relaxed) {
+                let end_by = *self.end_by.get_or_insert(now + END_LIMIT);
+                if until > end_by {
+                    return false;
+                }
+            }
+            if now >= until {
+                return true;
+            }
+            thread::sleep(LOOK_EVERY.min(until - now));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_addresses_of_the_web_are_taken() {
+        for good in [
+            "http://127.0.0.1:9/x",
+            "https://hooks.example/T0/secret?a=b",
+        ] {
+            assert_eq!(address(good).unwrap().to_string(), good);
+        }
+        for bad in [
+            "",
+            "hooks.example/x",
+            "ftp://host/x",
+            "file:///etc/passwd",
+            "http://",
+            "@/nowhere",
+        ] {
+            assert!(address(bad).is_err(), "{bad}");
+        }
+    }
+}
