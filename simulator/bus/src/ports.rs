@@ -271,6 +271,8 @@ pub struct Reader<H: Payload, T: Payload> {
     number: u64,
     held: Option<Rc<Sent<H, T>>>,
     queue: Rc<RefCell<Queue<H, T>>>,
+    /// Frames that can be queued at once, of all writers.
+    queued: usize,
     service: Service,
     worker: Option<WorkerPorts>,
     bus: Bus,
@@ -302,6 +304,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
             number,
             held: None,
             queue,
+            queued: shape.buffer * shape.publishers,
             service,
             worker: (service != Service::Samples).then(|| WorkerPorts::new(&bus.domain)),
             bus: bus.clone(),
@@ -313,7 +316,10 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     /// # Errors
     /// [`ReceiveError`].
     pub fn take_all(&mut self, mut each: impl FnMut(&H, &[T])) -> Result<(), ReceiveError> {
-        while let Some(frame) = self.receive()? {
+        for _ in 0..self.queued {
+            let Some(frame) = self.receive()? else {
+                break;
+            };
             each(&frame.header, &frame.payload);
         }
         Ok(())

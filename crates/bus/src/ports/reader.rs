@@ -35,6 +35,8 @@ pub struct Reader<H: Payload, T: Payload> {
     held: Option<Borrowed<Ipc, [T], H>>,
     port: Kept<Port<H, T>>,
     buffer: usize,
+    /// Frames that can be queued at once, of all writers.
+    queued: usize,
     failures: Arc<Failures>,
     repair: Repair,
     /// None for services on which every process may send.
@@ -60,6 +62,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
             held: None,
             port: Kept::new((subscriber, factory), need),
             buffer: shape.buffer,
+            queued: shape.buffer * shape.publishers,
             failures,
             repair: Repair::default(),
             worker: (service != Service::Samples).then(|| WorkerPorts::new(bus.domain())),
@@ -76,12 +79,16 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         Ok(self.receive()?.map(Frame::new))
     }
 
-    /// Calls `each` for all queued frames, in order.
+    /// Calls `each` for all queued frames, in order: as many as can be queued at once, so that writers
+    /// that are faster than `each` do not keep the caller for ever.
     ///
     /// # Errors
     /// [`ReceiveError`]; the next call may succeed.
     pub fn take_all(&mut self, mut each: impl FnMut(&H, &[T])) -> Result<(), ReceiveError> {
-        while let Some(frame) = self.receive()? {
+        for _ in 0..self.queued {
+            let Some(frame) = self.receive()? else {
+                break;
+            };
             each(frame.user_header(), frame.payload());
         }
         Ok(())
