@@ -264,9 +264,13 @@ def test_frames_and_tables_become_data_frames(running):
 def test_live_forecasts_of_the_network_have_the_bits_of_predict(running):
     """The worker, a process of Rust, and this one compute the same network on the same readings."""
     model = joulebus.Predictor()
+    seen: dict[int, dict[int, int]] = {}
 
     def compared():
         frame = next_frame(running)
+        # Of every frame, so that two samples in a row are known.
+        for forecast in frame:
+            seen.setdefault(forecast.robot, {})[int(forecast.row["sample_seq"])] = int(forecast.row["stamp_ns"])
         ticks = {"samples": int(frame.sample_seq[0]), "network_w": None}
         table = running.diagnostics()
         if table is None or int(table[0]["sample_seq"]) < 6:
@@ -283,7 +287,7 @@ def test_live_forecasts_of_the_network_have_the_bits_of_predict(running):
             lags_w = [np.float32(sent[newest - lag][2][robot]) for lag in range(5)]
             # The true time between the samples is the worker's to know: a row that it may have had, for the
             # periods around 33 ms.
-            dt = stamps(running, robot, newest)
+            dt = between(robot, newest)
             if dt is None:
                 continue
             change = [(new - old) / np.float32(dt) for new, old in zip((v, omega), before)]
@@ -292,11 +296,7 @@ def test_live_forecasts_of_the_network_have_the_bits_of_predict(running):
             found += 1
         return found or None
 
-    seen: dict[int, dict[int, int]] = {}
-
-    def stamps(planner, robot, newest):
-        for forecast in next_frame(planner):
-            seen.setdefault(forecast.robot, {})[int(forecast.row["sample_seq"])] = int(forecast.row["stamp_ns"])
+    def between(robot, newest):
         known = seen.get(robot, {})
         if newest in known and newest - 1 in known:
             return (known[newest] - known[newest - 1]) * 1e-9
