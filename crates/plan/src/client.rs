@@ -95,14 +95,7 @@ impl PlanClient {
     /// [`ClientError`]. After `timeout` the question is given up, and the worker does not answer it
     /// any more.
     pub fn ask(&mut self, question: &Question, timeout: Duration) -> Result<Answered, ClientError> {
-        let (header, values) = question.encode(self.fleet)?;
-        let asked = Asked::now(timeout);
-        let header = QueryHeader {
-            deadline_ns: asked.deadline_ns,
-            ..header
-        };
-        // An earlier question is given up.
-        self.asked = None;
+        let (asked, header, values) = self.begin(question, timeout)?;
         let (answer, words) = self.client.ask(header, &values)?;
         asked.answered(&answer, &words)
     }
@@ -113,16 +106,23 @@ impl PlanClient {
     /// # Errors
     /// [`ClientError`]; [`QueryError::NotServed`] also of a worker that is just starting: ask again.
     pub fn send(&mut self, question: &Question, timeout: Duration) -> Result<(), ClientError> {
-        let (header, values) = question.encode(self.fleet)?;
-        let asked = Asked::now(timeout);
-        let header = QueryHeader {
-            deadline_ns: asked.deadline_ns,
-            ..header
-        };
-        self.asked = None;
+        let (asked, header, values) = self.begin(question, timeout)?;
         self.client.send(header, &values)?;
         self.asked = Some(asked);
         Ok(())
+    }
+
+    /// The question as it is sent from now on. An earlier one is given up.
+    fn begin(
+        &mut self,
+        question: &Question,
+        timeout: Duration,
+    ) -> Result<(Asked, QueryHeader, Vec<f64>), ClientError> {
+        let (mut header, values) = question.encode(self.fleet)?;
+        let asked = Asked::now(timeout);
+        header.deadline_ns = asked.deadline_ns;
+        self.asked = None;
+        Ok((asked, header, values))
     }
 
     /// The answer to the question sent last, if it has arrived; `None` as long as it has not, and when no question is
