@@ -32,8 +32,8 @@ if ! cmp -s "$folder/package-lock.json" "$folder/node_modules/.installed"; then
     cp "$folder/package-lock.json" "$folder/node_modules/.installed"
 fi
 if [ -z "${JOULEBUS_BIN:-}" ]; then
-    # With the workspace's features, as the tests compile them: nothing is compiled twice.
-    cargo build --locked --workspace --bin joulebus --bin joulebus-serve
+    # Examples need what tests need: so the dependencies have the features that `cargo test --workspace` compiled them with.
+    cargo build --locked --workspace --lib --bins --examples
     JOULEBUS_BIN=$PWD/target/debug
 fi
 export CHROMIUM JOULEBUS_BIN JOULEBUS_ROOT=$PWD

@@ -17,9 +17,8 @@ fi
 target=${CARGO_TARGET_DIR:-$PWD/target}
 if [ "${1:-}" = --workspace ]; then
     shift
-    # All targets: so the dependencies have the features that `cargo test --workspace` compiled them with. Tests of
-    # sources that are compiled a second time, for the simulator, compile in the first place alone.
-    cargo build --quiet --locked --workspace --exclude 'joulebus-simulated-*' --all-targets
+    # Examples need what tests need: so the dependencies have the features that `cargo test --workspace` compiled them with.
+    cargo build --quiet --locked --workspace --lib --bins --examples
     package=$target/python-package
     rm -rf "$package"
     mkdir -p "$package"

@@ -8,6 +8,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_bus::Domain;
+use joulebus_test_processes::left_behind;
 
 use crate::{Child, Ended, Planner, ReaderLine, Source};
 
@@ -306,22 +307,7 @@ impl Arena {
     /// What is left of the fleet: objects in shared memory, and the root directory with its drafts.
     #[must_use]
     pub fn stale_files(&self) -> Vec<PathBuf> {
-        let entries = fs::read_dir("/dev/shm").into_iter().flatten().flatten();
-        let prefix = self.domain.shm_prefix();
-        let root = self.domain.root().file_name().unwrap_or_default();
-        let draft = format!(".{}.", root.to_string_lossy());
-        let mut found: Vec<PathBuf> = entries
-            .filter(|entry| {
-                let name = entry.file_name();
-                let name = name.to_string_lossy();
-                name.starts_with(prefix) || name.starts_with(&draft)
-            })
-            .map(|entry| entry.path())
-            .collect();
-        if self.domain.root().exists() {
-            found.push(self.domain.root().to_owned());
-        }
-        found
+        left_behind(self.domain.shm_prefix(), self.domain.root())
     }
 
     /// Closes the arena: all its processes have exited, and no file may be left.

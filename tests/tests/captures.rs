@@ -66,6 +66,18 @@ fn name(entry: &Entry) -> (String, u64, u64) {
     (entry.topic.to_string(), run, number)
 }
 
+/// Whether a recorder got no processor for so long that the `missing` message was overwritten before it was read: the next
+/// one of its topic, which had waited in the full buffer, was read that late.
+fn was_overrun(found: &[Entry], missing: &Entry) -> bool {
+    // The shortest buffers of this fleet hold 16 frames (`Limits::forecast_frames` of 100 robots).
+    const BUFFER_NS: u64 = 15 * 1_000_000_000 / 30;
+    let of_topic = found.iter().filter(|entry| entry.topic == missing.topic);
+    let mut later = of_topic.filter(|entry| entry.publish_time_ns > missing.publish_time_ns);
+    later
+        .next()
+        .is_some_and(|next| next.log_time_ns.saturating_sub(next.publish_time_ns) >= BUFFER_NS)
+}
+
 /// Size of the file, bytes; 0 if it does not exist.
 fn bytes(file: &Path) -> u64 {
     file.metadata().map_or(0, |file| file.len())
@@ -132,8 +144,11 @@ fn a_killed_recorder_loses_at_most_the_stated_window() {
         let lost: Vec<&Entry> = sent.filter(|entry| !names.contains(&name(entry))).collect();
         let in_the_middle =
             |entry: &Entry| span(entry).is_some_and(|(_, last_ns)| entry.publish_time_ns < last_ns);
-        let holes = lost.iter().filter(|entry| in_the_middle(entry));
-        assert_eq!(holes.count(), 0, "{}", file.display());
+        let missing = lost.iter().copied().filter(|entry| in_the_middle(entry));
+        let holes: Vec<_> = missing
+            .filter(|entry| !was_overrun(&found, entry))
+            .collect();
+        assert_eq!(holes, Vec::<&Entry>::new(), "{}", file.display());
         let oldest = lost.iter().map(|entry| entry.publish_time_ns).min();
         let window_ns = oldest.map_or(0, |oldest| at_ns.saturating_sub(clock.monotonic_ns(oldest)));
         windows.add_ns(window_ns);

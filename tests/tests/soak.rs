@@ -1,9 +1,14 @@
 //! A calm fleet of a thousand robots, with a recorder, a live view and a planner: memory, descriptors, shared memory and
-//! files stay as they are. For hours, `JOULEBUS_SOAK_S=28800 cargo test -p joulebus-tests --test soak -- --nocapture`.
+//! files stay as they are. For hours, `JOULEBUS_SOAK_S=28800 cargo test -p joulebus-tests --test soak -- --nocapture`;
+//! with `JOULEBUS_SOAK_SERVE=target/debug/joulebus-serve` beside the page of that program and a browser's stream.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::path::Path;
+use std::process::Command;
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use joulebus_tests::{Arena, Child, Dice, ReaderLine, Setup, figure};
@@ -20,6 +25,9 @@ const RECORDER_KB: i64 = 256 << 10;
 const BRIEFLY_OPEN: usize = 4;
 /// Place of the recorder among the processes.
 const RECORDER: usize = 1;
+
+/// Interval of printing what is held in a run of hours.
+const PRINT_EVERY: Duration = Duration::from_secs(600);
 
 /// What the processes of a fleet hold.
 #[derive(Debug, Clone)]
@@ -81,6 +89,38 @@ fn remove_old(arena: &Arena) {
     }
 }
 
+/// The server of the page, if the caller names its program, and the thread that reads a stream to its end.
+fn page(arena: &Arena) -> Option<(Child, JoinHandle<usize>)> {
+    let program = std::env::var_os("JOULEBUS_SOAK_SERVE")?;
+    let mut command = Command::new(program);
+    command.args(["--http", "127.0.0.1:0", "--config"]);
+    command.arg(arena.config());
+    let mut server = Child::spawn("serve", command);
+    let line = server.wait_for_line("serving fleet");
+    let address = line.rsplit('/').next().unwrap().to_owned();
+    let mut stream = TcpStream::connect(&address).unwrap();
+    let path = "/api/v1/stream?count=50&robot=1&hz=10";
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+    let browser = std::thread::spawn(move || {
+        let (mut bytes, mut read) = ([0; 1 << 16], 0);
+        while let Ok(more @ 1..) = stream.read(&mut bytes) {
+            read += more;
+        }
+        read
+    });
+    Some((server, browser))
+}
+
+/// Waits until the worker has taken a second of samples, by a planner of its own.
+fn wait_until_all_send(arena: &Arena, source: &mut Child) {
+    let mut planner = arena.consumer();
+    planner.until_beside(source, "a thousand robots send", |line| match line {
+        ReaderLine::Given { accepted, .. } => (*accepted > 20_000).then_some(()),
+        _ => None,
+    });
+    planner.leave();
+}
+
 #[test]
 fn a_fleet_that_runs_for_long_holds_what_it_held_at_the_beginning() {
     let arena = Arena::new(&Setup {
@@ -100,34 +140,39 @@ fn a_fleet_that_runs_for_long_holds_what_it_held_at_the_beginning() {
     let mut view = Child::spawn_unread("watch", arena.command(&["watch", "--format", "json"]));
     let simulation = ["publish", "sim", "--seed", "7", "--robots", ROBOTS];
     let mut source = Child::spawn("simulation", arena.command(&simulation));
-    let mut planner = arena.consumer();
-    let all = |line: &ReaderLine| match line {
-        ReaderLine::Given { accepted, .. } => (*accepted > 20_000).then_some(()),
-        _ => None,
-    };
-    planner.until_beside(&mut source, "a thousand robots send", all);
+    wait_until_all_send(&arena, &mut source);
+    // Hours of its lines would fill the test's memory.
+    let mut planner = Child::spawn_unread("consumer", arena.probe(&["consumer"]));
+    let page = page(&arena);
     // The first quarter fills buffers.
     let (begin, length) = (Instant::now(), Duration::from_secs(seconds));
-    let mut first = None;
-    let mut last = None;
+    let (mut first, mut last) = (None, None);
+    let mut print_at = begin + PRINT_EVERY;
     while begin.elapsed() < length {
         std::thread::sleep(Duration::from_millis(500));
         remove_old(&arena);
-        // The planner's pipe is read, so that it does not wait for the test.
-        let _ = planner.seen().len();
-        let held = Held::of(
-            &arena,
-            &[&worker, &recorder, &view, &source, &planner.child],
-        );
+        let mut members = vec![&worker, &recorder, &view, &source, &planner];
+        members.extend(page.as_ref().map(|(server, _)| server));
+        let held = Held::of(&arena, &members);
         if begin.elapsed() > length / 4 {
             first.get_or_insert(held.clone());
+        }
+        if Instant::now() > print_at {
+            print_at += PRINT_EVERY;
+            figure("soak, held", format_args!("{:?} {held:?}", begin.elapsed()));
         }
         last = Some(held);
     }
     let (first, last) = (first.unwrap(), last.unwrap());
     source.stop();
     view.end();
-    planner.leave();
+    planner.finish();
+    if let Some((mut server, browser)) = page {
+        assert_eq!(server.end().code(), Some(0));
+        let read = browser.join().unwrap();
+        figure("soak, the page", format_args!("{read} bytes streamed"));
+        assert!(read > 0);
+    }
     let recorded = recorder.end();
     assert!(matches!(recorded.code(), Some(0 | 3)), "{recorded:?}");
     let report = worker.stop().json();

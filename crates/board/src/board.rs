@@ -422,6 +422,26 @@ impl Board {
             .then(|| format!("questions {answered} ({refused} refused{reasons})"))
     }
 
+    /// Samples that the newest worker has dropped, by reason.
+    #[must_use]
+    pub fn samples_dropped_by_name(&self) -> BTreeMap<&'static str, u64> {
+        let headers = self.header().into_iter();
+        headers
+            .flat_map(|header| header.samples_dropped.iter())
+            .map(|(reason, count)| (reason.name(), count))
+            .collect()
+    }
+
+    /// Questions about plans that it has refused, by reason.
+    #[must_use]
+    pub fn questions_refused_by_name(&self) -> BTreeMap<&'static str, u64> {
+        let counts = self.queries.iter();
+        counts
+            .flat_map(QueryCounts::iter)
+            .map(|(reason, count)| (reason.name(), count))
+            .collect()
+    }
+
     /// Number of robots at each level: ok, warn, error, stale.
     #[must_use]
     pub fn levels(&self) -> [usize; 4] {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use joulebus_wire::{
-    ChargeState, Diagnostic, Quality, QueryCounts, budget_flag, diagnostic_flag, forecast_flag,
+    ChargeState, Diagnostic, Quality, budget_flag, diagnostic_flag, forecast_flag,
 };
 use serde::Serialize;
 
@@ -138,18 +138,9 @@ impl FrameRecord {
             ticks_skipped: header.ticks_skipped,
             ticks_late: header.ticks_late,
             samples_accepted: header.samples_accepted,
-            samples_dropped: header
-                .samples_dropped
-                .iter()
-                .map(|(reason, count)| (reason.name(), count))
-                .collect(),
+            samples_dropped: board.samples_dropped_by_name(),
             questions_answered: board.queries.map(|counts| counts.answered),
-            questions_refused: board
-                .queries
-                .iter()
-                .flat_map(QueryCounts::iter)
-                .map(|(reason, count)| (reason.name(), count))
-                .collect(),
+            questions_refused: board.questions_refused_by_name(),
             frames_missed: board.frames_missed,
             robots,
         })

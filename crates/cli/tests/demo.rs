@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use joulebus_bus::Domain;
 use joulebus_config::Demo as DemoConfig;
-use joulebus_test_processes::{Child, end_signals, eventually};
+use joulebus_test_processes::{Child, end_signals, eventually, left_behind};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -42,7 +42,7 @@ impl Run {
     fn stale_files(&self) -> Vec<PathBuf> {
         let root = self.root();
         let domain = Domain::new("demo", &root, "jbd_").unwrap();
-        stale_files(&domain)
+        left_behind(domain.shm_prefix(), domain.root())
     }
 
     /// Waits for the next stderr line that contains `text`; returns the rest of the line.
@@ -88,18 +88,6 @@ fn send(pid: u32, signal: Signal) {
 fn is_over(pid: u32) -> bool {
     let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
     stat.is_empty() || stat.contains(") Z ")
-}
-
-fn stale_files(domain: &Domain) -> Vec<PathBuf> {
-    let objects = fs::read_dir("/dev/shm").unwrap().flatten();
-    objects
-        .filter(|entry| {
-            let name = entry.file_name();
-            let name = name.to_string_lossy();
-            name.starts_with(domain.shm_prefix()) || entry.path() == domain.root()
-        })
-        .map(|entry| entry.path())
-        .collect()
 }
 
 fn count(value: &Value) -> u64 {
@@ -338,7 +326,10 @@ fn watch_without_a_worker_prints_a_hint() {
     let mut watch = arena.program(&["watch", "--once"]);
     watch.wait_for("no worker serves fleet w");
     assert_eq!(watch.0.wait().code(), Some(1));
-    assert_eq!(stale_files(&arena.domain), Vec::<PathBuf>::new());
+    assert_eq!(
+        left_behind(arena.domain.shm_prefix(), arena.domain.root()),
+        Vec::<PathBuf>::new()
+    );
 }
 
 #[test]
@@ -394,5 +385,8 @@ fn watch_may_start_before_the_worker_and_continues_with_the_next_one() {
         pair[0]["worker_epoch"] != pair[1]["worker_epoch"]
             || count(&pair[0]["tick"]) < count(&pair[1]["tick"])
     }));
-    assert_eq!(stale_files(&arena.domain), Vec::<PathBuf>::new());
+    assert_eq!(
+        left_behind(arena.domain.shm_prefix(), arena.domain.root()),
+        Vec::<PathBuf>::new()
+    );
 }

@@ -9,7 +9,7 @@ pub mod disk;
 
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read as _};
-use std::os::unix::fs::{FileTypeExt as _, OpenOptionsExt as _};
+use std::os::unix::fs::{FileTypeExt as _, OpenOptionsExt as _, PermissionsExt as _};
 use std::path::Path;
 
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
@@ -32,6 +32,12 @@ pub enum Refused {
         /// Limit, bytes.
         allowed: u64,
     },
+    /// Others may read a secret.
+    #[error("has mode {mode:04o}: others may read it; chmod 600 makes it its owner's alone")]
+    Readable {
+        /// Its permissions.
+        mode: u32,
+    },
 }
 
 impl From<Refused> for io::Error {
@@ -39,6 +45,7 @@ impl From<Refused> for io::Error {
         let kind = match refused {
             Refused::Kind { .. } => io::ErrorKind::InvalidInput,
             Refused::TooLong { .. } => io::ErrorKind::FileTooLarge,
+            Refused::Readable { .. } => io::ErrorKind::PermissionDenied,
         };
         Self::new(kind, refused)
     }
@@ -99,6 +106,18 @@ pub fn read(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
 pub fn read_to_string(path: &Path, most_bytes: u64) -> io::Result<String> {
     String::from_utf8(read(path, most_bytes)?)
         .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
+}
+
+/// As [`read_to_string`], of a file that only its owner can read.
+///
+/// # Errors
+/// As of [`read_to_string`]; [`Refused::Readable`].
+pub fn read_secret(path: &Path, most_bytes: u64) -> io::Result<String> {
+    let mode = look(path)?.permissions().mode() & 0o777;
+    if mode & 0o077 != 0 {
+        return Err(Refused::Readable { mode }.into());
+    }
+    read_to_string(path, most_bytes)
 }
 
 fn regular(about: Metadata) -> io::Result<Metadata> {

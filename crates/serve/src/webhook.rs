@@ -3,7 +3,6 @@
 //! One thread reads, another sends; between them lies a bounded queue, so that a receiver that does not answer
 //! costs neither the reader nor the fleet anything. What waits is sent in one request.
 
-use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::str::FromStr;
 use std::sync::Arc;
@@ -155,12 +154,7 @@ fn address(to: &str) -> anyhow::Result<Uri> {
 
 /// The first line of a file that nobody else can read.
 fn secret(path: &str) -> anyhow::Result<String> {
-    let path = Path::new(path);
-    let mode = joulebus_files::look(path)?.permissions().mode() & 0o777;
-    if mode & 0o077 != 0 {
-        return Err(anyhow!("others may read it (mode {mode:03o}): chmod 600"));
-    }
-    let text = joulebus_files::read_to_string(path, MOST_BYTES)?;
+    let text = joulebus_files::read_secret(Path::new(path), MOST_BYTES)?;
     Ok(text.lines().next().unwrap_or_default().to_owned())
 }
 

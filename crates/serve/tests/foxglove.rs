@@ -15,7 +15,7 @@ use joulebus_capture::{Message, MessageKind};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
-use joulebus_test_processes::{Child, PATIENCE, end_signals, eventually};
+use joulebus_test_processes::{Child, PATIENCE, end_signals, eventually, left_behind};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest as _;
@@ -62,18 +62,8 @@ impl Fleet {
 
     /// Files left behind by the fleet.
     fn stale_files(&self) -> Vec<PathBuf> {
-        let prefix = self.config.domain().unwrap().shm_prefix().to_owned();
-        let shared = fs::read_dir("/dev/shm").unwrap().flatten();
-        let ours = shared.map(|entry| entry.path()).filter(|path| {
-            let name = path.file_name().unwrap().to_string_lossy();
-            name.starts_with(&prefix)
-        });
-        let root = self
-            .config
-            .root()
-            .exists()
-            .then(|| self.config.root().to_owned());
-        ours.chain(root).collect()
+        let domain = self.config.domain().unwrap();
+        left_behind(domain.shm_prefix(), domain.root())
     }
 }
 

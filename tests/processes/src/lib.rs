@@ -8,6 +8,7 @@ mod member;
 use std::ffi::OsStr;
 use std::io::{BufRead as _, BufReader, Read, Write as _};
 use std::os::unix::process::ExitStatusExt as _;
+use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -31,6 +32,24 @@ pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
         );
         std::thread::sleep(Duration::from_millis(5));
     }
+}
+
+/// What is left of a fleet whose objects in shared memory begin with `prefix`: those objects, its folder `root`, and that
+/// folder's drafts.
+#[must_use]
+pub fn left_behind(prefix: &str, root: &Path) -> Vec<PathBuf> {
+    let draft = format!(".{}.", root.file_name().unwrap_or_default().display());
+    let shared = std::fs::read_dir("/dev/shm")
+        .into_iter()
+        .flatten()
+        .flatten();
+    let objects = shared.filter(|entry| {
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        name.starts_with(prefix) || name.starts_with(&draft)
+    });
+    let root = root.exists().then(|| root.to_owned());
+    objects.map(|entry| entry.path()).chain(root).collect()
 }
 
 /// Runs a program until it exits, without additional log output.

@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_test_processes::Child;
+use joulebus_test_processes::{Child, left_behind};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -120,13 +120,7 @@ impl Fleet {
 
     /// Remaining files of the fleet.
     pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
-        let shared = fs::read_dir("/dev/shm").unwrap().flatten();
-        let ours = shared.map(|entry| entry.path()).filter(|path| {
-            let name = path.file_name().unwrap().to_string_lossy();
-            name.starts_with(&self.prefix)
-        });
-        ours.chain(self.root.exists().then(|| self.root.clone()))
-            .collect()
+        left_behind(&self.prefix, &self.root)
     }
 }
 

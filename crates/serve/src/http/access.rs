@@ -3,7 +3,6 @@
 use std::collections::HashMap;
 use std::io;
 use std::net::IpAddr;
-use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -25,11 +24,6 @@ pub(crate) enum TokenError {
     #[error("token file {}: {error}", path.display())]
     Read { path: PathBuf, error: io::Error },
     #[error(
-        "token file {} has mode {mode:04o}: others may read it; `chmod 600 {}`",
-        path.display(), path.display()
-    )]
-    Mode { path: PathBuf, mode: u32 },
-    #[error(
         "token file {} holds {found} characters, expected one line of 16 to 256 letters, digits, -, ., _, ~: \
          `head -c 24 /dev/urandom | base64 | tr '+/' '-_' > {}`",
         path.display(), path.display()
@@ -46,16 +40,7 @@ impl Token {
             path: path.to_owned(),
             error,
         };
-        let mode = joulebus_files::look(path)
-            .map_err(failed)?
-            .permissions()
-            .mode()
-            & 0o777;
-        if mode & 0o077 != 0 {
-            let path = path.to_owned();
-            return Err(TokenError::Mode { path, mode });
-        }
-        let text = joulebus_files::read_to_string(path, MOST_FILE_BYTES).map_err(failed)?;
+        let text = joulebus_files::read_secret(path, MOST_FILE_BYTES).map_err(failed)?;
         let text = text.trim_end_matches(['\n', '\r']);
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte);
         if !TOKEN_LENGTHS.contains(&text.len()) || !text.bytes().all(plain) {

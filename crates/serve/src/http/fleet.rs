@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use joulebus_board::{Board, Counted, Link, UPPER_S};
-use joulebus_wire::{QueryCounts, budget_flag, forecast_flag};
+use joulebus_wire::{budget_flag, forecast_flag};
 use serde::Serialize;
 
 /// The state of a fleet.
@@ -151,20 +151,11 @@ impl FleetRecord {
             ticks_skipped: header.map(|header| header.ticks_skipped),
             ticks_late: header.map(|header| header.ticks_late),
             samples_accepted: header.map(|header| header.samples_accepted),
-            samples_dropped: header
-                .into_iter()
-                .flat_map(|header| header.samples_dropped.iter())
-                .map(|(reason, count)| (reason.name(), count))
-                .collect(),
+            samples_dropped: board.samples_dropped_by_name(),
             frames_missed: board.frames_missed,
             latency_s: around.distributions.latency_s.clone(),
             questions_answered: board.queries.map(|counts| counts.answered),
-            questions_refused: board
-                .queries
-                .iter()
-                .flat_map(QueryCounts::iter)
-                .map(|(reason, count)| (reason.name(), count))
-                .collect(),
+            questions_refused: board.questions_refused_by_name(),
             model_hash: header.map(|header| format!("{:016x}", header.model_hash)),
             totals: Totals::of(board),
             recorders: around.recorders.clone(),

@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_test_processes::Child;
+use joulebus_test_processes::{Child, left_behind};
 
 /// The `joulebus` program of the same build; built if only this package's tests were.
 fn joulebus() -> &'static Path {
@@ -99,17 +99,7 @@ impl Fleet {
 
     /// Files left behind by the fleet.
     pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
-        let prefix = self.config.domain().unwrap().shm_prefix().to_owned();
-        let shared = fs::read_dir("/dev/shm").unwrap().flatten();
-        let ours = shared.map(|entry| entry.path()).filter(|path| {
-            let name = path.file_name().unwrap().to_string_lossy();
-            name.starts_with(&prefix)
-        });
-        let root = self
-            .config
-            .root()
-            .exists()
-            .then(|| self.config.root().to_owned());
-        ours.chain(root).collect()
+        let domain = self.config.domain().unwrap();
+        left_behind(domain.shm_prefix(), domain.root())
     }
 }
