@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use joulebus_wire::{
     Alarm, Budget, Diagnostic, DropCounts, Forecast, ForecastHeader, Level, QueryCounts,
-    forecast_flag,
+    budget_flag, forecast_flag,
 };
 
 use crate::scores::{Pooled, Scores};
@@ -459,6 +459,15 @@ impl Newest {
     pub fn level(&self) -> Level {
         self.diagnostic
             .map_or(Level::Stale, |diagnostic| diagnostic.level())
+    }
+
+    /// The state of charge, 0 to 1, if the robot has a battery whose charge is known.
+    #[must_use]
+    pub fn soc(&self) -> Option<f64> {
+        self.budget
+            .filter(|budget| budget.flags & budget_flag::BATTERY != 0)
+            .map(|budget| f64::from(budget.soc))
+            .filter(|soc| soc.is_finite())
     }
 }
 

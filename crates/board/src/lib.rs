@@ -9,6 +9,8 @@ mod board;
 mod feed;
 mod record;
 mod scores;
+mod search;
+mod sort;
 mod stages;
 
 pub use alarm::AlarmRecord;
@@ -16,4 +18,6 @@ pub use board::{Board, Link, Newest, Point, Raised, Row, WorkerRun};
 pub use feed::{Feed, FeedError, OpenError, Reading};
 pub use record::{FrameRecord, LearnedRecord, RobotRecord, quality_name};
 pub use scores::Scores;
+pub use search::{Platforms, Search};
+pub use sort::{Sort, SortKey};
 pub use stages::{Counted, Latency, Stages, UPPER_S};

@@ -157,7 +157,7 @@ impl Demo<'_> {
         self.supervisor.add(self.source(place));
         let began_ns = clock::monotonic_ns();
         if !stop.is_asked() {
-            self.show(&feed, stop, began_ns)?;
+            self.show(place.config(), &feed, stop, began_ns)?;
         }
         self.finish(feed)
     }

@@ -2,8 +2,9 @@
 
 use std::io::IsTerminal as _;
 
-use joulebus_board::Feed;
+use joulebus_board::{Feed, Platforms};
 use joulebus_bus::clock;
+use joulebus_config::Config;
 use joulebus_program::output::{say, text};
 use joulebus_program::stop::Stop;
 
@@ -15,18 +16,30 @@ const LINE_EVERY_NS: u64 = 1_000_000_000;
 
 impl Demo<'_> {
     /// Shows the fleet until the time is over, `q` or a signal.
-    pub(super) fn show(&mut self, feed: &Feed, stop: &Stop, began_ns: u64) -> anyhow::Result<()> {
+    pub(super) fn show(
+        &mut self,
+        config: &Config,
+        feed: &Feed,
+        stop: &Stop,
+        began_ns: u64,
+    ) -> anyhow::Result<()> {
         let terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
         if terminal && !self.args.plain && self.lines_to_stdout {
-            self.show_live(feed, stop, began_ns)
+            self.show_live(config, feed, stop, began_ns)
         } else {
             self.show_lines(feed, stop, began_ns)
         }
     }
 
-    fn show_live(&mut self, feed: &Feed, stop: &Stop, began_ns: u64) -> anyhow::Result<()> {
+    fn show_live(
+        &mut self,
+        config: &Config,
+        feed: &Feed,
+        stop: &Stop,
+        began_ns: u64,
+    ) -> anyhow::Result<()> {
         let selected = self.planted.first().map(|planted| planted.robot);
-        let mut screen = Screen::new("demo", selected);
+        let mut screen = Screen::new("demo", Platforms::of(config.settings()), selected);
         show(feed, &mut screen, stop, || {
             self.look_after(feed);
             let seconds = (clock::monotonic_ns() - began_ns) as f64 * 1e-9;

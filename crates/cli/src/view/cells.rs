@@ -24,28 +24,36 @@ pub(crate) const HEADS: [(&str, u16); 13] = [
 ];
 
 /// Columns that a narrow view omits, in this order.
-const DISPENSABLE: [&str; 8] = [
+const DISPENSABLE: [&str; 11] = [
     "drawn J",
-    "charge",
-    "lasts",
     "inside",
     "skill",
     "interval W",
-    "off by W",
     "MAE W",
+    "off by W",
+    "lasts",
+    "read W",
+    "charge",
+    "quality",
+    "forecast W",
 ];
 
-/// Indices of the columns that fit into `width`, separated by one space.
-pub(crate) fn fitting(width: u16) -> Vec<usize> {
+/// Columns that are empty in a fleet without batteries.
+const OF_BATTERIES: [&str; 2] = ["charge", "lasts"];
+
+/// Indices of the columns that fit into `width`, separated by one space, and what is left of it for the last, the state.
+pub(crate) fn fitting(width: u16, has_batteries: bool) -> (Vec<usize>, u16) {
     let mut places: Vec<usize> = (0..HEADS.len()).collect();
+    places.retain(|place| has_batteries || !OF_BATTERIES.contains(&HEADS[*place].0));
+    let taken = |places: &[usize]| -> u16 { places.iter().map(|place| HEADS[*place].1 + 1).sum() };
     for dispensable in DISPENSABLE {
-        let taken: u16 = places.iter().map(|place| HEADS[*place].1 + 1).sum();
-        if taken <= width.saturating_add(1) {
+        if taken(&places) <= width.saturating_add(1) {
             break;
         }
         places.retain(|place| HEADS[*place].0 != dispensable);
     }
-    places
+    let others = taken(&places[..places.len().saturating_sub(1)]);
+    (places, width.saturating_sub(others))
 }
 
 /// A robot's cells.
@@ -123,16 +131,40 @@ pub(crate) fn quality(quality: Quality) -> String {
 
 /// Level and most important alarm, with the number of further alarms.
 fn state(row: &Row) -> String {
+    state_within(row, usize::MAX)
+}
+
+/// The same in at most `width` columns: without the level, the number, or the alarm.
+pub(crate) fn state_within(row: &Row, width: usize) -> String {
     let Some(diagnostic) = &row.diagnostic else {
         return UNKNOWN.to_owned();
     };
-    let alarms = diagnostic.alarms();
     let word = diagnostic.level().name();
-    match alarms.iter().count() {
-        0 => word.to_owned(),
-        1 => format!("{word} {}", alarms.first().name()),
-        more => format!("{word} {} +{}", alarms.first().name(), more - 1),
+    let (alarms, name) = (diagnostic.alarms(), diagnostic.alarms().first().name());
+    let more = match alarms.iter().count() {
+        0 => return shortened(word, width),
+        1 => String::new(),
+        count => format!(" +{}", count - 1),
+    };
+    let forms = [
+        format!("{word} {name}{more}"),
+        format!("{name}{more}"),
+        name.to_owned(),
+    ];
+    let fits = |form: &String| form.chars().count() <= width;
+    forms
+        .into_iter()
+        .find(fits)
+        .unwrap_or_else(|| shortened(word, width))
+}
+
+/// A text of at most `width` columns; one that is cut ends in an ellipsis.
+pub(crate) fn shortened(text: &str, width: usize) -> String {
+    if text.chars().count() <= width {
+        return text.to_owned();
     }
+    let kept: String = text.chars().take(width.saturating_sub(1)).collect();
+    format!("{kept}…")
 }
 
 /// A count with thousands separated by a space.
@@ -164,30 +196,40 @@ mod tests {
 
     #[test]
     fn a_narrow_view_omits_columns_instead_of_truncating_them() {
-        let heads =
-            |width| -> Vec<&str> { fitting(width).iter().map(|place| HEADS[*place].0).collect() };
-        assert_eq!(heads(127).len(), HEADS.len());
-        assert_eq!(
-            heads(126),
-            HEADS
-                .map(|(head, _)| head)
-                .into_iter()
-                .filter(|head| *head != "drawn J")
-                .collect::<Vec<_>>()
-        );
-        assert_eq!(
-            heads(78),
-            [
-                "robot",
-                "quality",
-                "read W",
-                "forecast W",
-                "off by W",
-                "MAE W",
-                "state"
-            ]
-        );
-        assert_eq!(heads(0).len(), HEADS.len() - DISPENSABLE.len());
+        let heads = |width, has_batteries| -> Vec<&str> {
+            let (places, _) = fitting(width, has_batteries);
+            places.iter().map(|place| HEADS[*place].0).collect()
+        };
+        assert_eq!(heads(127, true).len(), HEADS.len());
+        let without = |left_out: &[&str]| -> Vec<&str> {
+            let heads = HEADS.map(|(head, _)| head).into_iter();
+            heads.filter(|head| !left_out.contains(head)).collect()
+        };
+        assert_eq!(heads(126, true), without(&["drawn J"]));
+        assert_eq!(heads(127, false), without(&["charge", "lasts"]));
+        let at_78 = [
+            "robot",
+            "quality",
+            "read W",
+            "forecast W",
+            "charge",
+            "lasts",
+            "state",
+        ];
+        assert_eq!(heads(78, true), at_78);
+        let at_58 = ["robot", "quality", "forecast W", "charge", "state"];
+        assert_eq!(heads(58, true), at_58);
+        let at_58 = ["robot", "quality", "read W", "forecast W", "state"];
+        assert_eq!(heads(58, false), at_58);
+        assert_eq!(heads(0, true), ["robot", "state"]);
+        // No column is wider than what is left.
+        for width in 0..200 {
+            let (places, left) = fitting(width, true);
+            let others = &places[..places.len() - 1];
+            let others: u16 = others.iter().map(|place| HEADS[*place].1 + 1).sum();
+            assert_eq!(left, width.saturating_sub(others), "{width}");
+            assert!(left >= 20 || places.len() == 2, "{width}: {left}");
+        }
     }
 
     #[test]

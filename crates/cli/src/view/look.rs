@@ -1,6 +1,7 @@
 //! Tests of the live view's screen.
 
-use joulebus_board::{Board, Link};
+use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use joulebus_board::{Board, Link, Platforms};
 use joulebus_wire::{
     Alarm, AlarmSet, Budget, Diagnostic, Forecast, ForecastHeader, InvalidReason, Quality,
     budget_flag, diagnostic_flag, forecast_flag,
@@ -97,6 +98,23 @@ fn board() -> Board {
     board
 }
 
+fn screen(selected: Option<u32>) -> Screen {
+    Screen::new("lab", Platforms::default(), selected)
+}
+
+/// Presses keys one after the other; true if the last requested the end.
+fn press(screen: &mut Screen, board: &Board, keys: impl IntoIterator<Item = KeyCode>) -> bool {
+    let mut over = false;
+    for key in keys {
+        over = screen.press(KeyEvent::new(key, KeyModifiers::NONE), board);
+    }
+    over
+}
+
+fn typed(text: &str) -> Vec<KeyCode> {
+    text.chars().map(KeyCode::Char).collect()
+}
+
 fn draw(board: &Board, screen: &mut Screen, width: u16, height: u16) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
     terminal.draw(|frame| screen.draw(frame, board)).unwrap();
@@ -125,7 +143,7 @@ fn color_of(buffer: &Buffer, text: &str) -> Color {
 
 #[test]
 fn a_robots_row_shows_all_columns_with_a_dash_for_unknown_values() {
-    let buffer = draw(&board(), &mut Screen::new("lab", None), 130, 40);
+    let buffer = draw(&board(), &mut screen(None), 130, 40);
     let words = |text| {
         let (_, line) = line_of(&buffer, text);
         let words = line.split_whitespace().map(ToOwned::to_owned);
@@ -145,19 +163,19 @@ fn a_robots_row_shows_all_columns_with_a_dash_for_unknown_values() {
 
 #[test]
 fn problems_are_coloured() {
-    let buffer = draw(&board(), &mut Screen::new("lab", None), 120, 40);
+    let buffer = draw(&board(), &mut screen(None), 120, 40);
     assert_eq!(color_of(&buffer, "error StuckSensor"), Color::Red);
     assert_eq!(color_of(&buffer, "● live"), Color::Green);
     let mut board = board();
     board.set_link(Link::Gone, 0);
-    let buffer = draw(&board, &mut Screen::new("lab", None), 120, 40);
+    let buffer = draw(&board, &mut screen(None), 120, 40);
     assert_eq!(color_of(&buffer, "● gone"), Color::Red);
     line_of(&buffer, "worker 4711 is gone");
 }
 
 #[test]
 fn screen_shows_counters_latencies_and_events() {
-    let buffer = draw(&board(), &mut Screen::new("lab", None), 120, 40);
+    let buffer = draw(&board(), &mut screen(None), 120, 40);
     for text in [
         "1\u{202f}234\u{202f}567",
         "p50 110 µs",
@@ -175,45 +193,192 @@ fn screen_shows_counters_latencies_and_events() {
 #[test]
 fn screen_without_a_worker_or_robots_shows_a_hint() {
     let mut empty = Board::new(0);
-    line_of(
-        &draw(&empty, &mut Screen::new("lab", None), 100, 30),
-        "`joulebus run`",
-    );
+    line_of(&draw(&empty, &mut screen(None), 100, 30), "`joulebus run`");
     empty.forecasts(&ForecastHeader::default(), &[], 0);
     empty.set_link(Link::Live, 0);
     line_of(
-        &draw(&empty, &mut Screen::new("lab", None), 100, 30),
+        &draw(&empty, &mut screen(None), 100, 30),
         "`joulebus publish`",
     );
 }
 
 #[test]
 fn keys_select_robots_within_the_fleet_and_find_the_next_that_stands_out() {
-    let (board, mut screen) = (board(), Screen::new("lab", None));
+    let (board, mut screen) = (board(), screen(None));
     let shown = |screen: &mut Screen| {
         let (_, line) = line_of(&draw(&board, screen, 120, 40), "━ reading");
         line.split_whitespace().nth(2).unwrap().to_owned()
     };
     assert_eq!(shown(&mut screen), "2");
-    for (by, robot) in [(1, "5"), (1, "9"), (1, "9"), (-10, "2"), (10, "9")] {
-        screen.step(&board, by);
-        assert_eq!(shown(&mut screen), robot, "{by}");
+    for (key, robot) in [
+        (KeyCode::Down, "5"),
+        (KeyCode::Char('j'), "9"),
+        (KeyCode::Down, "9"),
+        (KeyCode::PageUp, "2"),
+        (KeyCode::PageDown, "9"),
+        (KeyCode::Char('k'), "5"),
+        (KeyCode::Home, "2"),
+        (KeyCode::End, "9"),
+        (KeyCode::Char('a'), "5"),
+        (KeyCode::Char('a'), "9"),
+        (KeyCode::Char('a'), "5"),
+    ] {
+        assert!(!press(&mut screen, &board, [key]));
+        assert_eq!(shown(&mut screen), robot, "{key:?}");
     }
-    for robot in ["5", "9", "5"] {
-        screen.step_to_alarm(&board);
-        assert_eq!(shown(&mut screen), robot);
+}
+
+/// The ids in the table, from above.
+fn listed(board: &Board, screen: &mut Screen) -> Vec<String> {
+    let lines = lines(&draw(board, screen, 80, 24));
+    let head = lines.iter().position(|line| line.contains("robot quality"));
+    let rows = lines[head.unwrap_or(0) + 1..].iter();
+    rows.take_while(|line| !line.starts_with('╰'))
+        .filter_map(|line| line.split_whitespace().nth(1))
+        .filter(|word| word.chars().all(|digit| digit.is_ascii_digit()))
+        .map(str::to_owned)
+        .collect()
+}
+
+#[test]
+fn robots_are_sorted_by_name_alarm_battery_and_power_in_either_direction() {
+    let mut board = board();
+    board.budgets(&[Budget {
+        robot: 9,
+        flags: budget_flag::BATTERY,
+        soc: 0.1,
+        ..Budget::default()
+    }]);
+    let mut screen = screen(None);
+    for (name, upwards, downwards) in [
+        ("by name", ["2", "5", "9"], ["9", "5", "2"]),
+        // Unknown values are last either way.
+        ("by alarm", ["9", "5", "2"], ["2", "5", "9"]),
+        ("by battery", ["9", "2", "5"], ["2", "9", "5"]),
+        ("by power", ["2", "9", "5"], ["2", "9", "5"]),
+    ] {
+        assert_eq!(listed(&board, &mut screen), upwards, "{name}");
+        line_of(&draw(&board, &mut screen, 80, 24), &format!("{name} ↑"));
+        press(&mut screen, &board, typed("r"));
+        assert_eq!(listed(&board, &mut screen), downwards, "{name}");
+        line_of(&draw(&board, &mut screen, 80, 24), &format!("{name} ↓"));
+        press(&mut screen, &board, typed("rs"));
+    }
+    line_of(&draw(&board, &mut screen, 80, 24), "by name ↑");
+}
+
+#[test]
+fn robots_are_filtered_by_alarm_battery_and_name() {
+    let (board, mut screen) = (board(), screen(None));
+    for (keys, found, told) in [
+        ("f", vec!["5", "9"], "2 of 3: alarms"),
+        ("/stuck", vec!["9"], "1 of 3: \"stuck\""),
+        ("/<50", vec!["2"], "1 of 3: \"<50\""),
+        ("/9", vec!["9"], "1 of 3: \"9\""),
+        ("/quiet", vec![], "no robot is found: Esc lists all"),
+    ] {
+        press(&mut screen, &board, typed(keys));
+        press(&mut screen, &board, [KeyCode::Enter]);
+        assert_eq!(listed(&board, &mut screen), found, "{keys}");
+        line_of(&draw(&board, &mut screen, 80, 24), told);
+        assert!(!press(&mut screen, &board, [KeyCode::Esc]), "{keys}");
+        assert_eq!(listed(&board, &mut screen), ["2", "5", "9"], "{keys}");
+    }
+    // While a search is typed, letters are letters, and are shown.
+    press(&mut screen, &board, typed("/quit"));
+    line_of(&draw(&board, &mut screen, 60, 24), "search: quit");
+    press(&mut screen, &board, [KeyCode::Backspace, KeyCode::Esc]);
+    assert!(press(&mut screen, &board, [KeyCode::Esc]));
+    let control_c = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
+    press(&mut screen, &board, typed("/"));
+    assert!(screen.press(control_c, &board));
+}
+
+#[test]
+fn a_key_shows_what_keys_do_and_the_next_hides_it() {
+    let (board, mut screen) = (board(), screen(None));
+    for (width, height) in [(60, 24), (80, 24), (120, 40)] {
+        press(&mut screen, &board, typed("?"));
+        let buffer = draw(&board, &mut screen, width, height);
+        for text in [
+            "only robots with an alarm, or all",
+            "the other way round",
+            "Ctrl-C",
+        ] {
+            line_of(&buffer, text);
+        }
+        // It closes the help, and nothing else.
+        assert!(!press(&mut screen, &board, typed("q")));
+        let shown = lines(&draw(&board, &mut screen, width, height)).concat();
+        assert!(!shown.contains("the other way round"));
+    }
+}
+
+#[test]
+fn small_screens_show_whole_words() {
+    let mut board = board();
+    let alarms = AlarmSet::default()
+        .with(Alarm::BatteryCritical)
+        .with(Alarm::CannotReturn);
+    board.diagnostics(&[diagnostic(5, alarms)], 13_000_000_000);
+    let mut screen = screen(None);
+    screen.progress = "12.5 of 15 s".to_owned();
+    let name = alarms.first().name();
+    for (width, texts) in [
+        (
+            80,
+            [
+                "joulebus  fleet lab  3 robots",
+                "worker 4711  ● live  12.5 of 15 s",
+                "RMSE W 1.700  persistence 0.100  inside 88 %",
+                "p50 110 µs",
+            ],
+        ),
+        (
+            60,
+            [
+                "joulebus  fleet lab  3 robots",
+                "● live  12.5 of 15 s",
+                "RMSE W 1.700  persistence 0.100  inside 88 %",
+                "samples 1\u{202f}234\u{202f}567  dropped 0",
+            ],
+        ),
+    ] {
+        let buffer = draw(&board, &mut screen, width, 24);
+        for text in texts {
+            line_of(&buffer, text);
+        }
+        line_of(&buffer, &format!("{name} +1"));
+        line_of(&buffer, "error StuckSensor +1");
+        // No box without content.
+        let all = lines(&buffer);
+        assert!(all.iter().all(|line| !line.contains("╮╭──╮")), "{all:#?}");
     }
 }
 
 #[test]
 fn screen_fits_every_terminal_size() {
     let (full, empty) = (board(), Board::new(0));
-    for width in (1..=140).step_by(7) {
+    for width in (1..=140).step_by(3) {
         for height in 1..=45 {
-            draw(&full, &mut Screen::new("lab", Some(9)), width, height);
-            draw(&empty, &mut Screen::new("lab", Some(9)), width, height);
+            for keys in ["", "e", "/9", "?", "fsr"] {
+                for board in [&full, &empty] {
+                    let mut screen = screen(Some(9));
+                    press(&mut screen, board, typed(keys));
+                    draw(board, &mut screen, width, height);
+                }
+            }
         }
     }
+}
+
+#[test]
+fn a_tiny_screen_shows_the_selected_robot() {
+    let board = board();
+    let buffer = draw(&board, &mut screen(Some(9)), 10, 3);
+    assert_eq!(lines(&buffer)[2].trim(), "9 err…");
+    let buffer = draw(&board, &mut screen(Some(9)), 30, 3);
+    assert_eq!(lines(&buffer)[2].trim(), "9 error StuckSensor +1");
 }
 
 #[test]
@@ -223,13 +388,14 @@ fn selected_robot_is_visible_in_a_large_fleet() {
         .map(|id| forecast(id, 1, Quality::Fresh))
         .collect();
     board.forecasts(&ForecastHeader::default(), &robots, 0);
-    let mut screen = Screen::new("lab", None);
-    for (by, robot) in [
-        (4_321, "4321 fresh"),
-        (-2_000, "2321 fresh"),
-        (9_999, "4999 fresh"),
+    let mut screen = screen(Some(4_321));
+    line_of(&draw(&board, &mut screen, 120, 40), "4321 fresh");
+    for (key, robot) in [
+        (KeyCode::PageUp, "4311 fresh"),
+        (KeyCode::End, "4999 fresh"),
+        (KeyCode::Home, "0 fresh"),
     ] {
-        screen.step(&board, by);
+        press(&mut screen, &board, [key]);
         line_of(&draw(&board, &mut screen, 120, 40), robot);
     }
 }

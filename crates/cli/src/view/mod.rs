@@ -1,9 +1,12 @@
 //! The planner's view of a board: live in the terminal, or as lines.
 
 mod cells;
+mod choice;
+mod help;
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 mod look;
+mod panels;
 mod plain;
 mod screen;
 mod terminal;

@@ -4,14 +4,14 @@ use std::mem::ManuallyDrop;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
-use crossterm::event::{self, Event, KeyCode};
-use joulebus_board::{Board, Feed};
+use crossterm::event;
+use joulebus_board::Feed;
 use joulebus_program::stop::Stop;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
 use super::screen::Screen;
-use crate::keys::{asks_for_the_end, pressed};
+use crate::keys::pressed;
 
 /// Interval at which the processes and the end are checked.
 const LOOK_EVERY: Duration = Duration::from_millis(30);
@@ -63,16 +63,19 @@ pub(crate) fn show(
         if drawn.is_none_or(|drawn| drawn.elapsed() >= DRAW_EVERY) {
             drawn = Some(Instant::now());
             let terminal = &mut terminal.terminal;
-            terminal
-                .draw(|frame| screen.draw(frame, &feed.board()))
-                .context("cannot draw")?;
+            let result = terminal.draw(|frame| screen.draw(frame, &feed.board()));
+            // One that has gone away takes nothing; its signal may come later.
+            if result.is_err() && is_closed(Duration::ZERO)? {
+                return Ok(());
+            }
+            result.context("cannot draw")?;
         }
         if is_closed(LOOK_EVERY)? {
             return Ok(());
         }
         if event::poll(Duration::ZERO).context("cannot read keys")? {
             let event = event::read().context("cannot read keys")?;
-            if act(&event, screen, &feed.board()) {
+            if pressed(&event).is_some_and(|key| screen.press(key, &feed.board())) {
                 return Ok(());
             }
             drawn = None;
@@ -99,21 +102,4 @@ fn is_closed(patience: Duration) -> anyhow::Result<bool> {
         Err(Errno::INTR) => Ok(false),
         Err(error) => Err(error).context("cannot wait for keys"),
     }
-}
-
-/// Handles a key; true if it requests the end.
-fn act(event: &Event, screen: &mut Screen, board: &Board) -> bool {
-    let Some(key) = pressed(event) else {
-        return false;
-    };
-    match key.code {
-        _ if asks_for_the_end(key) => return true,
-        KeyCode::Down | KeyCode::Char('j') => screen.step(board, 1),
-        KeyCode::Up | KeyCode::Char('k') => screen.step(board, -1),
-        KeyCode::PageDown => screen.step(board, 10),
-        KeyCode::PageUp => screen.step(board, -10),
-        KeyCode::Char('a') => screen.step_to_alarm(board),
-        _ => {}
-    }
-    false
 }

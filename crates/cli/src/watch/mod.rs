@@ -6,7 +6,7 @@ use std::cell::RefCell;
 use std::io::IsTerminal as _;
 use std::time::Duration;
 
-use joulebus_board::{Board, Feed, FrameRecord, Link, Reading, Row};
+use joulebus_board::{Board, Feed, FrameRecord, Link, Platforms, Reading, Row};
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_program::config_file::ConfigFile;
@@ -155,7 +155,8 @@ impl Args {
         let feed = Feed::start(config, "watch", false)?;
         let began_ns = clock::monotonic_ns();
         if !self.plain && std::io::stdout().is_terminal() && std::io::stdin().is_terminal() {
-            let mut screen = Screen::new(config.fleet(), self.robot);
+            let mut screen =
+                Screen::new(config.fleet(), Platforms::of(config.settings()), self.robot);
             show(&feed, &mut screen, stop, || {
                 let now_ns = clock::monotonic_ns();
                 let seconds = (now_ns - began_ns) as f64 * 1e-9;

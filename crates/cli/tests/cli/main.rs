@@ -19,6 +19,7 @@ mod recordings;
 mod service;
 mod signals;
 mod special_files;
+mod terminal;
 mod train;
 
 use std::fs;

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 
-use joulebus_board::{Board, OpenError, Reading};
+use joulebus_board::{Board, OpenError, Platforms, Reading};
 use joulebus_bus::{clock, lower_priority};
 use joulebus_config::{Config, ConnectError};
 use joulebus_consumer::{AlarmFeed, ReadError};
@@ -18,7 +18,7 @@ use super::alarms::AlarmLog;
 use super::fleet::{Around, Distributions, FleetRecord, Recorder};
 use super::history::{self, History, HistoryRecord};
 use super::plan_rows::{PlanRows, RowsError};
-use super::snapshot::{Platforms, Snapshot};
+use super::snapshot::Snapshot;
 use super::totals::Accumulator;
 
 /// Interval between snapshots, ns: as fast as a stream may be.

@@ -1,10 +1,8 @@
 //! What clients are shown: a copy of the newest rows at one time, from which each window is cut.
 
-use std::ops::RangeInclusive;
 use std::sync::{Arc, OnceLock};
 
-use joulebus_board::{Board, RobotRecord};
-use joulebus_settings::FleetSettings;
+use joulebus_board::{Board, Platforms, RobotRecord, Sort, SortKey};
 use joulebus_wire::fnv1a;
 use serde::Serialize;
 use serde_json::Value;
@@ -12,32 +10,7 @@ use serde_json::Value;
 use super::alarms::Alarms;
 use super::entry::{Entry, Object};
 use super::fleet::FleetRecord;
-use super::sort::Sort;
 use super::totals::Accumulated;
-
-/// Names of platforms, and whose they are.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Platforms {
-    names: Vec<String>,
-    robots: Vec<(RangeInclusive<u32>, usize)>,
-}
-
-impl Platforms {
-    pub(super) fn of(settings: &FleetSettings) -> Self {
-        let mut platforms = Self::default();
-        for (place, platform) in settings.platforms.iter().enumerate() {
-            platforms.names.push(platform.name.clone());
-            let ranges = platform.robots.iter().map(|ids| (ids.clone(), place));
-            platforms.robots.extend(ranges);
-        }
-        platforms
-    }
-
-    fn of_robot(&self, robot: u32) -> Option<usize> {
-        let found = self.robots.iter().find(|(ids, _)| ids.contains(&robot));
-        found.map(|(_, place)| *place)
-    }
-}
 
 #[derive(Serialize)]
 struct ShownRecord<'a> {
@@ -97,8 +70,8 @@ impl Snapshot {
         }
     }
 
-    pub(super) fn platforms(&self) -> &[String] {
-        &self.platforms.names
+    pub(super) fn platforms(&self) -> &Platforms {
+        &self.platforms
     }
 
     /// All robots, by id.
@@ -117,10 +90,11 @@ impl Snapshot {
     /// Places of all robots in an order.
     pub(super) fn order(&self, sort: Sort, descending: bool) -> &[u32] {
         self.orders[sort as usize][usize::from(descending)].get_or_init(|| {
-            let mut places: Vec<u32> = (0..self.entries.len() as u32).collect();
-            places
-                .sort_unstable_by(|a, b| sort.compare(descending, self.entry(*a), self.entry(*b)));
-            places
+            let keys = self.entries.iter();
+            let keys = keys.map(|entry| sort.key(entry.robot, &entry.newest));
+            let mut places: Vec<(SortKey, u32)> = keys.zip(0..).collect();
+            places.sort_unstable_by(|(a, _), (b, _)| sort.compare(descending, a, b));
+            places.into_iter().map(|(_, place)| place).collect()
         })
     }
 
@@ -139,7 +113,7 @@ impl Snapshot {
                     .map(|age_ns| (age_ns / 100_000_000) as f64 * 0.1),
                 platform: entry
                     .platform
-                    .map(|place| self.platforms.names[place].as_str()),
+                    .map(|place| self.platforms.names()[place].as_str()),
             })
         });
         Some(Arc::clone(record))

@@ -1,13 +1,12 @@
 //! Which robots a client sees, in which order: sorted, filtered and cut here, so that its own cost does not grow with
 //! the fleet.
 
-use joulebus_board::quality_name;
-use joulebus_wire::{Alarm, AlarmSet, Level};
+use joulebus_board::{Search, Sort};
+use joulebus_wire::Level;
 
 use super::entry::Entry;
 use super::error::ApiError;
 use super::snapshot::Snapshot;
-use super::sort::Sort;
 
 /// Most robots in one window.
 const MOST_ROBOTS: usize = 200;
@@ -19,7 +18,7 @@ const MOST_SEARCH_BYTES: usize = 100;
 pub(super) struct View {
     pub(super) sort: Sort,
     pub(super) descending: bool,
-    /// Lower case; empty: all.
+    /// Empty: all.
     search: String,
     /// By [`Level::code`]; all false: all.
     levels: [bool; 4],
@@ -70,7 +69,7 @@ impl View {
                     _ => return Err(ApiError::value(name, value, "0 or 1")),
                 };
             }
-            "search" if value.len() <= MOST_SEARCH_BYTES => self.search = value.to_lowercase(),
+            "search" if value.len() <= MOST_SEARCH_BYTES => value.clone_into(&mut self.search),
             "search" => {
                 let found = format!("{} bytes", value.len());
                 return Err(ApiError::value(name, &found, "at most 100 bytes"));
@@ -104,11 +103,11 @@ impl View {
 
     /// The robots that it shows of `snapshot`.
     pub(super) fn window(&self, snapshot: &Snapshot) -> Window {
-        let matches = Matches::new(&self.search, snapshot.platforms());
+        let search = Search::new(&self.search, snapshot.platforms());
         let any = !self.levels.contains(&true);
         let shown = |entry: &&Entry| {
             (any || self.levels[usize::from(entry.newest.level().code())])
-                && (self.search.is_empty() || matches.entry(entry))
+                && search.finds(entry.robot, entry.platform, &entry.newest)
         };
         let order = snapshot.order(self.sort, self.descending);
         let mut matched = 0;
@@ -132,36 +131,3 @@ impl View {
 }
 
 const LEVELS: [Level; 4] = [Level::Ok, Level::Warn, Level::Error, Level::Stale];
-
-/// What a search finds, prepared once for all robots.
-struct Matches<'a> {
-    text: &'a str,
-    platforms: Vec<bool>,
-    alarms: AlarmSet,
-}
-
-impl<'a> Matches<'a> {
-    fn new(text: &'a str, platforms: &[String]) -> Self {
-        let found = |name: &str| name.to_lowercase().contains(text);
-        let alarms = Alarm::ALL.into_iter().filter(|alarm| found(alarm.name()));
-        Self {
-            platforms: platforms.iter().map(|name| found(name)).collect(),
-            alarms: alarms.fold(AlarmSet::default(), AlarmSet::with),
-            text,
-        }
-    }
-
-    fn entry(&self, entry: &Entry) -> bool {
-        let newest = &entry.newest;
-        entry
-            .platform
-            .is_some_and(|platform| self.platforms[platform])
-            || newest
-                .diagnostic
-                .is_some_and(|diagnostic| diagnostic.alarms & self.alarms.0 != 0)
-            || quality_name(newest.forecast.quality())
-                .to_lowercase()
-                .contains(self.text)
-            || entry.robot.to_string().contains(self.text)
-    }
-}

@@ -4,22 +4,44 @@ use std::cmp::Ordering;
 
 use joulebus_wire::{Level, budget_flag, forecast_flag};
 
-use super::entry::Entry;
+use crate::board::Newest;
 
 /// What robots are sorted by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Sort {
+pub enum Sort {
+    /// Level (error, stale, warn, ok), then time to empty.
     Urgency,
+    /// Id.
     Robot,
+    /// State of charge.
     Soc,
+    /// Time to empty.
     Left,
+    /// Newest reading.
     Power,
+    /// Level: ok, warn, error, stale.
     Level,
 }
 
+/// Where a robot stands in an order.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SortKey {
+    rank: u16,
+    value: Option<f64>,
+    robot: u32,
+}
+
+impl SortKey {
+    /// The robot's id.
+    #[must_use]
+    pub const fn robot(&self) -> u32 {
+        self.robot
+    }
+}
+
 impl Sort {
-    /// All, in the order of their discriminants.
-    pub(super) const ALL: [(Self, &'static str); 6] = [
+    /// All with their names, in the order of their discriminants.
+    pub const ALL: [(Self, &'static str); 6] = [
         (Self::Urgency, "urgency"),
         (Self::Robot, "robot"),
         (Self::Soc, "soc"),
@@ -28,9 +50,18 @@ impl Sort {
         (Self::Level, "level"),
     ];
 
-    fn rank(self, entry: &Entry) -> u16 {
-        let level = entry.newest.level();
-        match (self, level) {
+    /// The key of a robot with these rows.
+    #[must_use]
+    pub fn key(self, robot: u32, newest: &Newest) -> SortKey {
+        SortKey {
+            rank: self.rank(newest),
+            value: self.value(newest),
+            robot,
+        }
+    }
+
+    fn rank(self, newest: &Newest) -> u16 {
+        match (self, newest.level()) {
             (Self::Urgency, Level::Error) => 0,
             (Self::Urgency, Level::Stale) => 1,
             (Self::Urgency, Level::Warn) => 2,
@@ -40,24 +71,14 @@ impl Sort {
         }
     }
 
-    fn value(self, entry: &Entry) -> Option<f64> {
-        let newest = &entry.newest;
-        let of_budget = |flag: u32, value: f32| {
-            let has = newest.budget.is_some_and(|budget| budget.flags & flag != 0);
-            has.then(|| f64::from(value))
-                .filter(|value| value.is_finite())
-        };
+    fn value(self, newest: &Newest) -> Option<f64> {
         match self {
-            Self::Urgency | Self::Left => of_budget(
-                budget_flag::TIME_TO_EMPTY,
-                newest
-                    .budget
-                    .map_or(f32::NAN, |budget| budget.time_to_empty_s),
-            ),
-            Self::Soc => of_budget(
-                budget_flag::BATTERY,
-                newest.budget.map_or(f32::NAN, |budget| budget.soc),
-            ),
+            Self::Urgency | Self::Left => newest
+                .budget
+                .filter(|budget| budget.flags & budget_flag::TIME_TO_EMPTY != 0)
+                .map(|budget| f64::from(budget.time_to_empty_s))
+                .filter(|left_s| left_s.is_finite()),
+            Self::Soc => newest.soc(),
             Self::Power => {
                 let read = newest.forecast.flags & forecast_flag::READING != 0;
                 read.then(|| f64::from(newest.forecast.reading_w))
@@ -67,10 +88,11 @@ impl Sort {
     }
 
     /// Orders two robots; unknown values are last in either direction, and equal ones are in the order of ids.
-    pub(super) fn compare(self, descending: bool, a: &Entry, b: &Entry) -> Ordering {
+    #[must_use]
+    pub fn compare(self, descending: bool, a: &SortKey, b: &SortKey) -> Ordering {
         let turned = |order: Ordering| if descending { order.reverse() } else { order };
-        let by_rank = turned(self.rank(a).cmp(&self.rank(b)));
-        let by_value = match (self.value(a), self.value(b)) {
+        let by_rank = turned(a.rank.cmp(&b.rank));
+        let by_value = match (a.value, b.value) {
             (Some(a), Some(b)) => turned(a.total_cmp(&b)),
             (a, b) => a.is_none().cmp(&b.is_none()),
         };
