@@ -6,7 +6,7 @@
 #     JOULEBUS_PYTHON=$(tools/python.sh) cargo test --workspace
 set -euo pipefail
 cd "$(dirname "$0")/.."
-if [ "${1:-}" != --locked ] && python3 -c 'import numpy, prometheus_client' 2>/dev/null; then
+if [ "${1:-}" != --locked ] && python3 -c 'import numpy, prometheus_client, rosbags' 2>/dev/null; then
     command -v python3
     exit
 fi

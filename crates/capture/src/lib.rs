@@ -33,6 +33,7 @@ mod reader;
 pub mod record;
 pub mod recover;
 pub mod ros;
+mod ros_file;
 pub mod scan;
 pub mod verify;
 mod writer;
@@ -42,6 +43,7 @@ pub use clock::Clock;
 pub use inspect::values;
 pub use messages::{DecodeError, Entry, Message, MessageKind, OutOfRange, Query};
 pub use reader::{ReadError, Reader};
+pub use ros_file::{RosFile, RosTopic, RosTopicId};
 pub use writer::{
     CaptureFile, CaptureSettings, Preset, Sequences, Times, WriteError, Writer, Written,
 };

@@ -18,21 +18,28 @@ use rustix::fs::{Access, access};
 /// # Errors
 /// There is no such program, or it cannot be started.
 pub(crate) fn run(verb: &str) -> anyhow::Result<Outcome> {
-    let name = format!("joulebus-{verb}");
-    let beside = env::current_exe().context("cannot find the program's own file")?;
-    let beside = beside.parent().unwrap_or(Path::new("/"));
-    let path = env::var_os("PATH").unwrap_or_default();
-    let program = find(&name, beside, env::split_paths(&path)).ok_or_else(|| {
-        let place = beside.display();
-        anyhow!(
-            "`joulebus {verb}` is a separate program, {name}, and neither {place} nor a directory \
-             of PATH has it: build it with `cargo build --release -p {name}`, or install it with \
-             `cargo install {name}`"
-        )
-    })?;
+    let program = find_program(&format!("joulebus-{verb}"))
+        .with_context(|| format!("`joulebus {verb}` is a separate program"))?;
     let arguments = without(verb, env::args_os().skip(1));
     let error = Command::new(&program).args(arguments).exec();
     Err(error).with_context(|| format!("cannot start {}", program.display()))
+}
+
+/// The program `name`: beside this one, or in a directory of `PATH`.
+///
+/// # Errors
+/// There is none.
+pub(crate) fn find_program(name: &str) -> anyhow::Result<PathBuf> {
+    let beside = env::current_exe().context("cannot find the program's own file")?;
+    let beside = beside.parent().unwrap_or(Path::new("/"));
+    let path = env::var_os("PATH").unwrap_or_default();
+    find(name, beside, env::split_paths(&path)).ok_or_else(|| {
+        let place = beside.display();
+        anyhow!(
+            "neither {place} nor a directory of PATH has the program {name}: build it with `cargo \
+             build --release -p {name}`, or install it with `cargo install {name}`"
+        )
+    })
 }
 
 /// The first executable file of that name. Relative entries of `PATH` are skipped: files in the

@@ -1,5 +1,6 @@
 //! `joulebus import`: recordings of other programs, as datasets or captures.
 
+mod bag;
 mod capture;
 mod options;
 
@@ -9,7 +10,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use joulebus_capture::import::{Imported, RobotReport, import};
+use joulebus_capture::import::{Imported, Mapping, RobotReport};
 use joulebus_dataset::trial::{ColumnMap, Row, Trial, is_capture};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
@@ -17,17 +18,19 @@ use joulebus_program::output::Output;
 use serde::Serialize;
 
 use crate::recordings::ColumnArguments;
+use bag::BagRead;
 use options::ImportArguments;
 
-/// Import recordings (rosbag2 MCAP, our captures, .npy, .csv, .csv.gz) as datasets or as a capture
+/// Import recordings (bags of rosbag2, our captures, .npy, .csv, .csv.gz) as datasets or as a capture
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus import bag_0.mcap -o trials/ --current discharge-positive\n  \
     joulebus import bag_0.mcap -o robot.csv.gz --battery /r1/battery --command /r1/cmd_vel\n  \
-    joulebus import bag_0.mcap -o trials/ --mapping mapping.toml\n  \
+    joulebus import bag/ -o trials/ --mapping mapping.toml\n  \
     joulebus import trials/*.csv.gz -o trials.mcap\n  \
     joulebus import captures/fleet.mcap -o trials/\n\n\
-    Of a rosbag2 file, sensor_msgs/BatteryState, geometry_msgs/Twist, TwistStamped and \
+    A bag of rosbag2 is an .mcap or .db3 file, or a folder with the files of one bag; .db3 needs the \
+    program joulebus-rosbag. Of a bag, sensor_msgs/BatteryState, geometry_msgs/Twist, TwistStamped and \
     nav_msgs/Odometry are read (cdr); without options every battery topic is a robot. Of a capture of \
     joulebus, the samples of each robot are read. Data that the file \
     does not have is missing in the result, never 0; unusable data is named and counted.\n\
@@ -107,11 +110,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut recordings = Vec::new();
     let mut sources = Vec::new();
     for file in &args.files {
-        let is_mcap = file
-            .extension()
-            .is_some_and(|extension| extension == "mcap");
-        sources.push(if is_mcap && !is_capture(file) {
-            read_mcap(file, &mapping, &mut recordings)?
+        sources.push(if bag::is_bag(file) {
+            read_bag(file, &mapping, &mut recordings)?
         } else {
             read_trials(file, &args.columns.map(), &mut recordings)?
         });
@@ -135,20 +135,21 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 /// A name without directory and extensions.
 fn stem(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let endings = [".mcap", ".npy", ".csv.gz", ".csv"];
+    let endings = [".mcap", ".db3", ".npy", ".csv.gz", ".csv"];
     let stem = endings.iter().find_map(|ending| name.strip_suffix(ending));
     stem.unwrap_or(&name).to_owned()
 }
 
-fn read_mcap(
+fn read_bag(
     path: &Path,
-    mapping: &joulebus_capture::import::Mapping,
+    mapping: &Mapping,
     recordings: &mut Vec<Recording>,
 ) -> anyhow::Result<Source> {
     let named = || path.display().to_string();
-    let file = joulebus_files::open(path).with_context(named)?;
-    let imported = import(file, &stem(path), mapping).with_context(named)?;
-    let mut left_out = Vec::new();
+    let BagRead {
+        imported,
+        mut left_out,
+    } = bag::read(path, &stem(path), mapping).with_context(named)?;
     for robot in &imported.robots {
         match recording(path, robot) {
             Ok(recording) => recordings.push(recording),

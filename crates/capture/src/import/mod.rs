@@ -28,11 +28,27 @@ pub use report::{Imported, RobotReport, TopicReport, Unusable};
 /// # Errors
 /// [`ImportError`]. A corrupt file is read as far as possible; see [`Imported::damage`].
 pub fn import(
-    mut input: impl Read + Seek,
+    input: impl Read + Seek,
     name: &str,
     mapping: &Mapping,
 ) -> Result<Imported, ImportError> {
-    let (channels, _) = channels(&mut input)?;
+    import_files(&mut [input], name, mapping)
+}
+
+/// Reads a recording of several files, in any order.
+///
+/// # Errors
+/// As [`import`].
+pub fn import_files(
+    inputs: &mut [impl Read + Seek],
+    name: &str,
+    mapping: &Mapping,
+) -> Result<Imported, ImportError> {
+    let mut channels = Vec::new();
+    for input in inputs.iter_mut() {
+        let (found, _) = self::channels(input)?;
+        channel::join(&mut channels, found);
+    }
     let robots = mapping::choose(name, mapping, &channels)?;
     let mut names: Vec<&str> = robots.iter().map(|robot| robot.name.as_str()).collect();
     names.sort_unstable();
@@ -44,7 +60,15 @@ pub fn import(
         .into_iter()
         .map(|robot| join::Track::new(robot, mapping))
         .collect();
-    let damage = read_tracks(&mut input, &mut tracks)?;
+    let mut damage = Vec::new();
+    let several = inputs.len() > 1;
+    for (input, number) in inputs.iter_mut().zip(1..) {
+        let found = read_tracks(input, &mut tracks)?;
+        damage.extend(found.into_iter().map(|what| match several {
+            true => format!("file {number}: {what}"),
+            false => what,
+        }));
+    }
     Ok(report::imported(tracks, &channels, damage))
 }
 

@@ -1,0 +1,298 @@
+//! A bag's SQLite file, opened so that neither it nor anything beside it is changed.
+//!
+//! The file may be hostile: only tables are read, never views or virtual tables, whose rows are whatever their
+//! definition computes; values are limited in size; and rows have the types that rosbag2 gives them, or are counted.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+use rusqlite::config::DbConfig;
+use rusqlite::limits::Limit;
+use rusqlite::types::ValueRef;
+use rusqlite::{Connection, OpenFlags};
+
+/// Largest message or text, bytes. SQLite refuses larger ones.
+pub(crate) const MOST_BYTES: i32 = 256 << 20;
+/// Most topics of a bag; a file of MCAP has no more channels.
+const MOST_TOPICS: usize = 65_535;
+/// What an SQLite file begins with.
+const MAGIC: &[u8] = b"SQLite format 3\0";
+
+/// Errors of opening a bag.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum BagError {
+    /// It cannot be read.
+    #[error("cannot read {path:?}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The operating system's error.
+        source: std::io::Error,
+    },
+    /// It is no SQLite file.
+    #[error("{path:?} is no SQLite file: it begins with {found:02x?}")]
+    Kind {
+        /// The file.
+        path: PathBuf,
+        /// Its first bytes.
+        found: Vec<u8>,
+    },
+    /// A table of rosbag2 is missing.
+    #[error(
+        "{path:?} is no bag of rosbag2: it has no table {table:?} with the columns {columns:?}"
+    )]
+    Table {
+        /// The file.
+        path: PathBuf,
+        /// The table.
+        table: &'static str,
+        /// Its columns.
+        columns: &'static [&'static str],
+    },
+    /// More topics than are read.
+    #[error("{path:?} has more than {MOST_TOPICS} topics")]
+    TooManyTopics {
+        /// The file.
+        path: PathBuf,
+    },
+    /// SQLite refuses it.
+    #[error("cannot read {path:?}: {reason}")]
+    Sqlite {
+        /// The file.
+        path: PathBuf,
+        /// SQLite's reason.
+        reason: String,
+    },
+}
+
+/// A topic.
+#[derive(Debug, Clone)]
+pub(crate) struct Topic {
+    pub(crate) id: i64,
+    pub(crate) name: String,
+    pub(crate) type_name: String,
+    pub(crate) encoding: String,
+}
+
+/// The definition of a type.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Definition {
+    pub(crate) encoding: String,
+    pub(crate) text: String,
+}
+
+/// One row of a bag's messages.
+#[derive(Debug)]
+pub(crate) enum Row<'a> {
+    /// A message.
+    Message {
+        topic: i64,
+        time_ns: u64,
+        data: &'a [u8],
+    },
+    /// A row that is none, and why.
+    Odd(&'static str),
+    /// The file cannot be read any further.
+    Damage(String),
+}
+
+/// An open bag.
+pub(crate) struct Bag {
+    path: PathBuf,
+    sqlite: Connection,
+}
+
+impl Bag {
+    /// Opens a bag.
+    pub(crate) fn open(path: &Path) -> Result<Self, BagError> {
+        check_head(path)?;
+        let bag = Self {
+            path: path.to_owned(),
+            sqlite: connect(path).map_err(|error| refused(path, &error))?,
+        };
+        const TOPICS: &[&str] = &["id", "name", "type", "serialization_format"];
+        const MESSAGES: &[&str] = &["topic_id", "timestamp", "data"];
+        for (table, columns) in [("topics", TOPICS), ("messages", MESSAGES)] {
+            if !bag.has_table(table, columns)? {
+                return Err(BagError::Table {
+                    path: bag.path,
+                    table,
+                    columns,
+                });
+            }
+        }
+        Ok(bag)
+    }
+
+    /// Whether it has a table, no view, with these columns.
+    fn has_table(&self, table: &str, columns: &[&str]) -> Result<bool, BagError> {
+        let look = || -> rusqlite::Result<bool> {
+            let sql = "SELECT type = 'table' AND sql NOT LIKE 'CREATE VIRTUAL%' FROM sqlite_master \
+                       WHERE lower(name) = ?1";
+            let mut query = self.sqlite.prepare(sql)?;
+            let mut rows = query.query([table])?;
+            let Some(row) = rows.next()? else {
+                return Ok(false);
+            };
+            if !row.get::<_, Option<bool>>(0)?.unwrap_or(false) {
+                return Ok(false);
+            }
+            drop(rows);
+            // Generated columns are hidden: 2 and 3. They are computed, so none of rosbag2's.
+            let sql = "SELECT name FROM pragma_table_xinfo(?1) WHERE hidden = 0";
+            let mut query = self.sqlite.prepare(sql)?;
+            let names = query.query_map([table], |row| row.get::<_, String>(0))?;
+            let names: Vec<String> = names.collect::<Result<_, _>>()?;
+            Ok(columns
+                .iter()
+                .all(|column| names.iter().any(|name| name.eq_ignore_ascii_case(column))))
+        };
+        look().map_err(|error| refused(&self.path, &error))
+    }
+
+    /// Its topics.
+    pub(crate) fn topics(&self) -> Result<Vec<Topic>, BagError> {
+        let read = || -> rusqlite::Result<Vec<Topic>> {
+            let sql = "SELECT id, name, type, serialization_format FROM topics";
+            let mut query = self.sqlite.prepare(sql)?;
+            let rows = query.query_map([], |row| {
+                Ok(Topic {
+                    id: row.get(0)?,
+                    name: row.get(1)?,
+                    type_name: row.get(2)?,
+                    encoding: row.get(3)?,
+                })
+            })?;
+            rows.take(MOST_TOPICS + 1).collect()
+        };
+        let topics = read().map_err(|error| refused(&self.path, &error))?;
+        if topics.len() > MOST_TOPICS {
+            let path = self.path.clone();
+            return Err(BagError::TooManyTopics { path });
+        }
+        Ok(topics)
+    }
+
+    /// Definitions of types by name. Bags before ROS 2 Iron have none.
+    pub(crate) fn definitions(&self) -> Result<BTreeMap<String, Definition>, BagError> {
+        const COLUMNS: &[&str] = &["topic_type", "encoding", "encoded_message_definition"];
+        if !self.has_table("message_definitions", COLUMNS)? {
+            return Ok(BTreeMap::new());
+        }
+        let read = || -> rusqlite::Result<BTreeMap<String, Definition>> {
+            let sql =
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions";
+            let mut query = self.sqlite.prepare(sql)?;
+            let rows = query.query_map([], |row| {
+                let (encoding, text) = (row.get(1)?, row.get(2)?);
+                Ok((row.get(0)?, Definition { encoding, text }))
+            })?;
+            rows.take(MOST_TOPICS).collect()
+        };
+        read().map_err(|error| refused(&self.path, &error))
+    }
+
+    /// Gives all messages to `take`, in the order in which they were written, until it fails or the file is damaged.
+    pub(crate) fn each_row<E: From<BagError>>(
+        &self,
+        mut take: impl FnMut(Row<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let sqlite = |error: rusqlite::Error| refused(&self.path, &error);
+        let sql = "SELECT topic_id, timestamp, data FROM messages";
+        let mut query = self.sqlite.prepare(sql).map_err(sqlite)?;
+        let mut rows = query.query([]).map_err(sqlite)?;
+        loop {
+            let row = match rows.next() {
+                Ok(Some(row)) => row,
+                Ok(None) => return Ok(()),
+                Err(error) => return take(Row::Damage(error.to_string())),
+            };
+            let value = |column| row.get_ref(column).unwrap_or(ValueRef::Null);
+            take(match (value(0), value(1), value(2)) {
+                (ValueRef::Integer(topic), ValueRef::Integer(time_ns), ValueRef::Blob(data)) => {
+                    match u64::try_from(time_ns) {
+                        Ok(time_ns) => Row::Message {
+                            topic,
+                            time_ns,
+                            data,
+                        },
+                        Err(_) => Row::Odd("its time is before 1970"),
+                    }
+                }
+                _ => Row::Odd("topic and time are no integers, or the data no blob"),
+            })?;
+        }
+    }
+}
+
+/// Whether it begins as an SQLite file does.
+fn check_head(path: &Path) -> Result<(), BagError> {
+    let io = |source| BagError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    let mut found = Vec::new();
+    let file = joulebus_files::open(path).map_err(io)?;
+    file.take(MAGIC.len() as u64)
+        .read_to_end(&mut found)
+        .map_err(io)?;
+    if found == MAGIC {
+        return Ok(());
+    }
+    let path = path.to_owned();
+    Err(BagError::Kind { path, found })
+}
+
+fn connect(path: &Path) -> rusqlite::Result<Connection> {
+    // Without a log beside it nothing may change it, and SQLite writes nothing beside it either.
+    let mut log = path.as_os_str().to_owned();
+    log.push("-wal");
+    let has_log = fs::metadata(log).is_ok_and(|log| log.len() > 0);
+    let end = if has_log {
+        "mode=ro"
+    } else {
+        "mode=ro&immutable=1"
+    };
+    let uri = format!("file:{}?{end}", percent_encoded(path));
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
+        | OpenFlags::SQLITE_OPEN_URI
+        | OpenFlags::SQLITE_OPEN_NO_MUTEX
+        | OpenFlags::SQLITE_OPEN_EXRESCODE;
+    let sqlite = Connection::open_with_flags(uri, flags)?;
+    sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
+    sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
+    sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false)?;
+    sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER, false)?;
+    sqlite.set_limit(Limit::SQLITE_LIMIT_LENGTH, MOST_BYTES)?;
+    sqlite.pragma_update(None, "cell_size_check", true)?;
+    sqlite.pragma_update(None, "query_only", true)?;
+    Ok(sqlite)
+}
+
+/// A path as part of a URI.
+fn percent_encoded(path: &Path) -> String {
+    let bytes = path.as_os_str().as_encoded_bytes();
+    let mut text = String::new();
+    // An absolute path needs an authority, lest its second slash be taken for one.
+    if bytes.starts_with(b"/") {
+        text.push_str("//");
+    }
+    for byte in bytes {
+        match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'/' | b'-' | b'_' | b'.' => {
+                text.push(char::from(*byte));
+            }
+            _ => text.push_str(&format!("%{byte:02x}")),
+        }
+    }
+    text
+}
+
+fn refused(path: &Path, error: &rusqlite::Error) -> BagError {
+    BagError::Sqlite {
+        path: path.to_owned(),
+        reason: error.to_string(),
+    }
+}
