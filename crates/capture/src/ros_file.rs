@@ -62,7 +62,9 @@ impl RosFile {
             source,
         })?;
         let options = mcap::WriteOptions::new().profile("ros2").compression(None);
-        let writer = options.create(BufWriter::new(file)).map_err(failed)?;
+        let writer = options
+            .create(BufWriter::new(file))
+            .map_err(|error| failed(&error))?;
         Ok(Self { writer })
     }
 
@@ -74,11 +76,11 @@ impl RosFile {
         let schema =
             self.writer
                 .add_schema(topic.type_name, topic.definition_encoding, topic.definition);
-        let schema = schema.map_err(failed)?;
+        let schema = schema.map_err(|error| failed(&error))?;
         let id = self
             .writer
             .add_channel(schema, topic.topic, topic.encoding, &BTreeMap::new());
-        id.map(RosTopicId).map_err(failed)
+        id.map(RosTopicId).map_err(|error| failed(&error))
     }
 
     /// Adds a message that was received at `log_ns` (Unix time).
@@ -93,7 +95,7 @@ impl RosFile {
             publish_time: log_ns,
         };
         let written = self.writer.write_to_known_channel(&header, data);
-        written.map_err(failed)
+        written.map_err(|error| failed(&error))
     }
 
     /// Ends the file.
@@ -101,11 +103,14 @@ impl RosFile {
     /// # Errors
     /// [`WriteError`].
     pub fn finish(mut self) -> Result<(), WriteError> {
-        self.writer.finish().map(drop).map_err(failed)
+        self.writer
+            .finish()
+            .map(drop)
+            .map_err(|error| failed(&error))
     }
 }
 
-fn failed(error: mcap::McapError) -> WriteError {
+fn failed(error: &mcap::McapError) -> WriteError {
     WriteError::Failed {
         reason: error.to_string(),
     }

@@ -30,9 +30,11 @@ struct ServeReport {
 pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
-    let http = args.http.map(|address| {
+    let is_http = args.http.is_some() || args.socket.is_some();
+    let http = is_http.then(|| {
         let options = Options {
-            address,
+            address: args.http,
+            socket: args.socket.clone(),
             token_file: args.token_file.clone(),
             allow_host: args.allow_host.clone(),
             metrics_robots: args.metrics_robots,
@@ -48,11 +50,8 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
         .map(|to| Webhook::start(&config, to));
     let webhook = webhook.transpose()?;
     let fleet = config.fleet();
-    if let Some(http) = &http {
-        say(&format!(
-            "serving fleet {fleet} at http://{}",
-            http.address()
-        ));
+    for place in http.iter().flat_map(HttpServer::places) {
+        say(&format!("serving fleet {fleet} at {place}"));
     }
     if let Some(foxglove) = &foxglove {
         say(&format!("serving fleet {fleet} at {}", foxglove.address()));
@@ -102,13 +101,17 @@ impl fmt::Display for ServeReport {
         if let Some(http) = &self.http {
             let HttpReport {
                 address,
+                socket,
                 requests,
                 refused,
                 messages,
             } = http;
+            let socket = socket.as_ref().map(|socket| socket.display().to_string());
+            let places: Vec<&str> = address.iter().chain(&socket).map(String::as_str).collect();
+            let places = places.join(" and ");
             writeln!(
                 out,
-                "served fleet {fleet} at {address}: {requests} requests, {refused} refused, {messages} messages"
+                "served fleet {fleet} at {places}: {requests} requests, {refused} refused, {messages} messages"
             )?;
         }
         if let Some(webhook) = &self.webhook {

@@ -6,7 +6,7 @@ use ratatui::style::Stylize as _;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Clear, Paragraph};
 
-use super::screen::{ACCENT, QUIET, boxed};
+use super::style::{ACCENT, QUIET, boxed};
 
 /// Keys of the last line and what they do, in the order in which they stand.
 const SHORT: [(&str, &str); 7] = [

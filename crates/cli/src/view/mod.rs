@@ -9,6 +9,7 @@ mod look;
 mod panels;
 mod plain;
 mod screen;
+mod style;
 mod terminal;
 
 pub(crate) use cells::count;

@@ -11,7 +11,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Chart, Dataset, GraphType, Paragraph, Sparkline};
 
 use super::cells::{count, micros, percent, shortened};
-use super::screen::{ACCENT, FORECAST, QUIET, boxed};
+use super::style::{ACCENT, FORECAST, QUIET, boxed};
 
 /// Width from which the four boxes have room.
 pub(super) const BOXES_FROM_COLUMNS: u16 = 104;

@@ -7,16 +7,14 @@ use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style, Stylize as _};
 use ratatui::text::{Line, Span};
-use ratatui::widgets::{Block, BorderType, Cell, Paragraph, Row as TableRow, Table, TableState};
+use ratatui::widgets::{Cell, Paragraph, Row as TableRow, Table, TableState};
 
 use super::cells::{HEADS, cells, count, fitting, state_within};
 use super::choice::{Choice, Listed};
+use super::style::{ACCENT, FORECAST, QUIET, boxed, level_style, link_style};
 use super::{help, panels};
 use crate::keys::asks_for_the_end;
 
-pub(super) const ACCENT: Color = Color::Cyan;
-pub(super) const FORECAST: Color = Color::Magenta;
-pub(super) const QUIET: Style = Style::new().fg(Color::DarkGray);
 /// Minimum number of lines for a chart below the table.
 const CHART_FROM_LINES: u16 = 24;
 /// Minimum number of columns for chart and events beside each other.
@@ -336,11 +334,6 @@ fn has_batteries(board: &Board) -> bool {
     flags.any(|flags| flags & budget_flag::BATTERY != 0)
 }
 
-pub(super) fn boxed(title: Line<'_>) -> Block<'_> {
-    let block = Block::bordered().border_type(BorderType::Rounded);
-    block.border_style(QUIET).title(title.style(Style::new()))
-}
-
 fn right_or_left(head: &str, text: &str) -> Cell<'static> {
     let line = Line::from(text.to_owned());
     Cell::new(match head {
@@ -372,22 +365,4 @@ fn table_row(robot: u32, row: &Row, places: &[usize], state_columns: u16) -> Tab
         Level::Ok => row,
         _ => row.style(level_style(level)),
     }
-}
-
-const fn level_style(level: Level) -> Style {
-    Style::new().fg(match level {
-        Level::Ok => Color::Green,
-        Level::Warn => Color::Yellow,
-        Level::Error => Color::Red,
-        Level::Stale => Color::DarkGray,
-    })
-}
-
-const fn link_style(link: Link) -> Style {
-    Style::new().fg(match link {
-        Link::Live => Color::Green,
-        Link::Waiting | Link::Stale => Color::Yellow,
-        Link::Gone => Color::Red,
-        Link::Ended => Color::DarkGray,
-    })
 }

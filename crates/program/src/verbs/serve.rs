@@ -10,10 +10,11 @@ use crate::config_file::ConfigFile;
 /// Show a fleet to people and programs: a page, a JSON API and metrics, or all messages in Foxglove, live
 #[derive(Debug, clap::Args)]
 #[command(
-    group = ArgGroup::new("what").required(true).multiple(true).args(["http", "foxglove", "webhook"]),
+    group = ArgGroup::new("what").required(true).multiple(true).args(["http", "socket", "foxglove", "webhook"]),
     after_help = "Examples:\n  \
     joulebus serve --http                                  http://127.0.0.1:8630\n  \
     joulebus serve --http 0.0.0.0:8630 --token-file token  for other hosts, who need the token\n  \
+    joulebus serve --socket /run/joulebus-serve/lab.sock   for users of this host who may enter its folder\n  \
     joulebus serve --http --foxglove\n  \
     joulebus serve --webhook https://hooks.example/fleet   each raise and end of an alarm\n  \
     joulebus serve --foxglove --per-robot --port 9000\n  \
@@ -22,6 +23,9 @@ use crate::config_file::ConfigFile;
     An address that other hosts reach needs --token-file, a file of mode 0600 with one line of at least 16 \
     characters; browsers open /?token=TOKEN once, programs send `Authorization: Bearer TOKEN`. There is no \
     TLS: docs/operators.md shows a reverse proxy.\n\n\
+    --socket: the same at a Unix socket of mode 0660, without a token: whoever may enter its folder and is in \
+    its group can read the fleet and ask what plans cost, and change nothing. `curl --unix-socket FILE \
+    http://localhost/api/v1/fleet`.\n\n\
     --webhook: a POST with JSON, {\"fleet\", \"changes\": [what `joulebus alarms --format json` prints, …]}, up to \
     100 changes each. What the receiver does not take (no answer within 10 s, 5xx, 408, 425, 429) is sent \
     again after 1 s, 2 s … 60 s; up to 10,000 changes wait. Other answers refuse them.\n\n\
@@ -37,14 +41,17 @@ pub struct ServeArguments {
     /// Serve the page, API and metrics at this address [default: 127.0.0.1:8630]
     #[arg(long, value_name = "ADDRESS:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8630")]
     pub http: Option<SocketAddr>,
+    /// Serve page, API and metrics at this Unix socket
+    #[arg(long, value_name = "FILE")]
+    pub socket: Option<PathBuf>,
     /// With --http: clients need the token in this file (mode 0600)
     #[arg(long, value_name = "FILE", requires = "http")]
     pub token_file: Option<PathBuf>,
     /// With --http: a name that this server is reached by, such as that of a reverse proxy; may be repeated
     #[arg(long, value_name = "NAME", requires = "http")]
     pub allow_host: Vec<String>,
-    /// With --http: metrics of at most this many robots; 0: only of the fleet
-    #[arg(long, value_name = "N", requires = "http", default_value_t = 100)]
+    /// With --http or --socket: metrics of at most this many robots; 0: only of the fleet
+    #[arg(long, value_name = "N", default_value_t = 100)]
     pub metrics_robots: usize,
     /// Tell this address of alarms; @FILE: the address in this file (mode 0600)
     #[arg(long, value_name = "ADDRESS")]

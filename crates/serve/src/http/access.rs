@@ -10,6 +10,7 @@ use axum::http::{HeaderMap, StatusCode, Uri, header};
 use subtle::ConstantTimeEq as _;
 
 use super::error::ApiError;
+use super::listen::Peer;
 
 /// Longest token file, bytes.
 const MOST_FILE_BYTES: u64 = 4_096;
@@ -85,8 +86,7 @@ impl Access {
     /// # Errors
     /// The refusal.
     pub(super) fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
-        self.check_host(headers)?;
-        check_site(headers)?;
+        self.check_site(headers)?;
         // What supervises processes has no token, and learns nothing of the fleet but whether a worker runs.
         let is_open = matches!(uri.path(), "/healthz" | "/readyz");
         match &self.token {
@@ -96,6 +96,15 @@ impl Access {
             )),
             _ => Ok(()),
         }
+    }
+
+    /// Whether a request is for this server and not sent by a page of another site.
+    ///
+    /// # Errors
+    /// The refusal.
+    pub(super) fn check_site(&self, headers: &HeaderMap) -> Result<(), ApiError> {
+        self.check_host(headers)?;
+        check_site(headers)
     }
 
     /// The token of `/?token=T`, if it is the right one.
@@ -151,36 +160,36 @@ fn name_of(host: &str) -> &str {
     host.split_once(':').map_or(host, |(name, _)| name)
 }
 
-/// Requests per second of one address, and how many at once.
+/// Requests per second of one address or user, and how many at once.
 const RATE: f64 = 200.0;
 const BURST: f64 = 1_000.0;
-/// Addresses remembered; those with a full allowance are forgotten first.
+/// Addresses and users remembered; those with a full allowance are forgotten first.
 const MOST_ADDRESSES: usize = 4_096;
 
-/// How many more requests each address may make now.
+/// How many more requests each address or user may make now.
 #[derive(Debug, Default)]
 pub(super) struct Rates {
-    left: HashMap<IpAddr, (f64, Instant)>,
+    left: HashMap<Peer, (f64, Instant)>,
 }
 
 impl Rates {
-    /// Takes one request of `address`.
+    /// Takes one request of `peer`.
     ///
     /// # Errors
     /// There were too many.
-    pub(super) fn take(&mut self, address: IpAddr, now: Instant) -> Result<(), ApiError> {
+    pub(super) fn take(&mut self, peer: Peer, now: Instant) -> Result<(), ApiError> {
         let refilled = |left: f64, since: Instant| {
             let seconds = now.saturating_duration_since(since).as_secs_f64();
             (left + seconds * RATE).min(BURST)
         };
-        if self.left.len() >= MOST_ADDRESSES && !self.left.contains_key(&address) {
+        if self.left.len() >= MOST_ADDRESSES && !self.left.contains_key(&peer) {
             self.left
                 .retain(|_, (left, since)| refilled(*left, *since) < BURST);
         }
-        if self.left.len() >= MOST_ADDRESSES && !self.left.contains_key(&address) {
+        if self.left.len() >= MOST_ADDRESSES && !self.left.contains_key(&peer) {
             return Err(too_many());
         }
-        let (left, since) = self.left.entry(address).or_insert((BURST, now));
+        let (left, since) = self.left.entry(peer).or_insert((BURST, now));
         *left = refilled(*left, *since);
         *since = now;
         if *left < 1.0 {
@@ -192,7 +201,8 @@ impl Rates {
 }
 
 fn too_many() -> ApiError {
-    let text = format!("more than {RATE} requests a second from one address: ask less often");
+    let text =
+        format!("more than {RATE} requests a second from one address or user: ask less often");
     ApiError::new(StatusCode::TOO_MANY_REQUESTS, text)
 }
 
@@ -316,7 +326,8 @@ mod tests {
     #[test]
     fn an_address_that_asks_too_often_waits_and_others_do_not() {
         let (mut rates, begin) = (Rates::default(), Instant::now());
-        let [one, other]: [IpAddr; 2] = [[127, 0, 0, 1].into(), [10, 0, 0, 1].into()];
+        let one = Peer::Address([127, 0, 0, 1].into());
+        let other = Peer::Address([10, 0, 0, 1].into());
         let taken = (0..5_000)
             .filter(|_| rates.take(one, begin).is_ok())
             .count();
@@ -327,6 +338,11 @@ mod tests {
             .filter(|_| rates.take(one, later).is_ok())
             .count();
         assert_eq!(taken, 200);
+        // A user of this host is none of them.
+        let taken = (0..5_000)
+            .filter(|_| rates.take(Peer::User(0), later).is_ok())
+            .count();
+        assert_eq!(taken, 1_000);
     }
 
     #[test]
@@ -334,12 +350,16 @@ mod tests {
         let (mut rates, begin) = (Rates::default(), Instant::now());
         for number in 0..20_000_u32 {
             let now = begin + Duration::from_millis(number.into());
-            let _ = rates.take(number.to_be_bytes().into(), now);
+            let peer = match number % 2 {
+                0 => Peer::Address(number.to_be_bytes().into()),
+                _ => Peer::User(number),
+            };
+            let _ = rates.take(peer, now);
             assert!(rates.left.len() <= MOST_ADDRESSES);
         }
         assert!(
             rates
-                .take([1, 2, 3, 4].into(), begin + Duration::from_secs(60))
+                .take(Peer::User(7), begin + Duration::from_secs(60))
                 .is_ok()
         );
     }

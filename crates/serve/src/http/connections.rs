@@ -14,7 +14,6 @@ use std::time::Duration;
 use axum::body::{Body, Bytes, HttpBody};
 use hyper::body::{Frame, SizeHint};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::TcpStream;
 use tokio::sync::Notify;
 use tokio::time::{Sleep, sleep};
 
@@ -142,14 +141,14 @@ impl HttpBody for Marked {
 
 /// A stream whose writes fail when the client accepts nothing for [`WRITE_LIMIT`].
 #[derive(Debug)]
-pub(super) struct Watched {
-    stream: TcpStream,
+pub(super) struct Watched<S> {
+    stream: S,
     /// Runs while a write waits.
     limit: Option<Pin<Box<Sleep>>>,
 }
 
-impl Watched {
-    pub(super) const fn new(stream: TcpStream) -> Self {
+impl<S> Watched<S> {
+    pub(super) const fn new(stream: S) -> Self {
         Self {
             stream,
             limit: None,
@@ -176,7 +175,7 @@ impl Watched {
     }
 }
 
-impl AsyncRead for Watched {
+impl<S: AsyncRead + Unpin> AsyncRead for Watched<S> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -186,7 +185,7 @@ impl AsyncRead for Watched {
     }
 }
 
-impl AsyncWrite for Watched {
+impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
     fn poll_write(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,

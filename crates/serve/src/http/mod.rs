@@ -12,19 +12,20 @@ mod entry;
 mod error;
 mod fleet;
 mod history;
+mod listen;
 mod metrics;
 mod page;
 mod plan_rows;
 mod reader;
 mod snapshot;
-mod sort;
 mod stream;
 mod totals;
 mod view;
 mod what_if;
 
 use std::convert::Infallible;
-use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::io;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -46,7 +47,7 @@ use joulebus_config::Config;
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
 use serde::Serialize;
-use tokio::net::TcpStream;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{Notify, watch};
 
 use access::{Access, COOKIE, Rates, Token};
@@ -54,6 +55,7 @@ use api::App;
 use connections::{Busy, Connection, Connections, Marked, Place, Watched};
 use error::ApiError;
 use fleet::Recorder;
+use listen::{Listeners, Peer, SocketFile};
 use reader::{Reader, yield_to_the_worker};
 
 /// A request's head must have arrived within this time; so must the next one of an open connection begin.
@@ -75,7 +77,9 @@ const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
 /// What is served, where and to whom.
 #[derive(Debug, Clone)]
 pub(crate) struct Options {
-    pub(crate) address: SocketAddr,
+    /// At least one of address and socket.
+    pub(crate) address: Option<SocketAddr>,
+    pub(crate) socket: Option<PathBuf>,
     pub(crate) token_file: Option<PathBuf>,
     pub(crate) allow_host: Vec<String>,
     pub(crate) metrics_robots: usize,
@@ -84,7 +88,10 @@ pub(crate) struct Options {
 /// What was served.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct HttpReport {
-    pub(crate) address: String,
+    /// Null without an address.
+    pub(crate) address: Option<String>,
+    /// Null without a socket.
+    pub(crate) socket: Option<PathBuf>,
     /// Requests answered, refused ones included.
     pub(crate) requests: u64,
     /// Requests refused for their host, token or rate.
@@ -95,7 +102,8 @@ pub(crate) struct HttpReport {
 
 /// The running server.
 pub(crate) struct HttpServer {
-    address: SocketAddr,
+    address: Option<SocketAddr>,
+    socket: Option<SocketFile>,
     reader: Reader,
     shared: Arc<Shared>,
     web: Option<JoinHandle<()>>,
@@ -120,20 +128,20 @@ impl HttpServer {
     /// An address that others reach without a token; a token file that cannot be used; the fleet cannot be joined, or
     /// the address not be listened at.
     pub(crate) fn start(config: &Config, options: &Options) -> anyhow::Result<Self> {
-        let address = options.address;
         let token = options.token_file.as_deref().map(Token::read).transpose();
         let token = token.map_err(|error| UsageError(error.to_string()))?;
-        if token.is_none() && !address.ip().is_loopback() {
+        let is_open = |address: &SocketAddr| token.is_none() && !address.ip().is_loopback();
+        if let Some(address) = options.address.filter(is_open) {
             let text = format!(
                 "{address} can be reached from other hosts: give --token-file FILE (mode 0600), or serve at \
                  127.0.0.1 behind a proxy with TLS (docs/operators.md)"
             );
             return Err(UsageError(text).into());
         }
-        let failed = || format!("cannot listen at {address}");
-        let listener = TcpListener::bind(address).with_context(failed)?;
-        listener.set_nonblocking(true).with_context(failed)?;
-        let address = listener.local_addr().with_context(failed)?;
+        let (tcp, address) = options.address.map(listen::at_address).transpose()?.unzip();
+        let socket = options.socket.as_deref().map(listen::at_socket);
+        let (unix, socket) = socket.transpose()?.unzip();
+        let listeners = Listeners { tcp, unix };
         let reader = Reader::start(config)?;
         let app = Arc::new(App::new(
             config.clone(),
@@ -168,7 +176,7 @@ impl HttpServer {
                 yield_to_the_worker(NICE);
                 runtime.block_on(async {
                     tokio::select! {
-                        () = accept(listener, &inside) => {}
+                        () = accept_all(listeners, &inside) => {}
                         () = look_for_recorders(config, recorders) => {}
                         () = inside.end.notified() => {}
                     }
@@ -178,15 +186,19 @@ impl HttpServer {
             });
         Ok(Self {
             address,
+            socket,
             reader,
             shared,
             web: Some(web.context("cannot start a thread")?),
         })
     }
 
-    /// Where it listens.
-    pub(crate) const fn address(&self) -> SocketAddr {
-        self.address
+    /// Where it listens, for people.
+    pub(crate) fn places(&self) -> Vec<String> {
+        let address = self.address.map(|address| format!("http://{address}"));
+        let socket = self.socket.as_ref();
+        let socket = socket.map(|socket| socket.path.display().to_string());
+        address.into_iter().chain(socket).collect()
     }
 
     /// Whether it has ended by itself; [`HttpServer::finish`] tells why.
@@ -204,7 +216,8 @@ impl HttpServer {
         self.reader.finish()?;
         web.map_err(|_| anyhow::anyhow!("the server's thread panicked"))?;
         Ok(HttpReport {
-            address: format!("http://{}", self.address),
+            address: self.address.map(|address| format!("http://{address}")),
+            socket: self.socket.as_ref().map(|socket| socket.path.clone()),
             requests: self.shared.requests.load(Ordering::Relaxed),
             refused: self.shared.refused.load(Ordering::Relaxed),
             messages: self.shared.app.messages.load(Ordering::Relaxed),
@@ -212,21 +225,59 @@ impl HttpServer {
     }
 }
 
-/// Accepts connections for ever.
-async fn accept(listener: TcpListener, shared: &Arc<Shared>) {
-    let listener = match tokio::net::TcpListener::from_std(listener) {
-        Ok(listener) => listener,
-        Err(error) => return say(&format!("error: the server cannot listen: {error}")),
+/// Accepts connections for ever, at one place or two.
+async fn accept_all(listeners: Listeners, shared: &Arc<Shared>) {
+    let cannot = |error: io::Error| say(&format!("error: the server cannot listen: {error}"));
+    let tcp = listeners.tcp.map(tokio::net::TcpListener::from_std);
+    let unix = listeners.unix.map(tokio::net::UnixListener::from_std);
+    let (tcp, unix) = match (tcp.transpose(), unix.transpose()) {
+        (Ok(tcp), Ok(unix)) => (tcp, unix),
+        (Err(error), _) | (_, Err(error)) => return cannot(error),
     };
+    let at_address = async {
+        let Some(listener) = tcp else {
+            return std::future::pending().await;
+        };
+        accept(shared, || accept_at_address(&listener)).await;
+    };
+    let at_socket = async {
+        let Some(listener) = unix else {
+            return std::future::pending().await;
+        };
+        accept(shared, || accept_at_socket(&listener)).await;
+    };
+    tokio::join!(at_address, at_socket);
+}
+
+async fn accept_at_address(
+    listener: &tokio::net::TcpListener,
+) -> io::Result<(tokio::net::TcpStream, Peer)> {
+    let (stream, peer) = listener.accept().await?;
+    // Only how much a client may leave untaken, and how soon it is sent: the connection works without.
+    let _ = stream.set_nodelay(true);
+    let _ = rustix::net::sockopt::set_socket_send_buffer_size(&stream, SEND_BUFFER_BYTES);
+    Ok((stream, Peer::Address(peer.ip())))
+}
+
+async fn accept_at_socket(
+    listener: &tokio::net::UnixListener,
+) -> io::Result<(tokio::net::UnixStream, Peer)> {
+    let (stream, _) = listener.accept().await?;
+    let _ = rustix::net::sockopt::set_socket_send_buffer_size(&stream, SEND_BUFFER_BYTES);
+    let user = stream.peer_cred()?.uid();
+    Ok((stream, Peer::User(user)))
+}
+
+/// Accepts connections for ever.
+async fn accept<S, F>(shared: &Arc<Shared>, next: impl Fn() -> F)
+where
+    S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    F: Future<Output = io::Result<(S, Peer)>>,
+{
     loop {
-        match listener.accept().await {
+        match next().await {
             Ok((stream, peer)) => match shared.connections.enter() {
-                Some(place) => drop(tokio::spawn(serve(
-                    stream,
-                    peer.ip(),
-                    place,
-                    Arc::clone(shared),
-                ))),
+                Some(place) => drop(tokio::spawn(serve(stream, peer, place, Arc::clone(shared)))),
                 // All are busy: the client sees that it is closed.
                 None => drop(stream),
             },
@@ -239,10 +290,10 @@ async fn accept(listener: TcpListener, shared: &Arc<Shared>) {
 }
 
 /// Serves a connection until it ends or gives way.
-async fn serve(stream: TcpStream, peer: IpAddr, place: Place, shared: Arc<Shared>) {
-    // Only how much a client may leave untaken, and how soon it is sent: the connection works without.
-    let _ = stream.set_nodelay(true);
-    let _ = rustix::net::sockopt::set_socket_send_buffer_size(&stream, SEND_BUFFER_BYTES);
+async fn serve<S>(stream: S, peer: Peer, place: Place, shared: Arc<Shared>)
+where
+    S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+{
     let connection = Arc::clone(&place.connection);
     let respond = service_fn(|request| {
         let (shared, connection) = (Arc::clone(&shared), Arc::clone(&connection));
@@ -267,7 +318,7 @@ async fn serve(stream: TcpStream, peer: IpAddr, place: Place, shared: Arc<Shared
 /// Answers one request.
 async fn respond(
     request: Request<Incoming>,
-    peer: IpAddr,
+    peer: Peer,
     shared: &Arc<Shared>,
     connection: &Arc<Connection>,
 ) -> Response {
@@ -297,15 +348,15 @@ async fn respond(
 
 impl Shared {
     /// Whether a request is answered; with a token in the address, by a cookie and the way to the page.
-    fn check(
-        &self,
-        request: &Request<Incoming>,
-        peer: IpAddr,
-    ) -> Result<Option<Response>, ApiError> {
+    fn check(&self, request: &Request<Incoming>, peer: Peer) -> Result<Option<Response>, ApiError> {
         let mut rates = self.rates.lock().unwrap_or_else(PoisonError::into_inner);
         rates.take(peer, Instant::now())?;
         drop(rates);
         let (uri, headers) = (request.uri(), request.headers());
+        // Whom the socket's folder, group and mode let in needs no token.
+        if matches!(peer, Peer::User(_)) {
+            return self.access.check_site(headers).map(|()| None);
+        }
         let Some(token) = self.access.token_of(uri) else {
             return self.access.check(uri, headers).map(|()| None);
         };

@@ -97,6 +97,21 @@ impl Fleet {
         (server, address)
     }
 
+    /// Starts a server at a Unix socket alone.
+    pub(crate) fn serve_at(&self, socket: &Path) -> Child {
+        let mut server = self.serve_at_any(socket);
+        server.wait_for_line("serving fleet http at /");
+        server
+    }
+
+    /// The same, without waiting until it serves.
+    pub(crate) fn serve_at_any(&self, socket: &Path) -> Child {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
+        command.arg("--socket").arg(socket).arg("--config");
+        command.arg(self.path()).env_remove("JOULEBUS_LOG");
+        Child::spawn("serve", command)
+    }
+
     /// Files left behind by the fleet.
     pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
         let domain = self.config.domain().unwrap();

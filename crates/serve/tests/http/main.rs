@@ -6,6 +6,7 @@ mod fleet;
 mod hostile;
 mod metrics;
 mod openapi;
+mod socket;
 mod webhook;
 
 use std::fs;
