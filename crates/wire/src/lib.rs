@@ -14,6 +14,7 @@
 #![forbid(unsafe_code)]
 
 mod budget;
+mod description;
 mod diagnostic;
 mod forecast;
 mod hash;
@@ -27,6 +28,7 @@ mod service;
 mod state;
 
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
+pub use description::{Constants, FieldLayout, FieldType, StructLayout, constants, layouts};
 pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};
 pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
 pub use hash::{combine_hashes, fnv1a};
