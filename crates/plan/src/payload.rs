@@ -278,7 +278,9 @@ impl From<&QuestionError> for Refused {
 }
 
 impl Row {
-    fn encode(&self) -> AnswerRow {
+    /// As it lies in an answer's words, and in memory of other languages.
+    #[must_use]
+    pub fn encode(&self) -> AnswerRow {
         let Answer {
             duration_s,
             energy,

@@ -1,0 +1,24 @@
+//! What C calls. Every function catches panics, and checks pointers, lengths and handles before it uses them.
+//!
+//! `include/joulebus.h` is made from the files of this module and from the layouts of `joulebus-wire`
+//! (`tests/header.rs`), and states what every caller promises.
+#![allow(
+    unsafe_code,
+    clippy::missing_safety_doc,
+    reason = "the header states once what pointers must be"
+)]
+
+mod client;
+mod errors;
+mod planner;
+mod predictor;
+mod publisher;
+mod questions;
+pub mod types;
+
+pub use client::*;
+pub use errors::*;
+pub use planner::*;
+pub use predictor::*;
+pub use publisher::*;
+pub use questions::*;

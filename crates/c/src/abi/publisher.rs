@@ -1,0 +1,187 @@
+//! A source of samples.
+
+use std::ffi::c_char;
+
+use ::joulebus_publisher::{Config, PublishError, Publisher, RobotState, Sent, clock};
+use joulebus_wire::{Sample, sample_flag};
+
+use crate::abi::types::{
+    joulebus_error, joulebus_publisher, joulebus_publisher_counts, joulebus_robot_state,
+    joulebus_sent,
+};
+use crate::failure::{Failure, entry};
+use crate::handles::{self, kind};
+use crate::memory::{array, out, text};
+use crate::version;
+
+kind!(Publisher, joulebus_publisher, "publisher", 1);
+
+/// What a [`joulebus_robot_state`] may say.
+const FLAGS: u32 = sample_flag::ALL & !sample_flag::DISCONTINUITY;
+
+/// Joins the fleet of a config file as a source of samples. The worker need not run.
+///
+/// @param header      JOULEBUS_HEADER.
+/// @param config_path The fleet's config file.
+/// @param source_name 1 to 128 bytes that tell the sources of a fleet apart and stay the same over restarts.
+/// @param publisher   The new handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_publisher_open(
+    header: *const c_char,
+    config_path: *const c_char,
+    source_name: *const c_char,
+    publisher: *mut *mut joulebus_publisher,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let (header, config_path, source_name, mut publisher) = unsafe {
+            (
+                text("header", header)?,
+                text("config_path", config_path)?,
+                text("source_name", source_name)?,
+                out("publisher", publisher)?,
+            )
+        };
+        version::check(header)?;
+        let connect = |text: String| Failure::new(joulebus_error::Connect, text);
+        let config = Config::load(config_path).map_err(|error| connect(error.to_string()))?;
+        let port = Publisher::with_config(&config, source_name);
+        publisher.set(handles::open(
+            port.map_err(|error| connect(error.to_string()))?,
+        )?);
+        Ok(())
+    })
+}
+
+/// Sends one frame: each robot at most once, numbered and stamped with the current time. Never blocks; when the worker
+/// is too slow, the oldest frame is overwritten, and the worker counts it. Values are sent unchecked: what is not finite
+/// or beyond the platform's limits is refused by the worker, counted by reason.
+///
+/// @param robots      The robots' states; NULL if count is 0.
+/// @param count       How many.
+/// @param intended_ns When the frame was due, monotonic ns: latencies are measured from there. 0: now.
+/// @param sent        The frame that was sent; NULL if it is not wanted.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_publisher_publish(
+    publisher: *mut joulebus_publisher,
+    robots: *const joulebus_robot_state,
+    count: usize,
+    intended_ns: u64,
+    sent: *mut joulebus_sent,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let robots = unsafe { array("robots", robots, count) }?;
+        check(robots)?;
+        publish(publisher, sent, |publisher| {
+            publisher.publish_intended(due(intended_ns), robots.iter().map(state))
+        })
+    })
+}
+
+/// As joulebus_publisher_publish, of samples with the caller's own numbers and stamps: for recordings and simulations.
+/// Do not mix both for the same robot: seq and stamp_ns of each must increase strictly.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_publisher_publish_samples(
+    publisher: *mut joulebus_publisher,
+    samples: *const Sample,
+    count: usize,
+    intended_ns: u64,
+    sent: *mut joulebus_sent,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let samples = unsafe { array("samples", samples, count) }?;
+        publish(publisher, sent, |publisher| {
+            publisher.publish_samples(due(intended_ns), samples)
+        })
+    })
+}
+
+/// What the publisher has done.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_publisher_get_counts(
+    publisher: *mut joulebus_publisher,
+    counts: *mut joulebus_publisher_counts,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let mut counts = unsafe { out("counts", counts) }?;
+        let of = |publisher: &mut Publisher| {
+            Ok(joulebus_publisher_counts {
+                frames_sent: publisher.frames_sent(),
+                samples_sent: publisher.samples_sent(),
+                capacity: publisher.capacity(),
+                degraded: publisher.degraded(),
+                source_id: publisher.source_id(),
+                source_epoch: publisher.source_epoch(),
+            })
+        };
+        counts.set(handles::with(publisher, of)?);
+        Ok(())
+    })
+}
+
+/// Leaves the fleet. Frames sent before are still received. NULL is closed already.
+#[unsafe(no_mangle)]
+pub extern "C" fn joulebus_publisher_close(publisher: *mut joulebus_publisher) -> joulebus_error {
+    entry(|| handles::close::<Publisher>(publisher))
+}
+
+fn publish(
+    publisher: *mut joulebus_publisher,
+    sent: *mut joulebus_sent,
+    send: impl FnOnce(&mut Publisher) -> Result<Sent, PublishError>,
+) -> Result<(), Failure> {
+    // SAFETY: the caller's promises, in joulebus.h.
+    let sent = (!sent.is_null()).then(|| unsafe { out("sent", sent) });
+    let sent = sent.transpose()?;
+    let refused = |error: PublishError| Failure::new(joulebus_error::Publish, error);
+    let done: Sent = handles::with(publisher, |publisher| send(publisher).map_err(refused))?;
+    if let Some(mut sent) = sent {
+        sent.set(joulebus_sent {
+            readers: done.readers,
+            samples: done.samples,
+            frame_seq: done.frame_seq,
+        });
+    }
+    Ok(())
+}
+
+fn due(intended_ns: u64) -> u64 {
+    match intended_ns {
+        0 => clock::monotonic_ns(),
+        due_ns => due_ns,
+    }
+}
+
+fn check(robots: &[joulebus_robot_state]) -> Result<(), Failure> {
+    let unknown = |robot: &joulebus_robot_state| robot.flags & !FLAGS != 0 || robot.reserved != 0;
+    match robots.iter().find(|robot| unknown(robot)) {
+        None => Ok(()),
+        Some(robot) => Err(Failure::argument(format!(
+            "flags of robot {} are {:#x}, reserved is {}: allowed are bits of {FLAGS:#x}, and 0",
+            robot.robot, robot.flags, robot.reserved
+        ))),
+    }
+}
+
+fn state(of: &joulebus_robot_state) -> RobotState {
+    let has = |flag| of.flags & flag != 0;
+    let known = |flag, value: f32| has(flag).then_some(value);
+    RobotState {
+        robot: of.robot,
+        v_mps: known(sample_flag::V, of.v_mps),
+        omega_radps: known(sample_flag::OMEGA, of.omega_radps),
+        power_w: known(sample_flag::POWER, of.power_w),
+        measured_ns: (of.measured_ns != 0).then_some(of.measured_ns),
+        voltage_v: known(sample_flag::VOLTAGE, of.voltage_v),
+        current_a: known(sample_flag::CURRENT, of.current_a),
+        held: has(sample_flag::HELD),
+        soc: known(sample_flag::SOC, of.soc),
+        return_j: known(sample_flag::RETURN, of.return_j),
+        charging: has(sample_flag::CHARGING),
+        full: has(sample_flag::FULL),
+        swapped: has(sample_flag::SWAPPED),
+    }
+}

@@ -1,0 +1,18 @@
+//! The C library `libjoulebus`: publisher, planner, questions about plans and predictor for C and C++.
+//!
+//! `include/joulebus.h` and `include/joulebus.hpp` are its documentation, with `docs/c.md`. This crate is no library
+//! for Rust: [`abi`] holds what C calls, the other modules what makes such calls safe.
+//!
+//! - `handles`: what C holds is a number in the shape of a pointer. It is looked up in a table of the thread that
+//!   opened it, so one that is closed, of another thread, or of the process that forked this one is refused.
+//! - `memory`: pointers and lengths of the caller, checked as far as they can be.
+//! - `failure`: error codes and their messages, and the border that no panic crosses.
+#![deny(unsafe_code)]
+
+pub mod abi;
+mod failure;
+mod handles;
+mod memory;
+mod model;
+mod question;
+mod version;

@@ -1,0 +1,152 @@
+//! Questions and answers between C and `joulebus-plan`.
+
+use joulebus_plan::{Path, Plan, Point, Question, Reply};
+use joulebus_wire::{AnswerRow, QueryKind, query_flag};
+
+use crate::abi::types::{joulebus_answers, joulebus_question, joulebus_waypoint};
+use crate::failure::Failure;
+use crate::memory::{array, array_mut, check_apart, product};
+
+/// What a C program may say in a question's flags.
+const FLAGS: u32 = query_flag::RETURN | query_flag::HEADING;
+
+/// A question.
+///
+/// # Safety
+/// The pointers that its kind names point to as many elements as its counts say.
+#[allow(unsafe_code, reason = "memory of the caller")]
+pub(crate) unsafe fn read(from: &joulebus_question, power: bool) -> Result<Question, Failure> {
+    let found = from.flags;
+    if found & !FLAGS != 0 || from.reserved != 0 {
+        return Err(Failure::argument(format!(
+            "flags of a question are {found:#x}, reserved is {}: allowed are JOULEBUS_QUERY_RETURN and \
+             JOULEBUS_QUERY_HEADING, and 0",
+            from.reserved
+        )));
+    }
+    // SAFETY: the caller's promise.
+    let robots = unsafe { array("robots", from.robots, from.robot_count) }?;
+    let plan = match QueryKind::decode(from.kind) {
+        // SAFETY: as above.
+        Some(QueryKind::WhatIf) => unsafe { what_if(from, robots) }?,
+        Some(QueryKind::Idle) => Plan::Idle {
+            robots: robots.to_vec(),
+            duration_s: from.duration_s,
+        },
+        // SAFETY: as above.
+        Some(QueryKind::Follow) => follow(from, robots, unsafe {
+            array("path", from.path, from.points)
+        }?),
+        None => {
+            return Err(Failure::argument(format!(
+                "kind of a question is {}, allowed are JOULEBUS_QUERY_KIND_WHAT_IF, _IDLE and _FOLLOW",
+                from.kind
+            )));
+        }
+    };
+    Ok(Question {
+        plan,
+        coverage: from.coverage,
+        power,
+    })
+}
+
+#[allow(unsafe_code, reason = "memory of the caller")]
+unsafe fn what_if(from: &joulebus_question, robots: &[u32]) -> Result<Plan, Failure> {
+    let [robot] = *robots else {
+        return Err(Failure::argument(format!(
+            "{} robots in a question about candidates, allowed is one",
+            robots.len()
+        )));
+    };
+    let commands = product("commands", &[from.candidates, from.steps])?;
+    // SAFETY: the caller's promise.
+    let (v_mps, omega_radps) = unsafe {
+        (
+            array("v_mps", from.v_mps, commands)?,
+            array("omega_radps", from.omega_radps, commands)?,
+        )
+    };
+    Ok(Plan::WhatIf {
+        robot,
+        candidates: from.candidates,
+        period_s: from.period_s,
+        v_mps: v_mps.to_vec(),
+        omega_radps: omega_radps.to_vec(),
+    })
+}
+
+fn follow(from: &joulebus_question, robots: &[u32], path: &[joulebus_waypoint]) -> Plan {
+    let has = |flag| from.flags & flag != 0;
+    Plan::Follow {
+        robots: robots.to_vec(),
+        path: Path {
+            points: path.iter().map(|at| Point::new(at.x_m, at.y_m)).collect(),
+            speed_mps: path.iter().map(|at| at.speed_mps).collect(),
+            heading_rad: has(query_flag::HEADING).then_some(from.heading_rad),
+        },
+        back_to: has(query_flag::RETURN).then_some(Point::new(from.return_x_m, from.return_y_m)),
+    }
+}
+
+/// Places for answers.
+pub(crate) struct Places<'a> {
+    rows: &'a mut [AnswerRow],
+    power_w: &'a mut [f32],
+}
+
+impl<'a> Places<'a> {
+    /// Refuses fewer places for rows than a question has answers.
+    ///
+    /// # Safety
+    /// The pointers of `of` point to as many elements as its capacities say.
+    #[allow(unsafe_code, reason = "memory of the caller")]
+    pub(crate) unsafe fn of(
+        of: &joulebus_answers,
+        question: &joulebus_question,
+    ) -> Result<Self, Failure> {
+        let needed = match QueryKind::decode(question.kind) {
+            Some(QueryKind::WhatIf) => question.candidates,
+            _ => question.robot_count,
+        };
+        if of.row_capacity < needed {
+            return Err(Failure::argument(format!(
+                "place for {} answers (row_capacity): {needed} are needed",
+                of.row_capacity
+            )));
+        }
+        let powers = if of.power_w.is_null() {
+            0
+        } else {
+            of.power_capacity
+        };
+        let rows = ("rows", of.rows.cast_const(), of.row_capacity);
+        check_apart(rows, ("power_w", of.power_w.cast_const(), powers))?;
+        // SAFETY: the caller's promise; both are apart.
+        let (rows, power_w) = unsafe {
+            (
+                array_mut("rows", of.rows, of.row_capacity)?,
+                array_mut("power_w", of.power_w, powers)?,
+            )
+        };
+        Ok(Self { rows, power_w })
+    }
+
+    /// Writes a reply, and returns the numbers of rows and of powers.
+    pub(crate) fn fill(self, reply: &Reply) -> Result<(usize, usize), Failure> {
+        let (found, allowed) = (reply.rows.len(), self.rows.len());
+        if found > allowed {
+            return Err(Failure::argument(format!(
+                "{found} answers: there is place for {allowed}"
+            )));
+        }
+        for (to, row) in self.rows.iter_mut().zip(&reply.rows) {
+            *to = row.encode();
+        }
+        let powers = reply.power_w.len();
+        if let Some(to) = self.power_w.get_mut(..powers) {
+            to.copy_from_slice(&reply.power_w);
+        }
+        Ok((found, powers))
+    }
+}

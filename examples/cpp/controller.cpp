@@ -1,0 +1,48 @@
+// A fleet controller: publishes what it commands and what it measures, 30 times a second.
+//
+//     ./controller fleet.toml [FRAMES]          without FRAMES until Ctrl-C
+#include <chrono>
+#include <csignal>
+#include <cstdlib>
+#include <iostream>
+#include <joulebus.hpp>
+#include <thread>
+#include <vector>
+
+namespace {
+volatile std::sig_atomic_t stop = 0;
+}
+
+int main(int count, char **arguments) {
+    if (count < 2) {
+        std::cerr << "usage: " << arguments[0] << " CONFIG [FRAMES]\n";
+        return 2;
+    }
+    const unsigned long frames = count > 2 ? std::strtoul(arguments[2], nullptr, 10) : 0;
+    std::signal(SIGINT, [](int) { stop = 1; });
+    std::signal(SIGTERM, [](int) { stop = 1; });
+    auto publisher = joulebus::Publisher::open(arguments[1], "controller");
+    if (!publisher) {
+        std::cerr << "cannot join the fleet: " << publisher.error().message << '\n';
+        return EXIT_FAILURE;
+    }
+    const std::chrono::nanoseconds period(33'333'333);
+    // The clock that joulebus stamps with.
+    auto due = std::chrono::steady_clock::now();
+    for (unsigned long frame = 0; stop == 0 && (frames == 0 || frame < frames); frame++) {
+        std::vector<joulebus::RobotState> robots;
+        for (std::uint32_t robot = 0; robot < 8; robot++) {
+            // What you commanded, and what your power monitor says.
+            const float power_w = 4.0f + 0.02f * static_cast<float>((frame + robot) % 7);
+            robots.push_back(joulebus::RobotState(robot).command(0.1f, 0.0f).reading(power_w));
+        }
+        const auto due_ns = std::chrono::nanoseconds(due.time_since_epoch()).count();
+        auto sent = publisher->publish(robots, static_cast<std::uint64_t>(due_ns));
+        if (!sent) {
+            std::cerr << "not sent: " << sent.error().message << '\n';
+        }
+        due += period;
+        std::this_thread::sleep_until(due);
+    }
+    std::cout << publisher->counts().value().frames_sent << " frames\n";
+}

@@ -1,0 +1,121 @@
+// Answers Open-RMF's question what a trajectory costs a battery by what joulebus has learned of the very robot, instead
+// of by mass, friction and inertia of its type. The interface is a stub (motion_power_sink.hpp).
+//
+//     ./rmf_adapter fleet.toml ROBOT
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdlib>
+#include <iostream>
+#include <joulebus.hpp>
+#include <limits>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "motion_power_sink.hpp"
+
+namespace {
+
+/// The charge that one robot loses, by what_if. As of the newest frame, so a planner of tasks sees today's load.
+/// Belongs to the thread that made it.
+class JoulebusMotionPowerSink : public rmf_battery::MotionPowerSink {
+public:
+    /// `coverage`: the answer is the upper end of the interval; a planner that must not strand asks for 0.99.
+    JoulebusMotionPowerSink(joulebus::Questions questions, std::uint32_t robot, const joulebus_platform &platform,
+                            float coverage)
+        : questions_(std::move(questions)), robot_(robot), platform_(platform), coverage_(coverage) {}
+
+    /// The share of the battery that the trajectory takes at most; NaN where that is unknown, which no planner takes for
+    /// enough.
+    double compute_change_in_charge(const rmf_traffic::Trajectory &trajectory) const override {
+        const auto &waypoints = trajectory.waypoints;
+        if (waypoints.size() < 2 || !(platform_.capacity_j > 0.0)) {
+            return waypoints.size() < 2 ? 0.0 : std::numeric_limits<double>::quiet_NaN();
+        }
+        const double duration_s = waypoints.back().time_s - waypoints.front().time_s;
+        const double steps = std::max(1.0, std::round(duration_s / platform_.period_s));
+        if (!(duration_s > 0.0 && steps <= 1e6)) {
+            return std::numeric_limits<double>::quiet_NaN();
+        }
+        const auto count = static_cast<std::size_t>(steps);
+        std::vector<float> v_mps(count), omega_radps(count);
+        for (std::size_t step = 0, leg = 1; step < count; step++) {
+            const double time_s = waypoints.front().time_s + (static_cast<double>(step) + 0.5) * duration_s / steps;
+            while (leg + 1 < waypoints.size() && waypoints[leg].time_s < time_s) {
+                leg++;
+            }
+            std::tie(v_mps[step], omega_radps[step]) = command(waypoints[leg - 1], waypoints[leg], time_s);
+        }
+        const auto period_s = static_cast<float>(duration_s / steps);
+        const joulebus::Candidates plan{1, count, period_s, v_mps, omega_radps};
+        std::vector<joulebus::Answer> answer(1);
+        auto done = questions_.what_if(robot_, plan, coverage_, answer);
+        if (!done) {
+            std::cerr << "no answer: " << done.error().message << '\n';
+            return std::numeric_limits<double>::quiet_NaN();
+        }
+        const auto most_j = answer.front().energy_hi_j();
+        return most_j ? *most_j / platform_.capacity_j : std::numeric_limits<double>::quiet_NaN();
+    }
+
+private:
+    /// The command of a differential drive at a time between two waypoints: the velocity along the heading.
+    std::pair<float, float> command(const rmf_traffic::Trajectory::Waypoint &from,
+                                    const rmf_traffic::Trajectory::Waypoint &to, double time_s) const {
+        const double span_s = to.time_s - from.time_s;
+        const double share = span_s > 0.0 ? std::clamp((time_s - from.time_s) / span_s, 0.0, 1.0) : 1.0;
+        const auto between = [share](double one, double other) { return one + share * (other - one); };
+        const double yaw = between(from.position[2], to.position[2]);
+        const double v_mps = between(from.velocity[0], to.velocity[0]) * std::cos(yaw) +
+                             between(from.velocity[1], to.velocity[1]) * std::sin(yaw);
+        const double omega_radps = between(from.velocity[2], to.velocity[2]);
+        // What the platform cannot follow, its controller saturates.
+        const double v_max_mps = platform_.v_max_mps, omega_max_radps = platform_.omega_max_radps;
+        return {static_cast<float>(std::clamp(v_mps, -v_max_mps, v_max_mps)),
+                static_cast<float>(std::clamp(omega_radps, -omega_max_radps, omega_max_radps))};
+    }
+
+    // Asking reads the newest frame.
+    mutable joulebus::Questions questions_;
+    std::uint32_t robot_;
+    joulebus_platform platform_;
+    float coverage_;
+};
+
+/// Along the x axis for a time, at rest before and after.
+rmf_traffic::Trajectory straight(double speed_mps, double duration_s) {
+    return {{{0.0, {0.0, 0.0, 0.0}, {speed_mps, 0.0, 0.0}},
+             {duration_s, {speed_mps * duration_s, 0.0, 0.0}, {speed_mps, 0.0, 0.0}}}};
+}
+
+} // namespace
+
+int main(int count, char **arguments) {
+    if (count != 3) {
+        std::cerr << "usage: " << arguments[0] << " CONFIG ROBOT\n";
+        return 2;
+    }
+    const auto robot = static_cast<std::uint32_t>(std::strtoul(arguments[2], nullptr, 10));
+    auto questions = joulebus::Questions::open(arguments[1], "rmf-adapter");
+    if (!questions) {
+        std::cerr << "cannot join the fleet: " << questions.error().message << '\n';
+        return EXIT_FAILURE;
+    }
+    auto platform = questions->platform(robot);
+    if (!platform) {
+        std::cerr << platform.error().message << '\n';
+        return EXIT_FAILURE;
+    }
+    auto age = questions->wait(std::chrono::seconds(10));
+    if (!age) {
+        std::cerr << age.error().message << '\n';
+        return EXIT_FAILURE;
+    }
+    const JoulebusMotionPowerSink sink(std::move(*questions), robot, *platform, 0.9f);
+    const rmf_battery::MotionPowerSink &motion = sink;
+    for (double duration_s : {5.0, 10.0, 20.0}) {
+        std::cout << "10 cm/s for " << duration_s << " s: "
+                  << 100.0 * motion.compute_change_in_charge(straight(0.1, duration_s)) << " % of the battery\n";
+    }
+}
