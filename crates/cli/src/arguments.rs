@@ -3,6 +3,7 @@
 use clap::{Parser, Subcommand};
 use joulebus_program::options::GlobalOptions;
 use joulebus_program::verbs::bench::BenchArguments;
+use joulebus_program::verbs::bridge::BridgeArguments;
 use joulebus_program::verbs::mission::MissionArguments;
 use joulebus_program::verbs::report::ReportArguments;
 use joulebus_program::verbs::serve::ServeArguments;
@@ -55,6 +56,7 @@ pub(crate) enum Command {
     Cat(cat::Args),
     Recover(recover::Args),
     Serve(ServeArguments),
+    Bridge(BridgeArguments),
     Import(import::Args),
     Data(data::Args),
     Doctor(doctor::Args),

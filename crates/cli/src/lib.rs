@@ -85,6 +85,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Cat(args) => cat::run(args, output),
         Command::Recover(args) => recover::run(args, output),
         Command::Serve(_) => external::run("serve"),
+        Command::Bridge(_) => external::run("bridge"),
         Command::Import(args) => import::run(args, output),
         Command::Data(args) => data::run(args, output),
         Command::Doctor(args) => doctor::run(args, output),

@@ -53,6 +53,8 @@ fn the_core_uses_no_clock_file_thread_or_shared_memory() {
         &["plan/src/planner.rs", "plan/src/client.rs"],
     );
     assert_eq!(plan, Vec::<String>::new());
+    let mapping = places(&crates().join("bridge/src/mapping"), &words, &[]);
+    assert_eq!(mapping, Vec::<String>::new());
 }
 
 #[test]
@@ -114,6 +116,8 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "predictor-worker/src/checkpointer.rs",
         // What a page shows beside its values.
         "serve/src/http/reader.rs",
+        // Times that other hosts are told.
+        "bridge/src/telling.rs",
         // Captures and their names contain their creation time.
         "capture/src/clock.rs",
         "capture/src/attachments.rs",

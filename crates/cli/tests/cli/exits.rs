@@ -63,6 +63,8 @@ const CASES: &[(i32, &str)] = &[
     (3, "recover CUT -o NEW"),
     (2, "serve"),
     (2, "serve --token-file JUNK"),
+    (2, "bridge"),
+    (2, "bridge JUNK --format csv"),
     (0, "import CAPTURE -o NEW"),
     (1, "import JUNK -o NEW"),
     (1, "import CUT -o NEW"),

@@ -2,6 +2,7 @@
 //! help and completions, and the verb's own.
 
 pub mod bench;
+pub mod bridge;
 pub mod mission;
 pub mod report;
 pub mod serve;

@@ -1,0 +1,73 @@
+//! A file that is being checked, and its problems.
+
+use std::fmt::Display;
+use std::path::PathBuf;
+
+use joulebus_config::error::Problem;
+use toml::Spanned;
+
+/// Times that a key may state, s.
+const HOLDS_S: (f64, f64) = (0.01, 3_600.0);
+
+/// A file that is being checked.
+pub(super) struct Check<'a> {
+    pub(super) file: String,
+    pub(super) folder: PathBuf,
+    pub(super) text: &'a str,
+    pub(super) fleet: &'a str,
+    pub(super) problems: Vec<Problem>,
+}
+
+impl Check<'_> {
+    /// A time in ns, or 0 and a problem.
+    pub(super) fn nanoseconds(&mut self, key: &str, found_s: f64) -> u64 {
+        let (least, most) = HOLDS_S;
+        if !(least <= found_s && found_s <= most) {
+            let what = format!("is {found_s} s");
+            self.problem(None, key, what, &format!("Allowed: {least} to {most} s"));
+            return 0;
+        }
+        (found_s * 1e9) as u64
+    }
+
+    /// The value of a check, or a problem of the key where it stands.
+    pub(super) fn checked<T, E: Display>(
+        &mut self,
+        place: &Spanned<String>,
+        key: &str,
+        result: Result<T, E>,
+    ) -> Option<T> {
+        result
+            .map_err(|error| {
+                let start = Some(place.span().start).filter(|_| !place.span().is_empty());
+                let what = format!("= {:?} {error}", place.get_ref());
+                self.problem(start, key, what, "docs/bridges.md has examples");
+            })
+            .ok()
+    }
+
+    /// `at`: byte of the text; without it the line that sets the last part of `key`, if one does.
+    pub(super) fn problem(&mut self, at: Option<usize>, key: &str, what: String, remedy: &str) {
+        let name = key.rsplit('.').next().unwrap_or(key);
+        let sets = |line: &str| {
+            let line = line.trim_start();
+            let rest = line.strip_prefix(name).filter(|_| !name.is_empty());
+            rest.is_some_and(|rest| rest.trim_start().starts_with('='))
+                || (!name.is_empty() && line.starts_with(&format!("[{name}]")))
+        };
+        let line = match at {
+            Some(at) => {
+                let before = &self.text.as_bytes()[..at.min(self.text.len())];
+                Some(1 + before.iter().filter(|byte| **byte == b'\n').count())
+            }
+            None => self.text.lines().position(sets).map(|line| line + 1),
+        };
+        self.problems.push(Problem {
+            file: self.file.clone(),
+            line,
+            key: key.to_owned(),
+            what,
+            remedy: remedy.to_owned(),
+        });
+    }
+}

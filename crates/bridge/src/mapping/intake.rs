@@ -1,0 +1,386 @@
+//! What is known of each robot, from messages that come at any rate, and its sample at a given time.
+//!
+//! Commands and readings arrive in messages of their own, each at its own rate. A sample is made of the newest of
+//! each:
+//! - a reading that has not been in a sample yet is a new measurement, made when its message arrived: the clocks of
+//!   robots are not this host's. Of several between two samples the newest counts.
+//! - the same reading again is *held*, until `reading_holds_s`; then the sample has none, and the worker bridges.
+//! - a command applies until the next one, at most for `command_holds_s`; then it is unknown, or 0 if the robot stops by
+//!   itself.
+//! - a robot of which nothing was heard for `silent_after_s` is not in the frame: the worker says so.
+
+use std::collections::BTreeMap;
+
+use joulebus_publisher::RobotState;
+use joulebus_settings::ChargeReading;
+
+use crate::mapping::observation::{Observation, PowerOf, PowerReading};
+
+/// What a robot does when its command has expired.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Expired {
+    /// Not known.
+    #[default]
+    Unknown,
+    /// Its controller stops it: the command is 0.
+    Stops,
+}
+
+/// How long what was heard applies, ns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Holds {
+    pub(crate) command_ns: u64,
+    pub(crate) expired: Expired,
+    pub(crate) reading_ns: u64,
+    pub(crate) silent_ns: u64,
+}
+
+/// A value, and when it was heard, monotonic ns.
+#[derive(Debug, Clone, Copy)]
+struct Heard<T> {
+    value: T,
+    at_ns: u64,
+}
+
+impl<T: Copy> Heard<T> {
+    /// The value, if it is not older than `holds_ns`.
+    fn within(&self, holds_ns: u64, now_ns: u64) -> Option<T> {
+        (now_ns.saturating_sub(self.at_ns) <= holds_ns).then_some(self.value)
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Robot {
+    charge_reading: ChargeReading,
+    any_ns: Option<u64>,
+    v_mps: Option<Heard<f32>>,
+    omega_radps: Option<Heard<f32>>,
+    power: Option<Heard<PowerReading>>,
+    /// The reading has been in a sample.
+    sampled: bool,
+    voltage_v: Option<Heard<f32>>,
+    current_a: Option<Heard<f32>>,
+    soc: Option<Heard<f32>>,
+    charging: Option<Heard<bool>>,
+    full: Option<Heard<bool>>,
+}
+
+/// All robots of the mapping.
+#[derive(Debug, Clone)]
+pub(crate) struct Intake {
+    holds: Holds,
+    robots: BTreeMap<u32, Robot>,
+    observations: u64,
+}
+
+impl Intake {
+    /// Of these robots, each with what a battery's power means while its platform is on the charger.
+    pub(crate) fn new(
+        holds: Holds,
+        robots: impl IntoIterator<Item = (u32, ChargeReading)>,
+    ) -> Self {
+        let robot = |(id, charge_reading)| {
+            let robot = Robot {
+                charge_reading,
+                any_ns: None,
+                v_mps: None,
+                omega_radps: None,
+                power: None,
+                sampled: false,
+                voltage_v: None,
+                current_a: None,
+                soc: None,
+                charging: None,
+                full: None,
+            };
+            (id, robot)
+        };
+        Self {
+            holds,
+            robots: robots.into_iter().map(robot).collect(),
+            observations: 0,
+        }
+    }
+
+    /// Takes what was heard of a robot at `at_ns` (monotonic). A robot that is not in the mapping changes nothing.
+    pub(crate) fn take(&mut self, robot: u32, seen: &Observation, at_ns: u64) {
+        let Some(known) = self.robots.get_mut(&robot).filter(|_| !seen.is_empty()) else {
+            return;
+        };
+        self.observations += 1;
+        known.any_ns = Some(at_ns);
+        for (value, place) in [
+            (seen.v_mps, &mut known.v_mps),
+            (seen.omega_radps, &mut known.omega_radps),
+            (seen.voltage_v, &mut known.voltage_v),
+            (seen.current_a, &mut known.current_a),
+            (seen.soc, &mut known.soc),
+        ] {
+            set(place, value, at_ns);
+        }
+        set(&mut known.charging, seen.charging, at_ns);
+        set(&mut known.full, seen.full, at_ns);
+        // A reading that repeats the one before was not measured now.
+        if seen.power.is_some() && !(seen.repeats && known.power.is_some()) {
+            set(&mut known.power, seen.power, at_ns);
+            known.sampled = false;
+        }
+    }
+
+    /// The state of a robot for the sample of `now_ns` (monotonic); `None` if nothing was heard of it for too long.
+    pub(crate) fn sample(&mut self, robot: u32, now_ns: u64) -> Option<RobotState> {
+        let (holds, known) = (self.holds, self.robots.get_mut(&robot)?);
+        let any_ns = known.any_ns?;
+        if now_ns.saturating_sub(any_ns) > holds.silent_ns {
+            return None;
+        }
+        let mut state = RobotState::new(robot);
+        state.v_mps = command(known.v_mps, holds, now_ns);
+        state.omega_radps = command(known.omega_radps, holds, now_ns);
+        state.charging = is_true(known.charging, holds.silent_ns, now_ns);
+        state.full = state.charging && is_true(known.full, holds.silent_ns, now_ns);
+        let number = |heard: Option<Heard<f32>>| heard?.within(holds.reading_ns, now_ns);
+        state.voltage_v = number(known.voltage_v);
+        state.current_a = number(known.current_a);
+        state.soc = number(known.soc);
+        if let Some(heard) = &mut known.power {
+            // It may have come after `now_ns` was read; held, it keeps the time that was told.
+            heard.at_ns = heard.at_ns.min(now_ns);
+        }
+        if let Some(heard) = known.power
+            && let Some(reading) = heard.within(holds.reading_ns, now_ns)
+        {
+            let held = std::mem::replace(&mut known.sampled, true);
+            state.power_w = known.power_w(reading, state.charging);
+            state.measured_ns = state.power_w.map(|_| heard.at_ns);
+            state.held = held && state.power_w.is_some();
+        }
+        Some(state)
+    }
+
+    /// How many observations were taken.
+    pub(crate) const fn observations(&self) -> u64 {
+        self.observations
+    }
+}
+
+impl Robot {
+    /// The power that the platform's config expects: on the charger that of the battery means what `charge_reading`
+    /// says, and with `load` nobody knows what the robot consumes.
+    fn power_w(&self, reading: PowerReading, charging: bool) -> Option<f32> {
+        match (reading.of, charging, self.charge_reading) {
+            (PowerOf::Load, _, _) | (_, false, _) | (_, true, ChargeReading::Battery) => {
+                Some(reading.power_w)
+            }
+            (_, true, ChargeReading::Charger) => Some(-reading.power_w),
+            (_, true, ChargeReading::Load) => None,
+        }
+    }
+}
+
+fn set<T: Copy>(place: &mut Option<Heard<T>>, value: Option<T>, at_ns: u64) {
+    if let Some(value) = value {
+        *place = Some(Heard { value, at_ns });
+    }
+}
+
+fn command(heard: Option<Heard<f32>>, holds: Holds, now_ns: u64) -> Option<f32> {
+    let value = heard?.within(holds.command_ns, now_ns);
+    let stopped = (holds.expired == Expired::Stops).then_some(0.0);
+    value.or(stopped)
+}
+
+fn is_true(heard: Option<Heard<bool>>, holds_ns: u64, now_ns: u64) -> bool {
+    heard.and_then(|heard| heard.within(holds_ns, now_ns)) == Some(true)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const HOLDS: Holds = Holds {
+        command_ns: 50,
+        expired: Expired::Unknown,
+        reading_ns: 100,
+        silent_ns: 300,
+    };
+
+    fn intake(holds: Holds, charge_reading: ChargeReading) -> Intake {
+        Intake::new(holds, [(7, charge_reading)])
+    }
+
+    fn power(power_w: f32, of: PowerOf) -> Observation {
+        Observation {
+            power: Some(PowerReading { power_w, of }),
+            ..Observation::default()
+        }
+    }
+
+    fn command_of(v_mps: f32) -> Observation {
+        Observation {
+            v_mps: Some(v_mps),
+            omega_radps: Some(-v_mps),
+            ..Observation::default()
+        }
+    }
+
+    #[test]
+    fn readings_are_new_once_then_held_then_missing_and_a_silent_robot_is_left_out() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        assert_eq!(intake.sample(7, 5), None, "never heard");
+        intake.take(7, &power(3.0, PowerOf::Load), 10);
+        intake.take(7, &power(4.0, PowerOf::Load), 15);
+        for (now_ns, expected) in [
+            (20, Some((Some(4.0), Some(15), false))),
+            (50, Some((Some(4.0), Some(15), true))),
+            (115, Some((Some(4.0), Some(15), true))),
+            (116, Some((None, None, false))),
+            (315, Some((None, None, false))),
+            (316, None),
+        ] {
+            let sample = intake.sample(7, now_ns);
+            let seen = sample.map(|state| (state.power_w, state.measured_ns, state.held));
+            assert_eq!(seen, expected, "at {now_ns}");
+        }
+        intake.take(7, &power(5.0, PowerOf::Load), 400);
+        assert!(!intake.sample(7, 410).unwrap().held, "it is back");
+        intake.take(8, &power(5.0, PowerOf::Load), 400);
+        assert_eq!(
+            (intake.sample(8, 410), intake.observations()),
+            (None, 3),
+            "not in the mapping"
+        );
+    }
+
+    #[test]
+    fn commands_come_at_their_own_rate_and_expire() {
+        for (expired, after) in [(Expired::Unknown, None), (Expired::Stops, Some(0.0))] {
+            let mut intake = intake(Holds { expired, ..HOLDS }, ChargeReading::Load);
+            intake.take(7, &power(3.0, PowerOf::Load), 5);
+            let state = intake.sample(7, 6).unwrap();
+            assert_eq!(
+                (state.v_mps, state.omega_radps),
+                (None, None),
+                "never commanded"
+            );
+            intake.take(7, &command_of(0.5), 10);
+            assert_eq!(intake.sample(7, 60).unwrap().v_mps, Some(0.5));
+            let state = intake.sample(7, 61).unwrap();
+            assert_eq!((state.v_mps, state.omega_radps), (after, after));
+            assert_eq!(state.power_w, Some(3.0), "its reading is not affected");
+        }
+    }
+
+    #[test]
+    fn a_repeated_measurement_keeps_its_time() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        let again = Observation {
+            repeats: true,
+            ..power(3.0, PowerOf::Load)
+        };
+        intake.take(7, &again, 10);
+        assert!(!intake.sample(7, 20).unwrap().held, "the first one");
+        intake.take(7, &again, 90);
+        let state = intake.sample(7, 100).unwrap();
+        assert_eq!((state.held, state.measured_ns), (true, Some(10)));
+        intake.take(7, &again, 150);
+        assert_eq!(
+            intake.sample(7, 160).unwrap().power_w,
+            None,
+            "measured too long ago"
+        );
+    }
+
+    #[test]
+    fn a_batterys_power_on_the_charger_means_what_the_platform_says() {
+        let charging = Observation {
+            charging: Some(true),
+            full: Some(true),
+            ..power(-40.0, PowerOf::Battery)
+        };
+        for (charge_reading, of, expected) in [
+            (ChargeReading::Battery, PowerOf::Battery, Some(-40.0)),
+            (ChargeReading::Charger, PowerOf::Battery, Some(40.0)),
+            (ChargeReading::Load, PowerOf::Battery, None),
+            (ChargeReading::Load, PowerOf::Load, Some(-40.0)),
+        ] {
+            let mut intake = intake(HOLDS, charge_reading);
+            let power = power(-40.0, of).power;
+            intake.take(7, &Observation { power, ..charging }, 10);
+            let state = intake.sample(7, 20).unwrap();
+            assert_eq!(state.power_w, expected, "{charge_reading:?} {of:?}");
+            assert_eq!(state.measured_ns.is_some(), expected.is_some());
+            assert!(state.charging && state.full);
+            let left = Observation {
+                charging: Some(false),
+                ..power_alone(12.0)
+            };
+            intake.take(7, &left, 30);
+            let state = intake.sample(7, 40).unwrap();
+            assert_eq!(
+                (state.power_w, state.charging, state.full),
+                (Some(12.0), false, false)
+            );
+        }
+    }
+
+    #[test]
+    fn a_reading_that_came_after_the_samples_time_keeps_the_time_that_was_told() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        intake.take(7, &power(3.0, PowerOf::Load), 12);
+        for (now_ns, held) in [(10, false), (20, true)] {
+            let state = intake.sample(7, now_ns).unwrap();
+            assert_eq!(
+                (state.measured_ns, state.held),
+                (Some(10), held),
+                "at {now_ns}"
+            );
+        }
+    }
+
+    fn power_alone(power_w: f32) -> Observation {
+        power(power_w, PowerOf::Battery)
+    }
+
+    proptest! {
+        /// Against a list of everything that was ever heard, searched anew for each sample.
+        #[test]
+        fn samples_are_of_the_newest_of_each(
+            steps in prop::collection::vec((1u64..40, 0u8..4, -9.0f32..9.0), 1..80),
+        ) {
+            let mut intake = intake(HOLDS, ChargeReading::Load);
+            let mut heard: Vec<(u64, Observation)> = Vec::new();
+            let (mut now_ns, mut last_measured) = (0, None);
+            for (pause, what, value) in steps {
+                now_ns += pause;
+                let seen = match what {
+                    0 => power(value, PowerOf::Load),
+                    1 => command_of(value),
+                    2 => Observation { soc: Some(value), ..Observation::default() },
+                    _ => Observation::default(),
+                };
+                intake.take(7, &seen, now_ns);
+                if !seen.is_empty() {
+                    heard.push((now_ns, seen));
+                }
+                now_ns += 1;
+                let newest = |of: fn(&Observation) -> bool| heard.iter().rev().find(|(_, seen)| of(seen));
+                let state = intake.sample(7, now_ns);
+                let is_known = newest(|_| true).is_some_and(|(at_ns, _)| now_ns - at_ns <= 300);
+                prop_assert_eq!(state.is_some(), is_known);
+                let Some(state) = state else { continue };
+                let reading = newest(|seen| seen.power.is_some()).filter(|(at_ns, _)| now_ns - at_ns <= 100);
+                prop_assert_eq!(state.measured_ns, reading.map(|(at_ns, _)| *at_ns));
+                prop_assert_eq!(state.power_w, reading.and_then(|(_, seen)| seen.power).map(|it| it.power_w));
+                prop_assert_eq!(state.held, reading.is_some() && last_measured == state.measured_ns);
+                last_measured = state.measured_ns.or(last_measured);
+                let command = newest(|seen| seen.v_mps.is_some()).filter(|(at_ns, _)| now_ns - at_ns <= 50);
+                prop_assert_eq!(state.v_mps, command.and_then(|(_, seen)| seen.v_mps));
+                let soc = newest(|seen| seen.soc.is_some()).filter(|(at_ns, _)| now_ns - at_ns <= 100);
+                prop_assert_eq!(state.soc, soc.and_then(|(_, seen)| seen.soc));
+            }
+        }
+    }
+}

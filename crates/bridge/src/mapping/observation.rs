@@ -1,0 +1,65 @@
+//! What one message says of one robot.
+
+/// A power, and of what.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct PowerReading {
+    /// W; out of the battery is positive.
+    pub(crate) power_w: f32,
+    /// What the meter sees.
+    pub(crate) of: PowerOf,
+}
+
+/// What a power meter sees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum PowerOf {
+    /// What the robot consumes.
+    #[default]
+    Load,
+    /// What leaves the battery: less than nothing while it is charged.
+    Battery,
+}
+
+/// The values that a message has, in SI; `None`: it does not say. All numbers are finite.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Observation {
+    /// Linear velocity, m/s.
+    pub(crate) v_mps: Option<f32>,
+    /// Angular velocity, rad/s.
+    pub(crate) omega_radps: Option<f32>,
+    /// Power.
+    pub(crate) power: Option<PowerReading>,
+    /// Battery voltage, V.
+    pub(crate) voltage_v: Option<f32>,
+    /// Battery current, A, positive while discharging.
+    pub(crate) current_a: Option<f32>,
+    /// State of charge, 0 to 1.
+    pub(crate) soc: Option<f32>,
+    /// Whether the robot is on its charger.
+    pub(crate) charging: Option<bool>,
+    /// Whether the charger says that the battery is full.
+    pub(crate) full: Option<bool>,
+    /// Known to repeat the measurement before.
+    pub(crate) repeats: bool,
+}
+
+impl Observation {
+    /// Whether it says nothing.
+    pub(crate) fn is_empty(&self) -> bool {
+        let Self {
+            v_mps,
+            omega_radps,
+            power,
+            voltage_v,
+            current_a,
+            soc,
+            charging,
+            full,
+            repeats: _,
+        } = self;
+        let numbers = [v_mps, omega_radps, voltage_v, current_a, soc];
+        numbers.iter().all(|number| number.is_none())
+            && power.is_none()
+            && charging.is_none()
+            && full.is_none()
+    }
+}
