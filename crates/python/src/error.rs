@@ -54,3 +54,15 @@ pub(crate) fn of_file(path: &Path, error: &io::Error) -> PyErr {
         _ => PyOSError::new_err(message),
     }
 }
+
+/// What reading failed of; of a frame of another version also what to install.
+pub(crate) fn of_read(error: &joulebus_consumer::ReadError) -> String {
+    match error {
+        joulebus_consumer::ReadError::Schema { .. } => format!(
+            "{error}; this package is joulebus {}: `joulebus --version` on the worker's side says which release to \
+             install",
+            env!("CARGO_PKG_VERSION")
+        ),
+        _ => error.to_string(),
+    }
+}

@@ -52,9 +52,16 @@ mod _native {
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         module.add("FEATURE_NAMES", joulebus_predictor::FEATURE_NAMES)?;
-        module.add("SAMPLE", crate::dtype::sample())?;
-        module.add("FORECAST", crate::dtype::forecast())?;
-        module.add("DIAGNOSTIC", crate::dtype::diagnostic())?;
-        module.add("BUDGET", crate::dtype::budget())
+        for (constant, payload) in [
+            ("SAMPLE", "Sample"),
+            ("FORECAST", "Forecast"),
+            ("DIAGNOSTIC", "Diagnostic"),
+            ("BUDGET", "Budget"),
+            ("PLAN_STATE", "PlanState"),
+            ("ANSWER_ROW", "AnswerRow"),
+        ] {
+            module.add(constant, crate::dtype::layout(payload))?;
+        }
+        Ok(())
     }
 }

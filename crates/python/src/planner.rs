@@ -16,7 +16,7 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyTuple};
 
-use crate::error::{ConnectError, ReadError as ReadFailed};
+use crate::error::{ConnectError, ReadError as ReadFailed, of_read};
 use crate::port_thread::PortThread;
 
 /// Longest wait without a look at Python's signals: Ctrl-C works within twice this.
@@ -281,7 +281,7 @@ impl FrameMemory {
         // Without gaps: the payloads have no padding.
         let descr: Vec<_> = fields
             .iter()
-            .map(|(name, code, _)| (*name, *code))
+            .map(|(name, code, _)| (*name, code.as_str()))
             .collect();
         dict.set_item(intern!(py, "descr"), descr)?;
         dict.set_item(intern!(py, "data"), (self.memory.address, true))?;
@@ -401,5 +401,5 @@ fn read_failed(error: &ReadError, kept: usize) -> PyErr {
              (`frame.rows.copy()`)"
         ),
     };
-    ReadFailed::new_err(format!("{error}{hint}"))
+    ReadFailed::new_err(format!("{}{hint}", of_read(error)))
 }

@@ -13,7 +13,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::array::{Doubles, Ids, Numbers, array, shape_error};
-use crate::error::{ConnectError, ReadError};
+use crate::error::{ConnectError, ReadError, of_read};
 use crate::planner::{SLICE, deadline};
 use crate::port_thread::PortThread;
 
@@ -243,6 +243,7 @@ fn seen(planner: &mut Planner, slice: Duration, robots: &[u32]) -> PyResult<Resu
         Ok(view) => view,
         // Of an interruption, the caller learns by its signal.
         Err(ViewError::Nothing { .. } | ViewError::Interrupted) => return Ok(Err(Nothing)),
+        Err(ViewError::Read(error)) => return Err(ReadError::new_err(of_read(&error))),
         Err(error) => return Err(ReadError::new_err(error.to_string())),
     };
     Ok(Ok(Seen {

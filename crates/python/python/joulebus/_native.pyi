@@ -13,6 +13,8 @@ SAMPLE: Final[_Layout]
 FORECAST: Final[_Layout]
 DIAGNOSTIC: Final[_Layout]
 BUDGET: Final[_Layout]
+PLAN_STATE: Final[_Layout]
+ANSWER_ROW: Final[_Layout]
 
 class Error(Exception): ...
 class ModelError(Error): ...
