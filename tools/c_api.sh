@@ -21,7 +21,7 @@ work=$(mktemp -d)
 worker= source=
 cleanup() {
     for process in $source $worker; do kill "$process" 2>/dev/null && wait "$process" || true; done
-    rm -rf "$work" /dev/shm/jbc$$.d /dev/shm/jbc$$*
+    rm -rf "$work" /dev/shm/jbc$$.d /dev/shm/jbc$$_*
 }
 trap cleanup EXIT
 skipped() {
@@ -55,7 +55,7 @@ cat >"$work/fleet.toml" <<TOML
 name = "c"
 [domain]
 root = "/dev/shm/jbc$$.d"
-prefix = "jbc$$"
+prefix = "jbc$$_"
 [readers]
 max_planners = 16
 [[platform]]

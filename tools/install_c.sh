@@ -7,15 +7,15 @@
 # The shared library is linked here from the static one: rustc's own would have neither the functions' version nor a
 # name for releases that fit each other. The prefix may be moved as a whole.
 set -euo pipefail
-cd "$(dirname "$0")/.."
 prefix=/usr/local from=
 while [ $# -gt 0 ]; do
     case $1 in
-    --prefix) prefix=$2 && shift 2 ;;
-    --from) from=$2 && shift 2 ;;
+    --prefix) prefix=$(realpath -m -- "$2") && shift 2 ;;
+    --from) from=$(realpath -m -- "$2") && shift 2 ;;
     *) echo "usage: tools/install_c.sh [--prefix DIR] [--from DEPS]" >&2 && exit 2 ;;
     esac
 done
+cd "$(dirname "$0")/.."
 if [ -z "$from" ]; then
     cargo build --locked --release --package joulebus-c
     from=${CARGO_TARGET_DIR:-target}/release

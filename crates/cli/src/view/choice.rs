@@ -148,6 +148,11 @@ impl Choice {
         self.only_alarms || !self.search.is_empty()
     }
 
+    /// Ends the search.
+    pub(crate) fn clear_search(&mut self) {
+        self.search.clear();
+    }
+
     /// Lists all robots again.
     pub(crate) fn clear_filter(&mut self) {
         self.search.clear();

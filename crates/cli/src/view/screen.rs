@@ -93,7 +93,7 @@ impl Screen {
             KeyCode::Backspace => self.choice.delete(),
             KeyCode::Enter => self.mode = Mode::List,
             KeyCode::Esc => {
-                self.choice.clear_filter();
+                self.choice.clear_search();
                 self.mode = Mode::List;
             }
             _ => {}

@@ -73,7 +73,8 @@ pub(crate) fn show(
         if is_closed(LOOK_EVERY)? {
             return Ok(());
         }
-        if event::poll(Duration::ZERO).context("cannot read keys")? {
+        // All that have come: one at a time, keys that repeat would come faster than they are drawn.
+        while event::poll(Duration::ZERO).context("cannot read keys")? {
             let event = event::read().context("cannot read keys")?;
             if pressed(&event).is_some_and(|key| screen.press(key, &feed.board())) {
                 return Ok(());

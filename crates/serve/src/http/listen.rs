@@ -32,8 +32,8 @@ pub(super) struct Listeners {
 #[derive(Debug)]
 pub(super) struct SocketFile {
     pub(super) path: PathBuf,
-    /// Device and number: another server may have put its own there.
-    is: (u64, u64),
+    /// Another server may have put its own there.
+    is: Identity,
 }
 
 impl Drop for SocketFile {
@@ -45,9 +45,13 @@ impl Drop for SocketFile {
     }
 }
 
-fn identity(path: &Path) -> io::Result<(u64, u64)> {
+/// Device, number, and time of the last change: numbers of removed files are used again.
+type Identity = (u64, u64, i64, i64);
+
+fn identity(path: &Path) -> io::Result<Identity> {
     let found = fs::symlink_metadata(path)?;
-    Ok((found.dev(), found.ino()))
+    let (ctime_s, ctime_ns) = (found.ctime(), found.ctime_nsec());
+    Ok((found.dev(), found.ino(), ctime_s, ctime_ns))
 }
 
 /// Listens at an address; port 0 is any free one.
@@ -75,24 +79,33 @@ pub(super) fn at_socket(path: &Path) -> anyhow::Result<(UnixListener, SocketFile
                 "cannot listen at {shown}: there is something else than a socket; name another file"
             );
         }
-        if UnixStream::connect(path).is_ok() {
-            bail!("cannot listen at {shown}: another server does; end it, or name another file");
+        match UnixStream::connect(path) {
+            Ok(_) => {
+                bail!("cannot listen at {shown}: another server does; end it, or name another file")
+            }
+            // Nobody has it open.
+            Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
+            Err(error) => bail!(
+                "cannot listen at {shown}: there is a socket that is not ours ({error}); name another file"
+            ),
         }
         fs::remove_file(path).with_context(failed)?;
     }
     let listener = UnixListener::bind(path).with_context(failed)?;
+    // Before, nobody else has the right to write, which connecting needs: no usual umask gives it.
+    fs::set_permissions(path, fs::Permissions::from_mode(SOCKET_MODE)).with_context(failed)?;
     let file = SocketFile {
         path: path.to_owned(),
         is: identity(path).with_context(failed)?,
     };
-    // Before, nobody else has the right to write, which connecting needs: no usual umask gives it.
-    fs::set_permissions(path, fs::Permissions::from_mode(SOCKET_MODE)).with_context(failed)?;
     listener.set_nonblocking(true).with_context(failed)?;
     Ok((listener, file))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::net::UnixDatagram;
+
     use super::*;
 
     #[test]
@@ -115,6 +128,13 @@ mod tests {
         let refused = at_socket(&path).map(drop).unwrap_err().to_string();
         assert!(refused.contains("something else"), "{refused}");
         assert_eq!(fs::read_to_string(&path)?, "a file");
+        fs::remove_file(&path)?;
+        let datagrams = UnixDatagram::bind(&path)?;
+        let refused = at_socket(&path).map(drop).unwrap_err().to_string();
+        assert!(refused.contains("not ours"), "{refused}");
+        let sender = UnixDatagram::unbound()?;
+        sender.send_to(b"still there", &path)?;
+        drop(datagrams);
         Ok(())
     }
 }

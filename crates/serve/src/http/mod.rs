@@ -211,13 +211,15 @@ impl HttpServer {
     /// # Errors
     /// What ended it.
     pub(crate) fn finish(mut self) -> anyhow::Result<HttpReport> {
+        // While it still listens: afterwards the next server may have its own there.
+        let socket = self.socket.take().map(|socket| socket.path.clone());
         self.shared.end.notify_one();
         let web = self.web.take().map_or(Ok(()), JoinHandle::join);
         self.reader.finish()?;
         web.map_err(|_| anyhow::anyhow!("the server's thread panicked"))?;
         Ok(HttpReport {
             address: self.address.map(|address| format!("http://{address}")),
-            socket: self.socket.as_ref().map(|socket| socket.path.clone()),
+            socket,
             requests: self.shared.requests.load(Ordering::Relaxed),
             refused: self.shared.refused.load(Ordering::Relaxed),
             messages: self.shared.app.messages.load(Ordering::Relaxed),
