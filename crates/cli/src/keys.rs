@@ -1,6 +1,11 @@
 //! Keys of a terminal in raw mode.
 
+use std::time::Duration;
+
 use crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+
+/// How long to wait for an event that has come: with no patience at all crossterm does not look.
+pub(crate) const PATIENCE: Duration = Duration::from_millis(1);
 
 /// The key that was pressed, or is held down; `None` for other events.
 pub(crate) fn pressed(event: &Event) -> Option<KeyEvent> {

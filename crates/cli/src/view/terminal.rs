@@ -11,7 +11,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
 use super::screen::Screen;
-use crate::keys::pressed;
+use crate::keys::{PATIENCE, pressed};
 
 /// Interval at which the processes and the end are checked.
 const LOOK_EVERY: Duration = Duration::from_millis(30);
@@ -74,7 +74,7 @@ pub(crate) fn show(
             return Ok(());
         }
         // All that have come: one at a time, keys that repeat would come faster than they are drawn.
-        while event::poll(Duration::ZERO).context("cannot read keys")? {
+        while event::poll(PATIENCE).context("cannot read keys")? {
             let event = event::read().context("cannot read keys")?;
             if pressed(&event).is_some_and(|key| screen.press(key, &feed.board())) {
                 return Ok(());
