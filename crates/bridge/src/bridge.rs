@@ -185,6 +185,8 @@ impl Bridge {
             changes: changed,
             shared: Arc::clone(&self.shared),
             lost: Arc::clone(&self.lost),
+            // A broker that does not answer is noticed by the second ping.
+            arrives_within_ns: u64::try_from(3 * mqtt.keep_alive.as_nanos()).unwrap_or(u64::MAX),
         };
         let told = config.clone();
         self.start_joining("joulebus-tell", move |ready| {

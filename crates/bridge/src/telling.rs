@@ -42,6 +42,9 @@ pub(crate) struct Telling {
     board: RefCell<Board>,
     changes: Receiver<FleetAlarm>,
     waiting: VecDeque<AlarmRecord>,
+    /// Handed to the connection lately, and when, monotonic ns: if it breaks, they may not have arrived.
+    handed: VecDeque<(u64, AlarmRecord)>,
+    arrives_within_ns: u64,
     outlet: Arc<Outlet>,
     connections: u64,
     shared: Arc<Shared>,
@@ -57,6 +60,8 @@ pub(crate) struct Start {
     pub(crate) changes: Receiver<FleetAlarm>,
     pub(crate) shared: Arc<Shared>,
     pub(crate) lost: Arc<AtomicU64>,
+    /// After which a message has arrived, or the connection is known to be broken, ns.
+    pub(crate) arrives_within_ns: u64,
 }
 
 impl Telling {
@@ -87,6 +92,8 @@ impl Telling {
             board: RefCell::new(Board::new(clock::monotonic_ns())),
             changes: start.changes,
             waiting: VecDeque::new(),
+            handed: VecDeque::new(),
+            arrives_within_ns: start.arrives_within_ns,
             connections: 0,
             outlet: start.outlet,
             shared: start.shared,
@@ -115,7 +122,7 @@ impl Telling {
 
     fn take_changes(&mut self, times: Times) {
         for change in self.changes.try_iter() {
-            if self.waiting.len() == MOST_WAITING {
+            if self.waiting.len() >= MOST_WAITING {
                 self.waiting.pop_front();
                 self.lost.fetch_add(1, Ordering::Relaxed);
             }
@@ -132,6 +139,13 @@ impl Telling {
             for topic in &mut self.topics {
                 topic.due_ns = 0;
                 topic.told.clear();
+                if topic.write.retain {
+                    // So may the end of what it kept be.
+                    topic.kept = self.robots.iter().map(|(robot, _)| robot).collect();
+                }
+            }
+            while let Some((_, record)) = self.handed.pop_back() {
+                self.waiting.push_front(record);
             }
         }
         for place in 0..self.topics.len() {
@@ -142,10 +156,18 @@ impl Telling {
                 _ => self.tell_robots(place, times),
             }
         }
-        self.tell_changes();
+        self.tell_changes(times.now_ns);
     }
 
-    fn tell_changes(&mut self) {
+    fn tell_changes(&mut self, now_ns: u64) {
+        let since_ns = now_ns.saturating_sub(self.arrives_within_ns);
+        while self
+            .handed
+            .front()
+            .is_some_and(|(at_ns, _)| *at_ns < since_ns)
+        {
+            self.handed.pop_front();
+        }
         let topics = self
             .topics
             .iter()
@@ -168,7 +190,8 @@ impl Telling {
             if !is_told {
                 return;
             }
-            self.waiting.pop_front();
+            let record = self.waiting.pop_front();
+            self.handed.extend(record.map(|record| (now_ns, record)));
         }
     }
 

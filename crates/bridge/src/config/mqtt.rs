@@ -282,11 +282,12 @@ impl Check<'_> {
         let (topic, what) = (&section.topic, section.what);
         let template = Template::parse(topic.get_ref(), self.fleet, what.is_of_robot());
         let template = self.checked(topic, "mqtt.write.topic", template)?;
-        let (_, robot) = robots.iter().next().unwrap_or_default();
-        let written = template.of(robot);
-        let reads = routes
-            .iter()
-            .find(|route| route.pattern.matches(&written).is_some());
+        // Of topics without a robot all are the same.
+        let mut written = robots.iter().map(|(_, robot)| template.of(robot));
+        let reads = written.find_map(|written| {
+            let mut routes = routes.iter();
+            routes.find(|route| route.pattern.matches(&written).is_some())
+        });
         let apart = reads.map_or(Ok(()), |route| {
             Err(format!("is written, and {} reads it too", route.name))
         });

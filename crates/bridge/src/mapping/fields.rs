@@ -159,7 +159,8 @@ impl Fields {
             ..Observation::default()
         };
         if let Some(vy_mps) = number(&self.vy, "vy").filter(|vy_mps| *vy_mps != 0.0) {
-            seen.v_mps = seen.v_mps.map(|v_mps| v_mps.hypot(vy_mps));
+            let speed_mps = seen.v_mps.map(|v_mps| v_mps.hypot(vy_mps));
+            seen.v_mps = speed_mps.filter(|speed_mps| speed_mps.is_finite());
         }
         let power_w = number(&self.power, "power");
         seen.power = power_w.map(|power_w| PowerReading {

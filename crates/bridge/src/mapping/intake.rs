@@ -7,6 +7,8 @@
 //! - the same reading again is *held*, until `reading_holds_s`; then the sample has none, and the worker bridges.
 //! - a command applies until the next one, at most for `command_holds_s`; then it is unknown, or 0 if the robot stops by
 //!   itself.
+//! - whether it charges applies until it is told otherwise; at first it does not. The power of a battery that was heard before
+//!   it changed means nothing.
 //! - a robot of which nothing was heard for `silent_after_s` is not in the frame: the worker says so.
 
 use std::collections::BTreeMap;
@@ -61,8 +63,8 @@ struct Robot {
     voltage_v: Option<Heard<f32>>,
     current_a: Option<Heard<f32>>,
     soc: Option<Heard<f32>>,
-    charging: Option<Heard<bool>>,
-    full: Option<Heard<bool>>,
+    charging: bool,
+    full: bool,
 }
 
 /// All robots of the mapping.
@@ -90,8 +92,8 @@ impl Intake {
                 voltage_v: None,
                 current_a: None,
                 soc: None,
-                charging: None,
-                full: None,
+                charging: false,
+                full: false,
             };
             (id, robot)
         };
@@ -118,8 +120,13 @@ impl Intake {
         ] {
             set(place, value, at_ns);
         }
-        set(&mut known.charging, seen.charging, at_ns);
-        set(&mut known.full, seen.full, at_ns);
+        let is_of_battery = |heard: Heard<PowerReading>| heard.value.of == PowerOf::Battery;
+        let charging = seen.charging.unwrap_or(known.charging);
+        if charging != known.charging {
+            known.power = known.power.filter(|heard| !is_of_battery(*heard));
+        }
+        known.charging = charging;
+        known.full = seen.full.unwrap_or(known.full);
         // A reading that repeats the one before was not measured now.
         if seen.power.is_some() && !(seen.repeats && known.power.is_some()) {
             set(&mut known.power, seen.power, at_ns);
@@ -137,8 +144,8 @@ impl Intake {
         let mut state = RobotState::new(robot);
         state.v_mps = command(known.v_mps, holds, now_ns);
         state.omega_radps = command(known.omega_radps, holds, now_ns);
-        state.charging = is_true(known.charging, holds.silent_ns, now_ns);
-        state.full = state.charging && is_true(known.full, holds.silent_ns, now_ns);
+        state.charging = known.charging;
+        state.full = known.charging && known.full;
         let number = |heard: Option<Heard<f32>>| heard?.within(holds.reading_ns, now_ns);
         state.voltage_v = number(known.voltage_v);
         state.current_a = number(known.current_a);
@@ -150,10 +157,10 @@ impl Intake {
         if let Some(heard) = known.power
             && let Some(reading) = heard.within(holds.reading_ns, now_ns)
         {
-            let held = std::mem::replace(&mut known.sampled, true);
-            state.power_w = known.power_w(reading, state.charging);
+            state.power_w = known.power_w(reading, known.charging);
             state.measured_ns = state.power_w.map(|_| heard.at_ns);
-            state.held = held && state.power_w.is_some();
+            state.held = known.sampled && state.power_w.is_some();
+            known.sampled |= state.power_w.is_some();
         }
         Some(state)
     }
@@ -188,10 +195,6 @@ fn command(heard: Option<Heard<f32>>, holds: Holds, now_ns: u64) -> Option<f32> 
     let value = heard?.within(holds.command_ns, now_ns);
     let stopped = (holds.expired == Expired::Stops).then_some(0.0);
     value.or(stopped)
-}
-
-fn is_true(heard: Option<Heard<bool>>, holds_ns: u64, now_ns: u64) -> bool {
-    heard.and_then(|heard| heard.within(holds_ns, now_ns)) == Some(true)
 }
 
 #[cfg(test)]
@@ -324,6 +327,27 @@ mod tests {
                 (Some(12.0), false, false)
             );
         }
+    }
+
+    #[test]
+    fn charging_applies_until_it_is_told_otherwise() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        let charging = |charging| Observation {
+            charging: Some(charging),
+            ..Observation::default()
+        };
+        intake.take(7, &charging(true), 30);
+        for at_ns in (100..2_000).step_by(100) {
+            intake.take(7, &power(-40.0, PowerOf::Battery), at_ns);
+            let state = intake.sample(7, at_ns + 10).unwrap();
+            assert_eq!((state.charging, state.power_w), (true, None), "at {at_ns}");
+        }
+        intake.take(7, &charging(false), 2_000);
+        let state = intake.sample(7, 2_010).unwrap();
+        assert_eq!((state.charging, state.power_w), (false, None), "of before");
+        intake.take(7, &power(12.0, PowerOf::Battery), 2_020);
+        let state = intake.sample(7, 2_030).unwrap();
+        assert_eq!((state.power_w, state.held), (Some(12.0), false));
     }
 
     #[test]

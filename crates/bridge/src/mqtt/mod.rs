@@ -54,7 +54,8 @@ pub(crate) struct Mqtt {
     outlet: Arc<Outlet>,
     reader: Arc<Mutex<Reader>>,
     ask_every: Option<Duration>,
-    goodbye: Vec<(String, Vec<u8>)>,
+    /// Topic, payload, and whether the broker keeps it.
+    goodbye: Vec<(String, Vec<u8>, bool)>,
     shared: Arc<Shared>,
 }
 
@@ -75,19 +76,15 @@ impl Mqtt {
             options.set_credentials(username, password);
         }
         let is_status = |write: &&Write| write.what == What::Status;
-        let goodbye: Vec<(String, Vec<u8>)> = settings
+        let goodbye: Vec<(String, Vec<u8>, bool)> = settings
             .writes
             .iter()
             .filter(is_status)
-            .map(|write| (write.topic.of(""), offline.to_vec()))
+            .map(|write| (write.topic.of(""), offline.to_vec(), write.retain))
             .collect();
-        if let Some((topic, payload)) = goodbye.first() {
-            options.set_last_will(LastWill::new(
-                topic,
-                payload.clone(),
-                QoS::AtLeastOnce,
-                true,
-            ));
+        if let Some((topic, payload, retain)) = goodbye.first() {
+            let (qos, payload) = (QoS::AtLeastOnce, payload.clone());
+            options.set_last_will(LastWill::new(topic, payload, qos, *retain));
         }
         let capacity = 1_000 + 4 * robots.len() * settings.writes.len().max(1);
         let (client, events) = AsyncClient::new(options, capacity);
@@ -243,10 +240,10 @@ impl Mqtt {
         if !self.outlet.is_connected() {
             return;
         }
-        for (topic, payload) in std::mem::take(&mut self.goodbye) {
+        for (topic, payload, retain) in std::mem::take(&mut self.goodbye) {
             let _ = self
                 .client
-                .try_publish(topic, QoS::AtLeastOnce, true, payload);
+                .try_publish(topic, QoS::AtLeastOnce, retain, payload);
         }
         let _ = self.client.try_disconnect();
         let polling = async {
