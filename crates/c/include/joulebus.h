@@ -1534,7 +1534,7 @@ joulebus_error joulebus_publisher_get_counts(struct joulebus_publisher *publishe
                                              struct joulebus_publisher_counts *counts);
 
 /**
- * Leaves the fleet. Frames sent before are still received. NULL is closed already.
+ * Leaves the fleet. A worker that has not noticed this source yet takes none of its frames. NULL is closed already.
  */
 joulebus_error joulebus_publisher_close(struct joulebus_publisher *publisher);
 

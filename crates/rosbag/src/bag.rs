@@ -1,7 +1,8 @@
 //! A bag's SQLite file, opened so that neither it nor anything beside it is changed.
 //!
 //! The file may be hostile: only tables are read, never views or virtual tables, whose rows are whatever their
-//! definition computes; values are limited in size; and rows have the types that rosbag2 gives them, or are counted.
+//! definition computes; values are limited in size, and all together to that of the file, because SQLite follows pages that
+//! name each other; and rows have the types that rosbag2 gives them, or are counted.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,6 +16,10 @@ use rusqlite::{Connection, OpenFlags};
 
 /// Largest message or text, bytes. SQLite refuses larger ones.
 pub(crate) const MOST_BYTES: i32 = 256 << 20;
+/// Largest text of a topic or a definition, bytes.
+const MOST_TEXT_BYTES: i32 = 1 << 20;
+/// Least bytes of a row: the heads of its cell and of its record.
+const LEAST_ROW_BYTES: u64 = 4;
 /// Most topics of a bag; a file of MCAP has no more channels.
 const MOST_TOPICS: usize = 65_535;
 /// What an SQLite file begins with.
@@ -56,6 +61,16 @@ pub(crate) enum BagError {
     TooManyTopics {
         /// The file.
         path: PathBuf,
+    },
+    /// Its pages name each other.
+    #[error("{path:?} has more rows of {table:?} than its {bytes} bytes can hold")]
+    Repeats {
+        /// The file.
+        path: PathBuf,
+        /// The table.
+        table: &'static str,
+        /// Bytes of the file and of the log beside it.
+        bytes: u64,
     },
     /// SQLite refuses it.
     #[error("cannot read {path:?}: {reason}")]
@@ -102,6 +117,21 @@ pub(crate) enum Row<'a> {
 pub(crate) struct Bag {
     path: PathBuf,
     sqlite: Connection,
+    /// Bytes of the file and of the log beside it: what its rows have together.
+    bytes: u64,
+}
+
+/// What rows may still have.
+struct Left(u64);
+
+impl Left {
+    /// Takes a row with so many bytes of values; false if there is no room for it.
+    fn take(&mut self, bytes: usize) -> bool {
+        let needed = (bytes as u64).saturating_add(LEAST_ROW_BYTES);
+        let left = self.0.checked_sub(needed);
+        self.0 = left.unwrap_or(0);
+        left.is_some()
+    }
 }
 
 impl Bag {
@@ -111,6 +141,7 @@ impl Bag {
         let bag = Self {
             path: path.to_owned(),
             sqlite: connect(path).map_err(|error| refused(path, &error))?,
+            bytes: length(path) + length(&beside(path, "-wal")),
         };
         const TOPICS: &[&str] = &["id", "name", "type", "serialization_format"];
         const MESSAGES: &[&str] = &["topic_id", "timestamp", "data"];
@@ -129,17 +160,12 @@ impl Bag {
     /// Whether it has a table, no view, with these columns.
     fn has_table(&self, table: &str, columns: &[&str]) -> Result<bool, BagError> {
         let look = || -> rusqlite::Result<bool> {
-            let sql = "SELECT type = 'table' AND sql NOT LIKE 'CREATE VIRTUAL%' FROM sqlite_master \
-                       WHERE lower(name) = ?1";
-            let mut query = self.sqlite.prepare(sql)?;
-            let mut rows = query.query([table])?;
-            let Some(row) = rows.next()? else {
-                return Ok(false);
-            };
-            if !row.get::<_, Option<bool>>(0)?.unwrap_or(false) {
+            // SQLite's own word, not that of the text in the file.
+            let sql = "SELECT 1 FROM pragma_table_list \
+                       WHERE schema = 'main' AND lower(name) = ?1 AND type = 'table'";
+            if !self.sqlite.prepare(sql)?.exists([table])? {
                 return Ok(false);
             }
-            drop(rows);
             // Generated columns are hidden: 2 and 3. They are computed, so none of rosbag2's.
             let sql = "SELECT name FROM pragma_table_xinfo(?1) WHERE hidden = 0";
             let mut query = self.sqlite.prepare(sql)?;
@@ -154,20 +180,17 @@ impl Bag {
 
     /// Its topics.
     pub(crate) fn topics(&self) -> Result<Vec<Topic>, BagError> {
-        let read = || -> rusqlite::Result<Vec<Topic>> {
-            let sql = "SELECT id, name, type, serialization_format FROM topics";
-            let mut query = self.sqlite.prepare(sql)?;
-            let rows = query.query_map([], |row| {
-                Ok(Topic {
-                    id: row.get(0)?,
-                    name: row.get(1)?,
-                    type_name: row.get(2)?,
-                    encoding: row.get(3)?,
-                })
-            })?;
-            rows.take(MOST_TOPICS + 1).collect()
-        };
-        let topics = read().map_err(|error| refused(&self.path, &error))?;
+        let sql = "SELECT id, name, type, serialization_format FROM topics";
+        let topics = self.all("topics", sql, |row| {
+            let topic = Topic {
+                id: row.get(0)?,
+                name: row.get(1)?,
+                type_name: row.get(2)?,
+                encoding: row.get(3)?,
+            };
+            let bytes = topic.name.len() + topic.type_name.len() + topic.encoding.len();
+            Ok((topic, bytes))
+        })?;
         if topics.len() > MOST_TOPICS {
             let path = self.path.clone();
             return Err(BagError::TooManyTopics { path });
@@ -177,21 +200,46 @@ impl Bag {
 
     /// Definitions of types by name. Bags before ROS 2 Iron have none.
     pub(crate) fn definitions(&self) -> Result<BTreeMap<String, Definition>, BagError> {
+        const TABLE: &str = "message_definitions";
         const COLUMNS: &[&str] = &["topic_type", "encoding", "encoded_message_definition"];
-        if !self.has_table("message_definitions", COLUMNS)? {
+        if !self.has_table(TABLE, COLUMNS)? {
             return Ok(BTreeMap::new());
         }
-        let read = || -> rusqlite::Result<BTreeMap<String, Definition>> {
-            let sql =
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions";
-            let mut query = self.sqlite.prepare(sql)?;
-            let rows = query.query_map([], |row| {
-                let (encoding, text) = (row.get(1)?, row.get(2)?);
-                Ok((row.get(0)?, Definition { encoding, text }))
-            })?;
-            rows.take(MOST_TOPICS).collect()
-        };
-        read().map_err(|error| refused(&self.path, &error))
+        let sql =
+            "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions";
+        let definitions = self.all(TABLE, sql, |row| {
+            let (name, encoding, text): (String, _, String) =
+                (row.get(0)?, row.get(1)?, row.get(2)?);
+            let bytes = name.len() + text.len();
+            Ok(((name, Definition { encoding, text }), bytes))
+        })?;
+        Ok(definitions.into_iter().collect())
+    }
+
+    /// The rows of a table, of which `read` also says how many bytes they have; one more than topics are allowed at most.
+    fn all<T>(
+        &self,
+        table: &'static str,
+        sql: &str,
+        read: impl Fn(&rusqlite::Row<'_>) -> rusqlite::Result<(T, usize)>,
+    ) -> Result<Vec<T>, BagError> {
+        let sqlite = |error: rusqlite::Error| refused(&self.path, &error);
+        let mut query = self.sqlite.prepare(sql).map_err(sqlite)?;
+        let rows = query.query_map([], read).map_err(sqlite)?;
+        let (mut all, mut left) = (Vec::new(), Left(self.bytes));
+        for row in rows.take(MOST_TOPICS + 1) {
+            let (row, bytes) = row.map_err(sqlite)?;
+            if !left.take(bytes) {
+                return Err(self.repeats(table));
+            }
+            all.push(row);
+        }
+        Ok(all)
+    }
+
+    fn repeats(&self, table: &'static str) -> BagError {
+        let (path, bytes) = (self.path.clone(), self.bytes);
+        BagError::Repeats { path, table, bytes }
     }
 
     /// Gives all messages to `take`, in the order in which they were written, until it fails or the file is damaged.
@@ -200,6 +248,11 @@ impl Bag {
         mut take: impl FnMut(Row<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
         let sqlite = |error: rusqlite::Error| refused(&self.path, &error);
+        let length = self
+            .sqlite
+            .set_limit(Limit::SQLITE_LIMIT_LENGTH, MOST_BYTES);
+        length.map_err(sqlite)?;
+        let mut left = Left(self.bytes);
         let sql = "SELECT topic_id, timestamp, data FROM messages";
         let mut query = self.sqlite.prepare(sql).map_err(sqlite)?;
         let mut rows = query.query([]).map_err(sqlite)?;
@@ -210,6 +263,13 @@ impl Bag {
                 Err(error) => return take(Row::Damage(error.to_string())),
             };
             let value = |column| row.get_ref(column).unwrap_or(ValueRef::Null);
+            let bytes = match value(2) {
+                ValueRef::Blob(bytes) | ValueRef::Text(bytes) => bytes.len(),
+                _ => 0,
+            };
+            if !left.take(bytes) {
+                return take(Row::Damage(self.repeats("messages").to_string()));
+            }
             take(match (value(0), value(1), value(2)) {
                 (ValueRef::Integer(topic), ValueRef::Integer(time_ns), ValueRef::Blob(data)) => {
                     match u64::try_from(time_ns) {
@@ -247,10 +307,7 @@ fn check_head(path: &Path) -> Result<(), BagError> {
 
 fn connect(path: &Path) -> rusqlite::Result<Connection> {
     // Without a log beside it nothing may change it, and SQLite writes nothing beside it either.
-    let mut log = path.as_os_str().to_owned();
-    log.push("-wal");
-    let has_log = fs::metadata(log).is_ok_and(|log| log.len() > 0);
-    let end = if has_log {
+    let end = if length(&beside(path, "-wal")) > 0 {
         "mode=ro"
     } else {
         "mode=ro&immutable=1"
@@ -265,10 +322,22 @@ fn connect(path: &Path) -> rusqlite::Result<Connection> {
     sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
     sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false)?;
     sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER, false)?;
-    sqlite.set_limit(Limit::SQLITE_LIMIT_LENGTH, MOST_BYTES)?;
+    sqlite.set_limit(Limit::SQLITE_LIMIT_LENGTH, MOST_TEXT_BYTES)?;
     sqlite.pragma_update(None, "cell_size_check", true)?;
     sqlite.pragma_update(None, "query_only", true)?;
     Ok(sqlite)
+}
+
+/// The file of SQLite beside another one.
+fn beside(path: &Path, end: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(end);
+    name.into()
+}
+
+/// Bytes of a file; 0 if there is none.
+fn length(path: &Path) -> u64 {
+    fs::metadata(path).map_or(0, |file| file.len())
 }
 
 /// A path as part of a URI.

@@ -122,7 +122,7 @@ pub unsafe extern "C" fn joulebus_publisher_get_counts(
     })
 }
 
-/// Leaves the fleet. Frames sent before are still received. NULL is closed already.
+/// Leaves the fleet. A worker that has not noticed this source yet takes none of its frames. NULL is closed already.
 #[unsafe(no_mangle)]
 pub extern "C" fn joulebus_publisher_close(publisher: *mut joulebus_publisher) -> joulebus_error {
     entry(|| handles::close::<Publisher>(publisher))

@@ -172,3 +172,78 @@ fn a_message_larger_than_allowed_ends_the_bag_without_taking_its_memory() {
         "{said}"
     );
 }
+
+/// An inner page of a table's tree, all of whose cells name the page `child`.
+fn inner_page(child: u32, cells: u16) -> Vec<u8> {
+    let mut page = vec![0; PAGE];
+    let first = PAGE - usize::from(cells) * 5;
+    page[0] = 5;
+    page[3..5].copy_from_slice(&cells.to_be_bytes());
+    page[5..7].copy_from_slice(&(first as u16).to_be_bytes());
+    page[8..12].copy_from_slice(&child.to_be_bytes());
+    for cell in 0..usize::from(cells) {
+        let at = first + cell * 5;
+        page[12 + cell * 2..14 + cell * 2].copy_from_slice(&(at as u16).to_be_bytes());
+        page[at..at + 4].copy_from_slice(&child.to_be_bytes());
+        page[at + 4] = 1;
+    }
+    page
+}
+
+const PAGE: usize = 4_096;
+
+/// The bag with the root of `table` in place of a tree of three inner pages above it: 200 to the third times its rows.
+fn multiplied(path: &Path, table: &str) -> Vec<u8> {
+    let sqlite = rusqlite::Connection::open(path).unwrap();
+    let sql = "SELECT rootpage FROM sqlite_master WHERE name = ?1";
+    let root: u32 = sqlite.query_row(sql, [table], |row| row.get(0)).unwrap();
+    sqlite.close().unwrap();
+    let root = root as usize;
+    let mut bytes = fs::read(path).unwrap();
+    let pages = bytes.len() / PAGE;
+    let leaf = bytes[(root - 1) * PAGE..root * PAGE].to_vec();
+    assert_eq!(leaf[0], 13, "the root of a small table is a leaf");
+    bytes.extend(leaf);
+    for below in 0..2 {
+        bytes.extend(inner_page((pages + 1 + below) as u32, 200));
+    }
+    let top = inner_page((pages + 3) as u32, 200);
+    bytes[(root - 1) * PAGE..root * PAGE].copy_from_slice(&top);
+    bytes[28..32].copy_from_slice(&((pages + 3) as u32).to_be_bytes());
+    bytes
+}
+
+#[test]
+fn pages_that_name_each_other_give_no_more_rows_than_a_file_can_hold() {
+    for table in ["messages", "topics"] {
+        let place = tempfile::tempdir().unwrap();
+        let (path, out) = (place.path().join("bag.db3"), place.path().join("out.mcap"));
+        let bag = Bag::create(&path);
+        bag.raw(1, time_ns(0), &[7; 100]);
+        bag.close();
+        fs::write(&path, multiplied(&path, table)).unwrap();
+        let ended = convert(&path, &out);
+        let written = fs::metadata(&out).map_or(0, |file| file.len());
+        let (code, said) = (ended.status.code(), said(&ended));
+        assert!(matches!(code, Some(1 | 3)), "{table}: {said}");
+        assert!(said.contains("than its"), "{table}: {said}");
+        let most = 8 * fs::metadata(&path).unwrap().len();
+        assert!(written < most, "{table}: {written} bytes, allowed {most}");
+    }
+}
+
+#[test]
+fn a_table_is_not_what_the_text_of_its_definition_says() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("bag.db3");
+    let mut bag = Bag::create(&path);
+    bag.run(
+        "DROP TABLE messages; CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data); \
+         PRAGMA writable_schema = 1; \
+         UPDATE sqlite_master SET sql = replace(sql, 'CREATE VIRTUAL', 'CREATE/**/VIRTUAL') WHERE name = 'messages'",
+    );
+    bag.close();
+    let (code, said) = code_of(&path);
+    assert_eq!(code, 1, "{said}");
+    assert!(said.contains("is no bag of rosbag2"), "{said}");
+}
