@@ -124,11 +124,16 @@ for pose, goal in given["cases"]:
 print(json.dumps({"commands": commands, "drives": drives}))
 "#;
 
+/// A Python; that of `tools/python.sh` has NumPy.
+fn python() -> String {
+    std::env::var("JOULEBUS_PYTHON").unwrap_or_else(|_| "python3".to_owned())
+}
+
 /// The simulator, where it is there with Python and NumPy.
 fn simulator() -> Option<PathBuf> {
     let here = FilePath::new(env!("CARGO_MANIFEST_DIR"));
     let folder = here.join("../../../shared/rps");
-    let runs = Command::new("python3")
+    let runs = Command::new(python())
         .args(["-c", "import numpy"])
         .output()
         .is_ok_and(|output| output.status.success());
@@ -183,7 +188,7 @@ fn commands_and_drives_are_those_of_the_robotarium_simulator() {
         r#"{{"speed": {SPEED_MPS}, "period": {period_s}, "cases": [{}]}}"#,
         listed.join(", ")
     );
-    let output = Command::new("python3")
+    let output = Command::new(python())
         .args(["-c", SCRIPT])
         .arg(&folder)
         .arg(&given)
