@@ -5,7 +5,7 @@
 #     tools/browser.sh              # the tests
 #     tools/browser.sh --pictures   # docs/page-*.png again
 #
-# Without node 20, npm, Chromium or npm's registry it prints a note and passes, except with CI=true. CHROMIUM names
+# Root installs Debian's Chromium. Without node 20, npm, Chromium or npm's registry it prints a note and passes, except with CI=true. CHROMIUM names
 # another browser, JOULEBUS_BIN another directory of the programs (default: built here, target/debug).
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -20,7 +20,11 @@ skip() {
 command -v node >/dev/null || skip "node is not installed"
 command -v npm >/dev/null || skip "npm is not installed"
 [ "$(node -p 'process.versions.node.split(".")[0]')" -ge 20 ] || skip "node $(node --version) is older than 20"
-CHROMIUM=${CHROMIUM:-$(command -v chromium || command -v chromium-browser || command -v google-chrome || true)}
+installed() { command -v chromium || command -v chromium-browser || command -v google-chrome; }
+if [ -z "${CHROMIUM:-}" ] && ! installed >/dev/null && [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+    { apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium; } >&2 || true
+fi
+CHROMIUM=${CHROMIUM:-$(installed || true)}
 [ -n "$CHROMIUM" ] || skip "Chromium is not installed (apt-get install chromium)"
 
 mkdir -p "$folder"
