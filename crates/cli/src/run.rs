@@ -50,6 +50,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let service = ServiceManager::start(Arc::clone(&turns))?;
     let alarms = AlarmLog::start(&config).context("alarms cannot be logged")?;
     let mut worker = Worker::open(&config)?;
+    alarms.open();
     questions.serve();
     questions.wait_until_open();
     worker.count_turns_in(turns);

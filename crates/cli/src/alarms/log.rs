@@ -1,5 +1,6 @@
 //! The alarms of the robots in the worker's log: a line for each raise and each end.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -14,6 +15,8 @@ use super::{Lasted, s_between};
 
 /// Pause before the diagnostics are opened again.
 const OPEN_EVERY: Duration = Duration::from_secs(1);
+/// Interval of checking whether the worker is open.
+const LOOK_EVERY: Duration = Duration::from_millis(5);
 
 /// What was logged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -30,26 +33,40 @@ pub(crate) struct AlarmReport {
 pub(crate) struct AlarmLog {
     thread: Background,
     report: Arc<Mutex<AlarmReport>>,
+    may_open: Arc<AtomicBool>,
 }
 
 impl AlarmLog {
-    /// Starts the thread. To be called before the worker is opened, whose CPUs and priority it would inherit.
+    /// Starts the thread, which waits for [`AlarmLog::open`]. To be called before the worker is opened, whose CPUs and
+    /// priority it would inherit.
     ///
     /// # Errors
     /// The system refuses the thread.
     pub(crate) fn start(config: &Config) -> std::io::Result<Self> {
         let report = Arc::<Mutex<AlarmReport>>::default();
         let (config, shared) = (config.clone(), Arc::clone(&report));
+        let may_open = Arc::<AtomicBool>::default();
+        let worker_is_open = Arc::clone(&may_open);
         let thread = Background::start("joulebus-alarms", move || {
             Ok::<_, std::io::Error>(Logging {
                 config,
                 feed: None,
                 before: AlarmReport::default(),
                 report: shared,
+                worker_is_open,
                 failed: false,
             })
         })?;
-        Ok(Self { thread, report })
+        Ok(Self {
+            thread,
+            report,
+            may_open,
+        })
+    }
+
+    /// Opens the diagnostics, once the worker holds the fleet's lock: until then the reader's place is another worker's.
+    pub(crate) fn open(&self) {
+        self.may_open.store(true, Ordering::Relaxed);
     }
 
     /// Logs what the worker has sent so far, and ends the thread.
@@ -67,6 +84,7 @@ struct Logging {
     /// Of feeds before this one.
     before: AlarmReport,
     report: Arc<Mutex<AlarmReport>>,
+    worker_is_open: Arc<AtomicBool>,
     failed: bool,
 }
 
@@ -94,6 +112,9 @@ impl Logging {
 
 impl Steps for Logging {
     fn step(&mut self, last: bool) -> Option<Duration> {
+        if !self.worker_is_open.load(Ordering::Relaxed) {
+            return (!last).then_some(LOOK_EVERY);
+        }
         let mut report = *self.report.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(feed) = self.feed() else {
             return (!last).then_some(OPEN_EVERY);
