@@ -147,11 +147,15 @@ fn a_command_that_fails_is_counted_and_the_changes_are_shown() {
     watcher.wait_for_stderr("alarms of fleet cli");
     publish(&fleet);
     watcher.wait_for_stderr("--on-alarm: exit status: 7");
+    // Not the first change where the worker gets no processor: that is `WorkerStale`.
+    watcher.wait_for_stdout("NoData raised (stale)");
     let watched = watcher.end(Signal::INT);
     assert_eq!(code(&watched), 3, "{watched:?}");
     assert!(stderr(&watched).contains("were not taken by --on-alarm"));
-    // The first is `NoData`, or `WorkerStale` where the worker got no processor.
-    assert!(stdout(&watched).contains(" raised (stale)"), "{watched:?}");
+    assert!(
+        stdout(&watched).contains("NoData raised (stale)"),
+        "{watched:?}"
+    );
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
 }
 

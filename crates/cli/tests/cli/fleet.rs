@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_test_processes::{Child, left_behind};
+use joulebus_test_processes::{Child, PATIENCE, left_behind};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -146,6 +146,18 @@ impl Program {
 
     pub(crate) fn wait_for_stderr(&mut self, text: &str) {
         self.0.wait_for_line(text);
+    }
+
+    pub(crate) fn wait_for_stdout(&mut self, text: &str) {
+        let mut read = 0;
+        loop {
+            let lines = self.0.lines(read, PATIENCE);
+            assert!(!lines.is_empty(), "no {text:?} on stdout");
+            if lines.iter().any(|line| line.contains(text)) {
+                return;
+            }
+            read += lines.len();
+        }
     }
 
     pub(crate) fn signal(&mut self, signal: Signal) {
