@@ -10,7 +10,7 @@ use std::io::{BufRead as _, BufReader, Read, Write as _};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, ExitStatus, Stdio};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -50,6 +50,24 @@ pub fn left_behind(prefix: &str, root: &Path) -> Vec<PathBuf> {
     });
     let root = root.exists().then(|| root.to_owned());
     objects.map(|entry| entry.path()).chain(root).collect()
+}
+
+/// The `joulebus` program beside `program`, the path of another one of the same build; built if only that one's package
+/// was.
+#[must_use]
+pub fn joulebus_beside(program: &str) -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| {
+        let found = Path::new(program).with_file_name("joulebus");
+        if !found.exists() {
+            let mut build = Command::new(env!("CARGO"));
+            build.args(["build", "--quiet", "--locked"]);
+            build.args(["--package", "joulebus", "--bin", "joulebus"]);
+            let built = build.status().is_ok_and(|status| status.success());
+            assert!(built, "{build:?}");
+        }
+        found
+    })
 }
 
 /// Runs a program until it exits, without additional log output.

@@ -3,32 +3,14 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_test_processes::{Child, left_behind};
+use joulebus_test_processes::{Child, joulebus_beside, left_behind};
 
-/// The `joulebus` program of the same build; built if only this package's tests were.
+/// The `joulebus` program of the same build.
 fn joulebus() -> &'static Path {
-    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
-    PROGRAM.get_or_init(|| {
-        let program = Path::new(env!("CARGO_BIN_EXE_joulebus-bridge")).with_file_name("joulebus");
-        if !program.exists() {
-            let mut build = Command::new(env!("CARGO"));
-            build.args([
-                "build",
-                "--quiet",
-                "--locked",
-                "--package",
-                "joulebus",
-                "--bin",
-                "joulebus",
-            ]);
-            assert!(build.status().unwrap().success());
-        }
-        program
-    })
+    joulebus_beside(env!("CARGO_BIN_EXE_joulebus-bridge"))
 }
 
 pub(crate) struct Fleet {

@@ -1,9 +1,8 @@
 //! Bags as rosbag2 writes them, and the programs that read them.
 
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
-use std::sync::OnceLock;
 
 use byteorder::LittleEndian;
 use cdr_encoding::to_vec;
@@ -11,6 +10,7 @@ use joulebus_capture::ros::{
     BatteryState, Header, Odometry, Pose, PoseWithCovariance, Quaternion, Time, Twist,
     TwistWithCovariance, Vector3,
 };
+use joulebus_test_processes::joulebus_beside;
 use rusqlite::{Connection, params};
 use serde::Serialize;
 
@@ -182,25 +182,8 @@ pub(crate) fn convert(bag: &Path, out: &Path) -> Output {
     command.arg(bag).arg("-o").arg(out).output().unwrap()
 }
 
-/// Runs the `joulebus` program of the same build; built if only this package's tests were.
+/// Runs the `joulebus` program of the same build.
 pub(crate) fn joulebus(words: &[&str]) -> Output {
-    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
-    let program = PROGRAM.get_or_init(|| {
-        let program = Path::new(env!("CARGO_BIN_EXE_joulebus-rosbag")).with_file_name("joulebus");
-        if !program.exists() {
-            let mut build = Command::new(env!("CARGO"));
-            build.args([
-                "build",
-                "--quiet",
-                "--locked",
-                "--package",
-                "joulebus",
-                "--bin",
-                "joulebus",
-            ]);
-            assert!(build.status().unwrap().success());
-        }
-        program
-    });
+    let program = joulebus_beside(env!("CARGO_BIN_EXE_joulebus-rosbag"));
     Command::new(program).args(words).output().unwrap()
 }
