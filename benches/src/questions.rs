@@ -1,24 +1,31 @@
 //! Questions that the worker answers: how long they take beside the same answer computed in the
-//! client's process; and the ticks while clients ask as fast as they can, beside those of the same run while they do not.
+//! client's process, and beside two raw iceoryx2 hops of as many bytes; and the ticks while clients ask as fast as they can, beside those of the same run while they do not.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
+use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_plan::{Plan, PlanClient, Planner, Question};
 use joulebus_plan_server::PlanServer;
 use joulebus_predictor_worker::Worker;
 use joulebus_program::verbs::bench::BenchOptions;
 use joulebus_publisher::{Pace, Publisher, RobotState};
-use joulebus_wire::QUERY_STEPS;
+use joulebus_wire::{QUERY_STEPS, Sample};
 
+use crate::latency::raw::RawHops;
+use crate::latency::{Launcher, distribution};
 use crate::{Distribution, Figure, Report};
 
 /// Candidates of one robot, and steps of each.
 const CANDIDATES: usize = 16;
 const STEPS: usize = 50;
+/// Robots in a raw frame that has the bytes of the question's commands, f64 in shared memory.
+const RAW_ROBOTS: usize = (CANDIDATES * STEPS * 2 * size_of::<f64>()).div_ceil(size_of::<Sample>());
+/// No raw frame is late: they are sent one by one, each after the one before arrived.
+const RAW_PERIOD_NS: u64 = 1_000_000_000;
 /// Clients that ask as fast as they can.
 const CLIENTS: usize = 4;
 /// Ticks a second while ticks are measured.
@@ -32,18 +39,19 @@ const PATIENCE: Duration = Duration::from_secs(30);
 ///
 /// # Errors
 /// A fleet cannot be started in `/dev/shm`.
-pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
+pub(crate) fn measure(options: &BenchOptions, launcher: &Launcher) -> anyhow::Result<Report> {
     let robots = options.robots.first().copied().unwrap_or(1_000);
     let mut report = Report::new("questions")
         .with_input("robots", robots)
         .with_input("clients", CLIENTS)
         .with_input("tick_hz", TICK_HZ)
         .with_input("seconds", options.seconds_or(60));
-    answers(&mut report, options)?;
+    answers(&mut report, options, launcher)?;
     ticks(&mut report, options, robots)?;
     report.notes.push(
-        "Interleaved in one client: the answer of the worker's thread, and the same answer computed by the \
-         client from shared memory. Ticks: phases of half \
+        "Interleaved in one client: the answer of the worker's thread, the same answer computed by the client \
+         from shared memory, and two raw iceoryx2 hops through a process that computes nothing, with the bytes of the \
+         question's commands. Ticks: phases of half \
          a second with and without questions alternate, plan states are written in both."
             .to_owned(),
     );
@@ -153,14 +161,15 @@ struct Times {
     here_us: Vec<f64>,
 }
 
-fn answers(report: &mut Report, options: &BenchOptions) -> anyhow::Result<()> {
+fn answers(report: &mut Report, options: &BenchOptions, launcher: &Launcher) -> anyhow::Result<()> {
     let fleet = Fleet::new(20, 30)?;
     let rounds = options.repetitions_or(5_000);
     let is_done = AtomicBool::new(false);
+    let mut raw = RawHops::open(launcher, RAW_ROBOTS, RAW_PERIOD_NS, true)?;
     let times = fleet.run(20, 30, |turn, stop| {
         std::thread::scope(|scope| {
             let client = scope.spawn(|| {
-                let asked = ask(&fleet.config, rounds);
+                let asked = ask(&fleet.config, rounds, &mut raw);
                 is_done.store(true, Ordering::Relaxed);
                 asked
             });
@@ -177,10 +186,20 @@ fn answers(report: &mut Report, options: &BenchOptions) -> anyhow::Result<()> {
     ] {
         report.push(Figure::less, name, &case, "µs", us);
     }
+    let raw = raw.finish()?;
+    let figure = |spread| Figure::less("raw_two_hops_us", &case, "µs", spread);
+    report.figures.extend(distribution(&raw).map(figure));
+    if let (Some(through), Some(here)) = (
+        Distribution::of(&times.through_us),
+        Distribution::of(&times.here_us),
+    ) {
+        let ratio = (through.p50 - here.p50) / raw.p50_us;
+        report.push(Figure::less, "way_p50_over_raw_hops", &case, "1", &[ratio]);
+    }
     Ok(())
 }
 
-fn ask(config: &Config, rounds: usize) -> anyhow::Result<Times> {
+fn ask(config: &Config, rounds: usize, raw: &mut RawHops) -> anyhow::Result<Times> {
     let question = question(3);
     let mut planner = Planner::with_config(config, "planner")?;
     let fleet = planner.fleet().clone();
@@ -221,6 +240,8 @@ fn ask(config: &Config, rounds: usize) -> anyhow::Result<Times> {
             question.clone().answer(&fleet, find, QUERY_STEPS)?;
             Ok(())
         })?;
+        raw.send(clock::monotonic_ns())?;
+        raw.acknowledged()?;
     }
     Ok(times)
 }

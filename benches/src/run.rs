@@ -101,7 +101,7 @@ fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<R
         Benchmark::Tick => vec![tick::measure(options)?],
         Benchmark::Rollout => vec![rollout::measure(options)?],
         Benchmark::Plan => vec![plan::measure(options)?],
-        Benchmark::Questions => vec![questions::measure(options)?],
+        Benchmark::Questions => vec![questions::measure(options, &Launcher::this(&[ROLE])?)?],
         Benchmark::Latency => vec![latency::measure(options, &Launcher::this(&[ROLE])?)?],
         Benchmark::Wait => vec![wait::measure(options)?],
         Benchmark::All => {

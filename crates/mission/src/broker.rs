@@ -15,7 +15,7 @@ use crate::scenario::{OMEGA_MAX_RADPS, SPEED_MPS, Scenario};
 /// Plans are computed in steps of this length, ns; robots are commanded at the platform's rate.
 const PLAN_STEP_NS: u64 = 200_000_000;
 
-/// Settings and models of the fleet: made once for all missions of a scenario.
+/// Settings and models of the fleet.
 #[derive(Debug)]
 pub(crate) struct Product {
     config: Config,
@@ -30,14 +30,15 @@ pub(crate) struct Product {
 }
 
 impl Product {
-    pub(crate) fn new(scenario: &Scenario) -> Result<Self, MissionError> {
+    /// Of a scenario, with a share of each battery kept in reserve.
+    pub(crate) fn new(scenario: &Scenario, reserve: f64) -> Result<Self, MissionError> {
         let capacity_wh = scenario.capacity_j / 3600.0;
         let (robots, charge_w) = (scenario.robots, scenario.charge_w);
         let text = format!(
             "[fleet]\nname = \"mission\"\ncapacity = {robots}\n\
              [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-{}\"]\n\
              v_max_mps = {SPEED_MPS:?}\nomega_max_radps = {OMEGA_MAX_RADPS:?}\n\
-             [platform.battery]\ncapacity_wh = {capacity_wh:?}\nreserve = 0.05\ninitial_soc_lo = 1.0\n\
+             [platform.battery]\ncapacity_wh = {capacity_wh:?}\nreserve = {reserve:?}\ninitial_soc_lo = 1.0\n\
              charge_power_w = {charge_w:?}\n",
             robots.saturating_sub(1)
         );

@@ -18,7 +18,7 @@ mod tuned;
 pub use error::MissionError;
 pub use picture::{PictureError, picture};
 pub use policy::Policy;
-pub use run::{Missions, Outcome, mission};
+pub use run::{Outcome, mission};
 pub use scenario::{SPEED_MPS, Scenario};
 pub use summary::{Comparison, PolicySummary, Runs, Summary};
 pub use tuned::{CHOSEN, tried};

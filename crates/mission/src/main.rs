@@ -5,8 +5,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use joulebus_mission::{
-    CHOSEN, MissionError, Missions, Outcome, Policy, Runs, Scenario, Summary, mission, picture,
-    tried,
+    CHOSEN, MissionError, Outcome, Policy, Runs, Scenario, Summary, mission, picture, tried,
 };
 use joulebus_program::exit::Outcome as Exit;
 use joulebus_program::file::write;
@@ -24,29 +23,29 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &MissionArguments, output: Output) -> anyhow::Result<Exit> {
-    let missions = Missions::new(Scenario {
+    let scenario = Scenario {
         duration_s: 3600.0 * args.hours,
         capacity_j: 3600.0 * args.battery_wh,
         dragging_share: args.dragging,
         ..Scenario::default()
-    })?;
+    };
     let policies = if args.tune { tried() } else { CHOSEN.to_vec() };
     let default = if args.tune { TUNING_SEED } else { SEED };
     let first_seed = args.first_seed.unwrap_or(default);
     if let (Some(file), Some(joulebus)) = (&args.picture, policies.last()) {
-        let drawn = picture(&missions, *joulebus, first_seed)?;
+        let drawn = picture(&scenario, *joulebus, first_seed)?;
         write(file, drawn.as_bytes())?;
         say(&format!("written: {}", file.display()));
     }
-    let runs = all(&missions, &policies, first_seed, args.seeds)?;
-    let summary = Summary::of(*missions.scenario(), first_seed, &runs);
+    let runs = all(&scenario, &policies, first_seed, args.seeds)?;
+    let summary = Summary::of(scenario, first_seed, &runs);
     output.report(&summary)?;
     Ok(Exit::Done)
 }
 
 /// Every mission, in parallel; progress on stderr.
 fn all(
-    missions: &Missions,
+    scenario: &Scenario,
     policies: &[Policy],
     first_seed: u64,
     seeds: u64,
@@ -58,7 +57,7 @@ fn all(
     let outcomes: Vec<Outcome> = asked
         .par_iter()
         .map(|(policy, seed)| {
-            let outcome = mission(missions, *policy, *seed);
+            let outcome = mission(scenario, *policy, *seed);
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
             // A line for each tenth.
             if done * 10 / total != (done - 1) * 10 / total {

@@ -4,7 +4,8 @@ use joulebus_report::figure::{Axis, Colour, Figure, FigureError, Layer, Mark, Pa
 
 use crate::error::MissionError;
 use crate::policy::Policy;
-use crate::run::{Doing, Look, Missions, watched};
+use crate::run::{Doing, Look, watched};
+use crate::scenario::Scenario;
 
 /// Time between two points, s, and time shown, min.
 const EVERY_S: f64 = 2.0;
@@ -33,16 +34,16 @@ pub enum PictureError {
 ///
 /// # Errors
 /// [`PictureError`].
-pub fn picture(missions: &Missions, policy: Policy, seed: u64) -> Result<String, PictureError> {
-    let (outcome, looks) = watched(missions, policy, seed, Some(EVERY_S))?;
-    let hours = missions.scenario().duration_s / 3600.0;
+pub fn picture(scenario: &Scenario, policy: Policy, seed: u64) -> Result<String, PictureError> {
+    let (outcome, looks) = watched(scenario, policy, seed, Some(EVERY_S))?;
+    let hours = scenario.duration_s / 3600.0;
     let title = format!(
         "A mission with {}: seed {seed}, {:.0} tasks an hour, {} robots stranded.",
         policy.name(),
         outcome.tasks as f64 / hours,
         outcome.stranded
     );
-    let end_min = missions.scenario().duration_s / 60.0;
+    let end_min = scenario.duration_s / 60.0;
     let ends = if SHOWN_MIN.1 <= end_min {
         SHOWN_MIN
     } else {

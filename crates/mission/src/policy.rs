@@ -26,16 +26,22 @@ pub enum Policy {
     Distance {
         /// The power, W, tuned.
         power_w: f64,
+        /// Share of the battery that is kept in reserve, tuned.
+        reserve: f64,
     },
     /// The network's open-loop rollout over the planned commands, times a factor.
     Network {
         /// The factor, tuned.
         margin: f64,
+        /// Share of the battery that is kept in reserve, tuned.
+        reserve: f64,
     },
     /// `rank` and `CannotReturn`.
     Joulebus {
         /// Coverage of the intervals, tuned.
         coverage: f32,
+        /// Share of the battery that is kept in reserve, tuned.
+        reserve: f64,
     },
 }
 
@@ -78,6 +84,17 @@ impl Policy {
         }
     }
 
+    /// Share of the battery that is kept in reserve: what the budgets count as usable begins above it.
+    pub(crate) const fn reserve(&self) -> f64 {
+        match self {
+            // Thresholds are states of charge, whatever is usable of them.
+            Self::Threshold { .. } => 0.0,
+            Self::Distance { reserve, .. }
+            | Self::Network { reserve, .. }
+            | Self::Joulebus { reserve, .. } => *reserve,
+        }
+    }
+
     /// Which of some robots does a task; `None` if it is allowed to none.
     pub(crate) fn choose(
         &self,
@@ -85,7 +102,7 @@ impl Policy {
         asked: &[Asked],
         task: &Task,
     ) -> Result<Option<usize>, MissionError> {
-        if let Self::Joulebus { coverage } = self {
+        if let Self::Joulebus { coverage, .. } = self {
             return ranked(broker, asked, task, *coverage);
         }
         let mut nearest: Option<&Asked> = None;
@@ -118,13 +135,13 @@ impl Policy {
         let path = one.path(way);
         match self {
             Self::Threshold { .. } => Ok(0.0),
-            Self::Distance { power_w } => {
+            Self::Distance { power_w, .. } => {
                 let followed = broker.product.planned.follow(&path)?;
                 let drives_s = followed.v_mps.len() as f64 * f64::from(followed.period_s);
                 Ok(power_w * drives_s)
             }
-            Self::Network { margin } => Ok(margin * rolled_j(broker, &one.rows.0, &path)?),
-            Self::Joulebus { coverage } => {
+            Self::Network { margin, .. } => Ok(margin * rolled_j(broker, &one.rows.0, &path)?),
+            Self::Joulebus { coverage, .. } => {
                 let Some(robot) = broker.robot(&one.rows) else {
                     return Ok(f64::INFINITY);
                 };
@@ -232,9 +249,13 @@ impl fmt::Display for Policy {
                     100.0 * go
                 )
             }
-            Self::Distance { power_w } => write!(out, "{power_w:.1} W"),
-            Self::Network { margin } => write!(out, "rollout × {margin:.2}"),
-            Self::Joulebus { coverage } => write!(out, "coverage {coverage}"),
+            Self::Distance { power_w, .. } => write!(out, "{power_w} W"),
+            Self::Network { margin, .. } => write!(out, "rollout × {margin}"),
+            Self::Joulebus { coverage, .. } => write!(out, "coverage {coverage}"),
+        }?;
+        match self {
+            Self::Threshold { .. } => Ok(()),
+            _ => write!(out, ", {:.0} % in reserve", 100.0 * self.reserve()),
         }
     }
 }

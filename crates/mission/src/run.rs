@@ -115,46 +115,23 @@ struct Mission<'a> {
 ///
 /// # Errors
 /// [`MissionError`].
-pub fn mission(product: &Missions, policy: Policy, seed: u64) -> Result<Outcome, MissionError> {
-    Ok(watched(product, policy, seed, None)?.0)
-}
-
-/// A scenario, made ready.
-#[derive(Debug)]
-pub struct Missions {
-    scenario: Scenario,
-    product: Product,
-}
-
-impl Missions {
-    /// Loads the fleet's config and model.
-    ///
-    /// # Errors
-    /// [`MissionError`].
-    pub fn new(scenario: Scenario) -> Result<Self, MissionError> {
-        let product = Product::new(&scenario)?;
-        Ok(Self { scenario, product })
-    }
-
-    /// The scenario.
-    #[must_use]
-    pub const fn scenario(&self) -> &Scenario {
-        &self.scenario
-    }
+pub fn mission(scenario: &Scenario, policy: Policy, seed: u64) -> Result<Outcome, MissionError> {
+    Ok(watched(scenario, policy, seed, None)?.0)
 }
 
 /// The same, with a look at all robots every `every_s`.
 pub(crate) fn watched(
-    missions: &Missions,
+    scenario: &Scenario,
     policy: Policy,
     seed: u64,
     every_s: Option<f64>,
 ) -> Result<(Outcome, Vec<Look>), MissionError> {
-    let mut mission = Mission::new(missions, policy, seed)?;
+    let product = Product::new(scenario, policy.reserve())?;
+    let mut mission = Mission::new(scenario, &product, policy, seed)?;
     let mut looks = Vec::new();
     let period_s = mission.dt_ns as f64 * 1e-9;
     let every = every_s.map(|every_s| (every_s / period_s) as u64);
-    for _ in 0..(missions.scenario.duration_s / period_s) as u64 {
+    for _ in 0..(scenario.duration_s / period_s) as u64 {
         mission.step()?;
         if every.is_some_and(|every| mission.step.is_multiple_of(every)) {
             looks.push(mission.look());
@@ -164,15 +141,19 @@ pub(crate) fn watched(
 }
 
 impl<'a> Mission<'a> {
-    fn new(missions: &'a Missions, policy: Policy, seed: u64) -> Result<Self, MissionError> {
-        let scenario = &missions.scenario;
+    fn new(
+        scenario: &'a Scenario,
+        product: &'a Product,
+        policy: Policy,
+        seed: u64,
+    ) -> Result<Self, MissionError> {
         let machine = |robot: usize| {
             let on_s = SWITCHED_ON_EVERY_S * robot as f64;
             Machine::new(scenario.made(seed, robot), BASE_NS + (on_s * 1e9) as u64)
         };
         Ok(Self {
             policy,
-            broker: missions.product.broker()?,
+            broker: product.broker()?,
             machines: (0..scenario.robots).map(machine).collect(),
             jobs: vec![Job::Idle; scenario.robots],
             home_j: vec![0.0; scenario.robots],
@@ -180,7 +161,7 @@ impl<'a> Mission<'a> {
             arriving: scenario.tasks(seed).into(),
             waiting: VecDeque::new(),
             samples: Vec::with_capacity(scenario.robots),
-            dt_ns: missions.product.period_ns(),
+            dt_ns: product.period_ns(),
             step: 0,
             socs_before: 0.0,
             counted: [0; 3],

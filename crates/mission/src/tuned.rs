@@ -9,9 +9,18 @@ pub const CHOSEN: [Policy; 4] = [
         begin: 0.6,
         go: 0.3,
     },
-    Policy::Distance { power_w: 6.5 },
-    Policy::Network { margin: 1.6 },
-    Policy::Joulebus { coverage: 0.98 },
+    Policy::Distance {
+        power_w: 6.5,
+        reserve: 0.05,
+    },
+    Policy::Network {
+        margin: 1.6,
+        reserve: 0.05,
+    },
+    Policy::Joulebus {
+        coverage: 0.98,
+        reserve: 0.05,
+    },
 ];
 
 /// The settings that `--tune` tries.
@@ -21,11 +30,17 @@ pub fn tried() -> Vec<Policy> {
     for begin in [0.5, 0.55, 0.6] {
         policies.extend([0.3, 0.35].map(|go| Policy::Threshold { begin, go }));
     }
-    let powers_w = [5.5, 5.75, 6.0, 6.25, 6.5, 6.75];
-    policies.extend(powers_w.map(|power_w| Policy::Distance { power_w }));
-    let margins = [1.2, 1.4, 1.5, 1.6];
-    policies.extend(margins.map(|margin| Policy::Network { margin }));
-    let coverages = [0.8, 0.9, 0.95, 0.98];
-    policies.extend(coverages.map(|coverage| Policy::Joulebus { coverage }));
+    for reserve in [0.05, 0.1, 0.15] {
+        let powers_w = [5.0, 5.5, 6.0, 6.5];
+        policies.extend(powers_w.map(|power_w| Policy::Distance { power_w, reserve }));
+    }
+    for reserve in [0.05, 0.1, 0.15] {
+        let margins = [1.0, 1.2, 1.4, 1.6];
+        policies.extend(margins.map(|margin| Policy::Network { margin, reserve }));
+    }
+    for reserve in [0.05, 0.1, 0.15] {
+        let coverages = [0.9, 0.95, 0.98];
+        policies.extend(coverages.map(|coverage| Policy::Joulebus { coverage, reserve }));
+    }
     policies
 }

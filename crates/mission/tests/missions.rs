@@ -1,7 +1,7 @@
 //! Missions: what all policies share holds, and the comparison is fair.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-use joulebus_mission::{CHOSEN, Missions, Outcome, Policy, Runs, Scenario, Summary, mission};
+use joulebus_mission::{CHOSEN, Outcome, Policy, Runs, Scenario, Summary, mission};
 use joulebus_test_processes::run;
 
 /// Eight minutes, in which every robot is charged at least once.
@@ -14,9 +14,8 @@ fn short() -> Scenario {
 
 #[test]
 fn no_charger_takes_two_robots_and_every_joule_is_accounted_for() {
-    let missions = Missions::new(short()).unwrap();
     for policy in CHOSEN {
-        let outcome = mission(&missions, policy, 2001).unwrap();
+        let outcome = mission(&short(), policy, 2001).unwrap();
         let name = policy.name();
         assert!(outcome.tasks > 50, "{name}: {outcome:?}");
         assert!(outcome.charges >= 20, "{name}: {outcome:?}");
@@ -34,25 +33,27 @@ fn no_charger_takes_two_robots_and_every_joule_is_accounted_for() {
 
 #[test]
 fn the_same_seed_gives_the_same_mission_in_any_thread_and_another_seed_another() {
-    let missions = Missions::new(short()).unwrap();
     let policy = CHOSEN[3];
-    let here = mission(&missions, policy, 2002).unwrap();
+    let here = mission(&short(), policy, 2002).unwrap();
     let there = std::thread::scope(|scope| {
-        let thread = scope.spawn(|| mission(&missions, policy, 2002).unwrap());
+        let thread = scope.spawn(|| mission(&short(), policy, 2002).unwrap());
         thread.join().unwrap()
     });
     assert_eq!(here, there);
     let bits = |outcome: &Outcome| [outcome.at_work, outcome.soc_before].map(f64::to_bits);
     assert_eq!(bits(&here), bits(&there));
-    let other = mission(&missions, policy, 2003).unwrap();
+    let other = mission(&short(), policy, 2003).unwrap();
     assert_ne!(here.at_work, other.at_work);
 }
 
 #[test]
 fn robots_of_a_policy_that_believes_in_half_their_power_strand_and_are_counted() {
-    let missions = Missions::new(short()).unwrap();
-    let blind = mission(&missions, Policy::Distance { power_w: 2.0 }, 2001).unwrap();
-    let careful = mission(&missions, CHOSEN[3], 2001).unwrap();
+    let blind = Policy::Distance {
+        power_w: 2.0,
+        reserve: 0.05,
+    };
+    let blind = mission(&short(), blind, 2001).unwrap();
+    let careful = mission(&short(), CHOSEN[3], 2001).unwrap();
     assert!(blind.stranded >= 3, "{blind:?}");
     assert!(careful.stranded < blind.stranded, "{careful:?}");
     // A stranded robot does nothing any more, and what it had not done is done by others.
@@ -61,15 +62,14 @@ fn robots_of_a_policy_that_believes_in_half_their_power_strand_and_are_counted()
 
 #[test]
 fn a_fleet_with_large_batteries_and_sound_robots_strands_under_no_policy() {
-    let missions = Missions::new(Scenario {
+    let scenario = Scenario {
         capacity_j: 3600.0,
         dragging_share: 0.0,
         ..short()
-    });
-    let missions = missions.unwrap();
+    };
     for policy in CHOSEN {
         assert_eq!(
-            mission(&missions, policy, 2004).unwrap().stranded,
+            mission(&scenario, policy, 2004).unwrap().stranded,
             0,
             "{policy:?}"
         );
@@ -78,19 +78,14 @@ fn a_fleet_with_large_batteries_and_sound_robots_strands_under_no_policy() {
 
 #[test]
 fn the_best_baseline_is_the_one_with_most_tasks_that_strands_at_most_as_many() {
+    let brief = Scenario {
+        duration_s: 2.0,
+        ..short()
+    };
     let outcome = |tasks: u64, stranded: u64| Outcome {
         tasks,
         stranded,
-        ..mission(
-            &Missions::new(Scenario {
-                duration_s: 2.0,
-                ..short()
-            })
-            .unwrap(),
-            CHOSEN[0],
-            1,
-        )
-        .unwrap()
+        ..mission(&brief, CHOSEN[0], 1).unwrap()
     };
     let runs = |policy: Policy, tasks: u64, stranded: u64| Runs {
         policy,
