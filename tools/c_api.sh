@@ -38,7 +38,7 @@ tools/install_c.sh --prefix "$work/first" --from "$from"
 mv "$work/first" "$work/prefix"
 prefix=$work/prefix
 export PKG_CONFIG_PATH=$prefix/lib/pkgconfig LD_LIBRARY_PATH=$prefix/lib
-readelf -d "$prefix/lib/libjoulebus.so" | grep -q 'SONAME.*libjoulebus\.so\.[0-9]*\.[0-9]*\]'
+readelf -d "$prefix/lib/libjoulebus.so" | grep -q 'SONAME.*libjoulebus\.so\.[0-9]*\.[0-9]*\.[0-9]*\]'
 # The functions of the header, with their version, and nothing else.
 declared=$(grep -o '\bjoulebus_[a-z_]*(' crates/c/include/joulebus.h | tr -d '(' | sort -u)
 exported=$(nm -D --defined-only "$prefix/lib/libjoulebus.so" | awk '$2 == "T" { print $3 }' | sort)

@@ -22,8 +22,8 @@ if [ -z "$from" ]; then
 fi
 header=crates/c/include/joulebus.h
 version=$(sed -n 's/^#define JOULEBUS_VERSION "\(.*\)"$/\1/p' $header)
-# Releases before 1.0 fit each other by their second number.
-soname=${version%.*}
+# Sources of releases before 1.0 fit each other by their second number; what is compiled needs its very release.
+series=${version%.*}
 # What Rust's standard library needs on Linux (`cargo rustc -p joulebus-c -- --print native-static-libs`).
 native="-lgcc_s -lutil -lrt -lpthread -lm -ldl -lc"
 
@@ -31,7 +31,7 @@ install -d "$prefix"/{include,lib/pkgconfig,lib/cmake/joulebus}
 install -m 644 $header crates/c/include/joulebus.hpp "$prefix/include"
 install -m 644 "$(ls -t "$from"/libjoulebus_c*.a | head -1)" "$prefix/lib/libjoulebus.a"
 filled() {
-    sed -e "s|@VERSION@|$version|; s|@SONAME@|$soname|; s|@NATIVE_LIBS@|$2|" "crates/c/install/$1.in"
+    sed -e "s|@VERSION@|$version|; s|@SERIES@|$series|; s|@NATIVE_LIBS@|$2|" "crates/c/install/$1.in"
 }
 filled joulebus.pc "$native" >"$prefix/lib/pkgconfig/joulebus.pc"
 filled joulebusConfig.cmake "${native// /;}" >"$prefix/lib/cmake/joulebus/joulebusConfig.cmake"
@@ -46,8 +46,7 @@ map=$(mktemp)
 trap 'rm -f "$map"' EXIT
 filled joulebus.map "" >"$map"
 # shellcheck disable=SC2086
-"${CC:-cc}" -shared -o "$prefix/lib/libjoulebus.so.$version" -Wl,-soname,"libjoulebus.so.$soname" \
+"${CC:-cc}" -shared -o "$prefix/lib/libjoulebus.so.$version" -Wl,-soname,"libjoulebus.so.$version" \
     -Wl,--version-script,"$map" -Wl,--gc-sections -Wl,-z,relro,-z,now,-z,defs,-z,nodelete "${wanted[@]}" \
     "$prefix/lib/libjoulebus.a" $native
-ln -sf "libjoulebus.so.$version" "$prefix/lib/libjoulebus.so.$soname"
-ln -sf "libjoulebus.so.$soname" "$prefix/lib/libjoulebus.so"
+ln -sf "libjoulebus.so.$version" "$prefix/lib/libjoulebus.so"

@@ -75,12 +75,13 @@ public:
     /** The value; throws Exception if there is none. */
     T &value() & { return check(), std::get<0>(found_); }
     const T &value() const & { return check(), std::get<0>(found_); }
-    T &&value() && { return check(), std::move(std::get<0>(found_)); }
+    /** By value: what is read from it in the same expression, or in a loop over it, outlives this. */
+    T value() && { return check(), std::move(std::get<0>(found_)); }
 
     /** The value, which must be there. */
     T &operator*() & noexcept { return *std::get_if<0>(&found_); }
     const T &operator*() const & noexcept { return *std::get_if<0>(&found_); }
-    T &&operator*() && noexcept { return std::move(*std::get_if<0>(&found_)); }
+    T operator*() && { return std::move(*std::get_if<0>(&found_)); }
     T *operator->() noexcept { return std::get_if<0>(&found_); }
     const T *operator->() const noexcept { return std::get_if<0>(&found_); }
 
@@ -368,16 +369,42 @@ struct TimedOut {};
 /** What a planner is told. */
 using Event = std::variant<TimedOut, Forecasts, Gone, Stale, Interrupted>;
 
-/** A frame of forecasts that stays valid as long as this. Belongs to its planner's thread. */
-class KeptForecasts : public Forecasts {
+/** A frame of forecasts that stays valid as long as this, which is a range of rows as Forecasts is. Belongs to its
+ *  planner's thread. Its rows cannot be taken from a temporary one, which gives the frame back at once. */
+class KeptForecasts {
 public:
-    KeptForecasts(joulebus_frame *raw, const joulebus_forecasts &frame) noexcept : Forecasts(frame), handle_(raw) {}
+    KeptForecasts(joulebus_frame *raw, const joulebus_forecasts &frame) noexcept : handle_(raw), frame_(frame) {}
 
-    /** Gives it back. */
-    Result<void> close() { return handle_.close(); }
+    const joulebus_forecast_header &header() const & noexcept { return frame_.header(); }
+    const joulebus_forecast_header &header() const && = delete;
+    std::size_t size() const noexcept { return frame_.size(); }
+    const joulebus_forecast *begin() const & noexcept { return frame_.begin(); }
+    const joulebus_forecast *begin() const && = delete;
+    const joulebus_forecast *end() const & noexcept { return frame_.end(); }
+    const joulebus_forecast *end() const && = delete;
+    const joulebus_forecast &operator[](std::size_t at) const & noexcept { return frame_[at]; }
+    const joulebus_forecast &operator[](std::size_t at) const && = delete;
+    Span<const joulebus_forecast> rows() const & noexcept { return frame_.rows(); }
+    Span<const joulebus_forecast> rows() const && = delete;
+    /** One robot, by a search of the rows; nullptr if it is not there. */
+    const joulebus_forecast *find(std::uint32_t robot) const & noexcept { return frame_.find(robot); }
+    const joulebus_forecast *find(std::uint32_t robot) const && = delete;
+
+    /** Gives it back; afterwards it has no rows, and a header of zeros. */
+    Result<void> close() {
+        static const joulebus_forecast_header none{};
+        auto closed = handle_.close();
+        if (closed) {
+            joulebus_forecasts empty{};
+            empty.header = &none;
+            frame_ = Forecasts(empty);
+        }
+        return closed;
+    }
 
 private:
     detail::Handle<joulebus_frame, joulebus_frame_close> handle_;
+    Forecasts frame_;
 };
 
 /** A reader of forecasts, diagnostics and budgets. Belongs to one thread. */

@@ -2,7 +2,8 @@
 //! they start, flooded, sent false frames, left without file descriptors, disk or memory, in random order, beside a source
 //! and a reader that must not notice; at last all its files are removed. One seed is one fleet of some ten seconds; for
 //! hours, `JOULEBUS_RANDOM_FLEETS=1000 cargo test -p joulebus-tests --test random_faults -- --nocapture`. With
-//! `JOULEBUS_WITNESS=1` every capture is also read by `tools/read_capture.py`, which uses nothing of joulebus.
+//! `JOULEBUS_WITNESS=1` every capture is also read by `tools/read_capture.py`, and forecasts are read while the faults
+//! happen by `tools/read_fleet.py`: packages of PyPI, which use nothing of joulebus.
 
 #[path = "../../on_drop.rs"]
 mod on_drop;
@@ -505,9 +506,9 @@ fn assert_in_order(planner: &mut Planner) -> u64 {
 }
 
 fn assert_readable(arena: &Arena, captures: &[(PathBuf, bool)]) -> u64 {
-    let (mut read, witness) = (0, std::env::var_os("JOULEBUS_WITNESS").is_some());
-    if !witness {
-        println!("skipped: tools/read_capture.py, because JOULEBUS_WITNESS is not set");
+    let mut read = 0;
+    if !is_witnessed() {
+        println!("skipped: tools/read_*.py, because JOULEBUS_WITNESS is not set");
     }
     for (file, killed) in captures {
         let mut file = file.clone();
@@ -526,20 +527,45 @@ fn assert_readable(arena: &Arena, captures: &[(PathBuf, bool)]) -> u64 {
             entry.unwrap_or_else(|error| panic!("{file:?}: {error}"));
             read += 1;
         }
-        if witness {
+        if is_witnessed() {
             assert_read_by_others(&file);
         }
     }
     read
 }
 
+/// Whether packages of PyPI read along.
+fn is_witnessed() -> bool {
+    std::env::var_os("JOULEBUS_WITNESS").is_some()
+}
+
+/// A script of `tools`.
+fn script(name: &str) -> Command {
+    let mut command = Command::new("python3");
+    command.arg(
+        Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../tools")
+            .join(name),
+    );
+    command
+}
+
+/// The package iceoryx2 reads the forecasts until its stdin is closed, by the documented layout.
+fn read_by_iceoryx2(arena: &Arena) -> Child {
+    let mut command = script("read_fleet.py");
+    let domain = arena.domain();
+    command
+        .arg(domain.directory().join("iceoryx2.toml"))
+        .args(["--fleet", domain.fleet()]);
+    let mut reader = Child::spawn("read_fleet.py", command);
+    reader.wait_for_line("ready");
+    reader
+}
+
 /// The packages of PyPI read what the project reads.
 fn assert_read_by_others(file: &Path) {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tools/read_capture.py");
-    let mut command = Command::new("python3");
-    command
-        .arg(script)
-        .args([name(file), "--faults", "--show", "0", "--joulebus"]);
+    let mut command = script("read_capture.py");
+    command.args([name(file), "--faults", "--show", "0", "--joulebus"]);
     command.arg(joulebus_tests::program("joulebus-under-test"));
     let ended = Child::spawn("read_capture.py", command).wait();
     assert_eq!(ended.code(), Some(0), "{ended:?}");
@@ -551,6 +577,7 @@ fn run_fleet(dice: &mut Dice) -> ([u64; ROLES.len()], u64) {
     let arena = Arena::new(&setup);
     let stop = AtomicBool::new(false);
     let mut witness = arena.consumer();
+    let other = is_witnessed().then(|| read_by_iceoryx2(&arena));
     let beside = Beside::default();
     beside[0].store(witness.child.pid(), Ordering::Relaxed);
     let (mut fleet, frames) = std::thread::scope(|scope| {
@@ -575,6 +602,11 @@ fn run_fleet(dice: &mut Dice) -> ([u64; ROLES.len()], u64) {
     });
     assert!(assert_in_order(&mut witness) > 0);
     witness.leave();
+    if let Some(mut other) = other {
+        let ended = other.finish();
+        assert_ended(&ended, &[0]);
+        figure("seen by the package iceoryx2", ended.text().trim());
+    }
     if dice.chance(0.5) {
         fleet.remove_files();
         assert_forecast(&arena, &CONTROLLERS);

@@ -92,6 +92,24 @@ void frames(const std::string &config) {
     HOLDS(kept.find(7) != nullptr && kept.size() >= 8);
     auto moved = std::move(kept);
     HOLDS(moved.close());
+    HOLDS(moved.size() == 0 && moved.begin() == moved.end() && moved.header().tick == 0);
+}
+
+// A kept frame does not become one that is not kept, and a loop over a temporary one keeps it until the loop ends.
+static_assert(!std::is_convertible_v<joulebus::KeptForecasts &, joulebus::Forecasts>);
+static_assert(std::is_same_v<decltype(std::declval<joulebus::Result<joulebus::KeptForecasts>>().value()),
+                             joulebus::KeptForecasts>);
+void kept_by_a_loop(const std::string &config) {
+    auto planner = joulebus::Planner::open(config).value();
+    next_frame(planner);
+    std::size_t count = 0;
+    for (const auto &row : planner.keep().value()) {
+        // As many frames as would take its place if it had been given back.
+        next_frame(planner);
+        HOLDS(row.robot < 4000000000u);
+        count++;
+    }
+    HOLDS(count >= 8);
 }
 
 void plans(const std::string &config) {
@@ -156,6 +174,7 @@ int main(int count, char **arguments) {
     results();
     publishing(arguments[1]);
     frames(arguments[1]);
+    kept_by_a_loop(arguments[1]);
     plans(arguments[1]);
     print_bits();
 }

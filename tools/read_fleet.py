@@ -1,0 +1,186 @@
+#!/usr/bin/env python3
+"""Reads a running fleet's forecasts with the PyPI package iceoryx2, by docs/layout.md alone, and checks what it sees.
+
+Nothing of joulebus is used: the layout is read from the page, the frames by iceoryx2's own Python package. Until stdin
+ends it follows the worker, also a killed and restarted one, and checks that
+
+- ticks of a run of the worker only grow, and so do runs;
+- the schema is the page's, ids of robots are sorted and unique;
+- a forecast that is flagged is finite and lies within its interval, and one that is not is not stated;
+- nothing in the frame is dated after it was sent, and nothing is sent in the future.
+
+A line of JSON at the end says what was seen; exit code 1 if a check failed.
+
+    tools/read_fleet.py /dev/shm/joulebus-1000/demo/iceoryx2.toml --fleet demo
+
+The package goes into an environment of its own, ~/.cache/joulebus/read-fleet (or --venv).
+"""
+
+import argparse
+import json
+import math
+import os
+import pathlib
+import re
+import select
+import struct
+import subprocess
+import sys
+import time
+import venv
+
+PINNED = ["iceoryx2==0.10.0"]
+PAGE = pathlib.Path(__file__).resolve().parent.parent / "docs" / "layout.md"
+# Which version of each struct the page describes; iceoryx2 compares it.
+VERSION = {"Forecast": "joulebus.Forecast.v1", "ForecastHeader": "joulebus.ForecastHeader.v1"}
+# Between two looks; an event would wake it, but belongs to a service of its own.
+LOOKS_EVERY_S = 0.002
+
+
+def arguments():
+    words = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    words.add_argument("config", type=pathlib.Path, help="iceoryx2.toml in the fleet's folder")
+    words.add_argument("--fleet", required=True, help="the fleet's name")
+    words.add_argument(
+        "--venv",
+        type=pathlib.Path,
+        default=pathlib.Path.home() / ".cache" / "joulebus" / "read-fleet",
+        help="where the package is installed",
+    )
+    return words.parse_args()
+
+
+def environment(place):
+    """The interpreter of an environment that has the package."""
+    python, installed = place / "bin" / "python", place / "installed.txt"
+    wanted = "\n".join(PINNED)
+    if not installed.exists() or installed.read_text() != wanted:
+        venv.create(place, with_pip=True, clear=True)
+        pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *PINNED]
+        subprocess.run(pip, check=True, stdout=sys.stderr)
+        installed.write_text(wanted)
+    return str(python)
+
+
+class Layout:
+    """A struct as docs/layout.md has it."""
+
+    def __init__(self, page, name):
+        section = page.split(f"\n## {name}\n")[1].split("\n## ")[0]
+        self.bytes = int(re.search(r"^`joulebus_\w+`, (\d+) bytes", section)[1])
+        rows = re.findall(r"^\| (\d+) \| `(\w+)` \| `[^`]*` \| `<([fiu])(\d)` \|", section, re.M)
+        codes = {"f4": "f", "f8": "d", "u2": "H", "u4": "I", "u8": "Q", "i8": "q"}
+        self.fields = {field: ("<" + codes[kind + size], int(at)) for at, field, kind, size in rows}
+
+    def read(self, memory, start=0):
+        """Every plain field of one struct."""
+        return {name: struct.unpack_from(code, memory, start + at)[0] for name, (code, at) in self.fields.items()}
+
+
+class Checks:
+    """What is seen, and what is wrong with it."""
+
+    def __init__(self, page):
+        self.header, self.row = Layout(page, "ForecastHeader"), Layout(page, "Forecast")
+        self.schema = int(re.search(r"Schema version (\d+)", page)[1])
+        bits = dict(re.findall(r"^\| `JOULEBUS_FORECAST_(POWER|INTERVAL)` \| (\d+) \|", page, re.M))
+        self.power, self.interval = int(bits["POWER"]), int(bits["INTERVAL"])
+        self.run, self.tick = 0, 0
+        self.seen = {"frames": 0, "forecasts": 0, "runs": 0, "skipped": 0}
+        self.wrong = []
+
+    def check(self, holds, text):
+        if not holds and len(self.wrong) < 20:
+            self.wrong.append(text)
+
+    def frame(self, header, rows):
+        head = self.header.read(header)
+        now_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+        run, tick = head["worker_epoch"], head["tick"]
+        self.check(head["schema"] == self.schema, f"schema {head['schema']}, the page has {self.schema}")
+        self.check(run >= self.run, f"run {run} after {self.run}")
+        if run == self.run:
+            self.check(tick > self.tick, f"tick {tick} after {self.tick} of run {run}")
+            self.seen["skipped"] += max(0, tick - self.tick - 1)
+        else:
+            self.seen["runs"] += 1
+        self.run, self.tick = run, tick
+        self.check(head["compute_end_ns"] <= head["sent_ns"] <= now_ns, f"sent at {head['sent_ns']}, it is {now_ns}")
+        before = -1
+        for start in range(0, len(rows), self.row.bytes):
+            row = self.row.read(rows, start)
+            self.forecast(row, head["sent_ns"])
+            self.check(row["robot"] > before, f"robot {row['robot']} after {before}")
+            before = row["robot"]
+            self.seen["forecasts"] += 1
+        self.seen["frames"] += 1
+
+    def forecast(self, row, sent_ns):
+        power_w, lo_w, hi_w = row["power_w"], row["lo_w"], row["hi_w"]
+        name = f"robot {row['robot']} at tick {self.tick}"
+        has_power, has_interval = bool(row["flags"] & self.power), bool(row["flags"] & self.interval)
+        self.check(math.isfinite(power_w) == has_power, f"{name}: power {power_w}, flags {row['flags']}")
+        self.check(not has_interval or lo_w <= power_w <= hi_w, f"{name}: {power_w} outside {lo_w} to {hi_w}")
+        self.check(row["stamp_ns"] <= sent_ns, f"{name}: of a sample at {row['stamp_ns']}, sent at {sent_ns}")
+
+
+def subscriber(node, service, checks):
+    """A subscriber of the service, which a worker has made; None if there is none yet."""
+    import ctypes
+
+    import iceoryx2
+
+    def opaque(name, size):
+        words = {"_fields_": [("words", ctypes.c_uint64 * (size // 8))], "type_name": staticmethod(lambda: VERSION[name])}
+        return type(name, (ctypes.Structure,), words)
+
+    rows, header = opaque("Forecast", checks.row.bytes), opaque("ForecastHeader", checks.header.bytes)
+    builder = node.service_builder(iceoryx2.ServiceName.new(service)).publish_subscribe(iceoryx2.Slice[rows])
+    try:
+        return builder.user_header(header).open().subscriber_builder().create()
+    except (iceoryx2.PublishSubscribeOpenError, iceoryx2.SubscriberCreateError):
+        return None
+
+
+def follow(config, fleet):
+    import ctypes
+
+    import iceoryx2
+
+    iceoryx2.set_log_level(iceoryx2.LogLevel.Fatal)
+    checks = Checks(PAGE.read_text())
+    loaded = iceoryx2.config.setup_global_config_from_file(iceoryx2.FilePath.new(str(config)))
+    node = iceoryx2.NodeBuilder.new().config(loaded or iceoryx2.config.global_config()).create(iceoryx2.ServiceType.Ipc)
+    frames = None
+    print("ready", flush=True)
+    while not select.select([sys.stdin], [], [], LOOKS_EVERY_S)[0]:
+        frames = frames or subscriber(node, f"joulebus/{fleet}/forecasts", checks)
+        try:
+            sample = frames and frames.receive()
+        except iceoryx2.ReceiveError as error:
+            # A publisher died while it was connected.
+            print(f"receive: {error}", file=sys.stderr)
+            continue
+        while sample:
+            rows = sample.payload()
+            # Its length is in bytes.
+            memory = ctypes.string_at(sample.payload_ptr, rows.len())
+            header = ctypes.string_at(sample.user_header_ptr, checks.header.bytes)
+            sample.delete()
+            checks.frame(header, memory)
+            sample = frames.receive()
+    print(json.dumps({**checks.seen, "wrong": checks.wrong}))
+    return 1 if checks.wrong else 0
+
+
+def main():
+    words = arguments()
+    if os.environ.get("JOULEBUS_READ_FLEET"):
+        return follow(words.config, words.fleet)
+    python = environment(words.venv)
+    # In place of this process: who stops it stops the reader.
+    os.execve(python, [python, __file__, *sys.argv[1:]], dict(os.environ, JOULEBUS_READ_FLEET="1"))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
