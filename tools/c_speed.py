@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What a call from C++ costs beside the same call from Rust, beside a real worker: `tools/c_speed.py`.
 
-Two programs of the release profile make the same calls, in rounds that alternate between them, so that each ratio is of
+Two programs, of the release profile and of -O3, make the same calls, in rounds that alternate between them, so that each ratio is of
 neighbours in time. Medians are printed. Needs c++; builds library and program first.
 """
 
@@ -42,14 +42,13 @@ initial_soc_lo = 0.95
 def built(folder: Path) -> tuple[Path, Path, Path]:
     """joulebus, the calls from C++, and those from Rust."""
     target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")) / "release"
-    cargo = ["cargo", "build", "--release", "--locked", "--quiet", "-p"]
-    subprocess.run([*cargo, "joulebus"], check=True, cwd=ROOT)
-    subprocess.run([*cargo, "joulebus-c", "--lib", "--example", "calls"], check=True, cwd=ROOT)
+    wanted = ["-p", "joulebus", "-p", "joulebus-c", "--lib", "--bins", "--example", "calls"]
+    subprocess.run(["cargo", "build", "--release", "--locked", "--quiet", *wanted], check=True, cwd=ROOT)
     prefix = folder / "prefix"
     install = [ROOT / "tools/install_c.sh", "--prefix", prefix, "--from", target]
     subprocess.run(install, check=True, stdout=subprocess.DEVNULL)
     calls = folder / "calls"
-    flags = ["-std=c++17", "-O2", f"-I{prefix}/include", f"-L{prefix}/lib", f"-Wl,-rpath,{prefix}/lib", "-ljoulebus"]
+    flags = ["-std=c++17", "-O3", f"-I{prefix}/include", f"-L{prefix}/lib", f"-Wl,-rpath,{prefix}/lib", "-ljoulebus"]
     subprocess.run(["c++", ROOT / "crates/c/tests/speed/calls.cpp", *flags, "-o", calls], check=True)
     return target / "joulebus", calls, target / "examples" / "calls"
 

@@ -75,7 +75,7 @@ pub use membership::JoinError;
 pub use os::background::{Background, Panicked, Steps};
 pub use os::clock;
 pub use os::memory::touch_own_memory;
-pub use os::process::process_id;
+pub use os::process_id;
 pub use os::scheduling::{
     Rights, Scheduling, SchedulingError, lower_priority, page_faults, set_timer_slack,
 };

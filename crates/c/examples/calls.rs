@@ -33,6 +33,7 @@ struct Calls {
     v_mps: Vec<f32>,
     omega_radps: Vec<f32>,
     answers: Vec<Answer>,
+    states: Vec<RobotState>,
 }
 
 impl Calls {
@@ -50,6 +51,9 @@ impl Calls {
             v_mps: waves(CANDIDATES * STEPS, 1.0, 0),
             omega_radps: waves(CANDIDATES * STEPS, 5.0, 3),
             answers: Vec::new(),
+            states: (FIRST_ROBOT..FIRST_ROBOT + ROBOTS)
+                .map(|robot| RobotState::new(robot).command(0.1, 0.0).reading(4.0))
+                .collect(),
         })
     }
 
@@ -88,10 +92,7 @@ impl Calls {
                 black_box(powers_w.sum::<f32>());
             }
             "publish" => {
-                let robots = FIRST_ROBOT..FIRST_ROBOT + ROBOTS;
-                let states =
-                    robots.map(|robot| RobotState::new(robot).command(0.1, 0.0).reading(4.0));
-                self.publisher.publish(states)?;
+                self.publisher.publish(self.states.iter().copied())?;
             }
             other => return Err(format!("no call {other}").into()),
         }

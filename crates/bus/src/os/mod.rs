@@ -5,4 +5,7 @@ pub mod clock;
 pub(crate) mod files;
 pub(crate) mod memory;
 pub(crate) mod process;
+mod process_id;
 pub(crate) mod scheduling;
+
+pub use process_id::process_id;

@@ -8,12 +8,6 @@ use rustix::fs::{major, minor};
 use rustix::io::Errno;
 use rustix::process::{Pid, test_kill_process};
 
-/// The id of this process.
-#[must_use]
-pub fn process_id() -> u32 {
-    std::process::id()
-}
-
 /// True if the process exists here; one of another container is not visible.
 pub(crate) fn is_alive(pid: u32) -> bool {
     let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);

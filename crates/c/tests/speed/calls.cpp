@@ -51,6 +51,9 @@ int main(int count, char **arguments) {
     const joulebus::Candidates plans{candidates, steps, 1.0f / 30.0f, v_mps, omega_radps};
     std::vector<joulebus::Answer> answers(candidates);
     std::vector<joulebus::RobotState> states;
+    for (std::uint32_t robot = first_robot; robot < first_robot + robots; robot++) {
+        states.push_back(joulebus::RobotState(robot).command(0.1f, 0.0f).reading(4.0f));
+    }
 
     const auto predict = [&](std::size_t rows) {
         predictor.predict({features.data(), rows * width}, width, {power_w.data(), rows}).value();
@@ -77,14 +80,7 @@ int main(int count, char **arguments) {
              }
              sink = total_w;
          }},
-        {"publish",
-         [&] {
-             states.clear();
-             for (std::uint32_t robot = first_robot; robot < first_robot + robots; robot++) {
-                 states.push_back(joulebus::RobotState(robot).command(0.1f, 0.0f).reading(4.0f));
-             }
-             publisher.publish(states).value();
-         }},
+        {"publish", [&] { publisher.publish(states).value(); }},
     };
     std::string name;
     for (std::size_t times = 0; std::cin >> name >> times;) {
