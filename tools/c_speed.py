@@ -29,7 +29,7 @@ FLEET = """
 name = "speed"
 [domain]
 root = "/dev/shm/jbs{pid}.d"
-prefix = "jbs{pid}_"
+prefix = "s{pid}_"
 [[platform]]
 file = "builtin:gternal"
 robots = ["0-299"]
@@ -72,7 +72,7 @@ def main() -> None:
         folder = Path(name)
         joulebus, cpp, rust = built(folder)
         config = folder / "fleet.toml"
-        config.write_text(FLEET.format(pid=os.getpid()))
+        config.write_text(FLEET.format(pid=os.getpid() % 1_000_000))
         environment = os.environ | {"XDG_STATE_HOME": name}
         started = []
 
