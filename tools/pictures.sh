@@ -3,6 +3,9 @@
 #
 #     tools/pictures.sh [SCREENSHOTS]     # default: target/pictures
 #
+# JOULEBUS_BIN names another directory of the programs (default: built here, target/release). The live view and the page show latencies:
+# on a quiet machine.
+#
 # Needs Chromium, node, tmux, Python 3 and the recordings in ../shared/data (Robotino:
 # BrOleg5/research-wheel-slippage
 # at b4303b4c, Apache-2.0; 648 trials of a Festo Robotino v2 on four surfaces). docs/dataflow.svg is drawn by
@@ -18,8 +21,11 @@ done
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 mkdir -p "$screenshots"
-cargo build --release --workspace --bins
-joulebus=$PWD/target/release/joulebus
+if [ -z "${JOULEBUS_BIN:-}" ]; then
+    cargo build --release --workspace --bins
+    JOULEBUS_BIN=$PWD/target/release
+fi
+joulebus=$JOULEBUS_BIN/joulebus
 
 # The live view: a demo in a terminal of 120 columns, just before its end.
 tmux -L pictures new-session -d -s view -x 120 -y 40 "$joulebus demo --capture $work/demo.mcap"
@@ -47,6 +53,6 @@ for picture in docs/*.svg; do
     size=$(python3 -c 'import re,sys; t=open(sys.argv[1]).read(); print(*re.search(r"<svg[^>]*? width=\"(\d+)[^>]*? height=\"(\d+)", t).groups())' "$picture")
     screenshot "$PWD/$picture" ${size} "$PWD/$screenshots/$(basename "$picture" .svg).png"
 done
-JOULEBUS_BIN=$PWD/target/release tools/browser.sh --pictures
+JOULEBUS_BIN=$JOULEBUS_BIN tools/browser.sh --pictures
 cp docs/*.png "$screenshots"
 echo "rendered into docs/; inspect the screenshots in $screenshots"

@@ -18,8 +18,8 @@ export async function launch() {
 }
 
 /** A page of its own whose complaints are collected: console errors, CSP violations, exceptions. */
-export async function openPage(browser, url, { viewport = WIDE, colorScheme = "light", expected = [] } = {}) {
-  const context = await browser.newContext({ viewport, colorScheme });
+export async function openPage(browser, url, { viewport = WIDE, colorScheme = "light", expected = [], hasTouch = false } = {}) {
+  const context = await browser.newContext({ viewport, colorScheme, hasTouch, isMobile: hasTouch });
   const page = await context.newPage();
   page.setDefaultTimeout(PATIENCE_MS);
   page.complaints = [];

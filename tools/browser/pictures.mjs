@@ -32,7 +32,8 @@ try {
     ["page-phone.png", "/", PHONE, "dark"],
   ];
   for (const [file, view, viewport, colorScheme] of pictures) {
-    const page = await openPage(browser, server.url + view, { viewport, colorScheme });
+    // A phone has no keyboard: the page shows no keys.
+    const page = await openPage(browser, server.url + view, { viewport, colorScheme, hasTouch: viewport === PHONE });
     await live(page);
     await sleep(2500);
     await page.screenshot({ path: join(folder, file) });
