@@ -17,13 +17,16 @@ use joulebus_program::verbs::bridge::BridgeArguments;
 use serde::Serialize;
 use serde_json::json;
 
-use crate::config::{MqttSettings, Settings};
+use crate::config::{MqttSettings, Ros2Settings, RosWrite, Settings};
 use crate::mapping::account::UnmappedRecord;
 use crate::mapping::outgoing::What;
-use crate::mqtt::{Mqtt, Outlet};
+use crate::mapping::ros::incoming::RosRoute;
+use crate::mapping::ros::names::ros_type;
+use crate::mqtt::{MOST_WAITING, Mqtt, MqttTelling, Outlet, Start, read_alarms};
 use crate::publishing::{self, PublishedRecord};
+use crate::ros2::{Counts, Ros2};
 use crate::shared::Shared;
-use crate::telling::{MOST_WAITING, Start, Telling, read_alarms};
+use crate::telling::{self, Tell};
 
 /// Interval of checking whether to stop.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -56,8 +59,20 @@ struct CheckReport {
     bridge: String,
     robots: usize,
     broker: Option<String>,
+    /// Topics that are read from the broker.
     reads: Vec<String>,
+    /// Topics that are written to it.
     writes: usize,
+    ros2: Option<RosCheckReport>,
+}
+
+/// What `--check` says of ROS 2; topics with their types.
+#[derive(Debug, Serialize)]
+struct RosCheckReport {
+    domain_id: u16,
+    networks: Vec<String>,
+    reads: Vec<String>,
+    writes: Vec<String>,
 }
 
 pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outcome> {
@@ -88,6 +103,18 @@ fn checked(config: &Config, settings: &Settings) -> CheckReport {
         broker: mqtt.map(|mqtt| format!("{}:{}", mqtt.host, mqtt.port)),
         reads: routes.iter().map(|route| route.name.clone()).collect(),
         writes: mqtt.map_or(0, |mqtt| mqtt.writes.len()),
+        ros2: settings.ros2.as_ref().map(ros_checked),
+    }
+}
+
+fn ros_checked(ros2: &Ros2Settings) -> RosCheckReport {
+    let read = |route: &RosRoute| format!("{} ({})", route.name, ros_type(route.kind));
+    let write = |write: &RosWrite| format!("{} ({})", write.name, write.what.type_name());
+    RosCheckReport {
+        domain_id: ros2.domain_id,
+        networks: ros2.networks.iter().map(ToString::to_string).collect(),
+        reads: ros2.routes.iter().map(read).collect(),
+        writes: ros2.writes.iter().map(write).collect(),
     }
 }
 
@@ -96,11 +123,13 @@ type Thread<T> = JoinHandle<anyhow::Result<T>>;
 /// The running threads.
 struct Bridge {
     shared: Arc<Shared>,
+    /// Changes of alarms that were lost.
     lost: Arc<AtomicU64>,
     publishing: Option<Thread<PublishedRecord>>,
     others: Vec<Thread<()>>,
-    connection: Option<Thread<()>>,
+    connections: Vec<Thread<()>>,
     outlet: Option<Arc<Outlet>>,
+    ros2: Arc<Counts>,
 }
 
 impl Bridge {
@@ -110,12 +139,27 @@ impl Bridge {
             lost: Arc::default(),
             publishing: None,
             others: Vec::new(),
-            connection: None,
+            connections: Vec::new(),
             outlet: None,
+            ros2: Arc::default(),
         };
         bridge.start_publishing(config, settings)?;
-        if let Some(mqtt) = &settings.mqtt {
-            bridge.start_mqtt(config, settings, mqtt)?;
+        let mut sides: Vec<Box<dyn Tell>> = Vec::new();
+        if let Some(ros2) = &settings.ros2 {
+            bridge.start_ros2(config, settings, ros2, &mut sides)?;
+        }
+        let mqtt = settings.mqtt.as_ref();
+        let connection = mqtt.map(|mqtt| bridge.prepare_mqtt(config, settings, mqtt));
+        if let (Some(mqtt), Some(connection)) = (mqtt, &connection) {
+            bridge.tell_mqtt(config, settings, (mqtt, connection), &mut sides)?;
+        }
+        bridge.start_telling(config, settings, sides)?;
+        if let Some(connection) = connection {
+            let thread = spawn("joulebus-mqtt", move || {
+                yield_to_the_worker();
+                connection.run().map_err(Into::into)
+            })?;
+            bridge.connections.push(thread);
         }
         let (fleet, robots) = (config.fleet(), settings.robots.len());
         say(&format!("bridging {robots} robots of fleet {fleet}"));
@@ -123,11 +167,7 @@ impl Bridge {
     }
 
     fn start_publishing(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<()> {
-        let is_source = settings
-            .mqtt
-            .as_ref()
-            .is_some_and(|mqtt| !mqtt.routes.is_empty() || mqtt.vizier.is_some());
-        if !is_source {
+        if !settings.is_source() {
             return Ok(());
         }
         let (ready, joined) = sync_channel(1);
@@ -147,59 +187,68 @@ impl Bridge {
         Ok(())
     }
 
-    fn start_mqtt(
+    fn start_ros2(
         &mut self,
         config: &Config,
         settings: &Settings,
-        mqtt: &MqttSettings,
+        ros2: &Ros2Settings,
+        sides: &mut Vec<Box<dyn Tell>>,
     ) -> anyhow::Result<()> {
-        let offline = json!({"fleet": config.fleet(), "bridge": settings.name, "state": "offline"});
-        let offline = offline.to_string().into_bytes();
-        let connection = Mqtt::new(mqtt, &settings.robots, &offline, &self.shared);
-        let outlet = connection.outlet();
-        self.outlet = Some(Arc::clone(&outlet));
-        if !mqtt.writes.is_empty() {
-            self.start_telling(config, settings, mqtt, outlet)?;
-        }
-        let thread = spawn("joulebus-mqtt", move || {
+        let (ready, opened) = sync_channel(1);
+        let (fleet, name) = (config.fleet().to_owned(), settings.name.clone());
+        let (ros2, robots) = (ros2.clone(), settings.robots.clone());
+        let (shared, counts) = (Arc::clone(&self.shared), Arc::clone(&self.ros2));
+        let thread = spawn("joulebus-ros2", move || {
             yield_to_the_worker();
+            let of = (fleet.as_str(), name.as_str());
+            let (connection, telling) = Ros2::open(&ros2, of, &robots, &shared, &counts)?;
+            // The caller waits for it.
+            let _ = ready.send(telling);
             connection.run().map_err(Into::into)
         })?;
-        self.connection = Some(thread);
+        let Ok(telling) = opened.recv() else {
+            return join(thread);
+        };
+        self.connections.push(thread);
+        if telling.tells() {
+            sides.push(Box::new(telling));
+        }
         Ok(())
     }
 
-    fn start_telling(
+    fn prepare_mqtt(&mut self, config: &Config, settings: &Settings, mqtt: &MqttSettings) -> Mqtt {
+        let offline = json!({"fleet": config.fleet(), "bridge": settings.name, "state": "offline"});
+        let offline = offline.to_string().into_bytes();
+        let connection = Mqtt::new(mqtt, &settings.robots, &offline, &self.shared);
+        self.outlet = Some(connection.outlet());
+        connection
+    }
+
+    fn tell_mqtt(
         &mut self,
         config: &Config,
         settings: &Settings,
-        mqtt: &MqttSettings,
-        outlet: Arc<Outlet>,
+        (mqtt, connection): (&MqttSettings, &Mqtt),
+        sides: &mut Vec<Box<dyn Tell>>,
     ) -> anyhow::Result<()> {
+        if mqtt.writes.is_empty() {
+            return Ok(());
+        }
         let (changes, changed) = sync_channel(MOST_WAITING);
-        let start = Start {
+        sides.push(Box::new(MqttTelling::new(Start {
+            fleet: config.fleet().to_owned(),
             name: settings.name.clone(),
             robots: settings.robots.clone(),
             writes: mqtt.writes.clone(),
-            outlet,
+            outlet: connection.outlet(),
             changes: changed,
             shared: Arc::clone(&self.shared),
             lost: Arc::clone(&self.lost),
             // A broker that does not answer is noticed by the second ping.
             arrives_within_ns: u64::try_from(3 * mqtt.keep_alive.as_nanos()).unwrap_or(u64::MAX),
-        };
-        let told = config.clone();
-        self.start_joining("joulebus-tell", move |ready| {
-            let telling = Telling::open(&told, start)?;
-            // The caller waits for it.
-            let _ = ready.send(());
-            telling.run()
-        })?;
-        if mqtt
-            .writes
-            .iter()
-            .any(|write| write.what == What::AlarmChanges)
-        {
+        })));
+        let mut whats = mqtt.writes.iter().map(|write| write.what);
+        if whats.any(|what| what == What::AlarmChanges) {
             let (config, name) = (config.clone(), settings.name.clone());
             let (shared, lost) = (Arc::clone(&self.shared), Arc::clone(&self.lost));
             let thread = spawn("joulebus-alarms", move || {
@@ -209,6 +258,25 @@ impl Bridge {
             self.others.push(thread);
         }
         Ok(())
+    }
+
+    fn start_telling(
+        &mut self,
+        config: &Config,
+        settings: &Settings,
+        mut sides: Vec<Box<dyn Tell>>,
+    ) -> anyhow::Result<()> {
+        if sides.is_empty() {
+            return Ok(());
+        }
+        let (config, name) = (config.clone(), settings.name.clone());
+        let shared = Arc::clone(&self.shared);
+        self.start_joining("joulebus-tell", move |ready| {
+            telling::run(&config, &name, &shared, &mut sides, || {
+                // The caller waits for it.
+                let _ = ready.send(());
+            })
+        })
     }
 
     /// Starts a thread, and waits until it has joined the fleet.
@@ -232,17 +300,17 @@ impl Bridge {
     /// Whether a thread has ended by itself.
     fn is_over(&self) -> bool {
         let publishing = self.publishing.as_ref();
-        let mut others = self.others.iter().chain(&self.connection);
+        let mut others = self.others.iter().chain(&self.connections);
         publishing.is_some_and(JoinHandle::is_finished) || others.any(JoinHandle::is_finished)
     }
 
-    /// Ends all threads: the connection last, after what the others have told.
+    /// Ends all threads: the connections last, after what the others have told.
     fn finish(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<BridgeReport> {
         self.shared.stop();
         let published = self.publishing.take().map(join);
         let mut ended: Vec<anyhow::Result<()>> = self.others.drain(..).map(join).collect();
         self.shared.close();
-        ended.extend(self.connection.take().map(join));
+        ended.extend(self.connections.drain(..).map(join));
         ended.into_iter().collect::<anyhow::Result<()>>()?;
         let outlet = self.outlet.as_ref();
         Ok(BridgeReport {
@@ -252,8 +320,9 @@ impl Bridge {
             messages: self.shared.messages(),
             observations: self.shared.intake().observations(),
             published: published.transpose()?.unwrap_or_default(),
-            written: outlet.map_or(0, |outlet| outlet.sent()),
+            written: self.ros2.sent() + outlet.map_or(0, |outlet| outlet.sent()),
             not_written: self.lost.load(Ordering::Relaxed)
+                + self.ros2.lost()
                 + outlet.map_or(0, |outlet| outlet.lost()),
             unmapped: self.shared.account().records(),
         })
@@ -325,6 +394,7 @@ impl fmt::Display for CheckReport {
             broker,
             reads,
             writes,
+            ros2,
         } = self;
         writeln!(out, "bridge {bridge} of fleet {fleet}: {robots} robots")?;
         if let Some(broker) = broker {
@@ -334,6 +404,25 @@ impl fmt::Display for CheckReport {
                 reads.join(", ")
             )?;
         }
-        Ok(())
+        let Some(ros2) = ros2 else {
+            return Ok(());
+        };
+        let RosCheckReport {
+            domain_id,
+            networks,
+            reads,
+            writes,
+        } = ros2;
+        let networks = if networks.is_empty() {
+            "all networks".to_owned()
+        } else {
+            networks.join(", ")
+        };
+        writeln!(out, "ROS domain {domain_id} on {networks}")?;
+        let mut lines = reads
+            .iter()
+            .map(|topic| ("reads", topic))
+            .chain(writes.iter().map(|topic| ("writes", topic)));
+        lines.try_for_each(|(verb, topic)| writeln!(out, "  {verb} {topic}"))
     }
 }

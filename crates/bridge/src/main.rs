@@ -6,6 +6,7 @@ mod config;
 mod mapping;
 mod mqtt;
 mod publishing;
+mod ros2;
 mod shared;
 mod telling;
 

@@ -8,6 +8,7 @@ use toml::{Spanned, Value};
 use crate::mapping::intake::Expired;
 use crate::mapping::observation::PowerOf;
 use crate::mapping::outgoing::What;
+use crate::mapping::ros::outgoing::RosWhat;
 
 /// A text with its place.
 pub(super) type Text = Spanned<String>;
@@ -20,6 +21,7 @@ pub(super) struct BridgeFile {
     /// Name and id, or a name with `{id}` and a range.
     pub(super) robots: BTreeMap<Text, Value>,
     pub(super) mqtt: Option<MqttSection>,
+    pub(super) ros2: Option<Ros2Section>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -194,6 +196,53 @@ pub(super) struct WriteSection {
 #[serde(deny_unknown_fields)]
 pub(super) struct ToldSection {
     pub(super) value: Text,
+    pub(super) unit: Option<Text>,
+    #[serde(default)]
+    pub(super) negate: bool,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Ros2Section {
+    /// In place of `ROS_DOMAIN_ID`.
+    pub(super) domain_id: Option<u16>,
+    /// Addresses of this host that are used.
+    #[serde(default)]
+    pub(super) networks: Vec<Text>,
+    #[serde(default)]
+    pub(super) read: Vec<RosReadSection>,
+    #[serde(default)]
+    pub(super) write: Vec<RosWriteSection>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RosReadSection {
+    pub(super) topic: Text,
+    #[serde(rename = "type")]
+    pub(super) kind: Text,
+    /// Sign of a battery's current.
+    pub(super) current: Option<CurrentWord>,
+    pub(super) percentage_unit: Option<Text>,
+    pub(super) power_of: Option<PowerWord>,
+    pub(super) power_of_current: Option<bool>,
+}
+
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum CurrentWord {
+    /// As the message is defined.
+    DischargeNegative,
+    DischargePositive,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RosWriteSection {
+    pub(super) what: RosWhat,
+    pub(super) topic: Option<Text>,
+    pub(super) every_s: Option<f64>,
+    pub(super) value: Option<Text>,
     pub(super) unit: Option<Text>,
     #[serde(default)]
     pub(super) negate: bool,

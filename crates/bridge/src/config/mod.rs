@@ -3,6 +3,7 @@
 mod check;
 mod file;
 mod mqtt;
+mod ros2;
 mod secret;
 
 use std::path::Path;
@@ -17,6 +18,7 @@ use crate::mapping::intake::{Holds, Intake};
 use crate::mapping::robots::Robots;
 
 pub(crate) use mqtt::{MqttSettings, Write};
+pub(crate) use ros2::{Ros2Settings, RosWrite};
 
 /// Longest file, bytes.
 const MOST_BYTES: u64 = 4 << 20;
@@ -29,6 +31,7 @@ pub(crate) struct Settings {
     pub(crate) holds: Holds,
     pub(crate) robots: Robots,
     pub(crate) mqtt: Option<MqttSettings>,
+    pub(crate) ros2: Option<Ros2Settings>,
 }
 
 impl Settings {
@@ -55,6 +58,14 @@ impl Settings {
         }
     }
 
+    /// Whether anything is read.
+    pub(crate) fn is_source(&self) -> bool {
+        let mqtt = self.mqtt.as_ref();
+        let ros2 = self.ros2.as_ref();
+        mqtt.is_some_and(|it| !it.routes.is_empty() || it.vizier.is_some())
+            || ros2.is_some_and(|it| !it.routes.is_empty())
+    }
+
     /// What is known of the robots at the start: nothing.
     pub(crate) fn intake(&self, config: &Config) -> Intake {
         let platforms = &config.settings().platforms;
@@ -68,7 +79,17 @@ impl Settings {
                 reading.unwrap_or(joulebus_settings::ChargeReading::Load),
             ))
         });
-        Intake::new(self.holds, robots)
+        Intake::new(self.holds, self.tells_charging(), robots)
+    }
+
+    /// Whether messages over MQTT say that a robot charges. Those of ROS 2 that have a battery's power say it too, or that it is
+    /// not known.
+    fn tells_charging(&self) -> bool {
+        self.mqtt.as_ref().is_some_and(|mqtt| {
+            let vizier = mqtt.vizier.as_ref().map(|vizier| &vizier.fields);
+            let mut fields = mqtt.routes.iter().map(|route| &route.fields).chain(vizier);
+            fields.any(|fields| fields.charging.is_some())
+        })
     }
 }
 
@@ -105,15 +126,17 @@ impl Check<'_> {
         };
         let robots = self.robots(&file, config);
         let mqtt = file.mqtt.map(|section| self.mqtt(section, &name, &robots));
-        if mqtt.is_none() {
+        let ros2 = file.ros2.map(|section| self.ros2(&section, &robots));
+        if mqtt.is_none() && ros2.is_none() {
             let what = "names nothing to bridge".to_owned();
-            self.problem(None, "", what, "Add [mqtt]");
+            self.problem(None, "", what, "Add [mqtt] or [ros2]");
         }
         Some(Settings {
             name,
             holds,
             robots,
             mqtt: mqtt.flatten(),
+            ros2: ros2.flatten(),
         })
     }
 
@@ -262,6 +285,102 @@ mod tests {
             assert!(shown.contains(says), "{to}: {shown}");
             let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
+        }
+    }
+
+    const ROS: &str = "[robots]\n\"r{id}\" = \"0-3\"\nlifter = 7\n[ros2]\ndomain_id = 7\nnetworks = [\"127.0.0.1\"]\n\
+        [[ros2.read]]\ntopic = \"/{fleet}/{robot}/battery\"\ntype = \"sensor_msgs/msg/BatteryState\"\n\
+        [[ros2.write]]\nwhat = \"value\"\nvalue = \"power_w\"\nunit = \"mW\"\n\
+        [[ros2.write]]\nwhat = \"diagnostics\"\n";
+
+    #[test]
+    fn a_good_file_of_ros_2_is_taken() {
+        let settings = load(ROS).unwrap();
+        assert!(settings.is_source());
+        let ros2 = settings.ros2.unwrap();
+        assert_eq!((ros2.domain_id, ros2.networks.len()), (7, 1));
+        assert_eq!(ros2.routes[0].topic.of("r2"), "/lab/r2/battery");
+        assert_eq!(
+            ros2.routes[0].pattern.matches("/lab/x/battery"),
+            Some(Some("x"))
+        );
+        let topics: Vec<String> = ros2.writes.iter().map(|it| it.topic.of("r2")).collect();
+        assert_eq!(topics, ["/r2/joulebus/power_w", "/diagnostics"]);
+        assert_eq!(ros2.writes[0].value.as_ref().unwrap().unit.name, "mW");
+    }
+
+    #[test]
+    fn what_is_wrong_for_ros_2_is_named_with_its_line() {
+        for (from, to, line, says) in [
+            ("domain_id = 7", "domain_id = 233", 5, "0 to 232"),
+            ("domain_id = 7", "domain = 7", 5, "unknown field"),
+            ("127.0.0.1", "lo", 6, "invalid IPv4 address"),
+            (
+                "/{fleet}/{robot}/battery",
+                "/{robot}/7b",
+                8,
+                "no topic of ROS 2",
+            ),
+            (
+                "/{fleet}/{robot}/battery",
+                "{robot}/b",
+                8,
+                "no topic of ROS 2",
+            ),
+            ("/{fleet}/{robot}/battery", "/battery", 8, "lacks {robot}"),
+            ("/{fleet}/{robot}/battery", "/+/{robot}", 8, "wildcard"),
+            ("lifter = 7", "lif-ter = 7", 8, "/lab/lif-ter/battery"),
+            ("BatteryState", "Batteries", 9, "nav_msgs/msg/Odometry"),
+            (
+                "\"sensor_msgs/msg/BatteryState\"",
+                "\"geometry_msgs/msg/Twist\"\npower_of = \"load\"",
+                9,
+                "no current",
+            ),
+            (
+                "BatteryState\"",
+                "BatteryState\"\npercentage_unit = \"W\"",
+                10,
+                "share, %",
+            ),
+            ("power_w", "watt", 12, "is no value"),
+            ("\"power_w\"", "\"name\"", 12, "is no number"),
+            ("\"mW\"", "\"mA\"", 13, "allowed are W"),
+            ("unit = \"mW\"", "every_s = 0", 13, "0.02 to 3600"),
+            ("\"value\"", "\"forecast\"", 12, "belongs to"),
+            (
+                "unit = \"mW\"",
+                "topic = \"/lab/{robot}/battery\"",
+                4,
+                "both name",
+            ),
+            (
+                "\"diagnostics\"",
+                "\"diagnostics\"\nunit = \"W\"",
+                16,
+                "belongs to",
+            ),
+        ] {
+            let text = ROS.replacen(from, to, 1);
+            assert_ne!(text, ROS, "{from}");
+            let refused = load(&text).expect_err(to);
+            let shown = refused.to_string();
+            assert!(shown.contains(says), "{to}: {shown}");
+            let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
+            assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
+        }
+        let nothing = load("[robots]\nr = 1\n[ros2]\n").unwrap_err().to_string();
+        assert!(nothing.contains("neither reads nor writes"), "{nothing}");
+    }
+
+    #[test]
+    fn what_a_vizier_is_asked_by_is_not_written() {
+        for topic in ["{robot}/requests", "{robot}/responses/x/1"] {
+            let text = GOOD
+                .replace("[[mqtt.read]]", "[mqtt.vizier]\n[[mqtt.read]]")
+                .replace("jb/{robot}", topic);
+            let refused = load(&text).unwrap_err().to_string();
+            assert!(refused.contains("vizier"), "{refused}");
         }
     }
 

@@ -15,7 +15,7 @@ use crate::mapping::fields::{Fields, Flag, Number, Place};
 use crate::mapping::outgoing::{Told, What, quantity, value_names};
 use crate::mapping::robots::Robots;
 use crate::mapping::route::Route;
-use crate::mapping::topic::{Pattern, Template};
+use crate::mapping::topic::{Pattern, ROBOT, Template};
 use crate::mapping::units::Quantity;
 use crate::mapping::vizier;
 
@@ -112,6 +112,11 @@ impl Check<'_> {
                 fields: fields.unwrap_or_else(vizier::status_fields),
             }
         });
+        if vizier.is_some() {
+            for write in &section.write {
+                self.apart_from_vizier(&write.topic, robots);
+            }
+        }
         let writes = section
             .write
             .iter()
@@ -263,7 +268,7 @@ impl Check<'_> {
         )
     }
 
-    fn every(&mut self, key: &str, found_s: f64) -> Duration {
+    pub(super) fn every(&mut self, key: &str, found_s: f64) -> Duration {
         let (least, most) = EVERY_S;
         if !(least <= found_s && found_s <= most) {
             let what = format!("is {found_s} s");
@@ -309,6 +314,20 @@ impl Check<'_> {
             retain: section.retain.unwrap_or(what.is_kept()),
             fields,
         })
+    }
+
+    /// A vizier's nodes are read: nothing but this bridge's own requests is sent to them, and nothing in their name.
+    fn apart_from_vizier(&mut self, topic: &Text, robots: &Robots) {
+        let text = topic.get_ref().replace("{fleet}", self.fleet);
+        let is_its = robots.iter().any(|(_, robot)| {
+            let written = text.replace(ROBOT, robot);
+            written == vizier::request_topic(robot)
+                || written.starts_with(&format!("{robot}/responses/"))
+        });
+        let apart = (!is_its)
+            .then_some(())
+            .ok_or("is a topic of the vizier, which is only read");
+        self.checked(topic, "mqtt.write.topic", apart);
     }
 
     fn told(

@@ -15,18 +15,26 @@ const MOST_LETTERS: usize = 80;
 /// Why a message, or a value in it, was not mapped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) enum Reason {
-    /// Longer than `max_payload_bytes`.
+    /// Longer than `max_payload_bytes`, or than 64 KiB in ROS 2.
     TooLong,
     /// Not JSON, or nested too deeply, or with numbers that no computer holds.
     NotJson,
+    /// Not the CDR of its type.
+    NotCdr,
+    /// Encoded otherwise than in plain CDR.
+    WrongEncoding,
+    /// A participant whose quality of service does not fit.
+    IncompatibleQos,
     /// No name of `[robots]`.
     UnknownRobot,
     /// Nothing in it that the mapping names.
     Nothing,
-    /// A value of another type than expected.
+    /// A value, or a topic, of another type than expected.
     WrongType,
     /// NaN, infinite or beyond what 32 bits hold.
     NotFinite,
+    /// A share beyond 0 to 1, or a code that the message's definition does not have.
+    OutOfRange,
     /// Kept by the broker from earlier: nobody knows from when.
     Retained,
     /// An answer to no request of ours.
@@ -43,10 +51,14 @@ impl Reason {
         match self {
             Self::TooLong => "too_long",
             Self::NotJson => "not_json",
+            Self::NotCdr => "not_cdr",
+            Self::WrongEncoding => "wrong_encoding",
+            Self::IncompatibleQos => "incompatible_qos",
             Self::UnknownRobot => "unknown_robot",
             Self::Nothing => "nothing_mapped",
             Self::WrongType => "wrong_type",
             Self::NotFinite => "not_finite",
+            Self::OutOfRange => "out_of_range",
             Self::Retained => "retained",
             Self::NotAsked => "not_asked",
             Self::NoAnswer => "no_answer",

@@ -7,8 +7,9 @@
 //! - the same reading again is *held*, until `reading_holds_s`; then the sample has none, and the worker bridges.
 //! - a command applies until the next one, at most for `command_holds_s`; then it is unknown, or 0 if the robot stops by
 //!   itself.
-//! - whether it charges applies until it is told otherwise; at first it does not. The power of a battery that was heard before
-//!   it changed means nothing.
+//! - whether it charges applies until it is told otherwise. Where messages say so, it is not known until the first one, and
+//!   neither is what the power of the battery means; where none does, the robot never charges. The power of a battery that was
+//!   heard before it changed means nothing.
 //! - a robot of which nothing was heard for `silent_after_s` is not in the frame: the worker says so.
 
 use std::collections::BTreeMap;
@@ -63,7 +64,8 @@ struct Robot {
     voltage_v: Option<Heard<f32>>,
     current_a: Option<Heard<f32>>,
     soc: Option<Heard<f32>>,
-    charging: bool,
+    /// `None`: messages say so, and none has come.
+    charging: Option<bool>,
     full: bool,
 }
 
@@ -76,9 +78,11 @@ pub(crate) struct Intake {
 }
 
 impl Intake {
-    /// Of these robots, each with what a battery's power means while its platform is on the charger.
+    /// Of these robots, each with what a battery's power means while its platform is on the charger. `tells_charging`:
+    /// messages say whether a robot charges.
     pub(crate) fn new(
         holds: Holds,
+        tells_charging: bool,
         robots: impl IntoIterator<Item = (u32, ChargeReading)>,
     ) -> Self {
         let robot = |(id, charge_reading)| {
@@ -92,7 +96,7 @@ impl Intake {
                 voltage_v: None,
                 current_a: None,
                 soc: None,
-                charging: false,
+                charging: (!tells_charging).then_some(false),
                 full: false,
             };
             (id, robot)
@@ -121,7 +125,7 @@ impl Intake {
             set(place, value, at_ns);
         }
         let is_of_battery = |heard: Heard<PowerReading>| heard.value.of == PowerOf::Battery;
-        let charging = seen.charging.unwrap_or(known.charging);
+        let charging = seen.charging.or(known.charging);
         if charging != known.charging {
             known.power = known.power.filter(|heard| !is_of_battery(*heard));
         }
@@ -144,8 +148,8 @@ impl Intake {
         let mut state = RobotState::new(robot);
         state.v_mps = command(known.v_mps, holds, now_ns);
         state.omega_radps = command(known.omega_radps, holds, now_ns);
-        state.charging = known.charging;
-        state.full = known.charging && known.full;
+        state.charging = known.charging == Some(true);
+        state.full = state.charging && known.full;
         let number = |heard: Option<Heard<f32>>| heard?.within(holds.reading_ns, now_ns);
         state.voltage_v = number(known.voltage_v);
         state.current_a = number(known.current_a);
@@ -165,6 +169,12 @@ impl Intake {
         Some(state)
     }
 
+    /// The voltage of a robot's battery, if it was heard lately.
+    pub(crate) fn voltage_v(&self, robot: u32, now_ns: u64) -> Option<f32> {
+        let heard = self.robots.get(&robot)?.voltage_v?;
+        heard.within(self.holds.reading_ns, now_ns)
+    }
+
     /// How many observations were taken.
     pub(crate) const fn observations(&self) -> u64 {
         self.observations
@@ -174,13 +184,13 @@ impl Intake {
 impl Robot {
     /// The power that the platform's config expects: on the charger that of the battery means what `charge_reading`
     /// says, and with `load` nobody knows what the robot consumes.
-    fn power_w(&self, reading: PowerReading, charging: bool) -> Option<f32> {
+    fn power_w(&self, reading: PowerReading, charging: Option<bool>) -> Option<f32> {
         match (reading.of, charging, self.charge_reading) {
-            (PowerOf::Load, _, _) | (_, false, _) | (_, true, ChargeReading::Battery) => {
+            (PowerOf::Load, _, _) | (_, Some(false), _) | (_, _, ChargeReading::Battery) => {
                 Some(reading.power_w)
             }
-            (_, true, ChargeReading::Charger) => Some(-reading.power_w),
-            (_, true, ChargeReading::Load) => None,
+            (_, Some(true), ChargeReading::Charger) => Some(-reading.power_w),
+            (_, Some(true), ChargeReading::Load) | (_, None, _) => None,
         }
     }
 }
@@ -211,7 +221,7 @@ mod tests {
     };
 
     fn intake(holds: Holds, charge_reading: ChargeReading) -> Intake {
-        Intake::new(holds, [(7, charge_reading)])
+        Intake::new(holds, false, [(7, charge_reading)])
     }
 
     fn power(power_w: f32, of: PowerOf) -> Observation {
@@ -326,6 +336,28 @@ mod tests {
                 (state.power_w, state.charging, state.full),
                 (Some(12.0), false, false)
             );
+        }
+    }
+
+    #[test]
+    fn a_batterys_power_means_nothing_before_it_is_told_whether_the_robot_charges() {
+        for (charge_reading, of, expected) in [
+            (ChargeReading::Load, PowerOf::Battery, None),
+            (ChargeReading::Charger, PowerOf::Battery, None),
+            (ChargeReading::Battery, PowerOf::Battery, Some(-40.0)),
+            (ChargeReading::Load, PowerOf::Load, Some(-40.0)),
+        ] {
+            let mut intake = Intake::new(HOLDS, true, [(7, charge_reading)]);
+            intake.take(7, &power(-40.0, of), 10);
+            let state = intake.sample(7, 20).unwrap();
+            assert_eq!((state.power_w, state.charging), (expected, false));
+            let told = Observation {
+                charging: Some(false),
+                ..power(12.0, of)
+            };
+            intake.take(7, &told, 30);
+            let state = intake.sample(7, 40).unwrap();
+            assert_eq!((state.power_w, state.held), (Some(12.0), false));
         }
     }
 

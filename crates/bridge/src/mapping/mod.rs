@@ -7,6 +7,7 @@ pub(crate) mod intake;
 pub(crate) mod observation;
 pub(crate) mod outgoing;
 pub(crate) mod robots;
+pub(crate) mod ros;
 pub(crate) mod route;
 pub(crate) mod topic;
 pub(crate) mod units;

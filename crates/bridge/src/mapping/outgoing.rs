@@ -143,13 +143,19 @@ impl Told {
     fn of(&self, values: &Object) -> Value {
         let value = values.get(&self.value).unwrap_or(&Value::Null);
         let is_plain = self.unit.size == 1.0 && !self.negate;
-        match value.as_f64() {
-            Some(number) if !is_plain => {
-                let number = number / self.unit.size;
-                json!(if self.negate { -number } else { number })
-            }
+        match self.number(values) {
+            Some(number) if !is_plain && value.is_number() => json!(number),
             _ => value.clone(),
         }
+    }
+
+    /// The value in its unit and with its sign, if it is known and a number, or true or false: 1 or 0.
+    pub(crate) fn number(&self, values: &Object) -> Option<f64> {
+        let number = match values.get(&self.value)? {
+            Value::Bool(is_true) => f64::from(u8::from(*is_true)),
+            value => value.as_f64()? / self.unit.size,
+        };
+        Some(if self.negate { -number } else { number })
     }
 }
 

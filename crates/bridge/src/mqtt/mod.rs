@@ -2,6 +2,7 @@
 //! have forgotten, reads messages, and sends what others hand to its [`Outlet`].
 
 mod outlet;
+mod telling;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -20,6 +21,7 @@ use crate::mapping::route::{Message, Reader};
 use crate::shared::Shared;
 
 pub(crate) use outlet::Outlet;
+pub(crate) use telling::{MOST_WAITING, MqttTelling, Start, read_alarms};
 
 /// Longest packet that is received, bytes: a longer one ends the connection. What is longer than a payload may be is
 /// received whole, counted and passed over.

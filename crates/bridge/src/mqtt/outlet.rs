@@ -45,15 +45,20 @@ impl Outlet {
         self.connections.load(Ordering::Relaxed)
     }
 
-    /// Hands over a message; false if there is no connection, or its queue is full, which is counted.
+    /// Hands over a message; false if there is no connection, or its queue is full. What is then not told later is lost: see
+    /// [`Outlet::count_lost`].
     pub(crate) fn write(&self, topic: String, payload: Vec<u8>, qos: QoS, retain: bool) -> bool {
         if !self.is_connected() {
             return false;
         }
         let is_sent = self.client.try_publish(topic, qos, retain, payload).is_ok();
-        let count = if is_sent { &self.sent } else { &self.lost };
-        count.fetch_add(1, Ordering::Relaxed);
+        self.sent.fetch_add(u64::from(is_sent), Ordering::Relaxed);
         is_sent
+    }
+
+    /// Counts a message that is not tried again.
+    pub(crate) fn count_lost(&self) {
+        self.lost.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Messages handed over.
@@ -61,7 +66,7 @@ impl Outlet {
         self.sent.load(Ordering::Relaxed)
     }
 
-    /// Messages that did not fit.
+    /// Messages that did not fit and were not tried again.
     pub(crate) fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod broker;
+#[path = "../fleet/mod.rs"]
 mod fleet;
 
 use std::fs;
@@ -117,7 +118,7 @@ fn readings_as_json_are_forecast_and_forecasts_budgets_and_alarms_are_told() {
         Broker::start(&program, "allow_anonymous true"),
     );
     let mut worker = fleet.worker();
-    let mut bridge = fleet.bridge(&file(&broker));
+    let mut bridge = fleet.bridge(&file(&broker), "connected to ");
     let listener = broker.client("listener", "jb/#");
     let robots = Robots::start(broker.client("robots", "nothing").client);
     for robot in 1..=3 {
@@ -195,7 +196,7 @@ fn a_broker_that_is_killed_and_started_again_is_joined_again() {
         Broker::start(&program, "allow_anonymous true"),
     );
     let mut worker = fleet.worker();
-    let mut bridge = fleet.bridge(&file(&broker));
+    let mut bridge = fleet.bridge(&file(&broker), "connected to ");
     let listener = broker.client("listener", "jb/#");
     let robots = Robots::start(broker.client("robots", "nothing").client);
     listener.wait_for("jb/lab/r1/forecast", is_forecast);
@@ -293,7 +294,7 @@ fn hostile_messages_are_counted_and_named_and_harm_nobody() {
             r#"{"monitor": {"power": 9000}}"#,
         )
         .unwrap();
-    let mut bridge = fleet.bridge(&file(&broker));
+    let mut bridge = fleet.bridge(&file(&broker), "connected to ");
     let listener = broker.client("listener", "jb/#");
     let robots = Robots::start(broker.client("robots", "nothing").client);
     listener.wait_for("jb/lab/r3/forecast", is_forecast);
@@ -351,8 +352,9 @@ fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
     );
     let mut worker = fleet.worker();
     let address = broker.address();
-    let mut bridge = fleet.bridge(&format!(
-        r#"
+    let mut bridge = fleet.bridge(
+        &format!(
+            r#"
         [bridge]
         reading_holds_s = 30
         silent_after_s = 60
@@ -363,7 +365,9 @@ fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
         vda5050 = [{{ topic = "uagv/v2/KIT/{{robot}}/state" }}]
         write = [{{ what = "budget", topic = "jb/{{robot}}/budget", every_s = 0.1 }}]
         "#
-    ));
+        ),
+        "connected to ",
+    );
     let listener = broker.client("listener", "jb/#");
     let mut state = json!({
         "headerId": 1, "timestamp": "2026-11-23T04:00:00.00Z", "version": "2.0.0", "manufacturer": "KIT",
@@ -432,8 +436,9 @@ fn robots_of_a_vizier_are_asked_and_sent_nothing_else() {
     let stopped = Arc::clone(&stop);
     let node = std::thread::spawn(move || node(&client, &stopped));
     let address = broker.address();
-    let mut bridge = fleet.bridge(&format!(
-        r#"
+    let mut bridge = fleet.bridge(
+        &format!(
+            r#"
         [robots]
         5 = 5
         6 = 6
@@ -445,7 +450,9 @@ fn robots_of_a_vizier_are_asked_and_sent_nothing_else() {
             {{ what = "status", topic = "jb/bridge", every_s = 0.1 }},
         ]
         "#
-    ));
+        ),
+        "connected to ",
+    );
     let listener = broker.client("listener", "jb/#");
     eventually("a forecast", || {
         listener.send("matlab_api/5", r#"{"v": 0.1, "w": 0.5}"#);

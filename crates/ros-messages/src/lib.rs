@@ -1,11 +1,16 @@
-//! The ROS 2 messages with power and motion data, decoded from CDR.
+//! The ROS 2 messages with power and motion data, decoded from CDR, and what is told, encoded.
 //!
 //! The bytes are read by the `cdr-encoding` crate, which RustDDS and ros2-client use. The
-//! definition of a type in the file is compared with the built-in one: a message with other fields
+//! definition of a type in a file is compared with the built-in one: a message with other fields
 //! is refused instead of misread.
+#![forbid(unsafe_code)]
+
+mod told;
 
 use cdr_encoding::from_bytes;
 use serde::{Deserialize, Serialize};
+
+pub use told::{DiagnosticArray, DiagnosticStatus, Float64, KeyValue, encode};
 
 /// Time since 1970.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

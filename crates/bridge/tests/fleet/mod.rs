@@ -65,10 +65,10 @@ impl Fleet {
         command
     }
 
-    /// Starts a bridge that is connected.
-    pub(crate) fn bridge(&self, text: &str) -> Child {
+    /// Starts a bridge, and waits until it `says` that it is connected.
+    pub(crate) fn bridge(&self, text: &str, says: &str) -> Child {
         let mut bridge = Child::spawn("bridge", self.command(text));
-        bridge.wait_for_line("connected to ");
+        bridge.wait_for_line(says);
         bridge
     }
 
