@@ -2,8 +2,9 @@
 """Puts defects into the sources, one at a time, and prints the seed of the simulator that finds each.
 
     tools/mutations.py [--seeds N] [--only NAME,...] [--json FILE]
+    tools/mutations.py --check      only looks whether the texts to be replaced are still there
 
-Each defect is a replacement of text; the file is restored afterwards, also after Ctrl-C. Needs a clean work tree
+Each defect is a replacement of text, wherever it occurs in its file; the file is restored afterwards, also after Ctrl-C. Needs a clean work tree
 below crates/. Exits with 1 if a defect was not found.
 """
 import argparse
@@ -47,7 +48,7 @@ MUTATIONS = [
     ("a capture's folder is not synced", "capture/src/writer/file.rs",
      "disk::sync_directory(folder.unwrap_or(Path::new(\".\")))", "Ok(drop(folder))"),
     ("the ledger is never saved", "predictor-worker/src/checkpointer.rs",
-     "                self.changed = true;\n", ""),
+     "        self.changed |= changed;\n", "        let _ = changed;\n"),
     ("accounts forget unmetered time", "predictor-worker/src/checkpoint.rs",
      "unmetered_ns: budget.unmetered_ns,", "unmetered_ns: 0,"),
     ("overwritten samples are not counted", "fleet/src/ingest/sources.rs",
@@ -105,7 +106,12 @@ def main():
     parser.add_argument("--only", help="names, separated by commas, or parts of them")
     parser.add_argument("--json", type=pathlib.Path, help="also write the results here")
     parser.add_argument("--profile", choices=["dev", "release"], default="dev")
+    parser.add_argument("--check", action="store_true", help="look for the texts, build nothing")
     asked = parser.parse_args()
+    if asked.check:
+        gone = [f"{name}: {file}" for name, file, old, _ in MUTATIONS if old not in (ROOT / "crates" / file).read_text()]
+        print("\n".join(gone) or f"{len(MUTATIONS)} defects can be put in")
+        sys.exit(1 if gone else 0)
     wanted = [part.strip() for part in (asked.only or "").split(",")]
     build = ["cargo", "build", "-q", "-p", "joulebus-simulator", "--bin", "joulebus-sim", "--profile", asked.profile]
     results, missed = [], 0

@@ -452,10 +452,14 @@ fn a_sensor_that_jumps_up_and_stays_is_doubted_one_that_jumps_down_is_believed_a
     let shown = bench.drive(100, |sample, _| sample.soc(1.0));
     assert!(bench.raised(Alarm::SocImplausible));
     assert!(shown.soc_hi < before.soc_hi, "{shown:?}, {truth}");
+    // What is counted is less, and safe to plan with.
+    assert_eq!(shown.flags & budget_flag::CONTRADICTED, 0);
     let shown = bench.drive(3, |sample, _| sample.soc(0.1));
     assert!(shown.soc > 0.3, "{shown:?}");
+    assert_ne!(shown.flags & budget_flag::CONTRADICTED, 0);
     let shown = bench.drive(30, |sample, _| sample.soc(0.1));
     assert!(shown.soc < 0.15, "{shown:?}");
+    assert_eq!(shown.flags & budget_flag::CONTRADICTED, 0);
     assert_eq!(shown.battery_changes, 1);
 }
 
@@ -596,6 +600,35 @@ fn a_robot_cannot_return_when_less_than_it_needs_is_certainly_left() {
     let mut bench = Bench::new(battery());
     bench.drive(3 * HOUR, plain);
     assert!(bench.raised(Alarm::BatteryCritical) && !bench.raised(Alarm::CannotReturn));
+}
+
+#[test]
+fn levels_of_a_silent_robot_are_raised_as_its_budget_falls() {
+    let mut bench = Bench::new(battery());
+    let before = bench.drive(HOUR / 2, plain);
+    // Spent in 50 s at the greatest power.
+    let needed_j = f64::from(before.soc_lo) * CAPACITY_J - 50.0 * f64::from(POWER_MAX_W);
+    bench.send(4.0, |sample, _| sample.return_energy(needed_j as f32));
+    assert!(!bench.raised(Alarm::CannotReturn));
+    let raised: Vec<bool> = (0..20)
+        .map(|_| {
+            bench.step += 1;
+            bench.fleet.tick(bench.now_ns(), false);
+            let shown = bench.budget();
+            let raised = bench.raised(Alarm::CannotReturn);
+            // The row has f32.
+            let spare_j = f64::from(shown.soc_lo) * CAPACITY_J - needed_j;
+            assert!(
+                raised == (spare_j < 0.0) || spare_j.abs() < 0.1,
+                "{shown:?}"
+            );
+            raised
+        })
+        .collect();
+    assert!(!raised[5] && raised[19], "{raised:?}");
+    // It is heard of again, and has drawn nobody knows what.
+    bench.send(4.0, |sample, _| sample.return_energy(needed_j as f32));
+    assert!(bench.raised(Alarm::CannotReturn));
 }
 
 #[test]

@@ -91,7 +91,7 @@ pub enum Unknown {
     NoLevel,
     /// The platform's config describes no battery.
     NoBattery,
-    /// The energy in the battery is unknown.
+    /// The energy in the battery is unknown, or a measured state of charge says that less is left than was counted.
     BatteryUnknown,
     /// No budget of the robot that is as new as its state.
     NoBudget,
@@ -149,7 +149,10 @@ impl fmt::Display for Unknown {
             }
             Self::NoLevel => write!(out, "no power of the robot has been metered yet"),
             Self::NoBattery => write!(out, "its platform has no `[battery]` in the config"),
-            Self::BatteryUnknown => write!(out, "the energy in its battery is unknown"),
+            Self::BatteryUnknown => write!(
+                out,
+                "the energy in its battery is unknown, or less is measured than was counted"
+            ),
             Self::NoBudget => write!(out, "there is no current budget of the robot"),
         }
     }

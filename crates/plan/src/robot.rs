@@ -480,7 +480,9 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
     if age_ns > header.period_ns.saturating_mul(STALE_TICKS) {
         return Err(Unknown::NoBudget);
     }
-    let is_known = budget.flags & budget_flag::BATTERY != 0;
+    // A battery of which less is measured than counted may be another one.
+    let is_known =
+        budget.flags & (budget_flag::BATTERY | budget_flag::CONTRADICTED) == budget_flag::BATTERY;
     let battery = Battery {
         left_j: budget.left_j,
         left_lo_j: (f64::from(budget.soc_lo) * settings.capacity_j) as f32,

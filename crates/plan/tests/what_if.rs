@@ -111,6 +111,10 @@ fn whatever_is_unknown_is_said_and_never_yes() {
             |rows| rows.budget.usable_lo_j = f32::NAN,
             Unknown::BatteryUnknown,
         ),
+        (
+            |rows| rows.budget.flags |= budget_flag::CONTRADICTED,
+            Unknown::BatteryUnknown,
+        ),
     ];
     for (spoil, reason) in cases {
         let mut rows = fine;

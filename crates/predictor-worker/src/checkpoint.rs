@@ -115,13 +115,15 @@ impl Checkpoint {
     }
 
     /// Converts the accounts to the current boot: after a reboot the stamps restart, and the time
-    /// in between, known only from the wall clock, is unmetered.
+    /// in between, known only from the wall clock, is unmetered. Where that says less than the time since
+    /// this boot (it is not set yet, or was set back), nobody knows how long it was, nor what is left in the batteries.
     #[must_use]
     pub(crate) fn carried_over(mut self, boot_id: &str, now_ns: u64, now_unix_ns: u64) -> Self {
         if self.boot_id == boot_id {
             return self;
         }
-        let away_ns = now_unix_ns.saturating_sub(self.written_unix_ns);
+        let by_wall_ns = now_unix_ns.saturating_sub(self.written_unix_ns);
+        let (away_ns, is_known) = (by_wall_ns.max(now_ns), by_wall_ns >= now_ns);
         let mut newest_first: Vec<(u64, u32)> = self.by_age().collect();
         newest_first.sort_unstable_by(|one, other| other.cmp(one));
         for (later, (stamp_ns, robot)) in (0..).zip(newest_first) {
@@ -132,6 +134,9 @@ impl Checkpoint {
                     .saturating_add(self.written_ns.saturating_sub(stamp_ns));
                 // Apart by one ns each: those that were silent longest are still given up first.
                 account.stamp_ns = now_ns.saturating_sub(later);
+                if !is_known {
+                    account.battery = account.battery.map(SavedBattery::without_bounds);
+                }
             }
         }
         boot_id.clone_into(&mut self.boot_id);
@@ -218,6 +223,31 @@ pub(crate) mod tests {
         let account = &other.robots[&3];
         assert_eq!(account.unmetered_ns, 20 + 10_000 + 100);
         assert_eq!(account.stamp_ns, 5);
+    }
+
+    #[test]
+    fn after_a_reboot_without_a_clock_nobody_knows_what_is_left() {
+        let budget = Budget {
+            robot: 3,
+            flags: budget_flag::LEDGER | budget_flag::BATTERY,
+            soc: 0.7,
+            soc_lo: 0.6,
+            soc_hi: 0.8,
+            stamp_ns: 1_000,
+            ..Budget::default()
+        };
+        let mut ledger = Checkpoint::new("lab", "boot-a");
+        assert_eq!(ledger.take(&[budget], 9), 0);
+        (ledger.written_ns, ledger.written_unix_ns) = (1_000, 50_000);
+        let whole = ledger.robots[&3].battery;
+        let carried = |now_unix_ns| ledger.clone().carried_over("boot-b", 500, now_unix_ns);
+        assert_eq!(carried(50_500).robots[&3].battery, whole);
+        for now_unix_ns in [0, 49_999, 50_499] {
+            let account = carried(now_unix_ns).robots[&3];
+            assert_eq!(account.unmetered_ns, 500, "at least since this boot");
+            assert_eq!(account.battery, whole.map(SavedBattery::without_bounds));
+            assert_ne!(account.battery, whole);
+        }
     }
 
     #[test]

@@ -17,6 +17,9 @@ pub mod budget_flag {
     pub const CHARGED: u32 = 1 << 3;
     /// The state of charge contains a measured one.
     pub const MEASURED: u32 = 1 << 4;
+    /// A measured state of charge says that less is left than was counted, and is not believed yet: the battery may be
+    /// another one, and the bounds need not hold.
+    pub const CONTRADICTED: u32 = 1 << 5;
 }
 
 /// One robot's budget. 128 bytes.

@@ -503,6 +503,16 @@ impl SavedBattery {
         self.changes
     }
 
+    /// The same battery after a time that nobody knows: anything may be left.
+    #[must_use]
+    pub const fn without_bounds(self) -> Self {
+        Self {
+            soc_lo: 0.0,
+            soc_hi: 1.0,
+            ..self
+        }
+    }
+
     /// `None` if it is none that can have been written.
     fn estimate(&self) -> Option<Estimate> {
         let [soc, lo, hi] = [self.soc, self.soc_lo, self.soc_hi].map(f64::from);

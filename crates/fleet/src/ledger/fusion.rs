@@ -46,6 +46,11 @@ impl BatteryState {
         };
     }
 
+    /// Whether the last measured value says that less is left than is counted, and is not believed.
+    pub(crate) fn is_contradicted(&self) -> bool {
+        AlarmSet(self.raised).has(Alarm::SocImplausible) && self.jump < 0.0
+    }
+
     /// The sensor's error changes with time.
     fn age(&mut self, sd: f64, stamp_ns: u64) {
         let elapsed_s = match self.measured_ns {

@@ -61,10 +61,16 @@ impl TickContext {
         ranges
     }
 
+    /// Time since a robot's last sample was taken, ns.
+    #[inline(always)]
+    pub(crate) fn silent_ns(&self, admission: &AdmissionState) -> u64 {
+        self.now_ns.saturating_sub(admission.taken_ns)
+    }
+
     /// Whether a robot has been silent for longer than its platform allows.
     #[inline(always)]
     pub(crate) fn is_stale(&self, admission: &AdmissionState) -> bool {
-        self.now_ns.saturating_sub(admission.taken_ns)
+        self.silent_ns(admission)
             > self.platforms[usize::from(admission.platform)]
                 .platform
                 .stale_after_ns

@@ -5,7 +5,7 @@ use joulebus_settings::{Battery, Platform};
 use joulebus_wire::{Budget, ChargeState, budget_flag};
 
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
-use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging, Counting};
+use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging, Counting, Estimate};
 use crate::ledger::remaining::{Remaining, RemainingLanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
@@ -56,7 +56,11 @@ impl<'a> Budgets<'a> {
                     !remaining.time_to_empty_s.is_nan(),
                     budget_flag::TIME_TO_EMPTY,
                 )
-                | flag(battery.is_some_and(|it| it.fused), budget_flag::MEASURED),
+                | flag(battery.is_some_and(|it| it.fused), budget_flag::MEASURED)
+                | flag(
+                    battery.is_some_and(|it| it.is_contradicted()),
+                    budget_flag::CONTRADICTED,
+                ),
             charge_state: charge_state.code(),
             battery_changes: battery.map_or(0, |battery| battery.changes),
             drawn_uj: ledger.drawn_uj,
@@ -97,7 +101,7 @@ fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
     for (lane, admission) in block.admissions.iter().enumerate() {
         known[lane] = admission.accepted;
         platform[lane] = admission.platform;
-        silent_ns[lane] = tick.now_ns.saturating_sub(admission.taken_ns);
+        silent_ns[lane] = tick.silent_ns(admission);
     }
     for (number, context) in tick.platforms.iter().enumerate() {
         let Some(battery) = context.platform.battery else {
@@ -115,6 +119,26 @@ fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
     left
 }
 
+/// A battery as it is now: after the sample of the robot in a lane, and the time for which the next one is overdue.
+#[inline(always)]
+pub(crate) fn estimate(
+    block: &BlockRef<'_>,
+    robot: &BatteryState,
+    counting: &Counting,
+    lane: usize,
+    overdue_ns: u64,
+) -> Estimate {
+    let mut at = At::of(&block.ledgers.get(lane));
+    at.unmetered_ns = at.unmetered_ns.saturating_add(overdue_ns);
+    // On a charger the anchor is at the last sample: what is not in it is silence.
+    let charging = Charging {
+        metered: false,
+        unmetered: robot.charging,
+    };
+    let mean_w = block.lasts.mean_power_w[lane];
+    robot.after(counting, at, mean_w.into(), charging)
+}
+
 /// Computes the robots of one platform.
 #[inline(always)]
 fn fill(
@@ -124,20 +148,13 @@ fn fill(
     mask: &Lanes<bool>,
     silent_ns: &Lanes<u64>,
 ) {
-    let (period_ns, counting) = (platform.period_ns, Counting::of(battery, platform));
+    let counting = Counting::of(battery, platform);
     let mean_w = &block.lasts.mean_power_w;
     for lane in 0..LANES {
         let ends_w = block.intervals.get(lane).around(mean_w[lane], 0, true);
         let robot = batteries.get(lane);
-        let silent_ns = silent_ns[lane].saturating_sub(period_ns);
-        let mut at = At::of(&block.ledgers.get(lane));
-        at.unmetered_ns = at.unmetered_ns.saturating_add(silent_ns);
-        // On a charger the anchor is at the last sample: what is not in it is silence.
-        let charging = Charging {
-            metered: false,
-            unmetered: robot.charging,
-        };
-        let estimate = robot.after(&counting, at, mean_w[lane].into(), charging);
+        let overdue_ns = silent_ns[lane].saturating_sub(platform.period_ns);
+        let estimate = estimate(block, &robot, &counting, lane, overdue_ns);
         let remaining = Remaining::of(battery, &estimate, mean_w[lane], ends_w, robot.charging);
         left.set(lane, mask[lane], remaining);
     }

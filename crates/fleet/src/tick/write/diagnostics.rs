@@ -7,8 +7,11 @@ use joulebus_predictor::canonical;
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, Level, diagnostic_flag};
 
 use crate::layout::lanes::{Block as _, LANES, Lanes};
+use crate::ledger::battery::Counting;
+use crate::ledger::levels;
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
+use crate::tick::write::budgets;
 use crate::tick::write::flag::flag;
 use crate::tick::write::learned::LearnedLanes;
 
@@ -61,9 +64,7 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
         let (admission, last) = (&self.block.admissions[lane], self.block.lasts.get(lane));
         let (scored, detectors) = (self.block.scores.count[lane], self.block.detectors);
         let context = &tick.platforms[usize::from(admission.platform)];
-        let of_battery = (self.block.batteries)
-            .filter(|_| context.platform.battery.is_some())
-            .map_or(0, |batteries| batteries.raised[lane]);
+        let of_battery = battery_levels(tick, &self.block, lane);
         let raised = detectors.raised(lane).and(AlarmSet(of_battery));
         let alarms = if tick.is_stale(admission) {
             raised.with(Alarm::NoData)
@@ -133,6 +134,24 @@ const fn of_level(level: Level) -> u32 {
 const STALE: u32 = of_level(Level::Stale);
 const ERROR: u32 = of_level(Level::Error);
 const WARN: u32 = of_level(Level::Warn);
+
+/// The alarms of a battery: those of the last sample, and while the next one is overdue those of what the budget of this
+/// tick says, which falls all the time.
+#[inline(always)]
+fn battery_levels(tick: &TickContext, block: &BlockRef<'_>, lane: usize) -> u32 {
+    let admission = &block.admissions[lane];
+    let platform = &tick.platforms[usize::from(admission.platform)].platform;
+    let (Some(batteries), Some(battery)) = (block.batteries, &platform.battery) else {
+        return 0;
+    };
+    let overdue_ns = tick.silent_ns(admission).saturating_sub(platform.period_ns);
+    if overdue_ns == 0 || !admission.accepted {
+        return batteries.raised[lane];
+    }
+    let (robot, counting) = (batteries.get(lane), Counting::of(battery, platform));
+    let estimate = budgets::estimate(block, &robot, &counting, lane, overdue_ns);
+    levels::judge(robot.raised, battery, &estimate, robot.return_j)
+}
 
 /// Codes of the worst level and of the most important alarm of a set, without iterating over it.
 fn most_important(alarms: AlarmSet) -> (u16, u16) {
