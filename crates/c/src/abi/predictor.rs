@@ -7,6 +7,7 @@ use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 use ::joulebus_predictor::{
     FEATURES, Features, INPUTS, LAGS, Model, ReadingAge, RolloutStart, Rollouts,
 };
+use joulebus_bus::process_id;
 
 use crate::abi::types::{joulebus_error, joulebus_predictor, joulebus_rollout};
 use crate::failure::{Failure, entry};
@@ -17,6 +18,8 @@ use crate::{model, version};
 const DEFAULT: &str = "builtin:gternal-sim";
 /// Marks the number of a predictor: no code of a [`crate::handles::Kind`] begins so.
 const MARK: usize = 0xf << 60;
+/// Above the place: the process that opened it, whose ids have at most 22 bits.
+const PID_SHIFT: u32 = 32;
 /// Rows that are widened at once, on the stack.
 const ROWS: usize = 64;
 
@@ -47,7 +50,7 @@ pub unsafe extern "C" fn joulebus_predictor_open(
         version::check(header)?;
         let opened = Arc::new(model::open(name)?);
         let mut all = OPEN.write().unwrap_or_else(PoisonError::into_inner);
-        predictor.set(ptr::without_provenance_mut(MARK | all.len()));
+        predictor.set(ptr::without_provenance_mut(of_process() | all.len()));
         all.push(Some(opened));
         Ok(())
     })
@@ -212,13 +215,26 @@ fn place(predictor: *mut joulebus_predictor) -> Result<usize, Failure> {
             "the predictor is NULL: open one, and look at what opening returned",
         ));
     }
-    match predictor.addr() & MARK {
-        MARK => Ok(predictor.addr() & !MARK),
-        _ => Err(Failure::new(
-            joulebus_error::Handle,
-            format!("{:#x} is not a predictor", predictor.addr()),
-        )),
+    let number = predictor.addr();
+    if number & MARK != MARK {
+        let text = format!("{number:#x} is not a predictor");
+        return Err(Failure::new(joulebus_error::Handle, text));
     }
+    let place = number & ((1 << PID_SHIFT) - 1);
+    // Before the lock, which a thread of the parent may have held at the fork.
+    if number - place != of_process() {
+        let (found, allowed) = (process_id(), (number & !MARK) >> PID_SHIFT);
+        let text = format!(
+            "a predictor used in process {found}, which was forked from {allowed}: open another one after a fork"
+        );
+        return Err(Failure::new(joulebus_error::Process, text));
+    }
+    Ok(place)
+}
+
+/// What the numbers of all predictors of this process begin with.
+fn of_process() -> usize {
+    MARK | (process_id() as usize) << PID_SHIFT
 }
 
 fn not_open() -> Failure {

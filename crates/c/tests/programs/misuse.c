@@ -183,6 +183,9 @@ static void in_a_child(struct shared *shared) {
         REFUSED(joulebus_planner_wait(shared->planner, 0, &event), PROCESS, "forked");
         REFUSED(joulebus_planner_close(shared->planner), PROCESS, "forked");
         REFUSED(joulebus_frame_close(shared->frame), PROCESS, "forked");
+        float features[13] = {0}, power_w = 0;
+        REFUSED(joulebus_predictor_predict(shared->predictor, features, 1, 13, &power_w), PROCESS, "forked");
+        REFUSED(joulebus_predictor_close(shared->predictor), PROCESS, "forked");
         joulebus_planner *own = planner();
         next_frame(own);
         OK(joulebus_planner_close(own));
