@@ -67,7 +67,7 @@ fn whatever_is_unknown_is_said_and_never_yes() {
         Verdict::Yes
     );
     type Spoil = fn(&mut Rows);
-    let cases: [(Spoil, Unknown); 12] = [
+    let cases: [(Spoil, Unknown); 13] = [
         (
             |rows| rows.now_ns += 3 * PERIOD_NS,
             Unknown::Stale {
