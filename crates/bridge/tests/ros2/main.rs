@@ -151,7 +151,7 @@ fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_
     let robot = status(&told, "joulebus: r1");
     assert_eq!(robot["hardware_id"], "r1");
     assert!(text(robot, "usable_j").parse::<f64>().is_ok(), "{robot}");
-    assert!(text(robot, "quality") != "NoCommand", "{robot}");
+    assert!(text(robot, "quality_detail") != "NoCommand", "{robot}");
     let silent = status(&told, "joulebus: r3");
     assert_eq!(silent["level"], 3, "nothing was heard of it: {silent}");
     let of_worker = status(&told, "joulebus: worker of lab");
@@ -319,6 +319,11 @@ fn a_worker_and_a_talker_that_are_killed_are_found_again() {
     talker.say("/fleet/r1/battery_state", "BatteryState", &discharging());
     let is_read = |told: &Value| is_near(&told["data"], 4_400.0);
     listener.wait_for("/r1/joulebus/reading_w", 0, is_read);
+    // Nobody commands it: a command of the other tests is what their forecasts are of.
+    listener.wait_for("/diagnostics", 0, |told| {
+        let robot = status(told, "joulebus: r1");
+        text(robot, "quality_detail") == "NoCommand" && text(robot, "power_w") == "unknown"
+    });
 
     worker.kill();
     let told = listener.wait_for("/diagnostics", 0, |told| {

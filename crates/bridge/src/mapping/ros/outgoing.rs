@@ -17,8 +17,9 @@ const STALE: u8 = 3;
 /// Robots of one `diagnostic_msgs/DiagnosticArray`: some 40 kB.
 const MOST_STATUSES: usize = 32;
 /// Values of a robot that are diagnosed, beside its alarms.
-const DIAGNOSED: [&str; 19] = [
+const DIAGNOSED: [&str; 20] = [
     "quality",
+    "quality_detail",
     "reading_w",
     "reading_age_s",
     "power_w",
