@@ -2,22 +2,18 @@
 
 mod subject;
 
-use std::fmt;
 use std::path::{Path, PathBuf};
 
-use joulebus_eval::evaluate::{Evaluation, EvaluationReport};
-use joulebus_eval::score::{ScoreError, ScoreReport, score};
+use joulebus_eval::EvalReport;
+use joulebus_eval::evaluate::Evaluation;
+use joulebus_eval::score::{ScoreError, score};
 use joulebus_predictor::Model;
 use joulebus_predictor_worker::load_models;
 use joulebus_program::exit::Outcome;
 use joulebus_program::model_source;
 use joulebus_program::output::{Output, say};
-use serde::Serialize;
 
 pub(crate) use subject::{Selection, usage};
-
-/// Maximum number of trials whose live scores are listed; of more, one line per platform.
-const LISTED: usize = 24;
 
 /// Evaluate recorded trials offline: the same bits as playing them live, compared with the
 /// baselines
@@ -54,7 +50,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         Some(model) => vec![model.clone(); config.settings().platforms.len()],
     };
     let sections = args.asked.sections(config.settings(), named.is_some())?;
-    let mut report = EvalReport::default();
+    let mut evaluations = Vec::new();
     let mut live = Evaluation { robots: Vec::new() };
     let options = args.asked.options()?;
     let mut refused = None;
@@ -66,7 +62,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         match score(subject, &options).map_err(usage) {
             Ok(scored) => {
                 warn(&scored.report.warnings);
-                report.evaluations.push(scored.report);
+                evaluations.push(scored.report);
                 let robots = scored.live.into_iter().flat_map(|live| live.robots);
                 live.robots.extend(robots);
             }
@@ -78,11 +74,10 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             Err(error) => return Err(error),
         }
     }
-    if let (true, Some(error)) = (report.evaluations.is_empty(), refused) {
+    if let (true, Some(error)) = (evaluations.is_empty(), refused) {
         return Err(error);
     }
-    report.live = Some(live.report());
-    output.report(&report)?;
+    output.report(&EvalReport::new(&live, evaluations))?;
     Ok(Outcome::Done)
 }
 
@@ -100,38 +95,4 @@ fn is_without_rows(error: &anyhow::Error) -> bool {
 /// The model of a file, or a built-in one.
 pub(crate) fn load(path: &Path) -> anyhow::Result<Model> {
     Ok(Model::Network(model_source::load(path)?))
-}
-
-/// The live path's scores, and the evaluation of each platform.
-#[derive(Debug, Default, Serialize)]
-struct EvalReport {
-    #[serde(flatten)]
-    live: Option<EvaluationReport>,
-    evaluations: Vec<ScoreReport>,
-}
-
-impl fmt::Display for EvalReport {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (at, evaluation) in self.evaluations.iter().enumerate() {
-            if at > 0 {
-                writeln!(out, "\n")?;
-            }
-            write!(out, "{evaluation}")?;
-        }
-        let Some(live) = &self.live else {
-            return Ok(());
-        };
-        writeln!(
-            out,
-            "\nLive path: the readings of these rows, and those after gaps"
-        )?;
-        if live.robots.len() <= LISTED {
-            return write!(out, "{live}");
-        }
-        let platforms = EvaluationReport {
-            robots: Vec::new(),
-            ..live.clone()
-        };
-        write!(out, "{platforms}")
-    }
 }

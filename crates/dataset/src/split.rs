@@ -18,7 +18,8 @@ use joulebus_predictor::LAGS;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-use crate::rows::{Dataset, TrialRows};
+use crate::rows::{Dataset, Row, TrialRows, trial_rows};
+use crate::trial::Trial;
 use joulebus_statistics::noise::Noise;
 
 /// Minimum number of rows left out at each cut in time: the lag window and the target reading,
@@ -124,6 +125,21 @@ pub struct Source {
     pub group: String,
     /// The trial's rows.
     pub rows: TrialRows,
+}
+
+impl Source {
+    /// A trial, with names derived from its file. Robots that share a file belong to one group.
+    #[must_use]
+    pub fn of(trial: &Trial) -> Self {
+        let file = trial.path().file_name().and_then(|name| name.to_str());
+        let file = file.unwrap_or_default();
+        Self {
+            trial: trial.path().display().to_string(),
+            robot: trial.robot_name().unwrap_or(file).to_owned(),
+            group: group_of(file),
+            rows: trial_rows(trial),
+        }
+    }
 }
 
 /// A trial in one of several parts that must not share a row.
@@ -296,6 +312,58 @@ pub fn split(
     };
     let description = format!("{description}; split by {}{seed}", split.by);
     Ok((assignment.dataset(sources, description), assignment.summary))
+}
+
+/// Rows whose parts are given individually: training, validation, held out. `description` states their origin.
+///
+/// # Errors
+/// [`SplitError::Copy`]: the same rows are in two parts.
+pub fn given(
+    parts: [&[Source]; 3],
+    description: &str,
+) -> Result<(Dataset, SplitSummary), SplitError> {
+    let placed = parts.into_iter().zip(PARTS).flat_map(|(sources, part)| {
+        let place = move |source| Placed::new(source, part);
+        sources.iter().map(place)
+    });
+    check_copies(placed)?;
+    let [training, validation, held_out] = parts
+        .map(|part| -> Vec<String> { part.iter().map(|source| source.trial.clone()).collect() });
+    let rows = parts.map(|part| -> Vec<Row> {
+        let rows = part.iter().flat_map(|source| &source.rows.rows);
+        rows.copied().collect()
+    });
+    let summary = SplitSummary {
+        by: By::Trial,
+        rows: [rows[0].len(), rows[1].len(), rows[2].len()],
+        training,
+        validation,
+        held_out,
+        pause_rows: 0,
+        name: "given individually".to_owned(),
+    };
+    let [training, validation, held_out] = rows;
+    let dataset = Dataset {
+        training,
+        validation,
+        held_out,
+        description: format!("{description}; parts given individually"),
+        period_s: median_period_s(parts[0]),
+    };
+    Ok((dataset, summary))
+}
+
+/// Number and groups of recordings, as a model's file states them.
+#[must_use]
+pub fn describe(sources: &[Source]) -> String {
+    let mut groups: Vec<&str> = sources.iter().map(|source| source.group.as_str()).collect();
+    groups.sort_unstable();
+    groups.dedup();
+    let named = match groups.len() {
+        ..=8 => groups.join(", "),
+        more => format!("{}, … ({more} groups)", groups[..8].join(", ")),
+    };
+    format!("{} recorded trials of {named}", sources.len())
 }
 
 /// Assigns the rows of each source to the parts.

@@ -1,6 +1,7 @@
 //! Recorded trials through the tick, offline, in one pass: to the bit the results of a live run.
 
 mod report;
+mod series;
 
 use std::collections::HashSet;
 use std::fmt;
@@ -13,6 +14,7 @@ use joulebus_wire::{DropCounts, Quality, SCHEMA_VERSION, Sample, SampleHeader, d
 use serde::Serialize;
 
 pub use report::{EvaluationReport, PlatformReport, RobotReport, ScoreReport};
+pub use series::Series;
 
 use joulebus_dataset::trial::{Trial, TrialNotes};
 

@@ -7,4 +7,7 @@ pub mod calibrate;
 pub mod energy;
 pub mod evaluate;
 pub mod online_learning;
+mod report;
 pub mod score;
+
+pub use report::EvalReport;

@@ -43,6 +43,6 @@ pub use design::{Design, DesignReport, Fold, Part};
 pub use options::{LONGEST_HORIZON, Options, ScoreError};
 pub use recording::{Recording, check_apart, read_recordings, recorded_platform};
 pub use report::{BaselineReport, ModelReport, ScoreReport};
-pub use run::{Scored, score};
+pub use run::{Scored, score, score_watched};
 pub use subject::Subject;
 pub use trained_on::{ScoredRows, TrainedOn};

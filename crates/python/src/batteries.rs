@@ -1,6 +1,7 @@
 //! Batteries of simulated robots that draw what a model forecasts: what `EnergyRobotarium` does at each step, in one
 //! call.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use numpy::{PyArrayDyn, PyReadonlyArray2, PyUntypedArrayMethods as _};
@@ -17,6 +18,7 @@ type Array<'py, T> = PyResult<Bound<'py, PyArrayDyn<T>>>;
 #[derive(Debug)]
 pub(crate) struct Batteries {
     predictor: EnergyPredictor,
+    arenas: usize,
     period_s: f64,
     capacity_j: Vec<f64>,
     left_j: Vec<f64>,
@@ -32,8 +34,11 @@ pub(crate) struct Batteries {
 
 #[pymethods]
 impl Batteries {
-    /// All numbers have been checked by `EnergyRobotarium`.
+    /// All numbers have been checked by `EnergyRobotarium` and `EnergyVectorEnv`. `arenas`: groups of as many robots
+    /// each, one after the other; every one has all the chargers to itself.
     #[new]
+    #[pyo3(signature = (model, period_s, capacity_j, left_j, chargers, charge_power_w, radius_m, arenas = 1))]
+    #[allow(clippy::too_many_arguments, reason = "arguments of one call in Python")]
     fn new(
         model: PathBuf,
         period_s: f64,
@@ -42,8 +47,14 @@ impl Batteries {
         chargers: Vec<[f64; 2]>,
         charge_power_w: f64,
         radius_m: f64,
+        arenas: usize,
     ) -> PyResult<Self> {
         let robots = capacity_j.len();
+        if arenas == 0 || !robots.is_multiple_of(arenas) {
+            return Err(PyValueError::new_err(format!(
+                "{robots} robots in {arenas} arenas, allowed are as many in each"
+            )));
+        }
         if left_j.len() != robots {
             return Err(PyValueError::new_err(format!(
                 "{} states of charge for {robots} batteries",
@@ -52,6 +63,7 @@ impl Batteries {
         }
         Ok(Self {
             predictor: EnergyPredictor::open(model, period_s, robots)?,
+            arenas,
             period_s,
             capacity_j,
             left_j,
@@ -101,10 +113,34 @@ impl Batteries {
             self.draw(robot, 1e-3 * power_mw);
         }
         self.charging.fill(false);
-        for charger in 0..self.chargers.len() {
-            self.charge(charger, |robot| (poses[(0, robot)], poses[(1, robot)]));
+        let size = robots / self.arenas;
+        for arena in 0..self.arenas {
+            let members = arena * size..(arena + 1) * size;
+            for charger in 0..self.chargers.len() {
+                let at = |robot| (poses[(0, robot)], poses[(1, robot)]);
+                self.charge(charger, members.clone(), at);
+            }
         }
         Ok(self.left_j.iter().any(|left_j| *left_j <= 0.0))
+    }
+
+    /// Begins anew, at rest, with these robots, whose batteries then have `left_j`.
+    fn reset(&mut self, robots: Vec<usize>, left_j: Vec<f64>) -> PyResult<()> {
+        let count = self.left_j.len();
+        if robots.len() != left_j.len() || robots.iter().any(|robot| *robot >= count) {
+            return Err(PyValueError::new_err(format!(
+                "{} robots and {} energies, allowed are as many, of robots below {count}",
+                robots.len(),
+                left_j.len()
+            )));
+        }
+        for (robot, left_j) in robots.into_iter().zip(left_j) {
+            self.predictor.begin_robot(robot);
+            self.left_j[robot] = left_j;
+            (self.drawn_j[robot], self.power_w[robot]) = (0.0, 0.0);
+            self.charging[robot] = false;
+        }
+        Ok(())
     }
 
     /// Power of the last step, W.
@@ -149,14 +185,14 @@ impl Batteries {
         *left_j -= drawn_j;
     }
 
-    /// Charges the nearest robot within the radius.
-    fn charge(&mut self, charger: usize, at: impl Fn(usize) -> (f64, f64)) {
+    /// Charges the nearest of these robots within the radius.
+    fn charge(&mut self, charger: usize, robots: Range<usize>, at: impl Fn(usize) -> (f64, f64)) {
         let [x_m, y_m] = self.chargers[charger];
         let distance_m = |robot: usize| {
             let (robot_x_m, robot_y_m) = at(robot);
             (robot_x_m - x_m).hypot(robot_y_m - y_m)
         };
-        let nearest = (0..self.left_j.len())
+        let nearest = robots
             .map(|robot| (robot, distance_m(robot)))
             .min_by(|one, other| one.1.total_cmp(&other.1));
         let Some((robot, _)) = nearest.filter(|(_, distance_m)| *distance_m <= self.radius_m)

@@ -14,6 +14,8 @@ use crate::model;
 
 /// Robots from which on other Python threads may run meanwhile: below, releasing costs more than computing.
 const RELEASED_FROM: usize = 32;
+/// Power of a robot at rest that nothing is known of, mW.
+const INITIAL_MW: f64 = 3_500.0;
 
 /// Forecasts of one robot's power, or of several robots', step by step, in milliwatt.
 #[pyclass(module = "joulebus")]
@@ -33,13 +35,23 @@ struct Robot {
     before: Option<(f32, f32)>,
 }
 
+impl Robot {
+    /// With this power as all readings before.
+    fn at_rest(power_mw: f64) -> Self {
+        Self {
+            lag_w: [watt(power_mw); LAGS],
+            before: None,
+        }
+    }
+}
+
 #[pymethods]
 impl EnergyPredictor {
     #[new]
     #[pyo3(signature = (path = PathBuf::from("builtin:gternal-sim"), period_s = 0.033))]
     fn new(path: PathBuf, period_s: f64) -> PyResult<Self> {
         let mut predictor = Self::open(path, period_s, 1)?;
-        predictor.begin(&[3_500.0], Vec::new());
+        predictor.begin(&[INITIAL_MW], Vec::new());
         Ok(predictor)
     }
 
@@ -47,7 +59,7 @@ impl EnergyPredictor {
     #[pyo3(signature = (initial_power = None))]
     fn reset(&mut self, initial_power: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let Some(given) = initial_power else {
-            self.begin(&[3_500.0], Vec::new());
+            self.begin(&[INITIAL_MW], Vec::new());
             return Ok(());
         };
         let power_mw = Doubles::read("initial_power", given)?;
@@ -108,17 +120,20 @@ impl EnergyPredictor {
             robots: Vec::new(),
             shape: Vec::new(),
         };
-        predictor.begin(&vec![3_500.0; robots], vec![robots]);
+        predictor.begin(&vec![INITIAL_MW; robots], vec![robots]);
         Ok(predictor)
     }
 
     fn begin(&mut self, power_mw: &[f64], shape: Vec<usize>) {
         self.robots.clear();
-        self.robots.extend(power_mw.iter().map(|power| Robot {
-            lag_w: [watt(*power); LAGS],
-            before: None,
-        }));
+        let robots = power_mw.iter().map(|power_mw| Robot::at_rest(*power_mw));
+        self.robots.extend(robots);
         self.shape = shape;
+    }
+
+    /// Begins anew with one of several robots.
+    pub(crate) fn begin_robot(&mut self, robot: usize) {
+        self.robots[robot] = Robot::at_rest(INITIAL_MW);
     }
 
     fn advance<'py>(

@@ -15,6 +15,7 @@ mod batteries;
 mod dtype;
 mod energy_predictor;
 mod error;
+mod lab;
 mod model;
 mod planner;
 mod port_thread;
@@ -34,6 +35,11 @@ mod _native {
     use crate::energy_predictor::EnergyPredictor;
     #[pymodule_export]
     use crate::error::{ConnectError, Error, ModelError, PublishError, ReadError, RecordingError};
+    #[pymodule_export]
+    use crate::lab::{
+        Report, analyze, evaluate, report_recorded, report_simulated, simulate, train_recordings,
+        train_simulated,
+    };
     #[pymodule_export]
     use crate::planner::{FrameMemory, PlannerPorts, quality};
     #[pymodule_export]

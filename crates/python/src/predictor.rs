@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
 
+use joulebus_model_files::to_arrays;
 use joulebus_predictor::{
     FEATURES, Features, INPUTS, LAGS, Model, ReadingAge, RolloutStart, Rollouts,
 };
@@ -123,6 +124,17 @@ impl Predictor {
         Ok(PyBytes::new(py, &bytes))
     }
 
+    /// The arrays that `joulebus model export --to npy` writes: names, and the bytes of each file.
+    fn _arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyBytes>)>> {
+        let model = self.model();
+        let Model::Network(network) = model.as_ref() else {
+            return Err(ModelError::new_err("the model has no arrays"));
+        };
+        let arrays = to_arrays(network).map_err(|error| ModelError::new_err(error.to_string()))?;
+        let named = |(name, bytes): (String, Vec<u8>)| (name, PyBytes::new(py, &bytes));
+        Ok(arrays.into_iter().map(named).collect())
+    }
+
     /// Replaces the model by that of a model file's bytes.
     fn _load(&self, bytes: &[u8]) -> PyResult<()> {
         let model = Arc::new(Model::Network(model::of_bytes(bytes)?));
@@ -145,7 +157,7 @@ impl Predictor {
 }
 
 impl Predictor {
-    fn model(&self) -> Arc<Model> {
+    pub(crate) fn model(&self) -> Arc<Model> {
         // A value is only ever replaced whole.
         Arc::clone(&self.model.read().unwrap_or_else(PoisonError::into_inner))
     }

@@ -247,21 +247,24 @@ pub(crate) fn read_trials<'py>(
 ) -> PyResult<Vec<(Option<String>, Bound<'py, PyDict>)>> {
     let trials = py
         .detach(|| Trial::read_robots(&path))
-        .map_err(|error| refused_trial(&path, &error))?;
-    let columns = |trial: &Trial| {
-        let (dict, rows) = (PyDict::new(py), [trial.rows()]);
-        dict.set_item(
-            "timestamp_s",
-            array(py, trial.timestamp_s().to_vec(), &rows)?,
-        )?;
-        for column in Column::ALL {
-            if let Some(values) = trial.column(column) {
-                dict.set_item(name(column), array(py, values.to_vec(), &rows)?)?;
-            }
+        .map_err(|error| refused_trial(&error))?;
+    let named = |trial: &Trial| Ok((trial.robot_name().map(str::to_owned), columns(py, trial)?));
+    trials.iter().map(named).collect()
+}
+
+/// The columns of a trial in SI units.
+pub(crate) fn columns<'py>(py: Python<'py>, trial: &Trial) -> PyResult<Bound<'py, PyDict>> {
+    let (dict, rows) = (PyDict::new(py), [trial.rows()]);
+    dict.set_item(
+        "timestamp_s",
+        array(py, trial.timestamp_s().to_vec(), &rows)?,
+    )?;
+    for column in Column::ALL {
+        if let Some(values) = trial.column(column) {
+            dict.set_item(name(column), array(py, values.to_vec(), &rows)?)?;
         }
-        Ok((trial.robot_name().map(str::to_owned), dict))
-    };
-    trials.iter().map(columns).collect()
+    }
+    Ok(dict)
 }
 
 /// Writes a trial of one robot, in SI units.
@@ -294,7 +297,8 @@ pub(crate) fn trial_rows<'py>(
     ))
 }
 
-fn trial(path: &Path, robot: &str, columns: &Bound<'_, PyDict>) -> PyResult<Trial> {
+/// The trial of columns in SI units.
+pub(crate) fn trial(path: &Path, robot: &str, columns: &Bound<'_, PyDict>) -> PyResult<Trial> {
     let mut times_s = None;
     let mut values: [Option<Vec<f64>>; Column::ALL.len()] = Default::default();
     for (key, given) in columns {
@@ -334,12 +338,12 @@ fn trial(path: &Path, robot: &str, columns: &Bound<'_, PyDict>) -> PyResult<Tria
         }),
     };
     let rows = times_s.iter().enumerate().map(row);
-    Trial::from_rows(path, robot, rows).map_err(|error| refused_trial(path, &error))
+    Trial::from_rows(path, robot, rows).map_err(|error| refused_trial(&error))
 }
 
-fn refused_trial(path: &Path, error: &TrialError) -> PyErr {
+pub(crate) fn refused_trial(error: &TrialError) -> PyErr {
     match error {
-        TrialError::Io { source, .. } => of_file(path, source),
+        TrialError::Io { path, source } => of_file(path, source),
         error => RecordingError::new_err(error.to_string()),
     }
 }

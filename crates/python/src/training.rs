@@ -10,7 +10,7 @@ use pyo3::types::PyBytes;
 use crate::array::{Numbers, shape_error};
 
 /// Number, training loss, validation loss, and whether it is the best so far.
-type EpochRow = (u32, f64, f64, bool);
+pub(crate) type EpochRow = (u32, f64, f64, bool);
 
 /// Trains a network by the paper's recipe on rows in their order: the first `parts[0]` train, the next
 /// `parts[1]` end the training, the rest are held out. Returns the model file's bytes and the epochs.
@@ -104,11 +104,11 @@ fn dataset(
     })
 }
 
-fn refused(error: TrainError) -> PyErr {
+pub(crate) fn refused(error: TrainError) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
-fn epoch_row(epoch: Epoch) -> EpochRow {
+pub(crate) fn epoch_row(epoch: Epoch) -> EpochRow {
     (
         epoch.number,
         epoch.training_loss,

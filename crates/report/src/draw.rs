@@ -1,5 +1,7 @@
 //! One draw of the simulated experiments: what a seed determines.
 
+use std::ops::ControlFlow;
+
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_eval::score::{Design, Options, Recording, Scored, Subject, score};
 use joulebus_predictor::{Model, Network};
@@ -43,7 +45,7 @@ impl Recordings {
     pub(super) fn train(
         &self,
         experiment: &Simulated,
-        mut progress: impl FnMut(Epoch),
+        mut progress: impl FnMut(Epoch) -> ControlFlow<()>,
     ) -> Result<Trained, ReportError> {
         let rows = |trials: &[Recording]| -> Vec<Row> {
             let rows = trials.iter().flat_map(|trial| &trial.rows.rows);
@@ -66,7 +68,9 @@ impl Recordings {
         };
         let mut training = Training::new(&dataset, &recipe, experiment.threads)?;
         while !training.is_done() {
-            progress(training.epoch()?);
+            if progress(training.epoch()?).is_break() {
+                return Err(ReportError::Ended);
+            }
         }
         Ok(training.finish()?)
     }

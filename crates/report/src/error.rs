@@ -19,6 +19,9 @@ pub enum ReportError {
         /// Its minimum.
         least: usize,
     },
+    /// The caller ended the experiments.
+    #[error("the experiments were ended before they were finished")]
+    Ended,
     /// The evaluation was refused.
     #[error(transparent)]
     Score(#[from] ScoreError),

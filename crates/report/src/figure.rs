@@ -6,6 +6,8 @@
 //!
 //! Numbers that are NaN or infinite are not drawn: a line has a gap there, a bar is omitted. A
 //! panel without data shows a note instead of an empty axis.
+//!
+//! As JSON, a figure can be drawn by another library: numbers that are not finite are null.
 
 mod axis;
 mod bins;
@@ -16,13 +18,15 @@ mod paint;
 mod picture;
 mod thin;
 
+use serde::Serialize;
+
 pub use axis::{Axis, Scale};
 pub use bins::{Bins, Tiles, bins, tiles};
 pub use colour::Colour;
 pub use mark::{Direction, Interval, Mark};
 
 /// A figure of one or more panels.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Figure {
     /// Stem of its file names and ids in the document: lower-case letters, digits and hyphens.
     pub name: String,
@@ -41,7 +45,7 @@ pub struct Figure {
 }
 
 /// Axes with marks.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Panel {
     /// Its title; empty for none.
     pub title: String,
@@ -54,7 +58,7 @@ pub struct Panel {
 }
 
 /// Marks of one colour and legend entry.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Layer {
     /// Its legend entry, above the axes; `None`: no entry.
     pub label: Option<String>,

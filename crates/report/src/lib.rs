@@ -24,7 +24,6 @@ mod power;
 mod recorded;
 mod robots;
 mod scores;
-mod series;
 mod simulated;
 mod text;
 mod unit;

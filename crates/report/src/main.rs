@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::io::{IsTerminal as _, Write as _};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -63,6 +64,7 @@ fn simulate(args: &ReportArguments) -> anyhow::Result<Document> {
     ));
     let report = simulated(&experiment, config.settings(), |seed, epoch| {
         progress(seed, epoch, args.max_epochs);
+        ControlFlow::Continue(())
     });
     if std::io::stderr().is_terminal() {
         say("");

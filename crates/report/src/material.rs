@@ -1,11 +1,10 @@
 //! Inputs of a report's sections.
 
 use crate::figure::{Colour, Figure, Interval};
-use joulebus_eval::evaluate::RobotEvaluation;
+use joulebus_eval::evaluate::{RobotEvaluation, Series};
 use joulebus_eval::score::{ForecasterScore, Recording, Role, Scored};
 use joulebus_train::linear::Terms;
 
-use super::series::Series;
 use super::unit::Unit;
 use joulebus_statistics::bootstrap::Estimate;
 

@@ -1,5 +1,7 @@
 //! The paper's experiments on simulated robots: trials, training, evaluation, seven robots.
 
+use std::ops::ControlFlow;
+
 use joulebus_predictor::{Model, Network};
 use joulebus_settings::FleetSettings;
 
@@ -33,14 +35,14 @@ pub struct SimulatedReport {
 /// Simulates, for each seed, the six trials, trains on 1 to 4 with 5 for validation, evaluates on all
 /// six and on seven robots; reports mean and deviation of the results with the paper's numbers, and
 /// the figures of the draw nearest to the means. `progress` is called with the seed after each
-/// epoch.
+/// epoch, and may end the experiments.
 ///
 /// # Errors
-/// [`ReportError`].
+/// [`ReportError`]; [`ReportError::Ended`] when `progress` has ended them.
 pub fn simulated(
     experiment: &Simulated,
     settings: &FleetSettings,
-    mut progress: impl FnMut(u64, Epoch),
+    mut progress: impl FnMut(u64, Epoch) -> ControlFlow<()>,
 ) -> Result<SimulatedReport, ReportError> {
     for (what, found, least) in [
         ("samples", experiment.samples, 100),

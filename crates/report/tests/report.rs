@@ -6,6 +6,7 @@
 mod live;
 
 use std::collections::HashSet;
+use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
 use joulebus_eval::score::{Design, Recording};
@@ -32,7 +33,9 @@ fn experiment() -> Simulated {
 /// Made once and shared by all tests.
 fn made() -> &'static SimulatedReport {
     static MADE: OnceLock<SimulatedReport> = OnceLock::new();
-    MADE.get_or_init(|| simulated(&experiment(), &settings(), |_, _| ()).unwrap())
+    MADE.get_or_init(|| {
+        simulated(&experiment(), &settings(), |_, _| ControlFlow::Continue(())).unwrap()
+    })
 }
 
 fn written() -> &'static [File] {
@@ -239,7 +242,7 @@ fn the_page_begins_with_the_published_forecast_over_all_draws() {
 fn one_draw_is_not_enough() {
     let mut experiment = experiment();
     experiment.draws = 1;
-    let error = simulated(&experiment, &settings(), |_, _| ()).unwrap_err();
+    let error = simulated(&experiment, &settings(), |_, _| ControlFlow::Continue(())).unwrap_err();
     assert!(matches!(
         error,
         ReportError::TooShort {
@@ -258,7 +261,7 @@ fn the_same_experiments_give_the_same_bytes() {
             ..experiment()
         },
         &settings(),
-        |_, _| (),
+        |_, _| ControlFlow::Continue(()),
     )
     .unwrap();
     assert_eq!(again.network.hash(), made().network.hash());
@@ -328,7 +331,7 @@ fn one_short_recording_is_enough_and_none_is_refused() {
         samples: 99,
         ..experiment()
     };
-    let refused = simulated(&short, &settings, |_, _| ()).unwrap_err();
+    let refused = simulated(&short, &settings, |_, _| ControlFlow::Continue(())).unwrap_err();
     assert!(refused.to_string().contains("99 samples"), "{refused}");
 }
 

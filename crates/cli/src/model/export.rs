@@ -19,7 +19,7 @@ use joulebus_program::file::write;
     joulebus model export my.safetensors --out my.onnx\n  \
     joulebus model export my.safetensors --out my.npz\n  \
     joulebus model export my.safetensors --to npy --out my/\n  \
-    joulebus model export my.safetensors --out predictor.py\n\n\
+    joulebus model export my.safetensors --python predictor.py\n\n\
     ONNX: opset 17, input `features` (n, 11) in SI units as `model info` lists them, output `power_w` \
     (n, 1); the normalisation is part of the graph. Arrays carry `check_features` and `check_power_w`, \
     rows with their forecasts, for testing a reimplementation of the network. Python: one file that needs \
@@ -29,12 +29,35 @@ pub(crate) struct Args {
     /// A joulebus model: .safetensors, or exported arrays
     #[arg(value_name = "MODEL")]
     model: PathBuf,
+    #[command(flatten)]
+    target: Target,
+    /// Format of the file [default: by the extension of --out]
+    #[arg(long, value_enum, value_name = "KIND", conflicts_with = "python")]
+    to: Option<ExportFormat>,
+}
+
+/// Where the model goes.
+#[derive(Debug, clap::Args)]
+#[group(required = true, multiple = false)]
+struct Target {
     /// The output file; a directory for npy
     #[arg(short, long, value_name = "FILE")]
-    out: PathBuf,
-    /// Format of the file [default: by the extension of --out]
-    #[arg(long, value_enum, value_name = "KIND")]
-    to: Option<ExportFormat>,
+    out: Option<PathBuf>,
+    /// The output file, a Python module: as --to python --out FILE
+    #[arg(long, value_name = "FILE")]
+    python: Option<PathBuf>,
+}
+
+impl Args {
+    /// The output file and its format.
+    fn target(&self) -> Result<(&Path, ExportFormat), UsageError> {
+        match (&self.target.python, &self.target.out, self.to) {
+            (Some(path), ..) => Ok((path, ExportFormat::Python)),
+            (None, Some(out), Some(kind)) => Ok((out, kind)),
+            (None, Some(out), None) => Ok((out, by_ending(out)?)),
+            (None, None, _) => Err(UsageError("name the output file: --out FILE".to_owned())),
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
@@ -53,19 +76,16 @@ enum ExportFormat {
 }
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let kind = match args.to {
-        Some(kind) => kind,
-        None => by_ending(&args.out)?,
-    };
+    let (out, kind) = args.target()?;
     let checkpoint = super::read(&args.model)?;
     let Some(network) = checkpoint.network else {
         let (model, kind) = (args.model.display(), checkpoint.container);
         let what = format!("{model} ({kind}) is another program's model");
         return Err(UsageError(format!("{what}; import it first: joulebus model import")).into());
     };
-    let bytes = export(&network, kind, &args.out)?;
+    let bytes = export(&network, kind, out)?;
     output.report(&ExportReport {
-        file: args.out.display().to_string(),
+        file: out.display().to_string(),
         kind,
         model: network.card().name.clone(),
         model_hash: format!("{:016x}", network.hash()),

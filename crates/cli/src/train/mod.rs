@@ -1,6 +1,5 @@
 //! `joulebus train`: trains models.
 
-mod report;
 mod run;
 mod trials;
 
@@ -12,10 +11,9 @@ use joulebus_predictor::FeatureSet;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
-use joulebus_train::{TrainSettings, settings_for_sim};
+use joulebus_train::{TrainReport, TrainSettings, settings_for_sim};
 
 use crate::recordings::ColumnArguments;
-use report::TrainReport;
 use run::RunArguments;
 
 /// Train a model
@@ -97,7 +95,7 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
         return Ok(Outcome::Failed);
     };
     output.report(&TrainReport::new(
-        &sim.run.out,
+        Some(&sim.run.out),
         &trained,
         start.elapsed(),
         None,

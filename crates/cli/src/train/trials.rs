@@ -4,19 +4,14 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use joulebus_dataset::rows::{Dataset, Row};
-use joulebus_dataset::rows::{trial_rows, write_rows};
-use joulebus_dataset::split::{
-    By, PARTS, Placed, Source, Split, SplitSummary, check_copies, group_of, median_period_s, split,
-};
+use joulebus_dataset::rows::{Dataset, write_rows};
+use joulebus_dataset::split::{Source, SplitSummary, describe, given, split};
 use joulebus_dataset::trial::{ColumnMap, Trial};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
-use joulebus_train::TrainSettings;
-use serde::Deserialize;
+use joulebus_train::{Recipe, TrainReport, TrainSettings};
 
 use super::FeatureChoice;
-use super::report::TrainReport;
 use super::run::RunArguments;
 use crate::next_command::{recordings, word};
 use crate::recordings::{ColumnArguments, find_recordings};
@@ -68,14 +63,6 @@ pub(super) struct Args {
     run: RunArguments,
 }
 
-/// A recipe file.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct Recipe {
-    training: TrainSettings,
-    split: Split,
-}
-
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     args.run.check()?;
     let recipe = args.recipe()?;
@@ -88,7 +75,12 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let Some(trained) = args.run.train(&dataset, &recipe.training)? else {
         return Ok(Outcome::Failed);
     };
-    let mut report = TrainReport::new(&args.run.out, &trained, start.elapsed(), Some(summary));
+    let mut report = TrainReport::new(
+        Some(&args.run.out),
+        &trained,
+        start.elapsed(),
+        Some(summary),
+    );
     report.next = args.next();
     output.report(&report)?;
     Ok(Outcome::Done)
@@ -174,39 +166,8 @@ impl Args {
                 .map_err(|error| UsageError(error.to_string()).into());
         }
         let (validation, held_out) = (read(&self.validate, &map)?, read(&self.hold_out, &map)?);
-        let parts = [&sources, &validation, &held_out];
-        let names = parts.map(|part| -> Vec<String> {
-            part.iter().map(|source| source.trial.clone()).collect()
-        });
-        let placed = parts.into_iter().zip(PARTS).flat_map(|(sources, part)| {
-            let place = move |source| Placed::new(source, part);
-            sources.iter().map(place)
-        });
-        check_copies(placed).map_err(|error| UsageError(error.to_string()))?;
-        let rows = parts.map(|part| -> Vec<Row> {
-            part.iter()
-                .flat_map(|source| source.rows.rows.iter().copied())
-                .collect()
-        });
-        let [training, validation, held_out] = names;
-        let summary = SplitSummary {
-            by: By::Trial,
-            rows: [rows[0].len(), rows[1].len(), rows[2].len()],
-            training,
-            validation,
-            held_out,
-            pause_rows: 0,
-            name: "given individually".to_owned(),
-        };
-        let [training, validation, held_out] = rows;
-        let dataset = Dataset {
-            training,
-            validation,
-            held_out,
-            description: format!("{description}; parts given individually"),
-            period_s: median_period_s(&sources),
-        };
-        Ok((dataset, summary))
+        given([&sources, &validation, &held_out], &description)
+            .map_err(|error| UsageError(error.to_string()).into())
     }
 }
 
@@ -217,40 +178,19 @@ fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
     let name = path.display();
     let text = joulebus_files::read_to_string(path, MOST_RECIPE_BYTES)
         .with_context(|| format!("cannot read {name}"))?;
-    toml::from_str(&text).map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
+    Recipe::parse(&text).map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
 }
 
 fn read(paths: &[PathBuf], map: &ColumnMap) -> anyhow::Result<Vec<Source>> {
     let mut sources = Vec::new();
     for file in find_recordings(paths)? {
         let trials = Trial::read_mapped(&file, map)?;
-        sources.extend(trials.iter().map(|trial| source(&file, trial)));
+        for trial in &trials {
+            say(&format!("{}: {}", file.display(), trial.notes()));
+        }
+        sources.extend(trials.iter().map(Source::of));
     }
     Ok(sources)
-}
-
-/// Robots that share a file belong to one run and stay together in a split.
-fn source(file: &Path, trial: &Trial) -> Source {
-    say(&format!("{}: {}", file.display(), trial.notes()));
-    let name = file.file_name().and_then(|name| name.to_str());
-    let name = name.unwrap_or_default();
-    Source {
-        trial: file.display().to_string(),
-        robot: trial.robot_name().unwrap_or(name).to_owned(),
-        group: group_of(name),
-        rows: trial_rows(trial),
-    }
-}
-
-fn describe(sources: &[Source]) -> String {
-    let mut groups: Vec<&str> = sources.iter().map(|source| source.group.as_str()).collect();
-    groups.sort_unstable();
-    groups.dedup();
-    let named = match groups.len() {
-        ..=8 => groups.join(", "),
-        more => format!("{}, … ({more} groups)", groups[..8].join(", ")),
-    };
-    format!("{} recorded trials of {named}", sources.len())
 }
 
 #[cfg(test)]

@@ -93,6 +93,9 @@ pub enum ScoreError {
         /// Rows of the recording.
         allowed: usize,
     },
+    /// The caller ended the evaluation.
+    #[error("the evaluation was ended before it was finished")]
+    Ended,
     /// The split is not possible.
     #[error(transparent)]
     Split(#[from] SplitError),

@@ -1,5 +1,8 @@
 //! Runs an evaluation.
 
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use rayon::prelude::*;
 
 use super::blocks::Tallied;
@@ -50,6 +53,19 @@ pub struct Scored {
 /// # Errors
 /// [`ScoreError`]: nothing to evaluate, or options or settings that are refused.
 pub fn score(subject: Subject<'_>, options: &Options) -> Result<Scored, ScoreError> {
+    score_watched(subject, options, |_| ControlFlow::Continue(()))
+}
+
+/// As [`score`]. `watch` is called, from any thread, when a recording is done, with the number of those that are; it
+/// may end the evaluation.
+///
+/// # Errors
+/// As [`score`]; [`ScoreError::Ended`] when `watch` has ended it.
+pub fn score_watched(
+    subject: Subject<'_>,
+    options: &Options,
+    watch: impl Fn(usize) -> ControlFlow<()> + Sync,
+) -> Result<Scored, ScoreError> {
     options.check()?;
     let Subject {
         models, recordings, ..
@@ -61,9 +77,16 @@ pub fn score(subject: Subject<'_>, options: &Options) -> Result<Scored, ScoreErr
         return Err(ScoreError::NoModel);
     }
     let lines = fit_lines(subject.design, recordings, &options.baselines)?;
+    let done = AtomicUsize::new(0);
     let all = (0..recordings.len())
         .into_par_iter()
-        .map(|at| corrected::one(subject, options, &lines, at))
+        .map(|at| {
+            let found = corrected::one(subject, options, &lines, at)?;
+            match watch(done.fetch_add(1, Ordering::Relaxed) + 1) {
+                ControlFlow::Continue(()) => Ok(found),
+                ControlFlow::Break(()) => Err(ScoreError::Ended),
+            }
+        })
         .collect::<Result<Vec<_>, _>>()?;
     let (mut evaluated, mut apart) = (Vec::new(), Vec::new());
     let mut by_recording: Vec<Vec<RobotEvaluation>> = Vec::new();

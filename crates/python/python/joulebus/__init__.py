@@ -16,6 +16,9 @@
 
     forecasts = joulebus.read("run.mcap", "forecasts")       # a capture, as a DataFrame
 
+    made = joulebus.train("recordings/", out="my.safetensors")   # and evaluate, analyze, report, simulate
+    params, forecast = joulebus.arrays(made.predictor), joulebus.forward(made.predictor)   # for NumPy, JAX, PyTorch
+
 Numbers are the bits that joulebus itself computes. Everything that is refused is an exception whose message
 says what was found, what is allowed and what to do.
 """
@@ -30,12 +33,16 @@ from ._native import (
     RecordingError,
     __version__,
 )
+from .figures import Figure
+from .lab import Analysis, Evaluation, Report, Simulation, Training, analyze, evaluate, report, simulate, train
 from .live import BUDGET, DIAGNOSTIC, FORECAST, Forecast, Frame, Gone, Planner, Publisher, Stale, Table
+from .network import arrays, forward
 from .predictor import Predictor
 from .questions import Answer, Answers
 from .recordings import SAMPLE, RecordingDamaged, Trial, read, read_arrays, read_trials
 
 __all__ = [
+    "Analysis",
     "Answer",
     "Answers",
     "BUDGET",
@@ -46,6 +53,8 @@ __all__ = [
     "ConnectError",
     "EnergyPredictor",
     "Error",
+    "Evaluation",
+    "Figure",
     "Forecast",
     "Frame",
     "Gone",
@@ -57,20 +66,34 @@ __all__ = [
     "ReadError",
     "RecordingDamaged",
     "RecordingError",
+    "Report",
+    "Simulation",
     "Stale",
     "Table",
+    "Training",
     "Trial",
     "__version__",
+    "analyze",
+    "arrays",
+    "evaluate",
+    "forward",
     "read",
     "read_arrays",
     "read_trials",
+    "report",
+    "simulate",
+    "train",
 ]
 
 
 def __getattr__(name: str) -> object:
-    # Needs the Robotarium's simulator, which is imported only where it is used.
+    # Need the Robotarium's simulator, and gymnasium, which are imported only where they are used.
     if name == "EnergyRobotarium":
         from .robotarium import EnergyRobotarium
 
         return EnergyRobotarium
+    if name == "EnergyVectorEnv":
+        from .vector_env import EnergyVectorEnv
+
+        return EnergyVectorEnv
     raise AttributeError(f"module 'joulebus' has no attribute {name!r}")

@@ -13,6 +13,7 @@ from typing import Any, Iterator, Mapping
 import numpy as np
 
 from . import _native
+from ._optional import needed
 from .questions import Answers
 
 
@@ -397,6 +398,5 @@ def _table(found: tuple[int, bytes] | None, dtype: np.dtype) -> Table | None:
 
 
 def _data_frame(rows: np.ndarray) -> Any:
-    import pandas
-
+    pandas = needed("pandas", "data frames")
     return pandas.DataFrame({name: rows[name].copy() for name in rows.dtype.names}).set_index("robot")

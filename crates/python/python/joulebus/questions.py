@@ -6,6 +6,8 @@ from typing import Any, Iterator
 
 import numpy as np
 
+from ._optional import needed
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -76,9 +78,7 @@ class Answers:
 
     def to_pandas(self) -> Any:
         """A DataFrame with one row for each answer. Needs pandas."""
-        import pandas
-
-        return pandas.DataFrame({name: getattr(self, name) for name in _COLUMNS})
+        return needed("pandas", "data frames").DataFrame({name: getattr(self, name) for name in _COLUMNS})
 
     def __repr__(self) -> str:
         counts = {verdict: int(np.sum(self.verdict == verdict)) for verdict in ("yes", "tight", "no", "unknown")}

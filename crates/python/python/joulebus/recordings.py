@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from . import _native
+from ._optional import needed
 from .live import BUDGET, DIAGNOSTIC, FORECAST, _dtype
 
 #: NumPy's type of a sample: names and units as in `joulebus-wire`.
@@ -41,8 +42,7 @@ def read_arrays(
 
 def read(path: str | os.PathLike[str], topic: str, *, fleet: str | None = None, robots: Any = None) -> Any:
     """As `read_arrays`, as a DataFrame. Needs pandas."""
-    import pandas
-
+    pandas = needed("pandas", "data frames")
     return pandas.DataFrame(read_arrays(path, topic, fleet=fleet, robots=robots))
 
 
@@ -52,11 +52,12 @@ class Trial:
 
     ``columns`` has ``timestamp_s`` and, as far as recorded, ``v_mps`` and ``omega_radps`` (commands), ``power_w``,
     ``voltage_v``, ``current_a``, ``x_m``, ``y_m``, ``theta_rad``, ``v_measured_mps``, ``omega_measured_radps``, ``soc``
-    and ``phase``: float64, NaN where nothing was recorded.
+    and ``phase``: float64, NaN where nothing was recorded. ``name`` is the file's, or what it shall be called in reports.
     """
 
     columns: dict[str, np.ndarray]
     robot: str | None = field(default=None)
+    name: str | None = field(default=None)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Writes .csv, .csv.gz or .npy, as all of joulebus reads them (mV, mA, mW)."""
@@ -72,9 +73,7 @@ class Trial:
 
     def to_pandas(self) -> Any:
         """A copy as a DataFrame. Needs pandas."""
-        import pandas
-
-        return pandas.DataFrame(self.columns)
+        return needed("pandas", "data frames").DataFrame(self.columns)
 
     def __len__(self) -> int:
         return len(self.columns["timestamp_s"])
@@ -85,4 +84,6 @@ class Trial:
 
 def read_trials(path: str | os.PathLike[str]) -> list[Trial]:
     """The trials of a file (.npy, .csv, .csv.gz, or a capture): one for each robot."""
-    return [Trial(columns, robot) for robot, columns in _native.read_trials(path)]
+    found, name = _native.read_trials(path), os.fspath(path)
+    several = len(found) > 1
+    return [Trial(columns, robot, f"{name} {robot}" if several else name) for robot, columns in found]

@@ -6,12 +6,17 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import signal
 import statistics
+import threading
 import time
+from pathlib import Path
+from typing import Callable
 
 import numpy as np
 
-from . import EnergyPredictor, Predictor
+from . import EnergyPredictor, Predictor, evaluate, report, simulate, train
 
 FLEET = 1_000
 
@@ -69,12 +74,55 @@ def robotarium_steps(robots: int, rounds: int) -> tuple[float, float]:
     return 1e6 * statistics.median(times[0]), 1e6 * statistics.median(times[1])
 
 
+def interrupted_ms(call: Callable[[], object], after_s: float) -> float:
+    """Time from Ctrl-C, `after_s` into a computation, to its KeyboardInterrupt, ms."""
+    sent: list[float] = []
+
+    def interrupt() -> None:
+        names = Path("/proc/self/task").glob("*/comm")
+        while not any(name.read_text().strip() == "joulebus-lab" for name in names):
+            time.sleep(0.001)
+            names = Path("/proc/self/task").glob("*/comm")
+        time.sleep(after_s)
+        sent.append(time.perf_counter())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    try:
+        call()
+    except KeyboardInterrupt:
+        ended = time.perf_counter()
+    else:
+        raise RuntimeError("the computation ended before it was interrupted")
+    finally:
+        thread.join()
+    return 1e3 * (ended - sent[0])
+
+
+def interruptions(rounds: int) -> None:
+    trials = simulate(1, steps=2000, progress=False).trials
+    noise = np.random.default_rng(7)
+    calls: dict[str, Callable[[], object]] = {
+        "train": lambda: train(trials, split="time", max_epochs=10**6, patience=10**6, progress=False),
+        "evaluate": lambda: evaluate(trials * 20, resamples=0, progress=False),
+        "report": lambda: report(simulated=True, draws=900, progress=False),
+    }
+    for name, call in calls.items():
+        found = [interrupted_ms(call, noise.uniform(0.0, 0.2)) for _ in range(rounds)]
+        print(f"Ctrl-C in {name}: {statistics.median(found):.1f} ms, at most {max(found):.1f} ms, {rounds} times")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m joulebus.speed", description=__doc__)
     parser.add_argument("--rounds", type=int, default=101, help="paired measurements [default: 101]")
     parser.add_argument("--format", choices=["text", "json"], default="text")
     parser.add_argument("--robotarium", action="store_true", help="a step of EnergyRobotarium beside that of rps instead")
+    parser.add_argument("--interrupt", action="store_true", help="the time from Ctrl-C to KeyboardInterrupt instead")
     asked = parser.parse_args()
+    if asked.interrupt:
+        interruptions(asked.rounds)
+        return
     if asked.robotarium:
         for robots in (1, 5, 10, 15):
             plain_us, energy_us = robotarium_steps(robots, asked.rounds)

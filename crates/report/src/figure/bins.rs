@@ -1,5 +1,7 @@
 //! One- and two-dimensional histograms.
 
+use serde::Serialize;
+
 /// Counts of numbers in equal bins.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bins {
@@ -12,7 +14,7 @@ pub struct Bins {
 }
 
 /// Counts of pairs in equal tiles.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Tiles {
     /// Edges of the columns.
     pub x_edges: Vec<f64>,

@@ -1,5 +1,7 @@
 //! A palette for all kinds of colour vision, on light and dark backgrounds.
 
+use serde::{Serialize, Serializer};
+
 /// Meaning of a colour. The hues are those of Okabe and Ito (2008), which stay distinct under the
 /// common colour vision deficiencies; adjacent marks also differ in shape or dash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,6 +24,13 @@ pub enum Colour {
     Purple,
     /// A further baseline.
     Sky,
+}
+
+impl Serialize for Colour {
+    /// As `#RRGGBB` on a light background.
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(&Self::hex(self.light()))
+    }
 }
 
 impl Colour {

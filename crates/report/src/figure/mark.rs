@@ -1,9 +1,11 @@
 //! Marks on axes.
 
+use serde::Serialize;
+
 use super::bins::{Bins, Tiles};
 
 /// A number with an interval.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Interval {
     /// The number.
     pub value: f64,
@@ -14,7 +16,8 @@ pub struct Interval {
 }
 
 /// Direction of marks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Direction {
     /// Horizontal.
     Across,
@@ -23,7 +26,8 @@ pub enum Direction {
 }
 
 /// Marks on axes. A pair is (x, y).
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Mark {
     /// A line through points in order of x.
     Line {

@@ -5,13 +5,15 @@ use std::path::Path;
 use std::time::Duration;
 
 use joulebus_dataset::split::SplitSummary;
-use joulebus_train::{Findings, Trained};
 use serde::Serialize;
 
-/// Report of a training run.
-#[derive(Debug, Serialize)]
-pub(super) struct TrainReport {
-    file: String,
+use super::{Findings, Trained};
+
+/// Report of a training run. `Display` is text.
+#[derive(Debug, Clone, Serialize)]
+pub struct TrainReport {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    file: Option<String>,
     model: String,
     /// Hash of the model's contents.
     model_hash: String,
@@ -28,11 +30,11 @@ pub(super) struct TrainReport {
     scores: HeldOut,
     /// Commands for the model.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub(super) next: Vec<String>,
+    pub next: Vec<String>,
 }
 
 /// Scores on rows that were used for no decision.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Clone, Serialize)]
 struct HeldOut {
     rows: u64,
     mae_w: f32,
@@ -42,8 +44,10 @@ struct HeldOut {
 }
 
 impl TrainReport {
-    pub(super) fn new(
-        path: &Path,
+    /// Of a training that took this long. `path`: the model file, if it was written.
+    #[must_use]
+    pub fn new(
+        path: Option<&Path>,
         trained: &Trained,
         duration: Duration,
         split: Option<SplitSummary>,
@@ -52,7 +56,7 @@ impl TrainReport {
         let card = network.card();
         let best = trained.epochs.iter().rev().find(|epoch| epoch.best);
         Self {
-            file: path.display().to_string(),
+            file: path.map(|path| path.display().to_string()),
             model: card.name.clone(),
             model_hash: format!("{:016x}", network.hash()),
             source: card.source.clone(),
@@ -88,7 +92,10 @@ impl fmt::Display for TrainReport {
             scores,
             ..
         } = self;
-        writeln!(out, "{file}: {model}, from {source}, hash {model_hash}")?;
+        if let Some(file) = file {
+            write!(out, "{file}: ")?;
+        }
+        writeln!(out, "{model}, from {source}, hash {model_hash}")?;
         writeln!(out, "{training_data}")?;
         if let Some(split) = &self.split {
             write_split(out, split)?;

@@ -1,22 +1,26 @@
 //! The live path of a trial as time series of readings and their forecasts.
 
-use joulebus_eval::evaluate::RobotEvaluation;
+use super::RobotEvaluation;
 
 /// Scored readings of a trial, in order; all columns have the same length.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Series {
+pub struct Series {
     /// Time since the trial's first row, s.
-    pub(super) time_s: Vec<f64>,
-    pub(super) reading_w: Vec<f64>,
-    /// The forecast of the reading, made one tick before.
-    pub(super) forecast_w: Vec<f64>,
-    /// Lower end of its interval; NaN where there was none.
-    pub(super) lo_w: Vec<f64>,
-    pub(super) hi_w: Vec<f64>,
+    pub time_s: Vec<f64>,
+    /// The readings, W.
+    pub reading_w: Vec<f64>,
+    /// The forecast of the reading, made one tick before, W.
+    pub forecast_w: Vec<f64>,
+    /// Lower end of its interval, W; NaN where there was none.
+    pub lo_w: Vec<f64>,
+    /// Upper end of its interval, W; NaN where there was none.
+    pub hi_w: Vec<f64>,
 }
 
 impl Series {
-    pub(super) fn of(robot: &RobotEvaluation) -> Self {
+    /// The scored readings of a trial.
+    #[must_use]
+    pub fn of(robot: &RobotEvaluation) -> Self {
         let mut series = Self::default();
         let mut interval = [f64::NAN; 2];
         for step in robot.steps.iter().filter(|step| step.accepted) {
@@ -36,18 +40,28 @@ impl Series {
         series
     }
 
-    pub(super) fn len(&self) -> usize {
+    /// Number of readings.
+    #[must_use]
+    pub fn len(&self) -> usize {
         self.time_s.len()
     }
 
-    pub(super) fn residuals_w(&self) -> impl Iterator<Item = f64> + '_ {
+    /// Whether there are no readings.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.time_s.is_empty()
+    }
+
+    /// Readings minus their forecasts, W.
+    pub fn residuals_w(&self) -> impl Iterator<Item = f64> + '_ {
         let pairs = self.reading_w.iter().zip(&self.forecast_w);
         pairs.map(|(reading_w, forecast_w)| reading_w - forecast_w)
     }
 
     /// Measured and forecast energy up to each reading, J. Steps longer than `longest_s` are
     /// excluded from both.
-    pub(super) fn energy_j(&self, longest_s: f64) -> Vec<[f64; 2]> {
+    #[must_use]
+    pub fn energy_j(&self, longest_s: f64) -> Vec<[f64; 2]> {
         let mut sums = [0.0; 2];
         let mut before_s = None;
         let mut found = Vec::with_capacity(self.len());

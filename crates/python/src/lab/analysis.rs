@@ -1,0 +1,34 @@
+//! `joulebus.analyze`.
+
+use joulebus_eval::analyze::{AnalysisSettings, analyze as analyze_trials};
+use joulebus_predictor::Model;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::recordings::{Inputs, column_map};
+use super::{job, json, models, settings};
+
+/// The analysis of recordings as JSON. `remark` is called with what was left out of directories.
+#[pyfunction]
+pub(crate) fn analyze(
+    py: Python<'_>,
+    recordings: &Bound<'_, PyAny>,
+    columns: Vec<String>,
+    asked: &str,
+    given_models: &Bound<'_, PyAny>,
+    remark: &Bound<'_, PyAny>,
+) -> PyResult<String> {
+    let (inputs, map) = (Inputs::of(recordings)?, column_map(&columns)?);
+    let asked: AnalysisSettings = settings(asked)?;
+    let named = |model: Model| (format!("network {}", model.name()), model);
+    let models: Vec<(String, Model)> = models(given_models)?.into_iter().map(named).collect();
+    let work = move |teller: &job::Teller<String>| {
+        let trials = inputs.trials(&map, |remark| {
+            let _ = teller.tell(remark);
+        })?;
+        let analysis = analyze_trials(&trials, &asked, &models);
+        let analysis = analysis.map_err(|error| PyValueError::new_err(error.to_string()))?;
+        json(&analysis)
+    };
+    job::run(py, work, |text| remark.call1((text,)).map(|_| ()))
+}

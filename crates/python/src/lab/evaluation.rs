@@ -1,0 +1,142 @@
+//! `joulebus.evaluate`.
+
+use joulebus_config::Config;
+use joulebus_eval::EvalReport;
+use joulebus_eval::evaluate::{Evaluation, RobotEvaluation, Series};
+use joulebus_eval::score::{Options, Recording, Scored, Subject, score_watched};
+use joulebus_program::config_file::ConfigFile;
+use joulebus_statistics::bootstrap::Bootstrap;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use serde::Deserialize;
+
+use super::recordings::{Inputs, column_map};
+use super::{Choice, job, json, models, refused, settings};
+use crate::array::array;
+use crate::error::ConnectError;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Asked {
+    choice: Choice,
+    horizons: Vec<usize>,
+    origins_every: usize,
+    energy: bool,
+    resamples: u32,
+    confidence: f64,
+    block_rows: usize,
+}
+
+impl Asked {
+    fn options(&self) -> Options {
+        Options {
+            horizons: self.horizons.clone(),
+            origins_every: self.origins_every,
+            energy: self.energy,
+            bootstrap: Bootstrap {
+                resamples: self.resamples,
+                confidence: self.confidence,
+                seed: self.choice.seed,
+                block_rows: self.block_rows,
+                ..Bootstrap::default()
+            },
+            ..Options::default()
+        }
+    }
+}
+
+/// What an evaluation tells while it runs.
+enum Told {
+    Remark(String),
+    /// Recordings done, of all.
+    Done(usize, usize),
+}
+
+/// Settings of the live path: those that the verbs have.
+pub(super) fn config() -> PyResult<Config> {
+    ConfigFile { config: None }
+        .read()
+        .map_err(|error| ConnectError::new_err(error.to_string()))
+}
+
+/// An evaluation: its JSON, its text, and the live series of each model's trials. `remark` is called with what was left
+/// out of directories, `progress` with the number of recordings done, and of all.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "arguments of one call in Python")]
+pub(crate) fn evaluate<'py>(
+    py: Python<'py>,
+    recordings: &Bound<'py, PyAny>,
+    fit: &Bound<'py, PyAny>,
+    columns: Vec<String>,
+    given_models: &Bound<'py, PyAny>,
+    asked: &str,
+    remark: &Bound<'py, PyAny>,
+    progress: &Bound<'py, PyAny>,
+) -> PyResult<(String, String, Vec<Bound<'py, PyDict>>)> {
+    let (inputs, fit, map) = (
+        Inputs::of(recordings)?,
+        Inputs::of(fit)?,
+        column_map(&columns)?,
+    );
+    let asked: Asked = settings(asked)?;
+    let models = models(given_models)?;
+    let config = config()?;
+    let work = move |teller: &job::Teller<Told>| {
+        let remark = |text| {
+            let _ = teller.tell(Told::Remark(text));
+        };
+        let recordings = inputs.recordings(&map, |id| id, remark)?;
+        let fit = fit.recordings(&map, |id| id, remark)?;
+        let options = asked.options();
+        let design = asked.choice.design(&recordings, fit, &models)?;
+        let subject = Subject {
+            settings: config.settings(),
+            platform: None,
+            models: &models,
+            recordings: &recordings,
+            design: &design,
+        };
+        let all = recordings.len();
+        let watch = |done| teller.tell(Told::Done(done, all));
+        let scored = score_watched(subject, &options, watch).map_err(refused)?;
+        Ok((scored, recordings))
+    };
+    let (scored, recordings) = job::run(py, work, |told| match told {
+        Told::Remark(text) => remark.call1((text,)).map(|_| ()),
+        Told::Done(done, all) => progress.call1((done, all)).map(|_| ()),
+    })?;
+    let Scored { report, live, .. } = scored;
+    let live = Evaluation {
+        robots: live.into_iter().flat_map(|live| live.robots).collect(),
+    };
+    let series = live
+        .robots
+        .iter()
+        .map(|robot| series(py, robot, &recordings));
+    let series = series.collect::<PyResult<Vec<_>>>()?;
+    let report = EvalReport::new(&live, vec![report]);
+    Ok((json(&report)?, report.to_string(), series))
+}
+
+/// The scored readings of a trial and their forecasts.
+fn series<'py>(
+    py: Python<'py>,
+    robot: &RobotEvaluation,
+    recordings: &[Recording],
+) -> PyResult<Bound<'py, PyDict>> {
+    let (found, dict) = (Series::of(robot), PyDict::new(py));
+    let recording = recordings.iter().find(|one| one.id == robot.robot);
+    dict.set_item("trial", recording.map(|one| one.name.clone()))?;
+    dict.set_item("model", &robot.model)?;
+    let shape = [found.len()];
+    for (name, values) in [
+        ("time_s", found.time_s),
+        ("reading_w", found.reading_w),
+        ("forecast_w", found.forecast_w),
+        ("lo_w", found.lo_w),
+        ("hi_w", found.hi_w),
+    ] {
+        dict.set_item(name, array(py, values, &shape)?)?;
+    }
+    Ok(dict)
+}

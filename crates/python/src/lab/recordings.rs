@@ -1,0 +1,95 @@
+//! Recordings that a computation takes: files, and trials in memory.
+
+use std::path::PathBuf;
+
+use joulebus_dataset::inspect::find;
+use joulebus_dataset::trial::{ColumnMap, MappedColumn, Trial};
+use joulebus_eval::score::{Recording, read_recordings};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::error::of_file;
+use crate::recordings::{refused_trial, trial};
+
+/// Files, directories and patterns, then trials of Python.
+#[derive(Debug, Default)]
+pub(super) struct Inputs {
+    paths: Vec<PathBuf>,
+    trials: Vec<Trial>,
+}
+
+/// A trial as Python passes it: name, robot, columns.
+type Given<'py> = (PathBuf, Option<String>, Bound<'py, PyDict>);
+
+impl Inputs {
+    /// Of a list of paths and of trials.
+    pub(super) fn of(given: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let mut found = Self::default();
+        for given in given.try_iter()? {
+            let given = given?;
+            if let Ok((name, robot, columns)) = given.extract::<Given<'_>>() {
+                found
+                    .trials
+                    .push(trial(&name, robot.as_deref().unwrap_or(""), &columns)?);
+            } else {
+                found.paths.push(given.extract()?);
+            }
+        }
+        Ok(found)
+    }
+
+    /// The files of the paths; what is left out of directories is told by `remark`.
+    fn files(&self, remark: &mut impl FnMut(String)) -> PyResult<Vec<PathBuf>> {
+        if self.paths.is_empty() {
+            return Ok(Vec::new());
+        }
+        let found = find(&self.paths).map_err(|error| match &error {
+            joulebus_dataset::inspect::FindError::Io { path, source } => of_file(path, source),
+            error => PyValueError::new_err(error.to_string()),
+        })?;
+        found.remarks().for_each(remark);
+        Ok(found.files)
+    }
+
+    /// Every trial.
+    pub(super) fn trials(
+        self,
+        map: &ColumnMap,
+        mut remark: impl FnMut(String),
+    ) -> PyResult<Vec<Trial>> {
+        let mut trials = Vec::new();
+        for file in self.files(&mut remark)? {
+            let read = Trial::read_mapped(&file, map);
+            trials.extend(read.map_err(|error| refused_trial(&error))?);
+        }
+        trials.extend(self.trials);
+        Ok(trials)
+    }
+
+    /// Every trial with its rows. `id` gives the robot's id for the live path.
+    pub(super) fn recordings(
+        self,
+        map: &ColumnMap,
+        id: fn(u32) -> u32,
+        mut remark: impl FnMut(String),
+    ) -> PyResult<Vec<Recording>> {
+        let files = self.files(&mut remark)?;
+        let files: Vec<_> = (0..).map(id).zip(files).collect();
+        let count = files.len() as u32;
+        let read = read_recordings(&files, map);
+        let mut recordings = read.map_err(|error| refused_trial(&error))?;
+        let given = (count..).map(id).zip(self.trials);
+        recordings.extend(given.map(|(id, trial)| Recording::new(id, trial)));
+        Ok(recordings)
+    }
+}
+
+/// The columns of CSV files: `quantity=column`.
+pub(super) fn column_map(columns: &[String]) -> PyResult<ColumnMap> {
+    let columns = columns.iter().map(|column| column.parse::<MappedColumn>());
+    let columns = columns.collect::<Result<Vec<_>, _>>();
+    columns
+        .map(ColumnMap::from)
+        .map_err(|error| PyValueError::new_err(error.to_string()))
+}

@@ -1,0 +1,158 @@
+//! `joulebus.report`.
+
+use joulebus_predictor::Network;
+use joulebus_report::{
+    Document, Recorded, ReportError, Simulated, SimulatedReport, files, html, recorded, simulated,
+};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+use serde::Deserialize;
+
+use super::evaluation::config;
+use super::recordings::{Inputs, column_map};
+use super::{Choice, job, json, models, settings};
+
+/// A report as data.
+#[pyclass(module = "joulebus._native", frozen)]
+#[derive(Debug)]
+pub(crate) struct Report {
+    document: Document,
+    /// Of simulated experiments.
+    network: Option<Network>,
+}
+
+#[pymethods]
+impl Report {
+    /// What `report.json` has.
+    fn json(&self) -> PyResult<String> {
+        json(&self.document)
+    }
+
+    /// Every figure with the data that it draws.
+    fn figures(&self) -> PyResult<String> {
+        let figures: Vec<_> = self.document.figures().collect();
+        json(&figures)
+    }
+
+    fn text(&self) -> String {
+        self.document.to_string()
+    }
+
+    /// One page that needs no other file.
+    fn html(&self, py: Python<'_>) -> PyResult<String> {
+        py.detach(|| html(&self.document)).map_err(drawing)
+    }
+
+    /// The files of a report's directory: paths below it, and contents.
+    fn files<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyBytes>)>> {
+        let files = py.detach(|| files(&self.document)).map_err(drawing)?;
+        let mut files: Vec<_> = files
+            .into_iter()
+            .map(|file| (file.path, PyBytes::new(py, &file.bytes)))
+            .collect();
+        if let Some(bytes) = self.network(py)? {
+            files.push(("network.safetensors".to_owned(), bytes));
+        }
+        Ok(files)
+    }
+
+    /// The model file of the network that simulated experiments show.
+    fn network<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyBytes>>> {
+        let bytes = self.network.as_ref().map(Network::to_safetensors);
+        let bytes = bytes.transpose();
+        let bytes = bytes.map_err(|error| PyValueError::new_err(error.to_string()))?;
+        Ok(bytes.map(|bytes| PyBytes::new(py, &bytes)))
+    }
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Asked {
+    choice: Choice,
+    published: bool,
+}
+
+/// A report on recordings. `remark` is called with what was left out of directories.
+#[pyfunction]
+pub(crate) fn report_recorded(
+    py: Python<'_>,
+    recordings: &Bound<'_, PyAny>,
+    fit: &Bound<'_, PyAny>,
+    columns: Vec<String>,
+    given_models: &Bound<'_, PyAny>,
+    asked: &str,
+    remark: &Bound<'_, PyAny>,
+) -> PyResult<Report> {
+    let (inputs, fit, map) = (
+        Inputs::of(recordings)?,
+        Inputs::of(fit)?,
+        column_map(&columns)?,
+    );
+    let asked: Asked = settings(asked)?;
+    let models = models(given_models)?;
+    let config = config()?;
+    let work = move |teller: &job::Teller<String>| {
+        let remark = |text| {
+            let _ = teller.tell(text);
+        };
+        // Each is run alone: all have the same id.
+        let recordings = inputs.recordings(&map, |_| 0, remark)?;
+        let fit = fit.recordings(&map, |_| 0, remark)?;
+        let design = asked.choice.design(&recordings, fit, &models)?;
+        let document = recorded(&Recorded {
+            settings: config.settings(),
+            platform: None,
+            models: &models,
+            recordings: &recordings,
+            design: &design,
+            published: asked.published,
+        });
+        Ok(Report {
+            document: document.map_err(refused)?,
+            network: None,
+        })
+    };
+    job::run(py, work, |text| remark.call1((text,)).map(|_| ()))
+}
+
+/// A report on the paper's experiments with simulated robots. `progress` is called with the seed and number of each
+/// epoch.
+#[pyfunction]
+pub(crate) fn report_simulated(
+    py: Python<'_>,
+    seed: u64,
+    draws: u32,
+    samples: usize,
+    max_epochs: u32,
+    progress: &Bound<'_, PyAny>,
+) -> PyResult<Report> {
+    let mut experiment = Simulated::new(seed);
+    (experiment.samples, experiment.robot_steps) = (samples, samples);
+    experiment.draws = draws;
+    experiment.recipe.max_epochs = max_epochs;
+    let config = config()?;
+    let work = move |teller: &job::Teller<(u64, u32)>| {
+        let report = simulated(&experiment, config.settings(), |seed, epoch| {
+            teller.tell((seed, epoch.number))
+        });
+        let SimulatedReport {
+            document, network, ..
+        } = report.map_err(refused)?;
+        Ok(Report {
+            document,
+            network: Some(network),
+        })
+    };
+    job::run(py, work, |(seed, epoch)| {
+        progress.call1((seed, epoch)).map(|_| ())
+    })
+}
+
+fn refused(error: ReportError) -> PyErr {
+    PyValueError::new_err(error.to_string())
+}
+
+fn drawing(error: impl std::fmt::Display) -> PyErr {
+    PyRuntimeError::new_err(error.to_string())
+}
